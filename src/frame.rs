@@ -1,0 +1,203 @@
+//! A picture and what is known of how it was taken.
+
+use crate::units::Place;
+use jiff::{SignedDuration, Timestamp};
+use std::time::Duration;
+
+/// The pixels of a frame, row by row from the first, in digital numbers (DN).
+#[derive(Debug, Clone, PartialEq)]
+pub enum Pixels {
+    U8(Vec<u8>),
+    U16(Vec<u16>),
+}
+
+impl Pixels {
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(p) => p.len(),
+            Self::U16(p) => p.len(),
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bits of a stored pixel.
+    pub fn bits(&self) -> u32 {
+        match self {
+            Self::U8(_) => 8,
+            Self::U16(_) => 16,
+        }
+    }
+}
+
+/// A pixel's value as the algorithms read it.
+pub trait Sample: Copy + Send + Sync + 'static {
+    fn dn(self) -> f32;
+}
+
+impl Sample for u8 {
+    fn dn(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+impl Sample for u16 {
+    fn dn(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+/// How a frame was taken. What the source does not tell is `None`.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FrameInfo {
+    /// Number of the frame in its sequence.
+    pub number: Option<u64>,
+    /// The middle of the exposure, UTC: the time the aspect belongs to.
+    pub mid_exposure: Option<Timestamp>,
+    /// The middle of the exposure on the host's monotonic clock, since an arbitrary start.
+    pub monotonic: Option<Duration>,
+    /// How long the shutter was open.
+    pub exposure: Option<Duration>,
+    /// Analogue gain, the camera's own units.
+    pub analogue_gain: Option<f64>,
+    /// Pre-amplifier gain, the camera's own units.
+    pub preamp_gain: Option<f64>,
+    /// Temperature of the camera, deg C.
+    pub camera_temperature_c: Option<f64>,
+    /// Where the frame was taken.
+    pub place: Option<Place>,
+    /// The camera's name, as the source gives it.
+    pub camera: Option<String>,
+}
+
+impl FrameInfo {
+    /// The start of the exposure, where both its middle and its length are known.
+    pub fn exposure_start(&self) -> Option<Timestamp> {
+        let half = SignedDuration::try_from(self.exposure? / 2).ok()?;
+        self.mid_exposure?.checked_sub(half).ok()
+    }
+
+    /// The end of the exposure, where both its middle and its length are known.
+    pub fn exposure_end(&self) -> Option<Timestamp> {
+        let half = SignedDuration::try_from(self.exposure? / 2).ok()?;
+        self.mid_exposure?.checked_add(half).ok()
+    }
+}
+
+/// Why pixels do not make a frame.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FrameError {
+    #[error("expected {width} x {height} = {expected} pixels, found {found}")]
+    Size {
+        width: usize,
+        height: usize,
+        expected: usize,
+        found: usize,
+    },
+    #[error("expected a frame of at least one pixel, found {width} x {height}")]
+    Empty { width: usize, height: usize },
+}
+
+/// A picture with what is known of how it was taken.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    width: usize,
+    height: usize,
+    pixels: Pixels,
+    saturation_dn: u16,
+    pub info: FrameInfo,
+}
+
+impl Frame {
+    /// A frame of `width` x `height` pixels, row by row, whose pixels saturate at `saturation_dn`.
+    pub fn new(
+        width: usize,
+        height: usize,
+        pixels: Pixels,
+        saturation_dn: u16,
+        info: FrameInfo,
+    ) -> Result<Self, FrameError> {
+        let expected = width * height;
+        if expected == 0 {
+            return Err(FrameError::Empty { width, height });
+        }
+        if pixels.len() != expected {
+            return Err(FrameError::Size {
+                width,
+                height,
+                expected,
+                found: pixels.len(),
+            });
+        }
+        Ok(Self {
+            width,
+            height,
+            pixels,
+            saturation_dn,
+            info,
+        })
+    }
+
+    /// Pixels in a row.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    pub fn pixels(&self) -> &Pixels {
+        &self.pixels
+    }
+
+    /// The value at which a pixel saturates, DN.
+    pub fn saturation_dn(&self) -> u16 {
+        self.saturation_dn
+    }
+}
+
+/// A typed look at a frame's pixels, for algorithms that are generic in the pixel's depth.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a, T> {
+    pub width: usize,
+    pub height: usize,
+    pub pixels: &'a [T],
+}
+
+impl<T: Sample> View<'_, T> {
+    /// The value at column `x`, row `y`, DN.
+    pub fn dn(&self, x: usize, y: usize) -> f32 {
+        self.pixels[y * self.width + x].dn()
+    }
+}
+
+/// Runs an expression with `$view` bound to a typed [`View`] of the frame.
+#[macro_export]
+macro_rules! with_view {
+    ($frame:expr, $view:ident => $body:expr) => {{
+        let frame: &$crate::frame::Frame = $frame;
+        let (width, height) = (frame.width(), frame.height());
+        match frame.pixels() {
+            $crate::frame::Pixels::U8(pixels) => {
+                let $view = $crate::frame::View {
+                    width,
+                    height,
+                    pixels: pixels.as_slice(),
+                };
+                $body
+            }
+            $crate::frame::Pixels::U16(pixels) => {
+                let $view = $crate::frame::View {
+                    width,
+                    height,
+                    pixels: pixels.as_slice(),
+                };
+                $body
+            }
+        }
+    }};
+}

@@ -1,0 +1,47 @@
+//! The instruments that the program carries with it.
+
+use super::{Instrument, TomlError, raw};
+use std::path::Path;
+
+const FILES: [(&str, &str); 3] = [
+    ("demo", include_str!("../../calibration/demo.toml")),
+    (
+        "heroes-pyas-f",
+        include_str!("../../calibration/heroes-pyas-f.toml"),
+    ),
+    (
+        "heroes-pyas-r",
+        include_str!("../../calibration/heroes-pyas-r.toml"),
+    ),
+];
+
+/// A built-in instrument by name.
+pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
+    let path = Path::new(name);
+    match FILES.iter().find(|(known, _)| *known == name) {
+        Some((_, text)) => raw::parse(path, text),
+        None => Err(TomlError::new(
+            path,
+            "",
+            format!("a built-in instrument ({})", builtin_names().join(", ")),
+            format!("\"{name}\""),
+        )),
+    }
+}
+
+/// Names of the built-in instruments.
+pub fn builtin_names() -> Vec<&'static str> {
+    FILES.iter().map(|(name, _)| *name).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_built_in_instrument_is_valid() {
+        for name in builtin_names() {
+            assert_eq!(builtin(name).unwrap().name, name);
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! The instrument: camera, plate, optics and mounting, read from a TOML file, checked, and fixed from then on.
+//!
+//! A file names each number's unit in its key and carries its 1-sigma, source and date beside it:
+//! `scale_mil_per_px = { value = 5.75, sigma = 0.0115, source = "...", date = 2013-09-21 }`. Reading is in two
+//! steps: `raw` holds what the file says, [`Instrument`] what has been checked.
+
+mod builtin;
+mod raw;
+pub mod toml_file;
+
+pub use builtin::{builtin, builtin_names};
+pub use toml_file::TomlError;
+
+use crate::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
+use crate::plate::Plate;
+use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured, PlateMil, SensorPx};
+use nalgebra::{Matrix2, Vector2};
+use std::path::Path;
+
+/// Everything the solver and the pointing need to know of the hardware.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Instrument {
+    pub name: String,
+    pub camera: Camera,
+    pub plate: Plate,
+    pub optics: Optics,
+    pub mounting: Mounting,
+}
+
+/// The camera that looks at the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    pub width_px: usize,
+    pub height_px: usize,
+    /// Bits of a pixel as the camera digitises it.
+    pub bits: u32,
+    pub distortion: Distortion,
+}
+
+/// The telescope that throws the Sun's image on the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Optics {
+    pub focal_length_mm: Measured,
+    /// From the lens to the plate.
+    pub plate_distance_mm: Measured,
+    /// Gaussian blur of the picture on the sensor, 1 sigma.
+    pub blur_px: Measured,
+    /// Wavelength of the band-pass filter.
+    pub wavelength_nm: f64,
+}
+
+impl Optics {
+    /// Radius on the plate of a disc of the given angular radius, mil.
+    pub fn radius_mil(&self, angular_radius_arcsec: f64) -> f64 {
+        self.plate_distance_mm.value * (angular_radius_arcsec / ARCSEC_PER_RAD).tan() / MIL_MM
+    }
+
+    /// Plate scale at the optical axis, arcsec per mil.
+    pub fn arcsec_per_mil(&self) -> f64 {
+        MIL_MM / self.plate_distance_mm.value * ARCSEC_PER_RAD
+    }
+}
+
+/// How plate and camera sit in the gondola.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mounting {
+    /// Plate length per pixel.
+    pub scale_mil_per_px: Measured,
+    /// Rotation of the picture, the camera's twist (0 or 180 deg) included; positive from +x towards +y.
+    pub rotation_deg: Measured,
+    pub handedness: Handedness,
+    /// Where the camera sees the plate's centre; 1 sigma per axis.
+    pub plate_centre_px: SensorPx,
+    pub plate_centre_sigma_px: f64,
+    /// The boresight: where the Sun stands on the plate when the telescope points at it.
+    pub boresight_mil: PlateMil,
+    pub boresight_sigma_mil: f64,
+    /// Angle of the plate's +Y from the direction to the zenith.
+    pub clocking_deg: Measured,
+}
+
+impl Instrument {
+    /// Reads and checks an instrument's TOML file.
+    pub fn read(path: &Path) -> Result<Self, TomlError> {
+        raw::read(path)
+    }
+
+    /// The mapping that the calibration states, with its covariance at the Sun's place by
+    /// [`nominal_covariance_mil2`](Self::nominal_covariance_mil2).
+    pub fn nominal_mapping(&self) -> Option<Mapping> {
+        Mapping::similarity(
+            SimilarityParameters {
+                plate_centre: self.mounting.plate_centre_px,
+                scale_mil_per_px: self.mounting.scale_mil_per_px.value,
+                rotation_deg: self.mounting.rotation_deg.value,
+                handedness: self.mounting.handedness,
+            },
+            self.camera.distortion,
+        )
+    }
+
+    /// Covariance of a plate position got through the nominal mapping, from the stated sigmas of the plate's
+    /// centre, the rotation and the scale; mil^2.
+    pub fn nominal_covariance_mil2(&self, at: PlateMil) -> Matrix2<f64> {
+        let m = &self.mounting;
+        let shift = m.plate_centre_sigma_px * m.scale_mil_per_px.value;
+        let along = at.vector();
+        let across = Vector2::new(-along.y, along.x);
+        let scale = m.scale_mil_per_px.sigma / m.scale_mil_per_px.value;
+        let rotation = m.rotation_deg.sigma.to_radians();
+        Matrix2::identity() * shift.powi(2)
+            + along * along.transpose() * scale.powi(2)
+            + across * across.transpose() * rotation.powi(2)
+    }
+
+    /// Radius of the Sun on the sensor for an angular radius, px, at the nominal scale.
+    pub fn radius_px(&self, angular_radius_arcsec: f64) -> f64 {
+        self.optics.radius_mil(angular_radius_arcsec) / self.mounting.scale_mil_per_px.value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sun_of_september_2013_is_as_large_on_the_sensor_as_the_ephemeris_says() {
+        let demo = builtin("demo").unwrap();
+        assert!((demo.radius_px(955.59) - 95.163).abs() < 0.001);
+        assert!((demo.optics.arcsec_per_mil() - 1.746).abs() < 0.001);
+    }
+}

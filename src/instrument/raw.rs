@@ -1,0 +1,386 @@
+//! The instrument as the file says it, and the checks that make it an [`Instrument`].
+
+use super::toml_file::{TomlError, keys_of, parse_strict, read_text};
+use super::{Camera, Instrument, Mounting, Optics};
+use crate::geometry::{Distortion, Handedness};
+use crate::plate::{Cross, MarkId, Plate};
+use crate::units::{Measured, PlateMil, SensorPx};
+use serde::Deserialize;
+use std::path::Path;
+
+/// A number with what is known of it. Source and date are for people; the program keeps value and sigma.
+#[derive(Deserialize)]
+struct Entry<T> {
+    value: T,
+    #[serde(default)]
+    sigma: f64,
+    source: String,
+    date: toml::value::Datetime,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum RawHandedness {
+    Mirrored,
+    Direct,
+}
+
+#[derive(Deserialize)]
+struct RawInstrument {
+    name: String,
+    #[serde(rename = "description")]
+    _description: String,
+    camera: RawCamera,
+    plate: RawPlate,
+    optics: RawOptics,
+    mounting: RawMounting,
+}
+
+#[derive(Deserialize)]
+struct RawCamera {
+    width_px: Entry<usize>,
+    height_px: Entry<usize>,
+    bits: Entry<u32>,
+    distortion: Option<RawDistortion>,
+}
+
+#[derive(Deserialize)]
+struct RawDistortion {
+    centre_px: Entry<[f64; 2]>,
+    radial_per_px2: Entry<f64>,
+    radial_per_px4: Entry<f64>,
+    decentring_per_px: Entry<[f64; 2]>,
+}
+
+#[derive(Deserialize)]
+struct RawPlate {
+    arm_length_mil: Entry<f64>,
+    arm_width_mil: Entry<f64>,
+    drawing_sigma_mil: Entry<f64>,
+    #[serde(default)]
+    mark: Vec<RawMark>,
+}
+
+#[derive(Deserialize)]
+struct RawMark {
+    id: [i32; 2],
+    position_mil: [f64; 2],
+    sigma_mil: [f64; 2],
+}
+
+#[derive(Deserialize)]
+struct RawOptics {
+    focal_length_mm: Entry<f64>,
+    plate_distance_mm: Entry<f64>,
+    blur_px: Entry<f64>,
+    wavelength_nm: Entry<f64>,
+}
+
+#[derive(Deserialize)]
+struct RawMounting {
+    handedness: Entry<RawHandedness>,
+    scale_mil_per_px: Entry<f64>,
+    rotation_deg: Entry<f64>,
+    twist_deg: Entry<f64>,
+    plate_centre_px: Entry<[f64; 2]>,
+    boresight_mil: Entry<[f64; 2]>,
+    clocking_deg: Entry<f64>,
+}
+
+pub(super) fn read(path: &Path) -> Result<Instrument, TomlError> {
+    parse(path, &read_text(path)?)
+}
+
+pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {
+    let known = keys_of(include_str!("../../calibration/demo.toml"));
+    let raw: RawInstrument = parse_strict(path, text, &known)?;
+    Checker { path }.instrument(raw)
+}
+
+/// Turns raw values into checked ones; knows the file for its errors.
+struct Checker<'a> {
+    path: &'a Path,
+}
+
+impl Checker<'_> {
+    fn instrument(&self, raw: RawInstrument) -> Result<Instrument, TomlError> {
+        Ok(Instrument {
+            camera: self.camera(raw.camera)?,
+            plate: self.plate(raw.plate)?,
+            optics: self.optics(raw.optics)?,
+            mounting: self.mounting(raw.mounting)?,
+            name: raw.name,
+        })
+    }
+
+    fn camera(&self, raw: RawCamera) -> Result<Camera, TomlError> {
+        let side = 64.0..=65_536.0;
+        self.within(
+            "camera.width_px",
+            raw.width_px.value as f64,
+            side.clone(),
+            "px",
+        )?;
+        self.within("camera.height_px", raw.height_px.value as f64, side, "px")?;
+        self.within("camera.bits", f64::from(raw.bits.value), 8.0..=16.0, "bits")?;
+        Ok(Camera {
+            width_px: raw.width_px.value,
+            height_px: raw.height_px.value,
+            bits: raw.bits.value,
+            distortion: match raw.distortion {
+                Some(distortion) => self.distortion(distortion)?,
+                None => Distortion::NONE,
+            },
+        })
+    }
+
+    fn distortion(&self, raw: RawDistortion) -> Result<Distortion, TomlError> {
+        let table = "camera.distortion";
+        let [k1, k2] = [
+            self.measured(
+                &format!("{table}.radial_per_px2"),
+                raw.radial_per_px2,
+                -1e-6..=1e-6,
+            )?,
+            self.measured(
+                &format!("{table}.radial_per_px4"),
+                raw.radial_per_px4,
+                -1e-12..=1e-12,
+            )?,
+        ];
+        let [x, y] = self.pair(&format!("{table}.centre_px"), &raw.centre_px, 65_536.0)?;
+        Ok(Distortion {
+            centre: SensorPx::new(x, y),
+            radial: [k1.value, k2.value],
+            decentring: self.pair(
+                &format!("{table}.decentring_per_px"),
+                &raw.decentring_per_px,
+                1e-3,
+            )?,
+        })
+    }
+
+    fn plate(&self, raw: RawPlate) -> Result<Plate, TomlError> {
+        let length = self.measured("plate.arm_length_mil", raw.arm_length_mil, 10.0..=200.0)?;
+        let width = self.measured("plate.arm_width_mil", raw.arm_width_mil, 1.0..=50.0)?;
+        let sigma = self.measured("plate.drawing_sigma_mil", raw.drawing_sigma_mil, 0.0..=20.0)?;
+        let cross = Cross {
+            arm_length_mil: length.value,
+            arm_width_mil: width.value,
+        };
+        let mut plate = Plate::drawn(cross, sigma.value);
+        for (n, mark) in raw.mark.iter().enumerate() {
+            let field = format!("plate.mark[{n}]");
+            let [i, j] = mark.id;
+            let id = MarkId::new(i, j).ok_or_else(|| {
+                self.error(
+                    &format!("{field}.id"),
+                    "indices from -7 to 7",
+                    format!("[{i}, {j}]"),
+                )
+            })?;
+            for (key, values, limit) in [
+                ("position_mil", mark.position_mil, 1e4),
+                ("sigma_mil", mark.sigma_mil, 1e3),
+            ] {
+                for value in values {
+                    self.within(&format!("{field}.{key}"), value, -limit..=limit, "mil")?;
+                }
+            }
+            plate.set(id, mark.position_mil.into_position(), mark.sigma_mil);
+        }
+        Ok(plate)
+    }
+
+    fn optics(&self, raw: RawOptics) -> Result<Optics, TomlError> {
+        let lengths = 10.0..=100_000.0;
+        Ok(Optics {
+            focal_length_mm: self.measured(
+                "optics.focal_length_mm",
+                raw.focal_length_mm,
+                lengths.clone(),
+            )?,
+            plate_distance_mm: self.measured(
+                "optics.plate_distance_mm",
+                raw.plate_distance_mm,
+                lengths,
+            )?,
+            blur_px: self.measured("optics.blur_px", raw.blur_px, 0.0..=10.0)?,
+            wavelength_nm: self
+                .measured("optics.wavelength_nm", raw.wavelength_nm, 100.0..=2000.0)?
+                .value,
+        })
+    }
+
+    fn mounting(&self, raw: RawMounting) -> Result<Mounting, TomlError> {
+        let turn = -360.0..=360.0;
+        let scale = self.measured(
+            "mounting.scale_mil_per_px",
+            raw.scale_mil_per_px,
+            0.1..=100.0,
+        )?;
+        let rotation = self.measured("mounting.rotation_deg", raw.rotation_deg, turn.clone())?;
+        let twist = self.measured("mounting.twist_deg", raw.twist_deg, turn.clone())?;
+        let clocking = self.measured("mounting.clocking_deg", raw.clocking_deg, turn)?;
+        let centre = self.pair("mounting.plate_centre_px", &raw.plate_centre_px, 65_536.0)?;
+        let boresight = self.pair("mounting.boresight_mil", &raw.boresight_mil, 1e4)?;
+        Ok(Mounting {
+            scale_mil_per_px: scale,
+            rotation_deg: Measured::new(rotation.value + twist.value, rotation.sigma),
+            handedness: match raw.handedness.value {
+                RawHandedness::Mirrored => Handedness::Mirrored,
+                RawHandedness::Direct => Handedness::Direct,
+            },
+            plate_centre_px: SensorPx::new(centre[0], centre[1]),
+            plate_centre_sigma_px: raw.plate_centre_px.sigma,
+            boresight_mil: boresight.into_position(),
+            boresight_sigma_mil: raw.boresight_mil.sigma,
+            clocking_deg: clocking,
+        })
+    }
+
+    fn measured(
+        &self,
+        field: &str,
+        entry: Entry<f64>,
+        range: std::ops::RangeInclusive<f64>,
+    ) -> Result<Measured, TomlError> {
+        self.within(field, entry.value, range, unit_of(field))?;
+        self.provenance(field, &entry)?;
+        Ok(Measured::new(entry.value, entry.sigma))
+    }
+
+    fn pair(
+        &self,
+        field: &str,
+        entry: &Entry<[f64; 2]>,
+        limit: f64,
+    ) -> Result<[f64; 2], TomlError> {
+        for value in entry.value {
+            self.within(field, value, -limit..=limit, unit_of(field))?;
+        }
+        self.provenance(field, entry)?;
+        Ok(entry.value)
+    }
+
+    fn provenance<T>(&self, field: &str, entry: &Entry<T>) -> Result<(), TomlError> {
+        self.within(
+            &format!("{field}.sigma"),
+            entry.sigma,
+            0.0..=1e6,
+            unit_of(field),
+        )?;
+        if entry.source.trim().is_empty() {
+            return Err(self.error(
+                &format!("{field}.source"),
+                "where the value comes from",
+                "nothing",
+            ));
+        }
+        if entry.date.date.is_none() {
+            return Err(self.error(&format!("{field}.date"), "a date", entry.date.to_string()));
+        }
+        Ok(())
+    }
+
+    fn within(
+        &self,
+        field: &str,
+        value: f64,
+        range: std::ops::RangeInclusive<f64>,
+        unit: &str,
+    ) -> Result<(), TomlError> {
+        if range.contains(&value) {
+            return Ok(());
+        }
+        let expected = format!("a number from {} to {} {unit}", range.start(), range.end());
+        Err(self.error(field, expected.trim_end(), value.to_string()))
+    }
+
+    fn error(&self, field: &str, expected: &str, found: impl Into<String>) -> TomlError {
+        TomlError::new(self.path, field, expected, found)
+    }
+}
+
+/// The unit that a key names at its end.
+fn unit_of(field: &str) -> &'static str {
+    let key = field.trim_end_matches(".sigma");
+    const UNITS: [(&str, &str); 8] = [
+        ("_mil_per_px", "mil/px"),
+        ("_per_px2", "px^-2"),
+        ("_per_px4", "px^-4"),
+        ("_per_px", "px^-1"),
+        ("_mil", "mil"),
+        ("_mm", "mm"),
+        ("_px", "px"),
+        ("_deg", "deg"),
+    ];
+    UNITS
+        .iter()
+        .find(|(ending, _)| key.ends_with(ending))
+        .map_or("", |(_, unit)| unit)
+}
+
+trait IntoPosition {
+    fn into_position(self) -> PlateMil;
+}
+
+impl IntoPosition for [f64; 2] {
+    fn into_position(self) -> PlateMil {
+        PlateMil::new(self[0], self[1])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DEMO: &str = include_str!("../../calibration/demo.toml");
+
+    fn message(text: &str) -> String {
+        parse(Path::new("a.toml"), text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_unknown_key_names_the_nearest_known_one() {
+        let text = DEMO.replace("clocking_deg", "cloking_deg");
+        let message = message(&text);
+        assert!(message.contains("a.toml"), "{message}");
+        assert!(message.contains("mounting.cloking_deg"), "{message}");
+        assert!(message.contains("\"mounting.clocking_deg\""), "{message}");
+        assert!(!message.contains('\n'), "{message}");
+    }
+
+    #[test]
+    fn a_negative_length_names_field_and_range() {
+        let text = DEMO.replace(
+            "focal_length_mm = { value = 3000",
+            "focal_length_mm = { value = -3000",
+        );
+        let message = message(&text);
+        assert!(message.contains("optics.focal_length_mm"), "{message}");
+        assert!(
+            message.contains("from 10 to 100000 mm, found -3000"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn a_wrong_type_names_the_field_on_one_line() {
+        let text = DEMO.replace("width_px = { value = 1296", "width_px = { value = \"wide\"");
+        let message = message(&text);
+        assert!(message.contains("camera.width_px.value"), "{message}");
+        assert!(!message.contains('\n'), "{message}");
+    }
+
+    #[test]
+    fn measured_marks_replace_drawn_ones() {
+        let text = format!(
+            "{DEMO}\n[[plate.mark]]\nid = [1, 0]\nposition_mil = [270.4, 89.9]\nsigma_mil = [0.05, 0.06]\n"
+        );
+        let plate = parse(Path::new("a.toml"), &text).unwrap().plate;
+        let id = MarkId::new(1, 0).unwrap();
+        assert_eq!(plate.position(id), PlateMil::new(270.4, 89.9));
+        assert_eq!(plate.sigma_mil(id), [0.05, 0.06]);
+    }
+}

@@ -1,0 +1,39 @@
+//! Three-axis aspect of a balloon gondola from its cameras, above all from the Sun on a fiducial plate.
+//!
+//! # The rooms
+//!
+//! A frame walks through the rooms in one direction:
+//!
+//! ```text
+//! camera -> Frame -> aspect::solve -> Solution -> pointing::offset -> Offset -> link (bytes to the controller)
+//!                 \________________________\_________________\____-> archive (a FITS file)
+//! ```
+//!
+//! Imports point one way, down this list, and never between the rooms of one line:
+//!
+//! | rooms | what they know |
+//! |---|---|
+//! | [`units`] | positions on sensor and plate, measured values, the observer's place |
+//! | [`geometry`], [`frame`] | mappings between sensor and plate; a picture and what is known of it |
+//! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
+//! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
+//! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
+//! | [`limb`], [`fiducial`] | the disc's edge; the marks and their ids |
+//! | [`aspect`] | the pipeline on one page |
+//! | [`pointing`] | from the Sun on the plate to an offset on the sky |
+//! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
+//! | [`archive`], [`camera`] | how a frame survives; where frames come from |
+//! | [`config`] | the parameter table |
+//! | [`service`] | threads, channels, bounds and overflow rules on one page |
+//! | [`cli`] | one small file per command; no logic |
+//!
+//! # Conventions
+//!
+//! Pixel (0, 0) is the **centre** of the first pixel; x grows along a row, y down the rows. Plate positions
+//! are in mil (25.4 um) from the plate's centre. Rotation on the sensor is positive from +x towards +y.
+
+pub mod frame;
+pub mod geometry;
+pub mod instrument;
+pub mod plate;
+pub mod units;

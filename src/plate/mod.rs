@@ -1,0 +1,170 @@
+//! The printed pattern: 15 x 15 crosses whose spacings are a code.
+//!
+//! With f(n) = 45 n + 3 n (n - 1) for n >= 0 and 48 n - 3 n (n + 1) for n < 0, mark (i, j) is printed at
+//! X = 6 (f(i) - 15 j), Y = 6 (f(j) + 15 i), mil from the plate's centre (HEROES flight program, 2013; the
+//! idea in Cramer 2014, section 2.4 and figure 4). A step in i is a fixed 90 mil along Y and a spacing along X
+//! that occurs once in the pattern; a step in j is 90 mil along -X and a coded spacing along Y.
+
+use crate::units::PlateMil;
+use std::fmt;
+
+/// The largest |i| and |j| of a mark.
+pub const MAX_INDEX: i32 = 7;
+
+/// The fixed part of a step between neighbours, mil.
+pub const FIXED_SPACING_MIL: f64 = 90.0;
+
+/// The name of a mark: its place in the pattern, each index from -7 to 7.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MarkId {
+    pub i: i32,
+    pub j: i32,
+}
+
+impl MarkId {
+    /// The id, where both indices lie in the pattern.
+    pub fn new(i: i32, j: i32) -> Option<Self> {
+        let range = -MAX_INDEX..=MAX_INDEX;
+        (range.contains(&i) && range.contains(&j)).then_some(Self { i, j })
+    }
+
+    /// Every mark of the pattern.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let range = -MAX_INDEX..=MAX_INDEX;
+        range
+            .clone()
+            .flat_map(move |i| range.clone().map(move |j| Self { i, j }))
+    }
+
+    fn index(self) -> usize {
+        let side = 2 * MAX_INDEX + 1;
+        ((self.i + MAX_INDEX) * side + self.j + MAX_INDEX) as usize
+    }
+}
+
+impl fmt::Display for MarkId {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "({}, {})", self.i, self.j)
+    }
+}
+
+/// The coded coordinate of index n, in units of 6 mil.
+fn code(n: i32) -> f64 {
+    let value = if n >= 0 {
+        45 * n + 3 * n * (n - 1)
+    } else {
+        48 * n - 3 * n * (n + 1)
+    };
+    f64::from(value)
+}
+
+/// The coded spacing from index n to n + 1, mil: 270, 306, ... 486 upwards from n = 0 and 288, 324, ... 504
+/// downwards from n = -1. Each occurs once.
+pub fn coded_spacing_mil(n: i32) -> f64 {
+    6.0 * (code(n + 1) - code(n))
+}
+
+/// Where the drawing puts a mark.
+pub fn drawn_position(id: MarkId) -> PlateMil {
+    PlateMil::new(
+        6.0 * (code(id.i) - 15.0 * f64::from(id.j)),
+        6.0 * (code(id.j) + 15.0 * f64::from(id.i)),
+    )
+}
+
+/// The cross that is printed at every mark: two arms, dark on white.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cross {
+    /// Tip to tip.
+    pub arm_length_mil: f64,
+    pub arm_width_mil: f64,
+}
+
+/// A plate: where every mark is, and how well that is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plate {
+    pub cross: Cross,
+    positions: Vec<PlateMil>,
+    sigmas_mil: Vec<[f64; 2]>,
+}
+
+impl Plate {
+    /// The plate as drawn, every mark within `sigma_mil` (1 sigma per axis) of its drawn position.
+    pub fn drawn(cross: Cross, sigma_mil: f64) -> Self {
+        Self {
+            cross,
+            positions: MarkId::all().map(drawn_position).collect(),
+            sigmas_mil: MarkId::all().map(|_| [sigma_mil; 2]).collect(),
+        }
+    }
+
+    /// Replaces a mark's drawn position by a measured one.
+    pub fn set(&mut self, id: MarkId, position: PlateMil, sigma_mil: [f64; 2]) {
+        self.positions[id.index()] = position;
+        self.sigmas_mil[id.index()] = sigma_mil;
+    }
+
+    pub fn position(&self, id: MarkId) -> PlateMil {
+        self.positions[id.index()]
+    }
+
+    /// 1 sigma of a mark's position, mil.
+    pub fn sigma_mil(&self, id: MarkId) -> [f64; 2] {
+        self.sigmas_mil[id.index()]
+    }
+
+    /// Every mark with its position.
+    pub fn marks(&self) -> impl Iterator<Item = (MarkId, PlateMil)> + '_ {
+        MarkId::all().map(|id| (id, self.position(id)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_coded_spacing_occurs_once() {
+        let mut spacings: Vec<f64> = (-MAX_INDEX..MAX_INDEX).map(coded_spacing_mil).collect();
+        spacings.sort_by(f64::total_cmp);
+        let expected: Vec<f64> = (0..14).map(|k| 270.0 + 18.0 * f64::from(k)).collect();
+        assert_eq!(spacings, expected);
+    }
+
+    #[test]
+    fn steps_are_fixed_in_one_axis_and_coded_in_the_other() {
+        for id in MarkId::all() {
+            let here = drawn_position(id);
+            if let Some(next) = MarkId::new(id.i + 1, id.j) {
+                let step = drawn_position(next).vector() - here.vector();
+                assert_eq!(
+                    (step.x, step.y),
+                    (coded_spacing_mil(id.i), FIXED_SPACING_MIL)
+                );
+            }
+            if let Some(next) = MarkId::new(id.i, id.j + 1) {
+                let step = drawn_position(next).vector() - here.vector();
+                assert_eq!(
+                    (step.x, step.y),
+                    (-FIXED_SPACING_MIL, coded_spacing_mil(id.j))
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_pattern_begins_as_printed() {
+        assert_eq!(
+            drawn_position(MarkId { i: 0, j: 0 }),
+            PlateMil::new(0.0, 0.0)
+        );
+        assert_eq!(
+            drawn_position(MarkId { i: 1, j: 0 }),
+            PlateMil::new(270.0, 90.0)
+        );
+        assert_eq!(
+            drawn_position(MarkId { i: -1, j: 2 }),
+            PlateMil::new(-468.0, 486.0)
+        );
+    }
+}

@@ -1,0 +1,152 @@
+//! Positions that know their frame, values that know their uncertainty, and the observer's place.
+//!
+//! A position on the sensor and one on the plate are two types, so that mixing them does not compile.
+
+use nalgebra::{Matrix2, Vector2};
+use std::str::FromStr;
+
+/// One mil, the unit of the plate, in millimetres.
+pub const MIL_MM: f64 = 0.0254;
+
+/// Arc seconds in one radian.
+pub const ARCSEC_PER_RAD: f64 = 180.0 * 3600.0 / std::f64::consts::PI;
+
+/// A position on the sensor, px. Pixel (0, 0) is the centre of the first pixel; y grows down the rows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SensorPx {
+    pub x: f64,
+    pub y: f64,
+}
+
+/// A position on the fiducial plate, mil from the plate's centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlateMil {
+    pub x: f64,
+    pub y: f64,
+}
+
+macro_rules! plane_position {
+    ($name:ident) => {
+        impl $name {
+            pub const fn new(x: f64, y: f64) -> Self {
+                Self { x, y }
+            }
+
+            /// The position as a vector, in the unit of the type.
+            pub fn vector(self) -> Vector2<f64> {
+                Vector2::new(self.x, self.y)
+            }
+
+            /// Distance to another position, in the unit of the type.
+            pub fn distance(self, other: Self) -> f64 {
+                (self.x - other.x).hypot(self.y - other.y)
+            }
+        }
+
+        impl From<Vector2<f64>> for $name {
+            fn from(v: Vector2<f64>) -> Self {
+                Self::new(v.x, v.y)
+            }
+        }
+    };
+}
+
+plane_position!(SensorPx);
+plane_position!(PlateMil);
+
+/// A value with its 1-sigma uncertainty, both in the same unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    pub value: f64,
+    pub sigma: f64,
+}
+
+impl Measured {
+    pub const fn new(value: f64, sigma: f64) -> Self {
+        Self { value, sigma }
+    }
+}
+
+/// A position with the covariance of its two coordinates, in the unit of the position, squared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate<P> {
+    pub position: P,
+    pub covariance: Matrix2<f64>,
+}
+
+impl<P> Estimate<P> {
+    /// 1-sigma of x and y, in the unit of the position.
+    pub fn sigma(&self) -> [f64; 2] {
+        [
+            self.covariance[(0, 0)].max(0.0).sqrt(),
+            self.covariance[(1, 1)].max(0.0).sqrt(),
+        ]
+    }
+}
+
+/// The observer's place: geodetic (WGS 84) latitude and longitude, east positive, and height.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    pub latitude_deg: f64,
+    pub longitude_deg: f64,
+    pub height_m: f64,
+}
+
+/// Why a place was refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlaceError {
+    #[error("expected LAT,LON,HEIGHT_M (deg, deg, m), found \"{0}\"")]
+    Format(String),
+    #[error("expected a latitude from -90 to 90 deg, found {0}")]
+    Latitude(f64),
+    #[error("expected a longitude from -180 to 360 deg, found {0}")]
+    Longitude(f64),
+    #[error("expected a height from -1000 to 100000 m, found {0}")]
+    Height(f64),
+}
+
+impl Place {
+    /// A place whose coordinates have been checked against their ranges.
+    pub fn new(latitude_deg: f64, longitude_deg: f64, height_m: f64) -> Result<Self, PlaceError> {
+        if !(-90.0..=90.0).contains(&latitude_deg) {
+            return Err(PlaceError::Latitude(latitude_deg));
+        }
+        if !(-180.0..=360.0).contains(&longitude_deg) {
+            return Err(PlaceError::Longitude(longitude_deg));
+        }
+        if !(-1000.0..=100_000.0).contains(&height_m) {
+            return Err(PlaceError::Height(height_m));
+        }
+        Ok(Self {
+            latitude_deg,
+            longitude_deg,
+            height_m,
+        })
+    }
+}
+
+impl FromStr for Place {
+    type Err = PlaceError;
+
+    fn from_str(text: &str) -> Result<Self, PlaceError> {
+        let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+        match numbers.as_deref() {
+            Some([latitude, longitude, height]) => Self::new(*latitude, *longitude, *height),
+            _ => Err(PlaceError::Format(text.into())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_read_from_three_numbers_and_refused_outside_its_ranges() {
+        let place: Place = "34.49,-104.2218,38405".parse().unwrap();
+        assert_eq!(place.longitude_deg, -104.2218);
+        assert_eq!("91,0,0".parse::<Place>(), Err(PlaceError::Latitude(91.0)));
+        assert!("34.49,-104".parse::<Place>().is_err());
+        assert!("NaN,0,0".parse::<Place>().is_err());
+    }
+}
