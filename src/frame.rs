@@ -1,6 +1,6 @@
 //! A picture and what is known of how it was taken.
 
-use crate::units::Place;
+use crate::units::{Place, SensorPx};
 use jiff::{SignedDuration, Timestamp};
 use std::time::Duration;
 
@@ -157,6 +157,38 @@ impl Frame {
     /// The value at which a pixel saturates, DN.
     pub fn saturation_dn(&self) -> u16 {
         self.saturation_dn
+    }
+}
+
+/// A rectangle of pixels: columns `x0..x1`, rows `y0..y1`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Region {
+    pub x0: usize,
+    pub y0: usize,
+    pub x1: usize,
+    pub y1: usize,
+}
+
+impl Region {
+    /// The pixels within `reach` px of a position in both axes, as far as they lie on a sensor of
+    /// `width` x `height`. `None` when none does.
+    pub fn around(centre: SensorPx, reach: f64, width: usize, height: usize) -> Option<Self> {
+        let span = |at: f64, size: usize| {
+            let low = (at - reach).floor().clamp(0.0, size as f64) as usize;
+            let high = (at + reach + 1.0).ceil().clamp(0.0, size as f64) as usize;
+            (low < high).then_some((low, high))
+        };
+        let (x0, x1) = span(centre.x, width)?;
+        let (y0, y1) = span(centre.y, height)?;
+        Some(Self { x0, y0, x1, y1 })
+    }
+
+    pub fn width(&self) -> usize {
+        self.x1 - self.x0
+    }
+
+    pub fn height(&self) -> usize {
+        self.y1 - self.y0
     }
 }
 

@@ -84,6 +84,15 @@ impl<P> Estimate<P> {
     }
 }
 
+/// An expected refusal: what was asked for, what was measured and the limit it missed. It is data, not an error:
+/// a frame without a Sun is no failure of the program.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rejected {
+    pub reason: &'static str,
+    pub measured: f64,
+    pub limit: f64,
+}
+
 /// The observer's place: geodetic (WGS 84) latitude and longitude, east positive, and height.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {

@@ -1,0 +1,295 @@
+//! Chords: rows and columns of the sensor, and where they cross the limb.
+//!
+//! A chord is valid when, after hot pixels and marks are taken out, it enters the disc once and leaves it once
+//! (Cramer 2014, table 8); one that runs into the sensor's edge keeps the crossing that is seen.
+
+use super::Settings;
+use crate::frame::{Region, Sample, View};
+use crate::units::SensorPx;
+use nalgebra::Vector2;
+
+/// The direction of a chord.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Axis {
+    Row,
+    Column,
+}
+
+/// Which end of a chord a crossing is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Edge {
+    /// Brightness rises along the chord: it enters the disc.
+    Entering,
+    /// Brightness falls along the chord: it leaves the disc.
+    Leaving,
+}
+
+/// A sub-pixel place where a chord crosses the limb.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Crossing {
+    pub at: SensorPx,
+    pub axis: Axis,
+    pub edge: Edge,
+}
+
+impl Crossing {
+    /// Unit vector along the chord, into the disc.
+    pub fn inward(&self) -> Vector2<f64> {
+        let sign = match self.edge {
+            Edge::Entering => 1.0,
+            Edge::Leaving => -1.0,
+        };
+        match self.axis {
+            Axis::Row => Vector2::new(sign, 0.0),
+            Axis::Column => Vector2::new(0.0, sign),
+        }
+    }
+}
+
+/// The crossings of a set of chords, and how many chords were valid.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Chords {
+    pub crossings: Vec<Crossing>,
+    pub valid: usize,
+    pub rejected: usize,
+}
+
+/// What makes a chord: the threshold, and the lengths of what is no disc.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scan {
+    pub threshold_dn: f32,
+    /// Shorter bright runs are hot pixels and noise.
+    pub min_run_px: usize,
+    /// Shorter dark gaps are marks.
+    pub max_gap_px: usize,
+    /// Shorter runs that are left are no disc.
+    pub min_chord_px: usize,
+}
+
+impl Scan {
+    /// A scan for a threshold and a mark's length from tip to tip, px.
+    pub fn new(threshold_dn: f64, mark_length_px: f64, settings: &Settings) -> Self {
+        let gap = (1.3 * mark_length_px).ceil() as usize;
+        Self {
+            threshold_dn: threshold_dn as f32,
+            min_run_px: settings.min_run_px,
+            max_gap_px: gap,
+            min_chord_px: gap,
+        }
+    }
+
+    /// The crossings of the given rows and columns, within a region.
+    pub fn run<T: Sample>(
+        &self,
+        view: &View<'_, T>,
+        region: Region,
+        rows: impl Iterator<Item = usize>,
+        columns: impl Iterator<Item = usize>,
+    ) -> Chords {
+        let mut chords = Chords::default();
+        let mut runs = Vec::new();
+        for y in rows.filter(|y| (region.y0..region.y1).contains(y)) {
+            let line = Line {
+                axis: Axis::Row,
+                at: y,
+                from: region.x0,
+                to: region.x1,
+                sensor_end: view.width,
+            };
+            self.chord(line, |x| view.dn(x, y), &mut runs, &mut chords);
+        }
+        for x in columns.filter(|x| (region.x0..region.x1).contains(x)) {
+            let line = Line {
+                axis: Axis::Column,
+                at: x,
+                from: region.y0,
+                to: region.y1,
+                sensor_end: view.height,
+            };
+            self.chord(line, |y| view.dn(x, y), &mut runs, &mut chords);
+        }
+        chords
+    }
+
+    fn chord(
+        &self,
+        line: Line,
+        value: impl Fn(usize) -> f32,
+        runs: &mut Vec<(usize, usize)>,
+        chords: &mut Chords,
+    ) {
+        self.bright_runs(line, &value, runs);
+        let (start, end) = match runs.as_slice() {
+            [] => return,
+            [run] => *run,
+            _ => {
+                chords.rejected += 1;
+                return;
+            }
+        };
+        let before = chords.crossings.len();
+        for (edge, first_after) in [(Edge::Entering, start), (Edge::Leaving, end)] {
+            if let Some(along) = self.cross(line, &value, edge, first_after) {
+                chords.crossings.push(line.crossing(along, edge));
+            }
+        }
+        if chords.crossings.len() > before {
+            chords.valid += 1;
+        } else {
+            chords.rejected += 1;
+        }
+    }
+
+    /// Bright runs `start..end` of a line, without hot pixels, marks filled in, long enough to be a disc's.
+    fn bright_runs(
+        &self,
+        line: Line,
+        value: &impl Fn(usize) -> f32,
+        runs: &mut Vec<(usize, usize)>,
+    ) {
+        runs.clear();
+        let mut start = None;
+        for n in line.from..=line.to {
+            let bright = n < line.to && value(n) > self.threshold_dn;
+            match (start, bright) {
+                (None, true) => start = Some(n),
+                (Some(first), false) => {
+                    start = None;
+                    if n - first >= self.min_run_px {
+                        match runs.last_mut() {
+                            Some(last) if first - last.1 <= self.max_gap_px => last.1 = n,
+                            _ => runs.push((first, n)),
+                        }
+                    }
+                }
+                _ => {}
+            }
+        }
+        runs.retain(|(first, end)| end - first >= self.min_chord_px);
+    }
+
+    /// Where a straight line through the four pixels about a threshold crossing meets the threshold; the window is
+    /// centred anew once, since noise may have moved the first guess. `None` where the sensor ends.
+    fn cross(
+        &self,
+        line: Line,
+        value: &impl Fn(usize) -> f32,
+        edge: Edge,
+        first_after: usize,
+    ) -> Option<f64> {
+        let mut first_after = first_after;
+        let mut refined = None;
+        for _ in 0..2 {
+            if first_after < 2 || first_after + 2 > line.sensor_end {
+                return None;
+            }
+            let window: [f64; 4] = std::array::from_fn(|k| f64::from(value(first_after - 2 + k)));
+            let mean = window.iter().sum::<f64>() / 4.0;
+            let slope =
+                (-1.5 * window[0] - 0.5 * window[1] + 0.5 * window[2] + 1.5 * window[3]) / 5.0;
+            let rises = slope > 0.0;
+            if rises != (edge == Edge::Entering) {
+                return None;
+            }
+            let from_middle = (f64::from(self.threshold_dn) - mean) / slope;
+            if from_middle.abs() > 2.0 {
+                return None;
+            }
+            let along = first_after as f64 - 0.5 + from_middle;
+            refined = Some(along);
+            first_after = (along + 0.5).round().max(0.0) as usize;
+        }
+        refined
+    }
+}
+
+/// A row or a column, and the part of it that is looked at.
+#[derive(Clone, Copy)]
+struct Line {
+    axis: Axis,
+    at: usize,
+    from: usize,
+    to: usize,
+    sensor_end: usize,
+}
+
+impl Line {
+    fn crossing(&self, along: f64, edge: Edge) -> Crossing {
+        let at = match self.axis {
+            Axis::Row => SensorPx::new(along, self.at as f64),
+            Axis::Column => SensorPx::new(self.at as f64, along),
+        };
+        Crossing {
+            at,
+            axis: self.axis,
+            edge,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SCAN: Scan = Scan {
+        threshold_dn: 50.0,
+        min_run_px: 4,
+        max_gap_px: 20,
+        min_chord_px: 20,
+    };
+
+    fn crossings(row: &[u8]) -> Vec<f64> {
+        let view = View {
+            width: row.len(),
+            height: 1,
+            pixels: row,
+        };
+        let region = Region {
+            x0: 0,
+            y0: 0,
+            x1: row.len(),
+            y1: 1,
+        };
+        let chords = SCAN.run(&view, region, 0..1, 0..0);
+        chords.crossings.iter().map(|c| c.at.x).collect()
+    }
+
+    fn disc_row() -> Vec<u8> {
+        let mut row = vec![0; 40];
+        row.extend([25, 75]);
+        row.extend([100; 60]);
+        row.extend([75, 25]);
+        row.extend([0; 40]);
+        row
+    }
+
+    #[test]
+    fn a_chord_crosses_where_the_straight_edge_meets_the_threshold() {
+        let found = crossings(&disc_row());
+        assert_eq!(found.len(), 2);
+        assert!((found[0] - 40.5).abs() < 1e-9 && (found[1] - 102.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn marks_and_hot_pixels_do_not_break_a_chord() {
+        let clean = crossings(&disc_row());
+        let mut row = disc_row();
+        row[60..75].fill(10);
+        row[10] = 255;
+        row[130] = 255;
+        assert_eq!(crossings(&row), clean);
+    }
+
+    #[test]
+    fn a_chord_with_two_discs_is_refused() {
+        let mut row = disc_row();
+        row.extend(disc_row());
+        assert!(crossings(&row).is_empty());
+    }
+
+    #[test]
+    fn a_chord_cut_by_the_sensor_keeps_the_edge_that_is_seen() {
+        let row = disc_row();
+        assert_eq!(crossings(&row[..80]), crossings(&row)[..1]);
+    }
+}

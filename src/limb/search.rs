@@ -1,0 +1,217 @@
+//! Finding the disc: sparse chords over the whole frame, a circle that most crossings agree on, then dense chords
+//! across it.
+
+use super::{Axis, Chords, Circle, Crossing, Levels, Scan, Settings};
+use crate::frame::{Frame, Region};
+use crate::units::{Rejected, SensorPx};
+use crate::with_view;
+use nalgebra::Vector2;
+
+/// The disc as the sparse chords see it, to a pixel or so.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CoarseDisc {
+    pub centre: SensorPx,
+    pub radius_px: f64,
+    pub chords: Chords,
+}
+
+impl CoarseDisc {
+    pub fn circle(&self) -> Circle {
+        Circle {
+            centre: self.centre.vector(),
+            radius: self.radius_px,
+        }
+    }
+}
+
+/// Distance from the circle within which a crossing agrees with it, px.
+const AGREEMENT_PX: f64 = 2.0;
+/// Circles that are tried.
+const TRIALS: usize = 400;
+/// Where crossings are dense, a chord's crossing must not graze the limb: least cosine between chord and radius.
+const LEAST_CHORD_COSINE: f64 = 0.5;
+
+/// Finds the disc anywhere in the frame, whole or in part.
+///
+/// `radius_px` is the expected radius, `mark_length_px` a mark from tip to tip.
+pub fn find_disc(
+    frame: &Frame,
+    levels: &Levels,
+    radius_px: f64,
+    mark_length_px: f64,
+    settings: &Settings,
+) -> Result<CoarseDisc, Rejected> {
+    let scan = Scan::new(
+        levels.threshold_dn(settings.level_fraction),
+        mark_length_px,
+        settings,
+    );
+    let whole = Region {
+        x0: 0,
+        y0: 0,
+        x1: frame.width(),
+        y1: frame.height(),
+    };
+    let spacing = settings.search_spacing_px.max(1);
+    let lines = |size: usize| (spacing / 2..size).step_by(spacing);
+    let chords = with_view!(frame, view => {
+        scan.run(&view, whole, lines(frame.height()), lines(frame.width()))
+    });
+    let enough = settings.min_crossings;
+    if chords.crossings.len() < enough {
+        return Err(Rejected {
+            reason: "too few chords cross a limb",
+            measured: chords.crossings.len() as f64,
+            limit: enough as f64,
+        });
+    }
+    let (circle, agreeing) = best_circle(&chords.crossings, radius_px, settings);
+    match circle {
+        Some(circle) if agreeing >= enough => Ok(CoarseDisc {
+            centre: circle.centre.into(),
+            radius_px: circle.radius,
+            chords,
+        }),
+        _ => Err(Rejected {
+            reason: "too few crossings lie on a circle of the Sun's size",
+            measured: agreeing as f64,
+            limit: enough as f64,
+        }),
+    }
+}
+
+/// Dense crossings of the disc: chords spread evenly across it, each where it does not graze the limb.
+pub fn fine_chords(
+    frame: &Frame,
+    levels: &Levels,
+    disc: &CoarseDisc,
+    mark_length_px: f64,
+    settings: &Settings,
+) -> Chords {
+    let scan = Scan::new(
+        levels.threshold_dn(settings.level_fraction),
+        mark_length_px,
+        settings,
+    );
+    let reach = disc.radius_px + mark_length_px;
+    let Some(region) = Region::around(disc.centre, reach, frame.width(), frame.height()) else {
+        return Chords::default();
+    };
+    let lines = |middle: f64| {
+        let count = settings.chords_per_axis.max(2);
+        let usable = disc.radius_px * (1.0 - LEAST_CHORD_COSINE.powi(2)).sqrt();
+        let step = 2.0 * usable / (count - 1) as f64;
+        let mut lines: Vec<usize> = (0..count)
+            .map(|n| (middle - usable + n as f64 * step).round())
+            .filter(|line| *line >= 0.0)
+            .map(|line| line as usize)
+            .collect();
+        lines.dedup();
+        lines
+    };
+    let mut chords = with_view!(frame, view => {
+        scan.run(&view, region, lines(disc.centre.y).into_iter(), lines(disc.centre.x).into_iter())
+    });
+    let circle = disc.circle();
+    chords
+        .crossings
+        .retain(|crossing| meets_squarely(crossing, &circle));
+    chords
+}
+
+fn meets_squarely(crossing: &Crossing, circle: &Circle) -> bool {
+    let outward = crossing.at.vector() - circle.centre;
+    let along = match crossing.axis {
+        Axis::Row => outward.x,
+        Axis::Column => outward.y,
+    };
+    along.abs() >= LEAST_CHORD_COSINE * outward.norm()
+}
+
+/// The circle of nearly the expected radius that most crossings agree on, and how many do. Circles through three
+/// crossings serve when much of the limb is seen, circles of the expected radius through two when little is. The
+/// choice of crossings is a fixed sequence: the same frame always gives the same disc.
+fn best_circle(
+    crossings: &[Crossing],
+    radius_px: f64,
+    settings: &Settings,
+) -> (Option<Circle>, usize) {
+    let mut pick = Sequence::new(crossings.len());
+    let mut best = (None, 0, f64::INFINITY);
+    for trial in 0..TRIALS {
+        let points: [Crossing; 3] = std::array::from_fn(|_| crossings[pick.next_index()]);
+        let candidate = if trial % 2 == 0 {
+            let [a, b, c] = points.map(|crossing| crossing.at.vector());
+            Circle::through(a, b, c)
+        } else {
+            of_radius_through(&points[0], &points[1], radius_px)
+        };
+        let Some(circle) = candidate else { continue };
+        let deviation = (circle.radius / radius_px - 1.0).abs();
+        if deviation > settings.max_radius_deviation {
+            continue;
+        }
+        let (agreeing, cost) = agreement(crossings, &circle);
+        if cost < best.2 {
+            best = (Some(circle), agreeing, cost);
+        }
+    }
+    (best.0, best.1)
+}
+
+/// How many crossings lie on a circle with their bright side inwards, and a cost that the best circle minimises.
+fn agreement(crossings: &[Crossing], circle: &Circle) -> (usize, f64) {
+    let mut agreeing = 0;
+    let mut cost = 0.0;
+    for crossing in crossings {
+        let excess = circle.excess(crossing.at.vector()).abs();
+        let inward = (circle.centre - crossing.at.vector()).dot(&crossing.inward()) > 0.0;
+        if excess < AGREEMENT_PX && inward {
+            agreeing += 1;
+            cost += excess * excess;
+        } else {
+            cost += AGREEMENT_PX * AGREEMENT_PX;
+        }
+    }
+    (agreeing, cost)
+}
+
+/// The circle of a given radius through two crossings whose centre lies on their bright side.
+fn of_radius_through(a: &Crossing, b: &Crossing, radius: f64) -> Option<Circle> {
+    let (pa, pb) = (a.at.vector(), b.at.vector());
+    let half = (pb - pa) / 2.0;
+    let height = (radius.powi(2) - half.norm_squared()).max(0.0).sqrt();
+    let across = Vector2::new(-half.y, half.x).try_normalize(1e-9)?;
+    let inward = a.inward() + b.inward();
+    let side = if across.dot(&inward) >= 0.0 {
+        1.0
+    } else {
+        -1.0
+    };
+    (half.norm() <= radius).then(|| Circle {
+        centre: pa + half + across * (side * height),
+        radius,
+    })
+}
+
+/// A fixed pseudo-random sequence of indices (Marsaglia's xorshift64).
+struct Sequence {
+    state: u64,
+    len: usize,
+}
+
+impl Sequence {
+    fn new(len: usize) -> Self {
+        Self {
+            state: 0x9E37_79B9_7F4A_7C15,
+            len,
+        }
+    }
+
+    fn next_index(&mut self) -> usize {
+        self.state ^= self.state << 13;
+        self.state ^= self.state >> 7;
+        self.state ^= self.state << 17;
+        ((self.state >> 16) % self.len as u64) as usize
+    }
+}

@@ -1,0 +1,158 @@
+//! The picture of the plate on the ideal sensor as a function of parameters, with its slopes.
+
+use crate::geometry::{Handedness, MappingKind};
+use crate::units::PlateMil;
+use nalgebra::{DMatrix, DVector, Matrix3, Vector2};
+
+/// Plate coordinates about the pairs' middle, scaled to about one, which keeps the normal equations well
+/// conditioned.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Normalisation {
+    middle: Vector2<f64>,
+    size_mil: f64,
+}
+
+impl Normalisation {
+    /// `None` when the positions do not differ.
+    pub(super) fn of(positions: impl Iterator<Item = PlateMil> + Clone) -> Option<Self> {
+        let count = positions.clone().count() as f64;
+        let sum: Vector2<f64> = positions.clone().map(|p| p.vector()).sum();
+        let middle = sum / count;
+        let square: f64 = positions
+            .map(|p| (p.vector() - middle).norm_squared())
+            .sum();
+        let size_mil = (square / count).sqrt();
+        (size_mil > 0.0 && size_mil.is_finite()).then_some(Self { middle, size_mil })
+    }
+
+    fn apply(&self, position: PlateMil) -> Vector2<f64> {
+        (position.vector() - self.middle) / self.size_mil
+    }
+
+    fn matrix(&self) -> Matrix3<f64> {
+        let s = 1.0 / self.size_mil;
+        Matrix3::new(
+            s,
+            0.0,
+            -s * self.middle.x, //
+            0.0,
+            s,
+            -s * self.middle.y, //
+            0.0,
+            0.0,
+            1.0,
+        )
+    }
+}
+
+/// A picture of the plate, x = (t + L u) / (1 + g . u) with u the normalised plate position.
+///
+/// Parameters: similarity tx, ty, a, b with L = [a, -b; b, a] times the axes of the handedness; affine tx, ty and L
+/// by rows; homography the same and g.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Model {
+    kind: MappingKind,
+    handedness: Handedness,
+    normalisation: Normalisation,
+    parameters: DVector<f64>,
+}
+
+impl Model {
+    pub(super) fn zero(
+        kind: MappingKind,
+        handedness: Handedness,
+        normalisation: Normalisation,
+    ) -> Self {
+        Self {
+            kind,
+            handedness,
+            normalisation,
+            parameters: DVector::zeros(kind.parameters()),
+        }
+    }
+
+    /// An affine model as a homography without tilt.
+    pub(super) fn as_homography(&self) -> Self {
+        let kind = MappingKind::Homography;
+        Self {
+            kind,
+            parameters: self
+                .parameters
+                .clone()
+                .resize_vertically(kind.parameters(), 0.0),
+            ..self.clone()
+        }
+    }
+
+    pub(super) fn advance(&mut self, step: &DVector<f64>) {
+        self.parameters += step;
+    }
+
+    /// The normalised homography from plate to sensor.
+    fn normalised(&self) -> Matrix3<f64> {
+        let p = &self.parameters;
+        match self.kind {
+            MappingKind::Similarity => {
+                let axes = self.handedness.axes();
+                Matrix3::new(
+                    p[2] * axes.m11,
+                    -p[3],
+                    p[0], //
+                    p[3] * axes.m11,
+                    p[2],
+                    p[1], //
+                    0.0,
+                    0.0,
+                    1.0,
+                )
+            }
+            MappingKind::Affine => Matrix3::new(
+                p[2], p[3], p[0], //
+                p[4], p[5], p[1], //
+                0.0, 0.0, 1.0,
+            ),
+            MappingKind::Homography => Matrix3::new(
+                p[2], p[3], p[0], //
+                p[4], p[5], p[1], //
+                p[6], p[7], 1.0,
+            ),
+        }
+    }
+
+    /// The homography from plate (mil) to ideal sensor (px).
+    pub(super) fn homography(&self) -> Matrix3<f64> {
+        self.normalised() * self.normalisation.matrix()
+    }
+
+    /// Where the model sees a plate position on the ideal sensor, px.
+    pub(super) fn picture(&self, at: PlateMil) -> Vector2<f64> {
+        let h = self.normalised() * self.normalisation.apply(at).push(1.0);
+        Vector2::new(h.x / h.z, h.y / h.z)
+    }
+
+    /// Slopes of [`picture`](Self::picture) in the parameters: 2 rows.
+    pub(super) fn parameter_slopes(&self, at: PlateMil) -> DMatrix<f64> {
+        let u = self.normalisation.apply(at);
+        match self.kind {
+            MappingKind::Similarity => {
+                let v = self.handedness.axes() * u;
+                DMatrix::from_row_slice(2, 4, &[1.0, 0.0, v.x, -v.y, 0.0, 1.0, v.y, v.x])
+            }
+            MappingKind::Affine => DMatrix::from_row_slice(2, 6, &linear_rows(u, 1.0).concat()),
+            MappingKind::Homography => {
+                let p = &self.parameters;
+                let divisor = 1.0 + p[6] * u.x + p[7] * u.y;
+                let image = self.picture(at);
+                let [x_row, y_row] = linear_rows(u, divisor);
+                let tail = |c: f64| [-c * u.x / divisor, -c * u.y / divisor];
+                let rows = [&x_row[..], &tail(image.x), &y_row[..], &tail(image.y)].concat();
+                DMatrix::from_row_slice(2, 8, &rows)
+            }
+        }
+    }
+}
+
+fn linear_rows(u: Vector2<f64>, divisor: f64) -> [[f64; 6]; 2] {
+    let (one, x, y) = (1.0 / divisor, u.x / divisor, u.y / divisor);
+    [[one, 0.0, x, y, 0.0, 0.0], [0.0, one, 0.0, 0.0, x, y]]
+}
