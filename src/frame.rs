@@ -150,6 +150,16 @@ impl Frame {
         self.height
     }
 
+    /// The whole sensor.
+    pub fn region(&self) -> Region {
+        Region {
+            x0: 0,
+            y0: 0,
+            x1: self.width,
+            y1: self.height,
+        }
+    }
+
     pub fn pixels(&self) -> &Pixels {
         &self.pixels
     }

@@ -31,11 +31,12 @@ const TRIALS: usize = 400;
 /// Where crossings are dense, a chord's crossing must not graze the limb: least cosine between chord and radius.
 const LEAST_CHORD_COSINE: f64 = 0.5;
 
-/// Finds the disc anywhere in the frame, whole or in part.
+/// Finds the disc in a region of the frame, whole or in part.
 ///
 /// `radius_px` is the expected radius, `mark_length_px` a mark from tip to tip.
 pub fn find_disc(
     frame: &Frame,
+    region: Region,
     levels: &Levels,
     radius_px: f64,
     mark_length_px: f64,
@@ -46,16 +47,10 @@ pub fn find_disc(
         mark_length_px,
         settings,
     );
-    let whole = Region {
-        x0: 0,
-        y0: 0,
-        x1: frame.width(),
-        y1: frame.height(),
-    };
     let spacing = settings.search_spacing_px.max(1);
     let lines = |size: usize| (spacing / 2..size).step_by(spacing);
     let chords = with_view!(frame, view => {
-        scan.run(&view, whole, lines(frame.height()), lines(frame.width()))
+        scan.run(&view, region, lines(frame.height()), lines(frame.width()))
     });
     let enough = settings.min_crossings;
     if chords.crossings.len() < enough {
@@ -67,17 +62,56 @@ pub fn find_disc(
     }
     let (circle, agreeing) = best_circle(&chords.crossings, radius_px, settings);
     match circle {
-        Some(circle) if agreeing >= enough => Ok(CoarseDisc {
-            centre: circle.centre.into(),
-            radius_px: circle.radius,
-            chords,
-        }),
+        Some(circle) if agreeing >= enough => {
+            check_filled(frame, &circle, scan.threshold_dn)?;
+            Ok(CoarseDisc {
+                centre: circle.centre.into(),
+                radius_px: circle.radius,
+                chords,
+            })
+        }
         _ => Err(Rejected {
             reason: "too few crossings lie on a circle of the Sun's size",
             measured: agreeing as f64,
             limit: enough as f64,
         }),
     }
+}
+
+/// A disc is bright within and dark about: a circle of noise, or one drawn through anything else, is neither.
+fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f32) -> Result<(), Rejected> {
+    const STEP_PX: usize = 5;
+    const LEAST_RIGHT: f64 = 0.8;
+    let reach = 1.25 * circle.radius;
+    let region = Region::around(circle.centre.into(), reach, frame.width(), frame.height());
+    let Some(region) = region else {
+        return Err(Rejected {
+            reason: "the disc is not on the sensor",
+            measured: 0.0,
+            limit: LEAST_RIGHT,
+        });
+    };
+    let (mut judged, mut right) = (0_usize, 0_usize);
+    with_view!(frame, view => {
+        for y in (region.y0..region.y1).step_by(STEP_PX) {
+            for x in (region.x0..region.x1).step_by(STEP_PX) {
+                let out = circle.excess(Vector2::new(x as f64, y as f64)) / circle.radius;
+                if out < -0.05 || (0.05..0.25).contains(&out) {
+                    judged += 1;
+                    right += usize::from((view.dn(x, y) > threshold_dn) == (out < 0.0));
+                }
+            }
+        }
+    });
+    let share = right as f64 / judged.max(1) as f64;
+    if share < LEAST_RIGHT {
+        return Err(Rejected {
+            reason: "the disc is not bright within and dark about",
+            measured: share,
+            limit: LEAST_RIGHT,
+        });
+    }
+    Ok(())
 }
 
 /// Dense crossings of the disc: chords spread evenly across it, each where it does not graze the limb.

@@ -124,6 +124,13 @@ impl Plate {
         self.sigmas_mil[id.index()]
     }
 
+    /// The mark nearest to a position, and its distance in mil.
+    pub fn nearest(&self, at: PlateMil) -> Option<(MarkId, f64)> {
+        self.marks()
+            .map(|(id, position)| (id, position.distance(at)))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
     /// Every mark with its position.
     pub fn marks(&self) -> impl Iterator<Item = (MarkId, PlateMil)> + '_ {
         MarkId::all().map(|id| (id, self.position(id)))

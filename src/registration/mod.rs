@@ -7,7 +7,7 @@
 //! # Which kind of mapping
 //! The simplest that the pairs support: similarity, then affine, then homography. A richer kind is taken when it
 //! lowers chi^2 by more than [`Settings::min_gain`] times the residual variance for every parameter it adds, and
-//! leaves at least two degrees of freedom to judge that by.
+//! leaves four degrees of freedom to judge that by: with fewer, one bad mark bends the mapping to itself.
 //!
 //! # Uncertainty
 //! The covariance of the parameters comes from the pairs' sigmas, scaled up by the residuals where these are larger
@@ -82,6 +82,9 @@ impl Registration {
     }
 }
 
+/// Degrees of freedom that a mapping richer than a similarity must leave.
+const LEAST_FREEDOM: usize = 4;
+
 /// Fits the simplest mapping that the pairs support. `None` when they do not determine one.
 pub fn register(
     pairs: &[Pair],
@@ -97,7 +100,7 @@ pub fn register(
         settings,
     )?;
     for kind in [MappingKind::Affine, MappingKind::Homography] {
-        if 2 * pairs.len() < kind.parameters() + 2 {
+        if 2 * pairs.len() < kind.parameters() + LEAST_FREEDOM {
             break;
         }
         let Some(richer) = fit(pairs, kind, handedness, distortion, settings) else {

@@ -1,0 +1,166 @@
+//! What a frame gave: every stage's product as far as the frame got, and why it went no further.
+
+use crate::fiducial::{Detections, Lighting};
+use crate::geometry::Mapping;
+use crate::limb::{Circle, Crossing, Levels};
+use crate::plate::MarkId;
+use crate::registration::Registration;
+use crate::units::{Estimate, PlateMil, Rejected, SensorPx};
+use std::fmt;
+
+/// How good a solution is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Quality {
+    /// No Sun.
+    None,
+    /// Part of the disc, or a mapping borrowed from the prior or the calibration.
+    Coarse,
+    /// Disc and mapping from this very frame.
+    Fine,
+}
+
+impl Quality {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Coarse => "coarse",
+            Self::Fine => "fine",
+        }
+    }
+}
+
+/// The stages of the pipeline, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Stage {
+    Levels,
+    Limb,
+    Marks,
+    Identification,
+    Registration,
+    Aspect,
+}
+
+impl Stage {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Levels => "levels",
+            Self::Limb => "limb",
+            Self::Marks => "marks",
+            Self::Identification => "identification",
+            Self::Registration => "registration",
+            Self::Aspect => "aspect",
+        }
+    }
+}
+
+/// Why a frame went no further than it did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stopped {
+    pub stage: Stage,
+    pub rejected: Rejected,
+}
+
+impl fmt::Display for Stopped {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}: {}", self.stage.name(), self.rejected.reason)
+    }
+}
+
+/// A mark of the plate with its id.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mark {
+    pub id: MarkId,
+    pub at: SensorPx,
+    /// 1 sigma per axis.
+    pub sigma_px: f64,
+    pub lighting: Lighting,
+}
+
+/// Where the mapping of a solution comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// This frame's marks.
+    Frame,
+    /// The last frame that had marks.
+    Prior,
+    /// The instrument's calibration.
+    Calibration,
+}
+
+/// The mapping that a solution rests on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AdoptedMapping {
+    pub mapping: Mapping,
+    pub origin: Origin,
+    /// Root mean square residual of the marks per axis; none for a borrowed mapping.
+    pub residual_px: Option<f64>,
+}
+
+impl AdoptedMapping {
+    /// The mapping's kind, or where it was borrowed.
+    pub fn name(&self) -> &'static str {
+        match self.origin {
+            Origin::Frame => self.mapping.kind().name(),
+            Origin::Prior => "prior",
+            Origin::Calibration => "calibration",
+        }
+    }
+}
+
+/// Where the Sun stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Aspect {
+    /// The image of the disc's centre on the sensor.
+    pub sun_px: Estimate<SensorPx>,
+    /// The disc's radius at the mapping's scale there.
+    pub sun_radius_px: f64,
+    /// The disc's centre on the plate; the mapping's uncertainty included.
+    pub sun_plate: Estimate<PlateMil>,
+    /// Part of the limb that was seen, 0 to 1.
+    pub limb_fraction: f64,
+}
+
+/// What one frame teaches for the next.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Track {
+    pub disc: Circle,
+    /// The last registration that a frame's own marks gave.
+    pub registration: Option<Registration>,
+}
+
+/// What a frame gave.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    pub quality: Quality,
+    pub stopped: Option<Stopped>,
+    pub levels: Option<Levels>,
+    /// Crossings of the limb that the final disc rests on.
+    pub crossings: Vec<Crossing>,
+    pub detections: Detections,
+    pub marks: Vec<Mark>,
+    pub mapping: Option<AdoptedMapping>,
+    pub aspect: Option<Aspect>,
+    /// The prior of the next frame.
+    pub track: Option<Track>,
+}
+
+impl Solution {
+    pub(super) fn none() -> Self {
+        Self {
+            quality: Quality::None,
+            stopped: None,
+            levels: None,
+            crossings: Vec::new(),
+            detections: Detections::default(),
+            marks: Vec::new(),
+            mapping: None,
+            aspect: None,
+            track: None,
+        }
+    }
+
+    /// Notes why the frame goes no further; the first reason stays.
+    pub(super) fn stop(&mut self, stage: Stage, rejected: Rejected) {
+        self.stopped.get_or_insert(Stopped { stage, rejected });
+    }
+}
