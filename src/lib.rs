@@ -36,4 +36,5 @@ pub mod frame;
 pub mod geometry;
 pub mod instrument;
 pub mod plate;
+pub mod sky;
 pub mod units;
