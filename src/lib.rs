@@ -36,5 +36,6 @@ pub mod frame;
 pub mod geometry;
 pub mod instrument;
 pub mod plate;
+pub mod pointing;
 pub mod sky;
 pub mod units;
