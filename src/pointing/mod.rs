@@ -2,9 +2,9 @@
 //!
 //! The shift s of the Sun from the boresight on the plate is an angle atan2(|s|, plate distance) in the direction
 //! atan2(s.x, s.y), clockwise from the plate's +Y. The telescope points, from the Sun, by that angle in the
-//! direction -(direction + clocking), clockwise from the zenith as seen looking out (HEROES flight program, 2013);
-//! the minus because the plate is looked at from the other side than the sky. The target
-//! lies at helioprojective coordinates about the Sun, whose north is turned from the zenith as the ephemeris says.
+//! direction -(direction + clocking), clockwise from the zenith as seen looking out (HEROES flight program, 2013).
+//! The target lies at helioprojective coordinates about the Sun, whose north is turned from the zenith as the
+//! ephemeris says.
 //! All of it is on the sphere; nothing assumes small angles.
 
 use crate::instrument::{Instrument, Optics};
