@@ -33,11 +33,15 @@
 //! are in mil (25.4 um) from the plate's centre. Rotation on the sensor is positive from +x towards +y.
 
 pub mod aspect;
+pub mod cli;
+pub mod config;
 pub mod fiducial;
 pub mod frame;
 pub mod geometry;
 pub mod instrument;
 pub mod limb;
 pub mod plate;
+pub mod pointing;
 pub mod registration;
+pub mod sky;
 pub mod units;

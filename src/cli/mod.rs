@@ -1,0 +1,4 @@
+//! The commands: each file reads its arguments, calls the library and prints. No logic here.
+
+pub mod config;
+pub mod sky;

@@ -1,0 +1,312 @@
+//! The configuration: plain structs for the program, one table of parameters for everyone else.
+//!
+//! The table in `table` declares each parameter once: key, unit, allowed values, command number and
+//! documentation. Reading TOML, the shipped example, the page of parameters and the commands that set
+//! parameters in flight all come from it. Defaults live in the structs' `Default`, where rooms that are used
+//! without a configuration find them too.
+//!
+//! To add a parameter: a field in a struct that [`Config`] holds, its default, and one row in the table.
+
+mod documents;
+mod parameter;
+mod table;
+mod value;
+
+pub use documents::{example, parameters_page};
+pub use parameter::{Allowed, Parameter, Refused};
+pub use table::{by_command, by_key, parameters};
+pub use value::Value;
+
+use crate::instrument::TomlError;
+use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
+use crate::units::Place;
+use std::path::{Path, PathBuf};
+
+/// Everything that a flight may set. `Config::default()` is a valid configuration.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Config {
+    pub site: Site,
+    pub target: Target,
+    pub camera: Camera,
+    pub link: Link,
+    pub archive: Archive,
+    pub simulation: Simulation,
+}
+
+/// Where the observer is, unless a frame says so itself: all three or none.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Site {
+    pub latitude_deg: Option<f64>,
+    pub longitude_deg: Option<f64>,
+    pub height_m: Option<f64>,
+}
+
+impl Site {
+    /// The place, where all of it is known.
+    pub fn place(&self) -> Option<Place> {
+        Place::new(self.latitude_deg?, self.longitude_deg?, self.height_m?).ok()
+    }
+
+    fn is_complete_or_empty(&self) -> bool {
+        let known = [self.latitude_deg, self.longitude_deg, self.height_m];
+        known.iter().all(Option::is_some) || known.iter().all(Option::is_none)
+    }
+}
+
+/// Where the telescope should point, helioprojective.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Target {
+    pub x_arcsec: f64,
+    pub y_arcsec: f64,
+}
+
+/// How the pitch-yaw camera is run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    pub rate_hz: f64,
+    pub exposure_us: u32,
+    pub analogue_gain: Option<f64>,
+    pub preamp_gain: Option<f64>,
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self {
+            rate_hz: 4.0,
+            exposure_us: 15_000,
+            analogue_gain: None,
+            preamp_gain: None,
+        }
+    }
+}
+
+/// How the controller is spoken to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Link {
+    pub port: Option<String>,
+    pub baud: u32,
+    pub solution_divisor: u32,
+    pub max_solution_age_ms: u32,
+}
+
+impl Default for Link {
+    fn default() -> Self {
+        Self {
+            port: None,
+            baud: 115_200,
+            solution_divisor: 1,
+            max_solution_age_ms: 500,
+        }
+    }
+}
+
+/// Where and how frames are kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Archive {
+    pub directory: Option<PathBuf>,
+    pub second_directory: Option<PathBuf>,
+    pub compression: Compression,
+    pub queue_frames: usize,
+}
+
+impl Default for Archive {
+    fn default() -> Self {
+        Self {
+            directory: None,
+            second_directory: None,
+            compression: Compression::Rice,
+            queue_frames: 64,
+        }
+    }
+}
+
+/// How archived pictures are compressed, always without loss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Compression {
+    Rice,
+    None,
+    Gzip,
+}
+
+/// How scenes are simulated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulation {
+    pub seed: u64,
+}
+
+impl Default for Simulation {
+    fn default() -> Self {
+        Self { seed: 1 }
+    }
+}
+
+impl Config {
+    /// Reads a configuration; what the file leaves out keeps its default.
+    ///
+    /// # Errors
+    /// A file that cannot be read, an unknown key (named with the nearest known one), a value of the wrong type
+    /// or out of range, an incomplete site.
+    pub fn read(path: &Path) -> Result<Self, TomlError> {
+        Self::parse(path, &read_text(path)?)
+    }
+
+    /// As [`read`](Self::read), from a text; `path` is for the errors.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
+        let document: toml::Table = parse_strict(path, text, &[])?;
+        let mut config = Self::default();
+        for (table, content) in document {
+            config.read_table(path, &table, content)?;
+        }
+        if config.site.is_complete_or_empty() {
+            return Ok(config);
+        }
+        let expected = "latitude_deg, longitude_deg and height_m together or none of them";
+        Err(TomlError::new(path, "site", expected, "only some"))
+    }
+
+    fn read_table(
+        &mut self,
+        path: &Path,
+        table: &str,
+        content: toml::Value,
+    ) -> Result<(), TomlError> {
+        let values = match content {
+            toml::Value::Table(values) if !values.is_empty() => values,
+            _ if !parameters().iter().any(|p| p.table() == table) => {
+                return Err(unknown(path, table));
+            }
+            toml::Value::Table(empty) => empty,
+            other => return Err(TomlError::new(path, table, "a table", value::found(&other))),
+        };
+        for (name, value) in values {
+            let key = format!("{table}.{name}");
+            let parameter = by_key(&key).ok_or_else(|| unknown(path, &key))?;
+            parameter
+                .set_from_toml(self, &value)
+                .map_err(|refused| TomlError::new(path, key, refused.expected, refused.found))?;
+        }
+        Ok(())
+    }
+}
+
+/// The error for an unknown key or table. A parameter of the same name in another table is nearest, whatever
+/// the letters say.
+fn unknown(path: &Path, key: &str) -> TomlError {
+    let name = key.rsplit('.').next();
+    let namesake = |p: &&Parameter| Some(p.name()) == name;
+    let near: Vec<String> = match parameters().iter().find(namesake) {
+        Some(parameter) => vec![parameter.key.into()],
+        None => parameters()
+            .iter()
+            .flat_map(|p| [p.table(), p.key])
+            .map(str::to_owned)
+            .collect(),
+    };
+    unknown_key(path, key, &near)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Config, String> {
+        Config::parse(Path::new("c.toml"), text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_a_file_leaves_out_keeps_its_default() {
+        assert_eq!(parse(""), Ok(Config::default()));
+        let config = parse("[camera]\nrate_hz = 10\n").unwrap();
+        assert_eq!(config.camera.rate_hz, 10.0);
+        assert_eq!(config.camera.exposure_us, 15_000);
+    }
+
+    #[test]
+    fn a_file_reaches_every_kind_of_value() {
+        let config = parse(
+            "[site]\nlatitude_deg = 34.49\nlongitude_deg = -104.2218\nheight_m = 38405\n\
+             [target]\nx_arcsec = -300\n[link]\nport = \"/dev/ttyS0\"\n\
+             [archive]\ndirectory = \"/data\"\ncompression = \"gzip\"\n[simulation]\nseed = 7\n",
+        )
+        .unwrap();
+        assert_eq!(
+            config.site.place(),
+            Place::new(34.49, -104.2218, 38405.0).ok()
+        );
+        assert_eq!(config.target.x_arcsec, -300.0);
+        assert_eq!(config.link.port.as_deref(), Some("/dev/ttyS0"));
+        assert_eq!(config.archive.directory, Some(PathBuf::from("/data")));
+        assert_eq!(config.archive.compression, Compression::Gzip);
+        assert_eq!(config.simulation.seed, 7);
+    }
+
+    #[test]
+    fn an_empty_port_is_none() {
+        assert_eq!(parse("[link]\nport = \"\"\n").unwrap().link.port, None);
+    }
+
+    #[test]
+    fn a_bad_file_is_refused_on_one_line_that_names_file_field_and_expectation() {
+        for (text, words) in [
+            (
+                "[camera]\nrate_hertz = 4\n",
+                &["camera.rate_hertz", "\"camera.rate_hz\""][..],
+            ),
+            (
+                "[camrea]\nrate_hz = 4\n",
+                &["camrea.rate_hz", "\"camera.rate_hz\""],
+            ),
+            (
+                "[link]\nrate_hz = 4\n",
+                &["link.rate_hz", "\"camera.rate_hz\""],
+            ),
+            ("[cammera]\n", &["cammera", "\"camera\""]),
+            (
+                "rate_hz = 4\n",
+                &["rate_hz", "nearest is \"camera.rate_hz\""],
+            ),
+            (
+                "[camera]\nrate_hz = 1000\n",
+                &["camera.rate_hz", "from 0.01 to 100 Hz", "1000"],
+            ),
+            ("[camera]\nrate_hz = nan\n", &["camera.rate_hz", "NaN"]),
+            ("[camera]\nrate_hz = = 4\n", &["valid TOML", "line 2"]),
+            (
+                "[camera]\nrate_hz = \"\"\"fast\nest\"\"\"\n",
+                &["camera.rate_hz", "a number from", "fast\\nest"],
+            ),
+            (
+                "[camera]\nexposure_us = 1.5\n",
+                &["camera.exposure_us", "a whole number from", "1.5"],
+            ),
+            (
+                "[camera]\nexposure_us = -1\n",
+                &["camera.exposure_us", "-1"],
+            ),
+            (
+                "[archive]\ncompression = \"zip\"\n",
+                &["archive.compression", "\"rice\", \"none\" or \"gzip\""],
+            ),
+            ("[link]\nport = 3\n", &["link.port", "a text", "3"]),
+            ("[link]\nport = [1]\n", &["link.port", "a text"]),
+            ("camera = 3\n", &["camera", "a table", "3"]),
+            ("[site]\nlatitude_deg = 3\n", &["site", "height_m"]),
+            ("[camera\n", &["valid TOML", "line 1"]),
+        ] {
+            let message = parse(text).unwrap_err();
+            assert!(message.starts_with("c.toml: "), "{message}");
+            assert!(!message.contains('\n'), "{message}");
+            for word in words {
+                assert!(message.contains(word), "{message} lacks {word}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_missing_file_is_an_error_that_names_it() {
+        let message = Config::read(Path::new("/nowhere/at-all.toml"))
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("/nowhere/at-all.toml"), "{message}");
+    }
+}

@@ -1,0 +1,158 @@
+//! One row of the parameter table: what a parameter is and what it may be.
+
+use super::Config;
+use super::value::{Value, found};
+use std::fmt;
+
+/// A parameter of the configuration.
+pub struct Parameter {
+    /// Dotted path in the TOML file, with the unit in its last word where it has one.
+    pub key: &'static str,
+    /// Empty for counts, names and the camera's own scales.
+    pub unit: &'static str,
+    pub allowed: Allowed,
+    /// The number by which the ground sets it in flight (aspect commands 0x0712 and 0x0722).
+    pub command: Option<u16>,
+    pub documentation: &'static str,
+    /// What the example shows, commented out, where nothing is set by default.
+    pub(super) sample: Option<Sample>,
+    pub(super) get: fn(&Config) -> Option<Value>,
+    /// Sets the field, or says `None` where its type cannot hold the value.
+    pub(super) set: fn(&mut Config, Option<Value>) -> Option<()>,
+}
+
+/// A value to show.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Sample {
+    Number(f64),
+    Text(&'static str),
+}
+
+impl fmt::Display for Sample {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(value) => write!(out, "{value}"),
+            Self::Text(value) => write!(out, "{value:?}"),
+        }
+    }
+}
+
+/// The values that a parameter may take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Allowed {
+    /// A number within these limits.
+    Number(f64, f64),
+    /// A whole number within these limits.
+    Whole(i64, i64),
+    /// One of these names.
+    Name(&'static [&'static str]),
+    /// Any text.
+    Text,
+}
+
+impl Allowed {
+    fn allows(self, value: &Value) -> bool {
+        match (self, value) {
+            (Self::Number(low, high), Value::Number(value)) => (low..=high).contains(value),
+            (Self::Number(low, high), Value::Whole(value)) => {
+                (low..=high).contains(&(*value as f64))
+            }
+            (Self::Whole(low, high), Value::Whole(value)) => (low..=high).contains(value),
+            (Self::Name(names), Value::Text(value)) => names.contains(&value.as_str()),
+            (Self::Text, Value::Text(_)) => true,
+            _ => false,
+        }
+    }
+}
+
+/// Why a parameter was not set: what was expected and what was found.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{key}: expected {expected}, found {found}")]
+pub struct Refused {
+    pub key: &'static str,
+    pub expected: String,
+    pub found: String,
+}
+
+impl Parameter {
+    /// The table of the file that holds the parameter.
+    pub fn table(&self) -> &'static str {
+        self.key.split_once('.').map_or("", |(table, _)| table)
+    }
+
+    /// The parameter's name within its table.
+    pub fn name(&self) -> &'static str {
+        self.key.split_once('.').map_or(self.key, |(_, name)| name)
+    }
+
+    /// The value in a configuration; `None` where nothing is set.
+    pub fn get(&self, config: &Config) -> Option<Value> {
+        (self.get)(config)
+    }
+
+    /// The value of `Config::default()`.
+    pub fn default(&self) -> Option<Value> {
+        self.get(&Config::default())
+    }
+
+    /// Sets the value; `None` unsets a parameter that need not be set.
+    ///
+    /// # Errors
+    /// A value of another type, outside the allowed ones, or none where one is needed.
+    pub fn set(&self, config: &mut Config, value: Option<Value>) -> Result<(), Refused> {
+        let shown = value.as_ref().map_or("nothing".into(), Value::to_string);
+        if value
+            .as_ref()
+            .is_none_or(|value| self.allowed.allows(value))
+        {
+            (self.set)(config, value).ok_or_else(|| self.refused(shown))
+        } else {
+            Err(self.refused(shown))
+        }
+    }
+
+    pub(super) fn set_from_toml(
+        &self,
+        config: &mut Config,
+        value: &toml::Value,
+    ) -> Result<(), Refused> {
+        match Value::from_toml(value) {
+            Some(value) => self.set(config, Some(value)),
+            None => Err(self.refused(found(value))),
+        }
+    }
+
+    /// The allowed values in words, without the unit.
+    pub fn range(&self) -> String {
+        match self.allowed {
+            Allowed::Number(low, high) => format!("{low} to {high}"),
+            Allowed::Whole(low, high) => format!("{low} to {high}"),
+            Allowed::Name(names) => listed(names),
+            Allowed::Text => "any text".into(),
+        }
+    }
+
+    fn refused(&self, found: String) -> Refused {
+        let unit = self.unit;
+        let expected = match self.allowed {
+            Allowed::Number(..) => format!("a number from {} {unit}", self.range()),
+            Allowed::Whole(..) => format!("a whole number from {} {unit}", self.range()),
+            Allowed::Name(_) => self.range(),
+            Allowed::Text => "a text".into(),
+        };
+        Refused {
+            key: self.key,
+            expected: expected.trim_end().into(),
+            found,
+        }
+    }
+}
+
+/// Names in quotes: "a", "b" or "c".
+fn listed(names: &[&str]) -> String {
+    let quoted: Vec<String> = names.iter().map(|name| format!("{name:?}")).collect();
+    match quoted.split_last() {
+        Some((last, rest)) if !rest.is_empty() => format!("{} or {last}", rest.join(", ")),
+        _ => quoted.concat(),
+    }
+}

@@ -1,0 +1,222 @@
+//! The parameter table.
+//!
+//! A row: the field in [`Config`](super::Config), its unit, the allowed values, its command number, where it has one, and what
+//! it means (with the effect of raising it, where that is not plain). A field that may stay unset shows a sample in
+//! the example. Command numbers are for parameters that have no command of their own; a number once given is
+//! never given again.
+
+use super::Compression;
+use super::parameter::{Allowed, Parameter, Sample};
+use super::value::Field;
+use Allowed::{Name, Number, Text, Whole};
+
+macro_rules! row {
+    ($table:ident . $field:ident, $unit:literal, $allowed:expr, command $command:literal, $documentation:literal) => {
+        row!(@ $table.$field, $unit, $allowed, Some($command), None, $documentation)
+    };
+    ($table:ident . $field:ident, $unit:literal, $allowed:expr, sample $sample:expr, $documentation:literal) => {
+        row!(@ $table.$field, $unit, $allowed, None, Some($sample), $documentation)
+    };
+    ($table:ident . $field:ident, $unit:literal, $allowed:expr, $documentation:literal) => {
+        row!(@ $table.$field, $unit, $allowed, None, None, $documentation)
+    };
+    (@ $table:ident . $field:ident, $unit:literal, $allowed:expr, $command:expr, $sample:expr, $documentation:literal) => {
+        Parameter {
+            key: concat!(stringify!($table), ".", stringify!($field)),
+            unit: $unit,
+            allowed: $allowed,
+            command: $command,
+            documentation: $documentation,
+            sample: $sample,
+            get: |config| config.$table.$field.value(),
+            set: |config, value| {
+                config.$table.$field = Field::from_value(value)?;
+                Some(())
+            },
+        }
+    };
+}
+
+#[rustfmt::skip]
+static TABLE: &[Parameter] = &[
+    row!(site.latitude_deg, "deg", Number(-90.0, 90.0), sample Sample::Number(34.49),
+        "Geodetic latitude (WGS 84), north positive. The site is used for frames that do not tell their own place; give all three of its values or none."),
+    row!(site.longitude_deg, "deg", Number(-180.0, 360.0), sample Sample::Number(-104.2218),
+        "Longitude, east positive."),
+    row!(site.height_m, "m", Number(-1000.0, 100_000.0), sample Sample::Number(38_405.0),
+        "Height above the WGS 84 ellipsoid."),
+
+    row!(target.x_arcsec, "arcsec", Number(-32_767.0, 32_767.0),
+        "Where the telescope should point: helioprojective x from the disc's centre, towards solar west. Aspect command 0x0412 sets both axes in flight."),
+    row!(target.y_arcsec, "arcsec", Number(-32_767.0, 32_767.0),
+        "Helioprojective y from the disc's centre, towards solar north."),
+
+    row!(camera.rate_hz, "Hz", Number(0.01, 100.0), command 1,
+        "Frames per second of the pitch-yaw camera. The 2013 camera gives up to 26; raising it raises the load on solver and disks alike."),
+    row!(camera.exposure_us, "us", Whole(1, 1_000_000),
+        "Exposure time. Aspect command 0x0451 sets it in flight. A longer one raises the signal until the disc saturates, and the smear while slewing."),
+    row!(camera.analogue_gain, "", Number(-1e6, 1e6), sample Sample::Number(400.0),
+        "Analogue gain in the camera's own scale; unset, the camera keeps its own. Aspect command 0x0481 sets it in flight."),
+    row!(camera.preamp_gain, "", Number(-1e6, 1e6), sample Sample::Number(-3.0),
+        "Pre-amplifier gain in the camera's own scale; unset, the camera keeps its own. Aspect command 0x0491 sets it in flight."),
+
+    row!(link.port, "", Text, sample Sample::Text("/dev/ttyUSB0"),
+        "Serial port of the gondola's controller; unset or empty, nothing is sent."),
+    row!(link.baud, "baud", Whole(300, 4_000_000),
+        "Speed of the serial port."),
+    row!(link.solution_divisor, "", Whole(1, 1000), command 2,
+        "One solution in this many goes to the controller: 1 sends all, 4 at 4 Hz one a second."),
+    row!(link.max_solution_age_ms, "ms", Whole(1, 60_000), command 3,
+        "A solution older than this, counted from mid-exposure, is not sent any more. Raising it lets a slow machine send, but older solutions."),
+
+    row!(archive.directory, "", Text, sample Sample::Text("/data/aspect"),
+        "Folder of the archive; unset or empty, frames are not kept."),
+    row!(archive.second_directory, "", Text, sample Sample::Text("/data2/aspect"),
+        "Folder on another disk, for when the first fails or fills."),
+    row!(archive.compression, "", Name(&Compression::NAMES),
+        "How pictures are compressed, always without loss. With none, programs that read plain images only can open them."),
+    row!(archive.queue_frames, "", Whole(1, 10_000),
+        "Frames that may wait for the disk. Raising it rides out longer pauses of the disk, at 1.3 to 2.5 MB of memory each."),
+
+    row!(simulation.seed, "", Whole(0, i64::MAX),
+        "Seed of the simulator: the same seed gives the same frames, bit for bit."),
+];
+
+/// Every parameter, in the order of the example.
+pub fn parameters() -> &'static [Parameter] {
+    TABLE
+}
+
+/// The parameter of a dotted key.
+pub fn by_key(key: &str) -> Option<&'static Parameter> {
+    TABLE.iter().find(|parameter| parameter.key == key)
+}
+
+/// The parameter that the ground knows by a number.
+pub fn by_command(number: u16) -> Option<&'static Parameter> {
+    TABLE
+        .iter()
+        .find(|parameter| parameter.command == Some(number))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Config, Value};
+    use std::collections::HashSet;
+
+    /// Values at the ends of what a parameter allows, and one between.
+    fn probes(parameter: &Parameter) -> Vec<Value> {
+        match parameter.allowed {
+            Number(low, high) => [low, 0.3 * low + 0.7 * high, high]
+                .map(Value::Number)
+                .into(),
+            Whole(low, high) => [low, low + (high - low) / 3, high].map(Value::Whole).into(),
+            Name(names) => names
+                .iter()
+                .map(|name| Value::Text((*name).into()))
+                .collect(),
+            Text => vec![Value::Text("somewhere/else".into())],
+        }
+    }
+
+    /// Values just outside what a parameter allows, and of other types.
+    fn outside(parameter: &Parameter) -> Vec<Value> {
+        let mut values = match parameter.allowed {
+            Number(low, high) => [low - 1e-3, high * 1.001 + 1e-3, f64::NAN, f64::INFINITY]
+                .map(Value::Number)
+                .into(),
+            Whole(low, _) => vec![Value::Whole(low - 1), Value::Number(low as f64 + 0.5)],
+            Name(_) => vec![Value::Text("no such name".into()), Value::Whole(0)],
+            Text => vec![Value::Whole(0), Value::Number(0.5)],
+        };
+        if let Whole(_, high) = parameter.allowed {
+            values.extend(high.checked_add(1).map(Value::Whole));
+        }
+        values
+    }
+
+    #[test]
+    fn what_is_set_is_what_is_got_and_nothing_else_changes() {
+        for parameter in parameters() {
+            for value in probes(parameter) {
+                let mut config = Config::default();
+                parameter.set(&mut config, Some(value.clone())).unwrap();
+                assert_eq!(parameter.get(&config), Some(value), "{}", parameter.key);
+                for other in parameters().iter().filter(|p| p.key != parameter.key) {
+                    assert_eq!(other.get(&config), other.default(), "{}", other.key);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_value_outside_its_range_is_refused_and_changes_nothing() {
+        for parameter in parameters() {
+            for value in outside(parameter) {
+                let mut config = Config::default();
+                let refused = parameter.set(&mut config, Some(value.clone()));
+                assert!(refused.is_err(), "{} took {value}", parameter.key);
+                assert_eq!(config, Config::default());
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_unsets_what_is_unset_by_default_and_only_that() {
+        for parameter in parameters() {
+            let mut config = Config::default();
+            let optional = parameter.default().is_none();
+            assert_eq!(
+                parameter.set(&mut config, None).is_ok(),
+                optional,
+                "{}",
+                parameter.key
+            );
+            assert_eq!(parameter.sample.is_some(), optional, "{}", parameter.key);
+        }
+    }
+
+    #[test]
+    fn every_default_is_allowed() {
+        for parameter in parameters() {
+            if let Some(value) = parameter.default() {
+                parameter.set(&mut Config::default(), Some(value)).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn no_key_and_no_command_number_occurs_twice() {
+        let keys: HashSet<_> = parameters().iter().map(|p| p.key).collect();
+        assert_eq!(keys.len(), parameters().len());
+        let numbers: Vec<_> = parameters().iter().filter_map(|p| p.command).collect();
+        let different: HashSet<_> = numbers.iter().collect();
+        assert_eq!(different.len(), numbers.len());
+    }
+
+    #[test]
+    fn a_command_carries_every_value_it_may_set() {
+        for parameter in parameters().iter().filter(|p| p.command.is_some()) {
+            let fits = match parameter.allowed {
+                Whole(low, high) => low >= 0 && high <= u16::MAX.into(),
+                Number(low, high) => low >= -1024.0 && high <= f64::from(u16::MAX) / 8.0 - 1024.0,
+                Name(_) | Text => false,
+            };
+            assert!(fits, "{}", parameter.key);
+            let number = parameter.command.unwrap();
+            assert_eq!(by_command(number).unwrap().key, parameter.key);
+        }
+    }
+
+    #[test]
+    fn the_unit_is_in_the_keys_name() {
+        for parameter in parameters().iter().filter(|p| !p.unit.is_empty()) {
+            let named = parameter.name() == parameter.unit
+                || parameter
+                    .name()
+                    .ends_with(&format!("_{}", parameter.unit.to_lowercase()));
+            assert!(named, "{} is in {}", parameter.key, parameter.unit);
+        }
+    }
+}

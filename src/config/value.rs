@@ -1,0 +1,148 @@
+//! Values of parameters, and how the typed fields of the configuration become them and back.
+
+use super::Compression;
+use std::fmt;
+use std::path::PathBuf;
+
+/// The value of a parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    Whole(i64),
+    Number(f64),
+    Text(String),
+}
+
+impl fmt::Display for Value {
+    /// As TOML writes it.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Whole(value) => write!(out, "{value}"),
+            Self::Number(value) => write!(out, "{value}"),
+            Self::Text(value) => write!(out, "{value:?}"),
+        }
+    }
+}
+
+impl Value {
+    /// The value in a file, where it is of a kind that parameters have.
+    pub(super) fn from_toml(value: &toml::Value) -> Option<Self> {
+        match value {
+            toml::Value::Integer(value) => Some(Self::Whole(*value)),
+            toml::Value::Float(value) => Some(Self::Number(*value)),
+            toml::Value::String(value) => Some(Self::Text(value.clone())),
+            _ => None,
+        }
+    }
+}
+
+/// A value of a file as an error shows it: on one line.
+pub(super) fn found(value: &toml::Value) -> String {
+    match Value::from_toml(value) {
+        Some(value) => value.to_string(),
+        None => format!("a value of type {}", value.type_str()),
+    }
+}
+
+/// A field of the configuration: `None` means that nothing is set.
+pub(super) trait Field: Sized {
+    fn value(&self) -> Option<Value>;
+
+    /// The field from a value, where the type can hold it.
+    fn from_value(value: Option<Value>) -> Option<Self>;
+}
+
+impl Field for f64 {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Number(*self))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        match value? {
+            Value::Number(value) => Some(value),
+            Value::Whole(value) => Some(value as f64),
+            Value::Text(_) => None,
+        }
+    }
+}
+
+macro_rules! whole_field {
+    ($($type:ty),*) => {$(
+        impl Field for $type {
+            fn value(&self) -> Option<Value> {
+                i64::try_from(*self).ok().map(Value::Whole)
+            }
+
+            fn from_value(value: Option<Value>) -> Option<Self> {
+                match value? {
+                    Value::Whole(value) => value.try_into().ok(),
+                    _ => None,
+                }
+            }
+        }
+    )*};
+}
+
+whole_field!(i32, i64, u32, u64, usize);
+
+impl Field for String {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.clone()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        match value? {
+            Value::Text(value) => Some(value),
+            _ => None,
+        }
+    }
+}
+
+impl Field for PathBuf {
+    fn value(&self) -> Option<Value> {
+        self.to_str().map(|path| Value::Text(path.into()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        String::from_value(value).map(Self::from)
+    }
+}
+
+/// Nothing, and an empty text, set nothing.
+impl<T: Field> Field for Option<T> {
+    fn value(&self) -> Option<Value> {
+        self.as_ref().and_then(T::value)
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        match value {
+            None => Some(None),
+            Some(Value::Text(text)) if text.is_empty() => Some(None),
+            value => T::from_value(value).map(Some),
+        }
+    }
+}
+
+impl Compression {
+    /// The names of the kinds, as files and commands give them.
+    pub const NAMES: [&str; 3] = ["rice", "none", "gzip"];
+    const KINDS: [Self; 3] = [Self::Rice, Self::None, Self::Gzip];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rice => "rice",
+            Self::None => "none",
+            Self::Gzip => "gzip",
+        }
+    }
+}
+
+impl Field for Compression {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.name().into()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        let name = String::from_value(value)?;
+        Self::KINDS.into_iter().find(|kind| kind.name() == name)
+    }
+}
