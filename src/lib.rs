@@ -43,5 +43,6 @@ pub mod limb;
 pub mod plate;
 pub mod pointing;
 pub mod registration;
+pub mod report;
 pub mod sky;
 pub mod units;

@@ -1,10 +1,10 @@
 //! The pipeline on one page: from a frame to the Sun's centre on the plate.
 
-//mod overlay;
+mod overlay;
 mod solution;
 mod stages;
 
-//pub use overlay::overlay;
+pub use overlay::overlay;
 pub use solution::{
     AdoptedMapping, Aspect, Mark, Origin, Quality, Solution, Stage, Stopped, Track,
 };

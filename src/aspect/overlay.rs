@@ -1,0 +1,168 @@
+//! A picture of a solved frame on which a person sees what the pipeline saw.
+
+use super::Solution;
+use crate::fiducial::Lighting;
+use crate::frame::{Frame, Region};
+use crate::geometry::Mapping;
+use crate::limb::{Axis, Crossing};
+use crate::plate::Plate;
+use crate::report::{Canvas, Colour};
+use crate::units::{PlateMil, SensorPx};
+use image::RgbImage;
+
+/// Length of the drawn plate axes, mil.
+const AXIS_MIL: f64 = 350.0;
+const CAPTION_LINES: u32 = 4;
+
+/// The disc magnified, with crossings of the limb (yellow, joined to chords in grey), the fitted disc (green), marks
+/// with their ids (blue; red when cut by the limb or not read) and the plate's axes (magenta). A frame without a disc
+/// is shown whole, with the reason.
+pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -> RgbImage {
+    let levels = solution.levels;
+    let stretch = levels.map_or((0.0, f64::from(frame.saturation_dn())), |levels| {
+        (levels.background_dn, 1.5 * levels.disc_dn)
+    });
+    let about_sun = solution.aspect.and_then(|aspect| {
+        let reach = 1.15 * aspect.sun_radius_px;
+        Region::around(aspect.sun_px.position, reach, frame.width(), frame.height())
+    });
+    let (region, zoom) = match about_sun {
+        Some(region) => (region, 4),
+        None => (frame.region(), 1),
+    };
+    let mut canvas = Canvas::of_frame(frame, region, zoom, stretch, CAPTION_LINES);
+    draw_chords(&mut canvas, &solution.crossings);
+    if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
+        draw_disc(
+            &mut canvas,
+            &adopted.mapping,
+            aspect.sun_plate.position,
+            aspect.sun_radius_px,
+        );
+        draw_axes(&mut canvas, &adopted.mapping, aspect.sun_plate.position);
+    }
+    draw_marks(&mut canvas, solution, plate);
+    for (line, text) in captions(solution, title).iter().enumerate() {
+        canvas.caption(line as u32, text, Colour::WHITE);
+    }
+    canvas.into_image()
+}
+
+fn draw_chords(canvas: &mut Canvas, crossings: &[Crossing]) {
+    let line_of = |crossing: &Crossing| match crossing.axis {
+        Axis::Row => crossing.at.y,
+        Axis::Column => crossing.at.x,
+    };
+    for pair in crossings.windows(2) {
+        if pair[0].axis == pair[1].axis && line_of(&pair[0]) == line_of(&pair[1]) {
+            canvas.line(pair[0].at, pair[1].at, Colour(85, 85, 85));
+        }
+    }
+    for crossing in crossings {
+        canvas.dot(crossing.at, Colour::YELLOW);
+    }
+}
+
+/// The limb as the mapping shows it: a circle on the plate, not always one on the sensor.
+fn draw_disc(canvas: &mut Canvas, mapping: &Mapping, centre: PlateMil, radius_px: f64) {
+    let seen = mapping.to_sensor(centre);
+    let radius_mil = radius_px * mapping.scale_mil_per_px(seen);
+    let limb = |n: i32| {
+        let (sin, cos) = (f64::from(n) * 3.0).to_radians().sin_cos();
+        mapping.to_sensor(PlateMil::new(
+            centre.x + radius_mil * cos,
+            centre.y + radius_mil * sin,
+        ))
+    };
+    for n in 0..120 {
+        canvas.line(limb(n), limb(n + 1), Colour::GREEN);
+    }
+    for (dx, dy) in [(4.0, 0.0), (0.0, 4.0)] {
+        let offset = nalgebra::Vector2::new(dx, dy);
+        let (from, to) = (seen.vector() - offset, seen.vector() + offset);
+        canvas.line(from.into(), to.into(), Colour::GREEN);
+    }
+}
+
+fn draw_axes(canvas: &mut Canvas, mapping: &Mapping, sun: PlateMil) {
+    let origin = mapping.to_sensor(sun);
+    for (name, dx, dy) in [("X", AXIS_MIL, 0.0), ("Y", 0.0, AXIS_MIL)] {
+        let tip = mapping.to_sensor(PlateMil::new(sun.x + dx, sun.y + dy));
+        canvas.arrow(origin, tip, Colour::MAGENTA);
+        canvas.label(tip, name, Colour::MAGENTA);
+    }
+}
+
+fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
+    for detection in &solution.detections.marks {
+        let read = solution.marks.iter().find(|mark| mark.at == detection.at);
+        let colour = match read.map(|mark| mark.lighting) {
+            Some(Lighting::Full) => Colour::BLUE,
+            Some(Lighting::Cut) | None => Colour::RED,
+        };
+        canvas.circle(detection.at, 11.0, colour);
+        if let Some(mark) = read {
+            let beside = SensorPx::new(mark.at.x + 8.0, mark.at.y - 8.0);
+            canvas.label(beside, &mark.id.to_string(), colour);
+        }
+        if let (Some(mark), Some(adopted)) = (read, &solution.mapping) {
+            draw_cross(
+                canvas,
+                &adopted.mapping,
+                plate,
+                plate.position(mark.id),
+                colour,
+            );
+        }
+    }
+}
+
+/// The printed cross where the mapping puts it.
+fn draw_cross(
+    canvas: &mut Canvas,
+    mapping: &Mapping,
+    plate: &Plate,
+    centre: PlateMil,
+    colour: Colour,
+) {
+    let arm = plate.cross.arm_length_mil / 2.0;
+    for (dx, dy) in [(arm, 0.0), (0.0, arm)] {
+        let end = |sign: f64| {
+            mapping.to_sensor(PlateMil::new(centre.x + sign * dx, centre.y + sign * dy))
+        };
+        canvas.line(end(-1.0), end(1.0), colour);
+    }
+}
+
+fn captions(solution: &Solution, title: &str) -> Vec<String> {
+    let mut lines = vec![title.to_string()];
+    if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
+        let (px, mil) = (aspect.sun_px.position, aspect.sun_plate.position);
+        let sigma = aspect.sun_plate.sigma();
+        lines.push(format!(
+            "{}   Sun ({:.2}, {:.2}) px   ({:.2}, {:.2}) mil   sigma ({:.2}, {:.2}) mil",
+            solution.quality.name(),
+            px.x,
+            px.y,
+            mil.x,
+            mil.y,
+            sigma[0],
+            sigma[1],
+        ));
+        lines.push(format!(
+            "radius {:.2} px   {} crossings   {} of {} marks read   mapping: {}",
+            aspect.sun_radius_px,
+            solution.crossings.len(),
+            solution.marks.len(),
+            solution.detections.marks.len(),
+            adopted.name(),
+        ));
+    }
+    if let Some(stopped) = &solution.stopped {
+        lines.push(format!(
+            "{stopped} ({:.2}, limit {:.2})",
+            stopped.rejected.measured, stopped.rejected.limit
+        ));
+    }
+    lines
+}

@@ -1,0 +1,189 @@
+//! A picture in colour on which sensor positions can be drawn, magnified.
+
+use crate::frame::{Frame, Region};
+use crate::units::SensorPx;
+use crate::with_view;
+use embedded_graphics::mono_font::MonoTextStyle;
+use embedded_graphics::mono_font::ascii::FONT_9X15;
+use embedded_graphics::pixelcolor::Rgb888;
+use embedded_graphics::prelude::*;
+use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle};
+use embedded_graphics::text::Text;
+use image::{Rgb, RgbImage};
+use std::convert::Infallible;
+
+/// A colour: red, green, blue.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Colour(pub u8, pub u8, pub u8);
+
+impl Colour {
+    pub const WHITE: Self = Self(255, 255, 255);
+    pub const RED: Self = Self(255, 80, 80);
+    pub const GREEN: Self = Self(90, 230, 90);
+    pub const BLUE: Self = Self(110, 190, 255);
+    pub const YELLOW: Self = Self(255, 220, 60);
+    pub const MAGENTA: Self = Self(255, 90, 255);
+
+    fn rgb(self) -> Rgb888 {
+        Rgb888::new(self.0, self.1, self.2)
+    }
+}
+
+/// Part of a frame, magnified, with a strip for text below it.
+pub struct Canvas {
+    image: RgbImage,
+    region: Region,
+    zoom: u32,
+}
+
+/// Height of a line of text in the strip, px.
+const TEXT_LINE_PX: u32 = 18;
+
+impl Canvas {
+    /// A region of a frame, each pixel `zoom` x `zoom`, brightness stretched from `black_dn` to `white_dn`, with
+    /// room for `text_lines` below.
+    pub fn of_frame(
+        frame: &Frame,
+        region: Region,
+        zoom: u32,
+        (black_dn, white_dn): (f64, f64),
+        text_lines: u32,
+    ) -> Self {
+        let (width, height) = (region.width() as u32 * zoom, region.height() as u32 * zoom);
+        let mut image = RgbImage::new(width, height + text_lines * TEXT_LINE_PX);
+        let range = (white_dn - black_dn).max(1.0);
+        with_view!(frame, view => {
+            for (x, y, pixel) in image.enumerate_pixels_mut().filter(|(_, y, _)| *y < height) {
+                let dn = view.dn(region.x0 + (x / zoom) as usize, region.y0 + (y / zoom) as usize);
+                let grey = (255.0 * (f64::from(dn) - black_dn) / range).clamp(0.0, 255.0);
+                *pixel = Rgb([grey as u8; 3]);
+            }
+        });
+        Self {
+            image,
+            region,
+            zoom,
+        }
+    }
+
+    /// The picture.
+    pub fn into_image(self) -> RgbImage {
+        self.image
+    }
+
+    /// A straight line between two sensor positions.
+    pub fn line(&mut self, from: SensorPx, to: SensorPx, colour: Colour) {
+        let line = Line::new(self.place(from), self.place(to));
+        self.draw(&line.into_styled(PrimitiveStyle::with_stroke(colour.rgb(), 1)));
+    }
+
+    /// A circle about a sensor position, radius in sensor pixels.
+    pub fn circle(&mut self, centre: SensorPx, radius_px: f64, colour: Colour) {
+        let diameter = (2.0 * radius_px * f64::from(self.zoom)).round() as u32;
+        let circle = Circle::with_center(self.place(centre), diameter);
+        self.draw(&circle.into_styled(PrimitiveStyle::with_stroke(colour.rgb(), 1)));
+    }
+
+    /// A dot on a sensor position.
+    pub fn dot(&mut self, at: SensorPx, colour: Colour) {
+        let dot = Circle::with_center(self.place(at), self.zoom.max(3));
+        self.draw(&dot.into_styled(PrimitiveStyle::with_fill(colour.rgb())));
+    }
+
+    /// A line from one sensor position to another with a head at its end.
+    pub fn arrow(&mut self, from: SensorPx, to: SensorPx, colour: Colour) {
+        self.line(from, to, colour);
+        let along = to.vector() - from.vector();
+        let across = nalgebra::Vector2::new(-along.y, along.x);
+        for side in [-0.06, 0.06] {
+            let barb = to.vector() - along * 0.12 + across * side;
+            self.line(to, barb.into(), colour);
+        }
+    }
+
+    /// Text beside a sensor position.
+    pub fn label(&mut self, at: SensorPx, text: &str, colour: Colour) {
+        let place = self.place(at) + Point::new(4, -4);
+        self.draw(&Text::new(
+            text,
+            place,
+            MonoTextStyle::new(&FONT_9X15, colour.rgb()),
+        ));
+    }
+
+    /// A line of text in the strip below the picture, counted from 0.
+    pub fn caption(&mut self, line: u32, text: &str, colour: Colour) {
+        let below = self.region.height() as u32 * self.zoom;
+        let y = below + (line + 1) * TEXT_LINE_PX - 5;
+        let place = Point::new(6, y as i32);
+        self.draw(&Text::new(
+            text,
+            place,
+            MonoTextStyle::new(&FONT_9X15, colour.rgb()),
+        ));
+    }
+
+    /// The picture's pixel of a sensor position: pixel (0, 0) of the sensor has its centre in the middle of its
+    /// magnified square.
+    fn place(&self, at: SensorPx) -> Point {
+        let along = |v: f64, first: usize| {
+            let magnified = (v - first as f64 + 0.5) * f64::from(self.zoom);
+            magnified.clamp(-1e6, 1e6) as i32
+        };
+        Point::new(along(at.x, self.region.x0), along(at.y, self.region.y0))
+    }
+
+    fn draw(&mut self, item: &impl Drawable<Color = Rgb888>) {
+        let Ok(_) = item.draw(self);
+    }
+}
+
+impl OriginDimensions for Canvas {
+    fn size(&self) -> Size {
+        Size::new(self.image.width(), self.image.height())
+    }
+}
+
+impl DrawTarget for Canvas {
+    type Color = Rgb888;
+    type Error = Infallible;
+
+    fn draw_iter<I>(&mut self, pixels: I) -> Result<(), Infallible>
+    where
+        I: IntoIterator<Item = Pixel<Rgb888>>,
+    {
+        for Pixel(at, colour) in pixels {
+            let (Ok(x), Ok(y)) = (u32::try_from(at.x), u32::try_from(at.y)) else {
+                continue;
+            };
+            if x < self.image.width() && y < self.image.height() {
+                let rgb = Rgb([colour.r(), colour.g(), colour.b()]);
+                self.image.put_pixel(x, y, rgb);
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{FrameInfo, Pixels};
+
+    #[test]
+    fn a_dot_covers_the_middle_of_its_own_pixel() {
+        let pixels = Pixels::U8(vec![0; 20 * 10]);
+        let frame = Frame::new(20, 10, pixels, 255, FrameInfo::default()).unwrap();
+        let mut canvas = Canvas::of_frame(&frame, frame.region(), 5, (0.0, 255.0), 1);
+        canvas.dot(SensorPx::new(7.0, 3.0), Colour::RED);
+        canvas.line(
+            SensorPx::new(-50.0, 4.0),
+            SensorPx::new(500.0, 4.0),
+            Colour::BLUE,
+        );
+        let image = canvas.into_image();
+        assert_eq!((image.width(), image.height()), (100, 50 + TEXT_LINE_PX));
+        assert_eq!(image.get_pixel(37, 17).0, [255, 80, 80]);
+        assert_eq!(image.get_pixel(0, 22).0, [110, 190, 255]);
+    }
+}
