@@ -1,0 +1,72 @@
+//! CHECKSUM and DATASUM (FITS 4.0, section 4.4.2.7 and appendix J): ones'-complement sums of 32-bit words.
+
+use super::structure::{BLOCK, Hdu, scan};
+use super::{Header, Problem, Value};
+
+/// What the checksums of a sound file say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Checksums {
+    /// HDUs in the file.
+    pub hdus: usize,
+    /// Of these, the ones that carry both CHECKSUM and DATASUM.
+    pub guarded: usize,
+}
+
+/// Checks every checksum that a file carries.
+pub(super) fn check_all(bytes: &[u8]) -> Result<Checksums, Problem> {
+    let hdus = scan(bytes)?;
+    for (n, hdu) in hdus.iter().enumerate() {
+        check_data(bytes, hdu)?;
+        let found = sum(&bytes[hdu.bytes(bytes.len())]);
+        if hdu.header.get("CHECKSUM").is_some() && found != 0 && found != u32::MAX {
+            let expected = format!("HDU {n} as it was written");
+            return Err(Problem::field("CHECKSUM", expected, "changed bytes"));
+        }
+    }
+    let guarded = |header: &Header| {
+        ["CHECKSUM", "DATASUM"]
+            .iter()
+            .all(|keyword| header.get(keyword).is_some())
+    };
+    Ok(Checksums {
+        hdus: hdus.len(),
+        guarded: hdus.iter().filter(|hdu| guarded(&hdu.header)).count(),
+    })
+}
+
+/// Checks the sum of an HDU's data, where its header states one.
+pub(super) fn check_data(bytes: &[u8], hdu: &Hdu) -> Result<(), Problem> {
+    let stated: u32 = match hdu.header.get("DATASUM") {
+        None => return Ok(()),
+        Some(Value::Text(text)) => text.trim().parse().ok(),
+        Some(Value::Integer(number)) => u32::try_from(*number).ok(),
+        Some(_) => None,
+    }
+    .ok_or_else(|| Problem::field("DATASUM", "a sum of 32 bits", "something else"))?;
+    let end = hdu.bytes(bytes.len()).end.max(hdu.data_bytes.start);
+    let found = sum(&bytes[hdu.data_bytes.start..end]);
+    // Both are zero in ones' complement.
+    let same = stated == found || [stated, found].iter().all(|s| matches!(*s, 0 | u32::MAX));
+    if same {
+        return Ok(());
+    }
+    let expected = format!("data with the sum {stated}, as they were written");
+    Err(Problem::field("DATASUM", expected, found))
+}
+
+/// The sum of big-endian words, each carry added back at the other end. A last word cut short counts as filled
+/// with zeros.
+fn sum(bytes: &[u8]) -> u32 {
+    let (words, rest) = bytes.as_chunks::<4>();
+    let mut last = [0; 4];
+    last[..rest.len()].copy_from_slice(rest);
+    let words = words.iter().chain([&last]);
+    // A file is far below 2^32 words, so 64 bits hold the sum before the carries are folded in.
+    let mut total: u64 = words.map(|word| u64::from(u32::from_be_bytes(*word))).sum();
+    while total > u64::from(u32::MAX) {
+        total = (total & 0xFFFF_FFFF) + (total >> 32);
+    }
+    total as u32
+}
+
+const _: () = assert!(BLOCK.is_multiple_of(4));

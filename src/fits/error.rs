@@ -1,0 +1,70 @@
+//! Why a file was refused: always one line that names the file, the field and what was expected there.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A file that could not be read or written, and why.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {problem}", .path.display())]
+pub struct FileError {
+    pub path: PathBuf,
+    pub problem: Problem,
+}
+
+/// What is wrong with a file, or with what was to be written to it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Problem {
+    /// The operating system refused.
+    #[error("expected to {action} the file, found \"{source}\"")]
+    Io {
+        action: &'static str,
+        source: io::Error,
+    },
+    /// The file as a whole is not what it should be.
+    #[error("expected {expected}, found {found}")]
+    Content { expected: String, found: String },
+    /// A keyword, a column or the pixels hold something else than they should.
+    #[error("{field}: expected {expected}, found {found}")]
+    Field {
+        field: String,
+        expected: String,
+        found: String,
+    },
+    /// The FITS library refused.
+    #[error("expected to {action}, found \"{message}\" (cfitsio status {status})")]
+    Library {
+        action: &'static str,
+        status: i32,
+        message: String,
+    },
+}
+
+impl Problem {
+    pub(super) fn content(expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Content {
+            expected: expected.into(),
+            found: found.into(),
+        }
+    }
+
+    pub(super) fn field(
+        field: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl ToString,
+    ) -> Self {
+        Self::Field {
+            field: field.into(),
+            expected: expected.into(),
+            found: found.to_string(),
+        }
+    }
+
+    /// Names the file that the problem is in.
+    pub(crate) fn in_file(self, path: &Path) -> FileError {
+        FileError {
+            path: path.into(),
+            problem: self,
+        }
+    }
+}

@@ -1,0 +1,385 @@
+//! The only unsafe code of this room: cfitsio on files in memory.
+//!
+//! Files live in memory so that no file name ever reaches cfitsio, which would read `[`, `(` and `+` in it as
+//! instructions, and so that every byte can be checked before reading and written by ourselves afterwards.
+//! Every call's status is checked. The message is the status's own text: the library's stack of messages is shared
+//! by all threads and may hold another file's.
+
+use super::Problem;
+use crate::frame::Pixels;
+use fitsio_sys as sys;
+use std::ffi::{CStr, CString, c_char, c_int, c_long, c_void};
+use std::ptr;
+use std::sync::{Mutex, PoisonError};
+
+/// cfitsio initialises itself at the first opening, and not safely if two threads are first at once.
+static OPENING: Mutex<()> = Mutex::new(());
+
+unsafe extern "C" {
+    fn realloc(memory: *mut c_void, bytes: usize) -> *mut c_void;
+    fn free(memory: *mut c_void);
+}
+
+/// How the pixels of an image extension are compressed. All are lossless.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Compression {
+    /// Rice, row by row: about half the size, and fast.
+    #[default]
+    Rice,
+    /// Deflate, row by row.
+    Gzip,
+    None,
+}
+
+/// A buffer whose place and size cfitsio keeps pointers to.
+struct Memory {
+    start: *mut c_void,
+    bytes: usize,
+}
+
+/// An open FITS file in memory; closed when dropped.
+pub(super) struct MemoryFile {
+    handle: *mut sys::fitsfile,
+    memory: Box<Memory>,
+    owned: bool,
+}
+
+impl Drop for MemoryFile {
+    fn drop(&mut self) {
+        let mut status = 0;
+        if !self.handle.is_null() {
+            // SAFETY: the handle is open, and not used again.
+            unsafe { sys::ffclos(self.handle, &mut status) };
+        }
+        if self.owned {
+            // SAFETY: the memory came from `realloc`, and the file that used it is closed.
+            unsafe { free(self.memory.start) };
+        }
+    }
+}
+
+/// An error unless the call went well.
+fn check(status: c_int, action: &'static str) -> Result<(), Problem> {
+    if status == 0 {
+        return Ok(());
+    }
+    let mut text = [0 as c_char; 81];
+    // SAFETY: `ffgerr` writes at most 30 characters and a zero; `text` is longer, and its last stays zero.
+    let message = unsafe {
+        sys::ffgerr(status, text.as_mut_ptr());
+        sys::ffcmsg();
+        CStr::from_ptr(text.as_ptr())
+    };
+    Err(Problem::Library {
+        action,
+        status,
+        message: message.to_string_lossy().into_owned(),
+    })
+}
+
+/// A C string; what cannot be in one, or in a FITS header, becomes '?'.
+fn c_string(text: &str) -> CString {
+    let shown = |c| if (' '..='~').contains(&c) { c } else { '?' };
+    CString::new(text.chars().map(shown).collect::<String>()).unwrap_or_default()
+}
+
+/// Runs a cfitsio function with the file's handle and a status, and checks it.
+macro_rules! call {
+    ($file:expr, $action:expr, $function:ident $(, $argument:expr)*) => {{
+        let mut status = 0;
+        // SAFETY: the handle is open, and each pointer lives through the call and has the length it is given with.
+        unsafe { sys::$function($file.handle $(, $argument)*, &mut status) };
+        check(status, $action)
+    }};
+}
+
+impl MemoryFile {
+    /// A new, empty file.
+    pub fn create() -> Result<Self, Problem> {
+        let mut file = Self {
+            handle: ptr::null_mut(),
+            memory: Box::new(Memory {
+                start: ptr::null_mut(),
+                bytes: 0,
+            }),
+            owned: true,
+        };
+        let memory = &mut *file.memory;
+        let mut status = 0;
+        let _one_at_a_time = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: the boxed memory outlives the handle, and grows by the C library's own `realloc`.
+        unsafe {
+            sys::ffimem(
+                &mut file.handle,
+                &mut memory.start,
+                &mut memory.bytes,
+                1 << 20,
+                Some(realloc),
+                &mut status,
+            )
+        };
+        check(status, "create a file in memory")?;
+        Ok(file)
+    }
+
+    /// Opens a file that was checked before, for reading: hands it to `read` and closes it.
+    pub fn read<T>(
+        bytes: &mut [u8],
+        read: impl FnOnce(&Self) -> Result<T, Problem>,
+    ) -> Result<T, Problem> {
+        let start = bytes.as_mut_ptr().cast();
+        let mut file = Self {
+            handle: ptr::null_mut(),
+            memory: Box::new(Memory {
+                start,
+                bytes: bytes.len(),
+            }),
+            owned: false,
+        };
+        let memory = &mut *file.memory;
+        let mut status = 0;
+        let opening = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: the bytes outlive the handle, which ends with this function; cfitsio neither writes to a
+        // file opened for reading nor lets it grow without a `realloc`.
+        unsafe {
+            sys::ffomem(
+                &mut file.handle,
+                c"frame".as_ptr(),
+                sys::READONLY as c_int,
+                &mut memory.start,
+                &mut memory.bytes,
+                0,
+                None,
+                &mut status,
+            )
+        };
+        drop(opening);
+        check(status, "open the file")?;
+        read(&file)
+    }
+
+    /// Goes to an HDU, counted from 1.
+    pub fn go_to(&self, hdu: c_int) -> Result<(), Problem> {
+        let mut kind = 0;
+        call!(self, "find the image", ffmahd, hdu, &mut kind)
+    }
+
+    /// The 8-bit pixels of the current image.
+    pub fn pixels_u8(&self, count: usize) -> Result<Vec<u8>, Problem> {
+        let mut pixels = vec![0; count];
+        let (start, mut any_null) = (pixels.as_mut_ptr(), 0);
+        call!(
+            self,
+            "read the pixels",
+            ffgpvb,
+            1,
+            1,
+            count as i64,
+            0,
+            start,
+            &mut any_null
+        )?;
+        Ok(pixels)
+    }
+
+    /// The 16-bit pixels of the current image as stored, before BZERO.
+    pub fn pixels_i16(&self, count: usize) -> Result<Vec<i16>, Problem> {
+        let mut pixels = vec![0; count];
+        let (start, mut any_null) = (pixels.as_mut_ptr(), 0);
+        call!(self, "read the pixels unscaled", ffpscl, 1.0, 0.0)?;
+        call!(
+            self,
+            "read the pixels",
+            ffgpvi,
+            1,
+            1,
+            count as i64,
+            0,
+            start,
+            &mut any_null
+        )?;
+        Ok(pixels)
+    }
+
+    /// Writes a primary header without data.
+    pub fn create_primary(&self) -> Result<(), Problem> {
+        call!(
+            self,
+            "write a primary header",
+            ffcrim,
+            8,
+            0,
+            ptr::null_mut()
+        )
+    }
+
+    /// Writes an image with its pixels.
+    pub fn create_image(
+        &self,
+        [width, height]: [usize; 2],
+        pixels: &Pixels,
+        compression: Compression,
+    ) -> Result<(), Problem> {
+        let algorithm = match compression {
+            Compression::Rice => sys::RICE_1,
+            Compression::Gzip => sys::GZIP_1,
+            Compression::None => 0,
+        };
+        call!(
+            self,
+            "set the compression",
+            fits_set_compression_type,
+            algorithm as c_int
+        )?;
+        let kind = match pixels {
+            Pixels::U8(_) => sys::BYTE_IMG,
+            Pixels::U16(_) => sys::USHORT_IMG,
+        };
+        let mut axes = [width as c_long, height as c_long];
+        call!(
+            self,
+            "create an image",
+            ffcrim,
+            kind as c_int,
+            2,
+            axes.as_mut_ptr()
+        )?;
+        let count = pixels.len() as i64;
+        let action = "write the pixels";
+        // cfitsio's signatures lack `const`: it only reads the pixels.
+        match pixels {
+            Pixels::U8(p) => call!(self, action, ffpprb, 1, 1, count, p.as_ptr().cast_mut()),
+            Pixels::U16(p) => call!(self, action, ffpprui, 1, 1, count, p.as_ptr().cast_mut()),
+        }
+    }
+
+    /// Writes a card of 80 characters, in place of one with the same keyword if there is one.
+    pub fn put_card(&self, keyword: &str, card: &str) -> Result<(), Problem> {
+        let (keyword, card) = (c_string(keyword), c_string(card));
+        call!(
+            self,
+            "write a keyword",
+            ffucrd,
+            keyword.as_ptr(),
+            card.as_ptr()
+        )
+    }
+
+    /// Writes a text that may need more than one card.
+    pub fn put_text(&self, keyword: &str, text: &str, comment: &str) -> Result<(), Problem> {
+        let [keyword, text, comment] = [keyword, text, comment].map(c_string);
+        call!(
+            self,
+            "write a text keyword",
+            ffukls,
+            keyword.as_ptr(),
+            text.as_ptr(),
+            comment.as_ptr()
+        )
+    }
+
+    /// Writes an empty binary table; each column has a name, a TFORM and a unit.
+    pub fn create_table(&self, name: &str, columns: &[[String; 3]]) -> Result<(), Problem> {
+        let name = c_string(name);
+        let strings = |n: usize| -> Vec<CString> {
+            columns.iter().map(|column| c_string(&column[n])).collect()
+        };
+        let [names, forms, units] = [strings(0), strings(1), strings(2)];
+        let pointers = |strings: &[CString]| -> Vec<*mut c_char> {
+            strings
+                .iter()
+                .map(|string| string.as_ptr().cast_mut())
+                .collect()
+        };
+        let [mut names, mut forms, mut units] = [&names, &forms, &units].map(|s| pointers(s));
+        call!(
+            self,
+            "create a table",
+            ffcrtb,
+            sys::BINARY_TBL as c_int,
+            0,
+            columns.len() as c_int,
+            names.as_mut_ptr(),
+            forms.as_mut_ptr(),
+            units.as_mut_ptr(),
+            name.as_ptr()
+        )
+    }
+
+    /// Writes a column of the current table, counted from 1.
+    pub fn put_floats(&self, column: usize, values: &[f64]) -> Result<(), Problem> {
+        let (count, start) = (values.len() as i64, values.as_ptr().cast_mut());
+        call!(
+            self,
+            "write a column",
+            ffpcld,
+            column as c_int,
+            1,
+            1,
+            count,
+            start
+        )
+    }
+
+    /// Writes a column of the current table, counted from 1.
+    pub fn put_integers(&self, column: usize, values: &[i64]) -> Result<(), Problem> {
+        let (count, start) = (values.len() as i64, values.as_ptr().cast_mut());
+        call!(
+            self,
+            "write a column",
+            ffpcljj,
+            column as c_int,
+            1,
+            1,
+            count,
+            start
+        )
+    }
+
+    /// Writes a column of the current table, counted from 1.
+    pub fn put_texts(&self, column: usize, values: &[String]) -> Result<(), Problem> {
+        let texts: Vec<CString> = values.iter().map(|text| c_string(text)).collect();
+        let mut starts: Vec<*mut c_char> =
+            texts.iter().map(|text| text.as_ptr().cast_mut()).collect();
+        let (count, start) = (starts.len() as i64, starts.as_mut_ptr());
+        call!(
+            self,
+            "write a column",
+            ffpcls,
+            column as c_int,
+            1,
+            1,
+            count,
+            start
+        )
+    }
+
+    /// Writes CHECKSUM and DATASUM of the current HDU: the last thing to do with it.
+    pub fn put_checksums(&self) -> Result<(), Problem> {
+        call!(self, "write the checksums", ffpcks)
+    }
+
+    /// Closes the file after its last HDU and returns its bytes.
+    pub fn into_bytes(mut self) -> Result<Vec<u8>, Problem> {
+        let (mut header, mut data, mut end) = (0, 0, 0);
+        call!(self, "finish the file", ffflus)?;
+        call!(
+            self,
+            "measure the file",
+            ffghadll,
+            &mut header,
+            &mut data,
+            &mut end
+        )?;
+        let closed = call!(self, "close the file", ffclos);
+        self.handle = ptr::null_mut();
+        closed?;
+        let bytes = usize::try_from(end).unwrap_or(0).min(self.memory.bytes);
+        if self.memory.start.is_null() {
+            return Ok(Vec::new());
+        }
+        // SAFETY: cfitsio has written the file's `end` bytes to the memory, which is that large at least.
+        let written = unsafe { std::slice::from_raw_parts(self.memory.start.cast::<u8>(), bytes) };
+        Ok(written.to_vec())
+    }
+}

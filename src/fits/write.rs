@@ -1,0 +1,251 @@
+//! A frame, extra keywords and tables as the bytes of a FITS file.
+//!
+//! The primary HDU is without data; the pixels stand in an image extension, with every keyword beside them, and
+//! tables follow. Uncompressed pixels too, so that a reader finds the same layout in every file.
+
+use super::header::{CARD, Value};
+use super::info::{format_time, info_cards};
+use super::keyword::{self, Kind};
+use super::raw::{Compression, MemoryFile};
+use super::{FileError, Problem};
+use crate::frame::Frame;
+use jiff::Timestamp;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// The extension that holds the pixels.
+pub const FRAME_EXTENSION: &str = "FRAME";
+
+/// A keyword of the table in [`keyword`] with its value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Card {
+    pub keyword: &'static str,
+    pub value: Value,
+}
+
+impl Card {
+    pub fn new(keyword: &'static str, value: impl Into<Value>) -> Self {
+        Self {
+            keyword,
+            value: value.into(),
+        }
+    }
+}
+
+/// A binary table, written after the pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// Name of the extension.
+    pub name: String,
+    pub columns: Vec<Column>,
+}
+
+/// A column of a table. All columns of a table have the same length.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Column {
+    pub name: String,
+    /// Unit, as FITS writes it; empty for values without.
+    pub unit: String,
+    pub values: Values,
+}
+
+/// The values of a column.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    /// NaN, in FITS, is a value that is not known.
+    Float(Vec<f64>),
+    Integer(Vec<i64>),
+    Text(Vec<String>),
+}
+
+impl Values {
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Float(values) => values.len(),
+            Self::Integer(values) => values.len(),
+            Self::Text(values) => values.len(),
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The column's TFORM.
+    fn form(&self) -> String {
+        match self {
+            Self::Float(_) => "1D".into(),
+            Self::Integer(_) => "1K".into(),
+            Self::Text(texts) => {
+                let longest = texts.iter().map(|text| text.chars().count()).max();
+                format!("{}A", longest.unwrap_or(1).max(1))
+            }
+        }
+    }
+}
+
+/// Writes a frame with further keywords and tables to a file, replacing what stood there.
+///
+/// The keywords that [`FrameInfo`](crate::frame::FrameInfo) fills are written from it; `cards` go beside them, each
+/// with the unit and comment of the [`keyword`] table. Every HDU carries its checksums. For a file that must be whole
+/// or absent, see [`archive`](crate::archive).
+///
+/// # Errors
+/// A card whose keyword is not in the table or has another kind of value, a number that is not finite, columns of
+/// unequal length, or a file that cannot be written.
+pub fn write_frame(
+    path: &Path,
+    frame: &Frame,
+    cards: &[Card],
+    tables: &[Table],
+    compression: Compression,
+) -> Result<(), FileError> {
+    let bytes =
+        encode_frame(frame, cards, tables, compression).map_err(|problem| problem.in_file(path))?;
+    std::fs::write(path, bytes).map_err(|source| {
+        let action = "write";
+        Problem::Io { action, source }.in_file(path)
+    })
+}
+
+/// The bytes of the file that [`write_frame`] writes.
+pub fn encode_frame(
+    frame: &Frame,
+    cards: &[Card],
+    tables: &[Table],
+    compression: Compression,
+) -> Result<Vec<u8>, Problem> {
+    if frame.saturation_dn() == 0 {
+        return Err(Problem::field("SATURATE", "a level from 1 to 65535 DN", 0));
+    }
+    let mut all = provenance();
+    all.extend(info_cards(frame));
+    refuse_duplicates(&all, cards)?;
+    all.extend_from_slice(cards);
+
+    let file = MemoryFile::create()?;
+    file.create_primary()?;
+    put_cards(&file, &provenance())?;
+    file.put_checksums()?;
+    file.create_image([frame.width(), frame.height()], frame.pixels(), compression)?;
+    put_cards(&file, &[Card::new("EXTNAME", FRAME_EXTENSION)])?;
+    put_cards(&file, &all)?;
+    file.put_checksums()?;
+    for table in tables {
+        put_table(&file, table)?;
+        file.put_checksums()?;
+    }
+    file.into_bytes()
+}
+
+/// Where the file comes from.
+fn provenance() -> Vec<Card> {
+    let program = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
+    vec![
+        Card::new("ORIGIN", "solaspect"),
+        Card::new("CREATOR", program),
+        Card::new("DATE", format_time(Timestamp::now())),
+    ]
+}
+
+/// A keyword stands once in a header; one from above may not contradict the frame's own.
+fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
+    let mut seen: BTreeSet<&str> = own.iter().map(|card| card.keyword).collect();
+    seen.insert("EXTNAME");
+    match extra.iter().find(|card| !seen.insert(card.keyword)) {
+        Some(card) => Err(Problem::field(card.keyword, "one value", "a second")),
+        None => Ok(()),
+    }
+}
+
+fn put_cards(file: &MemoryFile, cards: &[Card]) -> Result<(), Problem> {
+    cards.iter().try_for_each(|card| put_card(file, card))
+}
+
+fn put_card(file: &MemoryFile, card: &Card) -> Result<(), Problem> {
+    let row = keyword::find(card.keyword)
+        .ok_or_else(|| Problem::field(card.keyword, "a keyword of the table", "another"))?;
+    let comment = row.comment();
+    let number = match (&card.value, row.kind) {
+        (Value::Text(text), Kind::Text | Kind::Time) => {
+            return file.put_text(card.keyword, text, &comment);
+        }
+        (Value::Integer(number), Kind::Integer | Kind::Float) => number.to_string(),
+        (Value::Float(number), Kind::Float) if number.is_finite() => float(*number),
+        (Value::Logical(truth), Kind::Logical) => Value::Logical(*truth).to_string(),
+        (value, kind) => {
+            return Err(Problem::field(card.keyword, format!("{kind:?}"), value));
+        }
+    };
+    let mut text = format!("{:<8}= {number:>20} / {comment}", card.keyword);
+    text.truncate(CARD);
+    file.put_card(card.keyword, &text)
+}
+
+/// The shortest number that reads back as the same one, with a decimal point, as every FITS reader knows it.
+fn float(number: f64) -> String {
+    let text = format!("{number:?}").replace('e', "E");
+    match text.split_once('E') {
+        Some((digits, exponent)) if !digits.contains('.') => format!("{digits}.0E{exponent}"),
+        _ => text,
+    }
+}
+
+fn put_table(file: &MemoryFile, table: &Table) -> Result<(), Problem> {
+    let rows = table
+        .columns
+        .first()
+        .map_or(0, |column| column.values.len());
+    let specifications: Vec<[String; 3]> = table
+        .columns
+        .iter()
+        .map(|column| {
+            [
+                column.name.clone(),
+                column.values.form(),
+                column.unit.clone(),
+            ]
+        })
+        .collect();
+    file.create_table(&table.name, &specifications)?;
+    for (n, column) in table.columns.iter().enumerate() {
+        if column.values.len() != rows {
+            let field = format!("column {} of {}", column.name, table.name);
+            let expected = format!("{rows} values, as in the first");
+            return Err(Problem::field(field, expected, column.values.len()));
+        }
+        if rows == 0 {
+            continue;
+        }
+        match &column.values {
+            Values::Float(values) => file.put_floats(n + 1, values)?,
+            Values::Integer(values) => file.put_integers(n + 1, values)?,
+            Values::Text(values) => file.put_texts(n + 1, values)?,
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_float_reads_back_as_the_same_number() {
+        for number in [
+            0.015,
+            1e-7,
+            1.5e300,
+            -104.2218,
+            3.0,
+            f64::MIN_POSITIVE,
+            0.1 + 0.2,
+        ] {
+            let text = float(number);
+            assert_eq!(text.parse(), Ok(number), "{text}");
+            assert!(text.contains('.'), "{text}");
+            assert!(!text.contains('e'), "{text}");
+        }
+        assert_eq!(float(1e-7), "1.0E-7");
+    }
+}
