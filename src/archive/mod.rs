@@ -1,10 +1,11 @@
 //! How a frame survives: a name that sorts by time, and a file that is whole or absent.
 //!
-//! Which values of a solution fill which keywords is decided above [`Store::write`], which takes them as cards and
-//! tables.
+//! Which values of a solution fill which keywords, columns and fields is decided in one place, [`Record`].
 
 mod name;
+mod record;
 mod store;
 
 pub use name::{NameTime, name};
+pub use record::{MappingRecord, MarkRecord, OffsetRecord, Reason, Record, tables};
 pub use store::{ArchiveError, Store};

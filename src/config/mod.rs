@@ -17,6 +17,7 @@ pub use parameter::{Allowed, Parameter, Refused};
 pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
+use crate::fits::Compression;
 use crate::instrument::TomlError;
 use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
 use crate::units::Place;
@@ -118,14 +119,6 @@ impl Default for Archive {
             queue_frames: 64,
         }
     }
-}
-
-/// How archived pictures are compressed, always without loss.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Compression {
-    Rice,
-    None,
-    Gzip,
 }
 
 /// How scenes are simulated.

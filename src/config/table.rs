@@ -5,9 +5,9 @@
 //! the example. Command numbers are for parameters that have no command of their own; a number once given is
 //! never given again.
 
-use super::Compression;
 use super::parameter::{Allowed, Parameter, Sample};
 use super::value::Field;
+use crate::fits::Compression;
 use Allowed::{Name, Number, Text, Whole};
 
 macro_rules! row {

@@ -1,6 +1,6 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
-use super::Compression;
+use crate::fits::Compression;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -118,20 +118,6 @@ impl<T: Field> Field for Option<T> {
             None => Some(None),
             Some(Value::Text(text)) if text.is_empty() => Some(None),
             value => T::from_value(value).map(Some),
-        }
-    }
-}
-
-impl Compression {
-    /// The names of the kinds, as files and commands give them.
-    pub const NAMES: [&str; 3] = ["rice", "none", "gzip"];
-    const KINDS: [Self; 3] = [Self::Rice, Self::None, Self::Gzip];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Rice => "rice",
-            Self::None => "none",
-            Self::Gzip => "gzip",
         }
     }
 }

@@ -170,8 +170,112 @@ const PLACE: Group = Group {
     ],
 };
 
+/// What the solver found.
+const SOLUTION: Group = Group {
+    title: "Solution",
+    keywords: &[
+        row("QUALITY", Text, "", Written, "fine, coarse or none"),
+        row(
+            "REASON",
+            Text,
+            "",
+            Written,
+            "stage and reason that the frame went no further",
+        ),
+        row(
+            "SUNPX-X",
+            Float,
+            "pixel",
+            Written,
+            "image of the disc's centre, first pixel is 0",
+        ),
+        row(
+            "SUNPX-Y",
+            Float,
+            "pixel",
+            Written,
+            "image of the disc's centre, first pixel is 0",
+        ),
+        row("SUNPX-SX", Float, "pixel", Written, "1 sigma of SUNPX-X"),
+        row("SUNPX-SY", Float, "pixel", Written, "1 sigma of SUNPX-Y"),
+        row(
+            "SUNPX-R",
+            Float,
+            "pixel",
+            Written,
+            "radius of the disc at the mapping's scale",
+        ),
+        row(
+            "SUNMIL-X",
+            Float,
+            "mil",
+            Written,
+            "disc's centre on the plate, from its centre",
+        ),
+        row(
+            "SUNMIL-Y",
+            Float,
+            "mil",
+            Written,
+            "disc's centre on the plate, from its centre",
+        ),
+        row("SUNMILSX", Float, "mil", Written, "1 sigma of SUNMIL-X"),
+        row("SUNMILSY", Float, "mil", Written, "1 sigma of SUNMIL-Y"),
+        row("NMARKS", Integer, "", Written, "marks that were read"),
+        row(
+            "MAPKIND",
+            Text,
+            "",
+            Written,
+            "mapping from sensor to plate, or its origin",
+        ),
+        row(
+            "MAPSCALE",
+            Float,
+            "mil/pixel",
+            Written,
+            "plate length per pixel at the Sun",
+        ),
+        row(
+            "MAPROT",
+            Float,
+            "deg",
+            Written,
+            "rotation of the picture, from +x towards +y",
+        ),
+        row(
+            "MAPRES",
+            Float,
+            "pixel",
+            Written,
+            "rms residual of the marks per axis",
+        ),
+        row(
+            "OFFSETAZ",
+            Float,
+            "deg",
+            Written,
+            "azimuth of the pointing minus the target",
+        ),
+        row(
+            "OFFSETEL",
+            Float,
+            "deg",
+            Written,
+            "elevation of the pointing minus the target",
+        ),
+        row(
+            "OFFSETSG",
+            Float,
+            "deg",
+            Written,
+            "1 sigma of the offset per axis of true angle",
+        ),
+    ],
+};
+
 /// The whole table.
-pub const GROUPS: &[Group] = &[FILE, TIME, CAMERA, PLACE];
+pub const GROUPS: &[Group] = &[FILE, TIME, CAMERA, PLACE, SOLUTION];
 
 /// Every row of the table.
 pub fn all() -> impl Iterator<Item = &'static Keyword> {

@@ -31,6 +31,22 @@ pub enum Compression {
     None,
 }
 
+impl Compression {
+    /// The names of the kinds, as files and commands give them.
+    pub const NAMES: [&str; 3] = ["rice", "none", "gzip"];
+    /// Every kind.
+    pub const KINDS: [Self; 3] = [Self::Rice, Self::None, Self::Gzip];
+
+    /// The name of the kind.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rice => "rice",
+            Self::None => "none",
+            Self::Gzip => "gzip",
+        }
+    }
+}
+
 /// A buffer whose place and size cfitsio keeps pointers to.
 struct Memory {
     start: *mut c_void,

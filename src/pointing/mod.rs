@@ -7,10 +7,12 @@
 //! ephemeris says.
 //! All of it is on the sphere; nothing assumes small angles.
 
+use crate::aspect::Solution;
 use crate::instrument::{Instrument, Optics};
-use crate::sky::SunPosition;
 use crate::sky::sphere::{angles_deg, bearing_rad, direction, separation_rad, tangents, travel};
-use crate::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, PlateMil};
+use crate::sky::{self, SunPosition};
+use crate::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil};
+use jiff::Timestamp;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// Above this elevation a difference of azimuths says nothing of use.
@@ -51,6 +53,28 @@ pub enum PointingError {
         "expected the Sun within 90 deg of the pointing, found it {separation_deg:.3} deg away"
     )]
     BehindTheLens { separation_deg: f64 },
+}
+
+/// The offset of a solved frame. `None` where the frame has no Sun, or its time or place is not known; where the sky
+/// gives no answer (a date out of range, too near the zenith) the reason is logged.
+pub fn offset_of(
+    solution: &Solution,
+    utc: Option<Timestamp>,
+    place: Option<Place>,
+    instrument: &Instrument,
+    target: HelioprojectiveArcsec,
+) -> Option<Offset> {
+    let sun_plate = solution.aspect?.sun_plate;
+    let sun = match sky::sun(utc?, place?) {
+        Ok(sun) => sun,
+        Err(error) => {
+            tracing::warn!(%error, "no offset: the Sun's position is not known");
+            return None;
+        }
+    };
+    offset(sun_plate, instrument, &sun, target)
+        .inspect_err(|error| tracing::warn!(%error, "no offset"))
+        .ok()
 }
 
 /// The telescope's offset from a target, with the uncertainty that the Sun's place on the plate gives it.

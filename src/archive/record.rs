@@ -1,0 +1,298 @@
+//! One frame's answer as a flat record: the same numbers for JSON lines, CSV and FITS keywords.
+
+use crate::aspect::{AdoptedMapping, Aspect, Solution};
+use crate::fits::{Card, Column, Table, Values};
+use crate::limb::{Axis, Edge};
+use crate::pointing::Offset;
+use crate::units::SensorPx;
+use jiff::Timestamp;
+use serde::Serialize;
+use std::time::Duration;
+
+/// What is known of a solved frame. Fields that the frame did not reach are `None`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Record {
+    pub file: String,
+    /// Mid-exposure.
+    #[serde(serialize_with = "milliseconds")]
+    pub utc: Option<Timestamp>,
+    pub quality: &'static str,
+    pub reason: Option<Reason>,
+    pub sun_px: Option<[f64; 2]>,
+    pub sun_px_sigma: Option<[f64; 2]>,
+    pub sun_radius_px: Option<f64>,
+    pub sun_plate_mil: Option<[f64; 2]>,
+    pub sun_plate_sigma_mil: Option<[f64; 2]>,
+    pub marks: Option<Vec<MarkRecord>>,
+    pub mapping: Option<MappingRecord>,
+    pub offset_deg: Option<OffsetRecord>,
+    /// Wall time of the solver alone.
+    pub solve_us: Option<u64>,
+}
+
+/// Why a frame went no further.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Reason {
+    pub stage: &'static str,
+    pub reason: &'static str,
+    pub measured: f64,
+    pub limit: f64,
+}
+
+/// A mark that was read.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MarkRecord {
+    pub id: [i32; 2],
+    pub px: [f64; 2],
+    pub sigma_px: f64,
+}
+
+/// The mapping at the Sun's place.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MappingRecord {
+    pub kind: &'static str,
+    pub scale_mil_per_px: f64,
+    pub rotation_deg: f64,
+    pub residual_px: Option<f64>,
+}
+
+/// The offset from the target.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OffsetRecord {
+    pub azimuth: f64,
+    pub elevation: f64,
+    pub sigma: f64,
+}
+
+fn milliseconds<S: serde::Serializer>(
+    utc: &Option<Timestamp>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    match utc {
+        Some(utc) => serializer.serialize_str(&format!("{utc:.3}")),
+        None => serializer.serialize_none(),
+    }
+}
+
+impl Record {
+    pub fn new(
+        file: &str,
+        utc: Option<Timestamp>,
+        solution: &Solution,
+        offset: Option<Offset>,
+        solve_time: Option<Duration>,
+    ) -> Self {
+        let aspect = solution.aspect.as_ref();
+        let adopted = solution.mapping.as_ref();
+        Self {
+            file: file.into(),
+            utc,
+            quality: solution.quality.name(),
+            reason: solution.stopped.map(|stopped| Reason {
+                stage: stopped.stage.name(),
+                reason: stopped.rejected.reason,
+                measured: stopped.rejected.measured,
+                limit: stopped.rejected.limit,
+            }),
+            sun_px: aspect.map(|a| [a.sun_px.position.x, a.sun_px.position.y]),
+            sun_px_sigma: aspect.map(|a| a.sun_px.sigma()),
+            sun_radius_px: aspect.map(|a| a.sun_radius_px),
+            sun_plate_mil: aspect.map(|a| [a.sun_plate.position.x, a.sun_plate.position.y]),
+            sun_plate_sigma_mil: aspect.map(|a| a.sun_plate.sigma()),
+            marks: aspect.map(|_| marks(solution)),
+            mapping: aspect
+                .zip(adopted)
+                .map(|(aspect, adopted)| mapping(aspect, adopted)),
+            offset_deg: offset.map(|offset| OffsetRecord {
+                azimuth: offset.azimuth_deg,
+                elevation: offset.elevation_deg,
+                sigma: offset.sigma_deg,
+            }),
+            solve_us: solve_time.map(|time| time.as_micros() as u64),
+        }
+    }
+
+    /// Names of the columns of [`csv_row`](Self::csv_row), each with its unit.
+    pub const CSV_COLUMNS: [&'static str; 22] = [
+        "file",
+        "utc",
+        "quality",
+        "reason",
+        "sun_x_px",
+        "sun_y_px",
+        "sun_sigma_x_px",
+        "sun_sigma_y_px",
+        "sun_radius_px",
+        "sun_plate_x_mil",
+        "sun_plate_y_mil",
+        "sun_plate_sigma_x_mil",
+        "sun_plate_sigma_y_mil",
+        "marks",
+        "mapping",
+        "scale_mil_per_px",
+        "rotation_deg",
+        "residual_px",
+        "offset_azimuth_deg",
+        "offset_elevation_deg",
+        "offset_sigma_deg",
+        "solve_us",
+    ];
+
+    /// The record as the fields of a CSV row; what is not known is empty.
+    pub fn csv_row(&self) -> [String; 22] {
+        let number = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.6}"));
+        let axis = |pair: Option<[f64; 2]>, n: usize| number(pair.map(|p| p[n]));
+        let offset = self.offset_deg.as_ref();
+        let mapping = self.mapping.as_ref();
+        let fine = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.9}"));
+        [
+            self.file.clone(),
+            self.utc.map_or(String::new(), |utc| format!("{utc:.3}")),
+            self.quality.into(),
+            self.reason_text().unwrap_or_default(),
+            axis(self.sun_px, 0),
+            axis(self.sun_px, 1),
+            axis(self.sun_px_sigma, 0),
+            axis(self.sun_px_sigma, 1),
+            number(self.sun_radius_px),
+            axis(self.sun_plate_mil, 0),
+            axis(self.sun_plate_mil, 1),
+            axis(self.sun_plate_sigma_mil, 0),
+            axis(self.sun_plate_sigma_mil, 1),
+            self.marks
+                .as_ref()
+                .map_or(String::new(), |m| m.len().to_string()),
+            mapping.map_or(String::new(), |m| m.kind.into()),
+            number(mapping.map(|m| m.scale_mil_per_px)),
+            number(mapping.map(|m| m.rotation_deg)),
+            number(mapping.and_then(|m| m.residual_px)),
+            fine(offset.map(|o| o.azimuth)),
+            fine(offset.map(|o| o.elevation)),
+            fine(offset.map(|o| o.sigma)),
+            self.solve_us.map_or(String::new(), |us| us.to_string()),
+        ]
+    }
+
+    /// "stage: reason", as FITS and CSV write it.
+    pub fn reason_text(&self) -> Option<String> {
+        let reason = self.reason.as_ref()?;
+        Some(format!("{}: {}", reason.stage, reason.reason))
+    }
+
+    /// The keywords of the record.
+    pub fn cards(&self) -> Vec<Card> {
+        let mut cards = vec![Card::new("QUALITY", self.quality)];
+        if let Some(reason) = self.reason_text() {
+            cards.push(Card::new("REASON", reason.as_str()));
+        }
+        let mut number = |keyword, value: Option<f64>| {
+            if let Some(value) = value.filter(|value| value.is_finite()) {
+                cards.push(Card::new(keyword, value));
+            }
+        };
+        let axis = |pair: Option<[f64; 2]>, n: usize| pair.map(|p| p[n]);
+        number("SUNPX-X", axis(self.sun_px, 0));
+        number("SUNPX-Y", axis(self.sun_px, 1));
+        number("SUNPX-SX", axis(self.sun_px_sigma, 0));
+        number("SUNPX-SY", axis(self.sun_px_sigma, 1));
+        number("SUNPX-R", self.sun_radius_px);
+        number("SUNMIL-X", axis(self.sun_plate_mil, 0));
+        number("SUNMIL-Y", axis(self.sun_plate_mil, 1));
+        number("SUNMILSX", axis(self.sun_plate_sigma_mil, 0));
+        number("SUNMILSY", axis(self.sun_plate_sigma_mil, 1));
+        let mapping = self.mapping.as_ref();
+        number("MAPSCALE", mapping.map(|m| m.scale_mil_per_px));
+        number("MAPROT", mapping.map(|m| m.rotation_deg));
+        number("MAPRES", mapping.and_then(|m| m.residual_px));
+        let offset = self.offset_deg.as_ref();
+        number("OFFSETAZ", offset.map(|o| o.azimuth));
+        number("OFFSETEL", offset.map(|o| o.elevation));
+        number("OFFSETSG", offset.map(|o| o.sigma));
+        if let Some(mapping) = mapping {
+            cards.push(Card::new("MAPKIND", mapping.kind));
+        }
+        if let Some(marks) = &self.marks {
+            cards.push(Card::new("NMARKS", marks.len() as i64));
+        }
+        cards
+    }
+}
+
+fn marks(solution: &Solution) -> Vec<MarkRecord> {
+    let record = |mark: &crate::aspect::Mark| MarkRecord {
+        id: [mark.id.i, mark.id.j],
+        px: [mark.at.x, mark.at.y],
+        sigma_px: mark.sigma_px,
+    };
+    solution.marks.iter().map(record).collect()
+}
+
+fn mapping(aspect: &Aspect, adopted: &AdoptedMapping) -> MappingRecord {
+    let at: SensorPx = aspect.sun_px.position;
+    MappingRecord {
+        kind: adopted.name(),
+        scale_mil_per_px: adopted.mapping.scale_mil_per_px(at),
+        rotation_deg: adopted.mapping.rotation_deg(at),
+        residual_px: adopted.residual_px,
+    }
+}
+
+/// The marks and the limb's crossings of a frame, as tables for its file. Empty ones are left out.
+pub fn tables(solution: &Solution) -> Vec<Table> {
+    let column = |name: &str, unit: &str, values: Values| Column {
+        name: name.into(),
+        unit: unit.into(),
+        values,
+    };
+    let mut tables = Vec::new();
+    let marks = &solution.marks;
+    if !marks.is_empty() {
+        let floats =
+            |of: fn(&crate::aspect::Mark) -> f64| Values::Float(marks.iter().map(of).collect());
+        let whole = |of: fn(&crate::aspect::Mark) -> i32| {
+            Values::Integer(marks.iter().map(|mark| i64::from(of(mark))).collect())
+        };
+        tables.push(Table {
+            name: "MARKS".into(),
+            columns: vec![
+                column("I", "", whole(|mark| mark.id.i)),
+                column("J", "", whole(|mark| mark.id.j)),
+                column("X", "pixel", floats(|mark| mark.at.x)),
+                column("Y", "pixel", floats(|mark| mark.at.y)),
+                column("SIGMA", "pixel", floats(|mark| mark.sigma_px)),
+            ],
+        });
+    }
+    let crossings = &solution.crossings;
+    if !crossings.is_empty() {
+        let names = |of: fn(&crate::limb::Crossing) -> &'static str| {
+            Values::Text(crossings.iter().map(|c| of(c).to_string()).collect())
+        };
+        let along = |c: &crate::limb::Crossing| match c.axis {
+            Axis::Row => "row",
+            Axis::Column => "column",
+        };
+        let edge = |c: &crate::limb::Crossing| match c.edge {
+            Edge::Entering => "entering",
+            Edge::Leaving => "leaving",
+        };
+        tables.push(Table {
+            name: "LIMB".into(),
+            columns: vec![
+                column(
+                    "X",
+                    "pixel",
+                    Values::Float(crossings.iter().map(|c| c.at.x).collect()),
+                ),
+                column(
+                    "Y",
+                    "pixel",
+                    Values::Float(crossings.iter().map(|c| c.at.y).collect()),
+                ),
+                column("CHORD", "", names(along)),
+                column("EDGE", "", names(edge)),
+            ],
+        });
+    }
+    tables
+}
