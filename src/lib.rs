@@ -35,5 +35,7 @@
 pub mod frame;
 pub mod geometry;
 pub mod instrument;
+pub mod link;
 pub mod plate;
+pub mod simulate;
 pub mod units;
