@@ -10,7 +10,7 @@
 //!
 //! Source: HEROES flight program, 2013.
 
-use crc::{CRC_16_MODBUS, Crc};
+use crc::{CRC_16_MODBUS, Crc, Table};
 
 /// The two bytes every packet begins with: 0xC39A, little-endian.
 pub const SYNC: [u8; 2] = 0xC39A_u16.to_le_bytes();
@@ -20,7 +20,8 @@ pub const COMMAND_HEADER: usize = 8;
 pub const TELEMETRY_HEADER: usize = 16;
 
 const CHECKSUM_AT: usize = 6;
-const MODBUS: Crc<u16> = Crc::<u16>::new(&CRC_16_MODBUS);
+/// Sixteen bytes at a step: a parser may have to judge many false headers that claim long packets.
+static MODBUS: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MODBUS);
 
 /// Who a packet is for, or from.
 pub mod id {

@@ -247,7 +247,7 @@ mod tests {
     fn a_stream_of_nothing_but_headers_does_not_grow_the_buffer_for_ever() {
         let mut parser = Parser::new(Direction::ToController);
         let longest = 16 + 65535;
-        for _ in 0..1000 {
+        for _ in 0..200 {
             parser.feed(&[0x9A, 0xC3, 0x82, 0x30, 0xFF, 0xFF].repeat(100), START);
             assert!(parser.bytes.len() < longest + 600);
         }
