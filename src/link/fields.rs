@@ -1,0 +1,271 @@
+//! The fields of a payload, read and written one by one; each error names its message and what was expected.
+
+use super::message::MessageError;
+use jiff::{SignedDuration, Timestamp};
+
+/// Seconds and nanoseconds since 1970, where they fit 32 bits.
+pub fn unix_time(key: u16, time: Timestamp) -> Result<(u32, u32), MessageError> {
+    let found = || MessageError::Time {
+        key,
+        found: time.to_string(),
+    };
+    let seconds = u32::try_from(time.as_second()).map_err(|_| found())?;
+    let nanoseconds = u32::try_from(time.subsec_nanosecond()).map_err(|_| found())?;
+    Ok((seconds, nanoseconds))
+}
+
+/// Writes a message's key and fields.
+pub struct Writer {
+    key: u16,
+    bytes: Vec<u8>,
+}
+
+impl Writer {
+    pub fn new(key: u16) -> Self {
+        let bytes = key.to_le_bytes().to_vec();
+        Self { key, bytes }
+    }
+
+    pub fn finish(self) -> Vec<u8> {
+        self.bytes
+    }
+
+    pub fn u16(&mut self, value: u16) {
+        self.bytes.extend(value.to_le_bytes());
+    }
+
+    pub fn f32(&mut self, field: &'static str, value: f32) -> Result<(), MessageError> {
+        finite(self.key, field, value.into())?;
+        self.bytes.extend(value.to_le_bytes());
+        Ok(())
+    }
+
+    pub fn f64(&mut self, field: &'static str, value: f64) -> Result<(), MessageError> {
+        finite(self.key, field, value)?;
+        self.bytes.extend(value.to_le_bytes());
+        Ok(())
+    }
+
+    /// Seconds and milliseconds, the whole time rounded: .9996 s is the next second's 0 ms.
+    pub fn time_to_millisecond(&mut self, time: Timestamp) -> Result<(), MessageError> {
+        let (seconds, nanoseconds) = unix_time(self.key, time)?;
+        let milliseconds = (nanoseconds + 500_000) / 1_000_000;
+        let carried = seconds.checked_add(milliseconds / 1000);
+        let seconds = carried.ok_or_else(|| MessageError::Time {
+            key: self.key,
+            found: time.to_string(),
+        })?;
+        self.bytes.extend(seconds.to_le_bytes());
+        self.u16((milliseconds % 1000) as u16);
+        Ok(())
+    }
+}
+
+/// Reads a message's fields in order.
+pub struct Reader<'a> {
+    key: u16,
+    rest: &'a [u8],
+}
+
+impl<'a> Reader<'a> {
+    pub fn new(payload: &'a [u8]) -> Result<Self, MessageError> {
+        let (key, rest) = payload.split_first_chunk().ok_or(MessageError::NoKey {
+            found: payload.len(),
+        })?;
+        Ok(Self::after_key(u16::from_le_bytes(*key), rest))
+    }
+
+    /// What follows a key that has been read elsewhere.
+    pub fn after_key(key: u16, rest: &'a [u8]) -> Self {
+        Self { key, rest }
+    }
+
+    pub fn key(&self) -> u16 {
+        self.key
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], MessageError> {
+        let (bytes, rest) = self.rest.split_first_chunk().ok_or(MessageError::Short {
+            key: self.key,
+            expected: N,
+            found: self.rest.len(),
+        })?;
+        self.rest = rest;
+        Ok(*bytes)
+    }
+
+    pub fn u16(&mut self) -> Result<u16, MessageError> {
+        Ok(u16::from_le_bytes(self.take()?))
+    }
+
+    pub fn f32(&mut self, field: &'static str) -> Result<f32, MessageError> {
+        let value = f32::from_le_bytes(self.take()?);
+        finite(self.key, field, value.into())?;
+        Ok(value)
+    }
+
+    pub fn f64(&mut self, field: &'static str) -> Result<f64, MessageError> {
+        let value = f64::from_le_bytes(self.take()?);
+        finite(self.key, field, value)?;
+        Ok(value)
+    }
+
+    /// Up to 1000 ms: the flight program of 2013 rounded without carrying.
+    pub fn time_to_millisecond(&mut self) -> Result<Timestamp, MessageError> {
+        let seconds = u32::from_le_bytes(self.take()?);
+        let milliseconds = self.u16()?;
+        let refused = || MessageError::Time {
+            key: self.key,
+            found: format!("{seconds} s {milliseconds} ms"),
+        };
+        let millisecond = i64::from(seconds) * 1000 + i64::from(milliseconds);
+        match milliseconds {
+            0..=1000 => Timestamp::from_millisecond(millisecond).map_err(|_| refused()),
+            _ => Err(refused()),
+        }
+    }
+
+    pub fn time_f64(&mut self) -> Result<Timestamp, MessageError> {
+        let time = self.f64("time")?;
+        let refused = || MessageError::Time {
+            key: self.key,
+            found: format!("{time} s"),
+        };
+        if !(0.0..=f64::from(u32::MAX)).contains(&time) {
+            return Err(refused());
+        }
+        // Rounded on their own, the nanoseconds may come to a whole second.
+        let nanoseconds = (time.fract() * 1e9).round() as i64;
+        let seconds = Timestamp::from_second(time as i64).map_err(|_| refused())?;
+        seconds
+            .checked_add(SignedDuration::from_nanos(nanoseconds))
+            .map_err(|_| refused())
+    }
+
+    /// What is left, as 16-bit numbers; an odd last byte is left out.
+    pub fn words(&self) -> impl Iterator<Item = u16> {
+        let pairs = self.rest.chunks_exact(2);
+        pairs.map(|pair| u16::from_le_bytes([pair[0], pair[1]]))
+    }
+}
+
+fn finite(key: u16, field: &'static str, found: f64) -> Result<(), MessageError> {
+    if found.is_finite() {
+        Ok(())
+    } else {
+        Err(MessageError::NotFinite { key, field, found })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::message::key;
+    use crate::link::{ExposureStart, Message, Solution};
+
+    fn solution_at(time: &str) -> Solution {
+        Solution {
+            azimuth_deg: 0.0,
+            elevation_deg: 0.0,
+            roll_deg: 0.0,
+            error_deg: 0.0,
+            time: time.parse().unwrap(),
+        }
+    }
+
+    fn read_back(message: Message) -> Message {
+        let packet = message.packet(1, 1).unwrap();
+        Message::decode(packet.payload()).unwrap()
+    }
+
+    #[test]
+    fn the_last_half_millisecond_of_a_second_belongs_to_the_next() {
+        let sent = solution_at("2013-09-21T17:59:59.9996Z");
+        let expected = solution_at("2013-09-21T18:00:00Z");
+        assert_eq!(
+            read_back(Message::Solution(sent)),
+            Message::Solution(expected)
+        );
+    }
+
+    #[test]
+    fn a_thousand_milliseconds_are_a_second_and_more_are_refused() {
+        let sent = Message::Solution(solution_at("2013-09-21T18:00:00Z"));
+        let mut payload = sent.packet(1, 1).unwrap().payload().to_vec();
+        let at = payload.len() - 2;
+        payload[at..].copy_from_slice(&1000_u16.to_le_bytes());
+        let expected = solution_at("2013-09-21T18:00:01Z");
+        assert_eq!(Message::decode(&payload), Ok(Message::Solution(expected)));
+        payload[at..].copy_from_slice(&1001_u16.to_le_bytes());
+        assert!(matches!(
+            Message::decode(&payload),
+            Err(MessageError::Time { .. })
+        ));
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_and_times_beyond_32_bits_are_neither_sent_nor_read() {
+        let not_finite = Solution {
+            azimuth_deg: f64::NAN,
+            ..solution_at("2013-09-21T18:00:00Z")
+        };
+        let refused = Message::Solution(not_finite).packet(1, 1);
+        assert!(matches!(
+            refused,
+            Err(MessageError::NotFinite {
+                field: "azimuth",
+                ..
+            })
+        ));
+        for time in [
+            "1969-12-31T23:59:59Z",
+            "2106-02-07T06:28:15.9999Z",
+            "2107-01-01T00:00:00Z",
+        ] {
+            assert!(
+                Message::Solution(solution_at(time)).packet(1, 1).is_err(),
+                "{time}"
+            );
+        }
+        let exposure = |time: f64| {
+            let mut payload = key::EXPOSURE_START.to_le_bytes().to_vec();
+            payload.extend([1, 0]);
+            payload.extend(time.to_le_bytes());
+            Message::decode(&payload)
+        };
+        assert!(exposure(1e9).is_ok());
+        for time in [f64::NAN, f64::INFINITY, -1.0, 1e30] {
+            assert!(exposure(time).is_err(), "{time}");
+        }
+    }
+
+    #[test]
+    fn an_exposure_keeps_its_time_to_a_microsecond() {
+        for time in [
+            "2013-09-21T18:00:00.123456Z",
+            "2026-07-01T00:00:00.999999999Z",
+        ] {
+            let sent = ExposureStart {
+                camera: 1,
+                time: time.parse().unwrap(),
+            };
+            let Message::ExposureStart(read) = read_back(Message::ExposureStart(sent)) else {
+                panic!("another message came back");
+            };
+            assert!(read.time.duration_since(sent.time).abs() < SignedDuration::from_micros(1));
+        }
+    }
+
+    #[test]
+    fn bytes_that_pad_a_message_are_ignored_and_bytes_that_lack_are_missed() {
+        let payload = [0x0A, 0, 0, 0, 0x0A, 0x42, 0, 0, 0xC8, 0x41];
+        for length in 0..payload.len() {
+            assert!(
+                Message::decode(&payload[..length]).is_err(),
+                "{length} bytes"
+            );
+        }
+        let padded = [&payload[..], &[0; 3]].concat();
+        assert_eq!(Message::decode(&payload), Message::decode(&padded));
+    }
+}

@@ -1,0 +1,269 @@
+//! What packets say: the messages of the control loop, the ground's commands, and our answers.
+//!
+//! A payload begins with a key (u16) that names the message; the rest is fixed by the key. Bytes beyond that are
+//! ignored, as the flight program of 2013 did, so that a sender that pads its packets is still understood.
+
+use super::fields::{Reader, Writer, unix_time};
+use super::packet::{CommandPacket, PacketError, TelemetryPacket, id, telemetry_type};
+use jiff::Timestamp;
+
+/// The keys of messages.
+pub mod key {
+    pub const GPS: u16 = 0x000A;
+    pub const START_TRACKING: u16 = 0x1000;
+    pub const STOP_TRACKING: u16 = 0x1001;
+    pub const ASPECT_COMMAND: u16 = 0x10FF;
+    pub const TRACKING_ON: u16 = 0x1100;
+    pub const TRACKING_OFF: u16 = 0x1101;
+    pub const SOLUTION: u16 = 0x1102;
+    pub const ERROR: u16 = 0x1103;
+    pub const EXPOSURE_START: u16 = 0x1104;
+}
+
+/// The camera's number in an exposure packet: 1, whichever computer sends it.
+pub const CAMERA: u16 = 1;
+
+/// Why a message cannot be read or written.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum MessageError {
+    #[error("message: expected a key of 2 bytes, found {found} bytes")]
+    NoKey { found: usize },
+    #[error("message: expected a known key, found {key:#06x}")]
+    UnknownKey { key: u16 },
+    #[error("message {key:#06x}: expected {expected} bytes, found {found}")]
+    Short {
+        key: u16,
+        expected: usize,
+        found: usize,
+    },
+    #[error("message {key:#06x}, {field}: expected a finite number, found {found}")]
+    NotFinite {
+        key: u16,
+        field: &'static str,
+        found: f64,
+    },
+    #[error("message {key:#06x}, time: expected a time from 1970 to 2106, found {found}")]
+    Time { key: u16, found: String },
+    #[error("aspect command {key:#06x}: expected {expected} variables, found {found}")]
+    Variables {
+        key: u16,
+        expected: usize,
+        found: usize,
+    },
+    #[error("telemetry: expected type 01 (receipt) or e1 (result), found {kind:02x}")]
+    UnknownTelemetry { kind: u8 },
+    #[error(transparent)]
+    Packet(#[from] PacketError),
+}
+
+/// Where the telescope points, minus the target, at the start of an exposure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Solution {
+    /// Plain difference of azimuths, deg.
+    pub azimuth_deg: f64,
+    pub elevation_deg: f64,
+    pub roll_deg: f64,
+    /// 1 sigma per axis of true angle, deg.
+    pub error_deg: f64,
+    /// The time its exposure packet announced; sent to the nearest millisecond.
+    pub time: Timestamp,
+}
+
+/// An exposure is about to start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExposureStart {
+    pub camera: u16,
+    pub time: Timestamp,
+}
+
+/// The gondola's place, as the ground sends it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GpsFix {
+    pub latitude_deg: f32,
+    /// East positive.
+    pub longitude_deg: f32,
+}
+
+/// A command of the ground to the aspect system, as it travels: a key and as many variables as its low 4 bits say.
+/// Its top 4 bits name the computers it is for; [`Command`](super::Command) is what it means.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AspectCommand {
+    key: u16,
+    variables: Vec<u16>,
+}
+
+impl AspectCommand {
+    /// A command whose number of variables is the one its key states.
+    pub fn new(key: u16, variables: Vec<u16>) -> Result<Self, MessageError> {
+        let (expected, found) = (variable_count(key), variables.len());
+        if found != expected {
+            return Err(MessageError::Variables {
+                key,
+                expected,
+                found,
+            });
+        }
+        Ok(Self { key, variables })
+    }
+
+    fn read(input: &mut Reader) -> Result<Self, MessageError> {
+        let key = input.u16()?;
+        let variables = input.words().take(variable_count(key)).collect();
+        Self::new(key, variables)
+    }
+
+    /// The key with the computers' bits.
+    pub fn key(&self) -> u16 {
+        self.key
+    }
+
+    pub fn variables(&self) -> &[u16] {
+        &self.variables
+    }
+}
+
+/// A message in a command packet.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Message {
+    // From us to the controller.
+    TrackingOn,
+    TrackingOff,
+    Solution(Solution),
+    /// No solution for an announced exposure, with the reason's number.
+    Error {
+        code: u16,
+    },
+    ExposureStart(ExposureStart),
+    // To us, from the controller or the ground.
+    StartTracking,
+    StopTracking,
+    Gps(GpsFix),
+    Aspect(AspectCommand),
+}
+
+impl Message {
+    pub fn key(&self) -> u16 {
+        match self {
+            Self::TrackingOn => key::TRACKING_ON,
+            Self::TrackingOff => key::TRACKING_OFF,
+            Self::Solution(_) => key::SOLUTION,
+            Self::Error { .. } => key::ERROR,
+            Self::ExposureStart(_) => key::EXPOSURE_START,
+            Self::StartTracking => key::START_TRACKING,
+            Self::StopTracking => key::STOP_TRACKING,
+            Self::Gps(_) => key::GPS,
+            Self::Aspect(_) => key::ASPECT_COMMAND,
+        }
+    }
+
+    /// The message as a packet. Numbers that are not finite and times that do not fit are refused.
+    pub fn packet(&self, target: u8, sequence: u16) -> Result<CommandPacket, MessageError> {
+        Ok(CommandPacket::new(target, sequence, self.payload()?)?)
+    }
+
+    fn payload(&self) -> Result<Vec<u8>, MessageError> {
+        let mut out = Writer::new(self.key());
+        match self {
+            Self::TrackingOn | Self::TrackingOff | Self::StartTracking | Self::StopTracking => {}
+            Self::Solution(solution) => {
+                out.f64("azimuth", solution.azimuth_deg)?;
+                out.f64("elevation", solution.elevation_deg)?;
+                out.f64("roll", solution.roll_deg)?;
+                out.f64("error", solution.error_deg)?;
+                out.time_to_millisecond(solution.time)?;
+            }
+            Self::Error { code } => out.u16(*code),
+            Self::ExposureStart(exposure) => {
+                out.u16(exposure.camera);
+                let (seconds, nanoseconds) = unix_time(key::EXPOSURE_START, exposure.time)?;
+                out.f64("time", f64::from(seconds) + f64::from(nanoseconds) / 1e9)?;
+            }
+            Self::Gps(fix) => {
+                out.f32("latitude", fix.latitude_deg)?;
+                out.f32("longitude", fix.longitude_deg)?;
+            }
+            Self::Aspect(command) => {
+                out.u16(command.key);
+                command.variables.iter().for_each(|&v| out.u16(v));
+            }
+        }
+        Ok(out.finish())
+    }
+
+    /// Reads the payload of a command packet.
+    pub fn decode(payload: &[u8]) -> Result<Self, MessageError> {
+        let mut input = Reader::new(payload)?;
+        Ok(match input.key() {
+            key::TRACKING_ON => Self::TrackingOn,
+            key::TRACKING_OFF => Self::TrackingOff,
+            key::SOLUTION => Self::Solution(Solution {
+                azimuth_deg: input.f64("azimuth")?,
+                elevation_deg: input.f64("elevation")?,
+                roll_deg: input.f64("roll")?,
+                error_deg: input.f64("error")?,
+                time: input.time_to_millisecond()?,
+            }),
+            key::ERROR => Self::Error { code: input.u16()? },
+            key::EXPOSURE_START => Self::ExposureStart(ExposureStart {
+                camera: input.u16()?,
+                time: input.time_f64()?,
+            }),
+            key::START_TRACKING => Self::StartTracking,
+            key::STOP_TRACKING => Self::StopTracking,
+            key::GPS => Self::Gps(GpsFix {
+                latitude_deg: input.f32("latitude")?,
+                longitude_deg: input.f32("longitude")?,
+            }),
+            key::ASPECT_COMMAND => Self::Aspect(AspectCommand::read(&mut input)?),
+            key => return Err(MessageError::UnknownKey { key }),
+        })
+    }
+}
+
+/// What a telemetry packet of the link says: every command is answered by a receipt and a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Telemetry {
+    /// The command with this sequence number has arrived.
+    Receipt { sequence: u16 },
+    /// What came of it: `value` is 0 (done), 1 (not implemented), 0xFFFF (unknown), or what a read has read.
+    Result { sequence: u16, key: u16, value: u16 },
+}
+
+impl Telemetry {
+    /// The answer as a packet made at `time`.
+    pub fn packet(&self, time: Timestamp) -> Result<TelemetryPacket, MessageError> {
+        let (kind, words) = match *self {
+            Self::Receipt { sequence } => (telemetry_type::RECEIPT, vec![sequence]),
+            Self::Result {
+                sequence,
+                key,
+                value,
+            } => (telemetry_type::RESULT, vec![sequence, key, value]),
+        };
+        let payload = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        let time = unix_time(kind.into(), time)?;
+        Ok(TelemetryPacket::new(kind, id::ASPECT, time, payload)?)
+    }
+
+    /// Reads a receipt or a result.
+    pub fn decode(packet: &TelemetryPacket) -> Result<Self, MessageError> {
+        let kind = packet.kind();
+        let mut input = Reader::after_key(kind.into(), packet.payload());
+        match kind {
+            telemetry_type::RECEIPT => Ok(Self::Receipt {
+                sequence: input.u16()?,
+            }),
+            telemetry_type::RESULT => Ok(Self::Result {
+                sequence: input.u16()?,
+                key: input.u16()?,
+                value: input.u16()?,
+            }),
+            kind => Err(MessageError::UnknownTelemetry { kind }),
+        }
+    }
+}
+
+/// How many variables an aspect command has: the low 4 bits of its key.
+pub fn variable_count(key: u16) -> usize {
+    usize::from(key & 0x000F)
+}

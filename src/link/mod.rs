@@ -1,0 +1,27 @@
+//! The line to the gondola's controller: packets, messages, the command table and the port.
+//!
+//! ```text
+//! port (bytes) -> Parser -> Packet -> Message -> Responder -> packets to send and what has changed
+//! ```
+//!
+//! Nothing here starts a thread or reads a clock: the times are arguments, and the flight service owns the loop.
+//! The interface is that of the HEROES flight program (2013, repository HEROES-GSFC/SAS); `docs/protocol.md`
+//! sets it out in tables.
+
+pub mod code;
+pub mod command;
+mod fields;
+pub mod message;
+pub mod packet;
+pub mod parser;
+pub mod port;
+pub mod responder;
+
+pub use command::{COMMANDS, Command, CommandError, CommandRow, Computer};
+pub use message::{
+    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Solution, Telemetry,
+};
+pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
+pub use parser::{Parser, Rejected};
+pub use port::{BytePort, PortError, SerialPort};
+pub use responder::{Change, LinkState, Reply, Responder};

@@ -1,0 +1,511 @@
+//! The gondola's controller at the other end of the line: it starts tracking and checks all that comes.
+//!
+//! A solution must be of an exposure that was announced, packets must be numbered one by one, and every command of
+//! the controller must be answered. What is wrong is counted by kind in the [`Report`], never fatal: only the
+//! port can fail.
+
+use crate::link::message::CAMERA;
+use crate::link::{
+    BytePort, CommandPacket, Direction, ExposureStart, Message, Packet, Parser, PortError,
+    Solution, Telemetry, TelemetryPacket, id,
+};
+use jiff::{SignedDuration, Timestamp};
+use std::collections::VecDeque;
+use std::fmt;
+use std::time::{Duration, Instant};
+
+/// How long one [`Controller::poll`] waits for bytes.
+pub const POLL: Duration = Duration::from_millis(20);
+/// A start or stop that is not answered is sent again after this.
+const PATIENCE: Duration = Duration::from_secs(1);
+const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
+/// How many announced exposures, and own commands, are remembered.
+const MEMORY: usize = 256;
+/// A solution's time is rounded to 1 ms, an announcement's to 0.24 us (an f64 of seconds).
+const SAME_TIME: SignedDuration = SignedDuration::from_micros(501);
+
+/// What is wrong with what came.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Faults {
+    /// Sync words from which no packet came: wrong checksums, false headers, packets cut off.
+    pub broken: u64,
+    /// Breaks in the numbering: packets were lost, or the sender began anew.
+    pub out_of_sequence: u64,
+    /// Unknown keys, payloads too short, numbers that are not finite.
+    pub unreadable: u64,
+    /// Messages that are not for a controller, and answers to what it never sent.
+    pub unexpected: u64,
+    /// Solutions of exposures that were not announced, or second ones of the same exposure.
+    pub unannounced: u64,
+    /// Solutions and errors after "tracking is off".
+    pub unasked: u64,
+    /// Commands answered by anything but "done".
+    pub refused: u64,
+}
+
+impl Faults {
+    pub fn total(&self) -> u64 {
+        let packets = self.broken + self.unreadable + self.unexpected;
+        packets + self.out_of_sequence + self.unannounced + self.unasked + self.refused
+    }
+}
+
+/// What has come so far.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Report {
+    pub tracking_on: u64,
+    pub tracking_off: u64,
+    pub announcements: u64,
+    /// Every solution in the order of arrival, also the faulty ones.
+    pub solutions: Vec<Solution>,
+    pub errors: u64,
+    pub receipts: u64,
+    pub results: u64,
+    /// Telemetry other than receipts and results.
+    pub other_telemetry: u64,
+    /// Bytes that belong to no packet. No fault in themselves: a line may be joined in the middle of a packet.
+    pub stray_bytes: u64,
+    pub faults: Faults,
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter) -> fmt::Result {
+        let Self {
+            faults, solutions, ..
+        } = self;
+        writeln!(
+            out,
+            "received: {} solutions, {} errors, {} announcements, {} tracking on, {} tracking off, \
+             {} receipts, {} results, {} other telemetry",
+            solutions.len(),
+            self.errors,
+            self.announcements,
+            self.tracking_on,
+            self.tracking_off,
+            self.receipts,
+            self.results,
+            self.other_telemetry,
+        )?;
+        write!(
+            out,
+            "bad: {} broken, {} out of sequence, {} unreadable, {} unexpected, {} unannounced, {} unasked, \
+             {} refused; {} stray bytes",
+            faults.broken,
+            faults.out_of_sequence,
+            faults.unreadable,
+            faults.unexpected,
+            faults.unannounced,
+            faults.unasked,
+            faults.refused,
+            self.stray_bytes,
+        )
+    }
+}
+
+/// What the controller wants of the aspect system.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Wish {
+    Track,
+    Rest,
+}
+
+/// The controller's side of the link. It wants tracking from the start.
+#[derive(Debug)]
+pub struct Controller {
+    parser: Parser,
+    wish: Wish,
+    /// What the aspect system has said last of its tracking.
+    answer: Option<Wish>,
+    asked_at: Option<Duration>,
+    sequence: u16,
+    sent: VecDeque<u16>,
+    last_heard: Option<u16>,
+    announced: VecDeque<Timestamp>,
+    report: Report,
+}
+
+impl Default for Controller {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Controller {
+    pub fn new() -> Self {
+        Self {
+            parser: Parser::new(Direction::ToController),
+            wish: Wish::Track,
+            answer: None,
+            asked_at: None,
+            sequence: 0,
+            sent: VecDeque::new(),
+            last_heard: None,
+            announced: VecDeque::new(),
+            report: Report::default(),
+        }
+    }
+
+    /// What has come so far.
+    pub fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// The last offset that came.
+    pub fn last_solution(&self) -> Option<&Solution> {
+        self.report.solutions.last()
+    }
+
+    /// Whether the aspect system has said that its tracking is as this controller wants it.
+    pub fn is_obeyed(&self) -> bool {
+        self.answer == Some(self.wish)
+    }
+
+    /// From now on, tracking is to stop.
+    pub fn stop_tracking(&mut self) {
+        self.wish = Wish::Rest;
+        self.asked_at = None;
+    }
+
+    /// One step: asks for what is wanted where it is due, waits at most [`POLL`] for bytes, checks what came and
+    /// gives the messages of it. `now` is a monotonic time since any start.
+    pub fn poll(
+        &mut self,
+        port: &mut dyn BytePort,
+        now: Duration,
+    ) -> Result<Vec<Message>, PortError> {
+        self.ask(port, now)?;
+        let mut buffer = [0; 1024];
+        let count = port.read(&mut buffer, POLL)?;
+        let packets = self.parser.feed(&buffer[..count], now);
+        let rejected = self.parser.rejected();
+        self.report.faults.broken = rejected.packets;
+        self.report.stray_bytes = rejected.bytes;
+        Ok(packets.iter().filter_map(|p| self.receive(p)).collect())
+    }
+
+    /// Polls until `stopped` says so, then stops the tracking and waits a second at most for the answer.
+    /// `heard` is called with every message as it comes.
+    pub fn run(
+        &mut self,
+        port: &mut dyn BytePort,
+        mut stopped: impl FnMut() -> bool,
+        mut heard: impl FnMut(&Message),
+    ) -> Result<&Report, PortError> {
+        let start = Instant::now();
+        while !stopped() {
+            self.poll(port, start.elapsed())?
+                .iter()
+                .for_each(&mut heard);
+        }
+        self.stop_tracking();
+        let end = start.elapsed() + PATIENCE;
+        while !self.is_obeyed() && start.elapsed() < end {
+            self.poll(port, start.elapsed())?
+                .iter()
+                .for_each(&mut heard);
+        }
+        Ok(&self.report)
+    }
+
+    fn ask(&mut self, port: &mut dyn BytePort, now: Duration) -> Result<(), PortError> {
+        let waiting = self
+            .asked_at
+            .is_some_and(|at| now.saturating_sub(at) < PATIENCE);
+        if self.is_obeyed() || waiting {
+            return Ok(());
+        }
+        let message = match self.wish {
+            Wish::Track => Message::StartTracking,
+            Wish::Rest => Message::StopTracking,
+        };
+        self.sequence = self.sequence.wrapping_add(1);
+        // Neither message has a field that could be refused.
+        if let Ok(packet) = message.packet(id::ASPECT, self.sequence) {
+            port.write(&packet.encode(), WRITE_TIMEOUT)?;
+        }
+        remember(&mut self.sent, self.sequence);
+        self.asked_at = Some(now);
+        Ok(())
+    }
+
+    fn receive(&mut self, packet: &Packet) -> Option<Message> {
+        match packet {
+            Packet::Command(packet) => self.receive_command(packet),
+            Packet::Telemetry(packet) => {
+                self.receive_telemetry(packet);
+                None
+            }
+        }
+    }
+
+    fn receive_command(&mut self, packet: &CommandPacket) -> Option<Message> {
+        let sequence = packet.sequence();
+        if self
+            .last_heard
+            .is_some_and(|last| sequence != last.wrapping_add(1))
+        {
+            self.report.faults.out_of_sequence += 1;
+        }
+        self.last_heard = Some(sequence);
+        if !matches!(packet.target(), id::CONTROLLER | id::EVERYONE) {
+            self.report.faults.unexpected += 1;
+            return None;
+        }
+        match Message::decode(packet.payload()) {
+            Ok(message) => {
+                self.take(&message);
+                Some(message)
+            }
+            Err(_) => {
+                self.report.faults.unreadable += 1;
+                None
+            }
+        }
+    }
+
+    fn take(&mut self, message: &Message) {
+        match message {
+            Message::TrackingOn => {
+                self.report.tracking_on += 1;
+                self.answer = Some(Wish::Track);
+            }
+            Message::TrackingOff => {
+                self.report.tracking_off += 1;
+                self.answer = Some(Wish::Rest);
+            }
+            Message::ExposureStart(exposure) => self.take_announcement(exposure),
+            Message::Solution(solution) => self.take_solution(solution),
+            Message::Error { .. } => {
+                self.report.errors += 1;
+                self.check_asked();
+            }
+            Message::StartTracking
+            | Message::StopTracking
+            | Message::Gps(_)
+            | Message::Aspect(_) => self.report.faults.unexpected += 1,
+        }
+    }
+
+    fn take_announcement(&mut self, exposure: &ExposureStart) {
+        self.report.announcements += 1;
+        if exposure.camera != CAMERA {
+            self.report.faults.unexpected += 1;
+        }
+        remember(&mut self.announced, exposure.time);
+    }
+
+    fn take_solution(&mut self, solution: &Solution) {
+        self.report.solutions.push(*solution);
+        self.check_asked();
+        let same_time =
+            |announced: &Timestamp| announced.duration_since(solution.time).abs() <= SAME_TIME;
+        match self.announced.iter().position(same_time) {
+            Some(at) => drop(self.announced.remove(at)),
+            None => self.report.faults.unannounced += 1,
+        }
+    }
+
+    fn check_asked(&mut self) {
+        if self.answer == Some(Wish::Rest) {
+            self.report.faults.unasked += 1;
+        }
+    }
+
+    fn receive_telemetry(&mut self, packet: &TelemetryPacket) {
+        use crate::link::packet::telemetry_type::{RECEIPT, RESULT};
+        if !matches!(packet.kind(), RECEIPT | RESULT) {
+            self.report.other_telemetry += 1;
+            return;
+        }
+        match Telemetry::decode(packet) {
+            Ok(Telemetry::Receipt { sequence }) => {
+                self.report.receipts += 1;
+                self.check_sent(sequence);
+            }
+            Ok(Telemetry::Result {
+                sequence, value, ..
+            }) => {
+                self.report.results += 1;
+                self.check_sent(sequence);
+                if value != crate::link::responder::result::DONE {
+                    self.report.faults.refused += 1;
+                }
+            }
+            Err(_) => self.report.faults.unreadable += 1,
+        }
+    }
+
+    fn check_sent(&mut self, sequence: u16) {
+        if !self.sent.contains(&sequence) {
+            self.report.faults.unexpected += 1;
+        }
+    }
+}
+
+fn remember<T>(memory: &mut VecDeque<T>, item: T) {
+    if memory.len() == MEMORY {
+        memory.pop_front();
+    }
+    memory.push_back(item);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A port whose other end says what it is told to and keeps what it hears.
+    #[derive(Default)]
+    struct Script {
+        to_say: VecDeque<Vec<u8>>,
+        heard: Vec<Vec<u8>>,
+    }
+
+    impl BytePort for Script {
+        fn read(&mut self, buffer: &mut [u8], _: Duration) -> Result<usize, PortError> {
+            let bytes = self.to_say.pop_front().unwrap_or_default();
+            buffer[..bytes.len()].copy_from_slice(&bytes);
+            Ok(bytes.len())
+        }
+
+        fn write(&mut self, bytes: &[u8], _: Duration) -> Result<(), PortError> {
+            self.heard.push(bytes.to_vec());
+            Ok(())
+        }
+    }
+
+    fn time(millisecond: i64) -> Timestamp {
+        Timestamp::from_millisecond(1_379_786_400_000 + millisecond).unwrap()
+    }
+
+    fn announcement(millisecond: i64) -> Message {
+        let time = time(millisecond);
+        Message::ExposureStart(ExposureStart { camera: 1, time })
+    }
+
+    fn solution(millisecond: i64) -> Message {
+        Message::Solution(Solution {
+            azimuth_deg: 0.1,
+            elevation_deg: 0.2,
+            roll_deg: 0.0,
+            error_deg: 1e-5,
+            time: time(millisecond),
+        })
+    }
+
+    /// The report after the messages have come in this order, numbered from 1.
+    fn report_of(messages: &[Message]) -> Report {
+        let numbered = (1..).zip(messages);
+        report_of_packets(numbered.map(|(n, m)| m.packet(id::CONTROLLER, n).unwrap().encode()))
+    }
+
+    fn report_of_packets(packets: impl Iterator<Item = Vec<u8>>) -> Report {
+        let mut port = Script {
+            to_say: packets.collect(),
+            ..Script::default()
+        };
+        let mut controller = Controller::new();
+        while !port.to_say.is_empty() {
+            controller.poll(&mut port, Duration::ZERO).unwrap();
+        }
+        controller.report().clone()
+    }
+
+    #[test]
+    fn a_flawless_conversation_has_no_fault() {
+        let report = report_of(&[
+            Message::TrackingOn,
+            announcement(0),
+            announcement(250),
+            solution(0),
+            solution(250),
+            announcement(500),
+            Message::Error { code: 3 },
+            Message::TrackingOff,
+        ]);
+        assert_eq!(report.faults, Faults::default());
+        assert_eq!(
+            (report.solutions.len(), report.announcements, report.errors),
+            (2, 3, 1)
+        );
+        assert_eq!((report.tracking_on, report.tracking_off), (1, 1));
+    }
+
+    #[test]
+    fn a_solution_that_was_not_announced_or_comes_twice_is_a_fault() {
+        assert_eq!(
+            report_of(&[announcement(0), solution(2)])
+                .faults
+                .unannounced,
+            1
+        );
+        let twice = [announcement(0), solution(0), solution(0)];
+        assert_eq!(report_of(&twice).faults.unannounced, 1);
+    }
+
+    #[test]
+    fn a_solution_after_tracking_is_off_is_a_fault() {
+        let report = report_of(&[announcement(0), Message::TrackingOff, solution(0)]);
+        assert_eq!(report.faults.unasked, 1);
+        assert_eq!(report.faults.total(), 1);
+    }
+
+    #[test]
+    fn lost_broken_unreadable_and_unexpected_packets_are_faults() {
+        let packet = |n, m: Message| m.packet(id::CONTROLLER, n).unwrap().encode();
+        let mut broken = packet(2, announcement(0));
+        broken[9] ^= 0x40;
+        let mut not_finite = packet(4, solution(0));
+        not_finite[10..18].copy_from_slice(&f64::NAN.to_le_bytes());
+        let not_finite = CommandPacket::new(id::CONTROLLER, 4, not_finite[8..].to_vec()).unwrap();
+        let stray_answer = Telemetry::Receipt { sequence: 77 }.packet(time(0)).unwrap();
+        let refusal = Telemetry::Result {
+            sequence: 1,
+            key: 0x1000,
+            value: 1,
+        };
+        let report = report_of_packets(
+            [
+                packet(1, announcement(0)),
+                broken,
+                packet(3, announcement(0)),
+                not_finite.encode(),
+                packet(5, Message::StartTracking),
+                stray_answer.encode(),
+                refusal.packet(time(0)).unwrap().encode(),
+            ]
+            .into_iter(),
+        );
+        let expected = Faults {
+            broken: 1,
+            out_of_sequence: 1,
+            unreadable: 1,
+            unexpected: 2,
+            refused: 1,
+            ..Faults::default()
+        };
+        assert_eq!(report.faults, expected);
+        assert_eq!(expected.total(), 6);
+    }
+
+    #[test]
+    fn tracking_is_asked_for_until_it_is_on() {
+        let mut controller = Controller::new();
+        let mut port = Script::default();
+        let start = Duration::from_secs(100);
+        for second in [0.0, 0.5, 0.99, 1.0, 1.5, 2.0] {
+            let now = start + Duration::from_secs_f64(second);
+            controller.poll(&mut port, now).unwrap();
+        }
+        assert_eq!(port.heard.len(), 3);
+        let on = Message::TrackingOn.packet(id::CONTROLLER, 1).unwrap();
+        port.to_say.push_back(on.encode());
+        controller.poll(&mut port, start + 2 * PATIENCE).unwrap();
+        assert!(controller.is_obeyed());
+        controller.poll(&mut port, start + 100 * PATIENCE).unwrap();
+        assert_eq!(port.heard.len(), 3);
+        controller.stop_tracking();
+        controller.poll(&mut port, start + 100 * PATIENCE).unwrap();
+        let stop = Message::StopTracking.packet(id::ASPECT, 4).unwrap();
+        assert_eq!(port.heard.last(), Some(&stop.encode()));
+    }
+}
