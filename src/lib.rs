@@ -36,4 +36,5 @@ pub mod frame;
 pub mod geometry;
 pub mod instrument;
 pub mod plate;
+pub mod simulate;
 pub mod units;
