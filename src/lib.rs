@@ -32,6 +32,7 @@
 //! Pixel (0, 0) is the **centre** of the first pixel; x grows along a row, y down the rows. Plate positions
 //! are in mil (25.4 um) from the plate's centre. Rotation on the sensor is positive from +x towards +y.
 
+pub mod cli;
 pub mod frame;
 pub mod geometry;
 pub mod instrument;

@@ -21,15 +21,17 @@ mod noise;
 mod random;
 mod render;
 mod scene;
+mod trajectory;
 
 pub use blemish::{Blemishes, Counts, Dust, HotPixel, Leak, Scratch};
-pub use flight::{FlightScenes, MAX_SLEW_DEG_PER_S, Trajectory};
+pub use flight::FlightScenes;
 pub use noise::{Depth, Noise};
 pub use random::{Conditions, RandomScenes, SunInView};
 pub use render::{SAMPLES_PER_PX, render_exact, render_oversampled};
 pub use scene::{
     LitMark, Picture, Scene, SceneError, Sun, Sunspot, Truth, TruthOfSun, keystoned, scattered,
 };
+pub use trajectory::{MAX_SLEW_DEG_PER_S, Trajectory};
 
 use crate::units::Place;
 use rand::SeedableRng;

@@ -1,0 +1,3 @@
+//! One small file per command; no logic.
+
+pub mod simulate;
