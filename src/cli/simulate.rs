@@ -278,3 +278,82 @@ impl SunArgs {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Program {
+        #[command(flatten)]
+        simulate: SimulateArgs,
+    }
+
+    fn parse(options: &str) -> Result<SimulateArgs, String> {
+        let words = ["simulate"].into_iter().chain(options.split_whitespace());
+        match Program::try_parse_from(words) {
+            Ok(program) => Ok(program.simulate),
+            Err(error) => Err(error.to_string().lines().next().unwrap_or_default().into()),
+        }
+    }
+
+    #[test]
+    fn values_may_begin_with_a_minus() {
+        let args = parse("--out a --rotation -3.5 --keystone -2 --plate-centre -10.5,-20").unwrap();
+        assert_eq!(args.optics.rotation, -3.5);
+        assert_eq!(args.optics.keystone, -2.0);
+        assert_eq!(args.optics.plate_centre, Some(SensorPx::new(-10.5, -20.0)));
+    }
+
+    #[test]
+    fn a_refused_value_names_option_and_range() {
+        for (options, wanted) in [
+            ("--contrast 1.2", ["--contrast", "from 0 to 1"]),
+            ("--noise NaN", ["--noise", "from 0 to 255 DN"]),
+            ("--frames 0", ["--frames", "1..=100000"]),
+            ("--plate-centre 3", ["--plate-centre", "expected X,Y"]),
+            ("--bits 10", ["--bits", "10"]),
+        ] {
+            let message = parse(&format!("--out a {options}")).unwrap_err();
+            for part in wanted {
+                assert!(message.contains(part), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn frames_are_numbered_timed_and_listed_with_their_truth() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("new");
+        let mut args = parse("--out a --frames 2 --rate 2 --utc 2013-09-21T23:59:59.75Z").unwrap();
+        args.out.clone_from(&out);
+        let written = std::cell::RefCell::new(Vec::new());
+        let write = |path: &Path, frame: &Frame| {
+            let name = path.strip_prefix(&out)?.display().to_string();
+            let utc = frame.info.mid_exposure.map(|t| t.to_string());
+            written.borrow_mut().push((name, utc.unwrap_or_default()));
+            Ok(())
+        };
+        run(&args, write).unwrap();
+        let expected = [
+            ("frame_00000.fits", "2013-09-21T23:59:59.75Z"),
+            ("frame_00001.fits", "2013-09-22T00:00:00.25Z"),
+        ]
+        .map(|(name, utc)| (name.to_string(), utc.to_string()));
+        assert_eq!(*written.borrow(), expected);
+        let truth = std::fs::read_to_string(out.join("truth.csv")).unwrap();
+        let lines: Vec<&str> = truth.lines().collect();
+        assert_eq!(lines[0], "n,sun_x,sun_y,plate_x,plate_y,radius");
+        assert_eq!(lines.len(), 3);
+        let row: Vec<f64> = lines[2].split(',').map(|v| v.parse().unwrap()).collect();
+        // The demo instrument: plate centre at (647.5, 482.5), mirrored, 5.75 mil/px.
+        assert!((row[3] - (647.5 - row[1]) * 5.75).abs() < 1e-4);
+        assert!((row[4] - (row[2] - 482.5) * 5.75).abs() < 1e-4);
+        assert!((row[5] - 95.163).abs() < 1e-3);
+        args.sun.no_sun = true;
+        run(&args, |_, _| Ok(())).unwrap();
+        let truth = std::fs::read_to_string(out.join("truth.csv")).unwrap();
+        assert_eq!(truth.lines().nth(2), Some("1,,,,,"));
+    }
+}

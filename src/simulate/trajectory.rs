@@ -55,8 +55,8 @@ pub(super) struct Swing {
 impl Trajectory {
     /// The demonstration's path: the Sun is absent only between 60 % and 75 % of `duration`.
     ///
-    /// While the whole disc is in view it keeps to [`MAX_SLEW_DEG_PER_S`]. In a run of less than about a minute and
-    /// a half it crosses the edge of the field faster than that, or it could not be gone and back in time.
+    /// While the whole disc is in view it keeps to [`MAX_SLEW_DEG_PER_S`]. In a run of less than about two and
+    /// a half minutes it crosses the edge of the field faster than that, or it could not be gone and back in time.
     pub fn demo(
         instrument: &Instrument,
         radius_mil: f64,
@@ -240,7 +240,7 @@ impl Plan {
         }
         self.start = to;
         self.slews.reverse();
-        let longest_s = 0.3 * (absence_s.end - absence_s.start);
+        let longest_s = 0.4 * (absence_s.end - absence_s.start);
         let transit_s = self.slew_s(self.gate, self.away).min(longest_s);
         let (gate, away) = (self.gate, self.away);
         self.slew(absence_s.start..absence_s.start + transit_s, gate, away);
