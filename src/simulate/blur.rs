@@ -1,5 +1,7 @@
 //! Blur and pixel integration in one separable kernel, from sub-samples to pixels.
 
+use super::coverage::TENT_VARIANCE;
+
 /// Half the width of the kernel, in sigma: what lies beyond is 1e-5 of the light.
 const REACH_SIGMA: f64 = 4.5;
 
@@ -16,9 +18,10 @@ impl Kernel {
     /// Gaussian of `blur_px` (1 sigma), integrated over the pixel.
     ///
     /// A sub-sample already stands for the mean over its own small square, so a plain mean of S x S of them is the
-    /// pixel's integral, and the sampled Gaussian needs no correction for the grid.
+    /// pixel's integral. What the sub-sample's tent blurs beyond that square is taken from the Gaussian.
     pub(super) fn new(blur_px: f64, samples_per_px: usize) -> Self {
-        let sigma = blur_px * samples_per_px as f64;
+        let sigma = (blur_px * samples_per_px as f64).powi(2) - TENT_VARIANCE;
+        let sigma = sigma.max(0.0).sqrt();
         let reach = (REACH_SIGMA * sigma).ceil() as usize;
         let gauss = |tap: f64| {
             if sigma > 0.0 {

@@ -16,6 +16,7 @@
 
 mod blemish;
 mod blur;
+mod coverage;
 mod flight;
 mod noise;
 mod random;

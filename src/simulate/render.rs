@@ -2,6 +2,7 @@
 
 use super::blemish::Scratch;
 use super::blur::Kernel;
+use super::coverage::{Edge, Footprint};
 use super::scene::{Scene, Sun, Sunspot};
 use crate::geometry::Mapping;
 use crate::units::{PlateMil, SensorPx};
@@ -99,8 +100,7 @@ struct Grid {
     rows: usize,
     node_columns: usize,
     nodes: Vec<[f64; 2]>,
-    /// Side of a sub-sample on the plate: over this width an edge runs from none to all.
-    ramp_mil: f32,
+    footprint: Footprint,
 }
 
 impl Grid {
@@ -117,6 +117,7 @@ impl Grid {
         let node_columns = width.div_ceil(NODE_STEP_PX) + 1;
         let node_rows = height.div_ceil(NODE_STEP_PX) + 1;
         let step = NODE_STEP_PX as f64;
+        let per_px = (scene.mapping).plate_jacobian(scene.mapping.to_sensor(sun.centre));
         let nodes = (0..node_rows * node_columns).map(|node| {
             let (row, column) = (node / node_columns, node % node_columns);
             let seen = SensorPx::new(first.x + column as f64 * step, first.y + row as f64 * step);
@@ -131,7 +132,10 @@ impl Grid {
             rows: height * samples_per_px,
             node_columns,
             nodes: nodes.collect(),
-            ramp_mil: (local_scale(sun, &scene.mapping) / samples_per_px as f64) as f32,
+            footprint: Footprint {
+                column: per_px.column(0) / samples_per_px as f64,
+                row: per_px.column(1) / samples_per_px as f64,
+            },
         }
     }
 
@@ -151,11 +155,6 @@ impl Grid {
                 }
             }
         }
-    }
-
-    /// A plate position from the origin.
-    fn local(&self, position: PlateMil) -> Vector2<f32> {
-        (position.vector() - self.origin.vector()).cast()
     }
 
     /// Rows and columns of the sub-samples within some sensor positions, two pixels to spare; `None` when the grid holds none.
@@ -204,11 +203,6 @@ fn lit_plate(scene: &Scene, sun: &Sun, grid: &Grid) -> Vec<f32> {
     field
 }
 
-/// The share of a sub-sample that lies inside an edge, `inside` mil from its middle.
-fn coverage(inside: f32, ramp_mil: f32) -> f32 {
-    (inside / ramp_mil + 0.5).clamp(0.0, 1.0)
-}
-
 /// The Sun at one moment of the exposure, in the grid's coordinates.
 struct Disc {
     centre: Vector2<f32>,
@@ -216,15 +210,14 @@ struct Disc {
     peak: f32,
     darkening: f32,
     spots: Vec<(Vector2<f32>, f32, f32)>,
-    ramp_mil: f32,
+    footprint: Footprint,
 }
 
 /// The Sun at as many moments as its smear needs, one sub-sample apart at most; the exposure shares its light
 /// among them.
 fn exposures(sun: &Sun, grid: &Grid) -> Vec<Disc> {
-    let moments = (sun.smear_mil.norm() / f64::from(grid.ramp_mil))
-        .ceil()
-        .max(1.0);
+    let step_mil = grid.footprint.column.norm();
+    let moments = (sun.smear_mil.norm() / step_mil).ceil().max(1.0);
     let at = |k: f64| (sun.smear_mil * ((k + 0.5) / moments - 0.5)).cast::<f32>();
     let spot = |centre: Vector2<f32>, s: &Sunspot| {
         let place = centre + s.offset_mil.cast::<f32>();
@@ -239,7 +232,7 @@ fn exposures(sun: &Sun, grid: &Grid) -> Vec<Disc> {
                 peak: (sun.peak_dn / moments) as f32,
                 darkening: sun.limb_darkening as f32,
                 spots: sun.spots.iter().map(|s| spot(centre, s)).collect(),
-                ramp_mil: grid.ramp_mil,
+                footprint: grid.footprint,
             }
         })
         .collect()
@@ -249,31 +242,58 @@ impl Disc {
     /// The disc's light at each position of a row.
     fn shine(&self, xs: &[f32], ys: &[f32], light: &mut [f32]) {
         let (plain, darkened) = (1.0 - self.darkening, self.darkening);
+        let inverse = 1.0 / (self.radius * self.radius);
         for ((light, x), y) in light.iter_mut().zip(xs).zip(ys) {
             let (dx, dy) = (x - self.centre.x, y - self.centre.y);
-            let inside = self.radius - (dx * dx + dy * dy).sqrt();
-            let depth = self.mean_depth(inside) / self.radius;
-            let cosine = (depth * (2.0 - depth)).max(0.0).sqrt();
-            let share = coverage(inside, self.ramp_mil);
-            *light = self.peak * share * (plain + darkened * cosine);
+            let cosine2 = 1.0 - (dx * dx + dy * dy) * inverse;
+            let shade = self.peak * (plain + darkened * cosine2.max(0.0).sqrt());
+            *light = if cosine2 > 0.0 { shade } else { 0.0 };
         }
+        self.round_off(xs, ys, light);
         for &(place, radius, contrast) in &self.spots {
-            for ((light, x), y) in light.iter_mut().zip(xs).zip(ys) {
-                let (dx, dy) = (x - place.x, y - place.y);
-                let inside = radius - (dx * dx + dy * dy).sqrt();
-                *light *= 1.0 - contrast * coverage(inside, self.ramp_mil);
-            }
+            let reach = radius + self.footprint.reach() as f32;
+            near_circle(xs, ys, place, 0.0..reach, |n, from_centre, r| {
+                let edge = self.edge(from_centre, r);
+                let share = edge.coverage(f64::from(radius) - r);
+                light[n] *= 1.0 - contrast * share as f32;
+            });
         }
     }
 
-    /// The depth inside the limb that stands for a sub-sample. At the limb the light falls as the root of the depth;
-    /// the mean of a root from 0 to e is its value at 4/9 e, with e how far the sub-sample reaches inside.
-    fn mean_depth(&self, inside: f32) -> f32 {
-        let half = 0.5 * self.ramp_mil;
-        if inside > half {
-            inside
-        } else {
-            4.0 / 9.0 * (inside + half).max(0.0)
+    /// At the limb, where light falls as the root of the depth and ends, takes the mean over each sub-sample.
+    fn round_off(&self, xs: &[f32], ys: &[f32], light: &mut [f32]) {
+        let (plain, darkened) = (1.0 - self.darkening, f64::from(self.darkening));
+        let radius = f64::from(self.radius);
+        let band = 1.2 * self.footprint.reach() as f32;
+        let rim = self.radius - band..self.radius + band;
+        near_circle(xs, ys, self.centre, rim, |n, from_centre, r| {
+            let (edge, inside) = (self.edge(from_centre, r), radius - r);
+            // cos theta = sqrt(2 depth / R) x sqrt(1 - depth / 2 R), the second root nearly 1 here.
+            let slope = (2.0 / radius * (1.0 - inside.max(0.0) / (2.0 * radius))).sqrt();
+            let cosine = slope * edge.mean_root(inside);
+            let share = f64::from(plain) * edge.coverage(inside) + darkened * cosine;
+            light[n] = self.peak * share as f32;
+        });
+    }
+
+    fn edge(&self, from_centre: Vector2<f32>, r: f64) -> Edge {
+        self.footprint.edge(from_centre.cast::<f64>() / r.max(1e-9))
+    }
+}
+
+/// Calls with number, offset and distance for those positions whose distance from a centre lies in a range.
+fn near_circle(
+    xs: &[f32],
+    ys: &[f32],
+    centre: Vector2<f32>,
+    distances: Range<f32>,
+    mut visit: impl FnMut(usize, Vector2<f32>, f64),
+) {
+    let squares = distances.start.max(0.0).powi(2)..distances.end.powi(2);
+    for (n, (x, y)) in xs.iter().zip(ys).enumerate() {
+        let offset = Vector2::new(x - centre.x, y - centre.y);
+        if squares.contains(&offset.norm_squared()) {
+            visit(n, offset, offset.cast::<f64>().norm());
         }
     }
 }
@@ -281,19 +301,44 @@ impl Disc {
 /// A straight bar on the plate, in the grid's coordinates.
 #[derive(Clone, Copy)]
 struct Bar {
-    centre: Vector2<f32>,
+    centre: Vector2<f64>,
     /// Unit vector along it.
-    along: Vector2<f32>,
-    half_length: f32,
-    half_width: f32,
+    along: Vector2<f64>,
+    half_length: f64,
+    half_width: f64,
+    ends: Edge,
+    sides: Edge,
 }
 
 impl Bar {
-    fn coverage(&self, x: f32, y: f32, ramp_mil: f32) -> f32 {
-        let (dx, dy) = (x - self.centre.x, y - self.centre.y);
-        let along = (dx * self.along.x + dy * self.along.y).abs();
-        let across = (dy * self.along.x - dx * self.along.y).abs();
-        coverage(self.half_length - along, ramp_mil) * coverage(self.half_width - across, ramp_mil)
+    /// A bar by its middle, direction, length and width, mil.
+    fn new(
+        grid: &Grid,
+        middle: PlateMil,
+        along: Vector2<f64>,
+        length_mil: f64,
+        width_mil: f64,
+    ) -> Self {
+        Self {
+            centre: middle.vector() - grid.origin.vector(),
+            along,
+            half_length: length_mil / 2.0,
+            half_width: width_mil / 2.0,
+            ends: grid.footprint.edge(along),
+            sides: grid.footprint.edge(Vector2::new(-along.y, along.x)),
+        }
+    }
+
+    fn coverage(&self, at: Vector2<f64>) -> f64 {
+        let from_centre = at - self.centre;
+        let between = |edge: &Edge, half: f64, offset: f64| {
+            edge.coverage(half - offset) - edge.coverage(-half - offset)
+        };
+        let across = between(&self.sides, self.half_width, self.along.perp(&from_centre));
+        if across == 0.0 {
+            return 0.0;
+        }
+        across * between(&self.ends, self.half_length, self.along.dot(&from_centre))
     }
 }
 
@@ -302,29 +347,28 @@ struct Print {
     shape: Shape,
     rows: Range<usize>,
     columns: Range<usize>,
-    ramp_mil: f32,
 }
 
 enum Shape {
     /// Two arms that take a share of the light.
-    Mark { arms: [Bar; 2], contrast: f32 },
+    Mark { arms: [Bar; 2], contrast: f64 },
     /// A bar that sends back so many times the light.
-    Scratch { bar: Bar, brightness: f32 },
+    Scratch { bar: Bar, brightness: f64 },
 }
 
 impl Print {
     fn change(&self, xs: &[f32], ys: &[f32], light: &mut [f32]) {
         let positions = xs.iter().zip(ys);
         for (light, (&x, &y)) in light.iter_mut().zip(positions) {
-            *light *= match &self.shape {
+            let at = Vector2::new(f64::from(x), f64::from(y));
+            let change = match &self.shape {
                 Shape::Mark { arms, contrast } => {
-                    let [a, b] = arms.map(|arm| arm.coverage(x, y, self.ramp_mil));
+                    let [a, b] = arms.map(|arm| arm.coverage(at));
                     1.0 - contrast * (a + b - a * b)
                 }
-                Shape::Scratch { bar, brightness } => {
-                    1.0 + (brightness - 1.0) * bar.coverage(x, y, self.ramp_mil)
-                }
+                Shape::Scratch { bar, brightness } => 1.0 + (brightness - 1.0) * bar.coverage(at),
             };
+            *light *= change as f32;
         }
     }
 }
@@ -343,24 +387,27 @@ fn prints(scene: &Scene, grid: &Grid) -> Vec<Print> {
 }
 
 fn mark(scene: &Scene, grid: &Grid, position: PlateMil) -> Option<Print> {
-    let reach = scene.plate.cross.arm_length_mil / 2.0;
+    let cross = scene.plate.cross;
+    let reach = cross.arm_length_mil / 2.0;
     let corners = [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]
         .map(|(x, y)| PlateMil::new(position.x + x * reach, position.y + y * reach));
     let (rows, columns) = grid.span(corners.iter().map(|c| scene.mapping.to_sensor(*c)))?;
-    let arm = |along| Bar {
-        centre: grid.local(position),
-        along,
-        half_length: reach as f32,
-        half_width: (scene.plate.cross.arm_width_mil / 2.0) as f32,
+    let arm = |along| {
+        Bar::new(
+            grid,
+            position,
+            along,
+            cross.arm_length_mil,
+            cross.arm_width_mil,
+        )
     };
     Some(Print {
         shape: Shape::Mark {
             arms: [arm(Vector2::x()), arm(Vector2::y())],
-            contrast: scene.mark_contrast as f32,
+            contrast: scene.mark_contrast,
         },
         rows,
         columns,
-        ramp_mil: grid.ramp_mil,
     })
 }
 
@@ -369,18 +416,13 @@ fn scratch(scene: &Scene, grid: &Grid, scratch: &Scratch) -> Option<Print> {
     let middle = (scratch.end.vector() + scratch.start.vector()) / 2.0;
     let ends = [scratch.start, scratch.end];
     let (rows, columns) = grid.span(ends.iter().map(|e| scene.mapping.to_sensor(*e)))?;
+    let along = run.try_normalize(0.0)?;
     Some(Print {
         shape: Shape::Scratch {
-            bar: Bar {
-                centre: grid.local(middle.into()),
-                along: run.try_normalize(0.0)?.cast(),
-                half_length: (run.norm() / 2.0) as f32,
-                half_width: (scratch.width_mil / 2.0) as f32,
-            },
-            brightness: scratch.brightness as f32,
+            bar: Bar::new(grid, middle.into(), along, run.norm(), scratch.width_mil),
+            brightness: scratch.brightness,
         },
         rows,
         columns,
-        ramp_mil: grid.ramp_mil,
     })
 }
