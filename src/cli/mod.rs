@@ -1,4 +1,5 @@
 //! The commands: each file reads its arguments, calls the library and prints. No logic here.
 
 pub mod config;
+pub mod simulate;
 pub mod sky;

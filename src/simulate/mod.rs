@@ -1,1 +1,80 @@
+//! Pictures of the Sun on the plate with the truth beside them, and whole flights of such pictures.
+//!
+//! A [`Scene`] is everything a picture consists of; [`Scene::picture`] renders it to a [`Frame`](crate::frame::Frame) and states its
+//! [`Truth`]. The same scene gives the same frame, bit for bit. [`RandomScenes`] draws scenes by condition,
+//! [`FlightScenes`] follows a [`Trajectory`]. Beside them the gondola's side of the link: [`controller`].
+//!
+//! # How a picture is made
+//!
+//! 1. The part of the sensor that the Sun reaches is sampled S x S times per pixel (S = 3). Each sub-sample looks up
+//!    its place on the plate, takes the disc's light there and what the plate returns of it; edges cover a
+//!    sub-sample by its share, so that no edge is jagged.
+//! 2. One separable kernel blurs and integrates over the pixel.
+//! 3. On the sensor: leaks, vignetting, dust, background; then noise, digitising, hot pixels.
+//!
+//! Positions are true to 0.001 px: `tests/simulation.rs` holds the proof.
+
+mod blemish;
+mod blur;
 pub mod controller;
+mod coverage;
+mod flight;
+mod noise;
+mod random;
+mod render;
+mod scene;
+mod trajectory;
+
+pub use blemish::{Blemishes, Counts, Dust, HotPixel, Leak, Scratch};
+pub use flight::FlightScenes;
+pub use noise::{Depth, Noise};
+pub use random::{Conditions, RandomScenes, SunInView};
+pub use render::{SAMPLES_PER_PX, render_exact, render_oversampled};
+pub use scene::{
+    LitMark, Picture, Scene, SceneError, Sun, Sunspot, Truth, TruthOfSun, keystoned, scattered,
+};
+pub use trajectory::{MAX_SLEW_DEG_PER_S, Trajectory};
+
+use crate::units::Place;
+use rand::SeedableRng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use std::time::Duration;
+
+/// Exposure of a simulated frame.
+pub const EXPOSURE: Duration = Duration::from_millis(15);
+
+/// Angular radius of the Sun on 2013-09-21, the day of the HEROES flight: asin(695 700 km / distance), arcsec.
+pub const SUN_RADIUS_ARCSEC: f64 = 955.59;
+
+/// Where simulated frames are taken: float altitude above Fort Sumner, New Mexico.
+pub const FORT_SUMNER: Place = Place {
+    latitude_deg: 34.49,
+    longitude_deg: -104.2218,
+    height_m: 38_405.0,
+};
+
+/// The generator behind everything that is drawn at random here: fast, and the same on every machine.
+type Generator = Xoshiro256PlusPlus;
+
+/// What a generator is for. Each purpose has its own numbers, so that one more hot pixel moves nothing else.
+#[derive(Debug, Clone, Copy)]
+enum Purpose {
+    Plate = 1,
+    Blemishes,
+    Sun,
+    Noise,
+    Path,
+    Drift,
+}
+
+/// A seed for one purpose and one frame of a run.
+fn derived_seed(seed: u64, purpose: Purpose, number: u64) -> u64 {
+    // The odd constants of SplitMix64 (Steele, Lea and Flood 2014) keep neighbouring seeds apart.
+    seed.wrapping_mul(0xbf58_476d_1ce4_e5b9)
+        .wrapping_add(number.wrapping_mul(0x9e37_79b9_7f4a_7c15))
+        .wrapping_add((purpose as u64).wrapping_mul(0x94d0_49bb_1331_11eb))
+}
+
+fn generator(seed: u64, purpose: Purpose, number: u64) -> Generator {
+    Generator::seed_from_u64(derived_seed(seed, purpose, number))
+}

@@ -1,0 +1,359 @@
+//! `solaspect simulate`: frames of random scenes, and the truth about them.
+
+use crate::frame::Frame;
+use crate::instrument::{self, Instrument};
+use crate::simulate::{
+    Conditions, Counts, Depth, Noise, Picture, RandomScenes, SUN_RADIUS_ARCSEC, SunInView, Truth,
+};
+use crate::units::SensorPx;
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use jiff::{SignedDuration, Timestamp};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// The first line of `truth.csv`: px, px, mil, mil, px.
+pub const TRUTH_HEADER: &str = "n,sun_x,sun_y,plate_x,plate_y,radius";
+
+/// Make frames of random scenes, with the truth about them in truth.csv
+#[derive(Debug, Clone, Args)]
+#[command(allow_negative_numbers = true)]
+pub struct SimulateArgs {
+    /// Folder for frame_00000.fits ... and truth.csv; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// How many frames
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub frames: u64,
+    /// The same seed makes the same frames
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// The instrument's TOML file [default: the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    pub instrument: Option<PathBuf>,
+    /// Time of the first frame's mid-exposure, UTC
+    #[arg(long, value_name = "TIME", default_value = "2013-09-21T18:00:00Z")]
+    pub utc: Timestamp,
+    /// Frames per second
+    #[arg(long, value_name = "HZ", default_value_t = 4.0, value_parser = Within(1e-3, 1000.0, "Hz"))]
+    pub rate: f64,
+    #[command(flatten)]
+    pub sun: SunArgs,
+    #[command(flatten)]
+    pub optics: OpticsArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+}
+
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Sun")]
+pub struct SunArgs {
+    /// Angular radius of the Sun
+    #[arg(long, value_name = "ARCSEC", default_value_t = SUN_RADIUS_ARCSEC, value_parser = Within(900.0, 1000.0, "arcsec"))]
+    pub sun_radius: f64,
+    /// Light at the disc's centre, above the background, 8-bit DN
+    #[arg(long, value_name = "DN", default_value_t = 205.0, value_parser = Within(0.0, 4000.0, "DN"))]
+    pub peak: f64,
+    /// Sunspots on the disc
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
+    pub sunspots: u16,
+    /// How far the Sun moves during the exposure, each frame in another direction
+    #[arg(long, value_name = "PX", default_value_t = 0.0, value_parser = Within(0.0, 50.0, "px"))]
+    pub smear: f64,
+    /// The disc cut by the sensor's edge
+    #[arg(long, conflicts_with = "no_sun")]
+    pub partial: bool,
+    /// No Sun
+    #[arg(long)]
+    pub no_sun: bool,
+}
+
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Plate and optics")]
+pub struct OpticsArgs {
+    /// Turn of the picture beyond what the instrument states, positive from +x towards +y
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = Within(-360.0, 360.0, "deg"))]
+    pub rotation: f64,
+    /// Keystone: how far askew the camera looks at the plate
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = Within(-20.0, 20.0, "deg"))]
+    pub keystone: f64,
+    /// Plate length per pixel [default: the instrument's]
+    #[arg(long, value_name = "MIL_PER_PX", value_parser = Within(0.5, 50.0, "mil/px"))]
+    pub scale: Option<f64>,
+    /// Where the plate's centre is seen, px [default: the instrument's]
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, value_parser = position)]
+    pub plate_centre: Option<SensorPx>,
+    /// What a mark takes from the light, 0 to 1
+    #[arg(long, value_name = "C", default_value_t = 0.8, value_parser = Within(0.0, 1.0, ""))]
+    pub contrast: f64,
+    /// Displacement of every mark from the instrument's plate, rms in each axis
+    #[arg(long, value_name = "MIL", default_value_t = 0.0, value_parser = Within(0.0, 20.0, "mil"))]
+    pub mark_scatter: f64,
+    /// Scratches of the plate that cross the disc, on average
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
+    pub scratches: u16,
+    /// Spots of light past the baffles, near the plate's edge
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
+    pub leaks: u16,
+    /// Gaussian blur, 1 sigma [default: the instrument's]
+    #[arg(long, value_name = "PX", value_parser = Within(0.0, 10.0, "px"))]
+    pub blur: Option<f64>,
+    /// Share of the light lost in the corners, 0 to 1
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = Within(0.0, 1.0, ""))]
+    pub vignetting: f64,
+}
+
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Camera")]
+pub struct CameraArgs {
+    /// Bits of a pixel; 12 bits come as 0 to 4095 in 16
+    #[arg(long, value_name = "BITS", value_enum, default_value_t = Bits::Eight)]
+    pub bits: Bits,
+    /// Additive noise, 1 sigma, 8-bit DN
+    #[arg(long, value_name = "DN", default_value_t = 5.0, value_parser = Within(0.0, 255.0, "DN"))]
+    pub noise: f64,
+    /// Adds the noise of photons: photo-electrons of one 8-bit DN
+    #[arg(long, value_name = "E_PER_DN", value_parser = Within(0.1, 1e6, "electrons/DN"))]
+    pub electrons: Option<f64>,
+    /// What every pixel holds without light, 8-bit DN
+    #[arg(long, value_name = "DN", default_value_t = 4.0, value_parser = Within(-50.0, 250.0, "DN"))]
+    pub background: f64,
+    /// Saturated pixels
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
+    pub hot_pixels: u16,
+    /// Specks of dust before the disc, on average
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
+    pub dust: u16,
+}
+
+/// Depth of a pixel as the option names it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Bits {
+    #[value(name = "8")]
+    Eight,
+    #[value(name = "12")]
+    Twelve,
+}
+
+/// Accepts numbers within a range and says the range when it refuses one: lowest, highest, unit.
+#[derive(Debug, Clone, Copy)]
+struct Within(f64, f64, &'static str);
+
+impl Within {
+    fn parse(self, text: &str) -> Result<f64, String> {
+        let Self(low, high, unit) = self;
+        match text.parse::<f64>() {
+            Ok(value) if (low..=high).contains(&value) => Ok(value),
+            _ => Err(format!("expected a number from {low} to {high} {unit}")
+                .trim_end()
+                .into()),
+        }
+    }
+}
+
+impl clap::builder::IntoResettable<clap::builder::ValueParser> for Within {
+    fn into_resettable(self) -> clap::builder::Resettable<clap::builder::ValueParser> {
+        clap::builder::ValueParser::new(move |text: &str| self.parse(text)).into_resettable()
+    }
+}
+
+fn count() -> clap::builder::RangedI64ValueParser<u16> {
+    clap::value_parser!(u16).range(0..=10_000)
+}
+
+fn position(text: &str) -> Result<SensorPx, String> {
+    let coordinate = |n: &str| Within(-1e5, 1e5, "px").parse(n.trim()).ok();
+    text.split_once(',')
+        .and_then(|(x, y)| Some(SensorPx::new(coordinate(x)?, coordinate(y)?)))
+        .ok_or_else(|| "expected X,Y, each a number from -100000 to 100000 px".into())
+}
+
+/// Makes the frames and `truth.csv`; `write_frame` puts a frame into a file.
+pub fn run(
+    args: &SimulateArgs,
+    write_frame: impl Fn(&Path, &Frame) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let instrument = match &args.instrument {
+        Some(path) => Instrument::read(path)?,
+        None => instrument::builtin("demo")?,
+    };
+    let scenes = RandomScenes::new(&instrument, &args.conditions(&instrument), args.seed)?;
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
+    let path = args.out.join("truth.csv");
+    let cannot_write = || format!("{}: cannot write", path.display());
+    let mut truth = BufWriter::new(File::create(&path).with_context(cannot_write)?);
+    writeln!(truth, "{TRUTH_HEADER}").with_context(cannot_write)?;
+    let progress = progress_bar(args.frames);
+    for number in 0..args.frames {
+        let picture = args.picture(&scenes, number)?;
+        write_frame(
+            &args.out.join(format!("frame_{number:05}.fits")),
+            &picture.frame,
+        )?;
+        writeln!(truth, "{}", truth_line(number, &picture.truth)).with_context(cannot_write)?;
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    truth.flush().with_context(cannot_write)
+}
+
+/// A bar on the terminal; nothing where standard error is not one.
+fn progress_bar(frames: u64) -> ProgressBar {
+    let bar = ProgressBar::new(frames);
+    match ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
+/// A line of `truth.csv`; without Sun every column but the first is empty.
+fn truth_line(number: u64, truth: &Truth) -> String {
+    match truth.sun {
+        Some(sun) => format!(
+            "{number},{:.6},{:.6},{:.6},{:.6},{:.6}",
+            sun.px.x, sun.px.y, sun.plate.x, sun.plate.y, sun.radius_px
+        ),
+        None => format!("{number},,,,,"),
+    }
+}
+
+impl SimulateArgs {
+    fn picture(&self, scenes: &RandomScenes, number: u64) -> anyhow::Result<Picture> {
+        let mut scene = scenes.scene(number)?;
+        let since_first = SignedDuration::try_from_secs_f64(number as f64 / self.rate)?;
+        let utc = self.utc.checked_add(since_first);
+        scene.info.mid_exposure = Some(utc.context("--utc: the last frame lies after year 9999")?);
+        Ok(scene.picture()?)
+    }
+
+    fn conditions(&self, instrument: &Instrument) -> Conditions {
+        let stated = Conditions::of(instrument);
+        let (sun, optics, camera) = (&self.sun, &self.optics, &self.camera);
+        let mut similarity = stated.similarity;
+        similarity.rotation_deg += optics.rotation;
+        similarity.scale_mil_per_px = optics.scale.unwrap_or(similarity.scale_mil_per_px);
+        similarity.plate_centre = optics.plate_centre.unwrap_or(similarity.plate_centre);
+        Conditions {
+            sun: sun.in_view(),
+            sun_radius_arcsec: sun.sun_radius,
+            similarity,
+            keystone_deg: optics.keystone,
+            peak_dn: sun.peak,
+            background_dn: camera.background,
+            mark_contrast: optics.contrast,
+            mark_scatter_mil: optics.mark_scatter,
+            blur_px: optics.blur.unwrap_or(stated.blur_px),
+            smear_px: sun.smear,
+            sunspots: sun.sunspots.into(),
+            blemishes: Counts {
+                hot_pixels: camera.hot_pixels.into(),
+                scratches_per_disc: optics.scratches.into(),
+                leaks: optics.leaks.into(),
+                dust_per_disc: camera.dust.into(),
+                vignetting: optics.vignetting,
+            },
+            noise: Noise {
+                read_dn: camera.noise,
+                electrons_per_dn: camera.electrons,
+            },
+            depth: match camera.bits {
+                Bits::Eight => Depth::Eight,
+                Bits::Twelve => Depth::Twelve,
+            },
+        }
+    }
+}
+
+impl SunArgs {
+    fn in_view(&self) -> SunInView {
+        if self.no_sun {
+            SunInView::Absent
+        } else if self.partial {
+            SunInView::Partial
+        } else {
+            SunInView::Whole
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Program {
+        #[command(flatten)]
+        simulate: SimulateArgs,
+    }
+
+    fn parse(options: &str) -> Result<SimulateArgs, String> {
+        let words = ["simulate"].into_iter().chain(options.split_whitespace());
+        match Program::try_parse_from(words) {
+            Ok(program) => Ok(program.simulate),
+            Err(error) => Err(error.to_string().lines().next().unwrap_or_default().into()),
+        }
+    }
+
+    #[test]
+    fn values_may_begin_with_a_minus() {
+        let args = parse("--out a --rotation -3.5 --keystone -2 --plate-centre -10.5,-20").unwrap();
+        assert_eq!(args.optics.rotation, -3.5);
+        assert_eq!(args.optics.keystone, -2.0);
+        assert_eq!(args.optics.plate_centre, Some(SensorPx::new(-10.5, -20.0)));
+    }
+
+    #[test]
+    fn a_refused_value_names_option_and_range() {
+        for (options, wanted) in [
+            ("--contrast 1.2", ["--contrast", "from 0 to 1"]),
+            ("--noise NaN", ["--noise", "from 0 to 255 DN"]),
+            ("--frames 0", ["--frames", "1..=100000"]),
+            ("--plate-centre 3", ["--plate-centre", "expected X,Y"]),
+            ("--bits 10", ["--bits", "10"]),
+        ] {
+            let message = parse(&format!("--out a {options}")).unwrap_err();
+            for part in wanted {
+                assert!(message.contains(part), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn frames_are_numbered_timed_and_listed_with_their_truth() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("new");
+        let mut args = parse("--out a --frames 2 --rate 2 --utc 2013-09-21T23:59:59.75Z").unwrap();
+        args.out.clone_from(&out);
+        let written = std::cell::RefCell::new(Vec::new());
+        let write = |path: &Path, frame: &Frame| {
+            let name = path.strip_prefix(&out)?.display().to_string();
+            let utc = frame.info.mid_exposure.map(|t| t.to_string());
+            written.borrow_mut().push((name, utc.unwrap_or_default()));
+            Ok(())
+        };
+        run(&args, write).unwrap();
+        let expected = [
+            ("frame_00000.fits", "2013-09-21T23:59:59.75Z"),
+            ("frame_00001.fits", "2013-09-22T00:00:00.25Z"),
+        ]
+        .map(|(name, utc)| (name.to_string(), utc.to_string()));
+        assert_eq!(*written.borrow(), expected);
+        let truth = std::fs::read_to_string(out.join("truth.csv")).unwrap();
+        let lines: Vec<&str> = truth.lines().collect();
+        assert_eq!(lines[0], "n,sun_x,sun_y,plate_x,plate_y,radius");
+        assert_eq!(lines.len(), 3);
+        let row: Vec<f64> = lines[2].split(',').map(|v| v.parse().unwrap()).collect();
+        // The demo instrument: plate centre at (647.5, 482.5), mirrored, 5.75 mil/px.
+        assert!((row[3] - (647.5 - row[1]) * 5.75).abs() < 1e-4);
+        assert!((row[4] - (row[2] - 482.5) * 5.75).abs() < 1e-4);
+        assert!((row[5] - 95.163).abs() < 1e-3);
+        args.sun.no_sun = true;
+        run(&args, |_, _| Ok(())).unwrap();
+        let truth = std::fs::read_to_string(out.join("truth.csv")).unwrap();
+        assert_eq!(truth.lines().nth(2), Some("1,,,,,"));
+    }
+}

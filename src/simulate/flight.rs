@@ -1,0 +1,133 @@
+//! The scenes of a flight: one instrument whose mapping drifts, and the Sun on its path.
+
+use super::blemish::{Blemishes, Counts};
+use super::noise::Noise;
+use super::scene::{Scene, SceneError, Sun};
+use super::trajectory::{Swing, Trajectory};
+use super::{EXPOSURE, FORT_SUMNER, Purpose, derived_seed, generator};
+use crate::frame::FrameInfo;
+use crate::geometry::{Distortion, Mapping, SimilarityParameters};
+use crate::instrument::Instrument;
+use crate::units::{PlateMil, SensorPx};
+use rand::RngExt;
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+/// The scenes of a flight.
+#[derive(Debug, Clone)]
+pub struct FlightScenes {
+    /// What every scene shares; change it to fly under other conditions.
+    pub template: Scene,
+    /// The Sun of every scene, but for its place and smear.
+    pub sun: Sun,
+    trajectory: Trajectory,
+    drift: MappingDrift,
+    seed: u64,
+}
+
+impl FlightScenes {
+    /// A flight with 5 DN of noise, a few hot pixels, scratches and leaks, and a mapping that drifts slowly within the
+    /// sigmas that the instrument states.
+    pub fn new(
+        instrument: &Instrument,
+        trajectory: Trajectory,
+        radius_mil: f64,
+        seed: u64,
+    ) -> Result<Self, SceneError> {
+        let mapping = instrument.nominal_mapping().ok_or(SceneError::Mapping)?;
+        let counts = Counts {
+            hot_pixels: 20,
+            scratches_per_disc: 0.5,
+            leaks: 3,
+            ..Counts::default()
+        };
+        let mut template = Scene {
+            noise: Noise::read(5.0),
+            ..Scene::new(instrument, mapping)
+        };
+        template.blemishes = Blemishes::random(&counts, &template, radius_mil, seed);
+        Ok(Self {
+            template,
+            sun: Sun::new(PlateMil::new(0.0, 0.0), radius_mil),
+            trajectory,
+            drift: MappingDrift::new(instrument, seed),
+            seed,
+        })
+    }
+
+    /// The scene whose exposure has its middle `since_start` of the run.
+    pub fn scene(&self, number: u64, since_start: Duration) -> Result<Scene, SceneError> {
+        let velocity = self.trajectory.velocity_mil_per_s(since_start);
+        Ok(Scene {
+            mapping: self.drift.mapping(since_start).ok_or(SceneError::Mapping)?,
+            sun: Some(Sun {
+                centre: self.trajectory.position(since_start),
+                smear_mil: velocity * EXPOSURE.as_secs_f64(),
+                ..self.sun.clone()
+            }),
+            seed: derived_seed(self.seed, Purpose::Noise, number),
+            info: FrameInfo {
+                number: Some(number),
+                exposure: Some(EXPOSURE),
+                place: Some(FORT_SUMNER),
+                camera: Some("simulated".into()),
+                ..FrameInfo::default()
+            },
+            ..self.template.clone()
+        })
+    }
+}
+
+/// A mapping that differs from the stated one by up to its sigmas: half of each for good, half coming and going.
+#[derive(Debug, Clone)]
+struct MappingDrift {
+    stated: SimilarityParameters,
+    distortion: Distortion,
+    /// 1 sigma of the plate's centre in x and y (px), of rotation (deg) and of scale (mil/px).
+    sigmas: [f64; 4],
+    constant: [f64; 4],
+    swings: [Swing; 4],
+}
+
+impl MappingDrift {
+    fn new(instrument: &Instrument, seed: u64) -> Self {
+        let m = &instrument.mounting;
+        let mut rng = generator(seed, Purpose::Drift, 0);
+        Self {
+            stated: SimilarityParameters {
+                plate_centre: m.plate_centre_px,
+                scale_mil_per_px: m.scale_mil_per_px.value,
+                rotation_deg: m.rotation_deg.value,
+                handedness: m.handedness,
+            },
+            distortion: instrument.camera.distortion,
+            sigmas: [
+                m.plate_centre_sigma_px / 2.0_f64.sqrt(),
+                m.plate_centre_sigma_px / 2.0_f64.sqrt(),
+                m.rotation_deg.sigma,
+                m.scale_mil_per_px.sigma,
+            ],
+            constant: std::array::from_fn(|_| rng.random_range(-0.5..0.5)),
+            swings: std::array::from_fn(|_| Swing {
+                amplitude: 0.5,
+                period_s: rng.random_range(600.0..1200.0),
+                phase: rng.random_range(0.0..TAU),
+            }),
+        }
+    }
+
+    fn mapping(&self, since_start: Duration) -> Option<Mapping> {
+        let time_s = since_start.as_secs_f64();
+        let [x, y, turn, stretch]: [f64; 4] = std::array::from_fn(|n| {
+            self.sigmas[n] * (self.constant[n] + self.swings[n].offset(time_s))
+        });
+        let centre = self.stated.plate_centre;
+        let now = SimilarityParameters {
+            plate_centre: SensorPx::new(centre.x + x, centre.y + y),
+            scale_mil_per_px: self.stated.scale_mil_per_px + stretch,
+            rotation_deg: self.stated.rotation_deg + turn,
+            handedness: self.stated.handedness,
+        };
+        Mapping::similarity(now, self.distortion)
+    }
+}

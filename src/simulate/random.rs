@@ -1,0 +1,232 @@
+//! Random scenes by condition: the same instrument throughout, the Sun elsewhere in every frame.
+
+use super::blemish::{Blemishes, Counts};
+use super::noise::{Depth, Noise};
+use super::scene::{Scene, SceneError, Sun, Sunspot, keystoned, scattered};
+use super::{EXPOSURE, FORT_SUMNER, Purpose, SUN_RADIUS_ARCSEC, derived_seed, generator};
+use crate::frame::FrameInfo;
+use crate::geometry::SimilarityParameters;
+use crate::instrument::Instrument;
+use crate::units::SensorPx;
+use nalgebra::Vector2;
+use rand::RngExt;
+use std::f64::consts::TAU;
+
+/// Where the Sun stands in random scenes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SunInView {
+    /// Anywhere with the whole disc on the sensor.
+    Whole,
+    /// Cut by the sensor's edge, half its radius or more still on the sensor.
+    Partial,
+    /// Nowhere.
+    Absent,
+}
+
+/// What random scenes have in common.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Conditions {
+    pub sun: SunInView,
+    pub sun_radius_arcsec: f64,
+    /// Scale, rotation and plate centre of the picture.
+    pub similarity: SimilarityParameters,
+    /// See [`keystoned`].
+    pub keystone_deg: f64,
+    pub peak_dn: f64,
+    pub background_dn: f64,
+    /// What a mark takes from the light, 0 to 1.
+    pub mark_contrast: f64,
+    /// Displacement of the marks from the instrument's plate, rms in each axis.
+    pub mark_scatter_mil: f64,
+    /// Gaussian, 1 sigma.
+    pub blur_px: f64,
+    /// How far the Sun moves during the exposure, in a direction that is drawn for every frame.
+    pub smear_px: f64,
+    pub sunspots: usize,
+    pub blemishes: Counts,
+    pub noise: Noise,
+    pub depth: Depth,
+}
+
+impl Conditions {
+    /// The instrument as it states itself, the Sun whole, 5 DN of noise, no blemishes.
+    pub fn of(instrument: &Instrument) -> Self {
+        Self {
+            sun: SunInView::Whole,
+            sun_radius_arcsec: SUN_RADIUS_ARCSEC,
+            similarity: SimilarityParameters {
+                plate_centre: instrument.mounting.plate_centre_px,
+                scale_mil_per_px: instrument.mounting.scale_mil_per_px.value,
+                rotation_deg: instrument.mounting.rotation_deg.value,
+                handedness: instrument.mounting.handedness,
+            },
+            keystone_deg: 0.0,
+            peak_dn: 205.0,
+            background_dn: 4.0,
+            mark_contrast: 0.8,
+            mark_scatter_mil: 0.0,
+            blur_px: instrument.optics.blur_px.value,
+            smear_px: 0.0,
+            sunspots: 0,
+            blemishes: Counts::default(),
+            noise: Noise::read(5.0),
+            depth: Depth::Eight,
+        }
+    }
+}
+
+/// Random scenes: plate, mapping, blemishes and sunspots belong to the seed, place, smear and noise to the frame.
+#[derive(Debug, Clone)]
+pub struct RandomScenes {
+    template: Scene,
+    sun: Sun,
+    in_view: SunInView,
+    smear_px: f64,
+    seed: u64,
+}
+
+impl RandomScenes {
+    pub fn new(
+        instrument: &Instrument,
+        conditions: &Conditions,
+        seed: u64,
+    ) -> Result<Self, SceneError> {
+        let camera = &instrument.camera;
+        let mapping = keystoned(
+            conditions.similarity,
+            conditions.keystone_deg,
+            camera.width_px,
+            camera.distortion,
+        )
+        .ok_or(SceneError::Mapping)?;
+        let radius_mil = instrument.optics.radius_mil(conditions.sun_radius_arcsec);
+        let mut template = Scene {
+            plate: scattered(&instrument.plate, conditions.mark_scatter_mil, seed),
+            mark_contrast: conditions.mark_contrast,
+            background_dn: conditions.background_dn,
+            blur_px: conditions.blur_px,
+            noise: conditions.noise,
+            depth: conditions.depth,
+            ..Scene::new(instrument, mapping)
+        };
+        template.blemishes = Blemishes::random(&conditions.blemishes, &template, radius_mil, seed);
+        let sun = Sun {
+            peak_dn: conditions.peak_dn,
+            spots: sunspots(conditions.sunspots, radius_mil, seed),
+            ..Sun::new(mapping.to_plate(middle(&template)), radius_mil)
+        };
+        Ok(Self {
+            template,
+            sun,
+            in_view: conditions.sun,
+            smear_px: conditions.smear_px,
+            seed,
+        })
+    }
+
+    /// The scene of a frame. The same seed and number always give the same scene.
+    pub fn scene(&self, number: u64) -> Result<Scene, SceneError> {
+        Ok(Scene {
+            sun: self.sun(number)?,
+            seed: derived_seed(self.seed, Purpose::Noise, number),
+            info: FrameInfo {
+                number: Some(number),
+                exposure: Some(EXPOSURE),
+                place: Some(FORT_SUMNER),
+                camera: Some("simulated".into()),
+                ..FrameInfo::default()
+            },
+            ..self.template.clone()
+        })
+    }
+
+    fn sun(&self, number: u64) -> Result<Option<Sun>, SceneError> {
+        if self.in_view == SunInView::Absent {
+            return Ok(None);
+        }
+        let mapping = &self.template.mapping;
+        let mut rng = generator(self.seed, Purpose::Sun, number);
+        let reach = self.radius_px();
+        let (width, height) = (
+            self.template.width_px as f64,
+            self.template.height_px as f64,
+        );
+        // Enough for a sensor on which only one place in a thousand will do.
+        for _ in 0..20_000 {
+            let seen = SensorPx::new(
+                rng.random_range(-reach..width + reach),
+                rng.random_range(-reach..height + reach),
+            );
+            let direction = rng.random_range(0.0..TAU);
+            let smear_px = Vector2::new(direction.cos(), direction.sin()) * self.smear_px;
+            let sun = Sun {
+                centre: mapping.to_plate(seen),
+                smear_mil: mapping.plate_jacobian(seen) * smear_px,
+                ..self.sun.clone()
+            };
+            if self.suits(&sun, seen) {
+                return Ok(Some(sun));
+            }
+        }
+        Err(SceneError::NoRoom {
+            width_px: self.template.width_px,
+            height_px: self.template.height_px,
+            radius_px: reach,
+        })
+    }
+
+    fn radius_px(&self) -> f64 {
+        let scale = self
+            .template
+            .mapping
+            .scale_mil_per_px(middle(&self.template));
+        self.sun.radius_mil / scale
+    }
+
+    /// Whether the Sun stands where the conditions want it.
+    fn suits(&self, sun: &Sun, seen: SensorPx) -> bool {
+        // Room for the blur and the smear at the edge.
+        let spare = 2.0 + 2.0 * self.template.blur_px + self.smear_px / 2.0;
+        let depth = |p: SensorPx| depth_in(&self.template, p);
+        let limb = || sun.limb_px(&self.template.mapping).map(depth);
+        match self.in_view {
+            SunInView::Whole => limb().all(|inside| inside > spare),
+            SunInView::Partial => {
+                let deepest = limb().fold(f64::NEG_INFINITY, f64::max);
+                let outermost = limb().fold(f64::INFINITY, f64::min);
+                outermost < -spare && deepest.max(depth(seen)) > 0.5 * self.radius_px()
+            }
+            SunInView::Absent => false,
+        }
+    }
+}
+
+/// How far a position lies inside the sensor's nearest edge, px; negative outside.
+fn depth_in(scene: &Scene, at: SensorPx) -> f64 {
+    let (width, height) = (scene.width_px as f64, scene.height_px as f64);
+    let x = (at.x + 0.5).min(width - 0.5 - at.x);
+    let y = (at.y + 0.5).min(height - 0.5 - at.y);
+    x.min(y)
+}
+
+fn middle(scene: &Scene) -> SensorPx {
+    SensorPx::new(
+        (scene.width_px as f64 - 1.0) / 2.0,
+        (scene.height_px as f64 - 1.0) / 2.0,
+    )
+}
+
+/// Spots within the Sun's activity belts, as far as a picture in one colour tells: nearer its centre than its limb.
+fn sunspots(count: usize, radius_mil: f64, seed: u64) -> Vec<Sunspot> {
+    let mut rng = generator(seed, Purpose::Sun, u64::MAX);
+    let spot = |_| {
+        let angle = rng.random_range(0.0..TAU);
+        let distance = radius_mil * rng.random_range(0.0_f64..0.7).sqrt();
+        Sunspot {
+            offset_mil: Vector2::new(angle.cos(), angle.sin()) * distance,
+            radius_mil: radius_mil * rng.random_range(0.01..0.03),
+            contrast: rng.random_range(0.2..0.6),
+        }
+    };
+    (0..count).map(spot).collect()
+}

@@ -1,0 +1,266 @@
+//! A scene, the frame it gives, and the truth about it.
+
+use super::blemish::Blemishes;
+use super::noise::{self, Depth, Noise};
+use super::{Purpose, generator, render};
+use crate::frame::{Frame, FrameError, FrameInfo};
+use crate::geometry::{Distortion, Mapping, MappingKind, SimilarityParameters};
+use crate::instrument::Instrument;
+use crate::plate::{MarkId, Plate};
+use crate::units::{PlateMil, SensorPx};
+use nalgebra::{Matrix3, Vector2};
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+/// Why a scene cannot be made.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SceneError {
+    #[error("expected a mapping that can be inverted; check scale, rotation and keystone")]
+    Mapping,
+    #[error(
+        "expected a sensor with room for the Sun, found {width_px} x {height_px} px and a radius of {radius_px:.1} px"
+    )]
+    NoRoom {
+        width_px: usize,
+        height_px: usize,
+        radius_px: f64,
+    },
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+}
+
+/// Everything a picture consists of. DN are those of an 8-bit camera, whatever the depth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    pub width_px: usize,
+    pub height_px: usize,
+    pub mapping: Mapping,
+    pub plate: Plate,
+    /// `None` for a picture without Sun.
+    pub sun: Option<Sun>,
+    /// What a mark takes from the light, 0 to 1.
+    pub mark_contrast: f64,
+    /// What every pixel holds without light, DN.
+    pub background_dn: f64,
+    /// Gaussian blur of the picture, 1 sigma, before the pixel integrates.
+    pub blur_px: f64,
+    pub blemishes: Blemishes,
+    pub noise: Noise,
+    pub depth: Depth,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// What the frame will say of itself.
+    pub info: FrameInfo,
+}
+
+/// The Sun's image on the plate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sun {
+    /// Its centre at mid-exposure.
+    pub centre: PlateMil,
+    pub radius_mil: f64,
+    /// Light at the disc's centre, above the background.
+    pub peak_dn: f64,
+    /// Linear limb darkening: light falls as 1 - u (1 - cos theta) towards the limb.
+    pub limb_darkening: f64,
+    pub spots: Vec<Sunspot>,
+    /// How far the image moves during the exposure.
+    pub smear_mil: Vector2<f64>,
+}
+
+/// A dark disc on the Sun.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sunspot {
+    /// From the Sun's centre.
+    pub offset_mil: Vector2<f64>,
+    pub radius_mil: f64,
+    /// What it takes from the light, 0 to 1.
+    pub contrast: f64,
+}
+
+impl Sun {
+    /// A Sun at rest, without spots, as bright and as limb-darkened as HEROES saw it at 630 nm in 2013.
+    pub fn new(centre: PlateMil, radius_mil: f64) -> Self {
+        Self {
+            centre,
+            radius_mil,
+            peak_dn: 205.0,
+            limb_darkening: 0.56,
+            spots: Vec::new(),
+            smear_mil: Vector2::zeros(),
+        }
+    }
+
+    /// Points around the limb, on the sensor.
+    pub(super) fn limb_px(&self, mapping: &Mapping) -> impl Iterator<Item = SensorPx> {
+        const POINTS: u32 = 64;
+        (0..POINTS).map(move |k| {
+            let angle = f64::from(k) / f64::from(POINTS) * std::f64::consts::TAU;
+            let edge = Vector2::new(angle.cos(), angle.sin()) * self.radius_mil;
+            mapping.to_sensor((self.centre.vector() + edge).into())
+        })
+    }
+}
+
+/// A rendered scene and the truth about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    pub frame: Frame,
+    pub truth: Truth,
+}
+
+/// What a picture shows in truth, at mid-exposure.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Truth {
+    pub sun: Option<TruthOfSun>,
+    pub mapping: Mapping,
+    /// Every mark on the sensor that the Sun lights, wholly or in part.
+    pub marks: Vec<LitMark>,
+}
+
+/// Where the Sun is in truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TruthOfSun {
+    pub plate: PlateMil,
+    /// The image of the disc's centre; under keystone this is not the centre of the ellipse.
+    pub px: SensorPx,
+    /// Radius at the mapping's scale at the centre.
+    pub radius_px: f64,
+}
+
+/// A mark that the Sun lights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LitMark {
+    pub id: MarkId,
+    /// Where it is printed, scatter included.
+    pub plate: PlateMil,
+    pub px: SensorPx,
+    /// How far its centre lies inside the limb; negative where only an arm is lit.
+    pub depth_mil: f64,
+}
+
+impl Scene {
+    /// A picture without Sun, blemishes or noise, by an instrument under a mapping.
+    pub fn new(instrument: &Instrument, mapping: Mapping) -> Self {
+        Self {
+            width_px: instrument.camera.width_px,
+            height_px: instrument.camera.height_px,
+            mapping,
+            plate: instrument.plate.clone(),
+            sun: None,
+            mark_contrast: 0.8,
+            background_dn: 4.0,
+            blur_px: instrument.optics.blur_px.value,
+            blemishes: Blemishes::default(),
+            noise: Noise::NONE,
+            depth: Depth::Eight,
+            seed: 0,
+            info: FrameInfo::default(),
+        }
+    }
+
+    /// The frame and the truth about it.
+    pub fn picture(&self) -> Result<Picture, SceneError> {
+        Ok(Picture {
+            frame: self.frame()?,
+            truth: self.truth(),
+        })
+    }
+
+    /// The frame: rendered, with noise, digitised.
+    pub fn frame(&self) -> Result<Frame, SceneError> {
+        let light = render::render_exact(self);
+        let mut pixels = noise::read_out(&light, self);
+        self.blemishes
+            .saturate(self.width_px, &mut pixels, self.depth);
+        Ok(Frame::new(
+            self.width_px,
+            self.height_px,
+            pixels,
+            self.depth.saturation_dn(),
+            self.info.clone(),
+        )?)
+    }
+
+    /// The truth about the picture.
+    pub fn truth(&self) -> Truth {
+        Truth {
+            sun: self.sun.as_ref().map(|sun| self.truth_of(sun)),
+            mapping: self.mapping,
+            marks: self
+                .sun
+                .as_ref()
+                .map(|sun| self.lit_marks(sun))
+                .unwrap_or_default(),
+        }
+    }
+
+    fn truth_of(&self, sun: &Sun) -> TruthOfSun {
+        let px = self.mapping.to_sensor(sun.centre);
+        TruthOfSun {
+            plate: sun.centre,
+            px,
+            radius_px: sun.radius_mil / self.mapping.scale_mil_per_px(px),
+        }
+    }
+
+    fn lit_marks(&self, sun: &Sun) -> Vec<LitMark> {
+        let reach = self.plate.cross.arm_length_mil / 2.0;
+        self.plate
+            .marks()
+            .map(|(id, plate)| LitMark {
+                id,
+                plate,
+                px: self.mapping.to_sensor(plate),
+                depth_mil: sun.radius_mil - plate.distance(sun.centre),
+            })
+            .filter(|mark| mark.depth_mil > -reach && self.on_sensor(mark.px))
+            .collect()
+    }
+
+    /// Whether a position lies within the pixels.
+    pub(super) fn on_sensor(&self, at: SensorPx) -> bool {
+        let within = |v: f64, pixels: usize| (-0.5..pixels as f64 - 0.5).contains(&v);
+        within(at.x, self.width_px) && within(at.y, self.height_px)
+    }
+}
+
+/// The mapping of a camera that looks at the plate askew by `keystone_deg`.
+///
+/// With c the plate's centre on the sensor and q the position from it after rotation, px, a plate position is seen
+/// at c + q / (1 + k q.x), k = tan(keystone) / (4 x sensor width): parallel lines along x run together. `None` when
+/// the parameters give no mapping.
+pub fn keystoned(
+    parameters: SimilarityParameters,
+    keystone_deg: f64,
+    width_px: usize,
+    distortion: Distortion,
+) -> Option<Mapping> {
+    if keystone_deg == 0.0 {
+        return Mapping::similarity(parameters, distortion);
+    }
+    let square = Mapping::similarity(parameters, Distortion::NONE)?;
+    let c = parameters.plate_centre;
+    let k = keystone_deg.to_radians().tan() / (4.0 * width_px as f64);
+    let to_centre = Matrix3::new(1.0, 0.0, -c.x, 0.0, 1.0, -c.y, 0.0, 0.0, 1.0);
+    let back = Matrix3::new(1.0, 0.0, c.x, 0.0, 1.0, c.y, 0.0, 0.0, 1.0);
+    let lean = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, k, 0.0, 1.0);
+    let seen = back * lean * to_centre;
+    Mapping::new(
+        MappingKind::Homography,
+        square.matrix() * seen.try_inverse()?,
+        distortion,
+    )
+}
+
+/// The plate with every mark displaced at random, `rms_mil` in each axis, as printing does.
+pub fn scattered(plate: &Plate, rms_mil: f64, seed: u64) -> Plate {
+    let mut rng = generator(seed, Purpose::Plate, 0);
+    let mut printed = plate.clone();
+    for (id, drawn) in plate.marks() {
+        let [dx, dy]: [f64; 2] = std::array::from_fn(|_| rng.sample(StandardNormal));
+        let at = PlateMil::new(drawn.x + rms_mil * dx, drawn.y + rms_mil * dy);
+        printed.set(id, at, plate.sigma_mil(id));
+    }
+    printed
+}

@@ -1,0 +1,436 @@
+//! Simulated pictures show what their truth says. Truth here comes from moments, brute force and hand arithmetic,
+//! never from the renderer.
+
+use nalgebra::Vector2;
+use solaspect::frame::{Frame, Pixels};
+use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
+use solaspect::instrument::{Instrument, builtin};
+use solaspect::plate::{MarkId, drawn_position};
+use solaspect::simulate::{
+    Blemishes, Conditions, Counts, Depth, Dust, HotPixel, Leak, Noise, RandomScenes, Scene,
+    Scratch, Sun, SunInView, Sunspot, keystoned, render_exact, render_oversampled, scattered,
+};
+use solaspect::units::{PlateMil, SensorPx};
+
+const RADIUS_MIL: f64 = 547.19;
+
+fn demo() -> Instrument {
+    builtin("demo").unwrap()
+}
+
+fn view(centre: SensorPx, rotation_deg: f64) -> SimilarityParameters {
+    SimilarityParameters {
+        plate_centre: centre,
+        scale_mil_per_px: 5.75,
+        rotation_deg,
+        handedness: Handedness::Mirrored,
+    }
+}
+
+/// A noise-free scene of `side` x `side` px.
+fn small_scene(side: usize, parameters: SimilarityParameters) -> Scene {
+    Scene {
+        width_px: side,
+        height_px: side,
+        ..Scene::new(
+            &demo(),
+            Mapping::similarity(parameters, Distortion::NONE).unwrap(),
+        )
+    }
+}
+
+/// Middle of weights spread over the pixels, and their total.
+fn centroid(width: usize, weights: impl Iterator<Item = f64>) -> (SensorPx, f64) {
+    let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
+    for (n, weight) in weights.enumerate() {
+        sum += weight;
+        x += weight * (n % width) as f64;
+        y += weight * (n / width) as f64;
+    }
+    (SensorPx::new(x / sum, y / sum), sum)
+}
+
+/// Light above the background.
+fn light(scene: &Scene) -> impl Iterator<Item = f64> {
+    let background = scene.background_dn;
+    render_exact(scene)
+        .into_iter()
+        .map(move |dn| f64::from(dn) - background)
+}
+
+fn phases() -> impl Iterator<Item = (f64, f64)> {
+    (0..25).map(|k| {
+        (
+            f64::from(k % 5) * 0.2 + 0.013,
+            f64::from(k / 5) * 0.2 - 0.031,
+        )
+    })
+}
+
+#[test]
+fn the_disc_stands_where_the_truth_says_to_a_thousandth_of_a_pixel() {
+    let mut worst = 0.0_f64;
+    for (n, (dx, dy)) in phases().enumerate() {
+        let centre = SensorPx::new(120.0 + dx, 119.0 + dy);
+        let mut scene = small_scene(240, view(centre, 17.0));
+        let sun = Sun::new(PlateMil::new(30.0, -20.0), RADIUS_MIL);
+        scene.mark_contrast = 0.0;
+        scene.sun = Some(Sun {
+            smear_mil: Vector2::new(7.5, -2.0) * (n % 2) as f64,
+            ..sun
+        });
+        let truth = scene.truth().sun.unwrap();
+        let (found, _) = centroid(240, light(&scene));
+        worst = worst.max(found.distance(truth.px));
+    }
+    println!("disc: worst error {worst:.6} px");
+    assert!(worst < 1e-3, "{worst} px");
+}
+
+#[test]
+fn a_mark_stands_where_the_truth_says_to_a_thousandth_of_a_pixel() {
+    let mut worst = 0.0_f64;
+    for rotation_deg in [0.0, 7.0, 33.0] {
+        for (dx, dy) in phases() {
+            let centre = SensorPx::new(32.0 + dx, 31.0 + dy);
+            let mut scene = small_scene(64, view(centre, rotation_deg));
+            // So large a Sun lights the field evenly.
+            scene.sun = Some(Sun {
+                limb_darkening: 0.0,
+                ..Sun::new(PlateMil::new(0.0, 0.0), 2000.0)
+            });
+            let (found, dark) = centroid(64, light(&scene).map(|l| 205.0 - l));
+            worst = worst.max(found.distance(centre));
+            // Two arms of 90 x 12 mil that share a square of 12 x 12.
+            let area_px = (2.0 * 90.0 * 12.0 - 12.0 * 12.0) / 5.75_f64.powi(2);
+            assert!((dark / (0.8 * 205.0 * area_px) - 1.0).abs() < 1e-3);
+        }
+    }
+    println!("mark: worst error {worst:.6} px");
+    assert!(worst < 1e-3, "{worst} px");
+}
+
+/// A scene seen askew through a distorting lens, with sunspots and a scratch.
+fn askew() -> Scene {
+    let lens = Distortion {
+        centre: SensorPx::new(647.5, 482.5),
+        radial: [8e-9, 0.0],
+        decentring: [1e-7, 0.0],
+    };
+    let mapping = keystoned(view(SensorPx::new(650.3, 481.1), 11.0), 3.0, 1296, lens).unwrap();
+    let mut scene = Scene::new(&demo(), mapping);
+    scene.sun = Some(Sun {
+        spots: vec![Sunspot {
+            offset_mil: Vector2::new(-100.0, 150.0),
+            radius_mil: 12.0,
+            contrast: 0.5,
+        }],
+        ..Sun::new(PlateMil::new(-900.0, 700.0), RADIUS_MIL)
+    });
+    scene.blemishes.scratches.push(Scratch {
+        start: PlateMil::new(-700.0, 500.0),
+        end: PlateMil::new(-1600.0, 620.0),
+        width_mil: 9.0,
+        brightness: 1.3,
+    });
+    scene
+}
+
+/// The light of the plate at a place, as a physicist writes it down.
+fn light_at(scene: &Scene, at: PlateMil) -> f64 {
+    let sun = scene.sun.as_ref().unwrap();
+    let r = at.distance(sun.centre) / sun.radius_mil;
+    if r >= 1.0 {
+        return 0.0;
+    }
+    let mut light = sun.peak_dn * (1.0 - sun.limb_darkening * (1.0 - (1.0 - r * r).sqrt()));
+    for spot in &sun.spots {
+        if (at.vector() - sun.centre.vector() - spot.offset_mil).norm() < spot.radius_mil {
+            light *= 1.0 - spot.contrast;
+        }
+    }
+    let on_a_mark = scene.plate.marks().any(|(_, mark)| {
+        let (dx, dy) = ((at.x - mark.x).abs(), (at.y - mark.y).abs());
+        dx.max(dy) < 45.0 && dx.min(dy) < 6.0
+    });
+    if on_a_mark {
+        light *= 1.0 - scene.mark_contrast;
+    }
+    for scratch in &scene.blemishes.scratches {
+        let run = scratch.end.vector() - scratch.start.vector();
+        let from_start = at.vector() - scratch.start.vector();
+        let along = from_start.dot(&run.normalize());
+        let across = from_start.perp(&run.normalize()).abs();
+        if (0.0..run.norm()).contains(&along) && across < scratch.width_mil / 2.0 {
+            light *= scratch.brightness;
+        }
+    }
+    light
+}
+
+/// A pixel by brute force: the light at points 1/20 px apart, weighed by the blur and the pixel's square.
+fn pixel_by_brute_force(scene: &Scene, x: usize, y: usize) -> f64 {
+    const PER_PX: i32 = 20;
+    let reach = 5 * PER_PX;
+    let weights: Vec<f64> = (-reach..=reach)
+        .map(|t| {
+            (0..PER_PX)
+                .map(|k| f64::from(t) + f64::from(k) - f64::from(PER_PX - 1) / 2.0)
+                .map(|d| (-0.5 * (d / f64::from(PER_PX) / scene.blur_px).powi(2)).exp())
+                .sum()
+        })
+        .collect();
+    let total: f64 = weights.iter().sum();
+    let mut sum = 0.0;
+    for (wy, v) in weights.iter().zip(-reach..=reach) {
+        for (wx, u) in weights.iter().zip(-reach..=reach) {
+            let seen = SensorPx::new(
+                x as f64 + f64::from(u) / f64::from(PER_PX),
+                y as f64 + f64::from(v) / f64::from(PER_PX),
+            );
+            sum += wx * wy * light_at(scene, scene.mapping.to_plate(seen));
+        }
+    }
+    sum / (total * total)
+}
+
+#[test]
+fn every_kind_of_pixel_agrees_with_brute_force() {
+    let scene = askew();
+    let sun = scene.sun.as_ref().unwrap();
+    let on_limb = |k: u32| {
+        let angle = f64::from(k) * 0.7;
+        sun.centre.vector() + Vector2::new(angle.cos(), angle.sin()) * RADIUS_MIL
+    };
+    let mark = scene
+        .truth()
+        .marks
+        .iter()
+        .find(|m| m.depth_mil > 100.0)
+        .unwrap()
+        .plate;
+    let around_mark = [
+        (0.0, 0.0),
+        (43.0, 3.0),
+        (-44.0, -5.0),
+        (8.0, 8.0),
+        (2.0, -45.0),
+    ]
+    .map(|(x, y)| mark.vector() + Vector2::new(x, y));
+    let spot = sun.centre.vector() + sun.spots[0].offset_mil;
+    let scratch = Vector2::new(-1000.0, 540.0);
+    let places = (0..9)
+        .map(on_limb)
+        .chain(around_mark)
+        .chain([spot, scratch]);
+    let picture = render_exact(&scene);
+    let mut worst = 0.0_f64;
+    for place in places {
+        let seen = scene.mapping.to_sensor(place.into());
+        let (x, y) = (seen.x.round() as usize, seen.y.round() as usize);
+        let rendered = f64::from(picture[y * scene.width_px + x]) - scene.background_dn;
+        worst = worst.max((rendered - pixel_by_brute_force(&scene, x, y)).abs());
+    }
+    println!("brute force: worst difference {worst:.4} DN");
+    assert!(worst < 0.25, "{worst} DN");
+}
+
+#[test]
+fn finer_sampling_changes_a_pixel_by_less_than_a_quarter_of_a_digital_number() {
+    let scene = askew();
+    let (usual, fine) = (render_exact(&scene), render_oversampled(&scene, 9));
+    let differences = usual.iter().zip(&fine).map(|(a, b)| (a - b).abs());
+    let worst = differences.fold(0.0, f32::max);
+    println!("3 against 9 samples per px: worst difference {worst:.4} DN");
+    assert!(worst < 0.25, "{worst} DN");
+}
+
+#[test]
+fn motion_widens_the_disc_along_itself_only() {
+    let variance = |smear_px: f64| {
+        let mut scene = small_scene(240, view(SensorPx::new(120.3, 119.6), 0.0));
+        scene.mark_contrast = 0.0;
+        scene.sun = Some(Sun {
+            smear_mil: Vector2::new(smear_px * 5.75, 0.0),
+            ..Sun::new(PlateMil::new(0.0, 0.0), RADIUS_MIL)
+        });
+        let picture: Vec<f64> = light(&scene).collect();
+        let (middle, sum) = centroid(240, picture.iter().copied());
+        let moment = |of: &dyn Fn(usize) -> f64| {
+            let all = picture.iter().enumerate().map(|(n, l)| l * of(n).powi(2));
+            all.sum::<f64>() / sum
+        };
+        let x = moment(&|n| (n % 240) as f64 - middle.x);
+        let y = moment(&|n| (n / 240) as f64 - middle.y);
+        (x, y)
+    };
+    let (still, moving) = (variance(0.0), variance(6.0));
+    // A uniform motion of length L adds L^2 / 12 to the variance.
+    assert!(
+        (moving.0 - still.0 - 3.0).abs() < 0.03,
+        "{}",
+        moving.0 - still.0
+    );
+    assert!((moving.1 - still.1).abs() < 1e-3);
+}
+
+#[test]
+fn a_keystone_is_the_one_that_is_written_down() {
+    let (centre, turn) = (SensorPx::new(640.0, 480.0), 30.0_f64);
+    let mapping = keystoned(view(centre, turn), 3.0, 1296, Distortion::NONE).unwrap();
+    let plate = PlateMil::new(1150.0, -575.0);
+    let (sin, cos) = turn.to_radians().sin_cos();
+    // Mirrored: x falls with X. 200 and 100 px at 5.75 mil/px, then the turn.
+    let (u, v) = (-200.0, -100.0);
+    let q = Vector2::new(cos * u - sin * v, sin * u + cos * v);
+    let k = 3.0_f64.to_radians().tan() / (4.0 * 1296.0);
+    let expected = centre.vector() + q / (1.0 + k * q.x);
+    assert!((mapping.to_sensor(plate).vector() - expected).norm() < 1e-9);
+    assert!(keystoned(view(centre, f64::NAN), 3.0, 1296, Distortion::NONE).is_none());
+}
+
+fn values(frame: &Frame) -> Vec<f64> {
+    match frame.pixels() {
+        Pixels::U8(pixels) => pixels.iter().map(|&p| f64::from(p)).collect(),
+        Pixels::U16(pixels) => pixels.iter().map(|&p| f64::from(p)).collect(),
+    }
+}
+
+fn mean_and_variance(values: &[f64]) -> (f64, f64) {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let squares = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+    (mean, squares / values.len() as f64)
+}
+
+#[test]
+fn noise_and_depth_are_as_stated() {
+    let mut scene = small_scene(300, view(SensorPx::new(150.0, 150.0), 0.0));
+    scene.background_dn = 100.0;
+    scene.noise = Noise {
+        read_dn: 3.0,
+        electrons_per_dn: Some(25.0),
+    };
+    scene.depth = Depth::Twelve;
+    let frame = scene.frame().unwrap();
+    let (mean, variance) = mean_and_variance(&values(&frame));
+    // 90 000 pixels: the mean is good to 0.01 DN, the variance to 0.5 %.
+    assert!((mean / 16.0 - 100.0).abs() < 0.05, "{mean}");
+    assert!(
+        (variance / 256.0 - (9.0 + 100.0 / 25.0)).abs() < 0.3,
+        "{variance}"
+    );
+    assert_eq!(frame.saturation_dn(), 4095);
+    scene.depth = Depth::Eight;
+    scene.background_dn = 300.0;
+    let frame = scene.frame().unwrap();
+    assert_eq!(frame.saturation_dn(), 255);
+    assert!(values(&frame).iter().all(|&v| v == 255.0));
+}
+
+#[test]
+fn the_same_scene_gives_the_same_frame_and_another_seed_another() {
+    let mut conditions = Conditions::of(&demo());
+    conditions.sunspots = 2;
+    conditions.blemishes = Counts {
+        hot_pixels: 5,
+        scratches_per_disc: 2.0,
+        leaks: 2,
+        dust_per_disc: 3.0,
+        vignetting: 0.1,
+    };
+    let frame = |seed: u64, number: u64| {
+        let scenes = RandomScenes::new(&demo(), &conditions, seed).unwrap();
+        scenes.scene(number).unwrap().frame().unwrap()
+    };
+    assert_eq!(frame(7, 3), frame(7, 3));
+    assert_ne!(frame(7, 3).pixels(), frame(7, 4).pixels());
+    assert_ne!(frame(7, 3).pixels(), frame(8, 3).pixels());
+}
+
+#[test]
+fn blemishes_do_what_their_names_say() {
+    let mut scene = small_scene(256, view(SensorPx::new(128.0, 128.0), 0.0));
+    scene.mark_contrast = 0.0;
+    scene.sun = Some(Sun {
+        limb_darkening: 0.0,
+        ..Sun::new(PlateMil::new(0.0, 0.0), 400.0)
+    });
+    scene.blemishes = Blemishes {
+        hot_pixels: vec![HotPixel { x: 3, y: 250 }],
+        // Across the whole picture, 20 px below the middle; lit for |x - 128| < 66.
+        scratches: vec![Scratch {
+            start: PlateMil::new(-700.0, 115.0),
+            end: PlateMil::new(700.0, 115.0),
+            width_mil: 11.5,
+            brightness: 1.2,
+        }],
+        leaks: vec![Leak {
+            centre: PlateMil::new(-575.0, -575.0),
+            sigma_px: 4.0,
+            peak_dn: 30.0,
+        }],
+        dust: vec![Dust {
+            centre: SensorPx::new(128.0, 90.0),
+            sigma_px: 3.0,
+            depth: 0.25,
+        }],
+        vignetting: 0.0,
+    };
+    let at = |scene: &Scene, x: usize, y: usize| values(&scene.frame().unwrap())[y * 256 + x];
+    assert_eq!(at(&scene, 3, 250), 255.0);
+    assert_eq!(at(&scene, 20, 148), 4.0);
+    assert!(at(&scene, 128, 148) > 225.0);
+    assert_eq!(at(&scene, 128, 128), 209.0);
+    assert_eq!(at(&scene, 228, 28), 34.0);
+    assert_eq!(at(&scene, 128, 90), (4.0_f64 + 0.75 * 205.0).round());
+    scene.blemishes.vignetting = 0.5;
+    // 40 of 180.3 px from the middle: a loss of 0.5 (40 / 180.3)^2.
+    assert!((at(&scene, 167, 127) - (4.0 + 205.0 * (1.0 - 0.5 * 0.0482))).abs() < 1.0);
+}
+
+#[test]
+fn marks_scatter_by_the_stated_rms_and_the_truth_follows_them() {
+    let plate = scattered(&demo().plate, 1.0, 4);
+    let squares = MarkId::all().map(|id| {
+        let off = plate.position(id).vector() - drawn_position(id).vector();
+        off.norm_squared() / 2.0
+    });
+    // 450 coordinates: the rms is good to 3.3 %.
+    let rms = (squares.sum::<f64>() / 225.0).sqrt();
+    assert!((rms - 1.0).abs() < 0.15, "{rms}");
+    let mut scene = small_scene(240, view(SensorPx::new(120.0, 120.0), 0.0));
+    scene.sun = Some(Sun::new(PlateMil::new(0.0, 0.0), RADIUS_MIL));
+    scene.plate = plate.clone();
+    let marks = scene.truth().marks;
+    assert!(marks.len() >= 5);
+    for mark in marks {
+        assert_eq!(mark.plate, plate.position(mark.id));
+        assert!(mark.depth_mil > -45.0);
+    }
+}
+
+#[test]
+fn random_suns_stand_where_the_conditions_want_them() {
+    for in_view in [SunInView::Whole, SunInView::Partial, SunInView::Absent] {
+        let conditions = Conditions {
+            sun: in_view,
+            keystone_deg: 3.0,
+            ..Conditions::of(&demo())
+        };
+        let scenes = RandomScenes::new(&demo(), &conditions, 5).unwrap();
+        for number in 0..200 {
+            let Some(sun) = scenes.scene(number).unwrap().truth().sun else {
+                assert_eq!(in_view, SunInView::Absent);
+                continue;
+            };
+            let x = sun.px.x.min(1295.0 - sun.px.x);
+            let y = sun.px.y.min(965.0 - sun.px.y);
+            let depth = x.min(y) / sun.radius_px;
+            match in_view {
+                SunInView::Whole => assert!(depth > 1.0, "{depth}"),
+                SunInView::Partial => assert!((-0.7..1.1).contains(&depth), "{depth}"),
+                SunInView::Absent => panic!("a Sun where none was wanted"),
+            }
+        }
+    }
+}
