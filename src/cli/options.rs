@@ -3,6 +3,8 @@
 use crate::config::Config;
 use crate::instrument::{self, Instrument};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// The instrument of `--instrument`, else the built-in demo.
 pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
@@ -31,6 +33,25 @@ pub(super) fn duration(text: &str) -> Result<std::time::Duration, String> {
         || format!("expected a length of time such as 20s, 500ms or 8h, found \"{text}\"");
     let seconds: f64 = number.trim().parse().map_err(|_| expected())?;
     std::time::Duration::try_from_secs_f64(seconds * unit).map_err(|_| expected())
+}
+
+/// Frames per second.
+pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(rate) if (0.01..=100.0).contains(&rate) => Ok(rate),
+        _ => Err(format!(
+            "expected a number from 0.01 to 100 Hz, found \"{text}\""
+        )),
+    }
+}
+
+/// Becomes true when the program is asked to end, by SIGINT or SIGTERM.
+pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
+    }
+    Ok(interrupted)
 }
 
 #[cfg(test)]
