@@ -122,11 +122,14 @@ impl Store {
     }
 
     fn make_folder(&self, folder: &Path) -> Result<(), ArchiveError> {
-        if folder.is_dir() {
-            return Ok(());
+        // Not with its parents: where the root is gone, its disk is, and nothing may be written in its place.
+        match fs::create_dir(folder) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => Ok(()),
+            made => {
+                made.during("make a folder", folder)?;
+                sync_folder(&self.root)
+            }
         }
-        fs::create_dir_all(folder).during("make a folder", folder)?;
-        sync_folder(&self.root)
     }
 }
 

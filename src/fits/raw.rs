@@ -8,6 +8,7 @@
 use super::Problem;
 use crate::frame::Pixels;
 use fitsio_sys as sys;
+use std::alloc::{Layout, alloc_zeroed, dealloc};
 use std::ffi::{CStr, CString, c_char, c_int, c_long, c_void};
 use std::ptr;
 use std::sync::{Mutex, PoisonError};
@@ -15,9 +16,50 @@ use std::sync::{Mutex, PoisonError};
 /// cfitsio initialises itself at the first opening, and not safely if two threads are first at once.
 static OPENING: Mutex<()> = Mutex::new(());
 
-unsafe extern "C" {
-    fn realloc(memory: *mut c_void, bytes: usize) -> *mut c_void;
-    fn free(memory: *mut c_void);
+/// Bytes before each piece of memory, which hold its size. A multiple of any alignment that C asks for.
+const SIZE_BYTES: usize = 16;
+
+/// The whole of a piece of memory with so many usable bytes.
+fn layout(bytes: usize) -> Option<Layout> {
+    Layout::from_size_align(bytes.checked_add(SIZE_BYTES)?, SIZE_BYTES).ok()
+}
+
+/// A `realloc` that fills what it adds with zeros. When cfitsio extends a file within the memory that it has, it
+/// takes that memory to be zero, which C's `realloc` does not promise.
+unsafe extern "C" fn grow(memory: *mut c_void, bytes: usize) -> *mut c_void {
+    let Some(layout) = layout(bytes) else {
+        return ptr::null_mut();
+    };
+    // SAFETY: the layout is not empty; `memory`, unless null, is an earlier result with its size before it, and the
+    // copy stays within the smaller of the two.
+    unsafe {
+        let whole = alloc_zeroed(layout);
+        if whole.is_null() {
+            return ptr::null_mut();
+        }
+        whole.cast::<usize>().write(bytes);
+        let grown = whole.add(SIZE_BYTES);
+        if !memory.is_null() {
+            let old = memory.cast::<u8>().sub(SIZE_BYTES).cast::<usize>().read();
+            ptr::copy_nonoverlapping(memory.cast(), grown, old.min(bytes));
+            release(memory);
+        }
+        grown.cast()
+    }
+}
+
+/// Gives back what [`grow`] returned.
+unsafe fn release(memory: *mut c_void) {
+    if memory.is_null() {
+        return;
+    }
+    // SAFETY: the caller's memory is a result of `grow`, whose size stands before it.
+    unsafe {
+        let whole = memory.cast::<u8>().sub(SIZE_BYTES);
+        if let Some(layout) = layout(whole.cast::<usize>().read()) {
+            dealloc(whole, layout);
+        }
+    }
 }
 
 /// How the pixels of an image extension are compressed. All are lossless.
@@ -68,8 +110,8 @@ impl Drop for MemoryFile {
             unsafe { sys::ffclos(self.handle, &mut status) };
         }
         if self.owned {
-            // SAFETY: the memory came from `realloc`, and the file that used it is closed.
-            unsafe { free(self.memory.start) };
+            // SAFETY: the memory came from `grow`, and the file that used it is closed.
+            unsafe { release(self.memory.start) };
         }
     }
 }
@@ -123,14 +165,14 @@ impl MemoryFile {
         let memory = &mut *file.memory;
         let mut status = 0;
         let _one_at_a_time = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the boxed memory outlives the handle, and grows by the C library's own `realloc`.
+        // SAFETY: the boxed memory outlives the handle, and grows by `grow` alone.
         unsafe {
             sys::ffimem(
                 &mut file.handle,
                 &mut memory.start,
                 &mut memory.bytes,
                 1 << 20,
-                Some(realloc),
+                Some(grow),
                 &mut status,
             )
         };
