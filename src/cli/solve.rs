@@ -13,7 +13,7 @@ use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
-use serde_json::json;
+use serde::Serialize;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -119,6 +119,13 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
 
 /// A frame's record, or the file and what is wrong with it.
 type Answer = Result<Record, (String, String)>;
+
+/// The line of a file that could not be read.
+#[derive(Serialize)]
+struct BadFile<'a> {
+    file: &'a str,
+    error: &'a str,
+}
 
 /// What all frames of a batch share.
 struct Batch {
@@ -242,7 +249,7 @@ impl Printer {
         match (self.format, answer) {
             (Format::Jsonl, Ok(record)) => writeln!(out, "{}", serde_json::to_string(record)?)?,
             (Format::Jsonl, Err((file, error))) => {
-                writeln!(out, "{}", json!({"file": file, "error": error}))?;
+                writeln!(out, "{}", serde_json::to_string(&BadFile { file, error })?)?;
             }
             (Format::Csv, _) => {
                 drop(out);

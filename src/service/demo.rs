@@ -88,12 +88,8 @@ pub fn run(
                     }
                 };
                 let mut controller = Controller::new();
-                // The service hangs up at the end of the flight: that ends the run, and is no fault.
-                if let Err(error) = controller.run(&mut far, || over.load(Ordering::Relaxed), heard)
-                {
-                    tracing::debug!(%error, "the controller's line has ended");
-                }
-                controller.report().clone()
+                let over = || over.load(Ordering::Relaxed);
+                controller.run(&mut far, over, heard).cloned()
             })?
     };
     let (service, answers) = Service::start_watched(flight)?;
@@ -103,12 +99,11 @@ pub fn run(
         let received = *received.lock().unwrap_or_else(PoisonError::into_inner);
         show(&Glimpse { answer, received });
     });
-    let tally = service.join()?;
     over.store(true, Ordering::Relaxed);
     let controller = controller.join();
     Ok(Summary {
-        tally,
-        controller: controller.map_err(|_| anyhow!("the controller's thread has failed"))?,
+        tally: service.join()?,
+        controller: controller.map_err(|_| anyhow!("the controller's thread has failed"))??,
         fine_errors_arcsec: judge.fine_errors_arcsec,
         false_suns: judge.false_suns,
         archive: demo.archive.clone(),

@@ -10,6 +10,7 @@ use crate::pointing::{HelioprojectiveArcsec, Offset};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -70,14 +71,17 @@ impl Line {
         }
     }
 
-    /// Talks until camera and solver have ended.
-    pub fn run(mut self, events: &Receiver<LinkEvent>) -> LineTally {
+    /// Talks while camera and solver work, and from then on listens until it is to hang up.
+    pub fn run(mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool) -> LineTally {
         loop {
             match events.recv_timeout(PATIENCE) {
                 Ok(LinkEvent::ExposureStarts(time)) => self.announce(time),
                 Ok(LinkEvent::Outcome(outcome)) => self.conclude(&outcome),
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return self.tally,
+                Err(RecvTimeoutError::Disconnected) if hang_up.load(Ordering::Relaxed) => {
+                    return self.tally;
+                }
+                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
             }
             self.listen();
         }

@@ -16,8 +16,9 @@
 //! | Answer | solved frames to store | the frame is not stored, and counted; solving and sending go on |
 //! | LinkEvent | exposures about to start, solutions | the event is dropped and counted: the line is stuck |
 //!
-//! A thread ends when the channel it reads from is closed: the camera ends first, then solver, archive and link, each
-//! after the last of its work. A thread that panics is noticed when the service is joined.
+//! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
+//! the last of its work. The link goes on answering commands until the service is joined. A thread that panics is noticed
+//! then.
 
 mod archiver;
 pub mod demo;
@@ -81,6 +82,7 @@ pub struct Service {
     archive: JoinHandle<ArchiveTally>,
     line: JoinHandle<LineTally>,
     stop: Arc<AtomicBool>,
+    hang_up: Arc<AtomicBool>,
 }
 
 /// A thread of the service that ended by a panic.
@@ -130,14 +132,17 @@ impl Service {
         let store = flight.store;
         let mut camera = flight.camera;
         let stopped = Arc::clone(&stop);
+        let hang_up = Arc::new(AtomicBool::new(false));
+        let hung_up = Arc::clone(&hang_up);
         Ok(Self {
-            line: spawn("link", move || line.run(&events))?,
+            line: spawn("link", move || line.run(&events, &hung_up))?,
             archive: spawn("archive", move || archiver::run(store.as_ref(), &answers))?,
             solver: spawn("solver", move || solver.run(&sightings))?,
             camera: spawn("camera", move || {
                 take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)
             })?,
             stop,
+            hang_up,
         })
     }
 
@@ -146,18 +151,23 @@ impl Service {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Whether every thread has ended.
+    /// Whether the last frame has been solved and stored.
     pub fn is_finished(&self) -> bool {
-        self.archive.is_finished() && self.line.is_finished()
+        self.solver.is_finished() && self.archive.is_finished()
     }
 
-    /// Waits for all threads and says what happened.
+    /// Waits for the last frame, hangs up, and says what happened.
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
+        let camera = self.camera.join().map_err(|_| ThreadFailed("camera"));
+        let solver = self.solver.join().map_err(|_| ThreadFailed("solver"));
+        let archive = self.archive.join().map_err(|_| ThreadFailed("archive"));
+        self.hang_up.store(true, Ordering::Relaxed);
+        let line = self.line.join().map_err(|_| ThreadFailed("link"));
         Ok(FlightTally {
-            camera: self.camera.join().map_err(|_| ThreadFailed("camera"))?,
-            solver: self.solver.join().map_err(|_| ThreadFailed("solver"))?,
-            archive: self.archive.join().map_err(|_| ThreadFailed("archive"))?,
-            line: self.line.join().map_err(|_| ThreadFailed("link"))?,
+            camera: camera?,
+            solver: solver?,
+            archive: archive?,
+            line: line?,
         })
     }
 }
