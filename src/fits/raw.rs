@@ -1,9 +1,9 @@
-//! The only unsafe code of this room: cfitsio on files in memory.
+//! The only unsafe code of this room: cfitsio writing a file in memory.
 //!
-//! Files live in memory so that no file name ever reaches cfitsio, which would read `[`, `(` and `+` in it as
-//! instructions, and so that every byte can be checked before reading and written by ourselves afterwards.
-//! Every call's status is checked. The message is the status's own text: the library's stack of messages is shared
-//! by all threads and may hold another file's.
+//! The file lives in memory so that no file name ever reaches cfitsio, which would read `[`, `(` and `+` in it as
+//! instructions, and so that bringing the bytes to the disk, whole or not at all, is in our hands. Every call's status is
+//! checked. The message is the status's own text: the library's stack of messages is shared by all threads and may
+//! hold another file's.
 
 use super::Problem;
 use crate::frame::Pixels;
@@ -83,7 +83,6 @@ struct Memory {
 pub(super) struct MemoryFile {
     handle: *mut sys::fitsfile,
     memory: Box<Memory>,
-    owned: bool,
 }
 
 impl Drop for MemoryFile {
@@ -93,10 +92,8 @@ impl Drop for MemoryFile {
             // SAFETY: the handle is open, and not used again.
             unsafe { sys::ffclos(self.handle, &mut status) };
         }
-        if self.owned {
-            // SAFETY: the memory came from `grow`, and the file that used it is closed.
-            unsafe { release(self.memory.start) };
-        }
+        // SAFETY: the memory came from `grow`, and the file that used it is closed.
+        unsafe { release(self.memory.start) };
     }
 }
 
@@ -144,7 +141,6 @@ impl MemoryFile {
                 start: ptr::null_mut(),
                 bytes: 0,
             }),
-            owned: true,
         };
         let memory = &mut *file.memory;
         let mut status = 0;
@@ -162,85 +158,6 @@ impl MemoryFile {
         };
         check(status, "create a file in memory")?;
         Ok(file)
-    }
-
-    /// Opens a file that was checked before, for reading: hands it to `read` and closes it.
-    pub fn read<T>(
-        bytes: &mut [u8],
-        read: impl FnOnce(&Self) -> Result<T, Problem>,
-    ) -> Result<T, Problem> {
-        let start = bytes.as_mut_ptr().cast();
-        let mut file = Self {
-            handle: ptr::null_mut(),
-            memory: Box::new(Memory {
-                start,
-                bytes: bytes.len(),
-            }),
-            owned: false,
-        };
-        let memory = &mut *file.memory;
-        let mut status = 0;
-        let opening = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the bytes outlive the handle, which ends with this function; cfitsio neither writes to a
-        // file opened for reading nor lets it grow without a `realloc`.
-        unsafe {
-            sys::ffomem(
-                &mut file.handle,
-                c"frame".as_ptr(),
-                sys::READONLY as c_int,
-                &mut memory.start,
-                &mut memory.bytes,
-                0,
-                None,
-                &mut status,
-            )
-        };
-        drop(opening);
-        check(status, "open the file")?;
-        read(&file)
-    }
-
-    /// Goes to an HDU, counted from 1.
-    pub fn go_to(&self, hdu: c_int) -> Result<(), Problem> {
-        let mut kind = 0;
-        call!(self, "find the image", ffmahd, hdu, &mut kind)
-    }
-
-    /// The 8-bit pixels of the current image.
-    pub fn pixels_u8(&self, count: usize) -> Result<Vec<u8>, Problem> {
-        let mut pixels = vec![0; count];
-        let (start, mut any_null) = (pixels.as_mut_ptr(), 0);
-        call!(
-            self,
-            "read the pixels",
-            ffgpvb,
-            1,
-            1,
-            count as i64,
-            0,
-            start,
-            &mut any_null
-        )?;
-        Ok(pixels)
-    }
-
-    /// The 16-bit pixels of the current image as stored, before BZERO.
-    pub fn pixels_i16(&self, count: usize) -> Result<Vec<i16>, Problem> {
-        let mut pixels = vec![0; count];
-        let (start, mut any_null) = (pixels.as_mut_ptr(), 0);
-        call!(self, "read the pixels unscaled", ffpscl, 1.0, 0.0)?;
-        call!(
-            self,
-            "read the pixels",
-            ffgpvi,
-            1,
-            1,
-            count as i64,
-            0,
-            start,
-            &mut any_null
-        )?;
-        Ok(pixels)
     }
 
     /// Writes a primary header without data.
