@@ -118,14 +118,15 @@ pub fn encode_frame(
     if frame.saturation_dn() == 0 {
         return Err(Problem::field("SATURATE", "a level from 1 to 65535 DN", 0));
     }
-    let mut all = provenance();
+    let provenance = provenance();
+    let mut all = provenance.clone();
     all.extend(info_cards(frame));
     refuse_duplicates(&all, cards)?;
     all.extend_from_slice(cards);
 
     let file = MemoryFile::create()?;
     file.create_primary()?;
-    put_cards(&file, &provenance())?;
+    put_cards(&file, &provenance)?;
     file.put_checksums()?;
     file.create_image([frame.width(), frame.height()], frame.pixels(), compression)?;
     put_cards(&file, &[Card::new("EXTNAME", FRAME_EXTENSION)])?;
@@ -140,11 +141,12 @@ pub fn encode_frame(
 
 /// Where the file comes from.
 fn provenance() -> Vec<Card> {
+    let now = Timestamp::from_second(Timestamp::now().as_second()).unwrap_or_default();
     let program = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
     vec![
         Card::new("ORIGIN", "solaspect"),
         Card::new("CREATOR", program),
-        Card::new("DATE", format_time(Timestamp::now())),
+        Card::new("DATE", format_time(now)),
     ]
 }
 
