@@ -177,13 +177,16 @@ mod round_trips {
         let hdu = file.hdu("MARKS").unwrap();
         let indices: Vec<i64> = hdu.read_col(&mut file, "I").unwrap();
         let positions: Vec<f64> = hdu.read_col(&mut file, "X").unwrap();
-        let states: Vec<String> = hdu.read_col(&mut file, "STATE").unwrap();
-        // An empty text reads as one blank there.
-        let states: Vec<&str> = states.iter().map(|text| text.trim_end()).collect();
         assert_eq!(indices, [-7, 0, i64::MAX]);
         assert_eq!((positions[0], positions[2]), (0.1, -1e300));
         assert!(positions[1].is_nan());
-        assert_eq!(states, ["used", "", "cut off"]);
+        // fitsio 0.21 writes one byte too many when it reads texts, so their rows are looked at as they stand:
+        // an integer, a float and seven characters each.
+        assert_eq!(hdu.read_key::<String>(&mut file, "TFORM3").unwrap(), "7A");
+        let bytes = fs::read(&path).unwrap();
+        let first = bytes.windows(4).position(|text| text == b"used").unwrap();
+        let texts = [0, 1, 2].map(|row| &bytes[first + 23 * row..][..7]);
+        assert_eq!(texts, [b"used   ", b"       ", b"cut off"]);
         assert_eq!(hdu.read_key::<String>(&mut file, "TUNIT2").unwrap(), "px");
         let none = file.hdu("NONE").unwrap();
         assert_eq!(none.read_key::<i64>(&mut file, "NAXIS2").unwrap(), 0);
