@@ -144,13 +144,15 @@ fn decide(
 fn readings(evidence: &Evidence<'_>) -> Vec<Reading> {
     let (sight, settings) = (evidence.sight, evidence.settings);
     let farthest_px = TRIED_BEYOND * settings.max_centre_shift_px;
+    let full = |(_, detection): &(usize, &Detection)| detection.lighting == Lighting::Full;
+    let anchors = evidence.detections.iter().enumerate().filter(full);
+    // A reading with enough marks has one of them among all but so many.
+    let spare = settings.min_marks.saturating_sub(1);
+    let anchors = anchors.clone().take(anchors.count().saturating_sub(spare));
     let mut readings = Vec::new();
     for turned in sight.turned() {
         let mut so_turned: Vec<Reading> = Vec::new();
-        for (n, detection) in evidence.detections.iter().enumerate() {
-            if detection.lighting == Lighting::Cut {
-                continue;
-            }
+        for (n, detection) in anchors.clone() {
             for (id, printed) in evidence.marks {
                 let guess = turned.shifted(*printed, detection.at);
                 let near = (guess.centre - sight.plate_centre.vector()).norm() < farthest_px;

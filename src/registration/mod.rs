@@ -43,7 +43,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             min_gain: 6.0,
-            prior_freedom: 4.0,
+            prior_freedom: 2.0,
         }
     }
 }
