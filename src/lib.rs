@@ -34,6 +34,7 @@
 
 pub mod archive;
 pub mod aspect;
+pub mod camera;
 pub mod cli;
 pub mod config;
 pub mod fiducial;
@@ -47,6 +48,7 @@ pub mod plate;
 pub mod pointing;
 pub mod registration;
 pub mod report;
+pub mod service;
 pub mod simulate;
 pub mod sky;
 pub mod units;

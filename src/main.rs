@@ -1,1 +1,83 @@
-fn main() {}
+//! The program: one command per file of `cli`.
+
+use clap::{Parser, Subcommand, ValueEnum};
+use solaspect::cli;
+use std::io::ErrorKind;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+/// Three-axis aspect of a balloon gondola from its cameras, above all from the Sun on a fiducial plate.
+///
+/// Exit codes: 0 all went well, 1 something in the input or the run failed, 2 wrong usage.
+#[derive(Parser)]
+#[command(name = "solaspect", version, max_term_width = 100)]
+struct Program {
+    #[command(subcommand)]
+    command: Command,
+    /// Log more: -v what happens, -vv every frame, -vvv everything
+    #[arg(short, long, action = clap::ArgAction::Count, global = true)]
+    verbose: u8,
+    /// How the log on standard error is written
+    #[arg(long, value_enum, default_value_t = LogFormat::Text, global = true)]
+    log_format: LogFormat,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum LogFormat {
+    Text,
+    Json,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(cli::demo::DemoArgs),
+    Fly(cli::fly::FlyArgs),
+    Solve(cli::solve::SolveArgs),
+    Simulate(cli::simulate::SimulateArgs),
+    Sky(cli::sky::SkyArgs),
+    Config(cli::config::ConfigArgs),
+}
+
+fn main() -> ExitCode {
+    let program = Program::parse();
+    start_log(program.verbose, program.log_format);
+    let outcome = match program.command {
+        Command::Demo(args) => cli::demo::run(args),
+        Command::Fly(args) => cli::fly::run(args),
+        Command::Solve(args) => cli::solve::run(args),
+        Command::Simulate(args) => cli::simulate::run(&args).map(|()| ExitCode::SUCCESS),
+        Command::Sky(args) => cli::sky::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Config(args) => cli::config::run(args).map(|()| ExitCode::SUCCESS),
+    };
+    match outcome {
+        Ok(code) => code,
+        Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("solaspect: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Whoever reads our output may stop reading: `solaspect solve ... | head` is no failure.
+fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    let io = error.downcast_ref::<std::io::Error>();
+    io.is_some_and(|io| io.kind() == ErrorKind::BrokenPipe)
+}
+
+fn start_log(verbose: u8, format: LogFormat) {
+    let level = match verbose {
+        0 => "warn",
+        1 => "info",
+        2 => "debug",
+        _ => "trace",
+    };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr);
+    match format {
+        LogFormat::Text => log.init(),
+        LogFormat::Json => log.json().init(),
+    }
+}

@@ -1,5 +1,9 @@
 //! The commands: each file reads its arguments, calls the library and prints. No logic here.
 
 pub mod config;
+pub mod demo;
+pub mod fly;
+mod options;
 pub mod simulate;
 pub mod sky;
+pub mod solve;

@@ -1,10 +1,10 @@
 //! `solaspect simulate`: frames of random scenes, and the truth about them.
 
-use crate::frame::Frame;
-use crate::instrument::{self, Instrument};
-use crate::simulate::{
-    Conditions, Counts, Depth, Noise, Picture, RandomScenes, SUN_RADIUS_ARCSEC, SunInView, Truth,
-};
+use super::options;
+use crate::fits::{self, Compression};
+use crate::instrument::Instrument;
+use crate::simulate::{Conditions, Counts, Depth, Noise, Picture, RandomScenes, SunInView, Truth};
+use crate::sky;
 use crate::units::SensorPx;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
@@ -12,7 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use jiff::{SignedDuration, Timestamp};
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// The first line of `truth.csv`: px, px, mil, mil, px.
 pub const TRUTH_HEADER: &str = "n,sun_x,sun_y,plate_x,plate_y,radius";
@@ -50,9 +50,9 @@ pub struct SimulateArgs {
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Sun")]
 pub struct SunArgs {
-    /// Angular radius of the Sun
-    #[arg(long, value_name = "ARCSEC", default_value_t = SUN_RADIUS_ARCSEC, value_parser = Within(900.0, 1000.0, "arcsec"))]
-    pub sun_radius: f64,
+    /// Angular radius of the Sun [default: the ephemeris at --utc]
+    #[arg(long, value_name = "ARCSEC", value_parser = Within(900.0, 1000.0, "arcsec"))]
+    pub sun_radius: Option<f64>,
     /// Light at the disc's centre, above the background, 8-bit DN
     #[arg(long, value_name = "DN", default_value_t = 205.0, value_parser = Within(0.0, 4000.0, "DN"))]
     pub peak: f64,
@@ -170,16 +170,15 @@ fn position(text: &str) -> Result<SensorPx, String> {
         .ok_or_else(|| "expected X,Y, each a number from -100000 to 100000 px".into())
 }
 
-/// Makes the frames and `truth.csv`; `write_frame` puts a frame into a file.
-pub fn run(
-    args: &SimulateArgs,
-    write_frame: impl Fn(&Path, &Frame) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
-    let instrument = match &args.instrument {
-        Some(path) => Instrument::read(path)?,
-        None => instrument::builtin("demo")?,
+/// Makes the frames and `truth.csv`.
+pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
+    let instrument = options::instrument(args.instrument.as_deref())?;
+    let radius_arcsec = match args.sun.sun_radius {
+        Some(radius) => radius,
+        None => sky::sun_angular_radius(args.utc).context("--utc")?,
     };
-    let scenes = RandomScenes::new(&instrument, &args.conditions(&instrument), args.seed)?;
+    let conditions = args.conditions(&instrument, radius_arcsec);
+    let scenes = RandomScenes::new(&instrument, &conditions, args.seed)?;
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
     let path = args.out.join("truth.csv");
@@ -189,10 +188,8 @@ pub fn run(
     let progress = progress_bar(args.frames);
     for number in 0..args.frames {
         let picture = args.picture(&scenes, number)?;
-        write_frame(
-            &args.out.join(format!("frame_{number:05}.fits")),
-            &picture.frame,
-        )?;
+        let file = args.out.join(format!("frame_{number:05}.fits"));
+        fits::write_frame(&file, &picture.frame, &[], &[], Compression::Rice)?;
         writeln!(truth, "{}", truth_line(number, &picture.truth)).with_context(cannot_write)?;
         progress.inc(1);
     }
@@ -229,7 +226,7 @@ impl SimulateArgs {
         Ok(scene.picture()?)
     }
 
-    fn conditions(&self, instrument: &Instrument) -> Conditions {
+    fn conditions(&self, instrument: &Instrument, sun_radius_arcsec: f64) -> Conditions {
         let stated = Conditions::of(instrument);
         let (sun, optics, camera) = (&self.sun, &self.optics, &self.camera);
         let mut similarity = stated.similarity;
@@ -238,7 +235,7 @@ impl SimulateArgs {
         similarity.plate_centre = optics.plate_centre.unwrap_or(similarity.plate_centre);
         Conditions {
             sun: sun.in_view(),
-            sun_radius_arcsec: sun.sun_radius,
+            sun_radius_arcsec,
             similarity,
             keystone_deg: optics.keystone,
             peak_dn: sun.peak,

@@ -21,6 +21,7 @@ use crate::fits::Compression;
 use crate::instrument::TomlError;
 use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
 use crate::units::Place;
+use crate::{aspect, fiducial, limb, registration};
 use std::path::{Path, PathBuf};
 
 /// Everything that a flight may set. `Config::default()` is a valid configuration.
@@ -32,6 +33,9 @@ pub struct Config {
     pub link: Link,
     pub archive: Archive,
     pub simulation: Simulation,
+    pub limb: limb::Settings,
+    pub fiducial: fiducial::Settings,
+    pub registration: registration::Settings,
 }
 
 /// Where the observer is, unless a frame says so itself: all three or none.
@@ -134,6 +138,15 @@ impl Default for Simulation {
 }
 
 impl Config {
+    /// The tunable parts of the solver.
+    pub fn solver(&self) -> aspect::Settings {
+        aspect::Settings {
+            limb: self.limb,
+            fiducial: self.fiducial,
+            registration: self.registration,
+        }
+    }
+
     /// Reads a configuration; what the file leaves out keeps its default.
     ///
     /// # Errors

@@ -80,6 +80,39 @@ static TABLE: &[Parameter] = &[
 
     row!(simulation.seed, "", Whole(0, i64::MAX),
         "Seed of the simulator: the same seed gives the same frames, bit for bit."),
+
+    row!(limb.level_fraction, "", Number(0.05, 0.6), command 10,
+        "Height of the limb's threshold between background and disc. Lower values stay clear of marks, higher ones of the noise; 0.22 is half the limb's own height for a limb darkening of 0.56."),
+    row!(limb.chords_per_axis, "", Whole(4, 1000), command 11,
+        "Rows and columns that cross the disc, each. More of them lower the noise with the square root and cost time."),
+    row!(limb.search_spacing_px, "px", Whole(1, 64), command 12,
+        "Distance between the chords that look for the disc over the whole frame."),
+    row!(limb.min_run_px, "px", Whole(1, 32), command 13,
+        "Bright runs shorter than this are hot pixels and noise."),
+    row!(limb.min_contrast_sigma, "", Number(2.0, 100.0), command 14,
+        "The disc must outshine the background by this many sigma of the noise."),
+    row!(limb.min_crossings, "", Whole(4, 1000), command 15,
+        "Fewest crossings that make a disc."),
+    row!(limb.max_radius_deviation, "", Number(0.01, 0.5), command 16,
+        "Largest relative deviation of the disc's radius from the expected one."),
+
+    row!(fiducial.detection_sigma, "", Number(2.0, 100.0), command 20,
+        "A mark's response must exceed this many sigma of the noise."),
+    row!(fiducial.min_contrast, "", Number(0.01, 1.0), command 21,
+        "A mark's least contrast, as a fraction of the light around it."),
+    row!(fiducial.min_likeness, "", Number(0.0, 1.0), command 22,
+        "How much of the structure about a detection the cross must explain."),
+    row!(fiducial.max_detections, "", Whole(3, 256), command 23,
+        "Most detections that are read."),
+    row!(fiducial.min_marks, "", Whole(3, 225), command 24,
+        "Fewest marks that make a reading."),
+    row!(fiducial.max_centre_shift_px, "px", Number(1.0, 1000.0), command 25,
+        "Largest distance of the plate's centre, as a reading puts it on the sensor, from the instrument's value."),
+
+    row!(registration.min_gain, "", Number(0.0, 1000.0), command 30,
+        "Least gain in chi^2 over residual variance, per added parameter, for a richer kind of mapping."),
+    row!(registration.prior_freedom, "", Number(0.0, 1000.0), command 31,
+        "Weight of the marks' stated sigmas against their residuals, in degrees of freedom."),
 ];
 
 /// Every parameter, in the order of the example.

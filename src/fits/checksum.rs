@@ -12,7 +12,7 @@ pub struct Checksums {
     pub guarded: usize,
 }
 
-/// Checks every checksum that a file carries.
+/// Checks every checksum that a file carries, and that nothing follows which none can guard.
 pub(super) fn check_all(bytes: &[u8]) -> Result<Checksums, Problem> {
     let hdus = scan(bytes)?;
     for (n, hdu) in hdus.iter().enumerate() {
@@ -22,6 +22,12 @@ pub(super) fn check_all(bytes: &[u8]) -> Result<Checksums, Problem> {
             let expected = format!("HDU {n} as it was written");
             return Err(Problem::field("CHECKSUM", expected, "changed bytes"));
         }
+    }
+    let end = hdus.last().map_or(0, |hdu| hdu.bytes(bytes.len()).end);
+    if end < bytes.len() {
+        let found = format!("{} more bytes", bytes.len() - end);
+        let expected = format!("the end of the file, or XTENSION, at byte {end}");
+        return Err(Problem::content(expected, found));
     }
     let guarded = |header: &Header| {
         ["CHECKSUM", "DATASUM"]

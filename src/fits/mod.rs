@@ -25,7 +25,7 @@ pub use checksum::Checksums;
 pub use error::{FileError, Problem};
 pub use header::{Header, Value};
 pub use raw::Compression;
-pub use write::{Card, Column, FRAME_EXTENSION, Table, Values, encode_frame, write_frame};
+pub use write::{Card, Column, FRAME_EXTENSION, Table, Values, write_frame, write_new};
 
 use crate::frame::Frame;
 use flate2::read::MultiGzDecoder;

@@ -1,7 +1,8 @@
-//! The only unsafe code of this room: cfitsio on files in memory.
+//! The only unsafe code of this room: cfitsio.
 //!
-//! Files live in memory so that no file name ever reaches cfitsio, which would read `[`, `(` and `+` in it as
-//! instructions, and so that every byte can be checked before reading and written by ourselves afterwards.
+//! Reading is from memory, so that every byte can be checked before cfitsio sees it. Writing is to a file on the disk,
+//! by the call that takes its name to the letter: in memory cfitsio cannot go past what it takes for the file's end,
+//! yet writes the parts of a compressed image out of order.
 //! Every call's status is checked. The message is the status's own text: the library's stack of messages is shared
 //! by all threads and may hold another file's.
 
@@ -9,16 +10,13 @@ use super::Problem;
 use crate::frame::Pixels;
 use fitsio_sys as sys;
 use std::ffi::{CStr, CString, c_char, c_int, c_long, c_void};
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
 use std::ptr;
 use std::sync::{Mutex, PoisonError};
 
 /// cfitsio initialises itself at the first opening, and not safely if two threads are first at once.
 static OPENING: Mutex<()> = Mutex::new(());
-
-unsafe extern "C" {
-    fn realloc(memory: *mut c_void, bytes: usize) -> *mut c_void;
-    fn free(memory: *mut c_void);
-}
 
 /// How the pixels of an image extension are compressed. All are lossless.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -53,23 +51,19 @@ struct Memory {
     bytes: usize,
 }
 
-/// An open FITS file in memory; closed when dropped.
-pub(super) struct MemoryFile {
+/// An open FITS file; closed when dropped.
+pub(super) struct OpenFile {
     handle: *mut sys::fitsfile,
-    memory: Box<Memory>,
-    owned: bool,
+    /// The bytes of a file that is read from memory. Boxed: cfitsio points at it.
+    memory: Option<Box<Memory>>,
 }
 
-impl Drop for MemoryFile {
+impl Drop for OpenFile {
     fn drop(&mut self) {
         let mut status = 0;
         if !self.handle.is_null() {
             // SAFETY: the handle is open, and not used again.
             unsafe { sys::ffclos(self.handle, &mut status) };
-        }
-        if self.owned {
-            // SAFETY: the memory came from `realloc`, and the file that used it is closed.
-            unsafe { free(self.memory.start) };
         }
     }
 }
@@ -109,32 +103,20 @@ macro_rules! call {
     }};
 }
 
-impl MemoryFile {
-    /// A new, empty file.
-    pub fn create() -> Result<Self, Problem> {
+impl OpenFile {
+    /// A new, empty file on the disk, where none may be yet.
+    pub fn create(path: &Path) -> Result<Self, Problem> {
+        let name = CString::new(path.as_os_str().as_bytes())
+            .map_err(|_| Problem::content("a name without a zero byte", "one with it"))?;
         let mut file = Self {
             handle: ptr::null_mut(),
-            memory: Box::new(Memory {
-                start: ptr::null_mut(),
-                bytes: 0,
-            }),
-            owned: true,
+            memory: None,
         };
-        let memory = &mut *file.memory;
         let mut status = 0;
         let _one_at_a_time = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the boxed memory outlives the handle, and grows by the C library's own `realloc`.
-        unsafe {
-            sys::ffimem(
-                &mut file.handle,
-                &mut memory.start,
-                &mut memory.bytes,
-                1 << 20,
-                Some(realloc),
-                &mut status,
-            )
-        };
-        check(status, "create a file in memory")?;
+        // SAFETY: the name ends with a zero and outlives the call.
+        unsafe { sys::ffdkinit(&mut file.handle, name.as_ptr(), &mut status) };
+        check(status, "create the file")?;
         Ok(file)
     }
 
@@ -146,13 +128,10 @@ impl MemoryFile {
         let start = bytes.as_mut_ptr().cast();
         let mut file = Self {
             handle: ptr::null_mut(),
-            memory: Box::new(Memory {
-                start,
-                bytes: bytes.len(),
-            }),
-            owned: false,
+            memory: None,
         };
-        let memory = &mut *file.memory;
+        let bytes = bytes.len();
+        let memory = file.memory.insert(Box::new(Memory { start, bytes }));
         let mut status = 0;
         let opening = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: the bytes outlive the handle, which ends with this function; cfitsio neither writes to a
@@ -229,7 +208,7 @@ impl MemoryFile {
         )
     }
 
-    /// Writes an image with its pixels.
+    /// Begins an image, whose pixels are to follow.
     pub fn create_image(
         &self,
         [width, height]: [usize; 2],
@@ -259,7 +238,17 @@ impl MemoryFile {
             kind as c_int,
             2,
             axes.as_mut_ptr()
-        )?;
+        )
+    }
+
+    /// Makes room for so many further keywords in the header, so that none of them moves the data behind it.
+    pub fn reserve_keywords(&self, count: usize) -> Result<(), Problem> {
+        let count = c_int::try_from(count).unwrap_or(0);
+        call!(self, "make room for keywords", ffhdef, count)
+    }
+
+    /// Writes the pixels of the image begun last.
+    pub fn put_pixels(&self, pixels: &Pixels) -> Result<(), Problem> {
         let count = pixels.len() as i64;
         let action = "write the pixels";
         // cfitsio's signatures lack `const`: it only reads the pixels.
@@ -375,27 +364,10 @@ impl MemoryFile {
         call!(self, "write the checksums", ffpcks)
     }
 
-    /// Closes the file after its last HDU and returns its bytes.
-    pub fn into_bytes(mut self) -> Result<Vec<u8>, Problem> {
-        let (mut header, mut data, mut end) = (0, 0, 0);
-        call!(self, "finish the file", ffflus)?;
-        call!(
-            self,
-            "measure the file",
-            ffghadll,
-            &mut header,
-            &mut data,
-            &mut end
-        )?;
-        let closed = call!(self, "close the file", ffclos);
+    /// Closes the file; an error if anything of it could not be written.
+    pub fn close(mut self) -> Result<(), Problem> {
+        let closed = call!(self, "finish the file", ffclos);
         self.handle = ptr::null_mut();
-        closed?;
-        let bytes = usize::try_from(end).unwrap_or(0).min(self.memory.bytes);
-        if self.memory.start.is_null() {
-            return Ok(Vec::new());
-        }
-        // SAFETY: cfitsio has written the file's `end` bytes to the memory, which is that large at least.
-        let written = unsafe { std::slice::from_raw_parts(self.memory.start.cast::<u8>(), bytes) };
-        Ok(written.to_vec())
+        closed
     }
 }

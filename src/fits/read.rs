@@ -2,7 +2,7 @@
 
 use super::header::Header;
 use super::info::{read_info, read_saturation};
-use super::raw::MemoryFile;
+use super::raw::OpenFile;
 use super::structure::{BLOCK, Content, Hdu, MAX_SIDE, scan};
 use super::{MAX_PIXELS, Problem, checksum, compressed};
 use crate::frame::{Frame, FrameError, Pixels};
@@ -138,7 +138,7 @@ fn compressed_pixels(bytes: &[u8], hdu: &Hdu, layout: &Layout) -> Result<Pixels,
     file.extend_from_slice(&bytes[hdu.bytes(bytes.len())]);
     file.resize(file.len().next_multiple_of(BLOCK), 0);
     let count = layout.width * layout.height;
-    MemoryFile::read(&mut file, |file| {
+    OpenFile::read(&mut file, |file| {
         file.go_to(2)?;
         Ok(match layout.stored {
             Stored::U8 => Pixels::U8(file.pixels_u8(count)?),

@@ -1,4 +1,4 @@
-//! A frame, extra keywords and tables as the bytes of a FITS file.
+//! A frame, extra keywords and tables in a FITS file.
 //!
 //! The primary HDU is without data; the pixels stand in an image extension, with every keyword beside them, and
 //! tables follow. Uncompressed pixels too, so that a reader finds the same layout in every file.
@@ -6,11 +6,12 @@
 use super::header::{CARD, Value};
 use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
-use super::raw::{Compression, MemoryFile};
+use super::raw::{Compression, OpenFile};
 use super::{FileError, Problem};
 use crate::frame::Frame;
 use jiff::Timestamp;
 use std::collections::BTreeSet;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// The extension that holds the pixels.
@@ -100,21 +101,33 @@ pub fn write_frame(
     tables: &[Table],
     compression: Compression,
 ) -> Result<(), FileError> {
-    let bytes =
-        encode_frame(frame, cards, tables, compression).map_err(|problem| problem.in_file(path))?;
-    std::fs::write(path, bytes).map_err(|source| {
-        let action = "write";
-        Problem::Io { action, source }.in_file(path)
-    })
+    match std::fs::remove_file(path) {
+        Err(source) if source.kind() != ErrorKind::NotFound => {
+            let action = "replace";
+            return Err(Problem::Io { action, source }.in_file(path));
+        }
+        _ => write_new(path, frame, cards, tables, compression),
+    }
 }
 
-/// The bytes of the file that [`write_frame`] writes.
-pub fn encode_frame(
+/// Does what [`write_frame`] does where no file stands yet.
+pub fn write_new(
+    path: &Path,
     frame: &Frame,
     cards: &[Card],
     tables: &[Table],
     compression: Compression,
-) -> Result<Vec<u8>, Problem> {
+) -> Result<(), FileError> {
+    write_all(path, frame, cards, tables, compression).map_err(|problem| problem.in_file(path))
+}
+
+fn write_all(
+    path: &Path,
+    frame: &Frame,
+    cards: &[Card],
+    tables: &[Table],
+    compression: Compression,
+) -> Result<(), Problem> {
     if frame.saturation_dn() == 0 {
         return Err(Problem::field("SATURATE", "a level from 1 to 65535 DN", 0));
     }
@@ -123,20 +136,25 @@ pub fn encode_frame(
     refuse_duplicates(&all, cards)?;
     all.extend_from_slice(cards);
 
-    let file = MemoryFile::create()?;
+    let file = OpenFile::create(path)?;
     file.create_primary()?;
     put_cards(&file, &provenance())?;
     file.put_checksums()?;
     file.create_image([frame.width(), frame.height()], frame.pixels(), compression)?;
+    file.reserve_keywords(all.len() + CHECKSUM_CARDS)?;
     put_cards(&file, &[Card::new("EXTNAME", FRAME_EXTENSION)])?;
     put_cards(&file, &all)?;
+    file.put_pixels(frame.pixels())?;
     file.put_checksums()?;
     for table in tables {
         put_table(&file, table)?;
         file.put_checksums()?;
     }
-    file.into_bytes()
+    file.close()
 }
+
+/// The extension's name, its checksums, and what cfitsio adds of its own.
+const CHECKSUM_CARDS: usize = 16;
 
 /// Where the file comes from.
 fn provenance() -> Vec<Card> {
@@ -158,11 +176,11 @@ fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
     }
 }
 
-fn put_cards(file: &MemoryFile, cards: &[Card]) -> Result<(), Problem> {
+fn put_cards(file: &OpenFile, cards: &[Card]) -> Result<(), Problem> {
     cards.iter().try_for_each(|card| put_card(file, card))
 }
 
-fn put_card(file: &MemoryFile, card: &Card) -> Result<(), Problem> {
+fn put_card(file: &OpenFile, card: &Card) -> Result<(), Problem> {
     let row = keyword::find(card.keyword)
         .ok_or_else(|| Problem::field(card.keyword, "a keyword of the table", "another"))?;
     let comment = row.comment();
@@ -191,7 +209,7 @@ fn float(number: f64) -> String {
     }
 }
 
-fn put_table(file: &MemoryFile, table: &Table) -> Result<(), Problem> {
+fn put_table(file: &OpenFile, table: &Table) -> Result<(), Problem> {
     let rows = table
         .columns
         .first()

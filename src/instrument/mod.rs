@@ -11,6 +11,7 @@ pub mod toml_file;
 pub use builtin::{builtin, builtin_names};
 pub use toml_file::TomlError;
 
+use crate::frame::Frame;
 use crate::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use crate::plate::Plate;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured, PlateMil, SensorPx};
@@ -79,7 +80,36 @@ pub struct Mounting {
     pub clocking_deg: Measured,
 }
 
+/// A frame that is not this instrument's.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "size: expected {expected_width} x {expected_height} px as of instrument \"{instrument}\", found {width} x {height}"
+)]
+pub struct WrongSize {
+    pub instrument: String,
+    pub expected_width: usize,
+    pub expected_height: usize,
+    pub width: usize,
+    pub height: usize,
+}
+
 impl Instrument {
+    /// Whether a frame has the size of the instrument's sensor.
+    pub fn check_size(&self, frame: &Frame) -> Result<(), WrongSize> {
+        let (expected_width, expected_height) = (self.camera.width_px, self.camera.height_px);
+        let (width, height) = (frame.width(), frame.height());
+        if (width, height) == (expected_width, expected_height) {
+            return Ok(());
+        }
+        Err(WrongSize {
+            instrument: self.name.clone(),
+            expected_width,
+            expected_height,
+            width,
+            height,
+        })
+    }
+
     /// Reads and checks an instrument's TOML file.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         raw::read(path)

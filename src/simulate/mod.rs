@@ -7,8 +7,8 @@
 //! # How a picture is made
 //!
 //! 1. The part of the sensor that the Sun reaches is sampled S x S times per pixel (S = 3). Each sub-sample looks up
-//!    its place on the plate, takes the disc's light there and what the plate returns of it; edges cover a
-//!    sub-sample by its share, so that no edge is jagged.
+//!    its place on the plate, takes the disc's light there and what the plate returns of it; edges count by the
+//!    share of the sub-sample behind them, so that sampling moves nothing.
 //! 2. One separable kernel blurs and integrates over the pixel.
 //! 3. On the sensor: leaks, vignetting, dust, background; then noise, digitising, hot pixels.
 //!
@@ -18,8 +18,10 @@ mod blemish;
 mod blur;
 pub mod controller;
 mod coverage;
+mod disc;
 mod flight;
 mod noise;
+mod prints;
 mod random;
 mod render;
 mod scene;

@@ -56,32 +56,31 @@ impl Depth {
 
 /// Adds the scene's noise to the light (8-bit DN, row by row) and digitises it.
 pub(super) fn read_out(light: &[f32], scene: &Scene) -> Pixels {
-    let steps = scene.depth.steps_per_dn();
-    let limit = f32::from(scene.depth.saturation_dn());
-    // Half a step up and cut off: the nearest step.
-    let digitised = |dn: f32| (dn * steps + 0.5).clamp(0.0, limit);
-    let mut noisy = noise_source(scene);
     match scene.depth {
-        Depth::Eight => Pixels::U8(light.iter().map(|&l| digitised(noisy(l)) as u8).collect()),
-        Depth::Twelve => Pixels::U16(light.iter().map(|&l| digitised(noisy(l)) as u16).collect()),
+        Depth::Eight => Pixels::U8(digitised(light, scene, |dn| dn as u8)),
+        Depth::Twelve => Pixels::U16(digitised(light, scene, |dn| dn as u16)),
     }
 }
 
-/// What a pixel's light becomes, pixel after pixel.
-fn noise_source(scene: &Scene) -> impl FnMut(f32) -> f32 {
-    let read = scene.noise.read_dn as f32;
+/// Row by row: first the row's random numbers, then arithmetic that the compiler can do for many pixels at once.
+fn digitised<T>(light: &[f32], scene: &Scene, stored: impl Fn(f32) -> T) -> Vec<T> {
+    let steps = scene.depth.steps_per_dn();
+    let limit = f32::from(scene.depth.saturation_dn());
+    let read_variance = scene.noise.read_dn.powi(2) as f32;
     let photon_variance = scene.noise.electrons_per_dn.map_or(0.0, |e| 1.0 / e as f32);
     let mut rng = generator(scene.seed, Purpose::Noise, 0);
-    move |light| {
-        let sigma = if photon_variance > 0.0 {
-            (read * read + light.max(0.0) * photon_variance).sqrt()
-        } else {
-            read
-        };
-        if sigma > 0.0 {
-            light + sigma * rng.sample::<f32, _>(StandardNormal)
-        } else {
-            light
+    let mut normal = vec![0.0_f32; scene.width_px];
+    let mut pixels = Vec::with_capacity(light.len());
+    for row in light.chunks_exact(scene.width_px) {
+        if read_variance + photon_variance > 0.0 {
+            normal.fill_with(|| rng.sample(StandardNormal));
         }
+        pixels.extend(row.iter().zip(&normal).map(|(&light, normal)| {
+            let sigma = (read_variance + light.max(0.0) * photon_variance).sqrt();
+            // Half a step up and cut off: the nearest step.
+            let dn = (light + sigma * normal) * steps + 0.5;
+            stored(dn.clamp(0.0, limit))
+        }));
     }
+    pixels
 }

@@ -1,0 +1,85 @@
+//! `solaspect demo`: the main job on one machine, with nothing attached.
+
+use super::options;
+use crate::service::demo::{self, Demo, Glimpse};
+use anyhow::Context;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// Do the main job on this machine with nothing attached
+///
+/// A simulated camera, the real pipeline, a simulated controller on a pseudo-terminal, a real archive. Exit code 0 only if
+/// nothing was lost.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// How long
+    #[arg(long, value_name = "TIME", default_value = "20s", value_parser = options::duration)]
+    duration: Duration,
+    /// Frames per second
+    #[arg(long, value_name = "HZ", default_value_t = 4.0, value_parser = options::rate_hz)]
+    rate: f64,
+    /// The archive's folder [default: a new temporary folder, which is kept]
+    #[arg(long, value_name = "DIR")]
+    archive: Option<PathBuf>,
+    /// The same seed flies the same path
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+}
+
+pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
+    let archive = match args.archive {
+        Some(folder) => folder,
+        None => tempfile::Builder::new()
+            .prefix("solaspect-demo-")
+            .tempdir()
+            .context("cannot make a temporary folder")?
+            .keep(),
+    };
+    let demo = Demo {
+        duration: args.duration,
+        rate_hz: args.rate,
+        archive,
+        seed: args.seed,
+    };
+    let interrupted = options::interrupted()?;
+    let display = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{elapsed:>4} {msg}") {
+        display.set_style(style);
+    }
+    let summary = demo::run(
+        &demo,
+        |glimpse| display.set_message(line(glimpse)),
+        || interrupted.load(std::sync::atomic::Ordering::Relaxed),
+    )?;
+    display.finish_and_clear();
+    println!("{summary}");
+    Ok(match summary.lost() {
+        0 => ExitCode::SUCCESS,
+        _ => ExitCode::FAILURE,
+    })
+}
+
+/// The live line: the frame, what was solved, what the controller got.
+fn line(glimpse: &Glimpse) -> String {
+    let answer = &glimpse.answer;
+    let number = answer.exposure.frame.info.number.unwrap_or_default();
+    let quality = answer.solution.quality.name();
+    let sun = match (&answer.solution.aspect, &answer.solution.stopped) {
+        (Some(aspect), _) => {
+            let (at, sigma) = (aspect.sun_plate.position, aspect.sun_plate.sigma());
+            format!("Sun ({:8.2}, {:8.2}) +- {:.2} mil", at.x, at.y, sigma[0])
+        }
+        (None, Some(stopped)) => stopped.to_string(),
+        (None, None) => String::new(),
+    };
+    let received = glimpse.received.map_or("no offset yet".into(), |offset| {
+        format!(
+            "controller: az {:+.5} el {:+.5} deg",
+            offset.azimuth_deg, offset.elevation_deg
+        )
+    });
+    format!("frame {number:>5} {quality:<6} {sun}   {received}")
+}

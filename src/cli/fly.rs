@@ -1,0 +1,144 @@
+//! `solaspect fly`: the flight service.
+
+use super::options;
+use crate::archive::Store;
+use crate::camera::{FolderCamera, FrameSource, SimulatedCamera};
+use crate::config::Config;
+use crate::instrument::Instrument;
+use crate::link::{BytePort, SerialPort};
+use crate::service::{Flight, Service};
+use crate::simulate::{FlightScenes, Trajectory};
+use crate::sky;
+use anyhow::bail;
+use clap::Args;
+use jiff::Timestamp;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::str::FromStr;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// Fly: read the camera, solve, send offsets to the controller, keep every frame
+#[derive(Debug, Args)]
+pub struct FlyArgs {
+    /// The configuration's TOML file; options go over it
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The instrument's TOML file [default: the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// Where frames come from: folder:DIR or simulated
+    #[arg(long, value_name = "SOURCE", default_value = "simulated")]
+    camera: Source,
+    /// Serial port of the controller
+    #[arg(long, value_name = "PORT")]
+    serial: Option<String>,
+    /// The archive's folder, or two of them
+    #[arg(long, value_name = "DIR[,DIR2]")]
+    archive: Option<String>,
+    /// End after this time [default: fly until SIGTERM or SIGINT]
+    #[arg(long, value_name = "TIME", value_parser = options::duration)]
+    duration: Option<Duration>,
+}
+
+#[derive(Debug, Clone)]
+enum Source {
+    Folder(PathBuf),
+    Simulated,
+}
+
+impl FromStr for Source {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "simulated" => Ok(Self::Simulated),
+            Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
+            Some(("gige", _)) => Err("this build has no GigE Vision camera".into()),
+            _ => Err(format!(
+                "expected folder:DIR or simulated, found \"{text}\""
+            )),
+        }
+    }
+}
+
+pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
+    let mut config = options::config(args.config.as_deref())?;
+    if let Some(folders) = &args.archive {
+        let mut folders = folders.split(',').map(PathBuf::from);
+        config.archive.directory = folders.next();
+        config.archive.second_directory = folders.next();
+    }
+    if config.archive.second_directory.is_some() {
+        bail!(
+            "archive.second_directory: expected one folder, found two: a second disk is not served yet"
+        );
+    }
+    config.link.port = args.serial.or(config.link.port);
+    let instrument = options::instrument(args.instrument.as_deref())?;
+    let flight = Flight {
+        camera: camera(&args.camera, &instrument, &config, args.duration)?,
+        port: port(&config)?,
+        store: store(&config, &instrument)?,
+        instrument,
+        config,
+    };
+    let interrupted = options::interrupted()?;
+    let service = Service::start(flight)?;
+    let start = Instant::now();
+    while !service.is_finished() {
+        std::thread::sleep(Duration::from_millis(50));
+        let over = args
+            .duration
+            .is_some_and(|duration| start.elapsed() >= duration);
+        if over || interrupted.load(Ordering::Relaxed) {
+            service.stop();
+        }
+    }
+    let tally = service.join()?;
+    tracing::info!(?tally, "the flight has ended");
+    Ok(match tally.lost() {
+        0 => ExitCode::SUCCESS,
+        _ => ExitCode::FAILURE,
+    })
+}
+
+fn camera(
+    source: &Source,
+    instrument: &Instrument,
+    config: &Config,
+    duration: Option<Duration>,
+) -> anyhow::Result<Box<dyn FrameSource>> {
+    let rate_hz = config.camera.rate_hz;
+    Ok(match source {
+        Source::Folder(folder) => Box::new(FolderCamera::open(folder, rate_hz)?),
+        Source::Simulated => {
+            let start = Timestamp::now();
+            let radius_mil = instrument
+                .optics
+                .radius_mil(sky::sun_angular_radius(start)?);
+            let seed = config.simulation.seed;
+            let trajectory = Trajectory::flight(instrument, radius_mil, seed)?;
+            let scenes = FlightScenes::new(instrument, trajectory, radius_mil, seed)?;
+            Box::new(SimulatedCamera::new(scenes, rate_hz, start, duration))
+        }
+    })
+}
+
+fn port(config: &Config) -> anyhow::Result<Option<Box<dyn BytePort + Send>>> {
+    Ok(match &config.link.port {
+        Some(name) => Some(Box::new(SerialPort::open(name, config.link.baud)?)),
+        None => None,
+    })
+}
+
+fn store(config: &Config, instrument: &Instrument) -> anyhow::Result<Option<Store>> {
+    Ok(match &config.archive.directory {
+        Some(folder) => Some(Store::open(
+            folder,
+            &instrument.name,
+            config.archive.compression,
+        )?),
+        None => None,
+    })
+}

@@ -1,0 +1,70 @@
+//! What several commands read from their options.
+
+use crate::config::Config;
+use crate::instrument::{self, Instrument};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// The instrument of `--instrument`, else the built-in demo.
+pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
+    Ok(match path {
+        Some(path) => Instrument::read(path)?,
+        None => instrument::builtin("demo")?,
+    })
+}
+
+/// The configuration of `--config`, else the defaults.
+pub(super) fn config(path: Option<&Path>) -> anyhow::Result<Config> {
+    Ok(match path {
+        Some(path) => Config::read(path)?,
+        None => Config::default(),
+    })
+}
+
+/// A length of time such as 20s, 1.5s, 500ms, 10m or 8h; a bare number is in seconds.
+pub(super) fn duration(text: &str) -> Result<std::time::Duration, String> {
+    let units = [("ms", 1e-3), ("s", 1.0), ("m", 60.0), ("h", 3600.0)];
+    let (number, unit) = units
+        .iter()
+        .find_map(|(name, unit)| Some((text.strip_suffix(name)?, *unit)))
+        .unwrap_or((text, 1.0));
+    let expected =
+        || format!("expected a length of time such as 20s, 500ms or 8h, found \"{text}\"");
+    let seconds: f64 = number.trim().parse().map_err(|_| expected())?;
+    std::time::Duration::try_from_secs_f64(seconds * unit).map_err(|_| expected())
+}
+
+/// Frames per second.
+pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(rate) if (0.01..=100.0).contains(&rate) => Ok(rate),
+        _ => Err(format!(
+            "expected a number from 0.01 to 100 Hz, found \"{text}\""
+        )),
+    }
+}
+
+/// Becomes true when the program is asked to end, by SIGINT or SIGTERM.
+pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
+    }
+    Ok(interrupted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::duration;
+    use std::time::Duration;
+
+    #[test]
+    fn lengths_of_time_are_read_with_their_units() {
+        assert_eq!(duration("20s"), Ok(Duration::from_secs(20)));
+        assert_eq!(duration("1.5"), Ok(Duration::from_millis(1500)));
+        assert_eq!(duration("250ms"), Ok(Duration::from_millis(250)));
+        assert_eq!(duration("2h"), Ok(Duration::from_secs(7200)));
+        assert!(duration("-3s").is_err() && duration("soon").is_err() && duration("NaN").is_err());
+    }
+}

@@ -1,0 +1,315 @@
+//! `solaspect solve`: frames in, answers out.
+
+use super::options;
+use crate::archive::Record;
+use crate::aspect::{self, Expected, Solution, Track};
+use crate::fits;
+use crate::frame::Frame;
+use crate::instrument::Instrument;
+use crate::pointing::{self, HelioprojectiveArcsec};
+use crate::sky;
+use crate::units::Place;
+use anyhow::{Context, ensure};
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Find the Sun on the plate in frames, and the telescope's offset from its target
+///
+/// Reads FITS (plain or compressed, 8 or 16 bit), PNG and TIFF. One answer per frame, in the order of the arguments. A frame
+/// without a solution is no failure; a file that cannot be read gives an error on its line, the rest go on, and the
+/// exit code is 1.
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub struct SolveArgs {
+    /// Frames to solve
+    #[arg(required = true, value_name = "FRAME")]
+    frames: Vec<PathBuf>,
+    /// The instrument's TOML file [default: the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// The configuration's TOML file
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Solve N frames at a time
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: u16,
+    /// How answers are written [default: table on a terminal, else jsonl]
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    /// Write a picture of every solved frame to this folder
+    #[arg(long, value_name = "DIR")]
+    overlay: Option<PathBuf>,
+    /// Let each frame start from what the one before it taught
+    #[arg(long, conflicts_with = "jobs")]
+    track: bool,
+    /// Where the frames were taken, for frames that do not say so
+    #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
+    place: Option<Place>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Jsonl,
+    Csv,
+    Table,
+}
+
+pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
+    let config = options::config(args.config.as_deref())?;
+    let batch = Batch {
+        instrument: options::instrument(args.instrument.as_deref())?,
+        place: args.place.or(config.site.place()),
+        target: HelioprojectiveArcsec {
+            x: config.target.x_arcsec,
+            y: config.target.y_arcsec,
+        },
+        settings: config.solver(),
+        overlay: args.overlay,
+    };
+    if let Some(folder) = &batch.overlay {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+        let names: std::collections::BTreeSet<_> =
+            args.frames.iter().map(|f| picture_name(f)).collect();
+        ensure!(
+            names.len() == args.frames.len(),
+            "--overlay: expected frames whose pictures have different names, found two alike"
+        );
+    }
+    let mut printer = Printer::new(args.format)?;
+    let progress = progress_bar(args.frames.len());
+    let mut failed = false;
+    let mut take = |answers: Vec<Answer>| -> anyhow::Result<()> {
+        for answer in answers {
+            failed |= answer.is_err();
+            progress.suspend(|| printer.print(&answer))?;
+            progress.inc(1);
+        }
+        Ok(())
+    };
+    if args.track {
+        let mut track: Option<Track> = None;
+        for path in &args.frames {
+            let (answer, taught) = batch.solve_file(path, track.as_ref());
+            track = taught.or(track);
+            take(vec![answer])?;
+        }
+    } else {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(usize::from(args.jobs))
+            .build()?;
+        for some in args.frames.chunks(usize::from(args.jobs)) {
+            let solve = |path: &PathBuf| batch.solve_file(path, None).0;
+            take(pool.install(|| some.par_iter().map(solve).collect()))?;
+        }
+    }
+    progress.finish_and_clear();
+    Ok(if failed {
+        ExitCode::FAILURE
+    } else {
+        ExitCode::SUCCESS
+    })
+}
+
+/// A frame's record, or the file and what is wrong with it.
+type Answer = Result<Record, (String, String)>;
+
+/// The line of a file that could not be read.
+#[derive(Serialize)]
+struct BadFile<'a> {
+    file: &'a str,
+    error: &'a str,
+}
+
+/// What all frames of a batch share.
+struct Batch {
+    instrument: Instrument,
+    place: Option<Place>,
+    target: HelioprojectiveArcsec,
+    settings: aspect::Settings,
+    overlay: Option<PathBuf>,
+}
+
+impl Batch {
+    fn solve_file(&self, path: &Path, prior: Option<&Track>) -> (Answer, Option<Track>) {
+        let name = path.display().to_string();
+        match self.try_solve(path, prior) {
+            Ok((record, track)) => (Ok(record), track),
+            Err(error) => {
+                // The line names the file already.
+                let text = format!("{error:#}");
+                let text = text.strip_prefix(&format!("{name}: ")).unwrap_or(&text);
+                (Err((name, text.into())), None)
+            }
+        }
+    }
+
+    fn try_solve(
+        &self,
+        path: &Path,
+        prior: Option<&Track>,
+    ) -> anyhow::Result<(Record, Option<Track>)> {
+        let frame = fits::read_frame(path)?;
+        self.instrument.check_size(&frame)?;
+        let utc = frame.info.mid_exposure;
+        let expected = match utc.map(sky::sun_angular_radius).transpose() {
+            Ok(radius) => radius.map(|radius_arcsec| Expected { radius_arcsec }),
+            Err(error) => {
+                tracing::warn!(file = %path.display(), %error, "the Sun's size is not known");
+                None
+            }
+        };
+        let start = Instant::now();
+        let solution =
+            aspect::solve_with(&self.settings, &frame, &self.instrument, expected, prior);
+        let solve_time = start.elapsed();
+        let place = frame.info.place.or(self.place);
+        let offset = pointing::offset_of(&solution, utc, place, &self.instrument, self.target);
+        let name = path.display().to_string();
+        self.draw(path, &frame, &solution)?;
+        let record = Record::new(&name, utc, &solution, offset, Some(solve_time));
+        Ok((record, solution.track))
+    }
+
+    fn draw(&self, path: &Path, frame: &Frame, solution: &Solution) -> anyhow::Result<()> {
+        let Some(folder) = &self.overlay else {
+            return Ok(());
+        };
+        let title = path.file_name().unwrap_or_default().to_string_lossy();
+        let picture = aspect::overlay(frame, solution, &self.instrument.plate, &title);
+        let file = folder.join(picture_name(path));
+        let written = picture.save(&file);
+        written.with_context(|| format!("{}: cannot write the overlay", file.display()))
+    }
+}
+
+/// The frame's folder and name, so that frames of several folders do not meet in one.
+fn picture_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let folder = path.parent().and_then(Path::file_name);
+    match folder {
+        Some(folder) => format!("{}_{name}.png", folder.to_string_lossy()),
+        None => format!("{name}.png"),
+    }
+}
+
+fn progress_bar(frames: usize) -> ProgressBar {
+    // Beside a table on the same terminal a bar only flickers.
+    if frames < 2 || std::io::stdout().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left");
+    ProgressBar::new(frames as u64)
+        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+/// Writes answers to standard output in one format.
+struct Printer {
+    format: Format,
+    csv: csv::Writer<std::io::Stdout>,
+}
+
+impl Printer {
+    fn new(format: Option<Format>) -> anyhow::Result<Self> {
+        let on_terminal = std::io::stdout().is_terminal();
+        let format = format.unwrap_or(if on_terminal {
+            Format::Table
+        } else {
+            Format::Jsonl
+        });
+        let mut csv = csv::Writer::from_writer(std::io::stdout());
+        match format {
+            Format::Jsonl => {}
+            Format::Csv => {
+                csv.write_record(Record::CSV_COLUMNS.iter().chain(&["error"]))?;
+                csv.flush()?;
+            }
+            Format::Table => println!(
+                "{:<32} {:<6} {:>19} {:>23} {:>13} {:>5} {:>21}  reason",
+                "file",
+                "",
+                "Sun, px",
+                "Sun on plate, mil",
+                "sigma, mil",
+                "marks",
+                "offset az, el, deg"
+            ),
+        }
+        Ok(Self { format, csv })
+    }
+
+    fn print(&mut self, answer: &Answer) -> anyhow::Result<()> {
+        let mut out = std::io::stdout().lock();
+        match (self.format, answer) {
+            (Format::Jsonl, Ok(record)) => writeln!(out, "{}", serde_json::to_string(record)?)?,
+            (Format::Jsonl, Err((file, error))) => {
+                writeln!(out, "{}", serde_json::to_string(&BadFile { file, error })?)?;
+            }
+            (Format::Csv, _) => {
+                drop(out);
+                self.print_csv(answer)?;
+            }
+            (Format::Table, Ok(record)) => writeln!(out, "{}", table_row(record))?,
+            (Format::Table, Err((file, error))) => {
+                writeln!(out, "{:<32} error: {error}", tail(file))?
+            }
+        }
+        Ok(())
+    }
+
+    fn print_csv(&mut self, answer: &Answer) -> anyhow::Result<()> {
+        let (row, error) = match answer {
+            Ok(record) => (record.csv_row(), ""),
+            Err((file, error)) => {
+                let mut row = std::array::from_fn(|_| String::new());
+                row[0].clone_from(file);
+                (row, error.as_str())
+            }
+        };
+        self.csv
+            .write_record(row.iter().map(String::as_str).chain([error]))?;
+        self.csv.flush()?;
+        Ok(())
+    }
+}
+
+fn table_row(record: &Record) -> String {
+    let pair = |pair: Option<[f64; 2]>, digits: usize| {
+        pair.map_or(String::new(), |[x, y]| {
+            format!("{x:.digits$}, {y:.digits$}")
+        })
+    };
+    let marks = record
+        .marks
+        .as_ref()
+        .map_or(String::new(), |m| m.len().to_string());
+    let offset = record.offset_deg.as_ref().map(|o| [o.azimuth, o.elevation]);
+    format!(
+        "{:<32} {:<6} {:>19} {:>23} {:>13} {:>5} {:>21}  {}",
+        tail(&record.file),
+        record.quality,
+        pair(record.sun_px, 3),
+        pair(record.sun_plate_mil, 3),
+        pair(record.sun_plate_sigma_mil, 3),
+        marks,
+        pair(offset, 5),
+        record.reason_text().unwrap_or_default(),
+    )
+}
+
+/// The end of a path, where frames differ.
+fn tail(file: &str) -> String {
+    const LENGTH: usize = 32;
+    let count = file.chars().count();
+    if count <= LENGTH {
+        return file.into();
+    }
+    let end: String = file.chars().skip(count - LENGTH + 2).collect();
+    format!("..{end}")
+}

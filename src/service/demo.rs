@@ -1,0 +1,264 @@
+//! The whole system on one machine with nothing attached: a simulated camera, the real service, a real archive, and
+//! a simulated controller at the other end of a pseudo-terminal.
+
+use super::tally::{FlightTally, quantile};
+use super::{Answer, Flight, Service};
+use crate::archive::Store;
+use crate::aspect::Quality;
+use crate::camera::{SimulatedCamera, TruthLog};
+use crate::config::Config;
+use crate::fits::Compression;
+use crate::instrument::{self, Instrument};
+use crate::link::{Message, SerialPort};
+use crate::simulate::controller::{Controller, Report};
+use crate::simulate::{FORT_SUMNER, FlightScenes, Trajectory};
+use crate::sky;
+use anyhow::anyhow;
+use crossbeam_channel::{Receiver, RecvTimeoutError};
+use jiff::{Timestamp, civil};
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+/// What a demonstration is made of.
+#[derive(Debug, Clone)]
+pub struct Demo {
+    pub duration: Duration,
+    pub rate_hz: f64,
+    /// The archive's folder.
+    pub archive: PathBuf,
+    pub seed: u64,
+}
+
+/// What the display shows while the demonstration runs.
+#[derive(Debug, Clone)]
+pub struct Glimpse {
+    pub answer: Answer,
+    /// The last offset that the controller got.
+    pub received: Option<crate::link::Solution>,
+}
+
+/// What a demonstration came to.
+#[derive(Debug, Clone)]
+pub struct Summary {
+    pub tally: FlightTally,
+    pub controller: Report,
+    /// Errors of the aspect against the truth, fine frames, arcsec.
+    pub fine_errors_arcsec: Vec<f64>,
+    /// Frames called fine or coarse in which there was no Sun at all.
+    pub false_suns: u64,
+    pub archive: PathBuf,
+}
+
+/// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` says so.
+pub fn run(
+    demo: &Demo,
+    mut show: impl FnMut(&Glimpse),
+    stopped: impl Fn() -> bool,
+) -> anyhow::Result<Summary> {
+    let instrument = instrument::builtin("demo")?;
+    let start = launch_day()?;
+    let camera = camera(demo, &instrument, start)?;
+    let truth = camera.truth();
+    let (near, mut far) = SerialPort::pair()?;
+    let store = Store::open(&demo.archive, &instrument.name, Compression::Rice)?;
+    let mut config = Config::default();
+    config.camera.rate_hz = demo.rate_hz;
+    let arcsec_per_mil = instrument.optics.arcsec_per_mil();
+    let flight = Flight {
+        instrument,
+        config,
+        camera: Box::new(camera),
+        port: Some(Box::new(near)),
+        store: Some(store),
+    };
+    let received = Arc::new(Mutex::new(None));
+    let over = Arc::new(AtomicBool::new(false));
+    let controller = {
+        let (received, over) = (Arc::clone(&received), Arc::clone(&over));
+        thread::Builder::new()
+            .name("controller".into())
+            .spawn(move || {
+                let heard = |message: &Message| {
+                    if let Message::Solution(solution) = message {
+                        *received.lock().unwrap_or_else(PoisonError::into_inner) = Some(*solution);
+                    }
+                };
+                let mut controller = Controller::new();
+                let over = || over.load(Ordering::Relaxed);
+                controller.run(&mut far, over, heard).cloned()
+            })?
+    };
+    let (service, answers) = Service::start_watched(flight)?;
+    let mut judge = Judge::new(truth, arcsec_per_mil);
+    watch(&service, &answers, stopped, |answer| {
+        judge.hear(&answer);
+        let received = *received.lock().unwrap_or_else(PoisonError::into_inner);
+        show(&Glimpse { answer, received });
+    });
+    over.store(true, Ordering::Relaxed);
+    let controller = controller.join();
+    Ok(Summary {
+        tally: service.join()?,
+        controller: controller.map_err(|_| anyhow!("the controller's thread has failed"))??,
+        fine_errors_arcsec: judge.fine_errors_arcsec,
+        false_suns: judge.false_suns,
+        archive: demo.archive.clone(),
+    })
+}
+
+/// The demonstration flies on the day of the HEROES flight.
+fn launch_day() -> anyhow::Result<Timestamp> {
+    let noon = civil::date(2013, 9, 21).at(18, 0, 0, 0);
+    Ok(jiff::tz::Offset::UTC.to_timestamp(noon)?)
+}
+
+fn camera(
+    demo: &Demo,
+    instrument: &Instrument,
+    start: Timestamp,
+) -> anyhow::Result<SimulatedCamera> {
+    let radius_mil = instrument
+        .optics
+        .radius_mil(sky::sun_angular_radius(start)?);
+    let trajectory = Trajectory::demo(instrument, radius_mil, demo.duration, demo.seed)?;
+    let mut scenes = FlightScenes::new(instrument, trajectory, radius_mil, demo.seed)?;
+    scenes.template.info.place = Some(FORT_SUMNER);
+    let camera = SimulatedCamera::new(scenes, demo.rate_hz, start, Some(demo.duration));
+    Ok(camera)
+}
+
+fn watch(
+    service: &Service,
+    answers: &Receiver<Answer>,
+    stopped: impl Fn() -> bool,
+    mut take: impl FnMut(Answer),
+) {
+    loop {
+        match answers.recv_timeout(Duration::from_millis(100)) {
+            Ok(answer) => take(answer),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+        if stopped() {
+            service.stop();
+        }
+    }
+}
+
+/// Holds answers against the simulator's truth.
+struct Judge {
+    truth: TruthLog,
+    arcsec_per_mil: f64,
+    fine_errors_arcsec: Vec<f64>,
+    false_suns: u64,
+}
+
+impl Judge {
+    fn new(truth: TruthLog, arcsec_per_mil: f64) -> Self {
+        Self {
+            truth,
+            arcsec_per_mil,
+            fine_errors_arcsec: Vec::new(),
+            false_suns: 0,
+        }
+    }
+
+    fn hear(&mut self, answer: &Answer) {
+        let number = answer.exposure.frame.info.number;
+        let Some(aspect) = &answer.solution.aspect else {
+            return;
+        };
+        match number.and_then(|number| self.truth.of(number)) {
+            Some(Some(sun)) if answer.solution.quality == Quality::Fine => {
+                let error_mil = aspect.sun_plate.position.distance(sun.plate);
+                self.fine_errors_arcsec
+                    .push(error_mil * self.arcsec_per_mil);
+            }
+            Some(None) => self.false_suns += 1,
+            _ => {}
+        }
+    }
+}
+
+impl Summary {
+    /// What was lost on the way, and what arrived damaged; 0 when all went well.
+    pub fn lost(&self) -> u64 {
+        let sent = self.tally.line.solutions;
+        let arrived = self.controller.solutions.len() as u64;
+        let unstored =
+            self.tally.camera.taken - self.tally.archive.stored.min(self.tally.camera.taken);
+        self.tally.lost().max(unstored)
+            + sent.abs_diff(arrived)
+            + self.controller.faults.total()
+            + self.false_suns
+            + u64::from(sent == 0)
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (solver, line) = (&self.tally.solver, &self.tally.line);
+        writeln!(
+            out,
+            "frames     {} taken, {} lost",
+            self.tally.camera.taken, self.tally.camera.lost
+        )?;
+        writeln!(
+            out,
+            "solved     {} fine, {} coarse, {} none",
+            solver.of(Quality::Fine),
+            solver.of(Quality::Coarse),
+            solver.of(Quality::None),
+        )?;
+        for ((stage, reason), count) in &solver.reasons {
+            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
+        }
+        writeln!(
+            out,
+            "stored     {} of {} in {}",
+            self.tally.archive.stored,
+            self.tally.camera.taken,
+            self.archive.display(),
+        )?;
+        writeln!(
+            out,
+            "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
+            line.solutions, line.errors, line.announced, line.commands, line.outdated,
+        )?;
+        writeln!(
+            out,
+            "received   {} solutions, {} errors by the controller; {} faults",
+            self.controller.solutions.len(),
+            self.controller.errors,
+            self.controller.faults.total(),
+        )?;
+        let mut errors = self.fine_errors_arcsec.clone();
+        let mut arcsec = |fraction| quantile(&mut errors, fraction);
+        if let (Some(median), Some(most), Some(max)) = (arcsec(0.5), arcsec(0.95), arcsec(1.0)) {
+            writeln!(
+                out,
+                "aspect     error of fine frames: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
+            )?;
+        }
+        let mut latencies: Vec<f64> = line
+            .latencies
+            .iter()
+            .map(|latency| 1e3 * latency.as_secs_f64())
+            .collect();
+        let mut ms = |fraction| quantile(&mut latencies, fraction);
+        if let (Some(median), Some(most)) = (ms(0.5), ms(0.99)) {
+            writeln!(
+                out,
+                "latency    frame to packet: median {median:.1}, 99 % {most:.1} ms"
+            )?;
+        }
+        match self.lost() {
+            0 => write!(out, "nothing was lost"),
+            lost => write!(out, "LOST or damaged: {lost}"),
+        }
+    }
+}

@@ -1,0 +1,232 @@
+//! The flight service: every long-lived thread, channel, bound and overflow rule on one page.
+//!
+//! ```text
+//!            Sighting (8)              Answer (queue_frames)
+//!  camera ----------------> solver ------------------------> archive
+//!    |                        |  \___ Answer (unbounded, only when watched) ---> watcher
+//!    |  LinkEvent (256)       |
+//!    +----------------------> link <----> controller, over a byte port
+//!                             |
+//!                Commanded (shared): target and place, set by command, read by the solver
+//! ```
+//!
+//! | channel | holds | when it is full |
+//! |---|---|---|
+//! | Sighting | frames to solve | the frame is lost and counted: a camera does not wait |
+//! | Answer | solved frames to store | the frame is not stored, and counted; solving and sending go on |
+//! | LinkEvent | exposures about to start, solutions | the event is dropped and counted: the line is stuck |
+//!
+//! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
+//! the last of its work. The link goes on answering commands until the service is joined. A thread that panics is noticed
+//! then.
+
+mod archiver;
+pub mod demo;
+mod line;
+mod solver;
+mod tally;
+
+pub use solver::Answer;
+pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
+
+use crate::archive::Store;
+use crate::aspect;
+use crate::camera::{Exposure, FrameSource};
+use crate::config::{self, Config};
+use crate::instrument::Instrument;
+use crate::link::{BytePort, Computer, Responder};
+use crate::pointing::HelioprojectiveArcsec;
+use crate::units::Place;
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, unbounded};
+use jiff::Timestamp;
+use line::{Line, LinkEvent};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::Instant;
+
+/// Frames that may wait for the solver: a third of a second at 26 frames/s.
+const SIGHTINGS: usize = 8;
+/// Events that may wait for the line.
+const LINK_EVENTS: usize = 256;
+
+/// What a flight is made of.
+pub struct Flight {
+    pub instrument: Instrument,
+    pub config: Config,
+    pub camera: Box<dyn FrameSource>,
+    /// The line to the controller, where there is one.
+    pub port: Option<Box<dyn BytePort + Send>>,
+    /// The archive, where frames are kept.
+    pub store: Option<Store>,
+}
+
+/// A frame on its way from the camera, with the moment it arrived.
+struct Sighting {
+    exposure: Exposure,
+    arrived: Instant,
+}
+
+/// What the ground may set in flight.
+#[derive(Debug, Clone, Copy)]
+struct Commanded {
+    target: HelioprojectiveArcsec,
+    /// The place for frames that do not tell theirs.
+    place: Option<Place>,
+}
+
+/// A running service.
+pub struct Service {
+    camera: JoinHandle<CameraTally>,
+    solver: JoinHandle<SolverTally>,
+    archive: JoinHandle<ArchiveTally>,
+    line: JoinHandle<LineTally>,
+    stop: Arc<AtomicBool>,
+    hang_up: Arc<AtomicBool>,
+}
+
+/// A thread of the service that ended by a panic.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("the {0} thread of the service has failed")]
+pub struct ThreadFailed(&'static str);
+
+impl Service {
+    /// Starts the threads of a flight.
+    pub fn start(flight: Flight) -> std::io::Result<Self> {
+        Self::launch(flight, None)
+    }
+
+    /// Starts the threads of a flight; every answer goes to the watcher, too.
+    pub fn start_watched(flight: Flight) -> std::io::Result<(Self, Receiver<Answer>)> {
+        let (watcher, answers) = unbounded();
+        Ok((Self::launch(flight, Some(watcher))?, answers))
+    }
+
+    fn launch(flight: Flight, watcher: Option<Sender<Answer>>) -> std::io::Result<Self> {
+        let config = flight.config;
+        let (to_solver, sightings) = bounded(SIGHTINGS);
+        let (to_archive, answers) = bounded(config.archive.queue_frames);
+        let (to_line, events) = bounded(LINK_EVENTS);
+        let stop = Arc::new(AtomicBool::new(false));
+        let commanded = Arc::new(Mutex::new(Commanded {
+            target: HelioprojectiveArcsec {
+                x: config.target.x_arcsec,
+                y: config.target.y_arcsec,
+            },
+            place: config.site.place(),
+        }));
+        let line = Line::new(
+            flight.port,
+            Responder::new(Computer::One, None),
+            line_settings(&config.link),
+            Arc::clone(&commanded),
+        );
+        let solver = solver::Solver {
+            instrument: flight.instrument,
+            settings: config.solver(),
+            commanded,
+            to_archive,
+            to_line: to_line.clone(),
+            watcher,
+        };
+        let store = flight.store;
+        let mut camera = flight.camera;
+        let stopped = Arc::clone(&stop);
+        let hang_up = Arc::new(AtomicBool::new(false));
+        let hung_up = Arc::clone(&hang_up);
+        Ok(Self {
+            line: spawn("link", move || line.run(&events, &hung_up))?,
+            archive: spawn("archive", move || archiver::run(store.as_ref(), &answers))?,
+            solver: spawn("solver", move || solver.run(&sightings))?,
+            camera: spawn("camera", move || {
+                take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)
+            })?,
+            stop,
+            hang_up,
+        })
+    }
+
+    /// Asks the camera to end after the frame it is taking; everything else follows.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the last frame has been solved and stored.
+    pub fn is_finished(&self) -> bool {
+        self.solver.is_finished() && self.archive.is_finished()
+    }
+
+    /// Waits for the last frame, hangs up, and says what happened.
+    pub fn join(self) -> Result<FlightTally, ThreadFailed> {
+        let camera = self.camera.join().map_err(|_| ThreadFailed("camera"));
+        let solver = self.solver.join().map_err(|_| ThreadFailed("solver"));
+        let archive = self.archive.join().map_err(|_| ThreadFailed("archive"));
+        self.hang_up.store(true, Ordering::Relaxed);
+        let line = self.line.join().map_err(|_| ThreadFailed("link"));
+        Ok(FlightTally {
+            camera: camera?,
+            solver: solver?,
+            archive: archive?,
+            line: line?,
+        })
+    }
+}
+
+fn spawn<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> std::io::Result<JoinHandle<T>> {
+    thread::Builder::new().name(name.into()).spawn(work)
+}
+
+fn line_settings(link: &config::Link) -> line::Settings {
+    line::Settings {
+        solution_divisor: u64::from(link.solution_divisor),
+        max_age: std::time::Duration::from_millis(u64::from(link.max_solution_age_ms)),
+    }
+}
+
+/// The camera's thread: announces each exposure on the line, then hands the frame to the solver.
+fn take_frames(
+    camera: &mut dyn FrameSource,
+    to_solver: &Sender<Sighting>,
+    to_line: &Sender<LinkEvent>,
+    stop: &AtomicBool,
+) -> CameraTally {
+    let mut tally = CameraTally::default();
+    while !stop.load(Ordering::Relaxed) {
+        let mut announce = |time: Timestamp| {
+            if to_line.try_send(LinkEvent::ExposureStarts(time)).is_err() {
+                tracing::warn!("the line is stuck: an exposure was not announced");
+            }
+        };
+        match camera.next(&mut announce) {
+            Ok(Some(exposure)) => {
+                tally.taken += 1;
+                let arrived = Instant::now();
+                let sighting = Sighting { exposure, arrived };
+                if let Err(TrySendError::Full(_)) = to_solver.try_send(sighting) {
+                    tally.lost += 1;
+                    tracing::warn!(
+                        lost = tally.lost,
+                        "the solver cannot follow: a frame was lost"
+                    );
+                }
+            }
+            Ok(None) => break,
+            Err(error) => {
+                tally.failed += 1;
+                tracing::error!(%error, "no frame from the camera");
+            }
+        }
+    }
+    tally
+}
+
+/// What `fly` and `demo` share of a solver's view of the Sun.
+fn expected(utc: Timestamp) -> Option<aspect::Expected> {
+    crate::sky::sun_angular_radius(utc)
+        .inspect_err(|error| tracing::warn!(%error, "the Sun's size is not known"))
+        .ok()
+        .map(|radius_arcsec| aspect::Expected { radius_arcsec })
+}

@@ -1,0 +1,140 @@
+//! The solver's thread: frame in, answer out, to the archive and to the line.
+
+use super::line::{LinkEvent, Outcome};
+use super::tally::SolverTally;
+use super::{Commanded, Sighting, expected};
+use crate::aspect::{self, Expected, Solution, Track};
+use crate::camera::Exposure;
+use crate::instrument::Instrument;
+use crate::pointing::{self, Offset};
+use crossbeam_channel::{Receiver, Sender};
+use jiff::{SignedDuration, Timestamp};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// A solved frame.
+#[derive(Debug, Clone)]
+pub struct Answer {
+    pub exposure: Arc<Exposure>,
+    pub solution: Arc<Solution>,
+    pub offset: Option<Offset>,
+    pub solve_time: Duration,
+}
+
+pub(super) struct Solver {
+    pub instrument: Instrument,
+    pub settings: aspect::Settings,
+    pub commanded: Arc<Mutex<Commanded>>,
+    pub to_archive: Sender<Answer>,
+    pub to_line: Sender<LinkEvent>,
+    pub watcher: Option<Sender<Answer>>,
+}
+
+impl Solver {
+    /// Solves until the camera ends.
+    pub fn run(self, sightings: &Receiver<Sighting>) -> SolverTally {
+        let mut tally = SolverTally::default();
+        let mut track = None;
+        let mut sun = SunSize::default();
+        for sighting in sightings {
+            let Sighting { exposure, arrived } = sighting;
+            if let Err(error) = self.instrument.check_size(&exposure.frame) {
+                tally.misfits += 1;
+                tracing::error!(%error, "a frame that is not this camera's");
+                continue;
+            }
+            let answer = self.solve(exposure, &mut track, &mut sun);
+            count(&mut tally, &answer.solution);
+            tracing::debug!(
+                number = answer.exposure.frame.info.number,
+                quality = answer.solution.quality.name(),
+                solve_us = answer.solve_time.as_micros() as u64,
+                "solved"
+            );
+            self.hand_on(answer, arrived, &mut tally);
+        }
+        tally
+    }
+
+    fn solve(&self, exposure: Exposure, track: &mut Option<Track>, sun: &mut SunSize) -> Answer {
+        let info = &exposure.frame.info;
+        let utc = info.mid_exposure;
+        let size = utc.and_then(|utc| sun.at(utc));
+        let start = Instant::now();
+        let frame = &exposure.frame;
+        let solution = aspect::solve_with(
+            &self.settings,
+            frame,
+            &self.instrument,
+            size,
+            track.as_ref(),
+        );
+        let solve_time = start.elapsed();
+        if solution.track.is_some() {
+            track.clone_from(&solution.track);
+        }
+        let commanded = *self
+            .commanded
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let place = info.place.or(commanded.place);
+        let target = commanded.target;
+        let offset = pointing::offset_of(&solution, utc, place, &self.instrument, target);
+        Answer {
+            exposure: Arc::new(exposure),
+            solution: Arc::new(solution),
+            offset,
+            solve_time,
+        }
+    }
+
+    /// The line first: a solution does not wait for a disk.
+    fn hand_on(&self, answer: Answer, arrived: Instant, tally: &mut SolverTally) {
+        let outcome = Outcome {
+            announced: answer.exposure.announced,
+            arrived,
+            offset: answer.offset,
+            stopped: answer.solution.stopped,
+        };
+        if self.to_line.try_send(LinkEvent::Outcome(outcome)).is_err() {
+            tally.unsent += 1;
+            tracing::warn!("the line is stuck: a solution was not sent");
+        }
+        if let Some(watcher) = &self.watcher {
+            // A watcher that has left misses nothing that matters.
+            let _ = watcher.send(answer.clone());
+        }
+        if self.to_archive.try_send(answer).is_err() {
+            tally.unstored += 1;
+            tracing::warn!("the disk cannot follow: a frame was not stored");
+        }
+    }
+}
+
+fn count(tally: &mut SolverTally, solution: &Solution) {
+    *tally.solved.entry(solution.quality).or_default() += 1;
+    if let Some(stopped) = &solution.stopped {
+        let reason = (stopped.stage, stopped.rejected.reason);
+        *tally.reasons.entry(reason).or_default() += 1;
+    }
+}
+
+/// The Sun's size changes by a thousandth in a day: one look at the ephemeris serves for a second and more.
+#[derive(Default)]
+struct SunSize {
+    last: Option<(Timestamp, Option<Expected>)>,
+}
+
+impl SunSize {
+    fn at(&mut self, utc: Timestamp) -> Option<Expected> {
+        const VALID: SignedDuration = SignedDuration::from_secs(60);
+        match self.last {
+            Some((then, size)) if utc.duration_since(then).abs() < VALID => size,
+            _ => {
+                let size = expected(utc);
+                self.last = Some((utc, size));
+                size
+            }
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! What each thread counts, and what a flight comes to.
+
+use crate::aspect::{Quality, Stage};
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// What the camera's thread counts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct CameraTally {
+    pub taken: u64,
+    /// Frames that the solver had no room for.
+    pub lost: u64,
+    /// Frames that the source could not give.
+    pub failed: u64,
+}
+
+/// What the solver's thread counts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct SolverTally {
+    pub solved: BTreeMap<Quality, u64>,
+    /// Why frames went no further, coarse ones too.
+    pub reasons: BTreeMap<(Stage, &'static str), u64>,
+    /// Frames of the wrong size.
+    pub misfits: u64,
+    /// Answers that the archive's queue had no room for.
+    pub unstored: u64,
+    /// Answers that the line's queue had no room for.
+    pub unsent: u64,
+}
+
+impl SolverTally {
+    pub fn frames(&self) -> u64 {
+        self.solved.values().sum()
+    }
+
+    pub fn of(&self, quality: Quality) -> u64 {
+        self.solved.get(&quality).copied().unwrap_or(0)
+    }
+}
+
+/// What the archive's thread counts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ArchiveTally {
+    pub stored: u64,
+    pub failed: u64,
+}
+
+/// What the link's thread counts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct LineTally {
+    pub announced: u64,
+    pub solutions: u64,
+    pub errors: u64,
+    /// Solutions that came too late to be sent.
+    pub outdated: u64,
+    /// Packets that the port did not take.
+    pub failed: u64,
+    pub commands: u64,
+    /// From a frame's arrival to its solution's last byte: the latest ten thousand.
+    pub latencies: VecDeque<Duration>,
+}
+
+impl LineTally {
+    pub(super) fn note_latency(&mut self, latency: Duration) {
+        const KEPT: usize = 10_000;
+        if self.latencies.len() == KEPT {
+            self.latencies.pop_front();
+        }
+        self.latencies.push_back(latency);
+    }
+}
+
+/// What a whole flight comes to.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct FlightTally {
+    pub camera: CameraTally,
+    pub solver: SolverTally,
+    pub archive: ArchiveTally,
+    pub line: LineTally,
+}
+
+impl FlightTally {
+    /// Frames, stored files and packets that did not get where they should.
+    pub fn lost(&self) -> u64 {
+        let frames = self.camera.lost + self.camera.failed + self.solver.misfits;
+        let files = self.solver.unstored + self.archive.failed;
+        let packets = self.solver.unsent + self.line.failed;
+        frames + files + packets
+    }
+}
+
+/// The value below which a fraction of the values lies; `None` of no values.
+pub fn quantile<T: Copy + PartialOrd>(values: &mut [T], fraction: f64) -> Option<T> {
+    values.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+    let last = values.len().checked_sub(1)?;
+    values
+        .get((fraction * last as f64).round() as usize)
+        .copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_of_a_row_are_its_members() {
+        let mut values: Vec<u32> = (0..=100).rev().collect();
+        assert_eq!(quantile(&mut values, 0.5), Some(50));
+        assert_eq!(quantile(&mut values, 0.99), Some(99));
+        assert_eq!(quantile::<u32>(&mut [], 0.5), None);
+    }
+}

@@ -1,0 +1,872 @@
+//! Promises of the files: what is written reads back as it was, frames of others are read, and a bad file is one
+//! line that names itself, the field and what was expected there.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use solaspect::fits::{
+    Card, Column, Compression, Table, Value, Values, check_sums, read_frame, read_keywords,
+    write_frame,
+};
+use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::units::Place;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tempfile::TempDir;
+
+const FRAMES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames/");
+
+/// A folder of its own for a test.
+fn folder() -> TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+fn full_info() -> FrameInfo {
+    FrameInfo {
+        number: Some(123_456_789_012),
+        mid_exposure: Some("2013-09-21T18:00:00.007500001Z".parse().unwrap()),
+        monotonic: Some(Duration::new(86_400, 123_456_789)),
+        exposure: Some(Duration::from_micros(15_001)),
+        analogue_gain: Some(1.1),
+        preamp_gain: Some(-3.0),
+        camera_temperature_c: Some(-12.345_678_901_234_5),
+        place: Some(Place::new(34.49, -104.2218, 38_405.0).unwrap()),
+        camera: Some("PYAS-F, the pilot's".into()),
+    }
+}
+
+fn noise(seed: u64, count: usize, top: u16) -> Vec<u16> {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+    (0..count).map(|_| random.random_range(0..=top)).collect()
+}
+
+fn eight_bit(width: usize, height: usize) -> Frame {
+    let pixels = noise(1, width * height, 255)
+        .iter()
+        .map(|dn| *dn as u8)
+        .collect();
+    Frame::new(width, height, Pixels::U8(pixels), 255, full_info()).unwrap()
+}
+
+fn twelve_bit(width: usize, height: usize) -> Frame {
+    let pixels = Pixels::U16(noise(2, width * height, 4095));
+    Frame::new(width, height, pixels, 4095, full_info()).unwrap()
+}
+
+fn written(folder: &TempDir, frame: &Frame, compression: Compression) -> PathBuf {
+    let path = folder.path().join("frame.fits");
+    write_frame(&path, frame, &[], &[], compression).unwrap();
+    path
+}
+
+const COMPRESSIONS: [Compression; 3] = [Compression::Rice, Compression::Gzip, Compression::None];
+
+mod round_trips {
+    use super::*;
+
+    #[test]
+    fn every_pixel_and_every_value_reads_back_as_it_was() {
+        let folder = folder();
+        let info = full_info();
+        let full = Pixels::U16(noise(3, 37 * 21, u16::MAX));
+        let sixteen_bit = Frame::new(37, 21, full, 60_000, info).unwrap();
+        for frame in [
+            eight_bit(64, 48),
+            twelve_bit(101, 33),
+            sixteen_bit,
+            eight_bit(1, 1),
+        ] {
+            for compression in COMPRESSIONS {
+                let path = written(&folder, &frame, compression);
+                assert_eq!(read_frame(&path).unwrap(), frame, "{compression:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_frame_does_not_know_stays_unknown() {
+        let folder = folder();
+        let pixels = Pixels::U16(vec![0, 1, 2, 4095]);
+        let frame = Frame::new(2, 2, pixels, 4095, FrameInfo::default()).unwrap();
+        let path = written(&folder, &frame, Compression::Rice);
+        assert_eq!(read_frame(&path).unwrap(), frame);
+    }
+
+    #[test]
+    fn each_hdu_carries_checksums_that_hold_and_a_flipped_bit_breaks_them() {
+        let folder = folder();
+        let frame = twelve_bit(64, 48);
+        for compression in COMPRESSIONS {
+            let path = folder.path().join("frame.fits");
+            write_frame(&path, &frame, &[], &[marks()], compression).unwrap();
+            let sums = check_sums(&path).unwrap();
+            assert_eq!((sums.hdus, sums.guarded), (3, 3), "{compression:?}");
+            let sound = fs::read(&path).unwrap();
+            let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
+            for _ in 0..50 {
+                let mut changed = sound.clone();
+                let at = random.random_range(0..changed.len());
+                changed[at] ^= 1 << random.random_range(0..8);
+                fs::write(&path, changed).unwrap();
+                // A keyword whose own name is hit guards no more, which the count tells.
+                let sound = check_sums(&path).is_ok_and(|sums| sums.guarded == 3);
+                assert!(!sound, "byte {at}, {compression:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn keywords_stand_beside_the_pixels_as_the_standard_names_them() {
+        let folder = folder();
+        let path = written(&folder, &twelve_bit(8, 8), Compression::Rice);
+        let mut file = fitsio::FitsFile::open(&path).unwrap();
+        let hdu = file.hdu("FRAME").unwrap();
+        let text =
+            |name: &str| hdu.read_key::<String>(&mut fitsio::FitsFile::open(&path).unwrap(), name);
+        assert_eq!(text("DATE-AVG").unwrap(), "2013-09-21T18:00:00.007500001");
+        assert_eq!(text("TIMESYS").unwrap(), "UTC");
+        assert_eq!(text("BUNIT").unwrap(), "DN");
+        let mut number = |name: &str| hdu.read_key::<f64>(&mut file, name).unwrap();
+        assert_eq!(number("EXPTIME"), 0.015_001);
+        assert_eq!(number("XPOSURE"), 0.015_001);
+        assert_eq!(number("BITDEPTH"), 12.0);
+        assert_eq!(number("SATURATE"), 4095.0);
+        // From astropy's EarthLocation for the same latitude, longitude and height.
+        for (name, metres) in [
+            ("OBSGEO-X", -1_300_690.005_2),
+            ("OBSGEO-Y", -5_132_065.136_0),
+            ("OBSGEO-Z", 3_613_124.978_7),
+        ] {
+            assert!((number(name) - metres).abs() < 1e-3, "{name}");
+        }
+    }
+
+    fn marks() -> Table {
+        let column = |name: &str, unit: &str, values| Column {
+            name: name.into(),
+            unit: unit.into(),
+            values,
+        };
+        Table {
+            name: "MARKS".into(),
+            columns: vec![
+                column("I", "", Values::Integer(vec![-7, 0, i64::MAX])),
+                column("X", "px", Values::Float(vec![0.1, f64::NAN, -1e300])),
+                column(
+                    "STATE",
+                    "",
+                    Values::Text(vec!["used".into(), "".into(), "cut off".into()]),
+                ),
+            ],
+        }
+    }
+
+    #[test]
+    fn tables_read_back_with_names_units_and_values() {
+        let folder = folder();
+        let path = folder.path().join("frame.fits");
+        let mut empty = marks();
+        empty.name = "NONE".into();
+        for column in &mut empty.columns {
+            column.values = Values::Text(vec![]);
+        }
+        let tables = [marks(), empty];
+        write_frame(&path, &eight_bit(8, 8), &[], &tables, Compression::Rice).unwrap();
+        let mut file = fitsio::FitsFile::open(&path).unwrap();
+        let hdu = file.hdu("MARKS").unwrap();
+        let indices: Vec<i64> = hdu.read_col(&mut file, "I").unwrap();
+        let positions: Vec<f64> = hdu.read_col(&mut file, "X").unwrap();
+        let states: Vec<String> = hdu.read_col(&mut file, "STATE").unwrap();
+        // An empty text reads as one blank there.
+        let states: Vec<&str> = states.iter().map(|text| text.trim_end()).collect();
+        assert_eq!(indices, [-7, 0, i64::MAX]);
+        assert_eq!((positions[0], positions[2]), (0.1, -1e300));
+        assert!(positions[1].is_nan());
+        assert_eq!(states, ["used", "", "cut off"]);
+        assert_eq!(hdu.read_key::<String>(&mut file, "TUNIT2").unwrap(), "px");
+        let none = file.hdu("NONE").unwrap();
+        assert_eq!(none.read_key::<i64>(&mut file, "NAXIS2").unwrap(), 0);
+    }
+
+    #[test]
+    fn cards_from_above_are_written_and_long_texts_survive() {
+        let folder = folder();
+        let path = folder.path().join("frame.fits");
+        let mut frame = eight_bit(8, 8);
+        frame.info.camera = Some("a name that is long ".repeat(9) + "'quoted' & so on");
+        let cards = [Card::new("INSTRUME", "pyas")];
+        write_frame(&path, &frame, &cards, &[], Compression::Rice).unwrap();
+        assert_eq!(read_frame(&path).unwrap(), frame);
+        let keywords = read_keywords(&path).unwrap();
+        assert_eq!(keywords.get("INSTRUME"), Some(&Value::from("pyas")));
+    }
+
+    #[test]
+    fn cards_that_are_unknown_of_another_kind_not_finite_or_given_twice_are_refused() {
+        let folder = folder();
+        let path = folder.path().join("frame.fits");
+        for (card, field) in [
+            (
+                Card::new("NOSUCH", 1.0),
+                "NOSUCH: expected a keyword of the table",
+            ),
+            (
+                Card::new("INSTRUME", 1.0),
+                "INSTRUME: expected Text, found 1.0",
+            ),
+            (Card::new("SATURATE", 9_i64), "SATURATE: expected one value"),
+        ] {
+            let error = write_frame(&path, &eight_bit(8, 8), &[card], &[], Compression::Rice);
+            let message = error.unwrap_err().to_string();
+            assert!(
+                message.contains("frame.fits") && message.contains(field),
+                "{message}"
+            );
+        }
+        let mut frame = eight_bit(8, 8);
+        frame.info.analogue_gain = Some(f64::NAN);
+        let error = write_frame(&path, &frame, &[], &[], Compression::Rice);
+        assert!(
+            error
+                .unwrap_err()
+                .to_string()
+                .contains("GAIN: expected Float, found NaN")
+        );
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn many_threads_at_once_do_not_disturb_each_other() {
+        let folder = folder();
+        std::thread::scope(|scope| {
+            for n in 0..8 {
+                let path = folder.path().join(format!("{n}.fits"));
+                scope.spawn(move || {
+                    let frame = twelve_bit(50 + n, 40);
+                    for compression in COMPRESSIONS.iter().cycle().take(30) {
+                        write_frame(&path, &frame, &[], &[], *compression).unwrap();
+                        assert_eq!(read_frame(&path).unwrap(), frame);
+                    }
+                });
+            }
+        });
+    }
+}
+
+mod frames_of_others {
+    use super::*;
+
+    /// CRC-32 of the pixels (16 bit: low byte first), as astropy reads them.
+    const PIXELS: [(&str, u32); 10] = [
+        ("dim/frame_00000.fits", 0x201dcb4b),
+        ("disturbed/frame_00000.fits", 0xc3b90b4b),
+        ("heroes-layout/frame_00000.fits.gz", 0xd2b2a9bb),
+        ("night/frame_00000.fits", 0xf65315ab),
+        ("partial/frame_00001.fits", 0x42b8ed05),
+        ("partial/frame_00003.fits", 0xc6a7bc5c),
+        ("rotated/frame_00000.fits", 0x32145ea2),
+        ("saturated/frame_00000.fits", 0xfabd99db),
+        ("standard/frame_00000.fits", 0x1ccafe56),
+        ("twelve-bit/frame_00000.fits.gz", 0x66960fc1),
+    ];
+
+    fn crc(pixels: &Pixels) -> u32 {
+        let crc = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+        match pixels {
+            Pixels::U8(p) => crc.checksum(p),
+            Pixels::U16(p) => {
+                let bytes: Vec<u8> = p.iter().flat_map(|dn| dn.to_le_bytes()).collect();
+                crc.checksum(&bytes)
+            }
+        }
+    }
+
+    #[test]
+    fn every_layout_gives_the_pixels_that_astropy_reads() {
+        for (name, expected) in PIXELS {
+            let frame = read_frame(&Path::new(FRAMES).join(name)).unwrap();
+            assert_eq!((frame.width(), frame.height()), (1296, 966), "{name}");
+            assert_eq!(crc(frame.pixels()), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn keywords_are_found_in_the_primary_header_of_every_layout() {
+        for (name, _) in PIXELS {
+            let info = read_frame(&Path::new(FRAMES).join(name)).unwrap().info;
+            assert_eq!(info.exposure, Some(Duration::from_millis(15)), "{name}");
+            let middle = info.mid_exposure.unwrap().to_string();
+            assert!(middle.starts_with("2013-09-21T18:00:0"), "{name}: {middle}");
+            assert!(middle.ends_with("075Z"), "{name}: {middle}");
+            assert!(info.number.is_some(), "{name}");
+        }
+    }
+
+    #[test]
+    fn saturation_is_that_of_the_depth_where_nothing_is_said() {
+        let saturation = |name: &str| {
+            read_frame(&Path::new(FRAMES).join(name))
+                .unwrap()
+                .saturation_dn()
+        };
+        assert_eq!(saturation("standard/frame_00000.fits"), 255);
+        assert_eq!(saturation("twelve-bit/frame_00000.fits.gz"), 4095);
+    }
+
+    #[test]
+    fn the_images_keywords_go_over_the_primary_ones() {
+        let primary = primary(&["EXPTIME = 0.5", "FRAMENUM= 1", "CAMTEMP = -5.5"]);
+        let image = image_extension(8, [2, 1], &["EXPTIME = 0.25", "FRAMENUM= 2"], &[7, 9]);
+        let frame = read_bytes(&[primary, image].concat(), "a.fits").unwrap();
+        assert_eq!(frame.pixels(), &Pixels::U8(vec![7, 9]));
+        assert_eq!(frame.info.exposure, Some(Duration::from_millis(250)));
+        assert_eq!(frame.info.number, Some(2));
+        assert_eq!(frame.info.camera_temperature_c, Some(-5.5));
+    }
+
+    #[test]
+    fn mid_exposure_is_date_avg_or_else_the_start_and_half_the_exposure() {
+        for (cards, expected) in [
+            (
+                &["DATE-OBS= '2013-09-21T18:00:00.000'", "EXPTIME = 0.015"][..],
+                Some("18:00:00.0075Z"),
+            ),
+            (
+                &["DATE-BEG= '2013-09-21T18:00:00Z'", "XPOSURE = 2"],
+                Some("18:00:01Z"),
+            ),
+            (&["DATE-OBS= '2013-09-21T18:00:00'"], Some("18:00:00Z")),
+            (
+                &[
+                    "DATE-OBS= '2013-09-21T18:00:00'",
+                    "EXPTIME = 2",
+                    "DATE-AVG= '2013-09-21T19:00:00'",
+                ],
+                Some("19:00:00Z"),
+            ),
+            (&["EXPTIME = 2"], None),
+        ] {
+            let frame = read_bytes(&only_image(8, [1, 1], cards, &[0]), "a.fits").unwrap();
+            let middle = frame.info.mid_exposure.map(|time| time.to_string());
+            assert_eq!(middle, expected.map(|time| format!("2013-09-21T{time}")));
+        }
+    }
+
+    #[test]
+    fn a_place_is_read_from_geocentric_metres() {
+        // The position that astropy's EarthLocation gives for this latitude, longitude and height.
+        let cards = [
+            "OBSGEO-X= -1300690.00516486",
+            "OBSGEO-Y= -5132065.13600597",
+            "OBSGEO-Z= 3613124.97868061",
+        ];
+        let frame = read_bytes(&only_image(8, [1, 1], &cards, &[0]), "a.fits").unwrap();
+        let place = frame.info.place.unwrap();
+        assert!((place.latitude_deg - 34.49).abs() < 1e-9);
+        assert!((place.longitude_deg + 104.2218).abs() < 1e-9);
+        assert!((place.height_m - 38_405.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn sixteen_bits_are_read_with_and_without_an_offset_and_saturate_as_stated() {
+        let signed = only_image(16, [2, 1], &[], &[0, 5, 0x0f, 0xff]);
+        let frame = read_bytes(&signed, "a.fits").unwrap();
+        assert_eq!(frame.pixels(), &Pixels::U16(vec![5, 4095]));
+        assert_eq!(frame.saturation_dn(), 4095);
+        for (card, saturation) in [
+            ("SATURATE= 3800", 3800),
+            ("BITDEPTH= 14", 16_383),
+            ("BITDEPTH= 16", u16::MAX),
+        ] {
+            let cards = ["BZERO   = 32768", card];
+            let unsigned = only_image(16, [2, 1], &cards, &[0x80, 0, 0x80, 1]);
+            let frame = read_bytes(&unsigned, "a.fits").unwrap();
+            assert_eq!(frame.pixels(), &Pixels::U16(vec![0, 1]));
+            assert_eq!(frame.saturation_dn(), saturation);
+        }
+    }
+
+    #[test]
+    fn a_file_is_what_its_first_bytes_say_and_its_name_is_taken_literally() {
+        let bytes = only_image(8, [1, 1], &[], &[42]);
+        for name in [
+            "a.dat",
+            "b[1].fits",
+            "c(2)+1.fits",
+            "d[*,-*].fits.gz",
+            "mem:",
+            "-",
+            "é ü.fts",
+        ] {
+            let frame = read_bytes(&bytes, name).unwrap();
+            assert_eq!(frame.pixels(), &Pixels::U8(vec![42]), "{name}");
+        }
+        let folder = folder();
+        let path = folder.path().join("x[0:3](+)!.fits");
+        write_frame(&path, &eight_bit(4, 4), &[], &[], Compression::Rice).unwrap();
+        assert_eq!(read_frame(&path).unwrap(), eight_bit(4, 4));
+    }
+
+    #[test]
+    fn greyscale_pictures_are_frames() {
+        let folder = folder();
+        let [shallow, deep] = [noise(5, 20, 255), noise(6, 20, 4095)];
+        let shallow: Vec<u8> = shallow.iter().map(|dn| *dn as u8).collect();
+        for name in ["a.png", "a.tiff"] {
+            let path = folder.path().join(name);
+            image::GrayImage::from_raw(5, 4, shallow.clone())
+                .unwrap()
+                .save(&path)
+                .unwrap();
+            let frame = read_frame(&path).unwrap();
+            assert_eq!(frame.pixels(), &Pixels::U8(shallow.clone()), "{name}");
+            assert_eq!((frame.width(), frame.saturation_dn()), (5, 255));
+            type Grey16 = image::ImageBuffer<image::Luma<u16>, Vec<u16>>;
+            Grey16::from_raw(5, 4, deep.clone())
+                .unwrap()
+                .save(&path)
+                .unwrap();
+            let frame = read_frame(&path).unwrap();
+            assert_eq!(frame.pixels(), &Pixels::U16(deep.clone()), "{name}");
+            assert_eq!(frame.saturation_dn(), 4095);
+            assert_eq!(frame.info, FrameInfo::default());
+        }
+    }
+}
+
+mod bad_files {
+    use super::*;
+
+    /// Reads bytes that make no frame, and returns the error, which is one line that names the file.
+    fn refusal(bytes: &[u8]) -> String {
+        let message = read_bytes(bytes, "bad.fits").unwrap_err();
+        assert!(message.contains("bad.fits: "), "{message}");
+        assert!(!message.contains('\n'), "{message}");
+        assert!(message.contains("expected"), "{message}");
+        message
+    }
+
+    fn assert_refused(bytes: &[u8], parts: &[&str]) {
+        let message = refusal(bytes);
+        for part in parts {
+            assert!(message.contains(part), "\"{part}\" in \"{message}\"");
+        }
+    }
+
+    #[test]
+    fn what_is_no_file_is_named_as_such() {
+        let folder = folder();
+        let missing = read_frame(&folder.path().join("no.fits"))
+            .unwrap_err()
+            .to_string();
+        assert!(missing.contains("no.fits: expected to read the file, found \"No such file"));
+        let directory = read_frame(folder.path()).unwrap_err().to_string();
+        assert!(
+            directory.ends_with("expected a file, found a directory"),
+            "{directory}"
+        );
+        #[cfg(unix)]
+        {
+            let device = read_frame(Path::new("/dev/zero")).unwrap_err().to_string();
+            assert!(
+                device.ends_with("expected a file, found a device or pipe"),
+                "{device}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_no_picture_is_named_as_such() {
+        assert_refused(
+            b"",
+            &["expected a FITS, PNG or TIFF file, found an empty file"],
+        );
+        assert_refused(b"SIM", &["begins with \"SIM\""]);
+        let random: Vec<u8> = noise(7, 50_000, 255).iter().map(|b| *b as u8).collect();
+        assert_refused(&random, &["expected a FITS, PNG or TIFF file"]);
+        assert_refused(
+            &[0x1f, 0x8b, 8, 0, 1, 2, 3],
+            &["expected a whole gzip file"],
+        );
+        assert_refused(
+            b"\x89PNG\r\n\x1a\nnonsense",
+            &["expected a whole PNG picture in greyscale"],
+        );
+        assert_refused(b"II*\0nonsense", &["expected a whole TIF"]);
+    }
+
+    #[test]
+    fn a_colour_picture_is_refused_with_what_was_expected() {
+        let folder = folder();
+        let path = folder.path().join("colour.png");
+        image::RgbImage::new(3, 3).save(&path).unwrap();
+        let message = read_frame(&path).unwrap_err().to_string();
+        assert!(
+            message.ends_with(
+                "colour.png: expected a whole PNG picture in greyscale, 8 or 16 bit, found Rgb8"
+            ),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn a_file_cut_short_anywhere_is_refused() {
+        let folder = folder();
+        for compression in COMPRESSIONS {
+            let whole = fs::read(written(&folder, &eight_bit(100, 100), compression)).unwrap();
+            for kept in [
+                10,
+                100,
+                2000,
+                2880,
+                3000,
+                5759,
+                5760,
+                6000,
+                whole.len() / 2,
+                whole.len() - 2880,
+            ] {
+                refusal(&whole[..kept]);
+            }
+            assert_refused(&whole[..3000], &["expected an END card", "byte 2880"]);
+        }
+        let plain = only_image(8, [100, 100], &[], &[1; 10_000]);
+        assert_refused(
+            &plain[..2880 + 9_999],
+            &[
+                "NAXISn: expected 10000 bytes of data",
+                "found 9999 before the end",
+            ],
+        );
+        // The fill of the last block is no data.
+        assert!(read_bytes(&plain[..2880 + 10_000], "a.fits").is_ok());
+    }
+
+    #[test]
+    fn images_that_are_no_frames_are_refused_by_field() {
+        let with = |bitpix, cards: &[&str], data: &[u8]| only_image(bitpix, [1, 1], cards, data);
+        let nan = f32::NAN.to_be_bytes();
+        assert_refused(
+            &with(-32, &[], &nan),
+            &["BITPIX: expected 8 or 16", "-32 (floating-point"],
+        );
+        assert_refused(
+            &with(-64, &[], &1f64.to_be_bytes()),
+            &["BITPIX: expected 8 or 16", "-64"],
+        );
+        assert_refused(
+            &with(32, &[], &[0; 4]),
+            &["BITPIX: expected 8 or 16", "found 32"],
+        );
+        assert_refused(&with(12, &[], &[0; 4]), &["BITPIX: expected", "found 12"]);
+        assert_refused(
+            &with(16, &[], &(-5i16).to_be_bytes()),
+            &["pixels: expected values from 0 to 32767, found -5 at pixel (0, 0)"],
+        );
+        assert_refused(
+            &with(16, &["BZERO   = 100"], &[0; 2]),
+            &["BZERO: expected 0 or 32768"],
+        );
+        assert_refused(
+            &with(8, &["BSCALE  = 2"], &[0]),
+            &["BSCALE: expected 1, found 2"],
+        );
+        assert_refused(&primary(&[]), &["expected an image in a FITS file"]);
+    }
+
+    #[test]
+    fn axes_that_make_no_frame_are_refused() {
+        let cube = header(&[
+            "SIMPLE  = T",
+            "BITPIX  = 8",
+            "NAXIS   = 3",
+            "NAXIS1  = 2",
+            "NAXIS2  = 2",
+            "NAXIS3  = 2",
+        ]);
+        let cube = [cube, blocks(&[0; 8])].concat();
+        assert_refused(&cube, &["NAXIS: expected an image with 2 axes, found 3"]);
+        let zero = only_image(8, [0, 5], &[], &[]);
+        assert_refused(
+            &zero,
+            &["NAXIS1: expected a whole number from 1 to 65536, found 0"],
+        );
+        for side in [1_000_000_000, i64::MAX] {
+            let huge = only_image(8, [side, side], &[], &[0]);
+            assert_refused(&huge, &["NAXISn: expected", "before the end of the file"]);
+        }
+        let negative = only_image(8, [-1, 5], &[], &[0]);
+        assert_refused(
+            &negative,
+            &["NAXIS1: expected a whole number from 0", "found -1"],
+        );
+    }
+
+    #[test]
+    fn keywords_with_nonsense_are_refused_by_name() {
+        for (card, parts) in [
+            (
+                "DATE-OBS= 'yesterday'",
+                ["DATE-OBS: expected a UTC date", "'yesterday'"],
+            ),
+            (
+                "DATE-AVG= '2013-09-31T00:00:00'",
+                ["DATE-AVG: expected a UTC date", "'2013-09-31"],
+            ),
+            (
+                "DATE-OBS= 20130921",
+                ["DATE-OBS: expected a text", "20130921"],
+            ),
+            (
+                "EXPTIME = NaN",
+                ["EXPTIME: expected a finite number", "NaN"],
+            ),
+            (
+                "EXPTIME = -0.015",
+                ["EXPTIME: expected a time from 0", "-0.015"],
+            ),
+            (
+                "EXPTIME = 1.0E300",
+                ["EXPTIME: expected a time from 0", "found 1"],
+            ),
+            (
+                "XPOSURE = 'long'",
+                ["XPOSURE: expected a finite number", "'long'"],
+            ),
+            (
+                "SATURATE= -1",
+                ["SATURATE: expected a level from 1 to 65535 DN", "-1"],
+            ),
+            (
+                "SATURATE= 1E9",
+                ["SATURATE: expected a level", "1000000000"],
+            ),
+            (
+                "SATURATE= 'none'",
+                ["SATURATE: expected a finite number", "'none'"],
+            ),
+            (
+                "BITDEPTH= 99",
+                ["BITDEPTH: expected a whole number from 1 to 16", "99"],
+            ),
+            (
+                "FRAMENUM= -3",
+                ["FRAMENUM: expected a whole number from 0", "-3"],
+            ),
+            (
+                "OBSGEO-X= 5.0",
+                ["OBSGEO-X, OBSGEO-Y, OBSGEO-Z: expected all three", "some"],
+            ),
+            (
+                "DATASUM = '7'",
+                ["DATASUM: expected data with the sum 7", "0"],
+            ),
+        ] {
+            assert_refused(&only_image(16, [1, 1], &[card], &[0; 2]), &parts);
+        }
+        let tai = ["DATE-OBS= '2013-09-21T18:00:00'", "TIMESYS = 'TAI'"];
+        assert_refused(
+            &only_image(8, [1, 1], &tai, &[0]),
+            &["TIMESYS: expected 'UTC', found 'TAI'"],
+        );
+        let centre = ["OBSGEO-X= 0", "OBSGEO-Y= 0", "OBSGEO-Z= 1"];
+        assert_refused(
+            &only_image(8, [1, 1], &centre, &[0]),
+            &["OBSGEO-X/Y/Z: expected a place near the Earth's surface"],
+        );
+    }
+
+    /// A sound compressed file with one card replaced.
+    fn compressed_with(keyword: &str, card: &str) -> Vec<u8> {
+        let folder = folder();
+        let mut bytes = fs::read(written(&folder, &eight_bit(64, 48), Compression::Rice)).unwrap();
+        let name = format!("{keyword:<8}=");
+        let at = (2880..bytes.len())
+            .step_by(80)
+            .find(|at| bytes[*at..].starts_with(name.as_bytes()))
+            .unwrap_or_else(|| panic!("no {keyword}"));
+        bytes[at..at + 80].copy_from_slice(format!("{card:<80}").as_bytes());
+        bytes
+    }
+
+    #[test]
+    fn a_compressed_image_that_contradicts_itself_is_refused_before_it_is_unpacked() {
+        for (keyword, card, parts) in [
+            (
+                "ZNAXIS1",
+                "ZNAXIS1 = 1000000000",
+                ["ZNAXIS1: expected", "65536, found 1000000000"],
+            ),
+            (
+                "ZNAXIS2",
+                "ZNAXIS2 = 60000",
+                ["NAXIS2: expected a row for each of 60000", "48 rows"],
+            ),
+            ("ZNAXIS1", "ZNAXIS1 = 0", ["ZNAXIS1: expected", "found 0"]),
+            (
+                "ZNAXIS",
+                "ZNAXIS  = 3",
+                ["NAXIS: expected an image with 2 axes", "found 3"],
+            ),
+            ("ZTILE1", "ZTILE1  = 0", ["ZTILE1: expected", "found 0"]),
+            (
+                "ZTILE1",
+                "ZTILE1  = 65536",
+                ["ZTILEn: expected tiles no larger", "65536 x 1"],
+            ),
+            (
+                "ZVAL1",
+                "ZVAL1   = 0",
+                ["ZVAL1: expected one of [16, 32]", "found 0"],
+            ),
+            (
+                "ZVAL2",
+                "ZVAL2   = 8",
+                ["ZVAL2: expected one of [1, 2, 4]", "found 8"],
+            ),
+            (
+                "ZBITPIX",
+                "ZBITPIX = -32",
+                ["ZBITPIX: expected 8 or 16", "-32"],
+            ),
+            (
+                "ZCMPTYPE",
+                "ZCMPTYPE= 'PLIO_1'",
+                ["ZCMPTYPE: expected RICE_1", "PLIO_1"],
+            ),
+            (
+                "NAXIS2",
+                "NAXIS2  = 0",
+                ["NAXIS2: expected a row for each of 48", "0 rows"],
+            ),
+            (
+                "NAXIS1",
+                "NAXIS1  = 800",
+                ["NAXISn: expected", "before the end"],
+            ),
+            (
+                "NAXIS1",
+                "NAXIS1  = 4",
+                ["NAXIS1: expected 8 bytes", "found 4"],
+            ),
+            (
+                "TFORM1",
+                "TFORM1  = '1PX(9)'",
+                ["TFORM1: expected a column", "1PX(9)"],
+            ),
+            (
+                "TFORM1",
+                "TFORM1  = ''",
+                ["TFORM1: expected a column", "''"],
+            ),
+        ] {
+            assert_refused(&compressed_with(keyword, card), &parts);
+        }
+    }
+
+    #[test]
+    fn a_tile_outside_the_heap_is_refused() {
+        let mut bytes = compressed_with("DATASUM", "COMMENT");
+        let table = (2880..bytes.len())
+            .step_by(80)
+            .find(|at| bytes[*at..].starts_with(b"END     "))
+            .map(|end| end.next_multiple_of(2880))
+            .unwrap();
+        bytes[table + 16..table + 20].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff]);
+        assert_refused(
+            &bytes,
+            &[
+                "tile 3: expected data within the heap",
+                "2147483647 elements",
+            ],
+        );
+    }
+
+    /// The file without its sums, so that changed data reach the decoder.
+    fn without_sums(file: &[u8]) -> Vec<u8> {
+        let mut bytes = file.to_vec();
+        for card in bytes.chunks_exact_mut(80) {
+            if card.starts_with(b"DATASUM ") {
+                card[..8].copy_from_slice(b"COMMENT ");
+            }
+        }
+        bytes
+    }
+
+    #[test]
+    fn a_file_with_any_bytes_changed_is_a_frame_or_one_line() {
+        let folder = folder();
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(8);
+        for compression in COMPRESSIONS {
+            let sound = fs::read(written(&folder, &twelve_bit(40, 30), compression)).unwrap();
+            for _ in 0..300 {
+                let mut bytes = without_sums(&sound);
+                for _ in 0..random.random_range(1..20) {
+                    let at = random.random_range(0..bytes.len());
+                    bytes[at] = random.random();
+                }
+                if let Err(message) = read_bytes(&bytes, "changed.fits") {
+                    assert!(message.contains("changed.fits: "), "{message}");
+                    assert!(!message.contains('\n'), "{message}");
+                }
+            }
+        }
+    }
+}
+
+/// Reads a file of these bytes under this name; an error as its text.
+fn read_bytes(bytes: &[u8], name: &str) -> Result<Frame, String> {
+    let folder = folder();
+    let path = folder.path().join(name);
+    fs::write(&path, bytes).unwrap();
+    read_frame(&path).map_err(|error| error.to_string())
+}
+
+/// A header of these cards and END, in whole blocks. Written by hand, so that bad ones can be made.
+fn header(cards: &[&str]) -> Vec<u8> {
+    let mut bytes: Vec<u8> = cards
+        .iter()
+        .chain(&["END"])
+        .flat_map(|card| format!("{card:<80}").into_bytes())
+        .collect();
+    bytes.resize(bytes.len().next_multiple_of(2880), b' ');
+    bytes
+}
+
+fn blocks(data: &[u8]) -> Vec<u8> {
+    let mut bytes = data.to_vec();
+    bytes.resize(bytes.len().next_multiple_of(2880), 0);
+    bytes
+}
+
+/// A primary HDU without data.
+fn primary(cards: &[&str]) -> Vec<u8> {
+    header(
+        &[
+            &["SIMPLE  = T", "BITPIX  = 8", "NAXIS   = 0", "EXTEND  = T"],
+            cards,
+        ]
+        .concat(),
+    )
+}
+
+/// An HDU with an image, its header beginning with this card.
+fn image_hdu(first: &str, bitpix: i32, sides: [i64; 2], cards: &[&str], data: &[u8]) -> Vec<u8> {
+    let [bitpix, width, height] = [
+        format!("BITPIX  = {bitpix}"),
+        format!("NAXIS1  = {}", sides[0]),
+        format!("NAXIS2  = {}", sides[1]),
+    ];
+    let own = [first, &bitpix, "NAXIS   = 2", &width, &height];
+    [header(&[&own, cards].concat()), blocks(data)].concat()
+}
+
+fn image_extension(bitpix: i32, sides: [i64; 2], cards: &[&str], data: &[u8]) -> Vec<u8> {
+    image_hdu("XTENSION= 'IMAGE   '", bitpix, sides, cards, data)
+}
+
+/// A file with its image in the primary HDU.
+fn only_image(bitpix: i32, sides: [i64; 2], cards: &[&str], data: &[u8]) -> Vec<u8> {
+    image_hdu("SIMPLE  = T", bitpix, sides, cards, data)
+}
