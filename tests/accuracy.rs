@@ -6,12 +6,14 @@ use rand_distr::{Distribution, StudentT};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use solaspect::aspect::{Expected, Quality, Solution, Track, solve};
+use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::simulate::{
     Conditions, Counts, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC, SunInView,
 };
 use solaspect::units::PlateMil;
+use std::path::Path;
 
 const EXPECTED: Option<Expected> = Some(Expected {
     radius_arcsec: SUN_RADIUS_ARCSEC,
@@ -131,9 +133,6 @@ impl Series {
             most,
             worst,
         };
-        if std::env::var("LOOSE").is_ok() {
-            return self;
-        }
         assert!(
             found.within(&bounds),
             "{}: {found:?} over {bounds:?}",
@@ -145,9 +144,6 @@ impl Series {
 
     /// The stated sigmas tell the true errors.
     fn states_its_errors(self) {
-        if std::env::var("LOOSE").is_ok() {
-            return;
-        }
         for rms in self.rms_pulls() {
             assert!(
                 (0.5..2.0).contains(&rms),
@@ -186,36 +182,80 @@ fn turn(conditions: &mut Conditions, rng: &mut Xoshiro256PlusPlus) {
     conditions.keystone_deg = rng.random_range(-3.0..3.0);
 }
 
+/// The frames under `tests/data/frames`, which an independent generator made, each with its folder and truth.
+fn independent_frames() -> Vec<(String, Frame, PlateMil)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/frames");
+    let table = std::fs::read_to_string(folder.join("truth.csv")).unwrap();
+    let frame = |line: &str| {
+        let fields: Vec<&str> = line.split(',').collect();
+        let number = |n: usize| fields[n].parse::<f64>().unwrap();
+        let name = format!("{}/frame_{:05}.fits", fields[0], number(1));
+        let plain = folder.join(&name);
+        let zipped = folder.join(format!("{name}.gz"));
+        let path = if plain.exists() { plain } else { zipped };
+        let frame = fits::read_frame(&path).unwrap();
+        (fields[0].into(), frame, PlateMil::new(number(4), number(5)))
+    };
+    table.lines().skip(1).map(frame).collect()
+}
+
+#[test]
+fn frames_of_an_independent_generator_are_solved_as_near_as_their_kind_allows() {
+    let instrument = demo();
+    let frames = independent_frames();
+    assert!(frames.len() >= 9, "{} frames", frames.len());
+    for (kind, frame, truth) in &frames {
+        let solution = solve(frame, &instrument, EXPECTED, None);
+        let outcome = Outcome::new(&solution, Some(*truth), &instrument);
+        let (quality, error) = (outcome.quality, outcome.error_arcsec);
+        println!(
+            "{kind:<14} {quality:?} {error:.3} arcsec {:?}",
+            outcome.reason
+        );
+        let fine = quality == Quality::Fine;
+        let explained = outcome.reason.is_some();
+        let kept = match kind.as_str() {
+            "standard" | "heroes-layout" | "twelve-bit" => fine && error < 2.0,
+            "rotated" | "disturbed" => fine && error < 4.0,
+            "dim" | "saturated" => (fine && error < 4.0) || (!fine && explained),
+            "partial" => (fine && error < 5.0) || (!fine && explained),
+            "night" => quality == Quality::None && explained,
+            other => panic!("{other}: no promise for this kind"),
+        };
+        assert!(kept, "{kind}: {quality:?}, {error} arcsec");
+    }
+}
+
 #[test]
 fn quiet_frames_are_solved_to_the_noise() {
     let noisy = |dn: f64| move |c: &mut Conditions| c.noise = Noise::read(dn);
     Series::of("noise 1 DN", noisy(1.0))
-        .keeps(0.5, bounds(2.0, 2.0, 2.0))
+        .keeps(0.9, bounds(0.11, 0.23, 0.27))
         .states_its_errors();
     Series::of("noise 5 DN", noisy(5.0))
-        .keeps(0.5, bounds(2.0, 2.0, 2.0))
+        .keeps(0.9, bounds(0.21, 0.41, 0.6))
         .states_its_errors();
     Series::of("noise 15 DN", noisy(15.0))
-        .keeps(0.5, bounds(2.0, 2.0, 2.0))
+        .keeps(0.88, bounds(0.65, 1.25, 1.5))
         .states_its_errors();
     Series::of("12 bit, noise 1 DN of 8 bit", |c| {
         c.depth = Depth::Twelve;
         c.noise = Noise::read(1.0);
     })
-    .keeps(0.5, bounds(2.0, 2.0, 2.0))
+    .keeps(0.9, bounds(0.11, 0.23, 0.25))
     .states_its_errors();
 }
 
 #[test]
 fn a_turned_and_tilted_camera_is_as_good_as_a_straight_one() {
     Series::varied("any rotation, keystone to 3 deg", turn)
-        .keeps(0.5, bounds(2.0, 2.0, 2.0))
+        .keeps(0.88, bounds(0.47, 1.5, 1.9))
         .states_its_errors();
     Series::varied("any rotation, no keystone", |c, rng| {
         turn(c, rng);
         c.keystone_deg = 0.0;
     })
-    .keeps(0.5, bounds(2.0, 2.0, 2.0))
+    .keeps(0.88, bounds(0.25, 0.55, 0.62))
     .states_its_errors();
 }
 
@@ -230,24 +270,25 @@ fn blemishes_do_not_spoil_a_frame() {
             b.leaks = 4;
         }),
     )
-    .keeps(0.5, bounds(2.0, 2.0, 2.0));
+    .keeps(0.9, bounds(0.29, 1.0, 1.5));
     Series::of("vignetting 20 %", blemished(|b| b.vignetting = 0.2))
-        .keeps(0.5, bounds(2.0, 2.0, 2.0));
+        .keeps(0.9, bounds(0.57, 0.9, 1.05));
     Series::of("dust, 2 on the disc", blemished(|b| b.dust_per_disc = 2.0))
-        .keeps(0.5, bounds(2.0, 2.0, 2.0));
-    Series::of("8 sunspots", |c| c.sunspots = 8).keeps(0.5, bounds(2.0, 2.0, 2.0));
-    Series::of("smear 1.5 px", |c| c.smear_px = 1.5).keeps(0.5, bounds(2.0, 2.0, 2.0));
+        .keeps(0.9, bounds(0.24, 0.43, 0.55));
+    Series::of("8 sunspots", |c| c.sunspots = 8).keeps(0.9, bounds(0.26, 0.75, 1.25));
+    Series::of("smear 1.5 px", |c| c.smear_px = 1.5).keeps(0.9, bounds(0.21, 0.42, 0.6));
+    // A mark is off by 1.7 arcsec in each axis, a frame with its four to eight marks by 0.6 to 0.9.
     Series::of("marks misprinted by 1 mil rms", |c| {
         c.mark_scatter_mil = 1.0
     })
-    .keeps(0.5, bounds(2.0, 2.0, 4.0))
+    .keeps(0.9, bounds(1.6, 3.5, 4.2))
     .states_its_errors();
 }
 
 #[test]
 fn part_of_a_disc_is_never_taken_for_a_fine_one_that_is_off() {
     let partial = Series::of("disc cut by the sensor", |c| c.sun = SunInView::Partial)
-        .keeps(0.0, bounds(2.0, 2.0, 5.0));
+        .keeps(0.05, bounds(0.65, 1.1, 1.5));
     for outcome in &partial.outcomes {
         assert!(outcome.quality == Quality::Fine || outcome.reason.is_some());
     }
