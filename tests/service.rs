@@ -1,0 +1,79 @@
+//! The demonstration: camera, solver, link and archive together, with nothing lost between them.
+
+use solaspect::aspect::Quality;
+use solaspect::fits;
+use solaspect::service::demo::{self, Demo};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = Demo {
+        duration: Duration::from_secs(5),
+        rate_hz: 4.0,
+        archive: folder.path().into(),
+        seed: 1,
+    };
+    let mut shown = 0;
+    let summary = demo::run(&settings, |_| shown += 1, || false).unwrap();
+    println!("{summary}");
+    assert_eq!(summary.lost(), 0, "{summary}");
+    assert_eq!(summary.tally.camera.taken, 20);
+    assert_eq!(shown, 20);
+
+    let solver = &summary.tally.solver;
+    assert!(solver.of(Quality::Fine) >= 10, "{summary}");
+    assert!(solver.of(Quality::None) >= 1, "the Sun leaves: {summary}");
+    let largest = summary
+        .fine_errors_arcsec
+        .iter()
+        .copied()
+        .fold(0.0, f64::max);
+    assert!(largest < 2.0, "{summary}");
+    assert!(summary.controller.tracking_on >= 1 && summary.controller.tracking_off >= 1);
+
+    let stored = files(folder.path());
+    assert_eq!(stored.len(), 20);
+    for (number, path) in stored.iter().enumerate() {
+        let frame = fits::read_frame(path).unwrap();
+        assert_eq!(frame.info.number, Some(number as u64));
+        assert!(frame.info.place.is_some());
+        let keywords = fits::read_keywords(path).unwrap();
+        assert!(keywords.get("QUALITY").is_some());
+        fits::check_sums(path).unwrap();
+    }
+}
+
+#[test]
+fn a_demonstration_that_is_stopped_ends_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = Demo {
+        duration: Duration::from_secs(600),
+        rate_hz: 20.0,
+        archive: folder.path().into(),
+        seed: 2,
+    };
+    let shown = std::cell::Cell::new(0);
+    let summary = demo::run(
+        &settings,
+        |_| shown.set(shown.get() + 1),
+        || shown.get() >= 10,
+    );
+    assert_eq!(summary.unwrap().lost(), 0);
+}
