@@ -63,7 +63,8 @@ pub fn solve_with(
     let mut solution = Solution::none();
     let work = Work::new(settings, frame, instrument, expected, prior);
     if let Err(stopped) = run(&work, &mut solution) {
-        solution.stop(stopped.stage, stopped.rejected);
+        // What ended the frame's way outweighs what only made it coarse.
+        solution.stopped = Some(stopped);
     }
     solution
 }

@@ -26,6 +26,8 @@ const DISC_SCALE_SIGMA: f64 = 0.007;
 const PRIOR_DRIFT_PX: f64 = 0.5;
 /// Distance from a mark's arm within which the limb is not trusted, px.
 const MARK_MARGIN_PX: f64 = 3.5;
+/// Largest scatter of the limb about its circle: the Sun's is a tenth of it, a square's ten times as large.
+const MAX_SCATTER_PX: f64 = 1.0;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 /// The limb's part that makes a fine solution.
@@ -296,8 +298,17 @@ impl<'a> Work<'a> {
             .hypot(LIMB_DEFINITION_SIGMA_PX * scale)
             .hypot(relative * self.radius_mil.value);
         let prior = Measured::new(self.radius_mil.value, sigma);
-        limb::fit_disc(&points, start, prior, LEAST_SCATTER_PX * scale)
-            .ok_or_else(|| no_circle(points.len()))
+        let fit = limb::fit_disc(&points, start, prior, LEAST_SCATTER_PX * scale)
+            .ok_or_else(|| no_circle(points.len()))?;
+        let scatter_px = fit.scatter / scale;
+        if scatter_px > MAX_SCATTER_PX {
+            return Err(at(Stage::Limb)(Rejected {
+                reason: "what is bright is not round",
+                measured: scatter_px,
+                limit: MAX_SCATTER_PX,
+            }));
+        }
+        Ok(fit)
     }
 
     pub(super) fn aspect(

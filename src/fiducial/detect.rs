@@ -36,7 +36,7 @@ pub struct Detections {
 }
 
 /// Systematic error of a paraboloid's peak over the sub-pixel phases, px; added to every mark's sigma.
-const PARABOLOID_SIGMA_PX: f64 = 0.02;
+const PARABOLOID_SIGMA_PX: f64 = 0.01;
 /// Haze and saturation widen the disc by up to this.
 const LIMB_UNCERTAINTY_PX: f64 = 1.0;
 /// A spot seen through the round kernel is this much weaker than a cross through its own.

@@ -1,16 +1,18 @@
 //! Reading the marks' ids from the code in their spacings.
 //!
-//! A pair of neighbours tells one half of an id by its coded spacing and leaves the other half, and the quarter turn
-//! of the camera, open. So each pair proposes every reading it allows; a reading is followed over all detections
-//! and scored by what it explains, what it would show and does not, and what it leaves unexplained. Pairs, an L or a
-//! block alone read consistently at any quarter turn: the plate's centre, which a wrong reading puts hundreds of
-//! pixels away, decides. When two readings that contradict each other fit nearly as well, both are refused.
+//! Scale and rotation, but for the quarter turn, are known before any mark is read: from the disc's radius and from the
+//! crosses' arms. So a reading is fixed by one detection's id and a quarter turn, and those that put the plate's
+//! centre anywhere near the instrument's value are few enough to try them all. Each is followed over all detections
+//! and scored by its likelihood: what it explains and how closely, and what it would show and does not.
+//!
+//! A pair, an L or a 2 x 2 block alone reads consistently at any quarter turn, a row at any place along the other
+//! axis. So a reading must beat every other that contradicts it, and chance, decisively; else all are refused.
 
-use super::reading::{Evidence, Reading};
+use super::reading::{Evidence, Placement, Reading};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::Handedness;
 use crate::limb::Circle;
-use crate::plate::{FIXED_SPACING_MIL, MAX_INDEX, MarkId, Plate, coded_spacing_mil};
+use crate::plate::{MarkId, Plate};
 use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::{Rotation2, Vector2};
 
@@ -32,6 +34,17 @@ pub struct Sight {
 }
 
 impl Sight {
+    /// From plate to sensor but for the shift, at every quarter turn.
+    fn turned(&self) -> impl Iterator<Item = Placement> {
+        let unturned = self.handedness.axes() / self.scale_mil_per_px.value;
+        [0.0, 90.0, 180.0, 270.0]
+            .into_iter()
+            .filter_map(move |quarter| {
+                let rotation = Rotation2::new((self.quarter_rotation_deg + quarter).to_radians());
+                Placement::new(Vector2::zeros(), rotation.matrix() * unturned)
+            })
+    }
+
     /// Whether a mark at this position lies wholly on the sensor.
     pub(super) fn on_sensor(&self, at: SensorPx) -> bool {
         let margin = self.sure_depth_px;
@@ -47,12 +60,14 @@ pub struct Identification {
     pub ids: Vec<(usize, MarkId)>,
 }
 
-/// How far a pair may be from the fixed and from the coded spacing, mil. The fixed one suffers from an error of the
-/// rotation (9 mil a degree), the coded one from one of the scale (5 mil a percent).
-const FIXED_TOLERANCE_MIL: f64 = 20.0;
-const CODED_TOLERANCE_MIL: f64 = 14.0;
-/// A reading must beat any that contradicts it by this much: one mark.
-const DECISIVE_SCORE: f64 = 1.0;
+/// Readings are tried up to this much beyond the largest shift of the plate's centre: were the true one left out, a
+/// wrong one would stand unrivalled.
+const TRIED_BEYOND: f64 = 1.3;
+/// A reading must beat any that contradicts it by this much, logarithm of the odds: two marks that should be seen and
+/// are not, or one that is seen and not explained.
+const DECISIVE_ODDS: f64 = 4.5;
+/// The score that chance reaches: the first mark explained is no evidence, since the plate was shifted on to it.
+const CHANCE_SCORE: f64 = 12.0;
 
 /// Names the detections. Rejected when they allow no reading, or more than one.
 pub fn identify(
@@ -72,97 +87,82 @@ pub fn identify(
             limit: settings.min_marks as f64,
         });
     }
+    let marks: Vec<_> = plate.marks().collect();
     let evidence = Evidence {
         detections,
         sight,
-        plate,
+        marks: &marks,
         settings,
     };
-    let mut readings: Vec<Reading> = Vec::new();
-    for (a, b) in proposals(detections, sight) {
-        if let Some(reading) = evidence.follow(a, b)
-            && !readings.contains(&reading)
-        {
-            readings.push(reading);
-        }
-    }
-    decide(readings, settings)
+    decide(readings(&evidence), sight, settings)
 }
 
-/// The best reading, if no other contradicts it and fits nearly as well.
-fn decide(mut readings: Vec<Reading>, settings: &Settings) -> Result<Identification, Rejected> {
-    readings.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let Some(best) = readings.first() else {
-        return Err(Rejected {
-            reason: "the marks' spacings allow no reading",
-            measured: 0.0,
-            limit: settings.min_marks as f64,
-        });
+/// The best reading, if nothing that contradicts it fits nearly as well.
+fn decide(
+    mut readings: Vec<Reading>,
+    sight: &Sight,
+    settings: &Settings,
+) -> Result<Identification, Rejected> {
+    let reject = |reason, measured, limit| {
+        Err(Rejected {
+            reason,
+            measured,
+            limit,
+        })
     };
-    let rival = readings.iter().find(|other| other.contradicts(best));
-    if let Some(rival) = rival
-        && best.score - rival.score < DECISIVE_SCORE
-    {
-        return Err(Rejected {
-            reason: "two readings of the marks fit alike",
-            measured: best.score - rival.score,
-            limit: DECISIVE_SCORE,
-        });
+    readings.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let least = settings.min_marks as f64;
+    let Some(best) = readings.first() else {
+        return reject("the marks' spacings allow no reading", 0.0, least);
+    };
+    if best.full < settings.min_marks {
+        let reason = "the best reading explains too few fully lit marks";
+        return reject(reason, best.full as f64, least);
     }
-    let least = settings.min_marks as f64 - 0.5;
-    if best.score < least {
-        return Err(Rejected {
-            reason: "the best reading leaves too much unexplained",
-            measured: best.score,
-            limit: least,
-        });
+    let over_chance = best.score - CHANCE_SCORE;
+    if over_chance < DECISIVE_ODDS {
+        let reason = "the best reading leaves too much unexplained";
+        return reject(reason, over_chance, DECISIVE_ODDS);
+    }
+    if let Some(rival) = readings.iter().find(|other| other.contradicts(best))
+        && best.score - rival.score < DECISIVE_ODDS
+    {
+        let reason = "two readings of the marks fit alike";
+        return reject(reason, best.score - rival.score, DECISIVE_ODDS);
+    }
+    let shift_px = best.plate_centre.distance(sight.plate_centre);
+    if shift_px > settings.max_centre_shift_px {
+        let reason = "the best reading puts the plate's centre too far away";
+        return reject(reason, shift_px, settings.max_centre_shift_px);
     }
     Ok(Identification {
         ids: best.ids.clone(),
     })
 }
 
-type Named = (usize, MarkId);
-
-/// Every way in which a pair of detections may be neighbours, at every quarter turn.
-fn proposals(detections: &[Detection], sight: &Sight) -> Vec<(Named, Named)> {
-    let mut proposals = Vec::new();
-    for quarter in 0..4 {
-        let rotation_deg = sight.quarter_rotation_deg + 90.0 * f64::from(quarter);
-        let unrotate = Rotation2::new(-rotation_deg.to_radians());
-        let to_plate = sight.handedness.axes() * unrotate.matrix() * sight.scale_mil_per_px.value;
-        for (a, first) in detections.iter().enumerate() {
-            for (b, second) in detections.iter().enumerate() {
-                if a == b {
-                    continue;
-                }
-                let step = to_plate * (second.at.vector() - first.at.vector());
-                for (from, to) in neighbours_at(step) {
-                    proposals.push(((a, from), (b, to)));
+/// Every reading that some fully lit mark, some id for it and some quarter turn lead to.
+fn readings(evidence: &Evidence<'_>) -> Vec<Reading> {
+    let (sight, settings) = (evidence.sight, evidence.settings);
+    let farthest_px = TRIED_BEYOND * settings.max_centre_shift_px;
+    let full = |(_, detection): &(usize, &Detection)| detection.lighting == Lighting::Full;
+    let anchors = evidence.detections.iter().enumerate().filter(full);
+    // A reading with enough marks has one of them among all but so many.
+    let spare = settings.min_marks.saturating_sub(1);
+    let anchors = anchors.clone().take(anchors.count().saturating_sub(spare));
+    let mut readings = Vec::new();
+    for turned in sight.turned() {
+        let mut so_turned: Vec<Reading> = Vec::new();
+        for (n, detection) in anchors.clone() {
+            for (id, printed) in evidence.marks {
+                let guess = turned.shifted(*printed, detection.at);
+                let near = (guess.centre - sight.plate_centre.vector()).norm() < farthest_px;
+                let known = || so_turned.iter().any(|r| r.ids.contains(&(n, *id)));
+                if near && !known() {
+                    so_turned.extend(evidence.follow(&guess, *printed));
                 }
             }
         }
+        readings.append(&mut so_turned);
     }
-    proposals
-}
-
-/// The pairs of neighbouring marks that lie a plate vector apart.
-fn neighbours_at(step: Vector2<f64>) -> Vec<(MarkId, MarkId)> {
-    let coded = |spacing: f64| {
-        (-MAX_INDEX..MAX_INDEX)
-            .filter(move |n| (coded_spacing_mil(*n) - spacing).abs() < CODED_TOLERANCE_MIL)
-    };
-    let is_fixed = |spacing: f64| (spacing - FIXED_SPACING_MIL).abs() < FIXED_TOLERANCE_MIL;
-    let mut pairs = Vec::new();
-    for other in -MAX_INDEX..=MAX_INDEX {
-        if is_fixed(step.y) {
-            let id = |i| MarkId { i, j: other };
-            pairs.extend(coded(step.x).map(|n| (id(n), id(n + 1))));
-        }
-        if is_fixed(-step.x) {
-            let id = |j| MarkId { i: other, j };
-            pairs.extend(coded(step.y).map(|n| (id(n), id(n + 1))));
-        }
-    }
-    pairs
+    readings
 }

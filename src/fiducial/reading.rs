@@ -2,27 +2,39 @@
 
 use super::identify::Sight;
 use super::{Detection, Lighting, Settings};
-use crate::geometry::{Distortion, Mapping, SimilarityParameters};
-use crate::plate::{MarkId, Plate};
-use crate::units::PlateMil;
+use crate::plate::MarkId;
+use crate::units::{PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-/// How far from a printed mark a detection may fall: in the first guess, and once the reading's own marks have been
-/// fitted, mil. Neighbouring codes differ by 36 mil.
-const FIRST_TOLERANCE_MIL: f64 = 14.0;
-const FIRST_TOLERANCE_SLOPE: f64 = 0.02;
+/// How far from its printed place a mark may be seen under the first guess, mil, and by which part of the distance
+/// from the mark that the guess rests on: the guess's rotation and scale are known to a degree and two percent.
+const GUESS_TOLERANCE_MIL: f64 = 8.0;
+const GUESS_TOLERANCE_SLOPE: f64 = 0.035;
+/// The same once the reading's own marks have been fitted. Neighbouring codes differ by 36 mil.
 const FITTED_TOLERANCE_MIL: f64 = 9.0;
-/// How far a mark of the right reading may be from its place: print, keystone and noise together, 1 sigma. A wrong
-/// reading that keeps the scale misses by 5 mil and more.
+/// How far the limb pulls a mark that it cuts, mil.
+const CUT_TOLERANCE_MIL: f64 = 30.0;
+/// How far a mark of the right reading may be from its place: print, keystone and noise together, 1 sigma per axis.
+/// A wrong reading that keeps the scale misses by 5 mil and more.
 const MISFIT_MIL: f64 = 2.5;
-/// How far the scale of a reading may be from the known one.
-const SCALE_SIGMAS: f64 = 3.0;
+/// The same for a mark that the limb cuts.
+const CUT_MISFIT_MIL: f64 = 12.0;
+/// How far the fitted scale and rotation may be from those known beforehand. A reading may not stretch the plate: a
+/// wrong one would turn 288 mil into 306 that way.
+const SCALE_SIGMAS: f64 = 4.0;
+const ROTATION_TOLERANCE_RAD: f64 = 0.05;
+/// Part of the fully lit marks that is found; in flight-like frames it is more.
+const FOUND_SHARE: f64 = 0.9;
 
-/// Ids given to detections (by index), with a score: marks explained, less marks that should be seen and are not,
-/// less half of what is seen and not explained, less the misfit.
+/// Ids given to detections (by index).
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Reading {
     pub ids: Vec<(usize, MarkId)>,
+    /// Fully lit marks among them.
+    pub full: usize,
+    /// Where the reading puts the plate's centre.
+    pub plate_centre: SensorPx,
+    /// Logarithm of how much better the reading explains the detections than chance does.
     pub score: f64,
 }
 
@@ -40,57 +52,46 @@ impl Reading {
     }
 }
 
-/// What readings are held against.
-pub(super) struct Evidence<'a> {
-    pub detections: &'a [Detection],
-    pub sight: &'a Sight,
-    pub plate: &'a Plate,
-    pub settings: &'a Settings,
+/// A similarity from plate to sensor; leaner than a mapping, since hundreds are tried on a frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Placement {
+    /// Where the plate's centre is seen, px.
+    pub centre: Vector2<f64>,
+    /// Scale, rotation and handedness, px per mil.
+    turn: Matrix2<f64>,
+    /// Its inverse, mil per px.
+    back: Matrix2<f64>,
 }
 
-impl Evidence<'_> {
-    /// The reading that follows when detections `a` and `b` are the given neighbours; `None` when it explains fewer
-    /// than three marks or puts the plate's centre where it cannot be.
-    pub(super) fn follow(&self, a: (usize, MarkId), b: (usize, MarkId)) -> Option<Reading> {
-        let guess = self.similarity(&[a, b])?;
-        let near = self.centre_shift_px(&guess) < 1.3 * self.settings.max_centre_shift_px;
-        if !near || !self.has_right_scale(&guess) {
-            return None;
-        }
-        let from = self.plate.position(a.1);
-        let ids = self.matches(&guess, |at| {
-            FIRST_TOLERANCE_MIL + FIRST_TOLERANCE_SLOPE * at.distance(from)
-        });
-        if ids.len() < self.settings.min_marks {
-            return None;
-        }
-        let fitted = self.similarity(&ids)?;
-        let ids = self.matches(&fitted, |_| FITTED_TOLERANCE_MIL);
-        let shifted = self.centre_shift_px(&fitted) > self.settings.max_centre_shift_px;
-        let scaled = self.has_right_scale(&fitted);
-        if ids.len() < self.settings.min_marks || shifted || !scaled {
-            return None;
-        }
-        Some(Reading {
-            score: self.score(&fitted, &ids),
-            ids,
+impl Placement {
+    pub(super) fn new(centre: Vector2<f64>, turn: Matrix2<f64>) -> Option<Self> {
+        Some(Self {
+            centre,
+            turn,
+            back: turn.try_inverse()?,
         })
     }
 
-    /// The least-squares similarity through marks and their printed places, in closed form.
-    fn similarity(&self, ids: &[(usize, MarkId)]) -> Option<Mapping> {
-        let axes = self.sight.handedness.axes();
-        let count = ids.len() as f64;
-        let points = ids.iter().map(|(n, id)| {
-            let printed = axes * self.plate.position(*id).vector();
-            (self.detections[*n].at.vector(), printed)
-        });
-        let sums = points
-            .clone()
-            .fold((Vector2::zeros(), Vector2::zeros()), |sum, p| {
-                (sum.0 + p.0, sum.1 + p.1)
-            });
-        let (seen_mean, printed_mean) = (sums.0 / count, sums.1 / count);
+    /// The same shifted until a printed position is seen where it should be.
+    pub(super) fn shifted(self, printed: PlateMil, seen: SensorPx) -> Self {
+        Self {
+            centre: seen.vector() - self.turn * printed.vector(),
+            ..self
+        }
+    }
+
+    /// Least squares through seen and printed positions, in closed form; `axes` are those of the handedness.
+    fn fit(
+        pairs: impl Iterator<Item = (SensorPx, PlateMil)> + Clone,
+        axes: Matrix2<f64>,
+    ) -> Option<Self> {
+        let points = pairs.map(|(seen, printed)| (seen.vector(), axes * printed.vector()));
+        let count = points.clone().count() as f64;
+        let (mut seen_mean, mut printed_mean) = (Vector2::zeros(), Vector2::zeros());
+        for (seen, printed) in points.clone() {
+            seen_mean += seen / count;
+            printed_mean += printed / count;
+        }
         let (mut along, mut across, mut square) = (0.0, 0.0, 0.0);
         for (seen, printed) in points {
             let (seen, printed) = (seen - seen_mean, printed - printed_mean);
@@ -99,82 +100,161 @@ impl Evidence<'_> {
             square += printed.norm_squared();
         }
         let turn = Matrix2::new(along, -across, across, along) / square;
-        let centre = seen_mean - turn * printed_mean;
-        let parameters = SimilarityParameters {
-            plate_centre: centre.into(),
-            scale_mil_per_px: square / along.hypot(across),
-            rotation_deg: across.atan2(along).to_degrees(),
-            handedness: self.sight.handedness,
-        };
-        Mapping::similarity(parameters, Distortion::NONE)
+        Self::new(seen_mean - turn * printed_mean, turn * axes)
     }
 
-    /// A reading may not stretch the plate: a wrong one would turn 288 mil into 306 that way.
-    fn has_right_scale(&self, mapping: &Mapping) -> bool {
-        let scale = mapping.scale_mil_per_px(self.sight.disc.centre.into());
-        let known = self.sight.scale_mil_per_px;
-        (scale - known.value).abs() < SCALE_SIGMAS * known.sigma
+    fn to_plate(self, seen: SensorPx) -> PlateMil {
+        (self.back * (seen.vector() - self.centre)).into()
     }
 
-    fn centre_shift_px(&self, mapping: &Mapping) -> f64 {
-        let centre = mapping.to_sensor(PlateMil::new(0.0, 0.0));
-        centre.distance(self.sight.plate_centre)
+    fn to_sensor(self, printed: PlateMil) -> SensorPx {
+        (self.centre + self.turn * printed.vector()).into()
+    }
+
+    /// Scale (as a ratio) and rotation (rad) from another placement of the same handedness to this one.
+    fn relative_to(&self, other: &Self) -> (f64, f64) {
+        let ratio = self.turn * other.back;
+        let (cos, sin) = (ratio.m11, ratio.m21);
+        (cos.hypot(sin), sin.atan2(cos))
+    }
+}
+
+/// What readings are held against.
+pub(super) struct Evidence<'a> {
+    pub detections: &'a [Detection],
+    pub sight: &'a Sight,
+    pub marks: &'a [(MarkId, PlateMil)],
+    pub settings: &'a Settings,
+}
+
+/// A detection on a printed mark: index, id and distance in mil.
+#[derive(Debug, Clone, Copy)]
+struct Match {
+    detection: usize,
+    id: MarkId,
+    printed: PlateMil,
+    miss_mil: f64,
+}
+
+impl Evidence<'_> {
+    /// The reading that follows from a guess that rests on the mark at `anchor`; `None` when it explains fewer than two
+    /// fully lit marks, or only by another scale or rotation.
+    pub(super) fn follow(&self, guess: &Placement, anchor: PlateMil) -> Option<Reading> {
+        let marks = self.marks_on_disc(guess);
+        let mut matches = self.matches(guess, &marks, |at, _| {
+            GUESS_TOLERANCE_MIL + GUESS_TOLERANCE_SLOPE * at.distance(anchor)
+        });
+        let mut fitted = *guess;
+        for _ in 0..2 {
+            fitted = self.fit(&matches)?;
+            let (scale, rotation_rad) = fitted.relative_to(guess);
+            let known = self.sight.scale_mil_per_px;
+            if (scale - 1.0).abs() > SCALE_SIGMAS * known.sigma / known.value
+                || rotation_rad.abs() > ROTATION_TOLERANCE_RAD
+            {
+                return None;
+            }
+            matches = self.matches(&fitted, &marks, |_, lighting| match lighting {
+                Lighting::Full => FITTED_TOLERANCE_MIL,
+                Lighting::Cut => CUT_TOLERANCE_MIL,
+            });
+        }
+        Some(self.reading(&fitted, &marks, &matches))
+    }
+
+    fn fit(&self, matches: &[Match]) -> Option<Placement> {
+        let full = matches.iter().filter(|found| self.is_full(found));
+        let pairs = full.map(|found| (self.detections[found.detection].at, found.printed));
+        if pairs.clone().count() < 2 {
+            return None;
+        }
+        Placement::fit(pairs, self.sight.handedness.axes())
+    }
+
+    fn is_full(&self, found: &Match) -> bool {
+        self.detections[found.detection].lighting == Lighting::Full
+    }
+
+    /// The printed marks that a placement puts on the disc or near it.
+    fn marks_on_disc(&self, placement: &Placement) -> Vec<(MarkId, PlateMil)> {
+        let disc = &self.sight.disc;
+        let sun = placement.to_plate(disc.centre.into());
+        let reach = disc.radius * self.sight.scale_mil_per_px.value + CUT_TOLERANCE_MIL;
+        let near = |at: &PlateMil| (at.vector() - sun.vector()).norm_squared() < reach * reach;
+        let marks = self.marks.iter().copied();
+        marks.filter(|(_, at)| near(at)).collect()
     }
 
     /// Every detection with the printed mark it falls on, each mark once.
     fn matches(
         &self,
-        mapping: &Mapping,
-        tolerance_mil: impl Fn(PlateMil) -> f64,
-    ) -> Vec<(usize, MarkId)> {
-        let mut found: Vec<(f64, usize, MarkId)> = Vec::new();
-        for (n, detection) in self.detections.iter().enumerate() {
-            let at = mapping.to_plate(detection.at);
-            if let Some((id, distance)) = self.plate.nearest(at)
-                && distance < tolerance_mil(at)
-            {
-                found.push((distance, n, id));
+        placement: &Placement,
+        marks: &[(MarkId, PlateMil)],
+        tolerance_mil: impl Fn(PlateMil, Lighting) -> f64,
+    ) -> Vec<Match> {
+        let mut matches: Vec<Match> = Vec::new();
+        for (detection, seen) in self.detections.iter().enumerate() {
+            let at = placement.to_plate(seen.at);
+            let on = |(id, printed): &(MarkId, PlateMil)| Match {
+                detection,
+                id: *id,
+                printed: *printed,
+                miss_mil: (printed.vector() - at.vector()).norm(),
+            };
+            let nearest = marks.iter().map(on);
+            let Some(nearest) = nearest.min_by(|a, b| a.miss_mil.total_cmp(&b.miss_mil)) else {
+                continue;
+            };
+            if nearest.miss_mil < tolerance_mil(at, seen.lighting) {
+                match matches.iter_mut().find(|taken| taken.id == nearest.id) {
+                    Some(taken) if nearest.miss_mil < taken.miss_mil => *taken = nearest,
+                    Some(_) => {}
+                    None => matches.push(nearest),
+                }
             }
         }
-        found.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut matches: Vec<(usize, MarkId)> = Vec::new();
-        for (_, n, id) in found {
-            if matches.iter().all(|(_, taken)| *taken != id) {
-                matches.push((n, id));
-            }
-        }
-        matches.sort_by_key(|(n, _)| *n);
         matches
     }
 
-    fn score(&self, mapping: &Mapping, ids: &[(usize, MarkId)]) -> f64 {
-        let read = |n: usize| ids.iter().any(|(m, _)| *m == n);
-        let unexplained = self
-            .detections
-            .iter()
-            .enumerate()
-            .filter(|(n, detection)| detection.lighting == Lighting::Full && !read(*n))
-            .count();
-        let missing = self
-            .plate
-            .marks()
-            .filter(|(id, position)| {
-                let seen = mapping.to_sensor(*position);
-                let inside = -self.sight.disc.excess(seen.vector());
-                inside > self.sight.sure_depth_px
-                    && self.sight.on_sensor(seen)
-                    && ids.iter().all(|(_, read)| read != id)
-            })
-            .count();
-        let misfit: f64 = ids
-            .iter()
-            .map(|(n, id)| {
-                let miss = mapping
-                    .to_plate(self.detections[*n].at)
-                    .distance(self.plate.position(*id));
-                0.5 * (miss / MISFIT_MIL).powi(2)
-            })
-            .sum();
-        ids.len() as f64 - missing as f64 - 0.5 * unexplained as f64 - misfit
+    fn reading(
+        &self,
+        placement: &Placement,
+        marks: &[(MarkId, PlateMil)],
+        matches: &[Match],
+    ) -> Reading {
+        let missing = marks.iter().filter(|(id, at)| {
+            self.must_be_found(placement.to_sensor(*at))
+                && matches.iter().all(|found| found.id != *id)
+        });
+        let explained: f64 = matches.iter().map(|found| self.gain(found)).sum();
+        let sure = |found: &&Match| found.miss_mil < FITTED_TOLERANCE_MIL;
+        Reading {
+            score: explained + missing.count() as f64 * (1.0 - FOUND_SHARE).ln(),
+            ids: matches
+                .iter()
+                .filter(sure)
+                .map(|found| (found.detection, found.id))
+                .collect(),
+            full: matches.iter().filter(|found| self.is_full(found)).count(),
+            plate_centre: placement.centre.into(),
+        }
+    }
+
+    fn must_be_found(&self, seen: SensorPx) -> bool {
+        let inside = -self.sight.disc.excess(seen.vector());
+        inside > self.sight.sure_depth_px && self.sight.on_sensor(seen)
+    }
+
+    /// How much likelier a detection is as a mark that misses its place by so much than as a false one, of which there
+    /// is one anywhere on the disc, logarithm.
+    fn gain(&self, found: &Match) -> f64 {
+        let sigma = if self.is_full(found) {
+            MISFIT_MIL
+        } else {
+            CUT_MISFIT_MIL
+        };
+        let radius = self.sight.disc.radius * self.sight.scale_mil_per_px.value;
+        let share = 2.0 * (sigma / radius).powi(2);
+        FOUND_SHARE.ln() - share.ln() - 0.5 * (found.miss_mil / sigma).powi(2)
     }
 }

@@ -10,6 +10,8 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 pub enum MappingKind {
     /// Shift, rotation and one scale: 4 parameters.
     Similarity,
+    /// A similarity seen askew, true to angles at the plate's centre: 6 parameters.
+    Keystone,
     /// Shift and any linear map: 6 parameters.
     Affine,
     /// A view of the plate from any direction: 8 parameters.
@@ -20,7 +22,7 @@ impl MappingKind {
     pub fn parameters(self) -> usize {
         match self {
             Self::Similarity => 4,
-            Self::Affine => 6,
+            Self::Keystone | Self::Affine => 6,
             Self::Homography => 8,
         }
     }
@@ -28,6 +30,7 @@ impl MappingKind {
     pub fn name(self) -> &'static str {
         match self {
             Self::Similarity => "similarity",
+            Self::Keystone => "keystone",
             Self::Affine => "affine",
             Self::Homography => "homography",
         }

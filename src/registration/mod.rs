@@ -5,9 +5,13 @@
 //! squares; lens distortion is taken off the sensor positions first.
 //!
 //! # Which kind of mapping
-//! The simplest that the pairs support: similarity, then affine, then homography. A richer kind is taken when it
-//! lowers chi^2 by more than [`Settings::min_gain`] times the residual variance for every parameter it adds, and
-//! leaves four degrees of freedom to judge that by: with fewer, one bad mark bends the mapping to itself.
+//! The simplest that the pairs support: similarity, keystone, affine, homography. A richer kind is taken when it lowers
+//! chi^2 by more than [`Settings::min_gain`] times the residual variance for every parameter it adds, and leaves about
+//! as many degrees of freedom as it takes to judge that by: with fewer, one bad mark bends the mapping to itself.
+//!
+//! A camera that looks askew shows a keystone, x = t + L P / (1 + g . P), L a similarity. Its tilt shows most in what it
+//! does to angles far from the plate's centre, and from there follows what a few marks do not show: how far the centre
+//! of the disc's ellipse lies from the picture of the disc's centre, 0.1 px at 3 deg.
 //!
 //! # Uncertainty
 //! The covariance of the parameters comes from the pairs' sigmas, scaled up by the residuals where these are larger
@@ -42,8 +46,8 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            min_gain: 6.0,
-            prior_freedom: 4.0,
+            min_gain: 9.0,
+            prior_freedom: 2.0,
         }
     }
 }
@@ -82,8 +86,8 @@ impl Registration {
     }
 }
 
-/// Degrees of freedom that a mapping richer than a similarity must leave.
-const LEAST_FREEDOM: usize = 4;
+/// How many fewer degrees of freedom than parameters a mapping richer than a similarity may leave.
+const LESS_FREEDOM: usize = 2;
 
 /// Fits the simplest mapping that the pairs support. `None` when they do not determine one.
 pub fn register(
@@ -99,15 +103,19 @@ pub fn register(
         distortion,
         settings,
     )?;
-    for kind in [MappingKind::Affine, MappingKind::Homography] {
-        if 2 * pairs.len() < kind.parameters() + LEAST_FREEDOM {
+    for kind in [
+        MappingKind::Keystone,
+        MappingKind::Affine,
+        MappingKind::Homography,
+    ] {
+        if 2 * pairs.len() + LESS_FREEDOM < 2 * kind.parameters() {
             break;
         }
         let Some(richer) = fit(pairs, kind, handedness, distortion, settings) else {
             continue;
         };
-        let added = (kind.parameters() - best.mapping.kind().parameters()) as f64;
-        let gain = (best.chi2 - richer.chi2) / added;
+        let added = kind.parameters() - best.mapping.kind().parameters();
+        let gain = (best.chi2 - richer.chi2) / added.max(1) as f64;
         if gain > settings.min_gain * richer.variance().max(1.0) {
             best = richer;
         }
@@ -126,21 +134,18 @@ pub fn fit(
     let freedom = (2 * pairs.len()).checked_sub(kind.parameters())?;
     let normalisation = Normalisation::of(pairs.iter().map(|pair| pair.printed))?;
     let seen: Vec<SensorPx> = pairs.iter().map(|p| distortion.correct(p.seen)).collect();
+    let start = |kind| fit(pairs, kind, handedness, distortion, settings).map(|fit| fit.model);
+    // A divisor has no slope at zero, so the kinds that have one start from those that have none.
     let mut model = match kind {
-        // Its divisor has no slope at zero, so it starts from the affine fit.
-        MappingKind::Homography => {
-            fit(pairs, MappingKind::Affine, handedness, distortion, settings)?
-                .model
-                .as_homography()
-        }
+        MappingKind::Keystone => start(MappingKind::Similarity)?.as_keystone(),
+        MappingKind::Homography => start(MappingKind::Affine)?.as_homography(),
         _ => Model::zero(kind, handedness, normalisation),
     };
     let mut information = DMatrix::zeros(kind.parameters(), kind.parameters());
-    // The first step solves the linear kinds; the homography's divisor needs a few more.
-    let steps = if kind == MappingKind::Homography {
-        8
-    } else {
-        1
+    // The first step solves the linear kinds; a divisor needs a few more.
+    let steps = match kind {
+        MappingKind::Similarity | MappingKind::Affine => 1,
+        MappingKind::Keystone | MappingKind::Homography => 8,
     };
     for _ in 0..steps {
         information.fill(0.0);
@@ -229,18 +234,17 @@ mod tests {
         let square = similarity();
         let stretch = Matrix3::new(1.0, 0.002, 0.0, 0.0, 1.004, 0.0, 0.0, 0.0, 1.0);
         let keystone = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 4e-5, 0.0, 1.0);
-        let with = |m: Matrix3<f64>| {
-            Mapping::new(
-                MappingKind::Homography,
-                m * square.matrix(),
-                Distortion::NONE,
-            )
-            .unwrap()
+        let with = |m: Matrix3<f64>, kind| {
+            Mapping::new(kind, m * square.matrix(), Distortion::NONE).unwrap()
         };
         for (truth, kind) in [
             (square, MappingKind::Similarity),
-            (with(stretch), MappingKind::Affine),
-            (with(keystone), MappingKind::Homography),
+            (with(keystone, MappingKind::Keystone), MappingKind::Keystone),
+            (with(stretch, MappingKind::Affine), MappingKind::Affine),
+            (
+                with(keystone * stretch, MappingKind::Homography),
+                MappingKind::Homography,
+            ),
         ] {
             let registration = registered(&truth, 0.02);
             assert_eq!(registration.mapping.kind(), kind);

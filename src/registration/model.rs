@@ -25,6 +25,14 @@ impl Normalisation {
         (size_mil > 0.0 && size_mil.is_finite()).then_some(Self { middle, size_mil })
     }
 
+    /// Coordinates about the plate's centre instead, which the keystone is defined by.
+    fn about_plate_centre(self) -> Self {
+        Self {
+            middle: Vector2::zeros(),
+            ..self
+        }
+    }
+
     fn apply(&self, position: PlateMil) -> Vector2<f64> {
         (position.vector() - self.middle) / self.size_mil
     }
@@ -47,8 +55,8 @@ impl Normalisation {
 
 /// A picture of the plate, x = (t + L u) / (1 + g . u) with u the normalised plate position.
 ///
-/// Parameters: similarity tx, ty, a, b with L = [a, -b; b, a] times the axes of the handedness; affine tx, ty and L
-/// by rows; homography the same and g.
+/// Parameters: similarity tx, ty, a, b with L = [a, -b; b, a] times the axes of the handedness; keystone tx, ty, a, b
+/// and g about the plate's centre, x = t + L u / (1 + g . u); affine tx, ty and L by rows; homography the same and g.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Model {
     kind: MappingKind,
@@ -84,6 +92,19 @@ impl Model {
         }
     }
 
+    /// A similarity as a keystone without tilt.
+    pub(super) fn as_keystone(&self) -> Self {
+        let normalisation = self.normalisation.about_plate_centre();
+        let centre = self.picture(PlateMil::new(0.0, 0.0));
+        let (a, b) = (self.parameters[2], self.parameters[3]);
+        Self {
+            kind: MappingKind::Keystone,
+            normalisation,
+            parameters: DVector::from_row_slice(&[centre.x, centre.y, a, b, 0.0, 0.0]),
+            ..self.clone()
+        }
+    }
+
     pub(super) fn advance(&mut self, step: &DVector<f64>) {
         self.parameters += step;
     }
@@ -103,6 +124,20 @@ impl Model {
                     p[1], //
                     0.0,
                     0.0,
+                    1.0,
+                )
+            }
+            MappingKind::Keystone => {
+                let axes = self.handedness.axes();
+                Matrix3::new(
+                    p[2] * axes.m11 + p[0] * p[4],
+                    -p[3] + p[0] * p[5],
+                    p[0], //
+                    p[3] * axes.m11 + p[1] * p[4],
+                    p[2] + p[1] * p[5],
+                    p[1], //
+                    p[4],
+                    p[5],
                     1.0,
                 )
             }
@@ -137,6 +172,22 @@ impl Model {
             MappingKind::Similarity => {
                 let v = self.handedness.axes() * u;
                 DMatrix::from_row_slice(2, 4, &[1.0, 0.0, v.x, -v.y, 0.0, 1.0, v.y, v.x])
+            }
+            MappingKind::Keystone => {
+                let p = &self.parameters;
+                let divisor = 1.0 + p[4] * u.x + p[5] * u.y;
+                let v = self.handedness.axes() * u / divisor;
+                let q = Vector2::new(p[2] * v.x - p[3] * v.y, p[3] * v.x + p[2] * v.y);
+                let (gx, gy) = (-q * u.x / divisor, -q * u.y / divisor);
+                DMatrix::from_row_slice(
+                    2,
+                    6,
+                    &[
+                        [1.0, 0.0, v.x, -v.y, gx.x, gy.x],
+                        [0.0, 1.0, v.y, v.x, gx.y, gy.y],
+                    ]
+                    .concat(),
+                )
             }
             MappingKind::Affine => DMatrix::from_row_slice(2, 6, &linear_rows(u, 1.0).concat()),
             MappingKind::Homography => {

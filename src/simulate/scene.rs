@@ -247,7 +247,7 @@ pub fn keystoned(
     let lean = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, k, 0.0, 1.0);
     let seen = back * lean * to_centre;
     Mapping::new(
-        MappingKind::Homography,
+        MappingKind::Keystone,
         square.matrix() * seen.try_inverse()?,
         distortion,
     )
