@@ -323,12 +323,12 @@ mod tests {
     fn frames_are_numbered_timed_and_listed_with_their_truth() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("new");
-        let mut args = parse("--out a --frames 2 --rate 2 --utc 2013-09-21T23:59:59.75Z").unwrap();
+        let mut args = parse("--out a --frames 2 --rate 2 --utc 2013-09-21T17:59:59.75Z").unwrap();
         args.out.clone_from(&out);
         run(&args).unwrap();
         for (name, utc) in [
-            ("frame_00000.fits", "2013-09-21T23:59:59.75Z"),
-            ("frame_00001.fits", "2013-09-22T00:00:00.25Z"),
+            ("frame_00000.fits", "2013-09-21T17:59:59.75Z"),
+            ("frame_00001.fits", "2013-09-21T18:00:00.25Z"),
         ] {
             let frame = fits::read_frame(&out.join(name)).unwrap();
             assert_eq!(frame.info.mid_exposure, Some(utc.parse().unwrap()));
