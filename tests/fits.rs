@@ -177,13 +177,16 @@ mod round_trips {
         let hdu = file.hdu("MARKS").unwrap();
         let indices: Vec<i64> = hdu.read_col(&mut file, "I").unwrap();
         let positions: Vec<f64> = hdu.read_col(&mut file, "X").unwrap();
-        let states: Vec<String> = hdu.read_col(&mut file, "STATE").unwrap();
-        // An empty text reads as one blank there.
-        let states: Vec<&str> = states.iter().map(|text| text.trim_end()).collect();
         assert_eq!(indices, [-7, 0, i64::MAX]);
         assert_eq!((positions[0], positions[2]), (0.1, -1e300));
         assert!(positions[1].is_nan());
-        assert_eq!(states, ["used", "", "cut off"]);
+        // fitsio 0.21 writes one byte too many when it reads texts, so their rows are looked at as they stand:
+        // an integer, a float and seven characters each.
+        assert_eq!(hdu.read_key::<String>(&mut file, "TFORM3").unwrap(), "7A");
+        let bytes = fs::read(&path).unwrap();
+        let first = bytes.windows(4).position(|text| text == b"used").unwrap();
+        let texts = [0, 1, 2].map(|row| &bytes[first + 23 * row..][..7]);
+        assert_eq!(texts, [b"used   ", b"       ", b"cut off"]);
         assert_eq!(hdu.read_key::<String>(&mut file, "TUNIT2").unwrap(), "px");
         let none = file.hdu("NONE").unwrap();
         assert_eq!(none.read_key::<i64>(&mut file, "NAXIS2").unwrap(), 0);
@@ -712,18 +715,18 @@ mod bad_files {
             ("ZTILE1", "ZTILE1  = 0", ["ZTILE1: expected", "found 0"]),
             (
                 "ZTILE1",
-                "ZTILE1  = 65536",
-                ["ZTILEn: expected tiles no larger", "65536 x 1"],
+                "ZTILE1  = 99999",
+                ["ZTILE1: expected", "found 99999"],
             ),
             (
                 "ZVAL1",
                 "ZVAL1   = 0",
-                ["ZVAL1: expected one of [16, 32]", "found 0"],
+                ["ZVAL1: expected a whole number from 1", "found 0"],
             ),
             (
                 "ZVAL2",
-                "ZVAL2   = 8",
-                ["ZVAL2: expected one of [1, 2, 4]", "found 8"],
+                "ZVAL2   = 3",
+                ["ZVAL2: expected 1, 2 or 4 bytes", "found 3"],
             ),
             (
                 "ZBITPIX",
@@ -733,7 +736,7 @@ mod bad_files {
             (
                 "ZCMPTYPE",
                 "ZCMPTYPE= 'PLIO_1'",
-                ["ZCMPTYPE: expected RICE_1", "PLIO_1"],
+                ["ZCMPTYPE: expected RICE_1, GZIP_1 or GZIP_2", "PLIO_1"],
             ),
             (
                 "NAXIS2",
@@ -751,9 +754,22 @@ mod bad_files {
                 ["NAXIS1: expected 8 bytes", "found 4"],
             ),
             (
+                "TTYPE1",
+                "TTYPE1  = 'OTHER'",
+                ["TTYPEn: expected a column COMPRESSED_DATA", "found none"],
+            ),
+            (
                 "TFORM1",
-                "TFORM1  = '1PX(9)'",
-                ["TFORM1: expected a column", "1PX(9)"],
+                "TFORM1  = '1PE(9)'",
+                [
+                    "TTYPEn: expected a column COMPRESSED_DATA of bytes",
+                    "found none",
+                ],
+            ),
+            (
+                "TFORM1",
+                "TFORM1  = '9X'",
+                ["TFORM1: expected a column", "9X"],
             ),
             (
                 "TFORM1",
@@ -768,19 +784,40 @@ mod bad_files {
     #[test]
     fn a_tile_outside_the_heap_is_refused() {
         let mut bytes = compressed_with("DATASUM", "COMMENT");
-        let table = (2880..bytes.len())
-            .step_by(80)
-            .find(|at| bytes[*at..].starts_with(b"END     "))
-            .map(|end| end.next_multiple_of(2880))
-            .unwrap();
+        let table = table_start(&bytes);
         bytes[table + 16..table + 20].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff]);
         assert_refused(
             &bytes,
             &[
                 "tile 3: expected data within the heap",
-                "2147483647 elements",
+                "2147483647 bytes at byte",
             ],
         );
+    }
+
+    #[test]
+    fn damaged_data_are_refused_by_their_sum_and_a_stream_cut_short_by_its_tile() {
+        let folder = folder();
+        let path = written(&folder, &eight_bit(64, 48), Compression::Rice);
+        let mut bytes = fs::read(&path).unwrap();
+        let last = bytes.len() - 2880;
+        bytes[last] ^= 1;
+        assert_refused(&bytes, &["DATASUM: expected data with the sum"]);
+        // The first tile's descriptor: a length of 9 bytes.
+        let mut bytes = compressed_with("DATASUM", "COMMENT");
+        let table = table_start(&bytes);
+        bytes[table..table + 4].copy_from_slice(&[0, 0, 0, 9]);
+        assert_refused(
+            &bytes,
+            &["tile 1: expected a whole stream of 64 pixels", "9 damaged"],
+        );
+    }
+
+    /// Where the data of the first extension begin.
+    fn table_start(bytes: &[u8]) -> usize {
+        let mut cards = (2880..bytes.len()).step_by(80);
+        let end = cards.find(|at| bytes[*at..].starts_with(b"END     "));
+        end.unwrap().next_multiple_of(2880)
     }
 
     /// The file without its sums, so that changed data reach the decoder.

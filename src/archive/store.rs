@@ -1,16 +1,16 @@
 //! Writing to the archive's disk: a file is there whole, or it is not there.
 //!
-//! A frame is written under a temporary name in its own folder, brought to the disk (fsync),
+//! A frame is encoded in memory, written under a temporary name in its own folder, brought to the disk (fsync),
 //! and only then given its name, without replacing what may stand there; then the folder is brought to the disk too.
 //! A power cut at any moment leaves whole files and at most a temporary, which begins with a dot, does not end in
 //! `.fits`, and is swept away when the store is next opened.
 
 use super::name::{NameTime, name};
-use crate::fits::{Card, Compression, FileError, Table, write_new};
+use crate::fits::{Card, Compression, FileError, Problem, Table, encode_frame};
 use crate::frame::Frame;
 use jiff::Timestamp;
 use std::fs::{self, File};
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
@@ -111,10 +111,11 @@ impl Store {
         let path = self
             .root
             .join(name(&self.instrument, time, frame.info.number));
+        let bytes = encode_frame(frame, cards, tables, self.compression)
+            .map_err(|problem: Problem| problem.in_file(&path))?;
         let folder = path.parent().unwrap_or(&self.root);
         self.make_folder(folder)?;
-        let write = |at: &Path| write_new(at, frame, cards, tables, self.compression);
-        let unfinished = write_unfinished(folder, &path, write)?;
+        let unfinished = write_unfinished(folder, &path, &bytes)?;
         let path = give_name(unfinished, &path)?;
         sync_folder(folder)?;
         Ok(path)
@@ -132,33 +133,24 @@ impl Store {
     }
 }
 
-/// Writes a file to the disk under a temporary name, which is removed again if anything fails.
+/// Writes the bytes to the disk under a temporary name, which is removed again if anything fails.
 fn write_unfinished(
     folder: &Path,
     path: &Path,
-    write: impl Fn(&Path) -> Result<(), FileError>,
+    bytes: &[u8],
 ) -> Result<NamedTempFile, ArchiveError> {
-    let mut failure = None;
     let mut builder = tempfile::Builder::new();
     builder.prefix(".").suffix(UNFINISHED);
-    let made = builder.make_in(folder, |temporary| {
-        if let Err(error) = write(temporary) {
-            // The name is not ours yet: what stands there half-written goes here.
-            let _ = fs::remove_file(temporary);
-            failure = Some(error.problem.in_file(path));
-            return Err(ErrorKind::Other.into());
-        }
-        File::open(temporary)
-    });
-    match (made, failure) {
-        (Ok(file), _) => {
-            let synced = file.as_file().sync_all();
-            synced.during("bring the file to the disk", path)?;
-            Ok(file)
-        }
-        (Err(_), Some(error)) => Err(error.into()),
-        (Err(error), None) => Err(error).during("make a temporary file for it", path),
-    }
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
+    let mut file = builder
+        .tempfile_in(folder)
+        .during("make a temporary file for it", path)?;
+    file.write_all(bytes).during("write the file", path)?;
+    file.as_file()
+        .sync_all()
+        .during("bring the file to the disk", path)?;
+    Ok(file)
 }
 
 /// Gives a finished file its name, with a counter if that name is taken.

@@ -132,7 +132,7 @@ const CAMERA: Group = Group {
             Both,
             "pre-amplifier gain, camera's unit",
         ),
-        row("CAMTEMP", Float, "deg C", Both, "temperature of the camera"),
+        row("CAMTEMP", Float, "degC", Both, "temperature of the camera"),
         row("BITDEPTH", Integer, "bit", Both, "depth of the pixels"),
         row(
             "SATURATE",

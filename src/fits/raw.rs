@@ -1,22 +1,66 @@
-//! The only unsafe code of this room: cfitsio.
+//! The only unsafe code of this room: cfitsio writing a file in memory.
 //!
-//! Reading is from memory, so that every byte can be checked before cfitsio sees it. Writing is to a file on the disk,
-//! by the call that takes its name to the letter: in memory cfitsio cannot go past what it takes for the file's end,
-//! yet writes the parts of a compressed image out of order.
-//! Every call's status is checked. The message is the status's own text: the library's stack of messages is shared
-//! by all threads and may hold another file's.
+//! The file lives in memory so that no file name ever reaches cfitsio, which would read `[`, `(` and `+` in it as
+//! instructions, and so that bringing the bytes to the disk, whole or not at all, is in our hands. Every call's status is
+//! checked. The message is the status's own text: the library's stack of messages is shared by all threads and may
+//! hold another file's.
 
 use super::Problem;
 use crate::frame::Pixels;
 use fitsio_sys as sys;
+use std::alloc::{Layout, alloc_zeroed, dealloc};
 use std::ffi::{CStr, CString, c_char, c_int, c_long, c_void};
-use std::os::unix::ffi::OsStrExt;
-use std::path::Path;
 use std::ptr;
 use std::sync::{Mutex, PoisonError};
 
 /// cfitsio initialises itself at the first opening, and not safely if two threads are first at once.
 static OPENING: Mutex<()> = Mutex::new(());
+
+/// Bytes before each piece of memory, which hold its size. A multiple of any alignment that C asks for.
+const SIZE_BYTES: usize = 16;
+
+/// The whole of a piece of memory with so many usable bytes.
+fn layout(bytes: usize) -> Option<Layout> {
+    Layout::from_size_align(bytes.checked_add(SIZE_BYTES)?, SIZE_BYTES).ok()
+}
+
+/// A `realloc` that fills what it adds with zeros. When cfitsio extends a file within the memory that it has, it
+/// takes that memory to be zero, which C's `realloc` does not promise.
+unsafe extern "C" fn grow(memory: *mut c_void, bytes: usize) -> *mut c_void {
+    let Some(layout) = layout(bytes) else {
+        return ptr::null_mut();
+    };
+    // SAFETY: the layout is not empty; `memory`, unless null, is an earlier result with its size before it, and the
+    // copy stays within the smaller of the two.
+    unsafe {
+        let whole = alloc_zeroed(layout);
+        if whole.is_null() {
+            return ptr::null_mut();
+        }
+        whole.cast::<usize>().write(bytes);
+        let grown = whole.add(SIZE_BYTES);
+        if !memory.is_null() {
+            let old = memory.cast::<u8>().sub(SIZE_BYTES).cast::<usize>().read();
+            ptr::copy_nonoverlapping(memory.cast(), grown, old.min(bytes));
+            release(memory);
+        }
+        grown.cast()
+    }
+}
+
+/// Gives back what [`grow`] returned.
+unsafe fn release(memory: *mut c_void) {
+    if memory.is_null() {
+        return;
+    }
+    // SAFETY: the caller's memory is a result of `grow`, whose size stands before it.
+    unsafe {
+        let whole = memory.cast::<u8>().sub(SIZE_BYTES);
+        if let Some(layout) = layout(whole.cast::<usize>().read()) {
+            dealloc(whole, layout);
+        }
+    }
+}
 
 /// How the pixels of an image extension are compressed. All are lossless.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -51,20 +95,21 @@ struct Memory {
     bytes: usize,
 }
 
-/// An open FITS file; closed when dropped.
-pub(super) struct OpenFile {
+/// An open FITS file in memory; closed when dropped.
+pub(super) struct MemoryFile {
     handle: *mut sys::fitsfile,
-    /// The bytes of a file that is read from memory. Boxed: cfitsio points at it.
-    memory: Option<Box<Memory>>,
+    memory: Box<Memory>,
 }
 
-impl Drop for OpenFile {
+impl Drop for MemoryFile {
     fn drop(&mut self) {
         let mut status = 0;
         if !self.handle.is_null() {
             // SAFETY: the handle is open, and not used again.
             unsafe { sys::ffclos(self.handle, &mut status) };
         }
+        // SAFETY: the memory came from `grow`, and the file that used it is closed.
+        unsafe { release(self.memory.start) };
     }
 }
 
@@ -103,97 +148,32 @@ macro_rules! call {
     }};
 }
 
-impl OpenFile {
-    /// A new, empty file on the disk, where none may be yet.
-    pub fn create(path: &Path) -> Result<Self, Problem> {
-        let name = CString::new(path.as_os_str().as_bytes())
-            .map_err(|_| Problem::content("a name without a zero byte", "one with it"))?;
+impl MemoryFile {
+    /// A new, empty file.
+    pub fn create() -> Result<Self, Problem> {
         let mut file = Self {
             handle: ptr::null_mut(),
-            memory: None,
+            memory: Box::new(Memory {
+                start: ptr::null_mut(),
+                bytes: 0,
+            }),
         };
+        let memory = &mut *file.memory;
         let mut status = 0;
         let _one_at_a_time = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the name ends with a zero and outlives the call.
-        unsafe { sys::ffdkinit(&mut file.handle, name.as_ptr(), &mut status) };
-        check(status, "create the file")?;
-        Ok(file)
-    }
-
-    /// Opens a file that was checked before, for reading: hands it to `read` and closes it.
-    pub fn read<T>(
-        bytes: &mut [u8],
-        read: impl FnOnce(&Self) -> Result<T, Problem>,
-    ) -> Result<T, Problem> {
-        let start = bytes.as_mut_ptr().cast();
-        let mut file = Self {
-            handle: ptr::null_mut(),
-            memory: None,
-        };
-        let bytes = bytes.len();
-        let memory = file.memory.insert(Box::new(Memory { start, bytes }));
-        let mut status = 0;
-        let opening = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the bytes outlive the handle, which ends with this function; cfitsio neither writes to a
-        // file opened for reading nor lets it grow without a `realloc`.
+        // SAFETY: the boxed memory outlives the handle, and grows by `grow` alone.
         unsafe {
-            sys::ffomem(
+            sys::ffimem(
                 &mut file.handle,
-                c"frame".as_ptr(),
-                sys::READONLY as c_int,
                 &mut memory.start,
                 &mut memory.bytes,
-                0,
-                None,
+                1 << 20,
+                Some(grow),
                 &mut status,
             )
         };
-        drop(opening);
-        check(status, "open the file")?;
-        read(&file)
-    }
-
-    /// Goes to an HDU, counted from 1.
-    pub fn go_to(&self, hdu: c_int) -> Result<(), Problem> {
-        let mut kind = 0;
-        call!(self, "find the image", ffmahd, hdu, &mut kind)
-    }
-
-    /// The 8-bit pixels of the current image.
-    pub fn pixels_u8(&self, count: usize) -> Result<Vec<u8>, Problem> {
-        let mut pixels = vec![0; count];
-        let (start, mut any_null) = (pixels.as_mut_ptr(), 0);
-        call!(
-            self,
-            "read the pixels",
-            ffgpvb,
-            1,
-            1,
-            count as i64,
-            0,
-            start,
-            &mut any_null
-        )?;
-        Ok(pixels)
-    }
-
-    /// The 16-bit pixels of the current image as stored, before BZERO.
-    pub fn pixels_i16(&self, count: usize) -> Result<Vec<i16>, Problem> {
-        let mut pixels = vec![0; count];
-        let (start, mut any_null) = (pixels.as_mut_ptr(), 0);
-        call!(self, "read the pixels unscaled", ffpscl, 1.0, 0.0)?;
-        call!(
-            self,
-            "read the pixels",
-            ffgpvi,
-            1,
-            1,
-            count as i64,
-            0,
-            start,
-            &mut any_null
-        )?;
-        Ok(pixels)
+        check(status, "create a file in memory")?;
+        Ok(file)
     }
 
     /// Writes a primary header without data.
@@ -364,10 +344,27 @@ impl OpenFile {
         call!(self, "write the checksums", ffpcks)
     }
 
-    /// Closes the file; an error if anything of it could not be written.
-    pub fn close(mut self) -> Result<(), Problem> {
-        let closed = call!(self, "finish the file", ffclos);
+    /// Closes the file after its last HDU and returns its bytes.
+    pub fn into_bytes(mut self) -> Result<Vec<u8>, Problem> {
+        let (mut header, mut data, mut end) = (0, 0, 0);
+        call!(self, "finish the file", ffflus)?;
+        call!(
+            self,
+            "measure the file",
+            ffghadll,
+            &mut header,
+            &mut data,
+            &mut end
+        )?;
+        let closed = call!(self, "close the file", ffclos);
         self.handle = ptr::null_mut();
-        closed
+        closed?;
+        let bytes = usize::try_from(end).unwrap_or(0).min(self.memory.bytes);
+        if self.memory.start.is_null() {
+            return Ok(Vec::new());
+        }
+        // SAFETY: cfitsio has written the file's `end` bytes to the memory, which is that large at least.
+        let written = unsafe { std::slice::from_raw_parts(self.memory.start.cast::<u8>(), bytes) };
+        Ok(written.to_vec())
     }
 }

@@ -1,19 +1,11 @@
 //! A FITS file's first picture as a frame.
 
+use super::compressed::Tiles;
 use super::header::Header;
 use super::info::{read_info, read_saturation};
-use super::raw::OpenFile;
-use super::structure::{BLOCK, Content, Hdu, MAX_SIDE, scan};
-use super::{MAX_PIXELS, Problem, checksum, compressed};
+use super::structure::{Content, Hdu, MAX_SIDE, scan};
+use super::{MAX_PIXELS, Problem, checksum};
 use crate::frame::{Frame, FrameError, Pixels};
-
-/// How the pixels of an image are stored.
-struct Layout {
-    width: usize,
-    height: usize,
-    stored: Stored,
-    compressed: bool,
-}
 
 /// The kinds of pixels that a camera's frame can have.
 #[derive(Clone, Copy)]
@@ -28,16 +20,22 @@ enum Stored {
 /// Reads the first image with two axes, in the primary HDU or an extension.
 pub(super) fn read_fits(bytes: &[u8]) -> Result<Frame, Problem> {
     let (hdu, header) = find_image(bytes)?;
-    let layout = layout(bytes, &hdu)?;
-    checksum::check_data(bytes, &hdu)?;
-    let pixels = match layout.compressed {
-        true => compressed_pixels(bytes, &hdu, &layout)?,
-        false => plain_pixels(&bytes[hdu.data_bytes], layout.stored),
+    let compressed = hdu.content() == Content::CompressedImage;
+    let prefix = if compressed { "Z" } else { "" };
+    let [width, height] = sides(&hdu.header, prefix)?;
+    let stored = stored(&hdu.header, prefix)?;
+    let tiles = match compressed {
+        true => Some(Tiles::new(bytes, &hdu, width, height)?),
+        false => None,
     };
-    if let (Stored::I16, Pixels::U16(values)) = (layout.stored, &pixels) {
-        refuse_negative(values, layout.width)?;
-    }
-    finish(layout.width, layout.height, pixels, &header)
+    checksum::check_data(bytes, &hdu)?;
+    let pixels = match tiles {
+        Some(tiles) => stored.pixels(tiles.unpack()?, width)?,
+        None => stored.plain_pixels(&bytes[hdu.data_bytes], width)?,
+    };
+    let saturation = read_saturation(&header, pixels.bits(), brightest_dn(&pixels))?;
+    let info = read_info(&header)?;
+    Frame::new(width, height, pixels, saturation, info).map_err(refused)
 }
 
 /// The keywords of the image over those of the primary HDU, without reading the pixels.
@@ -65,30 +63,16 @@ fn find_image(bytes: &[u8]) -> Result<(Hdu, Header), Problem> {
     Ok((hdus.swap_remove(index), header))
 }
 
-fn layout(bytes: &[u8], hdu: &Hdu) -> Result<Layout, Problem> {
-    let compressed = hdu.content() == Content::CompressedImage;
-    let prefix = if compressed { "Z" } else { "" };
-    let side = |n: u32| hdu.header.size(&format!("{prefix}NAXIS{n}"), 1..=MAX_SIDE);
+fn sides(header: &Header, prefix: &str) -> Result<[usize; 2], Problem> {
+    let side = |n: u32| header.size(&format!("{prefix}NAXIS{n}"), 1..=MAX_SIDE);
     let (width, height) = (side(1)?, side(2)?);
     if width * height > MAX_PIXELS {
         let field = format!("{prefix}NAXISn");
         let expected = format!("at most {MAX_PIXELS} pixels");
-        return Err(Problem::field(
-            field,
-            expected,
-            format!("{width} x {height}"),
-        ));
+        let found = format!("{width} x {height}");
+        return Err(Problem::field(field, expected, found));
     }
-    let stored = stored(&hdu.header, prefix)?;
-    if compressed {
-        compressed::check(bytes, hdu, width, height)?;
-    }
-    Ok(Layout {
-        width: width as usize,
-        height: height as usize,
-        stored,
-        compressed,
-    })
+    Ok([width as usize, height as usize])
 }
 
 fn stored(header: &Header, prefix: &str) -> Result<Stored, Problem> {
@@ -123,76 +107,42 @@ fn stored(header: &Header, prefix: &str) -> Result<Stored, Problem> {
     }
 }
 
-fn plain_pixels(data: &[u8], stored: Stored) -> Pixels {
-    let words = data.as_chunks::<2>().0.iter();
-    match stored {
-        Stored::U8 => Pixels::U8(data.to_vec()),
-        Stored::U16 => Pixels::U16(words.map(|w| offset(i16::from_be_bytes(*w))).collect()),
-        Stored::I16 => Pixels::U16(words.map(|w| u16::from_be_bytes(*w)).collect()),
-    }
-}
-
-/// Decompresses by cfitsio, which gets nothing but the checked HDU after an empty primary one.
-fn compressed_pixels(bytes: &[u8], hdu: &Hdu, layout: &Layout) -> Result<Pixels, Problem> {
-    let mut file = empty_primary();
-    file.extend_from_slice(&bytes[hdu.bytes(bytes.len())]);
-    file.resize(file.len().next_multiple_of(BLOCK), 0);
-    let count = layout.width * layout.height;
-    OpenFile::read(&mut file, |file| {
-        file.go_to(2)?;
-        Ok(match layout.stored {
-            Stored::U8 => Pixels::U8(file.pixels_u8(count)?),
-            Stored::U16 => {
-                let stored = file.pixels_i16(count)?;
-                Pixels::U16(stored.into_iter().map(offset).collect())
-            }
-            Stored::I16 => {
-                let stored = file.pixels_i16(count)?;
-                Pixels::U16(stored.into_iter().map(i16::cast_unsigned).collect())
-            }
-        })
-    })
-}
-
-/// The header of a primary HDU without data.
-fn empty_primary() -> Vec<u8> {
-    let cards = [
-        "SIMPLE  = T",
-        "BITPIX  = 8",
-        "NAXIS   = 0",
-        "EXTEND  = T",
-        "END",
-    ];
-    let header: String = cards.iter().map(|card| format!("{card:<80}")).collect();
-    let mut bytes = header.into_bytes();
-    bytes.resize(BLOCK, b' ');
-    bytes
-}
-
-/// A stored value with BZERO = 32768.
-fn offset(stored: i16) -> u16 {
-    stored.cast_unsigned() ^ 0x8000
-}
-
-fn refuse_negative(values: &[u16], width: usize) -> Result<(), Problem> {
-    match values.iter().position(|value| value.cast_signed() < 0) {
-        None => Ok(()),
-        Some(at) => {
-            let found = format!(
-                "{} at pixel ({}, {})",
-                values[at].cast_signed(),
-                at % width,
-                at / width
-            );
-            Err(Problem::field("pixels", "values from 0 to 32767", found))
+impl Stored {
+    /// The pixels of an image that is not compressed: big-endian numbers.
+    fn plain_pixels(self, data: &[u8], width: usize) -> Result<Pixels, Problem> {
+        if let Self::U8 = self {
+            return Ok(Pixels::U8(data.to_vec()));
         }
+        let words = data.as_chunks::<2>().0.iter();
+        self.pixels(
+            words.map(|word| i16::from_be_bytes(*word).into()).collect(),
+            width,
+        )
     }
-}
 
-fn finish(width: usize, height: usize, pixels: Pixels, header: &Header) -> Result<Frame, Problem> {
-    let saturation = read_saturation(header, pixels.bits(), brightest_dn(&pixels))?;
-    let info = read_info(header)?;
-    Frame::new(width, height, pixels, saturation, info).map_err(refused)
+    /// The pixels of numbers as stored; an error that names the first that is none.
+    fn pixels(self, numbers: Vec<i32>, width: usize) -> Result<Pixels, Problem> {
+        let (zero, top) = match self {
+            Self::U8 => (0, 255),
+            Self::U16 => (32_768, 65_535),
+            Self::I16 => (0, 32_767),
+        };
+        let legal = -zero..=top - zero;
+        if let Some(at) = numbers.iter().position(|number| !legal.contains(number)) {
+            let number = i64::from(numbers[at]) + i64::from(zero);
+            let found = format!("{number} at pixel ({}, {})", at % width, at / width);
+            return Err(Problem::field(
+                "pixels",
+                format!("values from 0 to {top}"),
+                found,
+            ));
+        }
+        let numbers = numbers.into_iter().map(|number| number + zero);
+        Ok(match self {
+            Self::U8 => Pixels::U8(numbers.map(|dn| dn as u8).collect()),
+            Self::U16 | Self::I16 => Pixels::U16(numbers.map(|dn| dn as u16).collect()),
+        })
+    }
 }
 
 pub(super) fn brightest_dn(pixels: &Pixels) -> u16 {

@@ -1,4 +1,4 @@
-//! A frame, extra keywords and tables in a FITS file.
+//! A frame, extra keywords and tables as the bytes of a FITS file.
 //!
 //! The primary HDU is without data; the pixels stand in an image extension, with every keyword beside them, and
 //! tables follow. Uncompressed pixels too, so that a reader finds the same layout in every file.
@@ -6,12 +6,11 @@
 use super::header::{CARD, Value};
 use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
-use super::raw::{Compression, OpenFile};
+use super::raw::{Compression, MemoryFile};
 use super::{FileError, Problem};
 use crate::frame::Frame;
 use jiff::Timestamp;
 use std::collections::BTreeSet;
-use std::io::ErrorKind;
 use std::path::Path;
 
 /// The extension that holds the pixels.
@@ -101,47 +100,36 @@ pub fn write_frame(
     tables: &[Table],
     compression: Compression,
 ) -> Result<(), FileError> {
-    match std::fs::remove_file(path) {
-        Err(source) if source.kind() != ErrorKind::NotFound => {
-            let action = "replace";
-            return Err(Problem::Io { action, source }.in_file(path));
-        }
-        _ => write_new(path, frame, cards, tables, compression),
-    }
+    let bytes =
+        encode_frame(frame, cards, tables, compression).map_err(|problem| problem.in_file(path))?;
+    std::fs::write(path, bytes).map_err(|source| {
+        let action = "write";
+        Problem::Io { action, source }.in_file(path)
+    })
 }
 
-/// Does what [`write_frame`] does where no file stands yet.
-pub fn write_new(
-    path: &Path,
+/// The bytes of the file that [`write_frame`] writes.
+pub fn encode_frame(
     frame: &Frame,
     cards: &[Card],
     tables: &[Table],
     compression: Compression,
-) -> Result<(), FileError> {
-    write_all(path, frame, cards, tables, compression).map_err(|problem| problem.in_file(path))
-}
-
-fn write_all(
-    path: &Path,
-    frame: &Frame,
-    cards: &[Card],
-    tables: &[Table],
-    compression: Compression,
-) -> Result<(), Problem> {
+) -> Result<Vec<u8>, Problem> {
     if frame.saturation_dn() == 0 {
         return Err(Problem::field("SATURATE", "a level from 1 to 65535 DN", 0));
     }
-    let mut all = provenance();
+    let provenance = provenance();
+    let mut all = provenance.clone();
     all.extend(info_cards(frame));
     refuse_duplicates(&all, cards)?;
     all.extend_from_slice(cards);
 
-    let file = OpenFile::create(path)?;
+    let file = MemoryFile::create()?;
     file.create_primary()?;
-    put_cards(&file, &provenance())?;
+    put_cards(&file, &provenance)?;
     file.put_checksums()?;
     file.create_image([frame.width(), frame.height()], frame.pixels(), compression)?;
-    file.reserve_keywords(all.len() + CHECKSUM_CARDS)?;
+    file.reserve_keywords(all.len() + OTHER_CARDS)?;
     put_cards(&file, &[Card::new("EXTNAME", FRAME_EXTENSION)])?;
     put_cards(&file, &all)?;
     file.put_pixels(frame.pixels())?;
@@ -150,19 +138,20 @@ fn write_all(
         put_table(&file, table)?;
         file.put_checksums()?;
     }
-    file.close()
+    file.into_bytes()
 }
 
 /// The extension's name, its checksums, and what cfitsio adds of its own.
-const CHECKSUM_CARDS: usize = 16;
+const OTHER_CARDS: usize = 16;
 
 /// Where the file comes from.
 fn provenance() -> Vec<Card> {
+    let now = Timestamp::from_second(Timestamp::now().as_second()).unwrap_or_default();
     let program = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
     vec![
         Card::new("ORIGIN", "solaspect"),
         Card::new("CREATOR", program),
-        Card::new("DATE", format_time(Timestamp::now())),
+        Card::new("DATE", format_time(now)),
     ]
 }
 
@@ -176,11 +165,11 @@ fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
     }
 }
 
-fn put_cards(file: &OpenFile, cards: &[Card]) -> Result<(), Problem> {
+fn put_cards(file: &MemoryFile, cards: &[Card]) -> Result<(), Problem> {
     cards.iter().try_for_each(|card| put_card(file, card))
 }
 
-fn put_card(file: &OpenFile, card: &Card) -> Result<(), Problem> {
+fn put_card(file: &MemoryFile, card: &Card) -> Result<(), Problem> {
     let row = keyword::find(card.keyword)
         .ok_or_else(|| Problem::field(card.keyword, "a keyword of the table", "another"))?;
     let comment = row.comment();
@@ -209,7 +198,7 @@ fn float(number: f64) -> String {
     }
 }
 
-fn put_table(file: &OpenFile, table: &Table) -> Result<(), Problem> {
+fn put_table(file: &MemoryFile, table: &Table) -> Result<(), Problem> {
     let rows = table
         .columns
         .first()
