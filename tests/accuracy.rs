@@ -18,7 +18,7 @@ use std::path::Path;
 const EXPECTED: Option<Expected> = Some(Expected {
     radius_arcsec: SUN_RADIUS_ARCSEC,
 });
-const FRAMES: u64 = 48;
+const FRAMES: u64 = 36;
 
 fn demo() -> Instrument {
     builtin("demo").unwrap()

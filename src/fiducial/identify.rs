@@ -7,6 +7,10 @@
 //!
 //! A pair, an L or a 2 x 2 block alone reads consistently at any quarter turn, a row at any place along the other
 //! axis. So a reading must beat every other that contradicts it, and chance, decisively; else all are refused.
+//!
+//! # When it fails
+//! A row of marks at the pattern's edge is misread when a spot that is no mark falls, to a pixel, where the next row's
+//! mark would be: once in ten thousand readings if every frame had such a spot.
 
 use super::reading::{Evidence, Placement, Reading};
 use super::{Detection, Lighting, Settings};
