@@ -6,7 +6,7 @@ use crate::simulate::{EXPOSURE, FlightScenes, Picture, TruthOfSun};
 use jiff::{SignedDuration, Timestamp};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The truth of every frame so far by its number. It stays with the simulator's side; the solver never sees it.
 #[derive(Debug, Clone, Default)]
@@ -30,7 +30,8 @@ pub struct SimulatedCamera {
     scenes: FlightScenes,
     pace: Pace,
     start: Timestamp,
-    duration: Option<Duration>,
+    /// Frames of the whole run; `None` without end.
+    frames: Option<u64>,
     number: u64,
     truth: TruthLog,
 }
@@ -47,7 +48,7 @@ impl SimulatedCamera {
             scenes,
             pace: Pace::new(rate_hz),
             start,
-            duration,
+            frames: duration.map(|duration| (duration.as_secs_f64() * rate_hz).round() as u64),
             number: 0,
             truth: TruthLog::default(),
         }
@@ -61,16 +62,12 @@ impl SimulatedCamera {
 
 impl FrameSource for SimulatedCamera {
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError> {
-        let since_start = self.pace.next_due();
-        if self
-            .duration
-            .is_some_and(|duration| since_start >= duration)
-        {
+        let number = self.number;
+        if self.frames.is_some_and(|frames| number >= frames) {
             return Ok(None);
         }
-        let number = self.number;
         self.number += 1;
-        // The picture is painted before its exposure begins, so that it is there when the exposure ends.
+        let since_start = self.pace.next_due();
         let middle = since_start + EXPOSURE / 2;
         let announced = self
             .start
@@ -78,11 +75,12 @@ impl FrameSource for SimulatedCamera {
         let mut scene = self.scenes.scene(number, middle)?;
         scene.info.mid_exposure = Some(self.start.checked_add(SignedDuration::try_from(middle)?)?);
         scene.info.monotonic = Some(middle);
-        let Picture { frame, truth } = scene.picture()?;
-        self.truth.note(number, truth.sun);
         self.pace.wait();
         starts(announced);
-        std::thread::sleep(EXPOSURE);
+        let shutter = Instant::now();
+        let Picture { frame, truth } = scene.picture()?;
+        self.truth.note(number, truth.sun);
+        std::thread::sleep(EXPOSURE.saturating_sub(shutter.elapsed()));
         Ok(Some(Exposure { frame, announced }))
     }
 }

@@ -50,9 +50,10 @@ pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detec
     };
     let kernel = Kernel::oriented(shape, quarter_rotation_deg);
     let filter = Filter::new(flat, &kernel);
+    let slope_energy = shape.slope_energy();
     let mut marks: Vec<Detection> = spots
         .iter()
-        .filter_map(|spot| measure(&filter, shape, *spot, settings))
+        .filter_map(|spot| measure(&filter, shape, slope_energy, *spot, settings))
         .collect();
     marks.sort_by(|a, b| b.contrast.total_cmp(&a.contrast));
     let mut kept: Vec<Detection> = Vec::new();
@@ -194,10 +195,11 @@ fn arm_rotation_deg(flat: &FlatDisc, spots: &[usize], shape: &CrossShape) -> Opt
 fn measure(
     filter: &Filter<'_>,
     shape: &CrossShape,
+    slope_energy: f64,
     spot: usize,
     settings: &Settings,
 ) -> Option<Detection> {
-    let (flat, kernel) = (filter.flat, filter.kernel);
+    let flat = filter.flat;
     let (index, around) = climb(filter, spot)?;
     let (dx, dy) = paraboloid_peak(&around)?;
     let pixel = flat.position(index);
@@ -208,7 +210,7 @@ fn measure(
     if contrast < enough || likeness < settings.min_likeness {
         return None;
     }
-    let random = flat.noise(at) / (contrast * kernel.slope_energy.sqrt());
+    let random = flat.noise(at) / (contrast * slope_energy.sqrt());
     let lighting = if flat.depth_px(at) >= shape.half_length_px + LIMB_UNCERTAINTY_PX {
         Lighting::Full
     } else {

@@ -36,6 +36,18 @@ impl CrossShape {
         long_u * wide_v + wide_u * long_v - wide_u * wide_v
     }
 
+    /// Sum over pixels of the squared slope of the coverage along one axis: what a position's noise is divided by. A
+    /// quarter turn leaves the cross as it is, so the sum is the same along every axis.
+    pub(super) fn slope_energy(&self) -> f64 {
+        const STEP: f64 = 0.05;
+        let reach = (self.half_length_px + 2.0 * self.blur_px).ceil() as i32;
+        let slope = |x: f64, y: f64| {
+            (self.coverage(x + STEP, y) - self.coverage(x - STEP, y)) / (2.0 * STEP)
+        };
+        let pixels = (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| (x, y)));
+        pixels.map(|(x, y)| slope(x.into(), y.into()).powi(2)).sum()
+    }
+
     fn coverage_at_rotation(&self, dx: f64, dy: f64, rotation_rad: f64) -> f64 {
         let (sin, cos) = rotation_rad.sin_cos();
         self.coverage(cos * dx + sin * dy, -sin * dx + cos * dy)
@@ -57,8 +69,6 @@ pub struct Kernel {
     pub(super) taps: Vec<Tap>,
     /// Sum of the squared weights: the response to a cross of contrast 1.
     pub energy: f64,
-    /// Sum of the squared slopes of the coverage along x: what a position's noise is divided by.
-    pub slope_energy: f64,
 }
 
 impl Kernel {
@@ -68,12 +78,12 @@ impl Kernel {
         Self::from_coverage(shape, |d| shape.coverage_at_rotation(d.x, d.y, rotation))
     }
 
-    /// The kernel averaged over all rotations.
+    /// The kernel averaged over all rotations; a cross is its own mirror image, so an eighth of a turn is enough.
     pub fn round(shape: &CrossShape) -> Self {
-        const STEPS: usize = 16;
+        const STEPS: usize = 8;
         Self::from_coverage(shape, |d| {
-            let quarter = std::f64::consts::FRAC_PI_2;
-            let turns = (0..STEPS).map(|n| n as f64 / STEPS as f64 * quarter);
+            let eighth = std::f64::consts::FRAC_PI_4;
+            let turns = (0..STEPS).map(|n| (n as f64 + 0.5) / STEPS as f64 * eighth);
             turns
                 .map(|turn| shape.coverage_at_rotation(d.x, d.y, turn))
                 .sum::<f64>()
@@ -92,22 +102,15 @@ impl Kernel {
         let side = reach.ceil() as isize;
         let offsets: Vec<(isize, isize)> = (-side..=side)
             .flat_map(|dy| (-side..=side).map(move |dx| (dx, dy)))
-            .filter(|(dx, dy)| (*dx as f64).hypot(*dy as f64) <= reach)
+            .filter(|(dx, dy)| (dx * dx + dy * dy) as f64 <= reach * reach)
             .collect();
-        let at = |x: f64, y: f64| coverage(Vector2::new(x, y));
         let values: Vec<f64> = offsets
             .iter()
-            .map(|(dx, dy)| at(*dx as f64, *dy as f64))
+            .map(|(dx, dy)| coverage(Vector2::new(*dx as f64, *dy as f64)))
             .collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
-        const STEP: f64 = 0.05;
-        let slope = |(dx, dy): &(isize, isize)| {
-            let (x, y) = (*dx as f64, *dy as f64);
-            (at(x + STEP, y) - at(x - STEP, y)) / (2.0 * STEP)
-        };
         Self {
             energy: values.iter().map(|v| (v - mean).powi(2)).sum(),
-            slope_energy: offsets.iter().map(|o| slope(o).powi(2)).sum(),
             taps: offsets
                 .iter()
                 .zip(&values)

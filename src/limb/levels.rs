@@ -36,7 +36,8 @@ impl Levels {
 
 /// The levels of a frame; rejected when nothing outshines the background.
 pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
-    with_view!(frame, view => Histogram::of(&view).levels(settings))
+    let values = 1 << frame.pixels().bits();
+    with_view!(frame, view => Histogram::of(&view, values).levels(settings))
 }
 
 /// Counts of values, over a regular sample of the frame.
@@ -45,8 +46,8 @@ struct Histogram {
 }
 
 impl Histogram {
-    fn of<T: Sample>(view: &View<'_, T>) -> Self {
-        let mut counts = vec![0_u64; 1 << 16];
+    fn of<T: Sample>(view: &View<'_, T>, values: usize) -> Self {
+        let mut counts = vec![0_u64; values];
         for y in (STRIDE_PX / 2..view.height).step_by(STRIDE_PX) {
             let row = &view.pixels[y * view.width..(y + 1) * view.width];
             for &pixel in row

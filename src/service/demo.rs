@@ -89,7 +89,9 @@ pub fn run(
                 };
                 let mut controller = Controller::new();
                 let over = || over.load(Ordering::Relaxed);
-                controller.run(&mut far, over, heard).cloned()
+                let report = controller.run(&mut far, over, heard).cloned();
+                // The far end goes back with the report: hanging up first is the service's part.
+                report.map(|report| (report, far))
             })?
     };
     let (service, answers) = Service::start_watched(flight)?;
@@ -101,9 +103,12 @@ pub fn run(
     });
     over.store(true, Ordering::Relaxed);
     let controller = controller.join();
+    let tally = service.join()?;
+    let (controller, _far_end) =
+        controller.map_err(|_| anyhow!("the controller's thread has failed"))??;
     Ok(Summary {
-        tally: service.join()?,
-        controller: controller.map_err(|_| anyhow!("the controller's thread has failed"))??,
+        tally,
+        controller,
         fine_errors_arcsec: judge.fine_errors_arcsec,
         false_suns: judge.false_suns,
         archive: demo.archive.clone(),
