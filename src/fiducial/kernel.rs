@@ -78,12 +78,12 @@ impl Kernel {
         Self::from_coverage(shape, |d| shape.coverage_at_rotation(d.x, d.y, rotation))
     }
 
-    /// The kernel averaged over all rotations; a cross is its own mirror image, so an eighth of a turn is enough.
+    /// The kernel averaged over all rotations.
     pub fn round(shape: &CrossShape) -> Self {
-        const STEPS: usize = 8;
+        const STEPS: usize = 12;
         Self::from_coverage(shape, |d| {
-            let eighth = std::f64::consts::FRAC_PI_4;
-            let turns = (0..STEPS).map(|n| (n as f64 + 0.5) / STEPS as f64 * eighth);
+            let quarter = std::f64::consts::FRAC_PI_2;
+            let turns = (0..STEPS).map(|n| n as f64 / STEPS as f64 * quarter);
             turns
                 .map(|turn| shape.coverage_at_rotation(d.x, d.y, turn))
                 .sum::<f64>()
@@ -142,6 +142,18 @@ mod tests {
         );
         for (ta, tb) in a.taps.iter().zip(&b.taps) {
             assert!((ta.weight - tb.weight).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn the_round_kernel_is_the_same_in_every_direction() {
+        let kernel = Kernel::round(&SHAPE);
+        let weight = |x: isize, y: isize| {
+            let tap = kernel.taps.iter().find(|tap| (tap.dx, tap.dy) == (x, y));
+            tap.unwrap().weight
+        };
+        for [a, b] in [[(5, 0), (3, 4)], [(0, 5), (-4, 3)]] {
+            assert!((weight(a.0, a.1) - weight(b.0, b.1)).abs() < 0.005);
         }
     }
 

@@ -3,8 +3,8 @@
 use crate::frame::{Frame, Region};
 use crate::units::SensorPx;
 use crate::with_view;
-use embedded_graphics::mono_font::MonoTextStyle;
-use embedded_graphics::mono_font::ascii::FONT_9X15;
+use embedded_graphics::mono_font::ascii::{FONT_9X15, FONT_9X15_BOLD};
+use embedded_graphics::mono_font::{MonoTextStyle, MonoTextStyleBuilder};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle};
@@ -101,14 +101,15 @@ impl Canvas {
         }
     }
 
-    /// Text beside a sensor position.
+    /// Text on black beside a sensor position.
     pub fn label(&mut self, at: SensorPx, text: &str, colour: Colour) {
-        let place = self.place(at) + Point::new(4, -4);
-        self.draw(&Text::new(
-            text,
-            place,
-            MonoTextStyle::new(&FONT_9X15, colour.rgb()),
-        ));
+        let place = self.place(at) + Point::new(6, -6);
+        let style = MonoTextStyleBuilder::new()
+            .font(&FONT_9X15_BOLD)
+            .text_color(colour.rgb())
+            .background_color(Rgb888::BLACK)
+            .build();
+        self.draw(&Text::new(text, place, style));
     }
 
     /// A line of text in the strip below the picture, counted from 0.
