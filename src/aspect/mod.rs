@@ -1,5 +1,6 @@
 //! The pipeline on one page: from a frame to the Sun's centre on the plate.
 
+mod conclusion;
 mod overlay;
 mod solution;
 mod stages;

@@ -9,7 +9,6 @@ use crate::link::{BytePort, SerialPort};
 use crate::service::{Flight, Service};
 use crate::simulate::{FlightScenes, Trajectory};
 use crate::sky;
-use anyhow::bail;
 use clap::Args;
 use jiff::Timestamp;
 use std::path::PathBuf;
@@ -69,17 +68,12 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         config.archive.directory = folders.next();
         config.archive.second_directory = folders.next();
     }
-    if config.archive.second_directory.is_some() {
-        bail!(
-            "archive.second_directory: expected one folder, found two: a second disk is not served yet"
-        );
-    }
     config.link.port = args.serial.or(config.link.port);
     let instrument = options::instrument(args.instrument.as_deref())?;
     let flight = Flight {
         camera: camera(&args.camera, &instrument, &config, args.duration)?,
         port: port(&config)?,
-        store: store(&config, &instrument)?,
+        stores: stores(&config, &instrument)?,
         instrument,
         config,
     };
@@ -96,7 +90,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         }
     }
     let tally = service.join()?;
-    tracing::info!(?tally, "the flight has ended");
+    println!("{tally}");
     Ok(match tally.lost() {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,
@@ -132,13 +126,13 @@ fn port(config: &Config) -> anyhow::Result<Option<Box<dyn BytePort + Send>>> {
     })
 }
 
-fn store(config: &Config, instrument: &Instrument) -> anyhow::Result<Option<Store>> {
-    Ok(match &config.archive.directory {
-        Some(folder) => Some(Store::open(
-            folder,
-            &instrument.name,
-            config.archive.compression,
-        )?),
-        None => None,
-    })
+fn stores(config: &Config, instrument: &Instrument) -> anyhow::Result<Vec<Store>> {
+    let archive = &config.archive;
+    let folders = [&archive.directory, &archive.second_directory];
+    let open = |folder| Store::open(folder, &instrument.name, archive.compression);
+    Ok(folders
+        .into_iter()
+        .flatten()
+        .map(|folder| open(folder))
+        .collect::<Result<_, _>>()?)
 }

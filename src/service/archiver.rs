@@ -1,25 +1,32 @@
 //! The archive's thread: one file per frame, with its solution.
 
 use super::solver::Answer;
-use super::tally::ArchiveTally;
+use super::tally::{ArchiveTally, worth_a_line};
 use crate::archive::{ArchiveError, Record, Store, tables};
 use crossbeam_channel::Receiver;
 use std::path::PathBuf;
 
-/// Stores until the solver ends. Without a store, answers are let go.
-pub(super) fn run(store: Option<&Store>, answers: &Receiver<Answer>) -> ArchiveTally {
+/// Stores until the solver ends: in the first store that takes the frame. Without a store, answers are let go.
+pub(super) fn run(stores: &[Store], answers: &Receiver<Answer>) -> ArchiveTally {
     let mut tally = ArchiveTally::default();
     for answer in answers {
-        let Some(store) = store else { continue };
-        match keep(store, &answer) {
+        let stored = stores.iter().any(|store| match keep(store, &answer) {
             Ok(path) => {
-                tally.stored += 1;
                 tracing::debug!(file = %path.display(), "stored");
+                true
             }
             Err(error) => {
-                tally.failed += 1;
-                tracing::error!(%error, failed = tally.failed, "a frame was not stored");
+                tally.refused += 1;
+                if worth_a_line(tally.refused) {
+                    tracing::error!(%error, refused = tally.refused, "a disk refused a frame");
+                }
+                false
             }
+        });
+        if stored {
+            tally.stored += 1;
+        } else if !stores.is_empty() {
+            tally.failed += 1;
         }
     }
     tally

@@ -73,7 +73,7 @@ pub fn run(
         config,
         camera: Box::new(camera),
         port: Some(Box::new(near)),
-        store: Some(store),
+        stores: vec![store],
     };
     let received = Arc::new(Mutex::new(None));
     let over = Arc::new(AtomicBool::new(false));
@@ -206,34 +206,8 @@ impl Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (solver, line) = (&self.tally.solver, &self.tally.line);
-        writeln!(
-            out,
-            "frames     {} taken, {} lost",
-            self.tally.camera.taken, self.tally.camera.lost
-        )?;
-        writeln!(
-            out,
-            "solved     {} fine, {} coarse, {} none",
-            solver.of(Quality::Fine),
-            solver.of(Quality::Coarse),
-            solver.of(Quality::None),
-        )?;
-        for ((stage, reason), count) in &solver.reasons {
-            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
-        }
-        writeln!(
-            out,
-            "stored     {} of {} in {}",
-            self.tally.archive.stored,
-            self.tally.camera.taken,
-            self.archive.display(),
-        )?;
-        writeln!(
-            out,
-            "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
-            line.solutions, line.errors, line.announced, line.commands, line.outdated,
-        )?;
+        writeln!(out, "{}", self.tally)?;
+        writeln!(out, "archive    {}", self.archive.display())?;
         writeln!(
             out,
             "received   {} solutions, {} errors by the controller; {} faults",
@@ -247,18 +221,6 @@ impl fmt::Display for Summary {
             writeln!(
                 out,
                 "aspect     error of fine frames: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
-            )?;
-        }
-        let mut latencies: Vec<f64> = line
-            .latencies
-            .iter()
-            .map(|latency| 1e3 * latency.as_secs_f64())
-            .collect();
-        let mut ms = |fraction| quantile(&mut latencies, fraction);
-        if let (Some(median), Some(most)) = (ms(0.5), ms(0.99)) {
-            writeln!(
-                out,
-                "latency    frame to packet: median {median:.1}, 99 % {most:.1} ms"
             )?;
         }
         match self.lost() {

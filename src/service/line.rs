@@ -1,7 +1,7 @@
 //! The link's thread: it alone reads and writes the port.
 
 use super::Commanded;
-use super::tally::LineTally;
+use super::tally::{LineTally, worth_a_line};
 use crate::aspect::Stopped;
 use crate::link::{
     BytePort, Change, CommandPacket, Direction, Packet, Parser, PortError, Responder, Solution,
@@ -201,8 +201,8 @@ impl Line {
                 self.tally.failed += 1;
                 if matches!(error, PortError::Lost { .. }) {
                     self.lose(&error);
-                } else {
-                    tracing::warn!(%error, "a packet was not sent");
+                } else if worth_a_line(self.tally.failed) {
+                    tracing::warn!(%error, failed = self.tally.failed, "a packet was not sent");
                 }
                 false
             }

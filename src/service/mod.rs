@@ -29,6 +29,8 @@ mod tally;
 pub use solver::Answer;
 pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
+use tally::worth_a_line;
+
 use crate::archive::Store;
 use crate::aspect;
 use crate::camera::{Exposure, FrameSource};
@@ -57,8 +59,8 @@ pub struct Flight {
     pub camera: Box<dyn FrameSource>,
     /// The line to the controller, where there is one.
     pub port: Option<Box<dyn BytePort + Send>>,
-    /// The archive, where frames are kept.
-    pub store: Option<Store>,
+    /// The archives on the disks, the preferred one first; none where frames are not kept.
+    pub stores: Vec<Store>,
 }
 
 /// A frame on its way from the camera, with the moment it arrived.
@@ -129,14 +131,14 @@ impl Service {
             to_line: to_line.clone(),
             watcher,
         };
-        let store = flight.store;
+        let stores = flight.stores;
         let mut camera = flight.camera;
         let stopped = Arc::clone(&stop);
         let hang_up = Arc::new(AtomicBool::new(false));
         let hung_up = Arc::clone(&hang_up);
         Ok(Self {
             line: spawn("link", move || line.run(&events, &hung_up))?,
-            archive: spawn("archive", move || archiver::run(store.as_ref(), &answers))?,
+            archive: spawn("archive", move || archiver::run(&stores, &answers))?,
             solver: spawn("solver", move || solver.run(&sightings))?,
             camera: spawn("camera", move || {
                 take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)
@@ -197,7 +199,10 @@ fn take_frames(
     while !stop.load(Ordering::Relaxed) {
         let mut announce = |time: Timestamp| {
             if to_line.try_send(LinkEvent::ExposureStarts(time)).is_err() {
-                tracing::warn!("the line is stuck: an exposure was not announced");
+                tally.unannounced += 1;
+                if worth_a_line(tally.unannounced) {
+                    tracing::warn!("the line is stuck: an exposure was not announced");
+                }
             }
         };
         match camera.next(&mut announce) {
@@ -216,7 +221,9 @@ fn take_frames(
             Ok(None) => break,
             Err(error) => {
                 tally.failed += 1;
-                tracing::error!(%error, "no frame from the camera");
+                if worth_a_line(tally.failed) {
+                    tracing::error!(%error, failed = tally.failed, "no frame from the camera");
+                }
             }
         }
     }

@@ -1,7 +1,7 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
 use super::line::{LinkEvent, Outcome};
-use super::tally::SolverTally;
+use super::tally::{SolverTally, worth_a_line};
 use super::{Commanded, Sighting, expected};
 use crate::aspect::{self, Expected, Solution, Track};
 use crate::camera::Exposure;
@@ -40,7 +40,9 @@ impl Solver {
             let Sighting { exposure, arrived } = sighting;
             if let Err(error) = self.instrument.check_size(&exposure.frame) {
                 tally.misfits += 1;
-                tracing::error!(%error, "a frame that is not this camera's");
+                if worth_a_line(tally.misfits) {
+                    tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
+                }
                 continue;
             }
             let answer = self.solve(exposure, &mut track, &mut sun);
@@ -98,7 +100,12 @@ impl Solver {
         };
         if self.to_line.try_send(LinkEvent::Outcome(outcome)).is_err() {
             tally.unsent += 1;
-            tracing::warn!("the line is stuck: a solution was not sent");
+            if worth_a_line(tally.unsent) {
+                tracing::warn!(
+                    unsent = tally.unsent,
+                    "the line is stuck: a solution was not sent"
+                );
+            }
         }
         if let Some(watcher) = &self.watcher {
             // A watcher that has left misses nothing that matters.
@@ -106,7 +113,12 @@ impl Solver {
         }
         if self.to_archive.try_send(answer).is_err() {
             tally.unstored += 1;
-            tracing::warn!("the disk cannot follow: a frame was not stored");
+            if worth_a_line(tally.unstored) {
+                tracing::warn!(
+                    unstored = tally.unstored,
+                    "the disk cannot follow: a frame was not stored"
+                );
+            }
         }
     }
 }

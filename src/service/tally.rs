@@ -2,6 +2,7 @@
 
 use crate::aspect::{Quality, Stage};
 use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
 use std::time::Duration;
 
 /// What the camera's thread counts.
@@ -12,6 +13,8 @@ pub struct CameraTally {
     pub lost: u64,
     /// Frames that the source could not give.
     pub failed: u64,
+    /// Exposures that the line's queue had no room for.
+    pub unannounced: u64,
 }
 
 /// What the solver's thread counts.
@@ -42,7 +45,10 @@ impl SolverTally {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArchiveTally {
     pub stored: u64,
+    /// Frames that no disk took.
     pub failed: u64,
+    /// Refusals by any disk; with two disks a frame may be stored all the same.
+    pub refused: u64,
 }
 
 /// What the link's thread counts.
@@ -84,9 +90,61 @@ impl FlightTally {
     pub fn lost(&self) -> u64 {
         let frames = self.camera.lost + self.camera.failed + self.solver.misfits;
         let files = self.solver.unstored + self.archive.failed;
-        let packets = self.solver.unsent + self.line.failed;
+        let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
         frames + files + packets
     }
+}
+
+impl fmt::Display for FlightTally {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            camera,
+            solver,
+            archive,
+            line,
+        } = self;
+        writeln!(
+            out,
+            "frames     {} taken, {} lost, {} failed",
+            camera.taken, camera.lost, camera.failed
+        )?;
+        writeln!(
+            out,
+            "solved     {} fine, {} coarse, {} none",
+            solver.of(Quality::Fine),
+            solver.of(Quality::Coarse),
+            solver.of(Quality::None),
+        )?;
+        for ((stage, reason), count) in &solver.reasons {
+            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
+        }
+        writeln!(
+            out,
+            "stored     {}, {} failed, {} not waited for",
+            archive.stored, archive.failed, solver.unstored
+        )?;
+        write!(
+            out,
+            "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
+            line.solutions, line.errors, line.announced, line.commands, line.outdated,
+        )?;
+        let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
+        let mut latencies: Vec<f64> = line.latencies.iter().map(milliseconds).collect();
+        let mut ms = |fraction| quantile(&mut latencies, fraction);
+        if let (Some(median), Some(most)) = (ms(0.5), ms(0.99)) {
+            write!(
+                out,
+                "\nlatency    frame to packet: median {median:.1}, 99 % {most:.1} ms"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Whether a fault that has happened so often deserves a line in the log: the 1st, 2nd, 4th, 8th ... A dead disk or line
+/// must not fill the log.
+pub(super) fn worth_a_line(count: u64) -> bool {
+    count.is_power_of_two()
 }
 
 /// The value below which a fraction of the values lies; `None` of no values.
