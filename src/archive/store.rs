@@ -25,11 +25,11 @@ const MOST_NAMESAKES: u32 = 1000;
 #[non_exhaustive]
 pub enum ArchiveError {
     /// The operating system refused; a full disk, for one.
-    #[error("{}: expected to {action}, found \"{source}\"", .path.display())]
+    #[error("{}: expected to {action}, found \"{cause}\"", .path.display())]
     Io {
         path: PathBuf,
         action: &'static str,
-        source: io::Error,
+        cause: io::Error,
     },
     /// The frame or its keywords do not make a FITS file.
     #[error(transparent)]
@@ -46,10 +46,10 @@ trait During<T> {
 
 impl<T> During<T> for io::Result<T> {
     fn during(self, action: &'static str, path: &Path) -> Result<T, ArchiveError> {
-        self.map_err(|source| ArchiveError::Io {
+        self.map_err(|cause| ArchiveError::Io {
             path: path.into(),
             action,
-            source,
+            cause,
         })
     }
 }

@@ -16,10 +16,10 @@ pub struct FileError {
 #[non_exhaustive]
 pub enum Problem {
     /// The operating system refused.
-    #[error("expected to {action} the file, found \"{source}\"")]
+    #[error("expected to {action} the file, found \"{cause}\"")]
     Io {
         action: &'static str,
-        source: io::Error,
+        cause: io::Error,
     },
     /// The file as a whole is not what it should be.
     #[error("expected {expected}, found {found}")]

@@ -85,9 +85,9 @@ fn read_with<T>(
 
 /// The bytes of a file, gunzipped if need be.
 fn load(path: &Path) -> Result<Vec<u8>, Problem> {
-    let refused = |source| Problem::Io {
+    let refused = |cause| Problem::Io {
         action: "read",
-        source,
+        cause,
     };
     // Opening a pipe would wait for its writer, so what the path is comes first.
     let metadata = std::fs::metadata(path).map_err(refused)?;

@@ -102,9 +102,9 @@ pub fn write_frame(
 ) -> Result<(), FileError> {
     let bytes =
         encode_frame(frame, cards, tables, compression).map_err(|problem| problem.in_file(path))?;
-    std::fs::write(path, bytes).map_err(|source| {
+    std::fs::write(path, bytes).map_err(|cause| {
         let action = "write";
-        Problem::Io { action, source }.in_file(path)
+        Problem::Io { action, cause }.in_file(path)
     })
 }
 

@@ -14,13 +14,13 @@ const CHUNK: usize = 256;
 /// Why a port failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {
-    #[error("serial port {name}: cannot be opened: {source}")]
+    #[error("serial port {name}: cannot be opened: {cause}")]
     Open {
         name: String,
-        source: serialport::Error,
+        cause: serialport::Error,
     },
-    #[error("serial port {name}: lost: {source}")]
-    Lost { name: String, source: io::Error },
+    #[error("serial port {name}: lost: {cause}")]
+    Lost { name: String, cause: io::Error },
     #[error(
         "serial port {name}: nobody takes what is written: {written} of {length} bytes in {timeout:?}"
     )]
@@ -56,9 +56,9 @@ impl SerialPort {
             .parity(Parity::None)
             .stop_bits(StopBits::One)
             .flow_control(FlowControl::None);
-        let port = builder.open_native().map_err(|source| PortError::Open {
+        let port = builder.open_native().map_err(|cause| PortError::Open {
             name: name.into(),
-            source,
+            cause,
         })?;
         Self::non_blocking(name.into(), port)
     }
@@ -66,9 +66,9 @@ impl SerialPort {
     /// The two ends of a new pseudo-terminal. The second one has a device name, too.
     pub fn pair() -> Result<(Self, Self), PortError> {
         let name = "pseudo-terminal";
-        let (near, far) = TTYPort::pair().map_err(|source| PortError::Open {
+        let (near, far) = TTYPort::pair().map_err(|cause| PortError::Open {
             name: name.into(),
-            source,
+            cause,
         })?;
         let far_name = serialport::SerialPort::name(&far).unwrap_or_else(|| name.into());
         let near = Self::non_blocking(format!("{far_name} (near end)"), near)?;
@@ -92,7 +92,7 @@ impl SerialPort {
             Ok(_) => Ok(Self { name, port }),
             Err(errno) => Err(PortError::Open {
                 name,
-                source: io::Error::from(errno).into(),
+                cause: io::Error::from(errno).into(),
             }),
         }
     }
@@ -102,10 +102,10 @@ impl SerialPort {
             .map_err(|error| self.lost(error.into()))
     }
 
-    fn lost(&self, source: io::Error) -> PortError {
+    fn lost(&self, cause: io::Error) -> PortError {
         PortError::Lost {
             name: self.name.clone(),
-            source,
+            cause,
         }
     }
 }
