@@ -65,7 +65,7 @@ fn a_demonstration_that_is_stopped_ends_in_order() {
     let folder = tempfile::tempdir().unwrap();
     let settings = Demo {
         duration: Duration::from_secs(600),
-        rate_hz: 20.0,
+        rate_hz: 4.0,
         archive: folder.path().into(),
         seed: 2,
     };
@@ -73,7 +73,7 @@ fn a_demonstration_that_is_stopped_ends_in_order() {
     let summary = demo::run(
         &settings,
         |_| shown.set(shown.get() + 1),
-        || shown.get() >= 10,
+        || shown.get() >= 3,
     );
     assert_eq!(summary.unwrap().lost(), 0);
 }
