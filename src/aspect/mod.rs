@@ -12,14 +12,25 @@ pub use solution::{
 
 use crate::frame::Frame;
 use crate::instrument::Instrument;
-use crate::{fiducial, limb, registration};
+use crate::{fiducial, limb, registration, sky};
+use jiff::Timestamp;
 use stages::Work;
 
-/// What the ephemeris says of the Sun, computed by the caller.
+/// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     /// Angular radius of the disc.
     pub radius_arcsec: f64,
+}
+
+impl Expected {
+    /// The expectation for an instant; where the ephemeris does not know, that is logged and nothing is expected.
+    pub fn at(utc: Timestamp) -> Option<Self> {
+        sky::sun_angular_radius(utc)
+            .inspect_err(|error| tracing::warn!(%error, "the Sun's size is not known"))
+            .ok()
+            .map(|radius_arcsec| Self { radius_arcsec })
+    }
 }
 
 /// The tunable parts of every stage.

@@ -96,15 +96,16 @@ impl<'a> Work<'a> {
         coarse: &CoarseDisc,
     ) -> Result<Vec<Crossing>, Stopped> {
         let settings = &self.settings.limb;
-        let chords = limb::fine_chords(self.frame, levels, coarse, self.mark_length_px(), settings);
-        if chords.crossings.len() < settings.min_crossings {
+        let crossings =
+            limb::fine_chords(self.frame, levels, coarse, self.mark_length_px(), settings);
+        if crossings.len() < settings.min_crossings {
             return Err(at(Stage::Limb)(Rejected {
                 reason: "too few chords cross the limb squarely",
-                measured: chords.crossings.len() as f64,
+                measured: crossings.len() as f64,
                 limit: settings.min_crossings as f64,
             }));
         }
-        Ok(chords.crossings)
+        Ok(crossings)
     }
 
     /// The circle on the sensor: a first one, for the marks.

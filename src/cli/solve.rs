@@ -7,7 +7,6 @@ use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
 use crate::pointing::{self, HelioprojectiveArcsec};
-use crate::sky;
 use crate::units::Place;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
@@ -158,13 +157,7 @@ impl Batch {
         let frame = fits::read_frame(path)?;
         self.instrument.check_size(&frame)?;
         let utc = frame.info.mid_exposure;
-        let expected = match utc.map(sky::sun_angular_radius).transpose() {
-            Ok(radius) => radius.map(|radius_arcsec| Expected { radius_arcsec }),
-            Err(error) => {
-                tracing::warn!(file = %path.display(), %error, "the Sun's size is not known");
-                None
-            }
-        };
+        let expected = utc.and_then(Expected::at);
         let start = Instant::now();
         let solution =
             aspect::solve_with(&self.settings, &frame, &self.instrument, expected, prior);

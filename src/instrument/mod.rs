@@ -80,6 +80,18 @@ pub struct Mounting {
     pub clocking_deg: Measured,
 }
 
+impl Mounting {
+    /// The stated similarity from plate to sensor.
+    pub fn similarity(&self) -> SimilarityParameters {
+        SimilarityParameters {
+            plate_centre: self.plate_centre_px,
+            scale_mil_per_px: self.scale_mil_per_px.value,
+            rotation_deg: self.rotation_deg.value,
+            handedness: self.handedness,
+        }
+    }
+}
+
 /// A frame that is not this instrument's.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
@@ -118,15 +130,7 @@ impl Instrument {
     /// The mapping that the calibration states, with its covariance at the Sun's place by
     /// [`nominal_covariance_mil2`](Self::nominal_covariance_mil2).
     pub fn nominal_mapping(&self) -> Option<Mapping> {
-        Mapping::similarity(
-            SimilarityParameters {
-                plate_centre: self.mounting.plate_centre_px,
-                scale_mil_per_px: self.mounting.scale_mil_per_px.value,
-                rotation_deg: self.mounting.rotation_deg.value,
-                handedness: self.mounting.handedness,
-            },
-            self.camera.distortion,
-        )
+        Mapping::similarity(self.mounting.similarity(), self.camera.distortion)
     }
 
     /// Covariance of a plate position got through the nominal mapping, from the stated sigmas of the plate's

@@ -46,14 +46,6 @@ impl Crossing {
     }
 }
 
-/// The crossings of a set of chords, and how many chords were valid.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Chords {
-    pub crossings: Vec<Crossing>,
-    pub valid: usize,
-    pub rejected: usize,
-}
-
 /// What makes a chord: the threshold, and the lengths of what is no disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scan {
@@ -85,8 +77,8 @@ impl Scan {
         region: Region,
         rows: impl Iterator<Item = usize>,
         columns: impl Iterator<Item = usize>,
-    ) -> Chords {
-        let mut chords = Chords::default();
+    ) -> Vec<Crossing> {
+        let mut crossings = Vec::new();
         let mut runs = Vec::new();
         for y in rows.filter(|y| (region.y0..region.y1).contains(y)) {
             let line = Line {
@@ -96,7 +88,7 @@ impl Scan {
                 to: region.x1,
                 sensor_end: view.width,
             };
-            self.chord(line, |x| view.dn(x, y), &mut runs, &mut chords);
+            self.chord(line, |x| view.dn(x, y), &mut runs, &mut crossings);
         }
         for x in columns.filter(|x| (region.x0..region.x1).contains(x)) {
             let line = Line {
@@ -106,9 +98,9 @@ impl Scan {
                 to: region.y1,
                 sensor_end: view.height,
             };
-            self.chord(line, |y| view.dn(x, y), &mut runs, &mut chords);
+            self.chord(line, |y| view.dn(x, y), &mut runs, &mut crossings);
         }
-        chords
+        crossings
     }
 
     fn chord(
@@ -116,27 +108,16 @@ impl Scan {
         line: Line,
         value: impl Fn(usize) -> f32,
         runs: &mut Vec<(usize, usize)>,
-        chords: &mut Chords,
+        crossings: &mut Vec<Crossing>,
     ) {
         self.bright_runs(line, &value, runs);
-        let (start, end) = match runs.as_slice() {
-            [] => return,
-            [run] => *run,
-            _ => {
-                chords.rejected += 1;
-                return;
-            }
+        let [(start, end)] = *runs.as_slice() else {
+            return;
         };
-        let before = chords.crossings.len();
         for (edge, first_after) in [(Edge::Entering, start), (Edge::Leaving, end)] {
             if let Some(along) = self.cross(line, &value, edge, first_after) {
-                chords.crossings.push(line.crossing(along, edge));
+                crossings.push(line.crossing(along, edge));
             }
-        }
-        if chords.crossings.len() > before {
-            chords.valid += 1;
-        } else {
-            chords.rejected += 1;
         }
     }
 
@@ -250,8 +231,8 @@ mod tests {
             x1: row.len(),
             y1: 1,
         };
-        let chords = SCAN.run(&view, region, 0..1, 0..0);
-        chords.crossings.iter().map(|c| c.at.x).collect()
+        let crossings = SCAN.run(&view, region, 0..1, 0..0);
+        crossings.iter().map(|c| c.at.x).collect()
     }
 
     fn disc_row() -> Vec<u8> {

@@ -17,7 +17,7 @@ mod disc;
 mod levels;
 mod search;
 
-pub use chords::{Axis, Chords, Crossing, Edge, Scan};
+pub use chords::{Axis, Crossing, Edge, Scan};
 pub use disc::{Circle, DiscFit, arc_fraction, fit_disc};
 pub use levels::{Levels, levels};
 pub use search::{CoarseDisc, find_disc, fine_chords};

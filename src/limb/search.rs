@@ -1,7 +1,7 @@
 //! Finding the disc: sparse chords over the whole frame, a circle that most crossings agree on, then dense chords
 //! across it.
 
-use super::{Axis, Chords, Circle, Crossing, Levels, Scan, Settings};
+use super::{Axis, Circle, Crossing, Levels, Scan, Settings};
 use crate::frame::{Frame, Region};
 use crate::units::{Rejected, SensorPx};
 use crate::with_view;
@@ -12,7 +12,6 @@ use nalgebra::Vector2;
 pub struct CoarseDisc {
     pub centre: SensorPx,
     pub radius_px: f64,
-    pub chords: Chords,
 }
 
 impl CoarseDisc {
@@ -49,25 +48,24 @@ pub fn find_disc(
     );
     let spacing = settings.search_spacing_px.max(1);
     let lines = |size: usize| (spacing / 2..size).step_by(spacing);
-    let chords = with_view!(frame, view => {
+    let crossings = with_view!(frame, view => {
         scan.run(&view, region, lines(frame.height()), lines(frame.width()))
     });
     let enough = settings.min_crossings;
-    if chords.crossings.len() < enough {
+    if crossings.len() < enough {
         return Err(Rejected {
             reason: "too few chords cross a limb",
-            measured: chords.crossings.len() as f64,
+            measured: crossings.len() as f64,
             limit: enough as f64,
         });
     }
-    let (circle, agreeing) = best_circle(&chords.crossings, radius_px, settings);
+    let (circle, agreeing) = best_circle(&crossings, radius_px, settings);
     match circle {
         Some(circle) if agreeing >= enough => {
             check_filled(frame, &circle, scan.threshold_dn)?;
             Ok(CoarseDisc {
                 centre: circle.centre.into(),
                 radius_px: circle.radius,
-                chords,
             })
         }
         _ => Err(Rejected {
@@ -121,7 +119,7 @@ pub fn fine_chords(
     disc: &CoarseDisc,
     mark_length_px: f64,
     settings: &Settings,
-) -> Chords {
+) -> Vec<Crossing> {
     let scan = Scan::new(
         levels.threshold_dn(settings.level_fraction),
         mark_length_px,
@@ -129,7 +127,7 @@ pub fn fine_chords(
     );
     let reach = disc.radius_px + mark_length_px;
     let Some(region) = Region::around(disc.centre, reach, frame.width(), frame.height()) else {
-        return Chords::default();
+        return Vec::new();
     };
     let lines = |middle: f64| {
         let count = settings.chords_per_axis.max(2);
@@ -143,14 +141,12 @@ pub fn fine_chords(
         lines.dedup();
         lines
     };
-    let mut chords = with_view!(frame, view => {
+    let mut crossings = with_view!(frame, view => {
         scan.run(&view, region, lines(disc.centre.y).into_iter(), lines(disc.centre.x).into_iter())
     });
     let circle = disc.circle();
-    chords
-        .crossings
-        .retain(|crossing| meets_squarely(crossing, &circle));
-    chords
+    crossings.retain(|crossing| meets_squarely(crossing, &circle));
+    crossings
 }
 
 fn meets_squarely(crossing: &Crossing, circle: &Circle) -> bool {

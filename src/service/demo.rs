@@ -11,7 +11,7 @@ use crate::fits::Compression;
 use crate::instrument::{self, Instrument};
 use crate::link::{Message, SerialPort};
 use crate::simulate::controller::{Controller, Report};
-use crate::simulate::{FORT_SUMNER, FlightScenes, Trajectory};
+use crate::simulate::{FlightScenes, Trajectory};
 use crate::sky;
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -130,8 +130,7 @@ fn camera(
         .optics
         .radius_mil(sky::sun_angular_radius(start)?);
     let trajectory = Trajectory::demo(instrument, radius_mil, demo.duration, demo.seed)?;
-    let mut scenes = FlightScenes::new(instrument, trajectory, radius_mil, demo.seed)?;
-    scenes.template.info.place = Some(FORT_SUMNER);
+    let scenes = FlightScenes::new(instrument, trajectory, radius_mil, demo.seed)?;
     let camera = SimulatedCamera::new(scenes, demo.rate_hz, start, Some(demo.duration));
     Ok(camera)
 }

@@ -32,7 +32,6 @@ pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 use tally::worth_a_line;
 
 use crate::archive::Store;
-use crate::aspect;
 use crate::camera::{Exposure, FrameSource};
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
@@ -228,12 +227,4 @@ fn take_frames(
         }
     }
     tally
-}
-
-/// What `fly` and `demo` share of a solver's view of the Sun.
-fn expected(utc: Timestamp) -> Option<aspect::Expected> {
-    crate::sky::sun_angular_radius(utc)
-        .inspect_err(|error| tracing::warn!(%error, "the Sun's size is not known"))
-        .ok()
-        .map(|radius_arcsec| aspect::Expected { radius_arcsec })
 }

@@ -2,7 +2,7 @@
 
 use super::line::{LinkEvent, Outcome};
 use super::tally::{SolverTally, worth_a_line};
-use super::{Commanded, Sighting, expected};
+use super::{Commanded, Sighting};
 use crate::aspect::{self, Expected, Solution, Track};
 use crate::camera::Exposure;
 use crate::instrument::Instrument;
@@ -143,7 +143,7 @@ impl SunSize {
         match self.last {
             Some((then, size)) if utc.duration_since(then).abs() < VALID => size,
             _ => {
-                let size = expected(utc);
+                let size = Expected::at(utc);
                 self.last = Some((utc, size));
                 size
             }

@@ -150,11 +150,6 @@ impl Controller {
         &self.report
     }
 
-    /// The last offset that came.
-    pub fn last_solution(&self) -> Option<&Solution> {
-        self.report.solutions.last()
-    }
-
     /// Whether the aspect system has said that its tracking is as this controller wants it.
     pub fn is_obeyed(&self) -> bool {
         self.answer == Some(self.wish)

@@ -4,8 +4,7 @@ use super::blemish::{Blemishes, Counts};
 use super::noise::Noise;
 use super::scene::{Scene, SceneError, Sun};
 use super::trajectory::{Swing, Trajectory};
-use super::{EXPOSURE, FORT_SUMNER, Purpose, derived_seed, generator};
-use crate::frame::FrameInfo;
+use super::{EXPOSURE, Purpose, derived_seed, frame_info, generator};
 use crate::geometry::{Distortion, Mapping, SimilarityParameters};
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
@@ -66,13 +65,7 @@ impl FlightScenes {
                 ..self.sun.clone()
             }),
             seed: derived_seed(self.seed, Purpose::Noise, number),
-            info: FrameInfo {
-                number: Some(number),
-                exposure: Some(EXPOSURE),
-                place: Some(FORT_SUMNER),
-                camera: Some("simulated".into()),
-                ..FrameInfo::default()
-            },
+            info: frame_info(number),
             ..self.template.clone()
         })
     }
@@ -94,12 +87,7 @@ impl MappingDrift {
         let m = &instrument.mounting;
         let mut rng = generator(seed, Purpose::Drift, 0);
         Self {
-            stated: SimilarityParameters {
-                plate_centre: m.plate_centre_px,
-                scale_mil_per_px: m.scale_mil_per_px.value,
-                rotation_deg: m.rotation_deg.value,
-                handedness: m.handedness,
-            },
+            stated: m.similarity(),
             distortion: instrument.camera.distortion,
             sigmas: [
                 m.plate_centre_sigma_px / 2.0_f64.sqrt(),

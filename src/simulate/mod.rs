@@ -37,6 +37,7 @@ pub use scene::{
 };
 pub use trajectory::{MAX_SLEW_DEG_PER_S, Trajectory};
 
+use crate::frame::FrameInfo;
 use crate::units::Place;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -54,6 +55,17 @@ pub const FORT_SUMNER: Place = Place {
     longitude_deg: -104.2218,
     height_m: 38_405.0,
 };
+
+/// What is known of a simulated frame, but for its time.
+fn frame_info(number: u64) -> FrameInfo {
+    FrameInfo {
+        number: Some(number),
+        exposure: Some(EXPOSURE),
+        place: Some(FORT_SUMNER),
+        camera: Some("simulated".into()),
+        ..FrameInfo::default()
+    }
+}
 
 /// The generator behind everything that is drawn at random here: fast, and the same on every machine.
 type Generator = Xoshiro256PlusPlus;

@@ -3,8 +3,7 @@
 use super::blemish::{Blemishes, Counts};
 use super::noise::{Depth, Noise};
 use super::scene::{Scene, SceneError, Sun, Sunspot, keystoned, scattered};
-use super::{EXPOSURE, FORT_SUMNER, Purpose, SUN_RADIUS_ARCSEC, derived_seed, generator};
-use crate::frame::FrameInfo;
+use super::{Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
 use crate::geometry::SimilarityParameters;
 use crate::instrument::Instrument;
 use crate::units::SensorPx;
@@ -54,12 +53,7 @@ impl Conditions {
         Self {
             sun: SunInView::Whole,
             sun_radius_arcsec: SUN_RADIUS_ARCSEC,
-            similarity: SimilarityParameters {
-                plate_centre: instrument.mounting.plate_centre_px,
-                scale_mil_per_px: instrument.mounting.scale_mil_per_px.value,
-                rotation_deg: instrument.mounting.rotation_deg.value,
-                handedness: instrument.mounting.handedness,
-            },
+            similarity: instrument.mounting.similarity(),
             keystone_deg: 0.0,
             peak_dn: 205.0,
             background_dn: 4.0,
@@ -129,13 +123,7 @@ impl RandomScenes {
         Ok(Scene {
             sun: self.sun(number)?,
             seed: derived_seed(self.seed, Purpose::Noise, number),
-            info: FrameInfo {
-                number: Some(number),
-                exposure: Some(EXPOSURE),
-                place: Some(FORT_SUMNER),
-                camera: Some("simulated".into()),
-                ..FrameInfo::default()
-            },
+            info: frame_info(number),
             ..self.template.clone()
         })
     }
