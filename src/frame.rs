@@ -170,6 +170,23 @@ impl Frame {
     }
 }
 
+/// Brightness levels of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Levels {
+    pub background_dn: f64,
+    /// 1 sigma of the background.
+    pub noise_dn: f64,
+    /// The disc's bright part.
+    pub disc_dn: f64,
+}
+
+impl Levels {
+    /// The threshold that defines the limb, DN.
+    pub fn threshold_dn(&self, fraction: f64) -> f64 {
+        self.background_dn + fraction * (self.disc_dn - self.background_dn)
+    }
+}
+
 /// A rectangle of pixels: columns `x0..x1`, rows `y0..y1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Region {

@@ -2,8 +2,8 @@
 
 use super::stages::{LEAST_SCATTER_PX, Work, at, no_circle};
 use super::{AdoptedMapping, Aspect, Origin, Quality, Solution, Stage, Stopped, Track};
-use crate::geometry::Mapping;
-use crate::limb::{self, Circle, Crossing, DiscFit};
+use crate::geometry::{Circle, Mapping};
+use crate::limb::{self, Crossing, DiscFit};
 use crate::registration::Registration;
 use crate::units::{Estimate, Measured, PlateMil, Rejected, SensorPx};
 use nalgebra::{Matrix2, Vector2};

@@ -1,8 +1,9 @@
 //! What a frame gave: every stage's product as far as the frame got, and why it went no further.
 
 use crate::fiducial::{Detections, Lighting};
-use crate::geometry::Mapping;
-use crate::limb::{Circle, Crossing, Levels};
+use crate::frame::Levels;
+use crate::geometry::{Circle, Mapping};
+use crate::limb::Crossing;
 use crate::plate::MarkId;
 use crate::registration::Registration;
 use crate::units::{Estimate, PlateMil, Rejected, SensorPx};

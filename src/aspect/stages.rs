@@ -3,9 +3,10 @@
 
 use super::{Expected, Mark, Settings, Stage, Stopped, Track};
 use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Sight};
-use crate::frame::{Frame, Region};
+use crate::frame::{Frame, Levels, Region};
+use crate::geometry::Circle;
 use crate::instrument::Instrument;
-use crate::limb::{self, Circle, CoarseDisc, Crossing, Levels};
+use crate::limb::{self, CoarseDisc, Crossing};
 use crate::registration::{self, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::Vector2;

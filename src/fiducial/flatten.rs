@@ -1,7 +1,7 @@
 //! The disc without its own brightness profile.
 
-use crate::frame::{Frame, Region, Sample, View};
-use crate::limb::{Circle, Levels};
+use crate::frame::{Frame, Levels, Region, Sample, View};
+use crate::geometry::Circle;
 use crate::units::SensorPx;
 use crate::with_view;
 

@@ -14,8 +14,7 @@
 
 use super::reading::{Evidence, Placement, Reading};
 use super::{Detection, Lighting, Settings};
-use crate::geometry::Handedness;
-use crate::limb::Circle;
+use crate::geometry::{Circle, Handedness};
 use crate::plate::{MarkId, Plate};
 use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::{Rotation2, Vector2};

@@ -4,7 +4,7 @@
 //! disc from those pixels that outshine the noise; hot pixels and scratches are too few to move its quantile.
 
 use super::Settings;
-use crate::frame::{Frame, Sample, View};
+use crate::frame::{Frame, Levels, Sample, View};
 use crate::units::Rejected;
 use crate::with_view;
 
@@ -16,23 +16,6 @@ const DISC_QUANTILE: f64 = 0.9;
 const MIN_BRIGHT_SAMPLES: u64 = 16;
 /// A histogram over whole numbers cannot show less noise than rounding makes, DN.
 const ROUNDING_NOISE_DN: f64 = 0.2887;
-
-/// Brightness levels of a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Levels {
-    pub background_dn: f64,
-    /// 1 sigma of the background.
-    pub noise_dn: f64,
-    /// The disc's bright part.
-    pub disc_dn: f64,
-}
-
-impl Levels {
-    /// The threshold that defines the limb, DN.
-    pub fn threshold_dn(&self, fraction: f64) -> f64 {
-        self.background_dn + fraction * (self.disc_dn - self.background_dn)
-    }
-}
 
 /// The levels of a frame; rejected when nothing outshines the background.
 pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {

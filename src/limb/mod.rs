@@ -18,8 +18,8 @@ mod levels;
 mod search;
 
 pub use chords::{Axis, Crossing, Edge, Scan};
-pub use disc::{Circle, DiscFit, arc_fraction, fit_disc};
-pub use levels::{Levels, levels};
+pub use disc::{DiscFit, arc_fraction, fit_disc};
+pub use levels::levels;
 pub use search::{CoarseDisc, find_disc, fine_chords};
 
 /// What can be tuned in finding the limb.

@@ -1,8 +1,9 @@
 //! Finding the disc: sparse chords over the whole frame, a circle that most crossings agree on, then dense chords
 //! across it.
 
-use super::{Axis, Circle, Crossing, Levels, Scan, Settings};
-use crate::frame::{Frame, Region};
+use super::{Axis, Crossing, Scan, Settings};
+use crate::frame::{Frame, Levels, Region};
+use crate::geometry::Circle;
 use crate::units::{Rejected, SensorPx};
 use crate::with_view;
 use nalgebra::Vector2;

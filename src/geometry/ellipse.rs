@@ -1,0 +1,106 @@
+//! The outline of a disc seen askew.
+
+use super::Circle;
+use nalgebra::{Matrix2, Vector2};
+
+/// An ellipse as the picture of the unit circle: x = centre + root w, |w| = 1, with `root` symmetric and positive.
+///
+/// A disc that is round on the plate is such an ellipse on the sensor, and `root` then is, but for a rotation, the local
+/// mapping from plate to sensor in units of the disc's radius.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ellipse {
+    pub centre: Vector2<f64>,
+    root: Matrix2<f64>,
+    inverse: Matrix2<f64>,
+}
+
+impl Ellipse {
+    /// `None` when the root is not symmetric and positive.
+    pub fn new(centre: Vector2<f64>, root: Matrix2<f64>) -> Option<Self> {
+        let positive = root.m11 > 0.0 && root.determinant() > 0.0;
+        let symmetric = (root.m12 - root.m21).abs() <= 1e-9 * root.m11.abs();
+        Some(Self {
+            centre,
+            root,
+            inverse: root.try_inverse()?,
+        })
+        .filter(|_| positive && symmetric)
+    }
+
+    pub fn root(&self) -> &Matrix2<f64> {
+        &self.root
+    }
+
+    /// Mean of the half axes.
+    pub fn mean_radius(&self) -> f64 {
+        self.root.trace() / 2.0
+    }
+
+    /// A position in units of the disc's radius, from its centre: 1 on the outline.
+    pub fn to_disc(&self, point: Vector2<f64>) -> Vector2<f64> {
+        self.inverse * (point - self.centre)
+    }
+
+    /// The inverse of [`to_disc`](Self::to_disc).
+    pub fn from_disc(&self, w: Vector2<f64>) -> Vector2<f64> {
+        self.centre + self.root * w
+    }
+
+    /// Distance of a point outwards from the outline; to first order in that distance and in the ellipse's flatness.
+    pub fn excess(&self, point: Vector2<f64>) -> f64 {
+        let w = self.to_disc(point);
+        let r = w.norm();
+        if r == 0.0 {
+            return -self.mean_radius();
+        }
+        // The slope of |w| along its own gradient, per px.
+        (r - 1.0) * r / (self.inverse * w).norm()
+    }
+}
+
+impl From<Circle> for Ellipse {
+    fn from(circle: Circle) -> Self {
+        Self {
+            centre: circle.centre,
+            root: Matrix2::identity() * circle.radius,
+            inverse: Matrix2::identity() / circle.radius,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_of_the_outline_lie_on_it_and_steps_off_it_are_measured() {
+        let ellipse =
+            Ellipse::new(Vector2::new(10.0, -4.0), Matrix2::new(95.5, 0.2, 0.2, 94.8)).unwrap();
+        for n in 0..24 {
+            let (sin, cos) = (f64::from(n) * 0.26).sin_cos();
+            let at = ellipse.from_disc(Vector2::new(cos, sin));
+            assert!(ellipse.excess(at).abs() < 1e-9);
+            let out = (at - ellipse.centre).normalize() * 3.0;
+            assert!((ellipse.excess(at + out) - 3.0).abs() < 0.001);
+        }
+    }
+
+    #[test]
+    fn a_circle_is_an_ellipse() {
+        let circle = Circle {
+            centre: Vector2::new(3.0, 4.0),
+            radius: 7.0,
+        };
+        let at = Vector2::new(8.0, -2.0);
+        assert!((Ellipse::from(circle).excess(at) - circle.excess(at)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_root_that_is_no_ellipse_is_refused() {
+        assert_eq!(Ellipse::new(Vector2::zeros(), Matrix2::zeros()), None);
+        assert_eq!(
+            Ellipse::new(Vector2::zeros(), Matrix2::new(1.0, 0.5, -0.5, 1.0)),
+            None
+        );
+    }
+}
