@@ -2,7 +2,7 @@
 
 use crate::aspect::{AdoptedMapping, Aspect, Solution};
 use crate::fits::{Card, Column, Table, Values};
-use crate::limb::{Axis, Edge};
+use crate::limb::LimbPoint;
 use crate::pointing::Offset;
 use crate::units::SensorPx;
 use jiff::Timestamp;
@@ -222,7 +222,7 @@ fn marks(solution: &Solution) -> Vec<MarkRecord> {
     let record = |mark: &crate::aspect::Mark| MarkRecord {
         id: [mark.id.i, mark.id.j],
         px: [mark.at.x, mark.at.y],
-        sigma_px: mark.sigma_px,
+        sigma_px: mark.sigma_px(),
     };
     solution.marks.iter().map(record).collect()
 }
@@ -237,7 +237,7 @@ fn mapping(aspect: &Aspect, adopted: &AdoptedMapping) -> MappingRecord {
     }
 }
 
-/// The marks and the limb's crossings of a frame, as tables for its file. Empty ones are left out.
+/// The marks and the limb's points of a frame, as tables for its file. Empty ones are left out.
 pub fn tables(solution: &Solution) -> Vec<Table> {
     let column = |name: &str, unit: &str, values: Values| Column {
         name: name.into(),
@@ -259,38 +259,19 @@ pub fn tables(solution: &Solution) -> Vec<Table> {
                 column("J", "", whole(|mark| mark.id.j)),
                 column("X", "pixel", floats(|mark| mark.at.x)),
                 column("Y", "pixel", floats(|mark| mark.at.y)),
-                column("SIGMA", "pixel", floats(|mark| mark.sigma_px)),
+                column("SIGMA", "pixel", floats(|mark| mark.sigma_px())),
             ],
         });
     }
-    let crossings = &solution.crossings;
-    if !crossings.is_empty() {
-        let names = |of: fn(&crate::limb::Crossing) -> &'static str| {
-            Values::Text(crossings.iter().map(|c| of(c).to_string()).collect())
-        };
-        let along = |c: &crate::limb::Crossing| match c.axis {
-            Axis::Row => "row",
-            Axis::Column => "column",
-        };
-        let edge = |c: &crate::limb::Crossing| match c.edge {
-            Edge::Entering => "entering",
-            Edge::Leaving => "leaving",
-        };
+    if !solution.limb.is_empty() {
+        let floats =
+            |of: fn(&LimbPoint) -> f64| Values::Float(solution.limb.iter().map(of).collect());
         tables.push(Table {
             name: "LIMB".into(),
             columns: vec![
-                column(
-                    "X",
-                    "pixel",
-                    Values::Float(crossings.iter().map(|c| c.at.x).collect()),
-                ),
-                column(
-                    "Y",
-                    "pixel",
-                    Values::Float(crossings.iter().map(|c| c.at.y).collect()),
-                ),
-                column("CHORD", "", names(along)),
-                column("EDGE", "", names(edge)),
+                column("X", "pixel", floats(|point| point.at.x)),
+                column("Y", "pixel", floats(|point| point.at.y)),
+                column("SIGMA", "pixel", floats(|point| point.sigma_px)),
             ],
         });
     }

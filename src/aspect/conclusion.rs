@@ -1,21 +1,19 @@
 //! The last steps of the pipeline: from a mapping and the limb to the Sun's centre, its uncertainty and the quality.
 
-use super::stages::{LEAST_SCATTER_PX, Work, at, no_circle};
+use super::stages::{Work, at};
 use super::{AdoptedMapping, Aspect, Origin, Quality, Solution, Stage, Stopped, Track};
 use crate::geometry::{Circle, Mapping};
-use crate::limb::{self, Crossing, DiscFit};
+use crate::limb::{self, Limb};
 use crate::registration::Registration;
-use crate::units::{Estimate, Measured, PlateMil, Rejected, SensorPx};
+use crate::units::{Estimate, PlateMil, Rejected, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-/// A chord crosses the threshold, not the disc's edge; the two differ by less than this.
-const LIMB_DEFINITION_SIGMA_PX: f64 = 0.3;
 /// How far a mapping may have moved since the frame that gave it.
 const PRIOR_DRIFT_PX: f64 = 0.5;
-/// Distance from a mark's arm within which the limb is not trusted, px.
-const MARK_MARGIN_PX: f64 = 3.5;
-/// Largest scatter of the limb about its circle: the Sun's is a tenth of it, a square's ten times as large.
+/// Largest scatter of the limb about its outline: the Sun's is a tenth of it, a square's ten times as large.
 const MAX_SCATTER_PX: f64 = 1.0;
+/// Least part of the limb's points that must lie on its outline: marks and scratches hide a tenth of them.
+const LEAST_ON_OUTLINE: f64 = 0.6;
 /// The limb's part that makes a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
 
@@ -51,101 +49,30 @@ impl<'a> Work<'a> {
         self.prior.and_then(|prior| prior.registration.as_ref())
     }
 
-    /// The crossings that no mark of the plate, seen or not, can have pulled.
-    pub(super) fn clear_of_marks(
-        &self,
-        mut crossings: Vec<Crossing>,
-        adopted: &AdoptedMapping,
-    ) -> Vec<Crossing> {
-        if adopted.origin == Origin::Calibration {
-            return crossings;
-        }
-        let plate = &self.instrument.plate;
-        crossings.retain(|crossing| {
-            let here = adopted.mapping.to_plate(crossing.at);
-            let margin = MARK_MARGIN_PX * adopted.mapping.scale_mil_per_px(crossing.at);
-            plate.nearest(here).is_none_or(|(id, _)| {
-                let offset = here.vector() - plate.position(id).vector();
-                !plate.cross.covers(offset, margin)
-            })
-        });
-        crossings
-    }
-
-    /// The disc's circle on the plate, mil.
-    pub(super) fn plate_disc(
-        &self,
-        crossings: &[Crossing],
-        disc: &Circle,
-        adopted: &AdoptedMapping,
-    ) -> Result<DiscFit, Stopped> {
-        let mapping = &adopted.mapping;
-        let centre = SensorPx::from(disc.centre);
-        let scale = mapping.scale_mil_per_px(centre);
-        let points: Vec<Vector2<f64>> = crossings
-            .iter()
-            .map(|crossing| mapping.to_plate(crossing.at).vector())
-            .collect();
-        let start = Circle {
-            centre: mapping.to_plate(centre).vector(),
-            radius: disc.radius * scale,
-        };
-        let relative = match adopted.origin {
-            Origin::Calibration => {
-                let stated = self.instrument.mounting.scale_mil_per_px;
-                stated.sigma / stated.value
-            }
-            Origin::Frame | Origin::Prior => 0.0,
-        };
-        let sigma = self
-            .radius_mil
-            .sigma
-            .hypot(LIMB_DEFINITION_SIGMA_PX * scale)
-            .hypot(relative * self.radius_mil.value);
-        let prior = Measured::new(self.radius_mil.value, sigma);
-        let fit = limb::fit_disc(&points, start, prior, LEAST_SCATTER_PX * scale)
-            .ok_or_else(|| no_circle(points.len()))?;
-        let scatter_px = fit.scatter / scale;
-        if scatter_px > MAX_SCATTER_PX {
-            return Err(at(Stage::Limb)(Rejected {
-                reason: "what is bright is not round",
-                measured: scatter_px,
-                limit: MAX_SCATTER_PX,
-            }));
-        }
-        Ok(fit)
-    }
-
     pub(super) fn aspect(
         &self,
-        limb: &DiscFit,
-        crossings: &[Crossing],
+        limb: &Limb,
         adopted: &AdoptedMapping,
         own: Option<&Registration>,
     ) -> Result<Aspect, Stopped> {
-        let mapping = &adopted.mapping;
-        let on_plate = PlateMil::from(limb.circle.centre);
-        let on_sensor = mapping.to_sensor(on_plate);
-        let to_sensor = mapping.sensor_jacobian(on_plate);
-        let centre = limb.centre_covariance();
-        let limb_points = crossings
-            .iter()
-            .zip(&limb.accepted)
-            .filter(|(_, accepted)| **accepted)
-            .map(|(crossing, _)| mapping.to_plate(crossing.at).vector());
-        let aspect = Aspect {
-            sun_px: Estimate {
-                position: on_sensor,
-                covariance: to_sensor * centre * to_sensor.transpose(),
+        check_round(limb)?;
+        let limb_fraction = limb::arc_fraction(
+            limb.points.iter().map(|point| point.at.vector()),
+            limb.outline.ellipse.centre,
+        );
+        let aspect = match own.and_then(|own| own.disc) {
+            Some(disc) => Aspect {
+                sun_px: disc.on_sensor,
+                sun_radius_px: disc.radius_mil.value
+                    / adopted.mapping.scale_mil_per_px(disc.on_sensor.position),
+                sun_plate: disc.on_plate,
+                limb_fraction,
             },
-            sun_radius_px: limb.circle.radius / mapping.scale_mil_per_px(on_sensor),
-            sun_plate: Estimate {
-                position: on_plate,
-                covariance: centre + self.mapping_covariance(on_plate, adopted, own),
-            },
-            limb_fraction: limb::arc_fraction(limb_points, limb.circle.centre),
+            None => self.borrowed_aspect(limb, adopted, limb_fraction),
         };
-        let deviation = (limb.circle.radius / self.radius_mil.value - 1.0).abs();
+        let radius_mil =
+            aspect.sun_radius_px * adopted.mapping.scale_mil_per_px(aspect.sun_px.position);
+        let deviation = (radius_mil / self.radius_mil.value - 1.0).abs();
         let limit = self.settings.limb.max_radius_deviation;
         if deviation > limit {
             return Err(at(Stage::Aspect)(Rejected {
@@ -157,14 +84,35 @@ impl<'a> Work<'a> {
         Ok(aspect)
     }
 
-    fn mapping_covariance(
-        &self,
-        at: PlateMil,
-        adopted: &AdoptedMapping,
-        own: Option<&Registration>,
-    ) -> Matrix2<f64> {
-        match (adopted.origin, own.or(self.prior_registration())) {
-            (Origin::Frame, Some(own)) => own.covariance_mil2(at),
+    /// The outline's centre through a mapping that is not this frame's.
+    fn borrowed_aspect(&self, limb: &Limb, adopted: &AdoptedMapping, limb_fraction: f64) -> Aspect {
+        let mapping = &adopted.mapping;
+        let outline = &limb.outline;
+        let on_sensor = disc_centre(
+            mapping,
+            outline.ellipse.centre.into(),
+            self.radius_mil.value,
+        );
+        let on_plate = mapping.to_plate(on_sensor);
+        let to_plate = mapping.plate_jacobian(on_sensor);
+        let centre = outline.centre_covariance();
+        Aspect {
+            sun_px: Estimate {
+                position: on_sensor,
+                covariance: centre,
+            },
+            sun_radius_px: outline.ellipse.mean_radius(),
+            sun_plate: Estimate {
+                position: on_plate,
+                covariance: to_plate * centre * to_plate.transpose()
+                    + self.borrowed_covariance(on_plate, adopted),
+            },
+            limb_fraction,
+        }
+    }
+
+    fn borrowed_covariance(&self, at: PlateMil, adopted: &AdoptedMapping) -> Matrix2<f64> {
+        match (adopted.origin, self.prior_registration()) {
             (Origin::Prior, Some(prior)) => {
                 let scale = adopted
                     .mapping
@@ -210,4 +158,39 @@ impl<'a> Work<'a> {
             registration: own.or_else(|| self.prior_registration().cloned()),
         }
     }
+}
+
+fn check_round(limb: &Limb) -> Result<(), Stopped> {
+    let on_it = limb.outline.accepted_share();
+    if on_it < LEAST_ON_OUTLINE {
+        return Err(at(Stage::Limb)(Rejected {
+            reason: "too much of the limb is off its outline",
+            measured: on_it,
+            limit: LEAST_ON_OUTLINE,
+        }));
+    }
+    let scatter_px = limb.outline.scatter_px;
+    if scatter_px > MAX_SCATTER_PX {
+        return Err(at(Stage::Limb)(Rejected {
+            reason: "what is bright is not round",
+            measured: scatter_px,
+            limit: MAX_SCATTER_PX,
+        }));
+    }
+    Ok(())
+}
+
+/// Where the centre of a disc on the plate is seen whose outline is centred on `outline_centre`: a camera that looks
+/// askew puts the two a tenth of a pixel apart.
+fn disc_centre(mapping: &Mapping, outline_centre: SensorPx, radius_mil: f64) -> SensorPx {
+    let middle = mapping.to_plate(outline_centre).vector();
+    let seen = |angle: f64| {
+        let (sin, cos) = angle.sin_cos();
+        let edge = middle + Vector2::new(cos, sin) * radius_mil;
+        mapping.to_sensor(edge.into()).vector()
+    };
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let outline: Vector2<f64> = (0..4).map(|n| seen(f64::from(n) * quarter)).sum();
+    let shift = outline / 4.0 - outline_centre.vector();
+    (outline_centre.vector() - shift).into()
 }

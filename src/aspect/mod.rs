@@ -11,6 +11,7 @@ pub use solution::{
 };
 
 use crate::frame::Frame;
+use crate::geometry::Ellipse;
 use crate::instrument::Instrument;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
@@ -59,12 +60,14 @@ pub fn solve(
 /// # Algorithm
 /// 1. Levels of background and disc.
 /// 2. The disc, by sparse chords: about the prior's place first, then anywhere.
-/// 3. Its limb, by dense chords.
+/// 3. Its outline, from the whole limb.
 /// 4. The marks on the flattened disc.
 /// 5. Their ids.
-/// 6. The mapping from sensor to plate; where the marks give none, the prior's, else the calibration's.
-/// 7. The limb again, without the crossings near a mark of the plate, seen or not; the disc's circle on the plate.
-/// 8. The Sun's centre on plate and sensor, with covariance; quality.
+/// 6. A first mapping from sensor to plate.
+/// 7. The outline again, without the pixels of any mark of the plate, seen or not.
+/// 8. The mapping and the disc on the plate, adjusted together; where the marks give no mapping, the prior's, else the
+///    calibration's.
+/// 9. The Sun's centre on plate and sensor, with covariance; quality.
 pub fn solve_with(
     settings: &Settings,
     frame: &Frame,
@@ -84,29 +87,32 @@ pub fn solve_with(
 fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
-    let coarse = work.find_disc(&levels)?; // 2
-    let crossings = work.limb(&levels, &coarse)?; // 3
-    solution.crossings.clone_from(&crossings);
-    let disc = work.sensor_disc(&crossings, &coarse)?;
-    solution.detections = work.detect(&levels, &disc); // 4
-    let mut registration = None;
-    match work.identify(&solution.detections, &disc) {
-        Ok(marks) => {
-            solution.marks = marks; // 5
-            match work.register(&solution.marks) {
-                Ok(fitted) => registration = Some(fitted), // 6
-                Err(stopped) => solution.stopped = Some(stopped),
-            }
-        }
-        Err(stopped) => solution.stopped = Some(stopped),
+    let found = Ellipse::from(work.find_disc(&levels)?.circle()); // 2
+    let mut limb = work.limb(&levels, &found, &work.nothing_hidden(&found))?; // 3
+    let disc = limb.outline.ellipse;
+    solution.detections = work.detect(&levels, &limb); // 4
+    let read = work
+        .identify(&solution.detections, &limb) // 5
+        .and_then(|marks| Ok((work.register(&marks, None)?, marks))); // 6
+    let hidden = match &read {
+        Ok((first, _)) => work.marks_hidden(&disc, &first.mapping),
+        Err(_) => work.detections_hidden(&disc, &solution.detections),
+    };
+    if let Ok(bare) = work.limb(&levels, &disc, &hidden) {
+        limb = bare; // 7
     }
+    solution.limb.clone_from(&limb.points);
+    let registration = read.and_then(|(_, marks)| {
+        solution.marks = marks;
+        work.register(&solution.marks, Some(&limb)) // 8
+    });
+    let registration = registration
+        .map_err(|stopped| solution.stopped = Some(stopped))
+        .ok();
     let adopted = work.adopt(registration.as_ref())?;
-    let clear = work.clear_of_marks(crossings, &adopted);
-    let limb = work.plate_disc(&clear, &disc, &adopted)?; // 7
-    let aspect = work.aspect(&limb, &clear, &adopted, registration.as_ref())?; // 8
+    let aspect = work.aspect(&limb, &adopted, registration.as_ref())?; // 9
     solution.quality = work.judge(&aspect, &adopted, solution);
     solution.track = Some(work.track(&aspect, registration));
-    solution.crossings = clear;
     solution.aspect = Some(aspect);
     solution.mapping = Some(adopted);
     Ok(())

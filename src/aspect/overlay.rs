@@ -1,10 +1,9 @@
 //! A picture of a solved frame on which a person sees what the pipeline saw.
 
-use super::Solution;
+use super::{Mark, Solution};
 use crate::fiducial::Lighting;
 use crate::frame::{Frame, Region};
 use crate::geometry::Mapping;
-use crate::limb::{Axis, Crossing};
 use crate::plate::Plate;
 use crate::report::{Canvas, Colour};
 use crate::units::{PlateMil, SensorPx};
@@ -12,9 +11,11 @@ use image::RgbImage;
 
 /// Length of the drawn plate axes, mil.
 const AXIS_MIL: f64 = 350.0;
+/// A mark's refined position is no farther from where it was detected.
+const SAME_MARK_PX: f64 = 2.0;
 const CAPTION_LINES: u32 = 4;
 
-/// The disc magnified, with crossings of the limb (yellow, joined to chords in grey), the fitted disc (green), marks
+/// The disc magnified, with points of the limb (yellow), the fitted disc (green), marks
 /// with their ids (blue; red when cut by the limb or not read) and the plate's axes (magenta). A frame without a disc
 /// is shown whole, with the reason.
 pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -> RgbImage {
@@ -31,7 +32,9 @@ pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -
         None => (frame.region(), 1),
     };
     let mut canvas = Canvas::of_frame(frame, region, zoom, stretch, CAPTION_LINES);
-    draw_chords(&mut canvas, &solution.crossings);
+    for point in &solution.limb {
+        canvas.dot(point.at, Colour::YELLOW);
+    }
     if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
         draw_disc(
             &mut canvas,
@@ -46,21 +49,6 @@ pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -
         canvas.caption(line as u32, text, Colour::WHITE);
     }
     canvas.into_image()
-}
-
-fn draw_chords(canvas: &mut Canvas, crossings: &[Crossing]) {
-    let line_of = |crossing: &Crossing| match crossing.axis {
-        Axis::Row => crossing.at.y,
-        Axis::Column => crossing.at.x,
-    };
-    for pair in crossings.windows(2) {
-        if pair[0].axis == pair[1].axis && line_of(&pair[0]) == line_of(&pair[1]) {
-            canvas.line(pair[0].at, pair[1].at, Colour(85, 85, 85));
-        }
-    }
-    for crossing in crossings {
-        canvas.dot(crossing.at, Colour::YELLOW);
-    }
 }
 
 /// The limb as the mapping shows it: a circle on the plate, not always one on the sensor.
@@ -95,7 +83,8 @@ fn draw_axes(canvas: &mut Canvas, mapping: &Mapping, sun: PlateMil) {
 
 fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
     for detection in &solution.detections.marks {
-        let read = solution.marks.iter().find(|mark| mark.at == detection.at);
+        let same = |mark: &&Mark| mark.at.distance(detection.at) < SAME_MARK_PX;
+        let read = solution.marks.iter().find(same);
         let colour = match read.map(|mark| mark.lighting) {
             Some(Lighting::Full) => Colour::BLUE,
             Some(Lighting::Cut) | None => Colour::RED,
@@ -150,9 +139,9 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
             sigma[1],
         ));
         lines.push(format!(
-            "radius {:.2} px   {} crossings   {} of {} marks read   mapping: {}",
+            "radius {:.2} px   {} limb points   {} of {} marks read   mapping: {}",
             aspect.sun_radius_px,
-            solution.crossings.len(),
+            solution.limb.len(),
             solution.marks.len(),
             solution.detections.marks.len(),
             adopted.name(),

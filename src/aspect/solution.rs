@@ -3,10 +3,11 @@
 use crate::fiducial::{Detections, Lighting};
 use crate::frame::Levels;
 use crate::geometry::{Circle, Mapping};
-use crate::limb::Crossing;
+use crate::limb::LimbPoint;
 use crate::plate::MarkId;
 use crate::registration::Registration;
 use crate::units::{Estimate, PlateMil, Rejected, SensorPx};
+use nalgebra::Matrix2;
 use std::fmt;
 
 /// How good a solution is.
@@ -72,9 +73,15 @@ impl fmt::Display for Stopped {
 pub struct Mark {
     pub id: MarkId,
     pub at: SensorPx,
-    /// 1 sigma per axis.
-    pub sigma_px: f64,
+    pub covariance_px2: Matrix2<f64>,
     pub lighting: Lighting,
+}
+
+impl Mark {
+    /// 1 sigma per axis, the mean of both.
+    pub fn sigma_px(&self) -> f64 {
+        (self.covariance_px2.trace() / 2.0).max(0.0).sqrt()
+    }
 }
 
 /// Where the mapping of a solution comes from.
@@ -135,8 +142,8 @@ pub struct Solution {
     pub quality: Quality,
     pub stopped: Option<Stopped>,
     pub levels: Option<Levels>,
-    /// Crossings of the limb that the final disc rests on.
-    pub crossings: Vec<Crossing>,
+    /// Points of the limb that the disc rests on.
+    pub limb: Vec<LimbPoint>,
     pub detections: Detections,
     pub marks: Vec<Mark>,
     pub mapping: Option<AdoptedMapping>,
@@ -151,7 +158,7 @@ impl Solution {
             quality: Quality::None,
             stopped: None,
             levels: None,
-            crossings: Vec::new(),
+            limb: Vec::new(),
             detections: Detections::default(),
             marks: Vec::new(),
             mapping: None,

@@ -4,17 +4,25 @@
 use super::{Expected, Mark, Settings, Stage, Stopped, Track};
 use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Sight};
 use crate::frame::{Frame, Levels, Region};
-use crate::geometry::Circle;
+use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, CoarseDisc, Crossing};
-use crate::registration::{self, Pair, Registration};
+use crate::limb::{self, CoarseDisc, Hidden, Limb, OutlinePrior};
+use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
-use nalgebra::Vector2;
+use nalgebra::Matrix2;
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
 const MEAN_RADIUS_ARCSEC: Measured = Measured::new(959.63, 11.0);
-/// A point of the limb is never better than this.
-pub(super) const LEAST_SCATTER_PX: f64 = 0.01;
+/// How far the limb that the profile's fit finds may be from the edge that the ephemeris means.
+pub(super) const LIMB_DEFINITION_SIGMA_PX: f64 = 0.1;
+/// A limb that differs from the stated radius by more than this many sigma is believed instead of it.
+const CONTRADICTION_SIGMAS: f64 = 5.0;
+/// A camera tilted by 3 deg makes the half axes differ by this part from their mean, 1 sigma.
+const FLATNESS: f64 = 0.002;
+/// Distance from a mark's arm within which the limb is not trusted, px.
+const MARK_MARGIN_PX: f64 = 3.0;
+/// The limb's fit looks at pixels so far from the limb.
+const HIDING_DEPTH_PX: f64 = 12.0;
 /// Relative error of a scale taken from the disc's radius: haze and saturation move the threshold by up to a pixel,
 /// a tilted camera makes the scale differ between axes.
 const DISC_SCALE_SIGMA: f64 = 0.007;
@@ -91,41 +99,101 @@ impl<'a> Work<'a> {
         }
     }
 
+    /// The outline of the disc, without the hidden pixels.
+    ///
+    /// The radius that the instrument states steadies the outline of a disc of which little is seen. A limb that
+    /// contradicts it is believed instead.
     pub(super) fn limb(
         &self,
         levels: &Levels,
-        coarse: &CoarseDisc,
-    ) -> Result<Vec<Crossing>, Stopped> {
-        let settings = &self.settings.limb;
-        let crossings =
-            limb::fine_chords(self.frame, levels, coarse, self.mark_length_px(), settings);
-        if crossings.len() < settings.min_crossings {
-            return Err(at(Stage::Limb)(Rejected {
-                reason: "too few chords cross the limb squarely",
-                measured: crossings.len() as f64,
-                limit: settings.min_crossings as f64,
-            }));
+        start: &Ellipse,
+        hidden: &Hidden,
+    ) -> Result<Limb, Stopped> {
+        let fit = |radius_px| {
+            let prior = OutlinePrior {
+                radius_px,
+                flatness: FLATNESS,
+            };
+            let (blur_px, settings) = (self.shape.blur_px, &self.settings.limb);
+            limb::fit_limb(self.frame, start, levels, blur_px, &prior, hidden, settings)
+                .map_err(at(Stage::Limb))
+        };
+        let free = fit(Measured::new(
+            self.radius_px,
+            self.settings.limb.max_radius_deviation / 4.0 * self.radius_px,
+        ))?;
+        let stated = self.stated_radius_px();
+        let found = free.outline.ellipse.mean_radius();
+        let sigma = stated.sigma.hypot(free.outline.radius_sigma_px());
+        if (found - stated.value).abs() > CONTRADICTION_SIGMAS * sigma {
+            return Ok(free);
         }
-        Ok(crossings)
+        fit(stated)
     }
 
-    /// The circle on the sensor: a first one, for the marks.
-    pub(super) fn sensor_disc(
-        &self,
-        crossings: &[Crossing],
-        coarse: &CoarseDisc,
-    ) -> Result<Circle, Stopped> {
-        let points: Vec<Vector2<f64>> = crossings.iter().map(|c| c.at.vector()).collect();
-        let sigma = self.settings.limb.max_radius_deviation / 4.0 * self.radius_px;
-        let prior = Measured::new(self.radius_px, sigma);
-        limb::fit_disc(&points, coarse.circle(), prior, LEAST_SCATTER_PX)
-            .map(|fit| fit.circle)
-            .ok_or_else(|| no_circle(points.len()))
+    /// The disc's radius on the sensor by ephemeris and stated scale.
+    fn stated_radius_px(&self) -> Measured {
+        let scale = self.instrument.mounting.scale_mil_per_px;
+        let relative =
+            (scale.sigma / scale.value).hypot(self.radius_mil.sigma / self.radius_mil.value);
+        let sigma = (relative * self.radius_px).hypot(LIMB_DEFINITION_SIGMA_PX);
+        Measured::new(self.radius_px, sigma)
     }
 
-    pub(super) fn detect(&self, levels: &Levels, disc: &Circle) -> Detections {
+    /// The square about the disc that the limb's fit looks at.
+    fn about(&self, disc: &Ellipse) -> Region {
+        let reach = 1.3 * disc.mean_radius();
+        Region::around(
+            disc.centre.into(),
+            reach,
+            self.frame.width(),
+            self.frame.height(),
+        )
+        .unwrap_or(self.frame.region())
+    }
+
+    /// Before the marks are known nothing is hidden.
+    pub(super) fn nothing_hidden(&self, disc: &Ellipse) -> Hidden {
+        Hidden::nothing(self.about(disc))
+    }
+
+    /// Hides every mark of the plate that a mapping puts near the limb, seen or not.
+    pub(super) fn marks_hidden(&self, disc: &Ellipse, mapping: &Mapping) -> Hidden {
+        let mut hidden = self.nothing_hidden(disc);
+        let plate = &self.instrument.plate;
+        let reach_px = self.shape.half_length_px * 1.5 + MARK_MARGIN_PX;
+        for (_, printed) in plate.marks() {
+            let seen = mapping.to_sensor(printed);
+            if disc.excess(seen.vector()).abs() > HIDING_DEPTH_PX + reach_px {
+                continue;
+            }
+            let Some(back) = mapping.sensor_jacobian(printed).try_inverse() else {
+                continue;
+            };
+            let margin_mil = MARK_MARGIN_PX * mapping.scale_mil_per_px(seen);
+            hidden.hide(seen, reach_px, |at| {
+                let offset = back * (at.vector() - seen.vector());
+                plate.cross.covers(offset, margin_mil)
+            });
+        }
+        hidden
+    }
+
+    /// Hides what was found near the limb, where no mapping tells which marks lie there.
+    pub(super) fn detections_hidden(&self, disc: &Ellipse, detections: &Detections) -> Hidden {
+        let mut hidden = self.nothing_hidden(disc);
+        let reach_px = self.shape.half_length_px + MARK_MARGIN_PX;
+        for detection in &detections.marks {
+            hidden.hide(detection.at, reach_px, |at| {
+                at.distance(detection.at) < reach_px
+            });
+        }
+        hidden
+    }
+
+    pub(super) fn detect(&self, levels: &Levels, limb: &Limb) -> Detections {
         let margin = self.mark_length_px();
-        match FlatDisc::new(self.frame, *disc, levels, margin) {
+        match FlatDisc::new(self.frame, circle_of(limb), levels, margin) {
             Some(flat) => fiducial::detect(&flat, &self.shape, &self.settings.fiducial),
             None => Detections::default(),
         }
@@ -134,8 +202,9 @@ impl<'a> Work<'a> {
     pub(super) fn identify(
         &self,
         detections: &Detections,
-        disc: &Circle,
+        limb: &Limb,
     ) -> Result<Vec<Mark>, Stopped> {
+        let disc = &circle_of(limb);
         let mounting = &self.instrument.mounting;
         let scale = self.radius_mil.value / disc.radius;
         let relative = (self.radius_mil.sigma / self.radius_mil.value).hypot(DISC_SCALE_SIGMA);
@@ -155,21 +224,25 @@ impl<'a> Work<'a> {
         let named = identification.ids.into_iter().map(|(n, id)| Mark {
             id,
             at: found[n].at,
-            sigma_px: found[n].sigma_px,
+            covariance_px2: Matrix2::identity() * found[n].sigma_px.powi(2),
             lighting: found[n].lighting,
         });
         Ok(named.collect())
     }
 
-    /// The mapping from the fully lit marks.
-    pub(super) fn register(&self, marks: &[Mark]) -> Result<Registration, Stopped> {
+    /// The mapping from the fully lit marks, and the disc on the plate where its limb is given.
+    pub(super) fn register(
+        &self,
+        marks: &[Mark],
+        limb: Option<&Limb>,
+    ) -> Result<Registration, Stopped> {
         let pairs: Vec<Pair> = marks
             .iter()
             .filter(|mark| mark.lighting == Lighting::Full)
             .map(|mark| Pair {
                 seen: mark.at,
                 printed: self.instrument.plate.position(mark.id),
-                sigma_px: mark.sigma_px,
+                covariance_px2: mark.covariance_px2,
             })
             .collect();
         let reject = |reason, measured, limit| {
@@ -184,8 +257,18 @@ impl<'a> Work<'a> {
             let reason = "too few fully lit marks have an id";
             return Err(reject(reason, pairs.len() as f64, least as f64));
         }
+        let points: Vec<(SensorPx, f64)> = limb
+            .iter()
+            .flat_map(|limb| limb.points.iter().map(|point| (point.at, point.sigma_px)))
+            .collect();
+        let outline = limb.map(|limb| Outline {
+            centre: limb.outline.ellipse.centre.into(),
+            points: &points,
+            radius_mil: self.loose_radius_mil(),
+        });
         let registration = registration::register(
             &pairs,
+            outline.as_ref(),
             self.instrument.mounting.handedness,
             self.instrument.camera.distortion,
             &self.settings.registration,
@@ -203,16 +286,25 @@ impl<'a> Work<'a> {
         }
         Ok(registration)
     }
+
+    /// The disc's radius on the plate, so loosely that a whole limb decides it and a short one leans on it.
+    fn loose_radius_mil(&self) -> Measured {
+        let definition = LIMB_DEFINITION_SIGMA_PX * self.instrument.mounting.scale_mil_per_px.value;
+        Measured::new(
+            self.radius_mil.value,
+            self.radius_mil.sigma.hypot(definition),
+        )
+    }
 }
 
 pub(super) fn at(stage: Stage) -> impl Fn(Rejected) -> Stopped {
     move |rejected| Stopped { stage, rejected }
 }
 
-pub(super) fn no_circle(points: usize) -> Stopped {
-    at(Stage::Limb)(Rejected {
-        reason: "the crossings determine no circle",
-        measured: points as f64,
-        limit: 3.0,
-    })
+fn circle_of(limb: &Limb) -> Circle {
+    let ellipse = &limb.outline.ellipse;
+    Circle {
+        centre: ellipse.centre,
+        radius: ellipse.mean_radius(),
+    }
 }

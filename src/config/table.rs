@@ -83,8 +83,8 @@ static TABLE: &[Parameter] = &[
 
     row!(limb.level_fraction, "", Number(0.05, 0.6), command 10,
         "Height of the limb's threshold between background and disc. Lower values stay clear of marks, higher ones of the noise. With a limb darkening of 0.56 and a blur of 0.95 px the disc's true edge stands at 0.26."),
-    row!(limb.chords_per_axis, "", Whole(4, 1000), command 11,
-        "Rows and columns that cross the disc, each. More of them lower the noise with the square root and cost time."),
+    row!(limb.limb_points, "", Whole(16, 720), command 11,
+        "Points all round the limb at which the edge is fitted. All pixels of the limb serve whatever their number; more points are each less certain."),
     row!(limb.search_spacing_px, "px", Whole(1, 64), command 12,
         "Distance between the chords that look for the disc over the whole frame."),
     row!(limb.min_run_px, "px", Whole(1, 32), command 13,
@@ -93,6 +93,8 @@ static TABLE: &[Parameter] = &[
         "The disc must outshine the background by this many sigma of the noise."),
     row!(limb.min_crossings, "", Whole(4, 1000), command 15,
         "Fewest crossings that make a disc."),
+    row!(limb.min_limb_points, "", Whole(6, 720), command 17,
+        "Fewest points that make a limb."),
     row!(limb.max_radius_deviation, "", Number(0.01, 0.5), command 16,
         "Largest relative deviation of the disc's radius from the expected one."),
 
@@ -110,7 +112,7 @@ static TABLE: &[Parameter] = &[
         "Largest distance of the plate's centre, as a reading puts it on the sensor, from the instrument's value."),
 
     row!(registration.min_gain, "", Number(0.0, 1000.0), command 30,
-        "Least gain in chi^2 over residual variance, per added parameter, for a richer kind of mapping."),
+        "Least gain in chi^2, per added parameter, for a richer kind of mapping."),
     row!(registration.prior_freedom, "", Number(0.0, 1000.0), command 31,
         "Weight of the marks' stated sigmas against their residuals, in degrees of freedom."),
 ];

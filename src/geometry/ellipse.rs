@@ -46,6 +46,11 @@ impl Ellipse {
         self.centre + self.root * w
     }
 
+    /// Outward unit normal of the outline where it is the picture of `w`.
+    pub fn normal(&self, w: Vector2<f64>) -> Vector2<f64> {
+        (self.inverse * w).normalize()
+    }
+
     /// Distance of a point outwards from the outline; to first order in that distance and in the ellipse's flatness.
     pub fn excess(&self, point: Vector2<f64>) -> f64 {
         let w = self.to_disc(point);

@@ -175,12 +175,14 @@ impl Mapping {
     }
 }
 
-fn project(homography: &Matrix3<f64>, p: Vector2<f64>) -> Vector2<f64> {
+/// A position projected by a plane homography.
+pub(crate) fn project(homography: &Matrix3<f64>, p: Vector2<f64>) -> Vector2<f64> {
     let h = homography * Vector3::new(p.x, p.y, 1.0);
     Vector2::new(h.x / h.z, h.y / h.z)
 }
 
-fn projection_jacobian(homography: &Matrix3<f64>, p: Vector2<f64>) -> Matrix2<f64> {
+/// Derivative of a projection by a plane homography.
+pub(crate) fn projection_jacobian(homography: &Matrix3<f64>, p: Vector2<f64>) -> Matrix2<f64> {
     let h = homography * Vector3::new(p.x, p.y, 1.0);
     let image = Vector2::new(h.x / h.z, h.y / h.z);
     let numerator = homography.fixed_view::<2, 2>(0, 0).into_owned();

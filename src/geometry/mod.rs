@@ -10,3 +10,4 @@ pub use circle::Circle;
 pub use distortion::Distortion;
 pub use ellipse::Ellipse;
 pub use mapping::{Handedness, Mapping, MappingKind, SimilarityParameters};
+pub(crate) use mapping::{project, projection_jacobian};

@@ -1,26 +1,31 @@
-//! The edge of the disc: brightness levels, chords across the frame, sub-pixel crossings of the limb, and the
-//! circle through them.
+//! The edge of the disc: where the disc is, and its outline to the noise of the pixels.
 //!
 //! # Method
-//! Rows and columns of the sensor serve as chords, as RHESSI's linear CCDs did (Cramer 2014, section 4.2). A first,
-//! sparse set over the whole frame finds the disc; a second, dense one across the disc gives the crossings that
-//! are refined by a local straight line. The circle is fitted to the crossings on the plate, where the Sun's image
-//! is round whatever the camera's tilt.
+//! Rows and columns of the sensor serve as chords, as RHESSI's linear CCDs did (Cramer 2014, section 4.2): a sparse set
+//! over the frame finds the disc. Its outline then comes from the whole limb: at every azimuth the blurred,
+//! limb-darkened edge is fitted to the pixels about it, and an ellipse to the points that this gives, for the round
+//! image of the Sun on the plate is an ellipse on the sensor. Pixels that marks hide are left out once the marks are
+//! known.
 //!
 //! # When it fails
-//! Marks across the limb pull a crossing inwards by pixels: the fit is robust, and crossings near a mark are left
-//! out once the marks are known. Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size
-//! are refused.
+//! Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
+//! than [`Settings::min_limb_points`] points on an outline.
 
 mod chords;
-mod disc;
+mod edge;
+mod fine;
 mod levels;
+mod outline;
+mod profile;
 mod search;
 
 pub use chords::{Axis, Crossing, Edge, Scan};
-pub use disc::{DiscFit, arc_fraction, fit_disc};
+pub use edge::{Hidden, LimbPoint};
+pub use fine::{Limb, fit_limb};
 pub use levels::levels;
-pub use search::{CoarseDisc, find_disc, fine_chords};
+pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
+pub use profile::{Brightness, Profile};
+pub use search::{CoarseDisc, find_disc};
 
 /// What can be tuned in finding the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,8 +33,8 @@ pub struct Settings {
     /// Height of the limb's threshold between background and disc. Lower values stay clear of marks, higher ones
     /// of the noise. With a limb darkening of 0.56 and a blur of 0.95 px the disc's true edge stands at 0.26.
     pub level_fraction: f64,
-    /// Rows and columns of the dense set, each. More of them lower the noise with the square root.
-    pub chords_per_axis: usize,
+    /// Points all round the limb at which the edge is measured.
+    pub limb_points: usize,
     /// Distance between the chords of the first, sparse set, px.
     pub search_spacing_px: usize,
     /// Bright runs shorter than this are hot pixels and noise, px.
@@ -38,6 +43,8 @@ pub struct Settings {
     pub min_contrast_sigma: f64,
     /// Fewest crossings that make a disc.
     pub min_crossings: usize,
+    /// Fewest points that make a limb.
+    pub min_limb_points: usize,
     /// Largest relative deviation of the disc's radius from the expected one.
     pub max_radius_deviation: f64,
 }
@@ -46,11 +53,12 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             level_fraction: 0.26,
-            chords_per_axis: 64,
+            limb_points: 180,
             search_spacing_px: 8,
             min_run_px: 4,
             min_contrast_sigma: 6.0,
             min_crossings: 8,
+            min_limb_points: 10,
             max_radius_deviation: 0.12,
         }
     }

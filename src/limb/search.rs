@@ -1,7 +1,6 @@
-//! Finding the disc: sparse chords over the whole frame, a circle that most crossings agree on, then dense chords
-//! across it.
+//! Finding the disc: sparse chords over the whole frame, and a circle that most crossings agree on.
 
-use super::{Axis, Crossing, Scan, Settings};
+use super::{Crossing, Scan, Settings};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::Circle;
 use crate::units::{Rejected, SensorPx};
@@ -28,8 +27,6 @@ impl CoarseDisc {
 const AGREEMENT_PX: f64 = 2.0;
 /// Circles that are tried.
 const TRIALS: usize = 400;
-/// Where crossings are dense, a chord's crossing must not graze the limb: least cosine between chord and radius.
-const LEAST_CHORD_COSINE: f64 = 0.5;
 
 /// Finds the disc in a region of the frame, whole or in part.
 ///
@@ -111,52 +108,6 @@ fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f32) -> Result<(),
         });
     }
     Ok(())
-}
-
-/// Dense crossings of the disc: chords spread evenly across it, each where it does not graze the limb.
-pub fn fine_chords(
-    frame: &Frame,
-    levels: &Levels,
-    disc: &CoarseDisc,
-    mark_length_px: f64,
-    settings: &Settings,
-) -> Vec<Crossing> {
-    let scan = Scan::new(
-        levels.threshold_dn(settings.level_fraction),
-        mark_length_px,
-        settings,
-    );
-    let reach = disc.radius_px + mark_length_px;
-    let Some(region) = Region::around(disc.centre, reach, frame.width(), frame.height()) else {
-        return Vec::new();
-    };
-    let lines = |middle: f64| {
-        let count = settings.chords_per_axis.max(2);
-        let usable = disc.radius_px * (1.0 - LEAST_CHORD_COSINE.powi(2)).sqrt();
-        let step = 2.0 * usable / (count - 1) as f64;
-        let mut lines: Vec<usize> = (0..count)
-            .map(|n| (middle - usable + n as f64 * step).round())
-            .filter(|line| *line >= 0.0)
-            .map(|line| line as usize)
-            .collect();
-        lines.dedup();
-        lines
-    };
-    let mut crossings = with_view!(frame, view => {
-        scan.run(&view, region, lines(disc.centre.y).into_iter(), lines(disc.centre.x).into_iter())
-    });
-    let circle = disc.circle();
-    crossings.retain(|crossing| meets_squarely(crossing, &circle));
-    crossings
-}
-
-fn meets_squarely(crossing: &Crossing, circle: &Circle) -> bool {
-    let outward = crossing.at.vector() - circle.centre;
-    let along = match crossing.axis {
-        Axis::Row => outward.x,
-        Axis::Column => outward.y,
-    };
-    along.abs() >= LEAST_CHORD_COSINE * outward.norm()
 }
 
 /// The circle of nearly the expected radius that most crossings agree on, and how many do. Circles through three

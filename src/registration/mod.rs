@@ -4,40 +4,57 @@
 //! Errors lie on the sensor, so the picture of the plate on the sensor is fitted, p = H(P), by weighted least
 //! squares; lens distortion is taken off the sensor positions first.
 //!
+//! Beside the pairs there may be the outline of a disc: points of the sensor that lie on one circle of the plate. Its centre
+//! and radius are adjusted together with the mapping. Its roundness is worth more than it seems: seen at all azimuths it
+//! fixes the mapping's stretch and shear three times as well as half a dozen marks do.
+//!
 //! # Which kind of mapping
-//! The simplest that the pairs support: similarity, keystone, affine, homography. A richer kind is taken when it lowers
-//! chi^2 by more than [`Settings::min_gain`] times the residual variance for every parameter it adds, and leaves about
-//! as many degrees of freedom as it takes to judge that by: with fewer, one bad mark bends the mapping to itself.
+//! The simplest that the data support: similarity, keystone, affine, homography. A richer kind is taken when it lowers
+//! chi^2 by more than [`Settings::min_gain`] for every parameter it adds, the pairs' sigmas being raised to what the
+//! richer kind's residuals show; and only where the pairs stay redundant, else one bad pair bends the mapping to itself.
 //!
 //! A camera that looks askew shows a keystone, x = t + L P / (1 + g . P), L a similarity. Its tilt shows most in what it
 //! does to angles far from the plate's centre, and from there follows what a few marks do not show: how far the centre
 //! of the disc's ellipse lies from the picture of the disc's centre, 0.1 px at 3 deg.
 //!
 //! # Uncertainty
-//! The covariance of the parameters comes from the pairs' sigmas, scaled up by the residuals where these are larger
-//! than the sigmas allow. With few degrees of freedom the residuals say little; they are weighed against the
-//! stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
+//! The covariance follows from the sigmas of pairs and outline. Where the pairs' residuals are larger than their sigmas
+//! allow, these are raised to fit (variance components after Förstner); with few redundant coordinates the residuals say
+//! little, and are weighed against the stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
 
+mod adjust;
 mod model;
 
-use crate::geometry::{Distortion, Handedness, Mapping, MappingKind};
-use crate::units::{PlateMil, SensorPx};
-use model::{Model, Normalisation};
-use nalgebra::{DMatrix, DVector, Matrix2};
+use crate::geometry::{Circle, Distortion, Handedness, Mapping, MappingKind};
+use crate::units::{Estimate, Measured, PlateMil, SensorPx};
+use adjust::{Adjusted, Covariance, Problem};
+use model::{MOST, Model};
+use nalgebra::{Matrix2, SMatrix};
 
 /// The same point, seen and printed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair {
     pub seen: SensorPx,
     pub printed: PlateMil,
-    /// 1 sigma per axis of the seen position.
-    pub sigma_px: f64,
+    /// Covariance of the seen position, px^2.
+    pub covariance_px2: Matrix2<f64>,
+}
+
+/// Points of the sensor that lie on one circle of the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outline<'a> {
+    /// Where its centre is seen, nearly.
+    pub centre: SensorPx,
+    /// Points, and 1 sigma across the outline, px.
+    pub points: &'a [(SensorPx, f64)],
+    /// What is known of its radius.
+    pub radius_mil: Measured,
 }
 
 /// What can be tuned in choosing a mapping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Least gain in chi^2 over residual variance, per added parameter.
+    /// Least gain in chi^2, per added parameter.
     pub min_gain: f64,
     /// Weight of the stated sigmas against the residuals, in degrees of freedom.
     pub prior_freedom: f64,
@@ -52,75 +69,66 @@ impl Default for Settings {
     }
 }
 
+/// The disc that an outline belongs to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Disc {
+    /// Its centre on the plate; the mapping's uncertainty included.
+    pub on_plate: Estimate<PlateMil>,
+    /// Its centre on the sensor.
+    pub on_sensor: Estimate<SensorPx>,
+    pub radius_mil: Measured,
+}
+
 /// A fitted mapping with its uncertainty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Registration {
     pub mapping: Mapping,
     /// Root mean square distance between seen and predicted positions, per axis.
     pub residual_px: f64,
-    /// Degrees of freedom left.
-    pub freedom: usize,
-    chi2: f64,
+    /// Pairs that the mapping rests on.
+    pub pairs: usize,
+    /// The disc, where an outline was fitted.
+    pub disc: Option<Disc>,
     model: Model,
     /// Covariance of the model's parameters.
-    covariance: DMatrix<f64>,
+    covariance: SMatrix<f64, MOST, MOST>,
 }
 
 impl Registration {
     /// Covariance, from the mapping alone, of a plate position got through it; mil^2.
     pub fn covariance_mil2(&self, at: PlateMil) -> Matrix2<f64> {
         let slopes = self.model.parameter_slopes(at);
-        let on_sensor = &slopes * &self.covariance * slopes.transpose();
-        let on_sensor = Matrix2::new(
-            on_sensor[(0, 0)],
-            on_sensor[(0, 1)],
-            on_sensor[(1, 0)],
-            on_sensor[(1, 1)],
-        );
+        let on_sensor = slopes * self.covariance * slopes.transpose();
         let to_plate = self.mapping.plate_jacobian(self.mapping.to_sensor(at));
         to_plate * on_sensor * to_plate.transpose()
     }
-
-    fn variance(&self) -> f64 {
-        self.chi2 / self.freedom.max(1) as f64
-    }
 }
 
-/// How many fewer degrees of freedom than parameters a mapping richer than a similarity may leave.
-const LESS_FREEDOM: usize = 2;
+/// Fewest redundant coordinates of the pairs that tell their sigmas; with fewer, pairs that lie well by chance bend the
+/// mapping to themselves.
+const TELLING_REDUNDANCY: f64 = 3.0;
+/// A pair so many sigma off the mapping of the others is an error.
+const MAX_PULL: f64 = 6.0;
+/// Fewer pairs cannot tell which of them is the error.
+const LEAST_TO_REJECT: usize = 5;
+/// How often the sigmas are raised until they agree with the residuals.
+const RISES: usize = 4;
 
-/// Fits the simplest mapping that the pairs support. `None` when they do not determine one.
+/// Fits the simplest mapping that the pairs and the outline support. `None` when they do not determine one.
 pub fn register(
     pairs: &[Pair],
+    outline: Option<&Outline<'_>>,
     handedness: Handedness,
     distortion: Distortion,
     settings: &Settings,
 ) -> Option<Registration> {
-    let mut best = fit(
-        pairs,
-        MappingKind::Similarity,
-        handedness,
-        distortion,
-        settings,
-    )?;
-    for kind in [
-        MappingKind::Keystone,
-        MappingKind::Affine,
-        MappingKind::Homography,
-    ] {
-        if 2 * pairs.len() + LESS_FREEDOM < 2 * kind.parameters() {
-            break;
-        }
-        let Some(richer) = fit(pairs, kind, handedness, distortion, settings) else {
-            continue;
-        };
-        let added = kind.parameters() - best.mapping.kind().parameters();
-        let gain = (best.chi2 - richer.chi2) / added.max(1) as f64;
-        if gain > settings.min_gain * richer.variance().max(1.0) {
-            best = richer;
-        }
+    let mut problem = Problem::new(pairs, outline, handedness, distortion)?;
+    let mut best = simplest(&problem, settings)?;
+    while let Some(worst) = outlier(&problem, &best) {
+        problem.without(worst);
+        best = simplest(&problem, settings)?;
     }
-    Some(best)
+    registration(&problem, &best, distortion)
 }
 
 /// Fits a mapping of one kind. `None` when the pairs do not determine it.
@@ -131,51 +139,121 @@ pub fn fit(
     distortion: Distortion,
     settings: &Settings,
 ) -> Option<Registration> {
-    let freedom = (2 * pairs.len()).checked_sub(kind.parameters())?;
-    let normalisation = Normalisation::of(pairs.iter().map(|pair| pair.printed))?;
-    let seen: Vec<SensorPx> = pairs.iter().map(|p| distortion.correct(p.seen)).collect();
-    let start = |kind| fit(pairs, kind, handedness, distortion, settings).map(|fit| fit.model);
-    // A divisor has no slope at zero, so the kinds that have one start from those that have none.
-    let mut model = match kind {
-        MappingKind::Keystone => start(MappingKind::Similarity)?.as_keystone(),
-        MappingKind::Homography => start(MappingKind::Affine)?.as_homography(),
-        _ => Model::zero(kind, handedness, normalisation),
-    };
-    let mut information = DMatrix::zeros(kind.parameters(), kind.parameters());
-    // The first step solves the linear kinds; a divisor needs a few more.
-    let steps = match kind {
-        MappingKind::Similarity | MappingKind::Affine => 1,
-        MappingKind::Keystone | MappingKind::Homography => 8,
-    };
-    for _ in 0..steps {
-        information.fill(0.0);
-        let mut gradient = DVector::zeros(kind.parameters());
-        for (pair, seen) in pairs.iter().zip(&seen) {
-            let slopes = model.parameter_slopes(pair.printed);
-            let miss = seen.vector() - model.picture(pair.printed);
-            let weight = pair.sigma_px.powi(-2);
-            information += slopes.transpose() * &slopes * weight;
-            gradient += slopes.transpose() * miss * weight;
+    let problem = Problem::new(pairs, None, handedness, distortion)?;
+    let adjusted = settle(&problem, kind, settings)?;
+    registration(&problem, &adjusted, distortion)
+}
+
+fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
+    let mut best = settle(problem, MappingKind::Similarity, settings)?;
+    for kind in [
+        MappingKind::Keystone,
+        MappingKind::Affine,
+        MappingKind::Homography,
+    ] {
+        let Some(richer) = settle(problem, kind, settings) else {
+            continue;
+        };
+        // Both are held against the same sigmas: those that the richer one's residuals show, if they can.
+        let raised = if richer.redundancy < TELLING_REDUNDANCY {
+            best.raised
+        } else {
+            richer.raised
+        };
+        let chi2 = |kind| {
+            let adjusted = problem.fit(kind, raised)?;
+            Some(adjusted.chi2_pairs / raised.powi(2) + adjusted.chi2_outline)
+        };
+        let (Some(simple), Some(rich)) = (chi2(best.model.kind()), chi2(kind)) else {
+            continue;
+        };
+        let added = kind.parameters() - best.model.kind().parameters();
+        if (simple - rich) / added.max(1) as f64 > settings.min_gain {
+            best = richer;
         }
-        model.advance(&(information.clone().cholesky()?.solve(&gradient)));
     }
-    let mut chi2 = 0.0;
-    let mut squares = 0.0;
-    for (pair, seen) in pairs.iter().zip(&seen) {
-        let miss = (seen.vector() - model.picture(pair.printed)).norm_squared();
-        chi2 += miss / pair.sigma_px.powi(2);
-        squares += miss;
+    Some(best)
+}
+
+/// Fits a kind, the pairs' sigmas raised until they agree with the residuals.
+fn settle(problem: &Problem<'_>, kind: MappingKind, settings: &Settings) -> Option<Adjusted> {
+    let mut adjusted = problem.fit(kind, 1.0)?;
+    for _ in 0..RISES {
+        let prior = settings.prior_freedom;
+        let excess = (prior + adjusted.chi2_pairs) / (prior + adjusted.redundancy.max(0.0));
+        let raised = excess.max(1.0).sqrt();
+        if (raised / adjusted.raised - 1.0).abs() < 0.01 {
+            break;
+        }
+        adjusted = problem.fit(kind, raised)?;
     }
-    let prior = settings.prior_freedom;
-    let excess = ((prior + chi2) / (prior + freedom as f64)).max(1.0);
+    Some(adjusted)
+}
+
+/// The pair farthest from its place, if it is an error.
+fn outlier(problem: &Problem<'_>, adjusted: &Adjusted) -> Option<usize> {
+    if problem.pairs() < LEAST_TO_REJECT {
+        return None;
+    }
+    let residuals = problem.residuals(&adjusted.model);
+    let (worst, squared) = residuals
+        .iter()
+        .map(|(chi2, _)| *chi2)
+        .enumerate()
+        .max_by(|a, b| a.1.total_cmp(&b.1))?;
+    // What the others show of the true sigmas.
+    let others = (adjusted.chi2_pairs - squared) / (adjusted.redundancy - 2.0).max(1.0);
+    (squared > MAX_PULL.powi(2) * others.max(1.0)).then_some(worst)
+}
+
+fn registration(
+    problem: &Problem<'_>,
+    adjusted: &Adjusted,
+    distortion: Distortion,
+) -> Option<Registration> {
+    let model = adjusted.model;
+    let mapping = Mapping::new(model.kind(), model.homography().try_inverse()?, distortion)?;
+    let residuals = problem.residuals(&model);
+    let squares: f64 = residuals.iter().map(|(_, miss)| miss.norm_squared()).sum();
     Some(Registration {
-        mapping: Mapping::new(kind, model.homography().try_inverse()?, distortion)?,
-        residual_px: (squares / (2 * pairs.len()) as f64).sqrt(),
-        freedom,
-        chi2,
-        covariance: information.cholesky()?.inverse() * excess,
+        mapping,
+        residual_px: (squares / (2 * residuals.len()) as f64).sqrt(),
+        pairs: residuals.len(),
+        disc: adjusted
+            .circle
+            .map(|circle| disc(circle, &model, &adjusted.covariance, &mapping)),
         model,
+        covariance: adjusted
+            .covariance
+            .fixed_view::<MOST, MOST>(0, 0)
+            .into_owned(),
     })
+}
+
+fn disc(circle: Circle, model: &Model, covariance: &Covariance, mapping: &Mapping) -> Disc {
+    let centre = PlateMil::from(circle.centre);
+    let on_plate = covariance.fixed_view::<2, 2>(MOST, MOST).into_owned();
+    let mut to_sensor = SMatrix::<f64, 2, { adjust::ALL }>::zeros();
+    to_sensor
+        .fixed_view_mut::<2, MOST>(0, 0)
+        .copy_from(&model.parameter_slopes(centre));
+    to_sensor
+        .fixed_view_mut::<2, 2>(0, MOST)
+        .copy_from(&model.jacobian(centre));
+    Disc {
+        on_plate: Estimate {
+            position: centre,
+            covariance: on_plate,
+        },
+        on_sensor: Estimate {
+            position: mapping.to_sensor(centre),
+            covariance: to_sensor * covariance * to_sensor.transpose(),
+        },
+        radius_mil: Measured::new(
+            circle.radius,
+            covariance[(MOST + 2, MOST + 2)].max(0.0).sqrt(),
+        ),
+    }
 }
 
 #[cfg(test)]
@@ -199,7 +277,7 @@ mod tests {
                 Pair {
                     seen: SensorPx::new(seen.x + noise(), seen.y + noise()),
                     printed,
-                    sigma_px: 0.02,
+                    covariance_px2: Matrix2::identity() * 0.02_f64.powi(2),
                 }
             })
             .collect()
@@ -222,6 +300,7 @@ mod tests {
         let pairs = pairs(truth, noise_px);
         register(
             &pairs,
+            None,
             Handedness::Mirrored,
             *truth.distortion(),
             &Settings::default(),
@@ -282,6 +361,7 @@ mod tests {
         assert_eq!(
             register(
                 pairs,
+                None,
                 Handedness::Mirrored,
                 Distortion::NONE,
                 &Settings::default()

@@ -1,8 +1,16 @@
 //! The picture of the plate on the ideal sensor as a function of parameters, with its slopes.
 
-use crate::geometry::{Handedness, MappingKind};
+use crate::geometry::{Handedness, MappingKind, projection_jacobian};
 use crate::units::PlateMil;
-use nalgebra::{DMatrix, DVector, Matrix3, Vector2};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
+
+/// The most parameters a mapping has; kinds with fewer leave the last ones at zero.
+pub(super) const MOST: usize = 8;
+
+/// Parameters of a model.
+pub(super) type Parameters = SVector<f64, MOST>;
+/// Slopes of a picture in the parameters.
+pub(super) type Slopes = SMatrix<f64, 2, MOST>;
 
 /// Plate coordinates about the pairs' middle, scaled to about one, which keeps the normal equations well
 /// conditioned.
@@ -57,12 +65,12 @@ impl Normalisation {
 ///
 /// Parameters: similarity tx, ty, a, b with L = [a, -b; b, a] times the axes of the handedness; keystone tx, ty, a, b
 /// and g about the plate's centre, x = t + L u / (1 + g . u); affine tx, ty and L by rows; homography the same and g.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Model {
     kind: MappingKind,
     handedness: Handedness,
     normalisation: Normalisation,
-    parameters: DVector<f64>,
+    parameters: Parameters,
 }
 
 impl Model {
@@ -75,20 +83,29 @@ impl Model {
             kind,
             handedness,
             normalisation,
-            parameters: DVector::zeros(kind.parameters()),
+            parameters: Parameters::zeros(),
+        }
+    }
+
+    pub(super) fn kind(&self) -> MappingKind {
+        self.kind
+    }
+
+    /// A similarity as an affine model.
+    pub(super) fn as_affine(&self) -> Self {
+        let n = self.normalised();
+        Self {
+            kind: MappingKind::Affine,
+            parameters: [n.m13, n.m23, n.m11, n.m12, n.m21, n.m22, 0.0, 0.0].into(),
+            ..*self
         }
     }
 
     /// An affine model as a homography without tilt.
     pub(super) fn as_homography(&self) -> Self {
-        let kind = MappingKind::Homography;
         Self {
-            kind,
-            parameters: self
-                .parameters
-                .clone()
-                .resize_vertically(kind.parameters(), 0.0),
-            ..self.clone()
+            kind: MappingKind::Homography,
+            ..*self
         }
     }
 
@@ -100,12 +117,12 @@ impl Model {
         Self {
             kind: MappingKind::Keystone,
             normalisation,
-            parameters: DVector::from_row_slice(&[centre.x, centre.y, a, b, 0.0, 0.0]),
-            ..self.clone()
+            parameters: [centre.x, centre.y, a, b, 0.0, 0.0, 0.0, 0.0].into(),
+            ..*self
         }
     }
 
-    pub(super) fn advance(&mut self, step: &DVector<f64>) {
+    pub(super) fn advance(&mut self, step: &Parameters) {
         self.parameters += step;
     }
 
@@ -165,45 +182,53 @@ impl Model {
         Vector2::new(h.x / h.z, h.y / h.z)
     }
 
-    /// Slopes of [`picture`](Self::picture) in the parameters: 2 rows.
-    pub(super) fn parameter_slopes(&self, at: PlateMil) -> DMatrix<f64> {
+    /// Derivative of [`picture`](Self::picture), px per mil.
+    pub(super) fn jacobian(&self, at: PlateMil) -> Matrix2<f64> {
+        projection_jacobian(&self.homography(), at.vector())
+    }
+
+    /// Slopes of [`picture`](Self::picture) in the parameters.
+    pub(super) fn parameter_slopes(&self, at: PlateMil) -> Slopes {
         let u = self.normalisation.apply(at);
+        let p = &self.parameters;
+        let mut slopes = Slopes::zeros();
+        let mut put = |x: &[f64], y: &[f64]| {
+            for (n, (x, y)) in x.iter().zip(y).enumerate() {
+                slopes[(0, n)] = *x;
+                slopes[(1, n)] = *y;
+            }
+        };
         match self.kind {
             MappingKind::Similarity => {
                 let v = self.handedness.axes() * u;
-                DMatrix::from_row_slice(2, 4, &[1.0, 0.0, v.x, -v.y, 0.0, 1.0, v.y, v.x])
+                put(&[1.0, 0.0, v.x, -v.y], &[0.0, 1.0, v.y, v.x]);
             }
             MappingKind::Keystone => {
-                let p = &self.parameters;
                 let divisor = 1.0 + p[4] * u.x + p[5] * u.y;
                 let v = self.handedness.axes() * u / divisor;
                 let q = Vector2::new(p[2] * v.x - p[3] * v.y, p[3] * v.x + p[2] * v.y);
                 let (gx, gy) = (-q * u.x / divisor, -q * u.y / divisor);
-                DMatrix::from_row_slice(
-                    2,
-                    6,
-                    &[
-                        [1.0, 0.0, v.x, -v.y, gx.x, gy.x],
-                        [0.0, 1.0, v.y, v.x, gx.y, gy.y],
-                    ]
-                    .concat(),
-                )
+                put(
+                    &[1.0, 0.0, v.x, -v.y, gx.x, gy.x],
+                    &[0.0, 1.0, v.y, v.x, gx.y, gy.y],
+                );
             }
-            MappingKind::Affine => DMatrix::from_row_slice(2, 6, &linear_rows(u, 1.0).concat()),
+            MappingKind::Affine => {
+                put(
+                    &[1.0, 0.0, u.x, u.y, 0.0, 0.0],
+                    &[0.0, 1.0, 0.0, 0.0, u.x, u.y],
+                );
+            }
             MappingKind::Homography => {
-                let p = &self.parameters;
                 let divisor = 1.0 + p[6] * u.x + p[7] * u.y;
                 let image = self.picture(at);
-                let [x_row, y_row] = linear_rows(u, divisor);
-                let tail = |c: f64| [-c * u.x / divisor, -c * u.y / divisor];
-                let rows = [&x_row[..], &tail(image.x), &y_row[..], &tail(image.y)].concat();
-                DMatrix::from_row_slice(2, 8, &rows)
+                let (one, x, y) = (1.0 / divisor, u.x / divisor, u.y / divisor);
+                put(
+                    &[one, 0.0, x, y, 0.0, 0.0, -image.x * x, -image.x * y],
+                    &[0.0, one, 0.0, 0.0, x, y, -image.y * x, -image.y * y],
+                );
             }
         }
+        slopes
     }
-}
-
-fn linear_rows(u: Vector2<f64>, divisor: f64) -> [[f64; 6]; 2] {
-    let (one, x, y) = (1.0 / divisor, u.x / divisor, u.y / divisor);
-    [[one, 0.0, x, y, 0.0, 0.0], [0.0, one, 0.0, 0.0, x, y]]
 }

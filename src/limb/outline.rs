@@ -1,0 +1,259 @@
+//! The ellipse through points of the limb, on the sensor.
+
+use super::LimbPoint;
+use crate::geometry::Ellipse;
+use crate::units::Measured;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+
+/// What is known of the outline before the limb is looked at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OutlinePrior {
+    /// Mean radius, px.
+    pub radius_px: Measured,
+    /// How far a half axis differs from the mean radius, 1 sigma about none, over the radius.
+    pub flatness: f64,
+}
+
+/// A fitted outline.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OutlineFit {
+    pub ellipse: Ellipse,
+    /// Covariance of centre x, y, mean radius and the two parts of the flatness (along x, along the diagonal), px^2.
+    pub covariance: SMatrix<f64, 5, 5>,
+    /// Scatter of the accepted points over their sigmas.
+    pub scatter: f64,
+    /// Typical distance of all points from the outline, 1 sigma.
+    pub scatter_px: f64,
+    /// Which points lie on the outline.
+    pub accepted: Vec<bool>,
+}
+
+impl OutlineFit {
+    /// Covariance of the centre, px^2.
+    pub fn centre_covariance(&self) -> Matrix2<f64> {
+        self.covariance.fixed_view::<2, 2>(0, 0).into_owned()
+    }
+
+    /// Part of the points that lie on the outline.
+    pub fn accepted_share(&self) -> f64 {
+        let accepted = self.accepted.iter().filter(|a| **a).count();
+        accepted as f64 / self.accepted.len().max(1) as f64
+    }
+
+    /// 1 sigma of the mean radius.
+    pub fn radius_sigma_px(&self) -> f64 {
+        self.covariance[(2, 2)].max(0.0).sqrt()
+    }
+}
+
+/// Tukey's biweight gives no weight beyond this many sigma; 95 % efficient for normal errors.
+const TUKEY_SIGMAS: f64 = 4.685;
+const STEPS: usize = 16;
+const ROUND_STEPS: usize = 6;
+/// Fewer points make no outline.
+const MIN_POINTS: usize = 6;
+
+/// Least-squares ellipse through points of the limb, with Tukey's weights against marks, scratches and leaks. Scatter
+/// beyond the points' own sigmas raises the covariance. `None` when too few points agree.
+pub fn fit_outline(
+    points: &[LimbPoint],
+    start: &Ellipse,
+    prior: &OutlinePrior,
+) -> Option<OutlineFit> {
+    let mut ellipse = *start;
+    let mut scatter = pull_scatter(points, &ellipse);
+    let mut information = SMatrix::<f64, 5, 5>::zeros();
+    for step in 0..STEPS {
+        let radius = ellipse.mean_radius();
+        let root = *ellipse.root();
+        // A circle first: it is harder to lead astray.
+        let hold = if step < ROUND_STEPS { 0.1 } else { 1.0 };
+        let flat = hold * prior.flatness * prior.radius_px.value;
+        let tightness = [0.0, 0.0, prior.radius_px.sigma, flat, flat]
+            .map(|sigma: f64| if sigma > 0.0 { sigma.powi(-2) } else { 0.0 });
+        let (stretch, diagonal) = ((root.m11 - root.m22) / 2.0, root.m12);
+        let off = [
+            0.0,
+            0.0,
+            prior.radius_px.value - radius,
+            -stretch,
+            -diagonal,
+        ];
+        information = SMatrix::from_diagonal(&SVector::from(tightness));
+        let mut gradient = SVector::<f64, 5>::from_fn(|n, _| tightness[n] * off[n]);
+        for point in points {
+            let excess = ellipse.excess(point.at.vector());
+            let weight = tukey_weight(excess / (point.sigma_px * scatter))
+                / (point.sigma_px * scatter).powi(2);
+            if weight > 0.0 {
+                let row = slopes(&ellipse, point.at.vector());
+                information += row * row.transpose() * weight;
+                gradient += row * (excess * weight);
+            }
+        }
+        let moved = information.cholesky()?.solve(&gradient);
+        let grown = Matrix2::new(moved[2] + moved[3], moved[4], moved[4], moved[2] - moved[3]);
+        ellipse = Ellipse::new(ellipse.centre + moved.fixed_rows::<2>(0), root + grown)?;
+        scatter = pull_scatter(points, &ellipse);
+        if step >= ROUND_STEPS && moved.norm() < 1e-5 {
+            break;
+        }
+    }
+    let accepted: Vec<bool> = points
+        .iter()
+        .map(|p| pull(p, &ellipse).abs() < TUKEY_SIGMAS * scatter)
+        .collect();
+    let count = accepted.iter().filter(|a| **a).count();
+    (count >= MIN_POINTS).then_some(OutlineFit {
+        ellipse,
+        covariance: information.cholesky()?.inverse(),
+        scatter,
+        scatter_px: robust_sigma(points.iter().map(|p| ellipse.excess(p.at.vector()))),
+        accepted,
+    })
+}
+
+/// How the outline moves outwards at a point with centre x, y, mean radius and the two parts of the flatness.
+fn slopes(ellipse: &Ellipse, point: Vector2<f64>) -> SVector<f64, 5> {
+    let w = ellipse.to_disc(point).normalize();
+    let normal = ellipse.normal(w);
+    let (cos2, sin2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
+    SVector::from([normal.x, normal.y, 1.0, cos2, sin2])
+}
+
+fn pull(point: &LimbPoint, ellipse: &Ellipse) -> f64 {
+    ellipse.excess(point.at.vector()) / point.sigma_px
+}
+
+fn tukey_weight(sigmas: f64) -> f64 {
+    let u = sigmas / TUKEY_SIGMAS;
+    if u.abs() < 1.0 {
+        (1.0 - u * u).powi(2)
+    } else {
+        0.0
+    }
+}
+
+/// Robust 1 sigma of excess over stated sigma; not below 1, since less is luck.
+fn pull_scatter(points: &[LimbPoint], ellipse: &Ellipse) -> f64 {
+    robust_sigma(points.iter().map(|p| pull(p, ellipse))).max(1.0)
+}
+
+/// 1 sigma from the median of the absolute residuals; 0 of none.
+fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
+    let mut sizes: Vec<f64> = residuals.map(f64::abs).collect();
+    if sizes.is_empty() {
+        return 0.0;
+    }
+    let middle = sizes.len() / 2;
+    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
+    1.4826 * *median
+}
+
+/// Which part of the outline has points on it, 0 to 1, in steps of 10 deg.
+pub fn arc_fraction(points: impl Iterator<Item = Vector2<f64>>, centre: Vector2<f64>) -> f64 {
+    const BINS: usize = 36;
+    let mut seen = [false; BINS];
+    for point in points {
+        let d = point - centre;
+        let turns = d.y.atan2(d.x) / std::f64::consts::TAU;
+        seen[(turns.rem_euclid(1.0) * BINS as f64) as usize % BINS] = true;
+    }
+    seen.iter().filter(|s| **s).count() as f64 / BINS as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Circle;
+
+    fn limb(ellipse: &Ellipse, degrees: std::ops::Range<i32>, ripple: f64) -> Vec<LimbPoint> {
+        degrees
+            .step_by(2)
+            .map(|d| {
+                let (sin, cos) = f64::from(d).to_radians().sin_cos();
+                let off = ripple * f64::from(d * 7919 % 13 - 6) / 3.7;
+                let w = Vector2::new(cos, sin);
+                let at = ellipse.from_disc(w) + ellipse.normal(w) * off;
+                LimbPoint {
+                    at: at.into(),
+                    sigma_px: 0.05,
+                }
+            })
+            .collect()
+    }
+
+    fn truth() -> Ellipse {
+        let root = Matrix2::new(95.46, 0.1, 0.1, 94.86);
+        Ellipse::new(Vector2::new(400.0, 300.0), root).unwrap()
+    }
+
+    fn start() -> Ellipse {
+        Circle {
+            centre: Vector2::new(400.4, 299.8),
+            radius: 94.7,
+        }
+        .into()
+    }
+
+    const LOOSE: OutlinePrior = OutlinePrior {
+        radius_px: Measured::new(95.0, 5.0),
+        flatness: 0.01,
+    };
+
+    #[test]
+    fn an_ellipse_is_found_though_a_fifth_of_its_points_is_pulled_inwards() {
+        let mut points = limb(&truth(), 0..360, 0.05);
+        for point in points.iter_mut().take(36) {
+            let inwards = (truth().centre - point.at.vector()).normalize();
+            point.at = (point.at.vector() + inwards * 3.0).into();
+        }
+        let fit = fit_outline(&points, &start(), &LOOSE).unwrap();
+        assert!((fit.ellipse.centre - truth().centre).norm() < 0.03);
+        assert!((fit.ellipse.root() - truth().root()).norm() < 0.04);
+        assert_eq!(fit.accepted.iter().filter(|a| **a).count(), 144);
+    }
+
+    #[test]
+    fn a_short_arc_is_less_certain_across_it_than_along_it_and_the_known_radius_helps() {
+        let points = limb(&truth(), -20..20, 0.05);
+        let known = OutlinePrior {
+            radius_px: Measured::new(95.16, 0.1),
+            flatness: 0.0005,
+        };
+        let sigma = |prior| {
+            let fit = fit_outline(&points, &start(), prior).unwrap();
+            let covariance = fit.centre_covariance();
+            [covariance[(0, 0)].sqrt(), covariance[(1, 1)].sqrt()]
+        };
+        let (loose, tight) = (sigma(&LOOSE), sigma(&known));
+        assert!(loose[0] > 2.0 * loose[1]);
+        assert!(tight[0] < 0.5 * loose[0]);
+    }
+
+    #[test]
+    fn scatter_beyond_the_stated_sigma_raises_the_uncertainty() {
+        let sigma = |ripple| {
+            let points = limb(&truth(), 0..360, ripple);
+            let fit = fit_outline(&points, &start(), &LOOSE).unwrap();
+            fit.centre_covariance().trace()
+        };
+        assert!(sigma(0.5) > 25.0 * sigma(0.05));
+    }
+
+    #[test]
+    fn too_few_points_make_no_outline() {
+        let points = limb(&truth(), 0..10, 0.0);
+        assert_eq!(fit_outline(&points, &start(), &LOOSE), None);
+    }
+
+    #[test]
+    fn the_seen_part_of_the_limb_is_counted() {
+        let seen = |degrees| {
+            let points = limb(&truth(), degrees, 0.0);
+            arc_fraction(points.iter().map(|p| p.at.vector()), truth().centre)
+        };
+        assert!((seen(0..360) - 1.0).abs() < 1e-9);
+        assert!((seen(0..90) - 0.25).abs() < 0.03);
+    }
+}
