@@ -24,7 +24,7 @@
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
 //! | [`config`] | the parameter table |
-//! | [`service`] | threads, channels, bounds and overflow rules on one page |
+//! | [`service`], [`accuracy`] | threads, channels, bounds and overflow rules on one page; how near the truth the pipeline comes |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions
@@ -32,6 +32,7 @@
 //! Pixel (0, 0) is the **centre** of the first pixel; x grows along a row, y down the rows. Plate positions
 //! are in mil (25.4 um) from the plate's centre. Rotation on the sensor is positive from +x towards +y.
 
+pub mod accuracy;
 pub mod archive;
 pub mod aspect;
 pub mod camera;

@@ -36,6 +36,7 @@ enum Command {
     Simulate(cli::simulate::SimulateArgs),
     Sky(cli::sky::SkyArgs),
     Config(cli::config::ConfigArgs),
+    Accuracy(cli::accuracy::AccuracyArgs),
 }
 
 fn main() -> ExitCode {
@@ -48,6 +49,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => cli::simulate::run(&args).map(|()| ExitCode::SUCCESS),
         Command::Sky(args) => cli::sky::run(args).map(|()| ExitCode::SUCCESS),
         Command::Config(args) => cli::config::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Accuracy(args) => cli::accuracy::run(&args),
     };
     match outcome {
         Ok(code) => code,

@@ -1,5 +1,6 @@
 //! The commands: each file reads its arguments, calls the library and prints. No logic here.
 
+pub mod accuracy;
 pub mod config;
 pub mod demo;
 pub mod fly;

@@ -1,0 +1,344 @@
+//! What many outcomes say together, and what is demanded of them.
+
+use super::trial::{AspectError, Outcome};
+use crate::aspect::Quality;
+use std::fmt;
+use std::ops::Range;
+
+/// Nearly all: a Gaussian's 3 sigma.
+pub const MOST: f64 = 0.997;
+
+/// Which frames the statistics of a row are about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum About {
+    /// Those solved fine.
+    Fine,
+    /// Those solved coarsely.
+    Coarse,
+    /// Those solved at all.
+    Solved,
+}
+
+impl About {
+    fn holds(self, quality: Quality) -> bool {
+        match self {
+            Self::Fine => quality == Quality::Fine,
+            Self::Coarse => quality == Quality::Coarse,
+            Self::Solved => quality != Quality::None,
+        }
+    }
+}
+
+/// The statistics of a row. A share of nothing and a quantile of nothing are `None`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    pub frames: usize,
+    /// How many frames the errors are of.
+    pub counted: usize,
+    pub fine: usize,
+    pub coarse: usize,
+    /// Frames with the whole disc or enough of its limb and three marks fully lit that are not fine.
+    pub missed: Vec<Missed>,
+    /// Radial errors of the aspect.
+    pub median_arcsec: Option<f64>,
+    pub most_arcsec: Option<f64>,
+    pub largest_arcsec: Option<f64>,
+    /// Root mean square of error over stated sigma, by axis.
+    pub over_sigma: Option<[f64; 2]>,
+    /// Share of the solved frames whose Sun on the sensor is within [`NEAR_PX`].
+    pub near_share: Option<f64>,
+    /// Frames in which a mark has a wrong id, by seed.
+    pub wrong_ids: Vec<u64>,
+    /// Fine frames that are off by more than they can be, by seed.
+    pub wrong_fine: Vec<u64>,
+    pub bound: Option<AgainstBound>,
+}
+
+/// How near the Sun on the sensor has to be for pointing to find it, px.
+pub const NEAR_PX: f64 = 0.5;
+
+/// A frame that ought to be fine and is not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Missed {
+    pub seed: u64,
+    pub lit_marks: usize,
+    pub reason: String,
+}
+
+/// Errors beside the Cramer-Rao bound, of those frames whose bound is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgainstBound {
+    pub frames: usize,
+    /// Median over the frames of the bound per axis.
+    pub median_arcsec: f64,
+    /// Root mean square, over frames and axes, of the error over the frame's own bound.
+    pub error_over_bound: f64,
+}
+
+impl Summary {
+    pub fn of(outcomes: &[Outcome], about: About, arcsec_per_mil: f64) -> Self {
+        let of_quality = |quality| outcomes.iter().filter(|o| o.quality == quality).count();
+        let counted: Vec<&Outcome> = outcomes
+            .iter()
+            .filter(|o| about.holds(o.quality) && o.aspect.is_some())
+            .collect();
+        let errors: Vec<&AspectError> = counted.iter().filter_map(|o| o.aspect.as_ref()).collect();
+        let radial = || errors.iter().map(|e| e.radial_arcsec).collect();
+        let seeds = |wrong: fn(&Outcome) -> bool| {
+            let wrong = outcomes.iter().filter(|o| wrong(o));
+            wrong.map(|o| o.seed).collect()
+        };
+        Self {
+            frames: outcomes.len(),
+            counted: counted.len(),
+            fine: of_quality(Quality::Fine),
+            coarse: of_quality(Quality::Coarse),
+            missed: outcomes.iter().filter_map(missed).collect(),
+            median_arcsec: quantile(radial(), 0.5),
+            most_arcsec: quantile(radial(), MOST),
+            largest_arcsec: quantile(radial(), 1.0),
+            over_sigma: over_sigma(&errors),
+            near_share: near_share(outcomes),
+            wrong_ids: seeds(has_wrong_id),
+            wrong_fine: seeds(is_wrong_fine),
+            bound: against_bound(&counted, arcsec_per_mil),
+        }
+    }
+
+    /// Share of the frames solved fine or coarsely.
+    pub fn solved_share(&self) -> Option<f64> {
+        share(self.fine + self.coarse, self.frames)
+    }
+
+    /// Share of the frames solved fine.
+    pub fn fine_share(&self) -> Option<f64> {
+        share(self.fine, self.frames)
+    }
+}
+
+/// A frame that is solved and names a mark by the id of another.
+pub fn has_wrong_id(outcome: &Outcome) -> bool {
+    outcome.quality != Quality::None && !outcome.wrong_ids.is_empty()
+}
+
+/// A frame that says it is fine, and is off by more than 5 of its sigma and by more than 2 arcsec; or that has no Sun.
+pub fn is_wrong_fine(outcome: &Outcome) -> bool {
+    let wrong = |e: &AspectError| e.surprise() > 5.0 && e.radial_arcsec > 2.0;
+    outcome.quality == Quality::Fine && outcome.aspect.as_ref().is_none_or(wrong)
+}
+
+/// Part of the limb on the sensor that a fine solution may be asked of.
+pub const ENOUGH_LIMB: f64 = 0.4;
+
+fn missed(outcome: &Outcome) -> Option<Missed> {
+    let due = outcome.lit_marks >= 3 && outcome.limb_share >= ENOUGH_LIMB;
+    (due && outcome.quality != Quality::Fine).then(|| Missed {
+        seed: outcome.seed,
+        lit_marks: outcome.lit_marks,
+        reason: outcome.reason.clone().unwrap_or_default(),
+    })
+}
+
+fn share(part: usize, whole: usize) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+/// The smallest value that at least `part` of them do not exceed.
+pub fn quantile(mut values: Vec<f64>, part: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let rank = (part * values.len() as f64).ceil() as usize;
+    values.get(rank.max(1) - 1).copied()
+}
+
+/// Root mean square.
+pub fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (count, squares) = values.fold((0, 0.0), |(n, sum), v| (n + 1, sum + v * v));
+    (count > 0).then(|| (squares / f64::from(count)).sqrt())
+}
+
+fn over_sigma(errors: &[&AspectError]) -> Option<[f64; 2]> {
+    let along = |axis: usize| rms(errors.iter().map(|e| e.over_sigma()[axis]));
+    Some([along(0)?, along(1)?])
+}
+
+fn near_share(outcomes: &[Outcome]) -> Option<f64> {
+    let solved = outcomes.iter().filter(|o| About::Solved.holds(o.quality));
+    let errors: Vec<f64> = solved
+        .filter_map(|o| o.aspect.map(|e| e.sensor_px))
+        .collect();
+    let near = errors.iter().filter(|px| **px <= NEAR_PX).count();
+    share(near, errors.len())
+}
+
+fn against_bound(counted: &[&Outcome], arcsec_per_mil: f64) -> Option<AgainstBound> {
+    let pairs: Vec<_> = counted
+        .iter()
+        .filter_map(|o| Some((o.aspect?.plate_mil, o.bound_mil2?)))
+        .collect();
+    let bounds = pairs.iter().map(|(_, b)| (b.trace() / 2.0).sqrt());
+    let ratios = pairs
+        .iter()
+        .flat_map(|(error, bound)| [0, 1].map(|axis| error[axis] / bound[(axis, axis)].sqrt()));
+    Some(AgainstBound {
+        frames: pairs.len(),
+        median_arcsec: quantile(bounds.collect(), 0.5)? * arcsec_per_mil,
+        error_over_bound: rms(ratios)?,
+    })
+}
+
+/// Something that a row has to keep.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Demand {
+    /// Largest median of the radial errors.
+    MedianArcsec(f64),
+    /// Largest error of 99.7 % of the frames.
+    MostArcsec(f64),
+    /// Every frame that shows enough of the limb and three marks fully lit is fine.
+    NoneMissed,
+    /// Least share of frames that are at least coarse.
+    SolvedShare(f64),
+    /// Least share of solved frames whose Sun is within [`NEAR_PX`] of the truth on the sensor.
+    NearShare(f64),
+    /// No frame says it is fine.
+    NoneFine,
+    /// Error over stated sigma is neither much more nor much less than 1.
+    HonestSigma,
+    /// No wrong id in a solved frame, no fine frame that is off by 5 sigma and 2 arcsec.
+    NothingWrong,
+}
+
+/// What error over stated sigma may be, rms per axis.
+pub const HONEST: Range<f64> = 0.8..1.25;
+
+impl Demand {
+    /// Why the demand is not met; `None` where it is. What nothing was measured for is not met.
+    pub fn unmet(self, found: &Summary) -> Option<String> {
+        let at_most = |name: &str, value: Option<f64>, limit: f64| {
+            let met = value.is_some_and(|v| v <= limit);
+            (!met).then(|| format!("{name} {} over {limit}", text(value)))
+        };
+        let at_least = |name: &str, value: Option<f64>, limit: f64| {
+            let met = value.is_some_and(|v| v >= limit);
+            (!met).then(|| format!("{name} {} under {limit}", text(value)))
+        };
+        match self {
+            Self::MedianArcsec(limit) => at_most("median", found.median_arcsec, limit),
+            Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
+            Self::NoneMissed => (!found.missed.is_empty())
+                .then(|| format!("{} frames ought to be fine", found.missed.len())),
+            Self::SolvedShare(limit) => at_least("solved share", found.solved_share(), limit),
+            Self::NearShare(limit) => at_least("share within 0.5 px", found.near_share, limit),
+            Self::NoneFine => (found.fine > 0).then(|| format!("{} frames are fine", found.fine)),
+            Self::HonestSigma => {
+                let honest = |axes: [f64; 2]| axes.iter().all(|v| HONEST.contains(v));
+                let [x, y] = [0, 1].map(|axis| text(found.over_sigma.map(|axes| axes[axis])));
+                (!found.over_sigma.is_some_and(honest)).then(|| format!("error/sigma {x}, {y}"))
+            }
+            Self::NothingWrong => {
+                let (ids, fine) = (&found.wrong_ids, &found.wrong_fine);
+                (!ids.is_empty() || !fine.is_empty())
+                    .then(|| format!("wrong ids in seeds {ids:?}, wrong fine frames {fine:?}"))
+            }
+        }
+    }
+}
+
+impl fmt::Display for Demand {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::MedianArcsec(limit) => write!(out, "median {limit}"),
+            Self::MostArcsec(limit) => write!(out, "99.7 % {limit}"),
+            Self::NoneMissed => write!(out, "all marked frames fine"),
+            Self::SolvedShare(limit) => write!(out, "{:.0} % solved", 100.0 * limit),
+            Self::NearShare(limit) => write!(out, "{:.0} % within {NEAR_PX} px", 100.0 * limit),
+            Self::NoneFine => write!(out, "none fine"),
+            Self::HonestSigma => write!(out, "error/sigma {} to {}", HONEST.start, HONEST.end),
+            Self::NothingWrong => write!(out, "nothing wrong"),
+        }
+    }
+}
+
+fn text(value: Option<f64>) -> String {
+    value.map_or("unknown".into(), |v| format!("{v:.3}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix2, Vector2};
+
+    /// A fine frame that is off by so much along X and states a sigma of 1 mil.
+    fn off_by(mil: f64) -> Outcome {
+        Outcome {
+            seed: 0,
+            quality: Quality::Fine,
+            reason: None,
+            limb_share: 1.0,
+            lit_marks: 4,
+            aspect: Some(AspectError {
+                plate_mil: Vector2::new(mil, mil),
+                covariance_mil2: Matrix2::identity(),
+                radial_arcsec: mil.abs() * 2.0_f64.sqrt() * 2.0,
+                sensor_px: 0.1,
+            }),
+            marks: Vec::new(),
+            wrong_ids: Vec::new(),
+            bound_mil2: Some(Matrix2::identity() * 0.25),
+        }
+    }
+
+    #[test]
+    fn a_quantile_leaves_its_part_at_or_below_it() {
+        let values = || (1..=1000).map(f64::from).collect();
+        assert_eq!(quantile(values(), 0.5), Some(500.0));
+        assert_eq!(quantile(values(), MOST), Some(997.0));
+        assert_eq!(quantile(values(), 1.0), Some(1000.0));
+        assert_eq!(quantile(Vec::new(), 0.5), None);
+    }
+
+    #[test]
+    fn errors_are_held_against_sigma_and_bound() {
+        let outcomes = [off_by(1.0), off_by(-1.0)];
+        let summary = Summary::of(&outcomes, About::Fine, 2.0);
+        assert_eq!(summary.over_sigma, Some([1.0, 1.0]));
+        let bound = summary.bound.unwrap();
+        assert_eq!((bound.median_arcsec, bound.error_over_bound), (1.0, 2.0));
+        assert_eq!(Demand::HonestSigma.unmet(&summary), None);
+        assert!(Demand::MedianArcsec(2.8).unmet(&summary).is_some());
+        assert_eq!(Demand::MedianArcsec(2.9).unmet(&summary), None);
+    }
+
+    #[test]
+    fn a_demand_on_frames_that_were_not_found_is_not_met() {
+        let summary = Summary::of(&[], About::Coarse, 2.0);
+        for demand in [
+            Demand::MedianArcsec(9.0),
+            Demand::HonestSigma,
+            Demand::SolvedShare(0.1),
+        ] {
+            assert!(demand.unmet(&summary).is_some(), "{demand}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_fine_though_it_ought_to_be_is_listed() {
+        let coarse = Outcome {
+            quality: Quality::Coarse,
+            ..off_by(0.0)
+        };
+        let summary = Summary::of(&[off_by(0.0), coarse], About::Fine, 2.0);
+        assert_eq!(summary.missed.len(), 1);
+        assert_eq!((summary.fine, summary.counted), (1, 1));
+    }
+
+    #[test]
+    fn a_fine_frame_that_is_far_off_is_wrong_and_one_that_says_so_is_not() {
+        assert!(is_wrong_fine(&off_by(4.0)));
+        assert!(!is_wrong_fine(&off_by(3.0)));
+        let sunless = Outcome {
+            aspect: None,
+            ..off_by(0.0)
+        };
+        assert!(is_wrong_fine(&sunless));
+    }
+}

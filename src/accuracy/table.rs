@@ -1,0 +1,199 @@
+//! The report as text: one table for the terminal, one in Markdown.
+
+use super::outcome::{HONEST, Summary};
+use super::{MarksReport, MixedReport, Report, RowReport, Size};
+use std::fmt::Write;
+
+const HEAD: [&str; 11] = [
+    "row",
+    "condition",
+    "frames",
+    "fine",
+    "counted",
+    "median",
+    "99.7 %",
+    "largest",
+    "error/sigma",
+    "bound",
+    "error/bound",
+];
+
+/// The cells of a row; `*` marks an error over sigma that is not honest.
+fn cells(report: &RowReport) -> [String; 11] {
+    let found = &report.summary;
+    let bound = found.bound.as_ref();
+    [
+        report.row.name.into(),
+        report.row.title.into(),
+        found.frames.to_string(),
+        percent(found.fine_share()),
+        found.counted.to_string(),
+        number(found.median_arcsec),
+        number(found.most_arcsec),
+        number(found.largest_arcsec),
+        over_sigma(found),
+        number(bound.map(|b| b.median_arcsec)),
+        bound.map_or("-".into(), |b| format!("{:.2}", b.error_over_bound)),
+    ]
+}
+
+fn percent(share: Option<f64>) -> String {
+    share.map_or("-".into(), |s| format!("{:.1} %", 100.0 * s))
+}
+
+/// Three digits after the point where they say something.
+fn number(value: Option<f64>) -> String {
+    value.map_or("-".into(), |v| {
+        let digits = if v < 0.1 { 4 } else { 3 };
+        format!("{v:.digits$}")
+    })
+}
+
+fn over_sigma(found: &Summary) -> String {
+    found.over_sigma.map_or("-".into(), |axes| {
+        let honest = axes.iter().all(|v| HONEST.contains(v));
+        let star = if honest { "" } else { " *" };
+        format!("{:.2}, {:.2}{star}", axes[0], axes[1])
+    })
+}
+
+/// The report for a terminal.
+pub fn text(report: &Report) -> String {
+    let rows: Vec<[String; 11]> = report.rows.iter().map(cells).collect();
+    let mut out = String::new();
+    if !rows.is_empty() {
+        let width = |c: usize| {
+            let cells = rows.iter().map(|row| row[c].chars().count());
+            cells.chain([HEAD[c].len()]).max().unwrap_or_default()
+        };
+        let mut line = |cells: [&str; 11]| {
+            let padded = (0..11).map(|c| match c {
+                0 | 1 => format!("{:<1$}", cells[c], width(c)),
+                _ => format!("{:>1$}", cells[c], width(c)),
+            });
+            let line = padded.collect::<Vec<_>>().join("  ");
+            out.push_str(line.trim_end());
+            out.push('\n');
+        };
+        line(HEAD);
+        rows.iter()
+            .for_each(|row| line(row.each_ref().map(String::as_str)));
+    }
+    out.push_str(&beside(report));
+    out
+}
+
+/// The report as a page of Markdown; `commit` is that of the program.
+pub fn markdown(report: &Report, commit: Option<&str>) -> String {
+    let size = match report.size {
+        Size::Small => "small",
+        Size::Full => "full",
+    };
+    let commit = commit.unwrap_or("unknown");
+    let mut out = format!(
+        "# Accuracy\n\nCommit {commit}, {size} size. Errors in arcsec: radial, of the Sun's centre on the plate, over the \
+         counted frames; the bound per axis.\nSeeds of a row: 0 to one less than its frames.\n\n"
+    );
+    if !report.rows.is_empty() {
+        let line = |cells: [&str; 11]| format!("| {} |\n", cells.join(" | "));
+        out += &line(HEAD);
+        out += &line(["---"; 11]);
+        for row in &report.rows {
+            out += &line(cells(row).each_ref().map(String::as_str));
+        }
+    }
+    out + &beside(report)
+}
+
+/// What stands beside the table in both forms.
+fn beside(report: &Report) -> String {
+    let mut out = String::new();
+    if let Some(marks) = &report.marks {
+        out += &marks_text(marks);
+    }
+    if let Some(mixed) = &report.mixed {
+        out += &mixed_text(mixed);
+    }
+    out += &missed_text(report);
+    out += &demands_text(report);
+    out
+}
+
+fn marks_text(report: &MarksReport) -> String {
+    let mut out = String::from("\nSingle marks, fully lit, in fine standard frames: ");
+    match &report.summary {
+        Some(found) => {
+            let _ = writeln!(
+                out,
+                "{} marks, radial error median {:.4} px ({:.3} arcsec), 99.7 % {:.4} px ({:.3} arcsec), error/sigma {:.2}",
+                found.marks,
+                found.median_px,
+                found.median_arcsec,
+                found.most_px,
+                found.most_arcsec,
+                found.over_sigma
+            );
+        }
+        None => out += "none found\n",
+    }
+    let sigmas = report.bias.cells.iter().map(|cell| cell.sigma_px);
+    let _ = writeln!(
+        out,
+        "Bias over {} sub-pixel phases ({} frames at 1 DN): largest {} px, known to {:.4} px",
+        report.bias.cells.len(),
+        report.bias.frames,
+        number(report.bias.largest_px()),
+        sigmas.fold(0.0, f64::max),
+    );
+    out
+}
+
+fn mixed_text(report: &MixedReport) -> String {
+    let found = &report.summary;
+    let [x, y] = found.over_sigma.map(number);
+    format!(
+        "\nMixed run: {} frames, {} with a usable Sun, of these {} fine and {} coarse; {} of the others solved. Fine: median \
+         {} arcsec, error/sigma {x}, {y}.\nWrong ids in {} frames, wrong fine frames {}.\n",
+        found.frames,
+        found.usable,
+        found.fine,
+        found.coarse,
+        found.solved_unusable,
+        number(found.median_arcsec),
+        found.wrong_ids.len(),
+        found.wrong_fine.len(),
+    )
+}
+
+/// How many frames of a row that ought to be fine are named.
+const NAMED: usize = 12;
+
+fn missed_text(report: &Report) -> String {
+    let mut out = String::new();
+    for row in report.rows.iter().filter(|r| !r.summary.missed.is_empty()) {
+        let missed = &row.summary.missed;
+        let _ = writeln!(
+            out,
+            "\n{}: {} frames with three marks fully lit that are not fine",
+            row.row.name,
+            missed.len()
+        );
+        for frame in missed.iter().take(NAMED) {
+            let _ = writeln!(
+                out,
+                "- seed {}, {} marks lit: {}",
+                frame.seed, frame.lit_marks, frame.reason
+            );
+        }
+    }
+    out
+}
+
+fn demands_text(report: &Report) -> String {
+    let unmet = report.unmet();
+    if unmet.is_empty() {
+        return "\nEvery demand is met.\n".into();
+    }
+    let lines = unmet.iter().map(|(name, why)| format!("- {name}: {why}\n"));
+    format!("\nNot met:\n{}", lines.collect::<String>())
+}

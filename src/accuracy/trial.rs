@@ -1,0 +1,155 @@
+//! One frame: its scene, the solution, and how the two differ.
+
+use super::bound;
+use super::conditions::{Recipe, fully_lit, limb_share};
+use crate::aspect::{Expected, Mark, Quality, Settings, Solution, solve_with};
+use crate::instrument::Instrument;
+use crate::plate::MarkId;
+use crate::simulate::{SUN_RADIUS_ARCSEC, Scene, SceneError};
+use crate::units::SensorPx;
+use nalgebra::{Matrix2, Vector2};
+
+/// A mark this far from where its id stands in truth has the wrong id, px.
+const WRONG_ID_PX: f64 = 3.0;
+
+/// What a frame's solution is, beside the truth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    pub seed: u64,
+    pub quality: Quality,
+    /// Why the frame is no better than it is.
+    pub reason: Option<String>,
+    /// The part of the limb on the sensor, in truth.
+    pub limb_share: f64,
+    /// How many marks are fully lit, in truth.
+    pub lit_marks: usize,
+    /// `None` without a Sun, found or true.
+    pub aspect: Option<AspectError>,
+    /// Fully lit marks that have the right id.
+    pub marks: Vec<MarkError>,
+    pub wrong_ids: Vec<MarkId>,
+    /// The least covariance of the Sun's place on the plate that the frame allows, mil^2; where it was asked for.
+    pub bound_mil2: Option<Matrix2<f64>>,
+}
+
+/// How far the aspect is from the truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AspectError {
+    /// Found less true, on the plate.
+    pub plate_mil: Vector2<f64>,
+    /// As the solution states it.
+    pub covariance_mil2: Matrix2<f64>,
+    /// Distance on the plate, as an angle.
+    pub radial_arcsec: f64,
+    /// Distance of the Sun's centre from its true place on the sensor.
+    pub sensor_px: f64,
+}
+
+impl AspectError {
+    /// Error over stated sigma, by axis.
+    pub fn over_sigma(&self) -> [f64; 2] {
+        [0, 1].map(|axis| self.plate_mil[axis] / self.covariance_mil2[(axis, axis)].sqrt())
+    }
+
+    /// How many sigma the error is, along its own direction.
+    pub fn surprise(&self) -> f64 {
+        let weight = self.covariance_mil2.try_inverse();
+        weight.map_or(f64::INFINITY, |weight| {
+            self.plate_mil.dot(&(weight * self.plate_mil)).sqrt()
+        })
+    }
+}
+
+/// How far a mark is from where it is in truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MarkError {
+    pub id: MarkId,
+    pub true_px: SensorPx,
+    /// Found less true.
+    pub px: Vector2<f64>,
+    pub sigma_px: f64,
+}
+
+/// Solves frames and compares them with the truth.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    pub instrument: Instrument,
+    pub settings: Settings,
+}
+
+/// Whether the Cramer-Rao bound of a frame is wanted: it costs several times as much as the frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bounded {
+    Yes,
+    No,
+}
+
+impl Trial {
+    /// Makes the frame of a recipe and a seed, solves it on its own and compares. The same seed always gives the same
+    /// outcome.
+    pub fn outcome(
+        &self,
+        recipe: &Recipe,
+        seed: u64,
+        bounded: Bounded,
+    ) -> Result<Outcome, SceneError> {
+        let scene = recipe.scene(&self.instrument, seed)?;
+        let expected = Some(Expected {
+            radius_arcsec: SUN_RADIUS_ARCSEC,
+        });
+        let frame = scene.frame()?;
+        let solution = solve_with(&self.settings, &frame, &self.instrument, expected, None);
+        let bound_mil2 = match bounded {
+            Bounded::Yes => bound::covariance_mil2(&scene),
+            Bounded::No => None,
+        };
+        Ok(Outcome {
+            bound_mil2,
+            ..self.compare(&scene, &solution, seed)
+        })
+    }
+
+    fn compare(&self, scene: &Scene, solution: &Solution, seed: u64) -> Outcome {
+        let lit: Vec<_> = fully_lit(scene).collect();
+        let miss = |mark: &Mark| {
+            let true_px = scene.mapping.to_sensor(scene.plate.position(mark.id));
+            (true_px, mark.at.vector() - true_px.vector())
+        };
+        let (mut marks, mut wrong_ids) = (Vec::new(), Vec::new());
+        for mark in &solution.marks {
+            let (true_px, px) = miss(mark);
+            if px.norm() > WRONG_ID_PX {
+                wrong_ids.push(mark.id);
+            } else if lit.iter().any(|l| l.id == mark.id) {
+                marks.push(MarkError {
+                    id: mark.id,
+                    true_px,
+                    px,
+                    sigma_px: mark.sigma_px,
+                });
+            }
+        }
+        Outcome {
+            seed,
+            quality: solution.quality,
+            reason: solution.stopped.map(|stopped| stopped.to_string()),
+            limb_share: limb_share(scene),
+            lit_marks: lit.len(),
+            aspect: self.aspect_error(scene, solution),
+            marks,
+            wrong_ids,
+            bound_mil2: None,
+        }
+    }
+
+    fn aspect_error(&self, scene: &Scene, solution: &Solution) -> Option<AspectError> {
+        let (truth, found) = (scene.truth().sun?, solution.aspect?);
+        let plate_mil = found.sun_plate.position.vector() - truth.plate.vector();
+        Some(AspectError {
+            plate_mil,
+            covariance_mil2: found.sun_plate.covariance,
+            radial_arcsec: plate_mil.norm() * self.instrument.optics.arcsec_per_mil(),
+            sensor_px: found.sun_px.position.distance(truth.px),
+        })
+    }
+}

@@ -1,0 +1,64 @@
+//! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
+
+use crate::accuracy::{Program, Size, markdown, text};
+use anyhow::Context;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+/// Judge the pipeline on simulated frames with known truth
+///
+/// One table: errors by condition beside what is demanded and what the frame allows at best. Exit code 1 when a demand is
+/// not met.
+#[derive(Debug, Args)]
+pub struct AccuracyArgs {
+    /// As many frames as the documentation's tables rest on, instead of the tests'
+    #[arg(long)]
+    full: bool,
+    /// Write accuracy.md and the figures (SVG) into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Only this part: a row's name, "marks" or "mixed"; may be given several times
+    #[arg(long, value_name = "NAME")]
+    only: Vec<String>,
+}
+
+pub fn run(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
+    let size = if args.full { Size::Full } else { Size::Small };
+    let program = Program::new(size, &args.only).context("--only")?;
+    let progress = ProgressBar::new(program.frames());
+    if let Ok(style) =
+        ProgressStyle::with_template("{bar:40} {pos}/{len} frames {elapsed} of {duration}")
+    {
+        progress.set_style(style);
+    }
+    let report = program.run(&|| progress.inc(1))?;
+    progress.finish_and_clear();
+    print!("{}", text(&report));
+    if let Some(folder) = &args.out {
+        let commit = commit();
+        write(folder, "accuracy.md", &markdown(&report, commit.as_deref()))?;
+    }
+    Ok(match report.unmet().is_empty() {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
+    })
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::write(folder.join(name), text))
+        .with_context(|| format!("cannot write {}", folder.join(name).display()))
+}
+
+/// The commit of the source that the program was built from, where that is still at hand.
+fn commit() -> Option<String> {
+    let answer = Command::new("git")
+        .args(["-C", env!("CARGO_MANIFEST_DIR")])
+        .args(["rev-parse", "--short=12", "HEAD"])
+        .output()
+        .ok()?;
+    let text = String::from_utf8(answer.stdout).ok()?;
+    answer.status.success().then(|| text.trim().into())
+}
