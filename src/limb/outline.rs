@@ -217,16 +217,16 @@ mod tests {
     #[test]
     fn a_short_arc_is_less_certain_across_it_than_along_it_and_the_known_radius_helps() {
         let points = limb(&truth(), -20..20, 0.05);
-        let known = OutlinePrior {
-            radius_px: Measured::new(95.16, 0.1),
-            flatness: 0.0005,
-        };
-        let sigma = |prior| {
-            let fit = fit_outline(&points, &start(), prior).unwrap();
+        let sigma = |radius_sigma_px| {
+            let prior = OutlinePrior {
+                radius_px: Measured::new(95.16, radius_sigma_px),
+                flatness: 0.0005,
+            };
+            let fit = fit_outline(&points, &start(), &prior).unwrap();
             let covariance = fit.centre_covariance();
             [covariance[(0, 0)].sqrt(), covariance[(1, 1)].sqrt()]
         };
-        let (loose, tight) = (sigma(&LOOSE), sigma(&known));
+        let (loose, tight) = (sigma(5.0), sigma(0.1));
         assert!(loose[0] > 2.0 * loose[1]);
         assert!(tight[0] < 0.5 * loose[0]);
     }
