@@ -125,7 +125,7 @@ impl Trial {
                     id: mark.id,
                     true_px,
                     px,
-                    sigma_px: mark.sigma_px,
+                    sigma_px: mark.sigma_px(),
                 });
             }
         }
