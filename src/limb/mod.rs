@@ -2,9 +2,9 @@
 //! circle through them.
 //!
 //! # Method
-//! Rows and columns of the sensor serve as chords, as RHESSI's linear CCDs did (Cramer 2014, section 4.2). A first,
-//! sparse set over the whole frame finds the disc; a second, dense one across the disc gives the crossings that
-//! are refined by a local straight line. The circle is fitted to the crossings on the plate, where the Sun's image
+//! Rows and columns of the sensor serve as chords, as RHESSI's linear CCDs did (Cramer 2014, section 4.2). Sparse
+//! rows over the whole frame tell where it is bright; chords across each bright patch find the disc, whole or cut by
+//! the sensor's edge; a dense set across the disc gives the crossings that are refined by a local straight line. The circle is fitted to the crossings on the plate, where the Sun's image
 //! is round whatever the camera's tilt.
 //!
 //! # When it fails
@@ -12,12 +12,15 @@
 //! out once the marks are known. Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size
 //! are refused.
 
+mod bright;
 mod chords;
+mod consensus;
 mod disc;
 mod levels;
+mod patches;
 mod search;
 
-pub use chords::{Axis, Crossing, Edge, Scan};
+pub use chords::{Axis, Chords, Crossing, Edge, Scan};
 pub use disc::{DiscFit, arc_fraction, fit_disc};
 pub use levels::levels;
 pub use search::{CoarseDisc, find_disc, fine_chords};
@@ -30,7 +33,7 @@ pub struct Settings {
     pub level_fraction: f64,
     /// Rows and columns of the dense set, each. More of them lower the noise with the square root.
     pub chords_per_axis: usize,
-    /// Distance between the chords of the first, sparse set, px.
+    /// Distance between the rows that look for bright patches, px.
     pub search_spacing_px: usize,
     /// Bright runs shorter than this are hot pixels and noise, px.
     pub min_run_px: usize,
