@@ -75,14 +75,20 @@ fn cut(scene: &mut Scene, at: Cut, share: f64, rng: &mut Xoshiro256PlusPlus) {
         Cut::Edge => ([x, side(second, height)], [0.0, outwards(second)]),
         Cut::Corner => {
             let angle: f64 = rng.random_range(0.15..TAU / 4.0 - 0.15);
-            let way = [outwards(first) * angle.cos(), outwards(second) * angle.sin()];
+            let way = [
+                outwards(first) * angle.cos(),
+                outwards(second) * angle.sin(),
+            ];
             ([side(first, width), side(second, height)], way)
         }
     };
     let mapping = scene.mapping;
     let mut sun = scene.sun.clone().unwrap();
     let mut moved = |by: f64| {
-        sun.centre = mapping.to_plate(SensorPx::new(start[0] + by * way[0], start[1] + by * way[1]));
+        sun.centre = mapping.to_plate(SensorPx::new(
+            start[0] + by * way[0],
+            start[1] + by * way[1],
+        ));
         sun.clone()
     };
     let (mut near, mut far) = (0.0, 400.0);
@@ -136,9 +142,7 @@ impl Search {
             }
             let truth = scene.truth().sun.unwrap();
             let disc = find(&scene.frame().unwrap(), radius_px)?;
-            let error_px = disc.centre.distance(truth.px);
-            if error_px > 1.5 && std::env::var("DISC_SEARCH_FRAMES").is_ok() { println!("{name} {n} {error_px} {disc:?} {truth:?}"); }
-            Some(error_px)
+            Some(disc.centre.distance(truth.px))
         };
         let mut errors_px: Vec<f64> = (0..frames).into_par_iter().filter_map(error).collect();
         errors_px.sort_by(f64::total_cmp);
@@ -182,9 +186,9 @@ fn a_disc_cut_by_the_sensor_is_found_with_fifteen_per_cent_of_its_limb() {
     for noise_dn in [1.0, 5.0, 15.0] {
         for (cut, place) in [(Cut::Edge, "edge"), (Cut::Corner, "corner")] {
             for share in &parts {
-                let name = format!("{share:?} of the limb at an {place}, {noise_dn} DN");
+                let name = format!("{share:?} of the limb at the {place}, {noise_dn} DN");
                 let view = View::Part(cut, share.clone());
-                let search = Search::through(name, frames(16), &view, |c, _| {
+                let search = Search::through(name, frames(4), &view, |c, _| {
                     c.noise = Noise::read(noise_dn);
                 });
                 search.keeps(0.97, 1.5);
@@ -197,9 +201,9 @@ fn a_disc_cut_by_the_sensor_is_found_with_fifteen_per_cent_of_its_limb() {
 fn with_less_of_its_limb_a_disc_is_found_where_it_is_or_not_at_all() {
     for noise_dn in [1.0, 5.0, 15.0] {
         for (cut, place) in [(Cut::Edge, "edge"), (Cut::Corner, "corner")] {
-            let name = format!("0.01 to 0.15 of the limb at an {place}, {noise_dn} DN");
+            let name = format!("0.01 to 0.15 of the limb at the {place}, {noise_dn} DN");
             let view = View::Part(cut, 0.01..0.15);
-            let search = Search::through(name, frames(32), &view, |c, _| {
+            let search = Search::through(name, frames(8), &view, |c, _| {
                 c.noise = Noise::read(noise_dn);
             });
             search.keeps(0.0, 2.0);
@@ -211,16 +215,16 @@ fn with_less_of_its_limb_a_disc_is_found_where_it_is_or_not_at_all() {
 fn a_cut_disc_is_found_among_blemishes_and_in_haze() {
     for (cut, place) in [(Cut::Edge, "edge"), (Cut::Corner, "corner")] {
         let part = View::Part(cut, 0.15..0.6);
-        let named = |what: &str| format!("{what}, cut by an {place}");
-        Search::through(named("blemishes"), frames(16), &part, |c, rng| {
+        let named = |what: &str| format!("{what}, cut by the {place}");
+        Search::through(named("blemishes"), frames(6), &part, |c, rng| {
             blemish(c, rng);
         })
         .keeps(0.9, 1.5);
-        Search::through(named("low contrast"), frames(16), &part, |c, _| {
+        Search::through(named("low contrast"), frames(6), &part, |c, _| {
             c.peak_dn = 60.0;
         })
         .keeps(0.9, 1.5);
-        Search::through(named("haze"), frames(16), &part, |c, rng| {
+        Search::through(named("haze"), frames(6), &part, |c, rng| {
             c.blur_px = rng.random_range(0.5..3.0);
         })
         .keeps(0.9, 2.0);
@@ -237,7 +241,7 @@ fn blemish(conditions: &mut Conditions, rng: &mut Xoshiro256PlusPlus) {
 #[test]
 fn a_whole_disc_is_always_found() {
     let whole = |name: &str, change: fn(&mut Conditions, &mut Xoshiro256PlusPlus)| {
-        Search::through(name, frames(24), &View::Whole, change).keeps(1.0, 1.0);
+        Search::through(name, frames(8), &View::Whole, change).keeps(1.0, 1.0);
     };
     whole("noise 1", |c, _| c.noise = Noise::read(1.0));
     whole("noise 5", |_, _| {});
@@ -280,7 +284,7 @@ fn a_whole_disc_is_always_found() {
 fn where_there_is_no_sun_no_disc_is_found() {
     let instrument = demo();
     for noise_dn in [0.3, 1.0, 5.0, 15.0] {
-        let found = (0..frames(24)).into_par_iter().filter(|n| {
+        let found = (0..frames(6)).into_par_iter().filter(|n| {
             let rng = &mut Xoshiro256PlusPlus::seed_from_u64(*n);
             let mut conditions = Conditions {
                 sun: SunInView::Absent,
@@ -339,10 +343,7 @@ fn what_the_sensor_cuts_and_is_no_sun_is_not_taken_for_one() {
             "large disc cut in half",
             frame_of(|x, y| lit(away(x, y, 700.0, 966.0) < 140.0)),
         ),
-        (
-            "wedge",
-            frame_of(|x, y| lit(x < 80.0 - (y - 400.0).abs())),
-        ),
+        ("wedge", frame_of(|x, y| lit(x < 80.0 - (y - 400.0).abs()))),
         (
             "dark disc on a bright strip",
             frame_of(|x, y| lit(x < 60.0 && away(x, y, 90.0, 400.0) > 95.0)),
@@ -356,7 +357,7 @@ fn what_the_sensor_cuts_and_is_no_sun_is_not_taken_for_one() {
 fn levels_are_the_frames_own_though_little_of_the_disc_is_seen() {
     let instrument = demo();
     for noise_dn in [1.0, 5.0, 15.0] {
-        for n in 0..frames(8) {
+        for n in 0..frames(2) {
             let rng = &mut Xoshiro256PlusPlus::seed_from_u64(n);
             let conditions = Conditions {
                 noise: Noise::read(noise_dn),
@@ -371,8 +372,16 @@ fn levels_are_the_frames_own_though_little_of_the_disc_is_seen() {
                 let levels = limb::levels(&frame, &Settings::default()).unwrap();
                 // Digitising adds a variance of 1/12.
                 let noise = noise_dn.hypot(0.2887);
-                assert!((levels.background_dn - 4.0).abs() < 0.04 * noise, "{levels:?}");
-                assert!((levels.noise_dn / noise - 1.0).abs() < 0.08, "{levels:?}");
+                // Whole numbers as coarse as the noise tell it less well.
+                let tolerance = 0.04 + 0.1 / noise_dn;
+                assert!(
+                    (levels.background_dn - 4.0).abs() < 0.04 * noise,
+                    "{levels:?}"
+                );
+                assert!(
+                    (levels.noise_dn / noise - 1.0).abs() < tolerance,
+                    "{levels:?}"
+                );
                 assert!(disc_dn.contains(&levels.disc_dn), "{levels:?}");
             }
         }

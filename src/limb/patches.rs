@@ -5,8 +5,8 @@ use super::bright::Whole;
 use crate::frame::{Region, View};
 use crate::units::Rejected;
 
-/// More bright runs than this are no Sun on a dark sky; a disc has 24 at 8 px from row to row.
-const MOST_RUNS: usize = 500;
+/// More bright runs than this, on average over the rows, are no Sun on a dark sky: it has one in every fifth row.
+const MOST_RUNS_PER_ROW: usize = 4;
 
 /// Bright runs that touch each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,16 +27,18 @@ pub(super) fn bright_patches<T: Whole>(
     let floor = T::floor(scan.threshold_dn);
     let mut patches: Vec<Patch> = Vec::new();
     let mut runs = scan.runs();
+    let rows = (region.y0 + spacing_px / 2..region.y1).step_by(spacing_px);
+    let most_runs = MOST_RUNS_PER_ROW * rows.len();
     let mut count = 0;
-    for y in (region.y0 + spacing_px / 2..region.y1).step_by(spacing_px) {
+    for y in rows {
         let row = &view.pixels[y * view.width..][region.x0..region.x1];
         runs.of_row(row, region.x0, floor);
         count += runs.found.len();
-        if count > MOST_RUNS {
+        if count > most_runs {
             return Err(Rejected {
                 reason: "the frame is bright in too many places",
                 measured: count as f64,
-                limit: MOST_RUNS as f64,
+                limit: most_runs as f64,
             });
         }
         for &(x0, x1) in &runs.found {
