@@ -86,7 +86,7 @@ static TABLE: &[Parameter] = &[
     row!(limb.limb_points, "", Whole(16, 720), command 11,
         "Points all round the limb at which the edge is fitted. All pixels of the limb serve whatever their number; more points are each less certain."),
     row!(limb.search_spacing_px, "px", Whole(1, 64), command 12,
-        "Distance between the chords that look for the disc over the whole frame."),
+        "Distance between the rows that look for the disc over the whole frame."),
     row!(limb.min_run_px, "px", Whole(1, 32), command 13,
         "Bright runs shorter than this are hot pixels and noise."),
     row!(limb.min_contrast_sigma, "", Number(2.0, 100.0), command 14,

@@ -4,7 +4,8 @@
 //! (Cramer 2014, table 8); one that runs into the sensor's edge keeps the crossing that is seen.
 
 use super::Settings;
-use crate::frame::{Region, Sample, View};
+use super::bright::{Runs, Whole};
+use crate::frame::{Region, View};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 
@@ -49,37 +50,58 @@ impl Crossing {
 /// What makes a chord: the threshold, and the lengths of what is no disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scan {
-    pub threshold_dn: f32,
+    pub threshold_dn: f64,
     /// Shorter bright runs are hot pixels and noise.
     pub min_run_px: usize,
     /// Shorter dark gaps are marks.
     pub max_gap_px: usize,
     /// Shorter runs that are left are no disc.
     pub min_chord_px: usize,
+    pub chords: Chords,
+}
+
+/// Which bright runs of a row or column are taken for chords of the disc.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Chords {
+    /// One that is alone: a line with more is refused.
+    Lone,
+    /// Every one, and those that the sensor cuts also when they are short: for a disc of which little is seen.
+    Every,
 }
 
 impl Scan {
     /// A scan for a threshold and a mark's length from tip to tip, px.
-    pub fn new(threshold_dn: f64, mark_length_px: f64, settings: &Settings) -> Self {
+    pub fn new(
+        threshold_dn: f64,
+        mark_length_px: f64,
+        chords: Chords,
+        settings: &Settings,
+    ) -> Self {
         let gap = (1.3 * mark_length_px).ceil() as usize;
         Self {
-            threshold_dn: threshold_dn as f32,
+            threshold_dn,
             min_run_px: settings.min_run_px,
             max_gap_px: gap,
             min_chord_px: gap,
+            chords,
         }
     }
 
+    pub(super) fn runs(&self) -> Runs {
+        Runs::new(self.min_run_px, self.max_gap_px)
+    }
+
     /// The crossings of the given rows and columns, within a region.
-    pub fn run<T: Sample>(
+    pub fn run<T: Whole>(
         &self,
         view: &View<'_, T>,
         region: Region,
         rows: impl Iterator<Item = usize>,
         columns: impl Iterator<Item = usize>,
     ) -> Vec<Crossing> {
+        let floor = T::floor(self.threshold_dn);
         let mut crossings = Vec::new();
-        let mut runs = Vec::new();
+        let mut runs = self.runs();
         for y in rows.filter(|y| (region.y0..region.y1).contains(y)) {
             let line = Line {
                 axis: Axis::Row,
@@ -88,7 +110,9 @@ impl Scan {
                 to: region.x1,
                 sensor_end: view.width,
             };
-            self.chord(line, |x| view.dn(x, y), &mut runs, &mut crossings);
+            let row = &view.pixels[y * view.width..][..view.width];
+            runs.of_row(&row[line.from..line.to], line.from, floor);
+            self.chords_of(line, |x| view.dn(x, y), &runs.found, &mut crossings);
         }
         for x in columns.filter(|x| (region.x0..region.x1).contains(x)) {
             let line = Line {
@@ -98,55 +122,39 @@ impl Scan {
                 to: region.y1,
                 sensor_end: view.height,
             };
-            self.chord(line, |y| view.dn(x, y), &mut runs, &mut crossings);
+            let column = view.pixels[line.from * view.width + x..]
+                .iter()
+                .step_by(view.width)
+                .take(line.to - line.from);
+            runs.of_line(column.copied(), line.from, floor);
+            self.chords_of(line, |y| view.dn(x, y), &runs.found, &mut crossings);
         }
         crossings
     }
 
-    fn chord(
+    /// The crossings of those runs of a line that are chords.
+    fn chords_of(
         &self,
         line: Line,
         value: impl Fn(usize) -> f32,
-        runs: &mut Vec<(usize, usize)>,
+        runs: &[(usize, usize)],
         crossings: &mut Vec<Crossing>,
     ) {
-        self.bright_runs(line, &value, runs);
-        let [(start, end)] = *runs.as_slice() else {
-            return;
+        let long = |(first, end): (usize, usize)| {
+            let cut = self.chords == Chords::Every && (first == 0 || end == line.sensor_end);
+            cut || end - first >= self.min_chord_px
         };
-        for (edge, first_after) in [(Edge::Entering, start), (Edge::Leaving, end)] {
-            if let Some(along) = self.cross(line, &value, edge, first_after) {
-                crossings.push(line.crossing(along, edge));
-            }
+        let chords = || runs.iter().copied().filter(|run| long(*run));
+        if self.chords == Chords::Lone && chords().count() > 1 {
+            return;
         }
-    }
-
-    /// Bright runs `start..end` of a line, without hot pixels, marks filled in, long enough to be a disc's.
-    fn bright_runs(
-        &self,
-        line: Line,
-        value: &impl Fn(usize) -> f32,
-        runs: &mut Vec<(usize, usize)>,
-    ) {
-        runs.clear();
-        let mut start = None;
-        for n in line.from..=line.to {
-            let bright = n < line.to && value(n) > self.threshold_dn;
-            match (start, bright) {
-                (None, true) => start = Some(n),
-                (Some(first), false) => {
-                    start = None;
-                    if n - first >= self.min_run_px {
-                        match runs.last_mut() {
-                            Some(last) if first - last.1 <= self.max_gap_px => last.1 = n,
-                            _ => runs.push((first, n)),
-                        }
-                    }
+        for (start, end) in chords() {
+            for (edge, first_after) in [(Edge::Entering, start), (Edge::Leaving, end)] {
+                if let Some(along) = self.cross(line, &value, edge, first_after) {
+                    crossings.push(line.crossing(along, edge));
                 }
-                _ => {}
             }
         }
-        runs.retain(|(first, end)| end - first >= self.min_chord_px);
     }
 
     /// Where a straight line through the four pixels about a threshold crossing meets the threshold; the window is
@@ -172,7 +180,7 @@ impl Scan {
             if rises != (edge == Edge::Entering) {
                 return None;
             }
-            let from_middle = (f64::from(self.threshold_dn) - mean) / slope;
+            let from_middle = (self.threshold_dn - mean) / slope;
             if from_middle.abs() > 2.0 {
                 return None;
             }
@@ -217,9 +225,14 @@ mod tests {
         min_run_px: 4,
         max_gap_px: 20,
         min_chord_px: 20,
+        chords: Chords::Lone,
     };
 
     fn crossings(row: &[u8]) -> Vec<f64> {
+        crossings_of(Chords::Lone, row)
+    }
+
+    fn crossings_of(chords: Chords, row: &[u8]) -> Vec<f64> {
         let view = View {
             width: row.len(),
             height: 1,
@@ -231,7 +244,8 @@ mod tests {
             x1: row.len(),
             y1: 1,
         };
-        let crossings = SCAN.run(&view, region, 0..1, 0..0);
+        let scan = Scan { chords, ..SCAN };
+        let crossings = scan.run(&view, region, 0..1, 0..0);
         crossings.iter().map(|c| c.at.x).collect()
     }
 
@@ -272,5 +286,22 @@ mod tests {
     fn a_chord_cut_by_the_sensor_keeps_the_edge_that_is_seen() {
         let row = disc_row();
         assert_eq!(crossings(&row[..80]), crossings(&row)[..1]);
+    }
+
+    #[test]
+    fn where_every_chord_counts_two_discs_have_four_crossings() {
+        let mut row = disc_row();
+        row.extend(disc_row());
+        assert_eq!(crossings_of(Chords::Every, &row).len(), 4);
+    }
+
+    #[test]
+    fn a_short_chord_counts_where_the_sensor_cuts_it_and_nowhere_else() {
+        let mut row = disc_row();
+        row.drain(..95);
+        assert_eq!(crossings_of(Chords::Every, &row).len(), 1);
+        assert!(crossings_of(Chords::Lone, &row).is_empty());
+        row.insert(0, 0);
+        assert!(crossings_of(Chords::Every, &row).is_empty());
     }
 }

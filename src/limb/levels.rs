@@ -1,57 +1,106 @@
 //! Robust brightness levels of a frame (Cramer 2014, section 4.2.5, steps 2 to 4).
 //!
-//! The Sun covers about 2 % of the frame, so background and noise come from the middle of the histogram and the
-//! disc from those pixels that outshine the noise; hot pixels and scratches are too few to move its quantile.
+//! The Sun covers 2 % of the frame at most, so background and noise come from the middle of the histogram, taken
+//! over every eighth pixel in both axes; where noise is cut off at zero the median and what lies above it do not
+//! mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has only some
+//! hundred pixels: they are looked for in every fourth row, stretches without any being passed over. Hot pixels and
+//! scratches are too few to move the quantile.
 
 use super::Settings;
-use crate::frame::{Frame, Levels, Sample, View};
+use super::bright::{Whole, bright_stretches};
+use crate::frame::{Frame, Levels, View};
 use crate::units::Rejected;
 use crate::with_view;
 
-/// Distance of the pixels looked at, in both axes.
-const STRIDE_PX: usize = 4;
+/// Distance of the pixels that tell the background, in both axes.
+const STRIDE_PX: usize = 8;
+/// Distance of the rows that are looked through for bright pixels.
+const BRIGHT_ROWS_PX: usize = 4;
+/// Pixels this many sigma above the background are bright: of a dark frame's fewer than one in 30 000.
+const BRIGHT_SIGMAS: f64 = 4.0;
 /// Which part of the bright pixels is darker than the disc's level.
 const DISC_QUANTILE: f64 = 0.9;
-/// Fewest bright pixels of the sample that can be a disc: 16 stand for 256 pixels, 1 % of the Sun.
-const MIN_BRIGHT_SAMPLES: u64 = 16;
+/// Fewest bright pixels in those rows that can be a disc: 64 stand for 256 pixels, 1 % of the Sun.
+const MIN_BRIGHT_PIXELS: u32 = 64;
+/// The upper quartile of a normal distribution, sigma.
+const QUARTILE_SIGMAS: f64 = 0.6745;
 /// A histogram over whole numbers cannot show less noise than rounding makes, DN.
 const ROUNDING_NOISE_DN: f64 = 0.2887;
 
 /// The levels of a frame; rejected when nothing outshines the background.
 pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
-    let values = 1 << frame.pixels().bits();
-    with_view!(frame, view => Histogram::of(&view, values).levels(settings))
+    let values = usize::from(frame.saturation_dn()) + 1;
+    with_view!(frame, view => {
+        let (background_dn, noise_dn) = Histogram::of_sample(&view, values).ground();
+        let bright_dn = background_dn + BRIGHT_SIGMAS * noise_dn;
+        let bright = Histogram::of_brighter(&view, values, bright_dn);
+        let disc_dn = bright.disc_dn()?;
+        let contrast_sigmas = (disc_dn - background_dn) / noise_dn;
+        if contrast_sigmas < settings.min_contrast_sigma {
+            return Err(Rejected {
+                reason: "nothing outshines the background by enough",
+                measured: contrast_sigmas,
+                limit: settings.min_contrast_sigma,
+            });
+        }
+        Ok(Levels { background_dn, noise_dn, disc_dn })
+    })
 }
 
-/// Counts of values, over a regular sample of the frame.
+/// Counts of values; all that saturate count as saturation.
 struct Histogram {
-    counts: Vec<u64>,
+    counts: Vec<u32>,
 }
 
 impl Histogram {
-    fn of<T: Sample>(view: &View<'_, T>, values: usize) -> Self {
-        let mut counts = vec![0_u64; values];
-        for y in (STRIDE_PX / 2..view.height).step_by(STRIDE_PX) {
-            let row = &view.pixels[y * view.width..(y + 1) * view.width];
-            for &pixel in row
-                .iter()
-                .skip(y / STRIDE_PX % STRIDE_PX)
-                .step_by(STRIDE_PX)
-            {
-                counts[pixel.dn() as usize] += 1;
-            }
-        }
+    fn new(values: usize) -> Self {
+        let counts = vec![0; values];
         Self { counts }
     }
 
-    /// The value below which `fraction` of the counts from `first_dn` on lie, interpolated within a value.
-    fn quantile(&self, fraction: f64, first_dn: usize) -> f64 {
-        let from_first = self.counts.iter().enumerate().skip(first_dn);
-        let wanted = fraction * self.total_from(first_dn) as f64;
+    fn add<T: Whole>(&mut self, pixel: T) {
+        let last = self.counts.len() - 1;
+        self.counts[pixel.index().min(last)] += 1;
+    }
+
+    /// A regular sample of the frame. Its columns shift from row to row, lest it meet a column of the sensor's pattern
+    /// always or never.
+    fn of_sample<T: Whole>(view: &View<'_, T>, values: usize) -> Self {
+        let mut histogram = Self::new(values);
+        for (n, rows) in view.pixels.chunks_exact(STRIDE_PX * view.width).enumerate() {
+            let row = &rows[STRIDE_PX / 2 * view.width..][..view.width];
+            for pixels in row.chunks_exact(STRIDE_PX) {
+                histogram.add(pixels[3 * n % STRIDE_PX]);
+            }
+        }
+        histogram
+    }
+
+    /// The pixels above a value, in some of the rows.
+    fn of_brighter<T: Whole>(view: &View<'_, T>, values: usize, dn: f64) -> Self {
+        let floor = T::floor(dn);
+        let mut histogram = Self::new(values);
+        let rows = view.pixels.chunks_exact(view.width);
+        for row in rows.skip(BRIGHT_ROWS_PX / 2).step_by(BRIGHT_ROWS_PX) {
+            for (_, stretch) in bright_stretches(row, floor) {
+                for &pixel in stretch.iter().filter(|pixel| **pixel > floor) {
+                    histogram.add(pixel);
+                }
+            }
+        }
+        histogram
+    }
+
+    fn total(&self) -> u32 {
+        self.counts.iter().sum()
+    }
+
+    /// The value below which `wanted` counts lie, interpolated within a value.
+    fn value_above(&self, wanted: f64) -> f64 {
         let mut below = 0.0;
-        for (dn, &count) in from_first {
-            let count = count as f64;
-            if count > 0.0 && below + count >= wanted {
+        for (dn, &count) in self.counts.iter().enumerate().filter(|(_, n)| **n > 0) {
+            let count = f64::from(count);
+            if below + count >= wanted {
                 return dn as f64 - 0.5 + (wanted - below) / count;
             }
             below += count;
@@ -59,29 +108,31 @@ impl Histogram {
         self.counts.len() as f64
     }
 
-    fn total_from(&self, first_dn: usize) -> u64 {
-        self.counts.iter().skip(first_dn).sum()
+    /// Background and its noise, 1 sigma, DN; the second time without what outshines it, which would shift both.
+    fn ground(&self) -> (f64, f64) {
+        let total = f64::from(self.total());
+        let estimate = |total: f64| {
+            let background_dn = self.value_above(0.5 * total);
+            let upper_quartile = self.value_above(0.75 * total);
+            let noise_dn = (upper_quartile - background_dn) / QUARTILE_SIGMAS;
+            (background_dn, noise_dn.max(ROUNDING_NOISE_DN))
+        };
+        let (background_dn, noise_dn) = estimate(total);
+        let bright_dn = background_dn + BRIGHT_SIGMAS * noise_dn;
+        let bright: u32 = self.counts.iter().skip(bright_dn.ceil() as usize).sum();
+        estimate(total - f64::from(bright))
     }
 
-    fn levels(&self, settings: &Settings) -> Result<Levels, Rejected> {
-        let background_dn = self.quantile(0.5, 0);
-        let upper_quartile = self.quantile(0.75, 0);
-        let noise_dn = ((upper_quartile - background_dn) / 0.6745).max(ROUNDING_NOISE_DN);
-        let bright_dn = background_dn + settings.min_contrast_sigma * noise_dn;
-        let first_bright = bright_dn.ceil() as usize;
-        let bright = self.total_from(first_bright);
-        if bright < MIN_BRIGHT_SAMPLES {
+    fn disc_dn(&self) -> Result<f64, Rejected> {
+        let bright = self.total();
+        if bright < MIN_BRIGHT_PIXELS {
             return Err(Rejected {
                 reason: "too few pixels are brighter than the background",
-                measured: bright as f64,
-                limit: MIN_BRIGHT_SAMPLES as f64,
+                measured: f64::from(bright),
+                limit: f64::from(MIN_BRIGHT_PIXELS),
             });
         }
-        Ok(Levels {
-            background_dn,
-            noise_dn,
-            disc_dn: self.quantile(DISC_QUANTILE, first_bright),
-        })
+        Ok(self.value_above(DISC_QUANTILE * f64::from(bright)))
     }
 }
 

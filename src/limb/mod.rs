@@ -1,8 +1,9 @@
 //! The edge of the disc: where the disc is, and its outline to the noise of the pixels.
 //!
 //! # Method
-//! Rows and columns of the sensor serve as chords, as RHESSI's linear CCDs did (Cramer 2014, section 4.2): a sparse set
-//! over the frame finds the disc. Its outline then comes from the whole limb: at every azimuth the blurred,
+//! Rows and columns of the sensor serve as chords, as RHESSI's linear CCDs did (Cramer 2014, section 4.2): sparse
+//! rows over the frame tell where it is bright, chords across each bright patch find the disc, whole or cut by the sensor's
+//! edge. Its outline then comes from the whole limb: at every azimuth the blurred,
 //! limb-darkened edge is fitted to the pixels about it, and an ellipse to the points that this gives, for the round
 //! image of the Sun on the plate is an ellipse on the sensor. Pixels that marks hide are left out once the marks are
 //! known.
@@ -11,15 +12,18 @@
 //! Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
 //! than [`Settings::min_limb_points`] points on an outline.
 
+mod bright;
 mod chords;
+mod consensus;
 mod edge;
 mod fine;
 mod levels;
 mod outline;
+mod patches;
 mod profile;
 mod search;
 
-pub use chords::{Axis, Crossing, Edge, Scan};
+pub use chords::{Axis, Chords, Crossing, Edge, Scan};
 pub use edge::{Hidden, LimbPoint};
 pub use fine::{Limb, fit_limb};
 pub use levels::levels;
@@ -35,7 +39,7 @@ pub struct Settings {
     pub level_fraction: f64,
     /// Points all round the limb at which the edge is measured.
     pub limb_points: usize,
-    /// Distance between the chords of the first, sparse set, px.
+    /// Distance between the rows that look for bright patches, px.
     pub search_spacing_px: usize,
     /// Bright runs shorter than this are hot pixels and noise, px.
     pub min_run_px: usize,
