@@ -15,10 +15,10 @@ use nalgebra::Matrix2;
 const MEAN_RADIUS_ARCSEC: Measured = Measured::new(959.63, 11.0);
 /// How far the limb that the profile's fit finds may be from the edge that the ephemeris means.
 pub(super) const LIMB_DEFINITION_SIGMA_PX: f64 = 0.1;
-/// A limb that differs from the stated radius by more than this many sigma is believed instead of it.
-const CONTRADICTION_SIGMAS: f64 = 5.0;
 /// A camera tilted by 3 deg makes the half axes differ by this part from their mean, 1 sigma.
-const FLATNESS: f64 = 0.002;
+const TILTED_FLATNESS: f64 = 0.002;
+/// A camera that looks as straight as the instrument states.
+const STATED_FLATNESS: f64 = 0.0003;
 /// Distance from a mark's arm within which the limb is not trusted, px.
 const MARK_MARGIN_PX: f64 = 3.0;
 /// The limb's fit looks at pixels so far from the limb.
@@ -101,7 +101,7 @@ impl<'a> Work<'a> {
 
     /// The outline of the disc, without the hidden pixels.
     ///
-    /// The radius that the instrument states steadies the outline of a disc of which little is seen. A limb that
+    /// The round outline of the stated radius steadies the fit to a disc of which little is seen. A limb that
     /// contradicts it is believed instead.
     pub(super) fn limb(
         &self,
@@ -109,23 +109,23 @@ impl<'a> Work<'a> {
         start: &Ellipse,
         hidden: &Hidden,
     ) -> Result<Limb, Stopped> {
-        let fit = |radius_px| {
-            let prior = OutlinePrior {
-                radius_px,
-                flatness: FLATNESS,
-            };
+        let fit = |prior: OutlinePrior| {
             let (blur_px, settings) = (self.shape.blur_px, &self.settings.limb);
             limb::fit_limb(self.frame, start, levels, blur_px, &prior, hidden, settings)
                 .map_err(at(Stage::Limb))
         };
-        let free = fit(Measured::new(
-            self.radius_px,
-            self.settings.limb.max_radius_deviation / 4.0 * self.radius_px,
-        ))?;
-        let stated = self.stated_radius_px();
-        let found = free.outline.ellipse.mean_radius();
-        let sigma = stated.sigma.hypot(free.outline.radius_sigma_px());
-        if (found - stated.value).abs() > CONTRADICTION_SIGMAS * sigma {
+        let free = fit(OutlinePrior {
+            radius_px: Measured::new(
+                self.radius_px,
+                self.settings.limb.max_radius_deviation / 4.0 * self.radius_px,
+            ),
+            flatness: TILTED_FLATNESS,
+        })?;
+        let stated = OutlinePrior {
+            radius_px: self.stated_radius_px(),
+            flatness: STATED_FLATNESS,
+        };
+        if free.outline.contradicts(&stated) {
             return Ok(free);
         }
         fit(stated)

@@ -40,6 +40,22 @@ impl OutlineFit {
         accepted as f64 / self.accepted.len().max(1) as f64
     }
 
+    /// Whether radius or flatness differ from what a prior states by more than both their sigmas allow.
+    pub fn contradicts(&self, prior: &OutlinePrior) -> bool {
+        let root = self.ellipse.root();
+        let flat = prior.flatness * prior.radius_px.value;
+        let found = [
+            self.ellipse.mean_radius() - prior.radius_px.value,
+            (root.m11 - root.m22) / 2.0,
+            root.m12,
+        ];
+        let stated = [prior.radius_px.sigma, flat, flat];
+        (0..3).any(|n| {
+            let variance = self.covariance[(n + 2, n + 2)] + stated[n].powi(2);
+            found[n].powi(2) > CONTRADICTION_SIGMAS.powi(2) * variance
+        })
+    }
+
     /// 1 sigma of the mean radius.
     pub fn radius_sigma_px(&self) -> f64 {
         self.covariance[(2, 2)].max(0.0).sqrt()
@@ -50,6 +66,8 @@ impl OutlineFit {
 const TUKEY_SIGMAS: f64 = 4.685;
 const STEPS: usize = 16;
 const ROUND_STEPS: usize = 6;
+/// Two values so many sigma apart are not of the same thing.
+const CONTRADICTION_SIGMAS: f64 = 5.0;
 /// Fewer points make no outline.
 const MIN_POINTS: usize = 6;
 
