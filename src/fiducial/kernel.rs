@@ -25,12 +25,18 @@ impl CrossShape {
         }
     }
 
+    /// The share of the light that a blurred bar covers at a distance from its middle, and its slope, per px.
+    pub(super) fn bar(&self, at: f64, half: f64) -> (f64, f64) {
+        let z = |edge: f64| edge / (self.blur_px * std::f64::consts::SQRT_2);
+        let density = |z: f64| (-z * z).exp() / (self.blur_px * std::f64::consts::TAU.sqrt());
+        let (near, far) = (z(at + half), z(at - half));
+        let share = (libm::erf(near) - libm::erf(far)) / 2.0;
+        (share, density(near) - density(far))
+    }
+
     /// Coverage at an offset from the centre, along the arms' axes: two blurred bars less their common middle.
-    fn coverage(&self, u: f64, v: f64) -> f64 {
-        let bar = |x: f64, half: f64| {
-            let z = |edge: f64| libm::erf(edge / (self.blur_px * std::f64::consts::SQRT_2));
-            (z(x + half) - z(x - half)) / 2.0
-        };
+    pub(super) fn coverage(&self, u: f64, v: f64) -> f64 {
+        let bar = |x: f64, half: f64| self.bar(x, half).0;
         let (long_u, long_v) = (bar(u, self.half_length_px), bar(v, self.half_length_px));
         let (wide_u, wide_v) = (bar(u, self.half_width_px), bar(v, self.half_width_px));
         long_u * wide_v + wide_u * long_v - wide_u * wide_v

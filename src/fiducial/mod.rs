@@ -13,12 +13,15 @@ mod detect;
 mod flatten;
 mod identify;
 mod kernel;
+mod profile;
 mod reading;
+mod refine;
 
 pub use detect::{Detection, Detections, Lighting, detect};
 pub use flatten::FlatDisc;
 pub use identify::{Identification, Sight, identify};
 pub use kernel::{CrossShape, Kernel};
+pub use refine::{RefinedMark, Refiner};
 
 /// What can be tuned in finding and reading marks.
 #[derive(Debug, Clone, Copy, PartialEq)]
