@@ -4,7 +4,7 @@
 use super::{Expected, Mark, Settings, Stage, Stopped, Track};
 use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Sight};
 use crate::frame::{Frame, Levels, Region};
-use crate::geometry::Circle;
+use crate::geometry::{Circle, Ellipse};
 use crate::instrument::Instrument;
 use crate::limb::{self, CoarseDisc, Crossing};
 use crate::registration::{self, Pair, Registration};
@@ -124,9 +124,12 @@ impl<'a> Work<'a> {
     }
 
     pub(super) fn detect(&self, levels: &Levels, disc: &Circle) -> Detections {
-        let margin = self.mark_length_px();
-        match FlatDisc::new(self.frame, *disc, levels, margin) {
-            Some(flat) => fiducial::detect(&flat, &self.shape, &self.settings.fiducial),
+        let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
+        let scale = self.radius_mil.value / disc.radius;
+        let shape = CrossShape::new(&plate.cross, scale, optics.blur_px.value);
+        let margin = 2.0 * shape.half_length_px;
+        match FlatDisc::new(self.frame, Ellipse::from(*disc), levels, margin) {
+            Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
             None => Detections::default(),
         }
     }

@@ -52,6 +52,19 @@ impl Profile {
         }
     }
 
+    /// Sum over pixels of the squared slope of the coverage along one axis: what a position's noise is divided by. A
+    /// quarter turn leaves the cross as it is, so the sum is the same along every axis.
+    pub(super) fn slope_energy(&self, reach_px: f64) -> f64 {
+        let reach = reach_px.ceil() as i32;
+        // One quadrant, and the axis between it and the next, stand for all four.
+        let quadrant = (0..=reach).flat_map(|v| (1..=reach).map(move |u| (u as f32, v as f32)));
+        let along_both = quadrant.map(|(u, v)| {
+            let seen = self.coverage(u, v);
+            f64::from(seen.slope_u.powi(2) + seen.slope_v.powi(2))
+        });
+        2.0 * along_both.sum::<f64>()
+    }
+
     /// Both bars at an offset, and their slopes, which are odd.
     fn bars(&self, offset: f32) -> [f32; 4] {
         let along = (offset.abs() * STEPS_PER_PX).min((self.steps.len() - 2) as f32);
@@ -77,13 +90,20 @@ mod tests {
         blur_px: 0.95,
     };
 
+    /// The blurred cross straight from its definition.
+    fn true_share(u: f64, v: f64) -> f64 {
+        let bar = |x: f64, half: f64| SHAPE.bar(x, half).0;
+        let (long_u, long_v) = (bar(u, SHAPE.half_length_px), bar(v, SHAPE.half_length_px));
+        let (wide_u, wide_v) = (bar(u, SHAPE.half_width_px), bar(v, SHAPE.half_width_px));
+        long_u * wide_v + wide_u * long_v - wide_u * wide_v
+    }
+
     #[test]
     fn the_table_holds_the_blurred_cross_and_its_slopes() {
         let profile = Profile::new(&SHAPE);
         for n in 0..60 {
             let (u, v) = (f64::from(n) * 0.41 - 12.0, f64::from(n) * 0.17 - 5.0);
             let seen = profile.coverage(u as f32, v as f32);
-            let true_share = |u, v| SHAPE.coverage(u, v);
             assert!((f64::from(seen.share) - true_share(u, v)).abs() < 3e-4);
             const H: f64 = 1e-4;
             let slope_u = (true_share(u + H, v) - true_share(u - H, v)) / (2.0 * H);
@@ -91,5 +111,17 @@ mod tests {
             assert!((f64::from(seen.slope_u) - slope_u).abs() < 1e-3);
             assert!((f64::from(seen.slope_v) - slope_v).abs() < 1e-3);
         }
+    }
+
+    #[test]
+    fn the_cross_has_the_area_of_its_arms() {
+        let (length, width) = (2.0 * SHAPE.half_length_px, 2.0 * SHAPE.half_width_px);
+        let profile = Profile::new(&SHAPE);
+        let (sin, cos) = 0.3_f32.sin_cos();
+        let area: f32 = (-15..=15)
+            .flat_map(|y| (-15..=15).map(move |x| (x as f32, y as f32)))
+            .map(|(x, y)| profile.coverage(cos * x + sin * y, cos * y - sin * x).share)
+            .sum();
+        assert!((f64::from(area) - (2.0 * length * width - width * width)).abs() < 0.02);
     }
 }
