@@ -65,9 +65,10 @@ pub fn solve(
 /// 5. Their ids.
 /// 6. A first mapping from sensor to plate.
 /// 7. The outline again, without the pixels of any mark of the plate, seen or not.
-/// 8. The mapping and the disc on the plate, adjusted together; where the marks give no mapping, the prior's, else the
+/// 8. The marks' places by their own pixels, in the light that the limb tells.
+/// 9. The mapping and the disc on the plate, adjusted together; where the marks give no mapping, the prior's, else the
 ///    calibration's.
-/// 9. The Sun's centre on plate and sensor, with covariance; quality.
+/// 10. The Sun's centre on plate and sensor, with covariance; quality.
 pub fn solve_with(
     settings: &Settings,
     frame: &Frame,
@@ -102,15 +103,15 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
         limb = bare; // 7
     }
     solution.limb.clone_from(&limb.points);
-    let registration = read.and_then(|(_, marks)| {
-        solution.marks = marks;
-        work.register(&solution.marks, Some(&limb)) // 8
+    let registration = read.and_then(|(first, marks)| {
+        solution.marks = work.refine(&levels, &limb, &first.mapping, &marks); // 8
+        work.register(&solution.marks, Some(&limb)) // 9
     });
     let registration = registration
         .map_err(|stopped| solution.stopped = Some(stopped))
         .ok();
     let adopted = work.adopt(registration.as_ref())?;
-    let aspect = work.aspect(&limb, &adopted, registration.as_ref())?; // 9
+    let aspect = work.aspect(&limb, &adopted, registration.as_ref())?; // 10
     solution.quality = work.judge(&aspect, &adopted, solution);
     solution.track = Some(work.track(&aspect, registration));
     solution.aspect = Some(aspect);

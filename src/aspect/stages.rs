@@ -2,7 +2,7 @@
 //! knows how.
 
 use super::{Expected, Mark, Settings, Stage, Stopped, Track};
-use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Sight};
+use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner, Sight};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
@@ -26,6 +26,10 @@ const HIDING_DEPTH_PX: f64 = 12.0;
 /// Relative error of a scale taken from the disc's radius: haze and saturation move the threshold by up to a pixel,
 /// a tilted camera makes the scale differ between axes.
 const DISC_SCALE_SIGMA: f64 = 0.007;
+/// What the model of a cross leaves out, px: the pixel's square shape, the print's edges.
+const MODEL_SIGMA_PX: f64 = 0.002;
+/// 1 sigma of a mark whose pixels do not agree with a cross.
+const UNREFINED_SIGMA_PX: f64 = 0.2;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
@@ -191,12 +195,52 @@ impl<'a> Work<'a> {
         hidden
     }
 
+    /// Scale at the disc, from its radius.
+    fn disc_scale(&self, disc: &Ellipse) -> f64 {
+        self.radius_mil.value / disc.mean_radius()
+    }
+
     pub(super) fn detect(&self, levels: &Levels, limb: &Limb) -> Detections {
-        let margin = self.mark_length_px();
-        match FlatDisc::new(self.frame, circle_of(limb), levels, margin) {
-            Some(flat) => fiducial::detect(&flat, &self.shape, &self.settings.fiducial),
+        let disc = limb.outline.ellipse;
+        let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
+        let shape = CrossShape::new(&plate.cross, self.disc_scale(&disc), optics.blur_px.value);
+        let margin = 2.0 * shape.half_length_px;
+        match FlatDisc::new(self.frame, disc, levels, margin) {
+            Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
             None => Detections::default(),
         }
+    }
+
+    /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
+    /// sigma that gives it little weight.
+    pub(super) fn refine(
+        &self,
+        levels: &Levels,
+        limb: &Limb,
+        mapping: &Mapping,
+        marks: &[Mark],
+    ) -> Vec<Mark> {
+        let scale = self.disc_scale(&limb.outline.ellipse);
+        let plate = &self.instrument.plate;
+        let refiner = Refiner::new(&plate.cross, scale, self.instrument.optics.blur_px.value);
+        let refined = |mark: &Mark| {
+            let jacobian = mapping.sensor_jacobian(plate.position(mark.id));
+            let light = |x, y| limb.light_dn(x, y);
+            let found = refiner.refine(self.frame, levels, light, &jacobian, mark.at);
+            let (seen, covariance_px2) = match found {
+                Some(found) => (
+                    found.place.position,
+                    found.place.covariance + Matrix2::identity() * MODEL_SIGMA_PX.powi(2),
+                ),
+                None => (mark.at, Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2)),
+            };
+            Mark {
+                at: seen,
+                covariance_px2,
+                ..*mark
+            }
+        };
+        marks.iter().map(refined).collect()
     }
 
     pub(super) fn identify(

@@ -1,16 +1,18 @@
 //! Finding marks on the flattened disc, at any rotation of the camera.
 
-use super::kernel::Tap;
-use super::{CrossShape, FlatDisc, Kernel, Settings};
+use super::kernel::Kernel;
+use super::profile::Profile;
+use super::spots::{find_spots, neighbours};
+use super::{CrossShape, FlatDisc, Settings};
 use crate::units::SensorPx;
-use nalgebra::{Complex, Matrix6, Vector6};
+use nalgebra::{Complex, Matrix6, Vector2, Vector6};
 
 /// Whether the whole mark is lit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lighting {
-    /// The whole cross lies on the disc.
+    /// All four tips of the cross lie inside the limb and on the sensor.
     Full,
-    /// The limb cuts the cross: its position is pulled, and it must not decide a mapping.
+    /// The limb or the sensor's edge cuts the cross: its position is pulled, and it must not decide a mapping.
     Cut,
 }
 
@@ -31,235 +33,229 @@ pub struct Detection {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Detections {
     pub marks: Vec<Detection>,
-    /// Rotation of the arms from the sensor's axes, modulo a quarter turn, 0 to 90 deg.
+    /// Rotation of the arms from the axes of the disc's own coordinates ([`Ellipse::to_disc`](crate::geometry::Ellipse::to_disc); of a
+    /// round disc: from the sensor's axes), modulo a quarter turn, 0 to 90 deg.
     pub quarter_rotation_deg: f64,
 }
 
 /// Systematic error of a paraboloid's peak over the sub-pixel phases, px; added to every mark's sigma.
 const PARABOLOID_SIGMA_PX: f64 = 0.01;
-/// Haze and saturation widen the disc by up to this.
-const LIMB_UNCERTAINTY_PX: f64 = 1.0;
-/// A spot seen through the round kernel is this much weaker than a cross through its own.
-const ROUND_SHARE: f64 = 0.6;
+/// How far inside the limb a tip must be to count as lit: the outline's own uncertainty.
+const TIP_MARGIN_PX: f64 = 0.25;
+/// The contrast that the fourfold part of a cross shows, over that of the whole, is 1 but for noise; of what is round it
+/// is 0.
+const FOURFOLD_SHARE: std::ops::Range<f64> = 0.6..1.6;
+/// All marks of a plate have the same contrast; what the whole frame's marks have in common, the limb and blemishes change
+/// by less than this.
+const COMMON_CONTRAST: std::ops::Range<f64> = 0.6..1.5;
 
 /// Finds the marks on a flattened disc.
+///
+/// # Algorithm
+/// 1. Places that are dark over about the size of a mark, whatever its rotation.
+/// 2. The rotation that the arms there have in common.
+/// 3. At each place, the peak of the response to the blurred cross at that rotation, refined by a paraboloid. It must be
+///    significant, like a cross, and as fourfold as one: sunspots and dust are round.
+/// 4. Of those too near to each other the likest; of all, those of the contrast that the frame's marks have in common.
+/// 5. The rotation again, from the marks' own places.
 pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detections {
-    let spots = find_spots(flat, &Kernel::round(shape), shape, settings);
-    let Some(quarter_rotation_deg) = arm_rotation_deg(flat, &spots, shape) else {
-        return Detections::default();
+    let spots = find_spots(flat, shape, settings); // 1
+    let places = spots.iter().map(|spot| flat.position(*spot));
+    let Some(rough_deg) = arm_rotation_deg(flat, places, shape) else {
+        return Detections::default(); // 2
     };
-    let kernel = Kernel::oriented(shape, quarter_rotation_deg);
-    let filter = Filter::new(flat, &kernel);
-    let slope_energy = shape.slope_energy();
-    let mut marks: Vec<Detection> = spots
+    let search = Search::new(flat, shape, settings, rough_deg);
+    let found = spots
         .iter()
-        .filter_map(|spot| measure(&filter, shape, slope_energy, *spot, settings))
-        .collect();
-    marks.sort_by(|a, b| b.contrast.total_cmp(&a.contrast));
+        .filter_map(|spot| search.measure(*spot))
+        .collect(); // 3
+    let marks = with_common_contrast(likest(found, shape)); // 4
+    let full = || marks.iter().filter(|m| m.lighting == Lighting::Full);
+    let places = full().map(|mark| mark.at);
+    let quarter_rotation_deg = arm_rotation_deg(flat, places, shape).unwrap_or(rough_deg); // 5
+    Detections {
+        marks,
+        quarter_rotation_deg,
+    }
+}
+
+/// The rotation of the arms in the disc's coordinates, from the fourfold part of the darkness around some places. `None`
+/// without places.
+fn arm_rotation_deg(
+    flat: &FlatDisc,
+    places: impl Iterator<Item = SensorPx>,
+    shape: &CrossShape,
+) -> Option<f64> {
+    let radius = shape.reach_px();
+    let mut fourfold = Complex::new(0.0_f32, 0.0);
+    for place in places {
+        let centre = flat.outline.to_disc(place.vector());
+        for (at, darkness) in flat.around(place, radius) {
+            let w = flat.outline.to_disc(at) - centre;
+            let part = ((at - place.vector()).norm() / radius) as f32;
+            // Where arms are apart from each other, and smooth, lest the pixels' own square shows.
+            let weight = (part * part * (1.0 - part * part)).max(0.0);
+            let direction = Complex::new(w.x as f32, w.y as f32).powi(4);
+            let length = direction.norm();
+            if length > 0.0 {
+                fourfold += direction * (weight * darkness / length);
+            }
+        }
+    }
+    let angle = f64::from(fourfold.arg()) / 4.0;
+    (fourfold.norm() > 0.0).then(|| angle.to_degrees().rem_euclid(90.0))
+}
+
+/// What looks for crosses of one rotation.
+struct Search<'a> {
+    flat: &'a FlatDisc,
+    shape: &'a CrossShape,
+    settings: &'a Settings,
+    cross: Kernel,
+    fourfold: Kernel,
+    slope_energy: f64,
+    /// Offsets of two neighbouring tips from the middle, px.
+    tips: [Vector2<f64>; 2],
+}
+
+impl<'a> Search<'a> {
+    fn new(
+        flat: &'a FlatDisc,
+        shape: &'a CrossShape,
+        settings: &'a Settings,
+        rotation_deg: f64,
+    ) -> Self {
+        let profile = Profile::new(shape);
+        let (sin, cos) = rotation_deg.to_radians().sin_cos();
+        let tip = |x, y| Vector2::new(x, y) * shape.half_length_px;
+        Self {
+            flat,
+            shape,
+            settings,
+            cross: Kernel::oriented(shape, &profile, rotation_deg),
+            fourfold: Kernel::fourfold(shape, &profile, rotation_deg),
+            slope_energy: profile.slope_energy(shape.reach_px()),
+            tips: [tip(cos, sin), tip(-sin, cos)],
+        }
+    }
+
+    /// Climbs to the peak of the cross's response near a spot, refines it by a paraboloid and judges it.
+    fn measure(&self, spot: usize) -> Option<Detection> {
+        let (flat, settings) = (self.flat, self.settings);
+        let (index, around) = self.climb(spot)?;
+        let (dx, dy) = paraboloid_peak(&around)?;
+        let pixel = flat.position(index);
+        let at = SensorPx::new(pixel.x + dx, pixel.y + dy);
+        let noise = flat.noise(at);
+        let contrast = around[4];
+        let enough = settings.detection_sigma * self.cross.noise(noise);
+        if contrast < enough.max(settings.min_contrast) {
+            return None;
+        }
+        let fourfold = self.fourfold.response(flat, index) / contrast;
+        let likeness = self.likeness(index, contrast, noise);
+        if likeness < settings.min_likeness || !FOURFOLD_SHARE.contains(&fourfold) {
+            return None;
+        }
+        let random = noise / (contrast * self.slope_energy.sqrt());
+        Some(Detection {
+            at,
+            sigma_px: random.hypot(PARABOLOID_SIGMA_PX),
+            contrast,
+            likeness,
+            lighting: self.lighting(at),
+        })
+    }
+
+    /// The index of the highest response near a spot, with the responses of its 3 x 3 neighbourhood by rows. `None` when
+    /// the climb leads away.
+    fn climb(&self, spot: usize) -> Option<(usize, [f64; 9])> {
+        const FARTHEST: usize = 6;
+        let mut index = spot;
+        for _ in 0..=FARTHEST {
+            if !self.cross.fits(self.flat, index) {
+                return None;
+            }
+            let mut around = [0.0; 9];
+            let mut best = (index, f64::NEG_INFINITY);
+            for (response, n) in around.iter_mut().zip(neighbours(index, self.flat.side())) {
+                *response = self.cross.response(self.flat, n);
+                if *response > best.1 {
+                    best = (n, *response);
+                }
+            }
+            if best.0 == index {
+                return Some((index, around));
+            }
+            index = best.0;
+        }
+        None
+    }
+
+    /// The part of the structure about a position that the cross explains, the noise's own share taken off.
+    fn likeness(&self, index: usize, contrast: f64, noise: f64) -> f64 {
+        let place = self.flat.position(index);
+        let (mut sum, mut squares, mut count) = (0.0_f32, 0.0_f32, 0.0);
+        for (_, darkness) in self.flat.around(place, self.shape.reach_px()) {
+            sum += darkness;
+            squares += darkness * darkness;
+            count += 1.0;
+        }
+        let structure = f64::from(squares - sum * sum / count as f32);
+        let explained = contrast * contrast * self.cross.energy;
+        // The noise of this very patch may exceed its mean share; structure is never less than what is explained.
+        explained / (structure - count * noise * noise).max(explained)
+    }
+
+    fn lighting(&self, at: SensorPx) -> Lighting {
+        let tips = self
+            .tips
+            .iter()
+            .flat_map(|tip| [at.vector() + tip, at.vector() - tip]);
+        let lit = |tip: Vector2<f64>| self.flat.is_lit(tip.into(), TIP_MARGIN_PX);
+        if tips.map(lit).all(|lit| lit) {
+            Lighting::Full
+        } else {
+            Lighting::Cut
+        }
+    }
+}
+
+/// Of detections less than a mark's length apart, the one most like a cross.
+fn likest(mut found: Vec<Detection>, shape: &CrossShape) -> Vec<Detection> {
+    found.sort_by(|a, b| b.likeness.total_cmp(&a.likeness));
     let mut kept: Vec<Detection> = Vec::new();
-    for mark in marks {
+    for mark in found {
         let apart = 2.0 * shape.half_length_px;
         if kept.iter().all(|other| other.at.distance(mark.at) > apart) {
             kept.push(mark);
         }
     }
-    Detections {
-        marks: kept,
-        quarter_rotation_deg,
-    }
-}
-
-/// A kernel laid over a flattened disc: its taps as distances along the values.
-struct Filter<'a> {
-    flat: &'a FlatDisc,
-    kernel: &'a Kernel,
-    taps: Vec<(isize, f32)>,
-}
-
-impl<'a> Filter<'a> {
-    fn new(flat: &'a FlatDisc, kernel: &'a Kernel) -> Self {
-        let side = flat.side() as isize;
-        let along = |tap: &Tap| (tap.dy * side + tap.dx, tap.weight / kernel.energy as f32);
-        Self {
-            flat,
-            kernel,
-            taps: kernel.taps.iter().map(along).collect(),
-        }
-    }
-
-    /// Rows or columns from which on the kernel stays within the values.
-    fn inner(&self) -> std::ops::Range<usize> {
-        let reach = self.kernel.reach() + 1;
-        reach..self.flat.side().saturating_sub(reach).max(reach)
-    }
-
-    fn contains(&self, index: usize) -> bool {
-        let (row, column) = (index / self.flat.side(), index % self.flat.side());
-        self.inner().contains(&row) && self.inner().contains(&column)
-    }
-
-    /// Contrast of the cross as the kernel sees it, centred on an inner value.
-    fn response(&self, index: usize) -> f32 {
-        let values = self.flat.values();
-        let sum = |sum: f32, (along, weight): &(isize, f32)| {
-            sum + weight * values[index.wrapping_add_signed(*along)]
-        };
-        self.taps.iter().fold(0.0, sum)
-    }
-
-    /// The responses of all inner values; 0 elsewhere. Tap by tap along whole rows, which the compiler turns into
-    /// vector instructions.
-    fn responses(&self) -> Vec<f32> {
-        let values = self.flat.values();
-        let side = self.flat.side();
-        let inner = self.inner();
-        let mut responses = vec![0.0_f32; values.len()];
-        for row in inner.clone() {
-            let first = row * side + inner.start;
-            let sums = &mut responses[first..first + inner.len()];
-            for (along, weight) in &self.taps {
-                let from = first.wrapping_add_signed(*along);
-                for (sum, value) in sums.iter_mut().zip(&values[from..from + inner.len()]) {
-                    *sum += weight * value;
-                }
-            }
-        }
-        responses
-    }
-
-    /// 1 sigma of a response at a position.
-    fn noise(&self, at: SensorPx) -> f64 {
-        self.flat.noise(at) / self.kernel.energy.sqrt()
-    }
-}
-
-/// Indices of the local maxima of the round kernel's response, strongest first, one for each mark length.
-fn find_spots(
-    flat: &FlatDisc,
-    kernel: &Kernel,
-    shape: &CrossShape,
-    settings: &Settings,
-) -> Vec<usize> {
-    let filter = Filter::new(flat, kernel);
-    let responses = filter.responses();
-    let least = (settings.min_contrast * ROUND_SHARE) as f32;
-    let mut spots: Vec<usize> = Vec::new();
-    for (index, &here) in responses.iter().enumerate() {
-        if here > least && filter.contains(index) {
-            let at = flat.position(index);
-            let significant = f64::from(here) > settings.detection_sigma * filter.noise(at);
-            let is_peak = || neighbours(index, flat.side()).all(|n| responses[n] <= here);
-            if significant && flat.depth_px(at) > 0.0 && is_peak() {
-                spots.push(index);
-            }
-        }
-    }
-    spots.sort_by(|a, b| responses[*b].total_cmp(&responses[*a]));
-    let mut kept: Vec<usize> = Vec::new();
-    for spot in spots {
-        let here = flat.position(spot);
-        let far = |other: &usize| flat.position(*other).distance(here) > 2.0 * shape.half_length_px;
-        if kept.len() < settings.max_detections && kept.iter().all(far) {
-            kept.push(spot);
-        }
-    }
     kept
 }
 
-/// The 3 x 3 neighbourhood of an index, by rows.
-fn neighbours(index: usize, side: usize) -> impl Iterator<Item = usize> {
-    (0..9).map(move |n| index + (n / 3) * side + n % 3 - side - 1)
-}
-
-/// The rotation of the arms from the fourfold part of the darkness on rings about the spots. `None` without spots.
-fn arm_rotation_deg(flat: &FlatDisc, spots: &[usize], shape: &CrossShape) -> Option<f64> {
-    let reach = shape.half_length_px.ceil() as isize;
-    let (values, side) = (flat.values(), flat.side() as isize);
-    let mut fourfold = Complex::new(0.0, 0.0);
-    for spot in spots {
-        for dy in -reach..=reach {
-            for dx in -reach..=reach {
-                let (fx, fy) = (dx as f64, dy as f64);
-                let distance = fx.hypot(fy);
-                if distance > 2.5 && distance < shape.half_length_px {
-                    let darkness = values[spot.wrapping_add_signed(dy * side + dx)];
-                    fourfold += Complex::from_polar(f64::from(darkness), 4.0 * fy.atan2(fx));
-                }
-            }
-        }
-    }
-    (fourfold.norm() > 0.0).then(|| (fourfold.arg() / 4.0).to_degrees().rem_euclid(90.0))
-}
-
-/// Climbs to the peak of the cross's response near a spot, refines it by a paraboloid and judges it.
-fn measure(
-    filter: &Filter<'_>,
-    shape: &CrossShape,
-    slope_energy: f64,
-    spot: usize,
-    settings: &Settings,
-) -> Option<Detection> {
-    let flat = filter.flat;
-    let (index, around) = climb(filter, spot)?;
-    let (dx, dy) = paraboloid_peak(&around)?;
-    let pixel = flat.position(index);
-    let at = SensorPx::new(pixel.x + dx, pixel.y + dy);
-    let contrast = f64::from(around[4]);
-    let enough = (settings.detection_sigma * filter.noise(at)).max(settings.min_contrast);
-    let likeness = likeness(filter, index, contrast, flat.noise(at));
-    if contrast < enough || likeness < settings.min_likeness {
-        return None;
-    }
-    let random = flat.noise(at) / (contrast * slope_energy.sqrt());
-    let lighting = if flat.depth_px(at) >= shape.half_length_px + LIMB_UNCERTAINTY_PX {
-        Lighting::Full
-    } else {
-        Lighting::Cut
+/// The detections whose contrast is that of most fully lit ones (of all, where none is), strongest first.
+fn with_common_contrast(mut marks: Vec<Detection>) -> Vec<Detection> {
+    marks.sort_by(|a, b| b.contrast.total_cmp(&a.contrast));
+    let full = || marks.iter().filter(|mark| mark.lighting == Lighting::Full);
+    let middle = full().count() / 2;
+    let Some(common) = full().nth(middle).or(marks.first()).map(|m| m.contrast) else {
+        return marks;
     };
-    Some(Detection {
-        at,
-        sigma_px: random.hypot(PARABOLOID_SIGMA_PX),
-        contrast,
-        likeness,
-        lighting,
-    })
-}
-
-/// The index of the highest response near a spot, with the responses of its 3 x 3 neighbourhood by rows. `None` when
-/// the climb leads away.
-fn climb(filter: &Filter<'_>, spot: usize) -> Option<(usize, [f32; 9])> {
-    const FARTHEST: usize = 5;
-    let mut index = spot;
-    for _ in 0..=FARTHEST {
-        if !neighbours(index, filter.flat.side()).all(|n| filter.contains(n)) {
-            return None;
-        }
-        let mut around = [0.0_f32; 9];
-        let mut best = (index, f32::NEG_INFINITY);
-        for (response, n) in around.iter_mut().zip(neighbours(index, filter.flat.side())) {
-            *response = filter.response(n);
-            if *response > best.1 {
-                best = (n, *response);
-            }
-        }
-        if best.0 == index {
-            return Some((index, around));
-        }
-        index = best.0;
-    }
-    None
+    marks.retain(|mark| COMMON_CONTRAST.contains(&(mark.contrast / common)));
+    marks
 }
 
 /// The top of the least-squares paraboloid through a 3 x 3 neighbourhood, from its middle. `None` when it has no top
 /// within a pixel.
-fn paraboloid_peak(around: &[f32; 9]) -> Option<(f64, f64)> {
+fn paraboloid_peak(around: &[f64; 9]) -> Option<(f64, f64)> {
     let mut normal = Matrix6::zeros();
     let mut right = Vector6::zeros();
     for (n, value) in around.iter().enumerate() {
         let (x, y) = (n as f64 % 3.0 - 1.0, (n / 3) as f64 - 1.0);
         let row = Vector6::new(1.0, x, y, x * x, x * y, y * y);
         normal += row * row.transpose();
-        right += row * f64::from(*value);
+        right += row * *value;
     }
     let p = normal.cholesky()?.solve(&right);
     let (a, b, c) = (2.0 * p[3], p[4], 2.0 * p[5]);
@@ -272,22 +268,6 @@ fn paraboloid_peak(around: &[f32; 9]) -> Option<(f64, f64)> {
     (x.abs() <= 1.0 && y.abs() <= 1.0).then_some((x, y))
 }
 
-/// The part of the structure about a position that the cross explains, the noise's own share taken off.
-fn likeness(filter: &Filter<'_>, index: usize, contrast: f64, noise: f64) -> f64 {
-    let values = filter.flat.values();
-    let count = filter.taps.len() as f64;
-    let (mut sum, mut squares) = (0.0_f64, 0.0_f64);
-    for (along, _) in &filter.taps {
-        let darkness = f64::from(values[index.wrapping_add_signed(*along)]);
-        sum += darkness;
-        squares += darkness * darkness;
-    }
-    let structure = squares - sum * sum / count;
-    let explained = contrast * contrast * filter.kernel.energy;
-    // The noise of this very patch may exceed its mean share; structure is never less than what is explained.
-    explained / (structure - count * noise * noise).max(explained)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -295,12 +275,12 @@ mod tests {
     #[test]
     fn the_top_of_a_paraboloid_is_found_where_it_is() {
         let (px, py) = (0.3, -0.2);
-        let around: [f32; 9] = std::array::from_fn(|n| {
+        let around: [f64; 9] = std::array::from_fn(|n| {
             let (x, y) = (n as f64 % 3.0 - 1.0 - px, (n / 3) as f64 - 1.0 - py);
-            (1.0 - 0.1 * x * x - 0.2 * y * y + 0.05 * x * y) as f32
+            1.0 - 0.1 * x * x - 0.2 * y * y + 0.05 * x * y
         });
         let (x, y) = paraboloid_peak(&around).unwrap();
-        assert!((x - px).abs() < 1e-5 && (y - py).abs() < 1e-5);
+        assert!((x - px).abs() < 1e-9 && (y - py).abs() < 1e-9);
     }
 
     #[test]

@@ -1,21 +1,32 @@
-//! The disc without its own brightness profile.
+//! The disc without its own brightness.
 
 use crate::frame::{Frame, Levels, Region, Sample, View};
-use crate::geometry::Circle;
+use crate::geometry::Ellipse;
 use crate::units::SensorPx;
 use crate::with_view;
+use nalgebra::Vector2;
 
-/// Rings of equal area that make the profile.
-const RINGS: usize = 24;
-/// Where the limb's blur begins, px inside the limb: nearer to it nothing is judged.
-const LIMB_MARGIN_PX: f64 = 2.0;
+/// Rings that make the profile, equally wide in mu, the cosine of the angle to the Sun's vertical: limb darkening is nearly
+/// straight in mu, and towards the limb, where light falls steeply, such rings become narrow by themselves.
+const RINGS: usize = 16;
+/// Entries of the table of expected light, equally wide in mu.
+const TABLE: usize = 256;
+/// Nearer to the limb than this nothing is judged: its blur takes over there.
+const LIMB_MARGIN_PX: f64 = 1.0;
+/// Only every so many columns and rows make the profile.
+const STRIDE_PX: usize = 3;
 /// Fewest pixels that make a ring's median.
-const MIN_RING_PIXELS: usize = 20;
+const MIN_RING_PIXELS: usize = 12;
+/// Brighter or darker than this is a mark or a blemish and tells nothing of the light's tilt.
+const MOST_TILT: f32 = 0.2;
+/// Darkness is not let below so many sigma: scratches and hot pixels are brighter than the noise allows.
+const BRIGHTEST_SIGMA: f32 = 3.0;
 
 /// The darkness of every pixel about the disc: 0 on the clean disc and outside it, 1 where no light is left.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlatDisc {
-    pub circle: Circle,
+    pub outline: Ellipse,
+    sensor_px: [f64; 2],
     /// The sensor's pixel that the first value belongs to; the square about the disc may reach over the sensor.
     left: isize,
     top: isize,
@@ -26,40 +37,38 @@ pub struct FlatDisc {
 }
 
 impl FlatDisc {
-    /// Flattens a disc by the medians of its rings, which marks are too small to move, with a margin of darkness 0
-    /// about it. Pixels brighter than the noise allows (scratches, hot pixels) are clipped. `None` when the disc is
-    /// not on the sensor.
-    pub fn new(frame: &Frame, circle: Circle, levels: &Levels, margin_px: f64) -> Option<Self> {
-        let centre = SensorPx::from(circle.centre);
-        let region = Region::around(centre, circle.radius, frame.width(), frame.height())?;
-        with_view!(frame, view => Some(Self::of(&view, region, circle, levels, margin_px)))
+    /// Flattens a disc by the medians of its rings, which marks are too small to move, and by the light's tilt across it,
+    /// with a margin of darkness 0 about it. Pixels brighter than the noise allows (scratches, hot pixels) are clipped.
+    /// `None` when the disc is not on the sensor.
+    pub fn new(frame: &Frame, outline: Ellipse, levels: &Levels, margin_px: f64) -> Option<Self> {
+        let reach = outline.mean_radius() * 1.02;
+        let (width, height) = (frame.width(), frame.height());
+        let region = Region::around(outline.centre.into(), reach, width, height)?;
+        with_view!(frame, view => Some(Self::of(&view, region, outline, levels, margin_px)))
     }
 
     fn of<T: Sample>(
         view: &View<'_, T>,
         region: Region,
-        circle: Circle,
+        outline: Ellipse,
         levels: &Levels,
         margin_px: f64,
     ) -> Self {
-        let profile = Profile::measure(view, region, circle, levels);
-        let reach = circle.radius + margin_px;
-        let left = (circle.centre.x - reach).floor() as isize;
-        let top = (circle.centre.y - reach).floor() as isize;
+        let profile = Profile::measure(view, region, &outline, levels);
+        let reach = outline.mean_radius() * 1.02 + margin_px;
+        let left = (outline.centre.x - reach).floor() as isize;
+        let top = (outline.centre.y - reach).floor() as isize;
         let side = (2.0 * reach).ceil() as usize + 2;
         let mut darkness = vec![0.0_f32; side * side];
         for y in region.y0..region.y1 {
             let row = &mut darkness[(y as isize - top) as usize * side..][..side];
-            for x in region.x0..region.x1 {
-                if let Some(place) = profile.place(x, y) {
-                    let light = view.dn(x, y) - levels.background_dn as f32;
-                    let (expected, noise) = profile.at(place);
-                    row[(x as isize - left) as usize] = (1.0 - light / expected).max(-3.0 * noise);
-                }
-            }
+            let values = &mut row[(region.x0 as isize - left) as usize..][..region.width()];
+            let seen = &view.pixels[y * view.width..][region.x0..region.x1];
+            profile.flatten(&outline, region.x0, y, seen, values);
         }
         Self {
-            circle,
+            outline,
+            sensor_px: [view.width as f64, view.height as f64],
             left,
             top,
             side,
@@ -87,82 +96,218 @@ impl FlatDisc {
         )
     }
 
-    /// 1 sigma of the darkness at a position.
-    pub fn noise(&self, at: SensorPx) -> f64 {
-        let usable = self.circle.radius - LIMB_MARGIN_PX;
-        let place = (at.vector() - self.circle.centre).norm_squared() / usable.powi(2);
-        let ring = ((place * RINGS as f64) as usize).min(RINGS - 1);
-        f64::from(self.noise[ring])
+    /// The values within a radius of a position, as far as there are any, and where they are on the sensor.
+    pub(super) fn around(
+        &self,
+        middle: SensorPx,
+        radius_px: f64,
+    ) -> impl Iterator<Item = (Vector2<f64>, f32)> {
+        let span = |from_first: f64| {
+            let low = (from_first - radius_px).ceil().max(0.0) as usize;
+            let high = (from_first + radius_px).floor() + 1.0;
+            low..(high.max(0.0) as usize).min(self.side)
+        };
+        let (left, top) = (self.left as f64, self.top as f64);
+        let columns = span(middle.x - left);
+        let squares =
+            span(middle.y - top).flat_map(move |row| columns.clone().map(move |c| (c, row)));
+        squares.filter_map(move |(column, row)| {
+            let at = Vector2::new(left + column as f64, top + row as f64);
+            let near = (at - middle.vector()).norm_squared() <= radius_px * radius_px;
+            near.then(|| (at, self.darkness[row * self.side + column]))
+        })
     }
 
-    /// Distance of a position inwards from where the limb's blur begins, px.
-    pub fn depth_px(&self, at: SensorPx) -> f64 {
-        -self.circle.excess(at.vector()) - LIMB_MARGIN_PX
+    /// 1 sigma of the darkness at a position.
+    pub fn noise(&self, at: SensorPx) -> f64 {
+        let w = self.outline.to_disc(at.vector());
+        let mu = (1.0 - w.norm_squared()).max(0.0).sqrt();
+        f64::from(self.noise[((mu * RINGS as f64) as usize).min(RINGS - 1)])
+    }
+
+    /// Whether a position is lit: inside the limb and on the sensor, by a margin.
+    pub fn is_lit(&self, at: SensorPx, margin_px: f64) -> bool {
+        let within = |v: f64, size: f64| v >= margin_px && v <= size - 1.0 - margin_px;
+        self.outline.excess(at.vector()) < -margin_px
+            && within(at.x, self.sensor_px[0])
+            && within(at.y, self.sensor_px[1])
     }
 }
 
-/// Light above background on the clean disc, by ring from the centre.
+/// One of the pixels that make the profile.
+struct Taken {
+    w: Vector2<f32>,
+    ring: usize,
+    /// Above background, DN.
+    light: f32,
+}
+
+/// What the disc looks like without marks.
 struct Profile {
-    circle: Circle,
+    background_dn: f32,
+    /// Light at the rings' middles, DN above background.
     light: [f32; RINGS],
+    /// How the light changes over the disc's radius, as a fraction.
+    tilt: Vector2<f32>,
+    /// 1 sigma of the darkness by ring.
     noise: [f32; RINGS],
+    /// 1 / light by mu; 0 where nothing is judged.
+    inverse: Vec<f32>,
 }
 
 impl Profile {
     fn measure<T: Sample>(
         view: &View<'_, T>,
         region: Region,
-        circle: Circle,
+        outline: &Ellipse,
         levels: &Levels,
     ) -> Self {
+        let background_dn = levels.background_dn as f32;
+        let taken = take(view, region, outline, background_dn);
         let mut profile = Self {
-            circle,
-            light: [1.0; RINGS],
-            noise: [1.0; RINGS],
+            background_dn,
+            light: [(levels.disc_dn - levels.background_dn) as f32; RINGS],
+            tilt: Vector2::zeros(),
+            noise: [0.0; RINGS],
+            inverse: Vec::new(),
         };
-        let mut rings: [Vec<f32>; RINGS] = std::array::from_fn(|_| Vec::new());
-        for y in region.y0..region.y1 {
-            for x in region.x0..region.x1 {
-                if let Some(place) = profile.place(x, y) {
-                    let light = view.dn(x, y) - levels.background_dn as f32;
-                    rings[((place * RINGS as f32) as usize).min(RINGS - 1)].push(light);
-                }
-            }
+        let least = levels.noise_dn as f32;
+        let lights = by_ring(taken.iter().map(|t| (t.ring, t.light)));
+        // From the middle outwards; a ring of which too little is in view is taken to be like the one within.
+        let mut last = profile.light[RINGS - 1];
+        for (n, mut ring) in lights.into_iter().enumerate().rev() {
+            last = median(&mut ring).unwrap_or(last).max(least);
+            profile.light[n] = last;
         }
-        let least_light = levels.noise_dn as f32;
-        let mut last = ((levels.disc_dn - levels.background_dn) as f32, 1.0);
-        for (n, ring) in rings.iter_mut().enumerate() {
-            if ring.len() >= MIN_RING_PIXELS {
-                let light = median(ring).max(least_light);
-                ring.iter_mut().for_each(|v| *v = (*v - light).abs());
-                let noise = (1.4826 * median(ring)).max(levels.noise_dn as f32 * 0.5) / light;
-                last = (light, noise);
-            }
-            (profile.light[n], profile.noise[n]) = last;
+        profile.inverse = profile.inverse_light(outline);
+        profile.tilt = profile.measure_tilt(&taken);
+        let off = |t: &Taken| (t.ring, profile.darkness(t.light, t.w).abs());
+        let spreads = by_ring(taken.iter().map(off));
+        let mut last = None;
+        for (n, mut ring) in spreads.into_iter().enumerate().rev() {
+            let least = 0.5 * levels.noise_dn as f32 / profile.light[n];
+            last = median(&mut ring).map(|spread| 1.4826 * spread).or(last);
+            profile.noise[n] = last.unwrap_or(least).max(least);
         }
         profile
     }
 
-    /// Where a pixel lies on the disc: 0 at the centre, 1 where the limb's blur begins, in equal areas.
-    fn place(&self, x: usize, y: usize) -> Option<f32> {
-        let dx = x as f32 - self.circle.centre.x as f32;
-        let dy = y as f32 - self.circle.centre.y as f32;
-        let usable = (self.circle.radius - LIMB_MARGIN_PX) as f32;
-        let place = (dx * dx + dy * dy) / (usable * usable);
-        (place < 1.0).then_some(place)
-    }
-
-    /// Light and noise at a place, interpolated between the middles of the rings.
-    fn at(&self, place: f32) -> (f32, f32) {
-        let along = (place * RINGS as f32 - 0.5).clamp(0.0, (RINGS - 1) as f32);
+    /// Expected light at a mu, interpolated between the middles of the rings.
+    fn light_at(&self, mu: f32) -> f32 {
+        let along = (mu * RINGS as f32 - 0.5).clamp(0.0, (RINGS - 1) as f32);
         let ring = (along as usize).min(RINGS - 2);
         let part = along - ring as f32;
-        let mix = |values: &[f32; RINGS]| values[ring] * (1.0 - part) + values[ring + 1] * part;
-        (mix(&self.light), mix(&self.noise))
+        self.light[ring] * (1.0 - part) + self.light[ring + 1] * part
+    }
+
+    fn inverse_light(&self, outline: &Ellipse) -> Vec<f32> {
+        let usable = 1.0 - LIMB_MARGIN_PX / outline.mean_radius();
+        let least_mu = (1.0 - usable * usable).max(0.0).sqrt() as f32;
+        let entry = |n: usize| {
+            let mu = (n as f32 + 0.5) / TABLE as f32;
+            if mu < least_mu {
+                0.0
+            } else {
+                1.0 / self.light_at(mu)
+            }
+        };
+        (0..TABLE).map(entry).collect()
+    }
+
+    fn darkness(&self, light: f32, w: Vector2<f32>) -> f32 {
+        let mu = (1.0 - w.norm_squared()).max(0.0).sqrt();
+        // To first order in the tilt, which is small.
+        1.0 - light * self.inverse[entry(mu)] * (1.0 - self.tilt.dot(&w))
+    }
+
+    /// The slope of the light across the disc, by least squares on what is neither mark nor blemish.
+    fn measure_tilt(&self, taken: &[Taken]) -> Vector2<f32> {
+        let (mut moment, mut inertia) = (Vector2::zeros(), 0.0);
+        for t in taken {
+            let darkness = self.darkness(t.light, t.w);
+            if darkness.abs() < MOST_TILT {
+                moment -= t.w * darkness;
+                inertia += t.w.norm_squared() / 2.0;
+            }
+        }
+        if inertia > 0.0 {
+            moment / inertia
+        } else {
+            moment
+        }
+    }
+
+    /// The darkness of a row's pixels from column `x0` on; those outside the disc are left as they are.
+    fn flatten<T: Sample>(
+        &self,
+        outline: &Ellipse,
+        x0: usize,
+        y: usize,
+        seen: &[T],
+        darkness: &mut [f32],
+    ) {
+        let first = outline.to_disc(Vector2::new(x0 as f64, y as f64));
+        let next = outline.to_disc(Vector2::new(x0 as f64 + 1.0, y as f64));
+        let step = (next - first).cast::<f32>();
+        let first = first.cast::<f32>();
+        let clip = self.noise.map(|noise| -BRIGHTEST_SIGMA * noise);
+        for (n, (seen, darkness)) in seen.iter().zip(darkness).enumerate() {
+            let w = first + step * n as f32;
+            let mu2 = 1.0 - w.norm_squared();
+            if mu2 > 0.0 {
+                let mu = mu2.sqrt();
+                let inverse = self.inverse[entry(mu)];
+                if inverse > 0.0 {
+                    let light = (seen.dn() - self.background_dn) * (1.0 - self.tilt.dot(&w));
+                    let ring = ((mu * RINGS as f32) as usize).min(RINGS - 1);
+                    *darkness = (1.0 - light * inverse).max(clip[ring]);
+                }
+            }
+        }
     }
 }
 
-fn median(values: &mut [f32]) -> f32 {
+fn entry(mu: f32) -> usize {
+    ((mu * TABLE as f32) as usize).min(TABLE - 1)
+}
+
+/// Pixels of the disc, some rows and columns apart.
+fn take<T: Sample>(
+    view: &View<'_, T>,
+    region: Region,
+    outline: &Ellipse,
+    background_dn: f32,
+) -> Vec<Taken> {
+    let mut taken = Vec::new();
+    for y in (region.y0..region.y1).step_by(STRIDE_PX) {
+        // Neighbouring rows look at other columns.
+        let x0 = region.x0 + y / STRIDE_PX % STRIDE_PX;
+        for x in (x0..region.x1).step_by(STRIDE_PX) {
+            let w = outline
+                .to_disc(Vector2::new(x as f64, y as f64))
+                .cast::<f32>();
+            let mu2 = 1.0 - w.norm_squared();
+            if mu2 > 0.0 {
+                let ring = ((mu2.sqrt() * RINGS as f32) as usize).min(RINGS - 1);
+                let light = view.dn(x, y) - background_dn;
+                taken.push(Taken { w, ring, light });
+            }
+        }
+    }
+    taken
+}
+
+fn by_ring(values: impl Iterator<Item = (usize, f32)>) -> [Vec<f32>; RINGS] {
+    let mut rings: [Vec<f32>; RINGS] = std::array::from_fn(|_| Vec::new());
+    values.for_each(|(ring, value)| rings[ring].push(value));
+    rings
+}
+
+/// `None` when there are too few values.
+fn median(values: &mut [f32]) -> Option<f32> {
+    if values.len() < MIN_RING_PIXELS {
+        return None;
+    }
     let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+    Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }

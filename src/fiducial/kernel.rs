@@ -1,7 +1,8 @@
-//! The matched filter's kernel, computed from the mark's geometry.
+//! The cross as the camera sees it, and the kernels that look for it.
 
+use super::FlatDisc;
+use super::profile::Profile;
 use crate::plate::Cross;
-use nalgebra::Vector2;
 
 /// The cross as the camera sees it, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,102 +26,124 @@ impl CrossShape {
         }
     }
 
-    /// Coverage at an offset from the centre, along the arms' axes: two blurred bars less their common middle.
-    fn coverage(&self, u: f64, v: f64) -> f64 {
-        let bar = |x: f64, half: f64| {
-            let z = |edge: f64| libm::erf(edge / (self.blur_px * std::f64::consts::SQRT_2));
-            (z(x + half) - z(x - half)) / 2.0
-        };
-        let (long_u, long_v) = (bar(u, self.half_length_px), bar(v, self.half_length_px));
-        let (wide_u, wide_v) = (bar(u, self.half_width_px), bar(v, self.half_width_px));
-        long_u * wide_v + wide_u * long_v - wide_u * wide_v
+    /// The share of the light that a blurred bar covers at a distance from its middle, and its slope, per px.
+    pub(super) fn bar(&self, at: f64, half: f64) -> (f64, f64) {
+        let z = |edge: f64| edge / (self.blur_px * std::f64::consts::SQRT_2);
+        let density = |z: f64| (-z * z).exp() / (self.blur_px * std::f64::consts::TAU.sqrt());
+        let (near, far) = (z(at + half), z(at - half));
+        let share = (libm::erf(near) - libm::erf(far)) / 2.0;
+        (share, density(near) - density(far))
     }
 
-    /// Sum over pixels of the squared slope of the coverage along one axis: what a position's noise is divided by. A
-    /// quarter turn leaves the cross as it is, so the sum is the same along every axis.
-    pub(super) fn slope_energy(&self) -> f64 {
-        const STEP: f64 = 0.05;
-        let reach = (self.half_length_px + 2.0 * self.blur_px).ceil() as i32;
-        let slope = |x: f64, y: f64| {
-            (self.coverage(x + STEP, y) - self.coverage(x - STEP, y)) / (2.0 * STEP)
-        };
-        let pixels = (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| (x, y)));
-        pixels.map(|(x, y)| slope(x.into(), y.into()).powi(2)).sum()
+    /// How far from its middle the cross changes the picture, px.
+    pub(super) fn reach_px(&self) -> f64 {
+        self.half_length_px + 2.0 * self.blur_px
     }
-
-    fn coverage_at_rotation(&self, dx: f64, dy: f64, rotation_rad: f64) -> f64 {
-        let (sin, cos) = rotation_rad.sin_cos();
-        self.coverage(cos * dx + sin * dy, -sin * dx + cos * dy)
-    }
-}
-
-/// One tap of a kernel: an offset from the middle and its weights.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Tap {
-    pub dx: isize,
-    pub dy: isize,
-    /// Coverage less its mean: what is correlated with.
-    pub weight: f32,
 }
 
 /// A zero-mean kernel on a round support, so that neither even ground nor a slope answers.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Kernel {
-    pub(super) taps: Vec<Tap>,
+pub(super) struct Kernel {
+    /// Pixels from the middle to the edge, in both axes.
+    pub reach: usize,
+    /// Row by row, each row filled up with zeros to whole lanes.
+    weights: Vec<f32>,
+    stride: usize,
     /// Sum of the squared weights: the response to a cross of contrast 1.
     pub energy: f64,
 }
 
+/// Products that the processor makes side by side.
+const LANES: usize = 8;
+
 impl Kernel {
     /// The kernel of a cross whose arms are rotated from the sensor's axes.
-    pub fn oriented(shape: &CrossShape, rotation_deg: f64) -> Self {
-        let rotation = rotation_deg.to_radians();
-        Self::from_coverage(shape, |d| shape.coverage_at_rotation(d.x, d.y, rotation))
+    pub(super) fn oriented(shape: &CrossShape, profile: &Profile, rotation_deg: f64) -> Self {
+        let (sin, cos) = rotation_deg.to_radians().sin_cos();
+        let (sin, cos) = (sin as f32, cos as f32);
+        let coverage =
+            |x: f32, y: f32| profile.coverage(cos * x + sin * y, cos * y - sin * x).share;
+        Self::from_coverage(shape, coverage)
     }
 
-    /// The kernel averaged over all rotations.
-    pub fn round(shape: &CrossShape) -> Self {
-        const STEPS: usize = 12;
-        Self::from_coverage(shape, |d| {
-            let quarter = std::f64::consts::FRAC_PI_2;
-            let turns = (0..STEPS).map(|n| n as f64 / STEPS as f64 * quarter);
-            turns
-                .map(|turn| shape.coverage_at_rotation(d.x, d.y, turn))
-                .sum::<f64>()
-                / STEPS as f64
+    /// The part of that kernel that is left when its average over all rotations is taken off: what is round (a sunspot,
+    /// dust) does not answer to it, a cross does with its full contrast.
+    pub(super) fn fourfold(shape: &CrossShape, profile: &Profile, rotation_deg: f64) -> Self {
+        const STEPS_PER_PX: f32 = 4.0;
+        const ANGLES: usize = 12;
+        let average = |n: usize| {
+            let r = n as f32 / STEPS_PER_PX;
+            // An eighth of a turn and its mirror image make the whole cross.
+            let angles =
+                (0..ANGLES).map(|k| (k as f32 + 0.5) / ANGLES as f32 * std::f32::consts::FRAC_PI_4);
+            let shares =
+                angles.map(|angle| profile.coverage(r * angle.cos(), r * angle.sin()).share);
+            shares.sum::<f32>() / ANGLES as f32
+        };
+        let last = (shape.reach_px() as f32 * STEPS_PER_PX) as usize + 2;
+        let averages: Vec<f32> = (0..=last).map(average).collect();
+        let (sin, cos) = rotation_deg.to_radians().sin_cos();
+        let (sin, cos) = (sin as f32, cos as f32);
+        Self::from_coverage(shape, |x, y| {
+            let along = x.hypot(y) * STEPS_PER_PX;
+            let n = (along as usize).min(last - 1);
+            let round = averages[n] + (along - n as f32) * (averages[n + 1] - averages[n]);
+            profile.coverage(cos * x + sin * y, cos * y - sin * x).share - round
         })
     }
 
-    /// The farthest tap from the middle in either axis, px.
-    pub(super) fn reach(&self) -> usize {
-        let farthest = self.taps.iter().map(|tap| tap.dx.unsigned_abs()).max();
-        farthest.unwrap_or(0)
+    fn from_coverage(shape: &CrossShape, coverage: impl Fn(f32, f32) -> f32) -> Self {
+        let radius = shape.reach_px() as f32;
+        let reach = radius.ceil() as usize;
+        let side = 2 * reach + 1;
+        let stride = side.next_multiple_of(LANES);
+        let mut weights = vec![0.0; side * stride];
+        let mut inside = Vec::new();
+        for row in 0..side {
+            for column in 0..side {
+                let (x, y) = (column as f32 - reach as f32, row as f32 - reach as f32);
+                if x * x + y * y <= radius * radius {
+                    weights[row * stride + column] = coverage(x, y);
+                    inside.push(row * stride + column);
+                }
+            }
+        }
+        let mean = inside.iter().map(|n| weights[*n]).sum::<f32>() / inside.len() as f32;
+        inside.iter().for_each(|n| weights[*n] -= mean);
+        let energy = weights.iter().map(|w| f64::from(w * w)).sum();
+        Self {
+            reach,
+            weights,
+            stride,
+            energy,
+        }
     }
 
-    fn from_coverage(shape: &CrossShape, coverage: impl Fn(Vector2<f64>) -> f64) -> Self {
-        let reach = shape.half_length_px + 2.0 * shape.blur_px;
-        let side = reach.ceil() as isize;
-        let offsets: Vec<(isize, isize)> = (-side..=side)
-            .flat_map(|dy| (-side..=side).map(move |dx| (dx, dy)))
-            .filter(|(dx, dy)| (dx * dx + dy * dy) as f64 <= reach * reach)
-            .collect();
-        let values: Vec<f64> = offsets
-            .iter()
-            .map(|(dx, dy)| coverage(Vector2::new(*dx as f64, *dy as f64)))
-            .collect();
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        Self {
-            energy: values.iter().map(|v| (v - mean).powi(2)).sum(),
-            taps: offsets
-                .iter()
-                .zip(&values)
-                .map(|((dx, dy), value)| Tap {
-                    dx: *dx,
-                    dy: *dy,
-                    weight: (value - mean) as f32,
-                })
-                .collect(),
+    /// Whether the kernel, laid on a value with one pixel to spare, stays within the flattened disc's square.
+    pub(super) fn fits(&self, flat: &FlatDisc, index: usize) -> bool {
+        let inner = self.reach + 1..flat.side().saturating_sub(self.stride - self.reach + 1);
+        inner.contains(&(index / flat.side())) && inner.contains(&(index % flat.side()))
+    }
+
+    /// Contrast of the cross as the kernel sees it, centred on a value where it [`fits`](Self::fits).
+    pub(super) fn response(&self, flat: &FlatDisc, index: usize) -> f64 {
+        let mut lanes = [0.0_f32; LANES];
+        let first = index - self.reach * (flat.side() + 1);
+        for (row, weights) in self.weights.chunks_exact(self.stride).enumerate() {
+            let values = &flat.values()[first + row * flat.side()..][..self.stride];
+            let pairs = weights.chunks_exact(LANES).zip(values.chunks_exact(LANES));
+            for (weights, values) in pairs {
+                for lane in 0..LANES {
+                    lanes[lane] += weights[lane] * values[lane];
+                }
+            }
         }
+        f64::from(lanes.iter().sum::<f32>()) / self.energy
+    }
+
+    /// 1 sigma of a response where the values have this noise.
+    pub(super) fn noise(&self, values: f64) -> f64 {
+        values / self.energy.sqrt()
     }
 }
 
@@ -134,44 +157,45 @@ mod tests {
         blur_px: 0.95,
     };
 
+    fn weight(kernel: &Kernel, x: isize, y: isize) -> f32 {
+        let place = |v: isize| kernel.reach.wrapping_add_signed(v);
+        kernel.weights[place(y) * kernel.stride + place(x)]
+    }
+
     #[test]
     fn a_cross_looks_the_same_after_a_quarter_turn() {
-        let (a, b) = (
-            Kernel::oriented(&SHAPE, 7.0),
-            Kernel::oriented(&SHAPE, 97.0),
-        );
-        for (ta, tb) in a.taps.iter().zip(&b.taps) {
-            assert!((ta.weight - tb.weight).abs() < 1e-6);
+        let profile = Profile::new(&SHAPE);
+        let [a, b] = [7.0, 97.0].map(|turn| Kernel::oriented(&SHAPE, &profile, turn));
+        for (a, b) in a.weights.iter().zip(&b.weights) {
+            assert!((a - b).abs() < 1e-5);
         }
     }
 
     #[test]
-    fn the_round_kernel_is_the_same_in_every_direction() {
-        let kernel = Kernel::round(&SHAPE);
-        let weight = |x: isize, y: isize| {
-            let tap = kernel.taps.iter().find(|tap| (tap.dx, tap.dy) == (x, y));
-            tap.unwrap().weight
-        };
-        for [a, b] in [[(5, 0), (3, 4)], [(0, 5), (-4, 3)]] {
-            assert!((weight(a.0, a.1) - weight(b.0, b.1)).abs() < 0.005);
+    fn what_is_round_does_not_answer_to_the_fourfold_kernel() {
+        let kernel = Kernel::fourfold(&SHAPE, &Profile::new(&SHAPE), 30.0);
+        for sigma in [1.5_f32, 2.5, 4.0] {
+            let mut sum = 0.0;
+            for (x, y) in (-10..=10).flat_map(|y| (-10..=10).map(move |x| (x, y))) {
+                let r2 = (x * x + y * y) as f32;
+                sum += weight(&kernel, x, y) * (-r2 / (2.0 * sigma * sigma)).exp();
+            }
+            assert!(
+                f64::from(sum.abs()) < 0.01 * kernel.energy,
+                "{sum} at {sigma}"
+            );
         }
     }
 
     #[test]
     fn even_ground_does_not_answer() {
-        for kernel in [Kernel::oriented(&SHAPE, 30.0), Kernel::round(&SHAPE)] {
-            let sum: f32 = kernel.taps.iter().map(|t| t.weight).sum();
-            assert!(sum.abs() < 1e-4);
+        let profile = Profile::new(&SHAPE);
+        let kernels = [
+            Kernel::oriented(&SHAPE, &profile, 30.0),
+            Kernel::fourfold(&SHAPE, &profile, 30.0),
+        ];
+        for kernel in kernels {
+            assert!(kernel.weights.iter().sum::<f32>().abs() < 1e-3);
         }
-    }
-
-    #[test]
-    fn the_cross_has_the_area_of_its_arms() {
-        let (length, width) = (2.0 * SHAPE.half_length_px, 2.0 * SHAPE.half_width_px);
-        let area: f64 = (-15..=15)
-            .flat_map(|y| (-15..=15).map(move |x| (f64::from(x), f64::from(y))))
-            .map(|(x, y)| SHAPE.coverage_at_rotation(x, y, 0.3))
-            .sum();
-        assert!((area - (2.0 * length * width - width * width)).abs() < 1e-3);
     }
 }

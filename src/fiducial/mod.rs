@@ -13,12 +13,16 @@ mod detect;
 mod flatten;
 mod identify;
 mod kernel;
+mod profile;
 mod reading;
+mod refine;
+mod spots;
 
 pub use detect::{Detection, Detections, Lighting, detect};
 pub use flatten::FlatDisc;
 pub use identify::{Identification, Sight, identify};
-pub use kernel::{CrossShape, Kernel};
+pub use kernel::CrossShape;
+pub use refine::{RefinedMark, Refiner};
 
 /// What can be tuned in finding and reading marks.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,6 +6,7 @@ use super::{Profile, Settings};
 use crate::frame::{Frame, Levels};
 use crate::geometry::Ellipse;
 use crate::units::Rejected;
+use nalgebra::Vector2;
 
 /// The limb as one frame shows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,6 +15,14 @@ pub struct Limb {
     pub points: Vec<LimbPoint>,
     pub outline: OutlineFit,
     pub profile: Profile,
+}
+
+impl Limb {
+    /// Blurred light of the disc without marks at a sensor position, DN above the background.
+    pub fn light_dn(&self, x: f64, y: f64) -> f64 {
+        let outwards = self.outline.ellipse.excess(Vector2::new(x, y));
+        self.profile.at(outwards) - self.profile.background_dn
+    }
 }
 
 /// Limb darkening of the Sun at 630 nm: the share of the light that is gone at the edge.

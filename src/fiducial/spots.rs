@@ -1,0 +1,97 @@
+//! Where the disc is dark: places that may be marks, whatever the camera's rotation.
+
+use super::{CrossShape, FlatDisc, Settings};
+use crate::units::SensorPx;
+
+/// The first look is at sums of so many pixels in each axis: a cross is many times larger.
+const BIN_PX: usize = 2;
+/// Bins along the side of a box; the cross's middle, where its arms are dense, fills it.
+const BOX: usize = 5;
+/// A cross of contrast 1 darkens its box by 0.37, one that the limb cuts by less.
+const BOX_SHARE: f32 = 0.22;
+/// A box must be darker than the noise by so many sigma.
+const BOX_SIGMA: f32 = 4.0;
+/// So many dark places are looked at for each mark that may be found.
+const SPOTS_PER_DETECTION: usize = 2;
+
+/// The flattened disc's values summed over bins, or bins over boxes.
+struct Binned {
+    side: usize,
+    values: Vec<f32>,
+}
+
+impl Binned {
+    fn of(flat: &FlatDisc) -> Self {
+        let side = flat.side() / BIN_PX;
+        let mut values = Vec::with_capacity(side * side);
+        for pair in flat.values().chunks_exact(BIN_PX * flat.side()).take(side) {
+            let (upper, lower) = pair.split_at(flat.side());
+            let bins = upper.chunks_exact(BIN_PX).zip(lower.chunks_exact(BIN_PX));
+            values.extend(bins.map(|(u, l)| u[0] + u[1] + l[0] + l[1]));
+        }
+        Self { side, values }
+    }
+
+    /// Sums over the boxes about every bin; 0 where the box does not fit.
+    fn boxed(&self) -> Self {
+        let side = self.side;
+        let mut sums = vec![0.0_f32; side * side];
+        let mut columns = vec![0.0_f32; side];
+        for row in 0..side {
+            let entering = &self.values[row * side..][..side];
+            columns.iter_mut().zip(entering).for_each(|(c, v)| *c += v);
+            if row + 1 < BOX {
+                continue;
+            }
+            let first = (row - BOX / 2) * side + BOX / 2;
+            for (sum, part) in sums[first..].iter_mut().zip(columns.windows(BOX)) {
+                *sum = part[0] + part[1] + part[2] + part[3] + part[4];
+            }
+            let leaving = &self.values[(row + 1 - BOX) * side..][..side];
+            columns.iter_mut().zip(leaving).for_each(|(c, v)| *c -= v);
+        }
+        Self { side, values: sums }
+    }
+
+    fn is_peak(&self, index: usize) -> bool {
+        let here = self.values[index];
+        neighbours(index, self.side).all(|n| self.values[n] <= here)
+    }
+}
+
+/// Indices into the flattened disc's values of its darkest places, darkest first, half a mark apart at least.
+pub(super) fn find_spots(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Vec<usize> {
+    let boxes = Binned::of(flat).boxed();
+    let box_px = (BOX * BIN_PX) as f32;
+    let least = settings.min_contrast as f32 * BOX_SHARE * box_px * box_px;
+    let unbinned = |index: usize| {
+        let (row, column) = (index / boxes.side, index % boxes.side);
+        BIN_PX * (row * flat.side() + column)
+    };
+    let edge = boxes.side * (boxes.side - 1);
+    let mut dark: Vec<(usize, f32)> = Vec::new();
+    for (index, &sum) in boxes.values.iter().enumerate().take(edge).skip(boxes.side) {
+        if sum > least && boxes.is_peak(index) {
+            let spot = unbinned(index);
+            let noise = flat.noise(flat.position(spot)) as f32 * box_px;
+            if sum > BOX_SIGMA * noise {
+                dark.push((spot, sum));
+            }
+        }
+    }
+    dark.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut kept: Vec<(usize, SensorPx)> = Vec::new();
+    for (spot, _) in dark {
+        let here = flat.position(spot);
+        let far = |(_, other): &(usize, SensorPx)| other.distance(here) > shape.half_length_px;
+        if kept.len() < SPOTS_PER_DETECTION * settings.max_detections && kept.iter().all(far) {
+            kept.push((spot, here));
+        }
+    }
+    kept.into_iter().map(|(spot, _)| spot).collect()
+}
+
+/// The 3 x 3 neighbourhood of an index, by rows.
+pub(super) fn neighbours(index: usize, side: usize) -> impl Iterator<Item = usize> {
+    (0..9).map(move |n| index + (n / 3) * side + n % 3 - side - 1)
+}
