@@ -27,7 +27,7 @@ const HIDING_DEPTH_PX: f64 = 12.0;
 /// a tilted camera makes the scale differ between axes.
 const DISC_SCALE_SIGMA: f64 = 0.007;
 /// What the model of a cross leaves out, px: the pixel's square shape, the print's edges.
-const MODEL_SIGMA_PX: f64 = 0.002;
+const MODEL_SIGMA_PX: f64 = 0.001;
 /// 1 sigma of a mark whose pixels do not agree with a cross.
 const UNREFINED_SIGMA_PX: f64 = 0.2;
 /// Largest residual of the marks about their mapping.

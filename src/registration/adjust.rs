@@ -4,7 +4,7 @@ use super::model::{MOST, Model, Normalisation, Parameters};
 use super::{Outline, Pair};
 use crate::geometry::{Circle, Distortion, Handedness, MappingKind, project};
 use crate::units::PlateMil;
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Cholesky, Const, Matrix2, SMatrix, SVector, Vector2};
 
 /// The mapping's parameters, then the circle's centre x, y and radius.
 pub(super) const ALL: usize = MOST + 3;
@@ -124,7 +124,7 @@ impl<'a> Problem<'a> {
                 break;
             }
         }
-        let covariance = sums.information.cholesky()?.inverse();
+        let covariance = well_conditioned(&sums.information)?.inverse();
         let last = self.sums(&model, circle, raised, kind)?;
         Some(Adjusted {
             model,
@@ -234,6 +234,17 @@ impl<'a> Problem<'a> {
             })
             .collect()
     }
+}
+
+/// The normal equations' root, unless one parameter is so nearly a combination of others that the data do not tell
+/// them apart.
+fn well_conditioned(information: &Covariance) -> Option<Cholesky<f64, Const<ALL>>> {
+    const LEAST_OWN_PART: f64 = 1e-10;
+    let root = information.cholesky()?;
+    let own_part = |n: usize| root.l_dirty()[(n, n)].powi(2) / information[(n, n)];
+    (0..ALL)
+        .all(|n| own_part(n) > LEAST_OWN_PART)
+        .then_some(root)
 }
 
 /// Normal equations.

@@ -111,6 +111,8 @@ const TELLING_REDUNDANCY: f64 = 3.0;
 const MAX_PULL: f64 = 6.0;
 /// Fewer pairs cannot tell which of them is the error.
 const LEAST_TO_REJECT: usize = 5;
+/// Residuals of which chi^2 exceeds its expectation by more than this many sigma are not those of the stated noise.
+const EXPLAINED_SIGMAS: f64 = 6.0;
 /// How often the sigmas are raised until they agree with the residuals.
 const RISES: usize = 4;
 
@@ -179,15 +181,30 @@ fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
 fn settle(problem: &Problem<'_>, kind: MappingKind, settings: &Settings) -> Option<Adjusted> {
     let mut adjusted = problem.fit(kind, 1.0)?;
     for _ in 0..RISES {
-        let prior = settings.prior_freedom;
-        let excess = (prior + adjusted.chi2_pairs) / (prior + adjusted.redundancy.max(0.0));
-        let raised = excess.max(1.0).sqrt();
+        let raised = risen(&adjusted, settings);
         if (raised / adjusted.raised - 1.0).abs() < 0.01 {
             break;
         }
         adjusted = problem.fit(kind, raised)?;
     }
     Some(adjusted)
+}
+
+/// By how much the pairs' sigmas must rise to agree with a fit's residuals.
+///
+/// Residuals that the stated sigmas can explain are weighed against these. Those that they cannot speak alone, and the
+/// fewer they are the wider: Student's distribution of nu degrees of freedom is wider than its scale by
+/// sqrt(nu / (nu - 2)).
+fn risen(adjusted: &Adjusted, settings: &Settings) -> f64 {
+    let (chi2, freedom) = (adjusted.chi2_pairs, adjusted.redundancy.max(0.5));
+    let explained = freedom + EXPLAINED_SIGMAS * (2.0 * freedom).sqrt();
+    let variance = if chi2 < explained {
+        let prior = settings.prior_freedom;
+        (prior + chi2) / (prior + freedom)
+    } else {
+        chi2 / (freedom - 2.0).max(0.5 * freedom).max(0.5)
+    };
+    variance.max(1.0).sqrt()
 }
 
 /// The pair farthest from its place, if it is an error.
