@@ -55,7 +55,7 @@ pub fn curves(labels: &Labels, curves: &[Curve]) -> Result<String, PlotError> {
     let y = span(|p| p.1).ok_or_else(empty)?;
     figure(SIZE, |area| {
         let mut chart = frame(area, labels).build_cartesian_2d(x.log_scale(), y.log_scale())?;
-        let decimal = |v: &f64| format!("{v}");
+        let decimal = |v: &f64| format!("{}", (v * 1e6).round() / 1e6);
         chart
             .configure_mesh()
             .x_desc(&labels.x)
@@ -83,12 +83,21 @@ pub fn curves(labels: &Labels, curves: &[Curve]) -> Result<String, PlotError> {
         }
         chart
             .configure_series_labels()
-            .position(SeriesLabelPosition::UpperLeft)
+            .position(clear_corner(curves))
             .background_style(WHITE.mix(0.8))
             .border_style(BLACK.mix(0.3))
             .draw()?;
         Ok(())
     })
+}
+
+/// The upper corner that the first curve leaves free.
+fn clear_corner(curves: &[Curve]) -> SeriesLabelPosition {
+    let ends = |points: &[(f64, f64)]| Some((points.first()?.1, points.last()?.1));
+    match curves.first().and_then(|curve| ends(&curve.points)) {
+        Some((first, last)) if first > last => SeriesLabelPosition::UpperRight,
+        _ => SeriesLabelPosition::UpperLeft,
+    }
 }
 
 /// A histogram with named upright lines.
@@ -116,7 +125,9 @@ pub fn histogram(
             .configure_mesh()
             .x_desc(&labels.x)
             .y_desc(&labels.y)
+            .y_label_formatter(&|count: &f64| format!("{count:.0}"))
             .disable_x_mesh()
+            .light_line_style(WHITE)
             .draw()?;
         let bars = counts.iter().enumerate().map(|(bin, count)| {
             let left = bin as f64 * width;
