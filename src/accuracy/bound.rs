@@ -13,7 +13,7 @@
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::simulate::{Blemishes, Depth, Scene, Sun, render_exact};
-use crate::units::SensorPx;
+use crate::units::{PlateMil, SensorPx};
 use nalgebra::{DMatrix, Matrix2, Matrix3};
 
 /// What a solver does not know of a frame, each with the step that its slope is taken over: small beside the blur, large
@@ -59,8 +59,8 @@ const STEP_MIL: f64 = 0.6;
 const STEP_PX: f64 = 0.1;
 /// Moves the limb by a tenth of a pixel.
 const STEP_RELATIVE: f64 = 1e-3;
-/// Per pixel; moves the limb by a tenth of a pixel.
-const STEP_LEAN: f64 = 1e-5;
+/// Per pixel; moves a Sun at the sensor's edge by half a pixel.
+const STEP_LEAN: f64 = 1e-6;
 
 impl Unknown {
     fn step(self) -> f64 {
@@ -97,7 +97,12 @@ impl Unknown {
             LeanY => seen_by[(2, 1)] = by,
         }
         if seen_by != one() {
-            let about = scene.mapping.to_sensor(sun.centre);
+            // A camera that looks askew is true to angles at the plate's centre: that is what a lean is about.
+            let about = match self {
+                LeanX | LeanY => PlateMil::new(0.0, 0.0),
+                _ => sun.centre,
+            };
+            let about = scene.mapping.to_sensor(about);
             changed.mapping = seen_through(&scene.mapping, seen_by, about)?;
         }
         changed.sun = Some(moved);

@@ -138,7 +138,7 @@ impl Recipe {
     }
 }
 
-/// The marks of which the Sun lights all four tips and what blurs into them, and that lie wholly on the sensor.
+/// The marks that show and of which the Sun lights all four tips and what blurs into them, wholly on the sensor.
 pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
     /// Light that blur brings from beyond a tip: twice the blur of a sharp picture, 12 mil.
     const BLUR_MIL: f64 = 12.0;
@@ -150,7 +150,8 @@ pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
             let tip = PlateMil::new(mark.plate.x + x * reach, mark.plate.y + y * reach);
             on_sensor(scene, scene.mapping.to_sensor(tip))
         };
-        mark.depth_mil >= half_mil + BLUR_MIL && tips.into_iter().all(on_sensor)
+        let shows = scene.mark_contrast > 0.0;
+        shows && mark.depth_mil >= half_mil + BLUR_MIL && tips.into_iter().all(on_sensor)
     })
 }
 

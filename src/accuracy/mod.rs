@@ -15,10 +15,11 @@
 //! 4. For some frames of a row, the Cramer-Rao bound says how small the error could be ([`bound`]).
 //!
 //! Beside the rows: the errors and the sub-pixel bias of single marks ([`marks`]), and one mixed run that looks for
-//! wrong ids and for fine frames that are not ([`mixed`]).
+//! wrong ids and for fine frames that are not ([`mixed`]). [`figures`] draws what a table cannot show.
 
 pub mod bound;
 pub mod conditions;
+pub mod figures;
 pub mod marks;
 pub mod mixed;
 pub mod outcome;
@@ -34,8 +35,10 @@ pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};
 
 use crate::aspect::Settings;
 use crate::instrument::{TomlError, builtin};
+use crate::report::plot::PlotError;
 use crate::simulate::SceneError;
-use conditions::{Vary, mixed as everything};
+use conditions::mixed as everything;
+use figures::Sweeps;
 use marks::{BiasMap, MarkSummary};
 use mixed::MixedSummary;
 use rayon::prelude::*;
@@ -62,7 +65,7 @@ impl Size {
 /// Frames of the mixed run.
 const MIXED_FRAMES: [u64; 2] = [300, 20_000];
 /// Frames for each phase of the bias map.
-const FRAMES_PER_PHASE: [u64; 2] = [6, 60];
+const FRAMES_PER_PHASE: [u64; 2] = [8, 60];
 /// Frames of a row whose bound is computed.
 const BOUNDED_FRAMES: [u64; 2] = [12, 200];
 /// The row whose marks are judged one by one.
@@ -82,7 +85,7 @@ pub struct Row {
     /// How many frames: in the small size, in the full.
     pub frames: [u64; 2],
     /// How the row's frames depart from the standard one.
-    pub vary: Vary,
+    pub vary: conditions::Vary,
     pub demands: &'static [Demand],
 }
 
@@ -114,6 +117,14 @@ pub struct Program {
     rows: Vec<Row>,
     marks: bool,
     mixed: bool,
+    sweeps: bool,
+}
+
+/// Whether the measurements for the figures are taken, too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Figures {
+    Drawn,
+    Left,
 }
 
 /// What came of a row.
@@ -148,6 +159,8 @@ pub struct Report {
     pub rows: Vec<RowReport>,
     pub marks: Option<MarksReport>,
     pub mixed: Option<MixedReport>,
+    /// What the figures need beyond the rows.
+    pub sweeps: Option<Sweeps>,
 }
 
 impl Report {
@@ -161,11 +174,28 @@ impl Report {
             .chain(mixed.map(|u| (MIXED, u)))
             .collect()
     }
+
+    /// Every figure that can be drawn of what was measured: file name and SVG.
+    pub fn figures(&self) -> Result<Vec<(&'static str, String)>, PlotError> {
+        let mut figures = Vec::new();
+        if let Some(sweeps) = &self.sweeps {
+            figures.push(("error-noise.svg", figures::noise_figure(sweeps)?));
+            figures.push(("error-limb.svg", figures::limb_figure(sweeps)?));
+        }
+        for report in self.rows.iter().filter(|r| r.row.name == MARKS_ROW) {
+            let svg = figures::histogram(&report.outcomes, report.row.title)?;
+            figures.push(("error-histogram.svg", svg));
+        }
+        if let Some(marks) = &self.marks {
+            figures.push(("mark-bias.svg", figures::bias_figure(&marks.bias)?));
+        }
+        Ok(figures)
+    }
 }
 
 impl Program {
-    /// All parts, or those of some names.
-    pub fn new(size: Size, only: &[String]) -> Result<Self, AccuracyError> {
+    /// All parts, or those of some names; with the sweeps that the figures need, or without.
+    pub fn new(size: Size, only: &[String], figures: Figures) -> Result<Self, AccuracyError> {
         if let Some(found) = only.iter().find(|name| !names().contains(&name.as_str())) {
             return Err(AccuracyError::Name {
                 found: found.clone(),
@@ -182,35 +212,54 @@ impl Program {
             rows: rows().into_iter().filter(|r| wanted(r.name)).collect(),
             marks: wanted(MARKS),
             mixed: wanted(MIXED),
+            sweeps: figures == Figures::Drawn && only.is_empty(),
         })
     }
 
     /// How many frames there are to solve.
     pub fn frames(&self) -> u64 {
-        let rows: u64 = self.rows.iter().map(|r| self.size.of(r.frames)).sum();
+        let of_row = |row: &Row| self.size.of(row.frames);
+        let rows: u64 = self.rows.iter().map(of_row).sum();
+        let borrowed = self.rows.iter().any(|row| row.name == MARKS_ROW);
+        let marks_row = rows_named(MARKS_ROW).filter(|_| !borrowed);
         let phases = (marks::PHASES * marks::PHASES) as u64;
-        let [standard] = [self.standard().map_or(0, |row| self.size.of(row.frames))];
-        let marks = self.size.of(FRAMES_PER_PHASE) * phases + standard;
-        let mixed = self.size.of(MIXED_FRAMES);
-        rows + u64::from(self.marks) * marks + u64::from(self.mixed) * mixed
+        let marks =
+            self.size.of(FRAMES_PER_PHASE) * phases + marks_row.map(|r| of_row(&r)).sum::<u64>();
+        rows + u64::from(self.marks) * marks
+            + u64::from(self.mixed) * self.size.of(MIXED_FRAMES)
+            + u64::from(self.sweeps) * figures::frames(self.size)
     }
 
     /// Runs it on all cores; `done` is called after every frame.
     pub fn run(&self, done: &(dyn Fn() + Sync)) -> Result<Report, AccuracyError> {
-        let rows: Result<_, _> = self.rows.iter().map(|row| self.row(row, done)).collect();
-        let marks = self.marks.then(|| self.marks(done)).transpose()?;
+        let rows: Result<Vec<_>, _> = self.rows.iter().map(|row| self.row(row, done)).collect();
+        let rows = rows?;
+        let marks = self.marks.then(|| self.marks(&rows, done)).transpose()?;
         let mixed = self.mixed.then(|| self.mixed(done)).transpose()?;
+        let sweeps = || Sweeps::run(&self.trial, self.size, done);
         Ok(Report {
             size: self.size,
-            rows: rows?,
+            rows,
             marks,
             mixed,
+            sweeps: self.sweeps.then(sweeps).transpose()?,
         })
     }
 
     fn row(&self, row: &Row, done: &(dyn Fn() + Sync)) -> Result<RowReport, SceneError> {
-        let (frames, bounded) = (self.size.of(row.frames), self.size.of(BOUNDED_FRAMES));
-        let outcomes = self.outcomes(row.vary, frames, bounded, done)?;
+        // What a frame without marks allows is no more than what it borrows.
+        let bounded = match row.about {
+            About::Fine => self.size.of(BOUNDED_FRAMES),
+            About::Coarse | About::Solved => 0,
+        };
+        let outcomes = outcomes(self.size.of(row.frames), done, |seed| {
+            let recipe = Recipe::drawn(row.vary, &self.trial.instrument, seed);
+            let with_bound = match seed < bounded {
+                true => Bounded::Yes,
+                false => Bounded::No,
+            };
+            self.trial.outcome(&recipe, seed, with_bound)
+        })?;
         let arcsec_per_mil = self.trial.instrument.optics.arcsec_per_mil();
         let summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
         let unmet = row.demands.iter().filter_map(|d| d.unmet(&summary));
@@ -222,57 +271,54 @@ impl Program {
         })
     }
 
-    /// Outcomes by seed, the first of them with their bound.
-    fn outcomes(
+    /// The marks of the standard row's frames, and the map of their bias.
+    fn marks(
         &self,
-        vary: Vary,
-        frames: u64,
-        bounded: u64,
+        rows: &[RowReport],
         done: &(dyn Fn() + Sync),
-    ) -> Result<Vec<Outcome>, SceneError> {
-        let outcome = |seed: u64| {
-            let recipe = Recipe::drawn(vary, &self.trial.instrument, seed);
-            let with_bound = if seed < bounded {
-                Bounded::Yes
-            } else {
-                Bounded::No
+    ) -> Result<MarksReport, SceneError> {
+        let mut summary = None;
+        for row in rows_named(MARKS_ROW) {
+            let at_hand = rows.iter().find(|report| report.row.name == row.name);
+            let outcomes = match at_hand {
+                Some(report) => report.outcomes.clone(),
+                None => self.row(&row, done)?.outcomes,
             };
-            let outcome = self.trial.outcome(&recipe, seed, with_bound);
-            done();
-            outcome
-        };
-        (0..frames).into_par_iter().map(outcome).collect()
-    }
-
-    fn standard(&self) -> Option<Row> {
-        rows().into_iter().find(|row| row.name == MARKS_ROW)
-    }
-
-    fn marks(&self, done: &(dyn Fn() + Sync)) -> Result<MarksReport, SceneError> {
-        let instrument = &self.trial.instrument;
-        let scale = instrument.mounting.scale_mil_per_px.value;
-        let outcomes = match self.standard() {
-            Some(row) => self.outcomes(row.vary, self.size.of(row.frames), 0, done)?,
-            None => Vec::new(),
-        };
-        let arcsec_per_px = scale * instrument.optics.arcsec_per_mil();
-        let summary = MarkSummary::of(&outcomes, arcsec_per_px);
+            let instrument = &self.trial.instrument;
+            let scale = instrument.mounting.scale_mil_per_px.value;
+            summary = MarkSummary::of(&outcomes, scale * instrument.optics.arcsec_per_mil());
+        }
         let bias = marks::bias_map(&self.trial, self.size.of(FRAMES_PER_PHASE), done)?;
-        let unmet = marks::unmet(summary.as_ref(), &bias);
         Ok(MarksReport {
+            unmet: marks::unmet(summary.as_ref(), &bias),
             summary,
             bias,
-            unmet,
         })
     }
 
     fn mixed(&self, done: &(dyn Fn() + Sync)) -> Result<MixedReport, SceneError> {
-        let frames = self.size.of(MIXED_FRAMES);
-        let outcomes = self.outcomes(everything, frames, 0, done)?;
+        let outcomes = outcomes(self.size.of(MIXED_FRAMES), done, |seed| {
+            let recipe = Recipe::drawn(everything, &self.trial.instrument, seed);
+            self.trial.outcome(&recipe, seed, Bounded::No)
+        })?;
         let summary = MixedSummary::of(&outcomes);
         Ok(MixedReport {
             unmet: summary.unmet(),
             summary,
         })
     }
+}
+
+fn rows_named(name: &str) -> impl Iterator<Item = Row> {
+    rows().into_iter().filter(move |row| row.name == name)
+}
+
+/// Outcomes by seed, from 0, on all cores.
+fn outcomes(
+    frames: u64,
+    done: &(dyn Fn() + Sync),
+    outcome: impl Fn(u64) -> Result<Outcome, SceneError> + Sync,
+) -> Result<Vec<Outcome>, SceneError> {
+    let counted = |seed| outcome(seed).inspect(|_| done());
+    (0..frames).into_par_iter().map(counted).collect()
 }

@@ -203,8 +203,10 @@ pub enum Demand {
     NoneFine,
     /// Error over stated sigma is neither much more nor much less than 1.
     HonestSigma,
-    /// No wrong id in a solved frame, no fine frame that is off by 5 sigma and 2 arcsec.
-    NothingWrong,
+    /// No solved frame with a wrong id.
+    NoWrongId,
+    /// No fine frame that is off by 5 sigma and 2 arcsec.
+    NoWrongFine,
 }
 
 /// What error over stated sigma may be, rms per axis.
@@ -221,6 +223,9 @@ impl Demand {
             let met = value.is_some_and(|v| v >= limit);
             (!met).then(|| format!("{name} {} under {limit}", text(value)))
         };
+        let none = |name: &str, seeds: &[u64]| {
+            (!seeds.is_empty()).then(|| format!("{name} in seeds {seeds:?}"))
+        };
         match self {
             Self::MedianArcsec(limit) => at_most("median", found.median_arcsec, limit),
             Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
@@ -234,11 +239,8 @@ impl Demand {
                 let [x, y] = [0, 1].map(|axis| text(found.over_sigma.map(|axes| axes[axis])));
                 (!found.over_sigma.is_some_and(honest)).then(|| format!("error/sigma {x}, {y}"))
             }
-            Self::NothingWrong => {
-                let (ids, fine) = (&found.wrong_ids, &found.wrong_fine);
-                (!ids.is_empty() || !fine.is_empty())
-                    .then(|| format!("wrong ids in seeds {ids:?}, wrong fine frames {fine:?}"))
-            }
+            Self::NoWrongId => none("wrong ids", &found.wrong_ids),
+            Self::NoWrongFine => none("wrong fine frames", &found.wrong_fine),
         }
     }
 }
@@ -253,7 +255,8 @@ impl fmt::Display for Demand {
             Self::NearShare(limit) => write!(out, "{:.0} % within {NEAR_PX} px", 100.0 * limit),
             Self::NoneFine => write!(out, "none fine"),
             Self::HonestSigma => write!(out, "error/sigma {} to {}", HONEST.start, HONEST.end),
-            Self::NothingWrong => write!(out, "nothing wrong"),
+            Self::NoWrongId => write!(out, "no wrong id"),
+            Self::NoWrongFine => write!(out, "no wrong fine frame"),
         }
     }
 }

@@ -6,8 +6,8 @@ use super::conditions::{
     tilted, turned,
 };
 use super::outcome::Demand::{
-    self, HonestSigma, MedianArcsec, MostArcsec, NearShare, NoneFine, NoneMissed, NothingWrong,
-    SolvedShare,
+    self, HonestSigma, MedianArcsec, MostArcsec, NearShare, NoWrongFine, NoWrongId, NoneFine,
+    NoneMissed, SolvedShare,
 };
 use super::outcome::{About, ENOUGH_LIMB};
 use crate::simulate::Depth;
@@ -25,13 +25,14 @@ macro_rules! within {
             MostArcsec($most),
             NoneMissed,
             HonestSigma,
-            NothingWrong,
+            NoWrongId,
+            NoWrongFine,
         ]
     };
 }
 
 /// Coarse frames say how coarse they are.
-const HONEST: &[Demand] = &[HonestSigma, NothingWrong];
+const HONEST: &[Demand] = &[HonestSigma, NoWrongId, NoWrongFine];
 
 /// Every row, in the order of the table.
 pub fn rows() -> Vec<Row> {
@@ -45,7 +46,7 @@ pub fn rows() -> Vec<Row> {
     };
     let told = |name, title, vary| Row {
         frames: TOLD,
-        ..bounded(name, title, &[NothingWrong], vary)
+        ..bounded(name, title, &[NoWrongId], vary)
     };
     let about = |about, row| Row { about, ..row };
     vec![
@@ -85,7 +86,13 @@ pub fn rows() -> Vec<Row> {
         bounded(
             "partial-fine",
             "40 % of the limb or more, 3 marks lit",
-            &[MostArcsec(3.0), NoneMissed, HonestSigma, NothingWrong],
+            &[
+                MostArcsec(3.0),
+                NoneMissed,
+                HonestSigma,
+                NoWrongId,
+                NoWrongFine,
+            ],
             |r, i, g| cut(r, ENOUGH_LIMB..1.0, ENOUGH_MARKS, i, g),
         ),
         about(
@@ -97,7 +104,8 @@ pub fn rows() -> Vec<Row> {
                     SolvedShare(0.95),
                     NearShare(0.99),
                     HonestSigma,
-                    NothingWrong,
+                    NoWrongId,
+                    NoWrongFine,
                 ],
                 |r, i, g| cut(r, LEAST_USABLE_LIMB..ENOUGH_LIMB, ANY_MARKS, i, g),
             ),
@@ -109,7 +117,7 @@ pub fn rows() -> Vec<Row> {
                 ..bounded(
                     "partial-least",
                     "less than 15 % of the limb",
-                    &[NoneFine, NothingWrong],
+                    &[NoneFine, NoWrongId, NoWrongFine],
                     |r, i, g| cut(r, 0.01..LEAST_USABLE_LIMB, ANY_MARKS, i, g),
                 )
             },

@@ -2,6 +2,7 @@
 
 use super::outcome::{HONEST, Summary};
 use super::{MarksReport, MixedReport, Report, RowReport, Size};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 const HEAD: [&str; 11] = [
@@ -165,28 +166,24 @@ fn mixed_text(report: &MixedReport) -> String {
     )
 }
 
-/// How many frames of a row that ought to be fine are named.
-const NAMED: usize = 12;
-
+/// The frames of each row that ought to be fine and are not, by reason.
 fn missed_text(report: &Report) -> String {
     let mut out = String::new();
-    for row in report.rows.iter().filter(|r| !r.summary.missed.is_empty()) {
-        let missed = &row.summary.missed;
-        let _ = writeln!(
-            out,
-            "\n{}: {} frames with three marks fully lit that are not fine",
-            row.row.name,
-            missed.len()
-        );
-        for frame in missed.iter().take(NAMED) {
-            let _ = writeln!(
-                out,
-                "- seed {}, {} marks lit: {}",
-                frame.seed, frame.lit_marks, frame.reason
-            );
+    for row in &report.rows {
+        let mut by_reason: BTreeMap<&str, Vec<String>> = BTreeMap::new();
+        for frame in &row.summary.missed {
+            let seeds = by_reason.entry(&frame.reason).or_default();
+            seeds.push(format!("{} ({})", frame.seed, frame.lit_marks));
+        }
+        for (reason, seeds) in by_reason {
+            let (name, seeds) = (row.row.name, seeds.join(", "));
+            let _ = writeln!(out, "- {name}: {reason}: seeds (marks lit) {seeds}");
         }
     }
-    out
+    if out.is_empty() {
+        return out;
+    }
+    format!("\nThree marks fully lit, and not fine:\n{out}")
 }
 
 fn demands_text(report: &Report) -> String {

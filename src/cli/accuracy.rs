@@ -1,6 +1,6 @@
 //! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
 
-use crate::accuracy::{Program, Size, markdown, text};
+use crate::accuracy::{Figures, Program, Size, markdown, text};
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -26,7 +26,11 @@ pub struct AccuracyArgs {
 
 pub fn run(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     let size = if args.full { Size::Full } else { Size::Small };
-    let program = Program::new(size, &args.only).context("--only")?;
+    let figures = match args.out {
+        Some(_) => Figures::Drawn,
+        None => Figures::Left,
+    };
+    let program = Program::new(size, &args.only, figures).context("--only")?;
     let progress = ProgressBar::new(program.frames());
     if let Ok(style) =
         ProgressStyle::with_template("{bar:40} {pos}/{len} frames {elapsed} of {duration}")
@@ -39,6 +43,9 @@ pub fn run(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     if let Some(folder) = &args.out {
         let commit = commit();
         write(folder, "accuracy.md", &markdown(&report, commit.as_deref()))?;
+        for (name, svg) in report.figures()? {
+            write(folder, name, &svg)?;
+        }
     }
     Ok(match report.unmet().is_empty() {
         true => ExitCode::SUCCESS,

@@ -1,5 +1,7 @@
-//! Drawing: pictures of a frame with shapes and text laid over it. It knows pixels and colours, nothing else.
+//! Drawing: pictures of a frame with shapes and text laid over it, and figures of numbers. It knows pixels, numbers and
+//! colours, nothing else.
 
 mod canvas;
+pub mod plot;
 
 pub use canvas::{Canvas, Colour};

@@ -1,0 +1,173 @@
+//! The figures: the error against the noise and against the points of the limb, its histogram, a mark's bias over the
+//! sub-pixel phases.
+
+use super::conditions::{ENOUGH_MARKS, View, noise};
+use super::marks::{BIAS_PX, BiasMap, PHASES};
+use super::outcome::{About, MOST, Summary};
+use super::trial::{Outcome, Trial};
+use super::{Bounded, Recipe, Size, outcomes};
+use crate::aspect::{Quality, Settings};
+use crate::report::plot::{self, Arrow, Curve, Labels, PlotError, Stroke};
+use crate::simulate::SceneError;
+
+/// Noise of the sweep, DN.
+const NOISE_DN: [f64; 8] = [1.0, 1.5, 2.5, 4.0, 6.0, 8.0, 11.0, 15.0];
+/// Points of the limb of the sweep.
+const LIMB_POINTS: [usize; 7] = [8, 16, 24, 32, 48, 64, 96];
+/// Frames at each value of a sweep.
+const FRAMES: [u64; 2] = [40, 600];
+/// Of these, frames whose bound is computed.
+const BOUNDED_FRAMES: [u64; 2] = [6, 60];
+
+/// How the errors change with one thing: value and statistics.
+pub type Sweep = Vec<(f64, Summary)>;
+
+/// The measurements that figures need beyond those of the table.
+#[derive(Debug, Clone)]
+pub struct Sweeps {
+    pub noise: Sweep,
+    pub limb_points: Sweep,
+}
+
+/// How many frames the sweeps take.
+pub fn frames(size: Size) -> u64 {
+    size.of(FRAMES) * (NOISE_DN.len() + LIMB_POINTS.len()) as u64
+}
+
+/// The settings that take so many points of the limb.
+fn with_limb_points(settings: Settings, points: usize) -> Settings {
+    let mut changed = settings;
+    changed.limb.chords_per_axis = points;
+    changed
+}
+
+impl Sweeps {
+    /// Takes the sweeps on all cores; `done` is called after every frame.
+    pub fn run(trial: &Trial, size: Size, done: &(dyn Fn() + Sync)) -> Result<Self, SceneError> {
+        let noise = NOISE_DN
+            .iter()
+            .map(|dn| Ok((*dn, at(trial, *dn, size, done)?)));
+        let limb_points = LIMB_POINTS.iter().map(|points| {
+            let changed = Trial {
+                settings: with_limb_points(trial.settings, *points),
+                ..trial.clone()
+            };
+            Ok((*points as f64, at(&changed, STANDARD_DN, size, done)?))
+        });
+        Ok(Self {
+            noise: noise.collect::<Result<_, SceneError>>()?,
+            limb_points: limb_points.collect::<Result<_, SceneError>>()?,
+        })
+    }
+}
+
+/// Noise of a standard frame.
+const STANDARD_DN: f64 = 5.0;
+
+/// The statistics of frames with marks enough, at a noise.
+fn at(
+    trial: &Trial,
+    noise_dn: f64,
+    size: Size,
+    done: &(dyn Fn() + Sync),
+) -> Result<Summary, SceneError> {
+    let mut recipe = Recipe::standard(&trial.instrument);
+    recipe.view = View::Whole {
+        lit_marks: ENOUGH_MARKS,
+    };
+    noise(&mut recipe, noise_dn);
+    let bounded = |seed| match seed < size.of(BOUNDED_FRAMES) {
+        true => Bounded::Yes,
+        false => Bounded::No,
+    };
+    let outcomes = outcomes(size.of(FRAMES), done, |seed| {
+        trial.outcome(&recipe, seed, bounded(seed))
+    })?;
+    let arcsec_per_mil = trial.instrument.optics.arcsec_per_mil();
+    Ok(Summary::of(&outcomes, About::Fine, arcsec_per_mil))
+}
+
+fn curve(name: &str, sweep: &Sweep, stroke: Stroke, of: fn(&Summary) -> Option<f64>) -> Curve {
+    let points = sweep.iter().filter_map(|(x, found)| Some((*x, of(found)?)));
+    Curve {
+        name: name.into(),
+        points: points.collect(),
+        stroke,
+    }
+}
+
+/// The median distance of a Gaussian error in two axes, over its sigma per axis: the Rayleigh distribution's.
+const MEDIAN_OVER_SIGMA: f64 = 1.177_41;
+
+fn curves_of(sweep: &Sweep) -> [Curve; 3] {
+    [
+        curve("99.7 %", sweep, Stroke::Measured, |s| s.most_arcsec),
+        curve("median", sweep, Stroke::Measured, |s| s.median_arcsec),
+        curve("median at the bound", sweep, Stroke::Known, |s| {
+            s.bound.map(|b| b.median_arcsec * MEDIAN_OVER_SIGMA)
+        }),
+    ]
+}
+
+const ERROR: &str = "radial error of the aspect, arcsec";
+
+/// The error against the noise.
+pub fn noise_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
+    let labels = Labels {
+        title: "Error of the aspect against noise, and the Cramer-Rao bound".into(),
+        x: "noise of a pixel, DN".into(),
+        y: ERROR.into(),
+    };
+    plot::curves(&labels, &curves_of(&sweeps.noise))
+}
+
+/// The error against the points of the limb.
+pub fn limb_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
+    let labels = Labels {
+        title: format!("Error of the aspect against points of the limb, noise {STANDARD_DN} DN"),
+        x: "chords in each axis".into(),
+        y: ERROR.into(),
+    };
+    plot::curves(&labels, &curves_of(&sweeps.limb_points))
+}
+
+/// The histogram of the fine frames' errors.
+pub fn histogram(outcomes: &[Outcome], title: &str) -> Result<String, PlotError> {
+    let fine = outcomes.iter().filter(|o| o.quality == Quality::Fine);
+    let errors: Vec<f64> = fine
+        .filter_map(|o| o.aspect.map(|e| e.radial_arcsec))
+        .collect();
+    let labels = Labels {
+        title: format!("Errors of {} fine frames, {title}", errors.len()),
+        x: ERROR.into(),
+        y: "frames".into(),
+    };
+    let lines = [("median", 0.5), ("99.7 %", MOST)]
+        .map(|(name, part)| Some((name, super::outcome::quantile(errors.clone(), part)?)));
+    let lines: Vec<_> = lines.into_iter().flatten().collect();
+    plot::histogram(&labels, &errors, 40, &lines)
+}
+
+/// The bias of a mark over the sub-pixel phases.
+pub fn bias_figure(map: &BiasMap) -> Result<String, PlotError> {
+    /// An arrow of a hundredth of a pixel is as long as a cell is wide.
+    const MAGNIFIED: f64 = 1.0 / PHASES as f64 / BIAS_PX;
+    let arrows: Vec<Arrow> = map
+        .cells
+        .iter()
+        .filter_map(|cell| {
+            let mean = cell.mean_px?;
+            Some(Arrow {
+                at: (cell.phase_px.x, cell.phase_px.y),
+                vector: (mean.x, mean.y),
+            })
+        })
+        .collect();
+    let labels = Labels {
+        title: format!("Bias of a mark; full shade, and an arrow as long as a cell: {BIAS_PX} px"),
+        x: "place of the mark from the middle of a pixel, x, px".into(),
+        y: "y, px".into(),
+    };
+    let cell = 1.0 / PHASES as f64;
+    plot::vector_map(&labels, -0.5..0.5, cell, &arrows, MAGNIFIED, BIAS_PX)
+}
