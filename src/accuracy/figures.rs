@@ -37,7 +37,7 @@ pub fn frames(size: Size) -> u64 {
 /// The settings that take so many points of the limb.
 fn with_limb_points(settings: Settings, points: usize) -> Settings {
     let mut changed = settings;
-    changed.limb.chords_per_axis = points;
+    changed.limb.limb_points = points;
     changed
 }
 
