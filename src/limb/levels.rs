@@ -1,6 +1,6 @@
 //! Robust brightness levels of a frame (Cramer 2014, section 4.2.5, steps 2 to 4).
 //!
-//! The Sun covers 2 % of the frame at most, so background and noise come from the middle of the histogram, taken
+//! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the histogram, taken
 //! over every eighth pixel in both axes; where noise is cut off at zero the median and what lies above it do not
 //! mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has only some
 //! hundred pixels: they are looked for in every fourth row, stretches without any being passed over. Hot pixels and
@@ -22,6 +22,9 @@ const BRIGHT_SIGMAS: f64 = 4.0;
 const DISC_QUANTILE: f64 = 0.9;
 /// Fewest bright pixels in those rows that can be a disc: 64 stand for 256 pixels, 1 % of the Sun.
 const MIN_BRIGHT_PIXELS: u32 = 64;
+/// A dark ground and a bright disc leave less than this part of the values in the middle third between them; noise alone
+/// has half of its own there.
+const MOST_BETWEEN: f64 = 0.1;
 /// The upper quartile of a normal distribution, sigma.
 const QUARTILE_SIGMAS: f64 = 0.6745;
 /// A histogram over whole numbers cannot show less noise than rounding makes, DN.
@@ -108,9 +111,30 @@ impl Histogram {
         self.counts.len() as f64
     }
 
+    /// How many values are no disc's, where a disc may cover half of a small picture: those below the middle of the range,
+    /// if hardly any lie about it.
+    fn dark_total(&self) -> f64 {
+        let total = f64::from(self.total());
+        let (low, high) = (
+            self.value_above(0.01 * total),
+            self.value_above(0.99 * total),
+        );
+        let third = (high - low) / 3.0;
+        let upto = |dn: f64| {
+            let below = self.counts.iter().take(dn.max(0.0) as usize + 1);
+            f64::from(below.sum::<u32>())
+        };
+        let between = upto(high - third) - upto(low + third);
+        if between < MOST_BETWEEN * total {
+            upto((low + high) / 2.0)
+        } else {
+            total
+        }
+    }
+
     /// Background and its noise, 1 sigma, DN; the second time without what outshines it, which would shift both.
     fn ground(&self) -> (f64, f64) {
-        let total = f64::from(self.total());
+        let total = self.dark_total();
         let estimate = |total: f64| {
             let background_dn = self.value_above(0.5 * total);
             let upper_quartile = self.value_above(0.75 * total);

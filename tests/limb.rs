@@ -1,0 +1,50 @@
+//! The limb of a real Sun is found where its own header says it is.
+
+use solaspect::fits;
+use solaspect::geometry::Ellipse;
+use solaspect::limb::{self, Hidden, OutlinePrior, Settings};
+use solaspect::units::Measured;
+use std::path::Path;
+
+/// Centre (first pixel 0) and radius as the header of HMI's picture states them; see tests/data/hmi/README.md.
+const CENTRE_PX: (f64, f64) = (255.5, 255.5);
+const RADIUS_PX: f64 = 202.910;
+
+#[test]
+fn the_sun_of_hmi_is_found_where_its_header_says() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hmi/continuum.fits");
+    let frame = fits::read_frame(&path).unwrap();
+    let settings = Settings::default();
+    let levels = limb::levels(&frame, &settings).unwrap();
+    let found =
+        limb::find_disc(&frame, frame.region(), &levels, RADIUS_PX, 15.7, &settings).unwrap();
+    let start = Ellipse::from(found.circle());
+    // Neither radius nor roundness is given: 3 % and 0.3 % decide nothing here.
+    let prior = OutlinePrior {
+        radius_px: Measured::new(RADIUS_PX, 0.03 * RADIUS_PX),
+        flatness: 0.003,
+    };
+    let limb = limb::fit_limb(
+        &frame,
+        &start,
+        &levels,
+        0.95,
+        &prior,
+        &Hidden::nothing(frame.region()),
+        &settings,
+    )
+    .unwrap();
+    let disc = limb.outline.ellipse;
+    let (dx, dy) = (disc.centre.x - CENTRE_PX.0, disc.centre.y - CENTRE_PX.1);
+    println!(
+        "centre off by ({dx:.4}, {dy:.4}) px, radius {:.3} px, root {:?}, blur {:.2} px, scatter {:.2}, {} points, sigma {:.4} px",
+        disc.mean_radius(),
+        disc.root(),
+        limb.profile.blur_px,
+        limb.outline.scatter,
+        limb.points.len(),
+        limb.outline.centre_covariance().m11.sqrt(),
+    );
+    assert!(dx.hypot(dy) < 0.03);
+    assert!((disc.mean_radius() - RADIUS_PX).abs() < 0.3);
+}
