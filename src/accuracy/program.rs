@@ -201,3 +201,30 @@ pub(super) fn outcomes(
     let counted = |seed| outcome(seed).inspect(|_| done());
     (0..frames).into_par_iter().map(counted).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_part_has_a_name_of_its_own() {
+        let mut unique = names();
+        unique.sort_unstable();
+        unique.dedup();
+        assert_eq!(unique.len(), names().len());
+    }
+
+    #[test]
+    fn a_seed_gives_the_same_frame_and_outcome_again() {
+        let [one, again] = [(); 2].map(|()| Case::new(MIXED, 3).unwrap());
+        assert_eq!(one.scene, again.scene);
+        assert_eq!(one.outcome, again.outcome);
+        assert_ne!(one.scene, Case::new(MIXED, 4).unwrap().scene);
+    }
+
+    #[test]
+    fn only_what_has_frames_by_seed_gives_a_frame() {
+        assert!(Case::new(MARKS, 1).is_err());
+        assert!(Case::new("standard", 1).is_ok());
+    }
+}
