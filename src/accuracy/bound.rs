@@ -6,7 +6,8 @@
 //! plate (shift, scale, rotation; for a tilted camera its two leans, too). The Fisher matrix is the sum over the pixels
 //! of products of slopes over the noise's variance; its inverse is the least covariance of any estimate without bias.
 //! To move the Sun on the plate and to move the plate below the camera look the same on the limb: the marks alone
-//! tell them apart, and the inverse knows.
+//! tell them apart, and the inverse knows. A tilted camera is taken for true to angles at the plate's centre, as
+//! [`registration`](crate::registration) does: its leans are about that point.
 //!
 //! # What it leaves out
 //! Blemishes. They do not belong to the frame's information, they take from it.
@@ -217,7 +218,8 @@ fn surroundings(scene: &Scene) -> Option<Scene> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::conditions::{ENOUGH_MARKS, Recipe, View, noise};
+    use crate::accuracy::conditions::noise;
+    use crate::accuracy::recipe::{ENOUGH_MARKS, Recipe, View};
     use crate::instrument::builtin;
 
     fn medians_arcsec(noise_dn: f64) -> f64 {

@@ -1,15 +1,13 @@
 //! The rows of the table: conditions and what is demanded under them.
 
 use super::Row;
-use super::conditions::{
-    ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, LEAST_USABLE_LIMB, View, blemished, cut, displaced, noise,
-    tilted, turned,
-};
+use super::conditions::{LEAST_USABLE_LIMB, blemished, cut, displaced, noise, tilted, turned};
 use super::outcome::Demand::{
     self, HonestSigma, MedianArcsec, MostArcsec, NearShare, NoWrongFine, NoWrongId, NoneFine,
     NoneMissed, SolvedShare,
 };
 use super::outcome::{About, ENOUGH_LIMB};
+use super::recipe::{ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, View};
 use crate::simulate::Depth;
 
 /// Rows with a bound on the error of fine frames.
