@@ -109,7 +109,8 @@ impl FlatDisc {
         };
         let (left, top) = (self.left as f64, self.top as f64);
         let columns = span(middle.x - left);
-        let squares = span(middle.y - top).flat_map(move |row| columns.clone().map(move |c| (c, row)));
+        let squares =
+            span(middle.y - top).flat_map(move |row| columns.clone().map(move |c| (c, row)));
         squares.filter_map(move |(column, row)| {
             let at = Vector2::new(left + column as f64, top + row as f64);
             let near = (at - middle.vector()).norm_squared() <= radius_px * radius_px;
@@ -204,7 +205,11 @@ impl Profile {
         let least_mu = (1.0 - usable * usable).max(0.0).sqrt() as f32;
         let entry = |n: usize| {
             let mu = (n as f32 + 0.5) / TABLE as f32;
-            if mu < least_mu { 0.0 } else { 1.0 / self.light_at(mu) }
+            if mu < least_mu {
+                0.0
+            } else {
+                1.0 / self.light_at(mu)
+            }
         };
         (0..TABLE).map(entry).collect()
     }
@@ -225,7 +230,11 @@ impl Profile {
                 inertia += t.w.norm_squared() / 2.0;
             }
         }
-        if inertia > 0.0 { moment / inertia } else { moment }
+        if inertia > 0.0 {
+            moment / inertia
+        } else {
+            moment
+        }
     }
 
     /// The darkness of a row's pixels from column `x0` on; those outside the disc are left as they are.
@@ -274,7 +283,9 @@ fn take<T: Sample>(
         // Neighbouring rows look at other columns.
         let x0 = region.x0 + y / STRIDE_PX % STRIDE_PX;
         for x in (x0..region.x1).step_by(STRIDE_PX) {
-            let w = outline.to_disc(Vector2::new(x as f64, y as f64)).cast::<f32>();
+            let w = outline
+                .to_disc(Vector2::new(x as f64, y as f64))
+                .cast::<f32>();
             let mu2 = 1.0 - w.norm_squared();
             if mu2 > 0.0 {
                 let ring = ((mu2.sqrt() * RINGS as f32) as usize).min(RINGS - 1);

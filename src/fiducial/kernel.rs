@@ -61,7 +61,8 @@ impl Kernel {
     pub(super) fn oriented(shape: &CrossShape, profile: &Profile, rotation_deg: f64) -> Self {
         let (sin, cos) = rotation_deg.to_radians().sin_cos();
         let (sin, cos) = (sin as f32, cos as f32);
-        let coverage = |x: f32, y: f32| profile.coverage(cos * x + sin * y, cos * y - sin * x).share;
+        let coverage =
+            |x: f32, y: f32| profile.coverage(cos * x + sin * y, cos * y - sin * x).share;
         Self::from_coverage(shape, coverage)
     }
 
@@ -73,9 +74,10 @@ impl Kernel {
         let average = |n: usize| {
             let r = n as f32 / STEPS_PER_PX;
             // An eighth of a turn and its mirror image make the whole cross.
-            let angles = (0..ANGLES)
-                .map(|k| (k as f32 + 0.5) / ANGLES as f32 * std::f32::consts::FRAC_PI_4);
-            let shares = angles.map(|angle| profile.coverage(r * angle.cos(), r * angle.sin()).share);
+            let angles =
+                (0..ANGLES).map(|k| (k as f32 + 0.5) / ANGLES as f32 * std::f32::consts::FRAC_PI_4);
+            let shares =
+                angles.map(|angle| profile.coverage(r * angle.cos(), r * angle.sin()).share);
             shares.sum::<f32>() / ANGLES as f32
         };
         let last = (shape.reach_px() as f32 * STEPS_PER_PX) as usize + 2;
@@ -178,7 +180,10 @@ mod tests {
                 let r2 = (x * x + y * y) as f32;
                 sum += weight(&kernel, x, y) * (-r2 / (2.0 * sigma * sigma)).exp();
             }
-            assert!(f64::from(sum.abs()) < 0.01 * kernel.energy, "{sum} at {sigma}");
+            assert!(
+                f64::from(sum.abs()) < 0.01 * kernel.energy,
+                "{sum} at {sigma}"
+            );
         }
     }
 
