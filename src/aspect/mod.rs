@@ -15,7 +15,7 @@ use crate::geometry::Ellipse;
 use crate::instrument::Instrument;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
-use stages::Work;
+use stages::{MarkSight, Work};
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,7 +104,12 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     }
     solution.limb.clone_from(&limb.points);
     let registration = read.and_then(|(first, marks)| {
-        solution.marks = work.refine(&levels, &limb, &first.mapping, &marks); // 8
+        let sight = MarkSight {
+            levels: &levels,
+            limb: &limb,
+            mapping: &first.mapping,
+        };
+        solution.marks = work.refine(&sight, &marks); // 8
         work.register(&solution.marks, Some(&limb)) // 9
     });
     let registration = registration

@@ -26,10 +26,12 @@ const HIDING_DEPTH_PX: f64 = 12.0;
 /// Relative error of a scale taken from the disc's radius: haze and saturation move the threshold by up to a pixel,
 /// a tilted camera makes the scale differ between axes.
 const DISC_SCALE_SIGMA: f64 = 0.007;
-/// What the model of a cross leaves out, px: the pixel's square shape, the print's edges.
-const MODEL_SIGMA_PX: f64 = 0.001;
+/// A limb so many times softer than the instrument's blur is hazy or smeared.
+const SOFT: f64 = 1.3;
 /// 1 sigma of a mark whose pixels do not agree with a cross.
 const UNREFINED_SIGMA_PX: f64 = 0.2;
+/// What such a mark counts for when two blurs are compared.
+const UNREFINED_CHI2: f64 = 10.0;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
@@ -46,6 +48,13 @@ pub(super) struct Work<'a> {
     /// The same on the sensor, at the nominal scale.
     pub(super) radius_px: f64,
     pub(super) shape: CrossShape,
+}
+
+/// What is known about the marks before their pixels are looked at.
+pub(super) struct MarkSight<'a> {
+    pub(super) levels: &'a Levels,
+    pub(super) limb: &'a Limb,
+    pub(super) mapping: &'a Mapping,
 }
 
 impl<'a> Work<'a> {
@@ -213,34 +222,46 @@ impl<'a> Work<'a> {
 
     /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
     /// sigma that gives it little weight.
-    pub(super) fn refine(
-        &self,
-        levels: &Levels,
-        limb: &Limb,
-        mapping: &Mapping,
-        marks: &[Mark],
-    ) -> Vec<Mark> {
+    ///
+    /// A limb softer than the instrument's blur may come of haze, which softens the marks too, or of the Sun's motion,
+    /// which does not: the marks' own pixels decide.
+    pub(super) fn refine(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Mark> {
+        let stated_px = self.instrument.optics.blur_px.value;
+        let (sharp, sharp_chi2) = self.refine_at(stated_px, sight, marks);
+        let limb_px = sight.limb.lens_blur_px();
+        if limb_px < SOFT * stated_px {
+            return sharp;
+        }
+        let (soft, soft_chi2) = self.refine_at(limb_px, sight, marks);
+        if soft_chi2 < sharp_chi2 { soft } else { sharp }
+    }
+
+    /// Marks refined at a lens's blur, and what they leave unexplained on average.
+    fn refine_at(&self, blur_px: f64, sight: &MarkSight<'_>, marks: &[Mark]) -> (Vec<Mark>, f64) {
+        let limb = sight.limb;
         let scale = self.disc_scale(&limb.outline.ellipse);
         let plate = &self.instrument.plate;
-        let refiner = Refiner::new(&plate.cross, scale, self.instrument.optics.blur_px.value);
-        let refined = |mark: &Mark| {
-            let jacobian = mapping.sensor_jacobian(plate.position(mark.id));
+        let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let mut chi2 = 0.0;
+        let mut refined = |mark: &Mark| {
+            let jacobian = sight.mapping.sensor_jacobian(plate.position(mark.id));
             let light = |x, y| limb.light_dn(x, y);
-            let found = refiner.refine(self.frame, levels, light, &jacobian, mark.at);
-            let (seen, covariance_px2) = match found {
-                Some(found) => (
-                    found.place.position,
-                    found.place.covariance + Matrix2::identity() * MODEL_SIGMA_PX.powi(2),
-                ),
-                None => (mark.at, Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2)),
+            let found = refiner.refine(self.frame, sight.levels, light, &jacobian, mark.at);
+            let Some(found) = found else {
+                chi2 += UNREFINED_CHI2;
+                return Mark {
+                    covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
+                    ..*mark
+                };
             };
+            chi2 += found.reduced_chi2;
             Mark {
-                at: seen,
-                covariance_px2,
+                at: found.place.position,
+                covariance_px2: found.place.covariance,
                 ..*mark
             }
         };
-        marks.iter().map(refined).collect()
+        (marks.iter().map(&mut refined).collect(), chi2)
     }
 
     pub(super) fn identify(

@@ -18,6 +18,14 @@ pub struct Limb {
 }
 
 impl Limb {
+    /// The blur of the limb, 1 sigma, the pixel's own size taken off.
+    pub fn lens_blur_px(&self) -> f64 {
+        const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
+        (self.profile.blur_px.powi(2) - PIXEL_VARIANCE)
+            .max(0.0)
+            .sqrt()
+    }
+
     /// Blurred light of the disc without marks at a sensor position, DN above the background.
     pub fn light_dn(&self, x: f64, y: f64) -> f64 {
         let outwards = self.outline.ellipse.excess(Vector2::new(x, y));
