@@ -166,7 +166,7 @@ fn cross_patch<T: Whole>(
     // The patch may end anywhere before the next row, and its chords need dark pixels at their ends.
     let region = patch.grown(row_spacing_px + scan.min_run_px, view.width, view.height);
     let shorter_px = region.width().min(region.height());
-    let spacing = (shorter_px / CHORDS_PER_PATCH).clamp(LEAST_SPACING_PX, 2 * CHORDS_PER_PATCH);
+    let spacing = (shorter_px / CHORDS_PER_PATCH).max(LEAST_SPACING_PX);
     let rows = (region.y0 + spacing / 2..region.y1).step_by(spacing);
     let columns = (region.x0 + spacing / 2..region.x1).step_by(spacing);
     scan.run(view, region, rows, columns)
