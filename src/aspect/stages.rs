@@ -4,7 +4,7 @@
 use super::{Expected, Mark, Settings, Stage, Stopped, Track};
 use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Sight};
 use crate::frame::{Frame, Levels, Region};
-use crate::geometry::Circle;
+use crate::geometry::{Circle, Ellipse};
 use crate::instrument::Instrument;
 use crate::limb::{self, CoarseDisc, Crossing};
 use crate::registration::{self, Pair, Registration};
@@ -137,14 +137,14 @@ impl<'a> Work<'a> {
         disc: &Circle,
     ) -> Result<Vec<Mark>, Stopped> {
         let mounting = &self.instrument.mounting;
-        let scale = self.radius_mil.value / disc.radius;
-        let relative = (self.radius_mil.sigma / self.radius_mil.value).hypot(DISC_SCALE_SIGMA);
+        let radius = self.radius_mil.value;
+        let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
         let sight = Sight {
-            scale_mil_per_px: Measured::new(scale, scale * relative),
+            outline: Ellipse::from(*disc),
+            radius_mil: Measured::new(radius, radius * relative),
             quarter_rotation_deg: detections.quarter_rotation_deg,
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
-            disc: *disc,
             sure_depth_px: self.shape.half_length_px + 4.0,
             sensor_px: [self.frame.width() as f64, self.frame.height() as f64],
         };
