@@ -44,7 +44,7 @@ impl Look {
         let radius = SUN_RADIUS_MIL * self.radius_error;
         Sight {
             outline: self.outline,
-            radius_mil: Measured::new(radius, 0.007 * radius),
+            radius_mil: Measured::new(radius, 0.006 * radius),
             quarter_rotation_deg: (self.rotation_deg() + self.rotation_error_deg).rem_euclid(90.0),
             handedness: self.mapping.handedness(),
             plate_centre: self.plate_centre,
@@ -265,7 +265,7 @@ impl Draw {
 
     /// Any rotation, either mirror, the plate's centre within 100 px of the instrument's, the scale within 10 % of the
     /// nominal, up to 3 deg of keystone; the Sun's radius known to 1 %, its outline to 0.05 px, the arms' rotation to
-    /// 0.3 deg and now and then to a degree.
+    /// 0.3 deg and now and then only to a degree.
     fn look(&mut self) -> Look {
         let nominal = SensorPx::new(647.5, 482.5);
         let scale_mil_per_px = SCALE_MIL_PER_PX * self.rng.random_range(0.9..1.1);
@@ -284,7 +284,11 @@ impl Draw {
             self.rng.random_range(margin..965.0 - margin),
         ));
         let exact = outline(&mapping, sun, SUN_RADIUS_MIL);
-        let rotation_sigma_deg = if self.rng.random_bool(0.2) { 0.7 } else { 0.3 };
+        let rotation_error_deg = if self.rng.random_bool(0.2) {
+            self.rng.random_range(-1.0..1.0)
+        } else {
+            self.normal(0.3)
+        };
         Look {
             mapping,
             scale_mil_per_px,
@@ -292,7 +296,7 @@ impl Draw {
             sun,
             outline: Ellipse::new(exact.centre + self.scatter(0.05), *exact.root()).unwrap(),
             radius_error: self.rng.random_range(0.99..1.01),
-            rotation_error_deg: self.normal(rotation_sigma_deg),
+            rotation_error_deg,
             sensor_px: [1296.0, 966.0],
         }
     }

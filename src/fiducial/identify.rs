@@ -77,7 +77,7 @@ pub struct Identification {
 }
 
 /// A reading must beat all that contradict it together by this much, logarithm of the odds.
-const DECISIVE_ODDS: f64 = 0.0;
+const DECISIVE_ODDS: f64 = 7.0;
 /// How far beyond the largest shift of the plate's centre readings are tried and held against one another, px and part
 /// of the distance from the Sun.
 const TRIED_BEYOND: f64 = 0.03;
@@ -132,11 +132,19 @@ fn decide(
         let reason = "the best reading leaves too much unexplained";
         return reject(reason, best.score, DECISIVE_ODDS);
     }
-    let against = readings.iter().filter(|other| other.contradicts(best));
-    let against: f64 = against.map(|rival| (rival.score - best.score).exp()).sum();
-    let odds = -(against + (-best.score).exp()).ln();
-    if odds < DECISIVE_ODDS {
+    let odds = |against: &dyn Fn(&Reading) -> bool| {
+        let rivals = readings.iter().filter(|r| r.contradicts(best) && against(r));
+        let rivals: f64 = rivals.map(|rival| (rival.score - best.score).exp()).sum();
+        -(rivals + (-best.score).exp()).ln()
+    };
+    let alike = odds(&|rival| rival.full >= best.full);
+    if alike < DECISIVE_ODDS {
         let reason = "two readings of the marks fit alike";
+        return reject(reason, alike, DECISIVE_ODDS);
+    }
+    let odds = odds(&|_| true);
+    if odds < DECISIVE_ODDS {
+        let reason = "the best reading may rest on a false detection";
         return reject(reason, odds, DECISIVE_ODDS);
     }
     Ok(Identification {

@@ -20,7 +20,7 @@ const SCATTER_MIL: f64 = 1.3;
 /// The same for a mark that the limb cuts: the limb pulls it inwards.
 const CUT_SCATTER_MIL: f64 = 12.0;
 /// Error of the rotation that the arms tell, 1 sigma; three noisy marks tell it to a degree.
-const ARMS_SIGMA_RAD: f64 = 0.5 * PI / 180.0;
+const ARMS_SIGMA_RAD: f64 = 0.6 * PI / 180.0;
 /// A detection farther from a mark's foretold place is not that mark, in sigma.
 const GATE_SIGMAS: f64 = 4.0;
 /// Farthest that a mark with an id is seen from its place, mil: one that the limb pulls farther has no position to give.
