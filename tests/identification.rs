@@ -19,8 +19,11 @@ const SCALE_MIL_PER_PX: f64 = 5.75;
 const HALF_MARK_MIL: f64 = 45.0;
 /// Depth inside the limb at which a whole cross is lit, the limb's blur included.
 const FULLY_LIT_PX: f64 = 3.0;
-/// Depth at which a cross that the limb cuts may still be found.
-const PARTLY_LIT_PX: f64 = 2.0;
+/// Depths between which a cross that the limb cuts comes to be found: 0.16 of them at 9 mil, 0.7 at 15, all from 18 on in
+/// simulated frames.
+const CUT_FOUND_MIL: [f64; 2] = [5.0, 22.0];
+/// Farthest that the limb pulls a cross, at the limb.
+const PULL_PX: f64 = 4.0;
 /// Contrast of the print.
 const CONTRAST: f64 = 0.7;
 
@@ -48,7 +51,8 @@ impl Look {
             quarter_rotation_deg: (self.rotation_deg() + self.rotation_error_deg).rem_euclid(90.0),
             handedness: self.mapping.handedness(),
             plate_centre: self.plate_centre,
-            sure_depth_px: self.half_mark_px() + 4.0,
+            sure_depth_px: 0.75 * self.half_mark_px() + 1.0,
+            sure_margin_px: self.half_mark_px() + 4.0,
             sensor_px: self.sensor_px,
         }
     }
@@ -84,7 +88,7 @@ impl Look {
             .map(|(id, at)| (id, self.mapping.to_sensor(at)))
             .filter(|(_, px)| inside(px.x, width) && inside(px.y, height))
             .map(|(id, px)| (id, px, -self.outline.excess(px.vector())))
-            .filter(|(_, _, depth)| *depth > PARTLY_LIT_PX)
+            .filter(|(_, _, depth)| *depth > 0.0)
             .collect()
     }
 }
@@ -209,9 +213,8 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
 /// What befalls the lists.
 #[derive(Clone, Copy)]
 struct World {
-    /// Part of the fully lit marks that is found, and of those that the limb cuts.
+    /// Part of the marks that is found where the limb does not hinder it.
     found: f64,
-    cut_found: f64,
     /// Most false detections on a disc.
     false_ones: usize,
     /// Whether the whole disc lies on the sensor.
@@ -221,14 +224,12 @@ struct World {
 /// A tenth of the marks missed, up to two detections that are no marks, the Sun anywhere on the sensor.
 const HARSH: World = World {
     found: 0.9,
-    cut_found: 0.5,
     false_ones: 2,
     whole_disc: false,
 };
 /// Nothing missing, nothing false, the whole disc in view.
 const CLEAN: World = World {
     found: 1.0,
-    cut_found: 0.5,
     false_ones: 0,
     whole_disc: true,
 };
@@ -321,25 +322,24 @@ impl Draw {
         }
     }
 
-    /// The lit marks with 0.02 to 0.1 px of noise; those that the limb cuts pulled inwards by up to 4 px.
+    /// The lit marks with 0.02 to 0.1 px of noise; those that the limb cuts are pulled inwards.
     fn list(&mut self, look: &Look) -> Vec<Labelled> {
         let printed = self.printed();
         let noise_px = self.rng.random_range(0.02..0.1);
         let mut list: Vec<Labelled> = Vec::new();
         for (id, px, depth) in look.lit(&printed) {
-            let mut at = px.vector();
-            let full = look.lighting(depth) == Lighting::Full;
-            let share = if full { self.world.found } else { self.world.cut_found };
-            if !full {
-                let inwards = (look.outline.centre - at).normalize();
-                at += inwards * self.rng.random_range(0.0..4.0);
-            }
+            let lit = (depth / (look.half_mark_px() + FULLY_LIT_PX)).min(1.0);
+            let [none, all] = CUT_FOUND_MIL.map(|mil| mil / look.scale_mil_per_px);
+            let share = self.world.found * ((depth - none) / (all - none)).clamp(0.0, 1.0);
+            let inwards = (look.outline.centre - px.vector()).normalize();
+            let pull = self.rng.random_range(0.0..PULL_PX) * (1.0 - lit);
+            let at = px.vector() + inwards * pull;
             if self.rng.random_bool(share) {
                 list.push((self.seen(look, at, depth, noise_px), Some(id)));
             }
         }
         for _ in 0..self.rng.random_range(0..=self.world.false_ones) {
-            let w = self.within(1.0 - PARTLY_LIT_PX / look.outline.mean_radius());
+            let w = self.within(1.0 - 2.0 / look.outline.mean_radius());
             let at = look.outline.from_disc(w);
             // One detection per mark length; a spot on a mark is that mark.
             let apart = 2.0 * look.half_mark_px();

@@ -18,6 +18,9 @@ pub(super) const LEAST_SCATTER_PX: f64 = 0.01;
 /// Relative error of a scale taken from the disc's radius: haze and saturation move the threshold by up to a pixel,
 /// a tilted camera makes the scale differ between axes.
 const DISC_SCALE_SIGMA: f64 = 0.007;
+/// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
+/// which haze may widen the disc. In simulated frames all are found from 0.5 on.
+const SURE_DEPTH: f64 = 0.75;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
@@ -145,7 +148,8 @@ impl<'a> Work<'a> {
             quarter_rotation_deg: detections.quarter_rotation_deg,
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
-            sure_depth_px: self.shape.half_length_px + 4.0,
+            sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
+            sure_margin_px: self.shape.half_length_px + 4.0,
             sensor_px: [self.frame.width() as f64, self.frame.height() as f64],
         };
         let settings = &self.settings.fiducial;

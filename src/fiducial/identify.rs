@@ -31,6 +31,8 @@ pub struct Sight {
     pub plate_centre: SensorPx,
     /// Depth inside the limb from which a mark must have been found, px.
     pub sure_depth_px: f64,
+    /// Distance from the sensor's edge from which a mark must have been found, px.
+    pub sure_margin_px: f64,
     /// Width and height of the sensor, px.
     pub sensor_px: [f64; 2],
 }
@@ -50,9 +52,9 @@ impl Sight {
         self.radius_mil.value / self.outline.mean_radius()
     }
 
-    /// Whether a mark at this position lies wholly on the sensor.
+    /// Whether a mark at this position lies far enough from the sensor's edge.
     pub(super) fn on_sensor(&self, at: SensorPx) -> bool {
-        let margin = self.sure_depth_px;
+        let margin = self.sure_margin_px;
         let inside = |v: f64, size: f64| v > margin && v < size - 1.0 - margin;
         inside(at.x, self.sensor_px[0]) && inside(at.y, self.sensor_px[1])
     }
@@ -170,7 +172,7 @@ fn readings(
     let reach_mil = (settings.max_centre_shift_px + TRIED_BEYOND * from_sun) * sight.mil_per_px();
     let mut readings: Vec<Reading> = Vec::new();
     for to_plate in sight.turns() {
-        let Some(turned) = Turned::new(sight, detections, to_plate) else { continue };
+        let Some(turned) = Turned::new(sight, detections, &plate.cross, to_plate) else { continue };
         let sun = turned.stated_sun();
         let in_view = reach_mil + 1.1 * sight.radius_mil.value;
         let marks: Vec<(MarkId, PlateMil)> =
