@@ -344,7 +344,10 @@ impl Draw {
             // One detection per mark length; a spot on a mark is that mark.
             let apart = 2.0 * look.half_mark_px();
             let far = |(_, printed)| look.mapping.to_sensor(printed).distance(at.into()) > apart;
-            let free = self.plate.marks().all(far)
+            let [width, height] = look.sensor_px;
+            let seen = (0.0..width - 1.0).contains(&at.x) && (0.0..height - 1.0).contains(&at.y);
+            let free = seen
+                && self.plate.marks().all(far)
                 && list.iter().all(|(other, _)| other.at.distance(at.into()) > apart);
             if free {
                 let depth = -look.outline.excess(at);

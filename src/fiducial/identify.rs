@@ -59,13 +59,13 @@ impl Sight {
         inside(at.x, self.sensor_px[0]) && inside(at.y, self.sensor_px[1])
     }
 
-    /// How far a reading may put the plate's centre from the instrument's value, px: what is allowed, and what the
-    /// marks on the disc leave open, since it lies far outside.
-    fn centre_limit_px(&self, reading: &Reading, settings: &Settings) -> f64 {
+    /// How far beyond the largest shift a reading puts the plate's centre, px, in parts of what the marks on the disc
+    /// leave open: it lies far outside.
+    fn beyond(&self, reading: &Reading, settings: &Settings) -> f64 {
+        let shift_px = reading.plate_centre.distance(self.plate_centre);
         let from_sun = (reading.plate_centre.vector() - self.outline.centre).norm();
-        settings.max_centre_shift_px
-            + CENTRE_SIGMAS * reading.centre_sigma_px
-            + KEYSTONE_PER_PX * from_sun.powi(2)
+        let open_px = 3.0 * reading.centre_sigma_px + KEYSTONE_PER_PX * from_sun.powi(2);
+        (shift_px - settings.max_centre_shift_px) / open_px
     }
 }
 
@@ -80,11 +80,11 @@ pub struct Identification {
 
 /// A reading must beat all that contradict it together by this much, logarithm of the odds.
 const DECISIVE_ODDS: f64 = 7.0;
-/// How far beyond the largest shift of the plate's centre readings are tried and held against one another, px and part
-/// of the distance from the Sun.
-const TRIED_BEYOND: f64 = 0.03;
-/// How many sigma of the plate's centre a reading may stand beyond the largest shift.
-const CENTRE_SIGMAS: f64 = 3.0;
+/// Readings are held against one another up to this much beyond the largest shift of the plate's centre: were the true
+/// one left out, a wrong one would stand unrivalled.
+const RIVALS_BEYOND: f64 = 2.0;
+/// What rotation and scale leave open of a place before any mark is read, in parts of its distance.
+const GUESS_ERROR: f64 = 0.03;
 /// What 3 deg of keystone moves a place at a distance, over the distance squared, 1/px.
 const KEYSTONE_PER_PX: f64 = 1.0e-5;
 
@@ -106,12 +106,13 @@ pub fn identify(
             limit: settings.min_marks as f64,
         });
     }
-    decide(readings(detections, sight, plate, settings), settings)
+    decide(readings(detections, sight, plate, settings), sight, settings)
 }
 
 /// The best reading, if all that contradict it are unlikely together.
 fn decide(
     mut readings: Vec<Reading>,
+    sight: &Sight,
     settings: &Settings,
 ) -> Result<Identification, Rejected> {
     let reject = |reason, measured, limit| {
@@ -149,6 +150,11 @@ fn decide(
         let reason = "the best reading may rest on a false detection";
         return reject(reason, odds, DECISIVE_ODDS);
     }
+    let beyond = sight.beyond(best, settings);
+    if beyond > 1.0 {
+        let reason = "the best reading puts the plate's centre too far away";
+        return reject(reason, beyond, 1.0);
+    }
     Ok(Identification {
         ids: best.named.clone(),
         odds,
@@ -169,7 +175,8 @@ fn readings(
     let anchors = &full[..full.len().saturating_sub(spare)];
     let orders: Vec<Vec<usize>> = anchors.iter().map(|n| nearest_first(*n, &full, detections)).collect();
     let from_sun = (sight.plate_centre.vector() - sight.outline.centre).norm();
-    let reach_mil = (settings.max_centre_shift_px + TRIED_BEYOND * from_sun) * sight.mil_per_px();
+    let open_px = GUESS_ERROR * (from_sun + sight.outline.mean_radius());
+    let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
     let mut readings: Vec<Reading> = Vec::new();
     for to_plate in sight.turns() {
         let Some(turned) = Turned::new(sight, detections, &plate.cross, to_plate) else { continue };
@@ -184,9 +191,7 @@ fn readings(
                 let known = |r: &Reading| r.ids.contains(&(order[0], id));
                 if (guess - sun.vector()).norm() < reach_mil && !readings[first..].iter().any(known) {
                     let reading = turned.follow((id, printed), order, &marks);
-                    readings.extend(reading.filter(|r| {
-                        r.plate_centre.distance(sight.plate_centre) < sight.centre_limit_px(r, settings)
-                    }));
+                    readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
                 }
             }
         }
