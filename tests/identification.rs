@@ -66,7 +66,9 @@ impl Look {
         let to_sensor = self.mapping.sensor_jacobian(self.sun) * SUN_RADIUS_MIL;
         let inverse_root = self.outline.root().try_inverse().unwrap();
         let turn = inverse_root * to_sensor * self.mapping.handedness().axes();
-        (turn.m21 - turn.m12).atan2(turn.m11 + turn.m22).to_degrees()
+        (turn.m21 - turn.m12)
+            .atan2(turn.m11 + turn.m22)
+            .to_degrees()
     }
 
     fn lighting(&self, depth_px: f64) -> Lighting {
@@ -186,8 +188,9 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
                     (detection, Some(id))
                 };
                 let lit = look.lit(&plate).into_iter().map(seen);
-                let list: Vec<Labelled> =
-                    lit.filter(|(seen, _)| seen.lighting == Lighting::Full).collect();
+                let list: Vec<Labelled> = lit
+                    .filter(|(seen, _)| seen.lighting == Lighting::Full)
+                    .collect();
                 let found = read(&look, &list, &plate);
                 let marks = fully_lit(&list);
                 if marks.len() < Settings::default().min_marks {
@@ -275,7 +278,11 @@ impl Draw {
             plate_centre: SensorPx::from(nominal.vector() + self.within(100.0)),
             scale_mil_per_px,
             rotation_deg: self.rng.random_range(0.0..360.0),
-            handedness: if mirrored { Handedness::Mirrored } else { Handedness::Direct },
+            handedness: if mirrored {
+                Handedness::Mirrored
+            } else {
+                Handedness::Direct
+            },
         };
         let keystone_deg = self.rng.random_range(-3.0..3.0);
         let mapping = keystoned(parameters, keystone_deg, 1296, Distortion::NONE).unwrap();
@@ -348,7 +355,9 @@ impl Draw {
             let seen = (0.0..width - 1.0).contains(&at.x) && (0.0..height - 1.0).contains(&at.y);
             let free = seen
                 && self.plate.marks().all(far)
-                && list.iter().all(|(other, _)| other.at.distance(at.into()) > apart);
+                && list
+                    .iter()
+                    .all(|(other, _)| other.at.distance(at.into()) > apart);
             if free {
                 let depth = -look.outline.excess(at);
                 let mut spot = self.seen(look, at, depth, noise_px);

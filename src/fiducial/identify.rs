@@ -106,7 +106,11 @@ pub fn identify(
             limit: settings.min_marks as f64,
         });
     }
-    decide(readings(detections, sight, plate, settings), sight, settings)
+    decide(
+        readings(detections, sight, plate, settings),
+        sight,
+        settings,
+    )
 }
 
 /// The best reading, if all that contradict it are unlikely together.
@@ -136,7 +140,9 @@ fn decide(
         return reject(reason, best.score, DECISIVE_ODDS);
     }
     let odds = |against: &dyn Fn(&Reading) -> bool| {
-        let rivals = readings.iter().filter(|r| r.contradicts(best) && against(r));
+        let rivals = readings
+            .iter()
+            .filter(|r| r.contradicts(best) && against(r));
         let rivals: f64 = rivals.map(|rival| (rival.score - best.score).exp()).sum();
         -(rivals + (-best.score).exp()).ln()
     };
@@ -173,23 +179,31 @@ fn readings(
     // A reading with enough marks has one of them among all but so many.
     let spare = settings.min_marks.saturating_sub(1);
     let anchors = &full[..full.len().saturating_sub(spare)];
-    let orders: Vec<Vec<usize>> = anchors.iter().map(|n| nearest_first(*n, &full, detections)).collect();
+    let orders: Vec<Vec<usize>> = anchors
+        .iter()
+        .map(|n| nearest_first(*n, &full, detections))
+        .collect();
     let from_sun = (sight.plate_centre.vector() - sight.outline.centre).norm();
     let open_px = GUESS_ERROR * (from_sun + sight.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
     let mut readings: Vec<Reading> = Vec::new();
     for to_plate in sight.turns() {
-        let Some(turned) = Turned::new(sight, detections, &plate.cross, to_plate) else { continue };
+        let Some(turned) = Turned::new(sight, detections, &plate.cross, to_plate) else {
+            continue;
+        };
         let sun = turned.stated_sun();
         let in_view = reach_mil + 1.1 * sight.radius_mil.value;
-        let marks: Vec<(MarkId, PlateMil)> =
-            plate.marks().filter(|(_, at)| at.distance(sun) < in_view).collect();
+        let marks: Vec<(MarkId, PlateMil)> = plate
+            .marks()
+            .filter(|(_, at)| at.distance(sun) < in_view)
+            .collect();
         let first = readings.len();
         for order in &orders {
             for &(id, printed) in &marks {
                 let guess = printed.vector() - turned.offset(order[0]);
                 let known = |r: &Reading| r.ids.contains(&(order[0], id));
-                if (guess - sun.vector()).norm() < reach_mil && !readings[first..].iter().any(known) {
+                if (guess - sun.vector()).norm() < reach_mil && !readings[first..].iter().any(known)
+                {
                     let reading = turned.follow((id, printed), order, &marks);
                     readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
                 }

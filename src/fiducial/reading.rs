@@ -159,7 +159,8 @@ impl<'a> Turned<'a> {
                 if fit.place(self.offsets[n]).distance(printed) < NAMED_WITHIN_MIL {
                     named.push((n, id));
                 }
-                score += self.found_share(fit.offset(printed)).ln() + likelihood - self.false_density();
+                score +=
+                    self.found_share(fit.offset(printed)).ln() + likelihood - self.false_density();
             }
         }
         score += self.absences(&fit, &ids, &near);
@@ -223,12 +224,7 @@ impl<'a> Turned<'a> {
     }
 
     /// What the marks that must have been found and are not take from the score.
-    fn absences(
-        &self,
-        fit: &Fit,
-        ids: &[(usize, MarkId)],
-        near: &[(MarkId, PlateMil)],
-    ) -> f64 {
+    fn absences(&self, fit: &Fit, ids: &[(usize, MarkId)], near: &[(MarkId, PlateMil)]) -> f64 {
         let absent = near.iter().filter(|(id, printed)| {
             self.must_be_found(fit.offset(*printed)) && ids.iter().all(|(_, found)| found != id)
         });
@@ -322,7 +318,10 @@ impl Fit {
     fn offset(&self, printed: PlateMil) -> Vector2<f64> {
         let arm = printed.vector() - self.offset - self.step;
         let (along, across) = (1.0 + self.scale(), self.rotation());
-        let turned = Vector2::new(along * arm.x + across * arm.y, along * arm.y - across * arm.x);
+        let turned = Vector2::new(
+            along * arm.x + across * arm.y,
+            along * arm.y - across * arm.x,
+        );
         self.offset + turned / (along * along + across * across)
     }
 
@@ -350,8 +349,14 @@ impl Fit {
         let across = common + reach / self.rotation_weight;
         let miss = printed.vector() - place;
         let (stretch, twist) = (arm.dot(&miss), arm.perp(&miss));
-        let off = (stretch * stretch / along + twist * twist / across) / reach.max(f64::MIN_POSITIVE);
-        (off < GATE_SIGMAS * GATE_SIGMAS)
-            .then(|| (*id, *printed, -0.5 * off - TAU.ln() - 0.5 * (along * across).ln()))
+        let off =
+            (stretch * stretch / along + twist * twist / across) / reach.max(f64::MIN_POSITIVE);
+        (off < GATE_SIGMAS * GATE_SIGMAS).then(|| {
+            (
+                *id,
+                *printed,
+                -0.5 * off - TAU.ln() - 0.5 * (along * across).ln(),
+            )
+        })
     }
 }
