@@ -4,7 +4,7 @@
 use super::{Expected, Mark, Settings, Stage, Stopped, Track};
 use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner, Sight};
 use crate::frame::{Frame, Levels, Region};
-use crate::geometry::{Circle, Ellipse, Mapping};
+use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
 use crate::limb::{self, CoarseDisc, Hidden, Limb, OutlinePrior};
 use crate::registration::{self, Outline, Pair, Registration};
@@ -32,6 +32,9 @@ const SOFT: f64 = 1.3;
 const UNREFINED_SIGMA_PX: f64 = 0.2;
 /// What such a mark counts for when two blurs are compared.
 const UNREFINED_CHI2: f64 = 10.0;
+/// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
+/// which haze may widen the disc. In simulated frames all are found from 0.5 on.
+const SURE_DEPTH: f64 = 0.75;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
@@ -269,17 +272,17 @@ impl<'a> Work<'a> {
         detections: &Detections,
         limb: &Limb,
     ) -> Result<Vec<Mark>, Stopped> {
-        let disc = &circle_of(limb);
         let mounting = &self.instrument.mounting;
-        let scale = self.radius_mil.value / disc.radius;
-        let relative = (self.radius_mil.sigma / self.radius_mil.value).hypot(DISC_SCALE_SIGMA);
+        let radius = self.radius_mil.value;
+        let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
         let sight = Sight {
-            scale_mil_per_px: Measured::new(scale, scale * relative),
+            outline: limb.outline.ellipse,
+            radius_mil: Measured::new(radius, radius * relative),
             quarter_rotation_deg: detections.quarter_rotation_deg,
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
-            disc: *disc,
-            sure_depth_px: self.shape.half_length_px + 4.0,
+            sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
+            sure_margin_px: self.shape.half_length_px + 4.0,
             sensor_px: [self.frame.width() as f64, self.frame.height() as f64],
         };
         let settings = &self.settings.fiducial;
@@ -364,12 +367,4 @@ impl<'a> Work<'a> {
 
 pub(super) fn at(stage: Stage) -> impl Fn(Rejected) -> Stopped {
     move |rejected| Stopped { stage, rejected }
-}
-
-fn circle_of(limb: &Limb) -> Circle {
-    let ellipse = &limb.outline.ellipse;
-    Circle {
-        centre: ellipse.centre,
-        radius: ellipse.mean_radius(),
-    }
 }
