@@ -78,7 +78,7 @@ pub struct Row {
     pub frames: [u64; 2],
     /// How the row's frames depart from the standard one.
     pub vary: conditions::Vary,
-    pub demands: &'static [Demand],
+    pub demands: Vec<Demand>,
 }
 
 /// Why the program cannot run.

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 /// Frames of the mixed run.
 const MIXED_FRAMES: [u64; 2] = [300, 20_000];
 /// Frames for each phase of the bias map.
-const FRAMES_PER_PHASE: [u64; 2] = [8, 60];
+const FRAMES_PER_PHASE: [u64; 2] = [16, 100];
 /// Frames of a row whose bound is computed.
 const BOUNDED_FRAMES: [u64; 2] = [12, 200];
 

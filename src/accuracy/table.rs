@@ -168,6 +168,9 @@ fn mixed_text(report: &MixedReport) -> String {
     )
 }
 
+/// Frames that are named for one reason.
+const NAMED: usize = 12;
+
 /// The frames of each row that ought to be fine and are not, by reason.
 fn missed_text(report: &Report) -> String {
     let mut out = String::new();
@@ -178,8 +181,13 @@ fn missed_text(report: &Report) -> String {
             seeds.push(format!("{} ({})", frame.seed, frame.lit_marks));
         }
         for (reason, seeds) in by_reason {
-            let (name, seeds) = (row.row.name, seeds.join(", "));
-            let _ = writeln!(out, "- {name}: {reason}: seeds (marks lit) {seeds}");
+            let (name, count) = (row.row.name, seeds.len());
+            let named = seeds[..count.min(NAMED)].join(", ");
+            let more = if count > NAMED { ", ..." } else { "" };
+            let _ = writeln!(
+                out,
+                "- {name}: {reason}: {count} frames, seeds (marks lit) {named}{more}"
+            );
         }
     }
     if out.is_empty() {
