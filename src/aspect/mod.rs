@@ -1,6 +1,7 @@
 //! The pipeline on one page: from a frame to the Sun's centre on the plate.
 
 mod conclusion;
+mod marks;
 mod overlay;
 mod solution;
 mod stages;
@@ -15,7 +16,8 @@ use crate::geometry::Ellipse;
 use crate::instrument::Instrument;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
-use stages::{MarkSight, Work};
+use marks::MarkSight;
+use stages::Work;
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]

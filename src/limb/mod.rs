@@ -23,7 +23,7 @@ mod patches;
 mod profile;
 mod search;
 
-pub use chords::{Axis, Chords, Crossing, Edge, Scan};
+pub use chords::{Axis, Crossing, Edge, Scan};
 pub use edge::{Hidden, LimbPoint};
 pub use fine::{Limb, fit_limb};
 pub use levels::levels;

@@ -4,7 +4,7 @@
 use super::bright::Whole;
 use super::consensus::agreed_circle;
 use super::patches::{Patch, bright_patches};
-use super::{Chords, Crossing, Scan, Settings};
+use super::{Crossing, Scan, Settings};
 use crate::frame::{Frame, Levels, Region, View};
 use crate::geometry::Circle;
 use crate::units::{Rejected, SensorPx};
@@ -96,12 +96,7 @@ impl Search<'_> {
 
     fn scan(&self, levels: &Levels) -> Scan {
         let threshold_dn = levels.threshold_dn(self.settings.level_fraction);
-        Scan::new(
-            threshold_dn,
-            self.mark_length_px,
-            Chords::Every,
-            self.settings,
-        )
+        Scan::new(threshold_dn, self.mark_length_px, self.settings)
     }
 
     fn spacing_px(&self) -> usize {
