@@ -10,7 +10,8 @@
 //! [`registration`](crate::registration) does: its leans are about that point.
 //!
 //! # What it leaves out
-//! Blemishes. They do not belong to the frame's information, they take from it.
+//! Blemishes and sunspots: they do not belong to the frame's information, they take from it. Misprint: the marks are taken
+//! to be known where they are.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::simulate::{Blemishes, Depth, Scene, Sun, render_exact};
@@ -182,7 +183,7 @@ fn weights(scene: &Scene) -> Vec<f64> {
     render_exact(scene).into_iter().map(weight).collect()
 }
 
-/// The part of a scene around its Sun, without blemishes: all that the bound depends on, at a twentieth of the cost.
+/// The part of a scene around its Sun, without blemishes and spots: all that the bound depends on, at a twentieth of the cost.
 fn surroundings(scene: &Scene) -> Option<Scene> {
     const MARGIN_PX: f64 = 10.0;
     let sun = scene.sun.as_ref()?;
@@ -211,6 +212,10 @@ fn surroundings(scene: &Scene) -> Option<Scene> {
         height_px,
         mapping,
         blemishes: Blemishes::default(),
+        sun: Some(Sun {
+            spots: Vec::new(),
+            ..sun.clone()
+        }),
         ..scene.clone()
     })
 }
