@@ -6,7 +6,7 @@ use crate::fiducial::{CrossShape, Detections};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, CoarseDisc, Hidden, Limb, OutlinePrior};
+use crate::limb::{self, CoarseDisc, Hidden, KnownOutline, Limb, OutlinePrior};
 use crate::units::{Measured, Rejected, SensorPx};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
@@ -93,35 +93,27 @@ impl<'a> Work<'a> {
     }
 
     /// The outline of the disc, without the hidden pixels.
-    ///
-    /// The round outline of the stated radius steadies the fit to a disc of which little is seen. A limb that
-    /// contradicts it is believed instead.
     pub(super) fn limb(
         &self,
         levels: &Levels,
         start: &Ellipse,
         hidden: &Hidden,
     ) -> Result<Limb, Stopped> {
-        let fit = |prior: OutlinePrior| {
-            let (blur_px, settings) = (self.shape.blur_px, &self.settings.limb);
-            limb::fit_limb(self.frame, start, levels, blur_px, &prior, hidden, settings)
-                .map_err(at(Stage::Limb))
+        let settings = &self.settings.limb;
+        let spread = settings.max_radius_deviation / 4.0;
+        let known = KnownOutline {
+            possible: OutlinePrior {
+                radius_px: Measured::new(self.radius_px, spread * self.radius_px),
+                flatness: TILTED_FLATNESS,
+            },
+            stated: OutlinePrior {
+                radius_px: self.stated_radius_px(),
+                flatness: STATED_FLATNESS,
+            },
         };
-        let free = fit(OutlinePrior {
-            radius_px: Measured::new(
-                self.radius_px,
-                self.settings.limb.max_radius_deviation / 4.0 * self.radius_px,
-            ),
-            flatness: TILTED_FLATNESS,
-        })?;
-        let stated = OutlinePrior {
-            radius_px: self.stated_radius_px(),
-            flatness: STATED_FLATNESS,
-        };
-        if free.outline.contradicts(&stated) {
-            return Ok(free);
-        }
-        fit(stated)
+        let blur_px = self.shape.blur_px;
+        limb::fit_limb(self.frame, start, levels, blur_px, &known, hidden, settings)
+            .map_err(at(Stage::Limb))
     }
 
     /// The disc's radius on the sensor by ephemeris and stated scale.

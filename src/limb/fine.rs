@@ -33,6 +33,27 @@ impl Limb {
     }
 }
 
+/// What is known of the outline before the limb is looked at, in two grades.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownOutline {
+    /// What any camera may show.
+    pub possible: OutlinePrior,
+    /// What this one shows if it is as its calibration states.
+    pub stated: OutlinePrior,
+}
+
+impl KnownOutline {
+    /// What is stated steadies the outline of a disc of which little is seen. A limb that contradicts it is believed
+    /// instead.
+    fn fit(&self, points: &[LimbPoint], start: &Ellipse) -> Option<OutlineFit> {
+        let free = fit_outline(points, start, &self.possible)?;
+        if free.contradicts(&self.stated) {
+            return Some(free);
+        }
+        fit_outline(points, &free.ellipse, &self.stated)
+    }
+}
+
 /// Limb darkening of the Sun at 630 nm: the share of the light that is gone at the edge.
 const TYPICAL_DARKENING: f64 = 0.56;
 const PASSES: usize = 6;
@@ -49,7 +70,7 @@ pub fn fit_limb(
     start: &Ellipse,
     levels: &Levels,
     blur_px: f64,
-    prior: &OutlinePrior,
+    known: &KnownOutline,
     hidden: &Hidden,
     settings: &Settings,
 ) -> Result<Limb, Rejected> {
@@ -72,8 +93,9 @@ pub fn fit_limb(
             settings.limb_points,
         )
         .ok_or_else(|| too_few(0, settings))?;
-        let fit =
-            fit_outline(&points, &outline, prior).ok_or_else(|| too_few(points.len(), settings))?;
+        let fit = known
+            .fit(&points, &outline)
+            .ok_or_else(|| too_few(points.len(), settings))?;
         let accepted = fit.accepted.iter().filter(|a| **a).count();
         if accepted < settings.min_limb_points {
             return Err(too_few(accepted, settings));

@@ -25,7 +25,7 @@ mod search;
 
 pub use chords::{Axis, Crossing, Edge, Scan};
 pub use edge::{Hidden, LimbPoint};
-pub use fine::{Limb, fit_limb};
+pub use fine::{KnownOutline, Limb, fit_limb};
 pub use levels::levels;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
