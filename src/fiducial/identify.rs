@@ -188,9 +188,8 @@ fn readings(
 ) -> Vec<Reading> {
     let full = |n: &usize| detections[*n].lighting == Lighting::Full;
     let full: Vec<usize> = (0..detections.len()).filter(full).collect();
-    // A reading with enough marks has one of them among all but so many.
-    let spare = settings.min_marks.saturating_sub(1);
-    let anchors = &full[..full.len().saturating_sub(spare)];
+    // A reading, rivals included, has two of them: one is among all but the last.
+    let anchors = &full[..full.len().saturating_sub(1)];
     let orders: Vec<Vec<usize>> = anchors
         .iter()
         .map(|n| nearest_first(*n, &full, detections))
