@@ -2,6 +2,7 @@
 //! the test's own making; no pixels are involved, so thousands of plates can be read in seconds.
 
 use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
+use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -187,10 +188,11 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
                     };
                     (detection, Some(id))
                 };
-                let lit = look.lit(&plate).into_iter().map(seen);
-                let list: Vec<Labelled> = lit
-                    .filter(|(seen, _)| seen.lighting == Lighting::Full)
-                    .collect();
+                let deep = |(_, _, depth): &(MarkId, SensorPx, f64)| {
+                    depth * SCALE_MIL_PER_PX > CUT_FOUND_MIL[1]
+                };
+                let lit = look.lit(&plate).into_iter().filter(deep);
+                let list: Vec<Labelled> = lit.map(seen).collect();
                 let found = read(&look, &list, &plate);
                 let marks = fully_lit(&list);
                 if marks.len() < Settings::default().min_marks {
@@ -210,7 +212,7 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
         assert!(read_here > 0, "mark {id} was never read");
     }
     println!("every mark: {accepted} of {tried} lists with both codes read");
-    assert!(accepted as f64 > 0.95 * f64::from(tried));
+    assert!(accepted as f64 > 0.99 * f64::from(tried));
 }
 
 /// What befalls the lists.
@@ -369,6 +371,7 @@ impl Draw {
                 list.push((spot, None));
             }
         }
+        list.shuffle(&mut self.rng);
         list
     }
 }
@@ -438,12 +441,23 @@ impl Tally {
 fn no_list_of_marks_is_ever_misread_whatever_is_missing_or_false() {
     let tally = Tally::of(20_000, 20130921, HARSH);
     assert_eq!(tally.misread, 0);
-    assert!(tally.both_codes_share() > 0.75);
+    assert!(tally.both_codes_share() > 0.91);
 }
 
 #[test]
 fn lists_with_nothing_missing_and_nothing_false_are_read() {
-    let tally = Tally::of(5_000, 1859, CLEAN);
+    let tally = Tally::of(10_000, 1859, CLEAN);
     assert_eq!(tally.misread, 0);
-    assert!(tally.both_codes_share() > 0.75);
+    assert!(tally.both_codes_share() > 0.995);
+    // A row of three with one code alone may look the same elsewhere at the pattern's edge.
+    assert!(tally.three_share() > 0.945);
+}
+
+#[test]
+#[ignore = "a minute; cargo test --release --test identification -- --ignored --nocapture"]
+fn no_list_of_many_seeds_is_ever_misread() {
+    for seed in 1..=5 {
+        assert_eq!(Tally::of(60_000, seed, HARSH).misread, 0);
+        assert_eq!(Tally::of(20_000, seed, CLEAN).misread, 0);
+    }
 }

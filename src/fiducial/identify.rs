@@ -80,6 +80,11 @@ pub struct Identification {
 
 /// A reading must beat all that contradict it together by this much, logarithm of the odds.
 const DECISIVE_ODDS: f64 = 7.0;
+/// The same for those that take one of its fully lit marks for a false detection: where they would show no other mark,
+/// as at the pattern's edge, that detection alone decides. More is asked when the reading itself leaves a fully lit
+/// detection unexplained: where one is false another may be.
+const SOUND_ODDS: f64 = 9.0;
+const SOUND_ODDS_AMONG_FALSE: f64 = 11.0;
 /// Readings are held against one another up to this much beyond the largest shift of the plate's centre: were the true
 /// one left out, a wrong one would stand unrivalled.
 const RIVALS_BEYOND: f64 = 2.0;
@@ -108,14 +113,16 @@ pub fn identify(
     }
     decide(
         readings(detections, sight, plate, settings),
+        full,
         sight,
         settings,
     )
 }
 
-/// The best reading, if all that contradict it are unlikely together.
+/// The best reading of so many fully lit detections, if all that contradict it are unlikely together.
 fn decide(
     mut readings: Vec<Reading>,
+    full: usize,
     sight: &Sight,
     settings: &Settings,
 ) -> Result<Identification, Rejected> {
@@ -151,10 +158,15 @@ fn decide(
         let reason = "two readings of the marks fit alike";
         return reject(reason, alike, DECISIVE_ODDS);
     }
-    let odds = odds(&|_| true);
-    if odds < DECISIVE_ODDS {
+    let sound = odds(&|rival| rival.full < best.full);
+    let asked = if best.full < full {
+        SOUND_ODDS_AMONG_FALSE
+    } else {
+        SOUND_ODDS
+    };
+    if sound < asked {
         let reason = "the best reading may rest on a false detection";
-        return reject(reason, odds, DECISIVE_ODDS);
+        return reject(reason, sound, asked);
     }
     let beyond = sight.beyond(best, settings);
     if beyond > 1.0 {
@@ -163,7 +175,7 @@ fn decide(
     }
     Ok(Identification {
         ids: best.named.clone(),
-        odds,
+        odds: alike.min(sound),
     })
 }
 
@@ -176,9 +188,8 @@ fn readings(
 ) -> Vec<Reading> {
     let full = |n: &usize| detections[*n].lighting == Lighting::Full;
     let full: Vec<usize> = (0..detections.len()).filter(full).collect();
-    // A reading with enough marks has one of them among all but so many.
-    let spare = settings.min_marks.saturating_sub(1);
-    let anchors = &full[..full.len().saturating_sub(spare)];
+    // A reading, rivals included, has two of them: one is among all but the last.
+    let anchors = &full[..full.len().saturating_sub(1)];
     let orders: Vec<Vec<usize>> = anchors
         .iter()
         .map(|n| nearest_first(*n, &full, detections))

@@ -10,6 +10,7 @@
 //!    allows is held against all marks in view, and one that is not clearly the best is refused.
 
 mod detect;
+mod fit;
 mod flatten;
 mod identify;
 mod kernel;
