@@ -241,12 +241,11 @@ impl<'a> Search<'a> {
     }
 
     fn lighting(&self, at: SensorPx) -> Lighting {
-        let tips = self
+        let mut tips = self
             .tips
             .iter()
             .flat_map(|tip| [at.vector() + tip, at.vector() - tip]);
-        let lit = |tip: Vector2<f64>| self.flat.is_lit(tip.into(), TIP_MARGIN_PX);
-        if tips.map(lit).all(|lit| lit) {
+        if tips.all(|tip| self.flat.is_lit(tip.into(), TIP_MARGIN_PX)) {
             Lighting::Full
         } else {
             Lighting::Cut
