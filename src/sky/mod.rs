@@ -1,7 +1,7 @@
 //! Where the Sun and the Moon stand, how large they are and how they are turned, for an observer on or above
 //! the Earth.
 //!
-//! Positions are topocentric and without refraction (at a balloon's 3 hPa it is 0.7 arcsec at 15 deg of elevation;
+//! Positions are topocentric and without refraction (at 38 km it is 0.9 arcsec at 15 deg of elevation;
 //! [`Air`] tells it). They come from the IAU's SOFA routines (crate `sofars`): the Earth's place by `epv00`, the Moon's by
 //! `moon98`, good to about 10 arcsec; leap seconds, UT1 and the pole by the IERS's table ([`OrientationTable`]).
 //!

@@ -2,8 +2,8 @@
 //!
 //! The table that the program carries is made by `tools/iers` from the IERS's finals2000A and list of leap seconds:
 //! measured from 1973 on, predicted for about a year after it was made. Between its rows UT1 - TAI, which knows no
-//! leap seconds, and the pole run straight, within 0.4 ms (0.006 arcsec of azimuth) of the daily values. The
-//! predictions themselves are good to 10 ms after three months and to 25 ms (0.4 arcsec) after a year.
+//! leap seconds, and the pole run straight, within 0.4 ms (0.006 arcsec of azimuth) of the daily values. Of the
+//! predictions the IERS states 1 sigma: 25 ms (0.4 arcsec) after a year. Before 1990 its own series differ by up to 6 ms.
 
 use super::SkyError;
 use jiff::{Timestamp, civil::Date, tz::Offset};

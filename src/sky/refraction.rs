@@ -2,8 +2,7 @@
 //!
 //! SOFA's `refco` gives the two constants of dz = A tan z + B tan^3 z. On the ground it agrees with ray tracing to 0.06
 //! arcsec down to 15 deg of elevation and to 0.6 arcsec at 10 deg; lower it fails, and below 3 deg it is held at its value
-//! there (about 0.2 deg on the ground, where the truth at the horizon is 0.57 deg). At a balloon's 3 hPa it is 0.7 arcsec
-//! at 15 deg; below the horizontal, where the ray dips into thicker air, it is too small.
+//! there (0.18 deg on the ground, where the truth at the horizon is 0.57 deg). At 38 km it is 0.9 arcsec at 15 deg; below the horizontal, where the ray dips into thicker air, it is too small.
 
 use sofars::astro::refco;
 use std::str::FromStr;
