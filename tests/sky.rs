@@ -1,11 +1,13 @@
 //! The Sun and the Moon stand, and are turned, as astropy and sunpy say; the Earth as the IERS says.
 
 use jiff::Timestamp;
+use serde_json::Value;
 use solaspect::pointing::{Feature, HelioprojectiveArcsec, PointingError};
 use solaspect::sky::{
     Disc, Ephemeris, OrientationTable, Rising, SkyError, crossings, horizon_deg, sun_angular_radius,
 };
 use solaspect::units::Place;
+use std::process::{Command, Output};
 
 const FORT_SUMNER: [f64; 3] = [34.49, -104.2218, 38_405.0];
 
@@ -306,4 +308,158 @@ fn a_feature_off_the_disc_or_behind_it_is_refused() {
     };
     let found = feature.at(epoch, &later);
     assert!(matches!(found, Err(PointingError::BehindTheLimb { .. })));
+}
+
+fn solaspect(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_solaspect"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn json(arguments: &[&str]) -> Value {
+    let output = solaspect(arguments);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn keys(object: &Value) -> Vec<&str> {
+    object
+        .as_object()
+        .unwrap()
+        .keys()
+        .map(String::as_str)
+        .collect()
+}
+
+const SKY: [&str; 3] = ["sky", "--place", "34.49,-104.2218,38405"];
+
+#[test]
+fn the_command_prints_one_object_with_the_fields_of_the_contract() {
+    let report = json(&[&SKY[..], &["--json", "--at", "2013-09-21T18:00:00.250Z"]].concat());
+    assert_eq!(keys(&report), ["moon", "sun", "utc"]);
+    assert_eq!(report["utc"], "2013-09-21T18:00:00.250Z");
+    let mut sun = [
+        "azimuth_deg",
+        "elevation_deg",
+        "radius_arcsec",
+        "p_deg",
+        "b0_deg",
+        "l0_deg",
+        "zenith_to_north_deg",
+    ];
+    let mut moon = [
+        "azimuth_deg",
+        "elevation_deg",
+        "radius_arcsec",
+        "phase_angle_deg",
+        "bright_limb_deg",
+    ];
+    sun.sort_unstable();
+    moon.sort_unstable();
+    assert_eq!(keys(&report["sun"]), sun);
+    assert_eq!(keys(&report["moon"]), moon);
+}
+
+#[test]
+fn refraction_lifts_and_only_when_asked() {
+    let at = [&SKY[..], &["--json", "--at", "2013-09-21T14:00:00Z"]].concat();
+    let elevation = |more: &[&str]| {
+        let report = json(&[&at, more].concat());
+        report["sun"]["elevation_deg"].as_f64().unwrap()
+    };
+    let bare = elevation(&[]);
+    let float = (elevation(&["--refraction"]) - bare) * 3600.0;
+    assert!((0.5..1.5).contains(&float), "{float} arcsec");
+    let ground = (elevation(&["--refraction", "1013.25,15"]) - bare) * 3600.0;
+    assert!((190.0..230.0).contains(&ground), "{ground} arcsec");
+}
+
+#[test]
+fn a_plan_has_rows_events_and_the_hours_in_a_band() {
+    let plan = [
+        &SKY[..],
+        &[
+            "--from",
+            "2013-09-21T12:00",
+            "--to",
+            "2013-09-22T04:00",
+            "--step",
+            "4h",
+        ],
+        &["--band", "20,85", "--json"],
+    ]
+    .concat();
+    let plan = json(&plan);
+    assert_eq!(plan["rows"].as_array().unwrap().len(), 5);
+    let events = plan["events"].as_array().unwrap();
+    let names: Vec<&str> = events
+        .iter()
+        .map(|e| e["event"].as_str().unwrap())
+        .collect();
+    assert_eq!(names, ["rise", "transit", "set"]);
+    let noon = &events[1];
+    assert!((noon["azimuth_deg"].as_f64().unwrap() - 180.0).abs() < 1e-3);
+    let spells = plan["band"]["spells"].as_array().unwrap();
+    assert_eq!(spells.len(), 1);
+    for utc in spells[0].as_array().unwrap() {
+        let at = json(&[&SKY[..], &["--json", "--at", utc.as_str().unwrap()]].concat());
+        let elevation = at["sun"]["elevation_deg"].as_f64().unwrap();
+        assert!((elevation - 20.0).abs() < 0.01, "{elevation}");
+    }
+}
+
+#[test]
+fn the_configuration_may_bring_a_newer_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let table = file(
+        "newer.csv",
+        "mjd_utc,tai_utc_s,x_arcsec,y_arcsec,ut1_utc_s\n65000,37,0.1,0.3,-0.5\n65010,37,0.1,0.3,0.5\n",
+    );
+    let config = file("c.toml", &format!("[sky]\nearth_orientation = {table:?}\n"));
+    let at = ["--json", "--config", &config, "--at"];
+    // MJD 65005: UT1 - UTC is 0 there.
+    let inside = [&SKY[..], &at, &["2036-11-08T12:00:00Z"]].concat();
+    assert!(json(&inside)["sun"]["azimuth_deg"].is_f64());
+    let outside = solaspect(&[&SKY[..], &at, &["2013-09-21T18:00:00Z"]].concat());
+    assert_eq!(outside.status.code(), Some(1));
+    let text = String::from_utf8(outside.stderr).unwrap();
+    assert!(text.contains("from 2036-11-03 to 2036-11-13"), "{text}");
+    let missing = file("d.toml", "[sky]\nearth_orientation = \"/nowhere.csv\"\n");
+    let at = ["--config", &missing, "--at", "2013-09-21T18:00:00Z"];
+    assert_eq!(solaspect(&[&SKY[..], &at].concat()).status.code(), Some(1));
+}
+
+#[test]
+fn a_target_that_turns_with_the_sun_moves_the_offset() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = "tests/data/frames/standard/frame_00000.fits";
+    let offset = |target: &str| {
+        let path = folder.path().join("c.toml");
+        std::fs::write(&path, format!("[target]\n{target}")).unwrap();
+        let config = ["--config", path.to_str().unwrap()];
+        let frame = ["--place", SKY[2], "--format", "jsonl", frame];
+        json(&[&["solve"][..], &config, &frame].concat())["offset_deg"].clone()
+    };
+    let cross = |offset: &Value| offset["cross_elevation"].as_f64().unwrap();
+    let up = |offset: &Value| offset["elevation"].as_f64().unwrap();
+    let fixed = offset("x_arcsec = 0\ny_arcsec = 0\n");
+    let now = offset("epoch_utc = \"2013-09-21T18:00:00Z\"\n");
+    assert!((cross(&fixed) - cross(&now)).abs() < 1e-6);
+    let yesterday = offset("epoch_utc = \"2013-09-20T18:00:00Z\"\n");
+    let moved = (cross(&yesterday) - cross(&fixed)).hypot(up(&yesterday) - up(&fixed)) * 3600.0;
+    // 13.2 deg of synodic rotation from the disc's centre.
+    let expected = 955.6 * 13.2_f64.to_radians().sin();
+    assert!((moved / expected - 1.0).abs() < 0.03, "{moved} arcsec");
+    let config = folder.path().join("off.toml");
+    let text = "[target]\nx_arcsec = 2000\nepoch_utc = \"2013-09-20T18:00:00Z\"\n";
+    std::fs::write(&config, text).unwrap();
+    let refused = solaspect(&["solve", "--config", config.to_str().unwrap(), frame]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("on the disc"));
 }

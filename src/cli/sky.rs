@@ -95,6 +95,8 @@ struct MoonReport {
     radius_arcsec: f64,
     phase_angle_deg: f64,
     bright_limb_deg: f64,
+    /// For people only.
+    #[serde(skip)]
     zenith_to_bright_limb_deg: f64,
 }
 
