@@ -9,17 +9,20 @@
 //! ephemeris says.
 //! All of it is on the sphere; nothing assumes small angles.
 
-mod feature;
+mod refusal;
+mod target;
 
-pub use feature::Feature;
+pub use refusal::PointingError;
+pub use target::{Feature, Target};
 
 use crate::aspect::{Solution, Stage, Stopped};
 use crate::instrument::{Instrument, Optics};
 use crate::sky::sphere::{angles_deg, direction, separation_rad, tangents};
-use crate::sky::{Disc, Ephemeris, SkyError, SunPosition};
-use crate::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil, Rejected};
+use crate::sky::{Ephemeris, SunPosition};
+use crate::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil};
 use jiff::Timestamp;
 use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
+use refusal::NoOffset;
 
 /// Above this elevation a difference of azimuths says nothing of use.
 const HIGHEST_ELEVATION_DEG: f64 = 85.0;
@@ -29,39 +32,6 @@ const HIGHEST_ELEVATION_DEG: f64 = 85.0;
 pub struct HelioprojectiveArcsec {
     pub x: f64,
     pub y: f64,
-}
-
-/// Where the telescope should point.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Target {
-    /// A place about the Sun's centre, on the disc or off it.
-    Fixed(HelioprojectiveArcsec),
-    /// A place on the Sun's surface, carried along by its rotation.
-    Feature(Feature),
-}
-
-impl Default for Target {
-    /// The disc's centre.
-    fn default() -> Self {
-        Self::Fixed(HelioprojectiveArcsec::default())
-    }
-}
-
-impl Target {
-    /// Where the target is at an instant.
-    ///
-    /// # Errors
-    /// [`PointingError::BehindTheLimb`] when rotation has carried it there.
-    pub fn at(
-        &self,
-        utc: Timestamp,
-        sun: &SunPosition,
-    ) -> Result<HelioprojectiveArcsec, PointingError> {
-        match self {
-            Self::Fixed(place) => Ok(*place),
-            Self::Feature(feature) => feature.at(utc, &Disc::from(sun)),
-        }
-    }
 }
 
 /// A direction in the observer's horizon: azimuth from north through east, elevation without refraction.
@@ -99,57 +69,6 @@ impl Offset {
     }
 }
 
-/// Why an offset or a plate position cannot be given.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum PointingError {
-    #[error(
-        "expected an elevation up to {HIGHEST_ELEVATION_DEG} deg, where azimuth still tells directions apart, found {elevation_deg:.3} deg"
-    )]
-    NearZenith { elevation_deg: f64 },
-    #[error(
-        "expected the Sun within 90 deg of the pointing, found it {separation_deg:.3} deg away"
-    )]
-    BehindTheLens { separation_deg: f64 },
-    #[error(
-        "expected a target on the disc, up to {limb_arcsec:.1} arcsec from its centre, found {from_centre_arcsec:.1} arcsec"
-    )]
-    OffTheDisc {
-        from_centre_arcsec: f64,
-        limb_arcsec: f64,
-    },
-    #[error(
-        "the Sun's rotation has carried the target behind the limb: expected up to {limb_deg:.2} deg from the disc's centre, found {from_centre_deg:.2} deg"
-    )]
-    BehindTheLimb { from_centre_deg: f64, limb_deg: f64 },
-}
-
-impl PointingError {
-    /// The error as a frame's reason.
-    pub fn rejected(&self) -> Rejected {
-        let (reason, measured, limit) = match *self {
-            Self::NearZenith { elevation_deg } => (
-                "too near the zenith for azimuths",
-                elevation_deg,
-                HIGHEST_ELEVATION_DEG,
-            ),
-            Self::BehindTheLens { separation_deg } => ("Sun behind the lens", separation_deg, 90.0),
-            Self::OffTheDisc {
-                from_centre_arcsec,
-                limb_arcsec,
-            } => ("target off the disc", from_centre_arcsec, limb_arcsec),
-            Self::BehindTheLimb {
-                from_centre_deg,
-                limb_deg,
-            } => ("target behind the limb", from_centre_deg, limb_deg),
-        };
-        Rejected {
-            reason,
-            measured,
-            limit,
-        }
-    }
-}
-
 /// The offset of a solved frame. `None` where the frame has no Sun, or its time or place is not known. Where sky or sphere
 /// give no answer (a date out of range, too near the zenith, a target behind the limb), the solution says so, unless an
 /// earlier stage has had its say, and stays as good as it is.
@@ -174,23 +93,6 @@ pub fn offset_of(
             let (stage, rejected) = (Stage::Pointing, error.rejected());
             solution.stopped.get_or_insert(Stopped { stage, rejected });
             None
-        }
-    }
-}
-
-#[derive(Debug, thiserror::Error)]
-enum NoOffset {
-    #[error(transparent)]
-    Sky(#[from] SkyError),
-    #[error(transparent)]
-    Pointing(#[from] PointingError),
-}
-
-impl NoOffset {
-    fn rejected(&self) -> Rejected {
-        match self {
-            Self::Sky(error) => error.rejected(),
-            Self::Pointing(error) => error.rejected(),
         }
     }
 }

@@ -1,18 +1,51 @@
-//! A feature of the Sun's surface: where it stands, and where the Sun's rotation carries it.
+//! The target: a place about the Sun's centre, or a feature of its surface that its rotation carries along.
 //!
-//! Rates are those of magnetic features by Howard, Harvey and Forgach (1990, Solar Physics 130, 295), sunpy's default:
+//! Rates of rotation are those of magnetic features by Howard, Harvey and Forgach (1990, Solar Physics 130, 295), sunpy's default:
 //! 2.894 - 0.428 sin^2 B - 0.370 sin^4 B microradian/s, sidereal. The feature keeps its latitude and drifts in
 //! Carrington longitude by the difference from the rate that defines it. A feature of its own motion errs by much more
 //! than this does.
 
 use super::{HelioprojectiveArcsec, PointingError};
-use crate::sky::{AU_KM, Disc, SUN_RADIUS_KM, SUN_ROTATION_DEG_PER_DAY};
+use crate::sky::{AU_KM, Disc, SUN_RADIUS_KM, SUN_ROTATION_DEG_PER_DAY, SunPosition};
 use crate::units::ARCSEC_PER_RAD;
 use jiff::Timestamp;
 use nalgebra::Vector3;
 
 const DAY_S: f64 = 86_400.0;
 const RADIUS_AU: f64 = SUN_RADIUS_KM / AU_KM;
+
+/// Where the telescope should point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Target {
+    /// A place about the Sun's centre, on the disc or off it.
+    Fixed(HelioprojectiveArcsec),
+    /// A place on the Sun's surface, carried along by its rotation.
+    Feature(Feature),
+}
+
+impl Default for Target {
+    /// The disc's centre.
+    fn default() -> Self {
+        Self::Fixed(HelioprojectiveArcsec::default())
+    }
+}
+
+impl Target {
+    /// Where the target is at an instant.
+    ///
+    /// # Errors
+    /// [`PointingError::BehindTheLimb`] when rotation has carried it there.
+    pub fn at(
+        &self,
+        utc: Timestamp,
+        sun: &SunPosition,
+    ) -> Result<HelioprojectiveArcsec, PointingError> {
+        match self {
+            Self::Fixed(place) => Ok(*place),
+            Self::Feature(feature) => feature.at(utc, &Disc::from(sun)),
+        }
+    }
+}
 
 /// A place on the Sun's surface that its rotation carries along.
 #[derive(Debug, Clone, Copy, PartialEq)]
