@@ -61,7 +61,12 @@ pub struct MappingRecord {
 pub struct OffsetRecord {
     pub azimuth: f64,
     pub elevation: f64,
+    /// True angle.
+    pub cross_elevation: f64,
+    /// Per axis of true angle, of this frame and of the mapping that it borrowed, if it did.
     pub sigma: f64,
+    /// The same of the calibration: boresight, clocking, plate distance; not part of `sigma`.
+    pub calibration_sigma: f64,
 }
 
 fn milliseconds<S: serde::Serializer>(
@@ -106,6 +111,8 @@ impl Record {
             offset_deg: offset.map(|offset| OffsetRecord {
                 azimuth: offset.azimuth_deg,
                 elevation: offset.elevation_deg,
+                cross_elevation: offset.cross_elevation_deg,
+                calibration_sigma: offset.calibration_sigma_deg(),
                 sigma: offset.sigma_deg,
             }),
             solve_us: solve_time.map(|time| time.as_micros() as u64),
