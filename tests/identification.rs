@@ -54,6 +54,7 @@ impl Look {
             plate_centre: self.plate_centre,
             // The lists' cameras were all moved.
             plate_centre_sigma_px: 100.0,
+            missed_share: 0.1,
             sure_depth_px: 0.75 * self.half_mark_px() + 1.0,
             sure_margin_px: self.half_mark_px() + 4.0,
             sensor_px: self.sensor_px,

@@ -65,6 +65,18 @@ pub struct Missed {
     pub reason: String,
 }
 
+impl Missed {
+    /// Whether its marks can be read in more than one way.
+    pub fn is_undecided(&self) -> bool {
+        [
+            "two readings of the marks fit alike",
+            "the best reading may rest on a false detection",
+        ]
+        .iter()
+        .any(|reason| self.reason.contains(reason))
+    }
+}
+
 /// Errors beside the Cramer-Rao bound, of those frames whose bound is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AgainstBound {
@@ -195,6 +207,9 @@ pub enum Demand {
     MostArcsec(f64),
     /// Every frame that shows enough of the limb and three marks fully lit is fine.
     NoneMissed,
+    /// Every such frame is fine, but for this share at most whose marks leave two readings open: three in a row where the
+    /// sensor's edge hides the neighbours that would tell the quarter turn.
+    FewUndecided(f64),
     /// Least share of frames that are at least coarse.
     SolvedShare(f64),
     /// Least share of solved frames whose Sun is within [`NEAR_PX`] of the truth on the sensor.
@@ -231,6 +246,17 @@ impl Demand {
             Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
             Self::NoneMissed => (!found.missed.is_empty())
                 .then(|| format!("{} frames ought to be fine", found.missed.len())),
+            Self::FewUndecided(most) => {
+                let undecided = found.missed.iter().filter(|m| m.is_undecided()).count();
+                let others = found.missed.len() - undecided;
+                let share = undecided as f64 / found.frames.max(1) as f64;
+                (others > 0 || share > most).then(|| {
+                    format!(
+                        "{others} frames ought to be fine, {:.1} % undecided over {most}",
+                        100.0 * share
+                    )
+                })
+            }
             Self::SolvedShare(limit) => at_least("solved share", found.solved_share(), limit),
             Self::NearShare(limit) => at_least("share within 0.5 px", found.near_share, limit),
             Self::NoneFine => (found.fine > 0).then(|| format!("{} frames are fine", found.fine)),
@@ -251,6 +277,13 @@ impl fmt::Display for Demand {
             Self::MedianArcsec(limit) => write!(out, "median {limit}"),
             Self::MostArcsec(limit) => write!(out, "99.7 % {limit}"),
             Self::NoneMissed => write!(out, "all marked frames fine"),
+            Self::FewUndecided(most) => {
+                write!(
+                    out,
+                    "marked frames fine but {:.0} % undecided",
+                    100.0 * most
+                )
+            }
             Self::SolvedShare(limit) => write!(out, "{:.0} % solved", 100.0 * limit),
             Self::NearShare(limit) => write!(out, "{:.0} % within {NEAR_PX} px", 100.0 * limit),
             Self::NoneFine => write!(out, "none fine"),

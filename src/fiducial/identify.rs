@@ -38,9 +38,15 @@ pub struct Sight {
     pub sure_margin_px: f64,
     /// Width and height of the sensor, px.
     pub sensor_px: [f64; 2],
+    /// Share of the marks that must have been found and are not.
+    pub missed_share: f64,
 }
 
 impl Sight {
+    pub(super) fn found_share(&self) -> f64 {
+        1.0 - self.missed_share
+    }
+
     /// From the unit disc to offsets from the Sun's centre on the plate (mil), at every quarter turn.
     fn turns(&self) -> impl Iterator<Item = Matrix2<f64>> {
         let axes = self.handedness.axes() * self.radius_mil.value;

@@ -25,8 +25,6 @@ const PULL_MIL: f64 = 12.0;
 const LIT_HALF_LENGTHS: f64 = 1.4;
 /// Farthest that a mark with an id is seen from its place, mil: one that the limb pulls farther has no position to give.
 const NAMED_WITHIN_MIL: f64 = 9.0;
-/// Part of the fully lit marks that is found; in flight-like frames it is more.
-const FOUND_SHARE: f64 = 0.9;
 /// The same where the limb cuts more than a mark may lose.
 const CUT_FOUND_SHARE: f64 = 0.5;
 /// False detections on a disc.
@@ -129,7 +127,7 @@ impl<'a> Turned<'a> {
         let mut fit = Fit::new(self.sight);
         fit.add(self.offsets[first], anchor.1, self.variance(first));
         let mut ids = vec![(first, anchor.0)];
-        let mut score = FOUND_SHARE.ln();
+        let mut score = self.sight.found_share().ln();
         for &n in order.iter().skip(1).filter(|n| self.is_full(**n)) {
             let variance = self.variance(n);
             if let Some((id, printed, likelihood)) =
@@ -138,7 +136,7 @@ impl<'a> Turned<'a> {
             {
                 fit.add(self.offsets[n], printed, variance);
                 ids.push((n, id));
-                score += FOUND_SHARE.ln() + likelihood - self.false_density();
+                score += self.sight.found_share().ln() + likelihood - self.false_density();
             }
         }
         let full = ids.len();
@@ -191,7 +189,7 @@ impl<'a> Turned<'a> {
     /// Part of the marks at an offset that is found.
     fn found_share(&self, offset: Vector2<f64>) -> f64 {
         if self.must_be_found(offset) {
-            FOUND_SHARE
+            self.sight.found_share()
         } else {
             CUT_FOUND_SHARE
         }
@@ -225,7 +223,7 @@ impl<'a> Turned<'a> {
         let absent = near.iter().filter(|(id, printed)| {
             self.must_be_found(fit.offset(*printed)) && ids.iter().all(|(_, found)| found != id)
         });
-        absent.count() as f64 * (1.0 - FOUND_SHARE).ln()
+        absent.count() as f64 * self.sight.missed_share.ln()
     }
 
     /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
