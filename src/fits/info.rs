@@ -217,6 +217,7 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
         "SATURATE",
         Some(Value::Integer(frame.saturation_dn().into())),
     );
+    add("BTYPE", Some("Intensity".into()));
     add("BUNIT", Some("DN".into()));
     cards.extend(info.place.map(place_cards).unwrap_or_default());
     cards
@@ -227,6 +228,7 @@ fn time_cards(info: &FrameInfo) -> Vec<Card> {
     let mut add = |keyword, time: Option<Timestamp>| {
         cards.extend(time.map(|time| Card::new(keyword, format_time(time))));
     };
+    add("DATEREF", info.exposure_start().or(info.mid_exposure));
     add("DATE-OBS", info.exposure_start());
     add("DATE-BEG", info.exposure_start());
     add("DATE-AVG", info.mid_exposure);

@@ -6,7 +6,7 @@ use super::{Commanded, Sighting};
 use crate::aspect::{self, Expected, Solution, Track};
 use crate::camera::Exposure;
 use crate::instrument::Instrument;
-use crate::pointing::{self, Offset};
+use crate::pointing::{self, HelioprojectiveArcsec, Offset};
 use crossbeam_channel::{Receiver, Sender};
 use jiff::{SignedDuration, Timestamp};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,7 +17,9 @@ use std::time::{Duration, Instant};
 pub struct Answer {
     pub exposure: Arc<Exposure>,
     pub solution: Arc<Solution>,
+    /// From `target`.
     pub offset: Option<Offset>,
+    pub target: HelioprojectiveArcsec,
     pub solve_time: Duration,
 }
 
@@ -58,9 +60,13 @@ impl Solver {
         tally
     }
 
-    fn solve(&self, exposure: Exposure, track: &mut Option<Track>, sun: &mut SunSize) -> Answer {
-        let info = &exposure.frame.info;
-        let utc = info.mid_exposure;
+    fn solve(
+        &self,
+        mut exposure: Exposure,
+        track: &mut Option<Track>,
+        sun: &mut SunSize,
+    ) -> Answer {
+        let utc = exposure.frame.info.mid_exposure;
         let size = utc.and_then(|utc| sun.at(utc));
         let start = Instant::now();
         let frame = &exposure.frame;
@@ -79,13 +85,16 @@ impl Solver {
             .commanded
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let place = info.place.or(commanded.place);
+        // The file tells the place that its offset and its coordinates rest on.
+        let place = exposure.frame.info.place.or(commanded.place);
+        exposure.frame.info.place = place;
         let target = commanded.target;
         let offset = pointing::offset_of(&solution, utc, place, &self.instrument, target);
         Answer {
             exposure: Arc::new(exposure),
             solution: Arc::new(solution),
             offset,
+            target,
             solve_time,
         }
     }
