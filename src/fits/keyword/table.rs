@@ -25,7 +25,7 @@ const FILE: Group = Group {
         row("ORIGIN", Text, "", Written, "where the file was made"),
         row("CREATOR", Text, "", Written, "program that wrote the file"),
         row("DATE", Time, "", Written, "when the file was written, UTC"),
-        row("FILENAME", Text, "", Written, "name of the file when it was written"),
+        row("FILENAME", Text, "", Written, "this file's name"),
         row("EXTNAME", Text, "", Written, "name of this extension"),
         row("SOLARNET", Float, "", Written, "SOLARNET: 1 in full, 0.5 in part"),
         row("OBS_HDU", Integer, "", Written, "1 where an observation's pixels stand"),
@@ -41,10 +41,15 @@ const TIME: Group = Group {
     keywords: &[
         row("TIMESYS", Text, "", Both, "time scale of every time here"),
         row("DATEREF", Time, "", Written, "zero of times counted in seconds"),
+        row("MJDREF", Float, "d", Written, "DATEREF as Modified Julian Date"),
         row("DATE-OBS", Time, "", Both, "start of the exposure"),
+        row("MJD-OBS", Float, "d", Written, "DATE-OBS as Modified Julian Date"),
         row("DATE-BEG", Time, "", Both, "start of the exposure"),
+        row("MJD-BEG", Float, "d", Written, "DATE-BEG as Modified Julian Date"),
         row("DATE-AVG", Time, "", Both, "middle of the exposure"),
+        row("MJD-AVG", Float, "d", Written, "DATE-AVG as Modified Julian Date"),
         row("DATE-END", Time, "", Written, "end of the exposure"),
+        row("MJD-END", Float, "d", Written, "DATE-END as Modified Julian Date"),
         row("EXPTIME", Float, "s", Both, "length of the exposure"),
         row("XPOSURE", Float, "s", Both, "length of the exposure"),
         row("MONOTIME", Float, "s", Both, "mid-exposure on the monotonic clock"),
@@ -92,12 +97,15 @@ const CAMERA: Group = Group {
 const PLACE: Group = Group {
     title: "Place",
     keywords: &[
-        row("OBSGEO-B", Float, "deg", Both, "geodetic latitude, WGS 84"),
-        row("OBSGEO-L", Float, "deg", Both, "geodetic longitude, east positive"),
-        row("OBSGEO-H", Float, "m", Both, "height above the ellipsoid"),
+        row("LATITUDE", Float, "deg", Both, "geodetic latitude, WGS 84"),
+        row("LONGITUD", Float, "deg", Both, "longitude, east positive, WGS 84"),
+        row("HEIGHT", Float, "m", Both, "height above the ellipsoid, WGS 84"),
         row("OBSGEO-X", Float, "m", Both, "geocentric position"),
         row("OBSGEO-Y", Float, "m", Both, "geocentric position"),
         row("OBSGEO-Z", Float, "m", Both, "geocentric position"),
+        row("OBSGEO-B", Float, "deg", Both, "geodetic latitude, IAU 1976"),
+        row("OBSGEO-L", Float, "deg", Both, "longitude, east positive"),
+        row("OBSGEO-H", Float, "m", Both, "height above the ellipsoid, IAU 1976"),
     ],
 };
 
