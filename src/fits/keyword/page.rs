@@ -34,10 +34,16 @@ Binary tables follow the pixels. Positions count from 0 at the centre of the fir
 const REMARKS: &str = "
 ## Remarks of validators that stand
 
-`solarnet-metadata` and sunpy read every file of the demonstration in CI. What they may say, and why it stays so:
+In CI astropy, sunpy and `solarnet-metadata` read every file of a demonstration's archive. The first two have nothing to say.
+What the last may say, as a regular expression, and why it stays so:
 
 | remark | when | reason |
 |---|---|---|
+| `^Observation Header 1: Missing Required Attribute: C[A-Z]+[ij]a\\.` | no world coordinates | a frame without a Sun, a time or a \
+place has no world coordinates, and false ones do harm |
+| `^Observation Header 1: Missing Required Attribute: DATE-?[BR]E[GF]$` | no time | the frame's source told no time |
+
+`SOLARNET` is 0.5, not 1, since `WAVEUNIT` is a unit, as sunpy wants it, and not a power of ten.
 ";
 
 /// The table as a page of markdown.
