@@ -119,7 +119,7 @@ const CASES: [Case; 4] = [
         sun_plate: PlateMil::new(1500.0, 900.0),
         rotation_deg: 3.0,
         keystone_deg: 1.0,
-        utc: "2027-01-05T02:30:00.0075Z",
+        utc: "2017-01-05T02:30:00.0075Z",
         place: [-77.85, 166.67, 39_000.0],
         spot: HelioprojectiveArcsec {
             x: 300.0,
@@ -132,7 +132,7 @@ const CASES: [Case; 4] = [
         sun_plate: PlateMil::new(-300.0, -1200.0),
         rotation_deg: 137.0,
         keystone_deg: 0.0,
-        utc: "2026-06-20T11:45:00.0075Z",
+        utc: "2016-06-20T11:45:00.0075Z",
         place: [67.89, 21.1, 36_000.0],
         spot: HelioprojectiveArcsec {
             x: -210.0,
