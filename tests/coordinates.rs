@@ -98,7 +98,7 @@ const CASES: [Case; 4] = [
         keystone_deg: 0.0,
         utc: "2013-09-21T15:00:00.0075Z",
         place: [34.49, -104.2218, 38_405.0],
-        spot: HelioprojectiveArcsec { x: 420.0, y: 510.0 },
+        spot: HelioprojectiveArcsec { x: 500.0, y: 250.0 },
     },
     Case {
         name: "north-east",
