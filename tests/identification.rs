@@ -1,93 +1,122 @@
-//! A mark never gets another mark's name. The truth is the drawing, seen through mappings of the test's own making;
-//! no pixels are involved, so thousands of plates can be read in seconds.
+//! A mark never gets another mark's name. The truth is the drawing, printed with scatter and seen through mappings of
+//! the test's own making; no pixels are involved, so thousands of plates can be read in seconds.
 
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
+use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::fiducial::{Detection, Identification, Lighting, Settings, Sight, identify};
-use solaspect::geometry::{Circle, Distortion, Handedness, Mapping, SimilarityParameters};
+use solaspect::geometry::{Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::builtin;
 use solaspect::plate::{MarkId, Plate};
 use solaspect::simulate::keystoned;
-use solaspect::units::{Measured, PlateMil, SensorPx};
+use solaspect::units::{Measured, PlateMil, Rejected, SensorPx};
 use std::f64::consts::TAU;
 
 const SUN_RADIUS_MIL: f64 = 547.19;
 const SCALE_MIL_PER_PX: f64 = 5.75;
 /// Half of a cross from tip to tip.
-const HALF_MARK_PX: f64 = 45.0 / SCALE_MIL_PER_PX;
+const HALF_MARK_MIL: f64 = 45.0;
 /// Depth inside the limb at which a whole cross is lit, the limb's blur included.
-const FULLY_LIT_PX: f64 = HALF_MARK_PX + 3.0;
-/// Depth at which a cross that the limb cuts may still be found.
-const PARTLY_LIT_PX: f64 = 2.0;
+const FULLY_LIT_PX: f64 = 3.0;
+/// Depths between which a cross that the limb cuts comes to be found: 0.16 of them at 9 mil, 0.7 at 15, all from 18 on in
+/// simulated frames.
+const CUT_FOUND_MIL: [f64; 2] = [5.0, 22.0];
+/// Farthest that the limb pulls a cross, at the limb.
+const PULL_PX: f64 = 4.0;
+/// Contrast of the print.
+const CONTRAST: f64 = 0.7;
 
 /// A camera's look at the plate and the Sun.
 #[derive(Clone, Copy)]
 struct Look {
     mapping: Mapping,
+    scale_mil_per_px: f64,
     /// What the instrument states.
     plate_centre: SensorPx,
-    sun: SensorPx,
-    /// The scale that the disc's radius tells, over the true one.
-    scale_error: f64,
+    sun: PlateMil,
+    outline: Ellipse,
+    /// The radius that is expected, over the true one.
+    radius_error: f64,
     rotation_error_deg: f64,
     sensor_px: [f64; 2],
 }
 
 impl Look {
     fn sight(&self) -> Sight {
-        let scale = self.mapping.scale_mil_per_px(self.sun) * self.scale_error;
-        let rotation = self.mapping.rotation_deg(self.sun) + self.rotation_error_deg;
+        let radius = SUN_RADIUS_MIL * self.radius_error;
         Sight {
-            scale_mil_per_px: Measured::new(scale, 0.007 * scale),
-            quarter_rotation_deg: rotation.rem_euclid(90.0),
-            handedness: Handedness::Mirrored,
+            outline: self.outline,
+            radius_mil: Measured::new(radius, 0.006 * radius),
+            quarter_rotation_deg: (self.rotation_deg() + self.rotation_error_deg).rem_euclid(90.0),
+            handedness: self.mapping.handedness(),
             plate_centre: self.plate_centre,
-            disc: Circle {
-                centre: self.sun.vector(),
-                radius: SUN_RADIUS_MIL / scale,
-            },
-            sure_depth_px: HALF_MARK_PX + 4.0,
+            sure_depth_px: 0.75 * self.half_mark_px() + 1.0,
+            sure_margin_px: self.half_mark_px() + 4.0,
             sensor_px: self.sensor_px,
+        }
+    }
+
+    fn half_mark_px(&self) -> f64 {
+        HALF_MARK_MIL / self.scale_mil_per_px
+    }
+
+    /// Of the plate's axes against the unit disc's.
+    fn rotation_deg(&self) -> f64 {
+        let to_sensor = self.mapping.sensor_jacobian(self.sun) * SUN_RADIUS_MIL;
+        let inverse_root = self.outline.root().try_inverse().unwrap();
+        let turn = inverse_root * to_sensor * self.mapping.handedness().axes();
+        (turn.m21 - turn.m12)
+            .atan2(turn.m11 + turn.m22)
+            .to_degrees()
+    }
+
+    fn lighting(&self, depth_px: f64) -> Lighting {
+        if depth_px > self.half_mark_px() + FULLY_LIT_PX {
+            Lighting::Full
+        } else {
+            Lighting::Cut
         }
     }
 
     /// Marks that a camera would see whole or in part, with their depth inside the limb.
     fn lit(&self, plate: &Plate) -> Vec<(MarkId, SensorPx, f64)> {
-        let disc = self.sight().disc;
         let [width, height] = self.sensor_px;
-        let inside = |v: f64, size: f64| v > HALF_MARK_PX && v < size - 1.0 - HALF_MARK_PX;
+        let half = self.half_mark_px();
+        let inside = |v: f64, size: f64| v > half && v < size - 1.0 - half;
         plate
             .marks()
+            .filter(|(_, at)| at.distance(self.sun) < SUN_RADIUS_MIL)
             .map(|(id, at)| (id, self.mapping.to_sensor(at)))
             .filter(|(_, px)| inside(px.x, width) && inside(px.y, height))
-            .map(|(id, px)| (id, px, -disc.excess(px.vector())))
-            .filter(|(_, _, depth)| *depth > PARTLY_LIT_PX)
+            .map(|(id, px)| (id, px, -self.outline.excess(px.vector())))
+            .filter(|(_, _, depth)| *depth > 0.0)
             .collect()
     }
 }
 
-fn detection(at: SensorPx, depth_px: f64) -> Detection {
-    Detection {
-        at,
-        sigma_px: 0.05,
-        contrast: 0.7,
-        likeness: 0.9,
-        lighting: if depth_px > FULLY_LIT_PX {
-            Lighting::Full
-        } else {
-            Lighting::Cut
-        },
-    }
+/// The picture of a circle on the plate: a conic goes through a homography as M^T C M.
+fn outline(mapping: &Mapping, centre: PlateMil, radius_mil: f64) -> Ellipse {
+    let c = centre.vector();
+    let square = c.norm_squared() - radius_mil * radius_mil;
+    let circle = Matrix3::new(1.0, 0.0, -c.x, 0.0, 1.0, -c.y, -c.x, -c.y, square);
+    let conic = mapping.matrix().transpose() * circle * mapping.matrix();
+    let form: Matrix2<f64> = conic.fixed_view::<2, 2>(0, 0).into_owned();
+    let slope = Vector2::new(conic.m13, conic.m23);
+    let centre = -form.try_inverse().unwrap() * slope;
+    let level = -(conic * Vector3::new(centre.x, centre.y, 1.0)).dot(&centre.push(1.0));
+    let mut axes = SymmetricEigen::new(form / level);
+    axes.eigenvalues.apply(|v| *v = v.powf(-0.5));
+    Ellipse::new(centre, axes.recompose()).unwrap()
 }
 
 /// A detection and the mark it is in truth; none for a false one.
 type Labelled = (Detection, Option<MarkId>);
 
-fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Option<Identification> {
+fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Result<Identification, Rejected> {
     let detections: Vec<Detection> = list.iter().map(|(detection, _)| *detection).collect();
-    identify(&detections, &look.sight(), plate, &Settings::default()).ok()
+    identify(&detections, &look.sight(), plate, &Settings::default())
 }
 
 fn wrong_ids(found: &Identification, list: &[Labelled]) -> usize {
@@ -138,30 +167,42 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
             for step in 0..6 {
                 let angle = f64::from(step) / 6.0 * TAU;
                 let offset = Vector2::new(angle.cos(), angle.sin()) * 430.0;
+                let sun = PlateMil::from(printed.vector() + offset);
                 let look = Look {
                     mapping,
+                    scale_mil_per_px: SCALE_MIL_PER_PX,
                     plate_centre: middle,
-                    sun: mapping.to_sensor(PlateMil::from(printed.vector() + offset)),
-                    scale_error: 1.0,
+                    sun,
+                    outline: outline(&mapping, sun, SUN_RADIUS_MIL),
+                    radius_error: 1.0,
                     rotation_error_deg: 0.0,
                     sensor_px: [SIDE_PX; 2],
                 };
-                let list: Vec<Labelled> = look
-                    .lit(&plate)
-                    .into_iter()
-                    .filter(|(_, _, depth)| *depth > FULLY_LIT_PX)
-                    .map(|(id, px, depth)| (detection(px, depth), Some(id)))
-                    .collect();
+                let seen = |(id, at, depth): (MarkId, SensorPx, f64)| {
+                    let detection = Detection {
+                        at,
+                        sigma_px: 0.05,
+                        contrast: CONTRAST,
+                        likeness: 0.9,
+                        lighting: look.lighting(depth),
+                    };
+                    (detection, Some(id))
+                };
+                let deep = |(_, _, depth): &(MarkId, SensorPx, f64)| {
+                    depth * SCALE_MIL_PER_PX > CUT_FOUND_MIL[1]
+                };
+                let lit = look.lit(&plate).into_iter().filter(deep);
+                let list: Vec<Labelled> = lit.map(seen).collect();
                 let found = read(&look, &list, &plate);
                 let marks = fully_lit(&list);
                 if marks.len() < Settings::default().min_marks {
-                    assert!(found.is_none(), "{id}: {} marks are too few", marks.len());
+                    assert!(found.is_err(), "{id}: {} marks are too few", marks.len());
                 }
                 if !marks.contains(&id) || !shows_both_codes(&marks) {
                     continue;
                 }
                 tried += 1;
-                if let Some(found) = found {
+                if let Ok(found) = found {
                     accepted += 1;
                     assert_eq!(wrong_ids(&found, &list), 0, "{id} at {rotation_deg} deg");
                     read_here += usize::from(found.ids.iter().any(|(_, named)| *named == id));
@@ -171,105 +212,252 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
         assert!(read_here > 0, "mark {id} was never read");
     }
     println!("every mark: {accepted} of {tried} lists with both codes read");
-    assert!(accepted as f64 > 0.95 * f64::from(tried));
+    assert!(accepted as f64 > 0.99 * f64::from(tried));
 }
+
+/// What befalls the lists.
+#[derive(Clone, Copy)]
+struct World {
+    /// Part of the marks that is found where the limb does not hinder it.
+    found: f64,
+    /// Most false detections on a disc.
+    false_ones: usize,
+    /// Whether the whole disc lies on the sensor.
+    whole_disc: bool,
+}
+
+/// A tenth of the marks missed, up to two detections that are no marks, the Sun anywhere on the sensor.
+const HARSH: World = World {
+    found: 0.9,
+    false_ones: 2,
+    whole_disc: false,
+};
+/// Nothing missing, nothing false, the whole disc in view.
+const CLEAN: World = World {
+    found: 1.0,
+    false_ones: 0,
+    whole_disc: true,
+};
 
 /// Draws looks and lists of detections as a camera in flight might give.
 struct Draw {
     rng: Xoshiro256PlusPlus,
     plate: Plate,
+    world: World,
 }
 
 impl Draw {
+    fn new(seed: u64, world: World) -> Self {
+        Self {
+            rng: Xoshiro256PlusPlus::seed_from_u64(seed),
+            plate: demo_plate(),
+            world,
+        }
+    }
+
+    fn normal(&mut self, sigma: f64) -> f64 {
+        sigma * self.rng.sample::<f64, _>(StandardNormal)
+    }
+
+    fn scatter(&mut self, sigma: f64) -> Vector2<f64> {
+        Vector2::from_fn(|_, _| self.normal(sigma))
+    }
+
     fn within(&mut self, radius: f64) -> Vector2<f64> {
         let angle = self.rng.random_range(0.0..TAU);
         let distance = radius * self.rng.random_range(0.0_f64..1.0).sqrt();
         Vector2::new(angle.cos(), angle.sin()) * distance
     }
 
-    /// Any rotation, the plate's centre within 100 px of the instrument's, the scale within 2 % of what the disc says,
-    /// up to 3 deg of keystone, the Sun's centre anywhere on the sensor.
+    /// Any rotation, either mirror, the plate's centre within 100 px of the instrument's, the scale within 10 % of the
+    /// nominal, up to 3 deg of keystone; the Sun's radius known to 1 %, its outline to 0.05 px, the arms' rotation to
+    /// 0.3 deg and now and then only to a degree.
     fn look(&mut self) -> Look {
         let nominal = SensorPx::new(647.5, 482.5);
+        let scale_mil_per_px = SCALE_MIL_PER_PX * self.rng.random_range(0.9..1.1);
+        let mirrored = self.rng.random_bool(0.5);
         let parameters = SimilarityParameters {
             plate_centre: SensorPx::from(nominal.vector() + self.within(100.0)),
-            scale_mil_per_px: SCALE_MIL_PER_PX,
+            scale_mil_per_px,
             rotation_deg: self.rng.random_range(0.0..360.0),
-            handedness: Handedness::Mirrored,
+            handedness: if mirrored {
+                Handedness::Mirrored
+            } else {
+                Handedness::Direct
+            },
         };
         let keystone_deg = self.rng.random_range(-3.0..3.0);
+        let mapping = keystoned(parameters, keystone_deg, 1296, Distortion::NONE).unwrap();
+        let margin = if self.world.whole_disc { 110.0 } else { 0.0 };
+        let sun = mapping.to_plate(SensorPx::new(
+            self.rng.random_range(margin..1295.0 - margin),
+            self.rng.random_range(margin..965.0 - margin),
+        ));
+        let exact = outline(&mapping, sun, SUN_RADIUS_MIL);
+        let rotation_error_deg = if self.rng.random_bool(0.2) {
+            self.rng.random_range(-1.0..1.0)
+        } else {
+            self.normal(0.3)
+        };
         Look {
-            mapping: keystoned(parameters, keystone_deg, 1296, Distortion::NONE).unwrap(),
+            mapping,
+            scale_mil_per_px,
             plate_centre: nominal,
-            sun: SensorPx::new(
-                self.rng.random_range(0.0..1295.0),
-                self.rng.random_range(0.0..965.0),
-            ),
-            scale_error: self.rng.random_range(0.98..1.02),
-            rotation_error_deg: 0.3 * self.rng.sample::<f64, _>(StandardNormal),
+            sun,
+            outline: Ellipse::new(exact.centre + self.scatter(0.05), *exact.root()).unwrap(),
+            radius_error: self.rng.random_range(0.99..1.01),
+            rotation_error_deg,
             sensor_px: [1296.0, 966.0],
         }
     }
 
-    /// The lit marks with 0.05 px of noise, a tenth of them missed; those that the limb cuts pulled inwards by up to
-    /// 4 px and found half the time; up to two spots that are no marks.
+    /// The print's marks lie 1 mil rms from the drawing.
+    fn printed(&mut self) -> Plate {
+        let mut printed = self.plate.clone();
+        for (id, drawn) in self.plate.clone().marks() {
+            let at = drawn.vector() + self.scatter(1.0);
+            printed.set(id, at.into(), [1.0; 2]);
+        }
+        printed
+    }
+
+    fn seen(&mut self, look: &Look, at: Vector2<f64>, depth: f64, noise_px: f64) -> Detection {
+        Detection {
+            at: (at + self.scatter(noise_px)).into(),
+            sigma_px: noise_px,
+            contrast: CONTRAST * (1.0 + self.normal(0.06)),
+            likeness: 0.9 + self.rng.random_range(-0.1..0.1),
+            lighting: look.lighting(depth),
+        }
+    }
+
+    /// The lit marks with 0.02 to 0.1 px of noise; those that the limb cuts are pulled inwards.
     fn list(&mut self, look: &Look) -> Vec<Labelled> {
-        let disc = look.sight().disc;
+        let printed = self.printed();
+        let noise_px = self.rng.random_range(0.02..0.1);
         let mut list: Vec<Labelled> = Vec::new();
-        for (id, px, depth) in look.lit(&self.plate) {
-            let noise = Vector2::from_fn(|_, _| 0.05 * self.rng.sample::<f64, _>(StandardNormal));
-            let seen = px.vector() + noise;
-            if depth > FULLY_LIT_PX {
-                if self.rng.random_bool(0.9) {
-                    list.push((detection(seen.into(), depth), Some(id)));
-                }
-            } else if self.rng.random_bool(0.5) {
-                let pull = self.rng.random_range(0.0..4.0);
-                let inwards = (disc.centre - seen).normalize();
-                let found = detection((seen + inwards * pull).into(), depth);
-                list.push((found, Some(id)));
+        for (id, px, depth) in look.lit(&printed) {
+            let lit = (depth / (look.half_mark_px() + FULLY_LIT_PX)).min(1.0);
+            let [none, all] = CUT_FOUND_MIL.map(|mil| mil / look.scale_mil_per_px);
+            let share = self.world.found * ((depth - none) / (all - none)).clamp(0.0, 1.0);
+            let inwards = (look.outline.centre - px.vector()).normalize();
+            let pull = self.rng.random_range(0.0..PULL_PX) * (1.0 - lit);
+            let at = px.vector() + inwards * pull;
+            if self.rng.random_bool(share) {
+                list.push((self.seen(look, at, depth, noise_px), Some(id)));
             }
         }
-        for _ in 0..self.rng.random_range(0..=2) {
-            let at = SensorPx::from(disc.centre + self.within(disc.radius - PARTLY_LIT_PX));
+        for _ in 0..self.rng.random_range(0..=self.world.false_ones) {
+            let w = self.within(1.0 - 2.0 / look.outline.mean_radius());
+            let at = look.outline.from_disc(w);
             // One detection per mark length; a spot on a mark is that mark.
-            let apart = 2.0 * HALF_MARK_PX;
-            let far = |(_, printed)| look.mapping.to_sensor(printed).distance(at) > apart;
-            let free = self.plate.marks().all(far)
-                && list.iter().all(|(other, _)| other.at.distance(at) > apart);
+            let apart = 2.0 * look.half_mark_px();
+            let far = |(_, printed)| look.mapping.to_sensor(printed).distance(at.into()) > apart;
+            let [width, height] = look.sensor_px;
+            let seen = (0.0..width - 1.0).contains(&at.x) && (0.0..height - 1.0).contains(&at.y);
+            let free = seen
+                && self.plate.marks().all(far)
+                && list
+                    .iter()
+                    .all(|(other, _)| other.at.distance(at.into()) > apart);
             if free {
-                list.push((detection(at, -disc.excess(at.vector())), None));
+                let depth = -look.outline.excess(at);
+                let mut spot = self.seen(look, at, depth, noise_px);
+                // A third looks just like a mark.
+                if self.rng.random_bool(2.0 / 3.0) {
+                    spot.contrast = self.rng.random_range(0.12..1.0);
+                    spot.likeness = self.rng.random_range(0.5..1.0);
+                }
+                list.push((spot, None));
             }
         }
+        list.shuffle(&mut self.rng);
         list
+    }
+}
+
+/// What became of many lists.
+#[derive(Debug, Default)]
+struct Tally {
+    lists: usize,
+    accepted: usize,
+    misread: usize,
+    /// Lists with three fully lit marks, and those of them that show both codes.
+    three: usize,
+    three_accepted: usize,
+    both_codes: usize,
+    both_codes_accepted: usize,
+}
+
+impl Tally {
+    fn of(lists: usize, seed: u64, world: World) -> Self {
+        let mut draw = Draw::new(seed, world);
+        let mut tally = Self::default();
+        for _ in 0..lists {
+            let look = draw.look();
+            let list = draw.list(&look);
+            let found = read(&look, &list, &draw.plate);
+            tally.add(&list, found.as_ref().ok());
+        }
+        println!(
+            "{lists} lists: {} read, {} misread; {:.2} % of {} with three fully lit marks read, {:.2} % of {} with \
+             both codes",
+            tally.accepted,
+            tally.misread,
+            100.0 * tally.three_share(),
+            tally.three,
+            100.0 * tally.both_codes_share(),
+            tally.both_codes,
+        );
+        tally
+    }
+
+    fn add(&mut self, list: &[Labelled], found: Option<&Identification>) {
+        let marks = fully_lit(list);
+        let accepted = usize::from(found.is_some());
+        self.lists += 1;
+        self.accepted += accepted;
+        self.misread += usize::from(found.is_some_and(|f| wrong_ids(f, list) > 0));
+        if marks.len() >= 3 {
+            self.three += 1;
+            self.three_accepted += accepted;
+        }
+        if shows_both_codes(&marks) {
+            self.both_codes += 1;
+            self.both_codes_accepted += accepted;
+        }
+    }
+
+    fn three_share(&self) -> f64 {
+        self.three_accepted as f64 / self.three as f64
+    }
+
+    fn both_codes_share(&self) -> f64 {
+        self.both_codes_accepted as f64 / self.both_codes as f64
     }
 }
 
 #[test]
 fn no_list_of_marks_is_ever_misread_whatever_is_missing_or_false() {
-    const LISTS: usize = 6_000;
-    let mut draw = Draw {
-        rng: Xoshiro256PlusPlus::seed_from_u64(20130921),
-        plate: demo_plate(),
-    };
-    let (mut readable, mut readable_accepted, mut accepted, mut misread) = (0, 0, 0, 0);
-    for _ in 0..LISTS {
-        let look = draw.look();
-        let list = draw.list(&look);
-        let readable_here = shows_both_codes(&fully_lit(&list));
-        readable += usize::from(readable_here);
-        if let Some(found) = read(&look, &list, &draw.plate) {
-            accepted += 1;
-            readable_accepted += usize::from(readable_here);
-            misread += usize::from(wrong_ids(&found, &list) > 0);
-        }
+    let tally = Tally::of(20_000, 20130921, HARSH);
+    assert_eq!(tally.misread, 0);
+    assert!(tally.both_codes_share() > 0.91);
+}
+
+#[test]
+fn lists_with_nothing_missing_and_nothing_false_are_read() {
+    let tally = Tally::of(10_000, 1859, CLEAN);
+    assert_eq!(tally.misread, 0);
+    assert!(tally.both_codes_share() > 0.995);
+    // A row of three with one code alone may look the same elsewhere at the pattern's edge.
+    assert!(tally.three_share() > 0.945);
+}
+
+#[test]
+#[ignore = "a minute; cargo test --release --test identification -- --ignored --nocapture"]
+fn no_list_of_many_seeds_is_ever_misread() {
+    for seed in 1..=5 {
+        assert_eq!(Tally::of(60_000, seed, HARSH).misread, 0);
+        assert_eq!(Tally::of(20_000, seed, CLEAN).misread, 0);
     }
-    let share = readable_accepted as f64 / readable as f64;
-    println!(
-        "{LISTS} random lists: {accepted} read, {misread} misread; of {readable} with three fully lit marks and both \
-         codes {:.1} % read",
-        100.0 * share
-    );
-    assert_eq!(misread, 0);
-    assert!(share > 0.75, "{share}");
 }

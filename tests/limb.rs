@@ -2,7 +2,7 @@
 
 use solaspect::fits;
 use solaspect::geometry::Ellipse;
-use solaspect::limb::{self, Hidden, OutlinePrior, Settings};
+use solaspect::limb::{self, Hidden, KnownOutline, OutlinePrior, Settings};
 use solaspect::units::Measured;
 use std::path::Path;
 
@@ -20,16 +20,20 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
         limb::find_disc(&frame, frame.region(), &levels, RADIUS_PX, 15.7, &settings).unwrap();
     let start = Ellipse::from(found.circle());
     // Neither radius nor roundness is given: 3 % and 0.3 % decide nothing here.
-    let prior = OutlinePrior {
+    let anything = OutlinePrior {
         radius_px: Measured::new(RADIUS_PX, 0.03 * RADIUS_PX),
         flatness: 0.003,
+    };
+    let known = KnownOutline {
+        possible: anything,
+        stated: anything,
     };
     let limb = limb::fit_limb(
         &frame,
         &start,
         &levels,
         0.95,
-        &prior,
+        &known,
         &Hidden::nothing(frame.region()),
         &settings,
     )

@@ -6,10 +6,12 @@
 //! plate (shift, scale, rotation; for a tilted camera its two leans, too). The Fisher matrix is the sum over the pixels
 //! of products of slopes over the noise's variance; its inverse is the least covariance of any estimate without bias.
 //! To move the Sun on the plate and to move the plate below the camera look the same on the limb: the marks alone
-//! tell them apart, and the inverse knows.
+//! tell them apart, and the inverse knows. A tilted camera is taken for true to angles at the plate's centre, as
+//! [`registration`](crate::registration) does: its leans are about that point.
 //!
 //! # What it leaves out
-//! Blemishes. They do not belong to the frame's information, they take from it.
+//! Blemishes and sunspots: they do not belong to the frame's information, they take from it. Misprint: the marks are taken
+//! to be known where they are.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::simulate::{Blemishes, Depth, Scene, Sun, render_exact};
@@ -181,7 +183,7 @@ fn weights(scene: &Scene) -> Vec<f64> {
     render_exact(scene).into_iter().map(weight).collect()
 }
 
-/// The part of a scene around its Sun, without blemishes: all that the bound depends on, at a twentieth of the cost.
+/// The part of a scene around its Sun, without blemishes and spots: all that the bound depends on, at a twentieth of the cost.
 fn surroundings(scene: &Scene) -> Option<Scene> {
     const MARGIN_PX: f64 = 10.0;
     let sun = scene.sun.as_ref()?;
@@ -210,6 +212,10 @@ fn surroundings(scene: &Scene) -> Option<Scene> {
         height_px,
         mapping,
         blemishes: Blemishes::default(),
+        sun: Some(Sun {
+            spots: Vec::new(),
+            ..sun.clone()
+        }),
         ..scene.clone()
     })
 }
@@ -217,7 +223,8 @@ fn surroundings(scene: &Scene) -> Option<Scene> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::conditions::{ENOUGH_MARKS, Recipe, View, noise};
+    use crate::accuracy::conditions::noise;
+    use crate::accuracy::recipe::{ENOUGH_MARKS, Recipe, View};
     use crate::instrument::builtin;
 
     fn medians_arcsec(noise_dn: f64) -> f64 {

@@ -1,11 +1,13 @@
 //! The figures: the error against the noise and against the points of the limb, its histogram, a mark's bias over the
 //! sub-pixel phases.
 
-use super::conditions::{ENOUGH_MARKS, View, noise};
+use super::Size;
+use super::conditions::noise;
 use super::marks::{BIAS_PX, BiasMap, PHASES};
 use super::outcome::{About, MOST, Summary};
-use super::trial::{Outcome, Trial};
-use super::{Bounded, Recipe, Size, outcomes};
+use super::program::outcomes;
+use super::recipe::{ENOUGH_MARKS, Recipe, View};
+use super::trial::{Bounded, Outcome, Trial};
 use crate::aspect::{Quality, Settings};
 use crate::report::plot::{self, Arrow, Curve, Labels, PlotError, Stroke};
 use crate::simulate::SceneError;

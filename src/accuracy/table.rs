@@ -1,7 +1,9 @@
 //! The report as text: one table for the terminal, one in Markdown.
 
+use super::Size;
 use super::outcome::{HONEST, Summary};
-use super::{MarksReport, MixedReport, Report, RowReport, Size};
+use super::program::Case;
+use super::report::{MarksReport, MixedReport, Report, RowReport};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -166,6 +168,9 @@ fn mixed_text(report: &MixedReport) -> String {
     )
 }
 
+/// Frames that are named for one reason.
+const NAMED: usize = 12;
+
 /// The frames of each row that ought to be fine and are not, by reason.
 fn missed_text(report: &Report) -> String {
     let mut out = String::new();
@@ -176,8 +181,13 @@ fn missed_text(report: &Report) -> String {
             seeds.push(format!("{} ({})", frame.seed, frame.lit_marks));
         }
         for (reason, seeds) in by_reason {
-            let (name, seeds) = (row.row.name, seeds.join(", "));
-            let _ = writeln!(out, "- {name}: {reason}: seeds (marks lit) {seeds}");
+            let (name, count) = (row.row.name, seeds.len());
+            let named = seeds[..count.min(NAMED)].join(", ");
+            let more = if count > NAMED { ", ..." } else { "" };
+            let _ = writeln!(
+                out,
+                "- {name}: {reason}: {count} frames, seeds (marks lit) {named}{more}"
+            );
         }
     }
     if out.is_empty() {
@@ -193,4 +203,42 @@ fn demands_text(report: &Report) -> String {
     }
     let lines = unmet.iter().map(|(name, why)| format!("- {name}: {why}\n"));
     format!("\nNot met:\n{}", lines.collect::<String>())
+}
+
+/// One frame: how it was made, what is true, what was found.
+pub fn case_text(case: &Case) -> String {
+    let Case {
+        recipe, outcome, ..
+    } = case;
+    let mut out = format!("{recipe:#?}\n\nseed {}\n", outcome.seed);
+    let _ = writeln!(
+        out,
+        "limb on the sensor {:.2}, marks fully lit {}",
+        outcome.limb_share, outcome.lit_marks
+    );
+    let reason = outcome.reason.as_deref().unwrap_or("no complaint");
+    let _ = writeln!(out, "{}: {reason}", outcome.quality.name());
+    if let Some(error) = &outcome.aspect {
+        let [x, y] = error.over_sigma();
+        let _ = writeln!(
+            out,
+            "aspect off by {:.3} arcsec (X {:+.3}, Y {:+.3} mil; error/sigma {x:+.2}, {y:+.2}), Sun on the sensor by {:.3} px",
+            error.radial_arcsec, error.plate_mil.x, error.plate_mil.y, error.sensor_px
+        );
+    }
+    if let Some(bound) = &outcome.bound_mil2 {
+        let [x, y] = [0, 1].map(|axis| bound[(axis, axis)].sqrt());
+        let _ = writeln!(out, "bound X {x:.3}, Y {y:.3} mil");
+    }
+    for mark in &outcome.marks {
+        let _ = writeln!(
+            out,
+            "mark {} at {:.2}, {:.2} px off by {:+.4}, {:+.4} px, sigma {:.4}",
+            mark.id, mark.true_px.x, mark.true_px.y, mark.px.x, mark.px.y, mark.sigma_px
+        );
+    }
+    for id in &outcome.wrong_ids {
+        let _ = writeln!(out, "wrong id {id}");
+    }
+    out
 }

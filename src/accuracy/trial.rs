@@ -1,7 +1,7 @@
 //! One frame: its scene, the solution, and how the two differ.
 
 use super::bound;
-use super::conditions::{Recipe, fully_lit, limb_share};
+use super::recipe::{Recipe, fully_lit, limb_share};
 use crate::aspect::{Expected, Mark, Quality, Settings, Solution, solve_with};
 use crate::instrument::Instrument;
 use crate::plate::MarkId;

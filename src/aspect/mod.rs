@@ -1,6 +1,7 @@
 //! The pipeline on one page: from a frame to the Sun's centre on the plate.
 
 mod conclusion;
+mod marks;
 mod overlay;
 mod solution;
 mod stages;
@@ -15,6 +16,7 @@ use crate::geometry::Ellipse;
 use crate::instrument::Instrument;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
+use marks::MarkSight;
 use stages::Work;
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
@@ -104,7 +106,12 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     }
     solution.limb.clone_from(&limb.points);
     let registration = read.and_then(|(first, marks)| {
-        solution.marks = work.refine(&levels, &limb, &first.mapping, &marks); // 8
+        let sight = MarkSight {
+            levels: &levels,
+            limb: &limb,
+            mapping: &first.mapping,
+        };
+        solution.marks = work.refine(&sight, &marks); // 8
         work.register(&solution.marks, Some(&limb)) // 9
     });
     let registration = registration

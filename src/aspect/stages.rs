@@ -1,15 +1,13 @@
-//! The steps of the pipeline up to the marks' mapping: each takes the products of earlier stages and calls the room that
+//! The steps of the pipeline up to the disc's outline: each takes the products of earlier stages and calls the room that
 //! knows how.
 
-use super::{Expected, Mark, Settings, Stage, Stopped, Track};
-use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner, Sight};
+use super::{Expected, Settings, Stage, Stopped, Track};
+use crate::fiducial::{CrossShape, Detections};
 use crate::frame::{Frame, Levels, Region};
-use crate::geometry::{Circle, Ellipse, Mapping};
+use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, CoarseDisc, Hidden, Limb, OutlinePrior};
-use crate::registration::{self, Outline, Pair, Registration};
+use crate::limb::{self, CoarseDisc, Hidden, KnownOutline, Limb, OutlinePrior};
 use crate::units::{Measured, Rejected, SensorPx};
-use nalgebra::Matrix2;
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
 const MEAN_RADIUS_ARCSEC: Measured = Measured::new(959.63, 11.0);
@@ -23,15 +21,6 @@ const STATED_FLATNESS: f64 = 0.0003;
 const MARK_MARGIN_PX: f64 = 3.0;
 /// The limb's fit looks at pixels so far from the limb.
 const HIDING_DEPTH_PX: f64 = 12.0;
-/// Relative error of a scale taken from the disc's radius: haze and saturation move the threshold by up to a pixel,
-/// a tilted camera makes the scale differ between axes.
-const DISC_SCALE_SIGMA: f64 = 0.007;
-/// What the model of a cross leaves out, px: the pixel's square shape, the print's edges.
-const MODEL_SIGMA_PX: f64 = 0.001;
-/// 1 sigma of a mark whose pixels do not agree with a cross.
-const UNREFINED_SIGMA_PX: f64 = 0.2;
-/// Largest residual of the marks about their mapping.
-const MAX_RESIDUAL_PX: f64 = 0.6;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
 const PRIOR_REACH_PX: f64 = 45.0;
 
@@ -104,35 +93,27 @@ impl<'a> Work<'a> {
     }
 
     /// The outline of the disc, without the hidden pixels.
-    ///
-    /// The round outline of the stated radius steadies the fit to a disc of which little is seen. A limb that
-    /// contradicts it is believed instead.
     pub(super) fn limb(
         &self,
         levels: &Levels,
         start: &Ellipse,
         hidden: &Hidden,
     ) -> Result<Limb, Stopped> {
-        let fit = |prior: OutlinePrior| {
-            let (blur_px, settings) = (self.shape.blur_px, &self.settings.limb);
-            limb::fit_limb(self.frame, start, levels, blur_px, &prior, hidden, settings)
-                .map_err(at(Stage::Limb))
+        let settings = &self.settings.limb;
+        let spread = settings.max_radius_deviation / 4.0;
+        let known = KnownOutline {
+            possible: OutlinePrior {
+                radius_px: Measured::new(self.radius_px, spread * self.radius_px),
+                flatness: TILTED_FLATNESS,
+            },
+            stated: OutlinePrior {
+                radius_px: self.stated_radius_px(),
+                flatness: STATED_FLATNESS,
+            },
         };
-        let free = fit(OutlinePrior {
-            radius_px: Measured::new(
-                self.radius_px,
-                self.settings.limb.max_radius_deviation / 4.0 * self.radius_px,
-            ),
-            flatness: TILTED_FLATNESS,
-        })?;
-        let stated = OutlinePrior {
-            radius_px: self.stated_radius_px(),
-            flatness: STATED_FLATNESS,
-        };
-        if free.outline.contradicts(&stated) {
-            return Ok(free);
-        }
-        fit(stated)
+        let blur_px = self.shape.blur_px;
+        limb::fit_limb(self.frame, start, levels, blur_px, &known, hidden, settings)
+            .map_err(at(Stage::Limb))
     }
 
     /// The disc's radius on the sensor by ephemeris and stated scale.
@@ -194,161 +175,8 @@ impl<'a> Work<'a> {
         }
         hidden
     }
-
-    /// Scale at the disc, from its radius.
-    fn disc_scale(&self, disc: &Ellipse) -> f64 {
-        self.radius_mil.value / disc.mean_radius()
-    }
-
-    pub(super) fn detect(&self, levels: &Levels, limb: &Limb) -> Detections {
-        let disc = limb.outline.ellipse;
-        let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
-        let shape = CrossShape::new(&plate.cross, self.disc_scale(&disc), optics.blur_px.value);
-        let margin = 2.0 * shape.half_length_px;
-        match FlatDisc::new(self.frame, disc, levels, margin) {
-            Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
-            None => Detections::default(),
-        }
-    }
-
-    /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
-    /// sigma that gives it little weight.
-    pub(super) fn refine(
-        &self,
-        levels: &Levels,
-        limb: &Limb,
-        mapping: &Mapping,
-        marks: &[Mark],
-    ) -> Vec<Mark> {
-        let scale = self.disc_scale(&limb.outline.ellipse);
-        let plate = &self.instrument.plate;
-        let refiner = Refiner::new(&plate.cross, scale, self.instrument.optics.blur_px.value);
-        let refined = |mark: &Mark| {
-            let jacobian = mapping.sensor_jacobian(plate.position(mark.id));
-            let light = |x, y| limb.light_dn(x, y);
-            let found = refiner.refine(self.frame, levels, light, &jacobian, mark.at);
-            let (seen, covariance_px2) = match found {
-                Some(found) => (
-                    found.place.position,
-                    found.place.covariance + Matrix2::identity() * MODEL_SIGMA_PX.powi(2),
-                ),
-                None => (mark.at, Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2)),
-            };
-            Mark {
-                at: seen,
-                covariance_px2,
-                ..*mark
-            }
-        };
-        marks.iter().map(refined).collect()
-    }
-
-    pub(super) fn identify(
-        &self,
-        detections: &Detections,
-        limb: &Limb,
-    ) -> Result<Vec<Mark>, Stopped> {
-        let disc = &circle_of(limb);
-        let mounting = &self.instrument.mounting;
-        let scale = self.radius_mil.value / disc.radius;
-        let relative = (self.radius_mil.sigma / self.radius_mil.value).hypot(DISC_SCALE_SIGMA);
-        let sight = Sight {
-            scale_mil_per_px: Measured::new(scale, scale * relative),
-            quarter_rotation_deg: detections.quarter_rotation_deg,
-            handedness: mounting.handedness,
-            plate_centre: mounting.plate_centre_px,
-            disc: *disc,
-            sure_depth_px: self.shape.half_length_px + 4.0,
-            sensor_px: [self.frame.width() as f64, self.frame.height() as f64],
-        };
-        let settings = &self.settings.fiducial;
-        let found = &detections.marks;
-        let identification = fiducial::identify(found, &sight, &self.instrument.plate, settings)
-            .map_err(at(Stage::Identification))?;
-        let named = identification.ids.into_iter().map(|(n, id)| Mark {
-            id,
-            at: found[n].at,
-            covariance_px2: Matrix2::identity() * found[n].sigma_px.powi(2),
-            lighting: found[n].lighting,
-        });
-        Ok(named.collect())
-    }
-
-    /// The mapping from the fully lit marks, and the disc on the plate where its limb is given.
-    pub(super) fn register(
-        &self,
-        marks: &[Mark],
-        limb: Option<&Limb>,
-    ) -> Result<Registration, Stopped> {
-        let pairs: Vec<Pair> = marks
-            .iter()
-            .filter(|mark| mark.lighting == Lighting::Full)
-            .map(|mark| Pair {
-                seen: mark.at,
-                printed: self.instrument.plate.position(mark.id),
-                covariance_px2: mark.covariance_px2,
-            })
-            .collect();
-        let reject = |reason, measured, limit| {
-            at(Stage::Registration)(Rejected {
-                reason,
-                measured,
-                limit,
-            })
-        };
-        let least = self.settings.fiducial.min_marks;
-        if pairs.len() < least {
-            let reason = "too few fully lit marks have an id";
-            return Err(reject(reason, pairs.len() as f64, least as f64));
-        }
-        let points: Vec<(SensorPx, f64)> = limb
-            .iter()
-            .flat_map(|limb| limb.points.iter().map(|point| (point.at, point.sigma_px)))
-            .collect();
-        let outline = limb.map(|limb| Outline {
-            centre: limb.outline.ellipse.centre.into(),
-            points: &points,
-            radius_mil: self.loose_radius_mil(),
-        });
-        let registration = registration::register(
-            &pairs,
-            outline.as_ref(),
-            self.instrument.mounting.handedness,
-            self.instrument.camera.distortion,
-            &self.settings.registration,
-        )
-        .ok_or_else(|| {
-            reject(
-                "the marks determine no mapping",
-                pairs.len() as f64,
-                least as f64,
-            )
-        })?;
-        if registration.residual_px > MAX_RESIDUAL_PX {
-            let reason = "the marks do not fit a mapping";
-            return Err(reject(reason, registration.residual_px, MAX_RESIDUAL_PX));
-        }
-        Ok(registration)
-    }
-
-    /// The disc's radius on the plate, so loosely that a whole limb decides it and a short one leans on it.
-    fn loose_radius_mil(&self) -> Measured {
-        let definition = LIMB_DEFINITION_SIGMA_PX * self.instrument.mounting.scale_mil_per_px.value;
-        Measured::new(
-            self.radius_mil.value,
-            self.radius_mil.sigma.hypot(definition),
-        )
-    }
 }
 
 pub(super) fn at(stage: Stage) -> impl Fn(Rejected) -> Stopped {
     move |rejected| Stopped { stage, rejected }
-}
-
-fn circle_of(limb: &Limb) -> Circle {
-    let ellipse = &limb.outline.ellipse;
-    Circle {
-        centre: ellipse.centre,
-        radius: ellipse.mean_radius(),
-    }
 }

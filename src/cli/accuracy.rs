@@ -1,6 +1,7 @@
 //! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
 
-use crate::accuracy::{Figures, Program, Size, markdown, text};
+use crate::accuracy::{Case, Figures, Program, Size, case_text, markdown, text};
+use crate::fits::{self, Compression};
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -22,9 +23,32 @@ pub struct AccuracyArgs {
     /// Only this part: a row's name, "marks" or "mixed"; may be given several times
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
+    /// Only the frame of this seed, of the one row or the mixed run that --only names, in detail; --out keeps it as FITS
+    #[arg(long, value_name = "S", requires = "only", conflicts_with = "full")]
+    seed: Option<u64>,
 }
 
 pub fn run(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
+    match (args.seed, args.only.as_slice()) {
+        (Some(seed), [part]) => one_frame(part, seed, args.out.as_deref()),
+        (Some(_), _) => anyhow::bail!("expected one --only beside --seed"),
+        (None, _) => all_frames(args),
+    }
+}
+
+fn one_frame(part: &str, seed: u64, out: Option<&Path>) -> anyhow::Result<ExitCode> {
+    let case = Case::new(part, seed)?;
+    print!("{}", case_text(&case));
+    if let Some(folder) = out {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
+        let file = folder.join(format!("{part}-{seed}.fits"));
+        fits::write_frame(&file, &case.scene.frame()?, &[], &[], Compression::Rice)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     let size = if args.full { Size::Full } else { Size::Small };
     let figures = match args.out {
         Some(_) => Figures::Drawn,

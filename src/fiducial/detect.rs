@@ -42,12 +42,13 @@ pub struct Detections {
 const PARABOLOID_SIGMA_PX: f64 = 0.01;
 /// How far inside the limb a tip must be to count as lit: the outline's own uncertainty.
 const TIP_MARGIN_PX: f64 = 0.25;
-/// The contrast that the fourfold part of a cross shows, over that of the whole, is 1 but for noise; of what is round it
-/// is 0.
-const FOURFOLD_SHARE: std::ops::Range<f64> = 0.6..1.6;
-/// All marks of a plate have the same contrast; what the whole frame's marks have in common, the limb and blemishes change
-/// by less than this.
-const COMMON_CONTRAST: std::ops::Range<f64> = 0.6..1.5;
+/// The contrast that the fourfold part of a cross shows, over that of the whole: 1 for a cross in focus, 0.3 in haze, and
+/// 0 but for noise of what is round.
+const FOURFOLD_SHARE: std::ops::Range<f64> = 0.2..2.0;
+/// That part must be significant by itself, by less than the whole.
+const FOURFOLD_SIGMA: f64 = 4.0;
+/// All marks of a plate have the same contrast; saturation, the limb and blemishes change it by less than this.
+const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
 
 /// Finds the marks on a flattened disc.
 ///
@@ -60,7 +61,9 @@ const COMMON_CONTRAST: std::ops::Range<f64> = 0.6..1.5;
 /// 5. The rotation again, from the marks' own places.
 pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detections {
     let spots = find_spots(flat, shape, settings); // 1
-    let places = spots.iter().map(|spot| flat.position(*spot));
+    let places = spots
+        .iter()
+        .map(|spot| middle_of_darkness(flat, flat.position(*spot), shape));
     let Some(rough_deg) = arm_rotation_deg(flat, places, shape) else {
         return Detections::default(); // 2
     };
@@ -79,6 +82,28 @@ pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detec
     }
 }
 
+/// The centroid of the darkness about a place that is within a few pixels of it.
+fn middle_of_darkness(flat: &FlatDisc, place: SensorPx, shape: &CrossShape) -> SensorPx {
+    const ROUNDS: usize = 2;
+    let mut middle = place.vector();
+    for _ in 0..ROUNDS {
+        let (mut sum, mut moment) = (0.0, Vector2::zeros());
+        for (at, darkness) in flat.around(middle.into(), 0.75 * shape.half_length_px) {
+            sum += f64::from(darkness);
+            moment += (at - middle) * f64::from(darkness);
+        }
+        if sum > 0.0 {
+            middle += moment / sum;
+        }
+    }
+    // What leads far away is no middle.
+    if SensorPx::from(middle).distance(place) < shape.half_length_px {
+        middle.into()
+    } else {
+        place
+    }
+}
+
 /// The rotation of the arms in the disc's coordinates, from the fourfold part of the darkness around some places. `None`
 /// without places.
 fn arm_rotation_deg(
@@ -87,9 +112,10 @@ fn arm_rotation_deg(
     shape: &CrossShape,
 ) -> Option<f64> {
     let radius = shape.reach_px();
-    let mut fourfold = Complex::new(0.0_f32, 0.0);
+    let mut common = Complex::new(0.0_f32, 0.0);
     for place in places {
         let centre = flat.outline.to_disc(place.vector());
+        let (mut fourfold, mut squares) = (Complex::new(0.0_f32, 0.0), 0.0);
         for (at, darkness) in flat.around(place, radius) {
             let w = flat.outline.to_disc(at) - centre;
             let part = ((at - place.vector()).norm() / radius) as f32;
@@ -99,11 +125,16 @@ fn arm_rotation_deg(
             let length = direction.norm();
             if length > 0.0 {
                 fourfold += direction * (weight * darkness / length);
+                squares += darkness * darkness;
             }
         }
+        // A place counts by how fourfold it is, so that the many that are no marks hardly do.
+        if squares > 0.0 {
+            common += fourfold * (fourfold.norm_sqr() / squares);
+        }
     }
-    let angle = f64::from(fourfold.arg()) / 4.0;
-    (fourfold.norm() > 0.0).then(|| angle.to_degrees().rem_euclid(90.0))
+    let angle = f64::from(common.arg()) / 4.0;
+    (common.norm() > 0.0).then(|| angle.to_degrees().rem_euclid(90.0))
 }
 
 /// What looks for crosses of one rotation.
@@ -152,9 +183,13 @@ impl<'a> Search<'a> {
         if contrast < enough.max(settings.min_contrast) {
             return None;
         }
-        let fourfold = self.fourfold.response(flat, index) / contrast;
-        let likeness = self.likeness(index, contrast, noise);
-        if likeness < settings.min_likeness || !FOURFOLD_SHARE.contains(&fourfold) {
+        let fourfold = self.fourfold.response(flat, index);
+        let significant = fourfold > FOURFOLD_SIGMA * self.fourfold.noise(noise);
+        let likeness = self.likeness(at, fourfold, noise);
+        if !significant
+            || !FOURFOLD_SHARE.contains(&(fourfold / contrast))
+            || likeness < settings.min_likeness
+        {
             return None;
         }
         let random = noise / (contrast * self.slope_energy.sqrt());
@@ -192,19 +227,17 @@ impl<'a> Search<'a> {
         None
     }
 
-    /// The part of the structure about a position that the cross explains, the noise's own share taken off.
-    fn likeness(&self, index: usize, contrast: f64, noise: f64) -> f64 {
-        let place = self.flat.position(index);
-        let (mut sum, mut squares, mut count) = (0.0_f32, 0.0_f32, 0.0);
-        for (_, darkness) in self.flat.around(place, self.shape.reach_px()) {
-            sum += darkness;
-            squares += darkness * darkness;
-            count += 1.0;
+    /// The part of the structure about a position that the cross explains, the noise's own share and all that is round
+    /// about the position taken off.
+    fn likeness(&self, at: SensorPx, fourfold: f64, noise: f64) -> f64 {
+        let mut rings = vec![Ring::default(); self.cross.reach + 1];
+        for (place, darkness) in self.flat.around(at, self.shape.reach_px()) {
+            rings[(place - at.vector()).norm() as usize].add(darkness);
         }
-        let structure = f64::from(squares - sum * sum / count as f32);
-        let explained = contrast * contrast * self.cross.energy;
+        let structure: f64 = rings.iter().map(|ring| ring.structure(noise)).sum();
+        let explained = fourfold * fourfold * self.fourfold.energy;
         // The noise of this very patch may exceed its mean share; structure is never less than what is explained.
-        explained / (structure - count * noise * noise).max(explained)
+        explained / structure.max(explained)
     }
 
     fn lighting(&self, at: SensorPx) -> Lighting {
@@ -218,6 +251,29 @@ impl<'a> Search<'a> {
         } else {
             Lighting::Cut
         }
+    }
+}
+
+/// The darkness on a ring about a position.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ring {
+    pixels: f32,
+    sum: f32,
+    squares: f32,
+}
+
+impl Ring {
+    fn add(&mut self, darkness: f32) {
+        self.pixels += 1.0;
+        self.sum += darkness;
+        self.squares += darkness * darkness;
+    }
+
+    /// Sum of the squares about the ring's mean beyond what noise of this sigma makes.
+    fn structure(&self, noise: f64) -> f64 {
+        let freedoms = (self.pixels - 1.0).max(0.0);
+        let about_mean = self.squares - self.sum * self.sum / self.pixels.max(1.0);
+        f64::from(about_mean) - f64::from(freedoms) * noise * noise
     }
 }
 

@@ -1,58 +1,71 @@
 //! Reading the marks' ids from the code in their spacings.
 //!
-//! Scale and rotation, but for the quarter turn, are known before any mark is read: from the disc's radius and from the
-//! crosses' arms. So a reading is fixed by one detection's id and a quarter turn, and those that put the plate's
-//! centre anywhere near the instrument's value are few enough to try them all. Each is followed over all detections
-//! and scored by its likelihood: what it explains and how closely, and what it would show and does not.
+//! The disc's outline and the ephemeris tell the local mapping before any mark is read, the crosses' arms its rotation,
+//! but for the quarter turn. So a reading is fixed by one detection's id and a quarter turn, and those that put the
+//! plate's centre anywhere near the instrument's value are few enough to try them all. Each is followed over all
+//! detections and scored by its evidence: what it explains and how closely, and what it would show and does not
+//! ([`reading`](super::reading)).
 //!
 //! A pair, an L or a 2 x 2 block alone reads consistently at any quarter turn, a row at any place along the other
-//! axis. So a reading must beat every other that contradicts it, and chance, decisively; else all are refused.
-//!
-//! # When it fails
-//! A row of marks at the pattern's edge is misread when a spot that is no mark falls, to a pixel, where the next row's
-//! mark would be: once in ten thousand readings if every frame had such a spot.
+//! axis. So a reading must beat all that contradict it, and chance, decisively; else all are refused.
 
-use super::reading::{Evidence, Placement, Reading};
+use super::reading::{Reading, Turned};
 use super::{Detection, Lighting, Settings};
-use crate::geometry::{Circle, Handedness};
+use crate::geometry::{Ellipse, Handedness};
 use crate::plate::{MarkId, Plate};
-use crate::units::{Measured, Rejected, SensorPx};
-use nalgebra::{Rotation2, Vector2};
+use crate::units::{Measured, PlateMil, Rejected, SensorPx};
+use nalgebra::{Matrix2, Rotation2};
 
 /// What is known of the picture before any mark is read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sight {
-    /// From the disc's radius and the ephemeris, known before any mark is read.
-    pub scale_mil_per_px: Measured,
-    /// Rotation of the picture modulo a quarter turn, from the arms of the crosses.
+    /// The disc's outline on the sensor.
+    pub outline: Ellipse,
+    /// Radius of the outline on the plate; its sigma tells how well that fixes the scale.
+    pub radius_mil: Measured,
+    /// Rotation of the picture modulo a quarter turn, from the arms of the crosses, in the outline's own coordinates
+    /// ([`Ellipse::to_disc`]).
     pub quarter_rotation_deg: f64,
     pub handedness: Handedness,
     /// Where the instrument says the plate's centre is seen.
     pub plate_centre: SensorPx,
-    pub disc: Circle,
     /// Depth inside the limb from which a mark must have been found, px.
     pub sure_depth_px: f64,
+    /// Distance from the sensor's edge from which a mark must have been found, px.
+    pub sure_margin_px: f64,
     /// Width and height of the sensor, px.
     pub sensor_px: [f64; 2],
 }
 
 impl Sight {
-    /// From plate to sensor but for the shift, at every quarter turn.
-    fn turned(&self) -> impl Iterator<Item = Placement> {
-        let unturned = self.handedness.axes() / self.scale_mil_per_px.value;
-        [0.0, 90.0, 180.0, 270.0]
-            .into_iter()
-            .filter_map(move |quarter| {
-                let rotation = Rotation2::new((self.quarter_rotation_deg + quarter).to_radians());
-                Placement::new(Vector2::zeros(), rotation.matrix() * unturned)
-            })
+    /// From the unit disc to offsets from the Sun's centre on the plate (mil), at every quarter turn.
+    fn turns(&self) -> impl Iterator<Item = Matrix2<f64>> {
+        let axes = self.handedness.axes() * self.radius_mil.value;
+        [0.0, 90.0, 180.0, 270.0].into_iter().map(move |quarter| {
+            let rotation = Rotation2::new((self.quarter_rotation_deg + quarter).to_radians());
+            axes * rotation.matrix().transpose()
+        })
     }
 
-    /// Whether a mark at this position lies wholly on the sensor.
+    /// Mean scale on the disc.
+    pub(super) fn mil_per_px(&self) -> f64 {
+        self.radius_mil.value / self.outline.mean_radius()
+    }
+
+    /// Whether a mark at this position lies far enough from the sensor's edge.
     pub(super) fn on_sensor(&self, at: SensorPx) -> bool {
-        let margin = self.sure_depth_px;
+        let margin = self.sure_margin_px;
         let inside = |v: f64, size: f64| v > margin && v < size - 1.0 - margin;
         inside(at.x, self.sensor_px[0]) && inside(at.y, self.sensor_px[1])
+    }
+
+    /// How far beyond the largest shift a reading puts the plate's centre, px, in parts of what the marks on the disc
+    /// leave open: it lies far outside.
+    fn beyond(&self, reading: &Reading, settings: &Settings) -> f64 {
+        let shift_px = reading.plate_centre.distance(self.plate_centre);
+        let from_sun = (reading.plate_centre.vector() - self.outline.centre).norm();
+        let open_px = 3.0 * reading.centre_sigma_px + KEYSTONE_PER_PX * from_sun.powi(2);
+        (shift_px - settings.max_centre_shift_px) / open_px
     }
 }
 
@@ -61,16 +74,24 @@ impl Sight {
 pub struct Identification {
     /// Index into the detections, and the id.
     pub ids: Vec<(usize, MarkId)>,
+    /// Logarithm of the odds against all other readings together.
+    pub odds: f64,
 }
 
-/// Readings are tried up to this much beyond the largest shift of the plate's centre: were the true one left out, a
-/// wrong one would stand unrivalled.
-const TRIED_BEYOND: f64 = 1.3;
-/// A reading must beat any that contradicts it by this much, logarithm of the odds: two marks that should be seen and
-/// are not, or one that is seen and not explained.
-const DECISIVE_ODDS: f64 = 4.5;
-/// The score that chance reaches: the first mark explained is no evidence, since the plate was shifted on to it.
-const CHANCE_SCORE: f64 = 12.0;
+/// A reading must beat all that contradict it together by this much, logarithm of the odds.
+const DECISIVE_ODDS: f64 = 7.0;
+/// The same for those that take one of its fully lit marks for a false detection: where they would show no other mark,
+/// as at the pattern's edge, that detection alone decides. More is asked when the reading itself leaves a fully lit
+/// detection unexplained: where one is false another may be.
+const SOUND_ODDS: f64 = 9.0;
+const SOUND_ODDS_AMONG_FALSE: f64 = 11.0;
+/// Readings are held against one another up to this much beyond the largest shift of the plate's centre: were the true
+/// one left out, a wrong one would stand unrivalled.
+const RIVALS_BEYOND: f64 = 2.0;
+/// What rotation and scale leave open of a place before any mark is read, in parts of its distance.
+const GUESS_ERROR: f64 = 0.03;
+/// What 3 deg of keystone moves a place at a distance, over the distance squared, 1/px.
+const KEYSTONE_PER_PX: f64 = 1.0e-5;
 
 /// Names the detections. Rejected when they allow no reading, or more than one.
 pub fn identify(
@@ -90,19 +111,18 @@ pub fn identify(
             limit: settings.min_marks as f64,
         });
     }
-    let marks: Vec<_> = plate.marks().collect();
-    let evidence = Evidence {
-        detections,
+    decide(
+        readings(detections, sight, plate, settings),
+        full,
         sight,
-        marks: &marks,
         settings,
-    };
-    decide(readings(&evidence), sight, settings)
+    )
 }
 
-/// The best reading, if nothing that contradicts it fits nearly as well.
+/// The best reading of so many fully lit detections, if all that contradict it are unlikely together.
 fn decide(
     mut readings: Vec<Reading>,
+    full: usize,
     sight: &Sight,
     settings: &Settings,
 ) -> Result<Identification, Rejected> {
@@ -122,50 +142,92 @@ fn decide(
         let reason = "the best reading explains too few fully lit marks";
         return reject(reason, best.full as f64, least);
     }
-    let over_chance = best.score - CHANCE_SCORE;
-    if over_chance < DECISIVE_ODDS {
+    if best.score < DECISIVE_ODDS {
         let reason = "the best reading leaves too much unexplained";
-        return reject(reason, over_chance, DECISIVE_ODDS);
+        return reject(reason, best.score, DECISIVE_ODDS);
     }
-    if let Some(rival) = readings.iter().find(|other| other.contradicts(best))
-        && best.score - rival.score < DECISIVE_ODDS
-    {
+    let odds = |against: &dyn Fn(&Reading) -> bool| {
+        let rivals = readings
+            .iter()
+            .filter(|r| r.contradicts(best) && against(r));
+        let rivals: f64 = rivals.map(|rival| (rival.score - best.score).exp()).sum();
+        -(rivals + (-best.score).exp()).ln()
+    };
+    let alike = odds(&|rival| rival.full >= best.full);
+    if alike < DECISIVE_ODDS {
         let reason = "two readings of the marks fit alike";
-        return reject(reason, best.score - rival.score, DECISIVE_ODDS);
+        return reject(reason, alike, DECISIVE_ODDS);
     }
-    let shift_px = best.plate_centre.distance(sight.plate_centre);
-    if shift_px > settings.max_centre_shift_px {
+    let sound = odds(&|rival| rival.full < best.full);
+    let asked = if best.full < full {
+        SOUND_ODDS_AMONG_FALSE
+    } else {
+        SOUND_ODDS
+    };
+    if sound < asked {
+        let reason = "the best reading may rest on a false detection";
+        return reject(reason, sound, asked);
+    }
+    let beyond = sight.beyond(best, settings);
+    if beyond > 1.0 {
         let reason = "the best reading puts the plate's centre too far away";
-        return reject(reason, shift_px, settings.max_centre_shift_px);
+        return reject(reason, beyond, 1.0);
     }
     Ok(Identification {
-        ids: best.ids.clone(),
+        ids: best.named.clone(),
+        odds: alike.min(sound),
     })
 }
 
 /// Every reading that some fully lit mark, some id for it and some quarter turn lead to.
-fn readings(evidence: &Evidence<'_>) -> Vec<Reading> {
-    let (sight, settings) = (evidence.sight, evidence.settings);
-    let farthest_px = TRIED_BEYOND * settings.max_centre_shift_px;
-    let full = |(_, detection): &(usize, &Detection)| detection.lighting == Lighting::Full;
-    let anchors = evidence.detections.iter().enumerate().filter(full);
-    // A reading with enough marks has one of them among all but so many.
-    let spare = settings.min_marks.saturating_sub(1);
-    let anchors = anchors.clone().take(anchors.count().saturating_sub(spare));
-    let mut readings = Vec::new();
-    for turned in sight.turned() {
-        let mut so_turned: Vec<Reading> = Vec::new();
-        for (n, detection) in anchors.clone() {
-            for (id, printed) in evidence.marks {
-                let guess = turned.shifted(*printed, detection.at);
-                let near = (guess.centre - sight.plate_centre.vector()).norm() < farthest_px;
-                let known = || so_turned.iter().any(|r| r.ids.contains(&(n, *id)));
-                if near && !known() {
-                    so_turned.extend(evidence.follow(&guess, *printed));
+fn readings(
+    detections: &[Detection],
+    sight: &Sight,
+    plate: &Plate,
+    settings: &Settings,
+) -> Vec<Reading> {
+    let full = |n: &usize| detections[*n].lighting == Lighting::Full;
+    let full: Vec<usize> = (0..detections.len()).filter(full).collect();
+    // A reading, rivals included, has two of them: one is among all but the last.
+    let anchors = &full[..full.len().saturating_sub(1)];
+    let orders: Vec<Vec<usize>> = anchors
+        .iter()
+        .map(|n| nearest_first(*n, &full, detections))
+        .collect();
+    let from_sun = (sight.plate_centre.vector() - sight.outline.centre).norm();
+    let open_px = GUESS_ERROR * (from_sun + sight.outline.mean_radius());
+    let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
+    let mut readings: Vec<Reading> = Vec::new();
+    for to_plate in sight.turns() {
+        let Some(turned) = Turned::new(sight, detections, &plate.cross, to_plate) else {
+            continue;
+        };
+        let sun = turned.stated_sun();
+        let in_view = reach_mil + 1.1 * sight.radius_mil.value;
+        let marks: Vec<(MarkId, PlateMil)> = plate
+            .marks()
+            .filter(|(_, at)| at.distance(sun) < in_view)
+            .collect();
+        let first = readings.len();
+        for order in &orders {
+            for &(id, printed) in &marks {
+                let guess = printed.vector() - turned.offset(order[0]);
+                let known = |r: &Reading| r.ids.contains(&(order[0], id));
+                if (guess - sun.vector()).norm() < reach_mil && !readings[first..].iter().any(known)
+                {
+                    let reading = turned.follow((id, printed), order, &marks);
+                    readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
                 }
             }
         }
-        readings.append(&mut so_turned);
     }
     readings
+}
+
+/// Detections ordered by their distance from one of them.
+fn nearest_first(from: usize, among: &[usize], detections: &[Detection]) -> Vec<usize> {
+    let distance = |n: usize| detections[n].at.distance(detections[from].at);
+    let mut order = among.to_vec();
+    order.sort_by(|a, b| distance(*a).total_cmp(&distance(*b)));
+    order
 }

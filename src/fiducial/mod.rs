@@ -10,6 +10,7 @@
 //!    allows is held against all marks in view, and one that is not clearly the best is refused.
 
 mod detect;
+mod fit;
 mod flatten;
 mod identify;
 mod kernel;
@@ -46,7 +47,7 @@ impl Default for Settings {
         Self {
             detection_sigma: 6.0,
             min_contrast: 0.12,
-            min_likeness: 0.5,
+            min_likeness: 0.15,
             max_detections: 24,
             min_marks: 3,
             max_centre_shift_px: 100.0,

@@ -1,7 +1,7 @@
 //! Chords: rows and columns of the sensor, and where they cross the limb.
 //!
-//! A chord is valid when, after hot pixels and marks are taken out, it enters the disc once and leaves it once
-//! (Cramer 2014, table 8); one that runs into the sensor's edge keeps the crossing that is seen.
+//! A chord is what is left of a bright run when hot pixels and marks are taken out (Cramer 2014, table 8); one that
+//! runs into the sensor's edge keeps the crossing that is seen.
 
 use super::Settings;
 use super::bright::{Runs, Whole};
@@ -55,35 +55,19 @@ pub struct Scan {
     pub min_run_px: usize,
     /// Shorter dark gaps are marks.
     pub max_gap_px: usize,
-    /// Shorter runs that are left are no disc.
+    /// Shorter runs that are left are no disc, unless the sensor cuts them.
     pub min_chord_px: usize,
-    pub chords: Chords,
-}
-
-/// Which bright runs of a row or column are taken for chords of the disc.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Chords {
-    /// One that is alone: a line with more is refused.
-    Lone,
-    /// Every one, and those that the sensor cuts also when they are short: for a disc of which little is seen.
-    Every,
 }
 
 impl Scan {
     /// A scan for a threshold and a mark's length from tip to tip, px.
-    pub fn new(
-        threshold_dn: f64,
-        mark_length_px: f64,
-        chords: Chords,
-        settings: &Settings,
-    ) -> Self {
+    pub fn new(threshold_dn: f64, mark_length_px: f64, settings: &Settings) -> Self {
         let gap = (1.3 * mark_length_px).ceil() as usize;
         Self {
             threshold_dn,
             min_run_px: settings.min_run_px,
             max_gap_px: gap,
             min_chord_px: gap,
-            chords,
         }
     }
 
@@ -140,15 +124,11 @@ impl Scan {
         runs: &[(usize, usize)],
         crossings: &mut Vec<Crossing>,
     ) {
-        let long = |(first, end): (usize, usize)| {
-            let cut = self.chords == Chords::Every && (first == 0 || end == line.sensor_end);
-            cut || end - first >= self.min_chord_px
+        // A run that the sensor cuts may be short and yet a chord of the disc.
+        let chord = |(first, end): &(usize, usize)| {
+            *first == 0 || *end == line.sensor_end || end - first >= self.min_chord_px
         };
-        let chords = || runs.iter().copied().filter(|run| long(*run));
-        if self.chords == Chords::Lone && chords().count() > 1 {
-            return;
-        }
-        for (start, end) in chords() {
+        for (start, end) in runs.iter().copied().filter(chord) {
             for (edge, first_after) in [(Edge::Entering, start), (Edge::Leaving, end)] {
                 if let Some(along) = self.cross(line, &value, edge, first_after) {
                     crossings.push(line.crossing(along, edge));
@@ -225,14 +205,9 @@ mod tests {
         min_run_px: 4,
         max_gap_px: 20,
         min_chord_px: 20,
-        chords: Chords::Lone,
     };
 
     fn crossings(row: &[u8]) -> Vec<f64> {
-        crossings_of(Chords::Lone, row)
-    }
-
-    fn crossings_of(chords: Chords, row: &[u8]) -> Vec<f64> {
         let view = View {
             width: row.len(),
             height: 1,
@@ -244,8 +219,7 @@ mod tests {
             x1: row.len(),
             y1: 1,
         };
-        let scan = Scan { chords, ..SCAN };
-        let crossings = scan.run(&view, region, 0..1, 0..0);
+        let crossings = SCAN.run(&view, region, 0..1, 0..0);
         crossings.iter().map(|c| c.at.x).collect()
     }
 
@@ -276,32 +250,24 @@ mod tests {
     }
 
     #[test]
-    fn a_chord_with_two_discs_is_refused() {
-        let mut row = disc_row();
-        row.extend(disc_row());
-        assert!(crossings(&row).is_empty());
-    }
-
-    #[test]
     fn a_chord_cut_by_the_sensor_keeps_the_edge_that_is_seen() {
         let row = disc_row();
         assert_eq!(crossings(&row[..80]), crossings(&row)[..1]);
     }
 
     #[test]
-    fn where_every_chord_counts_two_discs_have_four_crossings() {
+    fn two_discs_have_four_crossings() {
         let mut row = disc_row();
         row.extend(disc_row());
-        assert_eq!(crossings_of(Chords::Every, &row).len(), 4);
+        assert_eq!(crossings(&row).len(), 4);
     }
 
     #[test]
     fn a_short_chord_counts_where_the_sensor_cuts_it_and_nowhere_else() {
         let mut row = disc_row();
         row.drain(..95);
-        assert_eq!(crossings_of(Chords::Every, &row).len(), 1);
-        assert!(crossings_of(Chords::Lone, &row).is_empty());
+        assert_eq!(crossings(&row).len(), 1);
         row.insert(0, 0);
-        assert!(crossings_of(Chords::Every, &row).is_empty());
+        assert!(crossings(&row).is_empty());
     }
 }

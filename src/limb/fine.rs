@@ -18,10 +18,39 @@ pub struct Limb {
 }
 
 impl Limb {
+    /// The blur of the limb, 1 sigma, the pixel's own size taken off.
+    pub fn lens_blur_px(&self) -> f64 {
+        const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
+        (self.profile.blur_px.powi(2) - PIXEL_VARIANCE)
+            .max(0.0)
+            .sqrt()
+    }
+
     /// Blurred light of the disc without marks at a sensor position, DN above the background.
     pub fn light_dn(&self, x: f64, y: f64) -> f64 {
         let outwards = self.outline.ellipse.excess(Vector2::new(x, y));
         self.profile.at(outwards) - self.profile.background_dn
+    }
+}
+
+/// What is known of the outline before the limb is looked at, in two grades.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownOutline {
+    /// What any camera may show.
+    pub possible: OutlinePrior,
+    /// What this one shows if it is as its calibration states.
+    pub stated: OutlinePrior,
+}
+
+impl KnownOutline {
+    /// What is stated steadies the outline of a disc of which little is seen. A limb that contradicts it is believed
+    /// instead.
+    fn fit(&self, points: &[LimbPoint], start: &Ellipse) -> Option<OutlineFit> {
+        let free = fit_outline(points, start, &self.possible)?;
+        if free.contradicts(&self.stated) {
+            return Some(free);
+        }
+        fit_outline(points, &free.ellipse, &self.stated)
     }
 }
 
@@ -41,7 +70,7 @@ pub fn fit_limb(
     start: &Ellipse,
     levels: &Levels,
     blur_px: f64,
-    prior: &OutlinePrior,
+    known: &KnownOutline,
     hidden: &Hidden,
     settings: &Settings,
 ) -> Result<Limb, Rejected> {
@@ -64,8 +93,9 @@ pub fn fit_limb(
             settings.limb_points,
         )
         .ok_or_else(|| too_few(0, settings))?;
-        let fit =
-            fit_outline(&points, &outline, prior).ok_or_else(|| too_few(points.len(), settings))?;
+        let fit = known
+            .fit(&points, &outline)
+            .ok_or_else(|| too_few(points.len(), settings))?;
         let accepted = fit.accepted.iter().filter(|a| **a).count();
         if accepted < settings.min_limb_points {
             return Err(too_few(accepted, settings));

@@ -3,8 +3,8 @@
 //! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the histogram, taken
 //! over every eighth pixel in both axes; where noise is cut off at zero the median and what lies above it do not
 //! mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has only some
-//! hundred pixels: they are looked for in every fourth row, stretches without any being passed over. Hot pixels and
-//! scratches are too few to move the quantile.
+//! hundred pixels: they are looked for in every fourth row, stretches without any being passed over; hot pixels stand
+//! alone and do not count.
 
 use super::Settings;
 use super::bright::{Whole, bright_stretches};
@@ -79,15 +79,18 @@ impl Histogram {
         histogram
     }
 
-    /// The pixels above a value, in some of the rows.
+    /// The pixels above a value, in some of the rows. One without a bright neighbour is hot: of a cap's hundred
+    /// pixels in these rows, hot ones from all over the sensor would be the brightest tenth.
     fn of_brighter<T: Whole>(view: &View<'_, T>, values: usize, dn: f64) -> Self {
         let floor = T::floor(dn);
         let mut histogram = Self::new(values);
         let rows = view.pixels.chunks_exact(view.width);
         for row in rows.skip(BRIGHT_ROWS_PX / 2).step_by(BRIGHT_ROWS_PX) {
             for (_, stretch) in bright_stretches(row, floor) {
-                for &pixel in stretch.iter().filter(|pixel| **pixel > floor) {
-                    histogram.add(pixel);
+                for pair in stretch.windows(2) {
+                    if pair[0] > floor && pair[1] > floor {
+                        histogram.add(pair[1]);
+                    }
                 }
             }
         }

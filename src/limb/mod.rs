@@ -23,9 +23,9 @@ mod patches;
 mod profile;
 mod search;
 
-pub use chords::{Axis, Chords, Crossing, Edge, Scan};
+pub use chords::{Axis, Crossing, Edge, Scan};
 pub use edge::{Hidden, LimbPoint};
-pub use fine::{Limb, fit_limb};
+pub use fine::{KnownOutline, Limb, fit_limb};
 pub use levels::levels;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};

@@ -4,7 +4,7 @@
 use super::bright::Whole;
 use super::consensus::agreed_circle;
 use super::patches::{Patch, bright_patches};
-use super::{Chords, Crossing, Scan, Settings};
+use super::{Crossing, Scan, Settings};
 use crate::frame::{Frame, Levels, Region, View};
 use crate::geometry::Circle;
 use crate::units::{Rejected, SensorPx};
@@ -33,6 +33,8 @@ const MOST_PATCHES: usize = 6;
 const CHORDS_PER_PATCH: usize = 24;
 /// Chords are no nearer to each other than this: what is between is the same noise twice.
 const LEAST_SPACING_PX: usize = 2;
+/// Linear limb darkening at 630 nm: light falls as 1 - u (1 - cos theta) towards the limb.
+const LIMB_DARKENING: f64 = 0.56;
 
 /// Finds the disc in a region of the frame, whole or in part.
 ///
@@ -42,6 +44,8 @@ const LEAST_SPACING_PX: usize = 2;
 /// 1. Rows far apart tell where the frame is bright.
 /// 2. Each bright patch, the largest first, is crossed by rows and columns: the smaller it is, the nearer they lie.
 /// 3. The circle that most of their crossings agree on is the disc if it is bright within and dark about.
+/// 4. Where the sensor shows only the darker outside of the disc, 2 and 3 again with the threshold that the whole
+///    disc would have had.
 pub fn find_disc(
     frame: &Frame,
     region: Region,
@@ -50,31 +54,99 @@ pub fn find_disc(
     mark_length_px: f64,
     settings: &Settings,
 ) -> Result<CoarseDisc, Rejected> {
-    let threshold_dn = levels.threshold_dn(settings.level_fraction);
-    let scan = Scan::new(threshold_dn, mark_length_px, Chords::Every, settings);
-    let spacing = settings.search_spacing_px.max(1);
-    with_view!(frame, view => {
-        let mut first_reason = Rejected {
+    let search = Search {
+        levels,
+        radius_px,
+        mark_length_px,
+        settings,
+    };
+    let circle = with_view!(frame, view => search.run(&view, region))?;
+    Ok(CoarseDisc {
+        centre: circle.centre.into(),
+        radius_px: circle.radius,
+    })
+}
+
+/// What is known of the disc before it is found.
+struct Search<'a> {
+    levels: &'a Levels,
+    radius_px: f64,
+    mark_length_px: f64,
+    settings: &'a Settings,
+}
+
+impl Search<'_> {
+    fn run<T: Whole>(&self, view: &View<'_, T>, region: Region) -> Result<Circle, Rejected> {
+        let scan = self.scan(self.levels);
+        let patches = bright_patches(view, region, &scan, self.spacing_px())?; // 1
+        let mut reason = Rejected {
             reason: "nothing is as bright and as wide as a disc",
             measured: 0.0,
             limit: 1.0,
         };
-        let patches = bright_patches(&view, region, &scan, spacing)?; // 1
         for (n, patch) in patches.iter().take(MOST_PATCHES).enumerate() {
-            let crossings = cross_patch(&view, patch, &scan, spacing); // 2
-            let found = agreed_circle(&crossings, radius_px, settings)
-                .and_then(|circle| check_filled(&view, &circle, threshold_dn).map(|()| circle)); // 3
-            match found {
-                Ok(circle) => return Ok(CoarseDisc {
-                    centre: circle.centre.into(),
-                    radius_px: circle.radius,
-                }),
-                Err(reason) if n == 0 => first_reason = reason,
+            match self.disc_in(view, patch, &scan) {
+                Ok(circle) => return Ok(self.with_whole_levels(view, patch, circle)),
+                Err(rejected) if n == 0 => reason = rejected,
                 Err(_) => {}
             }
         }
-        Err(first_reason)
-    })
+        Err(reason)
+    }
+
+    fn scan(&self, levels: &Levels) -> Scan {
+        let threshold_dn = levels.threshold_dn(self.settings.level_fraction);
+        Scan::new(threshold_dn, self.mark_length_px, self.settings)
+    }
+
+    fn spacing_px(&self) -> usize {
+        self.settings.search_spacing_px.max(1)
+    }
+
+    fn disc_in<T: Whole>(
+        &self,
+        view: &View<'_, T>,
+        patch: &Patch,
+        scan: &Scan,
+    ) -> Result<Circle, Rejected> {
+        let crossings = cross_patch(view, patch, scan, self.spacing_px()); // 2
+        let circle = agreed_circle(&crossings, self.radius_px, self.settings)?; // 3
+        check_filled(view, &circle, scan.threshold_dn)?;
+        Ok(circle)
+    }
+
+    /// The disc by the threshold of the whole disc, where the levels are those of a darker part; else as it was. 4
+    fn with_whole_levels<T: Whole>(
+        &self,
+        view: &View<'_, T>,
+        patch: &Patch,
+        circle: Circle,
+    ) -> Circle {
+        const HARDLY_DARKER: f64 = 0.95;
+        let brightest = brightest_seen(&circle, view.width, view.height);
+        if brightest > HARDLY_DARKER {
+            return circle;
+        }
+        let background_dn = self.levels.background_dn;
+        let levels = Levels {
+            disc_dn: background_dn + (self.levels.disc_dn - background_dn) / brightest,
+            ..*self.levels
+        };
+        self.disc_in(view, patch, &self.scan(&levels))
+            .unwrap_or(circle)
+    }
+}
+
+/// Light of the brightest part of a disc that a sensor of `width` x `height` shows, relative to that of its middle.
+fn brightest_seen(circle: &Circle, width: usize, height: usize) -> f64 {
+    let centre = circle.centre;
+    let nearest = Vector2::new(
+        centre.x.clamp(0.0, width as f64 - 1.0),
+        centre.y.clamp(0.0, height as f64 - 1.0),
+    );
+    let sine = (nearest - centre).norm() / circle.radius;
+    let cosine = (1.0 - sine.powi(2)).max(0.0).sqrt();
+    1.0 - LIMB_DARKENING * (1.0 - cosine)
 }
 
 /// The crossings of rows and columns with the edge of a patch.
@@ -87,7 +159,7 @@ fn cross_patch<T: Whole>(
     // The patch may end anywhere before the next row, and its chords need dark pixels at their ends.
     let region = patch.grown(row_spacing_px + scan.min_run_px, view.width, view.height);
     let shorter_px = region.width().min(region.height());
-    let spacing = (shorter_px / CHORDS_PER_PATCH).clamp(LEAST_SPACING_PX, 2 * CHORDS_PER_PATCH);
+    let spacing = (shorter_px / CHORDS_PER_PATCH).max(LEAST_SPACING_PX);
     let rows = (region.y0 + spacing / 2..region.y1).step_by(spacing);
     let columns = (region.x0 + spacing / 2..region.x1).step_by(spacing);
     scan.run(view, region, rows, columns)

@@ -64,7 +64,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             min_gain: 9.0,
-            prior_freedom: 2.0,
+            prior_freedom: 6.0,
         }
     }
 }

@@ -1,0 +1,230 @@
+//! The program: which parts are run, with how many frames, on all cores.
+
+use super::conditions::{Vary, mixed as everything};
+use super::figures::{self, Sweeps};
+use super::marks::{self, MarkSummary};
+use super::mixed::MixedSummary;
+use super::outcome::{About, Summary};
+use super::recipe::Recipe;
+use super::report::{MarksReport, MixedReport, Report, RowReport};
+use super::trial::{Bounded, Outcome, Trial};
+use super::{AccuracyError, MARKS, MARKS_ROW, MIXED, Row, Size, names, rows};
+use crate::aspect::Settings;
+use crate::instrument::builtin;
+use crate::simulate::{Scene, SceneError};
+use rayon::prelude::*;
+
+/// Frames of the mixed run.
+const MIXED_FRAMES: [u64; 2] = [300, 20_000];
+/// Frames for each phase of the bias map.
+const FRAMES_PER_PHASE: [u64; 2] = [16, 100];
+/// Frames of a row whose bound is computed.
+const BOUNDED_FRAMES: [u64; 2] = [12, 200];
+
+/// What is to be run.
+#[derive(Debug, Clone)]
+pub struct Program {
+    pub size: Size,
+    trial: Trial,
+    rows: Vec<Row>,
+    marks: bool,
+    mixed: bool,
+    sweeps: bool,
+}
+
+/// Whether the measurements for the figures are taken, too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Figures {
+    Drawn,
+    Left,
+}
+
+impl Program {
+    /// All parts, or those of some names; with the sweeps that the figures need, or without.
+    pub fn new(size: Size, only: &[String], figures: Figures) -> Result<Self, AccuracyError> {
+        if let Some(found) = only.iter().find(|name| !names().contains(&name.as_str())) {
+            return Err(unknown(found));
+        }
+        let wanted = |name: &str| only.is_empty() || only.iter().any(|o| o == name);
+        Ok(Self {
+            size,
+            trial: Trial {
+                instrument: builtin("demo")?,
+                settings: Settings::default(),
+            },
+            rows: rows().into_iter().filter(|r| wanted(r.name)).collect(),
+            marks: wanted(MARKS),
+            mixed: wanted(MIXED),
+            sweeps: figures == Figures::Drawn && only.is_empty(),
+        })
+    }
+
+    /// How many frames there are to solve.
+    pub fn frames(&self) -> u64 {
+        let of_row = |row: &Row| self.size.of(row.frames);
+        let rows: u64 = self.rows.iter().map(of_row).sum();
+        let borrowed = self.rows.iter().any(|row| row.name == MARKS_ROW);
+        let marks_row = rows_named(MARKS_ROW).filter(|_| !borrowed);
+        let phases = (marks::PHASES * marks::PHASES) as u64;
+        let marks =
+            self.size.of(FRAMES_PER_PHASE) * phases + marks_row.map(|r| of_row(&r)).sum::<u64>();
+        rows + u64::from(self.marks) * marks
+            + u64::from(self.mixed) * self.size.of(MIXED_FRAMES)
+            + u64::from(self.sweeps) * figures::frames(self.size)
+    }
+
+    /// Runs it on all cores; `done` is called after every frame.
+    pub fn run(&self, done: &(dyn Fn() + Sync)) -> Result<Report, AccuracyError> {
+        let rows: Result<Vec<_>, _> = self.rows.iter().map(|row| self.row(row, done)).collect();
+        let rows = rows?;
+        let marks = self.marks.then(|| self.marks(&rows, done)).transpose()?;
+        let mixed = self.mixed.then(|| self.mixed(done)).transpose()?;
+        let sweeps = || Sweeps::run(&self.trial, self.size, done);
+        Ok(Report {
+            size: self.size,
+            rows,
+            marks,
+            mixed,
+            sweeps: self.sweeps.then(sweeps).transpose()?,
+        })
+    }
+
+    fn row(&self, row: &Row, done: &(dyn Fn() + Sync)) -> Result<RowReport, SceneError> {
+        // What a frame without marks allows is no more than what it borrows.
+        let bounded = match row.about {
+            About::Fine => self.size.of(BOUNDED_FRAMES),
+            About::Coarse | About::Solved => 0,
+        };
+        let outcomes = outcomes(self.size.of(row.frames), done, |seed| {
+            let recipe = Recipe::drawn(row.vary, &self.trial.instrument, seed);
+            let with_bound = match seed < bounded {
+                true => Bounded::Yes,
+                false => Bounded::No,
+            };
+            self.trial.outcome(&recipe, seed, with_bound)
+        })?;
+        let arcsec_per_mil = self.trial.instrument.optics.arcsec_per_mil();
+        let summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
+        let unmet = row.demands.iter().filter_map(|d| d.unmet(&summary));
+        Ok(RowReport {
+            unmet: unmet.collect(),
+            row: row.clone(),
+            outcomes,
+            summary,
+        })
+    }
+
+    /// The marks of the standard row's frames, and the map of their bias.
+    fn marks(
+        &self,
+        rows: &[RowReport],
+        done: &(dyn Fn() + Sync),
+    ) -> Result<MarksReport, SceneError> {
+        let mut summary = None;
+        for row in rows_named(MARKS_ROW) {
+            let at_hand = rows.iter().find(|report| report.row.name == row.name);
+            let outcomes = match at_hand {
+                Some(report) => report.outcomes.clone(),
+                None => self.row(&row, done)?.outcomes,
+            };
+            let instrument = &self.trial.instrument;
+            let scale = instrument.mounting.scale_mil_per_px.value;
+            summary = MarkSummary::of(&outcomes, scale * instrument.optics.arcsec_per_mil());
+        }
+        let bias = marks::bias_map(&self.trial, self.size.of(FRAMES_PER_PHASE), done)?;
+        Ok(MarksReport {
+            unmet: marks::unmet(summary.as_ref(), &bias),
+            summary,
+            bias,
+        })
+    }
+
+    fn mixed(&self, done: &(dyn Fn() + Sync)) -> Result<MixedReport, SceneError> {
+        let outcomes = outcomes(self.size.of(MIXED_FRAMES), done, |seed| {
+            let recipe = Recipe::drawn(everything, &self.trial.instrument, seed);
+            self.trial.outcome(&recipe, seed, Bounded::No)
+        })?;
+        let summary = MixedSummary::of(&outcomes);
+        Ok(MixedReport {
+            unmet: summary.unmet(),
+            summary,
+        })
+    }
+}
+
+/// One frame of a row or of the mixed run, to be looked at.
+#[derive(Debug, Clone)]
+pub struct Case {
+    pub recipe: Recipe,
+    pub scene: Scene,
+    pub outcome: Outcome,
+}
+
+impl Case {
+    /// The frame of a seed; `part` is a row's name or "mixed".
+    pub fn new(part: &str, seed: u64) -> Result<Self, AccuracyError> {
+        let vary: Option<Vary> = match part {
+            MIXED => Some(everything),
+            _ => rows_named(part).map(|row| row.vary).next(),
+        };
+        let trial = Trial {
+            instrument: builtin("demo")?,
+            settings: Settings::default(),
+        };
+        let vary = vary.ok_or_else(|| unknown(part))?;
+        let recipe = Recipe::drawn(vary, &trial.instrument, seed);
+        Ok(Self {
+            scene: recipe.scene(&trial.instrument, seed)?,
+            outcome: trial.outcome(&recipe, seed, Bounded::Yes)?,
+            recipe,
+        })
+    }
+}
+
+fn unknown(name: &str) -> AccuracyError {
+    AccuracyError::Name {
+        found: name.into(),
+        known: names(),
+    }
+}
+
+fn rows_named(name: &str) -> impl Iterator<Item = Row> + '_ {
+    rows().into_iter().filter(move |row| row.name == name)
+}
+
+/// Outcomes by seed, from 0, on all cores.
+pub(super) fn outcomes(
+    frames: u64,
+    done: &(dyn Fn() + Sync),
+    outcome: impl Fn(u64) -> Result<Outcome, SceneError> + Sync,
+) -> Result<Vec<Outcome>, SceneError> {
+    let counted = |seed| outcome(seed).inspect(|_| done());
+    (0..frames).into_par_iter().map(counted).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_part_has_a_name_of_its_own() {
+        let mut unique = names();
+        unique.sort_unstable();
+        unique.dedup();
+        assert_eq!(unique.len(), names().len());
+    }
+
+    #[test]
+    fn a_seed_gives_the_same_frame_and_outcome_again() {
+        let [one, again] = [(); 2].map(|()| Case::new(MIXED, 3).unwrap());
+        assert_eq!(one.scene, again.scene);
+        assert_eq!(one.outcome, again.outcome);
+        assert_ne!(one.scene, Case::new(MIXED, 4).unwrap().scene);
+    }
+
+    #[test]
+    fn only_what_has_frames_by_seed_gives_a_frame() {
+        assert!(Case::new(MARKS, 1).is_err());
+        assert!(Case::new("standard", 1).is_ok());
+    }
+}

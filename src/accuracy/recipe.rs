@@ -1,0 +1,222 @@
+//! From a recipe and a seed to a scene.
+
+use super::conditions::Vary;
+use crate::instrument::Instrument;
+use crate::plate::MarkId;
+use crate::simulate::{Conditions, LitMark, RandomScenes, Scene, SceneError, SunInView, Sunspot};
+use crate::units::{PlateMil, SensorPx};
+use nalgebra::Vector2;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use std::f64::consts::TAU;
+use std::ops::{Range, RangeInclusive};
+
+/// The generator behind what is drawn for a frame beyond what the simulator draws itself.
+pub type Generator = Xoshiro256PlusPlus;
+
+/// Where the Sun stands in the frames of a row.
+#[derive(Debug, Clone, PartialEq)]
+pub enum View {
+    /// Anywhere with the whole disc on the sensor and so many marks fully lit.
+    Whole { lit_marks: RangeInclusive<usize> },
+    /// Cut by the sensor's edge, so much of the limb on the sensor, so many marks fully lit.
+    Partial {
+        limb_share: Range<f64>,
+        lit_marks: RangeInclusive<usize>,
+    },
+    /// Anywhere with this mark and two others, or more, fully lit.
+    Around(MarkId),
+    /// Nowhere.
+    Absent,
+}
+
+/// Any number of marks.
+pub const ANY_MARKS: RangeInclusive<usize> = 0..=usize::MAX;
+/// Marks enough for a mapping.
+pub const ENOUGH_MARKS: RangeInclusive<usize> = 3..=usize::MAX;
+/// Too few marks for a mapping.
+pub const FEW_MARKS: RangeInclusive<usize> = 0..=2;
+
+/// What a frame is made of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recipe {
+    pub conditions: Conditions,
+    pub view: View,
+    /// Sunspots, each up to 1 % of the disc's area.
+    pub sunspots: usize,
+}
+
+impl Recipe {
+    /// The standard frame: the instrument as it states itself, the whole Sun, 5 DN of noise, no blemishes.
+    pub fn standard(instrument: &Instrument) -> Self {
+        Self {
+            conditions: Conditions::of(instrument),
+            view: View::Whole {
+                lit_marks: ANY_MARKS,
+            },
+            sunspots: 0,
+        }
+    }
+
+    /// The recipe of a frame of a row. The same seed always gives the same recipe.
+    pub fn drawn(vary: Vary, instrument: &Instrument, seed: u64) -> Self {
+        let mut recipe = Self::standard(instrument);
+        vary(
+            &mut recipe,
+            instrument,
+            &mut Generator::seed_from_u64(seed ^ 0x5eed),
+        );
+        recipe
+    }
+
+    /// The scene of a seed.
+    pub fn scene(&self, instrument: &Instrument, seed: u64) -> Result<Scene, SceneError> {
+        let conditions = Conditions {
+            sun: match self.view {
+                View::Absent => SunInView::Absent,
+                _ => SunInView::Whole,
+            },
+            ..self.conditions.clone()
+        };
+        let scenes = RandomScenes::new(instrument, &conditions, seed)?;
+        let mut scene = scenes.scene(seed)?;
+        let Some(mut sun) = scene.sun.take() else {
+            return Ok(scene);
+        };
+        let mut rng = Generator::seed_from_u64(seed);
+        let spots = (0..self.sunspots).map(|_| sunspot(sun.radius_mil, &mut rng));
+        sun.spots.extend(spots);
+        // Enough for a view that one place in a thousand gives.
+        for _ in 0..20_000 {
+            scene.sun = Some(sun.clone());
+            if self.suits(&scene) {
+                return Ok(scene);
+            }
+            sun.centre = self.place(&scene, sun.radius_mil, &mut rng);
+        }
+        Err(SceneError::NoRoom {
+            width_px: scene.width_px,
+            height_px: scene.height_px,
+            radius_px: sun.radius_mil / conditions.similarity.scale_mil_per_px,
+        })
+    }
+
+    /// A place for the Sun, drawn evenly where the view may hold.
+    fn place(&self, scene: &Scene, radius_mil: f64, rng: &mut Generator) -> PlateMil {
+        if let View::Around(id) = self.view {
+            let distance = radius_mil * rng.random_range(0.0_f64..1.0).sqrt();
+            return (scene.plate.position(id).vector() + direction(rng) * distance).into();
+        }
+        let reach = radius_mil / self.conditions.similarity.scale_mil_per_px;
+        let seen = SensorPx::new(
+            rng.random_range(-reach..scene.width_px as f64 + reach),
+            rng.random_range(-reach..scene.height_px as f64 + reach),
+        );
+        scene.mapping.to_plate(seen)
+    }
+
+    fn suits(&self, scene: &Scene) -> bool {
+        let lit = || fully_lit(scene).count();
+        match &self.view {
+            View::Whole { lit_marks } => limb_share(scene) == 1.0 && lit_marks.contains(&lit()),
+            View::Partial {
+                limb_share: wanted,
+                lit_marks,
+            } => wanted.contains(&limb_share(scene)) && lit_marks.contains(&lit()),
+            View::Around(id) => {
+                limb_share(scene) == 1.0
+                    && ENOUGH_MARKS.contains(&lit())
+                    && fully_lit(scene).any(|mark| mark.id == *id)
+            }
+            View::Absent => true,
+        }
+    }
+}
+
+/// The marks that show and of which the Sun lights all four tips and what blurs into them, wholly on the sensor.
+pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
+    /// Light that blur brings from beyond a tip: twice the blur of a sharp picture, 12 mil.
+    const BLUR_MIL: f64 = 12.0;
+    let half_mil = scene.plate.cross.arm_length_mil / 2.0;
+    let tips = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
+    scene.truth().marks.into_iter().filter(move |mark| {
+        let on_sensor = |(x, y)| {
+            let reach = half_mil + BLUR_MIL;
+            let tip = PlateMil::new(mark.plate.x + x * reach, mark.plate.y + y * reach);
+            on_sensor(scene, scene.mapping.to_sensor(tip))
+        };
+        let shows = scene.mark_contrast > 0.0;
+        shows && mark.depth_mil >= half_mil + BLUR_MIL && tips.into_iter().all(on_sensor)
+    })
+}
+
+/// The part of the limb that lies on the sensor, 0 to 1; 0 without a Sun.
+pub fn limb_share(scene: &Scene) -> f64 {
+    const POINTS: u32 = 720;
+    let Some(sun) = &scene.sun else { return 0.0 };
+    let seen = (0..POINTS).filter(|k| {
+        let angle = f64::from(*k) / f64::from(POINTS) * TAU;
+        let edge = sun.centre.vector() + unit(angle) * sun.radius_mil;
+        on_sensor(scene, scene.mapping.to_sensor(edge.into()))
+    });
+    seen.count() as f64 / f64::from(POINTS)
+}
+
+fn on_sensor(scene: &Scene, at: SensorPx) -> bool {
+    let within = |v: f64, pixels: usize| (-0.5..pixels as f64 - 0.5).contains(&v);
+    within(at.x, scene.width_px) && within(at.y, scene.height_px)
+}
+
+fn unit(angle: f64) -> Vector2<f64> {
+    Vector2::new(angle.cos(), angle.sin())
+}
+
+fn direction(rng: &mut Generator) -> Vector2<f64> {
+    unit(rng.random_range(0.0..TAU))
+}
+
+/// A spot of up to 1 % of the disc's area.
+fn sunspot(radius_mil: f64, rng: &mut Generator) -> Sunspot {
+    let distance = radius_mil * rng.random_range(0.0_f64..0.7).sqrt();
+    Sunspot {
+        offset_mil: direction(rng) * distance,
+        radius_mil: radius_mil * rng.random_range(0.01..0.1),
+        contrast: rng.random_range(0.2..0.6),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+
+    fn demo() -> Instrument {
+        builtin("demo").unwrap()
+    }
+
+    #[test]
+    fn half_of_the_limb_of_a_sun_on_the_edge_is_on_the_sensor() {
+        let mut scene = Recipe::standard(&demo()).scene(&demo(), 1).unwrap();
+        assert_eq!(limb_share(&scene), 1.0);
+        let edge = scene.mapping.to_plate(SensorPx::new(-0.5, 400.0));
+        scene.sun.as_mut().unwrap().centre = edge;
+        assert!((limb_share(&scene) - 0.5).abs() < 0.003);
+    }
+
+    #[test]
+    fn a_view_holds_what_it_says() {
+        let view = View::Partial {
+            limb_share: 0.15..0.4,
+            lit_marks: FEW_MARKS,
+        };
+        let recipe = Recipe {
+            view,
+            ..Recipe::standard(&demo())
+        };
+        for seed in 0..20 {
+            let scene = recipe.scene(&demo(), seed).unwrap();
+            assert!((0.15..0.4).contains(&limb_share(&scene)));
+            assert!(fully_lit(&scene).count() < 3);
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! What came of the program: its parts, what is not met, the figures.
+
+use super::figures::{self, Sweeps};
+use super::marks::{BiasMap, MarkSummary};
+use super::mixed::MixedSummary;
+use super::outcome::Summary;
+use super::trial::Outcome;
+use super::{MARKS, MARKS_ROW, MIXED, Row, Size};
+use crate::report::plot::PlotError;
+
+/// What came of a row.
+#[derive(Debug, Clone)]
+pub struct RowReport {
+    pub row: Row,
+    pub outcomes: Vec<Outcome>,
+    pub summary: Summary,
+    /// Why the row's demands are not met.
+    pub unmet: Vec<String>,
+}
+
+/// What came of the marks.
+#[derive(Debug, Clone)]
+pub struct MarksReport {
+    pub summary: Option<MarkSummary>,
+    pub bias: BiasMap,
+    pub unmet: Vec<String>,
+}
+
+/// What came of the mixed run.
+#[derive(Debug, Clone)]
+pub struct MixedReport {
+    pub summary: MixedSummary,
+    pub unmet: Option<String>,
+}
+
+/// What came of it all.
+#[derive(Debug, Clone)]
+pub struct Report {
+    pub size: Size,
+    pub rows: Vec<RowReport>,
+    pub marks: Option<MarksReport>,
+    pub mixed: Option<MixedReport>,
+    /// What the figures need beyond the rows.
+    pub sweeps: Option<Sweeps>,
+}
+
+impl Report {
+    /// Everything that is demanded and not met: where, and why.
+    pub fn unmet(&self) -> Vec<(&'static str, &str)> {
+        let rows = self.rows.iter().map(|r| (r.row.name, &r.unmet));
+        let rows = rows.flat_map(|(name, unmet)| unmet.iter().map(move |u| (name, u.as_str())));
+        let marks = self.marks.iter().flat_map(|m| &m.unmet);
+        let mixed = self.mixed.iter().filter_map(|m| m.unmet.as_deref());
+        rows.chain(marks.map(|u| (MARKS, u.as_str())))
+            .chain(mixed.map(|u| (MIXED, u)))
+            .collect()
+    }
+
+    /// Every figure that can be drawn of what was measured: file name and SVG.
+    pub fn figures(&self) -> Result<Vec<(&'static str, String)>, PlotError> {
+        let mut figures = Vec::new();
+        if let Some(sweeps) = &self.sweeps {
+            figures.push(("error-noise.svg", figures::noise_figure(sweeps)?));
+            figures.push(("error-limb.svg", figures::limb_figure(sweeps)?));
+        }
+        for report in self.rows.iter().filter(|r| r.row.name == MARKS_ROW) {
+            let svg = figures::histogram(&report.outcomes, report.row.title)?;
+            figures.push(("error-histogram.svg", svg));
+        }
+        if let Some(marks) = &self.marks {
+            figures.push(("mark-bias.svg", figures::bias_figure(&marks.bias)?));
+        }
+        Ok(figures)
+    }
+}

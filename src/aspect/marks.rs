@@ -1,0 +1,192 @@
+//! The steps of the pipeline from the marks on the flattened disc to their mapping.
+
+use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
+use super::{Mark, Stage, Stopped};
+use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner, Sight};
+use crate::frame::Levels;
+use crate::geometry::{Ellipse, Mapping};
+use crate::limb::Limb;
+use crate::registration::{self, Outline, Pair, Registration};
+use crate::units::{Measured, Rejected, SensorPx};
+use nalgebra::Matrix2;
+
+/// Relative error of a scale taken from the disc's radius: haze and saturation move the threshold by up to a pixel,
+/// a tilted camera makes the scale differ between axes.
+const DISC_SCALE_SIGMA: f64 = 0.007;
+/// A limb so many times softer than the instrument's blur is hazy or smeared.
+const SOFT: f64 = 1.3;
+/// 1 sigma of a mark whose pixels do not agree with a cross.
+const UNREFINED_SIGMA_PX: f64 = 0.2;
+/// What such a mark counts for when two blurs are compared.
+const UNREFINED_CHI2: f64 = 10.0;
+/// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
+/// which haze may widen the disc. In simulated frames all are found from 0.5 on.
+const SURE_DEPTH: f64 = 0.75;
+/// Largest residual of the marks about their mapping.
+const MAX_RESIDUAL_PX: f64 = 0.6;
+
+/// What is known about the marks before their pixels are looked at.
+pub(super) struct MarkSight<'a> {
+    pub(super) levels: &'a Levels,
+    pub(super) limb: &'a Limb,
+    pub(super) mapping: &'a Mapping,
+}
+
+impl Work<'_> {
+    /// Scale at the disc, from its radius.
+    fn disc_scale(&self, disc: &Ellipse) -> f64 {
+        self.radius_mil.value / disc.mean_radius()
+    }
+
+    pub(super) fn detect(&self, levels: &Levels, limb: &Limb) -> Detections {
+        let disc = limb.outline.ellipse;
+        let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
+        let shape = CrossShape::new(&plate.cross, self.disc_scale(&disc), optics.blur_px.value);
+        let margin = 2.0 * shape.half_length_px;
+        match FlatDisc::new(self.frame, disc, levels, margin) {
+            Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
+            None => Detections::default(),
+        }
+    }
+
+    /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
+    /// sigma that gives it little weight.
+    ///
+    /// A limb softer than the instrument's blur may come of haze, which softens the marks too, or of the Sun's motion,
+    /// which does not: the marks' own pixels decide.
+    pub(super) fn refine(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Mark> {
+        let stated_px = self.instrument.optics.blur_px.value;
+        let (sharp, sharp_chi2) = self.refine_at(stated_px, sight, marks);
+        let limb_px = sight.limb.lens_blur_px();
+        if limb_px < SOFT * stated_px {
+            return sharp;
+        }
+        let (soft, soft_chi2) = self.refine_at(limb_px, sight, marks);
+        if soft_chi2 < sharp_chi2 { soft } else { sharp }
+    }
+
+    /// Marks refined at a lens's blur, and what they leave unexplained on average.
+    fn refine_at(&self, blur_px: f64, sight: &MarkSight<'_>, marks: &[Mark]) -> (Vec<Mark>, f64) {
+        let limb = sight.limb;
+        let scale = self.disc_scale(&limb.outline.ellipse);
+        let plate = &self.instrument.plate;
+        let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let mut chi2 = 0.0;
+        let mut refined = |mark: &Mark| {
+            let jacobian = sight.mapping.sensor_jacobian(plate.position(mark.id));
+            let light = |x, y| limb.light_dn(x, y);
+            let found = refiner.refine(self.frame, sight.levels, light, &jacobian, mark.at);
+            let Some(found) = found else {
+                chi2 += UNREFINED_CHI2;
+                return Mark {
+                    covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
+                    ..*mark
+                };
+            };
+            chi2 += found.reduced_chi2;
+            Mark {
+                at: found.place.position,
+                covariance_px2: found.place.covariance,
+                ..*mark
+            }
+        };
+        (marks.iter().map(&mut refined).collect(), chi2)
+    }
+
+    pub(super) fn identify(
+        &self,
+        detections: &Detections,
+        limb: &Limb,
+    ) -> Result<Vec<Mark>, Stopped> {
+        let mounting = &self.instrument.mounting;
+        let radius = self.radius_mil.value;
+        let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
+        let sight = Sight {
+            outline: limb.outline.ellipse,
+            radius_mil: Measured::new(radius, radius * relative),
+            quarter_rotation_deg: detections.quarter_rotation_deg,
+            handedness: mounting.handedness,
+            plate_centre: mounting.plate_centre_px,
+            sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
+            sure_margin_px: self.shape.half_length_px + 4.0,
+            sensor_px: [self.frame.width() as f64, self.frame.height() as f64],
+        };
+        let settings = &self.settings.fiducial;
+        let found = &detections.marks;
+        let identification = fiducial::identify(found, &sight, &self.instrument.plate, settings)
+            .map_err(at(Stage::Identification))?;
+        let named = identification.ids.into_iter().map(|(n, id)| Mark {
+            id,
+            at: found[n].at,
+            covariance_px2: Matrix2::identity() * found[n].sigma_px.powi(2),
+            lighting: found[n].lighting,
+        });
+        Ok(named.collect())
+    }
+
+    /// The mapping from the fully lit marks, and the disc on the plate where its limb is given.
+    pub(super) fn register(
+        &self,
+        marks: &[Mark],
+        limb: Option<&Limb>,
+    ) -> Result<Registration, Stopped> {
+        let pairs: Vec<Pair> = marks
+            .iter()
+            .filter(|mark| mark.lighting == Lighting::Full)
+            .map(|mark| Pair {
+                seen: mark.at,
+                printed: self.instrument.plate.position(mark.id),
+                covariance_px2: mark.covariance_px2,
+            })
+            .collect();
+        let reject = |reason, measured, limit| {
+            at(Stage::Registration)(Rejected {
+                reason,
+                measured,
+                limit,
+            })
+        };
+        let least = self.settings.fiducial.min_marks;
+        if pairs.len() < least {
+            let reason = "too few fully lit marks have an id";
+            return Err(reject(reason, pairs.len() as f64, least as f64));
+        }
+        let points: Vec<(SensorPx, f64)> = limb
+            .iter()
+            .flat_map(|limb| limb.points.iter().map(|point| (point.at, point.sigma_px)))
+            .collect();
+        let outline = limb.map(|limb| Outline {
+            centre: limb.outline.ellipse.centre.into(),
+            points: &points,
+            radius_mil: self.loose_radius_mil(),
+        });
+        let registration = registration::register(
+            &pairs,
+            outline.as_ref(),
+            self.instrument.mounting.handedness,
+            self.instrument.camera.distortion,
+            &self.settings.registration,
+        )
+        .ok_or_else(|| {
+            reject(
+                "the marks determine no mapping",
+                pairs.len() as f64,
+                least as f64,
+            )
+        })?;
+        if registration.residual_px > MAX_RESIDUAL_PX {
+            let reason = "the marks do not fit a mapping";
+            return Err(reject(reason, registration.residual_px, MAX_RESIDUAL_PX));
+        }
+        Ok(registration)
+    }
+
+    /// The disc's radius on the plate, so loosely that a whole limb decides it and a short one leans on it.
+    fn loose_radius_mil(&self) -> Measured {
+        let definition = LIMB_DEFINITION_SIGMA_PX * self.instrument.mounting.scale_mil_per_px.value;
+        Measured::new(
+            self.radius_mil.value,
+            self.radius_mil.sigma.hypot(definition),
+        )
+    }
+}
