@@ -14,6 +14,9 @@ at which the telescope points. One straight matrix leaves out what bends within 
 keystone of 3 deg the limb stands 0.1 px from where it says, and 1 deg from the boresight the disc is longer by 0.0003 of
 its radius, 0.03 px, than the matrix has it. `CRDERi` is the random error of the centre; the clocking turns the picture
 about it, by `CSYERi` at the limb. The observer's place is that of mid-exposure.
+
+In sunpy, `sunpy.map.Map(file)` is all it takes. To turn north up it wants other than whole-number pixels:
+`sunpy.map.Map(m.data.astype(float), m.meta).rotate()`.
 ";
 
 const TABLES: &str = "
