@@ -832,7 +832,7 @@ mod bad_files {
     fn table_start(bytes: &[u8]) -> usize {
         let mut cards = (2880..bytes.len()).step_by(80);
         let end = cards.find(|at| bytes[*at..].starts_with(b"END     "));
-        end.unwrap().next_multiple_of(2880)
+        (end.unwrap() + 80).next_multiple_of(2880)
     }
 
     /// The file without its sums, so that changed data reach the decoder.
