@@ -52,6 +52,8 @@ impl Look {
             quarter_rotation_deg: (self.rotation_deg() + self.rotation_error_deg).rem_euclid(90.0),
             handedness: self.mapping.handedness(),
             plate_centre: self.plate_centre,
+            // The lists' cameras were all moved.
+            plate_centre_sigma_px: 100.0,
             sure_depth_px: 0.75 * self.half_mark_px() + 1.0,
             sure_margin_px: self.half_mark_px() + 4.0,
             sensor_px: self.sensor_px,

@@ -10,9 +10,9 @@ use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::Matrix2;
 
-/// Relative error of a scale taken from the disc's radius: haze and saturation move the threshold by up to a pixel,
-/// a tilted camera makes the scale differ between axes.
-const DISC_SCALE_SIGMA: f64 = 0.007;
+/// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
+/// may differ by half a pixel.
+const DISC_SCALE_SIGMA: f64 = 0.006;
 /// A limb so many times softer than the instrument's blur is hazy or smeared.
 const SOFT: f64 = 1.3;
 /// 1 sigma of a mark whose pixels do not agree with a cross.
@@ -107,6 +107,7 @@ impl Work<'_> {
             quarter_rotation_deg: detections.quarter_rotation_deg,
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
+            plate_centre_sigma_px: mounting.plate_centre_sigma_px,
             sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
             sure_margin_px: self.shape.half_length_px + 4.0,
             sensor_px: [self.frame.width() as f64, self.frame.height() as f64],

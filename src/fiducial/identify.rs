@@ -7,7 +7,9 @@
 //! ([`reading`](super::reading)).
 //!
 //! A pair, an L or a 2 x 2 block alone reads consistently at any quarter turn, a row at any place along the other
-//! axis. So a reading must beat all that contradict it, and chance, decisively; else all are refused.
+//! axis. Where the marks leave it open, where the plate's centre comes to lie may decide: a row at the pattern's edge, at
+//! another quarter turn, is off by 22 px, which tells where the instrument states its centre to 5 px. A reading
+//! must beat all that contradict it, and chance, decisively; else all are refused.
 
 use super::reading::{Reading, Turned};
 use super::{Detection, Lighting, Settings};
@@ -27,8 +29,9 @@ pub struct Sight {
     /// ([`Ellipse::to_disc`]).
     pub quarter_rotation_deg: f64,
     pub handedness: Handedness,
-    /// Where the instrument says the plate's centre is seen.
+    /// Where the instrument says the plate's centre is seen, and 1 sigma of that per axis.
     pub plate_centre: SensorPx,
+    pub plate_centre_sigma_px: f64,
     /// Depth inside the limb from which a mark must have been found, px.
     pub sure_depth_px: f64,
     /// Distance from the sensor's edge from which a mark must have been found, px.
@@ -57,6 +60,17 @@ impl Sight {
         let margin = self.sure_margin_px;
         let inside = |v: f64, size: f64| v > margin && v < size - 1.0 - margin;
         inside(at.x, self.sensor_px[0]) && inside(at.y, self.sensor_px[1])
+    }
+
+    /// Logarithm of the odds of the place where a reading puts the plate's centre against the stated place: normally
+    /// distributed about it, but for the cameras that were moved, whose plate may be anywhere within the largest shift.
+    fn centre_odds(&self, reading: &Reading, settings: &Settings) -> f64 {
+        let shift_px = reading.plate_centre.distance(self.plate_centre);
+        let variance = self.plate_centre_sigma_px.powi(2) + reading.centre_sigma_px.powi(2);
+        let narrower = settings.max_centre_shift_px.powi(2) / (2.0 * variance);
+        let density =
+            |fall: f64| MOVED_SHARE + (1.0 - MOVED_SHARE) * narrower.max(1.0) * (-fall).exp();
+        (density(shift_px.powi(2) / (2.0 * variance)) / density(0.0)).ln()
     }
 
     /// How far beyond the largest shift a reading puts the plate's centre, px, in parts of what the marks on the disc
@@ -88,6 +102,8 @@ const SOUND_ODDS_AMONG_FALSE: f64 = 11.0;
 /// Readings are held against one another up to this much beyond the largest shift of the plate's centre: were the true
 /// one left out, a wrong one would stand unrivalled.
 const RIVALS_BEYOND: f64 = 2.0;
+/// Share of the cameras that were moved since their mounting was stated.
+const MOVED_SHARE: f64 = 0.01;
 /// What rotation and scale leave open of a place before any mark is read, in parts of its distance.
 const GUESS_ERROR: f64 = 0.03;
 /// What 3 deg of keystone moves a place at a distance, over the distance squared, 1/px.
@@ -133,6 +149,9 @@ fn decide(
             limit,
         })
     };
+    for reading in &mut readings {
+        reading.score += sight.centre_odds(reading, settings);
+    }
     readings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let least = settings.min_marks as f64;
     let Some(best) = readings.first() else {
