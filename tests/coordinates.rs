@@ -7,9 +7,9 @@ use solaspect::fits::{Compression, Header, Value, read_keywords};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::pointing::{HelioprojectiveArcsec, offset, offset_of};
+use solaspect::pointing::{HelioprojectiveArcsec, Target, offset, offset_of};
 use solaspect::simulate::{Scene, Sun, Sunspot, keystoned};
-use solaspect::sky::{self, SunPosition};
+use solaspect::sky::{Ephemeris, SunPosition};
 use solaspect::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil, SensorPx};
 use std::io::Write;
 use std::path::Path;
@@ -159,7 +159,10 @@ impl Case {
 
     fn sun(&self) -> SunPosition {
         let info = self.info();
-        sky::sun(info.mid_exposure.unwrap(), info.place.unwrap()).unwrap()
+        let mut ephemeris = Ephemeris::default();
+        ephemeris
+            .sun(info.mid_exposure.unwrap(), info.place.unwrap())
+            .unwrap()
     }
 
     /// The Sun with its spot on the marks.
@@ -196,14 +199,27 @@ impl Case {
     fn archived(&self, root: &Path) -> Header {
         let instrument = self.instrument();
         let frame = self.scene().frame().unwrap();
-        let solution = solve(&frame, &instrument);
+        let mut solution = solve(&frame, &instrument);
         assert_eq!(solution.quality, Quality::Fine, "{}", self.name);
-        let target = HelioprojectiveArcsec::default();
+        let (target, mut ephemeris) = (Target::default(), Ephemeris::default());
         let (utc, place) = (frame.info.mid_exposure, frame.info.place);
-        let offset = offset_of(&solution, utc, place, &instrument, target);
+        let offset = offset_of(
+            &mut solution,
+            utc,
+            place,
+            &target,
+            &instrument,
+            &mut ephemeris,
+        );
         let mut cards = Record::new("", utc, &solution, offset, None).cards();
-        cards.extend(instrument_cards(&instrument, target));
-        cards.extend(sky_cards(&frame.info, &solution, &instrument));
+        cards.extend(instrument_cards(&instrument));
+        cards.extend(sky_cards(
+            &frame.info,
+            &solution,
+            &instrument,
+            &target,
+            &mut ephemeris,
+        ));
         let store = Store::open(root, self.name, Compression::Rice).unwrap();
         let path = store.write(&frame, &cards, &tables(&solution)).unwrap();
         read_keywords(&path).unwrap()
@@ -345,7 +361,14 @@ fn a_frame_without_a_sun_a_time_or_a_place_has_no_world_coordinates() {
     let frame = case.scene().frame().unwrap();
     let solution = solve(&frame, &instrument);
     let names = |info: &FrameInfo, solution: &Solution| -> Vec<&str> {
-        let cards = sky_cards(info, solution, &instrument);
+        let target = Target::default();
+        let cards = sky_cards(
+            info,
+            solution,
+            &instrument,
+            &target,
+            &mut Ephemeris::default(),
+        );
         cards.iter().map(|card| card.keyword).collect()
     };
     let info = &frame.info;

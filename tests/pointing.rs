@@ -1,14 +1,19 @@
 //! The Sun on the plate tells where the telescope points, as the HEROES flight program said and as the sphere
 //! says.
 
+use jiff::Timestamp;
 use nalgebra::Matrix2;
 use proptest::prelude::*;
+use solaspect::aspect::{self, Expected, Quality};
+use solaspect::fits;
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::pointing::{
-    HelioprojectiveArcsec, PointingError, offset, pointing, sun_on_plate, sun_on_plate_for,
+    Feature, HelioprojectiveArcsec, PointingError, Target, offset, offset_of, pointing,
+    sun_on_plate, sun_on_plate_for,
 };
-use solaspect::sky::SunPosition;
+use solaspect::sky::{Ephemeris, SunPosition};
 use solaspect::units::{Estimate, PlateMil};
+use std::path::Path;
 
 const ARCSEC: f64 = 1.0 / 3600.0;
 const CENTRE: HelioprojectiveArcsec = HelioprojectiveArcsec { x: 0.0, y: 0.0 };
@@ -110,6 +115,56 @@ fn near_the_zenith_there_is_no_offset_but_a_reason() {
 }
 
 #[test]
+fn a_frame_without_an_offset_says_why_and_keeps_its_quality() {
+    let frame = Path::new("tests/data/frames/standard/frame_00000.fits");
+    let frame = fits::read_frame(frame).unwrap();
+    let instrument = builtin("demo").unwrap();
+    let expected = frame.info.mid_exposure.and_then(Expected::at);
+    let solved = aspect::solve(&frame, &instrument, expected, None);
+    assert_eq!(solved.quality, Quality::Fine);
+    let utc: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+    let mut ephemeris = Ephemeris::default();
+    let mut conclude = |utc, place: &str, target| {
+        let mut solution = solved.clone();
+        let place = place.parse().ok();
+        let offset = offset_of(
+            &mut solution,
+            utc,
+            place,
+            &target,
+            &instrument,
+            &mut ephemeris,
+        );
+        assert_eq!(solution.quality, Quality::Fine);
+        (offset.is_some(), solution.stopped.map(|s| s.to_string()))
+    };
+    let fixed = Target::default();
+    let fort_sumner = "34.49,-104.2218,38405";
+    assert_eq!(conclude(Some(utc), fort_sumner, fixed), (true, None));
+    assert_eq!(conclude(None, fort_sumner, fixed), (false, None));
+    assert_eq!(conclude(Some(utc), "nowhere", fixed), (false, None));
+    let reason = |text: &str| (false, Some(format!("pointing: {text}")));
+    // The Sun stands in the zenith of the equator at its noon.
+    assert_eq!(
+        conclude(Some(utc), "0.7,-91.7,0", fixed),
+        reason("too near the zenith for azimuths")
+    );
+    assert_eq!(
+        conclude("1971-01-01T00:00:00Z".parse().ok(), fort_sumner, fixed),
+        reason("date outside the table of Earth orientation")
+    );
+    let behind = Target::Feature(Feature {
+        latitude_deg: 0.0,
+        longitude_deg: 84.3 + 180.0,
+        epoch: utc,
+    });
+    assert_eq!(
+        conclude(Some(utc), fort_sumner, behind),
+        reason("target behind the limb")
+    );
+}
+
+#[test]
 fn the_sun_behind_the_lens_is_on_no_plate() {
     let instrument = builtin("demo").unwrap();
     let behind = pointing(PlateMil::new(0.0, 0.0), &instrument, &sun(0.0, 20.0, 0.0));
@@ -143,6 +198,65 @@ fn the_uncertainty_is_the_scatter_that_the_sphere_shows() {
     let found = offset(estimate, &instrument, &sun, CENTRE).unwrap();
     let ratio = found.sigma_deg / variance.sqrt();
     assert!((ratio - 1.0).abs() < 1e-3, "ratio {ratio}");
+    let trace = found.covariance_deg2.trace() / 2.0;
+    assert!((trace.sqrt() / found.sigma_deg - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn the_calibrations_share_is_the_scatter_of_its_values_and_stands_apart() {
+    // Move each calibrated value by its sigma and measure on the sky.
+    let mut known = instrument(-32.425, PlateMil::new(124.68, -74.64));
+    known.mounting.boresight_sigma_mil = 2.0;
+    known.mounting.clocking_deg.sigma = 0.1;
+    known.optics.plate_distance_mm.sigma = 3.0;
+    let sun = sun(158.5, 54.0, -41.0);
+    let centre = on_plate(2500.0, -1800.0);
+    let start = pointing(centre.position, &known, &sun);
+    let mut expected = Matrix2::zeros();
+    let step = 1e-3;
+    for value in 0..4 {
+        let mut moved = known.clone();
+        match value {
+            0 => moved.mounting.boresight_mil.x += 2.0 * step,
+            1 => moved.mounting.boresight_mil.y += 2.0 * step,
+            2 => moved.mounting.clocking_deg.value += 0.1 * step,
+            _ => moved.optics.plate_distance_mm.value += 3.0 * step,
+        }
+        let end = pointing(centre.position, &moved, &sun);
+        let cos = start.elevation_deg.to_radians().cos();
+        let across = (end.azimuth_deg - start.azimuth_deg) * cos / step;
+        let up = (end.elevation_deg - start.elevation_deg) / step;
+        let moved = nalgebra::Vector2::new(across, up);
+        expected += moved * moved.transpose();
+    }
+    let found = offset(centre, &known, &sun, CENTRE).unwrap();
+    let off = (found.calibration_deg2 - expected).norm() / expected.norm();
+    assert!(off < 1e-3, "{} for {expected}", found.calibration_deg2);
+    // A perfect calibration changes nothing of what the frame says of itself.
+    known.mounting.boresight_sigma_mil = 0.0;
+    known.mounting.clocking_deg.sigma = 0.0;
+    known.optics.plate_distance_mm.sigma = 0.0;
+    let perfect = offset(centre, &known, &sun, CENTRE).unwrap();
+    assert_eq!(perfect.calibration_sigma_deg(), 0.0);
+    assert_eq!(perfect.covariance_deg2, found.covariance_deg2);
+}
+
+#[test]
+fn cross_elevation_is_a_true_angle() {
+    let instrument = instrument(0.0, PlateMil::new(0.0, 0.0));
+    let found = offset(
+        on_plate(300.0, 0.0),
+        &instrument,
+        &sun(158.5, 80.0, 0.0),
+        CENTRE,
+    )
+    .unwrap();
+    let shift_deg = (300.0 * 0.0254_f64).atan2(3000.0).to_degrees();
+    assert!(
+        (found.cross_elevation_deg + shift_deg).abs() < 1e-9,
+        "{found:?}"
+    );
+    assert!(found.azimuth_deg.abs() > 5.0 * shift_deg);
 }
 
 proptest! {

@@ -62,7 +62,9 @@ pub fn cut(
     displaced(recipe, instrument, rng);
 }
 
-/// Everything at once, each more or less; every fourth frame without a usable Sun.
+/// Everything at once, each more or less; every fourth frame without a usable Sun. The plate is as the instrument states
+/// it: three misprinted marks that happen to agree leave no trace of their error, which is a property of the plate and not
+/// of the frame. The row about misprinted marks tells how often.
 pub fn mixed(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
     tilted(recipe, rng);
     let stretch = rng.random_range(0.9..1.1);
@@ -74,9 +76,6 @@ pub fn mixed(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
     conditions.smear_px = rng.random_range(0.0..1.5);
     if rng.random_bool(0.5) {
         conditions.depth = Depth::Twelve;
-    }
-    if rng.random_bool(0.3) {
-        conditions.mark_scatter_mil = 1.0;
     }
     if rng.random_bool(0.3) {
         conditions.blur_px = rng.random_range(0.9..2.5);

@@ -11,14 +11,12 @@ use crate::fits::Card;
 use crate::frame::FrameInfo;
 use crate::geometry::Mapping;
 use crate::instrument::Instrument;
-use crate::pointing::{self, HelioprojectiveArcsec, Offset, PointingError};
-use crate::sky::{self, SunPosition};
+use crate::pointing::{self, HelioprojectiveArcsec, Offset, PointingError, Target};
+use crate::sky::{AU_KM, Ephemeris, SUN_RADIUS_KM, SunPosition};
 use crate::units::{ARCSEC_PER_RAD, Place, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-const AU_M: f64 = 149_597_870_700.0;
-/// IAU 2015, resolution B3.
-const SUN_RADIUS_M: f64 = 695_700_000.0;
+const AU_M: f64 = AU_KM * 1e3;
 /// Mean radius; the Earth's flattening moves the observer by a ten-millionth of the way to the Sun.
 const EARTH_RADIUS_M: f64 = 6_371_000.0;
 
@@ -104,12 +102,15 @@ fn seen(
     instrument: &Instrument,
     sun: &SunPosition,
 ) -> Result<Vector2<f64>, PointingError> {
-    const ON_TARGET: Offset = Offset {
+    let on_target = Offset {
         azimuth_deg: 0.0,
         elevation_deg: 0.0,
+        cross_elevation_deg: 0.0,
         sigma_deg: 0.0,
+        covariance_deg2: Matrix2::zeros(),
+        calibration_deg2: Matrix2::zeros(),
     };
-    let sun_then = pointing::sun_on_plate_for(&ON_TARGET, instrument, sun, place)?;
+    let sun_then = pointing::sun_on_plate_for(&on_target, instrument, sun, place)?;
     let from_sun = instrument.mounting.boresight_mil.vector() - sun_then.vector();
     let on_plate = aspect.sun_plate.position.vector() + from_sun;
     Ok(mapping.to_sensor(on_plate.into()).vector())
@@ -117,11 +118,17 @@ fn seen(
 
 /// The keywords of the sky behind a frame: the observer and the Sun, where time and place are known, and the pixels'
 /// coordinates, where there is a Sun too.
-pub fn sky_cards(info: &FrameInfo, solution: &Solution, instrument: &Instrument) -> Vec<Card> {
+pub fn sky_cards(
+    info: &FrameInfo,
+    solution: &Solution,
+    instrument: &Instrument,
+    target: &Target,
+    ephemeris: &mut Ephemeris,
+) -> Vec<Card> {
     let (Some(utc), Some(place)) = (info.mid_exposure, info.place) else {
         return Vec::new();
     };
-    let sun = match sky::sun(utc, place) {
+    let sun = match ephemeris.sun(utc, place) {
         Ok(sun) => sun,
         Err(error) => {
             tracing::warn!(%error, "no coordinates: the Sun's position is not known");
@@ -129,6 +136,11 @@ pub fn sky_cards(info: &FrameInfo, solution: &Solution, instrument: &Instrument)
         }
     };
     let mut cards = observer_cards(&sun, place);
+    // A target behind the limb has no place there; the frame's reason says so.
+    if let Ok(target) = target.at(utc, &sun) {
+        cards.push(Card::new("TARGETX", target.x));
+        cards.push(Card::new("TARGETY", target.y));
+    }
     if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
         match Helioprojection::new(aspect, &adopted.mapping, instrument, &sun) {
             Ok(Some(helioprojection)) => {
@@ -171,7 +183,7 @@ fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
         Card::new("HGLT_OBS", latitude_deg),
         Card::new("CRLN_OBS", carrington_deg),
         Card::new("CRLT_OBS", latitude_deg),
-        Card::new("RSUN_REF", SUN_RADIUS_M),
+        Card::new("RSUN_REF", SUN_RADIUS_KM * 1e3),
         Card::new("RSUN_OBS", solar_radius_arcsec(sun)),
         Card::new("SOLAR_P0", sun.p_deg),
         Card::new("NORTHANG", sun.zenith_to_north_deg),
@@ -194,5 +206,5 @@ fn stonyhurst_deg(sun: &SunPosition, place: Place) -> (f64, f64) {
 
 /// The Sun's radius as this observer sees it.
 fn solar_radius_arcsec(sun: &SunPosition) -> f64 {
-    (SUN_RADIUS_M / (sun.distance_au * AU_M)).asin() * ARCSEC_PER_RAD
+    (SUN_RADIUS_KM / (sun.distance_au * AU_KM)).asin() * ARCSEC_PER_RAD
 }

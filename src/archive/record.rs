@@ -4,7 +4,7 @@ use crate::aspect::{AdoptedMapping, Aspect, Solution};
 use crate::fits::{Card, Column, Table, Values};
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
-use crate::pointing::{HelioprojectiveArcsec, Offset};
+use crate::pointing::Offset;
 use crate::units::SensorPx;
 use jiff::Timestamp;
 use serde::Serialize;
@@ -62,7 +62,12 @@ pub struct MappingRecord {
 pub struct OffsetRecord {
     pub azimuth: f64,
     pub elevation: f64,
+    /// True angle.
+    pub cross_elevation: f64,
+    /// Per axis of true angle, of this frame and of the mapping that it borrowed, if it did.
     pub sigma: f64,
+    /// The same of the calibration: boresight, clocking, plate distance; not part of `sigma`.
+    pub calibration_sigma: f64,
 }
 
 fn milliseconds<S: serde::Serializer>(
@@ -107,6 +112,8 @@ impl Record {
             offset_deg: offset.map(|offset| OffsetRecord {
                 azimuth: offset.azimuth_deg,
                 elevation: offset.elevation_deg,
+                cross_elevation: offset.cross_elevation_deg,
+                calibration_sigma: offset.calibration_sigma_deg(),
                 sigma: offset.sigma_deg,
             }),
             solve_us: solve_time.map(|time| time.as_micros() as u64),
@@ -211,7 +218,9 @@ impl Record {
         let offset = self.offset_deg.as_ref();
         number("OFFSETAZ", offset.map(|o| o.azimuth));
         number("OFFSETEL", offset.map(|o| o.elevation));
+        number("OFFSETXE", offset.map(|o| o.cross_elevation));
         number("OFFSETSG", offset.map(|o| o.sigma));
+        number("OFFSETCS", offset.map(|o| o.calibration_sigma));
         number("SOLVETIM", self.solve_us.map(|us| us as f64 * 1e-6));
         if let Some(mapping) = mapping {
             cards.push(Card::new("MAPKIND", mapping.kind));
@@ -223,8 +232,8 @@ impl Record {
     }
 }
 
-/// The keywords of what a frame was taken with, and of the target that its offset is counted from.
-pub fn instrument_cards(instrument: &Instrument, target: HelioprojectiveArcsec) -> Vec<Card> {
+/// The keywords of what a frame was taken with.
+pub fn instrument_cards(instrument: &Instrument) -> Vec<Card> {
     let mounting = &instrument.mounting;
     vec![
         Card::new("OBSRVTRY", instrument.name.as_str()),
@@ -236,8 +245,6 @@ pub fn instrument_cards(instrument: &Instrument, target: HelioprojectiveArcsec) 
         Card::new("BORE-X", mounting.boresight_mil.x),
         Card::new("BORE-Y", mounting.boresight_mil.y),
         Card::new("PLATEDST", instrument.optics.plate_distance_mm.value),
-        Card::new("TARGETX", target.x),
-        Card::new("TARGETY", target.y),
     ]
 }
 

@@ -133,7 +133,7 @@ impl Work<'_> {
     ) -> Result<Registration, Stopped> {
         let pairs: Vec<Pair> = marks
             .iter()
-            .filter(|mark| mark.lighting == Lighting::Full)
+            .filter(|mark| limb.is_some() || mark.lighting == Lighting::Full)
             .map(|mark| Pair {
                 seen: mark.at,
                 printed: self.instrument.plate.position(mark.id),

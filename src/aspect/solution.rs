@@ -31,7 +31,7 @@ impl Quality {
     }
 }
 
-/// The stages of the pipeline, in order.
+/// The stages of the pipeline, in order, and what follows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Stage {
     Levels,
@@ -40,6 +40,8 @@ pub enum Stage {
     Identification,
     Registration,
     Aspect,
+    /// From the plate to the sky.
+    Pointing,
 }
 
 impl Stage {
@@ -51,6 +53,7 @@ impl Stage {
             Self::Identification => "identification",
             Self::Registration => "registration",
             Self::Aspect => "aspect",
+            Self::Pointing => "pointing",
         }
     }
 }

@@ -70,7 +70,13 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     }
     config.link.port = args.serial.or(config.link.port);
     let instrument = options::instrument(args.instrument.as_deref())?;
+    let mut ephemeris = options::ephemeris(&config)?;
+    if let Err(error) = ephemeris.disc(Timestamp::now()) {
+        tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
+    }
     let flight = Flight {
+        target: options::target(&config, &mut ephemeris)?,
+        ephemeris,
         camera: camera(&args.camera, &instrument, &config, args.duration)?,
         port: port(&config)?,
         stores: stores(&config, &instrument)?,

@@ -1,23 +1,53 @@
 //! `solaspect sky`: where the Sun and the Moon stand.
 
-use crate::sky::{MoonPosition, SunPosition, moon, sun};
+mod report;
+
+use super::options;
+use crate::sky::Air;
 use crate::units::Place;
 use anyhow::Context;
 use clap::Args;
 use jiff::{Timestamp, civil::DateTime, tz::Offset};
+use report::{View, card, table};
 use serde::Serialize;
 use std::io::Write;
+use std::path::PathBuf;
+use std::time::Duration;
 
-/// Where the Sun and the Moon stand for an observer, without refraction.
+/// Where the Sun and the Moon stand for an observer
+///
+/// Elevations are without refraction unless --refraction asks for it. The bright limb of the Moon and P are position angles
+/// from celestial north through east; angles from the zenith count clockwise as seen looking out. With --from and --to: a
+/// table for planning a flight, with rise (upper limb on the horizon of the place's height, 34 arcmin of refraction),
+/// transit and set.
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub struct SkyArgs {
     /// The instant, UTC, ISO 8601: 2013-09-21T18:00:00.25Z
-    #[arg(long, value_name = "UTC", value_parser = parse_utc, allow_hyphen_values = true)]
-    at: Timestamp,
-    /// Geodetic latitude and longitude (deg, east positive) and height (m).
+    #[arg(long, value_name = "UTC", value_parser = parse_utc, required_unless_present = "from", conflicts_with = "from")]
+    at: Option<Timestamp>,
+    /// Geodetic latitude and longitude (deg, east positive) and height (m)
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
     place: Place,
-    /// Print one JSON object.
+    /// Apparent elevations, lifted by the standard atmosphere of the height, or by this pressure (hPa) and temperature (deg C)
+    #[arg(long, value_name = "HPA,DEG_C", num_args = 0..=1)]
+    refraction: Option<Option<Air>>,
+    /// The beginning of a table
+    #[arg(long, value_name = "UTC", value_parser = parse_utc, requires = "to")]
+    from: Option<Timestamp>,
+    /// The end of a table
+    #[arg(long, value_name = "UTC", value_parser = parse_utc, requires = "from")]
+    to: Option<Timestamp>,
+    /// Time between the rows of a table, such as 10m or 1h
+    #[arg(long, value_name = "TIME", default_value = "30m", value_parser = options::duration, requires = "from")]
+    step: Duration,
+    /// Also list when the Sun stands between these elevations (deg)
+    #[arg(long, value_name = "LOW,HIGH", value_parser = parse_band, allow_hyphen_values = true, requires = "from")]
+    band: Option<[f64; 2]>,
+    /// The configuration's TOML file, for its table of Earth orientation
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
@@ -32,97 +62,50 @@ fn parse_utc(text: &str) -> Result<Timestamp, String> {
     Offset::UTC.to_timestamp(civil).map_err(expected)
 }
 
-#[derive(Serialize)]
-struct Report {
-    utc: String,
-    sun: SunReport,
-    moon: MoonReport,
-}
-
-#[derive(Serialize)]
-struct SunReport {
-    azimuth_deg: f64,
-    elevation_deg: f64,
-    radius_arcsec: f64,
-    p_deg: f64,
-    b0_deg: f64,
-    l0_deg: f64,
-    zenith_to_north_deg: f64,
-}
-
-#[derive(Serialize)]
-struct MoonReport {
-    azimuth_deg: f64,
-    elevation_deg: f64,
-    radius_arcsec: f64,
-    phase_angle_deg: f64,
-    bright_limb_deg: f64,
-}
-
-impl From<SunPosition> for SunReport {
-    fn from(sun: SunPosition) -> Self {
-        Self {
-            azimuth_deg: sun.azimuth_deg,
-            elevation_deg: sun.elevation_deg,
-            radius_arcsec: sun.radius_arcsec,
-            p_deg: sun.p_deg,
-            b0_deg: sun.b0_deg,
-            l0_deg: sun.l0_deg,
-            zenith_to_north_deg: sun.zenith_to_north_deg,
-        }
-    }
-}
-
-impl From<MoonPosition> for MoonReport {
-    fn from(moon: MoonPosition) -> Self {
-        Self {
-            azimuth_deg: moon.azimuth_deg,
-            elevation_deg: moon.elevation_deg,
-            radius_arcsec: moon.radius_arcsec,
-            phase_angle_deg: moon.phase_angle_deg,
-            bright_limb_deg: moon.bright_limb_deg,
-        }
+fn parse_band(text: &str) -> Result<[f64; 2], String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[low, high]) if -90.0 <= low && low < high && high <= 90.0 => Ok([low, high]),
+        _ => Err(format!(
+            "expected LOW,HIGH from -90 to 90 deg, found \"{text}\""
+        )),
     }
 }
 
 pub fn run(args: SkyArgs) -> anyhow::Result<()> {
-    let report = Report {
-        utc: format!("{:.3}", args.at),
-        sun: sun(args.at, args.place).context("--at")?.into(),
-        moon: moon(args.at, args.place).context("--at")?.into(),
+    let config = options::config(args.config.as_deref())?;
+    let mut sky = View {
+        ephemeris: options::ephemeris(&config)?,
+        place: args.place,
+        air: args
+            .refraction
+            .map(|air| air.unwrap_or_else(|| Air::standard(args.place.height_m))),
     };
-    let text = if args.json {
-        serde_json::to_string(&report)?
-    } else {
-        table(&report)
+    let text = match (args.at, args.from.zip(args.to)) {
+        (Some(utc), _) => {
+            let report = sky.report(utc).context("--at")?;
+            written(&report, args.json, card)?
+        }
+        (None, Some((from, to))) => {
+            let plan = sky.plan(from, to, args.step, args.band)?;
+            written(&plan, args.json, table)?
+        }
+        (None, None) => anyhow::bail!("expected --at, or --from and --to"),
     };
     writeln!(std::io::stdout(), "{text}")?;
     Ok(())
 }
 
-fn table(report: &Report) -> String {
-    let Report { utc, sun, moon } = report;
-    [
-        format!("{utc}              Sun         Moon"),
-        pair("azimuth", sun.azimuth_deg, moon.azimuth_deg, "deg"),
-        pair("elevation", sun.elevation_deg, moon.elevation_deg, "deg"),
-        pair("radius", sun.radius_arcsec, moon.radius_arcsec, "arcsec"),
-        one("zenith to solar north", sun.zenith_to_north_deg),
-        one("P", sun.p_deg),
-        one("B0", sun.b0_deg),
-        one("L0", sun.l0_deg),
-        format!("{:24} {:28.5} deg", "phase angle", moon.phase_angle_deg),
-        format!("{:24} {:28.5} deg", "bright limb", moon.bright_limb_deg),
-    ]
-    .join("\n")
-}
-
-fn pair(name: &str, sun: f64, moon: f64, unit: &str) -> String {
-    format!("{name:24} {sun:15.5} {moon:12.5} {unit}")
-}
-
-fn one(name: &str, sun: f64) -> String {
-    format!("{name:24} {sun:15.5} {:12} deg", "")
+fn written<T: Serialize>(
+    report: &T,
+    json: bool,
+    people: fn(&T) -> String,
+) -> serde_json::Result<String> {
+    if json {
+        serde_json::to_string(report)
+    } else {
+        Ok(people(report))
+    }
 }
 
 #[cfg(test)]
@@ -130,29 +113,51 @@ mod tests {
     use super::*;
     use clap::Parser;
 
-    #[derive(Parser)]
+    #[derive(Debug, Parser)]
     struct Cli {
         #[command(flatten)]
         sky: SkyArgs,
     }
 
-    #[test]
-    fn southern_places_and_times_without_a_zone_are_read() {
-        let line = [
-            "sky",
-            "--at",
-            "2016-01-19T02:00:00.5",
-            "--place",
-            "-77.85,166.67,36500",
-        ];
-        let args = Cli::try_parse_from(line).unwrap().sky;
-        assert_eq!(args.place.latitude_deg, -77.85);
-        assert_eq!(args.at, "2016-01-19T02:00:00.5Z".parse().unwrap());
+    fn parse(options: &str) -> Result<SkyArgs, clap::Error> {
+        let words = ["sky"].into_iter().chain(options.split_whitespace());
+        Cli::try_parse_from(words).map(|cli| cli.sky)
     }
 
     #[test]
-    fn a_time_that_is_none_is_wrong_usage() {
-        let line = ["sky", "--at", "yesterday", "--place", "0,0,0"];
-        assert!(Cli::try_parse_from(line).is_err());
+    fn southern_places_and_times_without_a_zone_are_read() {
+        let args = parse("--at 2016-01-19T02:00:00.5 --place -77.85,166.67,36500").unwrap();
+        assert_eq!(args.place.latitude_deg, -77.85);
+        assert_eq!(args.at, "2016-01-19T02:00:00.5Z".parse().ok());
+    }
+
+    #[test]
+    fn wrong_usage_is_refused() {
+        for options in [
+            "--at yesterday --place 0,0,0",
+            "--place 0,0,0",
+            "--from 2013-09-21T00:00:00Z --place 0,0,0",
+            "--at 2013-09-21T00:00:00Z --band 10,20 --place 0,0,0",
+            "--from 2013-09-21T00:00:00Z --to 2013-09-22T00:00:00Z --band 20,10 --place 0,0,0",
+            "--at 2013-09-21T00:00:00Z --place 0,0,0 --refraction 1013",
+        ] {
+            assert!(parse(options).is_err(), "{options}");
+        }
+    }
+
+    #[test]
+    fn refraction_is_off_standard_or_given() {
+        let at = "--at 2013-09-21T18:00:00Z --place 34.49,-104.2218,38405";
+        assert!(parse(at).unwrap().refraction.is_none());
+        let standard = parse(&format!("{at} --refraction --json")).unwrap();
+        assert_eq!(standard.refraction, Some(None));
+        assert!(standard.json);
+        let given = parse(&format!("{at} --refraction 3.5,-30")).unwrap();
+        assert!(
+            given
+                .refraction
+                .flatten()
+                .is_some_and(|air| air.pressure_hpa == 3.5)
+        );
     }
 }

@@ -6,7 +6,8 @@ use crate::aspect::{self, Expected, Solution, Track};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
-use crate::pointing::{self, HelioprojectiveArcsec};
+use crate::pointing::{self, Target};
+use crate::sky::Ephemeris;
 use crate::units::Place;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
@@ -61,13 +62,12 @@ enum Format {
 
 pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
     let config = options::config(args.config.as_deref())?;
+    let mut ephemeris = options::ephemeris(&config)?;
     let batch = Batch {
         instrument: options::instrument(args.instrument.as_deref())?,
         place: args.place.or(config.site.place()),
-        target: HelioprojectiveArcsec {
-            x: config.target.x_arcsec,
-            y: config.target.y_arcsec,
-        },
+        target: options::target(&config, &mut ephemeris)?,
+        ephemeris,
         settings: config.solver(),
         overlay: args.overlay,
     };
@@ -130,7 +130,8 @@ struct BadFile<'a> {
 struct Batch {
     instrument: Instrument,
     place: Option<Place>,
-    target: HelioprojectiveArcsec,
+    target: Target,
+    ephemeris: Ephemeris,
     settings: aspect::Settings,
     overlay: Option<PathBuf>,
 }
@@ -159,11 +160,18 @@ impl Batch {
         let utc = frame.info.mid_exposure;
         let expected = utc.and_then(Expected::at);
         let start = Instant::now();
-        let solution =
+        let mut solution =
             aspect::solve_with(&self.settings, &frame, &self.instrument, expected, prior);
         let solve_time = start.elapsed();
         let place = frame.info.place.or(self.place);
-        let offset = pointing::offset_of(&solution, utc, place, &self.instrument, self.target);
+        let offset = pointing::offset_of(
+            &mut solution,
+            utc,
+            place,
+            &self.target,
+            &self.instrument,
+            &mut self.ephemeris.clone(),
+        );
         let name = path.display().to_string();
         self.draw(path, &frame, &solution)?;
         let record = Record::new(&name, utc, &solution, offset, Some(solve_time));

@@ -22,12 +22,14 @@ use crate::instrument::TomlError;
 use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
 use crate::units::Place;
 use crate::{aspect, fiducial, limb, registration};
+use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 
 /// Everything that a flight may set. `Config::default()` is a valid configuration.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Config {
     pub site: Site,
+    pub sky: Sky,
     pub target: Target,
     pub camera: Camera,
     pub link: Link,
@@ -58,11 +60,18 @@ impl Site {
     }
 }
 
-/// Where the telescope should point, helioprojective.
+/// What the positions of Sun and Moon rest on.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Sky {
+    pub earth_orientation: Option<PathBuf>,
+}
+
+/// Where the telescope should point, helioprojective; with an epoch, what stood there then.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Target {
     pub x_arcsec: f64,
     pub y_arcsec: f64,
+    pub epoch_utc: Option<Timestamp>,
 }
 
 /// How the pitch-yaw camera is run.

@@ -2,6 +2,7 @@
 
 use super::Config;
 use super::value::{Value, found};
+use jiff::Timestamp;
 use std::fmt;
 
 /// A parameter of the configuration.
@@ -48,6 +49,8 @@ pub enum Allowed {
     Name(&'static [&'static str]),
     /// Any text.
     Text,
+    /// An instant.
+    Utc,
 }
 
 impl Allowed {
@@ -60,6 +63,8 @@ impl Allowed {
             (Self::Whole(low, high), Value::Whole(value)) => (low..=high).contains(value),
             (Self::Name(names), Value::Text(value)) => names.contains(&value.as_str()),
             (Self::Text, Value::Text(_)) => true,
+            // Empty sets nothing.
+            (Self::Utc, Value::Text(text)) => text.is_empty() || text.parse::<Timestamp>().is_ok(),
             _ => false,
         }
     }
@@ -129,6 +134,7 @@ impl Parameter {
             Allowed::Whole(low, high) => format!("{low} to {high}"),
             Allowed::Name(names) => listed(names),
             Allowed::Text => "any text".into(),
+            Allowed::Utc => r#"a time such as "2013-09-21T18:00:00Z""#.into(),
         }
     }
 
@@ -137,7 +143,7 @@ impl Parameter {
         let expected = match self.allowed {
             Allowed::Number(..) => format!("a number from {} {unit}", self.range()),
             Allowed::Whole(..) => format!("a whole number from {} {unit}", self.range()),
-            Allowed::Name(_) => self.range(),
+            Allowed::Name(_) | Allowed::Utc => self.range(),
             Allowed::Text => "a text".into(),
         };
         Refused {

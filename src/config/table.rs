@@ -8,7 +8,7 @@
 use super::parameter::{Allowed, Parameter, Sample};
 use super::value::Field;
 use crate::fits::Compression;
-use Allowed::{Name, Number, Text, Whole};
+use Allowed::{Name, Number, Text, Utc, Whole};
 
 macro_rules! row {
     ($table:ident . $field:ident, $unit:literal, $allowed:expr, command $command:literal, $documentation:literal) => {
@@ -46,10 +46,15 @@ static TABLE: &[Parameter] = &[
     row!(site.height_m, "m", Number(-1000.0, 100_000.0), sample Sample::Number(38_405.0),
         "Height above the WGS 84 ellipsoid."),
 
+    row!(sky.earth_orientation, "", Text, sample Sample::Text("/data/earth_orientation.csv"),
+        "A newer table of leap seconds, UT1 - UTC and the pole, as tools/iers makes it. The program's own reaches as far as predictions did when it was built; outside it there are no offsets."),
+
     row!(target.x_arcsec, "arcsec", Number(-32_767.0, 32_767.0),
         "Where the telescope should point: helioprojective x from the disc's centre, towards solar west. Aspect command 0x0412 sets both axes in flight."),
     row!(target.y_arcsec, "arcsec", Number(-32_767.0, 32_767.0),
         "Helioprojective y from the disc's centre, towards solar north."),
+    row!(target.epoch_utc, "UTC", Utc, sample Sample::Text("2013-09-21T18:00:00Z"),
+        "When the target stood at x and y; from then on it turns with the Sun (differential rotation, Howard et al. 1990). Unset, the target keeps its place on the disc, as one set by command does."),
 
     row!(camera.rate_hz, "Hz", Number(0.01, 100.0), command 1,
         "Frames per second of the pitch-yaw camera. The 2013 camera gives up to 26; raising it raises the load on solver and disks alike."),
@@ -152,6 +157,7 @@ mod tests {
                 .map(|name| Value::Text((*name).into()))
                 .collect(),
             Text => vec![Value::Text("somewhere/else".into())],
+            Utc => vec![Value::Text("2016-01-19T02:00:00.5Z".into())],
         }
     }
 
@@ -164,6 +170,7 @@ mod tests {
             Whole(low, _) => vec![Value::Whole(low - 1), Value::Number(low as f64 + 0.5)],
             Name(_) => vec![Value::Text("no such name".into()), Value::Whole(0)],
             Text => vec![Value::Whole(0), Value::Number(0.5)],
+            Utc => vec![Value::Text("yesterday".into()), Value::Whole(2013)],
         };
         if let Whole(_, high) = parameter.allowed {
             values.extend(high.checked_add(1).map(Value::Whole));
@@ -236,7 +243,7 @@ mod tests {
             let fits = match parameter.allowed {
                 Whole(low, high) => low >= 0 && high <= u16::MAX.into(),
                 Number(low, high) => low >= -1024.0 && high <= f64::from(u16::MAX) / 8.0 - 1024.0,
-                Name(_) | Text => false,
+                Name(_) | Text | Utc => false,
             };
             assert!(fits, "{}", parameter.key);
             let number = parameter.command.unwrap();

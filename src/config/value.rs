@@ -1,6 +1,7 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
 use crate::fits::Compression;
+use jiff::Timestamp;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -104,6 +105,16 @@ impl Field for PathBuf {
 
     fn from_value(value: Option<Value>) -> Option<Self> {
         String::from_value(value).map(Self::from)
+    }
+}
+
+impl Field for Timestamp {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.to_string()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        String::from_value(value)?.parse().ok()
     }
 }
 

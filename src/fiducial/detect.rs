@@ -40,6 +40,10 @@ pub struct Detections {
 
 /// Systematic error of a paraboloid's peak over the sub-pixel phases, px; added to every mark's sigma.
 const PARABOLOID_SIGMA_PX: f64 = 0.01;
+/// Structure that the cross does not explain counts as noise that is alike over so many pixels: the size of a sunspot.
+const DISTURBANCE_PX2: f64 = 6.0;
+/// The structure of a clean cross, between pixels and blurred as it may be, over what the kernel explains of it.
+const CLEAN_SHARE: f64 = 1.4;
 /// How far inside the limb a tip must be to count as lit: the outline's own uncertainty.
 const TIP_MARGIN_PX: f64 = 0.25;
 /// The contrast that the fourfold part of a cross shows, over that of the whole: 1 for a cross in focus, 0.3 in haze, and
@@ -185,14 +189,19 @@ impl<'a> Search<'a> {
         }
         let fourfold = self.fourfold.response(flat, index);
         let significant = fourfold > FOURFOLD_SIGMA * self.fourfold.noise(noise);
-        let likeness = self.likeness(at, fourfold, noise);
+        let structure = self.structure(at, noise);
+        let explained = fourfold * fourfold * self.fourfold.energy;
+        // The noise of this very patch may exceed its mean share; structure is never less than what is explained.
+        let likeness = explained / structure.max(explained);
         if !significant
             || !FOURFOLD_SHARE.contains(&(fourfold / contrast))
             || likeness < settings.min_likeness
         {
             return None;
         }
-        let random = noise / (contrast * self.slope_energy.sqrt());
+        let disturbed =
+            DISTURBANCE_PX2 * (structure - CLEAN_SHARE * explained).max(0.0) / self.area_px2();
+        let random = noise.hypot(disturbed.sqrt()) / (contrast * self.slope_energy.sqrt());
         Some(Detection {
             at,
             sigma_px: random.hypot(PARABOLOID_SIGMA_PX),
@@ -227,26 +236,27 @@ impl<'a> Search<'a> {
         None
     }
 
-    /// The part of the structure about a position that the cross explains, the noise's own share and all that is round
-    /// about the position taken off.
-    fn likeness(&self, at: SensorPx, fourfold: f64, noise: f64) -> f64 {
+    /// Sum of the squared darkness about a position, the noise's own share and all that is round about the position taken
+    /// off.
+    fn structure(&self, at: SensorPx, noise: f64) -> f64 {
         let mut rings = vec![Ring::default(); self.cross.reach + 1];
         for (place, darkness) in self.flat.around(at, self.shape.reach_px()) {
             rings[(place - at.vector()).norm() as usize].add(darkness);
         }
-        let structure: f64 = rings.iter().map(|ring| ring.structure(noise)).sum();
-        let explained = fourfold * fourfold * self.fourfold.energy;
-        // The noise of this very patch may exceed its mean share; structure is never less than what is explained.
-        explained / structure.max(explained)
+        rings.iter().map(|ring| ring.structure(noise)).sum()
+    }
+
+    /// Of the patch that is judged about a position.
+    fn area_px2(&self) -> f64 {
+        std::f64::consts::PI * self.shape.reach_px().powi(2)
     }
 
     fn lighting(&self, at: SensorPx) -> Lighting {
-        let tips = self
+        let mut tips = self
             .tips
             .iter()
             .flat_map(|tip| [at.vector() + tip, at.vector() - tip]);
-        let lit = |tip: Vector2<f64>| self.flat.is_lit(tip.into(), TIP_MARGIN_PX);
-        if tips.map(lit).all(|lit| lit) {
+        if tips.all(|tip| self.flat.is_lit(tip.into(), TIP_MARGIN_PX)) {
             Lighting::Full
         } else {
             Lighting::Cut

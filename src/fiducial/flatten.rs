@@ -9,8 +9,8 @@ use nalgebra::Vector2;
 /// Rings that make the profile, equally wide in mu, the cosine of the angle to the Sun's vertical: limb darkening is nearly
 /// straight in mu, and towards the limb, where light falls steeply, such rings become narrow by themselves.
 const RINGS: usize = 16;
-/// Entries of the table of expected light, equally wide in mu.
-const TABLE: usize = 256;
+/// Entries of the table of expected light, equally wide in mu^2, which needs no root for every pixel: 0.05 px at the limb.
+const TABLE: usize = 1024;
 /// Nearer to the limb than this nothing is judged: its blur takes over there.
 const LIMB_MARGIN_PX: f64 = 1.0;
 /// Only every so many columns and rows make the profile.
@@ -121,8 +121,7 @@ impl FlatDisc {
     /// 1 sigma of the darkness at a position.
     pub fn noise(&self, at: SensorPx) -> f64 {
         let w = self.outline.to_disc(at.vector());
-        let mu = (1.0 - w.norm_squared()).max(0.0).sqrt();
-        f64::from(self.noise[((mu * RINGS as f64) as usize).min(RINGS - 1)])
+        f64::from(self.noise[ring((1.0 - w.norm_squared()).max(0.0) as f32)])
     }
 
     /// Whether a position is lit: inside the limb and on the sensor, by a margin.
@@ -151,8 +150,36 @@ struct Profile {
     tilt: Vector2<f32>,
     /// 1 sigma of the darkness by ring.
     noise: [f32; RINGS],
-    /// 1 / light by mu; 0 where nothing is judged.
-    inverse: Vec<f32>,
+    /// By mu^2.
+    table: Vec<Expected>,
+}
+
+/// What is expected at a place of the disc.
+#[derive(Debug, Clone, Copy)]
+struct Expected {
+    /// Darkness without light: 1, or 0 where nothing is judged.
+    full: f32,
+    /// 1 / light, 1/DN; 0 where nothing is judged.
+    inverse_light: f32,
+    /// Darkness is not let below this.
+    least: f32,
+}
+
+impl Expected {
+    const NOT_JUDGED: Self = Self {
+        full: 0.0,
+        inverse_light: 0.0,
+        least: 0.0,
+    };
+    const JUDGED: Self = Self {
+        full: 1.0,
+        least: f32::NEG_INFINITY,
+        ..Self::NOT_JUDGED
+    };
+
+    fn darkness(&self, light: f32) -> f32 {
+        (self.full - light * self.inverse_light).max(self.least)
+    }
 }
 
 impl Profile {
@@ -169,7 +196,7 @@ impl Profile {
             light: [(levels.disc_dn - levels.background_dn) as f32; RINGS],
             tilt: Vector2::zeros(),
             noise: [0.0; RINGS],
-            inverse: Vec::new(),
+            table: Vec::new(),
         };
         let least = levels.noise_dn as f32;
         let lights = by_ring(taken.iter().map(|t| (t.ring, t.light)));
@@ -179,17 +206,25 @@ impl Profile {
             last = median(&mut ring).unwrap_or(last).max(least);
             profile.light[n] = last;
         }
-        profile.inverse = profile.inverse_light(outline);
+        profile.table = profile.tabulate(outline);
         profile.tilt = profile.measure_tilt(&taken);
-        let off = |t: &Taken| (t.ring, profile.darkness(t.light, t.w).abs());
-        let spreads = by_ring(taken.iter().map(off));
-        let mut last = None;
-        for (n, mut ring) in spreads.into_iter().enumerate().rev() {
-            let least = 0.5 * levels.noise_dn as f32 / profile.light[n];
-            last = median(&mut ring).map(|spread| 1.4826 * spread).or(last);
-            profile.noise[n] = last.unwrap_or(least).max(least);
-        }
+        profile.measure_noise(&taken, levels.noise_dn as f32);
         profile
+    }
+
+    /// The noise of every ring, and what brightness it allows.
+    fn measure_noise(&mut self, taken: &[Taken], background_noise_dn: f32) {
+        let off = |t: &Taken| (t.ring, self.darkness(t.light, t.w).abs());
+        let mut spreads = by_ring(taken.iter().map(off));
+        let mut last = 0.0;
+        for (n, ring) in spreads.iter_mut().enumerate().rev() {
+            last = median(ring).map_or(last, |spread| 1.4826 * spread);
+            self.noise[n] = last.max(0.5 * background_noise_dn / self.light[n]);
+        }
+        for (n, expected) in self.table.iter_mut().enumerate() {
+            let noise = self.noise[ring(n as f32 / TABLE as f32)];
+            expected.least = expected.least.max(-BRIGHTEST_SIGMA * noise);
+        }
     }
 
     /// Expected light at a mu, interpolated between the middles of the rings.
@@ -200,24 +235,29 @@ impl Profile {
         self.light[ring] * (1.0 - part) + self.light[ring + 1] * part
     }
 
-    fn inverse_light(&self, outline: &Ellipse) -> Vec<f32> {
+    fn tabulate(&self, outline: &Ellipse) -> Vec<Expected> {
         let usable = 1.0 - LIMB_MARGIN_PX / outline.mean_radius();
-        let least_mu = (1.0 - usable * usable).max(0.0).sqrt() as f32;
-        let entry = |n: usize| {
-            let mu = (n as f32 + 0.5) / TABLE as f32;
-            if mu < least_mu {
-                0.0
-            } else {
-                1.0 / self.light_at(mu)
-            }
+        let least_mu2 = (1.0 - usable * usable) as f32;
+        let at = |n: usize| (n as f32 + 0.5) / TABLE as f32;
+        let expected = |mu2: f32| Expected {
+            inverse_light: 1.0 / self.light_at(mu2.sqrt()),
+            ..Expected::JUDGED
         };
-        (0..TABLE).map(entry).collect()
+        (0..TABLE)
+            .map(|n| {
+                if at(n) < least_mu2 {
+                    Expected::NOT_JUDGED
+                } else {
+                    expected(at(n))
+                }
+            })
+            .collect()
     }
 
     fn darkness(&self, light: f32, w: Vector2<f32>) -> f32 {
-        let mu = (1.0 - w.norm_squared()).max(0.0).sqrt();
+        let expected = &self.table[entry(1.0 - w.norm_squared())];
         // To first order in the tilt, which is small.
-        1.0 - light * self.inverse[entry(mu)] * (1.0 - self.tilt.dot(&w))
+        expected.darkness(light * (1.0 - self.tilt.dot(&w)))
     }
 
     /// The slope of the light across the disc, by least squares on what is neither mark nor blemish.
@@ -247,28 +287,43 @@ impl Profile {
         darkness: &mut [f32],
     ) {
         let first = outline.to_disc(Vector2::new(x0 as f64, y as f64));
-        let next = outline.to_disc(Vector2::new(x0 as f64 + 1.0, y as f64));
-        let step = (next - first).cast::<f32>();
-        let first = first.cast::<f32>();
-        let clip = self.noise.map(|noise| -BRIGHTEST_SIGMA * noise);
-        for (n, (seen, darkness)) in seen.iter().zip(darkness).enumerate() {
-            let w = first + step * n as f32;
-            let mu2 = 1.0 - w.norm_squared();
-            if mu2 > 0.0 {
-                let mu = mu2.sqrt();
-                let inverse = self.inverse[entry(mu)];
-                if inverse > 0.0 {
-                    let light = (seen.dn() - self.background_dn) * (1.0 - self.tilt.dot(&w));
-                    let ring = ((mu * RINGS as f32) as usize).min(RINGS - 1);
-                    *darkness = (1.0 - light * inverse).max(clip[ring]);
-                }
-            }
+        let step = outline.to_disc(Vector2::new(x0 as f64 + 1.0, y as f64)) - first;
+        // Along the row mu^2 is a parabola; the row's part in the disc lies between its roots.
+        let (bend, slope) = (step.norm_squared(), step.dot(&first));
+        let middle = -slope / bend;
+        let half2 = middle * middle - (first.norm_squared() - 1.0) / bend;
+        if half2 <= 0.0 {
+            return;
+        }
+        let from = (middle - half2.sqrt()).ceil().max(0.0) as usize;
+        let to = ((middle + half2.sqrt()).floor() + 1.0).max(0.0) as usize;
+        let inside = from..to.min(seen.len());
+        if inside.is_empty() {
+            return;
+        }
+        let [middle, half2, bend] = [middle, half2, bend].map(|v| v as f32);
+        let (tilt, tilt_step) = (self.tilt.dot(&first.cast()), self.tilt.dot(&step.cast()));
+        let pixels = seen[inside.clone()]
+            .iter()
+            .zip(&mut darkness[inside.clone()]);
+        for ((seen, darkness), n) in pixels.zip(inside) {
+            let along = n as i32 as f32;
+            let mu2 = bend * (half2 - (along - middle) * (along - middle));
+            let tilted = 1.0 - tilt - tilt_step * along;
+            let light = (seen.dn() - self.background_dn) * tilted;
+            *darkness = self.table[entry(mu2)].darkness(light);
         }
     }
 }
 
-fn entry(mu: f32) -> usize {
-    ((mu * TABLE as f32) as usize).min(TABLE - 1)
+/// The ring of a mu^2.
+fn ring(mu2: f32) -> usize {
+    ((mu2.sqrt() * RINGS as f32) as usize).min(RINGS - 1)
+}
+
+/// The place of a mu^2 in the table.
+fn entry(mu2: f32) -> usize {
+    ((mu2 * TABLE as f32) as i32 as usize).min(TABLE - 1)
 }
 
 /// Pixels of the disc, some rows and columns apart.
@@ -288,9 +343,12 @@ fn take<T: Sample>(
                 .cast::<f32>();
             let mu2 = 1.0 - w.norm_squared();
             if mu2 > 0.0 {
-                let ring = ((mu2.sqrt() * RINGS as f32) as usize).min(RINGS - 1);
                 let light = view.dn(x, y) - background_dn;
-                taken.push(Taken { w, ring, light });
+                taken.push(Taken {
+                    w,
+                    ring: ring(mu2),
+                    light,
+                });
             }
         }
     }

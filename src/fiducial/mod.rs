@@ -1,13 +1,16 @@
-//! The marks: a matched filter finds them on the disc, a paraboloid refines them, the code in their spacings names
-//! them.
+//! The marks: dark places that are as fourfold as a cross are found on the disc, the code in their spacings names them,
+//! least squares on their pixels measures them.
 //!
 //! # Method (Cramer 2014, sections 4.3 and 4.4, with what its author wished for)
 //! 1. The disc is flattened: its own limb darkening is divided out, so that a mark is a dark cross on an even
 //!    ground and the limb leaves no edge ([`FlatDisc`]).
-//! 2. A filter that is round finds dark spots whatever the camera's rotation; their arms tell the rotation to a
-//!    quarter turn; a filter of the blurred cross at that rotation then gives position, contrast and likeness.
+//! 2. Sums over boxes find dark spots whatever the camera's rotation; their arms tell the rotation to a quarter turn; a
+//!    filter of the blurred cross at that rotation then gives position and contrast, and its fourfold part tells crosses
+//!    from what is round ([`detect`]).
 //! 3. Ids come from pairs of neighbours: one spacing is fixed, the other is the code. Every reading that a pair
 //!    allows is held against all marks in view, and one that is not clearly the best is refused.
+//! 4. A fit of the blurred cross to the pixels about it gives a mark's place without the bias that a paraboloid has over the
+//!    sub-pixel phase, with a covariance of its own ([`Refiner`]).
 
 mod detect;
 mod fit;

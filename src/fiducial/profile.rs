@@ -68,7 +68,8 @@ impl Profile {
     /// Both bars at an offset, and their slopes, which are odd.
     fn bars(&self, offset: f32) -> [f32; 4] {
         let along = (offset.abs() * STEPS_PER_PX).min((self.steps.len() - 2) as f32);
-        let n = along as usize;
+        // By way of a signed number, which the processor converts to at once.
+        let n = along as i32 as usize;
         let part = along - n as f32;
         let (here, next) = (&self.steps[n], &self.steps[n + 1]);
         let mut bars = [0.0; 4];

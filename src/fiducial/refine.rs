@@ -28,8 +28,11 @@ const FARTHEST_PX: f64 = 1.5;
 /// A step shorter than this is the last: the next would be its square.
 const LAST_STEP_PX: f64 = 0.02;
 const MOST_STEPS: usize = 8;
-/// Pixels farther than this from the model, in sigma, are something else: hot pixels, scratches.
-const REJECTED_SIGMA: f32 = 4.0;
+/// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
+const DOUBTED_SIGMA: f32 = 3.0;
+/// Beyond the noise, the model may be off by this part of the light: a blur that is not quite the lens's shows at the arms'
+/// edges, and leaving out some of them would move the mark.
+const MODEL_ERROR: f32 = 0.04;
 /// Digitising alone makes this much noise, DN.
 const ROUNDING_NOISE_DN: f64 = 0.2887;
 /// Where less than this part of the patch's most light falls, a pixel tells nothing of the mark.
@@ -37,7 +40,7 @@ const LEAST_LIGHT: f32 = 0.05;
 /// Fewest pixels that make a fit.
 const MIN_PIXELS: usize = 60;
 /// What the blurred product leaves out is about this part of s^2 div grad L', of a mark of contrast 1.
-const LEFT_OUT: f32 = 0.25;
+const LEFT_OUT: f32 = 0.4;
 
 /// What is fitted, by index: the offset from the start, px; the mark's contrast; the light over the expected light at the
 /// start, and how that changes over the patch's radius along x and y.
@@ -265,11 +268,13 @@ impl Fit<'_> {
     /// Gauss and Newton's steps until they are short. `None` when they lead away or the pixels are too few.
     fn run(&self) -> Option<Converged> {
         let mut unknowns = Unknowns::from(EXPECTED);
+        let most_light = self.patch.light.iter().copied().fold(0.0, f32::max);
+        let allowed_dn = (MODEL_ERROR * most_light).max(ROUNDING_NOISE_DN as f32);
         for attempt in 0..MOST_STEPS {
             let mut linear = self.linearise(&unknowns);
             // The first model is too far off to tell what does not belong.
             if attempt > 0 {
-                linear.reject();
+                linear.reject(allowed_dn);
             }
             let pixels = linear.root_weights().filter(|w| *w > 0.0).count();
             if pixels < MIN_PIXELS {
@@ -350,17 +355,20 @@ impl Linear {
         self.root_weights.iter().copied()
     }
 
-    /// Takes out the pixels that the model is too far from, by the noise that most residuals show.
-    fn reject(&mut self) {
+    /// Takes weight from the pixels that the model is too far from, by the noise that most of them show and by what the model
+    /// itself may be off: none within a limit, all beyond twice that.
+    fn reject(&mut self, allowed_dn: f32) {
         let mut sizes: Vec<f32> = self.residuals.iter().map(|r| r.abs()).collect();
         let middle = sizes.len() / 2;
         let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-        let limit = REJECTED_SIGMA * (1.4826 * median).max(ROUNDING_NOISE_DN as f32);
-        for (n, residual) in self.residuals.iter_mut().enumerate() {
-            if residual.abs() > limit {
-                *residual = 0.0;
-                self.root_weights[n] = 0.0;
-                self.slopes.iter_mut().for_each(|slope| slope[n] = 0.0);
+        let limit = DOUBTED_SIGMA * 1.4826 * median + allowed_dn;
+        for n in 0..self.residuals.len() {
+            let size = self.residuals[n].abs();
+            if size > limit {
+                let part = (2.0 - size / limit).max(0.0).sqrt();
+                self.residuals[n] *= part;
+                self.root_weights[n] *= part;
+                self.slopes.iter_mut().for_each(|slope| slope[n] *= part);
             }
         }
     }

@@ -349,16 +349,30 @@ impl Edge {
                 inside.push(left);
             }
         }
-        let sigma = |values: &mut Vec<f32>| {
-            (values.len() >= MIN_PIXELS).then(|| (1.4826 * median(values)).max(ROUNDING_NOISE_DN))
-        };
-        let (outside, inside) = (sigma(&mut outside), sigma(&mut inside));
+        let (outside, inside) = (clipped_sigma(&mut outside), clipped_sigma(&mut inside));
         let either = outside.or(inside).unwrap_or(1.0);
         Noise {
             outside_dn: outside.unwrap_or(either),
             inside_dn: inside.unwrap_or(either),
         }
     }
+}
+
+/// 1 sigma of residuals from those within three of it, which the median of all tells first: alone it would be coarse where
+/// pixels hold few whole numbers.
+fn clipped_sigma(sizes: &mut [f32]) -> Option<f64> {
+    /// What the normal distribution keeps of its sigma within three of it.
+    const KEPT: f64 = 0.9866;
+    if sizes.len() < MIN_PIXELS {
+        return None;
+    }
+    let most = (3.0 * 1.4826 * median(sizes).max(ROUNDING_NOISE_DN)) as f32;
+    let kept = sizes.iter().filter(|size| **size < most);
+    let (count, squares) = kept.fold((0_usize, 0.0), |(count, squares), size| {
+        (count + 1, squares + f64::from(size * size))
+    });
+    let sigma = (squares / count.max(1) as f64).sqrt() / KEPT;
+    Some(sigma.max(ROUNDING_NOISE_DN))
 }
 
 /// Normal equations of one sector for its shift and its excess light.

@@ -2,18 +2,27 @@
 //!
 //! The shift s of the Sun from the boresight on the plate is an angle atan2(|s|, plate distance) in the direction
 //! atan2(s.x, s.y), clockwise from the plate's +Y. The telescope points, from the Sun, by that angle in the
-//! direction -(direction + clocking), clockwise from the zenith as seen looking out (HEROES flight program, 2013).
+//! direction -(direction + clocking), clockwise from the zenith as seen looking out (HEROES flight program, 2013). In
+//! other words the plate, turned by the clocking, is the plane that touches the sky at the Sun (gnomonic projection).
+//! The lens's focal length does not enter: the ray through its middle goes straight.
 //! The target lies at helioprojective coordinates about the Sun, whose north is turned from the zenith as the
 //! ephemeris says.
 //! All of it is on the sphere; nothing assumes small angles.
 
-use crate::aspect::Solution;
+mod refusal;
+mod target;
+
+pub use refusal::PointingError;
+pub use target::{Feature, Target};
+
+use crate::aspect::{Solution, Stage, Stopped};
 use crate::instrument::{Instrument, Optics};
-use crate::sky::sphere::{angles_deg, bearing_rad, direction, separation_rad, tangents, travel};
-use crate::sky::{self, SunPosition};
+use crate::sky::sphere::{angles_deg, direction, separation_rad, tangents};
+use crate::sky::{Ephemeris, SunPosition};
 use crate::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil};
 use jiff::Timestamp;
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
+use refusal::NoOffset;
 
 /// Above this elevation a difference of azimuths says nothing of use.
 const HIGHEST_ELEVATION_DEG: f64 = 85.0;
@@ -32,52 +41,63 @@ pub struct Horizontal {
     pub elevation_deg: f64,
 }
 
-/// Where the telescope points, minus the target: plain differences of azimuth (-180 to 180) and elevation.
+/// Where the telescope points, minus the target.
 /// There is no roll here: one Sun tells two axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Offset {
+    /// A plain difference of azimuths, -180 to 180, as the HEROES controller took it.
     pub azimuth_deg: f64,
+    /// A plain difference of elevations.
     pub elevation_deg: f64,
-    /// 1 sigma per axis of true angle on the sky, the rms of the two axes.
+    /// The true angle of the pointing from the target's vertical circle, positive towards larger azimuth; near the target
+    /// the difference of azimuths times the cosine of the elevation.
+    pub cross_elevation_deg: f64,
+    /// 1 sigma per axis of true angle on the sky, the rms of the two axes of `covariance_deg2`.
     pub sigma_deg: f64,
+    /// What is uncertain in this frame, in true angle: across (towards larger azimuth) and in elevation. It holds the
+    /// stated sigma of the mapping, where that was borrowed.
+    pub covariance_deg2: Matrix2<f64>,
+    /// What the calibration leaves uncertain, the same in every frame: boresight, clocking and plate distance, by the
+    /// sigmas that the instrument states. It is not part of `covariance_deg2`.
+    pub calibration_deg2: Matrix2<f64>,
 }
 
-/// Why an offset or a plate position cannot be given.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum PointingError {
-    #[error(
-        "expected an elevation up to {HIGHEST_ELEVATION_DEG} deg, where azimuth still tells directions apart, found {elevation_deg:.3} deg"
-    )]
-    NearZenith { elevation_deg: f64 },
-    #[error(
-        "expected the Sun within 90 deg of the pointing, found it {separation_deg:.3} deg away"
-    )]
-    BehindTheLens { separation_deg: f64 },
+impl Offset {
+    /// 1 sigma per axis that the calibration leaves, as `sigma_deg` is of the frame.
+    pub fn calibration_sigma_deg(&self) -> f64 {
+        per_axis(&self.calibration_deg2)
+    }
 }
 
-/// The offset of a solved frame. `None` where the frame has no Sun, or its time or place is not known; where the sky
-/// gives no answer (a date out of range, too near the zenith) the reason is logged.
+/// The offset of a solved frame. `None` where the frame has no Sun, or its time or place is not known. Where sky or sphere
+/// give no answer (a date out of range, too near the zenith, a target behind the limb), the solution says so, unless an
+/// earlier stage has had its say, and stays as good as it is.
 pub fn offset_of(
-    solution: &Solution,
+    solution: &mut Solution,
     utc: Option<Timestamp>,
     place: Option<Place>,
+    target: &Target,
     instrument: &Instrument,
-    target: HelioprojectiveArcsec,
+    ephemeris: &mut Ephemeris,
 ) -> Option<Offset> {
     let sun_plate = solution.aspect?.sun_plate;
-    let sun = match sky::sun(utc?, place?) {
-        Ok(sun) => sun,
+    let (utc, place) = (utc?, place?);
+    let found = ephemeris
+        .sun(utc, place)
+        .map_err(NoOffset::from)
+        .and_then(|sun| Ok(offset(sun_plate, instrument, &sun, target.at(utc, &sun)?)?));
+    match found {
+        Ok(offset) => Some(offset),
         Err(error) => {
-            tracing::warn!(%error, "no offset: the Sun's position is not known");
-            return None;
+            tracing::debug!(%error, "no offset");
+            let (stage, rejected) = (Stage::Pointing, error.rejected());
+            solution.stopped.get_or_insert(Stopped { stage, rejected });
+            None
         }
-    };
-    offset(sun_plate, instrument, &sun, target)
-        .inspect_err(|error| tracing::warn!(%error, "no offset"))
-        .ok()
+    }
 }
 
-/// The telescope's offset from a target, with the uncertainty that the Sun's place on the plate gives it.
+/// The telescope's offset from a target, with what the Sun's place on the plate and the calibration leave uncertain.
 ///
 /// # Errors
 /// [`PointingError::NearZenith`] when the pointing or the target stands above 85 deg.
@@ -87,12 +107,20 @@ pub fn offset(
     sun: &SunPosition,
     target: HelioprojectiveArcsec,
 ) -> Result<Offset, PointingError> {
-    let pointing = away_from_zenith(&boresight(sun_on_plate.position, instrument, sun))?;
+    let boresight = boresight(sun_on_plate.position, instrument, sun);
+    let pointing = away_from_zenith(&boresight)?;
     let target = away_from_zenith(&target_direction(target, sun))?;
+    let azimuth_deg = wrapped_deg(pointing.azimuth_deg - target.azimuth_deg);
+    let across = pointing.elevation_deg.to_radians().cos() * azimuth_deg.to_radians().sin();
+    let [frame, calibration] = covariances_rad2(&sun_on_plate, instrument, sun, &boresight);
+    let covariance_deg2 = frame * 1_f64.to_degrees().powi(2);
     Ok(Offset {
-        azimuth_deg: wrapped_deg(pointing.azimuth_deg - target.azimuth_deg),
+        azimuth_deg,
         elevation_deg: pointing.elevation_deg - target.elevation_deg,
-        sigma_deg: sigma_rad(&sun_on_plate, instrument).to_degrees(),
+        cross_elevation_deg: across.asin().to_degrees(),
+        sigma_deg: per_axis(&covariance_deg2),
+        covariance_deg2,
+        calibration_deg2: calibration * 1_f64.to_degrees().powi(2),
     })
 }
 
@@ -117,11 +145,11 @@ pub fn sun_on_plate(
         let separation_deg = angle.to_degrees();
         return Err(PointingError::BehindTheLens { separation_deg });
     }
-    let mounting = &instrument.mounting;
-    let clockwise = -bearing_rad(&centre, &towards) - mounting.clocking_deg.value.to_radians();
-    let length = angle.tan() * plate_distance_mil(&instrument.optics);
-    let shift = Vector2::new(clockwise.sin(), clockwise.cos()) * length;
-    Ok((mounting.boresight_mil.vector() + shift).into())
+    let on_plane = axes(&centre).transpose() * towards / towards.dot(&centre);
+    let distance = plate_distance_mil(&instrument.optics);
+    // `to_plane` is a rotation divided by the distance.
+    let shift = to_plane(instrument).transpose() * on_plane * distance.powi(2);
+    Ok((instrument.mounting.boresight_mil.vector() + shift).into())
 }
 
 /// Where on the plate the Sun stands when the telescope is off its target by an offset: the inverse of
@@ -143,13 +171,27 @@ pub fn sun_on_plate_for(
     sun_on_plate(pointing, instrument, sun)
 }
 
-/// The direction in which the telescope points.
+/// The direction in which the telescope points; its length is the secant of the angle from the Sun.
 fn boresight(sun_on_plate: PlateMil, instrument: &Instrument, sun: &SunPosition) -> Vector3<f64> {
-    let shift = shift(sun_on_plate, instrument);
-    let angle = shift.norm().atan2(plate_distance_mil(&instrument.optics));
-    let clockwise = shift.x.atan2(shift.y);
-    let clocking = instrument.mounting.clocking_deg.value.to_radians();
-    travel(&sun_direction(sun), -(clockwise + clocking), angle)
+    let centre = sun_direction(sun);
+    centre + axes(&centre) * to_plane(instrument) * shift(sun_on_plate, instrument)
+}
+
+/// From a shift on the plate (mil) to the plane that touches the sky at the Sun: towards the zenith, and clockwise.
+fn to_plane(instrument: &Instrument) -> Matrix2<f64> {
+    let (sin, cos) = instrument
+        .mounting
+        .clocking_deg
+        .value
+        .to_radians()
+        .sin_cos();
+    Matrix2::new(-sin, cos, -cos, -sin) / plate_distance_mil(&instrument.optics)
+}
+
+/// The axes of that plane as columns: towards the zenith, and clockwise, which is towards larger azimuth.
+fn axes(at: &Vector3<f64>) -> Matrix3x2<f64> {
+    let (up, clockwise) = tangents(at);
+    Matrix3x2::from_columns(&[up, clockwise])
 }
 
 /// The direction of a target, by the definition of helioprojective longitude and latitude (Thompson 2006).
@@ -164,19 +206,35 @@ fn target_direction(target: HelioprojectiveArcsec, sun: &SunPosition) -> Vector3
     centre * (cos_y * cos_x) + west * (cos_y * sin_x) + north * sin_y
 }
 
-/// 1 sigma per axis of the pointing, true angle: the plate position's covariance through the lens, along the
-/// shift and across it.
-fn sigma_rad(sun_on_plate: &Estimate<PlateMil>, instrument: &Instrument) -> f64 {
-    let shift = shift(sun_on_plate.position, instrument);
-    let distance = plate_distance_mil(&instrument.optics);
-    let cos = distance / distance.hypot(shift.norm());
-    let along = shift.try_normalize(0.0).unwrap_or_else(Vector2::x);
-    let across = Vector2::new(-along.y, along.x);
-    let to_angle = Matrix2::from_rows(&[
-        (along * cos.powi(2) / distance).transpose(),
-        (across * cos / distance).transpose(),
-    ]);
-    let covariance = to_angle * sun_on_plate.covariance * to_angle.transpose();
+/// Covariance of the pointing in true angle, across and in elevation: what the frame and what the calibration leave.
+fn covariances_rad2(
+    sun_on_plate: &Estimate<PlateMil>,
+    instrument: &Instrument,
+    sun: &SunPosition,
+    boresight: &Vector3<f64>,
+) -> [Matrix2<f64>; 2] {
+    let (up, across) = tangents(boresight);
+    let seen = Matrix3x2::from_columns(&[across, up]) / boresight.norm();
+    let from_plane = seen.transpose() * axes(&sun_direction(sun));
+    let from_plate = from_plane * to_plane(instrument);
+    let on_plane = to_plane(instrument) * shift(sun_on_plate.position, instrument);
+    let mounting = &instrument.mounting;
+    let distance = instrument.optics.plate_distance_mm;
+    let by_clocking = from_plane
+        * Vector2::new(on_plane.y, -on_plane.x)
+        * mounting.clocking_deg.sigma.to_radians();
+    let by_distance = from_plane * on_plane * (distance.sigma / distance.value);
+    let by_boresight = from_plate * mounting.boresight_sigma_mil;
+    [
+        from_plate * sun_on_plate.covariance * from_plate.transpose(),
+        by_boresight * by_boresight.transpose()
+            + by_clocking * by_clocking.transpose()
+            + by_distance * by_distance.transpose(),
+    ]
+}
+
+/// 1 sigma per axis: the rms of the two.
+fn per_axis(covariance: &Matrix2<f64>) -> f64 {
     (covariance.trace().max(0.0) / 2.0).sqrt()
 }
 

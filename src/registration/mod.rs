@@ -10,8 +10,9 @@
 //!
 //! # Which kind of mapping
 //! The simplest that the data support: similarity, keystone, affine, homography. A richer kind is taken when it lowers
-//! chi^2 by more than [`Settings::min_gain`] for every parameter it adds, the pairs' sigmas being raised to what the
-//! richer kind's residuals show; and only where the pairs stay redundant, else one bad pair bends the mapping to itself.
+//! chi^2 by more than [`Settings::min_gain`] for every parameter it adds. What the outline gains counts in full. What the
+//! pairs gain counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test);
+//! too few say nothing, else one bad pair bends the mapping to itself.
 //!
 //! A camera that looks askew shows a keystone, x = t + L P / (1 + g . P), L a similarity. Its tilt shows most in what it
 //! does to angles far from the plate's centre, and from there follows what a few marks do not show: how far the centre
@@ -106,13 +107,15 @@ impl Registration {
 
 /// Fewest redundant coordinates of the pairs that tell their sigmas; with fewer, pairs that lie well by chance bend the
 /// mapping to themselves.
-const TELLING_REDUNDANCY: f64 = 3.0;
+const TELLING_REDUNDANCY: f64 = 4.0;
 /// A pair so many sigma off the mapping of the others is an error.
 const MAX_PULL: f64 = 6.0;
 /// Fewer pairs cannot tell which of them is the error.
 const LEAST_TO_REJECT: usize = 5;
 /// Residuals of which chi^2 exceeds its expectation by more than this many sigma are not those of the stated noise.
 const EXPLAINED_SIGMAS: f64 = 6.0;
+/// Sigmas raised by less than this are the stated ones, as well as can be told.
+const EXPLAINED_RISE: f64 = 1.3;
 /// How often the sigmas are raised until they agree with the residuals.
 const RISES: usize = 4;
 
@@ -162,15 +165,17 @@ fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
         } else {
             richer.raised
         };
-        let chi2 = |kind| {
-            let adjusted = problem.fit(kind, raised)?;
-            Some(adjusted.chi2_pairs / raised.powi(2) + adjusted.chi2_outline)
-        };
-        let (Some(simple), Some(rich)) = (chi2(best.model.kind()), chi2(kind)) else {
+        let (Some(simple), Some(rich)) = (
+            problem.fit(best.model.kind(), raised),
+            problem.fit(kind, raised),
+        ) else {
             continue;
         };
+        let by_outline = simple.chi2_outline - rich.chi2_outline;
+        let by_pairs = (simple.chi2_pairs - rich.chi2_pairs) / raised.powi(2);
         let added = kind.parameters() - best.model.kind().parameters();
-        if (simple - rich) / added.max(1) as f64 > settings.min_gain {
+        let gain = by_outline + by_pairs / distrust(&richer, settings);
+        if gain / added.max(1) as f64 > settings.min_gain {
             best = richer;
         }
     }
@@ -205,6 +210,19 @@ fn risen(adjusted: &Adjusted, settings: &Settings) -> f64 {
         chi2 / (freedom - 2.0).max(0.5 * freedom).max(0.5)
     };
     variance.max(1.0).sqrt()
+}
+
+/// How much more pairs must gain whose sigmas come from few residuals: the quantile of F(2, nu) over that of
+/// F(2, infinity), which is chi^2 per parameter. Stated sigmas that explain the residuals count for their own freedom.
+fn distrust(richer: &Adjusted, settings: &Settings) -> f64 {
+    let stated = if richer.raised < EXPLAINED_RISE {
+        settings.prior_freedom
+    } else {
+        0.0
+    };
+    let half = (richer.redundancy.max(1.0) + stated) / 2.0;
+    let gain = settings.min_gain.max(1.0);
+    half * ((gain / half).exp() - 1.0) / gain
 }
 
 /// The pair farthest from its place, if it is an error.

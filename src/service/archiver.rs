@@ -4,6 +4,7 @@ use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
 use crate::archive::{ArchiveError, Record, Store, instrument_cards, sky_cards, tables};
 use crate::instrument::Instrument;
+use crate::sky::Ephemeris;
 use crossbeam_channel::Receiver;
 use std::path::PathBuf;
 
@@ -11,13 +12,13 @@ use std::path::PathBuf;
 pub(super) fn run(
     stores: &[Store],
     instrument: &Instrument,
+    mut ephemeris: Ephemeris,
     answers: &Receiver<Answer>,
 ) -> ArchiveTally {
     let mut tally = ArchiveTally::default();
     for answer in answers {
-        let stored = stores
-            .iter()
-            .any(|store| match keep(store, instrument, &answer) {
+        let stored = stores.iter().any(|store| {
+            match keep(store, instrument, &mut ephemeris, &answer) {
                 Ok(path) => {
                     tracing::debug!(file = %path.display(), "stored");
                     true
@@ -29,7 +30,8 @@ pub(super) fn run(
                     }
                     false
                 }
-            });
+            }
+        });
         if stored {
             tally.stored += 1;
         } else if !stores.is_empty() {
@@ -39,13 +41,24 @@ pub(super) fn run(
     tally
 }
 
-fn keep(store: &Store, instrument: &Instrument, answer: &Answer) -> Result<PathBuf, ArchiveError> {
+fn keep(
+    store: &Store,
+    instrument: &Instrument,
+    ephemeris: &mut Ephemeris,
+    answer: &Answer,
+) -> Result<PathBuf, ArchiveError> {
     let frame = &answer.exposure.frame;
     let utc = frame.info.mid_exposure;
     let solution = &answer.solution;
     let record = Record::new("", utc, solution, answer.offset, Some(answer.solve_time));
     let mut cards = record.cards();
-    cards.extend(instrument_cards(instrument, answer.target));
-    cards.extend(sky_cards(&frame.info, solution, instrument));
+    cards.extend(instrument_cards(instrument));
+    cards.extend(sky_cards(
+        &frame.info,
+        solution,
+        instrument,
+        &answer.target,
+        ephemeris,
+    ));
     store.write(frame, &cards, &tables(solution))
 }

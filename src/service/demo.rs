@@ -10,9 +10,10 @@ use crate::config::Config;
 use crate::fits::Compression;
 use crate::instrument::{self, Instrument};
 use crate::link::{Message, SerialPort};
+use crate::pointing::Target;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::{FlightScenes, Trajectory};
-use crate::sky;
+use crate::sky::{self, Ephemeris};
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::{Timestamp, civil};
@@ -71,6 +72,8 @@ pub fn run(
     let flight = Flight {
         instrument,
         config,
+        target: Target::default(),
+        ephemeris: Ephemeris::default(),
         camera: Box::new(camera),
         port: Some(Box::new(near)),
         stores: vec![store],

@@ -6,7 +6,7 @@ use crate::aspect::Stopped;
 use crate::link::{
     BytePort, Change, CommandPacket, Direction, Packet, Parser, PortError, Responder, Solution,
 };
-use crate::pointing::{HelioprojectiveArcsec, Offset};
+use crate::pointing::{HelioprojectiveArcsec, Offset, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
@@ -176,10 +176,10 @@ impl Line {
             .unwrap_or_else(PoisonError::into_inner);
         match change {
             Change::Target { x_arcsec, y_arcsec } => {
-                commanded.target = HelioprojectiveArcsec {
+                commanded.target = Target::Fixed(HelioprojectiveArcsec {
                     x: f64::from(x_arcsec),
                     y: f64::from(y_arcsec),
-                };
+                });
             }
             Change::Place(fix) => {
                 let height_m = commanded.place.map_or(0.0, |place| place.height_m);
@@ -215,7 +215,7 @@ impl Line {
     }
 }
 
-/// The code of a frame without a solution: 1 to 6 for the stage that it did not pass.
+/// The code of a frame without a solution: 1 to 7 for the stage that it did not pass.
 fn error_code(stopped: Option<Stopped>) -> u16 {
     stopped.map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)
 }

@@ -36,7 +36,8 @@ use crate::camera::{Exposure, FrameSource};
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
 use crate::link::{BytePort, Computer, Responder};
-use crate::pointing::HelioprojectiveArcsec;
+use crate::pointing::Target;
+use crate::sky::Ephemeris;
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, unbounded};
 use jiff::Timestamp;
@@ -55,6 +56,9 @@ const LINK_EVENTS: usize = 256;
 pub struct Flight {
     pub instrument: Instrument,
     pub config: Config,
+    /// Where the telescope should point until a command says otherwise.
+    pub target: Target,
+    pub ephemeris: Ephemeris,
     pub camera: Box<dyn FrameSource>,
     /// The line to the controller, where there is one.
     pub port: Option<Box<dyn BytePort + Send>>,
@@ -71,7 +75,7 @@ struct Sighting {
 /// What the ground may set in flight.
 #[derive(Debug, Clone, Copy)]
 struct Commanded {
-    target: HelioprojectiveArcsec,
+    target: Target,
     /// The place for frames that do not tell theirs.
     place: Option<Place>,
 }
@@ -110,10 +114,7 @@ impl Service {
         let (to_line, events) = bounded(LINK_EVENTS);
         let stop = Arc::new(AtomicBool::new(false));
         let commanded = Arc::new(Mutex::new(Commanded {
-            target: HelioprojectiveArcsec {
-                x: config.target.x_arcsec,
-                y: config.target.y_arcsec,
-            },
+            target: flight.target,
             place: config.site.place(),
         }));
         let line = Line::new(
@@ -123,8 +124,10 @@ impl Service {
             Arc::clone(&commanded),
         );
         let instrument = flight.instrument.clone();
+        let ephemeris = flight.ephemeris.clone();
         let solver = solver::Solver {
             instrument: flight.instrument,
+            ephemeris: flight.ephemeris,
             settings: config.solver(),
             commanded,
             to_archive,
@@ -139,7 +142,7 @@ impl Service {
         Ok(Self {
             line: spawn("link", move || line.run(&events, &hung_up))?,
             archive: spawn("archive", move || {
-                archiver::run(&stores, &instrument, &answers)
+                archiver::run(&stores, &instrument, ephemeris, &answers)
             })?,
             solver: spawn("solver", move || solver.run(&sightings))?,
             camera: spawn("camera", move || {

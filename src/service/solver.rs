@@ -3,10 +3,11 @@
 use super::line::{LinkEvent, Outcome};
 use super::tally::{SolverTally, worth_a_line};
 use super::{Commanded, Sighting};
-use crate::aspect::{self, Expected, Solution, Track};
+use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::Exposure;
 use crate::instrument::Instrument;
-use crate::pointing::{self, HelioprojectiveArcsec, Offset};
+use crate::pointing::{self, Offset, Target};
+use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender};
 use jiff::{SignedDuration, Timestamp};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,12 +20,13 @@ pub struct Answer {
     pub solution: Arc<Solution>,
     /// From `target`.
     pub offset: Option<Offset>,
-    pub target: HelioprojectiveArcsec,
+    pub target: Target,
     pub solve_time: Duration,
 }
 
 pub(super) struct Solver {
     pub instrument: Instrument,
+    pub ephemeris: Ephemeris,
     pub settings: aspect::Settings,
     pub commanded: Arc<Mutex<Commanded>>,
     pub to_archive: Sender<Answer>,
@@ -34,7 +36,7 @@ pub(super) struct Solver {
 
 impl Solver {
     /// Solves until the camera ends.
-    pub fn run(self, sightings: &Receiver<Sighting>) -> SolverTally {
+    pub fn run(mut self, sightings: &Receiver<Sighting>) -> SolverTally {
         let mut tally = SolverTally::default();
         let mut track = None;
         let mut sun = SunSize::default();
@@ -61,7 +63,7 @@ impl Solver {
     }
 
     fn solve(
-        &self,
+        &mut self,
         mut exposure: Exposure,
         track: &mut Option<Track>,
         sun: &mut SunSize,
@@ -70,7 +72,7 @@ impl Solver {
         let size = utc.and_then(|utc| sun.at(utc));
         let start = Instant::now();
         let frame = &exposure.frame;
-        let solution = aspect::solve_with(
+        let mut solution = aspect::solve_with(
             &self.settings,
             frame,
             &self.instrument,
@@ -88,13 +90,19 @@ impl Solver {
         // The file tells the place that its offset and its coordinates rest on.
         let place = exposure.frame.info.place.or(commanded.place);
         exposure.frame.info.place = place;
-        let target = commanded.target;
-        let offset = pointing::offset_of(&solution, utc, place, &self.instrument, target);
+        let offset = pointing::offset_of(
+            &mut solution,
+            utc,
+            place,
+            &commanded.target,
+            &self.instrument,
+            &mut self.ephemeris,
+        );
         Answer {
             exposure: Arc::new(exposure),
             solution: Arc::new(solution),
             offset,
-            target,
+            target: commanded.target,
             solve_time,
         }
     }
@@ -136,7 +144,12 @@ fn count(tally: &mut SolverTally, solution: &Solution) {
     *tally.solved.entry(solution.quality).or_default() += 1;
     if let Some(stopped) = &solution.stopped {
         let reason = (stopped.stage, stopped.rejected.reason);
-        *tally.reasons.entry(reason).or_default() += 1;
+        let count = tally.reasons.entry(reason).or_default();
+        *count += 1;
+        if stopped.stage == Stage::Pointing && worth_a_line(*count) {
+            let (measured, limit) = (stopped.rejected.measured, stopped.rejected.limit);
+            tracing::warn!(reason = %stopped, measured, limit, frames = *count, "no offset");
+        }
     }
 }
 

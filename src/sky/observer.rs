@@ -1,67 +1,44 @@
 //! From places in the solar system to the observer's horizon at one instant: the IAU's chain (SOFA) with
 //! light time left to the caller, aberration, precession and nutation, Earth rotation, and no refraction.
 
-use super::SkyError;
+use super::{EarthOrientation, SkyError};
 use crate::units::{ARCSEC_PER_RAD, Place};
-use jiff::{Timestamp, tz::Offset};
+use jiff::Timestamp;
 use nalgebra::Vector3;
-use sofars::astro::{IauAstrom, ab, apco13, atioq};
+use sofars::astro::{IauAstrom, ab, apco, atioq};
 use sofars::eph::epv00;
-use sofars::ts::{dtf2d, taitt, utctai};
+use sofars::erst::era00;
+use sofars::pnp::{bpn2xy, pnm06a, s06, sp00};
 use sofars::vm::rxp;
 
 /// Light's time for one astronomical unit, days.
 pub(super) const LIGHT_DAYS_PER_AU: f64 = 499.004_783_836 / 86_400.0;
 
-/// Years for which positions are given: from the first leap second to the end of the Earth ephemeris.
-const YEARS: std::ops::RangeInclusive<i16> = 1972..=2099;
-
-/// How the Earth stands within its mean rotation (IERS).
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct EarthOrientation {
-    /// UT1 - UTC, s. One second moves every azimuth by up to 15 arcsec.
-    pub ut1_utc_s: f64,
-    /// The pole's place, arcsec.
-    pub xp_arcsec: f64,
-    pub yp_arcsec: f64,
-}
-
-impl EarthOrientation {
-    /// The orientation used when the caller has none: the mean one, within 0.9 s and 0.6 arcsec of the true.
-    pub fn at(_utc: Timestamp) -> Self {
-        Self::default()
-    }
-}
+/// Terrestrial time - TAI.
+const TT_TAI_S: f64 = 32.184;
+const DAY_S: i64 = 86_400;
 
 /// An instant in two parts, as SOFA takes it: Julian date = first + second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct JulianDate(pub f64, pub f64);
 
 impl JulianDate {
-    /// An instant in coordinated universal time (SOFA's quasi Julian date).
-    fn utc(utc: Timestamp) -> Result<Self, SkyError> {
-        let t = Offset::UTC.to_datetime(utc);
-        if !YEARS.contains(&t.year()) {
-            return Err(SkyError::Date(utc));
-        }
-        let second = f64::from(t.second()) + f64::from(t.subsec_nanosecond()) * 1e-9;
-        let [month, day, hour, minute] = [t.month(), t.day(), t.hour(), t.minute()].map(i32::from);
-        let date = dtf2d("UTC", t.year().into(), month, day, hour, minute, second);
-        date.map(|(a, b)| Self(a, b))
-            .map_err(|status| SkyError::TimeScale { utc, status })
+    /// The date that a clock shows which is ahead of UTC.
+    pub fn ahead_of(utc: Timestamp, ahead_s: f64) -> Self {
+        let (days, second) = (
+            utc.as_second().div_euclid(DAY_S),
+            utc.as_second().rem_euclid(DAY_S),
+        );
+        let second = second as f64 + f64::from(utc.subsec_nanosecond()) * 1e-9;
+        Self(2_440_587.5 + days as f64, (second + ahead_s) / DAY_S as f64)
     }
 
-    /// An instant in terrestrial time.
-    pub fn terrestrial(utc: Timestamp) -> Result<Self, SkyError> {
-        let Self(a, b) = Self::utc(utc)?;
-        utctai(a, b)
-            .and_then(|(a, b)| taitt(a, b))
-            .map(|(a, b)| Self(a, b))
-            .map_err(|status| SkyError::TimeScale { utc, status })
+    pub fn terrestrial(utc: Timestamp, orientation: &EarthOrientation) -> Self {
+        Self::ahead_of(utc, orientation.tai_utc_s + TT_TAI_S)
     }
 
-    pub fn minus_days(self, days: f64) -> Self {
-        Self(self.0, self.1 - days)
+    pub fn plus_days(self, days: f64) -> Self {
+        Self(self.0, self.1 + days)
     }
 
     /// Days since J2000.0.
@@ -71,7 +48,9 @@ impl JulianDate {
 }
 
 /// Position and velocity of the Earth, au and au/day, axes of the ICRS.
+#[derive(Debug, Clone)]
 pub(super) struct Earth {
+    pub tt: JulianDate,
     /// From the Sun.
     pub heliocentric: [Vector3<f64>; 2],
     /// From the barycentre of the solar system.
@@ -79,12 +58,25 @@ pub(super) struct Earth {
 }
 
 impl Earth {
+    /// By SOFA's `epv00`; `utc` is for the error.
     pub fn at(tt: JulianDate, utc: Timestamp) -> Result<Self, SkyError> {
         let (heliocentric, barycentric) = epv00(tt.0, tt.1).ok_or(SkyError::Date(utc))?;
         Ok(Self {
+            tt,
             heliocentric: heliocentric.map(Vector3::from),
             barycentric: barycentric.map(Vector3::from),
         })
+    }
+
+    /// The Earth some moments later; for a second its path is straight to 3 mm.
+    fn after(&self, days: f64) -> Self {
+        let moved =
+            |[position, velocity]: [Vector3<f64>; 2]| [position + velocity * days, velocity];
+        Self {
+            tt: self.tt.plus_days(days),
+            heliocentric: moved(self.heliocentric),
+            barycentric: moved(self.barycentric),
+        }
     }
 
     /// The Sun from the barycentre, some days before; its path within an hour is straight to a metre.
@@ -94,42 +86,85 @@ impl Earth {
     }
 }
 
+/// The costly part of the chain, done once for a second: where the Earth is and how its axis stands. The axis moves by
+/// less than 2e-6 arcsec in that time.
+#[derive(Debug, Clone)]
+pub(super) struct Second {
+    start: Timestamp,
+    earth: Earth,
+    /// The celestial intermediate pole, and the locator of its origin.
+    pole: [f64; 2],
+    locator: f64,
+}
+
+impl Second {
+    /// The second of which an instant is part: the same for every instant in it.
+    pub fn of(utc: Timestamp, orientation: &EarthOrientation) -> Result<Self, SkyError> {
+        let start = whole_second(utc);
+        let tt = JulianDate::terrestrial(start, orientation);
+        let earth = Earth::at(tt, utc)?;
+        let (x, y) = bpn2xy(&pnm06a(tt.0, tt.1));
+        Ok(Self {
+            start,
+            earth,
+            pole: [x, y],
+            locator: s06(tt.0, tt.1, x, y),
+        })
+    }
+
+    pub fn holds(&self, utc: Timestamp) -> bool {
+        self.start == whole_second(utc)
+    }
+
+    /// The Earth at an instant of the second.
+    pub fn earth(&self, utc: Timestamp) -> Earth {
+        let days = utc.duration_since(self.start).as_secs_f64() / DAY_S as f64;
+        self.earth.after(days)
+    }
+}
+
+fn whole_second(utc: Timestamp) -> Timestamp {
+    Timestamp::from_second(utc.as_second()).unwrap_or(utc)
+}
+
 /// An observer at one instant.
 pub(super) struct Observer {
-    pub tt: JulianDate,
     pub earth: Earth,
     astrometry: IauAstrom,
 }
 
 impl Observer {
-    pub fn new(utc: Timestamp, place: Place, pole: EarthOrientation) -> Result<Self, SkyError> {
+    pub fn new(
+        utc: Timestamp,
+        place: Place,
+        orientation: &EarthOrientation,
+        second: &Second,
+    ) -> Result<Self, SkyError> {
         let place = Place::new(place.latitude_deg, place.longitude_deg, place.height_m)?;
-        let JulianDate(utc1, utc2) = JulianDate::utc(utc)?;
-        let tt = JulianDate::terrestrial(utc)?;
+        let earth = second.earth(utc);
+        let tt = earth.tt;
+        let ut1 = JulianDate::ahead_of(utc, orientation.ut1_utc_s);
         let mut astrometry = IauAstrom::default();
-        let mut equation_of_origins = 0.0;
-        apco13(
-            utc1,
-            utc2,
-            pole.ut1_utc_s,
+        apco(
+            tt.0,
+            tt.1,
+            &earth.barycentric.map(Into::into),
+            &earth.heliocentric[0].into(),
+            second.pole[0],
+            second.pole[1],
+            second.locator,
+            era00(ut1.0, ut1.1),
             place.longitude_deg.to_radians(),
             place.latitude_deg.to_radians(),
             place.height_m,
-            pole.xp_arcsec / ARCSEC_PER_RAD,
-            pole.yp_arcsec / ARCSEC_PER_RAD,
+            orientation.x_arcsec / ARCSEC_PER_RAD,
+            orientation.y_arcsec / ARCSEC_PER_RAD,
+            sp00(tt.0, tt.1),
             0.0, // no air: no refraction
             0.0,
-            0.0,
-            0.63,
             &mut astrometry,
-            &mut equation_of_origins,
-        )
-        .map_err(|status| SkyError::TimeScale { utc, status })?;
-        Ok(Self {
-            tt,
-            earth: Earth::at(tt, utc)?,
-            astrometry,
-        })
+        );
+        Ok(Self { earth, astrometry })
     }
 
     /// The observer from the barycentre, au.

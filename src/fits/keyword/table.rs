@@ -71,8 +71,6 @@ const INSTRUMENT: Group = Group {
         row("BORE-X", Float, "mil", Written, "boresight on the plate"),
         row("BORE-Y", Float, "mil", Written, "boresight on the plate"),
         row("PLATEDST", Float, "mm", Written, "from the lens to the plate"),
-        row("TARGETX", Float, "arcsec", Written, "target, to solar west"),
-        row("TARGETY", Float, "arcsec", Written, "target, to solar north"),
     ],
 };
 
@@ -125,6 +123,8 @@ const OBSERVER: Group = Group {
         row("NORTHANG", Float, "deg", Written, "solar north from zenith, clockwise"),
         row("SUN-AZ", Float, "deg", Written, "the Sun's azimuth, N through E"),
         row("SUN-EL", Float, "deg", Written, "the Sun's elevation, no refraction"),
+        row("TARGETX", Float, "arcsec", Written, "target, to solar west"),
+        row("TARGETY", Float, "arcsec", Written, "target, to solar north"),
     ],
 };
 
@@ -185,7 +185,9 @@ const SOLUTION: Group = Group {
         row("MAPRES", Float, "pixel", Written, "rms residual of the marks"),
         row("OFFSETAZ", Float, "deg", Written, "azimuth, pointing minus target"),
         row("OFFSETEL", Float, "deg", Written, "elevation, pointing minus target"),
+        row("OFFSETXE", Float, "deg", Written, "true angle across, to larger azimuth"),
         row("OFFSETSG", Float, "deg", Written, "1 sigma per axis of true angle"),
+        row("OFFSETCS", Float, "deg", Written, "the same, left by the calibration"),
         row("SOLVETIM", Float, "s", Written, "wall time of the solver"),
     ],
 };

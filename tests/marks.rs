@@ -1,0 +1,415 @@
+//! Marks are found where they are: every fully lit one, nothing that is none, and their places to the noise. The truth is
+//! the simulator's, which `tests/simulation.rs` holds against independent arithmetic.
+
+use nalgebra::{Matrix2, Vector2};
+use rayon::prelude::*;
+use solaspect::fiducial::{
+    CrossShape, Detections, FlatDisc, Lighting, RefinedMark, Refiner, Settings, detect,
+};
+use solaspect::frame::{Frame, Levels};
+use solaspect::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
+use solaspect::instrument::{Instrument, builtin};
+use solaspect::limb;
+use solaspect::plate::MarkId;
+use solaspect::simulate::{
+    Conditions, Counts, Depth, HotPixel, Noise, Picture, RandomScenes, SUN_RADIUS_ARCSEC, Scene,
+    Scratch, Sun, SunInView, render_exact,
+};
+use solaspect::units::{PlateMil, SensorPx};
+
+const SCALE_MIL_PER_PX: f64 = 5.75;
+/// 0.55 arcsec at 10.04 arcsec/px.
+const HALF_ARCSEC_PX: f64 = 0.0548;
+const ROTATIONS_DEG: [f64; 4] = [0.0, 7.0, 30.0, 45.0];
+
+fn demo() -> Instrument {
+    builtin("demo").unwrap()
+}
+
+/// A small picture of one mark near its middle, and what a limb fit would know of the light there.
+struct Close {
+    scene: Scene,
+    /// Without the mark, row by row, DN above background.
+    light: Vec<f32>,
+    jacobian: Matrix2<f64>,
+    mark: SensorPx,
+}
+
+impl Close {
+    const SIDE: usize = 48;
+
+    /// The mark (0, 0) so deep inside the limb, the Sun's centre in a direction of the plate.
+    fn new(phase: [f64; 2], rotation_deg: f64, depth_px: f64, sun_direction_deg: f64) -> Self {
+        let instrument = demo();
+        let middle = Self::SIDE as f64 / 2.0;
+        let mark = SensorPx::new(middle + phase[0], middle + phase[1]);
+        let similarity = SimilarityParameters {
+            plate_centre: mark,
+            scale_mil_per_px: SCALE_MIL_PER_PX,
+            rotation_deg,
+            handedness: Handedness::Mirrored,
+        };
+        let mapping = Mapping::similarity(similarity, Distortion::NONE).unwrap();
+        let radius_mil = instrument.optics.radius_mil(SUN_RADIUS_ARCSEC);
+        let distance = radius_mil - depth_px * SCALE_MIL_PER_PX;
+        let (sin, cos) = sun_direction_deg.to_radians().sin_cos();
+        let sun = Sun::new(PlateMil::new(distance * cos, distance * sin), radius_mil);
+        let scene = Scene {
+            width_px: Self::SIDE,
+            height_px: Self::SIDE,
+            sun: Some(sun),
+            ..Scene::new(&instrument, mapping)
+        };
+        let clean = Scene {
+            mark_contrast: 0.0,
+            ..scene.clone()
+        };
+        let background = scene.background_dn as f32;
+        Self {
+            light: render_exact(&clean)
+                .iter()
+                .map(|l| l - background)
+                .collect(),
+            jacobian: mapping.sensor_jacobian(PlateMil::new(0.0, 0.0)),
+            mark,
+            scene,
+        }
+    }
+
+    /// Sixteen sub-pixel phases at each of some rotations.
+    fn phases(depth_px: f64, sun_direction_deg: f64) -> Vec<Self> {
+        let phase = |n: i32| f64::from(n) / 4.0 - 0.375;
+        ROTATIONS_DEG
+            .iter()
+            .flat_map(|rotation| (0..16).map(move |n| (*rotation, [phase(n % 4), phase(n / 4)])))
+            .map(|(rotation, phase)| Self::new(phase, rotation, depth_px, sun_direction_deg))
+            .collect()
+    }
+
+    fn frame(&self, noise_dn: f64, seed: u64) -> Frame {
+        let scene = Scene {
+            noise: Noise::read(noise_dn),
+            seed,
+            ..self.scene.clone()
+        };
+        scene.frame().unwrap()
+    }
+
+    /// The mark as refined from a start 0.3 px off, in a camera's DN of which so many make one of the 8-bit camera's.
+    fn refined(
+        &self,
+        frame: &Frame,
+        noise_dn: f64,
+        steps_per_dn: f64,
+        blur_error: f64,
+    ) -> Option<RefinedMark> {
+        let levels = Levels {
+            background_dn: self.scene.background_dn * steps_per_dn,
+            noise_dn: noise_dn * steps_per_dn,
+            disc_dn: 205.0 * steps_per_dn,
+        };
+        let light = |x: f64, y: f64| {
+            let inside = |v: f64| v.max(0.0).min(Self::SIDE as f64 - 1.0) as usize;
+            steps_per_dn * f64::from(self.light[inside(y) * Self::SIDE + inside(x)])
+        };
+        let blur = self.scene.blur_px * blur_error;
+        let refiner = Refiner::new(&demo().plate.cross, SCALE_MIL_PER_PX, blur);
+        let start = SensorPx::new(self.mark.x + 0.24, self.mark.y - 0.18);
+        refiner.refine(frame, &levels, light, &self.jacobian, start)
+    }
+
+    fn error(&self, mark: &RefinedMark) -> Vector2<f64> {
+        mark.place.position.vector() - self.mark.vector()
+    }
+}
+
+/// Distances from the truth, px, and their squares in sigma^2 (2 expected).
+fn errors(depth_px: f64, sun_direction_deg: f64, noise_dn: f64, seeds: u64) -> Vec<(f64, f64)> {
+    let cases: Vec<(Close, u64)> = Close::phases(depth_px, sun_direction_deg)
+        .into_iter()
+        .zip((0..).step_by(seeds as usize))
+        .collect();
+    let of_one = |(close, first): &(Close, u64)| {
+        let seeds = *first..first + seeds;
+        let measured = seeds.map(|seed| {
+            let frame = close.frame(noise_dn, seed);
+            let mark = close.refined(&frame, noise_dn, 1.0, 1.0).unwrap();
+            let error = close.error(&mark);
+            let inverse = mark.place.covariance.try_inverse().unwrap();
+            (error.norm(), error.dot(&(inverse * error)))
+        });
+        measured.collect::<Vec<_>>()
+    };
+    cases.par_iter().flat_map(of_one).collect()
+}
+
+fn quantile(mut values: Vec<f64>, part: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[(part * values.len() as f64) as usize]
+}
+
+/// Rms error over sigma, per axis.
+fn pull(errors: &[(f64, f64)]) -> f64 {
+    let sum: f64 = errors.iter().map(|e| e.1).sum();
+    (sum / 2.0 / errors.len() as f64).sqrt()
+}
+
+#[test]
+fn no_sub_pixel_phase_moves_a_mark() {
+    for blur_error in [0.8, 1.0, 1.2] {
+        for mut close in Close::phases(60.0, 17.0) {
+            // Twelve bits and no noise: what is left is the method's own.
+            close.scene.depth = Depth::Twelve;
+            let frame = close.frame(0.0, 0);
+            let mark = close.refined(&frame, 0.05, 16.0, blur_error).unwrap();
+            let off = close.error(&mark).norm();
+            assert!(
+                off < 0.002,
+                "{off} px off at {:?}, blur x {blur_error}",
+                close.mark
+            );
+        }
+    }
+}
+
+#[test]
+fn a_mark_in_noise_is_as_near_as_its_pixels_allow_and_says_so() {
+    let errors = errors(90.0, 17.0, 5.0, 48);
+    let radial = errors.iter().map(|e| e.0).collect();
+    let worst = quantile(radial, 0.997);
+    assert!(worst < HALF_ARCSEC_PX, "99.7 % within {worst} px");
+    let pull = pull(&errors);
+    assert!((0.9..1.1).contains(&pull), "rms error {pull} sigma");
+}
+
+#[test]
+fn marks_at_and_across_the_limb_stay_within_their_sigma() {
+    // Tips just inside the limb; one arm cut; the middle at the limb.
+    for (depth_px, direction_deg) in [(9.0, 0.0), (8.0, 0.0), (6.0, 45.0), (4.0, 0.0), (0.0, 0.0)] {
+        for noise_dn in [1.0, 5.0] {
+            let errors = errors(depth_px, direction_deg, noise_dn, 6);
+            let pull = pull(&errors);
+            assert!(
+                (0.85..1.25).contains(&pull),
+                "{pull} sigma at {depth_px} px, {noise_dn} DN"
+            );
+            // 11.8: 3 sigma in two dimensions.
+            let beyond = errors.iter().filter(|e| e.1 > 11.8).count();
+            assert!(
+                beyond * 50 < errors.len(),
+                "{beyond} beyond 3 sigma at {depth_px} px"
+            );
+        }
+    }
+}
+
+/// Mean error over some seeds at little noise.
+fn mean_error(close: &Close) -> Vector2<f64> {
+    const SEEDS: u64 = 40;
+    let seen = (0..SEEDS).map(|seed| {
+        let frame = close.frame(2.0, seed);
+        close.error(&close.refined(&frame, 2.0, 1.0, 1.0).unwrap())
+    });
+    seen.sum::<Vector2<f64>>() / SEEDS as f64
+}
+
+#[test]
+fn hot_pixels_do_not_pull_a_mark() {
+    let mut close = Close::new([0.1, -0.3], 7.0, 60.0, 0.0);
+    close.scene.blemishes.hot_pixels = [(25, 22), (28, 24), (21, 18)]
+        .map(|(x, y)| HotPixel { x, y })
+        .to_vec();
+    let off = mean_error(&close).norm();
+    assert!(off < 0.005, "{off} px");
+}
+
+#[test]
+fn a_scratch_through_a_mark_pulls_it_by_less_than_half_an_arc_second() {
+    let mut close = Close::new([0.1, -0.3], 7.0, 60.0, 0.0);
+    close.scene.blemishes.scratches = vec![Scratch {
+        start: PlateMil::new(-90.0, 40.0),
+        end: PlateMil::new(90.0, 15.0),
+        width_mil: 8.0,
+        brightness: 1.4,
+    }];
+    let off = mean_error(&close).norm();
+    assert!(off < HALF_ARCSEC_PX, "{off} px");
+}
+
+#[test]
+fn a_place_without_a_mark_gives_none_or_no_contrast() {
+    let close = Close::new([0.0, 0.0], 0.0, 60.0, 0.0);
+    let empty = Scene {
+        mark_contrast: 0.0,
+        noise: Noise::read(5.0),
+        ..close.scene.clone()
+    };
+    if let Some(mark) = close.refined(&empty.frame().unwrap(), 5.0, 1.0, 1.0) {
+        assert!(mark.contrast < 0.05, "{mark:?}");
+    }
+}
+
+/// What a frame's detections are, beside the truth.
+#[derive(Default)]
+struct Tally {
+    fully_lit: usize,
+    missed: Vec<(u64, MarkId)>,
+    /// Fully lit, but reported as cut.
+    called_cut: usize,
+    false_marks: usize,
+    rotation_errors_deg: Vec<f64>,
+    position_errors_px: Vec<f64>,
+}
+
+/// Frames under conditions that are turned from frame to frame, each with a plate and blemishes of its own.
+fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
+    let outcomes: Vec<_> = (0..frames)
+        .into_par_iter()
+        .map(|number| {
+            let instrument = demo();
+            let mut conditions = Conditions::of(&instrument);
+            conditions.similarity.rotation_deg = (number as f64 * 37.3) % 360.0;
+            change(&mut conditions);
+            let scenes = RandomScenes::new(&instrument, &conditions, 900 + number).unwrap();
+            let picture = scenes.scene(number).unwrap().picture().unwrap();
+            let found = found(&picture, &instrument);
+            (number, picture, found)
+        })
+        .collect();
+    let mut tally = Tally::default();
+    for (number, picture, found) in &outcomes {
+        tally.add(*number, picture, found);
+    }
+    tally
+}
+
+/// The marks found on the true disc, displaced as a first fit of the limb may be.
+fn found(picture: &Picture, instrument: &Instrument) -> Detections {
+    let sun = picture.truth.sun.unwrap();
+    let levels = limb::levels(&picture.frame, &limb::Settings::default()).unwrap();
+    let circle = Circle {
+        centre: sun.px.vector() + Vector2::new(0.1, -0.1),
+        radius: sun.radius_px + 0.1,
+    };
+    let scale = picture.truth.mapping.scale_mil_per_px(sun.px);
+    let shape = CrossShape::new(
+        &instrument.plate.cross,
+        scale,
+        instrument.optics.blur_px.value,
+    );
+    let margin = 2.0 * shape.half_length_px;
+    let flat = FlatDisc::new(&picture.frame, Ellipse::from(circle), &levels, margin).unwrap();
+    detect(&flat, &shape, &Settings::default())
+}
+
+impl Tally {
+    fn add(&mut self, number: u64, picture: &Picture, found: &Detections) {
+        let sun = picture.truth.sun.unwrap();
+        let scale = picture.truth.mapping.scale_mil_per_px(sun.px);
+        let tip = 45.0 / scale;
+        let (width, height) = (picture.frame.width() as f64, picture.frame.height() as f64);
+        let whole = |p: SensorPx| {
+            p.x > tip && p.x < width - 1.0 - tip && p.y > tip && p.y < height - 1.0 - tip
+        };
+        let mut fully_lit = 0;
+        for mark in &picture.truth.marks {
+            if mark.depth_mil < 45.0 || !whole(mark.px) {
+                continue;
+            }
+            fully_lit += 1;
+            match found.marks.iter().find(|d| d.at.distance(mark.px) < 2.0) {
+                None => self.missed.push((number, mark.id)),
+                Some(d) if d.lighting == Lighting::Cut => self.called_cut += 1,
+                Some(d) => self.position_errors_px.push(d.at.distance(mark.px)),
+            }
+        }
+        self.fully_lit += fully_lit;
+        let is_mark = |at: SensorPx| {
+            let near = |mark: &SensorPx| mark.distance(at) < tip;
+            picture.truth.marks.iter().any(|mark| near(&mark.px))
+        };
+        self.false_marks += found.marks.iter().filter(|d| !is_mark(d.at)).count();
+        if fully_lit >= 4 {
+            let off = found.quarter_rotation_deg - picture.truth.mapping.rotation_deg(sun.px);
+            self.rotation_errors_deg
+                .push((off + 45.0).rem_euclid(90.0) - 45.0);
+        }
+    }
+
+    fn rotation_rms_deg(&self) -> f64 {
+        let squares: f64 = self.rotation_errors_deg.iter().map(|e| e * e).sum();
+        (squares / self.rotation_errors_deg.len() as f64).sqrt()
+    }
+}
+
+#[test]
+fn every_fully_lit_mark_is_found_and_known_to_be_lit() {
+    type Change = fn(&mut Conditions);
+    let conditions: [(&str, Change); 8] = [
+        ("plain", |_| {}),
+        ("noise", |c| c.noise = Noise::read(15.0)),
+        ("nearer", |c| c.similarity.scale_mil_per_px /= 1.1),
+        ("farther", |c| c.similarity.scale_mil_per_px *= 1.1),
+        ("pale marks", |c| c.mark_contrast = 0.25),
+        ("part of the disc", |c| c.sun = SunInView::Partial),
+        ("vignetting", |c| c.blemishes.vignetting = 0.2),
+        ("keystone", |c| c.keystone_deg = 3.0),
+    ];
+    for (name, change) in conditions {
+        let tally = tally(24, change);
+        assert!(tally.fully_lit > 20, "{name}");
+        assert_eq!(tally.missed, [], "{name}");
+        assert_eq!(tally.false_marks, 0, "{name}");
+        assert!(
+            tally.called_cut * 50 <= tally.fully_lit,
+            "{name}: {}",
+            tally.called_cut
+        );
+        let worst = tally.position_errors_px.iter().copied().fold(0.0, f64::max);
+        assert!(worst < 0.35, "{name}: {worst} px");
+    }
+}
+
+#[test]
+fn haze_hides_hardly_any_mark() {
+    let tally = tally(24, |c| {
+        c.blur_px = 2.5;
+        c.peak_dn = 150.0;
+    });
+    assert!(
+        tally.missed.len() * 50 <= tally.fully_lit,
+        "{:?}",
+        tally.missed
+    );
+    assert_eq!(tally.false_marks, 0);
+}
+
+#[test]
+fn sunspots_dust_scratches_and_leaks_are_not_taken_for_marks() {
+    for noise_dn in [5.0, 15.0] {
+        let tally = tally(40, |c| {
+            c.noise = Noise::read(noise_dn);
+            c.sunspots = 8;
+            c.blemishes = Counts {
+                hot_pixels: 60,
+                scratches_per_disc: 2.0,
+                leaks: 4,
+                dust_per_disc: 2.0,
+                vignetting: 0.1,
+            };
+        });
+        assert_eq!(tally.false_marks, 0, "at {noise_dn} DN");
+        assert!(
+            tally.missed.len() * 100 <= tally.fully_lit,
+            "{:?}",
+            tally.missed
+        );
+    }
+}
+
+#[test]
+fn the_arms_tell_the_rotation() {
+    let tally = tally(40, |_| {});
+    let rms = tally.rotation_rms_deg();
+    assert!(rms < 0.2, "{rms} deg");
+}
