@@ -372,6 +372,21 @@ mod frames_of_others {
     }
 
     #[test]
+    fn a_geodetic_place_is_read_on_the_ellipsoid_of_the_standard() {
+        // What wcslib gives for the position above: on the IAU's ellipsoid of 1976 the height is 3 m lower.
+        let cards = [
+            "OBSGEO-B= 34.490000",
+            "OBSGEO-L= -104.221800",
+            "OBSGEO-H= 38401.992",
+        ];
+        let frame = read_bytes(&only_image(8, [1, 1], &cards, &[0]), "a.fits").unwrap();
+        let place = frame.info.place.unwrap();
+        assert!((place.latitude_deg - 34.49).abs() < 1e-6);
+        assert!((place.longitude_deg + 104.2218).abs() < 1e-9);
+        assert!((place.height_m - 38_405.0).abs() < 0.01, "{place:?}");
+    }
+
+    #[test]
     fn sixteen_bits_are_read_with_and_without_an_offset_and_saturate_as_stated() {
         let signed = only_image(16, [2, 1], &[], &[0, 5, 0x0f, 0xff]);
         let frame = read_bytes(&signed, "a.fits").unwrap();
@@ -817,7 +832,7 @@ mod bad_files {
     fn table_start(bytes: &[u8]) -> usize {
         let mut cards = (2880..bytes.len()).step_by(80);
         let end = cards.find(|at| bytes[*at..].starts_with(b"END     "));
-        end.unwrap().next_multiple_of(2880)
+        (end.unwrap() + 80).next_multiple_of(2880)
     }
 
     /// The file without its sums, so that changed data reach the decoder.

@@ -1,11 +1,16 @@
 //! How a frame survives: a name that sorts by time, and a file that is whole or absent.
 //!
-//! Which values of a solution fill which keywords, columns and fields is decided in one place, [`Record`].
+//! Which values of a solution fill which keywords, columns and fields is decided in one place, [`Record`]; the world
+//! coordinates of the pixels are made in [`Helioprojection`].
 
+mod coordinates;
 mod name;
 mod record;
 mod store;
 
+pub use coordinates::{Helioprojection, sky_cards};
 pub use name::{NameTime, name};
-pub use record::{MappingRecord, MarkRecord, OffsetRecord, Reason, Record, tables};
+pub use record::{
+    MappingRecord, MarkRecord, OffsetRecord, Reason, Record, instrument_cards, tables,
+};
 pub use store::{ArchiveError, Store};

@@ -2,6 +2,7 @@
 
 use crate::aspect::{AdoptedMapping, Aspect, Solution};
 use crate::fits::{Card, Column, Table, Values};
+use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::pointing::Offset;
 use crate::units::SensorPx;
@@ -193,11 +194,14 @@ impl Record {
             cards.push(Card::new("REASON", reason.as_str()));
         }
         let mut number = |keyword, value: Option<f64>| {
+            // A number that is not finite has no place in a header.
             if let Some(value) = value.filter(|value| value.is_finite()) {
                 cards.push(Card::new(keyword, value));
             }
         };
         let axis = |pair: Option<[f64; 2]>, n: usize| pair.map(|p| p[n]);
+        number("REASONIS", self.reason.as_ref().map(|r| r.measured));
+        number("REASONLM", self.reason.as_ref().map(|r| r.limit));
         number("SUNPX-X", axis(self.sun_px, 0));
         number("SUNPX-Y", axis(self.sun_px, 1));
         number("SUNPX-SX", axis(self.sun_px_sigma, 0));
@@ -214,7 +218,10 @@ impl Record {
         let offset = self.offset_deg.as_ref();
         number("OFFSETAZ", offset.map(|o| o.azimuth));
         number("OFFSETEL", offset.map(|o| o.elevation));
+        number("OFFSETXE", offset.map(|o| o.cross_elevation));
         number("OFFSETSG", offset.map(|o| o.sigma));
+        number("OFFSETCS", offset.map(|o| o.calibration_sigma));
+        number("SOLVETIM", self.solve_us.map(|us| us as f64 * 1e-6));
         if let Some(mapping) = mapping {
             cards.push(Card::new("MAPKIND", mapping.kind));
         }
@@ -223,6 +230,22 @@ impl Record {
         }
         cards
     }
+}
+
+/// The keywords of what a frame was taken with.
+pub fn instrument_cards(instrument: &Instrument) -> Vec<Card> {
+    let mounting = &instrument.mounting;
+    vec![
+        Card::new("OBSRVTRY", instrument.name.as_str()),
+        Card::new("TELESCOP", instrument.name.as_str()),
+        Card::new("INSTRUME", "solar aspect camera"),
+        Card::new("WAVELNTH", instrument.optics.wavelength_nm),
+        Card::new("WAVEUNIT", "nm"),
+        Card::new("CLOCKANG", mounting.clocking_deg.value),
+        Card::new("BORE-X", mounting.boresight_mil.x),
+        Card::new("BORE-Y", mounting.boresight_mil.y),
+        Card::new("PLATEDST", instrument.optics.plate_distance_mm.value),
+    ]
 }
 
 fn marks(solution: &Solution) -> Vec<MarkRecord> {

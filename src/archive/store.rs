@@ -111,12 +111,19 @@ impl Store {
         let path = self
             .root
             .join(name(&self.instrument, time, frame.info.number));
-        let bytes = encode_frame(frame, cards, tables, self.compression)
+        let path = free_name(&path)?;
+        let mut cards = cards.to_vec();
+        let file_name = path.file_name().unwrap_or_default().to_string_lossy();
+        cards.push(Card::new("FILENAME", &*file_name));
+        let bytes = encode_frame(frame, &cards, tables, self.compression)
             .map_err(|problem: Problem| problem.in_file(&path))?;
         let folder = path.parent().unwrap_or(&self.root);
         self.make_folder(folder)?;
         let unfinished = write_unfinished(folder, &path, &bytes)?;
-        let path = give_name(unfinished, &path)?;
+        unfinished
+            .persist_noclobber(&path)
+            .map_err(|error| error.error)
+            .during("name the file", &path)?;
         sync_folder(folder)?;
         Ok(path)
     }
@@ -153,17 +160,13 @@ fn write_unfinished(
     Ok(file)
 }
 
-/// Gives a finished file its name, with a counter if that name is taken.
-fn give_name(mut file: NamedTempFile, path: &Path) -> Result<PathBuf, ArchiveError> {
-    for n in 1..=MOST_NAMESAKES {
-        let candidate = namesake(path, n);
-        match file.persist_noclobber(&candidate) {
-            Ok(_) => return Ok(candidate),
-            Err(error) if error.error.kind() == ErrorKind::AlreadyExists => file = error.file,
-            Err(error) => return Err(error.error).during("name the file", path),
-        }
-    }
-    Err(ArchiveError::Namesakes { path: path.into() })
+/// The name itself, or with the first counter under which no file stands. One process writes to an archive, so the name
+/// stays free.
+fn free_name(path: &Path) -> Result<PathBuf, ArchiveError> {
+    (1..=MOST_NAMESAKES)
+        .map(|n| namesake(path, n))
+        .find(|candidate| candidate.symlink_metadata().is_err())
+        .ok_or_else(|| ArchiveError::Namesakes { path: path.into() })
 }
 
 /// The n-th file of a name: `a.fits`, `a_2.fits`, `a_3.fits` ...

@@ -1,18 +1,15 @@
 //! How a frame was taken, from keywords and to keywords.
 //!
 //! Times are UTC. The middle of the exposure is DATE-AVG; where that is missing, DATE-OBS (or DATE-BEG) plus half
-//! the exposure. A file that gives a start and no exposure is taken as a very short one. The place is OBSGEO-B,
-//! -L and -H where all three stand, since they are what a [`Place`] holds, else OBSGEO-X, -Y and -Z; both are on
-//! WGS 84 (FITS 4.0, section 8.4.1).
+//! the exposure. A file that gives a start and no exposure is taken as a very short one.
 
 use super::header::{Header, Value};
+use super::place::{place_cards, read_place};
 use super::{Card, Problem};
 use crate::frame::{Frame, FrameInfo};
-use crate::units::Place;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp};
-use sofars::consts::WGS84;
 use std::time::Duration;
 
 /// The longest exposure or monotonic time that is believed, s: thirty years.
@@ -40,7 +37,7 @@ pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
         analogue_gain: header.number("GAIN")?,
         preamp_gain: header.number("PREAMP")?,
         camera_temperature_c: header.number("CAMTEMP")?,
-        place: place(header)?,
+        place: read_place(header)?,
         camera,
     })
 }
@@ -118,53 +115,6 @@ pub(super) fn format_time(time: Timestamp) -> String {
     text.trim_end_matches('Z').into()
 }
 
-fn place(header: &Header) -> Result<Option<Place>, Problem> {
-    if let Some([latitude, longitude, height]) =
-        triple(header, ["OBSGEO-B", "OBSGEO-L", "OBSGEO-H"])?
-    {
-        return checked_place("OBSGEO-B/L/H", latitude, longitude, height).map(Some);
-    }
-    let Some(xyz) = triple(header, ["OBSGEO-X", "OBSGEO-Y", "OBSGEO-Z"])? else {
-        return Ok(None);
-    };
-    let field = "OBSGEO-X/Y/Z";
-    let (longitude, latitude, height) = sofars::coords::gc2gd(WGS84, xyz)
-        .map_err(|_| Problem::field(field, "a geocentric position in m", format!("{xyz:?}")))?;
-    checked_place(field, latitude.to_degrees(), longitude.to_degrees(), height).map(Some)
-}
-
-fn checked_place(
-    field: &str,
-    latitude: f64,
-    longitude: f64,
-    height: f64,
-) -> Result<Place, Problem> {
-    Place::new(latitude, longitude, height).map_err(|error| {
-        let found = format!(
-            "latitude {latitude:.4} deg, longitude {longitude:.4} deg, height {height:.0} m"
-        );
-        Problem::field(
-            field,
-            format!("a place near the Earth's surface ({error})"),
-            found,
-        )
-    })
-}
-
-/// Three numbers that only make sense together.
-fn triple(header: &Header, keywords: [&str; 3]) -> Result<Option<[f64; 3]>, Problem> {
-    let [a, b, c] = keywords;
-    match (header.number(a)?, header.number(b)?, header.number(c)?) {
-        (Some(x), Some(y), Some(z)) => Ok(Some([x, y, z])),
-        (None, None, None) => Ok(None),
-        _ => Err(Problem::field(
-            keywords.join(", "),
-            "all three or none",
-            "some of them",
-        )),
-    }
-}
-
 /// The value at which pixels saturate. What 16-bit files hold is 0 to 4095 unless SATURATE or BITDEPTH says
 /// otherwise, or a pixel beyond 4095 shows that it is not so.
 pub(super) fn read_saturation(
@@ -217,20 +167,29 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
         "SATURATE",
         Some(Value::Integer(frame.saturation_dn().into())),
     );
+    add("BTYPE", Some("Intensity".into()));
     add("BUNIT", Some("DN".into()));
     cards.extend(info.place.map(place_cards).unwrap_or_default());
     cards
 }
 
+/// Each time stands twice, as a date and as a Modified Julian Date: what is missing readers of world coordinates add
+/// themselves, and say so.
 fn time_cards(info: &FrameInfo) -> Vec<Card> {
+    let (start, end) = (info.exposure_start(), info.exposure_end());
     let mut cards = vec![Card::new("TIMESYS", "UTC")];
-    let mut add = |keyword, time: Option<Timestamp>| {
-        cards.extend(time.map(|time| Card::new(keyword, format_time(time))));
-    };
-    add("DATE-OBS", info.exposure_start());
-    add("DATE-BEG", info.exposure_start());
-    add("DATE-AVG", info.mid_exposure);
-    add("DATE-END", info.exposure_end());
+    for (keyword, julian, time) in [
+        ("DATEREF", "MJDREF", start.or(info.mid_exposure)),
+        ("DATE-OBS", "MJD-OBS", start),
+        ("DATE-BEG", "MJD-BEG", start),
+        ("DATE-AVG", "MJD-AVG", info.mid_exposure),
+        ("DATE-END", "MJD-END", end),
+    ] {
+        if let Some(time) = time {
+            cards.push(Card::new(keyword, format_time(time)));
+            cards.push(Card::new(julian, modified_julian_date(time)));
+        }
+    }
     if let Some(exposure) = info.exposure {
         cards.push(Card::new("EXPTIME", exposure.as_secs_f64()));
         cards.push(Card::new("XPOSURE", exposure.as_secs_f64()));
@@ -238,21 +197,10 @@ fn time_cards(info: &FrameInfo) -> Vec<Card> {
     cards
 }
 
-fn place_cards(place: Place) -> Vec<Card> {
-    let geodetic = [place.latitude_deg, place.longitude_deg, place.height_m];
-    let mut cards: Vec<Card> = ["OBSGEO-B", "OBSGEO-L", "OBSGEO-H"]
-        .into_iter()
-        .zip(geodetic)
-        .map(|(keyword, value)| Card::new(keyword, value))
-        .collect();
-    let [latitude, longitude] = [place.latitude_deg, place.longitude_deg].map(f64::to_radians);
-    if let Ok(xyz) = sofars::coords::gd2gc(WGS84, longitude, latitude, place.height_m) {
-        for (keyword, value) in ["OBSGEO-X", "OBSGEO-Y", "OBSGEO-Z"].into_iter().zip(xyz) {
-            // To a tenth of a millimetre: more would be noise of the conversion.
-            cards.push(Card::new(keyword, (value * 1e4).round() / 1e4));
-        }
-    }
-    cards
+/// Days since 1858-11-17, to the microsecond.
+fn modified_julian_date(time: Timestamp) -> f64 {
+    const OF_UNIX_EPOCH: f64 = 40_587.0;
+    OF_UNIX_EPOCH + time.as_microsecond() as f64 / 86_400e6
 }
 
 #[cfg(test)]
@@ -276,6 +224,13 @@ mod tests {
         ] {
             assert_eq!(parse_time(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn a_modified_julian_date_is_that_of_the_almanac() {
+        // 2000-01-01 12:00 is JD 2451545.0, and MJD = JD - 2400000.5.
+        let noon: Timestamp = "2000-01-01T12:00:00Z".parse().unwrap();
+        assert_eq!(modified_julian_date(noon), 51_544.5);
     }
 
     #[test]

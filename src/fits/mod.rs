@@ -17,6 +17,7 @@ mod header;
 mod info;
 pub mod keyword;
 mod picture;
+mod place;
 mod raw;
 mod read;
 mod rice;

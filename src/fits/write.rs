@@ -16,6 +16,9 @@ use std::path::Path;
 /// The extension that holds the pixels.
 pub const FRAME_EXTENSION: &str = "FRAME";
 
+/// The name of the primary HDU, which is without data.
+const PRIMARY_NAME: &str = "PRIMARY";
+
 /// A keyword of the table in [`keyword`] with its value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Card {
@@ -126,19 +129,36 @@ pub fn encode_frame(
 
     let file = MemoryFile::create()?;
     file.create_primary()?;
+    put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
     put_cards(&file, &provenance)?;
     file.put_checksums()?;
     file.create_image([frame.width(), frame.height()], frame.pixels(), compression)?;
     file.reserve_keywords(all.len() + OTHER_CARDS)?;
-    put_cards(&file, &[Card::new("EXTNAME", FRAME_EXTENSION)])?;
+    put_cards(&file, &name_cards(FRAME_EXTENSION, Holds::Observation))?;
     put_cards(&file, &all)?;
     file.put_pixels(frame.pixels())?;
     file.put_checksums()?;
     for table in tables {
         put_table(&file, table)?;
+        put_cards(&file, &[obs_hdu(Holds::Other)])?;
         file.put_checksums()?;
     }
     file.into_bytes()
+}
+
+/// What an HDU holds, for SOLARNET.
+#[derive(Clone, Copy)]
+enum Holds {
+    Observation,
+    Other,
+}
+
+fn obs_hdu(holds: Holds) -> Card {
+    Card::new("OBS_HDU", i64::from(matches!(holds, Holds::Observation)))
+}
+
+fn name_cards(name: &str, holds: Holds) -> [Card; 2] {
+    [Card::new("EXTNAME", name), obs_hdu(holds)]
 }
 
 /// The extension's name, its checksums, and what cfitsio adds of its own.
@@ -152,13 +172,15 @@ fn provenance() -> Vec<Card> {
         Card::new("ORIGIN", "solaspect"),
         Card::new("CREATOR", program),
         Card::new("DATE", format_time(now)),
+        // In part: SOLARNET wants WAVEUNIT as a power of ten, where FITS and sunpy want a unit.
+        Card::new("SOLARNET", 0.5),
     ]
 }
 
 /// A keyword stands once in a header; one from above may not contradict the frame's own.
 fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
     let mut seen: BTreeSet<&str> = own.iter().map(|card| card.keyword).collect();
-    seen.insert("EXTNAME");
+    seen.extend(["EXTNAME", "OBS_HDU"]);
     match extra.iter().find(|card| !seen.insert(card.keyword)) {
         Some(card) => Err(Problem::field(card.keyword, "one value", "a second")),
         None => Ok(()),

@@ -123,6 +123,8 @@ impl Service {
             line_settings(&config.link),
             Arc::clone(&commanded),
         );
+        let instrument = flight.instrument.clone();
+        let ephemeris = flight.ephemeris.clone();
         let solver = solver::Solver {
             instrument: flight.instrument,
             ephemeris: flight.ephemeris,
@@ -139,7 +141,9 @@ impl Service {
         let hung_up = Arc::clone(&hang_up);
         Ok(Self {
             line: spawn("link", move || line.run(&events, &hung_up))?,
-            archive: spawn("archive", move || archiver::run(&stores, &answers))?,
+            archive: spawn("archive", move || {
+                archiver::run(&stores, &instrument, ephemeris, &answers)
+            })?,
             solver: spawn("solver", move || solver.run(&sightings))?,
             camera: spawn("camera", move || {
                 take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)

@@ -6,7 +6,7 @@ use super::{Commanded, Sighting};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::Exposure;
 use crate::instrument::Instrument;
-use crate::pointing::{self, Offset};
+use crate::pointing::{self, Offset, Target};
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender};
 use jiff::{SignedDuration, Timestamp};
@@ -18,7 +18,9 @@ use std::time::{Duration, Instant};
 pub struct Answer {
     pub exposure: Arc<Exposure>,
     pub solution: Arc<Solution>,
+    /// From `target`.
     pub offset: Option<Offset>,
+    pub target: Target,
     pub solve_time: Duration,
 }
 
@@ -62,12 +64,11 @@ impl Solver {
 
     fn solve(
         &mut self,
-        exposure: Exposure,
+        mut exposure: Exposure,
         track: &mut Option<Track>,
         sun: &mut SunSize,
     ) -> Answer {
-        let info = &exposure.frame.info;
-        let utc = info.mid_exposure;
+        let utc = exposure.frame.info.mid_exposure;
         let size = utc.and_then(|utc| sun.at(utc));
         let start = Instant::now();
         let frame = &exposure.frame;
@@ -86,7 +87,9 @@ impl Solver {
             .commanded
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let place = info.place.or(commanded.place);
+        // The file tells the place that its offset and its coordinates rest on.
+        let place = exposure.frame.info.place.or(commanded.place);
+        exposure.frame.info.place = place;
         let offset = pointing::offset_of(
             &mut solution,
             utc,
@@ -99,6 +102,7 @@ impl Solver {
             exposure: Arc::new(exposure),
             solution: Arc::new(solution),
             offset,
+            target: commanded.target,
             solve_time,
         }
     }

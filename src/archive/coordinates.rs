@@ -1,0 +1,210 @@
+//! How a frame lies on the sky: the world coordinates of its pixels (Thompson 2006), and who observed.
+//!
+//! Nothing here says how plate and sky hang together. A place on the Sun is brought to the sensor by the functions
+//! that give the offsets: when the telescope is on target with that place, the place is seen at the boresight, and the
+//! Sun's centre stands as far to the one side of it as the place now stands to the other side of the Sun's centre.
+//! Steps of a solar radius to all four sides make the matrix. So coordinates and offsets cannot disagree: the pixel on
+//! which the boresight falls has the coordinates at which the telescope points.
+
+use crate::aspect::{Aspect, Solution};
+use crate::fits::Card;
+use crate::frame::FrameInfo;
+use crate::geometry::Mapping;
+use crate::instrument::Instrument;
+use crate::pointing::{self, HelioprojectiveArcsec, Offset, PointingError, Target};
+use crate::sky::{AU_KM, Ephemeris, SUN_RADIUS_KM, SunPosition};
+use crate::units::{ARCSEC_PER_RAD, Place, SensorPx};
+use nalgebra::{Matrix2, Vector2};
+
+const AU_M: f64 = AU_KM * 1e3;
+/// Mean radius; the Earth's flattening moves the observer by a ten-millionth of the way to the Sun.
+const EARTH_RADIUS_M: f64 = 6_371_000.0;
+
+/// The helioprojective coordinates of a frame's pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Helioprojection {
+    /// Where the Sun's centre is seen: the origin.
+    pub centre_px: SensorPx,
+    /// First row: to solar west; second: to solar north. First column: a step along x; second: along y.
+    pub arcsec_per_px: Matrix2<f64>,
+}
+
+impl Helioprojection {
+    /// The coordinates of a frame that has a Sun. `None` where the mapping has no inverse there.
+    ///
+    /// # Errors
+    /// [`PointingError::NearZenith`] when the Sun stands above 85 deg.
+    pub fn new(
+        aspect: &Aspect,
+        mapping: &Mapping,
+        instrument: &Instrument,
+        sun: &SunPosition,
+    ) -> Result<Option<Self>, PointingError> {
+        let step = solar_radius_arcsec(sun);
+        let seen = |x, y| {
+            seen(
+                HelioprojectiveArcsec { x, y },
+                aspect,
+                mapping,
+                instrument,
+                sun,
+            )
+        };
+        let px_per_arcsec = Matrix2::from_columns(&[
+            (seen(step, 0.0)? - seen(-step, 0.0)?) / (2.0 * step),
+            (seen(0.0, step)? - seen(0.0, -step)?) / (2.0 * step),
+        ]);
+        Ok(px_per_arcsec.try_inverse().map(|arcsec_per_px| Self {
+            centre_px: aspect.sun_px.position,
+            arcsec_per_px,
+        }))
+    }
+
+    /// Side of a square as large as a pixel.
+    pub fn scale_arcsec_per_px(&self) -> f64 {
+        self.arcsec_per_px.determinant().abs().sqrt()
+    }
+
+    fn cards(&self) -> Vec<Card> {
+        let scale = self.scale_arcsec_per_px();
+        let turn = self.arcsec_per_px / scale;
+        vec![
+            Card::new("WCSAXES", 2),
+            Card::new("WCSNAME", "Helioprojective-cartesian"),
+            Card::new("CTYPE1", "HPLN-TAN"),
+            Card::new("CTYPE2", "HPLT-TAN"),
+            Card::new("CNAME1", "helioprojective longitude"),
+            Card::new("CNAME2", "helioprojective latitude"),
+            Card::new("CUNIT1", "arcsec"),
+            Card::new("CUNIT2", "arcsec"),
+            // FITS counts pixels from 1.
+            Card::new("CRPIX1", self.centre_px.x + 1.0),
+            Card::new("CRPIX2", self.centre_px.y + 1.0),
+            Card::new("CRVAL1", 0.0),
+            Card::new("CRVAL2", 0.0),
+            Card::new("CDELT1", scale),
+            Card::new("CDELT2", scale),
+            Card::new("PC1_1", turn.m11),
+            Card::new("PC1_2", turn.m12),
+            Card::new("PC2_1", turn.m21),
+            Card::new("PC2_2", turn.m22),
+            Card::new("LONPOLE", 180.0),
+            Card::new("LATPOLE", 0.0),
+        ]
+    }
+}
+
+/// Where a place on the Sun is seen on the sensor.
+fn seen(
+    place: HelioprojectiveArcsec,
+    aspect: &Aspect,
+    mapping: &Mapping,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> Result<Vector2<f64>, PointingError> {
+    let on_target = Offset {
+        azimuth_deg: 0.0,
+        elevation_deg: 0.0,
+        cross_elevation_deg: 0.0,
+        sigma_deg: 0.0,
+        covariance_deg2: Matrix2::zeros(),
+        calibration_deg2: Matrix2::zeros(),
+    };
+    let sun_then = pointing::sun_on_plate_for(&on_target, instrument, sun, place)?;
+    let from_sun = instrument.mounting.boresight_mil.vector() - sun_then.vector();
+    let on_plate = aspect.sun_plate.position.vector() + from_sun;
+    Ok(mapping.to_sensor(on_plate.into()).vector())
+}
+
+/// The keywords of the sky behind a frame: the observer and the Sun, where time and place are known, and the pixels'
+/// coordinates, where there is a Sun too.
+pub fn sky_cards(
+    info: &FrameInfo,
+    solution: &Solution,
+    instrument: &Instrument,
+    target: &Target,
+    ephemeris: &mut Ephemeris,
+) -> Vec<Card> {
+    let (Some(utc), Some(place)) = (info.mid_exposure, info.place) else {
+        return Vec::new();
+    };
+    let sun = match ephemeris.sun(utc, place) {
+        Ok(sun) => sun,
+        Err(error) => {
+            tracing::warn!(%error, "no coordinates: the Sun's position is not known");
+            return Vec::new();
+        }
+    };
+    let mut cards = observer_cards(&sun, place);
+    // A target behind the limb has no place there; the frame's reason says so.
+    if let Ok(target) = target.at(utc, &sun) {
+        cards.push(Card::new("TARGETX", target.x));
+        cards.push(Card::new("TARGETY", target.y));
+    }
+    if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
+        match Helioprojection::new(aspect, &adopted.mapping, instrument, &sun) {
+            Ok(Some(helioprojection)) => {
+                cards.extend(helioprojection.cards());
+                cards.extend(error_cards(&helioprojection, aspect, instrument, &sun));
+            }
+            Ok(None) => tracing::warn!("no coordinates: the mapping has no inverse"),
+            Err(error) => tracing::warn!(%error, "no coordinates"),
+        }
+    }
+    cards
+}
+
+/// How well the coordinates are known: at random, the disc's centre; at the limb, the clocking.
+fn error_cards(
+    helioprojection: &Helioprojection,
+    aspect: &Aspect,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> Vec<Card> {
+    let matrix = helioprojection.arcsec_per_px;
+    let covariance = matrix * aspect.sun_px.covariance * matrix.transpose();
+    let random = |axis: usize| covariance[(axis, axis)].max(0.0).sqrt();
+    let clocking = instrument.mounting.clocking_deg.sigma.to_radians() * solar_radius_arcsec(sun);
+    vec![
+        Card::new("CRDER1", random(0)),
+        Card::new("CRDER2", random(1)),
+        Card::new("CSYER1", clocking),
+        Card::new("CSYER2", clocking),
+    ]
+}
+
+/// Who observed, from where about the Sun, and where the Sun stood.
+fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
+    let (longitude_deg, latitude_deg) = stonyhurst_deg(sun, place);
+    let carrington_deg = (sun.l0_deg + longitude_deg).rem_euclid(360.0);
+    vec![
+        Card::new("DSUN_OBS", sun.distance_au * AU_M),
+        Card::new("HGLN_OBS", longitude_deg),
+        Card::new("HGLT_OBS", latitude_deg),
+        Card::new("CRLN_OBS", carrington_deg),
+        Card::new("CRLT_OBS", latitude_deg),
+        Card::new("RSUN_REF", SUN_RADIUS_KM * 1e3),
+        Card::new("RSUN_OBS", solar_radius_arcsec(sun)),
+        Card::new("SOLAR_P0", sun.p_deg),
+        Card::new("NORTHANG", sun.zenith_to_north_deg),
+        Card::new("SUN-AZ", sun.azimuth_deg),
+        Card::new("SUN-EL", sun.elevation_deg),
+    ]
+}
+
+/// The observer's heliographic longitude from the Earth's centre, and latitude. The observer stands off the line from
+/// the Sun to the Earth's centre towards the zenith.
+fn stonyhurst_deg(sun: &SunPosition, place: Place) -> (f64, f64) {
+    let up_m = EARTH_RADIUS_M + place.height_m;
+    let aside = up_m * sun.elevation_deg.to_radians().cos() / (sun.distance_au * AU_M);
+    let (sin, cos) = sun.zenith_to_north_deg.to_radians().sin_cos();
+    let (to_west, to_north) = (-aside * sin, aside * cos);
+    let latitude_deg = sun.b0_deg + to_north.to_degrees();
+    let longitude_deg = to_west.to_degrees() / latitude_deg.to_radians().cos();
+    (longitude_deg, latitude_deg)
+}
+
+/// The Sun's radius as this observer sees it.
+fn solar_radius_arcsec(sun: &SunPosition) -> f64 {
+    (SUN_RADIUS_KM / (sun.distance_au * AU_KM)).asin() * ARCSEC_PER_RAD
+}

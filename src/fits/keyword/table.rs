@@ -1,0 +1,193 @@
+//! The rows: one keyword each, with its kind, unit, use and meaning.
+
+use super::Group;
+use super::Kind::{Float, Integer, Text, Time};
+use super::Use::{Both, Written};
+use super::row;
+
+/// The whole table.
+pub const GROUPS: &[Group] = &[
+    FILE,
+    TIME,
+    INSTRUMENT,
+    CAMERA,
+    PLACE,
+    OBSERVER,
+    COORDINATES,
+    SOLUTION,
+];
+
+/// The file and who wrote it.
+#[rustfmt::skip]
+const FILE: Group = Group {
+    title: "File",
+    keywords: &[
+        row("ORIGIN", Text, "", Written, "where the file was made"),
+        row("CREATOR", Text, "", Written, "program that wrote the file"),
+        row("DATE", Time, "", Written, "when the file was written, UTC"),
+        row("FILENAME", Text, "", Written, "this file's name"),
+        row("EXTNAME", Text, "", Written, "name of this extension"),
+        row("SOLARNET", Float, "", Written, "SOLARNET: 1 in full, 0.5 in part"),
+        row("OBS_HDU", Integer, "", Written, "1 where an observation's pixels stand"),
+        row("CHECKSUM", Text, "", Both, "checksum of the HDU"),
+        row("DATASUM", Text, "", Both, "checksum of the data"),
+    ],
+};
+
+/// When the frame was taken.
+#[rustfmt::skip]
+const TIME: Group = Group {
+    title: "Time",
+    keywords: &[
+        row("TIMESYS", Text, "", Both, "time scale of every time here"),
+        row("DATEREF", Time, "", Written, "zero of times counted in seconds"),
+        row("MJDREF", Float, "d", Written, "DATEREF as Modified Julian Date"),
+        row("DATE-OBS", Time, "", Both, "start of the exposure"),
+        row("MJD-OBS", Float, "d", Written, "DATE-OBS as Modified Julian Date"),
+        row("DATE-BEG", Time, "", Both, "start of the exposure"),
+        row("MJD-BEG", Float, "d", Written, "DATE-BEG as Modified Julian Date"),
+        row("DATE-AVG", Time, "", Both, "middle of the exposure"),
+        row("MJD-AVG", Float, "d", Written, "DATE-AVG as Modified Julian Date"),
+        row("DATE-END", Time, "", Written, "end of the exposure"),
+        row("MJD-END", Float, "d", Written, "DATE-END as Modified Julian Date"),
+        row("EXPTIME", Float, "s", Both, "length of the exposure"),
+        row("XPOSURE", Float, "s", Both, "length of the exposure"),
+        row("MONOTIME", Float, "s", Both, "mid-exposure on the monotonic clock"),
+        row("FRAMENUM", Integer, "", Both, "number of the frame in its sequence"),
+    ],
+};
+
+/// What the frame was taken with, but for the camera.
+#[rustfmt::skip]
+const INSTRUMENT: Group = Group {
+    title: "Instrument",
+    keywords: &[
+        row("OBSRVTRY", Text, "", Written, "name of the instrument file"),
+        row("TELESCOP", Text, "", Written, "name of the instrument file"),
+        row("INSTRUME", Text, "", Both, "kind of camera; read where CAMERA is not"),
+        row("WAVELNTH", Float, "nm", Written, "middle of the filter's band"),
+        row("WAVEUNIT", Text, "", Written, "unit of WAVELNTH"),
+        row("CLOCKANG", Float, "deg", Written, "clocking: from the zenith to plate +Y"),
+        row("BORE-X", Float, "mil", Written, "boresight on the plate"),
+        row("BORE-Y", Float, "mil", Written, "boresight on the plate"),
+        row("PLATEDST", Float, "mm", Written, "from the lens to the plate"),
+    ],
+};
+
+/// The camera and its pixels.
+#[rustfmt::skip]
+const CAMERA: Group = Group {
+    title: "Camera",
+    keywords: &[
+        row("CAMERA", Text, "", Both, "name of the camera"),
+        row("GAIN", Float, "", Both, "analogue gain, camera's unit"),
+        row("PREAMP", Float, "", Both, "pre-amplifier gain, camera's unit"),
+        row("CAMTEMP", Float, "degC", Both, "temperature of the camera"),
+        row("BITDEPTH", Integer, "bit", Both, "depth of the pixels"),
+        row("SATURATE", Integer, "DN", Both, "value at which a pixel saturates"),
+        row("BTYPE", Text, "", Written, "what the pixels tell"),
+        row("BUNIT", Text, "", Written, "unit of the pixels: digital numbers"),
+    ],
+};
+
+/// Where the frame was taken.
+#[rustfmt::skip]
+const PLACE: Group = Group {
+    title: "Place",
+    keywords: &[
+        row("LATITUDE", Float, "deg", Both, "geodetic latitude, WGS 84"),
+        row("LONGITUD", Float, "deg", Both, "longitude, east positive, WGS 84"),
+        row("HEIGHT", Float, "m", Both, "height above the ellipsoid, WGS 84"),
+        row("OBSGEO-X", Float, "m", Both, "geocentric position"),
+        row("OBSGEO-Y", Float, "m", Both, "geocentric position"),
+        row("OBSGEO-Z", Float, "m", Both, "geocentric position"),
+        row("OBSGEO-B", Float, "deg", Both, "geodetic latitude, IAU 1976"),
+        row("OBSGEO-L", Float, "deg", Both, "longitude, east positive"),
+        row("OBSGEO-H", Float, "m", Both, "height above the ellipsoid, IAU 1976"),
+    ],
+};
+
+/// The observer about the Sun, and the Sun in the observer's sky, at mid-exposure.
+#[rustfmt::skip]
+const OBSERVER: Group = Group {
+    title: "Observer and Sun",
+    keywords: &[
+        row("DSUN_OBS", Float, "m", Written, "from the observer to the Sun's centre"),
+        row("HGLN_OBS", Float, "deg", Written, "observer's Stonyhurst longitude"),
+        row("HGLT_OBS", Float, "deg", Written, "observer's heliographic latitude, B0"),
+        row("CRLN_OBS", Float, "deg", Written, "observer's Carrington longitude, L0"),
+        row("CRLT_OBS", Float, "deg", Written, "observer's heliographic latitude, B0"),
+        row("RSUN_REF", Float, "m", Written, "radius of the Sun (IAU 2015, B3)"),
+        row("RSUN_OBS", Float, "arcsec", Written, "radius of the Sun for the observer"),
+        row("SOLAR_P0", Float, "deg", Written, "solar north from celestial north"),
+        row("NORTHANG", Float, "deg", Written, "solar north from zenith, clockwise"),
+        row("SUN-AZ", Float, "deg", Written, "the Sun's azimuth, N through E"),
+        row("SUN-EL", Float, "deg", Written, "the Sun's elevation, no refraction"),
+        row("TARGETX", Float, "arcsec", Written, "target, to solar west"),
+        row("TARGETY", Float, "arcsec", Written, "target, to solar north"),
+    ],
+};
+
+/// The world coordinates of the pixels, where the frame shows a Sun.
+#[rustfmt::skip]
+const COORDINATES: Group = Group {
+    title: "World coordinates",
+    keywords: &[
+        row("WCSAXES", Integer, "", Written, "axes of the world coordinates"),
+        row("WCSNAME", Text, "", Written, "name of the world coordinates"),
+        row("CTYPE1", Text, "", Written, "longitude, to solar west"),
+        row("CTYPE2", Text, "", Written, "latitude, to solar north"),
+        row("CNAME1", Text, "", Written, "name of coordinate 1"),
+        row("CNAME2", Text, "", Written, "name of coordinate 2"),
+        row("CUNIT1", Text, "", Written, "unit of coordinate 1"),
+        row("CUNIT2", Text, "", Written, "unit of coordinate 2"),
+        row("CRPIX1", Float, "pixel", Written, "disc's centre, first pixel is 1"),
+        row("CRPIX2", Float, "pixel", Written, "disc's centre, first pixel is 1"),
+        row("CRVAL1", Float, "arcsec", Written, "longitude of the disc's centre"),
+        row("CRVAL2", Float, "arcsec", Written, "latitude of the disc's centre"),
+        row("CDELT1", Float, "arcsec", Written, "scale per pixel"),
+        row("CDELT2", Float, "arcsec", Written, "scale per pixel"),
+        row("PC1_1", Float, "", Written, "coordinate 1 along x, over the scale"),
+        row("PC1_2", Float, "", Written, "coordinate 1 along y, over the scale"),
+        row("PC2_1", Float, "", Written, "coordinate 2 along x, over the scale"),
+        row("PC2_2", Float, "", Written, "coordinate 2 along y, over the scale"),
+        row("LONPOLE", Float, "deg", Written, "native longitude of the pole"),
+        row("LATPOLE", Float, "deg", Written, "native latitude of the pole"),
+        row("CRDER1", Float, "arcsec", Written, "1 sigma of the disc's centre"),
+        row("CRDER2", Float, "arcsec", Written, "1 sigma of the disc's centre"),
+        row("CSYER1", Float, "arcsec", Written, "1 sigma at the limb by the clocking"),
+        row("CSYER2", Float, "arcsec", Written, "1 sigma at the limb by the clocking"),
+    ],
+};
+
+/// What the solver found.
+#[rustfmt::skip]
+const SOLUTION: Group = Group {
+    title: "Solution",
+    keywords: &[
+        row("QUALITY", Text, "", Written, "fine, coarse or none"),
+        row("REASON", Text, "", Written, "why the frame went no further"),
+        row("REASONIS", Float, "", Written, "what REASON is about, as measured"),
+        row("REASONLM", Float, "", Written, "the limit that REASONIS missed"),
+        row("SUNPX-X", Float, "pixel", Written, "disc's centre, first pixel is 0"),
+        row("SUNPX-Y", Float, "pixel", Written, "disc's centre, first pixel is 0"),
+        row("SUNPX-SX", Float, "pixel", Written, "1 sigma of SUNPX-X"),
+        row("SUNPX-SY", Float, "pixel", Written, "1 sigma of SUNPX-Y"),
+        row("SUNPX-R", Float, "pixel", Written, "disc's radius at the mapping's scale"),
+        row("SUNMIL-X", Float, "mil", Written, "disc's centre on the plate"),
+        row("SUNMIL-Y", Float, "mil", Written, "disc's centre on the plate"),
+        row("SUNMILSX", Float, "mil", Written, "1 sigma of SUNMIL-X"),
+        row("SUNMILSY", Float, "mil", Written, "1 sigma of SUNMIL-Y"),
+        row("NMARKS", Integer, "", Written, "marks that were read"),
+        row("MAPKIND", Text, "", Written, "kind of mapping, or its origin"),
+        row("MAPSCALE", Float, "mil/pixel", Written, "plate length per pixel"),
+        row("MAPROT", Float, "deg", Written, "rotation from +x towards +y"),
+        row("MAPRES", Float, "pixel", Written, "rms residual of the marks"),
+        row("OFFSETAZ", Float, "deg", Written, "azimuth, pointing minus target"),
+        row("OFFSETEL", Float, "deg", Written, "elevation, pointing minus target"),
+        row("OFFSETXE", Float, "deg", Written, "true angle across, to larger azimuth"),
+        row("OFFSETSG", Float, "deg", Written, "1 sigma per axis of true angle"),
+        row("OFFSETCS", Float, "deg", Written, "the same, left by the calibration"),
+        row("SOLVETIM", Float, "s", Written, "wall time of the solver"),
+    ],
+};
