@@ -127,7 +127,7 @@ pub fn noise_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
 pub fn limb_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
     let labels = Labels {
         title: format!("Error of the aspect against points of the limb, noise {STANDARD_DN} DN"),
-        x: "chords in each axis".into(),
+        x: "points of the limb".into(),
         y: ERROR.into(),
     };
     plot::curves(&labels, &curves_of(&sweeps.limb_points))
