@@ -7,7 +7,6 @@ use clap::{Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -248,17 +247,11 @@ fn run_export(args: &ExportArgs) -> anyhow::Result<bool> {
     let files = check::frames_of(&args.frames)?;
     match &args.out {
         Some(folder) if args.png => export_pictures(&files, folder),
-        Some(file) => {
-            let made = File::create(file);
-            let table =
-                made.with_context(|| format!("{}: cannot make the table", file.display()))?;
-            export_table(&files, table)
-        }
-        None => export_table(&files, std::io::stdout().lock()),
+        out => export_table(&files, out.as_deref()),
     }
 }
 
-fn export_table(files: &[PathBuf], out: impl Write) -> anyhow::Result<bool> {
+fn export_table(files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<bool> {
     let progress = progress_bar(files.len());
     let row = |path: &PathBuf| {
         let row = check::csv_row(path);
@@ -267,14 +260,19 @@ fn export_table(files: &[PathBuf], out: impl Write) -> anyhow::Result<bool> {
     };
     let rows: Vec<Vec<String>> = files.par_iter().map(row).collect();
     progress.finish_and_clear();
-    let mut table = csv::Writer::from_writer(out);
+    let mut table = csv::Writer::from_writer(Vec::new());
     table.write_record(check::csv_header())?;
     let mut all_well = true;
     for row in rows {
         all_well &= row.last().is_some_and(String::is_empty);
         table.write_record(row)?;
     }
-    table.flush()?;
+    let bytes = table.into_inner()?;
+    match out {
+        Some(file) => std::fs::write(file, bytes)
+            .with_context(|| format!("{}: cannot write the table", file.display()))?,
+        None => std::io::stdout().lock().write_all(&bytes)?,
+    }
     Ok(all_well)
 }
 

@@ -106,3 +106,82 @@ fn mark(row: &[u8]) -> Mark {
         sigma_px: real(4),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file of one table: its keywords and data.
+    fn table(cards: &[(&str, &str)], data: &[u8]) -> Vec<u8> {
+        let mut text = format!("{:<80}", "XTENSION= 'BINTABLE'");
+        for (keyword, value) in cards {
+            text += &format!("{:<80}", format!("{keyword:<8}= {value:<20} / comment"));
+        }
+        text += &format!("{:<80}", "END");
+        let mut bytes = text.into_bytes();
+        bytes.resize(bytes.len().next_multiple_of(BLOCK), b' ');
+        bytes.extend(data);
+        bytes
+    }
+
+    const CARDS: [(&str, &str); 13] = [
+        ("NAXIS1", "40"),
+        ("NAXIS2", "1"),
+        ("EXTNAME", "'MARKS   '"),
+        ("TTYPE1", "'I       '"),
+        ("TFORM1", "'K       '"),
+        ("TTYPE2", "'J       '"),
+        ("TFORM2", "'1K      '"),
+        ("TTYPE3", "'X       '"),
+        ("TFORM3", "'1D      '"),
+        ("TTYPE4", "'Y       '"),
+        ("TFORM4", "'D       '"),
+        ("TTYPE5", "'SIGMA   '"),
+        ("TFORM5", "'1D      '"),
+    ];
+
+    #[test]
+    fn a_row_is_two_whole_numbers_and_three_real_ones() {
+        let ids = [-3i64, 12].map(i64::to_be_bytes).concat();
+        let numbers = [640.25f64, 1e-3, 0.05].map(f64::to_be_bytes).concat();
+        let file = table(&CARDS, &[ids, numbers].concat());
+        let expected = Mark {
+            id: [-3, 12],
+            px: [640.25, 1e-3],
+            sigma_px: 0.05,
+        };
+        assert_eq!(read(&file).unwrap(), [expected]);
+    }
+
+    #[test]
+    fn a_table_of_another_make_is_an_error_that_names_the_field() {
+        for (keyword, value, message) in [
+            (
+                "NAXIS1",
+                "39",
+                "MARKS: NAXIS1: expected at least 40 bytes, found 39",
+            ),
+            (
+                "NAXIS2",
+                "many",
+                "MARKS: NAXIS2: expected a whole number, found many",
+            ),
+            ("TFORM3", "'1E'", "MARKS: TFORM3: expected 1D, found 1E"),
+            ("TTYPE5", "'S'", "MARKS: TTYPE5: expected SIGMA, found S"),
+        ] {
+            let mut cards = CARDS;
+            let card = cards.iter_mut().find(|(name, _)| *name == keyword);
+            card.unwrap().1 = value;
+            let error = read(&table(&cards, &[0; 80])).unwrap_err();
+            assert_eq!(error.to_string(), message);
+        }
+    }
+
+    #[test]
+    fn rows_that_are_promised_and_not_there_are_not_read() {
+        let mut cards = CARDS;
+        cards[1].1 = "1000000";
+        assert_eq!(read(&table(&cards, &[0; 79])).unwrap().len(), 1);
+        assert_eq!(read(&table(&cards, &[])).unwrap(), []);
+    }
+}
