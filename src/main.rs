@@ -37,6 +37,7 @@ enum Command {
     Sky(cli::sky::SkyArgs),
     Config(cli::config::ConfigArgs),
     Accuracy(cli::accuracy::AccuracyArgs),
+    Archive(cli::archive::ArchiveArgs),
 }
 
 fn main() -> ExitCode {
@@ -50,6 +51,7 @@ fn main() -> ExitCode {
         Command::Sky(args) => cli::sky::run(args).map(|()| ExitCode::SUCCESS),
         Command::Config(args) => cli::config::run(args).map(|()| ExitCode::SUCCESS),
         Command::Accuracy(args) => cli::accuracy::run(&args),
+        Command::Archive(args) => cli::archive::run(args),
     };
     match outcome {
         Ok(code) => code,

@@ -3,6 +3,7 @@
 //! Which values of a solution fill which keywords, columns and fields is decided in one place, [`Record`]; the world
 //! coordinates of the pixels are made in [`Helioprojection`].
 
+pub mod check;
 mod coordinates;
 mod name;
 mod record;

@@ -1,6 +1,7 @@
 //! The commands: each file reads its arguments, calls the library and prints. No logic here.
 
 pub mod accuracy;
+pub mod archive;
 pub mod config;
 pub mod demo;
 pub mod fly;

@@ -1,0 +1,148 @@
+//! Whether an archive is sound: every file by itself, and the files as a sequence.
+//!
+//! A file is sound when its structure is whole, the checksums of every HDU match, the picture unpacks, the keywords are of
+//! the kind that the [table](crate::fits::keyword) states, it bears the name that it was given, and its time is not
+//! before that of the file before it. A file that is missing makes a gap, which is no fault of the files that are there.
+
+mod files;
+mod keywords;
+mod marks;
+mod picture;
+mod sequence;
+
+pub use files::{Tree, TreeError, frames_of};
+pub use keywords::{Group, Row, csv_header, csv_row, grouped};
+pub use marks::{Mark, marks};
+pub use picture::stretched;
+pub use sequence::Gap;
+
+use crate::fits::{self, FileError, Problem, Value};
+use jiff::Timestamp;
+use rayon::prelude::*;
+use sequence::Dated;
+use serde::{Serialize, Serializer};
+use std::path::Path;
+
+/// What was found in an archive.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Files whose names end in `.fits`.
+    pub files: usize,
+    /// Entries of `bad_files`.
+    pub bad: usize,
+    /// Entries of `gap_list`.
+    pub gaps: usize,
+    /// Files whose names begin with a dot: half-written when the power went.
+    pub unfinished: usize,
+    /// Sound files whose frames have no time.
+    pub undated: usize,
+    /// Frames that are missing by their numbers.
+    pub missing_frames: u64,
+    /// Mid-exposure of the earliest sound frame.
+    #[serde(serialize_with = "milliseconds")]
+    pub first_utc: Option<Timestamp>,
+    /// Mid-exposure of the latest sound frame.
+    #[serde(serialize_with = "milliseconds")]
+    pub last_utc: Option<Timestamp>,
+    pub bad_files: Vec<BadFile>,
+    pub gap_list: Vec<Gap>,
+}
+
+/// A file and what is wrong with it, in one line.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct BadFile {
+    pub file: String,
+    pub error: String,
+}
+
+impl From<FileError> for BadFile {
+    fn from(error: FileError) -> Self {
+        Self {
+            file: error.path.display().to_string(),
+            error: error.problem.to_string(),
+        }
+    }
+}
+
+/// When a sound frame was taken.
+struct Sound {
+    utc: Option<Timestamp>,
+    number: Option<u64>,
+}
+
+/// Checks every file of a tree, several at a time; `checked` is called after each.
+pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
+    let check_one = |path: &std::path::PathBuf| {
+        let outcome = check_file(path);
+        checked();
+        outcome
+    };
+    let outcomes: Vec<_> = tree.files.par_iter().map(check_one).collect();
+    let mut bad_files = tree.unlisted.clone();
+    let mut dated = Vec::new();
+    let mut undated = 0;
+    for (path, outcome) in tree.files.iter().zip(outcomes) {
+        match outcome {
+            Ok(Sound { utc: None, .. }) => undated += 1,
+            Ok(Sound {
+                utc: Some(utc),
+                number,
+            }) => dated.push(Dated::sound(path, utc, number)),
+            Err(error) => {
+                dated.push(Dated::bad(path));
+                bad_files.push(error.into());
+            }
+        }
+    }
+    let sequence = sequence::examine(dated);
+    bad_files.extend(sequence.backward);
+    bad_files.sort();
+    Report {
+        files: tree.files.len(),
+        bad: bad_files.len(),
+        gaps: sequence.gaps.len(),
+        unfinished: tree.unfinished,
+        undated,
+        missing_frames: sequence.gaps.iter().map(|gap| gap.missing_frames).sum(),
+        first_utc: sequence.first,
+        last_utc: sequence.last,
+        bad_files,
+        gap_list: sequence.gaps,
+    }
+}
+
+/// Checks one file by itself.
+fn check_file(path: &Path) -> Result<Sound, FileError> {
+    let sums = fits::check_sums(path)?;
+    if sums.guarded < sums.hdus {
+        let expected = format!("both in each of {} HDUs", sums.hdus);
+        let found = format!("both in {} of them", sums.guarded);
+        return Err(field("CHECKSUM, DATASUM", expected, found).in_file(path));
+    }
+    let frame = fits::read_frame(path)?;
+    let header = fits::read_keywords(path)?;
+    keywords::check_kinds(&header).map_err(|problem| problem.in_file(path))?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    match header.get("FILENAME") {
+        Some(Value::Text(given)) if *given != *name => {
+            let expected = format!("'{name}', the name that the file has");
+            Err(field("FILENAME", expected, format!("'{given}'")).in_file(path))
+        }
+        _ => Ok(Sound {
+            utc: frame.info.mid_exposure,
+            number: frame.info.number,
+        }),
+    }
+}
+
+fn field(field: &str, expected: impl Into<String>, found: impl Into<String>) -> Problem {
+    Problem::Field {
+        field: field.into(),
+        expected: expected.into(),
+        found: found.into(),
+    }
+}
+
+fn milliseconds<S: Serializer>(utc: &Option<Timestamp>, serializer: S) -> Result<S::Ok, S::Error> {
+    utc.map(|utc| format!("{utc:.3}")).serialize(serializer)
+}

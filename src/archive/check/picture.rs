@@ -1,0 +1,33 @@
+//! A frame's picture for the eye.
+
+use crate::frame::{Frame, Sample};
+use crate::with_view;
+use image::GrayImage;
+
+/// This part of the pixels may be darker than black, and as many brighter than white.
+const CLIPPED: f64 = 0.001;
+
+/// The frame with its darkest pixels black and its brightest white, so that a faint disc shows, too.
+pub fn stretched(frame: &Frame) -> GrayImage {
+    let values: Vec<f32> = with_view!(frame, view => view.pixels.iter().map(|p| p.dn()).collect());
+    let (black, white) = ends(&values, frame.saturation_dn());
+    let grey = |dn: &f32| ((dn - black) / (white - black) * 255.0).round() as u8;
+    let mut picture = GrayImage::new(frame.width() as u32, frame.height() as u32);
+    for (pixel, dn) in picture.pixels_mut().zip(&values) {
+        pixel.0 = [grey(dn)];
+    }
+    picture
+}
+
+/// The values to become black and white, DN; of a picture without contrast, the whole range.
+fn ends(values: &[f32], saturation_dn: u16) -> (f32, f32) {
+    let mut sorted = values.to_vec();
+    let clipped = (CLIPPED * values.len() as f64) as usize;
+    let mut at = |index: usize| *sorted.select_nth_unstable_by(index, f32::total_cmp).1;
+    let (black, white) = (at(clipped), at(values.len() - 1 - clipped));
+    if white > black {
+        (black, white)
+    } else {
+        (0.0, f32::from(saturation_dn))
+    }
+}
