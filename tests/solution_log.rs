@@ -257,22 +257,35 @@ fn what_a_failed_write_left_is_gone_with_the_next_row() {
 }
 
 #[test]
-fn the_time_is_the_field_that_is_written_last() {
+fn a_reader_that_follows_finds_every_field_of_each_time() {
+    const FRAMES: u64 = 3000;
     let root = tempfile::tempdir().unwrap();
     let mut dirfile = Dirfile::new(root.path(), Timestamp::now());
-    dirfile.append(&dark_row(0)).unwrap();
+    let row = dark_row(0);
+    dirfile.append(&row).unwrap();
     let folder = &beginning_with(root.path(), "telemetry_")[0];
-    let written = |field: &str| {
-        let data = fs::metadata(folder.join(field)).unwrap();
-        data.modified().unwrap()
-    };
-    let fields = read_dirfile(folder);
-    assert_eq!(fields.last().unwrap().0, "TIME");
-    assert!(
-        fields
-            .iter()
-            .all(|(name, _)| written(name) <= written("TIME"))
-    );
+    let length = |field: &str| fs::metadata(folder.join(field)).unwrap().len();
+    let names: Vec<String> = read_dirfile(folder)
+        .into_iter()
+        .map(|field| field.0)
+        .collect();
+    std::thread::scope(|scope| {
+        let writer = scope.spawn(|| (1..FRAMES).for_each(|_| dirfile.append(&row).unwrap()));
+        let mut looks = 0;
+        while !writer.is_finished() || looks == 0 {
+            let frames = length("TIME") / 8;
+            for name in &names {
+                let size = if ["QUALITY", "STOPPED", "STORED"].contains(&name.as_str()) {
+                    1
+                } else {
+                    8
+                };
+                assert!(length(name) / size >= frames, "{name} of frame {frames}");
+            }
+            looks += 1;
+        }
+    });
+    assert_eq!(length("TIME"), 8 * FRAMES);
 }
 
 #[test]
@@ -379,10 +392,7 @@ struct DarkCamera {
 }
 
 impl FrameSource for DarkCamera {
-    fn next(
-        &mut self,
-        starts: &mut dyn FnMut(Timestamp),
-    ) -> Result<Option<Exposure>, CameraError> {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError> {
         let announced = Timestamp::now();
         starts(announced);
         let exposure = |number| Exposure {
