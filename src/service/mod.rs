@@ -13,7 +13,7 @@
 //! | channel | holds | when it is full |
 //! |---|---|---|
 //! | Sighting | frames to solve | the frame is lost and counted: a camera does not wait |
-//! | Filing | solved frames to store | the frame is not stored, and counted, and its row alone goes on to the log; solving and sending go on |
+//! | Filing | solved frames to store | the picture is not stored, and counted; its row goes to the log; solving goes on |
 //! | LinkEvent | exposures about to start, solutions | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
