@@ -1,15 +1,20 @@
-//! How a frame survives: a name that sorts by time, and a file that is whole or absent.
+//! How a frame survives: a name that sorts by time, and a file that is whole or absent; and beside the files every
+//! frame's numbers, as a log and as telemetry.
 //!
 //! Which values of a solution fill which keywords, columns and fields is decided in one place, [`Record`]; the world
 //! coordinates of the pixels are made in [`Helioprojection`].
 
 pub mod check;
 mod coordinates;
+mod dirfile;
+mod log;
 mod name;
 mod record;
 mod store;
 
 pub use coordinates::{Helioprojection, sky_cards};
+pub use dirfile::Dirfile;
+pub use log::{Row, SolutionLog};
 pub use name::{NameTime, name};
 pub use record::{
     MappingRecord, MarkRecord, OffsetRecord, Reason, Record, instrument_cards, tables,

@@ -40,7 +40,7 @@ pub enum ArchiveError {
 }
 
 /// Says, of a failed operation, what it was and on which path.
-trait During<T> {
+pub(super) trait During<T> {
     fn during(self, action: &'static str, path: &Path) -> Result<T, ArchiveError>;
 }
 
@@ -179,7 +179,7 @@ fn namesake(path: &Path, n: u32) -> PathBuf {
 }
 
 /// Brings a folder's list of names to the disk.
-fn sync_folder(folder: &Path) -> Result<(), ArchiveError> {
+pub(super) fn sync_folder(folder: &Path) -> Result<(), ArchiveError> {
     File::open(folder)
         .and_then(|folder| folder.sync_all())
         .during("bring the folder to the disk", folder)

@@ -1,7 +1,7 @@
 //! The flight service: every long-lived thread, channel, bound and overflow rule on one page.
 //!
 //! ```text
-//!            Sighting (8)              Answer (queue_frames)
+//!            Sighting (8)              Filing (queue_frames)
 //!  camera ----------------> solver ------------------------> archive
 //!    |                        |  \___ Answer (unbounded, only when watched) ---> watcher
 //!    |  LinkEvent (256)       |
@@ -13,7 +13,7 @@
 //! | channel | holds | when it is full |
 //! |---|---|---|
 //! | Sighting | frames to solve | the frame is lost and counted: a camera does not wait |
-//! | Answer | solved frames to store | the frame is not stored, and counted; solving and sending go on |
+//! | Filing | solved frames to store | the picture is not stored, and counted; its row goes to the log; solving goes on |
 //! | LinkEvent | exposures about to start, solutions | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
@@ -31,7 +31,7 @@ pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
 use tally::worth_a_line;
 
-use crate::archive::Store;
+use crate::archive::{Row, Store};
 use crate::camera::{Exposure, FrameSource};
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
@@ -49,6 +49,8 @@ use std::time::Instant;
 
 /// Frames that may wait for the solver: a third of a second at 26 frames/s.
 const SIGHTINGS: usize = 8;
+/// Rows of frames that the disk cannot follow, which may wait for the log beyond `queue_frames`: six minutes' worth.
+const ROWS: usize = 10_000;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
 
@@ -70,6 +72,13 @@ pub struct Flight {
 struct Sighting {
     exposure: Exposure,
     arrived: Instant,
+}
+
+/// What the archive is handed of a solved frame.
+enum Filing {
+    Frame(Answer),
+    /// Without the picture: too many wait for the disk.
+    Row(Box<Row>),
 }
 
 /// What the ground may set in flight.
@@ -110,7 +119,7 @@ impl Service {
     fn launch(flight: Flight, watcher: Option<Sender<Answer>>) -> std::io::Result<Self> {
         let config = flight.config;
         let (to_solver, sightings) = bounded(SIGHTINGS);
-        let (to_archive, answers) = bounded(config.archive.queue_frames);
+        let (to_archive, answers) = bounded(config.archive.queue_frames + ROWS);
         let (to_line, events) = bounded(LINK_EVENTS);
         let stop = Arc::new(AtomicBool::new(false));
         let commanded = Arc::new(Mutex::new(Commanded {
@@ -131,6 +140,7 @@ impl Service {
             settings: config.solver(),
             commanded,
             to_archive,
+            queue_frames: config.archive.queue_frames,
             to_line: to_line.clone(),
             watcher,
         };

@@ -2,7 +2,8 @@
 
 use super::line::{LinkEvent, Outcome};
 use super::tally::{SolverTally, worth_a_line};
-use super::{Commanded, Sighting};
+use super::{Commanded, Filing, Sighting};
+use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::Exposure;
 use crate::instrument::Instrument;
@@ -24,12 +25,25 @@ pub struct Answer {
     pub solve_time: Duration,
 }
 
+impl Answer {
+    /// What the logs tell of it, before its picture is stored.
+    pub(super) fn row(&self) -> Row {
+        let info = &self.exposure.frame.info;
+        let solution = &self.solution;
+        let solve_time = Some(self.solve_time);
+        let record = Record::new("", info.mid_exposure, solution, self.offset, solve_time);
+        Row::new(info.number, solution, record)
+    }
+}
+
 pub(super) struct Solver {
     pub instrument: Instrument,
     pub ephemeris: Ephemeris,
     pub settings: aspect::Settings,
     pub commanded: Arc<Mutex<Commanded>>,
-    pub to_archive: Sender<Answer>,
+    pub to_archive: Sender<Filing>,
+    /// Frames that may wait for the disk; of more, only the rows do.
+    pub queue_frames: usize,
     pub to_line: Sender<LinkEvent>,
     pub watcher: Option<Sender<Answer>>,
 }
@@ -128,7 +142,12 @@ impl Solver {
             // A watcher that has left misses nothing that matters.
             let _ = watcher.send(answer.clone());
         }
-        if self.to_archive.try_send(answer).is_err() {
+        let room = self.to_archive.len() < self.queue_frames;
+        let filing = match room {
+            true => Filing::Frame(answer),
+            false => Filing::Row(Box::new(answer.row())),
+        };
+        if self.to_archive.try_send(filing).is_err() || !room {
             tally.unstored += 1;
             if worth_a_line(tally.unstored) {
                 tracing::warn!(

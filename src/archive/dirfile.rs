@@ -1,0 +1,229 @@
+//! The telemetry as a dirfile, which KST plots while it grows: the same numbers as the solution log's.
+//!
+//! A dirfile (<https://getdata.sourceforge.net/dirfile.html>, Standards Version 8) is a folder with a text file `format`
+//! that declares the fields, and one file of plain binary samples per field; here one sample per frame, little-endian.
+//! What a frame did not reach is NaN, by the convention of dirfiles; the codes, which are whole numbers, have one for it.
+//!
+//! `TIME` is the reference field, whose length tells a reader how many frames there are, and is written last: a reader
+//! that follows never meets a frame that is there in part. A frame that the disk took in part is written over by the
+//! next.
+
+use super::log::{Row, make_new, write_at};
+use super::store::{ArchiveError, During, sync_folder};
+use crate::aspect::{Quality, Stage};
+use jiff::Timestamp;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+/// What a sample of a field is.
+#[derive(Clone, Copy)]
+enum Sample {
+    /// UINT8.
+    Code(fn(&Row) -> u8),
+    /// FLOAT64; NaN where not known.
+    Number(fn(&Row) -> Option<f64>),
+}
+
+impl Sample {
+    fn type_name(self) -> &'static str {
+        match self {
+            Self::Code(_) => "UINT8",
+            Self::Number(_) => "FLOAT64",
+        }
+    }
+
+    fn bytes(self, row: &Row) -> Vec<u8> {
+        match self {
+            Self::Code(of) => vec![of(row)],
+            Self::Number(of) => of(row).unwrap_or(f64::NAN).to_le_bytes().into(),
+        }
+    }
+}
+
+struct Field {
+    name: &'static str,
+    unit: &'static str,
+    meaning: &'static str,
+    sample: Sample,
+}
+
+const fn code(name: &'static str, meaning: &'static str, of: fn(&Row) -> u8) -> Field {
+    Field {
+        name,
+        unit: "",
+        meaning,
+        sample: Sample::Code(of),
+    }
+}
+
+const fn number(
+    name: &'static str,
+    unit: &'static str,
+    meaning: &'static str,
+    of: fn(&Row) -> Option<f64>,
+) -> Field {
+    Field {
+        name,
+        unit,
+        meaning,
+        sample: Sample::Number(of),
+    }
+}
+
+/// The fields in the order in which they are written; a file of that name holds the samples of each.
+#[rustfmt::skip]
+const FIELDS: [Field; 25] = [
+    number("FRAME", "", "number of the frame", |r| r.number.map(|n| n as f64)),
+    code("QUALITY", "quality: 0 none, 1 coarse, 2 fine", |r| quality_code(r.quality)),
+    code("STOPPED", "stopped at: 0 nowhere, 1 levels, 2 limb, 3 marks, 4 identification, 5 registration, 6 aspect, 7 pointing",
+        |r| r.stopped.map_or(0, stage_code)),
+    code("STORED", "picture stored: 0 no, 1 yes", |r| u8::from(!r.record.file.is_empty())),
+    number("SUN_X", "mil", "Sun's centre on the plate, x", |r| r.record.sun_plate_mil.map(|p| p[0])),
+    number("SUN_Y", "mil", "Sun's centre on the plate, y", |r| r.record.sun_plate_mil.map(|p| p[1])),
+    number("SIGMA_X", "mil", "1 sigma of SUN_X", |r| r.record.sun_plate_sigma_mil.map(|p| p[0])),
+    number("SIGMA_Y", "mil", "1 sigma of SUN_Y", |r| r.record.sun_plate_sigma_mil.map(|p| p[1])),
+    number("PIXEL_X", "px", "Sun's centre on the sensor, x", |r| r.record.sun_px.map(|p| p[0])),
+    number("PIXEL_Y", "px", "Sun's centre on the sensor, y", |r| r.record.sun_px.map(|p| p[1])),
+    number("RADIUS", "px", "Sun's radius on the sensor", |r| r.record.sun_radius_px),
+    number("MARKS", "", "marks with ids", |r| r.record.marks.as_ref().map(|m| m.len() as f64)),
+    number("SCALE", "mil/px", "scale of the mapping", |r| r.record.mapping.as_ref().map(|m| m.scale_mil_per_px)),
+    number("ROTATION", "deg", "rotation of the mapping", |r| r.record.mapping.as_ref().map(|m| m.rotation_deg)),
+    number("RESIDUAL", "px", "residual of the marks", |r| r.record.mapping.as_ref().and_then(|m| m.residual_px)),
+    number("OFFSET_AZ", "deg", "azimuth minus target's", |r| r.record.offset_deg.as_ref().map(|o| o.azimuth)),
+    number("OFFSET_EL", "deg", "elevation minus target's", |r| r.record.offset_deg.as_ref().map(|o| o.elevation)),
+    number("OFFSET_XEL", "deg", "cross-elevation from the target, true angle",
+        |r| r.record.offset_deg.as_ref().map(|o| o.cross_elevation)),
+    number("OFFSET_SIGMA", "deg", "1 sigma of the offset per axis, noise", |r| r.record.offset_deg.as_ref().map(|o| o.sigma)),
+    number("OFFSET_CALSIGMA", "deg", "1 sigma of the offset per axis, calibration",
+        |r| r.record.offset_deg.as_ref().map(|o| o.calibration_sigma)),
+    number("LEVEL_BACKGROUND", "DN", "level of the background", |r| r.levels.map(|l| l.background_dn)),
+    number("LEVEL_NOISE", "DN", "1 sigma of the background", |r| r.levels.map(|l| l.noise_dn)),
+    number("LEVEL_DISC", "DN", "level of the disc", |r| r.levels.map(|l| l.disc_dn)),
+    number("SOLVE_TIME", "s", "wall time of the solver", |r| r.record.solve_us.map(|us| us as f64 * 1e-6)),
+    number("TIME", "s", "mid-exposure, UTC since 1970", |r| r.record.utc.map(|utc| utc.as_nanosecond() as f64 * 1e-9)),
+];
+
+fn quality_code(quality: Quality) -> u8 {
+    match quality {
+        Quality::None => 0,
+        Quality::Coarse => 1,
+        Quality::Fine => 2,
+    }
+}
+
+fn stage_code(stage: Stage) -> u8 {
+    match stage {
+        Stage::Levels => 1,
+        Stage::Limb => 2,
+        Stage::Marks => 3,
+        Stage::Identification => 4,
+        Stage::Registration => 5,
+        Stage::Aspect => 6,
+        Stage::Pointing => 7,
+    }
+}
+
+/// The text of the file `format`.
+fn format_text() -> String {
+    let mut text = String::from(
+        "# Telemetry of solaspect, one sample per frame. NaN: not known. TIME is written last.\n\
+         /VERSION 8\n/ENDIAN little\n/ENCODING none\n",
+    );
+    for Field {
+        name,
+        unit,
+        meaning,
+        sample,
+    } in &FIELDS
+    {
+        text += &format!("{name} RAW {} 1\n", sample.type_name());
+        text += &format!("{name}/quantity STRING \"{meaning}\"\n");
+        if !unit.is_empty() {
+            text += &format!("{name}/units STRING \"{unit}\"\n");
+        }
+    }
+    text + "/REFERENCE TIME\n"
+}
+
+/// The dirfile of one start in one archive: `telemetry_<start>/`.
+#[derive(Debug)]
+pub struct Dirfile {
+    root: PathBuf,
+    start: Timestamp,
+    open: Option<Open>,
+}
+
+#[derive(Debug)]
+struct Open {
+    folder: PathBuf,
+    /// In the order of `FIELDS`.
+    files: Vec<File>,
+    /// Whole frames.
+    frames: u64,
+}
+
+impl Dirfile {
+    /// A dirfile under an archive's root; its folder is made with the first frame and never in place of another.
+    pub fn new(root: &Path, start: Timestamp) -> Self {
+        Self {
+            root: root.into(),
+            start,
+            open: None,
+        }
+    }
+
+    /// Adds a sample to every field.
+    ///
+    /// # Errors
+    /// Where the disk refuses; the frame is then not in the dirfile, and the next one may be tried.
+    pub fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+        let open = match &mut self.open {
+            Some(open) => open,
+            none => none.insert(Open::create(&self.root, self.start)?),
+        };
+        open.append(row)
+    }
+}
+
+impl Open {
+    fn create(root: &Path, start: Timestamp) -> Result<Self, ArchiveError> {
+        let (folder, ()) = make_new(root, "telemetry", start, "", |path| fs::create_dir(path))?;
+        let made = Self::fill(&folder);
+        if made.is_err() {
+            // Each try makes a folder: none may stay that nobody writes to.
+            let _ = fs::remove_dir_all(&folder);
+        }
+        let files = made?;
+        Ok(Self {
+            folder,
+            files,
+            frames: 0,
+        })
+    }
+
+    /// The fields' files, empty, and then `format`: who finds that finds them all.
+    fn fill(folder: &Path) -> Result<Vec<File>, ArchiveError> {
+        let make = |name: &str| {
+            let path = folder.join(name);
+            File::create_new(&path).during("make a field of the telemetry", &path)
+        };
+        let files = FIELDS
+            .iter()
+            .map(|field| make(field.name))
+            .collect::<Result<_, _>>()?;
+        let format = folder.join("format");
+        fs::write(&format, format_text()).during("write the telemetry's format", &format)?;
+        sync_folder(folder)?;
+        Ok(files)
+    }
+
+    fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+        for (field, file) in FIELDS.iter().zip(&mut self.files) {
+            let bytes = field.sample.bytes(row);
+            write_at(file, self.frames * bytes.len() as u64, &bytes)
+                .during("add to the telemetry", &self.folder.join(field.name))?;
+        }
+        self.frames += 1;
+        Ok(())
+    }
+}

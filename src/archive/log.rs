@@ -1,0 +1,194 @@
+//! The solution log: one CSV row per frame, beside the frames, with the same numbers as their files.
+//!
+//! A log is one file per start of the program, made with the first row. Every row reaches the operating system before
+//! the next frame is looked at, and the disk within a second; a row that the disk took in part is cut off again before
+//! the next is written.
+
+use super::record::Record;
+use super::store::{ArchiveError, During, sync_folder};
+use crate::aspect::{Quality, Solution, Stage};
+use crate::frame::Levels;
+use jiff::Timestamp;
+use std::fs::File;
+use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Logs of the same second that one folder takes.
+const MOST_NAMESAKES: u32 = 1000;
+
+/// Rows that a power cut may cost.
+const SYNC_EVERY: Duration = Duration::from_secs(1);
+
+/// What the logs tell of a frame. `record.file` is empty where its picture was not stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    /// Number of the frame in its sequence.
+    pub number: Option<u64>,
+    pub quality: Quality,
+    /// Where the frame stopped.
+    pub stopped: Option<Stage>,
+    pub levels: Option<Levels>,
+    pub record: Record,
+}
+
+impl Row {
+    /// The row of a solved frame; `record` is made of the same solution.
+    pub fn new(number: Option<u64>, solution: &Solution, record: Record) -> Self {
+        Self {
+            number,
+            quality: solution.quality,
+            stopped: solution.stopped.map(|stopped| stopped.stage),
+            levels: solution.levels,
+            record,
+        }
+    }
+
+    /// Names of the columns that the log has before those of [`Record::CSV_COLUMNS`] and after them.
+    const BEFORE: [&'static str; 1] = ["frame"];
+    const AFTER: [&'static str; 7] = [
+        "reason_measured",
+        "reason_limit",
+        "offset_cross_elevation_deg",
+        "offset_calibration_sigma_deg",
+        "background_dn",
+        "noise_dn",
+        "disc_dn",
+    ];
+
+    /// Names of the log's columns, each with its unit.
+    pub fn csv_columns() -> Vec<&'static str> {
+        [&Self::BEFORE[..], &Record::CSV_COLUMNS, &Self::AFTER].concat()
+    }
+
+    /// The fields of the columns; what is not known is empty.
+    fn csv_fields(&self) -> Vec<String> {
+        let number = |value: Option<f64>| {
+            let value = value.filter(|value| value.is_finite());
+            value.map_or(String::new(), |value| value.to_string())
+        };
+        let reason = self.record.reason.as_ref();
+        let offset = self.record.offset_deg.as_ref();
+        let mut fields = vec![self.number.map_or(String::new(), |n| n.to_string())];
+        fields.extend(self.record.csv_row());
+        fields.extend([
+            number(reason.map(|reason| reason.measured)),
+            number(reason.map(|reason| reason.limit)),
+            number(offset.map(|offset| offset.cross_elevation)),
+            number(offset.map(|offset| offset.calibration_sigma)),
+            number(self.levels.map(|levels| levels.background_dn)),
+            number(self.levels.map(|levels| levels.noise_dn)),
+            number(self.levels.map(|levels| levels.disc_dn)),
+        ]);
+        fields
+    }
+}
+
+/// The solution log of one start in one archive: `solutions_<start>.csv`.
+#[derive(Debug)]
+pub struct SolutionLog {
+    root: PathBuf,
+    start: Timestamp,
+    open: Option<Csv>,
+}
+
+#[derive(Debug)]
+struct Csv {
+    path: PathBuf,
+    file: File,
+    /// Bytes of whole rows.
+    length: u64,
+    synced: Instant,
+}
+
+impl SolutionLog {
+    /// A log under an archive's root; its file is made with the first row and never stands in place of another.
+    pub fn new(root: &Path, start: Timestamp) -> Self {
+        Self {
+            root: root.into(),
+            start,
+            open: None,
+        }
+    }
+
+    /// Adds a row.
+    ///
+    /// # Errors
+    /// Where the disk refuses; the row is then not in the log, and the next one may be tried.
+    pub fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+        let csv = match &mut self.open {
+            Some(csv) => csv,
+            none => none.insert(Csv::create(&self.root, self.start)?),
+        };
+        csv.append(row)
+    }
+}
+
+impl Csv {
+    fn create(root: &Path, start: Timestamp) -> Result<Self, ArchiveError> {
+        let (path, file) = make_new(root, "solutions", start, ".csv", |path| {
+            File::create_new(path)
+        })?;
+        sync_folder(root)?;
+        Ok(Self {
+            path,
+            file,
+            length: 0,
+            synced: Instant::now(),
+        })
+    }
+
+    fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+        let mut lines = csv::Writer::from_writer(Vec::new());
+        let written = match self.length {
+            0 => lines.write_record(Row::csv_columns()),
+            _ => Ok(()),
+        };
+        let bytes = written
+            .and_then(|()| lines.write_record(row.csv_fields()))
+            .map_err(io::Error::other)
+            .and_then(|()| lines.into_inner().map_err(io::Error::other))
+            .during("make a row of the log", &self.path)?;
+        write_at(&mut self.file, self.length, &bytes).during("add to the log", &self.path)?;
+        self.length += bytes.len() as u64;
+        if self.synced.elapsed() >= SYNC_EVERY {
+            self.synced = Instant::now();
+            // The row is in the file: what a disk says here concerns the whole file, and shows again in the next row.
+            let _ = self.file.sync_data();
+        }
+        Ok(())
+    }
+}
+
+/// Writes behind the first `whole` bytes, in place of what an attempt that failed may have left there.
+pub(super) fn write_at(file: &mut File, whole: u64, bytes: &[u8]) -> io::Result<()> {
+    if file.metadata()?.len() > whole {
+        file.set_len(whole)?;
+    }
+    file.seek(SeekFrom::Start(whole))?;
+    file.write_all(bytes)
+}
+
+/// Makes `<what>_<start><ending>` in the folder, or, where that stands, `<what>_<start>_2<ending>` and so on. `make`
+/// must refuse what exists.
+pub(super) fn make_new<T>(
+    folder: &Path,
+    what: &str,
+    start: Timestamp,
+    ending: &str,
+    make: impl Fn(&Path) -> io::Result<T>,
+) -> Result<(PathBuf, T), ArchiveError> {
+    let start = start.strftime("%Y%m%dT%H%M%S");
+    let first = folder.join(format!("{what}_{start}{ending}"));
+    for n in 1..=MOST_NAMESAKES {
+        let path = match n {
+            1 => first.clone(),
+            _ => folder.join(format!("{what}_{start}_{n}{ending}")),
+        };
+        match make(&path) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            made => return Ok((path.clone(), made.during("make the log", &path)?)),
+        }
+    }
+    Err(ArchiveError::Namesakes { path: first })
+}
