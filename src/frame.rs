@@ -170,6 +170,12 @@ impl Frame {
     }
 }
 
+/// Variance of a pixel's own box, px^2: what the pixel's size adds to a lens's blur.
+pub const PIXEL_VARIANCE_PX2: f64 = 1.0 / 12.0;
+
+/// Noise that rounding to whole numbers makes, 1 sigma, DN: no frame shows less.
+pub const ROUNDING_NOISE_DN: f64 = 0.2887;
+
 /// Brightness levels of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Levels {

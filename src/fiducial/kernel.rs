@@ -2,6 +2,7 @@
 
 use super::FlatDisc;
 use super::profile::Profile;
+use crate::frame::PIXEL_VARIANCE_PX2;
 use crate::plate::Cross;
 
 /// The cross as the camera sees it, px.
@@ -13,16 +14,13 @@ pub struct CrossShape {
     pub blur_px: f64,
 }
 
-/// Variance of a pixel's own box, px^2.
-const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
-
 impl CrossShape {
     /// A cross of the plate at a scale, seen through a lens's blur by pixels of finite size.
     pub fn new(cross: &Cross, scale_mil_per_px: f64, lens_blur_px: f64) -> Self {
         Self {
             half_length_px: cross.arm_length_mil / 2.0 / scale_mil_per_px,
             half_width_px: cross.arm_width_mil / 2.0 / scale_mil_per_px,
-            blur_px: (lens_blur_px.powi(2) + PIXEL_VARIANCE).sqrt(),
+            blur_px: (lens_blur_px.powi(2) + PIXEL_VARIANCE_PX2).sqrt(),
         }
     }
 

@@ -15,7 +15,7 @@
 
 use super::CrossShape;
 use super::profile::Profile;
-use crate::frame::{Frame, Levels, Sample, View};
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Sample, View};
 use crate::plate::Cross;
 use crate::units::{Estimate, SensorPx};
 use crate::with_view;
@@ -33,8 +33,6 @@ const DOUBTED_SIGMA: f32 = 3.0;
 /// Beyond the noise, the model may be off by this part of the light: a blur that is not quite the lens's shows at the arms'
 /// edges, and leaving out some of them would move the mark.
 const MODEL_ERROR: f32 = 0.04;
-/// Digitising alone makes this much noise, DN.
-const ROUNDING_NOISE_DN: f64 = 0.2887;
 /// Where less than this part of the patch's most light falls, a pixel tells nothing of the mark.
 const LEAST_LIGHT: f32 = 0.05;
 /// Fewest pixels that make a fit.

@@ -9,8 +9,9 @@
 //! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for a tenth that the
 //! scale costs.
 
+use super::outline::TUKEY_SIGMAS;
 use super::profile::{Brightness, Profile};
-use crate::frame::{Frame, Levels, Region, Sample, View};
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region, Sample, View};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
 use crate::with_view;
@@ -69,16 +70,12 @@ const BAND_OUTSIDE: (f64, f64) = (4.0, 6.0);
 const STEP_PX: f64 = 0.25;
 /// Fewest pixels that make a median, and a point.
 const MIN_PIXELS: usize = 10;
-/// Tukey's biweight gives no weight beyond this many sigma.
-const TUKEY_SIGMAS: f64 = 4.685;
 /// How far the light at one azimuth may be from the mean of all, before its own scale is known.
 const TILT: f64 = 0.04;
 /// A point so uncertain tells nothing.
 const MAX_SIGMA_PX: f64 = 0.7;
 /// A shift so large is no shift of the limb.
 const MAX_SHIFT_PX: f64 = 3.0;
-/// Rounding to whole numbers makes at least this noise, DN.
-const ROUNDING_NOISE_DN: f64 = 0.2887;
 
 /// Points of the limb about a first outline, in `sectors` sectors, and the profile that they show.
 pub fn limb_points(

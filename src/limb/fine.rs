@@ -3,7 +3,7 @@
 use super::edge::{Hidden, LimbPoint, limb_points};
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::{Profile, Settings};
-use crate::frame::{Frame, Levels};
+use crate::frame::{Frame, Levels, PIXEL_VARIANCE_PX2};
 use crate::geometry::Ellipse;
 use crate::units::Rejected;
 use nalgebra::Vector2;
@@ -20,8 +20,7 @@ pub struct Limb {
 impl Limb {
     /// The blur of the limb, 1 sigma, the pixel's own size taken off.
     pub fn lens_blur_px(&self) -> f64 {
-        const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
-        (self.profile.blur_px.powi(2) - PIXEL_VARIANCE)
+        (self.profile.blur_px.powi(2) - PIXEL_VARIANCE_PX2)
             .max(0.0)
             .sqrt()
     }

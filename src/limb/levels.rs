@@ -8,7 +8,7 @@
 
 use super::Settings;
 use super::bright::{Whole, bright_stretches};
-use crate::frame::{Frame, Levels, View};
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, View};
 use crate::units::Rejected;
 use crate::with_view;
 
@@ -27,8 +27,6 @@ const MIN_BRIGHT_PIXELS: u32 = 64;
 const MOST_BETWEEN: f64 = 0.1;
 /// The upper quartile of a normal distribution, sigma.
 const QUARTILE_SIGMAS: f64 = 0.6745;
-/// A histogram over whole numbers cannot show less noise than rounding makes, DN.
-const ROUNDING_NOISE_DN: f64 = 0.2887;
 
 /// The levels of a frame; rejected when nothing outshines the background.
 pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {

@@ -63,7 +63,7 @@ impl OutlineFit {
 }
 
 /// Tukey's biweight gives no weight beyond this many sigma; 95 % efficient for normal errors.
-const TUKEY_SIGMAS: f64 = 4.685;
+pub(super) const TUKEY_SIGMAS: f64 = 4.685;
 const STEPS: usize = 16;
 const ROUND_STEPS: usize = 6;
 /// Two values so many sigma apart are not of the same thing.

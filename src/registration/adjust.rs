@@ -47,6 +47,8 @@ pub(super) struct Adjusted {
 }
 
 const STEPS: usize = 12;
+/// A shorter step changes nothing: px, mil and parts of the picture's size alike.
+const SETTLED_STEP: f64 = 1e-7;
 
 impl<'a> Problem<'a> {
     /// `None` when a covariance cannot be inverted or all pairs fall together.
@@ -82,9 +84,17 @@ impl<'a> Problem<'a> {
         self.pairs.len()
     }
 
-    /// The same without one of the pairs.
-    pub(super) fn without(&mut self, pair: usize) {
+    /// Leaves out one of the pairs.
+    pub(super) fn leave_out(&mut self, pair: usize) {
         self.pairs.remove(pair);
+    }
+
+    /// A fit with the pairs' sigmas raised by another factor; itself where it was made by that very one.
+    pub(super) fn at(&self, adjusted: &Adjusted, raised: f64) -> Option<Adjusted> {
+        if adjusted.raised == raised {
+            return Some(*adjusted);
+        }
+        self.fit(adjusted.model.kind(), raised)
     }
 
     /// Fits a kind of mapping, the pairs' sigmas raised by a factor. `None` when the data do not determine it.
@@ -94,18 +104,17 @@ impl<'a> Problem<'a> {
         }
         // A divisor has no slope at zero, so the kinds that have one start from those that have none.
         let mut model = match kind {
-            MappingKind::Similarity | MappingKind::Affine => {
-                Model::zero(kind, self.handedness, self.normalisation)
+            MappingKind::Similarity => self.first_similarity()?,
+            MappingKind::Affine => self.first_similarity()?.as_affine(),
+            MappingKind::Keystone => {
+                let similarity = self.fit(MappingKind::Similarity, raised)?;
+                similarity.model.as_keystone()
             }
-            MappingKind::Keystone => self
-                .fit(MappingKind::Similarity, raised)?
-                .model
-                .as_keystone(),
-            MappingKind::Homography => self.fit(MappingKind::Affine, raised)?.model.as_homography(),
+            MappingKind::Homography => {
+                let affine = self.fit(MappingKind::Affine, raised)?;
+                affine.model.as_homography()
+            }
         };
-        if matches!(kind, MappingKind::Similarity | MappingKind::Affine) {
-            self.start(&mut model)?;
-        }
         let mut circle = self.start_circle(&model)?;
         let mut sums = Sums::default();
         for _ in 0..STEPS {
@@ -119,8 +128,7 @@ impl<'a> Problem<'a> {
                 circle.centre += Vector2::new(step[MOST], step[MOST + 1]);
                 circle.radius += step[MOST + 2];
             }
-            let settled = step.norm_squared() < 1e-14;
-            if settled {
+            if step.norm_squared() < SETTLED_STEP.powi(2) {
                 break;
             }
         }
@@ -137,10 +145,10 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// The pairs alone give a first mapping of a linear kind.
-    fn start(&self, model: &mut Model) -> Option<()> {
-        let similarity = Model::zero(MappingKind::Similarity, self.handedness, self.normalisation);
-        let mut first = similarity;
+    /// The similarity that the pairs alone give.
+    fn first_similarity(&self) -> Option<Model> {
+        let kind = MappingKind::Similarity;
+        let mut first = Model::zero(kind, self.handedness, self.normalisation);
         let mut information = SMatrix::<f64, MOST, MOST>::zeros();
         let mut gradient = Parameters::zeros();
         for pair in &self.pairs {
@@ -149,15 +157,11 @@ impl<'a> Problem<'a> {
             information += slopes.transpose() * pair.weight * slopes;
             gradient += slopes.transpose() * (pair.weight * miss);
         }
-        for n in MappingKind::Similarity.parameters()..MOST {
+        for n in kind.parameters()..MOST {
             information[(n, n)] = 1.0;
         }
         first.advance(&information.cholesky()?.solve(&gradient));
-        *model = match model.kind() {
-            MappingKind::Affine => first.as_affine(),
-            _ => first,
-        };
-        Some(())
+        Some(first)
     }
 
     /// `Some(None)` where no outline is fitted.

@@ -130,7 +130,7 @@ pub fn register(
     let mut problem = Problem::new(pairs, outline, handedness, distortion)?;
     let mut best = simplest(&problem, settings)?;
     while let Some(worst) = outlier(&problem, &best) {
-        problem.without(worst);
+        problem.leave_out(worst);
         best = simplest(&problem, settings)?;
     }
     registration(&problem, &best, distortion)
@@ -165,10 +165,8 @@ fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
         } else {
             richer.raised
         };
-        let (Some(simple), Some(rich)) = (
-            problem.fit(best.model.kind(), raised),
-            problem.fit(kind, raised),
-        ) else {
+        let (Some(simple), Some(rich)) = (problem.at(&best, raised), problem.at(&richer, raised))
+        else {
             continue;
         };
         let by_outline = simple.chi2_outline - rich.chi2_outline;
