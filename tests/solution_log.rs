@@ -312,7 +312,7 @@ fn frames_whose_picture_no_disk_took_are_in_the_log() {
     // Where the hour's folder should be.
     fs::write(root.path().join("20130921T18"), "occupied").unwrap();
     let summary = demonstration(root.path());
-    assert_eq!(summary.tally.archive.failed, 20, "{summary}");
+    assert_eq!(summary.tally.archive.unstored, 20, "{summary}");
     let log = log_of(root.path());
     assert_eq!(log.len(), 20);
     assert!(log.iter().all(|row| row["file"].is_empty()));
@@ -325,7 +325,7 @@ fn frames_that_find_the_archives_queue_full_are_in_the_log() {
     let root = tempfile::tempdir().unwrap();
     let stores = vec![open(root.path())];
     let tally = dark_flight(stores, 0);
-    assert_eq!((tally.solver.unstored, tally.archive.stored), (5, 0));
+    assert_eq!((tally.archive.overflowed, tally.archive.stored), (5, 0));
     let frames: Vec<String> = log_of(root.path())
         .iter()
         .map(|row| row["frame"].clone())
@@ -334,19 +334,30 @@ fn frames_that_find_the_archives_queue_full_are_in_the_log() {
 }
 
 #[test]
-fn rows_go_to_the_first_disk_that_takes_them() {
+fn every_row_is_on_every_disk_and_tells_the_file_wherever_it_is() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let stores = || vec![open(first.path()), open(second.path())];
-    dark_flight(stores(), 64);
-    assert_eq!(log_of(first.path()).len(), 5);
-    assert!(beginning_with(second.path(), "").is_empty());
+    let roots = [first.path(), second.path()];
+    dark_flight(roots.map(open).into(), 64);
+    let [log, other] = roots.map(log_of);
+    assert_eq!(log.len(), 5);
+    assert_eq!(log, other);
+    for row in &log {
+        let on = roots.map(|root| root.join(&row["file"]).is_file());
+        assert!(on[0] != on[1], "{}: {on:?}", row["file"]);
+    }
+    assert_eq!(telemetry_of(second.path())["STORED"], [1.0; 5]);
+}
 
-    let stores = stores();
+#[test]
+fn a_disk_that_has_gone_leaves_all_to_the_other() {
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let stores = vec![open(first.path()), open(second.path())];
     fs::remove_dir_all(first.path()).unwrap();
     let tally = dark_flight(stores, 64);
-    assert_eq!((tally.archive.stored, tally.archive.refused), (5, 5));
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (5, 0));
+    assert!(tally.archive.refused > 0);
     assert_eq!(log_of(second.path()).len(), 5);
-    assert_eq!(telemetry_of(second.path())["STORED"], [1.0; 5]);
+    assert!(!first.path().exists());
 }
 
 #[test]
@@ -355,7 +366,7 @@ fn a_flight_goes_on_where_no_disk_takes_a_row() {
     let stores = vec![open(root.path())];
     fs::remove_dir_all(root.path()).unwrap();
     let tally = dark_flight(stores, 64);
-    assert_eq!((tally.solver.frames(), tally.archive.failed), (5, 5));
+    assert_eq!((tally.solver.frames(), tally.archive.unstored), (5, 5));
     assert!(!root.path().exists());
 }
 

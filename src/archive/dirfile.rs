@@ -8,8 +8,9 @@
 //! that follows never meets a frame that is there in part. A frame that the disk took in part is written over by the
 //! next.
 
+use super::disk::{Disk, LocalDisk};
 use super::log::{Row, make_new, write_at};
-use super::store::{ArchiveError, During, sync_folder};
+use super::store::{ArchiveError, During};
 use crate::aspect::{Quality, Stage};
 use jiff::Timestamp;
 use std::fs::{self, File};
@@ -213,7 +214,9 @@ impl Open {
             .collect::<Result<_, _>>()?;
         let format = folder.join("format");
         fs::write(&format, format_text()).during("write the telemetry's format", &format)?;
-        sync_folder(folder)?;
+        LocalDisk
+            .sync_folder(folder)
+            .during("bring the folder to the disk", folder)?;
         Ok(files)
     }
 

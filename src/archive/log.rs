@@ -4,8 +4,9 @@
 //! the next frame is looked at, and the disk within a second; a row that the disk took in part is cut off again before
 //! the next is written.
 
+use super::disk::{Disk, LocalDisk};
 use super::record::Record;
-use super::store::{ArchiveError, During, sync_folder};
+use super::store::{ArchiveError, During};
 use crate::aspect::{Quality, Solution, Stage};
 use crate::frame::Levels;
 use jiff::Timestamp;
@@ -129,7 +130,9 @@ impl Csv {
         let (path, file) = make_new(root, "solutions", start, ".csv", |path| {
             File::create_new(path)
         })?;
-        sync_folder(root)?;
+        LocalDisk
+            .sync_folder(root)
+            .during("bring the folder to the disk", root)?;
         Ok(Self {
             path,
             file,

@@ -7,8 +7,10 @@
 pub mod check;
 mod coordinates;
 mod dirfile;
+pub mod disk;
 mod log;
 mod name;
+mod policy;
 mod record;
 mod store;
 
@@ -16,7 +18,8 @@ pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
 pub use log::{Row, SolutionLog};
 pub use name::{NameTime, name};
+pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{
     MappingRecord, MarkRecord, OffsetRecord, Reason, Record, instrument_cards, tables,
 };
-pub use store::{ArchiveError, Store};
+pub use store::{ArchiveError, Encoded, MARK, Store};

@@ -5,17 +5,20 @@
 //! A power cut at any moment leaves whole files and at most a temporary, which begins with a dot, does not end in
 //! `.fits`, and is swept away when the store is next opened.
 
+use super::disk::{Disk, Entry, EntryKind, LocalDisk, Lock, Space};
 use super::name::{NameTime, name};
 use crate::fits::{Card, Compression, FileError, Problem, Table, encode_frame};
 use crate::frame::Frame;
 use jiff::Timestamp;
-use std::fs::{self, File};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
-use tempfile::NamedTempFile;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// What ends the name of a file that is being written.
 const UNFINISHED: &str = ".part";
+
+/// The file at an archive's root that tells an archive's disk from the empty folder it is mounted on.
+pub const MARK: &str = "archive.lock";
 
 /// Frames with the same instrument, time and number that one folder takes.
 const MOST_NAMESAKES: u32 = 1000;
@@ -55,41 +58,112 @@ impl<T> During<T> for io::Result<T> {
 }
 
 /// An archive of one instrument's frames under one folder.
+///
+/// A store may be opened when it is made, or with its first frame; it may be unmounted and come back. The file
+/// [`MARK`] at its root tells that the disk is there, and keeps other programs from writing to it.
 #[derive(Debug)]
 pub struct Store {
+    disk: Arc<dyn Disk>,
     root: PathBuf,
     instrument: String,
     compression: Compression,
+    claim: Mutex<Claim>,
+}
+
+/// How far a store was opened.
+#[derive(Debug, Default)]
+struct Claim {
+    /// Held while this program writes to the archive.
+    lock: Option<Lock>,
     swept: usize,
 }
 
 impl Store {
+    /// A store on a disk that nobody has looked at yet.
+    pub fn new(
+        disk: Arc<dyn Disk>,
+        root: &Path,
+        instrument: &str,
+        compression: Compression,
+    ) -> Self {
+        Self {
+            disk,
+            root: root.into(),
+            instrument: instrument.into(),
+            compression,
+            claim: Mutex::default(),
+        }
+    }
+
     /// Opens the archive at `root`, makes the folder if need be, and removes files that an earlier run left
-    /// unfinished. One process at a time may write to an archive.
+    /// unfinished.
     ///
     /// # Errors
-    /// Where the folder cannot be made or listed, or a file in it not removed.
+    /// Where the folder cannot be made or listed, a file in it not removed, or where another program writes to it.
     pub fn open(
         root: &Path,
         instrument: &str,
         compression: Compression,
     ) -> Result<Self, ArchiveError> {
-        fs::create_dir_all(root).during("make the archive's folder", root)?;
-        Ok(Self {
-            root: root.into(),
-            instrument: instrument.into(),
-            compression,
-            swept: sweep(root)?,
-        })
+        let store = Self::new(Arc::new(LocalDisk), root, instrument, compression);
+        store.prepare()?;
+        Ok(store)
     }
 
-    /// How many unfinished files of an earlier run were removed on opening.
+    /// Makes ready for writing, as [`open`](Self::open) does, if that has not been done; else looks whether the disk
+    /// is still there.
+    ///
+    /// # Errors
+    /// As `open`; and where the disk has gone, or an empty folder stands in its place.
+    pub fn prepare(&self) -> Result<(), ArchiveError> {
+        let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
+        if claim.lock.is_some() {
+            return self.present();
+        }
+        let (disk, root) = (&self.disk, &self.root);
+        disk.make_root(root)
+            .during("make the archive's folder", root)?;
+        let mark = root.join(MARK);
+        let lock = disk
+            .lock(&mark)
+            .during("be the only program that writes to this archive", &mark)?;
+        claim.swept += self.sweep()?;
+        claim.lock = Some(lock);
+        Ok(())
+    }
+
+    /// Whether the disk is there: where it is not, nothing may be written in its place.
+    ///
+    /// # Errors
+    /// Where it has gone.
+    pub fn present(&self) -> Result<(), ArchiveError> {
+        let mark = self.root.join(MARK);
+        match self.disk.exists(&mark) {
+            true => Ok(()),
+            false => {
+                Err(io::Error::from(ErrorKind::NotFound)).during("find the disk's mark", &mark)
+            }
+        }
+    }
+
+    /// How many unfinished files of an earlier run were removed.
     pub fn swept(&self) -> usize {
-        self.swept
+        let claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
+        claim.swept
     }
 
     pub fn root(&self) -> &Path {
         &self.root
+    }
+
+    /// How much the disk may yet take.
+    ///
+    /// # Errors
+    /// Where the disk does not say.
+    pub fn space(&self) -> Result<Space, ArchiveError> {
+        self.disk
+            .space(&self.root)
+            .during("read the disk's free space", &self.root)
     }
 
     /// Archives a frame with further keywords and tables, and returns the file it is in. When this returns, the
@@ -104,69 +178,140 @@ impl Store {
         cards: &[Card],
         tables: &[Table],
     ) -> Result<PathBuf, ArchiveError> {
+        self.put(&self.encode(Path::new(""), &self.instrument, frame, cards, tables)?)
+    }
+
+    /// The first half of [`write`](Self::write): chooses a name and makes the bytes of the file. `folder` is below
+    /// the root, for one camera of several; empty for the root itself.
+    ///
+    /// # Errors
+    /// Where the disk has gone, or the frame cannot be encoded.
+    pub fn encode(
+        &self,
+        folder: &Path,
+        instrument: &str,
+        frame: &Frame,
+        cards: &[Card],
+        tables: &[Table],
+    ) -> Result<Encoded, ArchiveError> {
+        self.prepare()?;
         let time = match frame.info.mid_exposure {
             Some(middle) => NameTime::MidExposure(middle),
             None => NameTime::Written(Timestamp::now()),
         };
-        let path = self
-            .root
-            .join(name(&self.instrument, time, frame.info.number));
-        let path = free_name(&path)?;
+        let name = folder.join(name(instrument, time, frame.info.number));
+        let name = self.free_name(&name)?;
         let mut cards = cards.to_vec();
-        let file_name = path.file_name().unwrap_or_default().to_string_lossy();
+        let file_name = name.file_name().unwrap_or_default().to_string_lossy();
         cards.push(Card::new("FILENAME", &*file_name));
         let bytes = encode_frame(frame, &cards, tables, self.compression)
-            .map_err(|problem: Problem| problem.in_file(&path))?;
+            .map_err(|problem: Problem| problem.in_file(&self.root.join(&name)))?;
+        Ok(Encoded { name, bytes })
+    }
+
+    /// The second half of [`write`](Self::write): brings the file to the disk. Another store's encoded frame will
+    /// do, unless its name is taken here ([`has`](Self::has)).
+    ///
+    /// # Errors
+    /// Where the disk refuses; then no file is left.
+    pub fn put(&self, encoded: &Encoded) -> Result<PathBuf, ArchiveError> {
+        let path = self.root.join(&encoded.name);
         let folder = path.parent().unwrap_or(&self.root);
-        self.make_folder(folder)?;
-        let unfinished = write_unfinished(folder, &path, &bytes)?;
-        unfinished
-            .persist_noclobber(&path)
-            .map_err(|error| error.error)
-            .during("name the file", &path)?;
-        sync_folder(folder)?;
+        self.enter(encoded.name.parent().unwrap_or(Path::new("")))?;
+        let unfinished = unfinished(&path);
+        let named = self
+            .write_unfinished(&unfinished, &encoded.bytes)
+            .and_then(|()| {
+                self.disk
+                    .rename_new(&unfinished, &path)
+                    .during("name the file", &path)
+            });
+        if named.is_err() {
+            // What cannot be removed now is swept away at the next start.
+            let _ = self.disk.remove(&unfinished);
+        }
+        named?;
+        self.sync_folder(folder)?;
         Ok(path)
     }
 
-    fn make_folder(&self, folder: &Path) -> Result<(), ArchiveError> {
-        // Not with its parents: where the root is gone, its disk is, and nothing may be written in its place.
-        match fs::create_dir(folder) {
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => Ok(()),
-            made => {
-                made.during("make a folder", folder)?;
-                sync_folder(&self.root)
+    /// Whether a file of that name is here.
+    pub fn has(&self, name: &Path) -> bool {
+        self.disk.exists(&self.root.join(name))
+    }
+
+    /// Makes a folder under the root if need be, when the disk is there.
+    ///
+    /// # Errors
+    /// As [`prepare`](Self::prepare), or where the folder cannot be made.
+    pub fn enter(&self, folder: &Path) -> Result<(), ArchiveError> {
+        self.prepare()?;
+        let mut above = self.root.clone();
+        for name in folder {
+            let folder = above.join(name);
+            match self.disk.make_folder(&folder) {
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+                made => {
+                    made.during("make a folder", &folder)?;
+                    self.sync_folder(&above)?;
+                }
+            }
+            above = folder;
+        }
+        Ok(())
+    }
+
+    fn write_unfinished(&self, path: &Path, bytes: &[u8]) -> Result<(), ArchiveError> {
+        let mut file = self.disk.create(path).during("make the file", path)?;
+        file.write_all(bytes).during("write the file", path)?;
+        file.sync().during("bring the file to the disk", path)
+    }
+
+    fn sync_folder(&self, folder: &Path) -> Result<(), ArchiveError> {
+        self.disk
+            .sync_folder(folder)
+            .during("bring the folder to the disk", folder)
+    }
+
+    /// The name itself, or with the first counter under which no file stands. One program writes to an archive, so
+    /// the name stays free.
+    fn free_name(&self, name: &Path) -> Result<PathBuf, ArchiveError> {
+        (1..=MOST_NAMESAKES)
+            .map(|n| namesake(name, n))
+            .find(|candidate| !self.has(candidate))
+            .ok_or_else(|| ArchiveError::Namesakes {
+                path: self.root.join(name),
+            })
+    }
+
+    /// Removes unfinished files from the root and all folders under it, and counts them.
+    fn sweep(&self) -> Result<usize, ArchiveError> {
+        let mut swept = 0;
+        let mut folders = vec![self.root.clone()];
+        while let Some(folder) = folders.pop() {
+            let entries = self.disk.list(&folder).during("list the folder", &folder)?;
+            for Entry { path, kind } in entries {
+                match kind {
+                    EntryKind::Folder => folders.push(path),
+                    EntryKind::File if is_unfinished(&path) => {
+                        self.disk
+                            .remove(&path)
+                            .during("remove the unfinished file", &path)?;
+                        swept += 1;
+                    }
+                    EntryKind::File | EntryKind::Other => {}
+                }
             }
         }
+        Ok(swept)
     }
 }
 
-/// Writes the bytes to the disk under a temporary name, which is removed again if anything fails.
-fn write_unfinished(
-    folder: &Path,
-    path: &Path,
-    bytes: &[u8],
-) -> Result<NamedTempFile, ArchiveError> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".").suffix(UNFINISHED);
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
-    let mut file = builder
-        .tempfile_in(folder)
-        .during("make a temporary file for it", path)?;
-    file.write_all(bytes).during("write the file", path)?;
-    file.as_file()
-        .sync_all()
-        .during("bring the file to the disk", path)?;
-    Ok(file)
-}
-
-/// The name itself, or with the first counter under which no file stands. One process writes to an archive, so the name
-/// stays free.
-fn free_name(path: &Path) -> Result<PathBuf, ArchiveError> {
-    (1..=MOST_NAMESAKES)
-        .map(|n| namesake(path, n))
-        .find(|candidate| candidate.symlink_metadata().is_err())
-        .ok_or_else(|| ArchiveError::Namesakes { path: path.into() })
+/// A frame as the bytes of its file, and the file's place under the root.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Encoded {
+    pub name: PathBuf,
+    pub bytes: Vec<u8>,
 }
 
 /// The n-th file of a name: `a.fits`, `a_2.fits`, `a_3.fits` ...
@@ -178,41 +323,22 @@ fn namesake(path: &Path, n: u32) -> PathBuf {
     path.with_file_name(format!("{stem}_{n}.fits"))
 }
 
-/// Brings a folder's list of names to the disk.
-pub(super) fn sync_folder(folder: &Path) -> Result<(), ArchiveError> {
-    File::open(folder)
-        .and_then(|folder| folder.sync_all())
-        .during("bring the folder to the disk", folder)
+/// The name of a file while it is being written.
+fn unfinished(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!(".{name}{UNFINISHED}"))
 }
 
-/// Removes unfinished files from the root and its folders, and counts them.
-fn sweep(root: &Path) -> Result<usize, ArchiveError> {
-    let mut swept = 0;
-    let mut folders = vec![root.to_path_buf()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).during("list the folder", &folder)? {
-            let entry = entry.during("list the folder", &folder)?;
-            let path = entry.path();
-            let kind = entry.file_type().during("look at the file", &path)?;
-            if kind.is_dir() && folder == root {
-                folders.push(path);
-            } else if kind.is_file() && is_unfinished(&entry.file_name().to_string_lossy()) {
-                fs::remove_file(&path).during("remove the unfinished file", &path)?;
-                swept += 1;
-            }
-        }
-    }
-    Ok(swept)
-}
-
-fn is_unfinished(file_name: &str) -> bool {
-    file_name.starts_with('.') && file_name.ends_with(UNFINISHED)
+fn is_unfinished(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.starts_with('.') && name.ends_with(UNFINISHED)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::frame::{FrameInfo, Pixels};
+    use std::fs;
 
     fn frame(mid_exposure: Option<&str>) -> Frame {
         let info = FrameInfo {

@@ -2,6 +2,7 @@
 
 use super::options;
 use crate::archive::Store;
+use crate::archive::disk::LocalDisk;
 use crate::camera::{FolderCamera, FrameSource, SimulatedCamera};
 use crate::config::Config;
 use crate::instrument::Instrument;
@@ -14,6 +15,7 @@ use jiff::Timestamp;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -79,7 +81,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         ephemeris,
         camera: camera(&args.camera, &instrument, &config, args.duration)?,
         port: port(&config)?,
-        stores: stores(&config, &instrument)?,
+        stores: stores(&config, &instrument),
         instrument,
         config,
     };
@@ -132,13 +134,17 @@ fn port(config: &Config) -> anyhow::Result<Option<Box<dyn BytePort + Send>>> {
     })
 }
 
-fn stores(config: &Config, instrument: &Instrument) -> anyhow::Result<Vec<Store>> {
+/// The archives on the configured disks. One that is not there now is tried again in flight.
+fn stores(config: &Config, instrument: &Instrument) -> Vec<Store> {
     let archive = &config.archive;
     let folders = [&archive.directory, &archive.second_directory];
-    let open = |folder| Store::open(folder, &instrument.name, archive.compression);
-    Ok(folders
-        .into_iter()
-        .flatten()
-        .map(|folder| open(folder))
-        .collect::<Result<_, _>>()?)
+    let open = |folder: &PathBuf| {
+        let disk = Arc::new(LocalDisk);
+        let store = Store::new(disk, folder, &instrument.name, archive.compression);
+        if let Err(error) = store.prepare() {
+            tracing::error!(%error, "a disk of the archive cannot be used yet");
+        }
+        store
+    };
+    folders.into_iter().flatten().map(open).collect()
 }

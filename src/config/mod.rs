@@ -17,6 +17,7 @@ pub use parameter::{Allowed, Parameter, Refused};
 pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
+use crate::archive::{Overflow, Sharing, SpaceLimits};
 use crate::fits::Compression;
 use crate::instrument::TomlError;
 use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
@@ -120,7 +121,13 @@ pub struct Archive {
     pub directory: Option<PathBuf>,
     pub second_directory: Option<PathBuf>,
     pub compression: Compression,
+    pub sharing: Sharing,
     pub queue_frames: usize,
+    pub overflow: Overflow,
+    pub store_every: u64,
+    pub warn_free_percent: f64,
+    pub thin_free_percent: f64,
+    pub stop_free_percent: f64,
 }
 
 impl Default for Archive {
@@ -129,7 +136,24 @@ impl Default for Archive {
             directory: None,
             second_directory: None,
             compression: Compression::Rice,
+            sharing: Sharing::Alternate,
             queue_frames: 64,
+            overflow: Overflow::DropOldest,
+            store_every: 4,
+            warn_free_percent: 10.0,
+            thin_free_percent: 3.0,
+            stop_free_percent: 1.0,
+        }
+    }
+}
+
+impl Archive {
+    /// How much free space calls for what.
+    pub fn space_limits(&self) -> SpaceLimits {
+        SpaceLimits {
+            warn_percent: self.warn_free_percent,
+            thin_percent: self.thin_free_percent,
+            stop_percent: self.stop_free_percent,
         }
     }
 }

@@ -7,6 +7,7 @@
 
 use super::parameter::{Allowed, Parameter, Sample};
 use super::value::Field;
+use crate::archive::{Overflow, Sharing};
 use crate::fits::Compression;
 use Allowed::{Name, Number, Text, Utc, Whole};
 
@@ -80,8 +81,20 @@ static TABLE: &[Parameter] = &[
         "Folder on another disk, for when the first fails or fills."),
     row!(archive.compression, "", Name(&Compression::NAMES),
         "How pictures are compressed, always without loss. With none, programs that read plain images only can open them."),
+    row!(archive.sharing, "", Name(Sharing::NAMES),
+        "What two disks do: alternate stores each frame on one of them in turn, mirror on both. One that refuses rests (0.25 s, then twice as long each time, at most 5 s) while the other takes all."),
     row!(archive.queue_frames, "", Whole(1, 10_000),
         "Frames that may wait for the disk. Raising it rides out longer pauses of the disk, at 1.3 to 2.5 MB of memory each."),
+    row!(archive.overflow, "", Name(Overflow::NAMES),
+        "What is given up when so many frames wait: drop_oldest, the one that has waited longest; every_nth, all but one in store_every until none waits any more; solutions_only, all pictures until none waits any more. The solution log keeps every frame's row."),
+    row!(archive.store_every, "", Whole(1, 10_000), command 40,
+        "One frame in this many is stored while frames are thinned out, for want of speed or of space."),
+    row!(archive.warn_free_percent, "percent", Number(0.0, 100.0), command 41,
+        "With less of the disk free there is a warning."),
+    row!(archive.thin_free_percent, "percent", Number(0.0, 100.0), command 42,
+        "With less of every disk free, one frame in store_every is stored; of two disks, the one with more room takes all first."),
+    row!(archive.stop_free_percent, "percent", Number(0.0, 100.0), command 43,
+        "With less of every disk free, no frames are stored; the log goes on."),
 
     row!(simulation.seed, "", Whole(0, i64::MAX),
         "Seed of the simulator: the same seed gives the same frames, bit for bit."),

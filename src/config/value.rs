@@ -1,5 +1,6 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
+use crate::archive::{Overflow, Sharing};
 use crate::fits::Compression;
 use jiff::Timestamp;
 use std::fmt;
@@ -133,13 +134,19 @@ impl<T: Field> Field for Option<T> {
     }
 }
 
-impl Field for Compression {
-    fn value(&self) -> Option<Value> {
-        Some(Value::Text(self.name().into()))
-    }
+macro_rules! named_field {
+    ($($type:ty),*) => {$(
+        impl Field for $type {
+            fn value(&self) -> Option<Value> {
+                Some(Value::Text(self.name().into()))
+            }
 
-    fn from_value(value: Option<Value>) -> Option<Self> {
-        let name = String::from_value(value)?;
-        Self::KINDS.into_iter().find(|kind| kind.name() == name)
-    }
+            fn from_value(value: Option<Value>) -> Option<Self> {
+                let name = String::from_value(value)?;
+                Self::KINDS.iter().copied().find(|kind| kind.name() == name)
+            }
+        }
+    )*};
 }
+
+named_field!(Compression, Overflow, Sharing);

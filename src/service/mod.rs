@@ -1,8 +1,9 @@
 //! The flight service: every long-lived thread, channel, bound and overflow rule on one page.
 //!
 //! ```text
-//!            Sighting (8)              Filing (queue_frames)
-//!  camera ----------------> solver ------------------------> archive
+//!            Sighting (8)            pictures (queue_frames)
+//!  camera ----------------> solver ------------------------> archive-1, archive-2    frames
+//!    |                        | \____ rows (10,000) ________> log-1, log-2            log, telemetry
 //!    |                        |  \___ Answer (unbounded, only when watched) ---> watcher
 //!    |  LinkEvent (256)       |
 //!    +----------------------> link <----> controller, over a byte port
@@ -13,7 +14,8 @@
 //! | channel | holds | when it is full |
 //! |---|---|---|
 //! | Sighting | frames to solve | the frame is lost and counted: a camera does not wait |
-//! | Filing | solved frames to store | the picture is not stored, and counted; its row goes to the log; solving goes on |
+//! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
+//! | rows | rows of the log | the row is lost and counted |
 //! | LinkEvent | exposures about to start, solutions | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
@@ -26,12 +28,13 @@ mod line;
 mod solver;
 mod tally;
 
+pub use archiver::DiskHealth;
 pub use solver::Answer;
 pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
 use tally::worth_a_line;
 
-use crate::archive::{Row, Store};
+use crate::archive::Store;
 use crate::camera::{Exposure, FrameSource};
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
@@ -42,6 +45,7 @@ use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, unbounded};
 use jiff::Timestamp;
 use line::{Line, LinkEvent};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
@@ -49,8 +53,6 @@ use std::time::Instant;
 
 /// Frames that may wait for the solver: a third of a second at 26 frames/s.
 const SIGHTINGS: usize = 8;
-/// Rows of frames that the disk cannot follow, which may wait for the log beyond `queue_frames`: six minutes' worth.
-const ROWS: usize = 10_000;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
 
@@ -74,11 +76,14 @@ struct Sighting {
     arrived: Instant,
 }
 
-/// What the archive is handed of a solved frame.
-enum Filing {
-    Frame(Answer),
-    /// Without the picture: too many wait for the disk.
-    Row(Box<Row>),
+/// A camera's place in the flight.
+#[derive(Debug)]
+pub struct Station {
+    /// Among the flight's cameras.
+    pub index: usize,
+    pub instrument: Instrument,
+    /// Of its frames and logs under the archive's root; empty for the root itself.
+    pub folder: PathBuf,
 }
 
 /// What the ground may set in flight.
@@ -93,7 +98,8 @@ struct Commanded {
 pub struct Service {
     camera: JoinHandle<CameraTally>,
     solver: JoinHandle<SolverTally>,
-    archive: JoinHandle<ArchiveTally>,
+    archive: archiver::Threads,
+    gauges: archiver::Gauges,
     line: JoinHandle<LineTally>,
     stop: Arc<AtomicBool>,
     hang_up: Arc<AtomicBool>,
@@ -119,7 +125,6 @@ impl Service {
     fn launch(flight: Flight, watcher: Option<Sender<Answer>>) -> std::io::Result<Self> {
         let config = flight.config;
         let (to_solver, sightings) = bounded(SIGHTINGS);
-        let (to_archive, answers) = bounded(config.archive.queue_frames + ROWS);
         let (to_line, events) = bounded(LINK_EVENTS);
         let stop = Arc::new(AtomicBool::new(false));
         let commanded = Arc::new(Mutex::new(Commanded {
@@ -132,28 +137,32 @@ impl Service {
             line_settings(&config.link),
             Arc::clone(&commanded),
         );
-        let instrument = flight.instrument.clone();
-        let ephemeris = flight.ephemeris.clone();
-        let solver = solver::Solver {
+        let station = Arc::new(Station {
+            index: 0,
             instrument: flight.instrument,
+            folder: PathBuf::new(),
+        });
+        let folders = [station.folder.clone()];
+        let (archive, archive_threads) =
+            archiver::start(flight.stores, &folders, &config.archive, &flight.ephemeris)?;
+        let gauges = archive.gauges();
+        let solver = solver::Solver {
+            station,
             ephemeris: flight.ephemeris,
             settings: config.solver(),
             commanded,
-            to_archive,
-            queue_frames: config.archive.queue_frames,
+            archive,
             to_line: to_line.clone(),
             watcher,
         };
-        let stores = flight.stores;
         let mut camera = flight.camera;
         let stopped = Arc::clone(&stop);
         let hang_up = Arc::new(AtomicBool::new(false));
         let hung_up = Arc::clone(&hang_up);
         Ok(Self {
             line: spawn("link", move || line.run(&events, &hung_up))?,
-            archive: spawn("archive", move || {
-                archiver::run(&stores, &instrument, ephemeris, &answers)
-            })?,
+            archive: archive_threads,
+            gauges,
             solver: spawn("solver", move || solver.run(&sightings))?,
             camera: spawn("camera", move || {
                 take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)
@@ -170,20 +179,33 @@ impl Service {
 
     /// Whether the last frame has been solved and stored.
     pub fn is_finished(&self) -> bool {
-        self.solver.is_finished() && self.archive.is_finished()
+        self.solver.is_finished() && self.archive.are_finished()
+    }
+
+    /// How the archive's disks are.
+    pub fn disks(&self) -> Vec<DiskHealth> {
+        self.gauges.disks()
+    }
+
+    /// Pictures that wait for a disk.
+    pub fn waiting_pictures(&self) -> usize {
+        self.gauges.waiting()
     }
 
     /// Waits for the last frame, hangs up, and says what happened.
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
         let camera = self.camera.join().map_err(|_| ThreadFailed("camera"));
         let solver = self.solver.join().map_err(|_| ThreadFailed("solver"));
-        let archive = self.archive.join().map_err(|_| ThreadFailed("archive"));
+        let archived = self.archive.join();
         self.hang_up.store(true, Ordering::Relaxed);
         let line = self.line.join().map_err(|_| ThreadFailed("link"));
         Ok(FlightTally {
             camera: camera?,
             solver: solver?,
-            archive: archive?,
+            archive: match archived {
+                true => self.gauges.tally(),
+                false => return Err(ThreadFailed("archive")),
+            },
             line: line?,
         })
     }

@@ -1,12 +1,12 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
+use super::archiver::Archive;
 use super::line::{LinkEvent, Outcome};
 use super::tally::{SolverTally, worth_a_line};
-use super::{Commanded, Filing, Sighting};
+use super::{Commanded, Sighting, Station};
 use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::Exposure;
-use crate::instrument::Instrument;
 use crate::pointing::{self, Offset, Target};
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender};
@@ -17,12 +17,16 @@ use std::time::{Duration, Instant};
 /// A solved frame.
 #[derive(Debug, Clone)]
 pub struct Answer {
+    /// Of the camera that took the frame.
+    pub station: Arc<Station>,
     pub exposure: Arc<Exposure>,
     pub solution: Arc<Solution>,
     /// From `target`.
     pub offset: Option<Offset>,
     pub target: Target,
     pub solve_time: Duration,
+    /// Whether the picture goes to the archive; the row always does.
+    pub to_be_stored: bool,
 }
 
 impl Answer {
@@ -37,13 +41,11 @@ impl Answer {
 }
 
 pub(super) struct Solver {
-    pub instrument: Instrument,
+    pub station: Arc<Station>,
     pub ephemeris: Ephemeris,
     pub settings: aspect::Settings,
     pub commanded: Arc<Mutex<Commanded>>,
-    pub to_archive: Sender<Filing>,
-    /// Frames that may wait for the disk; of more, only the rows do.
-    pub queue_frames: usize,
+    pub archive: Archive,
     pub to_line: Sender<LinkEvent>,
     pub watcher: Option<Sender<Answer>>,
 }
@@ -56,7 +58,7 @@ impl Solver {
         let mut sun = SunSize::default();
         for sighting in sightings {
             let Sighting { exposure, arrived } = sighting;
-            if let Err(error) = self.instrument.check_size(&exposure.frame) {
+            if let Err(error) = self.station.instrument.check_size(&exposure.frame) {
                 tally.misfits += 1;
                 if worth_a_line(tally.misfits) {
                     tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
@@ -73,6 +75,7 @@ impl Solver {
             );
             self.hand_on(answer, arrived, &mut tally);
         }
+        self.archive.close();
         tally
     }
 
@@ -89,7 +92,7 @@ impl Solver {
         let mut solution = aspect::solve_with(
             &self.settings,
             frame,
-            &self.instrument,
+            &self.station.instrument,
             size,
             track.as_ref(),
         );
@@ -109,15 +112,17 @@ impl Solver {
             utc,
             place,
             &commanded.target,
-            &self.instrument,
+            &self.station.instrument,
             &mut self.ephemeris,
         );
         Answer {
+            station: Arc::clone(&self.station),
             exposure: Arc::new(exposure),
             solution: Arc::new(solution),
             offset,
             target: commanded.target,
             solve_time,
+            to_be_stored: true,
         }
     }
 
@@ -138,23 +143,10 @@ impl Solver {
                 );
             }
         }
+        self.archive.offer(&answer);
         if let Some(watcher) = &self.watcher {
             // A watcher that has left misses nothing that matters.
-            let _ = watcher.send(answer.clone());
-        }
-        let room = self.to_archive.len() < self.queue_frames;
-        let filing = match room {
-            true => Filing::Frame(answer),
-            false => Filing::Row(Box::new(answer.row())),
-        };
-        if self.to_archive.try_send(filing).is_err() || !room {
-            tally.unstored += 1;
-            if worth_a_line(tally.unstored) {
-                tracing::warn!(
-                    unstored = tally.unstored,
-                    "the disk cannot follow: a frame was not stored"
-                );
-            }
+            let _ = watcher.send(answer);
         }
     }
 }

@@ -25,8 +25,6 @@ pub struct SolverTally {
     pub reasons: BTreeMap<(Stage, &'static str), u64>,
     /// Frames of the wrong size.
     pub misfits: u64,
-    /// Answers that the archive's queue had no room for.
-    pub unstored: u64,
     /// Answers that the line's queue had no room for.
     pub unsent: u64,
 }
@@ -41,14 +39,27 @@ impl SolverTally {
     }
 }
 
-/// What the archive's thread counts.
+/// What the archive's threads count.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArchiveTally {
+    /// Frames on a disk; on both of two, once.
     pub stored: u64,
-    /// Frames that no disk took.
+    /// Frames on no disk.
+    pub unstored: u64,
+    /// Pictures given up because the disks could not follow.
+    pub overflowed: u64,
+    /// Pictures given up because the disks are nearly full.
+    pub no_room: u64,
+    /// Pictures that could not be stored for another reason.
     pub failed: u64,
-    /// Refusals by any disk; with two disks a frame may be stored all the same.
+    /// Refusals by any disk; the frame may be stored all the same.
     pub refused: u64,
+    /// Rows of the log that a disk refused.
+    pub rows_refused: u64,
+    /// Rows that a log had no room for.
+    pub rows_lost: u64,
+    /// Half-written files of an earlier run that were removed.
+    pub swept: u64,
 }
 
 /// What the link's thread counts.
@@ -89,7 +100,7 @@ impl FlightTally {
     /// Frames, stored files and packets that did not get where they should.
     pub fn lost(&self) -> u64 {
         let frames = self.camera.lost + self.camera.failed + self.solver.misfits;
-        let files = self.solver.unstored + self.archive.failed;
+        let files = self.archive.unstored + self.archive.rows_lost;
         let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
         frames + files + packets
     }
@@ -120,8 +131,15 @@ impl fmt::Display for FlightTally {
         }
         writeln!(
             out,
-            "stored     {}, {} failed, {} not waited for",
-            archive.stored, archive.failed, solver.unstored
+            "stored     {}, {} not: {} overflowed, {} no room, {} failed; {} refusals, {} rows refused, {} half-written removed",
+            archive.stored,
+            archive.unstored,
+            archive.overflowed,
+            archive.no_room,
+            archive.failed,
+            archive.refused,
+            archive.rows_refused,
+            archive.swept,
         )?;
         write!(
             out,

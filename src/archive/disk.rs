@@ -1,0 +1,173 @@
+//! What the archive asks of a disk, step by step, so that a test may stand in for one that fills, fails or loses power
+//! between any two steps.
+
+use std::fmt::Debug;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use tempfile::TempPath;
+
+/// A disk, or what a test puts in its place. Every operation is on whole paths and may fail at any time.
+pub trait Disk: Debug + Send + Sync {
+    /// Makes a folder and those above it.
+    fn make_root(&self, folder: &Path) -> io::Result<()>;
+
+    /// Makes a folder in one that is there; [`ErrorKind::AlreadyExists`] where it stands already.
+    fn make_folder(&self, folder: &Path) -> io::Result<()>;
+
+    /// Makes a new file.
+    fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
+
+    /// Gives a file another name, in one step, and never in place of another file:
+    /// [`ErrorKind::AlreadyExists`] then.
+    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()>;
+
+    /// Brings a folder's list of names to the disk.
+    fn sync_folder(&self, folder: &Path) -> io::Result<()>;
+
+    /// Removes a file.
+    fn remove(&self, file: &Path) -> io::Result<()>;
+
+    fn exists(&self, path: &Path) -> bool;
+
+    /// What stands in a folder.
+    fn list(&self, folder: &Path) -> io::Result<Vec<Entry>>;
+
+    /// Makes the file if need be, and takes it for this program alone; [`ErrorKind::ResourceBusy`] while
+    /// another holds it.
+    fn lock(&self, file: &Path) -> io::Result<Lock>;
+
+    fn space(&self, folder: &Path) -> io::Result<Space>;
+}
+
+/// A file that is being written.
+pub trait DiskFile: Write {
+    /// Brings the file's bytes to the disk.
+    fn sync(&mut self) -> io::Result<()>;
+}
+
+/// A name in a folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Entry {
+    pub path: PathBuf,
+    pub kind: EntryKind,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EntryKind {
+    File,
+    Folder,
+    /// A link, a pipe, a device.
+    Other,
+}
+
+/// The right to write to an archive, until it is dropped.
+#[derive(Debug)]
+pub struct Lock {
+    /// None on a disk that knows no locks.
+    _held: Option<File>,
+}
+
+impl Lock {
+    /// On a disk that knows no locks.
+    pub fn unguarded() -> Self {
+        Self { _held: None }
+    }
+}
+
+/// How much a disk holds and may yet take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Space {
+    pub free_bytes: u64,
+    pub total_bytes: u64,
+}
+
+impl Space {
+    /// 0 to 100; 0 of a disk that holds nothing.
+    pub fn free_percent(self) -> f64 {
+        if self.total_bytes == 0 {
+            return 0.0;
+        }
+        100.0 * self.free_bytes as f64 / self.total_bytes as f64
+    }
+}
+
+/// A folder tree of this computer.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LocalDisk;
+
+impl Disk for LocalDisk {
+    fn make_root(&self, folder: &Path) -> io::Result<()> {
+        fs::create_dir_all(folder)
+    }
+
+    fn make_folder(&self, folder: &Path) -> io::Result<()> {
+        fs::create_dir(folder)
+    }
+
+    fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        Ok(Box::new(File::create_new(file)?))
+    }
+
+    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
+        let from = TempPath::try_from_path(from)?;
+        from.persist_noclobber(to).map_err(|refused| refused.error)
+    }
+
+    fn sync_folder(&self, folder: &Path) -> io::Result<()> {
+        File::open(folder)?.sync_all()
+    }
+
+    fn remove(&self, file: &Path) -> io::Result<()> {
+        fs::remove_file(file)
+    }
+
+    fn exists(&self, path: &Path) -> bool {
+        path.symlink_metadata().is_ok()
+    }
+
+    fn list(&self, folder: &Path) -> io::Result<Vec<Entry>> {
+        let entry = |entry: io::Result<fs::DirEntry>| {
+            let entry = entry?;
+            let kind = entry.file_type()?;
+            Ok(Entry {
+                path: entry.path(),
+                kind: match (kind.is_file(), kind.is_dir()) {
+                    (true, _) => EntryKind::File,
+                    (_, true) => EntryKind::Folder,
+                    _ => EntryKind::Other,
+                },
+            })
+        };
+        fs::read_dir(folder)?.map(entry).collect()
+    }
+
+    fn lock(&self, file: &Path) -> io::Result<Lock> {
+        let file = File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(file)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Lock { _held: Some(file) }),
+            Err(TryLockError::WouldBlock) => Err(ErrorKind::ResourceBusy.into()),
+            // Some file systems have no locks; the archive is worth more than its guard.
+            Err(TryLockError::Error(_)) => Ok(Lock::unguarded()),
+        }
+    }
+
+    fn space(&self, folder: &Path) -> io::Result<Space> {
+        let found = nix::sys::statvfs::statvfs(folder)?;
+        let block = found.fragment_size();
+        Ok(Space {
+            free_bytes: found.blocks_available().saturating_mul(block),
+            total_bytes: found.blocks().saturating_mul(block),
+        })
+    }
+}
+
+impl DiskFile for File {
+    fn sync(&mut self) -> io::Result<()> {
+        self.sync_all()
+    }
+}

@@ -1,0 +1,117 @@
+//! What the archive does when two disks are there, when a disk cannot follow, and when it fills up.
+
+/// How two disks share the work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Sharing {
+    /// Each frame goes to one of them, in turn; one alone takes all.
+    #[default]
+    Alternate,
+    /// Each frame goes to both.
+    Mirror,
+}
+
+/// Which pictures are given up when the disks cannot follow. Rows of the log never are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Overflow {
+    /// The one that has waited longest.
+    #[default]
+    DropOldest,
+    /// From then on until none waits any more, all but every n-th.
+    EveryNth,
+    /// From then on until none waits any more, all.
+    SolutionsOnly,
+}
+
+macro_rules! named {
+    ($kind:ident, $($variant:ident = $name:literal),+) => {
+        impl $kind {
+            /// Every kind.
+            pub const KINDS: &[Self] = &[$(Self::$variant),+];
+            /// The names of the kinds, as the configuration gives them.
+            pub const NAMES: &[&'static str] = &[$($name),+];
+
+            /// The name of the kind.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name),+
+                }
+            }
+        }
+    };
+}
+
+named!(Sharing, Alternate = "alternate", Mirror = "mirror");
+named!(
+    Overflow,
+    DropOldest = "drop_oldest",
+    EveryNth = "every_nth",
+    SolutionsOnly = "solutions_only"
+);
+
+/// How much free space calls for what, in percent of the disk.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpaceLimits {
+    pub warn_percent: f64,
+    pub thin_percent: f64,
+    pub stop_percent: f64,
+}
+
+impl SpaceLimits {
+    /// What a disk with so much free space may be given.
+    pub fn room(&self, free_percent: f64) -> Room {
+        if free_percent < self.stop_percent {
+            Room::None
+        } else if free_percent < self.thin_percent {
+            Room::Scarce
+        } else if free_percent < self.warn_percent {
+            Room::Low
+        } else {
+            Room::Plenty
+        }
+    }
+}
+
+/// How much room a disk has, the least first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Room {
+    /// For no pictures any more; the rest is for the logs.
+    None,
+    /// For every n-th picture.
+    Scarce,
+    /// For all, but somebody should know.
+    Low,
+    #[default]
+    Plenty,
+}
+
+impl Room {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Scarce => "scarce",
+            Self::Low => "low",
+            Self::Plenty => "plenty",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_space_goes_the_archive_warns_then_thins_then_stops() {
+        let limits = SpaceLimits {
+            warn_percent: 10.0,
+            thin_percent: 3.0,
+            stop_percent: 1.0,
+        };
+        let rooms = [50.0, 10.0, 9.9, 3.0, 2.9, 1.0, 0.9, 0.0].map(|free| limits.room(free));
+        use Room::{Low, None, Plenty, Scarce};
+        assert_eq!(
+            rooms,
+            [Plenty, Plenty, Low, Low, Scarce, Scarce, None, None]
+        );
+        assert!(rooms.is_sorted_by(|a, b| a >= b));
+    }
+}

@@ -1,0 +1,224 @@
+//! The archive in flight: pictures and rows, each disk with two threads of its own.
+//!
+//! ```text
+//!  solver --- offer(answer) ---> Queue (queue_frames) ---> archive-1 ---> disk 1   frames
+//!     |                            \---------------------> archive-2 ---> disk 2
+//!     |                                                         | Fate: the file's name
+//!     \------- Entry (10,000) ----> log-1 <---------------------/         disk 1   log, telemetry
+//!      \------ Entry (10,000) ----> log-2                                 disk 2
+//! ```
+//!
+//! Two disks that alternate take from one queue; two that mirror have a queue each. Every disk has a log of its own of
+//! all frames. Nothing here makes the solver wait.
+
+mod journal;
+mod picture;
+mod queue;
+mod writer;
+
+pub use writer::DiskHealth;
+
+use super::solver::Answer;
+use super::tally::{ArchiveTally, worth_a_line};
+use crate::archive::{Sharing, Store};
+use crate::config;
+use crate::sky::Ephemeris;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use jiff::Timestamp;
+use journal::{Entry, Journal, JournalTally};
+use picture::{Fate, FrameCounts, Picture};
+use queue::{Queue, Rules};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+use writer::{SharedHealth, Writer, health_of};
+
+/// Rows that may wait for the log: six minutes' worth.
+const ROWS: usize = 10_000;
+/// How long a row waits to hear what became of its picture.
+const FATE_KNOWN: Duration = Duration::from_secs(5);
+
+/// The solver's end of the archive.
+#[derive(Clone)]
+pub(super) struct Archive {
+    queues: Vec<Arc<Queue<Picture>>>,
+    logs: Vec<Sender<Entry>>,
+    gauges: Gauges,
+}
+
+/// What the archive counts, for telemetry.
+#[derive(Clone, Default)]
+pub(super) struct Gauges {
+    queues: Vec<Arc<Queue<Picture>>>,
+    disks: Vec<SharedHealth>,
+    journals: Vec<Arc<JournalTally>>,
+    frames: Arc<FrameCounts>,
+    /// Rows that a log had no room for.
+    rows_lost: Arc<AtomicU64>,
+}
+
+/// The archive's threads.
+#[derive(Default)]
+pub(super) struct Threads(Vec<JoinHandle<()>>);
+
+/// Starts the threads of every disk; `folders` are the cameras' under each root.
+pub(super) fn start(
+    stores: Vec<Store>,
+    folders: &[PathBuf],
+    settings: &config::Archive,
+    ephemeris: &Ephemeris,
+) -> std::io::Result<(Archive, Threads)> {
+    let rules = Rules {
+        bound: settings.queue_frames,
+        overflow: settings.overflow,
+        every: settings.store_every,
+    };
+    let queues: Vec<Arc<Queue<Picture>>> = match settings.sharing {
+        _ if stores.is_empty() => Vec::new(),
+        Sharing::Alternate => vec![Arc::new(Queue::new(rules, stores.len()))],
+        Sharing::Mirror => stores
+            .iter()
+            .map(|_| Arc::new(Queue::new(rules, 1)))
+            .collect(),
+    };
+    let mut gauges = Gauges {
+        queues: queues.clone(),
+        ..Gauges::default()
+    };
+    let (mut logs, mut threads) = (Vec::new(), Threads::default());
+    let start = Timestamp::now();
+    for (n, store) in stores.into_iter().enumerate() {
+        let (queue, disk) = match settings.sharing {
+            Sharing::Alternate => (&queues[0], n),
+            Sharing::Mirror => (&queues[n], 0),
+        };
+        let store = Arc::new(store);
+        let health = Arc::new(Mutex::new(DiskHealth {
+            root: store.root().into(),
+            ..DiskHealth::default()
+        }));
+        let tally = Arc::new(JournalTally::default());
+        let journal = Journal::new(Arc::clone(&store), folders, start, Arc::clone(&tally));
+        let writer = Writer {
+            disk,
+            store,
+            queue: Arc::clone(queue),
+            limits: settings.space_limits(),
+            ephemeris: ephemeris.clone(),
+            health: Arc::clone(&health),
+        };
+        let (to_log, entries) = bounded(ROWS);
+        threads.spawn(format!("archive-{}", n + 1), move || writer.run())?;
+        threads.spawn(format!("log-{}", n + 1), move || journal.run(&entries))?;
+        logs.push(to_log);
+        gauges.disks.push(health);
+        gauges.journals.push(tally);
+    }
+    let archive = Archive {
+        queues,
+        logs,
+        gauges,
+    };
+    Ok((archive, threads))
+}
+
+impl Archive {
+    pub fn gauges(&self) -> Gauges {
+        self.gauges.clone()
+    }
+
+    /// Stores a solved frame and its row, when and where there is room.
+    pub fn offer(&self, answer: &Answer) {
+        let heard = self.hand_to_disks(answer);
+        let deadline = Instant::now() + FATE_KNOWN;
+        for (log, file) in self.logs.iter().zip(heard) {
+            let entry = Entry {
+                station: answer.station.index,
+                row: Box::new(answer.row()),
+                file,
+                deadline,
+            };
+            if log.try_send(entry).is_err() {
+                let lost = self.gauges.rows_lost.fetch_add(1, Ordering::Relaxed) + 1;
+                if worth_a_line(lost) {
+                    tracing::error!(lost, "a log cannot follow: a row was lost");
+                }
+            }
+        }
+    }
+
+    /// Queues the picture, if this camera's are stored, and returns where each log hears of it.
+    fn hand_to_disks(&self, answer: &Answer) -> Vec<Option<Receiver<String>>> {
+        if !answer.to_be_stored || self.queues.is_empty() {
+            return vec![None; self.logs.len()];
+        }
+        let (fate, heard) = Fate::new(self.logs.len(), &self.gauges.frames);
+        let picture = Picture::new(answer.clone(), fate);
+        for queue in &self.queues {
+            queue.offer(picture.clone());
+        }
+        heard.into_iter().map(Some).collect()
+    }
+
+    /// No frame will be offered any more.
+    pub fn close(self) {
+        for queue in &self.queues {
+            queue.close();
+        }
+    }
+}
+
+impl Gauges {
+    pub fn tally(&self) -> ArchiveTally {
+        let mut tally = ArchiveTally {
+            stored: self.frames.stored.load(Ordering::Relaxed),
+            unstored: self.frames.unstored.load(Ordering::Relaxed),
+            rows_lost: self.rows_lost.load(Ordering::Relaxed),
+            ..ArchiveTally::default()
+        };
+        for queue in &self.queues {
+            let queue = queue.tally();
+            tally.overflowed += queue.overflowed;
+            tally.no_room += queue.no_room;
+            tally.failed += queue.failed;
+        }
+        for disk in self.disks() {
+            tally.refused += disk.refused;
+            tally.swept += disk.swept as u64;
+        }
+        for journal in &self.journals {
+            tally.rows_refused += journal.refused.load(Ordering::Relaxed);
+        }
+        tally
+    }
+
+    pub fn disks(&self) -> Vec<DiskHealth> {
+        let health = |shared| health_of(shared).clone();
+        self.disks.iter().map(health).collect()
+    }
+
+    /// Pictures that wait for a disk.
+    pub fn waiting(&self) -> usize {
+        self.queues.iter().map(|queue| queue.length()).sum()
+    }
+}
+
+impl Threads {
+    fn spawn(&mut self, name: String, work: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+        let thread = std::thread::Builder::new().name(name).spawn(work)?;
+        self.0.push(thread);
+        Ok(())
+    }
+
+    pub fn are_finished(&self) -> bool {
+        self.0.iter().all(JoinHandle::is_finished)
+    }
+
+    /// Whether all ended well.
+    pub fn join(self) -> bool {
+        let failed = self.0.into_iter().map(JoinHandle::join);
+        failed.filter(Result::is_err).count() == 0
+    }
+}

@@ -1,0 +1,73 @@
+//! A solved frame on its way to the disks, and the word of what became of it.
+
+use crate::archive::Encoded;
+use crate::service::Answer;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+
+/// A frame that is to be stored. Copies of it share their fate and their bytes.
+#[derive(Clone)]
+pub(super) struct Picture {
+    pub answer: Answer,
+    pub fate: Arc<Fate>,
+    /// The file's bytes, made by the first disk that needs them.
+    pub encoded: Arc<OnceLock<Encoded>>,
+}
+
+impl Picture {
+    pub fn new(answer: Answer, fate: Fate) -> Self {
+        Self {
+            answer,
+            fate: Arc::new(fate),
+            encoded: Arc::default(),
+        }
+    }
+}
+
+/// How many frames came to what, on whatever disk.
+#[derive(Debug, Default)]
+pub(super) struct FrameCounts {
+    pub stored: AtomicU64,
+    pub unstored: AtomicU64,
+}
+
+/// Tells the logs which file a frame is in. When it is dropped without a word, the frame was not stored.
+pub(super) struct Fate {
+    stored: AtomicBool,
+    to_logs: Vec<Sender<String>>,
+    counts: Arc<FrameCounts>,
+}
+
+impl Fate {
+    /// A fate, and what each of so many logs will hear of it.
+    pub fn new(logs: usize, counts: &Arc<FrameCounts>) -> (Self, Vec<Receiver<String>>) {
+        let (to_logs, heard) = (0..logs).map(|_| bounded(1)).unzip();
+        let fate = Self {
+            stored: AtomicBool::new(false),
+            to_logs,
+            counts: Arc::clone(counts),
+        };
+        (fate, heard)
+    }
+
+    /// The frame is in this file; of several, the first one is told.
+    pub fn stored(&self, file: &str) {
+        if self.stored.swap(true, Ordering::Relaxed) {
+            return;
+        }
+        self.counts.stored.fetch_add(1, Ordering::Relaxed);
+        for log in &self.to_logs {
+            // A log that no longer listens has written its row without.
+            let _ = log.try_send(file.to_owned());
+        }
+    }
+}
+
+impl Drop for Fate {
+    fn drop(&mut self) {
+        if !self.stored.load(Ordering::Relaxed) {
+            self.counts.unstored.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}

@@ -1,0 +1,474 @@
+//! The pictures that wait for a disk.
+//!
+//! One disk, or several that alternate, take from one queue; each of two that mirror has its own. A disk that refuses a
+//! picture gives it back and rests, so that another may take it at once; pictures are given up only by the
+//! rules of overflow and of space, or when the flight ends.
+
+use crate::archive::{Overflow, Room};
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// Refusals after which a picture itself is taken to be at fault.
+const MOST_REFUSALS: u32 = 5;
+
+/// When pictures are given up.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rules {
+    /// Pictures that may wait.
+    pub bound: usize,
+    pub overflow: Overflow,
+    /// One in so many is stored when they are thinned out.
+    pub every: u64,
+}
+
+/// What a queue counts.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct QueueTally {
+    /// Given up because the disks could not follow.
+    pub overflowed: u64,
+    /// Given up because the disks are nearly full.
+    pub no_room: u64,
+    /// Refused too often, or still waiting when the last disk ended.
+    pub failed: u64,
+}
+
+/// A picture, and how often disks have refused it.
+pub(super) struct Waiting<P> {
+    pub picture: P,
+    refusals: u32,
+}
+
+/// What a disk gets that asks for a picture.
+pub(super) enum Taken<P> {
+    Picture(Waiting<P>),
+    /// None in time.
+    Nothing,
+    /// None will come any more.
+    Closed,
+}
+
+pub(super) struct Queue<P> {
+    rules: Rules,
+    state: Mutex<State<P>>,
+    changed: Condvar,
+}
+
+struct State<P> {
+    pictures: VecDeque<Waiting<P>>,
+    disks: Vec<DiskState>,
+    closed: bool,
+    /// The disk that took the last picture.
+    last: Option<usize>,
+    /// From when the queue was full until nothing waits any more.
+    overflowing: bool,
+    offered: u64,
+    tally: QueueTally,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct DiskState {
+    room: Room,
+    activity: Activity,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+enum Activity {
+    #[default]
+    Writing,
+    Waiting,
+    /// After a refusal.
+    Resting,
+    Ended,
+}
+
+impl<P> Queue<P> {
+    pub fn new(rules: Rules, disks: usize) -> Self {
+        Self {
+            rules,
+            state: Mutex::new(State {
+                pictures: VecDeque::new(),
+                disks: vec![DiskState::default(); disks],
+                closed: false,
+                last: None,
+                overflowing: false,
+                offered: 0,
+                tally: QueueTally::default(),
+            }),
+            changed: Condvar::new(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<P>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub fn tally(&self) -> QueueTally {
+        self.lock().tally
+    }
+
+    /// Pictures that wait.
+    pub fn length(&self) -> usize {
+        self.lock().pictures.len()
+    }
+
+    /// Takes the picture in, or gives up this or an older one by the rules.
+    pub fn offer(&self, picture: P) {
+        let waiting = Waiting {
+            picture,
+            refusals: 0,
+        };
+        self.lock().offer(waiting, &self.rules);
+        self.changed.notify_all();
+    }
+
+    /// Notes how much room a disk has.
+    pub fn set_room(&self, disk: usize, room: Room) {
+        self.lock().disks[disk].room = room;
+        self.changed.notify_all();
+    }
+
+    /// The next picture for a disk; waits for one until `deadline`.
+    pub fn take(&self, disk: usize, deadline: Instant) -> Taken<P> {
+        let mut state = self.lock();
+        state.disks[disk].activity = Activity::Waiting;
+        // A disk that leaves off waiting may have been the one that another stood back for.
+        self.changed.notify_all();
+        let taken = loop {
+            if let Some(picture) = state.next_for(disk, &self.rules) {
+                state.last = Some(disk);
+                break Taken::Picture(picture);
+            }
+            let has_room = state.disks[disk].room > Room::None;
+            if state.closed && (!has_room || state.pictures.is_empty()) {
+                break Taken::Closed;
+            }
+            let patience = deadline.saturating_duration_since(Instant::now());
+            if patience.is_zero() {
+                break Taken::Nothing;
+            }
+            let waited = self.changed.wait_timeout(state, patience);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        };
+        state.disks[disk].activity = Activity::Writing;
+        drop(state);
+        self.changed.notify_all();
+        taken
+    }
+
+    /// Puts back a picture that a disk has refused.
+    pub fn give_back(&self, disk: usize, mut waiting: Waiting<P>) {
+        waiting.refusals += 1;
+        let mut state = self.lock();
+        state.disks[disk].activity = Activity::Resting;
+        let other_works = state
+            .disks
+            .iter()
+            .any(|disk| matches!(disk.activity, Activity::Waiting | Activity::Writing));
+        if waiting.refusals >= MOST_REFUSALS {
+            state.tally.failed += 1;
+        } else if other_works {
+            state.pictures.push_front(waiting);
+        } else {
+            // The disk's next attempt is with another one: this one may be at fault itself.
+            state.pictures.push_back(waiting);
+        }
+        drop(state);
+        self.changed.notify_all();
+    }
+
+    /// Waits until `deadline`, or until the queue is closed: whether it is.
+    pub fn rest(&self, disk: usize, deadline: Instant) -> bool {
+        let mut state = self.lock();
+        state.disks[disk].activity = Activity::Resting;
+        loop {
+            let patience = deadline.saturating_duration_since(Instant::now());
+            if state.closed || patience.is_zero() {
+                return state.closed;
+            }
+            let waited = self.changed.wait_timeout(state, patience);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Counts a picture that is at fault itself.
+    pub fn fail(&self) {
+        self.lock().tally.failed += 1;
+    }
+
+    /// No picture will be offered any more.
+    pub fn close(&self) {
+        self.lock().closed = true;
+        self.changed.notify_all();
+    }
+
+    /// A disk ends. With the last one, what still waits is given up.
+    pub fn end(&self, disk: usize) {
+        let mut state = self.lock();
+        state.disks[disk].activity = Activity::Ended;
+        let all = |disk: &DiskState| disk.activity == Activity::Ended;
+        if state.disks.iter().all(all) {
+            state.tally.failed += state.pictures.len() as u64;
+            state.pictures.clear();
+        }
+        drop(state);
+        self.changed.notify_all();
+    }
+}
+
+impl<P> State<P> {
+    fn offer(&mut self, waiting: Waiting<P>, rules: &Rules) {
+        let nth = self.offered.is_multiple_of(rules.every);
+        self.offered += 1;
+        let room = self.best_room();
+        if room == Room::None || (room == Room::Scarce && !nth) {
+            self.tally.no_room += 1;
+            return;
+        }
+        let full = self.pictures.len() >= rules.bound;
+        self.overflowing = full || (self.overflowing && !self.pictures.is_empty());
+        let given_up = match rules.overflow {
+            _ if !self.overflowing => None,
+            Overflow::DropOldest if full => self.pictures.pop_front(),
+            Overflow::DropOldest => None,
+            Overflow::EveryNth if nth && !full => None,
+            Overflow::EveryNth | Overflow::SolutionsOnly => {
+                self.tally.overflowed += 1;
+                return;
+            }
+        };
+        self.tally.overflowed += u64::from(given_up.is_some() || rules.bound == 0);
+        if rules.bound > 0 {
+            self.pictures.push_back(waiting);
+        }
+    }
+
+    /// Of the disks that take pictures; while none does, nobody knows.
+    fn best_room(&self) -> Room {
+        let working =
+            |disk: &&DiskState| matches!(disk.activity, Activity::Waiting | Activity::Writing);
+        let rooms = self.disks.iter().filter(working).map(|disk| disk.room);
+        rooms.max().unwrap_or_default()
+    }
+
+    fn next_for(&mut self, disk: usize, rules: &Rules) -> Option<Waiting<P>> {
+        let room = self.disks[disk].room;
+        if room == Room::None || (!self.closed && self.stands_back(disk, rules)) {
+            return None;
+        }
+        self.pictures.pop_front()
+    }
+
+    /// Whether a disk leaves the next picture to another one: to one that waits, when it took the last itself; and to
+    /// one with more room, unless that cannot follow.
+    fn stands_back(&self, disk: usize, rules: &Rules) -> bool {
+        let own = self.disks[disk].room;
+        let others = self.disks.iter().enumerate();
+        others.filter(|&(n, _)| n != disk).any(|(_, other)| {
+            let roomier = own <= Room::Scarce && other.room > own;
+            match other.activity {
+                Activity::Waiting if other.room <= Room::Scarce && own > other.room => false,
+                Activity::Waiting => roomier || self.last == Some(disk) && other.room > Room::None,
+                Activity::Writing => roomier && 2 * self.pictures.len() < rules.bound,
+                Activity::Resting | Activity::Ended => false,
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn queue(bound: usize, overflow: Overflow, disks: usize) -> Queue<u32> {
+        let every = 3;
+        let rules = Rules {
+            bound,
+            overflow,
+            every,
+        };
+        Queue::new(rules, disks)
+    }
+
+    fn offer(queue: &Queue<u32>, pictures: std::ops::Range<u32>) {
+        pictures.for_each(|picture| queue.offer(picture));
+    }
+
+    /// What a disk takes without waiting.
+    fn take(queue: &Queue<u32>, disk: usize, room: Room) -> Option<Waiting<u32>> {
+        queue.set_room(disk, room);
+        match queue.take(disk, Instant::now()) {
+            Taken::Picture(waiting) => Some(waiting),
+            Taken::Nothing | Taken::Closed => None,
+        }
+    }
+
+    fn all(queue: &Queue<u32>) -> Vec<u32> {
+        let next = || take(queue, 0, Room::Plenty);
+        std::iter::from_fn(next).map(|w| w.picture).collect()
+    }
+
+    #[test]
+    fn pictures_leave_in_the_order_in_which_they_came() {
+        let queue = queue(8, Overflow::DropOldest, 1);
+        offer(&queue, 0..8);
+        assert_eq!(all(&queue), [0, 1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(queue.tally(), QueueTally::default());
+    }
+
+    #[test]
+    fn of_too_many_the_oldest_is_given_up() {
+        let queue = queue(4, Overflow::DropOldest, 1);
+        offer(&queue, 0..10);
+        assert_eq!(queue.tally().overflowed, 6);
+        assert_eq!(all(&queue), [6, 7, 8, 9]);
+    }
+
+    #[test]
+    fn from_when_the_queue_was_full_until_none_waits_only_every_nth_is_taken_in() {
+        let queue = queue(4, Overflow::EveryNth, 1);
+        offer(&queue, 0..5);
+        let first = [0, 1, 2].map(|_| take(&queue, 0, Room::Plenty).unwrap().picture);
+        assert_eq!(first, [0, 1, 2]);
+        offer(&queue, 5..10);
+        assert_eq!(all(&queue), [3, 6, 9]);
+        offer(&queue, 10..13);
+        assert_eq!(all(&queue), [10, 11, 12]);
+        assert_eq!(queue.tally().overflowed, 4);
+    }
+
+    #[test]
+    fn from_when_the_queue_was_full_until_none_waits_there_are_solutions_only() {
+        let queue = queue(2, Overflow::SolutionsOnly, 1);
+        offer(&queue, 0..3);
+        take(&queue, 0, Room::Plenty).unwrap();
+        offer(&queue, 3..6);
+        assert_eq!(all(&queue), [1]);
+        offer(&queue, 6..7);
+        assert_eq!(all(&queue), [6]);
+        assert_eq!(queue.tally().overflowed, 4);
+    }
+
+    #[test]
+    fn a_queue_for_nothing_gives_everything_up() {
+        for &overflow in Overflow::KINDS {
+            let queue = queue(0, overflow, 1);
+            offer(&queue, 0..3);
+            assert_eq!((queue.tally().overflowed, all(&queue)), (3, vec![]));
+        }
+    }
+
+    #[test]
+    fn as_room_goes_pictures_are_thinned_and_then_stopped_and_come_back() {
+        let queue = queue(8, Overflow::DropOldest, 1);
+        let now_with = |room| take(&queue, 0, room).map(|w| w.picture);
+        assert_eq!(now_with(Room::Low), None);
+        offer(&queue, 0..3);
+        assert_eq!(
+            [now_with(Room::Low), now_with(Room::Low)],
+            [Some(0), Some(1)]
+        );
+        assert_eq!(now_with(Room::Scarce), Some(2));
+        offer(&queue, 3..9);
+        assert_eq!(
+            [now_with(Room::Scarce), now_with(Room::Scarce)],
+            [Some(3), Some(6)]
+        );
+        assert_eq!(now_with(Room::None), None);
+        offer(&queue, 9..12);
+        assert_eq!(now_with(Room::Plenty), None);
+        offer(&queue, 12..14);
+        assert_eq!(
+            [now_with(Room::Plenty), now_with(Room::Plenty)],
+            [Some(12), Some(13)]
+        );
+        assert_eq!(queue.tally().no_room, 4 + 3);
+    }
+
+    #[test]
+    fn two_disks_that_wait_take_turns() {
+        let queue = queue(8, Overflow::DropOldest, 2);
+        let taken = Mutex::new(Vec::new());
+        std::thread::scope(|scope| {
+            for disk in 0..2 {
+                let (queue, taken) = (&queue, &taken);
+                scope.spawn(move || {
+                    let soon = || Instant::now() + Duration::from_secs(60);
+                    while let Taken::Picture(w) = queue.take(disk, soon()) {
+                        taken.lock().unwrap().push((w.picture, disk));
+                    }
+                });
+            }
+            let waiting = |disk: &DiskState| disk.activity == Activity::Waiting;
+            for picture in 0..6 {
+                // Both have come back for more.
+                while !(queue.lock().disks.iter().all(waiting) && queue.length() == 0) {
+                    std::thread::yield_now();
+                }
+                queue.offer(picture);
+            }
+            while queue.length() > 0 {
+                std::thread::yield_now();
+            }
+            queue.close();
+        });
+        let mut taken = taken.into_inner().unwrap();
+        taken.sort_unstable();
+        let turns = |first: usize| {
+            (0..6)
+                .map(|n| (n as u32, (n + first) % 2))
+                .collect::<Vec<_>>()
+        };
+        assert!(taken == turns(0) || taken == turns(1), "{taken:?}");
+    }
+
+    #[test]
+    fn a_refused_picture_goes_to_the_other_disk_at_once() {
+        let queue = queue(8, Overflow::DropOldest, 2);
+        offer(&queue, 0..3);
+        let refused = take(&queue, 0, Room::Plenty).unwrap();
+        queue.give_back(0, refused);
+        assert_eq!(take(&queue, 1, Room::Plenty).unwrap().picture, 0);
+        assert_eq!(take(&queue, 1, Room::Plenty).unwrap().picture, 1);
+    }
+
+    #[test]
+    fn a_disk_alone_tries_another_picture_first_and_gives_one_up_after_five_refusals() {
+        let queue = queue(8, Overflow::DropOldest, 1);
+        offer(&queue, 0..2);
+        for expected in [0, 1, 0, 1, 0, 1, 0, 1, 0, 1] {
+            let refused = take(&queue, 0, Room::Plenty).unwrap();
+            assert_eq!(refused.picture, expected);
+            queue.give_back(0, refused);
+        }
+        assert_eq!((queue.length(), queue.tally().failed), (0, 2));
+    }
+
+    #[test]
+    fn a_disk_with_little_room_leaves_pictures_to_one_with_more_that_can_follow() {
+        let queue = queue(8, Overflow::DropOldest, 2);
+        assert!(take(&queue, 1, Room::Plenty).is_none());
+        offer(&queue, 0..3);
+        assert!(take(&queue, 0, Room::Scarce).is_none(), "disk 1 can follow");
+        offer(&queue, 3..6);
+        assert_eq!(
+            take(&queue, 0, Room::Scarce).unwrap().picture,
+            0,
+            "it cannot"
+        );
+        assert!(take(&queue, 0, Room::None).is_none(), "whatever waits");
+    }
+
+    #[test]
+    fn what_waits_when_the_last_disk_ends_is_counted() {
+        let queue = queue(8, Overflow::DropOldest, 2);
+        offer(&queue, 0..3);
+        queue.close();
+        queue.end(0);
+        assert_eq!((queue.length(), queue.tally().failed), (3, 0));
+        queue.end(1);
+        assert_eq!((queue.length(), queue.tally().failed), (0, 3));
+        assert!(queue.rest(0, Instant::now() + Duration::from_secs(60)));
+    }
+}

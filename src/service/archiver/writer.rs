@@ -1,0 +1,192 @@
+//! A disk's thread: it takes pictures from the queue and brings them to its disk.
+
+use super::picture::Picture;
+use super::queue::{Queue, Taken, Waiting};
+use crate::archive::{
+    ArchiveError, Encoded, Room, SpaceLimits, Store, instrument_cards, sky_cards, tables,
+};
+use crate::service::tally::worth_a_line;
+use crate::sky::Ephemeris;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How often a disk's free space is looked at.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How long a disk rests after a refusal; twice as long after each further one.
+const SHORTEST_REST: Duration = Duration::from_millis(250);
+const LONGEST_REST: Duration = Duration::from_secs(5);
+
+/// What is known of a disk, for telemetry and the ground.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct DiskHealth {
+    pub root: PathBuf,
+    /// Frames it has stored.
+    pub stored: u64,
+    /// Times that it refused.
+    pub refused: u64,
+    /// Half-written files of an earlier run that were removed.
+    pub swept: usize,
+    /// `None` where it does not say.
+    pub free_percent: Option<f64>,
+    pub room: Room,
+    /// Whether its last attempt was refused.
+    pub resting: bool,
+}
+
+/// A disk's health, shared between its thread and those who ask.
+pub(super) type SharedHealth = Arc<Mutex<DiskHealth>>;
+
+pub(super) fn health_of(shared: &SharedHealth) -> MutexGuard<'_, DiskHealth> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+pub(super) struct Writer {
+    /// Its number in the queue.
+    pub disk: usize,
+    pub store: Arc<Store>,
+    pub queue: Arc<Queue<Picture>>,
+    pub limits: SpaceLimits,
+    pub ephemeris: Ephemeris,
+    pub health: SharedHealth,
+}
+
+impl Writer {
+    /// Stores until the queue is closed and empty, or the disk refuses after that.
+    pub fn run(mut self) {
+        let mut rest = SHORTEST_REST;
+        let mut looked = None;
+        let mut outcome = self.store.prepare().map(|()| self.note_swept());
+        loop {
+            if let Err(error) = outcome {
+                self.note_refusal(&error);
+                if self.queue.rest(self.disk, Instant::now() + rest) {
+                    break;
+                }
+                rest = LONGEST_REST.min(2 * rest);
+            } else {
+                rest = SHORTEST_REST;
+            }
+            if looked.is_none_or(|then: Instant| then.elapsed() >= LOOK_EVERY) {
+                looked = Some(Instant::now());
+                self.look();
+            }
+            let deadline = Instant::now() + LOOK_EVERY;
+            outcome = match self.queue.take(self.disk, deadline) {
+                Taken::Picture(waiting) => self.keep(waiting),
+                Taken::Nothing if health_of(&self.health).resting => self.store.prepare(),
+                Taken::Nothing => Ok(()),
+                Taken::Closed => break,
+            };
+            if outcome.is_ok() {
+                health_of(&self.health).resting = false;
+            }
+        }
+        self.queue.end(self.disk);
+    }
+
+    /// Stores a picture; an error is the disk's, which then has given it back.
+    fn keep(&mut self, waiting: Waiting<Picture>) -> Result<(), ArchiveError> {
+        match self.store(&waiting.picture) {
+            Ok(path) => {
+                tracing::debug!(file = %path.display(), "stored");
+                health_of(&self.health).stored += 1;
+                let file = path.strip_prefix(self.store.root()).unwrap_or(&path);
+                waiting.picture.fate.stored(&file.display().to_string());
+                self.note_swept();
+                Ok(())
+            }
+            Err(error @ ArchiveError::Io { .. }) => {
+                self.queue.give_back(self.disk, waiting);
+                Err(error)
+            }
+            Err(error) => {
+                tracing::error!(%error, "a frame could not be stored");
+                self.queue.fail();
+                Ok(())
+            }
+        }
+    }
+
+    fn store(&mut self, picture: &Picture) -> Result<PathBuf, ArchiveError> {
+        match picture.encoded.get() {
+            Some(encoded) if !self.store.has(&encoded.name) => self.store.put(encoded),
+            Some(_) => {
+                let encoded = self.encode(picture)?;
+                self.store.put(&encoded)
+            }
+            None => {
+                let encoded = self.encode(picture)?;
+                // Two disks that mirror may both come here; what one of them made serves.
+                self.store.put(picture.encoded.get_or_init(|| encoded))
+            }
+        }
+    }
+
+    fn encode(&mut self, picture: &Picture) -> Result<Encoded, ArchiveError> {
+        let answer = &picture.answer;
+        let (frame, solution) = (&answer.exposure.frame, &answer.solution);
+        let instrument = &answer.station.instrument;
+        let mut cards = answer.row().record.cards();
+        cards.extend(instrument_cards(instrument));
+        cards.extend(sky_cards(
+            &frame.info,
+            solution,
+            instrument,
+            &answer.target,
+            &mut self.ephemeris,
+        ));
+        self.store.encode(
+            &answer.station.folder,
+            &instrument.name,
+            frame,
+            &cards,
+            &tables(solution),
+        )
+    }
+
+    /// Measures the disk's free space, and says when its room has changed.
+    fn look(&self) {
+        let free_percent = self.store.space().ok().map(|space| space.free_percent());
+        if let Some(free_percent) = free_percent {
+            self.queue
+                .set_room(self.disk, self.limits.room(free_percent));
+        }
+        let mut health = health_of(&self.health);
+        health.free_percent = free_percent;
+        // A disk that does not say keeps its last room; writing to it will tell.
+        let Some(free_percent) = free_percent else {
+            return;
+        };
+        let room = self.limits.room(free_percent);
+        if room == health.room {
+            return;
+        }
+        let lower = room < health.room;
+        health.room = room;
+        let (disk, room) = (health.root.display(), room.name());
+        match lower {
+            true => tracing::warn!(%disk, room, free_percent, "a disk is filling up"),
+            false => tracing::info!(%disk, room, free_percent, "a disk has room again"),
+        }
+    }
+
+    fn note_swept(&self) {
+        let swept = self.store.swept();
+        let mut health = health_of(&self.health);
+        if swept > health.swept {
+            health.swept = swept;
+            let disk = health.root.display();
+            tracing::warn!(%disk, swept, "half-written files of an earlier run were removed");
+        }
+    }
+
+    fn note_refusal(&self, error: &ArchiveError) {
+        let mut health = health_of(&self.health);
+        health.refused += 1;
+        health.resting = true;
+        if worth_a_line(health.refused) {
+            tracing::error!(%error, refused = health.refused, "a disk refused");
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Flights in the dark, frame by frame, and what is found of them on a disk.
+
+use crossbeam_channel::{Receiver, bounded};
+use jiff::{SignedDuration, Timestamp};
+use solaspect::archive::Store;
+use solaspect::camera::{CameraError, Exposure, FrameSource};
+use solaspect::config::{self, Config};
+use solaspect::fits;
+use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::instrument::{self, Instrument};
+use solaspect::pointing::Target;
+use solaspect::service::{Flight, FlightTally, Service};
+use solaspect::sky::Ephemeris;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// A camera that sees nothing, when it is told to look.
+struct DarkCamera {
+    instrument: Instrument,
+    numbers: Receiver<u64>,
+}
+
+impl FrameSource for DarkCamera {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError> {
+        let announced = Timestamp::now();
+        starts(announced);
+        let exposure = |number| Exposure {
+            frame: dark_frame(&self.instrument, number),
+            announced,
+        };
+        Ok(self.numbers.recv().ok().map(exposure))
+    }
+}
+
+/// A frame of the n-th quarter second that shows nothing.
+pub fn dark_frame(instrument: &Instrument, number: u64) -> Frame {
+    let (width, height) = (instrument.camera.width_px, instrument.camera.height_px);
+    let start: Timestamp = "2013-09-21T17:59:55.000Z".parse().unwrap();
+    let info = FrameInfo {
+        number: Some(number),
+        mid_exposure: Some(start + SignedDuration::from_millis(250 * number as i64)),
+        ..FrameInfo::default()
+    };
+    let pixels = Pixels::U8(vec![7; width * height]);
+    Frame::new(width, height, pixels, 255, info).unwrap()
+}
+
+/// A flight of so many dark frames, `pause` after one another. `each` is called before every frame with its number, when all
+/// before it have been solved and offered to the archive, and once more at the end.
+pub fn dark(
+    stores: Vec<Store>,
+    archive: config::Archive,
+    frames: u64,
+    pause: Duration,
+    mut each: impl FnMut(u64),
+) -> FlightTally {
+    let instrument = instrument::builtin("demo").unwrap();
+    let (look, numbers) = bounded(0);
+    let camera = DarkCamera {
+        instrument: instrument.clone(),
+        numbers,
+    };
+    let config = Config {
+        archive,
+        ..Config::default()
+    };
+    let flight = Flight {
+        instrument,
+        config,
+        target: Target::default(),
+        ephemeris: Ephemeris::default(),
+        camera: Box::new(camera),
+        port: None,
+        stores,
+    };
+    let (service, answers) = Service::start_watched(flight).unwrap();
+    let looked_at = |service: &Service| {
+        let disks = service.disks();
+        disks
+            .iter()
+            .all(|disk| disk.free_percent.is_some() || disk.resting)
+    };
+    while !looked_at(&service) {
+        std::thread::yield_now();
+    }
+    for number in 0..frames {
+        each(number);
+        std::thread::sleep(pause);
+        look.send(number).unwrap();
+        answers.recv().unwrap();
+    }
+    each(frames);
+    drop(look);
+    service.join().unwrap()
+}
+
+/// The frames' files under a folder, by name.
+pub fn frames_in(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|ending| ending == "fits") {
+                found.push(path);
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// The numbers of the frames under a folder, in the order of their names; every file is read and checked.
+pub fn numbers_in(folder: &Path) -> Vec<u64> {
+    let number = |path: &PathBuf| {
+        fits::check_sums(path).unwrap();
+        fits::read_frame(path).unwrap().info.number.unwrap()
+    };
+    frames_in(folder).iter().map(number).collect()
+}
+
+/// Rows of the only solution log under a root.
+pub fn rows_in(root: &Path) -> usize {
+    let entries = fs::read_dir(root)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let is_log = |path: &PathBuf| path.extension().is_some_and(|ending| ending == "csv");
+    let logs: Vec<PathBuf> = entries.filter(is_log).collect();
+    assert_eq!(logs.len(), 1, "{logs:?}");
+    let mut log = csv::Reader::from_path(&logs[0]).unwrap();
+    log.records().map(Result::unwrap).count()
+}

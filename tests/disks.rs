@@ -1,0 +1,350 @@
+//! The archive on one disk and on two, that share the work, fill up, fail, go and come back: no frame is lost while one
+//! of them works, and solving goes on when none does.
+
+use common::disk::{Fault, FaultyDisk};
+use common::flight::{self, frames_in, numbers_in};
+use solaspect::archive::disk::LocalDisk;
+use solaspect::archive::{Overflow, Sharing, Store};
+use solaspect::config;
+use solaspect::fits::Compression;
+use solaspect::service::FlightTally;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::time::Duration;
+use tempfile::TempDir;
+
+mod common;
+
+const FRAMES: u64 = 40;
+/// Longer than a disk rests after its first refusals.
+const SLOW: Duration = Duration::from_millis(50);
+
+fn two() -> [TempDir; 2] {
+    [(); 2].map(|()| tempfile::tempdir().unwrap())
+}
+
+fn open(root: &Path) -> Store {
+    Store::open(root, "demo", Compression::Rice).unwrap()
+}
+
+fn faulty(root: &Path, disk: &Arc<FaultyDisk>) -> Store {
+    Store::new(disk.clone(), root, "demo", Compression::Rice)
+}
+
+fn settings(sharing: Sharing) -> config::Archive {
+    config::Archive {
+        sharing,
+        // Whatever the machine has.
+        warn_free_percent: 0.0,
+        thin_free_percent: 0.0,
+        stop_free_percent: 0.0,
+        ..config::Archive::default()
+    }
+}
+
+/// Every frame is on exactly one of the disks.
+#[track_caller]
+fn assert_each_once(roots: [&Path; 2]) {
+    let mut numbers = [numbers_in(roots[0]), numbers_in(roots[1])].concat();
+    numbers.sort_unstable();
+    assert_eq!(numbers, (0..FRAMES).collect::<Vec<_>>());
+}
+
+fn fly(stores: Vec<Store>, settings: config::Archive, pause: Duration) -> FlightTally {
+    flight::dark(stores, settings, FRAMES, pause, |_| {})
+}
+
+#[test]
+fn two_disks_share_the_frames() {
+    let disks = two();
+    let roots = [disks[0].path(), disks[1].path()];
+    let tally = fly(
+        roots.map(open).into(),
+        settings(Sharing::Alternate),
+        SLOW / 5,
+    );
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+    assert_each_once(roots);
+    for root in roots {
+        assert!(frames_in(root).len() >= 5, "{}", frames_in(root).len());
+    }
+}
+
+#[test]
+fn two_disks_that_mirror_hold_the_same_files() {
+    let disks = two();
+    let roots = [disks[0].path(), disks[1].path()];
+    let tally = fly(roots.map(open).into(), settings(Sharing::Mirror), SLOW / 5);
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+    let files = roots.map(|root| {
+        let relative = |path: PathBuf| path.strip_prefix(root).unwrap().to_owned();
+        frames_in(root)
+            .into_iter()
+            .map(relative)
+            .collect::<Vec<_>>()
+    });
+    assert_eq!(files[0].len() as u64, FRAMES);
+    assert_eq!(files[0], files[1]);
+    for file in &files[0] {
+        let [one, other] = roots.map(|root| fs::read(root.join(file)).unwrap());
+        assert!(one == other, "{}", file.display());
+    }
+}
+
+#[test]
+fn a_disk_that_fills_leaves_the_rest_to_the_other_and_serves_again_when_it_can() {
+    let disks = two();
+    let roots = [disks[0].path(), disks[1].path()];
+    let disk = FaultyDisk::new(LocalDisk);
+    let stores = vec![faulty(roots[0], &disk), open(roots[1])];
+    let quota = Fault::Quota { bytes: 60_000 };
+    let mut at_full = 0;
+    let tally = flight::dark(
+        stores,
+        settings(Sharing::Alternate),
+        FRAMES,
+        SLOW,
+        |number| match number {
+            0 => disk.set(Some(quota)),
+            20 => {
+                at_full = frames_in(roots[0]).len();
+                disk.set(None);
+            }
+            _ => {}
+        },
+    );
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+    assert!(tally.archive.refused > 0);
+    assert_each_once(roots);
+    assert!(frames_in(roots[0]).len() > at_full, "{at_full}");
+}
+
+#[test]
+fn whatever_step_a_disk_fails_at_the_other_takes_the_frame_and_nothing_half_is_seen() {
+    for step in ["create", "write", "sync", "rename_new"] {
+        let disks = two();
+        let roots = [disks[0].path(), disks[1].path()];
+        let disk = FaultyDisk::new(LocalDisk);
+        let stores = vec![faulty(roots[0], &disk), open(roots[1])];
+        disk.set(Some(Fault::Step(step)));
+        let tally = fly(stores, settings(Sharing::Alternate), Duration::ZERO);
+        assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+        assert_eq!(frames_in(roots[0]), [] as [PathBuf; 0], "{step}");
+        assert_eq!(numbers_in(roots[1]).len() as u64, FRAMES, "{step}");
+    }
+}
+
+#[test]
+fn a_frame_that_waits_out_a_short_outage_of_the_only_disk_is_not_lost() {
+    let root = tempfile::tempdir().unwrap();
+    let disk = FaultyDisk::new(LocalDisk);
+    let stores = vec![faulty(root.path(), &disk)];
+    let tally = flight::dark(
+        stores,
+        settings(Sharing::Alternate),
+        FRAMES,
+        SLOW,
+        |number| match number {
+            10 => disk.set(Some(Fault::Step("sync"))),
+            20 => disk.set(None),
+            _ => {}
+        },
+    );
+    assert!(tally.archive.refused > 0);
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+    assert_eq!(numbers_in(root.path()), (0..FRAMES).collect::<Vec<_>>());
+}
+
+#[test]
+fn with_both_disks_failing_every_frame_is_solved_and_counted() {
+    let disks = two();
+    let disk = FaultyDisk::new(LocalDisk);
+    disk.set(Some(Fault::Step("create")));
+    let stores = disks
+        .iter()
+        .map(|root| faulty(root.path(), &disk))
+        .collect();
+    let settings = config::Archive {
+        queue_frames: 8,
+        ..settings(Sharing::Alternate)
+    };
+    let tally = fly(stores, settings, Duration::ZERO);
+    assert_eq!(tally.solver.frames(), FRAMES);
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (0, FRAMES));
+    let given_up = tally.archive.overflowed + tally.archive.failed;
+    assert_eq!(given_up, FRAMES);
+}
+
+#[test]
+fn nothing_is_written_where_a_disk_was_unmounted_and_it_serves_again_when_it_is_back() {
+    let disks = two();
+    let parent = tempfile::tempdir().unwrap();
+    let (mounted, away) = (parent.path().join("disk"), parent.path().join("away"));
+    let roots = [mounted.as_path(), disks[1].path()];
+    let stores = roots.map(open).into();
+    let mut before = 0;
+    let tally = flight::dark(
+        stores,
+        settings(Sharing::Alternate),
+        FRAMES,
+        SLOW,
+        |number| match number {
+            10 => {
+                fs::rename(&mounted, &away).unwrap();
+                fs::create_dir(&mounted).unwrap();
+            }
+            20 => {
+                assert_eq!(fs::read_dir(&mounted).unwrap().count(), 0);
+                before = frames_in(&away).len();
+                fs::remove_dir(&mounted).unwrap();
+                fs::rename(&away, &mounted).unwrap();
+            }
+            _ => {}
+        },
+    );
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+    assert_each_once(roots);
+    assert!(frames_in(&mounted).len() > before);
+}
+
+#[test]
+fn as_a_disk_fills_frames_are_thinned_and_then_stopped_and_the_log_goes_on() {
+    let root = tempfile::tempdir().unwrap();
+    for (free_percent, stored) in [(5.0, FRAMES), (2.0, FRAMES / 4), (0.5, 0)] {
+        let root = root.path().join(format!("{free_percent}"));
+        let disk = FaultyDisk::new(LocalDisk);
+        disk.set(Some(Fault::Free(free_percent)));
+        let stores = vec![faulty(&root, &disk)];
+        let rules = config::Archive {
+            queue_frames: FRAMES as usize,
+            ..config::Archive::default()
+        };
+        let tally = fly(stores, rules, Duration::ZERO);
+        assert_eq!(tally.archive.stored, stored, "{free_percent} %");
+        assert_eq!(tally.archive.no_room, FRAMES - stored);
+        assert_eq!(flight::rows_in(&root), FRAMES as usize);
+    }
+}
+
+#[test]
+fn what_a_slow_disk_gives_up_is_what_the_configuration_says() {
+    for &overflow in Overflow::KINDS {
+        let root = tempfile::tempdir().unwrap();
+        let disk = FaultyDisk::new(LocalDisk);
+        disk.set(Some(Fault::Stuck));
+        let rules = config::Archive {
+            queue_frames: 4,
+            overflow,
+            ..settings(Sharing::Alternate)
+        };
+        let stores = vec![faulty(root.path(), &disk)];
+        let tally = flight::dark(stores, rules, FRAMES, Duration::ZERO, |number| {
+            match number {
+                // The first is being written, and waits for the disk.
+                1 => disk.wait_until_stuck(),
+                FRAMES => disk.set(None),
+                _ => {}
+            }
+        });
+        assert_eq!(tally.archive.overflowed, tally.archive.unstored);
+        let expected = match overflow {
+            Overflow::DropOldest => [0, 36, 37, 38, 39],
+            Overflow::EveryNth | Overflow::SolutionsOnly => [0, 1, 2, 3, 4],
+        };
+        assert_eq!(numbers_in(root.path()), expected);
+        assert_eq!(flight::rows_in(root.path()), FRAMES as usize);
+    }
+}
+
+#[test]
+fn a_second_program_may_not_write_to_an_archive() {
+    let root = tempfile::tempdir().unwrap();
+    let _first = open(root.path());
+    let error = Store::open(root.path(), "demo", Compression::Rice)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("archive.lock: expected to be the only program"),
+        "{error}"
+    );
+}
+
+/// A small file system in memory, where this user may mount one.
+struct Tmpfs(TempDir);
+
+impl Tmpfs {
+    fn mount(options: &str) -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let mount = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", options, "tmpfs"])
+            .arg(folder.path())
+            .output();
+        mount
+            .is_ok_and(|run| run.status.success())
+            .then_some(Self(folder))
+    }
+}
+
+impl Tmpfs {
+    fn unmount(&self) {
+        let _ = Command::new("umount").arg("-l").arg(self.0.path()).output();
+    }
+}
+
+impl Drop for Tmpfs {
+    fn drop(&mut self) {
+        self.unmount();
+    }
+}
+
+#[test]
+fn a_real_file_system_that_fills_leaves_the_rest_to_the_other() {
+    let Some(small) = Tmpfs::mount("size=64k") else {
+        return println!("not run: this user may not mount a tmpfs");
+    };
+    let second = tempfile::tempdir().unwrap();
+    let roots = [small.0.path(), second.path()];
+    let tally = fly(
+        roots.map(open).into(),
+        settings(Sharing::Alternate),
+        SLOW / 5,
+    );
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+    assert!(tally.archive.refused > 0);
+    assert_each_once(roots);
+    assert!(!frames_in(roots[0]).is_empty());
+}
+
+#[test]
+fn a_real_file_system_that_is_unmounted_leaves_the_rest_to_the_other() {
+    let Some(fading) = Tmpfs::mount("size=8m") else {
+        return println!("not run: this user may not mount a tmpfs");
+    };
+    let second = tempfile::tempdir().unwrap();
+    let roots = [fading.0.path(), second.path()];
+    let mut gone = Vec::new();
+    let tally = flight::dark(
+        roots.map(open).into(),
+        settings(Sharing::Alternate),
+        FRAMES,
+        SLOW / 5,
+        |number| {
+            if number == 20 {
+                gone = numbers_in(roots[0]);
+                fading.unmount();
+            }
+        },
+    );
+    assert_eq!((tally.archive.stored, tally.archive.unstored), (FRAMES, 0));
+    assert_eq!(fs::read_dir(roots[0]).unwrap().count(), 0);
+    let kept = numbers_in(roots[1]);
+    let lost: Vec<u64> = (0..FRAMES).filter(|n| !kept.contains(n)).collect();
+    assert!(!gone.is_empty() && kept.len() >= 20);
+    // One more may have been written between the look and the unmounting.
+    assert!(
+        lost.starts_with(&gone) && lost.len() <= gone.len() + 1,
+        "{gone:?} {lost:?}"
+    );
+}
