@@ -1,5 +1,5 @@
 //! What several tests of the archive and the service share.
-#![allow(dead_code)] // Each test takes what it needs.
+#![allow(dead_code, unused_imports)] // Each test takes what it needs.
 
 pub mod disk;
 pub mod flight;
