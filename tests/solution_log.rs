@@ -224,6 +224,8 @@ fn a_second_start_leaves_the_first_ones_log_and_telemetry_as_they_were() {
         let fields: BTreeMap<_, _> = read_dirfile(folder).into_iter().collect();
         assert_eq!(fields["FRAME"], [n as f64]);
     }
+    let newest = fs::read_link(root.path().join("telemetry")).unwrap();
+    assert_eq!(root.path().join(newest), folders[2]);
 }
 
 #[test]

@@ -14,6 +14,7 @@ use super::store::{ArchiveError, During};
 use crate::aspect::{Quality, Stage};
 use jiff::Timestamp;
 use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// What a sample of a field is.
@@ -186,6 +187,14 @@ impl Dirfile {
     }
 }
 
+/// Makes a link to a folder beside it, in place of the link that was there, in one step.
+fn point_at(link: &Path, folder: &Path) -> io::Result<()> {
+    let new = link.with_file_name(".telemetry.part");
+    let _ = fs::remove_file(&new);
+    std::os::unix::fs::symlink(folder.file_name().unwrap_or_default(), &new)?;
+    fs::rename(&new, link)
+}
+
 impl Open {
     fn create(root: &Path, start: Timestamp) -> Result<Self, ArchiveError> {
         let (folder, ()) = make_new(root, "telemetry", start, "", |path| fs::create_dir(path))?;
@@ -195,6 +204,8 @@ impl Open {
             let _ = fs::remove_dir_all(&folder);
         }
         let files = made?;
+        // A convenience for who follows; not every file system has links.
+        let _ = point_at(&root.join("telemetry"), &folder);
         Ok(Self {
             folder,
             files,
