@@ -1,17 +1,22 @@
-//! Where frames come from, each behind the same trait: a folder of files, or the simulator.
+//! Where frames come from, each behind the same trait: a GigE Vision camera, a folder of files, or the simulator.
 
 mod folder;
+#[cfg(feature = "gige")]
+pub mod gige;
 mod pace;
 mod settings;
 mod simulated;
+mod source;
 
 pub use folder::FolderCamera;
 pub use settings::{PixelFormat, Settings};
 pub use simulated::{SimulatedCamera, TruthLog};
+pub use source::{NoSource, Source, Surroundings, open};
 
 use crate::fits::FileError;
 use crate::frame::Frame;
 use crate::simulate::SceneError;
+use crate::sky::SkyError;
 use jiff::Timestamp;
 use std::path::PathBuf;
 
@@ -27,6 +32,13 @@ pub enum CameraError {
     Scene(#[from] SceneError),
     #[error("the simulated camera: {0}")]
     Time(#[from] jiff::Error),
+    #[error("the simulated camera: {0}")]
+    Sky(#[from] SkyError),
+    #[error("this build has no GigE Vision cameras: build it with `--features gige`")]
+    NotBuilt,
+    /// The camera itself, or this frame of it.
+    #[error("the GigE Vision camera {address}: {problem}")]
+    Gige { address: String, problem: String },
     #[error("camera.{setting}: expected {expected}, found {found}")]
     Setting {
         setting: &'static str,

@@ -30,4 +30,12 @@ impl Pace {
     pub(super) fn advance(&mut self, by: Duration) {
         self.due = self.due.saturating_add(by);
     }
+
+    /// As [`advance`](Self::advance), but past the frames that the present frame has no time for: a camera does not
+    /// catch up.
+    #[cfg(feature = "gige")]
+    pub(super) fn advance_past_now(&mut self, by: Duration) {
+        let elapsed = self.start.map_or(Duration::ZERO, |start| start.elapsed());
+        self.due = self.due.saturating_add(by).max(elapsed);
+    }
 }

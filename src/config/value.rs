@@ -1,6 +1,8 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
+use crate::camera::PixelFormat;
 use crate::fits::Compression;
+use crate::frame::Region;
 use jiff::Timestamp;
 use std::fmt;
 use std::path::PathBuf;
@@ -141,5 +143,26 @@ impl Field for Compression {
     fn from_value(value: Option<Value>) -> Option<Self> {
         let name = String::from_value(value)?;
         Self::KINDS.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
+impl Field for PixelFormat {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.name().into()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        let name = String::from_value(value)?;
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+}
+
+impl Field for Region {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.to_string()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        String::from_value(value)?.parse().ok()
     }
 }
