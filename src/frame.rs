@@ -2,6 +2,8 @@
 
 use crate::units::{Place, SensorPx};
 use jiff::{SignedDuration, Timestamp};
+use std::fmt;
+use std::str::FromStr;
 use std::time::Duration;
 
 /// The pixels of a frame, row by row from the first, in digital numbers (DN).
@@ -58,6 +60,8 @@ pub struct FrameInfo {
     pub mid_exposure: Option<Timestamp>,
     /// The middle of the exposure on the host's monotonic clock, since an arbitrary start.
     pub monotonic: Option<Duration>,
+    /// The camera's own clock for this frame, since an arbitrary start.
+    pub camera_clock: Option<Duration>,
     /// How long the shutter was open.
     pub exposure: Option<Duration>,
     /// Analogue gain, the camera's own units.
@@ -66,6 +70,8 @@ pub struct FrameInfo {
     pub preamp_gain: Option<f64>,
     /// Temperature of the camera, deg C.
     pub camera_temperature_c: Option<f64>,
+    /// Column and row of the sensor at which the frame's first pixel stands, where only a part of it was read.
+    pub corner_px: Option<(usize, usize)>,
     /// Where the frame was taken.
     pub place: Option<Place>,
     /// The camera's name, as the source gives it.
@@ -164,10 +170,44 @@ impl Frame {
         &self.pixels
     }
 
+    /// The frame's part within a region; `None` where the region is empty or reaches over the frame's edge.
+    pub fn cropped(&self, region: Region) -> Option<Self> {
+        let within = region.x1 <= self.width && region.y1 <= self.height;
+        if !within || region.x0 >= region.x1 || region.y0 >= region.y1 {
+            return None;
+        }
+        let pixels = match &self.pixels {
+            Pixels::U8(pixels) => Pixels::U8(cropped(pixels, self.width, region)),
+            Pixels::U16(pixels) => Pixels::U16(cropped(pixels, self.width, region)),
+        };
+        let (x0, y0) = self.info.corner_px.unwrap_or((0, 0));
+        Some(Self {
+            width: region.width(),
+            height: region.height(),
+            pixels,
+            saturation_dn: self.saturation_dn,
+            info: FrameInfo {
+                corner_px: Some((x0 + region.x0, y0 + region.y0)),
+                ..self.info.clone()
+            },
+        })
+    }
+
     /// The value at which a pixel saturates, DN.
     pub fn saturation_dn(&self) -> u16 {
         self.saturation_dn
     }
+}
+
+/// The pixels of rows of `width` that lie within a region.
+fn cropped<T: Copy>(pixels: &[T], width: usize, region: Region) -> Vec<T> {
+    pixels
+        .chunks_exact(width)
+        .skip(region.y0)
+        .take(region.height())
+        .flat_map(|row| &row[region.x0..region.x1])
+        .copied()
+        .collect()
 }
 
 /// Variance of a pixel's own box, px^2: what the pixel's size adds to a lens's blur.
@@ -216,6 +256,16 @@ impl Region {
         Some(Self { x0, y0, x1, y1 })
     }
 
+    /// A region of `width` x `height` pixels from a corner on.
+    pub fn sized(x0: usize, y0: usize, width: usize, height: usize) -> Self {
+        Self {
+            x0,
+            y0,
+            x1: x0 + width,
+            y1: y0 + height,
+        }
+    }
+
     pub fn width(&self) -> usize {
         self.x1 - self.x0
     }
@@ -224,6 +274,34 @@ impl Region {
         self.y1 - self.y0
     }
 }
+
+impl fmt::Display for Region {
+    /// Column and row of the corner, width and height: "100,50,640,480".
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (width, height) = (self.width(), self.height());
+        write!(out, "{},{},{width},{height}", self.x0, self.y0)
+    }
+}
+
+impl FromStr for Region {
+    type Err = NoRegion;
+
+    fn from_str(text: &str) -> Result<Self, NoRegion> {
+        let numbers: Result<Vec<u16>, _> = text.split(',').map(|n| n.trim().parse()).collect();
+        match numbers.map_err(|_| NoRegion)?[..] {
+            [x0, y0, width, height] if width > 0 && height > 0 => {
+                let [x0, y0, width, height] = [x0, y0, width, height].map(usize::from);
+                Ok(Self::sized(x0, y0, width, height))
+            }
+            _ => Err(NoRegion),
+        }
+    }
+}
+
+/// A text that is not a region.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("expected LEFT,TOP,WIDTH,HEIGHT in px")]
+pub struct NoRegion;
 
 /// A typed look at a frame's pixels, for algorithms that are generic in the pixel's depth.
 #[derive(Debug, Clone, Copy)]

@@ -27,10 +27,12 @@ fn full_info() -> FrameInfo {
         number: Some(123_456_789_012),
         mid_exposure: Some("2013-09-21T18:00:00.007500001Z".parse().unwrap()),
         monotonic: Some(Duration::new(86_400, 123_456_789)),
+        camera_clock: Some(Duration::new(1_379_786_400, 123_456_789)),
         exposure: Some(Duration::from_micros(15_001)),
         analogue_gain: Some(1.1),
         preamp_gain: Some(-3.0),
         camera_temperature_c: Some(-12.345_678_901_234_5),
+        corner_px: Some((100, 50)),
         place: Some(Place::new(34.49, -104.2218, 38_405.0).unwrap()),
         camera: Some("PYAS-F, the pilot's".into()),
     }

@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use solaspect::archive::{Dirfile, Record, Row, SolutionLog, Store};
 use solaspect::aspect::{self, Expected, Settings};
-use solaspect::camera::{CameraError, Exposure, FrameSource};
+use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
 use solaspect::config::Config;
 use solaspect::fits::{self, Compression, Header, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -405,14 +405,14 @@ struct DarkCamera {
 }
 
 impl FrameSource for DarkCamera {
-    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError> {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        let Some(number) = self.numbers.next() else {
+            return Ok(Take::End);
+        };
         let announced = Timestamp::now();
         starts(announced);
-        let exposure = |number| Exposure {
-            frame: dark_frame(&self.instrument, number),
-            announced,
-        };
-        Ok(self.numbers.next().map(exposure))
+        let frame = dark_frame(&self.instrument, number);
+        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
 }
 

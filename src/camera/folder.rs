@@ -1,12 +1,13 @@
 //! A folder of files as a camera: its frames in the order of their names, at a steady rate.
 
 use super::pace::Pace;
-use super::{CameraError, Exposure, FrameSource};
+use super::{CameraError, Exposure, FrameSource, Settings, Take, settings};
 use crate::fits;
 use jiff::Timestamp;
 use std::collections::VecDeque;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Endings of the files that are taken for frames.
 const ENDINGS: [&str; 8] = [
@@ -16,6 +17,7 @@ const ENDINGS: [&str; 8] = [
 /// Replays the frames of a folder and of the folders in it.
 pub struct FolderCamera {
     files: VecDeque<PathBuf>,
+    period: Duration,
     pace: Pace,
 }
 
@@ -39,7 +41,8 @@ impl FolderCamera {
         files.sort();
         Ok(Self {
             files: files.into(),
-            pace: Pace::new(rate_hz),
+            period: settings::period(rate_hz),
+            pace: Pace::default(),
         })
     }
 }
@@ -65,14 +68,26 @@ fn list(folder: &Path, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
 }
 
 impl FrameSource for FolderCamera {
-    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError> {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        if self.files.is_empty() {
+            return Ok(Take::End);
+        }
+        if !self.pace.is_due() {
+            return Ok(Take::NotYet);
+        }
         let Some(path) = self.files.pop_front() else {
-            return Ok(None);
+            return Ok(Take::End);
         };
-        self.pace.wait();
+        self.pace.advance(self.period);
         let frame = fits::read_frame(&path)?;
         let announced = frame.info.exposure_start().unwrap_or_else(Timestamp::now);
         starts(announced);
-        Ok(Some(Exposure { frame, announced }))
+        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
+    }
+
+    /// Takes the rate; the rest was set when the frames were taken.
+    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+        self.period = settings.period();
+        Ok(())
     }
 }

@@ -1,19 +1,26 @@
-//! Where frames come from, each behind the same trait: a folder of files, or the simulator.
+//! Where frames come from, each behind the same trait: a GigE Vision camera, a folder of files, or the simulator.
 
 mod folder;
+#[cfg(feature = "gige")]
+pub mod gige;
 mod pace;
+mod settings;
 mod simulated;
+mod source;
 
 pub use folder::FolderCamera;
+pub use settings::{PixelFormat, Settings};
 pub use simulated::{SimulatedCamera, TruthLog};
+pub use source::{NoSource, Source, Surroundings, open};
 
 use crate::fits::FileError;
 use crate::frame::Frame;
 use crate::simulate::SceneError;
+use crate::sky::SkyError;
 use jiff::Timestamp;
 use std::path::PathBuf;
 
-/// Why a source gave no frame.
+/// Why a source gave no frame, or did not take its settings.
 #[derive(Debug, thiserror::Error)]
 pub enum CameraError {
     /// One file is bad; the next may be good.
@@ -25,6 +32,19 @@ pub enum CameraError {
     Scene(#[from] SceneError),
     #[error("the simulated camera: {0}")]
     Time(#[from] jiff::Error),
+    #[error("the simulated camera: {0}")]
+    Sky(#[from] SkyError),
+    #[error("this build has no GigE Vision cameras: build it with `--features gige`")]
+    NotBuilt,
+    /// The camera itself, or this frame of it.
+    #[error("the GigE Vision camera {address}: {problem}")]
+    Gige { address: String, problem: String },
+    #[error("camera.{setting}: expected {expected}, found {found}")]
+    Setting {
+        setting: &'static str,
+        expected: String,
+        found: String,
+    },
 }
 
 /// A frame with what belongs to this exposure alone.
@@ -35,12 +55,55 @@ pub struct Exposure {
     pub announced: Timestamp,
 }
 
+/// What asking for a frame gives.
+#[derive(Debug, Clone)]
+pub enum Take {
+    // Boxed, as the others carry nothing.
+    Exposure(Box<Exposure>),
+    /// No frame is due or complete yet: ask again.
+    NotYet,
+    /// There are no more frames.
+    End,
+}
+
+/// What a camera has been through, and how warm it is.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct CameraHealth {
+    /// Frames that arrived with parts missing, and were not used.
+    pub incomplete: u64,
+    /// Exposures of which no frame arrived.
+    pub missing: u64,
+    /// Packets that never arrived, resends counted in.
+    pub lost_packets: u64,
+    /// Frames that found no buffer.
+    pub underruns: u64,
+    /// Settings that the camera did not take.
+    pub refused_settings: u64,
+    /// Times the camera was gone and came back.
+    pub reconnects: u64,
+    pub temperature_c: Option<f64>,
+}
+
 /// A source of frames.
 pub trait FrameSource: Send {
-    /// Waits for the next frame. `starts` is called with the time of the exposure just before it begins. `None` when
-    /// there are no more frames.
+    /// Waits for the next frame, for a second at most. `starts` is called with the time of the exposure just before it
+    /// begins, which may be in an earlier call than the one that gives the frame.
     ///
     /// # Errors
     /// Where this one frame cannot be had. The next call tries the next frame.
-    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError>;
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError>;
+
+    /// Takes the frames from now on with these settings, as far as they make sense to the source. Returns within two
+    /// seconds.
+    ///
+    /// # Errors
+    /// Where a setting was not taken; the others are.
+    fn apply(&mut self, _settings: &Settings) -> Result<(), CameraError> {
+        Ok(())
+    }
+
+    /// What there is to tell of the camera; the default where there is no camera.
+    fn health(&self) -> CameraHealth {
+        CameraHealth::default()
+    }
 }

@@ -1,35 +1,41 @@
-//! A steady rate of frames.
+//! When frames are due.
 
 use std::time::{Duration, Instant};
 
-/// Lets frame n begin n periods after the first.
-#[derive(Debug)]
+/// The longest that a source waits before it says that there is no frame yet.
+pub(super) const PATIENCE: Duration = Duration::from_millis(250);
+
+/// The time at which the next frame is due, counted from the first.
+#[derive(Debug, Default)]
 pub(super) struct Pace {
-    period: Duration,
     start: Option<Instant>,
-    number: u32,
+    due: Duration,
 }
 
 impl Pace {
-    pub(super) fn new(rate_hz: f64) -> Self {
-        let period = Duration::try_from_secs_f64(1.0 / rate_hz).unwrap_or(Duration::ZERO);
-        Self {
-            period,
-            start: None,
-            number: 0,
-        }
+    /// From the first frame to the one that is due next.
+    pub(super) fn due(&self) -> Duration {
+        self.due
     }
 
-    /// Time from the first frame to the one that is due next.
-    pub(super) fn next_due(&self) -> Duration {
-        self.period.saturating_mul(self.number)
-    }
-
-    /// Waits until the next frame is due; a late one begins at once.
-    pub(super) fn wait(&mut self) {
-        let due = self.next_due();
+    /// Waits until the next frame is due, with [`PATIENCE`]; whether it is. A late frame is due at once.
+    pub(super) fn is_due(&mut self) -> bool {
         let start = *self.start.get_or_insert_with(Instant::now);
-        std::thread::sleep(due.saturating_sub(start.elapsed()));
-        self.number = self.number.saturating_add(1);
+        let wait = self.due.saturating_sub(start.elapsed());
+        std::thread::sleep(wait.min(PATIENCE));
+        wait <= PATIENCE
+    }
+
+    /// Lets the next frame be due so much after this one.
+    pub(super) fn advance(&mut self, by: Duration) {
+        self.due = self.due.saturating_add(by);
+    }
+
+    /// As [`advance`](Self::advance), but past the frames that the present frame has no time for: a camera does not
+    /// catch up.
+    #[cfg(feature = "gige")]
+    pub(super) fn advance_past_now(&mut self, by: Duration) {
+        let elapsed = self.start.map_or(Duration::ZERO, |start| start.elapsed());
+        self.due = self.due.saturating_add(by).max(elapsed);
     }
 }

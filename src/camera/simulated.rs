@@ -1,8 +1,9 @@
 //! The simulator as a camera: it takes its time over every exposure, as a camera does.
 
 use super::pace::Pace;
-use super::{CameraError, Exposure, FrameSource};
-use crate::simulate::{EXPOSURE, FlightScenes, Picture, TruthOfSun};
+use super::{CameraError, Exposure, FrameSource, PixelFormat, Settings, Take, settings};
+use crate::frame::{Frame, Region};
+use crate::simulate::{Depth, FlightScenes, Picture, Scene, TruthOfSun};
 use jiff::{SignedDuration, Timestamp};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -28,10 +29,12 @@ impl TruthLog {
 /// A camera that sees a simulated flight, at its own rate and on a clock that starts where it is told.
 pub struct SimulatedCamera {
     scenes: FlightScenes,
+    period: Duration,
+    region: Option<Region>,
     pace: Pace,
     start: Timestamp,
-    /// Frames of the whole run; `None` without end.
-    frames: Option<u64>,
+    /// Length of the whole run; `None` without end.
+    duration: Option<Duration>,
     number: u64,
     truth: TruthLog,
 }
@@ -46,9 +49,11 @@ impl SimulatedCamera {
     ) -> Self {
         Self {
             scenes,
-            pace: Pace::new(rate_hz),
+            period: settings::period(rate_hz),
+            region: None,
+            pace: Pace::default(),
             start,
-            frames: duration.map(|duration| (duration.as_secs_f64() * rate_hz).round() as u64),
+            duration,
             number: 0,
             truth: TruthLog::default(),
         }
@@ -58,29 +63,69 @@ impl SimulatedCamera {
     pub fn truth(&self) -> TruthLog {
         self.truth.clone()
     }
+
+    /// Whether the run holds as many frames as fit, to the nearest.
+    fn is_over(&self) -> bool {
+        let middle = self.pace.due() + self.period / 2;
+        self.duration.is_some_and(|duration| middle > duration)
+    }
+
+    /// The scene that is due, and the start of its exposure.
+    fn due_scene(&self) -> Result<(Scene, Timestamp), CameraError> {
+        let since_start = self.pace.due();
+        let middle = since_start + self.scenes.exposure / 2;
+        let at = |since: Duration| -> Result<Timestamp, jiff::Error> {
+            self.start.checked_add(SignedDuration::try_from(since)?)
+        };
+        let mut scene = self.scenes.scene(self.number, middle)?;
+        scene.info.mid_exposure = Some(at(middle)?);
+        scene.info.monotonic = Some(middle);
+        Ok((scene, at(since_start)?))
+    }
 }
 
 impl FrameSource for SimulatedCamera {
-    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError> {
-        let number = self.number;
-        if self.frames.is_some_and(|frames| number >= frames) {
-            return Ok(None);
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        if self.is_over() {
+            return Ok(Take::End);
         }
+        if !self.pace.is_due() {
+            return Ok(Take::NotYet);
+        }
+        let due = self.due_scene();
+        let number = self.number;
         self.number += 1;
-        let since_start = self.pace.next_due();
-        let middle = since_start + EXPOSURE / 2;
-        let announced = self
-            .start
-            .checked_add(SignedDuration::try_from(since_start)?)?;
-        let mut scene = self.scenes.scene(number, middle)?;
-        scene.info.mid_exposure = Some(self.start.checked_add(SignedDuration::try_from(middle)?)?);
-        scene.info.monotonic = Some(middle);
-        self.pace.wait();
+        self.pace.advance(self.period);
+        let (scene, announced) = due?;
         starts(announced);
         let shutter = Instant::now();
         let Picture { frame, truth } = scene.picture()?;
         self.truth.note(number, truth.sun);
-        std::thread::sleep(EXPOSURE.saturating_sub(shutter.elapsed()));
-        Ok(Some(Exposure { frame, announced }))
+        let frame = match self.region {
+            Some(region) => read_out(frame, region)?,
+            None => frame,
+        };
+        std::thread::sleep(self.scenes.exposure.saturating_sub(shutter.elapsed()));
+        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
+
+    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+        self.period = settings.period();
+        self.scenes.exposure = settings.exposure();
+        self.scenes.template.depth = match settings.pixel_format {
+            PixelFormat::Mono8 => Depth::Eight,
+            PixelFormat::Mono12 => Depth::Twelve,
+        };
+        self.region = settings.region;
+        Ok(())
+    }
+}
+
+fn read_out(frame: Frame, region: Region) -> Result<Frame, CameraError> {
+    let (width, height) = (frame.width(), frame.height());
+    frame.cropped(region).ok_or_else(|| CameraError::Setting {
+        setting: "region",
+        expected: format!("a part of the sensor's {width} x {height} px"),
+        found: region.to_string(),
+    })
 }

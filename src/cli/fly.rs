@@ -3,18 +3,15 @@
 use super::options;
 use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
-use crate::camera::{FolderCamera, FrameSource, SimulatedCamera};
+use crate::camera::{self, FrameSource, Source, Surroundings};
 use crate::config::Config;
 use crate::instrument::Instrument;
 use crate::link::{BytePort, SerialPort};
 use crate::service::{Flight, Service};
-use crate::simulate::{FlightScenes, Trajectory};
-use crate::sky;
 use clap::Args;
 use jiff::Timestamp;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -28,7 +25,7 @@ pub struct FlyArgs {
     /// The instrument's TOML file [default: the built-in instrument "demo"]
     #[arg(long, value_name = "FILE")]
     instrument: Option<PathBuf>,
-    /// Where frames come from: folder:DIR or simulated
+    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR or simulated
     #[arg(long, value_name = "SOURCE", default_value = "simulated")]
     camera: Source,
     /// Serial port of the controller
@@ -40,27 +37,6 @@ pub struct FlyArgs {
     /// End after this time [default: fly until SIGTERM or SIGINT]
     #[arg(long, value_name = "TIME", value_parser = options::duration)]
     duration: Option<Duration>,
-}
-
-#[derive(Debug, Clone)]
-enum Source {
-    Folder(PathBuf),
-    Simulated,
-}
-
-impl FromStr for Source {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once(':') {
-            None if text == "simulated" => Ok(Self::Simulated),
-            Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
-            Some(("gige", _)) => Err("this build has no GigE Vision camera".into()),
-            _ => Err(format!(
-                "expected folder:DIR or simulated, found \"{text}\""
-            )),
-        }
-    }
 }
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
@@ -111,20 +87,12 @@ fn camera(
     config: &Config,
     duration: Option<Duration>,
 ) -> anyhow::Result<Box<dyn FrameSource>> {
-    let rate_hz = config.camera.rate_hz;
-    Ok(match source {
-        Source::Folder(folder) => Box::new(FolderCamera::open(folder, rate_hz)?),
-        Source::Simulated => {
-            let start = Timestamp::now();
-            let radius_mil = instrument
-                .optics
-                .radius_mil(sky::sun_angular_radius(start)?);
-            let seed = config.simulation.seed;
-            let trajectory = Trajectory::flight(instrument, radius_mil, seed)?;
-            let scenes = FlightScenes::new(instrument, trajectory, radius_mil, seed)?;
-            Box::new(SimulatedCamera::new(scenes, rate_hz, start, duration))
-        }
-    })
+    let around = Surroundings {
+        instrument,
+        seed: config.simulation.seed,
+        duration,
+    };
+    Ok(camera::open(source, &config.camera.settings(), &around)?)
 }
 
 fn port(config: &Config) -> anyhow::Result<Option<Box<dyn BytePort + Send>>> {

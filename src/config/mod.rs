@@ -18,7 +18,9 @@ pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
 use crate::archive::{Overflow, Sharing, SpaceLimits};
+use crate::camera::{self, PixelFormat};
 use crate::fits::Compression;
+use crate::frame::Region;
 use crate::instrument::TomlError;
 use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
 use crate::units::Place;
@@ -82,6 +84,22 @@ pub struct Camera {
     pub exposure_us: u32,
     pub analogue_gain: Option<f64>,
     pub preamp_gain: Option<f64>,
+    pub region: Option<Region>,
+    pub pixel_format: PixelFormat,
+}
+
+impl Camera {
+    /// What the camera is told.
+    pub fn settings(&self) -> camera::Settings {
+        camera::Settings {
+            rate_hz: self.rate_hz,
+            exposure_us: self.exposure_us,
+            analogue_gain: self.analogue_gain,
+            preamp_gain: self.preamp_gain,
+            region: self.region,
+            pixel_format: self.pixel_format,
+        }
+    }
 }
 
 impl Default for Camera {
@@ -91,6 +109,8 @@ impl Default for Camera {
             exposure_us: 15_000,
             analogue_gain: None,
             preamp_gain: None,
+            region: None,
+            pixel_format: PixelFormat::Mono8,
         }
     }
 }

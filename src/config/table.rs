@@ -8,6 +8,7 @@
 use super::parameter::{Allowed, Parameter, Sample};
 use super::value::Field;
 use crate::archive::{Overflow, Sharing};
+use crate::camera::PixelFormat;
 use crate::fits::Compression;
 use Allowed::{Name, Number, Text, Utc, Whole};
 
@@ -65,6 +66,10 @@ static TABLE: &[Parameter] = &[
         "Analogue gain in the camera's own scale; unset, the camera keeps its own. Aspect command 0x0481 sets it in flight."),
     row!(camera.preamp_gain, "", Number(-1e6, 1e6), sample Sample::Number(-3.0),
         "Pre-amplifier gain in the camera's own scale; unset, the camera keeps its own. Aspect command 0x0491 sets it in flight."),
+    row!(camera.region, "px", Allowed::Region, sample Sample::Text("100,50,640,480"),
+        "Part of the sensor that is read; unset, all of it. Solving needs the whole sensor of the instrument."),
+    row!(camera.pixel_format, "", Name(&PixelFormat::NAMES),
+        "How the camera digitises: 8 bits, or 12 bits in two bytes, which double the traffic and the files."),
 
     row!(link.port, "", Text, sample Sample::Text("/dev/ttyUSB0"),
         "Serial port of the gondola's controller; unset or empty, nothing is sent."),
@@ -170,6 +175,7 @@ mod tests {
                 .map(|name| Value::Text((*name).into()))
                 .collect(),
             Text => vec![Value::Text("somewhere/else".into())],
+            Allowed::Region => vec![Value::Text("0,10,640,480".into())],
             Utc => vec![Value::Text("2016-01-19T02:00:00.5Z".into())],
         }
     }
@@ -183,6 +189,7 @@ mod tests {
             Whole(low, _) => vec![Value::Whole(low - 1), Value::Number(low as f64 + 0.5)],
             Name(_) => vec![Value::Text("no such name".into()), Value::Whole(0)],
             Text => vec![Value::Whole(0), Value::Number(0.5)],
+            Allowed::Region => vec![Value::Text("0,10,0,480".into()), Value::Whole(7)],
             Utc => vec![Value::Text("yesterday".into()), Value::Whole(2013)],
         };
         if let Whole(_, high) = parameter.allowed {
@@ -256,7 +263,7 @@ mod tests {
             let fits = match parameter.allowed {
                 Whole(low, high) => low >= 0 && high <= u16::MAX.into(),
                 Number(low, high) => low >= -1024.0 && high <= f64::from(u16::MAX) / 8.0 - 1024.0,
-                Name(_) | Text | Utc => false,
+                Name(_) | Text | Utc | Allowed::Region => false,
             };
             assert!(fits, "{}", parameter.key);
             let number = parameter.command.unwrap();

@@ -1,7 +1,9 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
 use crate::archive::{Overflow, Sharing};
+use crate::camera::PixelFormat;
 use crate::fits::Compression;
+use crate::frame::Region;
 use jiff::Timestamp;
 use std::fmt;
 use std::path::PathBuf;
@@ -149,4 +151,14 @@ macro_rules! named_field {
     )*};
 }
 
-named_field!(Compression, Overflow, Sharing);
+named_field!(Compression, Overflow, PixelFormat, Sharing);
+
+impl Field for Region {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.to_string()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        String::from_value(value)?.parse().ok()
+    }
+}

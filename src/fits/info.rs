@@ -21,22 +21,26 @@ pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
         Some(exposure) => Some(exposure),
         None => seconds(header, "XPOSURE")?,
     };
-    let number = match header.get("FRAMENUM") {
-        Some(_) => Some(header.size("FRAMENUM", 0..=i64::MAX)?),
-        None => None,
-    };
     let camera = match header.text("CAMERA")? {
         Some(camera) => Some(camera),
         None => header.text("INSTRUME")?,
     };
+    let whole = |keyword| match header.get(keyword) {
+        Some(_) => header.size(keyword, 0..=i64::MAX).map(Some),
+        None => Ok(None),
+    };
     Ok(FrameInfo {
-        number,
+        number: whole("FRAMENUM")?,
         mid_exposure: mid_exposure(header, exposure)?,
         monotonic: seconds(header, "MONOTIME")?,
+        camera_clock: whole("CAMCLOCK")?.map(Duration::from_nanos),
         exposure,
         analogue_gain: header.number("GAIN")?,
         preamp_gain: header.number("PREAMP")?,
         camera_temperature_c: header.number("CAMTEMP")?,
+        corner_px: whole("CORNER-X")?
+            .zip(whole("CORNER-Y")?)
+            .map(|(x, y)| (x as usize, y as usize)),
         place: read_place(header)?,
         camera,
     })
@@ -157,6 +161,17 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
         |keyword, value: Option<Value>| cards.extend(value.map(|v| Card::new(keyword, v)));
     add("FRAMENUM", info.number.map(|n| Value::Integer(n as i64)));
     add("MONOTIME", info.monotonic.map(|t| t.as_secs_f64().into()));
+    add(
+        "CAMCLOCK",
+        info.camera_clock
+            .and_then(|t| i64::try_from(t.as_nanos()).ok())
+            .map(Value::Integer),
+    );
+    let corner = |along: fn((usize, usize)) -> usize| {
+        info.corner_px.map(|at| Value::Integer(along(at) as i64))
+    };
+    add("CORNER-X", corner(|(x, _)| x));
+    add("CORNER-Y", corner(|(_, y)| y));
     add("CAMERA", info.camera.clone().map(Value::Text));
     add("GAIN", info.analogue_gain.map(Value::Float));
     add("PREAMP", info.preamp_gain.map(Value::Float));

@@ -35,7 +35,7 @@ pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 use tally::worth_a_line;
 
 use crate::archive::Store;
-use crate::camera::{Exposure, FrameSource};
+use crate::camera::{Exposure, FrameSource, Take};
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
 use crate::link::{BytePort, Computer, Responder};
@@ -243,10 +243,12 @@ fn take_frames(
             }
         };
         match camera.next(&mut announce) {
-            Ok(Some(exposure)) => {
+            Ok(Take::Exposure(exposure)) => {
                 tally.taken += 1;
-                let arrived = Instant::now();
-                let sighting = Sighting { exposure, arrived };
+                let sighting = Sighting {
+                    exposure: *exposure,
+                    arrived: Instant::now(),
+                };
                 if let Err(TrySendError::Full(_)) = to_solver.try_send(sighting) {
                     tally.lost += 1;
                     tracing::warn!(
@@ -255,7 +257,8 @@ fn take_frames(
                     );
                 }
             }
-            Ok(None) => break,
+            Ok(Take::NotYet) => {}
+            Ok(Take::End) => break,
             Err(error) => {
                 tally.failed += 1;
                 if worth_a_line(tally.failed) {

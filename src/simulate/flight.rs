@@ -5,6 +5,7 @@ use super::noise::Noise;
 use super::scene::{Scene, SceneError, Sun};
 use super::trajectory::{Swing, Trajectory};
 use super::{EXPOSURE, Purpose, derived_seed, frame_info, generator};
+use crate::frame::FrameInfo;
 use crate::geometry::{Distortion, Mapping, SimilarityParameters};
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
@@ -19,6 +20,8 @@ pub struct FlightScenes {
     pub template: Scene,
     /// The Sun of every scene, but for its place and smear.
     pub sun: Sun,
+    /// How long the shutter is open. The Sun is as bright as `sun` says at [`EXPOSURE`], and in proportion otherwise.
+    pub exposure: Duration,
     trajectory: Trajectory,
     drift: MappingDrift,
     seed: u64,
@@ -48,6 +51,7 @@ impl FlightScenes {
         Ok(Self {
             template,
             sun: Sun::new(PlateMil::new(0.0, 0.0), radius_mil),
+            exposure: EXPOSURE,
             trajectory,
             drift: MappingDrift::new(instrument, seed),
             seed,
@@ -57,15 +61,20 @@ impl FlightScenes {
     /// The scene whose exposure has its middle `since_start` of the run.
     pub fn scene(&self, number: u64, since_start: Duration) -> Result<Scene, SceneError> {
         let velocity = self.trajectory.velocity_mil_per_s(since_start);
+        let exposure_s = self.exposure.as_secs_f64();
         Ok(Scene {
             mapping: self.drift.mapping(since_start).ok_or(SceneError::Mapping)?,
             sun: Some(Sun {
                 centre: self.trajectory.position(since_start),
-                smear_mil: velocity * EXPOSURE.as_secs_f64(),
+                smear_mil: velocity * exposure_s,
+                peak_dn: self.sun.peak_dn * exposure_s / EXPOSURE.as_secs_f64(),
                 ..self.sun.clone()
             }),
             seed: derived_seed(self.seed, Purpose::Noise, number),
-            info: frame_info(number),
+            info: FrameInfo {
+                exposure: Some(self.exposure),
+                ..frame_info(number)
+            },
             ..self.template.clone()
         })
     }

@@ -1,9 +1,9 @@
 //! Flights in the dark, frame by frame, and what is found of them on a disk.
 
-use crossbeam_channel::{Receiver, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::Store;
-use solaspect::camera::{CameraError, Exposure, FrameSource};
+use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
 use solaspect::config::{self, Config};
 use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -22,14 +22,16 @@ struct DarkCamera {
 }
 
 impl FrameSource for DarkCamera {
-    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Option<Exposure>, CameraError> {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        let number = match self.numbers.recv_timeout(Duration::from_millis(100)) {
+            Ok(number) => number,
+            Err(RecvTimeoutError::Timeout) => return Ok(Take::NotYet),
+            Err(RecvTimeoutError::Disconnected) => return Ok(Take::End),
+        };
         let announced = Timestamp::now();
         starts(announced);
-        let exposure = |number| Exposure {
-            frame: dark_frame(&self.instrument, number),
-            announced,
-        };
-        Ok(self.numbers.recv().ok().map(exposure))
+        let frame = dark_frame(&self.instrument, number);
+        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
 }
 

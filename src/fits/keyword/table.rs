@@ -53,6 +53,7 @@ const TIME: Group = Group {
         row("EXPTIME", Float, "s", Both, "length of the exposure"),
         row("XPOSURE", Float, "s", Both, "length of the exposure"),
         row("MONOTIME", Float, "s", Both, "mid-exposure on the monotonic clock"),
+        row("CAMCLOCK", Integer, "ns", Both, "the camera's own clock at the frame"),
         row("FRAMENUM", Integer, "", Both, "number of the frame in its sequence"),
     ],
 };
@@ -83,6 +84,8 @@ const CAMERA: Group = Group {
         row("GAIN", Float, "", Both, "analogue gain, camera's unit"),
         row("PREAMP", Float, "", Both, "pre-amplifier gain, camera's unit"),
         row("CAMTEMP", Float, "degC", Both, "temperature of the camera"),
+        row("CORNER-X", Integer, "pixel", Both, "column of the sensor at first pixel"),
+        row("CORNER-Y", Integer, "pixel", Both, "row of the sensor at first pixel"),
         row("BITDEPTH", Integer, "bit", Both, "depth of the pixels"),
         row("SATURATE", Integer, "DN", Both, "value at which a pixel saturates"),
         row("BTYPE", Text, "", Written, "what the pixels tell"),

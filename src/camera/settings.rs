@@ -1,0 +1,70 @@
+//! How a camera is told to take frames.
+
+use crate::frame::Region;
+use std::time::Duration;
+
+/// What a camera is told. What is `None` stays as the camera has it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    pub rate_hz: f64,
+    pub exposure_us: u32,
+    /// The camera's own scale.
+    pub analogue_gain: Option<f64>,
+    /// The camera's own scale.
+    pub preamp_gain: Option<f64>,
+    /// The part of the sensor that is read; `None` for all of it.
+    pub region: Option<Region>,
+    pub pixel_format: PixelFormat,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            rate_hz: 4.0,
+            exposure_us: 15_000,
+            analogue_gain: None,
+            preamp_gain: None,
+            region: None,
+            pixel_format: PixelFormat::Mono8,
+        }
+    }
+}
+
+impl Settings {
+    pub fn exposure(&self) -> Duration {
+        Duration::from_micros(self.exposure_us.into())
+    }
+
+    /// From one frame to the next.
+    pub fn period(&self) -> Duration {
+        period(self.rate_hz)
+    }
+}
+
+/// From one frame to the next; zero for a rate that is none.
+pub(super) fn period(rate_hz: f64) -> Duration {
+    Duration::try_from_secs_f64(1.0 / rate_hz).unwrap_or(Duration::ZERO)
+}
+
+/// How a camera digitises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PixelFormat {
+    /// 8 bits.
+    #[default]
+    Mono8,
+    /// 12 bits, two bytes to a pixel.
+    Mono12,
+}
+
+impl PixelFormat {
+    pub const KINDS: [Self; 2] = [Self::Mono8, Self::Mono12];
+    pub const NAMES: [&'static str; 2] = [Self::Mono8.name(), Self::Mono12.name()];
+
+    /// The name in configurations.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mono8 => "mono8",
+            Self::Mono12 => "mono12",
+        }
+    }
+}
