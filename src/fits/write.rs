@@ -74,6 +74,15 @@ impl Values {
         self.len() == 0
     }
 
+    /// What the values are, in words.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Float(_) => "floating-point numbers",
+            Self::Integer(_) => "whole numbers",
+            Self::Text(_) => "texts",
+        }
+    }
+
     /// The column's TFORM.
     fn form(&self) -> String {
         match self {
