@@ -126,7 +126,12 @@ impl Stored {
             Self::I16 => (0, 32_767),
         };
         let legal = -zero..=top - zero;
-        if let Some(at) = numbers.iter().position(|number| !legal.contains(number)) {
+        let illegal = |number: &i32| !legal.contains(number);
+        // Without an end in the middle, this is many at a time.
+        let any = numbers
+            .iter()
+            .fold(false, |any, number| any | illegal(number));
+        if any && let Some(at) = numbers.iter().position(illegal) {
             let number = i64::from(numbers[at]) + i64::from(zero);
             let found = format!("{number} at pixel ({}, {})", at % width, at / width);
             return Err(Problem::field(
@@ -145,8 +150,8 @@ impl Stored {
 
 pub(super) fn brightest_dn(pixels: &Pixels) -> u16 {
     match pixels {
-        Pixels::U8(p) => p.iter().max().map_or(0, |dn| u16::from(*dn)),
-        Pixels::U16(p) => p.iter().max().copied().unwrap_or(0),
+        Pixels::U8(p) => p.iter().fold(0, |most, dn| most.max(*dn)).into(),
+        Pixels::U16(p) => p.iter().fold(0, |most, dn| most.max(*dn)),
     }
 }
 

@@ -60,3 +60,53 @@ fn column<'a>(table: &'a Table, name: &str) -> Result<&'a Values, Problem> {
 fn wrong(name: &str, expected: &str, found: &Values) -> Problem {
     field(&format!("MARKS: {name}"), expected, found.kind())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table() -> Table {
+        let column = |name: &str, values| Column {
+            name: name.into(),
+            unit: String::new(),
+            values,
+        };
+        Table {
+            name: "MARKS".into(),
+            columns: vec![
+                column("J", Values::Integer(vec![12])),
+                column("I", Values::Integer(vec![-3])),
+                column("X", Values::Float(vec![640.25])),
+                column("Y", Values::Float(vec![1e-3])),
+                column("SIGMA", Values::Float(vec![0.05])),
+            ],
+        }
+    }
+
+    #[test]
+    fn a_mark_is_two_whole_numbers_and_three_real_ones_found_by_their_names() {
+        let expected = Mark {
+            id: [-3, 12],
+            px: [640.25, 1e-3],
+            sigma_px: 0.05,
+        };
+        assert_eq!(rows(&table()).unwrap(), [expected]);
+    }
+
+    #[test]
+    fn a_table_of_another_make_is_an_error_that_names_the_column() {
+        let mut texts = table();
+        texts.columns[3].values = Values::Text(vec!["1".into()]);
+        let mut renamed = table();
+        renamed.columns[4].name = "S".into();
+        for (table, message) in [
+            (
+                texts,
+                "MARKS: Y: expected floating-point numbers, found texts",
+            ),
+            (renamed, "MARKS: expected a column SIGMA, found none"),
+        ] {
+            assert_eq!(rows(&table).unwrap_err().to_string(), message);
+        }
+    }
+}
