@@ -5,8 +5,8 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::fits::{
-    Card, Column, Compression, Table, Value, Values, check_sums, read_frame, read_keywords,
-    write_frame,
+    Card, Column, Compression, FitsFile, Table, Value, Values, check_sums, read_frame,
+    read_keywords, read_table, write_frame,
 };
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::units::Place;
@@ -864,6 +864,195 @@ mod bad_files {
                     assert!(message.contains("changed.fits: "), "{message}");
                     assert!(!message.contains('\n'), "{message}");
                 }
+            }
+        }
+    }
+}
+
+mod tables {
+    use super::*;
+
+    /// A file with a binary table named MARKS: rows and bytes of each as the header has it, forms of the columns, further
+    /// cards, data.
+    fn file(rows: i64, row_bytes: i64, forms: &[&str], cards: &[&str], data: &[u8]) -> Vec<u8> {
+        let mut own: Vec<String> = [
+            "XTENSION= 'BINTABLE'",
+            "BITPIX  = 8",
+            "NAXIS   = 2",
+            &format!("NAXIS1  = {row_bytes}"),
+            &format!("NAXIS2  = {rows}"),
+            "PCOUNT  = 0",
+            "GCOUNT  = 1",
+            &format!("TFIELDS = {}", forms.len()),
+            "EXTNAME = 'MARKS   '",
+        ]
+        .map(String::from)
+        .into();
+        for (n, form) in (1..).zip(forms) {
+            own.push(format!("TTYPE{n}  = 'C{n}'"));
+            own.push(format!("TFORM{n}  = '{form}'"));
+        }
+        let own: Vec<&str> = own.iter().map(String::as_str).collect();
+        let table = header(&[&own, cards].concat());
+        [primary(&[]), table, blocks(data)].concat()
+    }
+
+    fn read(bytes: &[u8]) -> Result<Option<Table>, String> {
+        let folder = folder();
+        let path = folder.path().join("table.fits");
+        fs::write(&path, bytes).unwrap();
+        read_table(&path, "MARKS").map_err(|error| error.to_string())
+    }
+
+    fn columns(bytes: &[u8]) -> Vec<Column> {
+        read(bytes).unwrap().unwrap().columns
+    }
+
+    #[track_caller]
+    fn assert_refused(bytes: &[u8], message: &str) {
+        let error = read(bytes).unwrap_err();
+        assert!(
+            error.ends_with(&format!("table.fits: {message}")),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_table_that_was_written_is_read_with_units_not_a_number_and_texts() {
+        let folder = folder();
+        let path = folder.path().join("frame.fits");
+        let column = |name: &str, unit: &str, values| Column {
+            name: name.into(),
+            unit: unit.into(),
+            values,
+        };
+        let texts = ["used", "", "cut off"].map(String::from);
+        let written = Table {
+            name: "MARKS".into(),
+            columns: vec![
+                column("I", "", Values::Integer(vec![-7, 0, i64::MIN])),
+                column("X", "pixel", Values::Float(vec![0.1, 1e-300, -1e300])),
+                column("STATE", "", Values::Text(texts.into())),
+            ],
+        };
+        let mut unknown = written.clone();
+        unknown.name = "UNKNOWN".into();
+        unknown.columns = vec![column("X", "pixel", Values::Float(vec![f64::NAN]))];
+        for compression in COMPRESSIONS {
+            let tables = [unknown.clone(), written.clone()];
+            write_frame(&path, &eight_bit(8, 8), &[], &tables, compression).unwrap();
+            let file = FitsFile::open(&path).unwrap();
+            assert_eq!(file.table("MARKS").unwrap().as_ref(), Some(&written));
+            assert_eq!(file.table("LIMB").unwrap(), None);
+            let unknown = file.table("UNKNOWN").unwrap().unwrap();
+            assert_eq!(unknown.columns[0].unit, "pixel");
+            let Values::Float(values) = &unknown.columns[0].values else {
+                panic!("{unknown:?}");
+            };
+            assert!(values.len() == 1 && values[0].is_nan());
+        }
+    }
+
+    #[test]
+    fn a_compressed_picture_is_no_table() {
+        let folder = folder();
+        let path = written(&folder, &eight_bit(8, 8), Compression::Rice);
+        assert_eq!(read_table(&path, "FRAME").unwrap(), None);
+    }
+
+    #[test]
+    fn numbers_of_every_width_are_read_with_their_signs() {
+        let row = [
+            &[200u8][..],
+            &(-2i16).to_be_bytes(),
+            &(-3i32).to_be_bytes(),
+            &i64::MIN.to_be_bytes(),
+            &1.5f32.to_be_bytes(),
+            &(-0.1f64).to_be_bytes(),
+        ]
+        .concat();
+        let file = file(1, 27, &["B", "1I", "J", "1K", "E", "1D"], &[], &row);
+        let values: Vec<Values> = columns(&file).into_iter().map(|c| c.values).collect();
+        let integers = [200, -2, -3, i64::MIN].map(|n| Values::Integer(vec![n]));
+        let floats = [1.5, -0.1].map(|n| Values::Float(vec![n]));
+        assert_eq!(values, [&integers[..], &floats].concat());
+    }
+
+    #[test]
+    fn a_text_ends_at_a_nul_and_what_no_header_may_hold_is_a_question_mark() {
+        let file = file(3, 4, &["4A"], &[], b"a\0bc  d  x\x1by");
+        let expected = ["a", "  d", " x?y"].map(String::from);
+        assert_eq!(columns(&file)[0].values, Values::Text(expected.into()));
+    }
+
+    #[test]
+    fn columns_that_are_no_numbers_or_texts_are_refused_by_field() {
+        for form in [
+            "",
+            "2D",
+            "0A",
+            "1L",
+            "1PB(9)",
+            "X",
+            "99999999999999999999A",
+            "?",
+        ] {
+            let message = format!(
+                "MARKS: TFORM2: expected one number (B, I, J, K, E or D) or a text (A), found '{form}'"
+            );
+            assert_refused(&file(1, 9, &["1K", form], &[], &[0; 9]), &message);
+        }
+        assert_refused(
+            &file(1, 8, &["1K"], &["TZERO1  = 32768"], &[0; 8]),
+            "MARKS: TZERO1: expected 0, found 32768",
+        );
+        assert_refused(
+            &file(1, 7, &["1K"], &[], &[0; 8]),
+            "MARKS: NAXIS1: expected 8 bytes, as the columns need, found 7",
+        );
+    }
+
+    #[test]
+    fn what_a_hostile_header_promises_is_not_made_room_for() {
+        let forms = ["1K"];
+        for (rows, row_bytes) in [(i64::MAX, 8), (1 << 40, 8), (i64::MAX, 0), (1 << 40, 0)] {
+            assert!(read(&file(rows, row_bytes, &forms, &[], &[0; 8])).is_err());
+        }
+        let none = file(i64::MAX, 0, &[], &[], &[]);
+        assert_eq!(columns(&none), []);
+        // With no second axis the size of the file does not bound the rows.
+        let mut one_axis = file(1_000_000, 8, &forms, &[], &[0; 8]);
+        let at = one_axis
+            .windows(10)
+            .rposition(|w| w == b"NAXIS   = ")
+            .unwrap();
+        one_axis[at + 10] = b'1';
+        assert_refused(
+            &one_axis,
+            "MARKS: NAXIS2: expected at most 1 rows of 8 bytes, found 1000000",
+        );
+        let many = vec![b'x'; (1 << 22) + 1];
+        assert_refused(
+            &file(many.len() as i64, 1, &["A"], &[], &many),
+            "MARKS: NAXIS2: expected at most 4194304 rows of 1 bytes, found 4194305",
+        );
+    }
+
+    #[test]
+    fn a_table_with_any_bytes_changed_is_a_table_or_one_line() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(9);
+        let sound = file(9, 21, &["1K", "5A", "1D"], &[], &[7; 189]);
+        for _ in 0..1000 {
+            let mut bytes = sound.clone();
+            for _ in 0..random.random_range(1..8) {
+                let at = random.random_range(2880..3840);
+                bytes[at] = random.random_range(b' '..=b'~');
+            }
+            if let Err(message) = read(&bytes) {
+                assert!(
+                    message.contains("table.fits: ") && !message.contains('\n'),
+                    "{message}"
+                );
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Whether an archive is sound: every file by itself, and the files as a sequence.
 //!
 //! A file is sound when its structure is whole, the checksums of every HDU match, the picture unpacks, the keywords are of
-//! the kind that the [table](crate::fits::keyword) states, it bears the name that it was given, and its time is not
+//! the kind that the [table](crate::fits::keyword) states, its marks can be read, it bears the name that it was given, and its time is not
 //! before that of the file before it. A file that is missing makes a gap, which is no fault of the files that are there.
 
 mod files;
@@ -16,7 +16,7 @@ pub use marks::{Mark, marks};
 pub use picture::stretched;
 pub use sequence::Gap;
 
-use crate::fits::{self, FileError, Problem, Value};
+use crate::fits::{FileError, FitsFile, Problem, Value};
 use jiff::Timestamp;
 use rayon::prelude::*;
 use sequence::Dated;
@@ -113,15 +113,16 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
 
 /// Checks one file by itself.
 fn check_file(path: &Path) -> Result<Sound, FileError> {
-    let sums = fits::check_sums(path)?;
+    let file = FitsFile::open(path)?;
+    let sums = file.checksums()?;
     if sums.guarded < sums.hdus {
         let expected = format!("both in each of {} HDUs", sums.hdus);
         let found = format!("both in {} of them", sums.guarded);
         return Err(field("CHECKSUM, DATASUM", expected, found).in_file(path));
     }
-    let frame = fits::read_frame(path)?;
-    let header = fits::read_keywords(path)?;
-    keywords::check_kinds(&header).map_err(|problem| problem.in_file(path))?;
+    let frame = file.frame()?;
+    let header = keywords::checked(&file)?;
+    marks(&file)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     match header.get("FILENAME") {
         Some(Value::Text(given)) if *given != *name => {

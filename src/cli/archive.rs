@@ -1,7 +1,7 @@
 //! `solaspect archive`: what is in an archive, and whether it is sound.
 
 use crate::archive::check::{self, BadFile, Gap, Report, Row, Tree};
-use crate::fits;
+use crate::fits::{self, FitsFile};
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -209,8 +209,10 @@ fn within(file: &str, folder: &Path) -> String {
 }
 
 fn run_show(path: &Path) -> anyhow::Result<bool> {
-    let groups = check::grouped(path)?;
-    let marks = check::marks(path)?;
+    let file = FitsFile::open(path)?;
+    file.checksums()?;
+    let groups = check::grouped(&file)?;
+    let marks = check::marks(&file)?;
     let mut out = std::io::stdout().lock();
     for group in groups {
         writeln!(out, "{}", group.title)?;

@@ -1,6 +1,6 @@
 //! CHECKSUM and DATASUM (FITS 4.0, section 4.4.2.7 and appendix J): ones'-complement sums of 32-bit words.
 
-use super::structure::{BLOCK, Hdu, scan};
+use super::structure::{BLOCK, Hdu};
 use super::{Header, Problem, Value};
 
 /// What the checksums of a sound file say.
@@ -13,8 +13,7 @@ pub struct Checksums {
 }
 
 /// Checks every checksum that a file carries, and that nothing follows which none can guard.
-pub(super) fn check_all(bytes: &[u8]) -> Result<Checksums, Problem> {
-    let hdus = scan(bytes)?;
+pub(super) fn check_all(bytes: &[u8], hdus: &[Hdu]) -> Result<Checksums, Problem> {
     for (n, hdu) in hdus.iter().enumerate() {
         check_data(bytes, hdu)?;
         let found = sum(&bytes[hdu.bytes(bytes.len())]);

@@ -5,6 +5,7 @@
 //! what cameras' programs, cfitsio and astropy write for whole numbers.
 
 use super::Problem;
+use super::form::Form;
 use super::header::Header;
 use super::rice::{Rice, Width};
 use super::structure::{Hdu, MAX_SIDE};
@@ -235,33 +236,20 @@ fn column(header: &Header, n: u64) -> Result<Column, Problem> {
     })
 }
 
-/// A column by its TFORM: repeat count and letter, for descriptors (P, Q) the letter of what they point to.
+/// A column of this form; descriptors (P, Q) only as one a row.
 fn column_of(form: &str, compressed: bool) -> Option<Column> {
-    let letters = form.trim_start_matches(|c: char| c.is_ascii_digit());
-    let repeat: usize = match &form[..form.len() - letters.len()] {
-        "" => 1,
-        digits => digits.parse().ok().filter(|repeat| *repeat <= 1000)?,
+    let form = Form::parse(form)?;
+    let half = match form.letter {
+        'P' => Some(4),
+        'Q' => Some(8),
+        _ => None,
     };
-    let mut letters = letters.chars();
-    let (bytes, half) = match letters.next()? {
-        'P' if repeat == 1 => (8, Some(4)),
-        'Q' if repeat == 1 => (16, Some(8)),
-        letter => (repeat * bytes_of(letter)?, None),
-    };
+    if half.is_some() && form.repeat != 1 {
+        return None;
+    }
     Some(Column {
         compressed,
-        bytes,
-        pointer: half.filter(|_| letters.next() == Some('B')),
+        bytes: form.bytes()?,
+        pointer: half.filter(|_| form.pointed_to == Some('B')),
     })
-}
-
-/// Bytes of one value of a kind of column.
-fn bytes_of(letter: char) -> Option<usize> {
-    match letter {
-        'B' | 'A' | 'L' => Some(1),
-        'I' => Some(2),
-        'J' | 'E' => Some(4),
-        'K' | 'D' => Some(8),
-        _ => None,
-    }
 }

@@ -60,6 +60,22 @@ impl Problem {
         }
     }
 
+    /// Names the table that a field is in.
+    pub(super) fn within(self, table: &str) -> Self {
+        match self {
+            Self::Field {
+                field,
+                expected,
+                found,
+            } => Self::Field {
+                field: format!("{table}: {field}"),
+                expected,
+                found,
+            },
+            other => other,
+        }
+    }
+
     /// Names the file that the problem is in.
     pub(crate) fn in_file(self, path: &Path) -> FileError {
         FileError {

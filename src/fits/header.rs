@@ -196,7 +196,7 @@ impl Header {
 }
 
 /// The card as text; what may not stand in a header becomes '?', so that messages stay on one line.
-fn printable(card: &[u8]) -> String {
+pub(super) fn printable(card: &[u8]) -> String {
     let shown = |byte: &u8| match byte {
         b' '..=b'~' => char::from(*byte),
         _ => '?',

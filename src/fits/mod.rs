@@ -13,6 +13,8 @@
 mod checksum;
 mod compressed;
 mod error;
+mod file;
+mod form;
 mod header;
 mod info;
 pub mod keyword;
@@ -22,10 +24,12 @@ mod raw;
 mod read;
 mod rice;
 mod structure;
+mod table;
 mod write;
 
 pub use checksum::Checksums;
 pub use error::{FileError, Problem};
+pub use file::FitsFile;
 pub use header::{Header, Value};
 pub use raw::Compression;
 pub use write::{Card, Column, FRAME_EXTENSION, Table, Values, encode_frame, write_frame};
@@ -52,36 +56,34 @@ const MAX_PIXELS: u64 = 1 << 26;
 /// Anything that keeps the file from being such a frame, in one line that names the file, the field and what was
 /// expected there; data that do not match their DATASUM too.
 pub fn read_frame(path: &Path) -> Result<Frame, FileError> {
-    read_with(path, |bytes| match bytes {
-        [0x89, b'P', b'N', b'G', ..] => picture::read_picture(bytes, ImageFormat::Png),
-        [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => {
+    let read = |bytes: Vec<u8>| match bytes.as_slice() {
+        bytes @ [0x89, b'P', b'N', b'G', ..] => picture::read_picture(bytes, ImageFormat::Png),
+        bytes @ ([b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..]) => {
             picture::read_picture(bytes, ImageFormat::Tiff)
         }
-        _ => read::read_fits(checked_fits(bytes, "a FITS, PNG or TIFF file")?),
-    })
+        bytes => {
+            let bytes = checked_fits(bytes, "a FITS, PNG or TIFF file")?;
+            read::read_fits(bytes, &structure::scan(bytes)?)
+        }
+    };
+    load(path)
+        .and_then(read)
+        .map_err(|problem| problem.in_file(path))
 }
 
 /// Reads the keywords of a frame's FITS file, the image's over the primary HDU's, and none of its pixels.
 pub fn read_keywords(path: &Path) -> Result<Header, FileError> {
-    read_with(path, |bytes| {
-        read::read_keywords(checked_fits(bytes, "a FITS file")?)
-    })
+    FitsFile::open(path)?.keywords()
 }
 
 /// Checks every checksum of a FITS file; an error where one does not match.
 pub fn check_sums(path: &Path) -> Result<Checksums, FileError> {
-    read_with(path, |bytes| {
-        checksum::check_all(checked_fits(bytes, "a FITS file")?)
-    })
+    FitsFile::open(path)?.checksums()
 }
 
-fn read_with<T>(
-    path: &Path,
-    read: impl FnOnce(&[u8]) -> Result<T, Problem>,
-) -> Result<T, FileError> {
-    load(path)
-        .and_then(|bytes| read(&bytes))
-        .map_err(|problem| problem.in_file(path))
+/// Reads the binary table of a name from a FITS file, `None` where it has none; see [`FitsFile::table`].
+pub fn read_table(path: &Path, name: &str) -> Result<Option<Table>, FileError> {
+    FitsFile::open(path)?.table(name)
 }
 
 /// The bytes of a file, gunzipped if need be.

@@ -6,6 +6,7 @@
 //! hold another file's.
 
 use super::Problem;
+use super::structure::BLOCK;
 use crate::frame::Pixels;
 use fitsio_sys as sys;
 use std::alloc::{Layout, alloc_zeroed, dealloc};
@@ -16,48 +17,85 @@ use std::sync::{Mutex, PoisonError};
 /// cfitsio initialises itself at the first opening, and not safely if two threads are first at once.
 static OPENING: Mutex<()> = Mutex::new(());
 
-/// Bytes before each piece of memory, which hold its size. A multiple of any alignment that C asks for.
-const SIZE_BYTES: usize = 16;
-
-/// The whole of a piece of memory with so many usable bytes.
-fn layout(bytes: usize) -> Option<Layout> {
-    Layout::from_size_align(bytes.checked_add(SIZE_BYTES)?, SIZE_BYTES).ok()
+/// Stands before each piece of memory that cfitsio has. A multiple of any alignment that C asks for.
+#[repr(C, align(16))]
+struct Size {
+    /// What cfitsio may use.
+    usable: usize,
+    /// What there is. All beyond the usable bytes is zero.
+    capacity: usize,
 }
 
-/// A `realloc` that fills what it adds with zeros. When cfitsio extends a file within the memory that it has, it
-/// takes that memory to be zero, which C's `realloc` does not promise.
-unsafe extern "C" fn grow(memory: *mut c_void, bytes: usize) -> *mut c_void {
-    let Some(layout) = layout(bytes) else {
+/// The whole of a piece of memory with so many bytes for cfitsio.
+fn layout(capacity: usize) -> Option<Layout> {
+    let bytes = capacity.checked_add(size_of::<Size>())?;
+    Layout::from_size_align(bytes, align_of::<Size>()).ok()
+}
+
+/// Memory of zeros of which none is usable yet; null where there is none.
+fn allocate(capacity: usize) -> *mut c_void {
+    let Some(layout) = layout(capacity) else {
         return ptr::null_mut();
     };
-    // SAFETY: the layout is not empty; `memory`, unless null, is an earlier result with its size before it, and the
-    // copy stays within the smaller of the two.
+    // SAFETY: the layout is not empty, and has room for the size first.
     unsafe {
-        let whole = alloc_zeroed(layout);
+        let whole = alloc_zeroed(layout).cast::<Size>();
         if whole.is_null() {
             return ptr::null_mut();
         }
-        whole.cast::<usize>().write(bytes);
-        let grown = whole.add(SIZE_BYTES);
-        if !memory.is_null() {
-            let old = memory.cast::<u8>().sub(SIZE_BYTES).cast::<usize>().read();
-            ptr::copy_nonoverlapping(memory.cast(), grown, old.min(bytes));
-            release(memory);
-        }
-        grown.cast()
+        whole.write(Size {
+            usable: 0,
+            capacity,
+        });
+        whole.add(1).cast()
     }
 }
 
-/// Gives back what [`grow`] returned.
+/// A `realloc` that fills what it adds with zeros. When cfitsio extends a file within the memory that it has, it
+/// takes that memory to be zero, which C's `realloc` does not promise. It asks for a block more or less very often, so
+/// memory moves only when it must, and is then at least doubled.
+unsafe extern "C" fn grow(memory: *mut c_void, bytes: usize) -> *mut c_void {
+    let memory = match memory.is_null() {
+        true => allocate(bytes),
+        false => memory,
+    };
+    if memory.is_null() {
+        return memory;
+    }
+    // SAFETY: `memory` is a result of `allocate`, with its size before it. What is filled or copied lies within the capacity of
+    // each piece.
+    unsafe {
+        let size = &mut *memory.cast::<Size>().sub(1);
+        if bytes <= size.capacity {
+            if bytes < size.usable {
+                memory
+                    .cast::<u8>()
+                    .add(bytes)
+                    .write_bytes(0, size.usable - bytes);
+            }
+            size.usable = bytes;
+            return memory;
+        }
+        let larger = allocate(bytes.max(2 * size.capacity));
+        if larger.is_null() {
+            return larger;
+        }
+        ptr::copy_nonoverlapping(memory.cast::<u8>(), larger.cast(), size.usable);
+        release(memory);
+        grow(larger, bytes)
+    }
+}
+
+/// Gives back what [`allocate`] or [`grow`] returned.
 unsafe fn release(memory: *mut c_void) {
     if memory.is_null() {
         return;
     }
-    // SAFETY: the caller's memory is a result of `grow`, whose size stands before it.
+    // SAFETY: the caller's memory is a result of `allocate`, whose size stands before it.
     unsafe {
-        let whole = memory.cast::<u8>().sub(SIZE_BYTES);
-        if let Some(layout) = layout(whole.cast::<usize>().read()) {
-            dealloc(whole, layout);
+        let whole = memory.cast::<Size>().sub(1);
+        if let Some(layout) = layout((*whole).capacity) {
+            dealloc(whole.cast(), layout);
         }
     }
 }
@@ -149,12 +187,12 @@ macro_rules! call {
 }
 
 impl MemoryFile {
-    /// A new, empty file.
-    pub fn create() -> Result<Self, Problem> {
+    /// A new, empty file, which is quickest if it will be of at most the expected size.
+    pub fn create(expected_bytes: usize) -> Result<Self, Problem> {
         let mut file = Self {
             handle: ptr::null_mut(),
             memory: Box::new(Memory {
-                start: ptr::null_mut(),
+                start: allocate(expected_bytes),
                 bytes: 0,
             }),
         };
@@ -167,7 +205,7 @@ impl MemoryFile {
                 &mut file.handle,
                 &mut memory.start,
                 &mut memory.bytes,
-                1 << 20,
+                BLOCK,
                 Some(grow),
                 &mut status,
             )
@@ -238,25 +276,19 @@ impl MemoryFile {
         }
     }
 
-    /// Writes a card of 80 characters, in place of one with the same keyword if there is one.
-    pub fn put_card(&self, keyword: &str, card: &str) -> Result<(), Problem> {
-        let (keyword, card) = (c_string(keyword), c_string(card));
-        call!(
-            self,
-            "write a keyword",
-            ffucrd,
-            keyword.as_ptr(),
-            card.as_ptr()
-        )
+    /// Adds a card of 80 characters.
+    pub fn put_card(&self, card: &str) -> Result<(), Problem> {
+        let card = c_string(card);
+        call!(self, "write a keyword", ffprec, card.as_ptr())
     }
 
-    /// Writes a text that may need more than one card.
+    /// Adds a text that may need more than one card.
     pub fn put_text(&self, keyword: &str, text: &str, comment: &str) -> Result<(), Problem> {
         let [keyword, text, comment] = [keyword, text, comment].map(c_string);
         call!(
             self,
             "write a text keyword",
-            ffukls,
+            ffpkls,
             keyword.as_ptr(),
             text.as_ptr(),
             comment.as_ptr()

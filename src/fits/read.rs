@@ -3,7 +3,7 @@
 use super::compressed::Tiles;
 use super::header::Header;
 use super::info::{read_info, read_saturation};
-use super::structure::{Content, Hdu, MAX_SIDE, scan};
+use super::structure::{Content, Hdu, MAX_SIDE};
 use super::{MAX_PIXELS, Problem, checksum};
 use crate::frame::{Frame, FrameError, Pixels};
 
@@ -18,20 +18,20 @@ enum Stored {
 }
 
 /// Reads the first image with two axes, in the primary HDU or an extension.
-pub(super) fn read_fits(bytes: &[u8]) -> Result<Frame, Problem> {
-    let (hdu, header) = find_image(bytes)?;
+pub(super) fn read_fits(bytes: &[u8], hdus: &[Hdu]) -> Result<Frame, Problem> {
+    let (hdu, header) = find_image(hdus)?;
     let compressed = hdu.content() == Content::CompressedImage;
     let prefix = if compressed { "Z" } else { "" };
     let [width, height] = sides(&hdu.header, prefix)?;
     let stored = stored(&hdu.header, prefix)?;
     let tiles = match compressed {
-        true => Some(Tiles::new(bytes, &hdu, width, height)?),
+        true => Some(Tiles::new(bytes, hdu, width, height)?),
         false => None,
     };
-    checksum::check_data(bytes, &hdu)?;
+    checksum::check_data(bytes, hdu)?;
     let pixels = match tiles {
         Some(tiles) => stored.pixels(tiles.unpack()?, width)?,
-        None => stored.plain_pixels(&bytes[hdu.data_bytes], width)?,
+        None => stored.plain_pixels(&bytes[hdu.data_bytes.clone()], width)?,
     };
     let saturation = read_saturation(&header, pixels.bits(), brightest_dn(&pixels))?;
     let info = read_info(&header)?;
@@ -39,12 +39,11 @@ pub(super) fn read_fits(bytes: &[u8]) -> Result<Frame, Problem> {
 }
 
 /// The keywords of the image over those of the primary HDU, without reading the pixels.
-pub(super) fn read_keywords(bytes: &[u8]) -> Result<Header, Problem> {
-    find_image(bytes).map(|(_, header)| header)
+pub(super) fn read_keywords(hdus: &[Hdu]) -> Result<Header, Problem> {
+    find_image(hdus).map(|(_, header)| header)
 }
 
-fn find_image(bytes: &[u8]) -> Result<(Hdu, Header), Problem> {
-    let mut hdus = scan(bytes)?;
+fn find_image(hdus: &[Hdu]) -> Result<(&Hdu, Header), Problem> {
     if hdus[0].header.get("SIMPLE") != Some(&true.into()) {
         return Err(Problem::field("SIMPLE", "T", "something else"));
     }
@@ -53,14 +52,13 @@ fn find_image(bytes: &[u8]) -> Result<(Hdu, Header), Problem> {
         Content::CompressedImage => hdu.header.integer("ZNAXIS").ok().flatten(),
         Content::Other => None,
     };
-    let Some(index) = hdus.iter().position(|hdu| axes(hdu) == Some(2)) else {
+    let Some(hdu) = hdus.iter().find(|hdu| axes(hdu) == Some(2)) else {
         return Err(match hdus.iter().find_map(axes) {
             Some(axes) => Problem::field("NAXIS", "an image with 2 axes", axes),
             None => Problem::content("an image in a FITS file", "none in any of its HDUs"),
         });
     };
-    let header = hdus[index].header.over(&hdus[0].header);
-    Ok((hdus.swap_remove(index), header))
+    Ok((hdu, hdu.header.over(&hdus[0].header)))
 }
 
 fn sides(header: &Header, prefix: &str) -> Result<[usize; 2], Problem> {
@@ -128,7 +126,12 @@ impl Stored {
             Self::I16 => (0, 32_767),
         };
         let legal = -zero..=top - zero;
-        if let Some(at) = numbers.iter().position(|number| !legal.contains(number)) {
+        let illegal = |number: &i32| !legal.contains(number);
+        // Without an end in the middle, this is many at a time.
+        let any = numbers
+            .iter()
+            .fold(false, |any, number| any | illegal(number));
+        if any && let Some(at) = numbers.iter().position(illegal) {
             let number = i64::from(numbers[at]) + i64::from(zero);
             let found = format!("{number} at pixel ({}, {})", at % width, at / width);
             return Err(Problem::field(
@@ -147,8 +150,8 @@ impl Stored {
 
 pub(super) fn brightest_dn(pixels: &Pixels) -> u16 {
     match pixels {
-        Pixels::U8(p) => p.iter().max().map_or(0, |dn| u16::from(*dn)),
-        Pixels::U16(p) => p.iter().max().copied().unwrap_or(0),
+        Pixels::U8(p) => p.iter().fold(0, |most, dn| most.max(*dn)).into(),
+        Pixels::U16(p) => p.iter().fold(0, |most, dn| most.max(*dn)),
     }
 }
 

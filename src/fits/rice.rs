@@ -63,7 +63,7 @@ impl Rice {
                 None => block.fill(next(0)),
                 Some(low) if low < uncompressed => {
                     for pixel in block {
-                        *pixel = next(bits.zeros()?.wrapping_shl(low) | bits.take(low)?);
+                        *pixel = next(bits.folded(low)?);
                     }
                 }
                 Some(_) => {
@@ -108,6 +108,23 @@ impl<'a> Bits<'a> {
             self.count += 8;
             self.rest = rest;
         }
+    }
+
+    /// A folded difference: zeros up to a one say how often 2^`low` goes into it, and `low` bits, at most 25, the rest.
+    fn folded(&mut self, low: u32) -> Option<u32> {
+        if self.count < 32 {
+            self.fill();
+        }
+        let zeros = self.window.leading_zeros();
+        let used = zeros + 1 + low;
+        if used > self.count {
+            return Some(self.zeros()?.wrapping_shl(low) | self.take(low)?);
+        }
+        // In two steps each: a shift by all 64 bits is none.
+        let rest = self.window << zeros << 1;
+        self.window = rest << low;
+        self.count -= used;
+        Some(zeros << low | (rest >> 1 >> (63 - low)) as u32)
     }
 
     /// The next `count` bits, at most 32, as a number.

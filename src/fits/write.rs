@@ -74,6 +74,15 @@ impl Values {
         self.len() == 0
     }
 
+    /// What the values are, in words.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Float(_) => "floating-point numbers",
+            Self::Integer(_) => "whole numbers",
+            Self::Text(_) => "texts",
+        }
+    }
+
     /// The column's TFORM.
     fn form(&self) -> String {
         match self {
@@ -127,16 +136,18 @@ pub fn encode_frame(
     refuse_duplicates(&all, cards)?;
     all.extend_from_slice(cards);
 
-    let file = MemoryFile::create()?;
+    let pixels = frame.pixels();
+    let pixel_bytes = pixels.len() * pixels.bits() as usize / 8;
+    let file = MemoryFile::create(pixel_bytes + OTHER_BYTES)?;
     file.create_primary()?;
     put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
     put_cards(&file, &provenance)?;
     file.put_checksums()?;
-    file.create_image([frame.width(), frame.height()], frame.pixels(), compression)?;
+    file.create_image([frame.width(), frame.height()], pixels, compression)?;
     file.reserve_keywords(all.len() + OTHER_CARDS)?;
     put_cards(&file, &name_cards(FRAME_EXTENSION, Holds::Observation))?;
     put_cards(&file, &all)?;
-    file.put_pixels(frame.pixels())?;
+    file.put_pixels(pixels)?;
     file.put_checksums()?;
     for table in tables {
         put_table(&file, table)?;
@@ -145,6 +156,9 @@ pub fn encode_frame(
     }
     file.into_bytes()
 }
+
+/// Room for headers and tables.
+const OTHER_BYTES: usize = 1 << 17;
 
 /// What an HDU holds, for SOLARNET.
 #[derive(Clone, Copy)]
@@ -208,7 +222,7 @@ fn put_card(file: &MemoryFile, card: &Card) -> Result<(), Problem> {
     };
     let mut text = format!("{:<8}= {number:>20} / {comment}", card.keyword);
     text.truncate(CARD);
-    file.put_card(card.keyword, &text)
+    file.put_card(&text)
 }
 
 /// The shortest number that reads back as the same one, with a decimal point, as every FITS reader knows it.

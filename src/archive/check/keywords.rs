@@ -2,7 +2,7 @@
 
 use super::field;
 use crate::fits::keyword::{self, GROUPS, Keyword, Kind};
-use crate::fits::{self, FileError, Header, Problem, Value};
+use crate::fits::{FileError, FitsFile, Header, Problem, Value};
 use jiff::Timestamp;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
@@ -10,7 +10,7 @@ use serde::Serialize;
 use std::path::Path;
 
 /// Checks that each keyword of the table has a value of its kind.
-pub(super) fn check_kinds(header: &Header) -> Result<(), Problem> {
+fn check_kinds(header: &Header) -> Result<(), Problem> {
     let known = header
         .iter()
         .filter_map(|(name, value)| Some((keyword::find(name)?, value)));
@@ -38,12 +38,12 @@ fn time(text: &str) -> Option<Timestamp> {
     TimeZone::UTC.to_timestamp(civil).ok()
 }
 
-/// The checked keywords of a file.
-fn read(path: &Path) -> Result<Header, FileError> {
-    let header = fits::read_keywords(path)?;
+/// The keywords of a file, each of its kind.
+pub(super) fn checked(file: &FitsFile) -> Result<Header, FileError> {
+    let header = file.keywords()?;
     match check_kinds(&header) {
         Ok(()) => Ok(header),
-        Err(problem) => Err(problem.in_file(path)),
+        Err(problem) => Err(problem.in_file(file.path())),
     }
 }
 
@@ -65,7 +65,7 @@ impl Row {
     /// # Errors
     /// A file that is no FITS file with a picture, or a keyword of another kind than the table states.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let header = read(path)?;
+        let header = checked(&FitsFile::open(path)?)?;
         let text = |name| match header.get(name)? {
             Value::Text(text) => Some(text.clone()),
             _ => None,
@@ -104,8 +104,8 @@ pub struct Group {
 ///
 /// # Errors
 /// As [`Row::read`].
-pub fn grouped(path: &Path) -> Result<Vec<Group>, FileError> {
-    let header = read(path)?;
+pub fn grouped(file: &FitsFile) -> Result<Vec<Group>, FileError> {
+    let header = checked(file)?;
     let own = |group: &keyword::Group| Group {
         title: group.title,
         cards: group
@@ -151,7 +151,7 @@ pub fn csv_header() -> Vec<String> {
 /// A file's row: what it does not tell is empty; of a file that cannot be read, only name and error are there.
 pub fn csv_row(path: &Path) -> Vec<String> {
     let mut row = vec![path.display().to_string()];
-    match read(path) {
+    match FitsFile::open(path).and_then(|file| checked(&file)) {
         Ok(header) => {
             row.extend(columns().map(|keyword| match header.get(keyword.name) {
                 Some(Value::Text(text)) => text.clone(),

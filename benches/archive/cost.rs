@@ -1,0 +1,72 @@
+//! What a work costs: wall time of a frame, processor time, and bytes.
+
+use nix::sys::resource::{UsageWho, getrusage};
+use nix::sys::time::TimeValLike;
+use std::time::{Duration, Instant};
+
+/// User and system time of this process, or of its children that have ended.
+#[derive(Clone, Copy)]
+pub enum Of {
+    Ourselves,
+    Children,
+}
+
+impl Of {
+    fn processor_time(self) -> anyhow::Result<Duration> {
+        let usage = getrusage(match self {
+            Self::Ourselves => UsageWho::RUSAGE_SELF,
+            Self::Children => UsageWho::RUSAGE_CHILDREN,
+        })?;
+        let spent = usage.user_time() + usage.system_time();
+        Ok(Duration::from_micros(spent.num_microseconds() as u64))
+    }
+}
+
+/// What passes over all frames have cost so far.
+#[derive(Default)]
+pub struct Cost {
+    /// One for every frame of every pass, or where frames cannot be told apart, their mean in every pass.
+    wall: Vec<Duration>,
+    /// The mean of a frame in every pass.
+    processor: Vec<Duration>,
+    /// Of the files of one pass.
+    pub file_bytes: u64,
+}
+
+impl Cost {
+    /// Adds a pass over so many frames; `pass` returns the bytes of its files, and notes the wall time of each frame if
+    /// it can tell.
+    pub fn add(
+        &mut self,
+        frames: usize,
+        of: Of,
+        pass: impl FnOnce(&mut Vec<Duration>) -> anyhow::Result<u64>,
+    ) -> anyhow::Result<()> {
+        let mut wall = Vec::new();
+        let (before, start) = (of.processor_time()?, Instant::now());
+        self.file_bytes = pass(&mut wall)?;
+        let (elapsed, after) = (start.elapsed(), of.processor_time()?);
+        if wall.is_empty() {
+            wall.push(elapsed / frames as u32);
+        }
+        self.wall.extend(wall);
+        self.processor.push((after - before) / frames as u32);
+        Ok(())
+    }
+
+    /// Median.
+    pub fn wall(&self) -> Duration {
+        median(&self.wall)
+    }
+
+    /// Median.
+    pub fn processor(&self) -> Duration {
+        median(&self.processor)
+    }
+}
+
+fn median(times: &[Duration]) -> Duration {
+    let mut sorted = times.to_vec();
+    sorted.sort();
+    sorted.get(sorted.len() / 2).copied().unwrap_or_default()
+}

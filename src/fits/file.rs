@@ -1,0 +1,75 @@
+//! A FITS file in memory, from which several things are read.
+
+use super::structure::{Hdu, scan};
+use super::{Checksums, FileError, Header, Problem, Table, checked_fits, load};
+use super::{checksum, read, table};
+use crate::frame::Frame;
+use std::path::{Path, PathBuf};
+
+/// A FITS file that was read once and whose structure is whole. What else may be wrong with it, each method says of its part.
+#[derive(Debug)]
+pub struct FitsFile {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    hdus: Vec<Hdu>,
+}
+
+impl FitsFile {
+    /// Reads a file into memory and checks its structure.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is no FITS file, or is shorter than its headers promise.
+    pub fn open(path: &Path) -> Result<Self, FileError> {
+        let open = || {
+            let bytes = load(path)?;
+            let hdus = scan(checked_fits(&bytes, "a FITS file")?)?;
+            Ok((bytes, hdus))
+        };
+        let (bytes, hdus) = open().map_err(|problem: Problem| problem.in_file(path))?;
+        Ok(Self {
+            path: path.into(),
+            bytes,
+            hdus,
+        })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The frame, as [`read_frame`](super::read_frame) reads it.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn frame(&self) -> Result<Frame, FileError> {
+        self.named(read::read_fits(&self.bytes, &self.hdus))
+    }
+
+    /// The keywords of the frame, the image's over the primary HDU's.
+    ///
+    /// # Errors
+    /// A file without an image.
+    pub fn keywords(&self) -> Result<Header, FileError> {
+        self.named(read::read_keywords(&self.hdus))
+    }
+
+    /// Checks every checksum that the file carries.
+    ///
+    /// # Errors
+    /// One that does not match, or bytes that none can guard.
+    pub fn checksums(&self) -> Result<Checksums, FileError> {
+        self.named(checksum::check_all(&self.bytes, &self.hdus))
+    }
+
+    /// The binary table of a name, `None` where the file has none. Its columns hold one number or one text in each row.
+    ///
+    /// # Errors
+    /// Columns of other kinds, columns that are scaled, or rows that are not there.
+    pub fn table(&self, name: &str) -> Result<Option<Table>, FileError> {
+        self.named(table::read_table(&self.bytes, &self.hdus, name))
+    }
+
+    fn named<T>(&self, result: Result<T, Problem>) -> Result<T, FileError> {
+        result.map_err(|problem| problem.in_file(&self.path))
+    }
+}
