@@ -7,7 +7,7 @@
 //!    |  LinkEvent (256)       |
 //!    +----------------------> link <----> controller, over a byte port
 //!                             |
-//!                Commanded (shared): target and place, set by command, read by the solver
+//!                Controls (shared): what the ground sets, read by the solver; changes ---> values (saved in a file)
 //! ```
 //!
 //! | channel | holds | when it is full |
@@ -21,6 +21,7 @@
 //! then.
 
 mod archiver;
+pub mod control;
 pub mod demo;
 mod line;
 mod solver;
@@ -33,17 +34,17 @@ use tally::worth_a_line;
 
 use crate::archive::{Row, Store};
 use crate::camera::{Exposure, FrameSource};
-use crate::config::{self, Config};
+use crate::config::Config;
 use crate::instrument::Instrument;
-use crate::link::{BytePort, Computer, Responder};
+use crate::link::{self, Connection};
 use crate::pointing::Target;
 use crate::sky::Ephemeris;
-use crate::units::Place;
+use control::{Controls, Keeper};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, unbounded};
 use jiff::Timestamp;
 use line::{Line, LinkEvent};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
@@ -54,6 +55,9 @@ const ROWS: usize = 10_000;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
 
+/// The one pitch-yaw camera's number.
+const CAMERA: u16 = 1;
+
 /// What a flight is made of.
 pub struct Flight {
     pub instrument: Instrument,
@@ -62,8 +66,8 @@ pub struct Flight {
     pub target: Target,
     pub ephemeris: Ephemeris,
     pub camera: Box<dyn FrameSource>,
-    /// The line to the controller, where there is one.
-    pub port: Option<Box<dyn BytePort + Send>>,
+    /// The line to the controller.
+    pub line: Connection,
     /// The archives on the disks, the preferred one first; none where frames are not kept.
     pub stores: Vec<Store>,
 }
@@ -81,20 +85,15 @@ enum Filing {
     Row(Box<Row>),
 }
 
-/// What the ground may set in flight.
-#[derive(Debug, Clone, Copy)]
-struct Commanded {
-    target: Target,
-    /// The place for frames that do not tell theirs.
-    place: Option<Place>,
-}
-
 /// A running service.
 pub struct Service {
     camera: JoinHandle<CameraTally>,
     solver: JoinHandle<SolverTally>,
     archive: JoinHandle<ArchiveTally>,
     line: JoinHandle<LineTally>,
+    /// Only where values set by command are saved.
+    values: Option<JoinHandle<u64>>,
+    controls: Controls,
     stop: Arc<AtomicBool>,
     hang_up: Arc<AtomicBool>,
 }
@@ -122,25 +121,22 @@ impl Service {
         let (to_archive, answers) = bounded(config.archive.queue_frames + ROWS);
         let (to_line, events) = bounded(LINK_EVENTS);
         let stop = Arc::new(AtomicBool::new(false));
-        let commanded = Arc::new(Mutex::new(Commanded {
-            target: flight.target,
-            place: config.site.place(),
-        }));
-        let line = Line::new(
-            flight.port,
-            Responder::new(Computer::One, None),
-            line_settings(&config.link),
-            Arc::clone(&commanded),
-        );
+        let queue_frames = config.archive.queue_frames;
+        let saved_values = config.link.saved_values.clone();
+        let controls = Controls::new(config, flight.target, flight.instrument.mounting);
+        if let Some(path) = &saved_values {
+            control::restore(&controls, path);
+        }
+        let line = Line::new(flight.line, controls.clone());
         let instrument = flight.instrument.clone();
         let ephemeris = flight.ephemeris.clone();
         let solver = solver::Solver {
             instrument: flight.instrument,
             ephemeris: flight.ephemeris,
-            settings: config.solver(),
-            commanded,
+            controls: controls.clone(),
+            camera: CAMERA,
             to_archive,
-            queue_frames: config.archive.queue_frames,
+            queue_frames,
             to_line: to_line.clone(),
             watcher,
         };
@@ -149,6 +145,13 @@ impl Service {
         let stopped = Arc::clone(&stop);
         let hang_up = Arc::new(AtomicBool::new(false));
         let hung_up = Arc::clone(&hang_up);
+        let values = match saved_values {
+            Some(path) => {
+                let (keeper, ends) = (Keeper::new(controls.clone(), path), Arc::clone(&hang_up));
+                Some(spawn("values", move || keeper.run(&ends))?)
+            }
+            None => None,
+        };
         Ok(Self {
             line: spawn("link", move || line.run(&events, &hung_up))?,
             archive: spawn("archive", move || {
@@ -158,9 +161,16 @@ impl Service {
             camera: spawn("camera", move || {
                 take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)
             })?,
+            values,
+            controls,
             stop,
             hang_up,
         })
+    }
+
+    /// What the ground sets and reads.
+    pub fn controls(&self) -> &Controls {
+        &self.controls
     }
 
     /// Asks the camera to end after the frame it is taking; everything else follows.
@@ -180,6 +190,9 @@ impl Service {
         let archive = self.archive.join().map_err(|_| ThreadFailed("archive"));
         self.hang_up.store(true, Ordering::Relaxed);
         let line = self.line.join().map_err(|_| ThreadFailed("link"));
+        if let Some(values) = self.values {
+            values.join().map_err(|_| ThreadFailed("values"))?;
+        }
         Ok(FlightTally {
             camera: camera?,
             solver: solver?,
@@ -196,13 +209,6 @@ fn spawn<T: Send + 'static>(
     thread::Builder::new().name(name.into()).spawn(work)
 }
 
-fn line_settings(link: &config::Link) -> line::Settings {
-    line::Settings {
-        solution_divisor: u64::from(link.solution_divisor),
-        max_age: std::time::Duration::from_millis(u64::from(link.max_solution_age_ms)),
-    }
-}
-
 /// The camera's thread: announces each exposure on the line, then hands the frame to the solver.
 fn take_frames(
     camera: &mut dyn FrameSource,
@@ -213,7 +219,9 @@ fn take_frames(
     let mut tally = CameraTally::default();
     while !stop.load(Ordering::Relaxed) {
         let mut announce = |time: Timestamp| {
-            if to_line.try_send(LinkEvent::ExposureStarts(time)).is_err() {
+            let (camera, start) = (CAMERA, time);
+            let event = LinkEvent::ExposureStarts(link::Exposure { camera, start });
+            if to_line.try_send(event).is_err() {
                 tally.unannounced += 1;
                 if worth_a_line(tally.unannounced) {
                     tracing::warn!("the line is stuck: an exposure was not announced");

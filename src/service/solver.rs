@@ -1,17 +1,19 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
+use super::control::{Controls, Snapshot, Topic};
 use super::line::{LinkEvent, Outcome};
 use super::tally::{SolverTally, worth_a_line};
-use super::{Commanded, Filing, Sighting};
+use super::{Filing, Sighting};
 use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::Exposure;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, Mounting};
+use crate::link;
 use crate::pointing::{self, Offset, Target};
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender};
 use jiff::{SignedDuration, Timestamp};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// A solved frame.
@@ -39,8 +41,9 @@ impl Answer {
 pub(super) struct Solver {
     pub instrument: Instrument,
     pub ephemeris: Ephemeris,
-    pub settings: aspect::Settings,
-    pub commanded: Arc<Mutex<Commanded>>,
+    pub controls: Controls,
+    /// The number of its camera among the pitch-yaw cameras, from 1.
+    pub camera: u16,
     pub to_archive: Sender<Filing>,
     /// Frames that may wait for the disk; of more, only the rows do.
     pub queue_frames: usize,
@@ -53,6 +56,8 @@ impl Solver {
     pub fn run(mut self, sightings: &Receiver<Sighting>) -> SolverTally {
         let mut tally = SolverTally::default();
         let mut track = None;
+        let stated = self.instrument.mounting;
+        let mut mounting_version = None;
         let mut sun = SunSize::default();
         for sighting in sightings {
             let Sighting { exposure, arrived } = sighting;
@@ -63,7 +68,12 @@ impl Solver {
                 }
                 continue;
             }
-            let answer = self.solve(exposure, &mut track, &mut sun);
+            let version = self.controls.version(Topic::Mounting);
+            let snapshot = self.controls.snapshot();
+            if mounting_version.replace(version) != Some(version) {
+                self.remount(&snapshot, &stated, &mut track);
+            }
+            let answer = self.solve(exposure, &snapshot, &mut track, &mut sun);
             count(&mut tally, &answer.solution);
             tracing::debug!(
                 number = answer.exposure.frame.info.number,
@@ -76,9 +86,19 @@ impl Solver {
         tally
     }
 
+    /// Where the ground has turned camera or plate, what the last frames taught no longer holds.
+    fn remount(&mut self, commanded: &Snapshot, stated: &Mounting, track: &mut Option<Track>) {
+        let mounting = commanded.mounting(stated);
+        if mounting != self.instrument.mounting {
+            self.instrument.mounting = mounting;
+            *track = None;
+        }
+    }
+
     fn solve(
         &mut self,
         mut exposure: Exposure,
+        commanded: &Snapshot,
         track: &mut Option<Track>,
         sun: &mut SunSize,
     ) -> Answer {
@@ -87,7 +107,7 @@ impl Solver {
         let start = Instant::now();
         let frame = &exposure.frame;
         let mut solution = aspect::solve_with(
-            &self.settings,
+            &commanded.solver,
             frame,
             &self.instrument,
             size,
@@ -97,10 +117,6 @@ impl Solver {
         if solution.track.is_some() {
             track.clone_from(&solution.track);
         }
-        let commanded = *self
-            .commanded
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
         // The file tells the place that its offset and its coordinates rest on.
         let place = exposure.frame.info.place.or(commanded.place);
         exposure.frame.info.place = place;
@@ -124,8 +140,12 @@ impl Solver {
     /// The line first: a solution does not wait for a disk.
     fn hand_on(&self, answer: Answer, arrived: Instant, tally: &mut SolverTally) {
         let outcome = Outcome {
-            announced: answer.exposure.announced,
+            exposure: link::Exposure {
+                camera: self.camera,
+                start: answer.exposure.announced,
+            },
             arrived,
+            shutter: answer.exposure.frame.info.exposure,
             offset: answer.offset,
             stopped: answer.solution.stopped,
         };
