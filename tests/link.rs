@@ -1,11 +1,15 @@
 //! The controller link: real packets byte for byte, and a conversation over a pseudo-terminal.
 
 use jiff::Timestamp;
+use solaspect::config::Config;
+use solaspect::instrument;
 use solaspect::link::code::{angle_code, angle_from_code, pair3b, position_from_pair3b};
 use solaspect::link::{
-    AspectCommand, BytePort, Computer, Direction, ExposureStart, GpsFix, Message, Packet, Parser,
-    Responder, SerialPort, Solution, Telemetry, id,
+    AspectCommand, BytePort, Computer, Direction, Exposure, ExposureStart, GpsFix, Message, Packet,
+    Parser, Responder, SerialPort, Solution, Telemetry, id,
 };
+use solaspect::pointing::{HelioprojectiveArcsec, Target};
+use solaspect::service::control::Controls;
 use solaspect::simulate::controller::{Controller, Faults};
 use solaspect::units::SensorPx;
 use std::collections::HashMap;
@@ -195,11 +199,17 @@ fn real_packets_one_after_another_are_told_apart_in_both_directions() {
     }
 }
 
+fn controls() -> Controls {
+    let mounting = instrument::builtin("demo").unwrap().mounting;
+    Controls::new(Config::default(), Target::default(), mounting)
+}
+
 /// The flight side of a line, one step at a time: what the service's link thread does.
 struct Flight {
     port: SerialPort,
     parser: Parser,
     responder: Responder,
+    controls: Controls,
     frame: i64,
 }
 
@@ -211,7 +221,8 @@ impl Flight {
         Self {
             port,
             parser: Parser::new(Direction::ToAspect),
-            responder: Responder::new(Computer::One, None),
+            responder: Responder::new(Computer::One, true),
+            controls: controls(),
             frame: 0,
         }
     }
@@ -225,7 +236,7 @@ impl Flight {
             };
             let reply = self
                 .responder
-                .handle(&packet, exposure_time(self.frame))
+                .handle(&packet, exposure_time(self.frame), &mut self.controls)
                 .unwrap();
             for packet in reply.packets {
                 self.port.write(&packet, LONG).unwrap();
@@ -236,10 +247,17 @@ impl Flight {
     fn expose(&mut self) {
         self.frame += 1;
         let time = exposure_time(self.frame);
-        let announcement = self.responder.exposure_starts(time).unwrap();
+        let exposure = Exposure {
+            camera: 1,
+            start: time,
+        };
+        let announcement = self.responder.exposure_starts(exposure).unwrap();
         let conclusion = match self.frame % 5 {
-            0 => self.responder.error(8, time).unwrap(),
-            _ => self.responder.solution(&offset(self.frame)).unwrap(),
+            0 => self.responder.error(exposure, 8).unwrap(),
+            _ => self
+                .responder
+                .solution(exposure, &offset(self.frame))
+                .unwrap(),
         };
         for packet in announcement.into_iter().chain(conclusion) {
             self.port.write(&packet, LONG).unwrap();
@@ -345,5 +363,7 @@ fn the_ground_sets_the_target_over_a_serial_line_in_spite_of_noise() {
             }
         ]
     );
-    assert_eq!(flight.responder.state().target_arcsec, Some((-300, 450)));
+    let (x, y) = (-300.0, 450.0);
+    let target = Target::Fixed(HelioprojectiveArcsec { x, y });
+    assert_eq!(flight.controls.snapshot().target, target);
 }

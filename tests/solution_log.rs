@@ -1,22 +1,21 @@
 //! The log and the telemetry beside the archive's frames: every frame is in both, with the numbers of its file.
 
+use common::flight::{self, dark_frame};
 use jiff::Timestamp;
 use solaspect::archive::{Dirfile, Record, Row, SolutionLog, Store};
 use solaspect::aspect::{self, Expected, Settings};
-use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
-use solaspect::config::Config;
+use solaspect::config;
 use solaspect::fits::{self, Compression, Header, Value};
-use solaspect::frame::{Frame, FrameInfo, Pixels};
-use solaspect::instrument::{self, Instrument};
-use solaspect::pointing::Target;
+use solaspect::instrument;
+use solaspect::service::FlightTally;
 use solaspect::service::demo::{self, Demo};
-use solaspect::service::{Flight, FlightTally, Service};
-use solaspect::sky::Ephemeris;
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+
+mod common;
 
 /// A row of the log by the names of its columns.
 type LogRow = BTreeMap<String, String>;
@@ -376,17 +375,6 @@ fn open(root: &Path) -> Store {
     Store::open(root, "demo", Compression::Rice).unwrap()
 }
 
-fn dark_frame(instrument: &Instrument, number: u64) -> Frame {
-    let (width, height) = (instrument.camera.width_px, instrument.camera.height_px);
-    let info = FrameInfo {
-        number: Some(number),
-        mid_exposure: Some("2013-09-21T18:00:00.25Z".parse().unwrap()),
-        ..FrameInfo::default()
-    };
-    let pixels = Pixels::U8(vec![7; width * height]);
-    Frame::new(width, height, pixels, 255, info).unwrap()
-}
-
 /// The row of a frame that shows nothing.
 fn dark_row(number: u64) -> Row {
     let instrument = instrument::builtin("demo").unwrap();
@@ -398,41 +386,11 @@ fn dark_row(number: u64) -> Row {
     Row::new(Some(number), &solution, record)
 }
 
-/// A camera in the dark.
-struct DarkCamera {
-    instrument: Instrument,
-    numbers: std::ops::Range<u64>,
-}
-
-impl FrameSource for DarkCamera {
-    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
-        let Some(number) = self.numbers.next() else {
-            return Ok(Take::End);
-        };
-        let announced = Timestamp::now();
-        starts(announced);
-        let frame = dark_frame(&self.instrument, number);
-        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
-    }
-}
-
 /// A flight of five frames in the dark.
 fn dark_flight(stores: Vec<Store>, queue_frames: usize) -> FlightTally {
-    let instrument = instrument::builtin("demo").unwrap();
-    let mut config = Config::default();
-    config.archive.queue_frames = queue_frames;
-    let camera = DarkCamera {
-        instrument: instrument.clone(),
-        numbers: 0..5,
+    let archive = config::Archive {
+        queue_frames,
+        ..config::Archive::default()
     };
-    let flight = Flight {
-        instrument,
-        config,
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
-        port: None,
-        stores,
-    };
-    Service::start(flight).unwrap().join().unwrap()
+    flight::dark(stores, archive, 5, Duration::ZERO, |_| {})
 }

@@ -80,6 +80,7 @@ fn info(number: u64) -> anyhow::Result<FrameInfo> {
         camera_temperature_c: Some(20.0),
         place: Some(Place::new(34.49, -104.2218, 38_405.0)?),
         camera: Some("simulated".into()),
+        ..FrameInfo::default()
     })
 }
 

@@ -4,9 +4,9 @@ use super::options;
 use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
 use crate::camera::{self, FrameSource, Source, Surroundings};
-use crate::config::Config;
+use crate::config::{self, Config};
 use crate::instrument::Instrument;
-use crate::link::{BytePort, SerialPort};
+use crate::link::{Connection, PortAddress};
 use crate::service::{Flight, Service};
 use clap::Args;
 use jiff::Timestamp;
@@ -28,7 +28,7 @@ pub struct FlyArgs {
     /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR or simulated
     #[arg(long, value_name = "SOURCE", default_value = "simulated")]
     camera: Source,
-    /// Serial port of the controller
+    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
     #[arg(long, value_name = "PORT")]
     serial: Option<String>,
     /// The archive's folder, or two of them
@@ -56,7 +56,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         target: options::target(&config, &mut ephemeris)?,
         ephemeris,
         camera: camera(&args.camera, &instrument, &config, args.duration)?,
-        port: port(&config)?,
+        line: line(&config.link)?,
         stores: stores(&config, &instrument),
         instrument,
         config,
@@ -69,7 +69,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         let over = args
             .duration
             .is_some_and(|duration| start.elapsed() >= duration);
-        if over || interrupted.load(Ordering::Relaxed) {
+        if over || service.controls().quits() || interrupted.load(Ordering::Relaxed) {
             service.stop();
         }
     }
@@ -95,11 +95,15 @@ fn camera(
     Ok(camera::open(source, &config.camera.settings(), &around)?)
 }
 
-fn port(config: &Config) -> anyhow::Result<Option<Box<dyn BytePort + Send>>> {
-    Ok(match &config.link.port {
-        Some(name) => Some(Box::new(SerialPort::open(name, config.link.baud)?)),
-        None => None,
-    })
+/// A port that is not there is looked for in flight.
+fn line(link: &config::Link) -> anyhow::Result<Connection> {
+    let Some(port) = &link.port else {
+        return Ok(Connection::none());
+    };
+    let address: PortAddress = port.parse().map_err(anyhow::Error::msg)?;
+    // The parameter table keeps it within a port's range.
+    let local_port = link.udp_local_port as u16;
+    Ok(Connection::to(address, link.baud, local_port))
 }
 
 /// The archives on the configured disks. One that is not there now is tried again in flight.

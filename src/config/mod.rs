@@ -120,8 +120,12 @@ impl Default for Camera {
 pub struct Link {
     pub port: Option<String>,
     pub baud: u32,
+    pub udp_local_port: u32,
+    pub computer: u32,
+    pub sending_camera: u32,
     pub solution_divisor: u32,
     pub max_solution_age_ms: u32,
+    pub saved_values: Option<PathBuf>,
 }
 
 impl Default for Link {
@@ -129,8 +133,12 @@ impl Default for Link {
         Self {
             port: None,
             baud: 115_200,
+            udp_local_port: 2000,
+            computer: 1,
+            sending_camera: 1,
             solution_divisor: 1,
             max_solution_age_ms: 500,
+            saved_values: None,
         }
     }
 }

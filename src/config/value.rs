@@ -29,7 +29,7 @@ impl fmt::Display for Value {
 
 impl Value {
     /// The value in a file, where it is of a kind that parameters have.
-    pub(super) fn from_toml(value: &toml::Value) -> Option<Self> {
+    pub fn from_toml(value: &toml::Value) -> Option<Self> {
         match value {
             toml::Value::Integer(value) => Some(Self::Whole(*value)),
             toml::Value::Float(value) => Some(Self::Number(*value)),

@@ -62,6 +62,9 @@ impl Optics {
     }
 }
 
+/// What an angle of the mounting may be.
+pub const TURN_DEG: std::ops::RangeInclusive<f64> = -360.0..=360.0;
+
 /// How plate and camera sit in the gondola.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mounting {
@@ -69,6 +72,8 @@ pub struct Mounting {
     pub scale_mil_per_px: Measured,
     /// Rotation of the picture, the camera's twist (0 or 180 deg) included; positive from +x towards +y.
     pub rotation_deg: Measured,
+    /// The part of the rotation that is the camera's twist.
+    pub twist_deg: f64,
     pub handedness: Handedness,
     /// Where the camera sees the plate's centre; 1 sigma per axis.
     pub plate_centre_px: SensorPx,
@@ -81,6 +86,13 @@ pub struct Mounting {
 }
 
 impl Mounting {
+    /// The same mounting with the camera at another twist.
+    pub fn twisted_to(mut self, twist_deg: f64) -> Self {
+        self.rotation_deg.value += twist_deg - self.twist_deg;
+        self.twist_deg = twist_deg;
+        self
+    }
+
     /// The stated similarity from plate to sensor.
     pub fn similarity(&self) -> SimilarityParameters {
         SimilarityParameters {

@@ -1,7 +1,7 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
 use super::toml_file::{TomlError, keys_of, parse_strict, read_text};
-use super::{Camera, Instrument, Mounting, Optics};
+use super::{Camera, Instrument, Mounting, Optics, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
@@ -213,7 +213,7 @@ impl Checker<'_> {
     }
 
     fn mounting(&self, raw: RawMounting) -> Result<Mounting, TomlError> {
-        let turn = -360.0..=360.0;
+        let turn = TURN_DEG;
         let scale = self.measured(
             "mounting.scale_mil_per_px",
             raw.scale_mil_per_px,
@@ -227,6 +227,7 @@ impl Checker<'_> {
         Ok(Mounting {
             scale_mil_per_px: scale,
             rotation_deg: Measured::new(rotation.value + twist.value, rotation.sigma),
+            twist_deg: twist.value,
             handedness: match raw.handedness.value {
                 RawHandedness::Mirrored => Handedness::Mirrored,
                 RawHandedness::Direct => Handedness::Direct,

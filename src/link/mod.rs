@@ -10,18 +10,26 @@
 
 pub mod code;
 pub mod command;
+pub mod connection;
+pub mod control;
 mod fields;
 pub mod message;
 pub mod packet;
 pub mod parser;
 pub mod port;
 pub mod responder;
+pub mod udp;
 
-pub use command::{COMMANDS, Command, CommandError, CommandRow, Computer};
+pub use command::{
+    COMMANDS, CameraRole, CameraSetting, Command, CommandError, CommandRow, Computer, Reading,
+};
+pub use connection::{AnyPort, Connection, PortAddress};
+pub use control::{CommandResult, Control};
 pub use message::{
     AspectCommand, ExposureStart, GpsFix, Message, MessageError, Solution, Telemetry,
 };
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
 pub use parser::{Parser, Rejected};
 pub use port::{BytePort, PortError, SerialPort};
-pub use responder::{Change, LinkState, Reply, Responder};
+pub use responder::{Exposure, LinkState, Reply, Responder};
+pub use udp::UdpPort;

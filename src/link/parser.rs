@@ -77,7 +77,7 @@ impl Parser {
     /// An unfinished packet whose last byte is older than [`SILENCE`] is abandoned first, also when `bytes` is empty.
     pub fn feed(&mut self, bytes: &[u8], now: Duration) -> Vec<Packet> {
         if now.saturating_sub(self.last_byte) > SILENCE {
-            self.reject_to(self.bytes.len());
+            self.abandon();
         }
         if bytes.is_empty() {
             return Vec::new();
@@ -93,6 +93,11 @@ impl Parser {
         }
         self.reject_to(self.first_open());
         packets
+    }
+
+    /// Abandons what has come of a packet, as on a line that was lost.
+    pub fn abandon(&mut self) {
+        self.reject_to(self.bytes.len());
     }
 
     fn find_candidates(&mut self) {

@@ -19,6 +19,8 @@ pub enum PortError {
         name: String,
         cause: serialport::Error,
     },
+    #[error("{name}: cannot be opened: {cause}")]
+    Udp { name: String, cause: io::Error },
     #[error("serial port {name}: lost: {cause}")]
     Lost { name: String, cause: io::Error },
     #[error(
@@ -37,8 +39,16 @@ pub trait BytePort {
     /// Reads what has come, waiting at most `timeout` for the first byte; 0 bytes where none has.
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, PortError>;
 
-    /// Writes all bytes, or fails after `timeout`; how many went by then is in the error.
+    /// Writes all bytes, one packet at a time, or fails after `timeout`; how many went by then is in the error.
     fn write(&mut self, bytes: &[u8], timeout: Duration) -> Result<(), PortError>;
+
+    /// Bytes that have been written and are still on this machine, as far as the system tells.
+    fn backlog(&mut self) -> usize {
+        0
+    }
+
+    /// Drops the backlog: what nobody has taken in time is not worth taking later.
+    fn discard_backlog(&mut self) {}
 }
 
 /// A serial line, or an end of a pseudo-terminal.
@@ -146,9 +156,19 @@ impl BytePort for SerialPort {
         }
         Ok(())
     }
+
+    fn backlog(&mut self) -> usize {
+        let waiting = serialport::SerialPort::bytes_to_write(&self.port);
+        waiting.map_or(0, |bytes| bytes as usize)
+    }
+
+    fn discard_backlog(&mut self) {
+        // What fails here will fail at the next write, too.
+        let _ = serialport::SerialPort::clear(&self.port, serialport::ClearBuffer::Output);
+    }
 }
 
-fn means_later(error: &io::Error) -> bool {
+pub(super) fn means_later(error: &io::Error) -> bool {
     matches!(
         error.kind(),
         ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted

@@ -9,7 +9,7 @@ use crate::camera::{SimulatedCamera, TruthLog};
 use crate::config::Config;
 use crate::fits::Compression;
 use crate::instrument::{self, Instrument};
-use crate::link::{Message, SerialPort};
+use crate::link::{Connection, Message, SerialPort};
 use crate::pointing::Target;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::{FlightScenes, Trajectory};
@@ -75,7 +75,7 @@ pub fn run(
         target: Target::default(),
         ephemeris: Ephemeris::default(),
         camera: Box::new(camera),
-        port: Some(Box::new(near)),
+        line: Connection::over(near),
         stores: vec![store],
     };
     let received = Arc::new(Mutex::new(None));

@@ -1,72 +1,105 @@
 //! The link's thread: it alone reads and writes the port.
+//!
+//! # Rules
+//!
+//! 1. Only the sending camera is spoken of ([`config::Link::sending_camera`]), and what has been announced.
+//! 2. A peer that takes nothing costs one short wait; then what is queued is dropped, and the newest goes first when it
+//!    takes again. Where bytes pile up in the system, exposures are not announced: what would come late does not come.
+//! 3. Ages and waits are monotonic: a step of the clock stops nothing.
+//! 4. A port that is lost is opened again; nothing else waits for it.
 
-use super::Commanded;
+use super::control::{Controls, Topic};
 use super::tally::{LineTally, worth_a_line};
 use crate::aspect::Stopped;
+use crate::config;
 use crate::link::{
-    BytePort, Change, CommandPacket, Direction, Packet, Parser, PortError, Responder, Solution,
+    CommandPacket, Computer, Connection, Direction, Exposure, MessageError, Packet, Parser,
+    PortError, Responder, Solution,
 };
-use crate::pointing::{HelioprojectiveArcsec, Offset, Target};
-use crate::units::Place;
+use crate::pointing::Offset;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How long the thread waits for something to send before it looks whether something came.
 const PATIENCE: Duration = Duration::from_millis(1);
-const WRITE_TIMEOUT: Duration = Duration::from_millis(200);
+/// How long a packet waits for room. At 115200 baud the system's buffer drains 230 bytes in it.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
+/// More bytes than this in the system's buffer, and the line cannot follow: 45 ms at 115200 baud.
+const BACKLOG: usize = 512;
+/// More than the longest datagram.
+const READ_BYTES: usize = 2048;
 /// Error code of a frame whose Sun was found but whose time or place is not known.
-const NO_OFFSET: u16 = 100;
+pub(super) const NO_OFFSET: u16 = 100;
 
 /// What the link is told.
 pub(super) enum LinkEvent {
-    ExposureStarts(Timestamp),
+    ExposureStarts(Exposure),
     Outcome(Outcome),
 }
 
 /// What came of an exposure.
 pub(super) struct Outcome {
-    pub announced: Timestamp,
+    pub exposure: Exposure,
+    /// When the frame was there.
     pub arrived: Instant,
+    /// How long the shutter was open, where it is known.
+    pub shutter: Option<Duration>,
     pub offset: Option<Offset>,
     pub stopped: Option<Stopped>,
 }
 
-pub(super) struct Settings {
-    /// One solution in so many is sent.
-    pub solution_divisor: u64,
-    /// An older solution is not sent any more.
-    pub max_age: Duration,
+impl Outcome {
+    /// Since mid-exposure.
+    fn age(&self) -> Duration {
+        self.arrived.elapsed() + self.shutter.unwrap_or_default() / 2
+    }
+
+    fn solution(&self) -> Option<Solution> {
+        let offset = self.offset?;
+        let numbers = [offset.azimuth_deg, offset.elevation_deg, offset.sigma_deg];
+        numbers.iter().all(|n| n.is_finite()).then_some(Solution {
+            azimuth_deg: offset.azimuth_deg,
+            elevation_deg: offset.elevation_deg,
+            roll_deg: 0.0,
+            error_deg: offset.sigma_deg,
+            time: self.exposure.start,
+        })
+    }
 }
 
 pub(super) struct Line {
-    port: Option<Box<dyn BytePort + Send>>,
+    connection: Connection,
     responder: Responder,
     parser: Parser,
-    settings: Settings,
-    commanded: Arc<Mutex<Commanded>>,
+    controls: Controls,
+    settings: config::Link,
+    version: u64,
     start: Instant,
     outcomes: u64,
+    stalled: bool,
+    stopping_since: Option<Instant>,
     tally: LineTally,
 }
 
 impl Line {
-    pub fn new(
-        port: Option<Box<dyn BytePort + Send>>,
-        responder: Responder,
-        settings: Settings,
-        commanded: Arc<Mutex<Commanded>>,
-    ) -> Self {
+    pub fn new(connection: Connection, controls: Controls) -> Self {
+        let version = controls.version(Topic::Link);
+        let settings = controls.config().link;
+        let computer = Computer::numbered(settings.computer).unwrap_or(Computer::One);
+        let sending = controls.sending().unwrap_or(computer.sends_by_default());
         Self {
-            port,
-            responder,
+            connection,
+            responder: Responder::new(computer, sending),
             parser: Parser::new(Direction::ToAspect),
+            controls,
             settings,
-            commanded,
+            version,
             start: Instant::now(),
             outcomes: 0,
+            stalled: false,
+            stopping_since: None,
             tally: LineTally::default(),
         }
     }
@@ -74,26 +107,63 @@ impl Line {
     /// Talks while camera and solver work, and from then on listens until it is to hang up.
     pub fn run(mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool) -> LineTally {
         loop {
+            self.revive();
             match events.recv_timeout(PATIENCE) {
-                Ok(LinkEvent::ExposureStarts(time)) => self.announce(time),
-                Ok(LinkEvent::Outcome(outcome)) => self.conclude(&outcome),
+                Ok(event) => self.hear(event, events),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) if hang_up.load(Ordering::Relaxed) => {
+                    self.tally.reopened = self.connection.reopened();
                     return self.tally;
                 }
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
             }
             self.listen();
+            self.finish_stopping();
         }
     }
 
-    fn announce(&mut self, time: Timestamp) {
-        match self.responder.exposure_starts(time) {
+    /// Says what there is to say. Where nobody takes it, whatever else is queued is dropped: it would only be older.
+    fn hear(&mut self, event: LinkEvent, events: &Receiver<LinkEvent>) {
+        self.look_at_settings();
+        self.say(event);
+        if self.stalled {
+            self.tally.outdated += events
+                .try_iter()
+                .filter(|event| matches!(event, LinkEvent::Outcome(_)))
+                .count() as u64;
+            self.responder.forget_all();
+        }
+    }
+
+    fn say(&mut self, event: LinkEvent) {
+        match event {
+            LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
+            LinkEvent::Outcome(outcome) => self.conclude(&outcome),
+        }
+    }
+
+    fn look_at_settings(&mut self) {
+        let version = self.controls.version(Topic::Link);
+        if version != self.version {
+            self.version = version;
+            self.settings = self.controls.config().link;
+        }
+    }
+
+    fn announce(&mut self, exposure: Exposure) {
+        if u32::from(exposure.camera) != self.settings.sending_camera {
+            return;
+        }
+        if self.backlog() > BACKLOG {
+            self.tally.unannounced += 1;
+            return;
+        }
+        match self.responder.exposure_starts(exposure) {
             Ok(Some(packet)) => {
                 if self.send(&packet) {
                     self.tally.announced += 1;
                 } else {
-                    self.responder.forget_exposure(time);
+                    self.responder.forget(exposure);
                 }
             }
             Ok(None) => {}
@@ -102,35 +172,27 @@ impl Line {
     }
 
     fn conclude(&mut self, outcome: &Outcome) {
-        self.outcomes += 1;
-        let due = (self.outcomes - 1).is_multiple_of(self.settings.solution_divisor);
-        if !due {
-            return self.responder.forget_exposure(outcome.announced);
+        let exposure = outcome.exposure;
+        if u32::from(exposure.camera) == self.settings.sending_camera {
+            self.outcomes += 1;
+            let divisor = u64::from(self.settings.solution_divisor);
+            if !(self.outcomes - 1).is_multiple_of(divisor) {
+                return self.responder.forget(exposure);
+            }
         }
-        if outcome.arrived.elapsed() > self.settings.max_age {
+        let max_age = Duration::from_millis(self.settings.max_solution_age_ms.into());
+        if outcome.age() > max_age {
             self.tally.outdated += 1;
-            return self.responder.forget_exposure(outcome.announced);
+            return self.responder.forget(exposure);
         }
-        let time = outcome.announced;
-        let packet = match &outcome.offset {
-            Some(offset) => self.responder.solution(&Solution {
-                azimuth_deg: offset.azimuth_deg,
-                elevation_deg: offset.elevation_deg,
-                roll_deg: 0.0,
-                error_deg: offset.sigma_deg,
-                time,
-            }),
-            None => self.responder.error(error_code(outcome.stopped), time),
-        };
-        match packet {
+        match self.conclusion(outcome) {
             Ok(Some(packet)) => {
-                if self.send(&packet) {
-                    if outcome.offset.is_some() {
-                        self.tally.solutions += 1;
-                        self.tally.note_latency(outcome.arrived.elapsed());
-                    } else {
-                        self.tally.errors += 1;
-                    }
+                if !self.send(&packet) {
+                } else if outcome.solution().is_some() {
+                    self.tally.solutions += 1;
+                    self.tally.note_latency(outcome.arrived.elapsed());
+                } else {
+                    self.tally.errors += 1;
                 }
             }
             Ok(None) => {}
@@ -138,80 +200,135 @@ impl Line {
         }
     }
 
+    /// The packet that concludes an exposure: its solution, or why there is none.
+    fn conclusion(&mut self, outcome: &Outcome) -> Result<Option<Vec<u8>>, MessageError> {
+        match outcome.solution() {
+            Some(solution) => self.responder.solution(outcome.exposure, &solution),
+            None => self
+                .responder
+                .error(outcome.exposure, error_code(outcome.stopped)),
+        }
+    }
+
     /// Reads what has come and answers it.
     fn listen(&mut self) {
-        let Some(port) = &mut self.port else { return };
-        let mut buffer = [0; 512];
+        let now = self.start.elapsed();
+        let Some(port) = self.connection.port() else {
+            return;
+        };
+        let mut buffer = [0; READ_BYTES];
         let count = match port.read(&mut buffer, Duration::ZERO) {
             Ok(count) => count,
             Err(error) => return self.lose(&error),
         };
-        for packet in self.parser.feed(&buffer[..count], self.start.elapsed()) {
+        for packet in self.parser.feed(&buffer[..count], now) {
             if let Packet::Command(packet) = packet {
                 self.obey(&packet);
             }
         }
+        self.tally.rejected = self.parser.rejected();
     }
 
     fn obey(&mut self, packet: &CommandPacket) {
-        match self.responder.handle(packet, Timestamp::now()) {
+        let now = Timestamp::now();
+        match self.responder.handle(packet, now, &mut self.controls) {
             Ok(reply) => {
                 self.tally.commands += u64::from(!reply.packets.is_empty());
                 for answer in reply.packets {
                     self.send(&answer);
                 }
-                if let Some(change) = reply.change {
-                    self.apply(change);
+                if reply.changed {
+                    self.note_conversation();
                 }
             }
             Err(error) => tracing::error!(%error, "a command was not answered"),
         }
     }
 
-    fn apply(&self, change: Change) {
-        tracing::info!(?change, "by command");
-        let mut commanded = self
-            .commanded
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        match change {
-            Change::Target { x_arcsec, y_arcsec } => {
-                commanded.target = Target::Fixed(HelioprojectiveArcsec {
-                    x: f64::from(x_arcsec),
-                    y: f64::from(y_arcsec),
-                });
-            }
-            Change::Place(fix) => {
-                let height_m = commanded.place.map_or(0.0, |place| place.height_m);
-                let (latitude, longitude) = (fix.latitude_deg.into(), fix.longitude_deg.into());
-                commanded.place = Place::new(latitude, longitude, height_m).ok();
-            }
-            Change::Tracking { .. } | Change::Sending { .. } => {}
+    /// The results of commands to stop sending, when the announced exposure is concluded or too old to be.
+    fn finish_stopping(&mut self) {
+        let max_age = Duration::from_millis(self.settings.max_solution_age_ms.into());
+        if !self.responder.is_stopping() {
+            self.stopping_since = None;
+        } else if self
+            .stopping_since
+            .get_or_insert_with(Instant::now)
+            .elapsed()
+            > max_age
+        {
+            self.responder.forget_all();
         }
+        match self.responder.stopped(Timestamp::now()) {
+            Ok(packets) if packets.is_empty() => {}
+            Ok(packets) => {
+                for packet in packets {
+                    self.send(&packet);
+                }
+                self.note_conversation();
+            }
+            Err(error) => tracing::error!(%error, "a command was not answered"),
+        }
+    }
+
+    fn note_conversation(&self) {
+        let state = *self.responder.state();
+        tracing::info!(?state, "by command");
+        let default = self.computer_sends_by_default();
+        if self.controls.sending().unwrap_or(default) != state.sending {
+            self.controls.note_sending(state.sending);
+        }
+    }
+
+    fn computer_sends_by_default(&self) -> bool {
+        let computer = Computer::numbered(self.settings.computer);
+        computer.is_none_or(Computer::sends_by_default)
+    }
+
+    fn backlog(&mut self) -> usize {
+        self.connection.port().map_or(0, |port| port.backlog())
     }
 
     /// Whether the port took the packet.
     fn send(&mut self, packet: &[u8]) -> bool {
-        let Some(port) = &mut self.port else {
+        let Some(port) = self.connection.port() else {
             return false;
         };
-        match port.write(packet, WRITE_TIMEOUT) {
-            Ok(()) => true,
-            Err(error) => {
-                self.tally.failed += 1;
-                if matches!(error, PortError::Lost { .. }) {
-                    self.lose(&error);
-                } else if worth_a_line(self.tally.failed) {
-                    tracing::warn!(%error, failed = self.tally.failed, "a packet was not sent");
-                }
-                false
+        let timeout = match self.stalled {
+            true => Duration::ZERO,
+            false => WRITE_TIMEOUT,
+        };
+        let Err(error) = port.write(packet, timeout) else {
+            self.stalled = false;
+            return true;
+        };
+        self.tally.failed += 1;
+        if matches!(error, PortError::Stalled { .. }) {
+            port.discard_backlog();
+            self.stalled = true;
+            if worth_a_line(self.tally.failed) {
+                tracing::warn!(%error, failed = self.tally.failed, "a packet was not sent");
             }
+        } else {
+            self.lose(&error);
         }
+        false
     }
 
     fn lose(&mut self, error: &PortError) {
-        tracing::error!(%error, "the line is lost");
-        self.port = None;
+        self.tally.lost += 1;
+        if worth_a_line(self.tally.lost) {
+            tracing::error!(%error, lost = self.tally.lost, "the line is lost");
+        }
+        self.connection.lose(self.start.elapsed());
+    }
+
+    /// Opens a lost port again. What was said on the old one is over; what the controller wants still holds.
+    fn revive(&mut self) {
+        if self.connection.revive(self.start.elapsed()) {
+            self.parser.abandon();
+            self.responder.forget_all();
+            self.stalled = false;
+        }
     }
 }
 

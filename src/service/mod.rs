@@ -8,7 +8,7 @@
 //!    |  LinkEvent (256)       |
 //!    +----------------------> link <----> controller, over a byte port
 //!                             |
-//!                Commanded (shared): target and place, set by command, read by the solver
+//!                Controls (shared): what the ground sets, read by the solver; changes ---> values (saved in a file)
 //! ```
 //!
 //! | channel | holds | when it is full |
@@ -23,6 +23,7 @@
 //! then.
 
 mod archiver;
+pub mod control;
 pub mod demo;
 mod line;
 mod solver;
@@ -36,18 +37,18 @@ use tally::worth_a_line;
 
 use crate::archive::Store;
 use crate::camera::{Exposure, FrameSource, Take};
-use crate::config::{self, Config};
+use crate::config::Config;
 use crate::instrument::Instrument;
-use crate::link::{BytePort, Computer, Responder};
+use crate::link::{self, CameraRole, Connection};
 use crate::pointing::Target;
 use crate::sky::Ephemeris;
-use crate::units::Place;
+use control::{Controls, Keeper};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, unbounded};
 use jiff::Timestamp;
 use line::{Line, LinkEvent};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
@@ -55,6 +56,9 @@ use std::time::Instant;
 const SIGHTINGS: usize = 8;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
+
+/// The one pitch-yaw camera's number.
+const CAMERA: u16 = 1;
 
 /// What a flight is made of.
 pub struct Flight {
@@ -64,8 +68,8 @@ pub struct Flight {
     pub target: Target,
     pub ephemeris: Ephemeris,
     pub camera: Box<dyn FrameSource>,
-    /// The line to the controller, where there is one.
-    pub port: Option<Box<dyn BytePort + Send>>,
+    /// The line to the controller.
+    pub line: Connection,
     /// The archives on the disks, the preferred one first; none where frames are not kept.
     pub stores: Vec<Store>,
 }
@@ -77,21 +81,21 @@ struct Sighting {
 }
 
 /// A camera's place in the flight.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Station {
-    /// Among the flight's cameras.
+    /// Among the flight's cameras, from 0.
     pub index: usize,
+    pub role: CameraRole,
     pub instrument: Instrument,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
 }
 
-/// What the ground may set in flight.
-#[derive(Debug, Clone, Copy)]
-struct Commanded {
-    target: Target,
-    /// The place for frames that do not tell theirs.
-    place: Option<Place>,
+impl Station {
+    /// As the link counts cameras, from 1.
+    fn camera_number(&self) -> u16 {
+        self.index as u16 + 1
+    }
 }
 
 /// A running service.
@@ -101,6 +105,9 @@ pub struct Service {
     archive: archiver::Threads,
     gauges: archiver::Gauges,
     line: JoinHandle<LineTally>,
+    /// Only where values set by command are saved.
+    values: Option<JoinHandle<u64>>,
+    controls: Controls,
     stop: Arc<AtomicBool>,
     hang_up: Arc<AtomicBool>,
 }
@@ -127,30 +134,26 @@ impl Service {
         let (to_solver, sightings) = bounded(SIGHTINGS);
         let (to_line, events) = bounded(LINK_EVENTS);
         let stop = Arc::new(AtomicBool::new(false));
-        let commanded = Arc::new(Mutex::new(Commanded {
-            target: flight.target,
-            place: config.site.place(),
-        }));
-        let line = Line::new(
-            flight.port,
-            Responder::new(Computer::One, None),
-            line_settings(&config.link),
-            Arc::clone(&commanded),
-        );
+        let saved_values = config.link.saved_values.clone();
+        let controls = Controls::new(config, flight.target, flight.instrument.mounting);
+        if let Some(path) = &saved_values {
+            control::restore(&controls, path);
+        }
+        let line = Line::new(flight.line, controls.clone());
         let station = Arc::new(Station {
             index: 0,
+            role: CameraRole::PitchYaw,
             instrument: flight.instrument,
             folder: PathBuf::new(),
         });
         let folders = [station.folder.clone()];
         let (archive, archive_threads) =
-            archiver::start(flight.stores, &folders, &config.archive, &flight.ephemeris)?;
+            archiver::start(flight.stores, &folders, &controls, &flight.ephemeris)?;
         let gauges = archive.gauges();
         let solver = solver::Solver {
             station,
             ephemeris: flight.ephemeris,
-            settings: config.solver(),
-            commanded,
+            controls: controls.clone(),
             archive,
             to_line: to_line.clone(),
             watcher,
@@ -159,6 +162,13 @@ impl Service {
         let stopped = Arc::clone(&stop);
         let hang_up = Arc::new(AtomicBool::new(false));
         let hung_up = Arc::clone(&hang_up);
+        let values = match saved_values {
+            Some(path) => {
+                let (keeper, ends) = (Keeper::new(controls.clone(), path), Arc::clone(&hang_up));
+                Some(spawn("values", move || keeper.run(&ends))?)
+            }
+            None => None,
+        };
         Ok(Self {
             line: spawn("link", move || line.run(&events, &hung_up))?,
             archive: archive_threads,
@@ -167,9 +177,16 @@ impl Service {
             camera: spawn("camera", move || {
                 take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)
             })?,
+            values,
+            controls,
             stop,
             hang_up,
         })
+    }
+
+    /// What the ground sets and reads.
+    pub fn controls(&self) -> &Controls {
+        &self.controls
     }
 
     /// Asks the camera to end after the frame it is taking; everything else follows.
@@ -199,6 +216,9 @@ impl Service {
         let archived = self.archive.join();
         self.hang_up.store(true, Ordering::Relaxed);
         let line = self.line.join().map_err(|_| ThreadFailed("link"));
+        if let Some(values) = self.values {
+            values.join().map_err(|_| ThreadFailed("values"))?;
+        }
         Ok(FlightTally {
             camera: camera?,
             solver: solver?,
@@ -218,13 +238,6 @@ fn spawn<T: Send + 'static>(
     thread::Builder::new().name(name.into()).spawn(work)
 }
 
-fn line_settings(link: &config::Link) -> line::Settings {
-    line::Settings {
-        solution_divisor: u64::from(link.solution_divisor),
-        max_age: std::time::Duration::from_millis(u64::from(link.max_solution_age_ms)),
-    }
-}
-
 /// The camera's thread: announces each exposure on the line, then hands the frame to the solver.
 fn take_frames(
     camera: &mut dyn FrameSource,
@@ -235,7 +248,9 @@ fn take_frames(
     let mut tally = CameraTally::default();
     while !stop.load(Ordering::Relaxed) {
         let mut announce = |time: Timestamp| {
-            if to_line.try_send(LinkEvent::ExposureStarts(time)).is_err() {
+            let (camera, start) = (CAMERA, time);
+            let event = LinkEvent::ExposureStarts(link::Exposure { camera, start });
+            if to_line.try_send(event).is_err() {
                 tally.unannounced += 1;
                 if worth_a_line(tally.unannounced) {
                     tracing::warn!("the line is stuck: an exposure was not announced");

@@ -1,17 +1,20 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
 use super::archiver::Archive;
+use super::control::{Controls, Snapshot, Topic};
 use super::line::{LinkEvent, Outcome};
 use super::tally::{SolverTally, worth_a_line};
-use super::{Commanded, Sighting, Station};
+use super::{Sighting, Station};
 use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::Exposure;
+use crate::instrument::Mounting;
+use crate::link;
 use crate::pointing::{self, Offset, Target};
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender};
 use jiff::{SignedDuration, Timestamp};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// A solved frame.
@@ -43,8 +46,7 @@ impl Answer {
 pub(super) struct Solver {
     pub station: Arc<Station>,
     pub ephemeris: Ephemeris,
-    pub settings: aspect::Settings,
-    pub commanded: Arc<Mutex<Commanded>>,
+    pub controls: Controls,
     pub archive: Archive,
     pub to_line: Sender<LinkEvent>,
     pub watcher: Option<Sender<Answer>>,
@@ -55,6 +57,8 @@ impl Solver {
     pub fn run(mut self, sightings: &Receiver<Sighting>) -> SolverTally {
         let mut tally = SolverTally::default();
         let mut track = None;
+        let stated = self.station.instrument.mounting;
+        let mut mounting_version = None;
         let mut sun = SunSize::default();
         for sighting in sightings {
             let Sighting { exposure, arrived } = sighting;
@@ -65,7 +69,12 @@ impl Solver {
                 }
                 continue;
             }
-            let answer = self.solve(exposure, &mut track, &mut sun);
+            let version = self.controls.version(Topic::Mounting);
+            let snapshot = self.controls.snapshot();
+            if mounting_version.replace(version) != Some(version) {
+                self.remount(&snapshot, &stated, &mut track);
+            }
+            let answer = self.solve(exposure, &snapshot, &mut track, &mut sun);
             count(&mut tally, &answer.solution);
             tracing::debug!(
                 number = answer.exposure.frame.info.number,
@@ -79,9 +88,21 @@ impl Solver {
         tally
     }
 
+    /// Where the ground has turned camera or plate, what the last frames taught no longer holds.
+    fn remount(&mut self, commanded: &Snapshot, stated: &Mounting, track: &mut Option<Track>) {
+        let mounting = commanded.mounting(stated);
+        if mounting != self.station.instrument.mounting {
+            let mut station = (*self.station).clone();
+            station.instrument.mounting = mounting;
+            self.station = Arc::new(station);
+            *track = None;
+        }
+    }
+
     fn solve(
         &mut self,
         mut exposure: Exposure,
+        commanded: &Snapshot,
         track: &mut Option<Track>,
         sun: &mut SunSize,
     ) -> Answer {
@@ -90,7 +111,7 @@ impl Solver {
         let start = Instant::now();
         let frame = &exposure.frame;
         let mut solution = aspect::solve_with(
-            &self.settings,
+            &commanded.solver,
             frame,
             &self.station.instrument,
             size,
@@ -100,10 +121,6 @@ impl Solver {
         if solution.track.is_some() {
             track.clone_from(&solution.track);
         }
-        let commanded = *self
-            .commanded
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
         // The file tells the place that its offset and its coordinates rest on.
         let place = exposure.frame.info.place.or(commanded.place);
         exposure.frame.info.place = place;
@@ -122,15 +139,19 @@ impl Solver {
             offset,
             target: commanded.target,
             solve_time,
-            to_be_stored: true,
+            to_be_stored: self.controls.stores(self.station.role),
         }
     }
 
     /// The line first: a solution does not wait for a disk.
     fn hand_on(&self, answer: Answer, arrived: Instant, tally: &mut SolverTally) {
         let outcome = Outcome {
-            announced: answer.exposure.announced,
+            exposure: link::Exposure {
+                camera: self.station.camera_number(),
+                start: answer.exposure.announced,
+            },
             arrived,
+            shutter: answer.exposure.frame.info.exposure,
             offset: answer.offset,
             stopped: answer.solution.stopped,
         };

@@ -1,6 +1,7 @@
 //! What each thread counts, and what a flight comes to.
 
 use crate::aspect::{Quality, Stage};
+use crate::link::Rejected;
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::time::Duration;
@@ -72,6 +73,13 @@ pub struct LineTally {
     pub outdated: u64,
     /// Packets that the port did not take.
     pub failed: u64,
+    /// Exposures that were not announced because the line could not follow.
+    pub unannounced: u64,
+    /// How often the port was lost, and opened again.
+    pub lost: u64,
+    pub reopened: u64,
+    /// What came over the line and was no packet.
+    pub rejected: Rejected,
     pub commands: u64,
     /// From a frame's arrival to its solution's last byte: the latest ten thousand.
     pub latencies: VecDeque<Duration>,
@@ -146,6 +154,13 @@ impl fmt::Display for FlightTally {
             "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
             line.solutions, line.errors, line.announced, line.commands, line.outdated,
         )?;
+        if (line.lost, line.unannounced) != (0, 0) {
+            write!(
+                out,
+                "\nline       lost {} times, opened again {} times, {} exposures not announced",
+                line.lost, line.reopened, line.unannounced,
+            )?;
+        }
         let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
         let mut latencies: Vec<f64> = line.latencies.iter().map(milliseconds).collect();
         let mut ms = |fraction| quantile(&mut latencies, fraction);

@@ -322,7 +322,7 @@ impl Controller {
             }) => {
                 self.report.results += 1;
                 self.check_sent(sequence);
-                if value != crate::link::responder::result::DONE {
+                if value != crate::link::control::result::DONE {
                     self.report.faults.refused += 1;
                 }
             }

@@ -8,6 +8,7 @@ use solaspect::config::{self, Config};
 use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{self, Instrument};
+use solaspect::link::Connection;
 use solaspect::pointing::Target;
 use solaspect::service::{Flight, FlightTally, Service};
 use solaspect::sky::Ephemeris;
@@ -73,7 +74,7 @@ pub fn dark(
         target: Target::default(),
         ephemeris: Ephemeris::default(),
         camera: Box::new(camera),
-        port: None,
+        line: Connection::none(),
         stores,
     };
     let (service, answers) = Service::start_watched(flight).unwrap();

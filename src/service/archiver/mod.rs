@@ -18,10 +18,10 @@ mod writer;
 
 pub use writer::DiskHealth;
 
+use super::control::Controls;
 use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
 use crate::archive::{Sharing, Store};
-use crate::config;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
@@ -67,9 +67,10 @@ pub(super) struct Threads(Vec<JoinHandle<()>>);
 pub(super) fn start(
     stores: Vec<Store>,
     folders: &[PathBuf],
-    settings: &config::Archive,
+    controls: &Controls,
     ephemeris: &Ephemeris,
 ) -> std::io::Result<(Archive, Threads)> {
+    let settings = controls.config().archive;
     let rules = Rules {
         bound: settings.queue_frames,
         overflow: settings.overflow,
@@ -106,6 +107,8 @@ pub(super) fn start(
             store,
             queue: Arc::clone(queue),
             limits: settings.space_limits(),
+            number: n,
+            controls: controls.clone(),
             ephemeris: ephemeris.clone(),
             health: Arc::clone(&health),
         };

@@ -5,6 +5,7 @@ use super::queue::{Queue, Taken, Waiting};
 use crate::archive::{
     ArchiveError, Encoded, Room, SpaceLimits, Store, instrument_cards, sky_cards, tables,
 };
+use crate::service::control::Controls;
 use crate::service::tally::worth_a_line;
 use crate::sky::Ephemeris;
 use std::path::PathBuf;
@@ -47,6 +48,9 @@ pub(super) struct Writer {
     pub store: Arc<Store>,
     pub queue: Arc<Queue<Picture>>,
     pub limits: SpaceLimits,
+    /// Its number on this computer, from 0.
+    pub number: usize,
+    pub controls: Controls,
     pub ephemeris: Ephemeris,
     pub health: SharedHealth,
 }
@@ -148,6 +152,8 @@ impl Writer {
     /// Measures the disk's free space, and says when its room has changed.
     fn look(&self) {
         let free_percent = self.store.space().ok().map(|space| space.free_percent());
+        let used = free_percent.map(|free| (100.0 - free).round() as u8);
+        self.controls.note_disk_use(self.number, used);
         if let Some(free_percent) = free_percent {
             self.queue
                 .set_room(self.disk, self.limits.room(free_percent));

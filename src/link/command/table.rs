@@ -1,0 +1,211 @@
+//! The commands of the ground in one table. Source: HEROES flight program, 2013.
+
+use super::Computer;
+use crate::link::code::{angle_code, angle_from_code};
+use crate::link::message::{AspectCommand, MessageError};
+
+/// The bits of a key that name computers.
+pub(super) const COMPUTERS: u16 = 0xF000;
+
+/// How a number travels in the 16 bits of a variable or a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// As it is, from 0 to 65535.
+    Unsigned,
+    /// As it is, from -32768 to 32767.
+    Signed,
+    /// As an angle code: in steps of 1/8 from -1024 to 7167.875.
+    Angle,
+    /// 1 for on, 0 for off.
+    Switch,
+}
+
+impl Kind {
+    /// The 16 bits of a number in its natural unit; `None` where they cannot hold it.
+    pub fn code(self, value: f64) -> Option<u16> {
+        let whole = |low: f64, high: f64| {
+            let fits = value.fract() == 0.0 && (low..=high).contains(&value);
+            fits.then_some(value as i32 as u16)
+        };
+        match self {
+            Self::Unsigned => whole(0.0, u16::MAX.into()),
+            Self::Signed => whole(i16::MIN.into(), i16::MAX.into()),
+            Self::Angle => angle_code(value),
+            Self::Switch => whole(0.0, 1.0),
+        }
+    }
+
+    /// The number that 16 bits stand for.
+    pub fn value(self, code: u16) -> f64 {
+        match self {
+            Self::Unsigned | Self::Switch => code.into(),
+            Self::Signed => code.cast_signed().into(),
+            Self::Angle => angle_from_code(code),
+        }
+    }
+
+    /// What the number may be, in words.
+    pub fn range(self) -> &'static str {
+        match self {
+            Self::Unsigned => "a whole number from 0 to 65535",
+            Self::Signed => "a whole number from -32768 to 32767",
+            Self::Angle => "a number from -1024 to 7167.875",
+            Self::Switch => "1 (on) or 0 (off)",
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Unsigned => "u16",
+            Self::Signed => "i16",
+            Self::Angle => "angle code",
+            Self::Switch => "1 on, 0 off",
+        }
+    }
+}
+
+/// A number that travels with a command or comes back as its result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Variable {
+    pub name: &'static str,
+    pub kind: Kind,
+    /// Empty for counts, switches and the cameras' own scales.
+    pub unit: &'static str,
+}
+
+impl std::fmt::Display for Variable {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { name, kind, unit } = self;
+        match unit.is_empty() {
+            true => write!(out, "{name} ({})", kind.name()),
+            false => write!(out, "{name} ({}, {unit})", kind.name()),
+        }
+    }
+}
+
+/// A command the ground may send.
+#[derive(Debug, PartialEq, Eq)]
+pub struct CommandRow {
+    /// Without the computers' bits.
+    pub key: u16,
+    pub name: &'static str,
+    pub variables: &'static [Variable],
+    /// What its result is where it is a read.
+    pub reads: Option<Variable>,
+    pub documentation: &'static str,
+}
+
+impl CommandRow {
+    /// The command as it travels, for one computer; the row's variables in order.
+    pub fn command(
+        &self,
+        computer: Computer,
+        variables: &[u16],
+    ) -> Result<AspectCommand, MessageError> {
+        AspectCommand::new(computer.bit() | self.key, variables.to_vec())
+    }
+}
+
+const fn number(name: &'static str, kind: Kind, unit: &'static str) -> Variable {
+    Variable { name, kind, unit }
+}
+
+const fn set(
+    key: u16,
+    name: &'static str,
+    variables: &'static [Variable],
+    documentation: &'static str,
+) -> CommandRow {
+    CommandRow {
+        key,
+        name,
+        variables,
+        reads: None,
+        documentation,
+    }
+}
+
+const fn get(
+    key: u16,
+    name: &'static str,
+    variables: &'static [Variable],
+    reads: Variable,
+    documentation: &'static str,
+) -> CommandRow {
+    CommandRow {
+        key,
+        name,
+        variables,
+        reads: Some(reads),
+        documentation,
+    }
+}
+
+const SWITCH: Variable = number("state", Kind::Switch, "");
+const EXPOSURE: Variable = number("exposure", Kind::Unsigned, "us");
+const ANALOGUE: Variable = number("gain", Kind::Unsigned, "");
+const PREAMP: Variable = number("gain", Kind::Signed, "");
+const ANGLE: Variable = number("angle", Kind::Angle, "deg");
+const LATITUDE: Variable = number("latitude", Kind::Angle, "deg");
+const LONGITUDE: Variable = number("longitude", Kind::Angle, "deg");
+const X: Variable = number("x", Kind::Signed, "arcsec");
+const Y: Variable = number("y", Kind::Signed, "arcsec");
+const PARAMETER: Variable = number("parameter", Kind::Unsigned, "");
+const INTEGER: Variable = number("value", Kind::Signed, "");
+const FLOAT: Variable = number("value", Kind::Angle, "");
+const DISK: Variable = number("disk", Kind::Unsigned, "");
+const PERCENT: Variable = number("use", Kind::Unsigned, "%");
+const MICROSECONDS: Variable = number("offset", Kind::Signed, "us");
+
+/// Every command that is known, in the order of the keys.
+#[rustfmt::skip] // One row, one line.
+pub const COMMANDS: &[CommandRow] = &[
+    set(0x0000, "no_op", &[], "do nothing but answer"),
+    set(0x0030, "start_sending", &[], "start sending solutions to the controller, from the next exposure on"),
+    set(0x0040, "stop_sending", &[], "stop sending solutions to the controller, after the one that has been announced"),
+    set(0x0050, "quit", &[], "end the flight program"),
+    set(0x0210, "send_pitch_yaw_picture", &[], "send the pitch-yaw camera's next picture to the ground"),
+    set(0x0220, "send_roll_picture", &[], "send the roll camera's next picture to the ground"),
+    set(0x0412, "set_target", &[X, Y], "point at this helioprojective position"),
+    set(0x0421, "store_frames", &[SWITCH], "store the frames of both cameras"),
+    set(0x0431, "accept_gps", &[SWITCH], "take the gondola's place from GPS messages"),
+    set(0x0441, "store_pitch_yaw_frames", &[SWITCH], "store the frames of the pitch-yaw camera"),
+    set(0x0451, "set_pitch_yaw_exposure", &[EXPOSURE], "set the pitch-yaw camera's exposure"),
+    set(0x0481, "set_pitch_yaw_analogue_gain", &[ANALOGUE], "set the pitch-yaw camera's analogue gain"),
+    set(0x0491, "set_pitch_yaw_preamp_gain", &[PREAMP], "set the pitch-yaw camera's pre-amplifier gain"),
+    set(0x0541, "store_roll_frames", &[SWITCH], "store the frames of the roll camera"),
+    set(0x0551, "set_roll_exposure", &[EXPOSURE], "set the roll camera's exposure"),
+    set(0x0581, "set_roll_analogue_gain", &[ANALOGUE], "set the roll camera's analogue gain"),
+    set(0x0591, "set_roll_preamp_gain", &[PREAMP], "set the roll camera's pre-amplifier gain"),
+    set(0x0621, "set_clocking", &[ANGLE], "set the plate's clocking"),
+    set(0x06A2, "set_place", &[LATITUDE, LONGITUDE], "set the gondola's place"),
+    set(0x0712, "set_integer", &[PARAMETER, INTEGER], "set an integer parameter"),
+    set(0x0722, "set_float", &[PARAMETER, FLOAT], "set a float parameter"),
+    set(0x0731, "set_twist", &[ANGLE], "set the camera's twist"),
+    get(0x0850, "get_pitch_yaw_exposure", &[], EXPOSURE, "read the pitch-yaw camera's exposure"),
+    get(0x0860, "get_pitch_yaw_analogue_gain", &[], ANALOGUE, "read the pitch-yaw camera's analogue gain"),
+    get(0x0870, "get_pitch_yaw_preamp_gain", &[], PREAMP, "read the pitch-yaw camera's pre-amplifier gain"),
+    get(0x0881, "get_disk_use", &[DISK], PERCENT, "read how full a disk of the archive is; the first is 1"),
+    get(0x0950, "get_roll_exposure", &[], EXPOSURE, "read the roll camera's exposure"),
+    get(0x0960, "get_roll_analogue_gain", &[], ANALOGUE, "read the roll camera's analogue gain"),
+    get(0x0970, "get_roll_preamp_gain", &[], PREAMP, "read the roll camera's pre-amplifier gain"),
+    get(0x0A10, "get_target_x", &[], X, "read the target's x"),
+    get(0x0A20, "get_target_y", &[], Y, "read the target's y"),
+    get(0x0B11, "get_integer", &[PARAMETER], INTEGER, "read an integer parameter"),
+    get(0x0B21, "get_float", &[PARAMETER], FLOAT, "read a float parameter"),
+    get(0x0B30, "get_twist", &[], ANGLE, "read the camera's twist"),
+    get(0x0C20, "get_clocking", &[], ANGLE, "read the plate's clocking"),
+    get(0x0CA0, "get_latitude", &[], LATITUDE, "read the gondola's latitude"),
+    get(0x0CB0, "get_longitude", &[], LONGITUDE, "read the gondola's longitude"),
+    get(0x0D10, "get_clock_offset", &[], MICROSECONDS, "read the clock's offset"),
+];
+
+/// The row of a key, whatever its computers' bits.
+pub fn row_of(key: u16) -> Option<&'static CommandRow> {
+    COMMANDS.iter().find(|row| row.key == key & !COMPUTERS)
+}
+
+/// The row of a name.
+pub fn row_named(name: &str) -> Option<&'static CommandRow> {
+    COMMANDS.iter().find(|row| row.name == name)
+}

@@ -1,0 +1,250 @@
+//! A port that may go and come back: unplugged, not there yet, the network down.
+
+use super::port::{BytePort, PortError, SerialPort};
+use super::udp::UdpPort;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// The first wait after a failure; each further one is twice as long.
+const SHORTEST_WAIT: Duration = Duration::from_millis(250);
+/// The longest: a port that is there again is found soon.
+const LONGEST_WAIT: Duration = Duration::from_secs(2);
+
+/// A port that carries bytes, whatever it is.
+pub type AnyPort = Box<dyn BytePort + Send>;
+type Open = Box<dyn FnMut() -> Result<AnyPort, PortError> + Send>;
+
+/// Where the other end is: a serial device by its name, or `udp:HOST:PORT[@LOCALPORT]`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PortAddress {
+    Serial {
+        name: String,
+    },
+    Udp {
+        peer: String,
+        local_port: Option<u16>,
+    },
+}
+
+impl FromStr for PortAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let Some(udp) = text.strip_prefix("udp:") else {
+            let name = text.to_owned();
+            return Ok(Self::Serial { name });
+        };
+        let refused =
+            || format!("port: expected udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, found \"{text}\"");
+        let (peer, local_port) = match udp.rsplit_once('@') {
+            Some((peer, port)) => (peer, Some(port.parse().map_err(|_| refused())?)),
+            None => (udp, None),
+        };
+        match peer.rsplit_once(':') {
+            Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => {
+                let peer = peer.to_owned();
+                Ok(Self::Udp { peer, local_port })
+            }
+            _ => Err(refused()),
+        }
+    }
+}
+
+impl PortAddress {
+    /// Opens the port: `baud` is for a serial one, `local_port` for UDP where the address names none.
+    pub fn open(&self, baud: u32, local_port: u16) -> Result<AnyPort, PortError> {
+        Ok(match self {
+            Self::Serial { name } => Box::new(SerialPort::open(name, baud)?),
+            Self::Udp {
+                peer,
+                local_port: own,
+            } => Box::new(UdpPort::open(peer, own.unwrap_or(local_port))?),
+        })
+    }
+}
+
+/// A port that is opened again, with growing waits, whenever it is lost. Times are monotonic, since any start.
+pub struct Connection {
+    port: Option<AnyPort>,
+    open: Option<Open>,
+    opened_at: Duration,
+    retry_at: Duration,
+    wait: Duration,
+    opened: u64,
+    failed: u64,
+}
+
+impl Connection {
+    /// A connection that `open` makes, now and after every loss.
+    pub fn new(open: impl FnMut() -> Result<AnyPort, PortError> + Send + 'static) -> Self {
+        Self {
+            open: Some(Box::new(open)),
+            ..Self::none()
+        }
+    }
+
+    /// To an address, at a speed; `local_port` as in [`PortAddress::open`].
+    pub fn to(address: PortAddress, baud: u32, local_port: u16) -> Self {
+        Self::new(move || address.open(baud, local_port))
+    }
+
+    /// Over a port that cannot be opened again.
+    pub fn over(port: impl BytePort + Send + 'static) -> Self {
+        Self {
+            port: Some(Box::new(port)),
+            opened: 1,
+            ..Self::none()
+        }
+    }
+
+    /// No line at all.
+    pub fn none() -> Self {
+        Self {
+            port: None,
+            open: None,
+            opened_at: Duration::ZERO,
+            retry_at: Duration::ZERO,
+            wait: SHORTEST_WAIT,
+            opened: 0,
+            failed: 0,
+        }
+    }
+
+    /// The port, where there is one.
+    pub fn port(&mut self) -> Option<&mut AnyPort> {
+        self.port.as_mut()
+    }
+
+    /// How often the port was opened, the first time not counted.
+    pub fn reopened(&self) -> u64 {
+        self.opened.saturating_sub(1)
+    }
+
+    /// Opens the port where it is not open and an attempt is due; true when it is new.
+    pub fn revive(&mut self, now: Duration) -> bool {
+        let Some(open) = self.open.as_mut() else {
+            return false;
+        };
+        if self.port.is_some() || now < self.retry_at {
+            return false;
+        }
+        match open() {
+            Ok(port) => {
+                tracing::info!(opened = self.opened + 1, "the line is open");
+                self.port = Some(port);
+                self.opened += 1;
+                self.opened_at = now;
+                true
+            }
+            Err(error) => {
+                self.failed += 1;
+                if self.failed.is_power_of_two() {
+                    tracing::error!(%error, failed = self.failed, "the line cannot be opened");
+                }
+                self.back_off(now);
+                false
+            }
+        }
+    }
+
+    /// Gives the port up.
+    pub fn lose(&mut self, now: Duration) {
+        self.port = None;
+        // One that stays up for a while is a good one: the next loss is a new fault.
+        if now.saturating_sub(self.opened_at) > LONGEST_WAIT {
+            self.wait = SHORTEST_WAIT;
+        }
+        self.back_off(now);
+    }
+
+    fn back_off(&mut self, now: Duration) {
+        self.retry_at = now + self.wait;
+        self.wait = (2 * self.wait).min(LONGEST_WAIT);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    #[test]
+    fn addresses_are_serial_names_or_hosts_with_ports() {
+        let by_id = "/dev/serial/by-id/usb-FTDI_x-if00-port0";
+        let name = by_id.to_owned();
+        assert_eq!(by_id.parse(), Ok(PortAddress::Serial { name }));
+        let udp = |peer: &str, local_port| {
+            let peer = peer.to_owned();
+            Ok(PortAddress::Udp { peer, local_port })
+        };
+        assert_eq!("udp:10.0.0.1:2000".parse(), udp("10.0.0.1:2000", None));
+        assert_eq!("udp:ctl:2000@3000".parse(), udp("ctl:2000", Some(3000)));
+        assert_eq!("udp:[::1]:2000".parse(), udp("[::1]:2000", None));
+        for wrong in [
+            "udp:",
+            "udp:host",
+            "udp::2000",
+            "udp:host:port",
+            "udp:host:1@x",
+        ] {
+            let error = wrong.parse::<PortAddress>().unwrap_err();
+            assert!(error.contains(wrong), "{error}");
+        }
+    }
+
+    struct Silent;
+
+    impl BytePort for Silent {
+        fn read(&mut self, _: &mut [u8], _: Duration) -> Result<usize, PortError> {
+            Ok(0)
+        }
+
+        fn write(&mut self, _: &[u8], _: Duration) -> Result<(), PortError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_lost_port_is_opened_again_with_growing_waits_that_end_when_it_stays() {
+        let attempts = Arc::new(AtomicU64::new(0));
+        let counted = Arc::clone(&attempts);
+        // There at the start, gone for ten attempts, and there again.
+        let mut connection =
+            Connection::new(move || match counted.fetch_add(1, Ordering::Relaxed) {
+                1..=10 => Err(PortError::Udp {
+                    name: "gone".into(),
+                    cause: std::io::ErrorKind::NotFound.into(),
+                }),
+                _ => Ok(Box::new(Silent)),
+            });
+        let at = Duration::from_millis;
+        assert!(connection.revive(at(0)));
+        assert!(!connection.revive(at(1)), "it is open");
+        connection.lose(at(10_000));
+        let mut tried = Vec::new();
+        for now in 10_000..30_000 {
+            let before = attempts.load(Ordering::Relaxed);
+            connection.revive(at(now));
+            if attempts.load(Ordering::Relaxed) > before {
+                tried.push(now - 10_000);
+            }
+        }
+        assert_eq!(tried[..5], [250, 750, 1750, 3750, 5750]);
+        assert_eq!(tried.len(), 11);
+        assert!(connection.port().is_some());
+        assert_eq!(connection.reopened(), 1);
+        connection.lose(at(100_000));
+        assert!(!connection.revive(at(100_249)));
+        assert!(connection.revive(at(100_250)), "a new fault, a short wait");
+    }
+
+    #[test]
+    fn a_connection_over_a_port_is_not_opened_again() {
+        let mut connection = Connection::over(Silent);
+        assert!(connection.port().is_some());
+        connection.lose(Duration::ZERO);
+        assert!(!connection.revive(Duration::from_secs(100)));
+        assert!(Connection::none().port().is_none());
+    }
+}

@@ -1,0 +1,101 @@
+//! What the responder asks of the flight service: to carry commands out, and to take the gondola's place.
+
+use super::command::Command;
+use super::message::GpsFix;
+
+/// Results of commands; a read answers with its value instead.
+pub mod result {
+    pub const DONE: u16 = 0;
+    /// Known, but this program does not do it, or its packet lacks variables.
+    pub const NOT_IMPLEMENTED: u16 = 1;
+    /// A value was out of range; nothing has changed.
+    pub const REFUSED: u16 = 2;
+    /// No such command; of a read: what it asks for is not known.
+    pub const UNKNOWN: u16 = 0xFFFF;
+}
+
+/// What came of a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CommandResult {
+    Done,
+    /// What a read has read.
+    Value(u16),
+    /// Out of range: nothing has changed.
+    Refused,
+    NotImplemented,
+    /// No such command, or nothing is known of what it reads.
+    Unknown,
+}
+
+impl CommandResult {
+    /// The number that travels.
+    pub fn code(self) -> u16 {
+        match self {
+            Self::Done => result::DONE,
+            Self::Value(value) => value,
+            Self::Refused => result::REFUSED,
+            Self::NotImplemented => result::NOT_IMPLEMENTED,
+            Self::Unknown => result::UNKNOWN,
+        }
+    }
+}
+
+/// Carries out what goes beyond the conversation: settings are set, values are read.
+pub trait Control {
+    fn carry_out(&mut self, command: &Command) -> CommandResult;
+
+    /// A place from GPS.
+    fn take_fix(&mut self, fix: GpsFix) -> CommandResult;
+}
+
+/// A fix this far from the last place is taken for an error, deg.
+const LATITUDE_JUMP_DEG: f32 = 5.0;
+const LONGITUDE_JUMP_DEG: f32 = 15.0;
+
+impl GpsFix {
+    /// Whether a fix may be believed after the last place that was. (0, 0) is what a receiver without a fix sends; a
+    /// jump is a mistake of the receiver or of the line.
+    pub fn may_follow(&self, last: Option<Self>) -> bool {
+        let on_earth = self.latitude_deg.abs() <= 90.0 && self.longitude_deg.abs() <= 360.0;
+        let nowhere = self.latitude_deg == 0.0 && self.longitude_deg == 0.0;
+        let jumps = last.is_some_and(|last| {
+            let longitude = (self.longitude_deg - last.longitude_deg).rem_euclid(360.0);
+            (self.latitude_deg - last.latitude_deg).abs() > LATITUDE_JUMP_DEG
+                || longitude.min(360.0 - longitude) > LONGITUDE_JUMP_DEG
+        });
+        on_earth && !nowhere && !jumps
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_believed_unless_it_is_nowhere_or_a_jump() {
+        let mut last = None;
+        let mut fix = |latitude_deg, longitude_deg| {
+            let fix = GpsFix {
+                latitude_deg,
+                longitude_deg,
+            };
+            let believed = fix.may_follow(last);
+            if believed {
+                last = Some(fix);
+            }
+            believed
+        };
+        assert!(!fix(0.0, 0.0));
+        assert!(!fix(91.0, 10.0));
+        assert!(fix(34.49, -104.25), "the first place, where none is known");
+        assert!(!fix(0.0, 0.0));
+        assert!(!fix(39.6, -104.25), "5.1 deg north");
+        assert!(!fix(34.49, -89.0), "15.25 deg east");
+        assert!(fix(39.4, -90.0));
+        assert!(
+            fix(39.0, -76.0),
+            "judged by the last place that was believed"
+        );
+        assert!(fix(39.0, 284.5), "the same meridian counted the other way");
+    }
+}

@@ -1,0 +1,360 @@
+use super::*;
+use crate::link::control::result;
+use crate::link::message::GpsFix;
+use crate::link::packet::{Direction, Packet};
+
+fn time(second: i64) -> Timestamp {
+    Timestamp::from_second(1_379_786_400 + second).unwrap()
+}
+
+fn solution(second: i64) -> Solution {
+    Solution {
+        azimuth_deg: 0.01,
+        elevation_deg: -0.02,
+        roll_deg: 0.0,
+        error_deg: 1e-5,
+        time: time(second),
+    }
+}
+
+fn exposure(second: i64) -> Exposure {
+    Exposure {
+        camera: 1,
+        start: time(second),
+    }
+}
+
+fn conclude(responder: &mut Responder, second: i64) -> Result<Option<Vec<u8>>, MessageError> {
+    responder.solution(exposure(second), &solution(second))
+}
+
+/// A service that sets targets, refuses settings of cameras, reads 4711, and knows nothing else.
+struct Desk;
+
+impl Control for Desk {
+    fn carry_out(&mut self, command: &Command) -> CommandResult {
+        match command {
+            Command::SetTarget { .. } => CommandResult::Done,
+            Command::SetCamera(..) => CommandResult::Refused,
+            Command::Read(_) => CommandResult::Value(4711),
+            _ => CommandResult::NotImplemented,
+        }
+    }
+
+    fn take_fix(&mut self, fix: GpsFix) -> CommandResult {
+        match fix.may_follow(None) && fix.latitude_deg > 0.0 {
+            true => CommandResult::Done,
+            false => CommandResult::Refused,
+        }
+    }
+}
+
+/// What a packet to the controller says, without its sequence number and time.
+#[derive(Debug, PartialEq)]
+enum Said {
+    Message(Message),
+    Answer(Telemetry),
+}
+
+fn said(bytes: &[u8]) -> Said {
+    match Packet::decode(Direction::ToController, bytes).unwrap() {
+        Packet::Command(packet) => Said::Message(Message::decode(packet.payload()).unwrap()),
+        Packet::Telemetry(packet) => Said::Answer(Telemetry::decode(&packet).unwrap()),
+    }
+}
+
+fn answers(sequence: u16, key: u16, value: u16) -> Vec<Said> {
+    let receipt = Telemetry::Receipt { sequence };
+    let outcome = Telemetry::Result {
+        sequence,
+        key,
+        value,
+    };
+    vec![Said::Answer(receipt), Said::Answer(outcome)]
+}
+
+fn tell(responder: &mut Responder, message: &Message) -> (Vec<Said>, bool) {
+    tell_payload(responder, message.packet(id::ASPECT, 5).unwrap().payload())
+}
+
+fn tell_payload(responder: &mut Responder, payload: &[u8]) -> (Vec<Said>, bool) {
+    let packet = CommandPacket::new(id::ASPECT, 5, payload.to_vec()).unwrap();
+    let reply = responder.handle(&packet, time(0), &mut Desk).unwrap();
+    (
+        reply.packets.iter().map(|p| said(p)).collect(),
+        reply.changed,
+    )
+}
+
+fn aspect(key: u16, variables: &[u16]) -> Message {
+    Message::Aspect(AspectCommand::new(key, variables.to_vec()).unwrap())
+}
+
+fn computer_one() -> Responder {
+    Responder::new(Computer::One, true)
+}
+
+#[test]
+fn start_and_stop_of_tracking_get_a_receipt_a_result_and_their_answer() {
+    let mut responder = computer_one();
+    assert!(!responder.state().tracking);
+    let (packets, change) = tell(&mut responder, &Message::StartTracking);
+    let mut expected = answers(5, 0x1000, 0);
+    expected.push(Said::Message(Message::TrackingOn));
+    assert_eq!((packets, change), (expected, true));
+    let (packets, change) = tell(&mut responder, &Message::StopTracking);
+    let mut expected = answers(5, 0x1001, 0);
+    expected.push(Said::Message(Message::TrackingOff));
+    assert_eq!((packets, change), (expected, true));
+}
+
+#[test]
+fn the_carried_out_commands_are_done_the_other_known_ones_not_and_the_rest_unknown() {
+    let mut responder = computer_one();
+    let mut result = |key, variables: &[u16]| tell(&mut responder, &aspect(key, variables)).0;
+    assert_eq!(result(0x1000, &[]), answers(5, 0x1000, 0));
+    assert_eq!(result(0x1040, &[]), answers(5, 0x1040, 0));
+    assert_eq!(result(0x1030, &[]), answers(5, 0x1030, 0));
+    assert_eq!(result(0x1412, &[1, 2]), answers(5, 0x1412, 0));
+    assert_eq!(result(0x1210, &[]), answers(5, 0x1210, 1));
+    assert_eq!(result(0x1FF0, &[]), answers(5, 0x1FF0, 0xFFFF));
+}
+
+#[test]
+fn a_command_without_its_variables_is_refused_and_an_unknown_message_is_unknown() {
+    let mut responder = computer_one();
+    let mut told = |payload: &[u8]| tell_payload(&mut responder, payload);
+    assert_eq!(
+        told(&[0xFF, 0x10, 0x12, 0x14, 1, 0]),
+        (answers(5, 0x1412, 1), false)
+    );
+    assert_eq!(
+        told(&[0xFF, 0x10, 0xF2, 0x1F, 1, 0]),
+        (answers(5, 0x1FF2, 0xFFFF), false)
+    );
+    assert_eq!(told(&[0x0A, 0, 0, 0]), (answers(5, 0x000A, 1), false));
+    assert_eq!(told(&[0x34, 0x12]), (answers(5, 0x1234, 0xFFFF), false));
+    assert_eq!(told(&[0x00, 0x11]), (answers(5, 0x1100, 0xFFFF), false));
+}
+
+#[test]
+fn what_is_not_for_this_computer_is_ignored_unanswered() {
+    let mut responder = computer_one();
+    for key in [0x2040, 0x0040, 0x4040] {
+        assert_eq!(tell(&mut responder, &aspect(key, &[])), (vec![], false));
+    }
+    for payload in [&[][..], &[0xFF], &[0xFF, 0x10], &[0xFF, 0x10, 0x40]] {
+        assert_eq!(tell_payload(&mut responder, payload), (vec![], false));
+    }
+    let elsewhere = Message::StartTracking.packet(id::CONTROLLER, 1).unwrap();
+    assert_eq!(
+        responder.handle(&elsewhere, time(0), &mut Desk),
+        Ok(Reply::default())
+    );
+    assert_eq!(responder.state(), computer_one().state());
+
+    let to_everyone = Message::StartTracking.packet(id::EVERYONE, 1).unwrap();
+    assert_eq!(
+        responder
+            .handle(&to_everyone, time(0), &mut Desk)
+            .unwrap()
+            .packets
+            .len(),
+        3
+    );
+    assert_eq!(
+        tell(&mut responder, &aspect(0x3040, &[])).0,
+        answers(5, 0x3040, 0)
+    );
+}
+
+#[test]
+fn what_the_service_says_of_a_command_is_its_result() {
+    let mut responder = computer_one();
+    let mut result = |key, variables: &[u16]| {
+        let (said, changed) = tell(&mut responder, &aspect(key, variables));
+        assert!(!changed);
+        said
+    };
+    assert_eq!(result(0x1412, &[1, 2]), answers(5, 0x1412, result::DONE));
+    assert_eq!(result(0x1451, &[0]), answers(5, 0x1451, result::REFUSED));
+    assert_eq!(result(0x1D10, &[]), answers(5, 0x1D10, 4711));
+    assert_eq!(
+        result(0x1421, &[2]),
+        answers(5, 0x1421, result::REFUSED),
+        "no switch"
+    );
+    let fix = |latitude_deg| GpsFix {
+        latitude_deg,
+        longitude_deg: 1.0,
+    };
+    let mut gps = |latitude| tell(&mut responder, &Message::Gps(fix(latitude))).0;
+    assert_eq!(gps(34.0), answers(5, 0x000A, result::DONE));
+    assert_eq!(gps(0.0), answers(5, 0x000A, result::REFUSED));
+}
+
+#[test]
+fn a_place_that_is_no_number_is_refused() {
+    let mut responder = computer_one();
+    let mut payload = vec![0x0A, 0];
+    payload.extend(f32::NAN.to_le_bytes());
+    payload.extend(1_f32.to_le_bytes());
+    let said = tell_payload(&mut responder, &payload).0;
+    assert_eq!(said, answers(5, 0x000A, result::REFUSED));
+}
+
+#[test]
+fn an_exposure_is_announced_while_sending_is_enabled_tracking_or_not() {
+    let mut responder = computer_one();
+    let packet = responder.exposure_starts(exposure(1)).unwrap().unwrap();
+    let announced = ExposureStart {
+        camera: 1,
+        time: time(1),
+    };
+    assert_eq!(
+        said(&packet),
+        Said::Message(Message::ExposureStart(announced))
+    );
+    tell(&mut responder, &aspect(0x1040, &[]));
+    assert_eq!(responder.exposure_starts(exposure(2)), Ok(None));
+    let mut second = Responder::new(Computer::Two, false);
+    assert_eq!(second.exposure_starts(exposure(1)), Ok(None));
+}
+
+#[test]
+fn a_solution_goes_only_while_tracking_and_sending_and_after_its_own_announcement_and_once() {
+    let mut responder = computer_one();
+    responder.exposure_starts(exposure(1)).unwrap();
+    assert_eq!(conclude(&mut responder, 1), Ok(None), "not tracking");
+    tell(&mut responder, &Message::StartTracking);
+    assert_eq!(conclude(&mut responder, 2), Ok(None), "not announced");
+    responder.exposure_starts(exposure(3)).unwrap();
+    responder.exposure_starts(exposure(4)).unwrap();
+    let packet = conclude(&mut responder, 3).unwrap().unwrap();
+    assert_eq!(said(&packet), Said::Message(Message::Solution(solution(3))));
+    assert_eq!(conclude(&mut responder, 3), Ok(None), "sent already");
+    let packet = responder.error(exposure(4), 8).unwrap().unwrap();
+    assert_eq!(said(&packet), Said::Message(Message::Error { code: 8 }));
+    assert_eq!(
+        conclude(&mut responder, 4),
+        Ok(None),
+        "an error went instead"
+    );
+    responder.exposure_starts(exposure(5)).unwrap();
+    responder.forget(exposure(5));
+    assert_eq!(
+        conclude(&mut responder, 5),
+        Ok(None),
+        "its announcement did not go"
+    );
+    responder.exposure_starts(exposure(6)).unwrap();
+    tell(&mut responder, &Message::StopTracking);
+    assert_eq!(
+        conclude(&mut responder, 6),
+        Ok(None),
+        "not tracking any more"
+    );
+}
+
+#[test]
+fn an_older_solution_never_goes_after_a_newer_one() {
+    let mut responder = computer_one();
+    tell(&mut responder, &Message::StartTracking);
+    for second in 1..=3 {
+        responder.exposure_starts(exposure(second)).unwrap();
+    }
+    assert!(conclude(&mut responder, 2).unwrap().is_some());
+    assert_eq!(conclude(&mut responder, 1), Ok(None));
+    assert!(conclude(&mut responder, 3).unwrap().is_some());
+}
+
+#[test]
+fn exposures_of_two_cameras_at_one_time_are_told_apart() {
+    let mut responder = computer_one();
+    tell(&mut responder, &Message::StartTracking);
+    responder.exposure_starts(exposure(1)).unwrap();
+    let other = Exposure {
+        camera: 2,
+        ..exposure(1)
+    };
+    assert_eq!(responder.solution(other, &solution(1)), Ok(None));
+    assert!(conclude(&mut responder, 1).unwrap().is_some());
+}
+
+#[test]
+fn sending_stops_when_the_announced_exposure_is_concluded_and_says_so_then() {
+    let mut responder = computer_one();
+    tell(&mut responder, &Message::StartTracking);
+    responder.exposure_starts(exposure(1)).unwrap();
+    let (said, changed) = tell(&mut responder, &aspect(0x1040, &[]));
+    let receipt = Said::Answer(Telemetry::Receipt { sequence: 5 });
+    assert_eq!((said, changed), (vec![receipt], false));
+    assert!(responder.is_stopping());
+    assert_eq!(responder.stopped(time(1)), Ok(vec![]));
+    assert_eq!(
+        responder.exposure_starts(exposure(2)),
+        Ok(None),
+        "no other exposure"
+    );
+    assert!(conclude(&mut responder, 1).unwrap().is_some());
+    let packets = responder.stopped(time(1)).unwrap();
+    let said: Vec<Said> = packets.iter().map(|p| super::tests::said(p)).collect();
+    assert_eq!(said, answers(5, 0x1040, 0)[1..]);
+    assert!(!responder.state().sending && !responder.is_stopping());
+    assert_eq!(responder.stopped(time(1)), Ok(vec![]));
+}
+
+#[test]
+fn sending_stops_at_once_where_nothing_is_to_be_concluded() {
+    let mut responder = computer_one();
+    responder.exposure_starts(exposure(1)).unwrap();
+    let stop = aspect(0x1040, &[]);
+    assert_eq!(
+        tell(&mut responder, &stop),
+        (answers(5, 0x1040, 0), true),
+        "not tracking"
+    );
+    tell(&mut responder, &Message::StartTracking);
+    assert_eq!(conclude(&mut responder, 1), Ok(None), "sending disabled");
+    assert_eq!(tell(&mut responder, &stop), (answers(5, 0x1040, 0), false));
+}
+
+#[test]
+fn a_start_overtakes_a_stop_that_waits_and_both_are_answered() {
+    let mut responder = computer_one();
+    tell(&mut responder, &Message::StartTracking);
+    responder.exposure_starts(exposure(1)).unwrap();
+    tell(&mut responder, &aspect(0x1040, &[]));
+    assert_eq!(
+        tell(&mut responder, &aspect(0x1030, &[])),
+        (answers(5, 0x1030, 0), false)
+    );
+    assert_eq!(responder.stopped(time(1)).unwrap().len(), 1);
+    assert!(responder.state().sending);
+    assert!(responder.exposure_starts(exposure(2)).unwrap().is_some());
+}
+
+#[test]
+fn forgotten_exposures_end_the_waiting() {
+    let mut responder = computer_one();
+    tell(&mut responder, &Message::StartTracking);
+    responder.exposure_starts(exposure(1)).unwrap();
+    tell(&mut responder, &aspect(0x1040, &[]));
+    responder.forget_all();
+    assert_eq!(responder.stopped(time(1)).unwrap().len(), 1);
+    assert!(!responder.state().sending);
+}
+
+#[test]
+fn packets_to_the_controller_are_numbered_one_by_one() {
+    let mut responder = computer_one();
+    responder.sequence = u16::MAX - 1;
+    let mut sequence = |second| {
+        let packet = responder
+            .exposure_starts(exposure(second))
+            .unwrap()
+            .unwrap();
+        u16::from_le_bytes([packet[4], packet[5]])
+    };
+    assert_eq!([sequence(1), sequence(2), sequence(3)], [u16::MAX, 0, 1]);
+}

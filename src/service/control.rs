@@ -1,0 +1,435 @@
+//! What the ground sets in flight, in one place: read by every thread, changed by command only.
+//!
+//! Each setting has a dotted key: that of its parameter, or one of the few that are no parameters (in `own`). A
+//! command becomes keys and values; so does a saved file. Both are checked in the same place, against the parameter
+//! table, and take effect all together or not at all.
+
+mod own;
+mod saved;
+
+pub use saved::{Keeper, SavedError, restore};
+
+use crate::aspect;
+use crate::config::{self, Allowed, Config, Value, by_command, by_key};
+use crate::instrument::Mounting;
+use crate::link::code::angle_code;
+use crate::link::{CameraRole, CameraSetting, Command, CommandResult, Control, GpsFix, Reading};
+use crate::pointing::{HelioprojectiveArcsec, Target};
+use crate::units::Place;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use own::Own;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// What may change in flight, by who wants to know.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Topic {
+    /// Target and place.
+    Aim,
+    /// Clocking and twist.
+    Mounting,
+    /// The solver's settings.
+    Solver,
+    /// Rate, exposure and gains of any camera.
+    Cameras,
+    /// Whose frames are stored.
+    Storing,
+    /// Divisor, age limit and sending camera.
+    Link,
+    /// The rest, such as whether GPS is accepted.
+    Other,
+}
+
+impl Topic {
+    const COUNT: usize = 7;
+
+    fn of(key: &str) -> Self {
+        match key.split_once('.').map_or(key, |(table, _)| table) {
+            "target" | "site" => Self::Aim,
+            "mounting" => Self::Mounting,
+            "limb" | "fiducial" | "registration" => Self::Solver,
+            "camera" | "roll" => Self::Cameras,
+            "store" => Self::Storing,
+            "link" => Self::Link,
+            _ => Self::Other,
+        }
+    }
+}
+
+/// What the solver needs of all this, frame by frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Snapshot {
+    pub target: Target,
+    /// The place for frames that do not tell theirs.
+    pub place: Option<Place>,
+    /// Where the ground has set it; else the instrument's own holds.
+    pub clocking_deg: Option<f64>,
+    pub twist_deg: Option<f64>,
+    pub solver: aspect::Settings,
+}
+
+impl Snapshot {
+    /// The mounting as the ground has set it; `stated` is the instrument's own.
+    pub fn mounting(&self, stated: &Mounting) -> Mounting {
+        let mut mounting = *stated;
+        if let Some(clocking_deg) = self.clocking_deg {
+            mounting.clocking_deg.value = clocking_deg;
+        }
+        if let Some(twist_deg) = self.twist_deg {
+            mounting = mounting.twisted_to(twist_deg);
+        }
+        mounting
+    }
+}
+
+/// The settings in flight. Clones share them.
+#[derive(Debug, Clone)]
+pub struct Controls(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    state: Mutex<State>,
+    versions: [AtomicU64; Topic::COUNT],
+    quits: AtomicBool,
+    pictures: [AtomicBool; 2],
+    /// Tells the keeper that something has changed; one such word is enough.
+    changed: (Sender<()>, Receiver<()>),
+}
+
+#[derive(Debug, Clone)]
+struct State {
+    config: Config,
+    target: Target,
+    place: Option<Place>,
+    own: Own,
+    /// The instrument's own.
+    stated: Mounting,
+    /// All that commands have set, by key: what is saved.
+    commanded: BTreeMap<String, Value>,
+    disks: Vec<Option<u8>>,
+    clock_offset_us: Option<i64>,
+    cameras: Vec<CameraRole>,
+}
+
+impl Controls {
+    /// The settings at the start of a flight. `target` is where the configuration points.
+    pub fn new(config: Config, target: Target, mounting: Mounting) -> Self {
+        let state = State {
+            place: config.site.place(),
+            own: Own::new(&config),
+            config,
+            target,
+            stated: mounting,
+            commanded: BTreeMap::new(),
+            disks: Vec::new(),
+            clock_offset_us: None,
+            cameras: vec![CameraRole::PitchYaw],
+        };
+        Self(Arc::new(Shared {
+            state: Mutex::new(state),
+            versions: Default::default(),
+            quits: AtomicBool::new(false),
+            pictures: Default::default(),
+            changed: bounded(1),
+        }))
+    }
+
+    /// Counts the changes of a topic: whoever keeps a copy compares and looks again.
+    pub fn version(&self, topic: Topic) -> u64 {
+        self.0.versions[topic as usize].load(Ordering::Acquire)
+    }
+
+    pub fn snapshot(&self) -> Snapshot {
+        let state = self.state();
+        Snapshot {
+            target: state.target,
+            place: state.place,
+            clocking_deg: state.own.clocking_deg,
+            twist_deg: state.own.twist_deg,
+            solver: state.config.solver(),
+        }
+    }
+
+    /// The configuration as it is now.
+    pub fn config(&self) -> Config {
+        self.state().config.clone()
+    }
+
+    /// How the cameras of a role are to be set now.
+    pub fn camera(&self, role: CameraRole) -> config::Camera {
+        self.state().camera(role).clone()
+    }
+
+    /// Whether the frames of a role's cameras are to be stored.
+    pub fn stores(&self, role: CameraRole) -> bool {
+        self.state().own.stores[role as usize]
+    }
+
+    /// Whether this computer sends solutions; `None` where no command has said so.
+    pub fn sending(&self) -> Option<bool> {
+        self.state().own.sending
+    }
+
+    /// Keeps what a command has made of the sending.
+    pub fn note_sending(&self, on: bool) {
+        let _ = self.set(&[("link.sending", switch(on))]);
+    }
+
+    /// Whether the ground wants the program to end.
+    pub fn quits(&self) -> bool {
+        self.0.quits.load(Ordering::Relaxed)
+    }
+
+    /// Says which cameras there are; before that, a pitch-yaw camera only.
+    pub fn note_cameras(&self, roles: &[CameraRole]) {
+        self.state().cameras = roles.to_vec();
+    }
+
+    /// Whether the ground wants the next picture of a role's camera; asking takes the wish away.
+    pub fn takes_picture(&self, role: CameraRole) -> bool {
+        self.0.pictures[role as usize].swap(false, Ordering::Relaxed)
+    }
+
+    /// Tells how full a disk of the archive is, %; disks are counted from 0 here and from 1 by the ground.
+    pub fn note_disk_use(&self, disk: usize, percent: Option<u8>) {
+        let disks = &mut self.state().disks;
+        if disks.len() <= disk {
+            disks.resize(disk + 1, None);
+        }
+        disks[disk] = percent;
+    }
+
+    /// Tells by how much the host's clock is ahead of true time.
+    pub fn note_clock_offset(&self, microseconds: Option<i64>) {
+        self.state().clock_offset_us = microseconds;
+    }
+
+    /// Sets keys to values, all or none of them.
+    ///
+    /// # Errors
+    /// Which key was refused, and why.
+    pub fn set(&self, settings: &[(&str, Value)]) -> Result<(), config::Refused> {
+        let mut state = self.state();
+        let mut next = state.clone();
+        for (key, value) in settings {
+            next.set(key, value)?;
+        }
+        let changed = next.commanded != state.commanded;
+        *state = next;
+        drop(state);
+        for (key, _) in settings {
+            self.0.versions[Topic::of(key) as usize].fetch_add(1, Ordering::Release);
+        }
+        if changed {
+            // The keeper has not taken the last word yet: it will see this change, too.
+            let _ = self.0.changed.0.try_send(());
+        }
+        Ok(())
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        let state = self.0.state.lock();
+        state.unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn set_by_command(&self, settings: &[(&str, Value)]) -> CommandResult {
+        match self.set(settings) {
+            Ok(()) => {
+                for (key, value) in settings {
+                    tracing::info!(key, %value, "set by command");
+                }
+                CommandResult::Done
+            }
+            Err(refused) => {
+                tracing::warn!(%refused, "a command was refused");
+                CommandResult::Refused
+            }
+        }
+    }
+
+    /// By its number; `fits` says whether the parameter is of the command's kind.
+    fn set_numbered(&self, number: u16, fits: fn(Allowed) -> bool, value: Value) -> CommandResult {
+        match by_command(number) {
+            Some(parameter) if fits(parameter.allowed) => {
+                self.set_by_command(&[(parameter.key, value)])
+            }
+            _ => CommandResult::Refused,
+        }
+    }
+
+    fn want_picture(&self, role: CameraRole) -> CommandResult {
+        if !self.state().cameras.contains(&role) {
+            return CommandResult::NotImplemented;
+        }
+        self.0.pictures[role as usize].store(true, Ordering::Relaxed);
+        CommandResult::Done
+    }
+}
+
+impl Control for Controls {
+    fn carry_out(&mut self, command: &Command) -> CommandResult {
+        let whole = |value: i64| Value::Whole(value);
+        match *command {
+            Command::NoOp => CommandResult::Done,
+            // The responder's own.
+            Command::StartSending | Command::StopSending => CommandResult::NotImplemented,
+            Command::Quit => {
+                self.0.quits.store(true, Ordering::Relaxed);
+                CommandResult::Done
+            }
+            Command::SendPicture(role) => self.want_picture(role),
+            Command::SetTarget { x_arcsec, y_arcsec } => self.set_by_command(&[
+                ("target.x_arcsec", Value::Number(x_arcsec.into())),
+                ("target.y_arcsec", Value::Number(y_arcsec.into())),
+            ]),
+            Command::StoreFrames { cameras, on } => {
+                let settings: Vec<_> = cameras
+                    .iter()
+                    .map(|role| (store_key(*role), switch(on)))
+                    .collect();
+                self.set_by_command(&settings)
+            }
+            Command::AcceptGps { on } => self.set_by_command(&[("gps.accept", switch(on))]),
+            Command::SetCamera(role, setting) => {
+                let (key, value) = camera_setting(role, setting);
+                self.set_by_command(&[(&key, value)])
+            }
+            Command::SetClocking { angle_deg } => {
+                self.set_by_command(&[("mounting.clocking_deg", Value::Number(angle_deg))])
+            }
+            Command::SetTwist { angle_deg } => {
+                self.set_by_command(&[("mounting.twist_deg", Value::Number(angle_deg))])
+            }
+            Command::SetPlace {
+                latitude_deg,
+                longitude_deg,
+            } => self.set_by_command(&[
+                ("site.latitude_deg", Value::Number(latitude_deg)),
+                ("site.longitude_deg", Value::Number(longitude_deg)),
+            ]),
+            Command::SetInteger { parameter, value } => {
+                let fits = |allowed| matches!(allowed, Allowed::Whole(..));
+                self.set_numbered(parameter, fits, whole(value.into()))
+            }
+            Command::SetFloat { parameter, value } => {
+                let fits = |allowed| matches!(allowed, Allowed::Number(..));
+                self.set_numbered(parameter, fits, Value::Number(value))
+            }
+            Command::Read(reading) => {
+                let value = self.state().read(reading);
+                value.map_or(CommandResult::Unknown, CommandResult::Value)
+            }
+        }
+    }
+
+    fn take_fix(&mut self, fix: GpsFix) -> CommandResult {
+        let mut state = self.state();
+        let last = state.place.map(|place| GpsFix {
+            latitude_deg: place.latitude_deg as f32,
+            longitude_deg: place.longitude_deg as f32,
+        });
+        let height_m = state.place.map_or(0.0, |place| place.height_m);
+        let (latitude, longitude) = (fix.latitude_deg.into(), fix.longitude_deg.into());
+        match Place::new(latitude, longitude, height_m) {
+            Ok(place) if state.own.accepts_gps && fix.may_follow(last) => {
+                state.place = Some(place);
+                drop(state);
+                self.0.versions[Topic::Aim as usize].fetch_add(1, Ordering::Release);
+                CommandResult::Done
+            }
+            _ => CommandResult::Refused,
+        }
+    }
+}
+
+impl State {
+    fn camera(&self, role: CameraRole) -> &config::Camera {
+        match role {
+            CameraRole::PitchYaw => &self.config.camera,
+            CameraRole::Roll => &self.own.roll,
+        }
+    }
+
+    fn set(&mut self, key: &str, value: &Value) -> Result<(), config::Refused> {
+        match by_key(key) {
+            Some(parameter) => parameter.set(&mut self.config, Some(value.clone()))?,
+            None => self.own.set(key, value)?,
+        }
+        self.commanded.insert(key.into(), value.clone());
+        match key.split_once('.') {
+            Some(("target", _)) => {
+                let target = &mut self.config.target;
+                target.epoch_utc = None;
+                let (x, y) = (target.x_arcsec, target.y_arcsec);
+                self.target = Target::Fixed(HelioprojectiveArcsec { x, y });
+            }
+            Some(("site", _)) => {
+                self.config.site.height_m.get_or_insert(0.0);
+                self.place = self.config.site.place();
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// A value as it travels; `None` where it is not known.
+    fn read(&self, reading: Reading) -> Option<u16> {
+        let signed = |value: f64| Some((value.round() as i16).cast_unsigned());
+        let unsigned = |value: f64| Some(value.round() as u16);
+        match reading {
+            Reading::Exposure(role) => unsigned(self.camera(role).exposure_us.into()),
+            Reading::AnalogueGain(role) => unsigned(self.camera(role).analogue_gain?),
+            Reading::PreampGain(role) => signed(self.camera(role).preamp_gain?),
+            Reading::DiskUse(disk) => {
+                let at = usize::from(disk).checked_sub(1)?;
+                (*self.disks.get(at)?).map(u16::from)
+            }
+            Reading::TargetX => signed(self.config.target.x_arcsec),
+            Reading::TargetY => signed(self.config.target.y_arcsec),
+            Reading::Integer(number) => match by_command(number)?.get(&self.config)? {
+                Value::Whole(value) => signed(value as f64),
+                _ => None,
+            },
+            Reading::Float(number) => match by_command(number)?.get(&self.config)? {
+                Value::Number(value) => angle_code(value),
+                _ => None,
+            },
+            Reading::Twist => angle_code(self.own.twist_deg.unwrap_or(self.stated.twist_deg)),
+            Reading::Clocking => {
+                let stated = self.stated.clocking_deg.value;
+                angle_code(self.own.clocking_deg.unwrap_or(stated))
+            }
+            Reading::Latitude => angle_code(self.place?.latitude_deg),
+            Reading::Longitude => angle_code(self.place?.longitude_deg),
+            Reading::ClockOffset => signed(self.clock_offset_us? as f64),
+        }
+    }
+}
+
+fn switch(on: bool) -> Value {
+    Value::Whole(on.into())
+}
+
+fn store_key(role: CameraRole) -> &'static str {
+    match role {
+        CameraRole::PitchYaw => "store.pitch_yaw",
+        CameraRole::Roll => "store.roll",
+    }
+}
+
+fn camera_setting(role: CameraRole, setting: CameraSetting) -> (String, Value) {
+    let table = match role {
+        CameraRole::PitchYaw => "camera",
+        CameraRole::Roll => own::ROLL,
+    };
+    let (name, value) = match setting {
+        CameraSetting::ExposureUs(value) => ("exposure_us", Value::Whole(value.into())),
+        CameraSetting::AnalogueGain(value) => ("analogue_gain", Value::Number(value.into())),
+        CameraSetting::PreampGain(value) => ("preamp_gain", Value::Number(value.into())),
+    };
+    (format!("{table}.{name}"), value)
+}
+
+#[cfg(test)]
+mod tests;

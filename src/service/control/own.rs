@@ -1,0 +1,89 @@
+//! The settings in flight that are no parameters of the configuration.
+
+use crate::config::{self, Config, Refused, Value, by_key};
+use crate::instrument::TURN_DEG;
+
+/// The roll camera's settings are those of the table `camera`, under this name.
+pub(super) const ROLL: &str = "roll";
+
+/// What only commands set. `None` where they have not.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Own {
+    pub accepts_gps: bool,
+    /// By role.
+    pub stores: [bool; 2],
+    pub sending: Option<bool>,
+    pub clocking_deg: Option<f64>,
+    pub twist_deg: Option<f64>,
+    pub roll: config::Camera,
+}
+
+impl Own {
+    pub fn new(config: &Config) -> Self {
+        Self {
+            accepts_gps: true,
+            stores: [true, true],
+            sending: None,
+            clocking_deg: None,
+            twist_deg: None,
+            roll: config.camera.clone(),
+        }
+    }
+
+    /// Sets a key, or says why not; a name that is not known is refused, too.
+    pub fn set(&mut self, key: &str, value: &Value) -> Result<(), Refused> {
+        match key {
+            "gps.accept" => self.accepts_gps = switch("gps.accept", value)?,
+            "store.pitch_yaw" => self.stores[0] = switch("store.pitch_yaw", value)?,
+            "store.roll" => self.stores[1] = switch("store.roll", value)?,
+            "link.sending" => self.sending = Some(switch("link.sending", value)?),
+            "mounting.clocking_deg" => {
+                self.clocking_deg = Some(angle("mounting.clocking_deg", value)?);
+            }
+            "mounting.twist_deg" => self.twist_deg = Some(angle("mounting.twist_deg", value)?),
+            _ => self.set_roll(key, value)?,
+        }
+        Ok(())
+    }
+
+    /// What the pitch-yaw camera may be set to, the roll camera may.
+    fn set_roll(&mut self, key: &str, value: &Value) -> Result<(), Refused> {
+        let unknown = || Refused {
+            key: "settings",
+            expected: "a key that commands set".into(),
+            found: key.into(),
+        };
+        let name = key.strip_prefix(ROLL).ok_or_else(unknown)?;
+        let parameter = by_key(&format!("camera{name}")).ok_or_else(unknown)?;
+        let mut config = Config {
+            camera: self.roll.clone(),
+            ..Config::default()
+        };
+        parameter.set(&mut config, Some(value.clone()))?;
+        self.roll = config.camera;
+        Ok(())
+    }
+}
+
+fn switch(key: &'static str, value: &Value) -> Result<bool, Refused> {
+    match value {
+        Value::Whole(0) => Ok(false),
+        Value::Whole(1) => Ok(true),
+        _ => Err(refused(key, "1 (on) or 0 (off)", value)),
+    }
+}
+
+fn angle(key: &'static str, value: &Value) -> Result<f64, Refused> {
+    match value {
+        Value::Number(angle) if TURN_DEG.contains(angle) => Ok(*angle),
+        _ => Err(refused(key, "an angle from -360 to 360 deg", value)),
+    }
+}
+
+fn refused(key: &'static str, expected: &str, value: &Value) -> Refused {
+    Refused {
+        key,
+        expected: expected.into(),
+        found: value.to_string(),
+    }
+}

@@ -1,0 +1,281 @@
+use super::*;
+use crate::instrument::builtin;
+use crate::link::{COMMANDS, Computer};
+
+fn controls() -> Controls {
+    let mounting = builtin("demo").unwrap().mounting;
+    Controls::new(Config::default(), Target::default(), mounting)
+}
+
+/// What a command by name comes to, its variables as they travel.
+fn order(controls: &Controls, name: &str, variables: &[u16]) -> CommandResult {
+    let row = COMMANDS.iter().find(|row| row.name == name).unwrap();
+    let command = row.command(Computer::One, variables).unwrap();
+    let command = Command::try_from(&command).unwrap();
+    controls.clone().carry_out(&command)
+}
+
+fn signed(value: i16) -> u16 {
+    value.cast_unsigned()
+}
+
+fn angle(value: f64) -> u16 {
+    angle_code(value).unwrap()
+}
+
+const DONE: CommandResult = CommandResult::Done;
+const REFUSED: CommandResult = CommandResult::Refused;
+const UNKNOWN: CommandResult = CommandResult::Unknown;
+
+#[test]
+fn what_a_command_sets_a_command_reads() {
+    let controls = controls();
+    let signed = |value: i16| vec![signed(value)];
+    for (set, variables, get, which) in [
+        (
+            "set_pitch_yaw_exposure",
+            vec![12_000],
+            "get_pitch_yaw_exposure",
+            None,
+        ),
+        (
+            "set_pitch_yaw_analogue_gain",
+            vec![400],
+            "get_pitch_yaw_analogue_gain",
+            None,
+        ),
+        (
+            "set_pitch_yaw_preamp_gain",
+            signed(-3),
+            "get_pitch_yaw_preamp_gain",
+            None,
+        ),
+        ("set_roll_exposure", vec![50_000], "get_roll_exposure", None),
+        (
+            "set_roll_analogue_gain",
+            vec![300],
+            "get_roll_analogue_gain",
+            None,
+        ),
+        (
+            "set_roll_preamp_gain",
+            signed(6),
+            "get_roll_preamp_gain",
+            None,
+        ),
+        ("set_clocking", vec![angle(-32.375)], "get_clocking", None),
+        ("set_twist", vec![angle(180.0)], "get_twist", None),
+        ("set_integer", vec![2, 4], "get_integer", Some(2)),
+        ("set_float", vec![1, angle(2.5)], "get_float", Some(1)),
+    ] {
+        assert_eq!(order(&controls, set, &variables), DONE, "{set}");
+        let number: Vec<u16> = which.into_iter().collect();
+        let read = order(&controls, get, &number);
+        assert_eq!(
+            read,
+            CommandResult::Value(*variables.last().unwrap()),
+            "{get}"
+        );
+    }
+    assert_eq!(controls.camera(CameraRole::PitchYaw).exposure_us, 12_000);
+    assert_eq!(controls.camera(CameraRole::Roll).exposure_us, 50_000);
+    assert_eq!(controls.config().link.solution_divisor, 4);
+    assert_eq!(controls.config().camera.rate_hz, 2.5);
+}
+
+#[test]
+fn target_and_place_are_set_together_and_read_one_by_one() {
+    let controls = controls();
+    assert_eq!(order(&controls, "set_target", &[signed(-300), 450]), DONE);
+    assert_eq!(
+        controls.snapshot().target,
+        Target::Fixed(HelioprojectiveArcsec {
+            x: -300.0,
+            y: 450.0
+        })
+    );
+    let read = |name| order(&controls, name, &[]);
+    assert_eq!(read("get_target_x"), CommandResult::Value(signed(-300)));
+    assert_eq!(read("get_target_y"), CommandResult::Value(450));
+    assert_eq!(read("get_latitude"), UNKNOWN);
+    let place = [angle(34.5), angle(-104.25)];
+    assert_eq!(order(&controls, "set_place", &place), DONE);
+    assert_eq!(
+        controls.snapshot().place,
+        Place::new(34.5, -104.25, 0.0).ok()
+    );
+    assert_eq!(read("get_latitude"), CommandResult::Value(place[0]));
+    assert_eq!(read("get_longitude"), CommandResult::Value(place[1]));
+}
+
+#[test]
+fn what_is_out_of_range_is_refused_and_changes_nothing() {
+    let controls = controls();
+    let before = controls.config();
+    for (name, variables) in [
+        ("set_target", vec![signed(-32_768), 0]),
+        ("set_target", vec![0, signed(-32_768)]),
+        ("set_pitch_yaw_exposure", vec![0]),
+        ("set_roll_exposure", vec![0]),
+        ("set_clocking", vec![angle(361.0)]),
+        ("set_twist", vec![angle(-361.0)]),
+        ("set_place", vec![angle(91.0), angle(0.0)]),
+        ("set_place", vec![angle(34.5), angle(-181.0)]),
+        ("set_integer", vec![2, 0]),
+        ("set_integer", vec![2, signed(-1)]),
+        ("set_integer", vec![1, 5]),
+        ("set_integer", vec![9999, 1]),
+        ("set_float", vec![1, angle(101.0)]),
+        ("set_float", vec![1, angle(0.0)]),
+        ("set_float", vec![2, angle(1.0)]),
+        ("set_float", vec![9999, angle(1.0)]),
+    ] {
+        assert_eq!(
+            order(&controls, name, &variables),
+            REFUSED,
+            "{name} {variables:?}"
+        );
+    }
+    assert_eq!(controls.config(), before);
+    assert_eq!(controls.camera(CameraRole::Roll), before.camera);
+    let snapshot = controls.snapshot();
+    assert_eq!((snapshot.clocking_deg, snapshot.twist_deg), (None, None));
+    assert_eq!(snapshot.place, None, "not half of it either");
+}
+
+#[test]
+fn what_is_not_known_is_read_as_unknown() {
+    let controls = controls();
+    for (name, variables) in [
+        ("get_disk_use", vec![1]),
+        ("get_disk_use", vec![0]),
+        ("get_integer", vec![1]),
+        ("get_float", vec![2]),
+        ("get_integer", vec![9999]),
+        ("get_pitch_yaw_analogue_gain", vec![]),
+        ("get_longitude", vec![]),
+        ("get_clock_offset", vec![]),
+    ] {
+        assert_eq!(order(&controls, name, &variables), UNKNOWN, "{name}");
+    }
+    controls.note_disk_use(1, Some(87));
+    controls.note_clock_offset(Some(-120));
+    assert_eq!(order(&controls, "get_disk_use", &[1]), UNKNOWN);
+    assert_eq!(
+        order(&controls, "get_disk_use", &[2]),
+        CommandResult::Value(87)
+    );
+    let offset = order(&controls, "get_clock_offset", &[]);
+    assert_eq!(offset, CommandResult::Value(signed(-120)));
+    controls.note_clock_offset(Some(5_000_000));
+    let offset = order(&controls, "get_clock_offset", &[]);
+    assert_eq!(
+        offset,
+        CommandResult::Value(signed(i16::MAX)),
+        "as far as it reaches"
+    );
+}
+
+#[test]
+fn switches_quit_and_pictures_reach_those_who_ask() {
+    let controls = controls();
+    let stores = || [CameraRole::PitchYaw, CameraRole::Roll].map(|role| controls.stores(role));
+    assert_eq!(stores(), [true, true]);
+    assert_eq!(order(&controls, "store_frames", &[0]), DONE);
+    assert_eq!(stores(), [false, false]);
+    assert_eq!(order(&controls, "store_pitch_yaw_frames", &[1]), DONE);
+    assert_eq!(stores(), [true, false]);
+    assert_eq!(order(&controls, "store_roll_frames", &[1]), DONE);
+    assert_eq!(stores(), [true, true]);
+
+    assert!(!controls.takes_picture(CameraRole::PitchYaw));
+    assert_eq!(order(&controls, "send_pitch_yaw_picture", &[]), DONE);
+    assert!(controls.takes_picture(CameraRole::PitchYaw));
+    assert!(
+        !controls.takes_picture(CameraRole::PitchYaw),
+        "one picture only"
+    );
+    let without = order(&controls, "send_roll_picture", &[]);
+    assert_eq!(
+        without,
+        CommandResult::NotImplemented,
+        "there is no such camera"
+    );
+    controls.note_cameras(&[CameraRole::PitchYaw, CameraRole::Roll]);
+    assert_eq!(order(&controls, "send_roll_picture", &[]), DONE);
+
+    assert!(!controls.quits());
+    assert_eq!(order(&controls, "quit", &[]), DONE);
+    assert!(controls.quits());
+}
+
+#[test]
+fn a_place_from_gps_is_taken_while_it_is_accepted_and_no_jump() {
+    let mut controls = controls();
+    let fix = |latitude_deg, longitude_deg| GpsFix {
+        latitude_deg,
+        longitude_deg,
+    };
+    assert_eq!(controls.take_fix(fix(34.5, -104.25)), DONE);
+    assert_eq!(controls.take_fix(fix(0.0, 0.0)), REFUSED);
+    assert_eq!(controls.take_fix(fix(40.0, -104.25)), REFUSED);
+    assert_eq!(order(&controls, "accept_gps", &[0]), DONE);
+    assert_eq!(controls.take_fix(fix(34.6, -104.25)), REFUSED);
+    assert_eq!(
+        controls.snapshot().place,
+        Place::new(34.5, -104.25, 0.0).ok()
+    );
+    let elsewhere = [angle(-77.5), angle(166.5)];
+    assert_eq!(order(&controls, "set_place", &elsewhere), DONE);
+    assert_eq!(order(&controls, "accept_gps", &[1]), DONE);
+    assert_eq!(
+        controls.take_fix(fix(-77.75, 166.0)),
+        DONE,
+        "judged by the place set"
+    );
+}
+
+#[test]
+fn a_change_is_seen_by_those_whom_it_concerns() {
+    let controls = controls();
+    let versions = || {
+        [
+            Topic::Aim,
+            Topic::Mounting,
+            Topic::Solver,
+            Topic::Cameras,
+            Topic::Link,
+        ]
+        .map(|topic| controls.version(topic))
+    };
+    let mut before = versions();
+    for (name, variables, at) in [
+        ("set_target", vec![1, 2], 0),
+        ("set_twist", vec![angle(90.0)], 1),
+        ("set_integer", vec![13, 4], 2),
+        ("set_roll_exposure", vec![100], 3),
+        ("set_integer", vec![2, 4], 4),
+    ] {
+        assert_eq!(order(&controls, name, &variables), DONE, "{name}");
+        let after = versions();
+        for topic in 0..before.len() {
+            assert_eq!(after[topic] > before[topic], topic == at, "{name}");
+        }
+        before = after;
+    }
+    assert_eq!(controls.snapshot().solver.limb.min_run_px, 4);
+}
+
+#[test]
+fn a_twist_turns_the_mounting_from_where_it_is_stated() {
+    let controls = controls();
+    let stated = builtin("heroes-pyas-f").unwrap().mounting;
+    assert_eq!(controls.snapshot().mounting(&stated), stated);
+    assert_eq!(stated.twist_deg, 180.0);
+    order(&controls, "set_twist", &[angle(170.0)]);
+    order(&controls, "set_clocking", &[angle(-30.0)]);
+    let mounting = controls.snapshot().mounting(&stated);
+    let turned = mounting.rotation_deg.value - stated.rotation_deg.value;
+    assert!((turned + 10.0).abs() < 1e-9, "{turned}");
+    assert_eq!(mounting.clocking_deg.value, -30.0);
+}
