@@ -318,7 +318,11 @@ fn frames_whose_picture_no_disk_took_are_in_the_log() {
     assert_eq!(log.len(), 20);
     assert!(log.iter().all(|row| row["file"].is_empty()));
     assert!(log.iter().any(|row| row["quality"] == "fine"));
-    assert_eq!(telemetry_of(root.path())["STORED"], [0.0; 20]);
+    let telemetry = telemetry_of(root.path());
+    assert_eq!(telemetry["STORED"], [0.0; 20]);
+    assert!(telemetry["WAITING"].iter().any(|&waiting| waiting > 1.0));
+    assert!((0.0..=100.0).contains(&telemetry["DISK1_FREE"][19]));
+    assert!(telemetry["DISK2_FREE"].iter().all(|free| free.is_nan()));
 }
 
 #[test]

@@ -74,7 +74,7 @@ const fn number(
 
 /// The fields in the order in which they are written; a file of that name holds the samples of each.
 #[rustfmt::skip]
-const FIELDS: [Field; 25] = [
+const FIELDS: [Field; 29] = [
     number("FRAME", "", "number of the frame", |r| r.number.map(|n| n as f64)),
     code("QUALITY", "quality: 0 none, 1 coarse, 2 fine", |r| quality_code(r.quality)),
     code("STOPPED", "stopped at: 0 nowhere, 1 levels, 2 limb, 3 marks, 4 identification, 5 registration, 6 aspect, 7 pointing",
@@ -102,6 +102,10 @@ const FIELDS: [Field; 25] = [
     number("LEVEL_NOISE", "DN", "1 sigma of the background", |r| r.levels.map(|l| l.noise_dn)),
     number("LEVEL_DISC", "DN", "level of the disc", |r| r.levels.map(|l| l.disc_dn)),
     number("SOLVE_TIME", "s", "wall time of the solver", |r| r.record.solve_us.map(|us| us as f64 * 1e-6)),
+    number("DISK1_FREE", "percent", "free space of the first disk", |r| r.upkeep.free_percent[0]),
+    number("DISK2_FREE", "percent", "free space of the second disk", |r| r.upkeep.free_percent[1]),
+    number("WAITING", "", "pictures that wait for a disk", |r| Some(r.upkeep.waiting as f64)),
+    number("UNSTORED", "", "pictures so far that no disk has", |r| Some(r.upkeep.unstored as f64)),
     number("TIME", "s", "mid-exposure, UTC since 1970", |r| r.record.utc.map(|utc| utc.as_nanosecond() as f64 * 1e-9)),
 ];
 

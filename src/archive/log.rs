@@ -31,6 +31,18 @@ pub struct Row {
     pub stopped: Option<Stage>,
     pub levels: Option<Levels>,
     pub record: Record,
+    pub upkeep: Upkeep,
+}
+
+/// How the archive was when a frame came.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Upkeep {
+    /// Of each disk; `None` where there is none, or where it does not say.
+    pub free_percent: [Option<f64>; 2],
+    /// Pictures that waited for a disk.
+    pub waiting: u64,
+    /// Pictures so far that no disk has.
+    pub unstored: u64,
 }
 
 impl Row {
@@ -42,6 +54,7 @@ impl Row {
             stopped: solution.stopped.map(|stopped| stopped.stage),
             levels: solution.levels,
             record,
+            upkeep: Upkeep::default(),
         }
     }
 

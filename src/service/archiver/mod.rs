@@ -21,13 +21,13 @@ pub use writer::DiskHealth;
 use super::control::Controls;
 use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
-use crate::archive::{Sharing, Store};
+use crate::archive::{Sharing, Store, Upkeep};
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
 use journal::{Entry, Journal, JournalTally};
 use picture::{Fate, FrameCounts, Picture};
-use queue::{Queue, Rules};
+use queue::{GivenUp, Queue, Rules};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -136,10 +136,13 @@ impl Archive {
     pub fn offer(&self, answer: &Answer) {
         let heard = self.hand_to_disks(answer);
         let deadline = Instant::now() + FATE_KNOWN;
+        let upkeep = self.gauges.upkeep();
         for (log, file) in self.logs.iter().zip(heard) {
+            let mut row = answer.row();
+            row.upkeep = upkeep;
             let entry = Entry {
                 station: answer.station.index,
-                row: Box::new(answer.row()),
+                row: Box::new(row),
                 file,
                 deadline,
             };
@@ -160,7 +163,15 @@ impl Archive {
         let (fate, heard) = Fate::new(self.logs.len(), &self.gauges.frames);
         let picture = Picture::new(answer.clone(), fate);
         for queue in &self.queues {
-            queue.offer(picture.clone());
+            match queue.offer(picture.clone()) {
+                GivenUp::ForSpeed(frames) if worth_a_line(frames) => {
+                    tracing::warn!(frames, "the disks cannot follow: pictures are given up");
+                }
+                GivenUp::ForSpace(frames) if worth_a_line(frames) => {
+                    tracing::warn!(frames, "the disks are nearly full: pictures are given up");
+                }
+                _ => {}
+            }
         }
         heard.into_iter().map(Some).collect()
     }
@@ -195,6 +206,16 @@ impl Gauges {
             tally.rows_refused += journal.refused.load(Ordering::Relaxed);
         }
         tally
+    }
+
+    /// What the telemetry tells of the archive itself.
+    fn upkeep(&self) -> Upkeep {
+        let free = |disk: usize| health_of(self.disks.get(disk)?).free_percent;
+        Upkeep {
+            free_percent: [free(0), free(1)],
+            waiting: self.waiting() as u64,
+            unstored: self.frames.unstored.load(Ordering::Relaxed),
+        }
     }
 
     pub fn disks(&self) -> Vec<DiskHealth> {

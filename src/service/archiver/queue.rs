@@ -33,6 +33,16 @@ pub(super) struct QueueTally {
     pub failed: u64,
 }
 
+/// What taking a picture in has cost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum GivenUp {
+    Nothing,
+    /// This picture or an older one, because the disks cannot follow; how many so far.
+    ForSpeed(u64),
+    /// This picture, because the disks are nearly full; how many so far.
+    ForSpace(u64),
+}
+
 /// A picture, and how often disks have refused it.
 pub(super) struct Waiting<P> {
     pub picture: P,
@@ -113,13 +123,14 @@ impl<P> Queue<P> {
     }
 
     /// Takes the picture in, or gives up this or an older one by the rules.
-    pub fn offer(&self, picture: P) {
+    pub fn offer(&self, picture: P) -> GivenUp {
         let waiting = Waiting {
             picture,
             refusals: 0,
         };
-        self.lock().offer(waiting, &self.rules);
+        let given_up = self.lock().offer(waiting, &self.rules);
         self.changed.notify_all();
+        given_up
     }
 
     /// Notes how much room a disk has.
@@ -217,30 +228,33 @@ impl<P> Queue<P> {
 }
 
 impl<P> State<P> {
-    fn offer(&mut self, waiting: Waiting<P>, rules: &Rules) {
+    fn offer(&mut self, waiting: Waiting<P>, rules: &Rules) -> GivenUp {
         let nth = self.offered.is_multiple_of(rules.every);
         self.offered += 1;
         let room = self.best_room();
         if room == Room::None || (room == Room::Scarce && !nth) {
             self.tally.no_room += 1;
-            return;
+            return GivenUp::ForSpace(self.tally.no_room);
         }
         let full = self.pictures.len() >= rules.bound;
         self.overflowing = full || (self.overflowing && !self.pictures.is_empty());
-        let given_up = match rules.overflow {
-            _ if !self.overflowing => None,
-            Overflow::DropOldest if full => self.pictures.pop_front(),
-            Overflow::DropOldest => None,
-            Overflow::EveryNth if nth && !full => None,
-            Overflow::EveryNth | Overflow::SolutionsOnly => {
-                self.tally.overflowed += 1;
-                return;
-            }
+        let (takes, gives_up) = match rules.overflow {
+            _ if !self.overflowing => (true, false),
+            Overflow::DropOldest => (rules.bound > 0, full),
+            Overflow::EveryNth if nth && !full => (true, false),
+            Overflow::EveryNth | Overflow::SolutionsOnly => (false, true),
         };
-        self.tally.overflowed += u64::from(given_up.is_some() || rules.bound == 0);
-        if rules.bound > 0 {
+        if takes {
+            if gives_up {
+                self.pictures.pop_front();
+            }
             self.pictures.push_back(waiting);
         }
+        if !gives_up {
+            return GivenUp::Nothing;
+        }
+        self.tally.overflowed += 1;
+        GivenUp::ForSpeed(self.tally.overflowed)
     }
 
     /// Of the disks that take pictures; while none does, nobody knows.
@@ -292,7 +306,9 @@ mod tests {
     }
 
     fn offer(queue: &Queue<u32>, pictures: std::ops::Range<u32>) {
-        pictures.for_each(|picture| queue.offer(picture));
+        for picture in pictures {
+            queue.offer(picture);
+        }
     }
 
     /// What a disk takes without waiting.
