@@ -1,17 +1,25 @@
-//! Where frames come from, each behind the same trait: a folder of files, or the simulator.
+//! Where frames come from, each behind the same trait: a GigE Vision camera, a folder of files, or the simulator.
 
+mod auto_exposure;
 mod folder;
+#[cfg(feature = "gige")]
+pub mod gige;
 mod pace;
 mod settings;
 mod simulated;
+mod source;
 
+pub use auto_exposure::{AutoExposure, AutoExposureSettings, Brightness};
 pub use folder::FolderCamera;
 pub use settings::{PixelFormat, Settings};
 pub use simulated::{SimulatedCamera, TruthLog};
+pub use source::{NoSource, Source, Surroundings, open};
 
 use crate::fits::FileError;
 use crate::frame::Frame;
+use crate::instrument::TomlError;
 use crate::simulate::SceneError;
+use crate::sky::SkyError;
 use jiff::Timestamp;
 use std::path::PathBuf;
 
@@ -27,6 +35,16 @@ pub enum CameraError {
     Scene(#[from] SceneError),
     #[error("the simulated camera: {0}")]
     Time(#[from] jiff::Error),
+    #[error("the simulated camera: {0}")]
+    Sky(#[from] SkyError),
+    /// A flight's file is bad.
+    #[error(transparent)]
+    Path(#[from] TomlError),
+    #[error("this build has no GigE Vision cameras: build it with `--features gige`")]
+    NotBuilt,
+    /// The camera itself, or this frame of it.
+    #[error("the GigE Vision camera {address}: {problem}")]
+    Gige { address: String, problem: String },
     #[error("camera.{setting}: expected {expected}, found {found}")]
     Setting {
         setting: &'static str,

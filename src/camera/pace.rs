@@ -18,6 +18,11 @@ impl Pace {
         self.due
     }
 
+    /// Whether a frame has been waited for.
+    pub(super) fn has_begun(&self) -> bool {
+        self.start.is_some()
+    }
+
     /// Waits until the next frame is due, with [`PATIENCE`]; whether it is. A late frame is due at once.
     pub(super) fn is_due(&mut self) -> bool {
         let start = *self.start.get_or_insert_with(Instant::now);
@@ -29,5 +34,13 @@ impl Pace {
     /// Lets the next frame be due so much after this one.
     pub(super) fn advance(&mut self, by: Duration) {
         self.due = self.due.saturating_add(by);
+    }
+
+    /// As [`advance`](Self::advance), but past the frames that the present frame has no time for: a camera does not
+    /// catch up.
+    #[cfg(feature = "gige")]
+    pub(super) fn advance_past_now(&mut self, by: Duration) {
+        let elapsed = self.start.map_or(Duration::ZERO, |start| start.elapsed());
+        self.due = self.due.saturating_add(by).max(elapsed);
     }
 }

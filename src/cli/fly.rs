@@ -2,18 +2,15 @@
 
 use super::options;
 use crate::archive::Store;
-use crate::camera::{FolderCamera, FrameSource, SimulatedCamera};
+use crate::camera::{self, Source, Surroundings};
 use crate::config::Config;
 use crate::instrument::Instrument;
 use crate::link::{BytePort, SerialPort};
 use crate::service::{Flight, Service};
-use crate::simulate::{FlightScenes, Trajectory};
-use crate::sky;
 use clap::Args;
 use jiff::Timestamp;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::str::FromStr;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -26,9 +23,13 @@ pub struct FlyArgs {
     /// The instrument's TOML file [default: the built-in instrument "demo"]
     #[arg(long, value_name = "FILE")]
     instrument: Option<PathBuf>,
-    /// Where frames come from: folder:DIR or simulated
-    #[arg(long, value_name = "SOURCE", default_value = "simulated")]
-    camera: Source,
+    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml [default: the
+    /// configuration's camera.source, else simulated]
+    #[arg(long, value_name = "SOURCE")]
+    camera: Option<Source>,
+    /// Replay a folder so many times faster than it was taken
+    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = options::speed)]
+    speed: f64,
     /// Serial port of the controller
     #[arg(long, value_name = "PORT")]
     serial: Option<String>,
@@ -38,27 +39,6 @@ pub struct FlyArgs {
     /// End after this time [default: fly until SIGTERM or SIGINT]
     #[arg(long, value_name = "TIME", value_parser = options::duration)]
     duration: Option<Duration>,
-}
-
-#[derive(Debug, Clone)]
-enum Source {
-    Folder(PathBuf),
-    Simulated,
-}
-
-impl FromStr for Source {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once(':') {
-            None if text == "simulated" => Ok(Self::Simulated),
-            Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
-            Some(("gige", _)) => Err("this build has no GigE Vision camera".into()),
-            _ => Err(format!(
-                "expected folder:DIR or simulated, found \"{text}\""
-            )),
-        }
-    }
 }
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
@@ -74,10 +54,18 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     if let Err(error) = ephemeris.disc(Timestamp::now()) {
         tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
     }
+    let source = args.camera.or(config.camera.source.clone());
+    let source = source.unwrap_or(Source::Simulated(None));
+    let around = Surroundings {
+        instrument: &instrument,
+        seed: config.simulation.seed,
+        duration: args.duration,
+        speed: args.speed,
+    };
     let flight = Flight {
         target: options::target(&config, &mut ephemeris)?,
         ephemeris,
-        camera: camera(&args.camera, &instrument, &config, args.duration)?,
+        camera: camera::open(&source, &config.camera.settings(), &around)?,
         port: port(&config)?,
         stores: stores(&config, &instrument)?,
         instrument,
@@ -100,28 +88,6 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     Ok(match tally.lost() {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,
-    })
-}
-
-fn camera(
-    source: &Source,
-    instrument: &Instrument,
-    config: &Config,
-    duration: Option<Duration>,
-) -> anyhow::Result<Box<dyn FrameSource>> {
-    let rate_hz = config.camera.rate_hz;
-    Ok(match source {
-        Source::Folder(folder) => Box::new(FolderCamera::open(folder, rate_hz)?),
-        Source::Simulated => {
-            let start = Timestamp::now();
-            let radius_mil = instrument
-                .optics
-                .radius_mil(sky::sun_angular_radius(start)?);
-            let seed = config.simulation.seed;
-            let trajectory = Trajectory::flight(instrument, radius_mil, seed)?;
-            let scenes = FlightScenes::new(instrument, trajectory, radius_mil, seed)?;
-            Box::new(SimulatedCamera::new(scenes, rate_hz, start, duration))
-        }
     })
 }
 

@@ -2,10 +2,13 @@
 
 use super::Config;
 use super::value::{Value, found};
+use crate::camera::Source;
+use crate::frame::Region;
 use jiff::Timestamp;
 use std::fmt;
 
 /// A parameter of the configuration.
+#[derive(Clone)]
 pub struct Parameter {
     /// Dotted path in the TOML file, with the unit in its last word where it has one.
     pub key: &'static str,
@@ -51,6 +54,10 @@ pub enum Allowed {
     Text,
     /// An instant.
     Utc,
+    /// A part of the sensor.
+    Region,
+    /// Where frames come from.
+    Source,
 }
 
 impl Allowed {
@@ -64,6 +71,8 @@ impl Allowed {
             (Self::Name(names), Value::Text(value)) => names.contains(&value.as_str()),
             (Self::Text, Value::Text(_)) => true,
             // Empty sets nothing.
+            (Self::Source, Value::Text(text)) => text.is_empty() || text.parse::<Source>().is_ok(),
+            (Self::Region, Value::Text(text)) => text.is_empty() || text.parse::<Region>().is_ok(),
             (Self::Utc, Value::Text(text)) => text.is_empty() || text.parse::<Timestamp>().is_ok(),
             _ => false,
         }
@@ -134,6 +143,12 @@ impl Parameter {
             Allowed::Whole(low, high) => format!("{low} to {high}"),
             Allowed::Name(names) => listed(names),
             Allowed::Text => "any text".into(),
+            Allowed::Source => {
+                "gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml".into()
+            }
+            Allowed::Region => {
+                r#"column and row of its corner, width and height, such as "100,50,640,480""#.into()
+            }
             Allowed::Utc => r#"a time such as "2013-09-21T18:00:00Z""#.into(),
         }
     }
@@ -143,7 +158,7 @@ impl Parameter {
         let expected = match self.allowed {
             Allowed::Number(..) => format!("a number from {} {unit}", self.range()),
             Allowed::Whole(..) => format!("a whole number from {} {unit}", self.range()),
-            Allowed::Name(_) | Allowed::Utc => self.range(),
+            Allowed::Name(_) | Allowed::Utc | Allowed::Region | Allowed::Source => self.range(),
             Allowed::Text => "a text".into(),
         };
         Refused {

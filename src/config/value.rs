@@ -1,6 +1,9 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
+use super::Switch;
+use crate::camera::{PixelFormat, Source};
 use crate::fits::Compression;
+use crate::frame::Region;
 use jiff::Timestamp;
 use std::fmt;
 use std::path::PathBuf;
@@ -141,5 +144,54 @@ impl Field for Compression {
     fn from_value(value: Option<Value>) -> Option<Self> {
         let name = String::from_value(value)?;
         Self::KINDS.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
+impl Field for PixelFormat {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.name().into()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        let name = String::from_value(value)?;
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+}
+
+impl Field for Region {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.to_string()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        String::from_value(value)?.parse().ok()
+    }
+}
+
+impl Field for Source {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.to_string()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        String::from_value(value)?.parse().ok()
+    }
+}
+
+impl Field for Switch {
+    fn value(&self) -> Option<Value> {
+        let name = match self {
+            Self::Off => "off",
+            Self::On => "on",
+        };
+        Some(Value::Text(name.into()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        match String::from_value(value)?.as_str() {
+            "off" => Some(Self::Off),
+            "on" => Some(Self::On),
+            _ => None,
+        }
     }
 }

@@ -1,0 +1,221 @@
+//! A GigE Vision camera, by way of Aravis.
+//!
+//! Each frame is triggered by software, so that its time can be announced before the exposure begins. The camera
+//! belongs to a thread of its own (`worker`), since calls to one that has gone block for seconds; this side waits a
+//! quarter of a second at a time. A camera that is gone is dropped with everything that belongs to it and opened anew,
+//! and every setting is applied again before the first frame: an earlier experiment lost its flight to a camera that came
+//! back with its own exposure.
+
+mod configure;
+mod device;
+mod numbers;
+mod retry;
+mod worker;
+
+use super::pace::{PATIENCE, Pace};
+use super::{CameraError, CameraHealth, Exposure, FrameSource, Settings, Take};
+use jiff::Timestamp;
+use retry::Retry;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use worker::{Link, Report};
+
+/// How long a camera may take to open, or to answer an order beyond its exposure, before it is given up.
+const HANGS: Duration = Duration::from_secs(15);
+/// How long applying settings waits for the camera's answer.
+const APPLY: Duration = Duration::from_secs(2);
+
+/// Counters that the worker keeps, too.
+type SharedHealth = Arc<Mutex<CameraHealth>>;
+
+fn count(health: &SharedHealth, note: impl FnOnce(&mut CameraHealth)) {
+    note(&mut health.lock().unwrap_or_else(PoisonError::into_inner));
+}
+
+/// What the camera is doing, as far as this side knows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Phase {
+    Opening,
+    Idle,
+    /// Taking the frame that was announced for this time.
+    Exposing(Timestamp),
+}
+
+/// A GigE Vision camera that is brought back whenever it goes.
+pub struct GigeCamera {
+    address: String,
+    settings: Settings,
+    link: Option<Link>,
+    phase: Phase,
+    /// Since when the camera owes an answer.
+    waiting: Instant,
+    pace: Pace,
+    retry: Retry,
+    /// Zero of the monotonic times.
+    zero: Instant,
+    next_number: u64,
+    was_there: bool,
+    /// What came while settings were applied.
+    early: Option<Report>,
+    health: SharedHealth,
+}
+
+impl GigeCamera {
+    /// The camera at an IP address, or the one with a serial number or Aravis id. It need not be there yet.
+    pub fn new(address: &str, settings: &Settings) -> Self {
+        Self {
+            address: address.into(),
+            settings: settings.clone(),
+            link: None,
+            phase: Phase::Opening,
+            waiting: Instant::now(),
+            pace: Pace::default(),
+            retry: Retry::default(),
+            zero: Instant::now(),
+            next_number: 0,
+            was_there: false,
+            early: None,
+            health: SharedHealth::default(),
+        }
+    }
+
+    /// Opens the camera in its thread, if it is time to try.
+    fn open(&mut self) -> Result<Take, CameraError> {
+        if let Some(wait) = self.retry.wait(Instant::now()) {
+            std::thread::sleep(wait.min(PATIENCE));
+            return Ok(Take::NotYet);
+        }
+        let opening = worker::Opening {
+            address: self.address.clone(),
+            settings: self.settings.clone(),
+            zero: self.zero,
+            next_number: self.next_number,
+            health: Arc::clone(&self.health),
+        };
+        let link = Link::open(opening).map_err(|error| self.problem(error))?;
+        self.link = Some(link);
+        self.await_answer(Phase::Opening);
+        Ok(Take::NotYet)
+    }
+
+    fn await_answer(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.waiting = Instant::now();
+    }
+
+    fn problem(&self, problem: impl ToString) -> CameraError {
+        CameraError::Gige {
+            address: self.address.clone(),
+            problem: problem.to_string(),
+        }
+    }
+
+    /// Announces and triggers a frame, when one is due.
+    fn trigger(&mut self, starts: &mut dyn FnMut(Timestamp)) {
+        if !self.pace.is_due() {
+            return;
+        }
+        self.pace.advance_past_now(self.settings.period());
+        let announced = Timestamp::now();
+        starts(announced);
+        if let Some(link) = &self.link {
+            link.take_frame();
+        }
+        self.await_answer(Phase::Exposing(announced));
+    }
+
+    fn hear(&mut self, report: Report) -> Result<Take, CameraError> {
+        match report {
+            Report::Ready => {
+                if std::mem::replace(&mut self.was_there, true) {
+                    count(&self.health, |health| health.reconnects += 1);
+                }
+                self.retry = Retry::default();
+                self.pace = Pace::default();
+                self.phase = Phase::Idle;
+                Ok(Take::NotYet)
+            }
+            Report::Taken(taken) => {
+                let Phase::Exposing(announced) = self.phase else {
+                    return Ok(Take::NotYet);
+                };
+                self.phase = Phase::Idle;
+                let frame = taken?;
+                self.next_number = frame.info.number.map_or(self.next_number, |n| n + 1);
+                Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
+            }
+            // Asked for by nobody who still waits.
+            Report::Applied(applied) => applied.map(|()| Take::NotYet),
+            Report::Gone(error) => {
+                self.give_up();
+                Err(error)
+            }
+        }
+    }
+
+    /// Drops the camera with all that belongs to it, to be opened anew later.
+    fn give_up(&mut self) {
+        self.link = None;
+        self.retry.failed(Instant::now());
+    }
+}
+
+impl FrameSource for GigeCamera {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        if let Some(report) = self.early.take() {
+            return self.hear(report);
+        }
+        if self.link.is_none() {
+            return self.open();
+        }
+        if self.phase == Phase::Idle {
+            self.trigger(starts);
+        }
+        let report = self.link.as_ref().and_then(|link| link.report(PATIENCE));
+        match report {
+            Some(report) => self.hear(report),
+            None if self.phase == Phase::Idle => Ok(Take::NotYet),
+            None if self.waiting.elapsed() > HANGS + self.settings.exposure() => {
+                self.give_up();
+                Err(self.problem("it hangs"))
+            }
+            None => Ok(Take::NotYet),
+        }
+    }
+
+    /// A camera that is away, or does not answer in time, gets the settings when it is back.
+    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+        self.settings = settings.clone();
+        let Some(link) = &self.link else {
+            return Ok(());
+        };
+        if self.phase == Phase::Opening {
+            // It opens with the settings of before.
+            link.apply(settings);
+            return Ok(());
+        }
+        link.apply(settings);
+        let begun = Instant::now();
+        while let Some(report) = link.report(APPLY.saturating_sub(begun.elapsed())) {
+            match report {
+                Report::Applied(applied) => return applied,
+                other => self.early = Some(other),
+            }
+        }
+        tracing::warn!(address = self.address, "the camera has not yet answered");
+        Ok(())
+    }
+
+    fn health(&self) -> CameraHealth {
+        *self.health.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for GigeCamera {
+    /// Lets the camera go before the next program wants it, if it answers.
+    fn drop(&mut self) {
+        if let Some(link) = self.link.take() {
+            link.close(Duration::from_millis(500));
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! The thread that the camera belongs to: it does as it is ordered, one order after the other.
+
+use super::SharedHealth;
+use super::device::{Device, Fault};
+use crate::camera::{CameraError, Settings};
+use crate::frame::Frame;
+use crossbeam_channel::{Receiver, Sender, unbounded};
+use std::time::{Duration, Instant};
+
+/// How a camera is opened.
+pub(super) struct Opening {
+    pub address: String,
+    pub settings: Settings,
+    /// Zero of the monotonic times.
+    pub zero: Instant,
+    /// Number of the first frame.
+    pub next_number: u64,
+    pub health: SharedHealth,
+}
+
+enum Order {
+    Take,
+    Apply(Box<Settings>),
+}
+
+/// What the thread has to tell.
+pub(super) enum Report {
+    /// The camera is open, and has its settings.
+    Ready,
+    Taken(Result<Frame, CameraError>),
+    Applied(Result<(), CameraError>),
+    /// The camera is gone, and the thread ends.
+    Gone(CameraError),
+}
+
+/// The way to the thread. Dropped, it lets the thread end after what it is doing.
+pub(super) struct Link {
+    orders: Sender<Order>,
+    reports: Receiver<Report>,
+}
+
+impl Link {
+    /// Starts the thread. It never outlives the camera by more than the call that the camera hangs in.
+    pub(super) fn open(opening: Opening) -> std::io::Result<Self> {
+        // Neither grows: one frame is ordered at a time.
+        let (orders, ordered) = unbounded();
+        let (report, reports) = unbounded();
+        std::thread::Builder::new()
+            .name("gige".into())
+            .spawn(move || run(opening, &ordered, &report))?;
+        Ok(Self { orders, reports })
+    }
+
+    /// Orders a frame. A thread that has ended says so itself.
+    pub(super) fn take_frame(&self) {
+        let _ = self.orders.send(Order::Take);
+    }
+
+    pub(super) fn apply(&self, settings: &Settings) {
+        let _ = self.orders.send(Order::Apply(Box::new(settings.clone())));
+    }
+
+    /// What the thread tells within a time; `None` where it tells nothing.
+    pub(super) fn report(&self, wait: Duration) -> Option<Report> {
+        match self.reports.recv_timeout(wait) {
+            Ok(report) => Some(report),
+            Err(error) => {
+                if error.is_disconnected() {
+                    // It said why when it ended; only a panic says nothing. Do not turn in circles then.
+                    std::thread::sleep(wait);
+                }
+                None
+            }
+        }
+    }
+
+    /// Waits for the thread to end.
+    pub(super) fn close(self, wait: Duration) {
+        drop(self.orders);
+        let deadline = Instant::now() + wait;
+        while self.reports.recv_deadline(deadline).is_ok() {}
+    }
+}
+
+fn run(opening: Opening, orders: &Receiver<Order>, reports: &Sender<Report>) {
+    // Nobody who listens is no failure: the camera was given up.
+    if let Err(error) = serve(opening, orders, reports) {
+        let _ = reports.send(Report::Gone(error));
+    }
+}
+
+fn serve(
+    opening: Opening,
+    orders: &Receiver<Order>,
+    reports: &Sender<Report>,
+) -> Result<(), CameraError> {
+    let mut device = Device::open(opening)?;
+    let mut report = Report::Ready;
+    while reports.send(report).is_ok() {
+        let Ok(order) = orders.recv() else { break };
+        report = match order {
+            Order::Apply(settings) => Report::Applied(device.apply(&settings)?),
+            Order::Take => match device.take_frame() {
+                Ok(frame) => Report::Taken(Ok(frame)),
+                Err(Fault::Frame(error)) => Report::Taken(Err(error)),
+                Err(Fault::Camera(error)) => return Err(error),
+            },
+        };
+    }
+    Ok(())
+}

@@ -1,0 +1,115 @@
+//! A camera by its name on the command line or in the configuration.
+
+#[cfg(feature = "gige")]
+use super::gige::GigeCamera;
+use super::{CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera};
+use crate::instrument::Instrument;
+use crate::simulate::{Course, FlightScenes, Pieces, Trajectory};
+use crate::sky;
+use jiff::Timestamp;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
+
+/// Where frames come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Source {
+    /// A GigE Vision camera, by IP address or serial number.
+    Gige(String),
+    /// The frames of a folder.
+    Folder(PathBuf),
+    /// The simulator's flight, or the one that a file tells.
+    Simulated(Option<PathBuf>),
+}
+
+/// A text that names no source.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "expected gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml, found {0:?}"
+)]
+pub struct NoSource(String);
+
+impl FromStr for Source {
+    type Err = NoSource;
+
+    fn from_str(text: &str) -> Result<Self, NoSource> {
+        match text.split_once(':') {
+            None if text == "simulated" => Ok(Self::Simulated(None)),
+            Some(("simulated", file)) if !file.is_empty() => Ok(Self::Simulated(Some(file.into()))),
+            Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
+            Some(("gige", address)) if !address.is_empty() => Ok(Self::Gige(address.into())),
+            _ => Err(NoSource(text.into())),
+        }
+    }
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Gige(address) => write!(out, "gige:{address}"),
+            Self::Folder(folder) => write!(out, "folder:{}", folder.display()),
+            Self::Simulated(None) => write!(out, "simulated"),
+            Self::Simulated(Some(file)) => write!(out, "simulated:{}", file.display()),
+        }
+    }
+}
+
+/// What opening a source needs to know beside its settings.
+#[derive(Debug, Clone)]
+pub struct Surroundings<'a> {
+    pub instrument: &'a Instrument,
+    /// Seed of the simulator.
+    pub seed: u64,
+    /// Length of a simulated run; `None` without end.
+    pub duration: Option<Duration>,
+    /// How many times faster than it was taken a folder is replayed.
+    pub speed: f64,
+}
+
+/// Opens a source and applies the settings. A GigE Vision camera need not be there yet.
+///
+/// # Errors
+/// Where a folder holds no frames or a flight cannot be simulated, and for a kind of source that this build lacks.
+pub fn open(
+    source: &Source,
+    settings: &Settings,
+    around: &Surroundings,
+) -> Result<Box<dyn FrameSource>, CameraError> {
+    let mut camera: Box<dyn FrameSource> = match source {
+        #[cfg(feature = "gige")]
+        Source::Gige(address) => Box::new(GigeCamera::new(address, settings)),
+        #[cfg(not(feature = "gige"))]
+        Source::Gige(_) => return Err(CameraError::NotBuilt),
+        Source::Folder(folder) => {
+            Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
+        }
+        Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, around)?),
+    };
+    camera.apply(settings)?;
+    Ok(camera)
+}
+
+fn simulated(
+    file: Option<&Path>,
+    settings: &Settings,
+    around: &Surroundings,
+) -> Result<SimulatedCamera, CameraError> {
+    let start = Timestamp::now();
+    let Surroundings {
+        instrument, seed, ..
+    } = *around;
+    let radius_arcsec = sky::sun_angular_radius(start)?;
+    let radius_mil = instrument.optics.radius_mil(radius_arcsec);
+    let course: Course = match file {
+        Some(file) => Pieces::read(file)?.into(),
+        None => Trajectory::flight(instrument, radius_mil, seed)?.into(),
+    };
+    let scenes = FlightScenes::new(instrument, course, radius_mil, seed)?;
+    Ok(SimulatedCamera::new(
+        scenes,
+        settings.rate_hz,
+        start,
+        around.duration,
+    ))
+}

@@ -1,0 +1,295 @@
+//! The GigE Vision camera, against a fake one on loopback that carries the simulator's frames over the real protocol.
+//! UDP port 3956 belongs to one fake at a time: the tests take turns.
+#![cfg(feature = "gige")]
+
+use jiff::Timestamp;
+use solaspect::camera::gige::GigeCamera;
+use solaspect::camera::{CameraError, Exposure, FrameSource, PixelFormat, Settings, Take};
+use solaspect::fits;
+use solaspect::frame::{Frame, Pixels, Region};
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+const ADDRESS: &str = "127.0.0.1";
+/// Long enough for the slowest machine; nothing is judged by it.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+static PORT: Mutex<()> = Mutex::new(());
+
+fn port() -> MutexGuard<'static, ()> {
+    PORT.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A fake camera, killed when it is dropped.
+struct Fake(Child);
+
+impl Fake {
+    fn start(options: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_fake-camera"))
+            .args(["--interface", ADDRESS, "--pictures", "4"])
+            .args(options)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        let output = child.stdout.as_mut().unwrap();
+        BufReader::new(output).read_line(&mut line).unwrap();
+        assert!(line.starts_with("listening"), "{line:?}");
+        Self(child)
+    }
+}
+
+impl Drop for Fake {
+    fn drop(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+/// The next exposure, whatever fails before it; the errors go to the log.
+fn next(camera: &mut GigeCamera, errors: &mut Vec<String>) -> Exposure {
+    let begun = Instant::now();
+    let mut announced = Vec::new();
+    while begun.elapsed() < PATIENCE {
+        match camera.next(&mut |time| announced.push(time)) {
+            Ok(Take::Exposure(exposure)) => {
+                assert_eq!(announced.last(), Some(&exposure.announced));
+                return *exposure;
+            }
+            Ok(Take::NotYet) => {}
+            Ok(Take::End) => panic!("a camera has no end"),
+            Err(error) => errors.push(error.to_string()),
+        }
+    }
+    panic!("no frame: {errors:?}");
+}
+
+fn frame(camera: &mut GigeCamera) -> Frame {
+    next(camera, &mut Vec::new()).frame
+}
+
+fn settings() -> Settings {
+    Settings {
+        rate_hz: 20.0,
+        exposure_us: 7_500,
+        region: Some(Region::sized(100, 50, 640, 480)),
+        ..Settings::default()
+    }
+}
+
+/// The disc's bright part, as a fraction of full scale.
+fn brightness(frame: &Frame) -> f64 {
+    let mut sorted: Vec<u16> = match frame.pixels() {
+        Pixels::U8(pixels) => pixels.iter().map(|&dn| dn.into()).collect(),
+        Pixels::U16(pixels) => pixels.clone(),
+    };
+    sorted.sort_unstable();
+    f64::from(sorted[sorted.len() * 99 / 100]) / f64::from(frame.saturation_dn())
+}
+
+fn assert_settings_hold(frame: &Frame, settings: &Settings) {
+    let region = settings.region.unwrap();
+    assert_eq!(
+        (frame.width(), frame.height()),
+        (region.width(), region.height())
+    );
+    assert_eq!(frame.info.corner_px, Some((region.x0, region.y0)));
+    assert_eq!(frame.info.exposure, Some(settings.exposure()));
+}
+
+#[test]
+fn frames_come_with_their_settings_times_and_temperature() {
+    let _turn = port();
+    let _fake = Fake::start(&[]);
+    let wanted = Settings {
+        analogue_gain: Some(3.0),
+        preamp_gain: Some(-3.0),
+        ..settings()
+    };
+    let mut camera = GigeCamera::new(ADDRESS, &wanted);
+    let first = next(&mut camera, &mut Vec::new());
+    assert_settings_hold(&first.frame, &wanted);
+    let info = &first.frame.info;
+    assert_eq!(info.analogue_gain, Some(3.0));
+    assert_eq!(info.preamp_gain, Some(-3.0));
+    assert_eq!(info.camera_temperature_c, Some(20.5));
+    assert_eq!(info.number, Some(0));
+    let start = info.exposure_start().unwrap();
+    let late = start.duration_since(first.announced);
+    assert!(!late.is_negative() && late.as_secs() < 1, "{late}");
+
+    let second = frame(&mut camera).info;
+    assert!(second.camera_clock > info.camera_clock);
+    assert!(second.monotonic > info.monotonic);
+    assert_eq!(second.number, Some(1));
+    assert_eq!(camera.health().refused_settings, 0);
+    assert_eq!(camera.health().temperature_c, Some(20.5));
+}
+
+#[test]
+fn settings_are_taken_in_flight_and_a_refused_one_is_told() {
+    let _turn = port();
+    let _fake = Fake::start(&[]);
+    let mut camera = GigeCamera::new(ADDRESS, &settings());
+    let before = brightness(&frame(&mut camera));
+
+    let longer = Settings {
+        exposure_us: 15_000,
+        region: Some(Region::sized(0, 0, 1296, 966)),
+        pixel_format: PixelFormat::Mono12,
+        ..settings()
+    };
+    camera.apply(&longer).unwrap();
+    let after = frame(&mut camera);
+    assert_settings_hold(&after, &longer);
+    assert_eq!(after.saturation_dn(), 4095);
+    assert!(brightness(&after) > before.min(0.5), "{before}");
+
+    let impossible = Settings {
+        analogue_gain: Some(400.0),
+        ..longer.clone()
+    };
+    let message = camera.apply(&impossible).unwrap_err().to_string();
+    assert!(
+        message.starts_with("camera.analogue_gain: expected 400"),
+        "{message}"
+    );
+    assert_eq!(camera.health().refused_settings, 1);
+    assert_settings_hold(&frame(&mut camera), &longer);
+}
+
+#[test]
+fn a_camera_that_dies_is_brought_back_with_every_setting() {
+    let _turn = port();
+    let fake = Fake::start(&[]);
+    let wanted = settings();
+    let mut camera = GigeCamera::new(ADDRESS, &wanted);
+    let last = (0..5).map(|_| frame(&mut camera)).last().unwrap();
+
+    drop(fake);
+    let mut errors = 0;
+    let begun = Instant::now();
+    while errors < 2 && begun.elapsed() < PATIENCE {
+        let asked = Instant::now();
+        errors += u32::from(camera.next(&mut |_| {}).is_err());
+        assert!(asked.elapsed() < Duration::from_secs(5), "it blocks");
+    }
+    assert_eq!(errors, 2, "it goes unnoticed");
+
+    // The new one knows nothing of what the old one was told.
+    let _fake = Fake::start(&["--serial", "SECOND"]);
+    let exposure = next(&mut camera, &mut Vec::new());
+    assert_settings_hold(&exposure.frame, &wanted);
+    assert!(exposure.frame.info.number > last.info.number);
+    assert!(exposure.frame.info.monotonic > last.info.monotonic);
+    assert_eq!(camera.health().reconnects, 1);
+    assert_eq!(camera.health().refused_settings, 0);
+}
+
+#[test]
+fn incomplete_frames_are_counted_and_never_given() {
+    let _turn = port();
+    // Of 228 packets to a frame: one frame in three arrives whole.
+    let _fake = Fake::start(&["--lost", "5"]);
+    let mut camera = GigeCamera::new(ADDRESS, &settings());
+    let mut errors = Vec::new();
+    let frames: Vec<Frame> = (0..5)
+        .map(|_| next(&mut camera, &mut errors).frame)
+        .collect();
+    while camera.health().incomplete == 0 {
+        next(&mut camera, &mut errors);
+    }
+    for frame in &frames {
+        assert_settings_hold(frame, &settings());
+    }
+    let health = camera.health();
+    assert!(health.lost_packets >= health.incomplete, "{health:?}");
+    assert!(
+        errors.iter().any(|error| error.contains("incomplete")),
+        "{errors:?}"
+    );
+}
+
+#[test]
+fn a_camera_is_found_by_its_serial_number() {
+    let _turn = port();
+    let _fake = Fake::start(&["--serial", "BOBCAT7"]);
+    let mut camera = GigeCamera::new("BOBCAT7", &settings());
+    let name = frame(&mut camera).info.camera.unwrap();
+    assert_eq!(name, "Aravis Fake BOBCAT7");
+}
+
+#[test]
+fn a_camera_that_is_not_there_is_an_error_that_names_it() {
+    let _turn = port();
+    for (address, expected) in [
+        (
+            "127.0.0.1",
+            "the GigE Vision camera 127.0.0.1: no camera answers at this address",
+        ),
+        (
+            "NOBODY",
+            "the GigE Vision camera NOBODY: no camera has this serial number; found ",
+        ),
+    ] {
+        let mut camera = GigeCamera::new(address, &settings());
+        let begun = Instant::now();
+        let error: CameraError = loop {
+            match camera.next(&mut |_: Timestamp| panic!("nothing begins")) {
+                Err(error) => break error,
+                Ok(take) => assert!(matches!(take, Take::NotYet), "{take:?}"),
+            }
+            assert!(begun.elapsed() < PATIENCE);
+        };
+        assert!(error.to_string().starts_with(expected), "{error}");
+    }
+}
+
+#[test]
+fn a_flight_over_the_real_protocol_solves_the_simulators_frames() {
+    let _turn = port();
+    let _fake = Fake::start(&[]);
+    let archive = tempfile::tempdir().unwrap();
+    let run = Command::new(env!("CARGO_BIN_EXE_solaspect"))
+        .args([
+            "fly",
+            "--camera",
+            "gige:127.0.0.1",
+            "--duration",
+            "6s",
+            "--archive",
+        ])
+        .arg(archive.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&run.stdout);
+    let number_before = |word: &str| -> u64 {
+        let words: Vec<&str> = said.split_whitespace().collect();
+        let at = words.iter().position(|w| *w == word).unwrap();
+        words[at - 1].parse().unwrap()
+    };
+    assert!(number_before("taken,") >= 3, "{said}");
+    assert!(number_before("fine,") >= 3, "{said}");
+
+    let first = walk(archive.path()).into_iter().min().unwrap();
+    let info = fits::read_frame(&first).unwrap().info;
+    assert_eq!(info.camera.as_deref(), Some("Aravis Fake FLIGHT"));
+    assert!(info.camera_clock.is_some() && info.monotonic.is_some());
+}
+
+fn walk(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    paths
+        .flat_map(|path| {
+            if path.is_dir() {
+                walk(&path)
+            } else {
+                vec![path]
+            }
+        })
+        .filter(|path| path.extension().is_some_and(|ending| ending == "fits"))
+        .collect()
+}
