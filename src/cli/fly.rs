@@ -3,7 +3,7 @@
 use super::options;
 use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
-use crate::camera::{self, FrameSource, Source, Surroundings};
+use crate::camera::{self, Source, Surroundings};
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
 use crate::link::{Connection, PortAddress};
@@ -25,9 +25,13 @@ pub struct FlyArgs {
     /// The instrument's TOML file [default: the built-in instrument "demo"]
     #[arg(long, value_name = "FILE")]
     instrument: Option<PathBuf>,
-    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR or simulated
-    #[arg(long, value_name = "SOURCE", default_value = "simulated")]
-    camera: Source,
+    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml [default: the
+    /// configuration's camera.source, else simulated]
+    #[arg(long, value_name = "SOURCE")]
+    camera: Option<Source>,
+    /// Replay a folder so many times faster than it was taken
+    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = options::speed)]
+    speed: f64,
     /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
     #[arg(long, value_name = "PORT")]
     serial: Option<String>,
@@ -52,10 +56,18 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     if let Err(error) = ephemeris.disc(Timestamp::now()) {
         tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
     }
+    let source = args.camera.or(config.camera.source.clone());
+    let source = source.unwrap_or(Source::Simulated(None));
+    let around = Surroundings {
+        instrument: &instrument,
+        seed: config.simulation.seed,
+        duration: args.duration,
+        speed: args.speed,
+    };
     let flight = Flight {
         target: options::target(&config, &mut ephemeris)?,
         ephemeris,
-        camera: camera(&args.camera, &instrument, &config, args.duration)?,
+        camera: camera::open(&source, &config.camera.settings(), &around)?,
         line: line(&config.link)?,
         stores: stores(&config, &instrument),
         instrument,
@@ -79,20 +91,6 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,
     })
-}
-
-fn camera(
-    source: &Source,
-    instrument: &Instrument,
-    config: &Config,
-    duration: Option<Duration>,
-) -> anyhow::Result<Box<dyn FrameSource>> {
-    let around = Surroundings {
-        instrument,
-        seed: config.simulation.seed,
-        duration,
-    };
-    Ok(camera::open(source, &config.camera.settings(), &around)?)
 }
 
 /// A port that is not there is looked for in flight.

@@ -70,6 +70,16 @@ pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
     }
 }
 
+/// How many times faster than life.
+pub(super) fn speed(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(speed) if (0.01..=1000.0).contains(&speed) => Ok(speed),
+        _ => Err(format!(
+            "expected a number from 0.01 to 1000, found \"{text}\""
+        )),
+    }
+}
+
 /// Becomes true when the program is asked to end, by SIGINT or SIGTERM.
 pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
     let interrupted = Arc::new(AtomicBool::new(false));

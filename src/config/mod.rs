@@ -18,7 +18,7 @@ pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
 use crate::archive::{Overflow, Sharing, SpaceLimits};
-use crate::camera::{self, PixelFormat};
+use crate::camera::{self, AutoExposureSettings, PixelFormat, Source};
 use crate::fits::Compression;
 use crate::frame::Region;
 use crate::instrument::TomlError;
@@ -35,6 +35,8 @@ pub struct Config {
     pub sky: Sky,
     pub target: Target,
     pub camera: Camera,
+    pub second_camera: Camera,
+    pub roll_camera: Camera,
     pub link: Link,
     pub archive: Archive,
     pub simulation: Simulation,
@@ -77,15 +79,45 @@ pub struct Target {
     pub epoch_utc: Option<Timestamp>,
 }
 
-/// How the pitch-yaw camera is run.
+/// Which camera plays a role, and how it is run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
+    /// `None` where nobody plays the role.
+    pub source: Option<Source>,
+    /// The instrument's file, for a camera that sees the plate.
+    pub instrument: Option<PathBuf>,
     pub rate_hz: f64,
     pub exposure_us: u32,
     pub analogue_gain: Option<f64>,
     pub preamp_gain: Option<f64>,
-    pub region: Option<Region>,
+    pub region_px: Option<Region>,
     pub pixel_format: PixelFormat,
+    pub auto_exposure: Switch,
+    pub auto_exposure_target: f64,
+    pub auto_exposure_band: f64,
+    pub auto_exposure_max_factor: f64,
+    pub auto_exposure_hold_frames: u32,
+    pub auto_exposure_min_us: u32,
+    pub auto_exposure_max_us: u32,
+}
+
+/// Whether something is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Switch {
+    Off,
+    On,
+}
+
+impl Switch {
+    pub const KINDS: [Self; 2] = [Self::Off, Self::On];
+
+    /// As the configuration gives it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::On => "on",
+        }
+    }
 }
 
 impl Camera {
@@ -96,21 +128,44 @@ impl Camera {
             exposure_us: self.exposure_us,
             analogue_gain: self.analogue_gain,
             preamp_gain: self.preamp_gain,
-            region: self.region,
+            region: self.region_px,
             pixel_format: self.pixel_format,
         }
+    }
+
+    /// How the exposure is held; `None` where it is not.
+    pub fn auto_exposure(&self) -> Option<AutoExposureSettings> {
+        (self.auto_exposure == Switch::On).then_some(AutoExposureSettings {
+            target: self.auto_exposure_target,
+            band: self.auto_exposure_band,
+            max_factor: self.auto_exposure_max_factor,
+            hold_frames: self.auto_exposure_hold_frames,
+            min_us: self.auto_exposure_min_us,
+            max_us: self.auto_exposure_max_us,
+        })
     }
 }
 
 impl Default for Camera {
     fn default() -> Self {
+        let settings = camera::Settings::default();
+        let auto = AutoExposureSettings::default();
         Self {
-            rate_hz: 4.0,
-            exposure_us: 15_000,
-            analogue_gain: None,
-            preamp_gain: None,
-            region: None,
-            pixel_format: PixelFormat::Mono8,
+            source: None,
+            instrument: None,
+            rate_hz: settings.rate_hz,
+            exposure_us: settings.exposure_us,
+            analogue_gain: settings.analogue_gain,
+            preamp_gain: settings.preamp_gain,
+            region_px: settings.region,
+            pixel_format: settings.pixel_format,
+            auto_exposure: Switch::Off,
+            auto_exposure_target: auto.target,
+            auto_exposure_band: auto.band,
+            auto_exposure_max_factor: auto.max_factor,
+            auto_exposure_hold_frames: auto.hold_frames,
+            auto_exposure_min_us: auto.min_us,
+            auto_exposure_max_us: auto.max_us,
         }
     }
 }
@@ -308,6 +363,28 @@ mod tests {
     }
 
     #[test]
+    fn each_role_has_its_own_camera() {
+        let config = parse(
+            "[camera]\nexposure_us = 8000\nauto_exposure = \"on\"\n\
+             [second_camera]\nsource = \"gige:192.168.1.21\"\nregion_px = \"100,50,640,480\"\n\
+             [roll_camera]\nsource = \"gige:BOBCAT7\"\npixel_format = \"mono12\"\n",
+        )
+        .unwrap();
+        assert_eq!(config.camera.source, None);
+        assert_eq!(config.camera.settings().exposure_us, 8000);
+        assert!(config.camera.auto_exposure().is_some());
+        let second = &config.second_camera;
+        assert_eq!(second.source, Some(Source::Gige("192.168.1.21".into())));
+        assert_eq!(
+            second.settings().region,
+            Some(Region::sized(100, 50, 640, 480))
+        );
+        assert_eq!(second.auto_exposure(), None);
+        let roll = config.roll_camera.settings();
+        assert_eq!(roll.pixel_format, PixelFormat::Mono12);
+    }
+
+    #[test]
     fn an_empty_port_is_none() {
         assert_eq!(parse("[link]\nport = \"\"\n").unwrap().link.port, None);
     }
@@ -353,6 +430,14 @@ mod tests {
             (
                 "[archive]\ncompression = \"zip\"\n",
                 &["archive.compression", "\"rice\", \"none\" or \"gzip\""],
+            ),
+            (
+                "[roll_camera]\nsource = \"usb:1\"\n",
+                &["roll_camera.source", "gige:ADDRESS", "usb:1"],
+            ),
+            (
+                "[camera]\nregion_px = \"1,2,3\"\n",
+                &["camera.region_px", "width and height", "1,2,3"],
             ),
             ("[link]\nport = 3\n", &["link.port", "a text", "3"]),
             ("[link]\nport = [1]\n", &["link.port", "a text"]),

@@ -21,6 +21,7 @@ mod coverage;
 mod disc;
 mod flight;
 mod noise;
+mod pieces;
 mod prints;
 mod random;
 mod render;
@@ -28,8 +29,9 @@ mod scene;
 mod trajectory;
 
 pub use blemish::{Blemishes, Counts, Dust, HotPixel, Leak, Scratch};
-pub use flight::FlightScenes;
+pub use flight::{Course, FlightScenes};
 pub use noise::{Depth, Noise};
+pub use pieces::{Piece, Pieces};
 pub use random::{Conditions, RandomScenes, SunInView};
 pub use render::{SAMPLES_PER_PX, render_exact, render_oversampled};
 pub use scene::{
