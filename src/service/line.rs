@@ -13,8 +13,8 @@ use super::tally::{LineTally, worth_a_line};
 use crate::aspect::Stopped;
 use crate::config;
 use crate::link::{
-    CommandPacket, Computer, Connection, Direction, Exposure, MessageError, Packet, Parser,
-    PortError, Responder, Solution,
+    CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, MessageError, Packet,
+    Parser, Picture, PortError, Responder, Solution,
 };
 use crate::pointing::Offset;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -33,10 +33,28 @@ const READ_BYTES: usize = 2048;
 /// Error code of a frame whose Sun was found but whose time or place is not known.
 pub(super) const NO_OFFSET: u16 = 100;
 
+/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass.
+#[rustfmt::skip] // One row, one line.
+pub(super) const ERROR_CODES: &[(u16, &str)] = &[
+    (1, "levels: no disc stands out of the background"),
+    (2, "limb: no disc was found"),
+    (3, "marks: too few were seen"),
+    (4, "identification: the marks could not be told apart"),
+    (5, "registration: no mapping fits the marks"),
+    (6, "aspect: the Sun's place on the plate is not known"),
+    (7, "pointing: the target cannot be pointed at from here"),
+    (NO_OFFSET, "the Sun was found, but time or place of the frame is not known"),
+];
+
 /// What the link is told.
 pub(super) enum LinkEvent {
     ExposureStarts(Exposure),
     Outcome(Outcome),
+    /// The second's housekeeping.
+    #[allow(dead_code)] // Told by the watch over the threads, once there is one.
+    Housekeeping(Box<Housekeeping>),
+    /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
+    Picture(Box<Picture>),
 }
 
 /// What came of an exposure.
@@ -80,7 +98,15 @@ pub(super) struct Line {
     outcomes: u64,
     stalled: bool,
     stopping_since: Option<Instant>,
+    picture: Option<PictureUnderWay>,
     tally: LineTally,
+}
+
+struct PictureUnderWay {
+    picture: Box<Picture>,
+    next_part: usize,
+    /// Not before this: pictures leave half of the line to everything else.
+    due: Instant,
 }
 
 impl Line {
@@ -100,6 +126,7 @@ impl Line {
             outcomes: 0,
             stalled: false,
             stopping_since: None,
+            picture: None,
             tally: LineTally::default(),
         }
     }
@@ -110,7 +137,7 @@ impl Line {
             self.revive();
             match events.recv_timeout(PATIENCE) {
                 Ok(event) => self.hear(event, events),
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => self.send_part_of_picture(),
                 Err(RecvTimeoutError::Disconnected) if hang_up.load(Ordering::Relaxed) => {
                     self.tally.reopened = self.connection.reopened();
                     return self.tally;
@@ -139,7 +166,49 @@ impl Line {
         match event {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
+            LinkEvent::Housekeeping(told) => self.tell(&told),
+            LinkEvent::Picture(picture) => {
+                self.picture = Some(PictureUnderWay {
+                    picture,
+                    next_part: 0,
+                    due: Instant::now(),
+                });
+            }
         }
+    }
+
+    fn tell(&mut self, told: &Housekeeping) {
+        if self.backlog() > BACKLOG {
+            return;
+        }
+        match told.packet(Timestamp::now()) {
+            Ok(packet) => {
+                self.tally.housekeeping += u64::from(self.send(&packet.encode()));
+            }
+            Err(error) => tracing::error!(%error, "housekeeping was not sent"),
+        }
+    }
+
+    /// Only when there is nothing else to say, and the system has passed on all that was said.
+    fn send_part_of_picture(&mut self) {
+        let idle = self.backlog() == 0 && !self.stalled;
+        let Some(under_way) = self.picture.as_mut() else {
+            return;
+        };
+        if !idle || Instant::now() < under_way.due {
+            return;
+        }
+        let Some(packet) = under_way.picture.part(under_way.next_part) else {
+            self.picture = None;
+            self.tally.pictures += 1;
+            return;
+        };
+        let bytes = packet.encode();
+        // Ten bits a byte; as long again is left free.
+        let seconds = 2.0 * 10.0 * bytes.len() as f64 / f64::from(self.settings.baud);
+        under_way.next_part += 1;
+        under_way.due = Instant::now() + Duration::from_secs_f64(seconds);
+        self.send(&bytes);
     }
 
     fn look_at_settings(&mut self) {
@@ -327,6 +396,7 @@ impl Line {
         if self.connection.revive(self.start.elapsed()) {
             self.parser.abandon();
             self.responder.forget_all();
+            self.picture = None;
             self.stalled = false;
         }
     }

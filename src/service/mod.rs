@@ -24,9 +24,11 @@ mod archiver;
 pub mod control;
 pub mod demo;
 mod line;
+mod protocol;
 mod solver;
 mod tally;
 
+pub use protocol::protocol_page;
 pub use solver::Answer;
 pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
