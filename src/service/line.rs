@@ -406,3 +406,6 @@ impl Line {
 fn error_code(stopped: Option<Stopped>) -> u16 {
     stopped.map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)
 }
+
+#[cfg(test)]
+mod tests;
