@@ -418,7 +418,7 @@ fn dark_flight(stores: Vec<Store>, queue_frames: usize) -> FlightTally {
         target: Target::default(),
         ephemeris: Ephemeris::default(),
         camera: Box::new(camera),
-        port: None,
+        line: solaspect::link::Connection::none(),
         stores,
     };
     Service::start(flight).unwrap().join().unwrap()

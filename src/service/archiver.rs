@@ -42,6 +42,17 @@ fn store_frame(
     tally: &mut ArchiveTally,
 ) -> Row {
     let mut row = answer.row();
+    let commanded;
+    let instrument = match answer.mounting == instrument.mounting {
+        true => instrument,
+        false => {
+            commanded = Instrument {
+                mounting: answer.mounting,
+                ..instrument.clone()
+            };
+            &commanded
+        }
+    };
     let stored = stores.iter().find_map(|store| {
         match keep(store, instrument, ephemeris, answer, &row.record) {
             Ok(path) => {

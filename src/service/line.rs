@@ -232,6 +232,7 @@ impl Line {
                 if self.send(&packet) {
                     self.tally.announced += 1;
                 } else {
+                    self.tally.unannounced += u64::from(self.connection.is_wanted());
                     self.responder.forget(exposure);
                 }
             }

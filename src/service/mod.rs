@@ -82,7 +82,7 @@ struct Sighting {
 
 /// What the archive is handed of a solved frame.
 enum Filing {
-    Frame(Answer),
+    Frame(Box<Answer>),
     /// Without the picture: too many wait for the disk.
     Row(Box<Row>),
 }

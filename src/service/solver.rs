@@ -26,6 +26,8 @@ pub struct Answer {
     /// From `target`.
     pub offset: Option<Offset>,
     pub target: Target,
+    /// The mounting it was solved with.
+    pub mounting: Mounting,
     pub solve_time: Duration,
 }
 
@@ -135,6 +137,7 @@ impl Solver {
             solution: Arc::new(solution),
             offset,
             target: commanded.target,
+            mounting: self.instrument.mounting,
             solve_time,
         }
     }
@@ -183,11 +186,12 @@ impl Solver {
             let _ = watcher.send(answer.clone());
         }
         let room = self.to_archive.len() < self.queue_frames;
-        let filing = match room {
-            true => Filing::Frame(answer),
+        let wanted = self.controls.stores(CameraRole::PitchYaw);
+        let filing = match room && wanted {
+            true => Filing::Frame(Box::new(answer)),
             false => Filing::Row(Box::new(answer.row())),
         };
-        if self.to_archive.try_send(filing).is_err() || !room {
+        if self.to_archive.try_send(filing).is_err() || (wanted && !room) {
             tally.unstored += 1;
             if worth_a_line(tally.unstored) {
                 tracing::warn!(
