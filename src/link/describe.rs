@@ -3,7 +3,7 @@
 use super::command::{CommandRow, Kind, row_of};
 use super::control::result;
 use super::housekeeping::Housekeeping;
-use super::message::{AspectCommand, Message, Telemetry};
+use super::message::{self, AspectCommand, Message, Telemetry};
 use super::packet::{CommandPacket, Packet, TelemetryPacket, telemetry_type};
 use super::picture::Section;
 use jiff::Timestamp;
@@ -69,12 +69,13 @@ fn aspect(command: &AspectCommand) -> String {
     let name = row_of(key).map_or("unknown command", |row| row.name);
     let mut text = format!("{name} ({key:#06x})");
     for (at, code) in command.variables().iter().enumerate() {
-        text += &match row_of(key).and_then(|row: &CommandRow| row.variables.get(at)) {
+        let said = match row_of(key).and_then(|row: &CommandRow| row.variables.get(at)) {
             Some(v) => format!(" {} {} {}", v.name, v.kind.value(*code), v.unit),
             None => format!(" {code}"),
         };
+        text += said.trim_end();
     }
-    text.trim_end().into()
+    text
 }
 
 fn telemetry(packet: &TelemetryPacket) -> String {
@@ -123,11 +124,21 @@ fn answer(packet: &TelemetryPacket) -> String {
             key,
             value,
         }) => {
-            let name = row_of(key).map_or("", |row| row.name);
+            let name = name_of(key);
             let said = result_in_words(key, value);
             format!("result of seq {sequence}, {name} ({key:#06x}): {said}")
         }
         Err(error) => error.to_string(),
+    }
+}
+
+/// What a result is of. The no-op of computer 1 has the key of the start of tracking.
+fn name_of(key: u16) -> &'static str {
+    match key {
+        message::key::START_TRACKING => "start_tracking or no_op",
+        message::key::STOP_TRACKING => "stop_tracking",
+        message::key::GPS => "gps",
+        key => row_of(key).map_or("", |row| row.name),
     }
 }
 

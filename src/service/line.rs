@@ -8,15 +8,17 @@
 //! 3. Ages and waits are monotonic: a step of the clock stops nothing.
 //! 4. A port that is lost is opened again; nothing else waits for it.
 
+mod event;
+
+pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
+
 use super::control::{Controls, Topic};
 use super::tally::{LineTally, worth_a_line};
-use crate::aspect::Stopped;
 use crate::config;
 use crate::link::{
     CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, MessageError, Packet,
-    Parser, Picture, PortError, Responder, Solution,
+    Parser, Picture, PortError, Responder,
 };
-use crate::pointing::Offset;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,63 +32,6 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 const BACKLOG: usize = 512;
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
-/// Error code of a frame whose Sun was found but whose time or place is not known.
-pub(super) const NO_OFFSET: u16 = 100;
-
-/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass.
-#[rustfmt::skip] // One row, one line.
-pub(super) const ERROR_CODES: &[(u16, &str)] = &[
-    (1, "levels: no disc stands out of the background"),
-    (2, "limb: no disc was found"),
-    (3, "marks: too few were seen"),
-    (4, "identification: the marks could not be told apart"),
-    (5, "registration: no mapping fits the marks"),
-    (6, "aspect: the Sun's place on the plate is not known"),
-    (7, "pointing: the target cannot be pointed at from here"),
-    (NO_OFFSET, "the Sun was found, but time or place of the frame is not known"),
-];
-
-/// What the link is told.
-pub(super) enum LinkEvent {
-    ExposureStarts(Exposure),
-    Outcome(Outcome),
-    /// The second's housekeeping.
-    #[allow(dead_code)] // Told by the watch over the threads, once there is one.
-    Housekeeping(Box<Housekeeping>),
-    /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
-    Picture(Box<Picture>),
-}
-
-/// What came of an exposure.
-pub(super) struct Outcome {
-    pub exposure: Exposure,
-    /// When the frame was there.
-    pub arrived: Instant,
-    /// How long the shutter was open, where it is known.
-    pub shutter: Option<Duration>,
-    pub offset: Option<Offset>,
-    pub stopped: Option<Stopped>,
-}
-
-impl Outcome {
-    /// Since mid-exposure.
-    fn age(&self) -> Duration {
-        self.arrived.elapsed() + self.shutter.unwrap_or_default() / 2
-    }
-
-    fn solution(&self) -> Option<Solution> {
-        let offset = self.offset?;
-        let numbers = [offset.azimuth_deg, offset.elevation_deg, offset.sigma_deg];
-        numbers.iter().all(|n| n.is_finite()).then_some(Solution {
-            azimuth_deg: offset.azimuth_deg,
-            elevation_deg: offset.elevation_deg,
-            roll_deg: 0.0,
-            error_deg: offset.sigma_deg,
-            time: self.exposure.start,
-        })
-    }
-}
-
 pub(super) struct Line {
     connection: Connection,
     responder: Responder,
@@ -274,9 +219,7 @@ impl Line {
     fn conclusion(&mut self, outcome: &Outcome) -> Result<Option<Vec<u8>>, MessageError> {
         match outcome.solution() {
             Some(solution) => self.responder.solution(outcome.exposure, &solution),
-            None => self
-                .responder
-                .error(outcome.exposure, error_code(outcome.stopped)),
+            None => self.responder.error(outcome.exposure, outcome.error_code()),
         }
     }
 
@@ -401,11 +344,6 @@ impl Line {
             self.stalled = false;
         }
     }
-}
-
-/// The code of a frame without a solution: 1 to 7 for the stage that it did not pass.
-fn error_code(stopped: Option<Stopped>) -> u16 {
-    stopped.map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)
 }
 
 #[cfg(test)]

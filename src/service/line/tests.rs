@@ -1,14 +1,14 @@
 //! The line's thread over pseudo-terminals; exposures and their outcomes are made by hand.
 
 use super::*;
-use crate::aspect::Stage;
+use crate::aspect::{Stage, Stopped};
 use crate::config::Config;
 use crate::frame::{Frame, FrameInfo, Pixels};
 use crate::instrument::builtin;
 use crate::link::ground::order;
 use crate::link::picture::Section;
 use crate::link::{BytePort, Message, SerialPort, Telemetry, id};
-use crate::pointing::Target;
+use crate::pointing::{Offset, Target};
 use crate::units::Rejected;
 use crossbeam_channel::{Sender, unbounded};
 use nalgebra::Matrix2;
