@@ -5,6 +5,7 @@ pub mod archive;
 pub mod config;
 pub mod demo;
 pub mod fly;
+pub mod link;
 mod options;
 pub mod simulate;
 pub mod sky;

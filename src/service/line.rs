@@ -8,15 +8,17 @@
 //! 3. Ages and waits are monotonic: a step of the clock stops nothing.
 //! 4. A port that is lost is opened again; nothing else waits for it.
 
+mod event;
+
+pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
+
 use super::control::{Controls, Topic};
 use super::tally::{LineTally, worth_a_line};
-use crate::aspect::Stopped;
 use crate::config;
 use crate::link::{
-    CommandPacket, Computer, Connection, Direction, Exposure, MessageError, Packet, Parser,
-    PortError, Responder, Solution,
+    CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, MessageError, Packet,
+    Parser, Picture, PortError, Responder,
 };
-use crate::pointing::Offset;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,45 +32,6 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 const BACKLOG: usize = 512;
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
-/// Error code of a frame whose Sun was found but whose time or place is not known.
-pub(super) const NO_OFFSET: u16 = 100;
-
-/// What the link is told.
-pub(super) enum LinkEvent {
-    ExposureStarts(Exposure),
-    Outcome(Outcome),
-}
-
-/// What came of an exposure.
-pub(super) struct Outcome {
-    pub exposure: Exposure,
-    /// When the frame was there.
-    pub arrived: Instant,
-    /// How long the shutter was open, where it is known.
-    pub shutter: Option<Duration>,
-    pub offset: Option<Offset>,
-    pub stopped: Option<Stopped>,
-}
-
-impl Outcome {
-    /// Since mid-exposure.
-    fn age(&self) -> Duration {
-        self.arrived.elapsed() + self.shutter.unwrap_or_default() / 2
-    }
-
-    fn solution(&self) -> Option<Solution> {
-        let offset = self.offset?;
-        let numbers = [offset.azimuth_deg, offset.elevation_deg, offset.sigma_deg];
-        numbers.iter().all(|n| n.is_finite()).then_some(Solution {
-            azimuth_deg: offset.azimuth_deg,
-            elevation_deg: offset.elevation_deg,
-            roll_deg: 0.0,
-            error_deg: offset.sigma_deg,
-            time: self.exposure.start,
-        })
-    }
-}
-
 pub(super) struct Line {
     connection: Connection,
     responder: Responder,
@@ -80,7 +43,15 @@ pub(super) struct Line {
     outcomes: u64,
     stalled: bool,
     stopping_since: Option<Instant>,
+    picture: Option<PictureUnderWay>,
     tally: LineTally,
+}
+
+struct PictureUnderWay {
+    picture: Box<Picture>,
+    next_part: usize,
+    /// Not before this: pictures leave half of the line to everything else.
+    due: Instant,
 }
 
 impl Line {
@@ -100,6 +71,7 @@ impl Line {
             outcomes: 0,
             stalled: false,
             stopping_since: None,
+            picture: None,
             tally: LineTally::default(),
         }
     }
@@ -110,7 +82,7 @@ impl Line {
             self.revive();
             match events.recv_timeout(PATIENCE) {
                 Ok(event) => self.hear(event, events),
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => self.send_part_of_picture(),
                 Err(RecvTimeoutError::Disconnected) if hang_up.load(Ordering::Relaxed) => {
                     self.tally.reopened = self.connection.reopened();
                     return self.tally;
@@ -139,7 +111,49 @@ impl Line {
         match event {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
+            LinkEvent::Housekeeping(told) => self.tell(&told),
+            LinkEvent::Picture(picture) => {
+                self.picture = Some(PictureUnderWay {
+                    picture,
+                    next_part: 0,
+                    due: Instant::now(),
+                });
+            }
         }
+    }
+
+    fn tell(&mut self, told: &Housekeeping) {
+        if self.backlog() > BACKLOG {
+            return;
+        }
+        match told.packet(Timestamp::now()) {
+            Ok(packet) => {
+                self.tally.housekeeping += u64::from(self.send(&packet.encode()));
+            }
+            Err(error) => tracing::error!(%error, "housekeeping was not sent"),
+        }
+    }
+
+    /// Only when there is nothing else to say, and the system has passed on all that was said.
+    fn send_part_of_picture(&mut self) {
+        let idle = self.backlog() == 0 && !self.stalled;
+        let Some(under_way) = self.picture.as_mut() else {
+            return;
+        };
+        if !idle || Instant::now() < under_way.due {
+            return;
+        }
+        let Some(packet) = under_way.picture.part(under_way.next_part) else {
+            self.picture = None;
+            self.tally.pictures += 1;
+            return;
+        };
+        let bytes = packet.encode();
+        // Ten bits a byte; as long again is left free.
+        let seconds = 2.0 * 10.0 * bytes.len() as f64 / f64::from(self.settings.baud);
+        under_way.next_part += 1;
+        under_way.due = Instant::now() + Duration::from_secs_f64(seconds);
+        self.send(&bytes);
     }
 
     fn look_at_settings(&mut self) {
@@ -163,6 +177,7 @@ impl Line {
                 if self.send(&packet) {
                     self.tally.announced += 1;
                 } else {
+                    self.tally.unannounced += u64::from(self.connection.is_wanted());
                     self.responder.forget(exposure);
                 }
             }
@@ -204,9 +219,7 @@ impl Line {
     fn conclusion(&mut self, outcome: &Outcome) -> Result<Option<Vec<u8>>, MessageError> {
         match outcome.solution() {
             Some(solution) => self.responder.solution(outcome.exposure, &solution),
-            None => self
-                .responder
-                .error(outcome.exposure, error_code(outcome.stopped)),
+            None => self.responder.error(outcome.exposure, outcome.error_code()),
         }
     }
 
@@ -327,12 +340,11 @@ impl Line {
         if self.connection.revive(self.start.elapsed()) {
             self.parser.abandon();
             self.responder.forget_all();
+            self.picture = None;
             self.stalled = false;
         }
     }
 }
 
-/// The code of a frame without a solution: 1 to 7 for the stage that it did not pass.
-fn error_code(stopped: Option<Stopped>) -> u16 {
-    stopped.map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)
-}
+#[cfg(test)]
+mod tests;

@@ -26,10 +26,12 @@ mod archiver;
 pub mod control;
 pub mod demo;
 mod line;
+mod protocol;
 mod solver;
 mod tally;
 
 pub use archiver::DiskHealth;
+pub use protocol::protocol_page;
 pub use solver::Answer;
 pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 

@@ -8,8 +8,10 @@ use super::{Sighting, Station};
 use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::Exposure;
-use crate::instrument::Mounting;
-use crate::link;
+use crate::frame::FrameInfo;
+use crate::instrument::{Instrument, Mounting};
+use crate::link::picture::{Tag, TagValue};
+use crate::link::{self, Picture};
 use crate::pointing::{self, Offset, Target};
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender};
@@ -143,6 +145,26 @@ impl Solver {
         }
     }
 
+    /// What the ground has asked for, from the camera that the controller hears of.
+    fn send_picture(&self, answer: &Answer) {
+        let info = &answer.exposure.frame.info;
+        let tags = picture_tags(&self.station.instrument, info);
+        let time = info.mid_exposure.unwrap_or_else(Timestamp::now);
+        match Picture::new(
+            &answer.exposure.frame,
+            self.station.camera_number() as u8,
+            tags,
+            time,
+        ) {
+            Ok(Some(picture)) => {
+                // A line that is stuck carries no pictures.
+                let _ = self.to_line.try_send(LinkEvent::Picture(Box::new(picture)));
+            }
+            Ok(None) => tracing::warn!("the frame is too large for a picture"),
+            Err(error) => tracing::warn!(%error, "no picture"),
+        }
+    }
+
     /// The line first: a solution does not wait for a disk.
     fn hand_on(&self, answer: Answer, arrived: Instant, tally: &mut SolverTally) {
         let outcome = Outcome {
@@ -164,12 +186,37 @@ impl Solver {
                 );
             }
         }
+        if self.controls.takes_picture(self.station.role) {
+            self.send_picture(&answer);
+        }
         self.archive.offer(&answer);
         if let Some(watcher) = &self.watcher {
             // A watcher that has left misses nothing that matters.
             let _ = watcher.send(answer);
         }
     }
+}
+
+fn picture_tags(instrument: &Instrument, info: &FrameInfo) -> Vec<Tag> {
+    let tag = |name, value, comment| Tag {
+        name,
+        value,
+        comment,
+    };
+    let mut tags = vec![tag(
+        "INSTRUME",
+        TagValue::Text(instrument.name.clone()),
+        "instrument",
+    )];
+    if let Some(exposure) = info.exposure {
+        let seconds = TagValue::Number(exposure.as_secs_f64());
+        tags.push(tag("EXPTIME", seconds, "exposure, s"));
+    }
+    if let Some(number) = info.number {
+        let number = TagValue::Whole(number as i32);
+        tags.push(tag("FRAMENUM", number, "number of the frame"));
+    }
+    tags
 }
 
 fn count(tally: &mut SolverTally, solution: &Solution) {

@@ -75,6 +75,9 @@ pub struct LineTally {
     pub failed: u64,
     /// Exposures that were not announced because the line could not follow.
     pub unannounced: u64,
+    /// Housekeeping packets and whole pictures that went to the ground.
+    pub housekeeping: u64,
+    pub pictures: u64,
     /// How often the port was lost, and opened again.
     pub lost: u64,
     pub reopened: u64,

@@ -1,6 +1,6 @@
 use super::*;
 use crate::instrument::builtin;
-use crate::link::{COMMANDS, Computer};
+use crate::link::{COMMANDS, Command, CommandResult, Computer, Control, GpsFix};
 
 fn controls() -> Controls {
     let mounting = builtin("demo").unwrap().mounting;
