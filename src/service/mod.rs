@@ -278,7 +278,7 @@ impl Service {
 
     /// Waits for the last frame, hangs up, and says what happened.
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
-        self.signals.hang_up.store(true, Ordering::Relaxed);
+        self.signals.awaited.store(true, Ordering::Relaxed);
         let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));
         if let Some(values) = self.values {
             values.join().map_err(|_| ThreadFailed("values"))?;

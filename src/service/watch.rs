@@ -28,6 +28,8 @@ pub(super) struct Signals {
     pub cameras_ended: Arc<AtomicBool>,
     /// The last frame is solved and stored, or given up.
     pub finished: AtomicBool,
+    /// Somebody waits for the end: the line may be hung up when all is finished.
+    pub awaited: AtomicBool,
     /// No more talking.
     pub hang_up: Arc<AtomicBool>,
     /// When what is not done by then is given up.
@@ -87,6 +89,7 @@ impl Watch {
             thread::sleep(LOOK_EVERY);
         }
         systemd.stopping();
+        self.signals.hang_up.store(true, Ordering::Relaxed);
         let begin = Instant::now();
         while self.line.look() && begin.elapsed() < HANGING_UP {
             thread::sleep(LOOK_EVERY);
@@ -117,7 +120,7 @@ impl Watch {
             self.signals.finished.store(true, Ordering::Release);
         }
         self.signals.finished.load(Ordering::Relaxed)
-            && self.signals.hang_up.load(Ordering::Relaxed)
+            && self.signals.awaited.load(Ordering::Relaxed)
     }
 
     fn tell(&mut self) {
