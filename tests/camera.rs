@@ -1,6 +1,7 @@
 //! The cameras that need no camera: their frames, their pace, and what they take of settings.
 
 use jiff::Timestamp;
+use solaspect::aspect::{self, Expected, Quality};
 use solaspect::camera::{
     self, CameraError, Exposure, FrameSource, PixelFormat, Settings, SimulatedCamera, Source,
     Surroundings, Take,
@@ -242,4 +243,44 @@ fn what_is_no_source_is_an_error_that_says_what_is_one() {
         let message = opened("gige:127.0.0.1", 1.0).err().unwrap().to_string();
         assert!(message.contains("--features gige"), "{message}");
     }
+}
+
+#[test]
+fn a_part_of_the_sensor_gives_the_same_aspect_as_the_whole() {
+    let instrument = instrument::builtin("demo").unwrap();
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/frames/standard");
+    let whole = fits::read_frame(&data.join("frame_00000.fits")).unwrap();
+    let expected = whole.info.mid_exposure.and_then(Expected::at);
+    let settings = aspect::Settings::default();
+    let solve = |frame: &Frame| {
+        let seen = instrument.seen_by(frame).unwrap();
+        aspect::solve_with(&settings, frame, &seen, expected, None)
+    };
+    let of_whole = solve(&whole).aspect.unwrap();
+    let sun = of_whole.sun_px.position;
+    let corner = (sun.x as usize - 160, sun.y as usize - 150);
+    let part = whole
+        .cropped(Region::sized(corner.0, corner.1, 320, 300))
+        .unwrap();
+    let solution = solve(&part);
+    assert_eq!(solution.quality, Quality::Fine);
+    let of_part = solution.aspect.unwrap();
+    let apart_mil = of_part
+        .sun_plate
+        .position
+        .distance(of_whole.sun_plate.position);
+    assert!(apart_mil < of_whole.sun_plate.sigma()[0], "{apart_mil} mil");
+    let shifted = of_part.sun_px.position;
+    assert!(
+        (shifted.x + corner.0 as f64 - sun.x).abs() < 0.02,
+        "{shifted:?} {sun:?}"
+    );
+    let stray = whole.cropped(Region::sized(1000, 600, 296, 366)).unwrap();
+    let mut info = stray.info.clone();
+    info.corner_px = Some((1100, 600));
+    let stray = Frame::new(296, 366, stray.pixels().clone(), 255, info).unwrap();
+    assert!(
+        instrument.seen_by(&stray).is_err(),
+        "it reaches over the sensor"
+    );
 }

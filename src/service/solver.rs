@@ -13,7 +13,7 @@ use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::camera::{Brightness, Exposure};
 use crate::frame::FrameInfo;
-use crate::instrument::{Instrument, Mounting};
+use crate::instrument::Instrument;
 use crate::link::picture::{Tag, TagValue};
 use crate::link::{self, Picture};
 use crate::pointing::{self, Offset, Target};
@@ -72,7 +72,8 @@ impl Solver {
     /// Solves until the camera ends, or another thread has taken over.
     pub fn run(mut self, sightings: &Receiver<Sighting>, life: &Life) {
         let mut track = None;
-        let stated = self.station.instrument.mounting;
+        let stated = self.station.instrument.clone();
+        let mut mounted = stated.clone();
         let mut mounting_version = None;
         let mut sun = SunSize::default();
         while !life.is_over() {
@@ -83,13 +84,15 @@ impl Solver {
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return,
             };
-            if !self.fits(&exposure) {
-                continue;
-            }
             let version = self.controls.version(Topic::Mounting);
             let snapshot = self.controls.snapshot();
-            if mounting_version.replace(version) != Some(version) {
-                self.remount(&snapshot, &stated, &mut track);
+            // Commands about the mounting are about the first camera's.
+            let commanded = self.station.seat == Seat::PitchYaw;
+            if commanded && mounting_version.replace(version) != Some(version) {
+                mounted.mounting = snapshot.mounting(&stated.mounting);
+            }
+            if !self.fit(&exposure, &mounted, &mut track) {
+                continue;
             }
             let answer = self.solve(exposure, &snapshot, &mut track, &mut sun);
             if life.is_over() {
@@ -106,33 +109,35 @@ impl Solver {
         }
     }
 
-    /// Whether the frame is of this camera's size; a roll camera may have any.
-    fn fits(&self, exposure: &Exposure) -> bool {
+    /// Fits the station's instrument to the frame. Where it changes - the ground has turned camera or plate, or another
+    /// part of the sensor is read - what the last frames taught no longer holds. False for a frame of another camera; a
+    /// roll camera's may have any size.
+    fn fit(
+        &mut self,
+        exposure: &Exposure,
+        mounted: &Instrument,
+        track: &mut Option<Track>,
+    ) -> bool {
         if !self.station.is_solved() {
             return true;
         }
-        let Err(error) = self.station.instrument.check_size(&exposure.frame) else {
-            return true;
-        };
-        let mut tally = self.tally.lock();
-        tally.misfits += 1;
-        if worth_a_line(tally.misfits) {
-            tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
-        }
-        false
-    }
-
-    /// Where the ground has turned camera or plate, what the last frames taught no longer holds.
-    fn remount(&mut self, commanded: &Snapshot, stated: &Mounting, track: &mut Option<Track>) {
-        if self.station.seat != Seat::PitchYaw {
-            return;
-        }
-        let mounting = commanded.mounting(stated);
-        if mounting != self.station.instrument.mounting {
-            let mut station = (*self.station).clone();
-            station.instrument.mounting = mounting;
-            self.station = Arc::new(station);
-            *track = None;
+        match mounted.seen_by(&exposure.frame) {
+            Ok(seen) if *seen == self.station.instrument => true,
+            Ok(seen) => {
+                let mut station = (*self.station).clone();
+                station.instrument = seen.into_owned();
+                self.station = Arc::new(station);
+                *track = None;
+                true
+            }
+            Err(error) => {
+                let mut tally = self.tally.lock();
+                tally.misfits += 1;
+                if worth_a_line(tally.misfits) {
+                    tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
+                }
+                false
+            }
         }
     }
 
