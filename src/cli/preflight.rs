@@ -1,7 +1,7 @@
 //! `solaspect preflight`: one page of what is ready to fly and what is not.
 
 use crate::camera::Source;
-use crate::preflight::{self, Extent, Finding, Operator, Options, Remark, Severity, Verdict};
+use crate::preflight::{self, Extent, Finding, Operator, Options, Verdict};
 use clap::Args;
 use crossbeam_channel::{Receiver, bounded};
 use serde_json::json;
@@ -65,26 +65,13 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
         }
         findings.push(finding);
     };
-    let (plan, remarks) = preflight::survey(args.config.as_deref(), &options);
-    remarks.list.iter().map(configuration).for_each(&mut tell);
-    if let Some(plan) = plan {
-        let mut console = args.polarity.then(Console::new);
-        let extent = Extent {
-            wait_for_controller: args.wait_controller.then_some(CONTROLLER),
-            operator: console.as_mut().map(|console| console as &mut dyn Operator),
-        };
-        preflight::run(&plan, extent, &mut tell);
-    }
+    let mut console = args.polarity.then(Console::new);
+    let extent = Extent {
+        wait_for_controller: args.wait_controller.then_some(CONTROLLER),
+        operator: console.as_mut().map(|console| console as &mut dyn Operator),
+    };
+    preflight::run(args.config.as_deref(), &options, extent, &mut tell);
     Ok(conclude(&findings, args.json))
-}
-
-/// A remark on the configuration as a line of the page.
-fn configuration(remark: &Remark) -> Finding {
-    let what = remark.what.to_string();
-    match remark.severity {
-        Severity::Error => Finding::fail("configuration", what, "see docs/parameters.md"),
-        Severity::Warning => Finding::warn("configuration", what, ""),
-    }
 }
 
 fn conclude(findings: &[Finding], as_json: bool) -> ExitCode {

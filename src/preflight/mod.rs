@@ -26,6 +26,7 @@ pub use plan::{NoTarget, Options, Plan, PlannedCamera, ephemeris, target};
 pub use polarity::{Axis, Motion, Operator, Trend};
 pub use remarks::{Remark, Remarks, Severity, survey};
 
+use std::path::Path;
 use std::time::Duration;
 
 /// How far the check goes.
@@ -37,8 +38,21 @@ pub struct Extent<'a> {
     pub operator: Option<&'a mut dyn Operator>,
 }
 
-/// Makes every check of a plan, in order. `tell` hears of each finding as it is made.
-pub fn run(plan: &Plan, extent: Extent, tell: &mut dyn FnMut(Finding)) {
+/// Makes every check of a configuration (the defaults without a file), in order. `tell` hears of each finding as it is
+/// made. Where the configuration has errors there is nothing further to check.
+pub fn run(file: Option<&Path>, options: &Options, extent: Extent, tell: &mut dyn FnMut(Finding)) {
+    let (plan, remarks) = survey(file, options);
+    let news = remarks
+        .list
+        .iter()
+        .filter(|remark| !remark.is_checked_later());
+    news.map(Remark::finding).for_each(&mut *tell);
+    if let Some(plan) = plan {
+        check(&plan, extent, tell);
+    }
+}
+
+fn check(plan: &Plan, extent: Extent, tell: &mut dyn FnMut(Finding)) {
     clock::check(plan).into_iter().for_each(&mut *tell);
     sky::check(plan).into_iter().for_each(&mut *tell);
     disks::check(plan).into_iter().for_each(&mut *tell);

@@ -1,5 +1,6 @@
 //! What can be said of a configuration without touching camera, line or disk: every error at once.
 
+use super::Finding;
 use super::plan::{self, NoTarget, Options, Plan, PlannedCamera};
 use crate::camera::{CameraError, FolderCamera, Source};
 use crate::config::{self, Config};
@@ -35,6 +36,30 @@ impl fmt::Display for Remark {
             Severity::Warning => "warning",
         };
         write!(out, "{severity}: {}", self.what)
+    }
+}
+
+/// Keys of which the checks before a flight tell more.
+const CHECKED_LATER: [&str; 4] = [
+    "archive.directory",
+    "archive.second_directory",
+    "link.port",
+    "site",
+];
+
+impl Remark {
+    /// Whether a line of the page will say the same.
+    pub(super) fn is_checked_later(&self) -> bool {
+        let key = self.what.field.as_str();
+        self.severity == Severity::Warning && CHECKED_LATER.contains(&key)
+    }
+
+    pub(super) fn finding(&self) -> Finding {
+        let what = self.what.to_string();
+        match self.severity {
+            Severity::Error => Finding::fail("configuration", what, "see docs/parameters.md"),
+            Severity::Warning => Finding::warn("configuration", what, "see docs/parameters.md"),
+        }
     }
 }
 
