@@ -12,7 +12,7 @@ use solaspect::link::{
     PortAddress, SerialPort, id,
 };
 use solaspect::pointing::Target;
-use solaspect::service::{Flight, FlightTally, Service};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
 use solaspect::sky::Ephemeris;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -53,11 +53,11 @@ fn fly(line: Connection, config: Config) -> Service {
         number: 0,
     };
     let flight = Flight {
-        instrument,
+        camera: Camera::new(instrument, camera),
+        other_cameras: Vec::new(),
         config,
         target: Target::default(),
         ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
         line,
         stores: vec![],
     };

@@ -1,9 +1,11 @@
 //! `solaspect fly`: the flight service.
 
+mod cameras;
+
 use super::options;
 use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
-use crate::camera::{self, Source, Surroundings};
+use crate::camera::Source;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
 use crate::link::{Connection, PortAddress};
@@ -43,54 +45,69 @@ pub struct FlyArgs {
     duration: Option<Duration>,
 }
 
+/// A program that is told to end has ended after this, and a little for the line.
+const ENDING: Duration = Duration::from_millis(1500);
+
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
+    let config = configuration(&args)?;
+    let mut ephemeris = options::ephemeris(&config)?;
+    if let Err(error) = ephemeris.disc(Timestamp::now()) {
+        tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
+    }
+    let (camera, other_cameras) = cameras::of(&config, &args)?;
+    let flight = Flight {
+        target: options::target(&config, &mut ephemeris)?,
+        ephemeris,
+        line: line(&config.link)?,
+        stores: stores(&config, &camera.instrument),
+        camera,
+        other_cameras,
+        config,
+    };
+    let interrupted = options::interrupted()?;
+    let service = Service::start(flight)?;
+    let start = Instant::now();
+    let told_to_end = || interrupted.load(Ordering::Relaxed) || service.controls().quits();
+    while !service.is_finished() {
+        std::thread::sleep(Duration::from_millis(20));
+        if told_to_end() {
+            service.stop_within(ENDING);
+        } else if args
+            .duration
+            .is_some_and(|duration| start.elapsed() >= duration)
+        {
+            service.stop();
+        }
+    }
+    let told_to_end = told_to_end();
+    let tally = service.join()?;
+    println!("{tally}");
+    Ok(match tally.lost() {
+        // It did as it was told; what was lost in flight is in the log.
+        _ if told_to_end => ExitCode::SUCCESS,
+        0 => ExitCode::SUCCESS,
+        _ => ExitCode::FAILURE,
+    })
+}
+
+/// The configuration, with the options over it.
+fn configuration(args: &FlyArgs) -> anyhow::Result<Config> {
     let mut config = options::config(args.config.as_deref())?;
     if let Some(folders) = &args.archive {
         let mut folders = folders.split(',').map(PathBuf::from);
         config.archive.directory = folders.next();
         config.archive.second_directory = folders.next();
     }
-    config.link.port = args.serial.or(config.link.port);
-    let instrument = options::instrument(args.instrument.as_deref())?;
-    let mut ephemeris = options::ephemeris(&config)?;
-    if let Err(error) = ephemeris.disc(Timestamp::now()) {
-        tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
+    if let Some(port) = &args.serial {
+        config.link.port = Some(port.clone());
     }
-    let source = args.camera.or(config.camera.source.clone());
-    let source = source.unwrap_or(Source::Simulated(None));
-    let around = Surroundings {
-        instrument: &instrument,
-        seed: config.simulation.seed,
-        duration: args.duration,
-        speed: args.speed,
-    };
-    let flight = Flight {
-        target: options::target(&config, &mut ephemeris)?,
-        ephemeris,
-        camera: camera::open(&source, &config.camera.settings(), &around)?,
-        line: line(&config.link)?,
-        stores: stores(&config, &instrument),
-        instrument,
-        config,
-    };
-    let interrupted = options::interrupted()?;
-    let service = Service::start(flight)?;
-    let start = Instant::now();
-    while !service.is_finished() {
-        std::thread::sleep(Duration::from_millis(50));
-        let over = args
-            .duration
-            .is_some_and(|duration| start.elapsed() >= duration);
-        if over || service.controls().quits() || interrupted.load(Ordering::Relaxed) {
-            service.stop();
-        }
+    if let Some(source) = &args.camera {
+        config.camera.source = Some(source.clone());
     }
-    let tally = service.join()?;
-    println!("{tally}");
-    Ok(match tally.lost() {
-        0 => ExitCode::SUCCESS,
-        _ => ExitCode::FAILURE,
-    })
+    if let Some(instrument) = &args.instrument {
+        config.camera.instrument = Some(instrument.clone());
+    }
+    Ok(config)
 }
 
 /// A port that is not there is looked for in flight.

@@ -34,6 +34,7 @@ pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
         number: whole("FRAMENUM")?,
         mid_exposure: mid_exposure(header, exposure)?,
         monotonic: seconds(header, "MONOTIME")?,
+        utc_step: step(header)?,
         camera_clock: whole("CAMCLOCK")?.map(Duration::from_nanos),
         exposure,
         analogue_gain: header.number("GAIN")?,
@@ -56,6 +57,16 @@ fn seconds(header: &Header, keyword: &str) -> Result<Option<Duration>, Problem> 
         return Err(Problem::field(keyword, expected, seconds));
     }
     Ok(Some(Duration::from_secs_f64(seconds)))
+}
+
+fn step(header: &Header) -> Result<Option<SignedDuration>, Problem> {
+    let Some(seconds) = header.number("UTCSTEP")? else {
+        return Ok(None);
+    };
+    match SignedDuration::try_from_secs_f64(seconds) {
+        Ok(step) => Ok(Some(step)),
+        Err(_) => Err(Problem::field("UTCSTEP", "a time in seconds", seconds)),
+    }
 }
 
 fn mid_exposure(header: &Header, exposure: Option<Duration>) -> Result<Option<Timestamp>, Problem> {
@@ -162,6 +173,10 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
         |keyword, value: Option<Value>| cards.extend(value.map(|v| Card::new(keyword, v)));
     add("FRAMENUM", info.number.map(|n| Value::Integer(n as i64)));
     add("MONOTIME", info.monotonic.map(|t| t.as_secs_f64().into()));
+    add(
+        "UTCSTEP",
+        info.utc_step.map(|step| step.as_secs_f64().into()),
+    );
     add(
         "CAMCLOCK",
         info.camera_clock

@@ -49,6 +49,11 @@ macro_rules! housekeeping {
                 Some(Self { $($field: Wire::read(&mut rest)?,)* })
             }
 
+            /// The values as fields of a CSV row, in the order of [`FIELDS`]; what is not known is empty.
+            pub fn csv_row(&self) -> Vec<String> {
+                vec![$(self.$field.text()),*]
+            }
+
             /// Every field with its value in words.
             pub fn lines(&self) -> Vec<String> {
                 vec![$(format!("{} {:?} {}", stringify!($field), self.$field, $unit).trim_end().into(),)*]
@@ -84,7 +89,7 @@ housekeeping! {
     limb_points: u16, "", "points of the limb";
     marks: u8, "", "marks with ids";
     ids: MarkIds, "", "the first 16 of their ids, a byte each: 16 (i + 8) + (j + 8), 0 for none";
-    mapping: u8, "", "0 none, 1 similarity, 2 affine, 3 homography, 4 the prior's, 5 the calibration's";
+    mapping: u8, "", "0 none, 1 similarity, 2 affine, 3 homography, 4 the prior's, 5 the calibration's, 6 keystone";
     scale_mil_per_px: Option<f32>, "mil/px", "the mapping's scale";
     rotation_deg: Option<f32>, "deg", "the mapping's rotation";
     residual_px: Option<f32>, "px", "rms residual of the marks per axis";
@@ -159,6 +164,17 @@ trait Wire: Sized {
     const BYTES: usize;
     fn write(&self, bytes: &mut Vec<u8>);
     fn read(rest: &mut &[u8]) -> Option<Self>;
+    /// In words; empty where not known, parts apart by blanks.
+    fn text(&self) -> String;
+}
+
+fn texts<T: Wire>(parts: &[T]) -> String {
+    let texts: Vec<String> = parts.iter().map(Wire::text).collect();
+    texts.join(" ")
+}
+
+fn known(value: Option<impl ToString>) -> String {
+    value.map_or(String::new(), |value| value.to_string())
 }
 
 fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
@@ -180,6 +196,10 @@ macro_rules! whole_wire {
             fn read(rest: &mut &[u8]) -> Option<Self> {
                 take(rest).map(Self::from_le_bytes)
             }
+
+            fn text(&self) -> String {
+                self.to_string()
+            }
         }
     )*};
 }
@@ -197,6 +217,10 @@ impl Wire for bool {
     fn read(rest: &mut &[u8]) -> Option<Self> {
         u8::read(rest).map(|byte| byte != 0)
     }
+
+    fn text(&self) -> String {
+        u8::from(*self).to_string()
+    }
 }
 
 impl Wire for Option<f32> {
@@ -211,6 +235,10 @@ impl Wire for Option<f32> {
         let value = f32::from_le_bytes(take(rest)?);
         Some((!value.is_nan()).then_some(value))
     }
+
+    fn text(&self) -> String {
+        known(*self)
+    }
 }
 
 impl Wire for Option<u8> {
@@ -224,6 +252,10 @@ impl Wire for Option<u8> {
     fn read(rest: &mut &[u8]) -> Option<Self> {
         let value = u8::read(rest)?;
         Some((value != u8::MAX).then_some(value))
+    }
+
+    fn text(&self) -> String {
+        known(*self)
     }
 }
 
@@ -242,6 +274,10 @@ impl Wire for [u16; 7] {
         }
         Some(values)
     }
+
+    fn text(&self) -> String {
+        texts(self)
+    }
 }
 
 impl Wire for [Option<u8>; 2] {
@@ -254,6 +290,10 @@ impl Wire for [Option<u8>; 2] {
 
     fn read(rest: &mut &[u8]) -> Option<Self> {
         Some([Wire::read(rest)?, Wire::read(rest)?])
+    }
+
+    fn text(&self) -> String {
+        texts(self)
     }
 }
 
@@ -274,6 +314,11 @@ impl Wire for MarkIds {
             let (i, j) = (index(byte >> 4), index(byte & 15));
             (byte != 0).then_some([i, j])
         })))
+    }
+
+    fn text(&self) -> String {
+        let ids: Vec<String> = self.iter().map(|[i, j]| format!("{i},{j}")).collect();
+        ids.join(" ")
     }
 }
 

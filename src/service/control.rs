@@ -8,7 +8,7 @@ mod orders;
 mod own;
 mod saved;
 
-pub use saved::{Keeper, SavedError, restore};
+pub use saved::{Keeper, restore};
 
 use crate::aspect;
 use crate::config::{self, Config, Value, by_command, by_key};
@@ -22,6 +22,33 @@ use own::Own;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A camera's place in a flight, each with a table of parameters of its own. Commands to the pitch-yaw camera go to the
+/// first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Seat {
+    PitchYaw,
+    SecondPitchYaw,
+    Roll,
+}
+
+impl Seat {
+    pub fn role(self) -> CameraRole {
+        match self {
+            Self::PitchYaw | Self::SecondPitchYaw => CameraRole::PitchYaw,
+            Self::Roll => CameraRole::Roll,
+        }
+    }
+}
+
+impl From<CameraRole> for Seat {
+    fn from(role: CameraRole) -> Self {
+        match role {
+            CameraRole::PitchYaw => Self::PitchYaw,
+            CameraRole::Roll => Self::Roll,
+        }
+    }
+}
 
 /// What may change in flight, by who wants to know.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,7 +77,7 @@ impl Topic {
             "target" | "site" => Self::Aim,
             "mounting" => Self::Mounting,
             "limb" | "fiducial" | "registration" => Self::Solver,
-            "camera" | "roll" => Self::Cameras,
+            "camera" | "second_camera" | "roll_camera" => Self::Cameras,
             "store" => Self::Storing,
             "link" => Self::Link,
             _ => Self::Other,
@@ -118,7 +145,7 @@ impl Controls {
     pub fn new(config: Config, target: Target, mounting: Mounting) -> Self {
         let state = State {
             place: config.site.place(),
-            own: Own::new(&config),
+            own: Own::new(),
             config,
             target,
             stated: mounting,
@@ -157,9 +184,14 @@ impl Controls {
         self.state().config.clone()
     }
 
-    /// How the cameras of a role are to be set now.
-    pub fn camera(&self, role: CameraRole) -> config::Camera {
-        self.state().camera(role).clone()
+    /// How a camera is to be set now.
+    pub fn camera(&self, seat: Seat) -> config::Camera {
+        self.state().camera(seat).clone()
+    }
+
+    /// By how much the host's clock is ahead of true time, where that is known.
+    pub fn clock_offset_us(&self) -> Option<i64> {
+        self.state().clock_offset_us
     }
 
     /// Whether the frames of a role's cameras are to be stored.
@@ -236,10 +268,11 @@ impl Controls {
 }
 
 impl State {
-    fn camera(&self, role: CameraRole) -> &config::Camera {
-        match role {
-            CameraRole::PitchYaw => &self.config.camera,
-            CameraRole::Roll => &self.own.roll,
+    fn camera(&self, seat: impl Into<Seat>) -> &config::Camera {
+        match seat.into() {
+            Seat::PitchYaw => &self.config.camera,
+            Seat::SecondPitchYaw => &self.config.second_camera,
+            Seat::Roll => &self.config.roll_camera,
         }
     }
 

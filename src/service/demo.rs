@@ -2,7 +2,7 @@
 //! a simulated controller at the other end of a pseudo-terminal.
 
 use super::tally::{FlightTally, quantile};
-use super::{Answer, Flight, Service};
+use super::{Answer, Camera, Flight, Service};
 use crate::archive::Store;
 use crate::aspect::Quality;
 use crate::camera::{SimulatedCamera, TruthLog};
@@ -70,11 +70,11 @@ pub fn run(
     config.camera.rate_hz = demo.rate_hz;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {
-        instrument,
+        camera: Camera::new(instrument, camera),
+        other_cameras: Vec::new(),
         config,
         target: Target::default(),
         ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
         line: Connection::over(near),
         stores: vec![store],
     };

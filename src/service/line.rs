@@ -13,7 +13,9 @@ mod event;
 pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
 
 use super::control::{Controls, Topic};
+use super::shared::Shared;
 use super::tally::{LineTally, worth_a_line};
+use super::worker::Life;
 use crate::config;
 use crate::link::{
     CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, MessageError, Packet,
@@ -32,8 +34,8 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 const BACKLOG: usize = 512;
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
-pub(super) struct Line {
-    connection: Connection,
+pub(super) struct Line<'a> {
+    connection: &'a mut Connection,
     responder: Responder,
     parser: Parser,
     controls: Controls,
@@ -44,7 +46,7 @@ pub(super) struct Line {
     stalled: bool,
     stopping_since: Option<Instant>,
     picture: Option<PictureUnderWay>,
-    tally: LineTally,
+    tally: Shared<LineTally>,
 }
 
 struct PictureUnderWay {
@@ -54,8 +56,12 @@ struct PictureUnderWay {
     due: Instant,
 }
 
-impl Line {
-    pub fn new(connection: Connection, controls: Controls) -> Self {
+impl<'a> Line<'a> {
+    pub fn new(
+        connection: &'a mut Connection,
+        controls: Controls,
+        tally: Shared<LineTally>,
+    ) -> Self {
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
         let computer = Computer::numbered(settings.computer).unwrap_or(Computer::One);
@@ -72,26 +78,31 @@ impl Line {
             stalled: false,
             stopping_since: None,
             picture: None,
-            tally: LineTally::default(),
+            tally,
         }
     }
 
-    /// Talks while camera and solver work, and from then on listens until it is to hang up.
-    pub fn run(mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool) -> LineTally {
+    /// Talks and listens until it is to hang up and nothing is left to say.
+    pub fn run(&mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool, life: &Life) {
         loop {
+            life.beat();
             self.revive();
             match events.recv_timeout(PATIENCE) {
                 Ok(event) => self.hear(event, events),
+                Err(_) if hang_up.load(Ordering::Relaxed) => return,
                 Err(RecvTimeoutError::Timeout) => self.send_part_of_picture(),
-                Err(RecvTimeoutError::Disconnected) if hang_up.load(Ordering::Relaxed) => {
-                    self.tally.reopened = self.connection.reopened();
-                    return self.tally;
-                }
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
             }
             self.listen();
             self.finish_stopping();
+            self.publish();
         }
+    }
+
+    fn publish(&mut self) {
+        let mut tally = self.tally.lock();
+        tally.reopened = self.connection.reopened();
+        tally.conversation = *self.responder.state();
     }
 
     /// Says what there is to say. Where nobody takes it, whatever else is queued is dropped: it would only be older.
@@ -99,7 +110,7 @@ impl Line {
         self.look_at_settings();
         self.say(event);
         if self.stalled {
-            self.tally.outdated += events
+            self.tally.lock().outdated += events
                 .try_iter()
                 .filter(|event| matches!(event, LinkEvent::Outcome(_)))
                 .count() as u64;
@@ -128,7 +139,7 @@ impl Line {
         }
         match told.packet(Timestamp::now()) {
             Ok(packet) => {
-                self.tally.housekeeping += u64::from(self.send(&packet.encode()));
+                self.tally.lock().housekeeping += u64::from(self.send(&packet.encode()));
             }
             Err(error) => tracing::error!(%error, "housekeeping was not sent"),
         }
@@ -145,7 +156,7 @@ impl Line {
         }
         let Some(packet) = under_way.picture.part(under_way.next_part) else {
             self.picture = None;
-            self.tally.pictures += 1;
+            self.tally.lock().pictures += 1;
             return;
         };
         let bytes = packet.encode();
@@ -169,15 +180,15 @@ impl Line {
             return;
         }
         if self.backlog() > BACKLOG {
-            self.tally.unannounced += 1;
+            self.tally.lock().unannounced += 1;
             return;
         }
         match self.responder.exposure_starts(exposure) {
             Ok(Some(packet)) => {
                 if self.send(&packet) {
-                    self.tally.announced += 1;
+                    self.tally.lock().announced += 1;
                 } else {
-                    self.tally.unannounced += u64::from(self.connection.is_wanted());
+                    self.tally.lock().unannounced += u64::from(self.connection.is_wanted());
                     self.responder.forget(exposure);
                 }
             }
@@ -197,17 +208,17 @@ impl Line {
         }
         let max_age = Duration::from_millis(self.settings.max_solution_age_ms.into());
         if outcome.age() > max_age {
-            self.tally.outdated += 1;
+            self.tally.lock().outdated += 1;
             return self.responder.forget(exposure);
         }
         match self.conclusion(outcome) {
             Ok(Some(packet)) => {
                 if !self.send(&packet) {
                 } else if outcome.solution().is_some() {
-                    self.tally.solutions += 1;
-                    self.tally.note_latency(outcome.arrived.elapsed());
+                    self.tally.lock().solutions += 1;
+                    self.tally.lock().note_latency(outcome.arrived.elapsed());
                 } else {
-                    self.tally.errors += 1;
+                    self.tally.lock().errors += 1;
                 }
             }
             Ok(None) => {}
@@ -239,14 +250,14 @@ impl Line {
                 self.obey(&packet);
             }
         }
-        self.tally.rejected = self.parser.rejected();
+        self.tally.lock().rejected = self.parser.rejected();
     }
 
     fn obey(&mut self, packet: &CommandPacket) {
         let now = Timestamp::now();
         match self.responder.handle(packet, now, &mut self.controls) {
             Ok(reply) => {
-                self.tally.commands += u64::from(!reply.packets.is_empty());
+                self.tally.lock().commands += u64::from(!reply.packets.is_empty());
                 for answer in reply.packets {
                     self.send(&answer);
                 }
@@ -314,12 +325,12 @@ impl Line {
             self.stalled = false;
             return true;
         };
-        self.tally.failed += 1;
+        self.tally.lock().failed += 1;
         if matches!(error, PortError::Stalled { .. }) {
             port.discard_backlog();
             self.stalled = true;
-            if worth_a_line(self.tally.failed) {
-                tracing::warn!(%error, failed = self.tally.failed, "a packet was not sent");
+            if worth_a_line(self.tally.lock().failed) {
+                tracing::warn!(%error, failed = self.tally.lock().failed, "a packet was not sent");
             }
         } else {
             self.lose(&error);
@@ -328,9 +339,9 @@ impl Line {
     }
 
     fn lose(&mut self, error: &PortError) {
-        self.tally.lost += 1;
-        if worth_a_line(self.tally.lost) {
-            tracing::error!(%error, lost = self.tally.lost, "the line is lost");
+        self.tally.lock().lost += 1;
+        if worth_a_line(self.tally.lock().lost) {
+            tracing::error!(%error, lost = self.tally.lock().lost, "the line is lost");
         }
         self.connection.lose(self.start.elapsed());
     }

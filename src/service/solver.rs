@@ -1,20 +1,24 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
 use super::archiver::Archive;
-use super::control::{Controls, Snapshot, Topic};
+use super::control::{Controls, Seat, Snapshot, Topic};
+use super::housekeeping::Recent;
 use super::line::{LinkEvent, Outcome};
+use super::shared::Shared;
+use super::shutter::Glimpse;
 use super::tally::{SolverTally, worth_a_line};
+use super::worker::Life;
 use super::{Sighting, Station};
 use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
-use crate::camera::Exposure;
+use crate::camera::{Brightness, Exposure};
 use crate::frame::FrameInfo;
 use crate::instrument::{Instrument, Mounting};
 use crate::link::picture::{Tag, TagValue};
 use crate::link::{self, Picture};
 use crate::pointing::{self, Offset, Target};
 use crate::sky::Ephemeris;
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -45,6 +49,7 @@ impl Answer {
     }
 }
 
+#[derive(Clone)]
 pub(super) struct Solver {
     pub station: Arc<Station>,
     pub ephemeris: Ephemeris,
@@ -52,23 +57,30 @@ pub(super) struct Solver {
     pub archive: Archive,
     pub to_line: Sender<LinkEvent>,
     pub watcher: Option<Sender<Answer>>,
+    /// Where the camera learns of its frames' brightness.
+    pub glimpse: Glimpse,
+    pub recent: Shared<Recent>,
+    pub tally: Shared<SolverTally>,
 }
 
+/// How long the thread waits for a frame before it shows that it is at work.
+const PATIENCE: Duration = Duration::from_millis(200);
+
 impl Solver {
-    /// Solves until the camera ends.
-    pub fn run(mut self, sightings: &Receiver<Sighting>) -> SolverTally {
-        let mut tally = SolverTally::default();
+    /// Solves until the camera ends, or another thread has taken over.
+    pub fn run(mut self, sightings: &Receiver<Sighting>, life: &Life) {
         let mut track = None;
         let stated = self.station.instrument.mounting;
         let mut mounting_version = None;
         let mut sun = SunSize::default();
-        for sighting in sightings {
-            let Sighting { exposure, arrived } = sighting;
-            if let Err(error) = self.station.instrument.check_size(&exposure.frame) {
-                tally.misfits += 1;
-                if worth_a_line(tally.misfits) {
-                    tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
-                }
+        while !life.is_over() {
+            life.beat();
+            let Sighting { exposure, arrived } = match sightings.recv_timeout(PATIENCE) {
+                Ok(sighting) => sighting,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => return,
+            };
+            if !self.fits(&exposure) {
                 continue;
             }
             let version = self.controls.version(Topic::Mounting);
@@ -77,21 +89,41 @@ impl Solver {
                 self.remount(&snapshot, &stated, &mut track);
             }
             let answer = self.solve(exposure, &snapshot, &mut track, &mut sun);
-            count(&mut tally, &answer.solution);
+            if life.is_over() {
+                return;
+            }
+            count(&mut self.tally.lock(), &answer.solution);
             tracing::debug!(
                 number = answer.exposure.frame.info.number,
                 quality = answer.solution.quality.name(),
                 solve_us = answer.solve_time.as_micros() as u64,
                 "solved"
             );
-            self.hand_on(answer, arrived, &mut tally);
+            self.hand_on(answer, arrived);
         }
-        self.archive.close();
-        tally
+    }
+
+    /// Whether the frame is of this camera's size; a roll camera may have any.
+    fn fits(&self, exposure: &Exposure) -> bool {
+        if !self.station.is_solved() {
+            return true;
+        }
+        let Err(error) = self.station.instrument.check_size(&exposure.frame) else {
+            return true;
+        };
+        let mut tally = self.tally.lock();
+        tally.misfits += 1;
+        if worth_a_line(tally.misfits) {
+            tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
+        }
+        false
     }
 
     /// Where the ground has turned camera or plate, what the last frames taught no longer holds.
     fn remount(&mut self, commanded: &Snapshot, stated: &Mounting, track: &mut Option<Track>) {
+        if self.station.seat != Seat::PitchYaw {
+            return;
+        }
         let mounting = commanded.mounting(stated);
         if mounting != self.station.instrument.mounting {
             let mut station = (*self.station).clone();
@@ -112,13 +144,11 @@ impl Solver {
         let size = utc.and_then(|utc| sun.at(utc));
         let start = Instant::now();
         let frame = &exposure.frame;
-        let mut solution = aspect::solve_with(
-            &commanded.solver,
-            frame,
-            &self.station.instrument,
-            size,
-            track.as_ref(),
-        );
+        let instrument = &self.station.instrument;
+        let mut solution = match self.station.is_solved() {
+            true => aspect::solve_with(&commanded.solver, frame, instrument, size, track.as_ref()),
+            false => aspect::levels_only(&commanded.solver, frame, instrument),
+        };
         let solve_time = start.elapsed();
         if solution.track.is_some() {
             track.clone_from(&solution.track);
@@ -141,7 +171,7 @@ impl Solver {
             offset,
             target: commanded.target,
             solve_time,
-            to_be_stored: self.controls.stores(self.station.role),
+            to_be_stored: self.controls.stores(self.station.seat.role()),
         }
     }
 
@@ -166,7 +196,28 @@ impl Solver {
     }
 
     /// The line first: a solution does not wait for a disk.
-    fn hand_on(&self, answer: Answer, arrived: Instant, tally: &mut SolverTally) {
+    fn hand_on(&self, answer: Answer, arrived: Instant) {
+        if self.station.is_solved() {
+            self.tell_line(&answer, arrived);
+        }
+        if self.controls.takes_picture(self.station.seat.role()) {
+            self.send_picture(&answer);
+        }
+        let info = &answer.exposure.frame.info;
+        if let Some(exposure) = info.exposure {
+            let saturation_dn = answer.exposure.frame.saturation_dn();
+            let seen = Brightness::of(answer.solution.levels.as_ref(), saturation_dn);
+            *self.glimpse.lock() = Some((seen, exposure.as_micros() as u32));
+        }
+        self.recent.lock().note(&answer);
+        self.archive.offer(&answer);
+        if let Some(watcher) = &self.watcher {
+            // A watcher that has left misses nothing that matters.
+            let _ = watcher.send(answer);
+        }
+    }
+
+    fn tell_line(&self, answer: &Answer, arrived: Instant) {
         let outcome = Outcome {
             exposure: link::Exposure {
                 camera: self.station.camera_number(),
@@ -178,6 +229,7 @@ impl Solver {
             stopped: answer.solution.stopped,
         };
         if self.to_line.try_send(LinkEvent::Outcome(outcome)).is_err() {
+            let mut tally = self.tally.lock();
             tally.unsent += 1;
             if worth_a_line(tally.unsent) {
                 tracing::warn!(
@@ -185,14 +237,6 @@ impl Solver {
                     "the line is stuck: a solution was not sent"
                 );
             }
-        }
-        if self.controls.takes_picture(self.station.role) {
-            self.send_picture(&answer);
-        }
-        self.archive.offer(&answer);
-        if let Some(watcher) = &self.watcher {
-            // A watcher that has left misses nothing that matters.
-            let _ = watcher.send(answer);
         }
     }
 }

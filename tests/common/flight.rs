@@ -10,7 +10,7 @@ use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{self, Instrument};
 use solaspect::link::Connection;
 use solaspect::pointing::Target;
-use solaspect::service::{Flight, FlightTally, Service};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
 use solaspect::sky::Ephemeris;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -69,11 +69,11 @@ pub fn dark(
         ..Config::default()
     };
     let flight = Flight {
-        instrument,
+        camera: Camera::new(instrument, camera),
+        other_cameras: Vec::new(),
         config,
         target: Target::default(),
         ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
         line: Connection::none(),
         stores,
     };

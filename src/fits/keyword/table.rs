@@ -53,6 +53,7 @@ const TIME: Group = Group {
         row("EXPTIME", Float, "s", Both, "length of the exposure"),
         row("XPOSURE", Float, "s", Both, "length of the exposure"),
         row("MONOTIME", Float, "s", Both, "mid-exposure on the monotonic clock"),
+        row("UTCSTEP", Float, "s", Both, "step of UTC since the frame before, if any"),
         row("CAMCLOCK", Integer, "ns", Both, "the camera's own clock at the frame"),
         row("CLKSYNC", Logical, "", Written, "whether the clock was held to UTC"),
         row("CLKOFF", Float, "s", Written, "what the kernel had yet to correct"),

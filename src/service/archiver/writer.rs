@@ -42,6 +42,7 @@ pub(super) fn health_of(shared: &SharedHealth) -> MutexGuard<'_, DiskHealth> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+#[derive(Clone)]
 pub(super) struct Writer {
     /// Its number in the queue.
     pub disk: usize,
@@ -132,14 +133,16 @@ impl Writer {
         let (frame, solution) = (&answer.exposure.frame, &answer.solution);
         let instrument = &answer.station.instrument;
         let mut cards = answer.row().record.cards();
-        cards.extend(instrument_cards(instrument));
-        cards.extend(sky_cards(
-            &frame.info,
-            solution,
-            instrument,
-            &answer.target,
-            &mut self.ephemeris,
-        ));
+        if answer.station.is_solved() {
+            cards.extend(instrument_cards(instrument));
+            cards.extend(sky_cards(
+                &frame.info,
+                solution,
+                instrument,
+                &answer.target,
+                &mut self.ephemeris,
+            ));
+        }
         self.store.encode(
             &answer.station.folder,
             &instrument.name,

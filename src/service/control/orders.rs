@@ -1,6 +1,6 @@
 //! Commands become keys and values.
 
-use super::{Controls, Topic, own, switch};
+use super::{Controls, Topic, switch};
 use crate::config::{Allowed, Value, by_command};
 use crate::link::{CameraRole, CameraSetting, Command, CommandResult, Control, GpsFix};
 use crate::units::Place;
@@ -127,7 +127,7 @@ fn store_key(role: CameraRole) -> &'static str {
 fn camera_setting(role: CameraRole, setting: CameraSetting) -> (String, Value) {
     let table = match role {
         CameraRole::PitchYaw => "camera",
-        CameraRole::Roll => own::ROLL,
+        CameraRole::Roll => "roll_camera",
     };
     let (name, value) = match setting {
         CameraSetting::ExposureUs(value) => ("exposure_us", Value::Whole(value.into())),

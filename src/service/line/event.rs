@@ -26,7 +26,6 @@ pub enum LinkEvent {
     ExposureStarts(Exposure),
     Outcome(Outcome),
     /// The second's housekeeping.
-    #[allow(dead_code)] // Told by the watch over the threads, once there is one.
     Housekeeping(Box<Housekeeping>),
     /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
     Picture(Box<Picture>),

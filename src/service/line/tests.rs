@@ -52,11 +52,16 @@ fn bench_over(
     let computer = Computer::numbered(config.link.computer).unwrap();
     let mounting = builtin("demo").unwrap().mounting;
     let controls = Controls::new(config, Target::default(), mounting);
-    let line = Line::new(connection, controls);
+    let mut connection = connection;
     let (events, receiver) = unbounded();
     let hang_up = Arc::new(AtomicBool::new(false));
     let hung_up = Arc::clone(&hang_up);
-    let thread = std::thread::spawn(move || line.run(&receiver, &hung_up));
+    let thread = std::thread::spawn(move || {
+        let tally = Shared::default();
+        let mut line = Line::new(&mut connection, controls, tally.clone());
+        line.run(&receiver, &hung_up, &Life::new());
+        tally.copy()
+    });
     let far = Far::new(far, computer);
     Bench {
         events,

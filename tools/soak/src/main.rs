@@ -13,7 +13,7 @@ use solaspect::fits::Compression;
 use solaspect::instrument;
 use solaspect::link::{Connection, SerialPort};
 use solaspect::pointing::Target;
-use solaspect::service::{Flight, FlightTally, Service};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
 use solaspect::simulate::Depth;
 use solaspect::simulate::controller::{Controller, Report};
 use solaspect::sky::Ephemeris;
@@ -97,11 +97,11 @@ fn fly(args: &Args, roots: &[PathBuf]) -> anyhow::Result<Run> {
         report.cloned().map(|report| (report, far))
     });
     let flight = Flight {
-        instrument,
+        camera: Camera::new(instrument, camera),
+        other_cameras: Vec::new(),
         config: Config::default(),
         target: Target::default(),
         ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
         line: Connection::over(near),
         stores,
     };
