@@ -21,7 +21,8 @@ const SERVICES: [(&str, &str); 5] = [
 pub struct ClockStatus {
     /// Whether somebody holds it to UTC.
     pub synchronised: bool,
-    /// What the kernel has yet to correct; services that correct by frequency alone leave 0 here.
+    /// By how much it is ahead of UTC, as far as the kernel has yet to correct it; services that correct by frequency alone
+    /// leave 0 here.
     pub offset_us: f64,
     /// The largest error, as the time service last stated it, grown since.
     pub max_error_us: f64,
@@ -54,7 +55,8 @@ impl ClockStatus {
         };
         Self {
             synchronised: state != libc::TIME_ERROR && kernel.status & libc::STA_UNSYNC == 0,
-            offset_us: kernel.offset as f64 / per_us,
+            // The kernel has the correction.
+            offset_us: 0.0 - kernel.offset as f64 / per_us,
             max_error_us: kernel.maxerror as f64,
             source,
         }
@@ -75,9 +77,9 @@ mod tests {
     #[test]
     fn the_kernels_answer_is_read_in_microseconds_whatever_its_unit() {
         let fine = ClockStatus::of(libc::TIME_OK, &kernel(libc::STA_NANO, -2500), None);
-        assert_eq!((fine.offset_us, fine.max_error_us), (-2.5, 1500.0));
+        assert_eq!((fine.offset_us, fine.max_error_us), (2.5, 1500.0));
         let coarse = ClockStatus::of(libc::TIME_OK, &kernel(0, -2500), None);
-        assert_eq!(coarse.offset_us, -2500.0);
+        assert_eq!(coarse.offset_us, 2500.0);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! `solaspect preflight`: one page of what is ready to fly and what is not.
 
+use super::options;
 use crate::camera::Source;
 use crate::preflight::{self, Extent, Finding, Operator, Options, Verdict};
 use clap::Args;
@@ -10,8 +11,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// How long the controller is waited for.
-const CONTROLLER: Duration = Duration::from_secs(5);
 /// How long the operator may take for an answer.
 const OPERATOR: Duration = Duration::from_secs(600);
 
@@ -33,9 +32,16 @@ pub struct PreflightArgs {
     /// The archive's folder, or two of them
     #[arg(long, value_name = "DIR[,DIR2]", value_delimiter = ',')]
     archive: Vec<PathBuf>,
-    /// Wait up to 5 s for the controller to say something
-    #[arg(long)]
-    wait_controller: bool,
+    /// Wait for the controller to say something, up to this time
+    #[arg(
+        long,
+        value_name = "TIME",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "5s",
+        value_parser = options::duration
+    )]
+    wait_controller: Option<Duration>,
     /// Ask for slews of the telescope and watch that the offsets follow
     #[arg(long)]
     polarity: bool,
@@ -67,7 +73,7 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
     };
     let mut console = args.polarity.then(Console::new);
     let extent = Extent {
-        wait_for_controller: args.wait_controller.then_some(CONTROLLER),
+        wait_for_controller: args.wait_controller,
         operator: console.as_mut().map(|console| console as &mut dyn Operator),
     };
     preflight::run(args.config.as_deref(), &options, extent, &mut tell);

@@ -276,7 +276,7 @@ mod tests {
             max_error_us: 1500.0,
             source: Some("chrony"),
         };
-        let card = Card::new::<Value>;
+        let card = |keyword, value: Value| Card::new(keyword, value);
         let held = [
             card("CLKSYNC", true.into()),
             card("CLKOFF", (-250e-6).into()),

@@ -17,7 +17,7 @@ const PATIENCE: Duration = Duration::from_secs(15);
 /// The longest that frames are taken for.
 const LONGEST: Duration = Duration::from_secs(30);
 /// Frames are taken for about so long.
-const LOOK_S: f64 = 2.0;
+const LOOK_S: f64 = 1.0;
 /// A disc's level from here on, of full scale, is cut off.
 const SATURATED: f64 = 0.985;
 /// A disc this dim, of full scale, gives noisy answers.
@@ -85,7 +85,7 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
 }
 
 fn look(camera: &mut dyn FrameSource, rate_hz: f64) -> Sight {
-    let wanted = (LOOK_S * rate_hz).clamp(3.0, 60.0) as u32;
+    let wanted = (LOOK_S * rate_hz).clamp(5.0, 60.0) as u32;
     let mut sight = Sight {
         last: None,
         taken: 0,

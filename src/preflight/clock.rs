@@ -69,7 +69,7 @@ pub fn judge(
 fn described(status: &ClockStatus) -> String {
     format!(
         "off by {:.3} ms as the kernel knows, at most by {:.1} ms; {}",
-        status.offset_us / 1e3,
+        status.offset_us.abs() / 1e3,
         status.max_error_us / 1e3,
         match status.source {
             Some(source) => format!("{source} runs"),
@@ -105,7 +105,7 @@ fn follows(report: &str) -> Option<Finding> {
     };
     let found = format!(
         "chrony follows {followed}, stratum {stratum}, off by {:.3} ms",
-        offset_s * 1e3
+        offset_s.abs() * 1e3
     );
     Some(match stratum {
         "0" => Finding::warn("time source", found, HOLD_IT),
@@ -124,7 +124,7 @@ mod tests {
         assert_eq!(finding.verdict, Verdict::Pass);
         assert_eq!(
             finding.found,
-            "chrony follows GPS, stratum 1, off by -0.001 ms"
+            "chrony follows GPS, stratum 1, off by 0.001 ms"
         );
         let alone = "7F7F0101,,0,0.000000000,0.000000000,0.0,0.0,0.0,0.0,0.0,1.0,1.0,0.0,Not synchronised\n";
         assert_eq!(follows(alone).unwrap().verdict, Verdict::Warn);

@@ -32,8 +32,6 @@ impl Options {
         }
         if let Some(instrument) = &self.instrument {
             config.camera.instrument = Some(instrument.clone());
-            let second = &mut config.second_camera.instrument;
-            second.get_or_insert(instrument.clone());
         }
         if let Some(source) = &self.camera {
             config.camera.source = Some(source.clone());
@@ -52,7 +50,7 @@ pub struct PlannedCamera {
     pub role: CameraRole,
     pub source: Source,
     pub config: config::Camera,
-    /// The camera's own; for roll that of the first camera, whose plate it does not see.
+    /// The camera's own; for roll the demo, for want of one that describes it.
     pub instrument: Instrument,
     /// When the instrument's mounting was measured.
     pub dates: Vec<Dated>,

@@ -5,7 +5,7 @@ use super::plan::{self, NoTarget, Options, Plan, PlannedCamera};
 use crate::camera::{CameraError, FolderCamera, Source};
 use crate::config::{self, Config};
 use crate::instrument::toml_file::read_text;
-use crate::instrument::{Dated, Instrument, TomlError};
+use crate::instrument::{Instrument, TomlError};
 use crate::link::{CameraRole, PortAddress};
 use crate::simulate::Pieces;
 use crate::sky::Ephemeris;
@@ -335,16 +335,15 @@ fn files(config: Config, remarks: &mut Remarks) -> Option<Plan> {
 
 /// The cameras with their instruments; each file that is wrong is noted.
 fn cameras(config: &Config, remarks: &mut Remarks) -> Option<Vec<PlannedCamera>> {
-    let mut read: Vec<Option<(Instrument, Vec<Dated>)>> = Vec::new();
     let mut planned = Vec::new();
     for (table, role, source, camera) in tables(config) {
         let Some(source) = source else { continue };
         check_source(table, &source, camera, remarks);
-        let instrument = match (role, read.first()) {
-            (CameraRole::Roll, Some(first)) => first.clone(),
-            _ => remarks.noted(Instrument::read_with_dates(camera.instrument.as_deref())),
+        let file = match role {
+            CameraRole::PitchYaw => camera.instrument.as_deref(),
+            CameraRole::Roll => None,
         };
-        read.push(instrument.clone());
+        let instrument = remarks.noted(Instrument::read_with_dates(file));
         planned.push(instrument.map(|(instrument, dates)| PlannedCamera {
             table,
             role,

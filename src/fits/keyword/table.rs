@@ -56,7 +56,7 @@ const TIME: Group = Group {
         row("UTCSTEP", Float, "s", Both, "step of UTC since the frame before, if any"),
         row("CAMCLOCK", Integer, "ns", Both, "the camera's own clock at the frame"),
         row("CLKSYNC", Logical, "", Written, "whether the clock was held to UTC"),
-        row("CLKOFF", Float, "s", Written, "what the kernel had yet to correct"),
+        row("CLKOFF", Float, "s", Written, "clock ahead of UTC, as the kernel knew"),
         row("CLKERR", Float, "s", Written, "largest error of the clock, as stated"),
         row("CLKSRC", Text, "", Written, "time service that held the clock"),
         row("FRAMENUM", Integer, "", Both, "number of the frame in its sequence"),
