@@ -341,6 +341,7 @@ impl Crew {
             to_line: self.to_line.clone(),
             watcher: self.watcher.clone(),
             glimpse: glimpse.clone(),
+            cameras_ended: Arc::clone(&self.signals.cameras_ended),
             recent: Shared::default(),
             tally: Shared::default(),
         };

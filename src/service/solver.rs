@@ -21,6 +21,7 @@ use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// A solved frame.
@@ -59,6 +60,7 @@ pub(super) struct Solver {
     pub watcher: Option<Sender<Answer>>,
     /// Where the camera learns of its frames' brightness.
     pub glimpse: Glimpse,
+    pub cameras_ended: Arc<AtomicBool>,
     pub recent: Shared<Recent>,
     pub tally: Shared<SolverTally>,
 }
@@ -77,6 +79,7 @@ impl Solver {
             life.beat();
             let Sighting { exposure, arrived } = match sightings.recv_timeout(PATIENCE) {
                 Ok(sighting) => sighting,
+                Err(_) if self.cameras_ended.load(Ordering::Relaxed) => return,
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return,
             };

@@ -5,7 +5,7 @@ use super::housekeeping::Teller;
 use super::line::LinkEvent;
 use super::shared::Shared;
 use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
-use super::worker::Worker;
+use super::worker::{self, Worker};
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 use std::sync::Arc;
@@ -24,6 +24,8 @@ const HANGING_UP: Duration = Duration::from_millis(300);
 pub(super) struct Signals {
     /// No more frames.
     pub stop: Arc<AtomicBool>,
+    /// No camera takes frames any more; threads of cameras that hang may still hold their channels.
+    pub cameras_ended: Arc<AtomicBool>,
     /// The last frame is solved and stored, or given up.
     pub finished: AtomicBool,
     /// No more talking.
@@ -96,10 +98,11 @@ impl Watch {
 
     /// Looks after all threads: whether the work is done and the line is to be hung up.
     fn is_over(&mut self) -> bool {
-        let mut flying = false;
-        for worker in self.cameras.iter_mut().chain(&mut self.solvers) {
-            flying |= worker.look();
+        let taking = worker::look(&mut self.cameras);
+        if !taking {
+            self.signals.cameras_ended.store(true, Ordering::Relaxed);
         }
+        let flying = worker::look(&mut self.solvers) || taking;
         if !flying && let Some(archive) = self.archive.take() {
             archive.close();
         }

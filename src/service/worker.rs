@@ -159,6 +159,14 @@ impl Worker {
     }
 }
 
+/// Looks after threads: whether the work of any goes on.
+pub(super) fn look(workers: &mut [Worker]) -> bool {
+    let at_work = workers
+        .iter_mut()
+        .filter_map(|worker| worker.look().then_some(()));
+    at_work.count() > 0
+}
+
 fn message(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
     let text = text.or_else(|| panic.downcast_ref::<String>().cloned());

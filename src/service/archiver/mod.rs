@@ -21,7 +21,7 @@ pub use writer::DiskHealth;
 use super::control::Controls;
 use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
-use super::worker::{Job, Worker};
+use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, Upkeep};
 use crate::link::Housekeeping;
 use crate::sky::Ephemeris;
@@ -262,11 +262,7 @@ impl Threads {
 
     /// Looks after the threads: whether the work of any goes on.
     pub fn look(&mut self) -> bool {
-        let at_work = self
-            .0
-            .iter_mut()
-            .filter_map(|worker| worker.look().then_some(()));
-        at_work.count() > 0
+        worker::look(&mut self.0)
     }
 
     pub fn restarts(&self) -> u64 {
