@@ -57,8 +57,12 @@ impl Page {
              directory = {:?}\n{config}",
             folder.path().join("archive")
         );
+        let sky = match config.contains("[sky]") {
+            true => String::new(),
+            false => any_day(folder.path()),
+        };
         let file = folder.path().join("flight.toml");
-        fs::write(&file, text).unwrap();
+        fs::write(&file, text + &sky).unwrap();
         let mut arguments = vec!["preflight", "--json", "--config", file.to_str().unwrap()];
         arguments.extend(options);
         let output = solaspect(&arguments, answers);
@@ -116,7 +120,10 @@ fn the_simulated_camera_with_an_archive_passes_and_leaves_nothing_behind() {
 
 #[test]
 fn a_page_for_people_has_a_line_for_each_check_and_one_for_all() {
-    let output = solaspect(&["preflight"], "");
+    let folder = folder();
+    let file = folder.path().join("flight.toml");
+    fs::write(&file, any_day(folder.path())).unwrap();
+    let output = solaspect(&["preflight", "--config", file.to_str().unwrap()], "");
     let page = String::from_utf8(output.stdout).unwrap();
     let lines: Vec<&str> = page.lines().collect();
     assert!(
@@ -419,8 +426,7 @@ fn offsets_that_grow_as_the_telescope_is_slewed_pass_and_others_fail() {
         let folder = folder();
         let source = flight(folder.path(), way);
         let options = ["--camera", &source, "--polarity", "--answers"];
-        let config = any_day(folder.path());
-        let page = Page::with_answers(&folder, &config, &options, "\n\n");
+        let page = Page::with_answers(&folder, "", &options, "\n\n");
         for axis in axes {
             let found = page.found(axis);
             assert!(found.starts_with(verdict), "{way}: {axis}: {found}");
