@@ -2,9 +2,9 @@
 
 use crate::config::Config;
 use crate::instrument::{self, Instrument};
-use crate::pointing::{Feature, HelioprojectiveArcsec, Target};
-use crate::sky::{Ephemeris, OrientationTable};
-use anyhow::Context;
+use crate::pointing::Target;
+use crate::preflight;
+use crate::sky::Ephemeris;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -27,24 +27,12 @@ pub(super) fn config(path: Option<&Path>) -> anyhow::Result<Config> {
 
 /// The ephemeris with the configured table of Earth orientation, else the program's own.
 pub(super) fn ephemeris(config: &Config) -> anyhow::Result<Ephemeris> {
-    Ok(match &config.sky.earth_orientation {
-        Some(path) => Ephemeris::new(Arc::new(OrientationTable::read(path)?)),
-        None => Ephemeris::default(),
-    })
+    Ok(preflight::ephemeris(config)?)
 }
 
 /// The configured target; with an epoch, the feature that stood there then.
 pub(super) fn target(config: &Config, ephemeris: &mut Ephemeris) -> anyhow::Result<Target> {
-    let at = HelioprojectiveArcsec {
-        x: config.target.x_arcsec,
-        y: config.target.y_arcsec,
-    };
-    let Some(epoch) = config.target.epoch_utc else {
-        return Ok(Target::Fixed(at));
-    };
-    let disc = ephemeris.disc(epoch).context("target.epoch_utc")?;
-    let feature = Feature::seen(at, epoch, &disc).context("target")?;
-    Ok(Target::Feature(feature))
+    Ok(preflight::target(config, ephemeris)?)
 }
 
 /// A length of time such as 20s, 1.5s, 500ms, 10m or 8h; a bare number is in seconds.

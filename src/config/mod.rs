@@ -39,6 +39,7 @@ pub struct Config {
     pub roll_camera: Camera,
     pub link: Link,
     pub archive: Archive,
+    pub preflight: Preflight,
     pub simulation: Simulation,
     pub limb: limb::Settings,
     pub fiducial: fiducial::Settings,
@@ -241,6 +242,22 @@ impl Archive {
     }
 }
 
+/// What is demanded before the flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Preflight {
+    pub max_clock_error_ms: f64,
+    pub max_calibration_age_days: f64,
+}
+
+impl Default for Preflight {
+    fn default() -> Self {
+        Self {
+            max_clock_error_ms: 100.0,
+            max_calibration_age_days: 365.0,
+        }
+    }
+}
+
 /// How scenes are simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulation {
@@ -274,16 +291,26 @@ impl Config {
 
     /// As [`read`](Self::read), from a text; `path` is for the errors.
     pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
-        let document: toml::Table = parse_strict(path, text, &[])?;
+        let (config, errors) = Self::parse_all(path, text);
+        errors.into_iter().next().map_or(Ok(config), Err)
+    }
+
+    /// As [`parse`](Self::parse), but with every error that the text has, and with what was right beside them.
+    pub fn parse_all(path: &Path, text: &str) -> (Self, Vec<TomlError>) {
         let mut config = Self::default();
+        let mut errors = Vec::new();
+        let document = parse_strict(path, text, &[]).unwrap_or_else(|error| {
+            errors.push(error);
+            toml::Table::new()
+        });
         for (table, content) in document {
-            config.read_table(path, &table, content)?;
+            config.read_table(path, &table, content, &mut errors);
         }
-        if config.site.is_complete_or_empty() {
-            return Ok(config);
+        if !config.site.is_complete_or_empty() {
+            let expected = "latitude_deg, longitude_deg and height_m together or none of them";
+            errors.push(TomlError::new(path, "site", expected, "only some"));
         }
-        let expected = "latitude_deg, longitude_deg and height_m together or none of them";
-        Err(TomlError::new(path, "site", expected, "only some"))
+        (config, errors)
     }
 
     fn read_table(
@@ -291,23 +318,28 @@ impl Config {
         path: &Path,
         table: &str,
         content: toml::Value,
-    ) -> Result<(), TomlError> {
-        let values = match content {
-            toml::Value::Table(values) if !values.is_empty() => values,
-            _ if !parameters().iter().any(|p| p.table() == table) => {
-                return Err(unknown(path, table));
+        errors: &mut Vec<TomlError>,
+    ) {
+        let is_known = parameters().iter().any(|p| p.table() == table);
+        match content {
+            toml::Value::Table(values) if is_known || !values.is_empty() => {
+                let mut keyed = |(name, value): (&String, &toml::Value)| {
+                    self.read_value(path, &format!("{table}.{name}"), value)
+                };
+                errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
             }
-            toml::Value::Table(empty) => empty,
-            other => return Err(TomlError::new(path, table, "a table", value::found(&other))),
-        };
-        for (name, value) in values {
-            let key = format!("{table}.{name}");
-            let parameter = by_key(&key).ok_or_else(|| unknown(path, &key))?;
-            parameter
-                .set_from_toml(self, &value)
-                .map_err(|refused| TomlError::new(path, key, refused.expected, refused.found))?;
+            _ if !is_known => errors.push(unknown(path, table)),
+            other => {
+                errors.push(TomlError::new(path, table, "a table", value::found(&other)));
+            }
         }
-        Ok(())
+    }
+
+    fn read_value(&mut self, path: &Path, key: &str, value: &toml::Value) -> Result<(), TomlError> {
+        let parameter = by_key(key).ok_or_else(|| unknown(path, key))?;
+        parameter
+            .set_from_toml(self, value)
+            .map_err(|refused| TomlError::new(path, key, refused.expected, refused.found))
     }
 }
 
@@ -382,6 +414,16 @@ mod tests {
         assert_eq!(second.auto_exposure(), None);
         let roll = config.roll_camera.settings();
         assert_eq!(roll.pixel_format, PixelFormat::Mono12);
+    }
+
+    #[test]
+    fn all_errors_of_a_file_are_told_at_once_and_what_is_right_is_taken() {
+        let text = "[camera]\nrate_hz = 1000\nexposre_us = 3\nexposure_us = 700\n[lnk]\n[site]\nheight_m = 3\n";
+        let (config, errors) = Config::parse_all(Path::new("c.toml"), text);
+        let mut keys: Vec<&str> = errors.iter().map(|error| error.field.as_str()).collect();
+        keys.sort_unstable();
+        assert_eq!(keys, ["camera.exposre_us", "camera.rate_hz", "lnk", "site"]);
+        assert_eq!(config.camera.exposure_us, 700);
     }
 
     #[test]

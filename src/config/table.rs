@@ -163,6 +163,11 @@ static TABLE: &[Parameter] = &[
     row!(archive.stop_free_percent, "percent", Number(0.0, 100.0), command 43,
         "With less of every disk free, no frames are stored; the log goes on."),
 
+    row!(preflight.max_clock_error_ms, "ms", Number(0.001, 1e6),
+        "`solaspect preflight` objects to a clock that may be off by more. A second moves the Sun by 15 arcsec."),
+    row!(preflight.max_calibration_age_days, "days", Number(1.0, 36_500.0),
+        "`solaspect preflight` warns of an instrument whose boresight, clocking or scale was measured longer ago."),
+
     row!(simulation.seed, "", Whole(0, i64::MAX),
         "Seed of the simulator: the same seed gives the same frames, bit for bit."),
 

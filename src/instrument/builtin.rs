@@ -18,8 +18,8 @@ const FILES: [(&str, &str); 3] = [
 /// A built-in instrument by name.
 pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
     let path = Path::new(name);
-    match FILES.iter().find(|(known, _)| *known == name) {
-        Some((_, text)) => raw::parse(path, text),
+    match text(name) {
+        Some(text) => raw::parse(path, text),
         None => Err(TomlError::new(
             path,
             "",
@@ -27,6 +27,11 @@ pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
             format!("\"{name}\""),
         )),
     }
+}
+
+pub(super) fn text(name: &str) -> Option<&'static str> {
+    let file = FILES.iter().find(|(known, _)| *known == name);
+    file.map(|(_, text)| *text)
 }
 
 /// Names of the built-in instruments.

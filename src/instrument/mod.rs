@@ -5,10 +5,12 @@
 //! steps: `raw` holds what the file says, [`Instrument`] what has been checked.
 
 mod builtin;
+mod dates;
 mod raw;
 pub mod toml_file;
 
 pub use builtin::{builtin, builtin_names};
+pub use dates::Dated;
 pub use toml_file::TomlError;
 
 use crate::frame::Frame;
