@@ -234,10 +234,10 @@ fn what_a_camera_sees_is_judged_by_its_light() {
 }
 
 #[test]
-fn a_region_that_is_not_the_instruments_fails() {
+fn a_region_of_the_sensor_will_do_and_one_that_reaches_over_it_fails() {
     let folder = folder();
     let page = Page::of(&folder, "[camera]\nregion_px = \"100,50,640,480\"\n", &[]);
-    assert_eq!(page.failures(), ["camera"]);
+    assert!(page.failures().is_empty(), "{}", page.page);
     let outside = Page::of(&folder, "[camera]\nregion_px = \"1200,50,640,480\"\n", &[]);
     assert_eq!(outside.failures(), ["camera"]);
     assert!(

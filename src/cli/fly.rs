@@ -2,10 +2,9 @@
 
 mod cameras;
 
-use super::options;
+use super::options::{self, ConfigurationArgs};
 use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
-use crate::camera::Source;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
 use crate::link::{Connection, PortAddress};
@@ -21,25 +20,11 @@ use std::time::{Duration, Instant};
 /// Fly: read the camera, solve, send offsets to the controller, keep every frame
 #[derive(Debug, Args)]
 pub struct FlyArgs {
-    /// The configuration's TOML file; options go over it
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// The instrument's TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml [default: the
-    /// configuration's camera.source, else simulated]
-    #[arg(long, value_name = "SOURCE")]
-    camera: Option<Source>,
+    #[command(flatten)]
+    over: ConfigurationArgs,
     /// Replay a folder so many times faster than it was taken
     #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = options::speed)]
     speed: f64,
-    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
-    #[arg(long, value_name = "PORT")]
-    serial: Option<String>,
-    /// The archive's folder, or two of them
-    #[arg(long, value_name = "DIR[,DIR2]")]
-    archive: Option<String>,
     /// End after this time [default: fly until SIGTERM or SIGINT]
     #[arg(long, value_name = "TIME", value_parser = options::duration)]
     duration: Option<Duration>,
@@ -49,7 +34,8 @@ pub struct FlyArgs {
 const ENDING: Duration = Duration::from_millis(1500);
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
-    let config = configuration(&args)?;
+    let mut config = options::config(args.over.config.as_deref())?;
+    args.over.options().over(&mut config);
     let mut ephemeris = options::ephemeris(&config)?;
     if let Err(error) = ephemeris.disc(Timestamp::now()) {
         tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
@@ -88,26 +74,6 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,
     })
-}
-
-/// The configuration, with the options over it.
-fn configuration(args: &FlyArgs) -> anyhow::Result<Config> {
-    let mut config = options::config(args.config.as_deref())?;
-    if let Some(folders) = &args.archive {
-        let mut folders = folders.split(',').map(PathBuf::from);
-        config.archive.directory = folders.next();
-        config.archive.second_directory = folders.next();
-    }
-    if let Some(port) = &args.serial {
-        config.link.port = Some(port.clone());
-    }
-    if let Some(source) = &args.camera {
-        config.camera.source = Some(source.clone());
-    }
-    if let Some(instrument) = &args.instrument {
-        config.camera.instrument = Some(instrument.clone());
-    }
-    Ok(config)
 }
 
 /// A port that is not there is looked for in flight.

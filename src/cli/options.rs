@@ -1,13 +1,48 @@
 //! What several commands read from their options.
 
+use crate::camera::Source;
 use crate::config::Config;
 use crate::instrument::{self, Instrument};
 use crate::pointing::Target;
-use crate::preflight;
+use crate::preflight::{self, Options};
 use crate::sky::Ephemeris;
-use std::path::Path;
+use clap::Args;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+
+/// The configuration of a flight, and what the command line says instead of it.
+#[derive(Debug, Args)]
+pub(super) struct ConfigurationArgs {
+    /// The configuration's TOML file; options go over it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// The instrument's TOML file [default: the configuration's, else the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml [default: the
+    /// configuration's camera.source, else simulated]
+    #[arg(long, value_name = "SOURCE")]
+    camera: Option<Source>,
+    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
+    #[arg(long, value_name = "PORT")]
+    serial: Option<String>,
+    /// The archive's folder, or two of them
+    #[arg(long, value_name = "DIR[,DIR2]", value_delimiter = ',')]
+    archive: Vec<PathBuf>,
+}
+
+impl ConfigurationArgs {
+    /// What the command line says.
+    pub fn options(&self) -> Options {
+        Options {
+            instrument: self.instrument.clone(),
+            camera: self.camera.clone(),
+            serial: self.serial.clone(),
+            archive: self.archive.clone(),
+        }
+    }
+}
 
 /// The instrument of `--instrument`, else the built-in demo.
 pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {

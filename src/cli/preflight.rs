@@ -1,13 +1,11 @@
 //! `solaspect preflight`: one page of what is ready to fly and what is not.
 
-use super::options;
-use crate::camera::Source;
-use crate::preflight::{self, Extent, Finding, Operator, Options, Verdict};
+use super::options::{self, ConfigurationArgs};
+use crate::preflight::{self, Extent, Finding, Operator, Verdict};
 use clap::Args;
 use crossbeam_channel::{Receiver, bounded};
 use serde_json::json;
 use std::io::{BufRead, IsTerminal};
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -17,21 +15,8 @@ const OPERATOR: Duration = Duration::from_secs(600);
 /// Check before a flight that clock, disks, line and cameras answer and are set as configured
 #[derive(Debug, Args)]
 pub struct PreflightArgs {
-    /// The configuration's TOML file; options go over it
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// The instrument's TOML file [default: the configuration's, else the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// Where frames come from, as for `fly`
-    #[arg(long, value_name = "SOURCE")]
-    camera: Option<Source>,
-    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
-    #[arg(long, value_name = "PORT")]
-    serial: Option<String>,
-    /// The archive's folder, or two of them
-    #[arg(long, value_name = "DIR[,DIR2]", value_delimiter = ',')]
-    archive: Vec<PathBuf>,
+    #[command(flatten)]
+    over: ConfigurationArgs,
     /// Wait for the controller to say something, up to this time
     #[arg(
         long,
@@ -58,12 +43,7 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
     if args.polarity && !args.answers && !std::io::stdin().is_terminal() {
         anyhow::bail!("--polarity: expected a terminal to ask at, or --answers, found neither");
     }
-    let options = Options {
-        instrument: args.instrument,
-        camera: args.camera,
-        serial: args.serial,
-        archive: args.archive,
-    };
+    let options = args.over.options();
     let mut findings = Vec::new();
     let mut tell = |finding: Finding| {
         if !args.json {
@@ -76,7 +56,7 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
         wait_for_controller: args.wait_controller,
         operator: console.as_mut().map(|console| console as &mut dyn Operator),
     };
-    preflight::run(args.config.as_deref(), &options, extent, &mut tell);
+    preflight::run(args.over.config.as_deref(), &options, extent, &mut tell);
     Ok(conclude(&findings, args.json))
 }
 

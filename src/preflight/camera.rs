@@ -72,13 +72,19 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
         settings(planned, frame, &sight.health),
     ];
     findings.extend(health(check, &sight));
-    match (planned.role, planned.instrument.check_size(frame)) {
+    match (planned.role, planned.instrument.seen_by(frame)) {
         (CameraRole::Roll, _) => {}
-        (_, Ok(())) => findings.extend(solves(plan, planned, frame)),
+        (_, Ok(instrument)) => {
+            let seen = PlannedCamera {
+                instrument: instrument.into_owned(),
+                ..planned.clone()
+            };
+            findings.extend(solves(plan, &seen, frame));
+        }
         (_, Err(wrong)) => findings.push(Finding::fail(
             check,
             wrong.to_string(),
-            "give the camera its own instrument file, and leave region_px unset",
+            "give the camera its own instrument file",
         )),
     }
     findings

@@ -246,8 +246,7 @@ impl Watch {
     }
 
     fn offset(&mut self, frame: &crate::frame::Frame) -> Option<Offset> {
-        let instrument = &self.planned.instrument;
-        instrument.check_size(frame).ok()?;
+        let instrument = &*self.planned.instrument.seen_by(frame).ok()?;
         let utc = frame.info.mid_exposure;
         let settings = self.plan.config.solver();
         let expected = utc.and_then(Expected::at);

@@ -6,6 +6,7 @@ use super::solver::Answer;
 use super::tally::{FlightTally, quantile};
 use super::watch::Counts;
 use crate::aspect::{Origin, Quality};
+use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
 use crate::link::housekeeping::MarkIds;
 use crate::link::{CameraRole, Housekeeping};
@@ -55,6 +56,9 @@ impl Teller {
     pub fn tell(&mut self, counts: &Counts, restarts: u64) -> Box<Housekeeping> {
         let tally = counts.tally();
         let mut told = Box::<Housekeeping>::default();
+        let clock = ClockStatus::read().ok();
+        let offset_us = clock.map(|clock| clock.offset_us.round() as i64);
+        self.controls.note_clock_offset(offset_us);
         told.uptime_s = small(self.start.elapsed().as_secs());
         told.restarts = small(restarts);
         self.tell_settings(&mut told);

@@ -109,6 +109,7 @@ pub(super) fn start(
             limits: settings.space_limits(),
             number: n,
             controls: controls.clone(),
+            clock: None,
             ephemeris: ephemeris.clone(),
             health: Arc::clone(&health),
         };
