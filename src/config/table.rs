@@ -57,7 +57,7 @@ macro_rules! camera_rows {
         row!($table.preamp_gain, "", Number(-1e6, 1e6), sample Sample::Number(-3.0),
             concat!("Pre-amplifier gain in the camera's own scale; unset, the camera keeps its own.", $preamp)),
         row!($table.region_px, "px", Allowed::Region, sample Sample::Text("100,50,640,480"),
-            "Part of the sensor that is read; unset, all of it. Solving needs frames of the instrument's size."),
+            "Part of the sensor that is read; unset, all of it. Positions on the sensor then count from its corner."),
         row!($table.pixel_format, "", Name(&PixelFormat::NAMES),
             "How the camera digitises: 8 bits, or 12 bits in two bytes, which double the traffic and the files."),
         row!($table.auto_exposure, "", Name(&["off", "on"]),
