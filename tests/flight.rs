@@ -11,9 +11,7 @@ use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
 use solaspect::link::{BytePort, Connection, Direction, Housekeeping, Packet, Parser, SerialPort};
-use solaspect::pointing::Target;
 use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
-use solaspect::sky::Ephemeris;
 use std::io::Read;
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
@@ -66,13 +64,8 @@ fn scripted(deed: Deed) -> Camera {
 
 fn flight(camera: Camera, stores: Vec<Store>) -> Flight {
     Flight {
-        camera,
-        other_cameras: Vec::new(),
-        config: Config::default(),
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
-        line: Connection::none(),
         stores,
+        ..Flight::of(camera)
     }
 }
 

@@ -11,9 +11,7 @@ use solaspect::link::{
     BytePort, COMMANDS, Command, Computer, Connection, Direction, Message, Packet, Parser,
     PortAddress, SerialPort, id,
 };
-use solaspect::pointing::Target;
 use solaspect::service::{Camera, Flight, FlightTally, Service};
-use solaspect::sky::Ephemeris;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -53,13 +51,9 @@ fn fly(line: Connection, config: Config) -> Service {
         number: 0,
     };
     let flight = Flight {
-        camera: Camera::new(instrument, camera),
-        other_cameras: Vec::new(),
         config,
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
         line,
-        stores: vec![],
+        ..Flight::of(Camera::new(instrument, camera))
     };
     Service::start(flight).unwrap()
 }

@@ -10,10 +10,9 @@ use crate::config::Config;
 use crate::fits::Compression;
 use crate::instrument::{self, Instrument};
 use crate::link::{Connection, Message, SerialPort};
-use crate::pointing::Target;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::{FlightScenes, Trajectory};
-use crate::sky::{self, Ephemeris};
+use crate::sky;
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::{Timestamp, civil};
@@ -70,13 +69,10 @@ pub fn run(
     config.camera.rate_hz = demo.rate_hz;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {
-        camera: Camera::new(instrument, camera),
-        other_cameras: Vec::new(),
         config,
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
         line: Connection::over(near),
         stores: vec![store],
+        ..Flight::of(Camera::new(instrument, camera))
     };
     let received = Arc::new(Mutex::new(None));
     let over = Arc::new(AtomicBool::new(false));

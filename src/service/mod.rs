@@ -96,6 +96,19 @@ pub struct Flight {
 }
 
 impl Flight {
+    /// A flight of one camera with the defaults for everything else: no line, no archive, the disc's centre as target.
+    pub fn of(camera: Camera) -> Self {
+        Self {
+            config: Config::default(),
+            target: Target::default(),
+            ephemeris: Ephemeris::default(),
+            camera,
+            other_cameras: Vec::new(),
+            line: Connection::none(),
+            stores: Vec::new(),
+        }
+    }
+
     fn cameras(&self) -> impl Iterator<Item = &Camera> {
         std::iter::once(&self.camera).chain(&self.other_cameras)
     }

@@ -69,13 +69,9 @@ pub fn dark(
         ..Config::default()
     };
     let flight = Flight {
-        camera: Camera::new(instrument, camera),
-        other_cameras: Vec::new(),
         config,
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
-        line: Connection::none(),
         stores,
+        ..Flight::of(Camera::new(instrument, camera))
     };
     let (service, answers) = Service::start_watched(flight).unwrap();
     let looked_at = |service: &Service| {
