@@ -71,6 +71,8 @@ housekeeping! {
     uptime_s: u32, "s", "since the start of the program";
     taken: u32, "", "frames taken";
     lost: u32, "", "frames that the camera or the solver lost";
+    incomplete: u16, "", "frames that arrived from the camera with parts missing, and were not used";
+    reconnects: u16, "", "how often a camera was gone and came back";
     fine: u32, "", "frames solved finely";
     coarse: u32, "", "frames solved coarsely";
     none: u32, "", "frames without a Sun";

@@ -117,6 +117,8 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     } = tally;
     told.taken = small(camera.taken);
     told.lost = small(camera.lost + camera.failed + solver.misfits);
+    told.incomplete = small(camera.health.incomplete);
+    told.reconnects = small(camera.health.reconnects);
     told.fine = small(solver.of(Quality::Fine));
     told.coarse = small(solver.of(Quality::Coarse));
     told.none = small(solver.of(Quality::None));

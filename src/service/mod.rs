@@ -27,7 +27,8 @@
 //! the last of its work. The link goes on answering commands until the service is joined.
 //!
 //! A thread that panics is started again. So is a camera or a solver that shows no sign of life for a while, with the same
-//! channels; the one that hangs is left alone. A thread that waits for a disk is waited for: the other disk's goes on.
+//! channels; the one that hangs is left alone. A thread that waits for a disk is waited for: the other disk's goes on. Where
+//! watch or link hang, systemd's watchdog is not fed, and it starts the program again.
 
 mod archiver;
 pub mod control;

@@ -170,6 +170,18 @@ impl fmt::Display for FlightTally {
             "frames     {} taken, {} lost, {} failed",
             camera.taken, camera.lost, camera.failed
         )?;
+        let health = &camera.health;
+        if *health != CameraHealth::default() {
+            writeln!(
+                out,
+                "camera     {} incomplete, {} missing, {} packets lost, {} settings refused, {} reconnects",
+                health.incomplete,
+                health.missing,
+                health.lost_packets,
+                health.refused_settings,
+                health.reconnects,
+            )?;
+        }
         if *restarts > 0 {
             writeln!(out, "threads    {restarts} started again")?;
         }

@@ -16,6 +16,8 @@ use std::time::{Duration, Instant};
 /// How often the threads are looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 const TELL_EVERY: Duration = Duration::from_secs(1);
+/// A line that shows no sign of life for so long is left to systemd: only a new process gets a new port.
+const LINE_PATIENCE: Duration = Duration::from_secs(10);
 /// How long the line may take to hang up.
 const HANGING_UP: Duration = Duration::from_millis(300);
 
@@ -81,7 +83,9 @@ impl Watch {
         let mut systemd = Systemd::ready();
         let mut told = Instant::now();
         while !self.is_over() {
-            systemd.feed();
+            if !self.line.is_silent_for(LINE_PATIENCE) {
+                systemd.feed();
+            }
             if told.elapsed() >= TELL_EVERY {
                 told += TELL_EVERY;
                 self.tell();
@@ -154,7 +158,8 @@ impl Systemd {
         }
     }
 
-    /// Only this thread feeds it: others that hang are started again; if this one hangs, systemd does the rest.
+    /// Only the watch feeds it: cameras and solvers that hang are started again; if the watch or the line hangs, systemd
+    /// does the rest.
     fn feed(&mut self) {
         if self.every.is_some_and(|every| self.fed.elapsed() >= every) {
             self.fed = Instant::now();

@@ -54,7 +54,8 @@ type Make = Box<dyn FnMut() -> Job + Send>;
 /// A thread under watch.
 pub(super) struct Worker {
     name: String,
-    /// Longer silence is a hang; `None` for a thread that waits for a disk, as long as the disk likes.
+    /// Longer silence is a hang that another thread may end; `None` where none may: it would wait for the same disk or
+    /// port.
     patience: Option<Duration>,
     /// Makes the job of the next life; none once the work is done, so that its channels close.
     make: Option<Make>,
@@ -89,6 +90,12 @@ impl Worker {
 
     pub fn restarts(&self) -> u64 {
         self.restarts
+    }
+
+    /// Whether the thread has shown no sign of life for longer than this.
+    pub fn is_silent_for(&self, patience: Duration) -> bool {
+        let running = self.running.as_ref();
+        running.is_some_and(|running| running.life.silence() > patience)
     }
 
     /// Looks after the thread: whether its work goes on.
