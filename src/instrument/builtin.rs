@@ -18,8 +18,8 @@ const FILES: [(&str, &str); 3] = [
 /// A built-in instrument by name.
 pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
     let path = Path::new(name);
-    match FILES.iter().find(|(known, _)| *known == name) {
-        Some((_, text)) => raw::parse(path, text),
+    match builtin_text(name) {
+        Some(text) => raw::parse(path, text),
         None => Err(TomlError::new(
             path,
             "",
@@ -27,6 +27,12 @@ pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
             format!("\"{name}\""),
         )),
     }
+}
+
+/// The TOML text of a built-in instrument.
+pub fn builtin_text(name: &str) -> Option<&'static str> {
+    let known = FILES.iter().find(|(known, _)| *known == name);
+    known.map(|(_, text)| *text)
 }
 
 /// Names of the built-in instruments.

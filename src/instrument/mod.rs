@@ -8,7 +8,7 @@ mod builtin;
 mod raw;
 pub mod toml_file;
 
-pub use builtin::{builtin, builtin_names};
+pub use builtin::{builtin, builtin_names, builtin_text};
 pub use toml_file::TomlError;
 
 use crate::frame::Frame;
@@ -137,6 +137,11 @@ impl Instrument {
     /// Reads and checks an instrument's TOML file.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         raw::read(path)
+    }
+
+    /// Checks an instrument's TOML text; `path` is what errors name.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
+        raw::parse(path, text)
     }
 
     /// The mapping that the calibration states, with its covariance at the Sun's place by
