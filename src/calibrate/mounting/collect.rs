@@ -18,6 +18,9 @@ use std::path::PathBuf;
 /// Frames from which the plate's handedness is told, where the stated one reads none.
 const SAMPLE: usize = 24;
 
+/// Fewer sights than this want an explanation.
+const FEW: usize = 5;
+
 /// What the frames are looked at with.
 #[derive(Debug, Clone)]
 pub struct Frames<'a> {
@@ -82,15 +85,16 @@ pub fn collect(
             }
         }
     }
-    if sights.is_empty() {
-        explain(&lacks, &left_out)?;
+    if sights.len() < FEW {
+        explain(&lacks, &left_out, sights.len())?;
     }
     Ok((sights, left_out, handedness))
 }
 
-/// Why not one frame gave a sight.
-fn explain(lacks: &[Lack], left_out: &[LeftOut]) -> anyhow::Result<()> {
-    let most = |lack: Lack| 2 * lacks.iter().filter(|l| **l == lack).count() > lacks.len();
+/// Why hardly a frame gave a sight, where most of them lack the same.
+fn explain(lacks: &[Lack], left_out: &[LeftOut], sights: usize) -> anyhow::Result<()> {
+    let all = lacks.len() + sights;
+    let most = |lack: Lack| 2 * lacks.iter().filter(|l| **l == lack).count() > all;
     if most(Lack::Time) {
         bail!(
             "frames without time: expected DATE-AVG or DATE-OBS in every frame, found none; take FITS frames with their UTC"
@@ -108,6 +112,7 @@ fn explain(lacks: &[Lack], left_out: &[LeftOut]) -> anyhow::Result<()> {
         );
     }
     match left_out.first() {
+        _ if sights > 0 => Ok(()),
         Some(first) => bail!(
             "no frame shows the Sun on the plate; the first, {}: {}",
             first.name,

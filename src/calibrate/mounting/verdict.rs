@@ -128,7 +128,7 @@ fn centre(fit: &Fit, stated: &Instrument) -> Finding {
             sigma,
             MOST_CENTRE_MIL,
             Measured::new(apart, mounting.boresight_sigma_mil),
-            &format!("{sigma:.3} mil ({:.2} arcsec)", arcsec(sigma)),
+            &format!("{sigma:.4} mil ({:.4} arcsec)", arcsec(sigma)),
         ),
     };
     Finding {
