@@ -1,6 +1,7 @@
 //! The frames that a calibration is given: their files, their hash, what is wrong with some of them.
 
-use crc::{CRC_64_XZ, Crc};
+use rayon::prelude::*;
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// Endings of the files that are taken for frames.
@@ -64,12 +65,15 @@ fn list_folder(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), ListError>
     Ok(())
 }
 
-/// CRC-64/XZ of the files' contents one after the other: it tells which frames a calibration rests on.
-pub fn hash(files: &[PathBuf]) -> String {
-    let crc = Crc::<u64>::new(&CRC_64_XZ);
-    let mut digest = crc.digest();
-    for bytes in files.iter().filter_map(|file| std::fs::read(file).ok()) {
-        digest.update(&bytes);
+/// SHA-256 over the sorted SHA-256 of the files that can be read, hexadecimal: whatever their names and order.
+pub fn sha256(files: &[PathBuf]) -> String {
+    let one = |file: &PathBuf| Some(Sha256::digest(std::fs::read(file).ok()?));
+    let mut digests: Vec<_> = files.par_iter().filter_map(one).collect();
+    digests.sort();
+    let mut all = Sha256::new();
+    for digest in digests {
+        all.update(digest);
     }
-    format!("{:016x}", digest.finalize())
+    let bytes = all.finalize();
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

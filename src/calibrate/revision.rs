@@ -4,15 +4,20 @@ use crate::instrument::{Instrument, TomlError, toml_file};
 use crate::units::Measured;
 use jiff::civil::Date;
 use std::path::{Path, PathBuf};
-use toml_edit::{DocumentMut, InlineTable, Item, Table, Value};
+use toml_edit::{DocumentMut, InlineTable, Item, Table, Value, value};
 
 /// Where new values come from, for people: it stands beside each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Provenance {
-    /// The program's version, what it did, the frames and their hash.
+    /// The name of the calibration: the table `[calibration.NAME]` holds what it rests on.
+    pub name: &'static str,
+    /// What was done, with how many frames.
     pub source: String,
     /// When the frames were taken.
     pub date: Date,
+    pub frames: usize,
+    /// Over the sorted SHA-256 of the files.
+    pub frames_sha256: String,
 }
 
 /// An instrument's file, open for new entries.
@@ -64,6 +69,26 @@ impl Revision {
             entry.insert("date", date);
         }
         self.put(key, Item::Value(Value::InlineTable(entry)));
+    }
+
+    /// Notes what the calibration rests on.
+    pub fn sign(&mut self, provenance: &Provenance) {
+        let mut table = Table::new();
+        table["frames"] = value(provenance.frames as i64);
+        table["frames_sha256"] = value(&provenance.frames_sha256);
+        if let Ok(date) = provenance.date.to_string().parse::<Value>() {
+            table["date"] = value(date);
+        }
+        table["program"] = value(concat!("solaspect ", env!("CARGO_PKG_VERSION")));
+        table["note"] = value(&provenance.source);
+        self.put(
+            &format!("calibration.{}", provenance.name),
+            Item::Table(table),
+        );
+        let calibrations = self.document.get_mut("calibration");
+        if let Some(table) = calibrations.and_then(Item::as_table_mut) {
+            table.set_implicit(true);
+        }
     }
 
     /// Puts an item at a dotted key, in place of what stood there.
@@ -135,8 +160,11 @@ mod tests {
         let old = include_str!("../../calibration/demo.toml");
         let mut revision = Revision::of(Path::new("a.toml"), old).unwrap();
         let provenance = Provenance {
+            name: "test",
             source: "a test".into(),
             date: "2013-09-21".parse().unwrap(),
+            frames: 3,
+            frames_sha256: "0af3".into(),
         };
         let found = Measured::new(-52.123_456, 0.004_2);
         revision.set_measured("mounting.clocking_deg", found, &provenance);
@@ -153,5 +181,8 @@ mod tests {
         );
         assert_eq!(old.lines().count(), new.lines().count());
         assert_eq!(instrument.mounting.clocking_deg.value, -52.1235);
+        revision.sign(&provenance);
+        let (signed, _) = revision.finish().unwrap();
+        assert!(signed.starts_with(&new) && signed.contains("[calibration.test]\nframes = 3\n"));
     }
 }

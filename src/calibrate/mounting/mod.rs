@@ -186,5 +186,6 @@ impl Mounting {
         for finding in &self.findings {
             finding.revise(revision, provenance);
         }
+        revision.sign(provenance);
     }
 }

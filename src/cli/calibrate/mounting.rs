@@ -125,15 +125,13 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
         times().min().unwrap_or_default(),
         times().max().unwrap_or_default(),
     );
+    let taken = mounting.fit.accepted();
     Provenance {
-        source: format!(
-            "solaspect {} calibrate mounting, {way}, {} of {} frames from {first:.0} to {last:.0}, CRC-64 {}",
-            env!("CARGO_PKG_VERSION"),
-            mounting.fit.accepted(),
-            files.len(),
-            frames::hash(files),
-        ),
+        name: "mounting",
+        source: format!("mounting calibration, {way}, {taken} frames from {first:.0} to {last:.0}"),
         date: TimeZone::UTC.to_datetime(last).date(),
+        frames: taken,
+        frames_sha256: frames::sha256(files),
     }
 }
 
