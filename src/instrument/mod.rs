@@ -6,9 +6,11 @@
 
 mod builtin;
 mod raw;
+mod sensor;
 pub mod toml_file;
 
 pub use builtin::{builtin, builtin_names, builtin_text};
+pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;
 
 use crate::frame::Frame;
@@ -23,6 +25,8 @@ use std::path::Path;
 pub struct Instrument {
     pub name: String,
     pub camera: Camera,
+    /// How the camera's pixels answer to light.
+    pub sensor: Sensor,
     pub plate: Plate,
     pub optics: Optics,
     pub mounting: Mounting,
@@ -48,6 +52,8 @@ pub struct Optics {
     pub blur_px: Measured,
     /// Wavelength of the band-pass filter.
     pub wavelength_nm: f64,
+    /// How blur and scale change with temperature; the solver measures both in each frame and does not ask.
+    pub thermal: Option<Thermal>,
 }
 
 impl Optics {

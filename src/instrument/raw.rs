@@ -1,7 +1,7 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
 use super::toml_file::{TomlError, keys_of, parse_strict, read_text};
-use super::{Camera, Instrument, Mounting, Optics, TURN_DEG};
+use super::{Camera, Instrument, Mounting, Noise, Optics, Sensor, TURN_DEG, Thermal, Vignetting};
 use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
@@ -63,6 +63,24 @@ struct RawCamera {
     height_px: Entry<usize>,
     bits: Entry<u32>,
     distortion: Option<RawDistortion>,
+    noise: Option<RawNoise>,
+    vignetting: Option<RawVignetting>,
+    hot_pixels_px: Option<Entry<Vec<[usize; 2]>>>,
+}
+
+#[derive(Deserialize)]
+struct RawNoise {
+    saturation_dn: Entry<u16>,
+    dark_dn: Entry<f64>,
+    read_noise_dn: Entry<f64>,
+    gain_dn_per_electron: Option<Entry<f64>>,
+}
+
+#[derive(Deserialize)]
+struct RawVignetting {
+    centre_px: Entry<[f64; 2]>,
+    radial_per_px2: Entry<f64>,
+    radial_per_px4: Option<Entry<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -95,6 +113,14 @@ struct RawOptics {
     plate_distance_mm: Entry<f64>,
     blur_px: Entry<f64>,
     wavelength_nm: Entry<f64>,
+    temperature: Option<RawThermal>,
+}
+
+#[derive(Deserialize)]
+struct RawThermal {
+    reference_c: Entry<f64>,
+    blur_px_per_c: Option<Entry<f64>>,
+    scale_per_c: Option<Entry<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -113,10 +139,25 @@ pub(super) fn read(path: &Path) -> Result<Instrument, TomlError> {
 }
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {
-    let known = keys_of(include_str!("../../calibration/demo.toml"));
+    let mut known = keys_of(include_str!("../../calibration/demo.toml"));
+    known.extend(OPTIONAL_KEYS.map(str::to_owned));
     let raw: RawInstrument = parse_strict(path, text, &known)?;
     Checker { path }.instrument(raw)
 }
+
+/// Keys that the demo does without: what an unknown key may have been meant for.
+const OPTIONAL_KEYS: [&str; 10] = [
+    "camera.hot_pixels_px",
+    "camera.noise.dark_dn",
+    "camera.noise.gain_dn_per_electron",
+    "camera.noise.read_noise_dn",
+    "camera.noise.saturation_dn",
+    "camera.vignetting.centre_px",
+    "camera.vignetting.radial_per_px2",
+    "optics.temperature.blur_px_per_c",
+    "optics.temperature.reference_c",
+    "optics.temperature.scale_per_c",
+];
 
 /// Turns raw values into checked ones; knows the file for its errors.
 struct Checker<'a> {
@@ -126,11 +167,81 @@ struct Checker<'a> {
 impl Checker<'_> {
     fn instrument(&self, raw: RawInstrument) -> Result<Instrument, TomlError> {
         Ok(Instrument {
+            sensor: self.sensor(&raw.camera)?,
             camera: self.camera(raw.camera)?,
             plate: self.plate(raw.plate)?,
             optics: self.optics(raw.optics)?,
             mounting: self.mounting(raw.mounting)?,
             name: raw.name,
+        })
+    }
+
+    fn sensor(&self, raw: &RawCamera) -> Result<Sensor, TomlError> {
+        let hot = raw.hot_pixels_px.iter().flat_map(|entry| &entry.value);
+        let hot_pixels: Vec<(usize, usize)> = hot.map(|[x, y]| (*x, *y)).collect();
+        let (width, height) = (raw.width_px.value, raw.height_px.value);
+        if let Some((x, y)) = hot_pixels.iter().find(|(x, y)| *x >= width || *y >= height) {
+            let expected = format!("pixels of a sensor of {width} x {height}");
+            return Err(self.error("camera.hot_pixels_px", &expected, format!("[{x}, {y}]")));
+        }
+        if let Some(entry) = &raw.hot_pixels_px {
+            self.provenance("camera.hot_pixels_px", entry)?;
+        }
+        Ok(Sensor {
+            noise: raw.noise.as_ref().map(|n| self.noise(n)).transpose()?,
+            vignetting: raw
+                .vignetting
+                .as_ref()
+                .map(|v| self.vignetting(v))
+                .transpose()?,
+            hot_pixels,
+        })
+    }
+
+    fn noise(&self, raw: &RawNoise) -> Result<Noise, TomlError> {
+        let table = "camera.noise";
+        let field = |key: &str| format!("{table}.{key}");
+        let saturation_dn = raw.saturation_dn.value;
+        let whole = f64::from(saturation_dn);
+        self.within(&field("saturation_dn"), whole, 1.0..=65_535.0, "DN")?;
+        self.provenance(&field("saturation_dn"), &raw.saturation_dn)?;
+        let gain = raw.gain_dn_per_electron.as_ref();
+        let gain = gain.map(|g| self.number(&field("gain_dn_per_electron"), g, 0.0..=whole));
+        Ok(Noise {
+            saturation_dn,
+            dark_dn: self.number(&field("dark_dn"), &raw.dark_dn, 0.0..=whole)?,
+            read_noise_dn: self.number(&field("read_noise_dn"), &raw.read_noise_dn, 0.0..=whole)?,
+            gain_dn_per_electron: gain.transpose()?,
+        })
+    }
+
+    fn vignetting(&self, raw: &RawVignetting) -> Result<Vignetting, TomlError> {
+        let field = |key: &str| format!("camera.vignetting.{key}");
+        let [x, y] = self.pair(&field("centre_px"), &raw.centre_px, 65_536.0)?;
+        let square = self.number(&field("radial_per_px2"), &raw.radial_per_px2, -1e-4..=1e-4)?;
+        let fourth = match &raw.radial_per_px4 {
+            Some(entry) => self.number(&field("radial_per_px4"), entry, -1e-8..=1e-8)?,
+            None => Measured::new(0.0, 0.0),
+        };
+        Ok(Vignetting {
+            centre: SensorPx::new(x, y),
+            radial: [square, fourth],
+        })
+    }
+
+    fn thermal(&self, raw: &RawThermal) -> Result<Thermal, TomlError> {
+        let field = |key: &str| format!("optics.temperature.{key}");
+        let slope = |key: &str, entry: &Option<Entry<f64>>| {
+            let entry = entry.as_ref();
+            entry
+                .map(|e| self.number(&field(key), e, -1.0..=1.0))
+                .transpose()
+        };
+        let reference = self.number(&field("reference_c"), &raw.reference_c, -150.0..=150.0)?;
+        Ok(Thermal {
+            reference_c: reference.value,
+            blur_px_per_c: slope("blur_px_per_c", &raw.blur_px_per_c)?,
+            scale_per_c: slope("scale_per_c", &raw.scale_per_c)?,
         })
     }
 
@@ -230,6 +341,11 @@ impl Checker<'_> {
             wavelength_nm: self
                 .measured("optics.wavelength_nm", raw.wavelength_nm, 100.0..=2000.0)?
                 .value,
+            thermal: raw
+                .temperature
+                .as_ref()
+                .map(|t| self.thermal(t))
+                .transpose()?,
         })
     }
 
@@ -267,8 +383,17 @@ impl Checker<'_> {
         entry: Entry<f64>,
         range: std::ops::RangeInclusive<f64>,
     ) -> Result<Measured, TomlError> {
+        self.number(field, &entry, range)
+    }
+
+    fn number(
+        &self,
+        field: &str,
+        entry: &Entry<f64>,
+        range: std::ops::RangeInclusive<f64>,
+    ) -> Result<Measured, TomlError> {
         self.within(field, entry.value, range, unit_of(field))?;
-        self.provenance(field, &entry)?;
+        self.provenance(field, entry)?;
         Ok(Measured::new(entry.value, entry.sigma))
     }
 
@@ -327,7 +452,9 @@ impl Checker<'_> {
 /// The unit that a key names at its end.
 fn unit_of(field: &str) -> &'static str {
     let key = field.trim_end_matches(".sigma");
-    const UNITS: [(&str, &str); 8] = [
+    const UNITS: [(&str, &str); 10] = [
+        ("_dn", "DN"),
+        ("_dn_per_electron", "DN"),
         ("_mil_per_px", "mil/px"),
         ("_per_px2", "px^-2"),
         ("_per_px4", "px^-4"),
