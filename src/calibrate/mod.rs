@@ -1,6 +1,8 @@
 //! The instrument as it is: from frames to a new instrument file. Each part measures some of its numbers, says what the
 //! frames do not determine, and leaves the rest of the file as it was.
 
+pub mod camera;
 pub mod frames;
+mod html;
 pub mod mounting;
 pub mod revision;

@@ -4,13 +4,10 @@ use super::fit::Residual;
 use super::verdict::{Finding, Verdict};
 use super::{Mounting, Pointings};
 use crate::calibrate::frames::LeftOut;
+use crate::calibrate::html;
 use crate::instrument::Instrument;
 use crate::report::plot::{self, Arrow, Labels, PlotError, Series};
 use std::fmt::Write;
-
-const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
-table{border-collapse:collapse;width:100%}td,th{border-bottom:1px solid #ccc;padding:.35em .6em;text-align:left;vertical-align:top}\
-.determined{color:#137333}.kept{color:#a33}svg{max-width:100%;height:auto}code{background:#f3f3f3}";
 
 /// The page: verdicts, residuals over time and on the plate, and what was left out.
 ///
@@ -27,26 +24,24 @@ pub fn page(
         Pointings::Known => "known pointing",
         Pointings::Fixed => "drift scan: the telescope fixed, the Sun crossing",
     };
-    let mut html = format!(
-        "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>Mounting of {name}</title><style>{STYLE}</style>\n\
-         <h1>Mounting of {name}</h1>\n<p>{way}; {source}</p>\n\
-         <p>{taken} of {all} sights agree, scattering by {scatter:.3} mil ({arcsec:.2} arcsec) rms per axis; variances times {correlation:.1} \
-         because neighbours scatter alike.</p>\n",
-        name = escaped(&stated.name),
-        source = escaped(source),
+    let title = format!("Mounting of {}", stated.name);
+    let mut text = html::head(&title, &format!("{way}; {source}"));
+    text += &format!(
+        "<p>{taken} of {all} sights agree, scattering by {scatter:.3} mil ({arcsec:.2} arcsec) rms per axis; variances times \
+         {correlation:.1} because neighbours scatter alike.</p>\n",
         taken = fit.accepted(),
         all = fit.residuals.len(),
         scatter = fit.scatter_mil,
         arcsec = fit.scatter_mil * stated.optics.arcsec_per_mil(),
         correlation = fit.correlation,
     );
-    html += &table(&mounting.findings);
-    html += "<h2>Residuals: where the Sun was seen minus where the mounting puts it</h2>\n";
-    html += &over_time(&fit.residuals)?;
-    html += &on_plate(&fit.residuals)?;
-    html += &list(left_out);
-    html += "</html>\n";
-    Ok(html)
+    text += &table(&mounting.findings);
+    text += "<h2>Residuals: where the Sun was seen minus where the mounting puts it</h2>\n";
+    text += &over_time(&fit.residuals)?;
+    text += &on_plate(&fit.residuals)?;
+    text += &html::left_out(left_out);
+    text += "</html>\n";
+    Ok(text)
 }
 
 fn table(findings: &[Finding]) -> String {
@@ -69,7 +64,7 @@ fn table(findings: &[Finding]) -> String {
             } else {
                 format!("{:.2e}", finding.sigma)
             },
-            escaped(&finding.remark),
+            html::escaped(&finding.remark),
         );
     }
     rows + "</table>\n"
@@ -125,23 +120,4 @@ fn on_plate(residuals: &[Residual]) -> Result<String, PlotError> {
     };
     let range = -1.1 * reach..1.1 * reach;
     plot::vector_map(&labels, range, 0.0, &arrows, magnified, longest)
-}
-
-fn list(left_out: &[LeftOut]) -> String {
-    let mut html = format!("<h2>Left out: {}</h2>\n<table>\n", left_out.len());
-    for LeftOut { name, reason } in left_out {
-        let _ = writeln!(
-            html,
-            "<tr><td><code>{}</code></td><td>{}</td></tr>",
-            escaped(name),
-            escaped(reason)
-        );
-    }
-    html + "</table>\n"
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
 }

@@ -1,5 +1,6 @@
 //! `solaspect calibrate`: the instrument as it is.
 
+pub mod camera;
 pub mod mounting;
 
 use clap::{Args, Subcommand};
@@ -14,11 +15,13 @@ pub struct CalibrateArgs {
 
 #[derive(Debug, Subcommand)]
 enum Part {
+    Camera(camera::CameraArgs),
     Mounting(mounting::MountingArgs),
 }
 
 pub fn run(args: CalibrateArgs) -> anyhow::Result<ExitCode> {
     match args.part {
+        Part::Camera(args) => camera::run(args),
         Part::Mounting(args) => mounting::run(args),
     }
 }
