@@ -192,7 +192,7 @@ fn frames_of_the_sun_alone_tell_most_of_it_and_the_dependence_on_temperature() {
     assert!((corner_loss(&found) - CORNER_LOSS).abs() < 0.03, "{said}");
     assert_eq!(found.sensor.hot_pixels.len(), 30, "{said}");
     let thermal = found.optics.thermal.unwrap();
-    assert!((thermal.reference_c - 27.25).abs() < 0.01);
+    assert!((thermal.reference_c - 27.25).abs() < 4.0, "{said}");
     let blur = thermal.blur_px_per_c.unwrap();
     assert!((blur.value - 0.01).abs() < 0.002, "{said}");
     let scale = thermal.scale_per_c.unwrap();
@@ -200,7 +200,11 @@ fn frames_of_the_sun_alone_tell_most_of_it_and_the_dependence_on_temperature() {
         (scale.value - 2e-5).abs() < 4.0 * scale.sigma && scale.sigma < 1e-5,
         "{said}"
     );
-    assert!((found.optics.blur_px.value - 1.0725).abs() < 0.04, "{said}");
+    let blur_px = 0.9 + 0.01 * (thermal.reference_c - 10.0);
+    assert!(
+        (found.optics.blur_px.value - blur_px).abs() < 0.04,
+        "{said}"
+    );
 }
 
 #[test]
@@ -226,7 +230,7 @@ fn frames_that_tell_nothing_or_do_not_belong_together_are_refused() {
         ("gains", "analogue gain"),
         ("small", "mixed instruments"),
         ("empty", "found none"),
-        ("absent", "cannot"),
+        ("absent", "cannot read"),
     ] {
         let done = solaspect(&[
             "calibrate",
@@ -292,4 +296,47 @@ fn sigmas_stay_honest_under_the_noise_of_photons() {
         count > 140.0 && (0.75..1.25).contains(&pull),
         "{pull} of {count}"
     );
+}
+
+#[test]
+fn stated_pixels_change_only_the_frames_they_speak_of() {
+    let demo = builtin("demo").unwrap();
+    let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 3).unwrap();
+    let picture = scenes.scene(0).unwrap().picture().unwrap();
+    let sun = picture.truth.sun.unwrap();
+    let solve = |frame: &Frame, instrument: &Instrument| {
+        let radius_arcsec = SUN_RADIUS_ARCSEC;
+        aspect::solve(frame, instrument, Some(Expected { radius_arcsec }), None)
+    };
+    let plain = solve(&picture.frame, &demo);
+    let mut other_depth = demo.clone();
+    let stated = |value: f64| solaspect::units::Measured::new(value, 0.1);
+    other_depth.sensor.noise = Some(solaspect::instrument::Noise {
+        saturation_dn: 4095,
+        dark_dn: stated(64.0),
+        read_noise_dn: stated(80.0),
+        gain_dn_per_electron: None,
+    });
+    assert_eq!(solve(&picture.frame, &other_depth), plain);
+
+    // A column of dim hot pixels along the limb, too dim to saturate.
+    let (x, y) = ((sun.px.x + sun.radius_px) as usize + 2, sun.px.y as usize);
+    let hot: Vec<(usize, usize)> = (y - 30..y + 30).map(|y| (x, y)).collect();
+    let solaspect::frame::Pixels::U8(mut pixels) = picture.frame.pixels().clone() else {
+        panic!("expected 8 bits");
+    };
+    for (x, y) in &hot {
+        pixels[y * 1296 + x] = 120;
+    }
+    let info = picture.frame.info.clone();
+    let pixels = solaspect::frame::Pixels::U8(pixels);
+    let spoiled = Frame::new(1296, 966, pixels, 255, info).unwrap();
+    let mut listing = demo.clone();
+    listing.sensor.hot_pixels = hot;
+    let place = |solution: &aspect::Solution| solution.aspect.unwrap().sun_px.position;
+    let clean = place(&plain);
+    let (unlisted, listed) = (solve(&spoiled, &demo), solve(&spoiled, &listing));
+    assert!(place(&listed).distance(clean) < 0.02);
+    assert!(place(&listed).distance(clean) <= place(&unlisted).distance(clean));
+    assert_ne!(listed, unlisted);
 }

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::calibrate::mounting::{
-    Mounting, MountingError, Pointings, Sight, Unknown, Verdict, calibrate,
+    Chain, Mounting, MountingError, Pointings, Sight, Unknown, Verdict, calibrate,
 };
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
@@ -178,6 +178,66 @@ fn a_grid_of_known_pointings_tells_everything() {
     }
     for name in ["centre", "clocking", "plate's distance", "mirror"] {
         assert_eq!(verdict(&mounting, name), Verdict::Determined, "{name}");
+    }
+}
+
+#[test]
+fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
+    let (demo, truth) = (builtin("demo").unwrap(), true_instrument());
+    let centre = truth.mounting.boresight_mil.vector();
+    let suns = TEN_MINUTES.suns();
+    let telescope = suns[300].1;
+    // The gnomonic picture of the sky about the telescope, turned by the clocking.
+    let rigid = |sights: Vec<Sight>, about: &dyn Fn(&Sight) -> SunPosition| -> Vec<Sight> {
+        let seen = |mut sight: Sight, clean: Vector2<f64>| {
+            let at = pointing::sun_on_plate(at_sun(&sight.sun), &truth, &about(&sight)).unwrap();
+            let noise = sight.sun_plate.position.vector() - clean;
+            sight.sun_plate.position = (centre * 2.0 - at.vector() + noise).into();
+            sight
+        };
+        let clean =
+            |s: &Sight| pointing::sun_on_plate(s.pointing.unwrap(), &truth, &s.sun).unwrap();
+        sights
+            .into_iter()
+            .map(|s| {
+                let c = clean(&s).vector();
+                seen(s, c)
+            })
+            .collect()
+    };
+    let mut near = demo.clone();
+    near.mounting.boresight_mil = truth.mounting.boresight_mil;
+    let drift = rigid(TEN_MINUTES.drift(), &|_| telescope);
+    let mounting = calibrate(&drift, Pointings::Fixed, &near).unwrap();
+    assert_eq!(mounting.fit.chain, Chain::AtTelescope);
+    let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
+    assert!(
+        (clocking.value + 51.3).abs() < 4.0 * clocking.sigma && clocking.sigma < 0.02,
+        "{clocking:?}"
+    );
+    assert!(
+        mounting
+            .findings
+            .iter()
+            .any(|f| f.remark.contains("rigid in the gondola"))
+    );
+    assert_eq!(verdict(&mounting, "centre"), Verdict::Kept);
+
+    let grid = Scan {
+        count: 50,
+        every_s: 10.0,
+        ..TEN_MINUTES
+    }
+    .grid();
+    let towards = |s: &Sight| SunPosition {
+        azimuth_deg: s.pointing.unwrap().azimuth_deg,
+        elevation_deg: s.pointing.unwrap().elevation_deg,
+        ..s.sun
+    };
+    let mounting = calibrate(&rigid(grid, &towards), Pointings::Known, &demo).unwrap();
+    assert_eq!(mounting.fit.chain, Chain::AtTelescope);
+    for unknown in MOUNTING {
+        assert!(pull(&mounting, unknown).abs() < 4.0, "{unknown:?}");
     }
 }
 

@@ -16,11 +16,24 @@ pub struct LeftOut {
     pub reason: String,
 }
 
+/// How many frames are left out and why the first is, for an error that may come of it.
+pub fn first_of(left_out: &[LeftOut]) -> String {
+    match left_out.first() {
+        Some(first) => format!(
+            "{} frames left out, the first {}: {}",
+            left_out.len(),
+            first.name,
+            first.reason
+        ),
+        None => "no calibration".into(),
+    }
+}
+
 /// Why the frames cannot be listed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ListError {
-    #[error("{}: cannot list the folder: {cause}", .folder.display())]
-    Folder { folder: PathBuf, cause: String },
+    #[error("{}: cannot read: {cause}", .path.display())]
+    Unreadable { path: PathBuf, cause: String },
     #[error("{}: expected a folder with frames ({}), found none", .0.display(), ENDINGS.join(", "))]
     NoFrames(PathBuf),
 }
@@ -30,6 +43,16 @@ pub fn list(paths: &[PathBuf]) -> Result<Vec<PathBuf>, ListError> {
     let mut files = Vec::new();
     for path in paths {
         if !path.is_dir() {
+            let exists = path.try_exists().map_err(|error| error.to_string());
+            if exists != Ok(true) {
+                let cause = exists
+                    .err()
+                    .unwrap_or_else(|| "there is no such file".into());
+                return Err(ListError::Unreadable {
+                    path: path.clone(),
+                    cause,
+                });
+            }
             files.push(path.clone());
             continue;
         }
@@ -45,8 +68,8 @@ pub fn list(paths: &[PathBuf]) -> Result<Vec<PathBuf>, ListError> {
 }
 
 fn list_folder(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), ListError> {
-    let failed = |error: std::io::Error| ListError::Folder {
-        folder: folder.into(),
+    let failed = |error: std::io::Error| ListError::Unreadable {
+        path: folder.into(),
         cause: error.to_string(),
     };
     for entry in std::fs::read_dir(folder).map_err(failed)? {

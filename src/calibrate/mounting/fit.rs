@@ -5,6 +5,7 @@ use super::{MountingError, Sight};
 use crate::calibrate::frames::LeftOut;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal};
+use crate::sky::SunPosition;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
@@ -15,6 +16,15 @@ pub enum Pointings {
     Known,
     /// One direction for all, unknown: a drift scan.
     Fixed,
+}
+
+/// Where the directions on the plate count from the zenith. At the boresight the two are one; beside it the zenith's direction turns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Chain {
+    /// At the Sun: the chain of [`pointing`], as HEROES's flight program had it.
+    AtSun,
+    /// At the telescope: a plate that stands rigidly in the gondola.
+    AtTelescope,
 }
 
 /// From which side the plate is seen.
@@ -36,6 +46,38 @@ impl Side {
     }
 }
 
+impl Chain {
+    /// The Sun's shift from the boresight on the plate, mil; `None` when the Sun stands behind the lens.
+    fn shift(
+        self,
+        telescope: Horizontal,
+        instrument: &Instrument,
+        sun: &SunPosition,
+    ) -> Option<Vector2<f64>> {
+        let centre = instrument.mounting.boresight_mil.vector();
+        match self {
+            Self::AtSun => {
+                let at = pointing::sun_on_plate(telescope, instrument, sun).ok()?;
+                Some(at.vector() - centre)
+            }
+            // From the telescope the Sun lies the other way: the same chain with the two exchanged.
+            Self::AtTelescope => {
+                let towards_sun = Horizontal {
+                    azimuth_deg: sun.azimuth_deg,
+                    elevation_deg: sun.elevation_deg,
+                };
+                let from = SunPosition {
+                    azimuth_deg: telescope.azimuth_deg,
+                    elevation_deg: telescope.elevation_deg,
+                    ..*sun
+                };
+                let at = pointing::sun_on_plate(towards_sun, instrument, &from).ok()?;
+                Some(centre - at.vector())
+            }
+        }
+    }
+}
+
 /// What is fitted, by its place among the unknowns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unknown {
@@ -53,6 +95,7 @@ pub enum Unknown {
 
 /// So little is known beforehand, 1 sigma about the start: it only keeps apart what the sights do not.
 const CENTRE_PRIOR_MIL: f64 = 500.0;
+const LEAST_CENTRE_PRIOR_MIL: f64 = 0.1;
 const CLOCKING_PRIOR_DEG: f64 = 180.0;
 const DISTANCE_PRIOR: f64 = 0.1;
 const POINTING_PRIOR_DEG: f64 = 10.0;
@@ -85,6 +128,7 @@ pub struct Residual {
 #[derive(Debug, Clone)]
 pub struct Fit {
     pub pointings: Pointings,
+    pub chain: Chain,
     /// The fitted unknowns in the order of [`Unknown`]; those of the pointing only in a drift scan.
     pub values: DVector<f64>,
     pub covariance: DMatrix<f64>,
@@ -125,50 +169,51 @@ impl Fit {
     }
 }
 
-/// Fits the mounting of an instrument to sights, the plate seen from a side.
+/// Fits the mounting of an instrument to sights by the chain of the pointing; by the other where the sights tell it apart and
+/// suit that better.
 pub(super) fn fit(
     sights: &[Sight],
     pointings: Pointings,
     stated: &Instrument,
     side: Side,
 ) -> Result<Fit, MountingError> {
-    let model = Model {
-        sights,
-        pointings,
-        stated,
-        side,
+    let by = |chain| {
+        let model = Model {
+            sights,
+            pointings,
+            stated,
+            side,
+            chain,
+        };
+        model.fit()
     };
-    let undetermined = || MountingError::NoAgreement {
-        found_mil: f64::INFINITY,
-        limit_mil: 200.0,
-        instead: "check times, place and pointings",
-    };
-    let first = model.first().ok_or_else(undetermined)?;
-    let mut values = first.clone();
-    for _ in 0..ROBUST_STEPS {
-        let (residuals, variances) = model.weighed(&values, None);
-        let weights = tukey(&residuals, &variances);
-        values += model
-            .step(&values, &first, &residuals, &weights)
-            .ok_or_else(undetermined)?
-            .0;
+    match (by(Chain::AtSun), by(Chain::AtTelescope)) {
+        (Ok(at_sun), Ok(rigid)) if advantage(&rigid, &at_sun) > TOLD => Ok(rigid),
+        (Err(_), Ok(rigid)) => Ok(rigid),
+        (at_sun, _) => at_sun,
     }
-    let (residuals, variances) = model.weighed(&values, None);
-    let accepted: Vec<bool> = sizes(&residuals, &variances)
-        .map(|u| u < MOST_SIGMAS)
-        .collect();
-    let mut covariance = DMatrix::zeros(values.len(), values.len());
-    for _ in 0..LAST_STEPS {
-        let (residuals, variances) = model.weighed(&values, Some(&accepted));
-        let weights = plain(&variances, &accepted);
-        let (step, inverse) = model
-            .step(&values, &first, &residuals, &weights)
-            .ok_or_else(undetermined)?;
-        values += step;
-        covariance = inverse;
-    }
-    Ok(model.conclude(values, covariance, &accepted))
 }
+
+/// By how much one fit's sum of squares is below another's, with the better one's sigmas. No sight counts for much, and neighbours
+/// that scatter alike count once.
+pub(super) fn advantage(fit: &Fit, over: &Fit) -> f64 {
+    const MOST_SQUARE: f64 = 12.25;
+    let better = if fit.scatter_mil <= over.scatter_mil {
+        fit
+    } else {
+        over
+    };
+    let cost = |fit: &Fit| -> f64 {
+        let sigmas = better.residuals.iter().map(|r| r.sigma_mil);
+        let pairs = fit.residuals.iter().zip(sigmas);
+        let square = |(r, s): (&Residual, f64)| (r.off.norm_squared() / (s * s)).min(MOST_SQUARE);
+        pairs.map(square).sum()
+    };
+    (cost(over) - cost(fit)) / better.correlation
+}
+
+/// Two models are told apart where the sum of squares differs by more than this.
+pub(super) const TOLD: f64 = 25.0;
 
 /// The chain of the pointing with the sights that it has to explain.
 struct Model<'a> {
@@ -176,13 +221,47 @@ struct Model<'a> {
     pointings: Pointings,
     stated: &'a Instrument,
     side: Side,
+    chain: Chain,
 }
 
 impl Model<'_> {
+    fn fit(&self) -> Result<Fit, MountingError> {
+        let undetermined = || MountingError::NoAgreement {
+            found_mil: f64::INFINITY,
+            limit_mil: 200.0,
+            instead: "check times, place and pointings",
+        };
+        let first = self.first().ok_or_else(undetermined)?;
+        let mut values = first.clone();
+        for _ in 0..ROBUST_STEPS {
+            let (residuals, variances) = self.weighed(&values, None);
+            let weights = tukey(&residuals, &variances);
+            values += self
+                .step(&values, &first, &residuals, &weights)
+                .ok_or_else(undetermined)?
+                .0;
+        }
+        let (residuals, variances) = self.weighed(&values, None);
+        let accepted: Vec<bool> = sizes(&residuals, &variances)
+            .map(|u| u < MOST_SIGMAS)
+            .collect();
+        let mut covariance = DMatrix::zeros(values.len(), values.len());
+        for _ in 0..LAST_STEPS {
+            let (residuals, variances) = self.weighed(&values, Some(&accepted));
+            let weights = plain(&variances, &accepted);
+            let (step, inverse) = self
+                .step(&values, &first, &residuals, &weights)
+                .ok_or_else(undetermined)?;
+            values += step;
+            covariance = inverse;
+        }
+        Ok(self.conclude(values, covariance, &accepted))
+    }
+
     /// A first mounting, and in a drift scan the pointing that goes with the stated centre.
     fn first(&self) -> Option<DVector<f64>> {
         let middle = self.sights.get(self.sights.len() / 2)?;
-        let at_sun = |sun: &crate::sky::SunPosition| Horizontal {
+        let at_sun = |sun: &SunPosition| Horizontal {
             azimuth_deg: sun.azimuth_deg,
             elevation_deg: sun.elevation_deg,
         };
@@ -238,8 +317,8 @@ impl Model<'_> {
         });
         let expected = |sight: &Sight| {
             let towards = fixed.or(sight.pointing)?;
-            let at = pointing::sun_on_plate(towards, &instrument, &sight.sun).ok()?;
-            Some(centre + self.side.seen(at.vector() - centre))
+            let shift = self.chain.shift(towards, &instrument, &sight.sun)?;
+            Some(centre + self.side.seen(shift))
         };
         let nowhere = Vector2::new(NOWHERE_MIL, NOWHERE_MIL);
         self.sights
@@ -319,9 +398,18 @@ impl Model<'_> {
 
     /// What is known beforehand of each unknown, 1 / variance.
     fn known(&self, first: &DVector<f64>) -> DVector<f64> {
+        // A rigid plate's scan tells nothing of the centre, which the clocking leans on.
+        let centre_mil = match (self.pointings, self.chain) {
+            (Pointings::Fixed, Chain::AtTelescope) => self
+                .stated
+                .mounting
+                .boresight_sigma_mil
+                .max(LEAST_CENTRE_PRIOR_MIL),
+            _ => CENTRE_PRIOR_MIL,
+        };
         let sigmas = [
-            CENTRE_PRIOR_MIL,
-            CENTRE_PRIOR_MIL,
+            centre_mil,
+            centre_mil,
             CLOCKING_PRIOR_DEG,
             DISTANCE_PRIOR * first[3],
             POINTING_PRIOR_DEG,
@@ -349,6 +437,7 @@ impl Model<'_> {
         let correlation = correlation(&taken);
         Fit {
             pointings: self.pointings,
+            chain: self.chain,
             values,
             covariance: covariance * correlation,
             residuals,

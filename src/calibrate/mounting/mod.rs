@@ -11,6 +11,8 @@
 //! 2. [`fit`]: Gauss and Newton's steps on the whole chain, first with Tukey's weights, then on the sights that agree.
 //!    What they scatter beyond their own sigmas is taken as noise of every sight; where neighbours scatter alike the covariance
 //!    grows by as much.
+//!    All this twice: directions on the plate count from the zenith at the Sun, as the pointing has it, or at the telescope, as on a
+//!    plate rigid in the gondola; the sights decide, see [`Chain`].
 //! 3. The same with the plate in a mirror, to tell whether the data know the difference.
 //! 4. [`verdict`]: each quantity is determined, with a sigma, or keeps the instrument's value.
 
@@ -22,7 +24,7 @@ mod start;
 mod verdict;
 
 pub use collect::{Frames, collect};
-pub use fit::{Fit, Pointings, Unknown};
+pub use fit::{Chain, Fit, Pointings, Unknown};
 pub use log::{LogError, PointingLog};
 pub use report::page;
 pub use verdict::{Finding, Verdict};

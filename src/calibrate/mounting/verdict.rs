@@ -1,7 +1,7 @@
 //! What the sights determine, and what they do not.
 
 use super::MountingError;
-use super::fit::{Fit, Pointings, Unknown, centre_covariance};
+use super::fit::{Chain, Fit, Pointings, TOLD, Unknown, advantage, centre_covariance};
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::instrument::Instrument;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured};
@@ -12,10 +12,6 @@ const MOST_CLOCKING_DEG: f64 = 0.3;
 const MOST_DISTANCE: f64 = 0.005;
 /// A stated value that is so many sigmas away from the found one is wrong, however small its sigma.
 const CONTRADICTED_SIGMAS: f64 = 4.0;
-/// The mirror is told where it changes the sum of squares by more than this.
-const TOLD: f64 = 25.0;
-/// No sight counts for more than this in it.
-const MOST_SQUARE: f64 = 12.25;
 
 /// Whether a quantity is determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,20 +64,7 @@ pub(super) fn mirror(straight: &Fit, mirrored: Option<&Fit>) -> Result<Mirror, M
             times: f64::INFINITY,
         });
     };
-    let better = if straight.scatter_mil <= mirrored.scatter_mil {
-        straight
-    } else {
-        mirrored
-    };
-    let cost = |fit: &Fit| -> f64 {
-        let sigmas = better.residuals.iter().map(|r| r.sigma_mil);
-        let pairs = fit.residuals.iter().zip(sigmas);
-        pairs
-            .map(|(r, s)| (r.off.norm_squared() / (s * s)).min(MOST_SQUARE))
-            .sum()
-    };
-    // Neighbours that scatter alike count once.
-    let difference = (cost(mirrored) - cost(straight)) / better.correlation;
+    let difference = advantage(straight, mirrored);
     if difference < -TOLD {
         return Err(MountingError::Mirrored {
             for_it: format!("{:.2}", mirrored.scatter_mil),
@@ -104,6 +87,7 @@ pub(super) fn findings(fit: &Fit, mirror: Mirror, stated: &Instrument) -> Vec<Fi
     ];
     findings.push(mirror_finding(mirror));
     findings.extend(pointing(fit));
+    findings.extend(chain(fit));
     findings
 }
 
@@ -115,15 +99,7 @@ fn centre(fit: &Fit, stated: &Instrument) -> Finding {
     let apart = (found[0] - at.x).hypot(found[1] - at.y);
     let arcsec = |mil: f64| mil * stated.optics.arcsec_per_mil();
     let (verdict, remark) = match fit.pointings {
-        Pointings::Fixed => (
-            Verdict::Kept,
-            format!(
-                "not determined: with the pointing unknown, moving the centre and turning the telescope look alike; \
-                 keeps the instrument's value. Only how the zenith's direction turns along the scan tells them apart, and that \
-                 puts the centre {apart:.1} mil from the stated one, with a sigma of {sigma:.1} mil. Take frames with known \
-                 pointing to measure it"
-            ),
-        ),
+        Pointings::Fixed => (Verdict::Kept, scan_remark(fit, apart, sigma)),
         Pointings::Known => judge(
             sigma,
             MOST_CENTRE_MIL,
@@ -142,6 +118,42 @@ fn centre(fit: &Fit, stated: &Instrument) -> Finding {
         verdict,
         remark,
     }
+}
+
+/// Why a scan does not tell the centre.
+fn scan_remark(fit: &Fit, apart_mil: f64, sigma_mil: f64) -> String {
+    let why = "not determined: with the pointing unknown, moving the centre and turning the telescope look alike; keeps the \
+               instrument's value. Take frames with known pointing to measure it";
+    match fit.chain {
+        Chain::AtTelescope => why.into(),
+        Chain::AtSun => format!(
+            "{why}. (Only how the zenith's direction turns along the scan tells them apart, and that puts the centre \
+             {apart_mil:.1} mil from the stated one, with a sigma of {sigma_mil:.1} mil)"
+        ),
+    }
+}
+
+/// Where the sights contradict the chain that the pointing uses.
+fn chain(fit: &Fit) -> Option<Finding> {
+    let remark = match fit.chain {
+        Chain::AtSun => return None,
+        Chain::AtTelescope => {
+            "the sights are those of a plate rigid in the gondola: directions count from the zenith at the telescope. The \
+             pointing counts them at the Sun; the two agree at the boresight, and at an angle a beside it differ by about \
+             a^2 tan(elevation). The quantities above hold for both"
+        }
+    };
+    Some(Finding {
+        name: "directions on the plate",
+        key: None,
+        unit: "",
+        stated: Vec::new(),
+        stated_sigma: 0.0,
+        found: Vec::new(),
+        sigma: 0.0,
+        verdict: Verdict::Kept,
+        remark: remark.into(),
+    })
 }
 
 fn clocking(fit: &Fit, stated: &Instrument) -> Finding {

@@ -52,7 +52,8 @@ pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
     left_out.append(&mut more);
     (inputs.sun, inputs.suns, more) = camera::look(&sun, &stated)?;
     left_out.append(&mut more);
-    let calibration = camera::calibrate(&inputs, &stated)?;
+    let calibration =
+        camera::calibrate(&inputs, &stated).with_context(|| frames::first_of(&left_out))?;
     let files: Vec<PathBuf> = [dark, flat, sun].concat();
     let provenance = provenance(&inputs, &files);
     calibration.revise(&mut revision, &provenance);

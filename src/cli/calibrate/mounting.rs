@@ -81,7 +81,8 @@ pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
         None => Pointings::Fixed,
     };
     let seen = with_handedness(&stated, handedness);
-    let mounting = mounting::calibrate(&sights, pointings, &seen)?;
+    let mounting = mounting::calibrate(&sights, pointings, &seen)
+        .with_context(|| frames::first_of(&left_out))?;
     left_out.extend(mounting.left_out.iter().cloned());
     let provenance = provenance(&mounting, &files);
     mounting.revise(&mut revision, &provenance);
