@@ -37,8 +37,8 @@ pub struct PointingLog {
 }
 
 impl PointingLog {
-    /// Reads a CSV file whose first three columns are UTC (ISO 8601, with or without Z), azimuth and elevation in deg. A first line
-    /// that begins with a letter is a heading; lines that begin with # are comments.
+    /// Reads a CSV file of UTC (ISO 8601, with or without Z), azimuth and elevation in deg: its first three columns, or those that a
+    /// heading names utc or time, az... and el...; lines that begin with # are comments.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let unreadable = |cause: String| LogError::Unreadable {
             path: path.into(),
@@ -51,16 +51,15 @@ impl PointingLog {
             .trim(csv::Trim::All)
             .from_path(path)
             .map_err(|error| unreadable(error.to_string()))?;
-        let mut rows = Vec::new();
+        let (mut rows, mut columns) = (Vec::new(), [0, 1, 2]);
         for (n, record) in reader.records().enumerate() {
             let record = record.map_err(|error| unreadable(error.to_string()))?;
-            let heading = record
-                .get(0)
-                .is_some_and(|f| f.starts_with(char::is_alphabetic));
-            if n == 0 && heading {
+            let first = record.get(0).unwrap_or_default();
+            if n == 0 && first.starts_with(char::is_alphabetic) {
+                columns = named(&record).unwrap_or(columns);
                 continue;
             }
-            rows.push(row(path, &record)?);
+            rows.push(row(path, &record, columns)?);
         }
         Self::new(rows).ok_or_else(|| LogError::Empty(path.into()))
     }
@@ -123,7 +122,28 @@ fn between(a: &Horizontal, b: &Horizontal, part: f64) -> Horizontal {
     }
 }
 
-fn row(path: &Path, record: &csv::StringRecord) -> Result<(Timestamp, Horizontal), LogError> {
+/// The columns of UTC, azimuth and elevation by their headings; `None` where one has none.
+fn named(heading: &csv::StringRecord) -> Option<[usize; 3]> {
+    let column = |names: &[&str]| {
+        let is = |text: &str| {
+            names
+                .iter()
+                .any(|name| text.to_lowercase().starts_with(name))
+        };
+        heading.iter().position(is)
+    };
+    Some([
+        column(&["utc", "time", "date"])?,
+        column(&["az"])?,
+        column(&["el", "alt"])?,
+    ])
+}
+
+fn row(
+    path: &Path,
+    record: &csv::StringRecord,
+    [utc, azimuth, elevation]: [usize; 3],
+) -> Result<(Timestamp, Horizontal), LogError> {
     let line = record.position().map_or(0, csv::Position::line);
     let field = |n: usize| record.get(n).unwrap_or_default();
     let wrong = |field, expected, found: &str| LogError::Row {
@@ -133,12 +153,13 @@ fn row(path: &Path, record: &csv::StringRecord) -> Result<(Timestamp, Horizontal
         expected,
         found: found.into(),
     };
-    let utc = time(field(0))
-        .ok_or_else(|| wrong("UTC", "a time such as 2013-09-21T18:00:00.250Z", field(0)))?;
-    let azimuth_deg = angle(field(1), 360.0)
-        .ok_or_else(|| wrong("azimuth", "a number from -360 to 360 deg", field(1)))?;
-    let elevation_deg = angle(field(2), 90.0)
-        .ok_or_else(|| wrong("elevation", "a number from -90 to 90 deg", field(2)))?;
+    let [utc, azimuth, elevation] = [utc, azimuth, elevation].map(field);
+    let utc =
+        time(utc).ok_or_else(|| wrong("UTC", "a time such as 2013-09-21T18:00:00.250Z", utc))?;
+    let azimuth_deg = angle(azimuth, 360.0)
+        .ok_or_else(|| wrong("azimuth", "a number from -360 to 360 deg", azimuth))?;
+    let elevation_deg = angle(elevation, 90.0)
+        .ok_or_else(|| wrong("elevation", "a number from -90 to 90 deg", elevation))?;
     let pointing = Horizontal {
         azimuth_deg,
         elevation_deg,
@@ -184,6 +205,20 @@ mod tests {
         let middle = log.at("2013-09-21T18:00:00.5Z".parse().unwrap()).unwrap();
         let from_north = (middle.azimuth_deg + 180.0).rem_euclid(360.0) - 180.0;
         assert!(from_north.abs() < 1e-9 && (middle.elevation_deg - 40.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn columns_are_found_by_their_headings_and_a_bad_field_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let write = |text: &str| std::fs::write(&path, text).unwrap();
+        write("# night 3\nEl_deg, Azimuth, UTC\n40,180,2013-09-21T18:00:00.5\n");
+        let log = PointingLog::read(&path).unwrap();
+        let at = log.at("2013-09-21T18:00:00.5Z".parse().unwrap()).unwrap();
+        assert_eq!((at.azimuth_deg, at.elevation_deg), (180.0, 40.0));
+        write("2013-09-21T18:00:00,180,140\n");
+        let error = PointingLog::read(&path).unwrap_err().to_string();
+        assert!(error.contains("line 1: elevation: expected"), "{error}");
     }
 
     #[test]

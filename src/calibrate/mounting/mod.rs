@@ -16,15 +16,18 @@
 //! 3. The same with the plate in a mirror, to tell whether the data know the difference.
 //! 4. [`verdict`]: each quantity is determined, with a sigma, or keeps the instrument's value.
 
+mod chain;
 mod collect;
 mod fit;
 mod log;
 mod report;
+mod scatter;
 mod start;
 mod verdict;
 
+pub use chain::Chain;
 pub use collect::{Frames, collect};
-pub use fit::{Chain, Fit, Pointings, Unknown};
+pub use fit::{Fit, Pointings, Unknown};
 pub use log::{LogError, PointingLog};
 pub use report::page;
 pub use verdict::{Finding, Verdict};
@@ -113,8 +116,8 @@ pub fn calibrate(
     };
     check_enough(&sights, pointings)?;
     check_spread(&sights, pointings)?;
-    let straight = fit::fit(&sights, pointings, stated, fit::Side::Front)?;
-    let mirrored = fit::fit(&sights, pointings, stated, fit::Side::Back);
+    let straight = fit::fit(&sights, pointings, stated, chain::Side::Front)?;
+    let mirrored = fit::fit(&sights, pointings, stated, chain::Side::Back);
     let mirror = verdict::mirror(&straight, mirrored.as_ref().ok())?;
     check_agreement(&straight, pointings)?;
     let left_out = straight.spoiled();

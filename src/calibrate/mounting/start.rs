@@ -4,7 +4,7 @@
 //! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of sights gives one.
 
 use super::Sight;
-use super::fit::Side;
+use super::chain::Side;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal};
 use crate::units::{Measured, PlateMil};

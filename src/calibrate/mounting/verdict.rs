@@ -1,7 +1,9 @@
 //! What the sights determine, and what they do not.
 
 use super::MountingError;
-use super::fit::{Chain, Fit, Pointings, TOLD, Unknown, advantage, centre_covariance};
+use super::chain::Chain;
+use super::fit::{Fit, Pointings, Unknown, centre_covariance};
+use super::scatter::{TOLD, advantage};
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::instrument::Instrument;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured};
