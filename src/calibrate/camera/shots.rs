@@ -9,7 +9,7 @@ use crate::instrument::Instrument;
 use crate::units::SensorPx;
 use anyhow::Context;
 use rayon::prelude::*;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// So many frames of a kind are kept in memory, evenly chosen by pairs.
 const MOST_KEPT: usize = 32;
@@ -150,7 +150,7 @@ pub fn look(
 
 type Looked = Result<(Option<Shot>, Option<SunShot>), String>;
 
-fn look_at(file: &PathBuf, instrument: &Instrument, keep: bool) -> anyhow::Result<Looked> {
+fn look_at(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result<Looked> {
     let name = file.display().to_string();
     let frame = match fits::read_frame(file) {
         Ok(frame) => frame,

@@ -13,8 +13,6 @@ use nalgebra::Vector2;
 const TILE_PX: usize = 32;
 /// Light must span so many times the read noise, or it tells no slope.
 const LEAST_SPAN: f64 = 3.0;
-/// Light up to this part of saturation counts, less five sigmas of noise.
-const MOST_LIGHT: f64 = 1.0;
 /// What the plate's grain and the marks' feet may add to the noise between neighbours.
 const GRAIN: f64 = 0.03;
 
@@ -29,8 +27,8 @@ struct Point {
 pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (Finding, Option<Figure>) {
     let pairs = flats.pairs();
     let mut points: Vec<Point> = pairs.iter().flat_map(|(a, b)| tiles(a, b, dark)).collect();
-    if let (Ok(level), Ok(noise)) = (&dark.level, &dark.noise) {
-        let _ = level;
+    if let Ok(noise) = &dark.noise {
+        // Worth ten squares of a pair.
         points.push(Point {
             light: 0.0,
             variance: noise.value.powi(2),
@@ -65,7 +63,7 @@ fn tiles(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
             .collect();
         let variance = clipped_variance(&differences) / 2.0;
         let reach = 5.0 * variance.max(1.0).sqrt();
-        let cut = light + level - reach < 0.0 || light + level + reach > MOST_LIGHT * saturation;
+        let cut = light + level - reach < 0.0 || light + level + reach > saturation;
         (!cut).then_some(Point {
             light,
             variance,

@@ -13,7 +13,7 @@ use crate::units::Place;
 use anyhow::{Context, bail, ensure};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Frames from which the plate's handedness is told, where the stated one reads none.
 const SAMPLE: usize = 24;
@@ -170,7 +170,7 @@ impl Frames<'_> {
     /// A frame's camera and sight. A frame of another size ends it all: it is another instrument's.
     fn look(
         &self,
-        file: &PathBuf,
+        file: &Path,
         ephemeris: &mut Ephemeris,
     ) -> anyhow::Result<(Option<String>, Outcome)> {
         let frame = match fits::read_frame(file) {
@@ -191,7 +191,7 @@ impl Frames<'_> {
 
     fn sight(
         &self,
-        file: &PathBuf,
+        file: &Path,
         frame: &Frame,
         ephemeris: &mut Ephemeris,
     ) -> Result<Sight, (Lack, String)> {

@@ -220,7 +220,7 @@ fn single(
 /// A quantity is taken over where its sigma is within the limit, and either below what is stated or in contradiction to it.
 /// `apart` is how far found and stated values are, with the stated sigma.
 fn judge(sigma: f64, limit: f64, apart: Measured, to: &str) -> (Verdict, String) {
-    if !(sigma <= limit) {
+    if sigma.is_nan() || sigma > limit {
         let remark = format!("not determined (only to {to}): keeps the instrument's value");
         return (Verdict::Kept, remark);
     }
