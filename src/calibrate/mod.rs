@@ -5,4 +5,5 @@ pub mod camera;
 pub mod frames;
 mod html;
 pub mod mounting;
+pub mod numbers;
 pub mod revision;

@@ -20,6 +20,9 @@ const ONE_SIGMA: f64 = 0.841_345;
 /// Systematic error of level and noise by rounding and the sample, DN.
 const FLOOR_DN: f64 = 0.01;
 
+/// The same of what whole values tell of the upper half of a distribution.
+const COARSE_DN: f64 = 0.05;
+
 /// What the unlit pixels show.
 #[derive(Debug, Clone)]
 pub(super) struct Dark {
@@ -114,7 +117,7 @@ fn noise(shots: &Shots, histogram: &Histogram, level: f64) -> (Measured, &'stati
                 "from the upper half of the values, fixed pattern included: no two frames at equal exposure"
             }
         };
-        let sigma = (2.0 * value / histogram.total.sqrt()).hypot(FLOOR_DN);
+        let sigma = (2.0 * value / histogram.total.sqrt()).hypot(COARSE_DN);
         return (Measured::new(value, sigma), remark);
     }
     let variance = clipped_variance(&differences);

@@ -18,6 +18,16 @@ const SIGNIFICANT: f64 = 5.0;
 const LEAST_SUNS: usize = 12;
 const LEAST_REACH: f64 = 0.4;
 
+/// What the disc's brightness may be off by at the corner.
+const SUNS_SYSTEMATIC: f64 = 0.005;
+
+/// How the light falls off: light in the middle, and the terms of second and, where it is significant, fourth order.
+struct Falloff {
+    middle: f64,
+    square: Measured,
+    fourth: Option<Measured>,
+}
+
 /// Light at a position from the middle.
 struct Light {
     x: f64,
@@ -63,6 +73,7 @@ pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<Finding>, Option<Figu
         .collect();
     conclude(
         &lights,
+        0.0,
         "from evenly lit frames, a tilt of the lamp's light taken out",
     )
 }
@@ -98,15 +109,23 @@ pub(super) fn by_suns(suns: &[SunShot], stated: &Instrument) -> (Vec<Finding>, O
     }
     conclude(
         &lights,
+        SUNS_SYSTEMATIC / (x0 * x0 + y0 * y0),
         "from the brightness of the Sun's disc over the sensor, a tilt taken out; clouds or a low Sun would spoil it",
     )
 }
 
-fn conclude(lights: &[Light], how: &str) -> (Vec<Finding>, Option<Figure>) {
-    let Some((square, fourth)) = fit(lights) else {
+/// `systematic` is what the second order may be off by, whatever the scatter.
+fn conclude(lights: &[Light], systematic: f64, how: &str) -> (Vec<Finding>, Option<Figure>) {
+    let Some(Falloff {
+        middle,
+        mut square,
+        fourth,
+    }) = fit(lights)
+    else {
         let why = "not determined: no evenly lit frames (--flat) that are not saturated";
         return (vec![square_finding(Err(why.into()), "")], None);
     };
+    square.sigma = square.sigma.hypot(systematic);
     let mut findings = vec![square_finding(Ok(square), how)];
     findings.extend(fourth.map(|fourth| Finding {
         name: "vignetting, fourth order",
@@ -122,12 +141,12 @@ fn conclude(lights: &[Light], how: &str) -> (Vec<Finding>, Option<Figure>) {
     let points: Vec<(f64, f64)> = lights
         .iter()
         .step_by(step)
-        .map(|l| (l.x.hypot(l.y), l.dn))
+        .map(|l| (l.x.hypot(l.y), l.dn / middle))
         .collect();
     let figure = Figure {
         title: "Light over the distance from the middle",
         x: "px",
-        y: "light over the typical, and the fitted share",
+        y: "light over that in the middle",
         series: vec![
             Series {
                 name: "fitted share".into(),
@@ -152,8 +171,7 @@ fn square_finding(found: Result<Measured, String>, how: &str) -> Finding {
     }
 }
 
-/// The terms of second and, where it is significant, fourth order.
-fn fit(lights: &[Light]) -> Option<(Measured, Option<Measured>)> {
+fn fit(lights: &[Light]) -> Option<Falloff> {
     /// Radii are fitted in this unit.
     const UNIT_PX: f64 = 500.0;
     let all = |l: &Light| {
@@ -166,14 +184,22 @@ fn fit(lights: &[Light]) -> Option<(Measured, Option<Measured>)> {
     let solved = solve(&terms, &values, &even)?;
     let fourth = share(&solved, 4, UNIT_PX.powi(4));
     if fourth.value.abs() > SIGNIFICANT * fourth.sigma {
-        return Some((share(&solved, 3, UNIT_PX.powi(2)), Some(fourth)));
+        return Some(Falloff {
+            middle: solved.coefficients[0],
+            square: share(&solved, 3, UNIT_PX.powi(2)),
+            fourth: Some(fourth),
+        });
     }
     let fewer: Vec<SVector<f64, 4>> = terms
         .iter()
         .map(|t| SVector::from([t[0], t[1], t[2], t[3]]))
         .collect();
     let solved = solve(&fewer, &values, &even)?;
-    Some((share(&solved, 3, UNIT_PX.powi(2)), None))
+    Some(Falloff {
+        middle: solved.coefficients[0],
+        square: share(&solved, 3, UNIT_PX.powi(2)),
+        fourth: None,
+    })
 }
 
 /// A coefficient as a part of the light in the middle.

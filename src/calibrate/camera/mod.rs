@@ -2,12 +2,12 @@
 //! with temperature.
 //!
 //! # Method
-//! - [`dark`]: the median of every pixel over frames without light (dark frames, else the unlit parts of the Sun's frames) gives
+//! - `dark`: the median of every pixel over frames without light (dark frames, else the unlit parts of the Sun's frames) gives
 //!   level and hot pixels; differences of frames that follow each other give the read noise.
-//! - [`transfer`]: photon transfer. The variance of the difference of two evenly lit frames grows with their light by the gain, DN per
+//! - `transfer`: photon transfer. The variance of the difference of two evenly lit frames grows with their light by the gain, DN per
 //!   photo-electron. Without such frames, the grain of the Sun's disc between the marks does instead.
-//! - [`flat`]: how the light of evenly lit frames, else the brightness of the Sun's disc, falls off from the middle.
-//! - [`focus`]: the blur of the Sun's limb, and of blur and scale how they go with the camera's temperature.
+//! - `flat`: how the light of evenly lit frames, else the brightness of the Sun's disc, falls off from the middle.
+//! - `focus`: the blur of the Sun's limb, and of blur and scale how they go with the camera's temperature.
 //!
 //! What the frames do not determine keeps the instrument's value, with the reason.
 

@@ -3,6 +3,7 @@
 use super::CameraCalibration;
 use crate::calibrate::frames::LeftOut;
 use crate::calibrate::html;
+use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::report::plot::{self, Labels, PlotError};
 use std::fmt::Write;
 
@@ -22,8 +23,8 @@ pub fn page(
         let (class, value, sigma, remark) = match &finding.found {
             Ok(found) => (
                 "determined",
-                format!("{:.6e} {}", found.value, finding.unit),
-                format!("{:.1e}", found.sigma),
+                format!("{} {}", value_text(*found), finding.unit),
+                sigma_text(found.sigma),
                 &finding.remark,
             ),
             Err(why) => ("kept", String::new(), String::new(), why),

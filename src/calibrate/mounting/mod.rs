@@ -6,15 +6,15 @@
 //! [`pointing::sun_on_plate`](crate::pointing::sun_on_plate) says where the Sun should stand; the unknowns are those that make
 //! what was seen and what should be seen agree. In a drift scan the telescope's one direction is unknown too.
 //!
-//! 1. [`start`]: to a part in fifty the chain is a similarity in the plane; the one of least median distance, over many
+//! 1. `start`: to a part in fifty the chain is a similarity in the plane; the one of least median distance, over many
 //!    pairs of sights, is right while more than half of the sights are.
-//! 2. [`fit`]: Gauss and Newton's steps on the whole chain, first with Tukey's weights, then on the sights that agree.
+//! 2. `fit`: Gauss and Newton's steps on the whole chain, first with Tukey's weights, then on the sights that agree.
 //!    What they scatter beyond their own sigmas is taken as noise of every sight; where neighbours scatter alike the covariance
 //!    grows by as much.
 //!    All this twice: directions on the plate count from the zenith at the Sun, as the pointing has it, or at the telescope, as on a
 //!    plate rigid in the gondola; the sights decide, see [`Chain`].
 //! 3. The same with the plate in a mirror, to tell whether the data know the difference.
-//! 4. [`verdict`]: each quantity is determined, with a sigma, or keeps the instrument's value.
+//! 4. `verdict`: each quantity is determined, with a sigma, or keeps the instrument's value.
 
 mod chain;
 mod collect;

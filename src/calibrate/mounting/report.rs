@@ -5,6 +5,7 @@ use super::verdict::{Finding, Verdict};
 use super::{Mounting, Pointings};
 use crate::calibrate::frames::LeftOut;
 use crate::calibrate::html;
+use crate::calibrate::numbers::sigma_text;
 use crate::instrument::Instrument;
 use crate::report::plot::{self, Arrow, Labels, PlotError, Series};
 use std::fmt::Write;
@@ -24,16 +25,18 @@ pub fn page(
         Pointings::Known => "known pointing",
         Pointings::Fixed => "drift scan: the telescope fixed, the Sun crossing",
     };
+    let shared = match fit.correlation {
+        c if c < 1.05 => String::new(),
+        c => format!("; neighbours scatter alike, so variances are taken {c:.1} times as large"),
+    };
     let title = format!("Mounting of {}", stated.name);
     let mut text = html::head(&title, &format!("{way}; {source}"));
     text += &format!(
-        "<p>{taken} of {all} sights agree, scattering by {scatter:.3} mil ({arcsec:.2} arcsec) rms per axis; variances times \
-         {correlation:.1} because neighbours scatter alike.</p>\n",
+        "<p>{taken} of {all} sights agree, scattering by {scatter:.3} mil ({arcsec:.2} arcsec) rms per axis{shared}.</p>\n",
         taken = fit.accepted(),
         all = fit.residuals.len(),
         scatter = fit.scatter_mil,
         arcsec = fit.scatter_mil * stated.optics.arcsec_per_mil(),
-        correlation = fit.correlation,
     );
     text += &table(&mounting.findings);
     text += "<h2>Residuals: where the Sun was seen minus where the mounting puts it</h2>\n";
@@ -62,7 +65,7 @@ fn table(findings: &[Finding]) -> String {
             if finding.found.is_empty() {
                 String::new()
             } else {
-                format!("{:.2e}", finding.sigma)
+                sigma_text(finding.sigma)
             },
             html::escaped(&finding.remark),
         );
@@ -106,8 +109,10 @@ fn on_plate(residuals: &[Residual]) -> Result<String, PlotError> {
         .fold(500.0, f64::max);
     let longest = taken.iter().map(|r| r.off.norm()).fold(1e-6, f64::max);
     let magnified = 0.1 * reach / longest;
+    const MOST_ARROWS: usize = 150;
     let arrows: Vec<Arrow> = taken
         .iter()
+        .step_by(taken.len().div_ceil(MOST_ARROWS).max(1))
         .map(|r| Arrow {
             at: (r.at.x, r.at.y),
             vector: (r.off.x, r.off.y),

@@ -4,6 +4,7 @@ use super::MountingError;
 use super::chain::Chain;
 use super::fit::{Fit, Pointings, Unknown, centre_covariance};
 use super::scatter::{TOLD, advantage};
+use crate::calibrate::numbers::sigma_text;
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::instrument::Instrument;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured};
@@ -106,7 +107,11 @@ fn centre(fit: &Fit, stated: &Instrument) -> Finding {
             sigma,
             MOST_CENTRE_MIL,
             Measured::new(apart, mounting.boresight_sigma_mil),
-            &format!("{sigma:.4} mil ({:.4} arcsec)", arcsec(sigma)),
+            &format!(
+                "{} mil ({} arcsec)",
+                sigma_text(sigma),
+                sigma_text(arcsec(sigma))
+            ),
         ),
     };
     Finding {
@@ -202,7 +207,7 @@ fn single(
         found.sigma,
         limit,
         apart,
-        &format!("{:.2e} {unit}", found.sigma),
+        &format!("{} {unit}", sigma_text(found.sigma)),
     );
     Finding {
         name,

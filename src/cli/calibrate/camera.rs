@@ -2,6 +2,7 @@
 
 use crate::calibrate::camera::{self, CameraCalibration, Inputs};
 use crate::calibrate::frames::{self, LeftOut};
+use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::calibrate::revision::Provenance;
 use crate::cli::options;
 use anyhow::Context;
@@ -94,8 +95,12 @@ fn print(calibration: &CameraCalibration, left_out: &[LeftOut]) {
     for finding in &calibration.findings {
         match &finding.found {
             Ok(found) => println!(
-                "{}: {:.5e} +- {:.1e} {}; {}",
-                finding.name, found.value, found.sigma, finding.unit, finding.remark
+                "{}: {} +- {} {}; {}",
+                finding.name,
+                value_text(*found),
+                sigma_text(found.sigma),
+                finding.unit,
+                finding.remark
             ),
             Err(why) => println!("{}: {why}; keeps the instrument's value", finding.name),
         }

@@ -2,6 +2,7 @@
 
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings, Verdict};
+use crate::calibrate::numbers::sigma_text;
 use crate::calibrate::revision::Provenance;
 use crate::cli::options;
 use crate::geometry::Handedness;
@@ -153,11 +154,11 @@ fn print(mounting: &Mounting, stated: &Instrument, left_out: &[LeftOut]) {
         let change = match (&finding.found[..], finding.verdict) {
             ([], _) => String::new(),
             (found, Verdict::Determined) => format!(
-                "{} -> {} {} +- {:.2e}; ",
+                "{} -> {} {} +- {}; ",
                 numbers(&finding.stated),
                 numbers(found),
                 finding.unit,
-                finding.sigma
+                sigma_text(finding.sigma)
             ),
             (found, Verdict::Kept) if finding.stated.is_empty() => {
                 format!("{} {}; ", numbers(found), finding.unit)
