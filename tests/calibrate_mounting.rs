@@ -13,7 +13,7 @@ use solaspect::instrument::{Instrument, builtin, builtin_text};
 use solaspect::pointing::{self, Horizontal};
 use solaspect::simulate::FORT_SUMNER;
 use solaspect::sky::{Ephemeris, SunPosition};
-use solaspect::units::{Estimate, PlateMil};
+use solaspect::units::{Estimate, Place, PlateMil};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -32,6 +32,7 @@ struct Scan {
     every_s: f64,
     /// 1 sigma per axis of the Sun on the plate.
     noise_mil: f64,
+    place: Place,
     seed: u64,
 }
 
@@ -40,6 +41,7 @@ const TEN_MINUTES: Scan = Scan {
     count: 600,
     every_s: 1.0,
     noise_mil: 0.05,
+    place: FORT_SUMNER,
     seed: 1,
 };
 
@@ -50,7 +52,7 @@ impl Scan {
         let at =
             |n: usize| start + SignedDuration::try_from_secs_f64(n as f64 * self.every_s).unwrap();
         (0..self.count)
-            .map(|n| (at(n), ephemeris.sun(at(n), FORT_SUMNER).unwrap()))
+            .map(|n| (at(n), ephemeris.sun(at(n), self.place).unwrap()))
             .collect()
     }
 
@@ -155,6 +157,34 @@ fn a_drift_scan_of_ten_minutes_tells_the_clocking_and_not_the_centre() {
         assert!((distance.value / 3005.0 - 1.0).abs() < 1e-3, "{distance:?}");
         assert_eq!(verdict(&mounting, "clocking"), Verdict::Determined);
         assert_eq!(verdict(&mounting, "centre"), Verdict::Kept);
+    }
+}
+
+#[test]
+fn a_scan_near_the_zenith_where_azimuth_races_is_as_good() {
+    let demo = builtin("demo").unwrap();
+    for latitude_deg in [34.49, 25.0] {
+        let scan = Scan {
+            start: "2013-06-21T18:53:00Z",
+            place: Place {
+                latitude_deg,
+                ..FORT_SUMNER
+            },
+            ..TEN_MINUTES
+        };
+        let sights = scan.drift();
+        let highest = sights
+            .iter()
+            .map(|s| s.sun.elevation_deg)
+            .fold(0.0, f64::max);
+        assert!(highest > 78.0, "{highest}");
+        let mounting = calibrate(&sights, Pointings::Fixed, &demo).unwrap();
+        let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
+        assert!(
+            (clocking.value + 51.3).abs() < 0.02,
+            "{highest}: {clocking:?}"
+        );
+        assert!(mounting.left_out.len() < 10);
     }
 }
 

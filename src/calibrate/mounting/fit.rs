@@ -2,7 +2,7 @@
 
 use super::chain::{Chain, Side};
 use super::scatter::{TOLD, advantage, correlation, extra_variance, plain, sizes, tukey};
-use super::start::start;
+use super::start::{Start, start};
 use super::{MountingError, Sight};
 use crate::calibrate::frames::LeftOut;
 use crate::instrument::Instrument;
@@ -44,6 +44,7 @@ const POINTING_PRIOR_DEG: f64 = 10.0;
 
 /// Sights farther off than this do not take part: of good ones, one in 800.
 const MOST_SIGMAS: f64 = 3.66;
+const START_ROUNDS: usize = 4;
 const ROBUST_STEPS: usize = 15;
 const LAST_STEPS: usize = 10;
 /// A sight's part in a fit.
@@ -176,41 +177,48 @@ impl Model<'_> {
 
     /// A first mounting, and in a drift scan the pointing that goes with the stated centre.
     fn first(&self) -> Option<DVector<f64>> {
-        let middle = self.sights.get(self.sights.len() / 2)?;
-        let at_sun = |sun: &SunPosition| Horizontal {
-            azimuth_deg: sun.azimuth_deg,
-            elevation_deg: sun.elevation_deg,
-        };
-        let assumed = at_sun(&middle.sun);
-        let telescope = |sight: &Sight| sight.pointing.unwrap_or(assumed);
-        let fixed = |_: &Sight| assumed;
-        let start = match self.pointings {
-            Pointings::Known => start(self.sights, telescope, self.stated, self.side),
-            Pointings::Fixed => start(self.sights, fixed, self.stated, self.side),
-        }?;
+        let model = (self.chain, self.side);
+        if self.pointings == Pointings::Known {
+            let known = |sight: &Sight| sight.pointing.unwrap_or(at_sun(&sight.sun));
+            let start = start(self.sights, known, self.stated, model)?;
+            let [clocking, distance] = self.turned(&start);
+            let shift = start.shift;
+            return Some(DVector::from_vec(vec![
+                shift.x, shift.y, clocking, distance,
+            ]));
+        }
+        let centre = self.stated.mounting.boresight_mil;
+        let mut towards = at_sun(&self.sights.get(self.sights.len() / 2)?.sun);
+        let mut values = DVector::zeros(6);
+        // The nearer the assumed direction, the more the chain is a similarity.
+        for _ in 0..START_ROUNDS {
+            let start = start(self.sights, |_| towards, self.stated, model)?;
+            let [clocking, distance] = self.turned(&start);
+            values = DVector::from_vec(vec![centre.x, centre.y, clocking, distance]);
+            let best = &self.sights[start.best];
+            let seen = best.sun_plate.position.vector() - centre.vector();
+            let front = centre.vector() + self.side.seen(seen);
+            towards = pointing::pointing(front.into(), &self.instrument(&values), &best.sun);
+        }
+        let pointing = [towards.azimuth_deg, towards.elevation_deg];
+        Some(DVector::from_iterator(
+            6,
+            values.iter().copied().chain(pointing),
+        ))
+    }
+
+    /// Clocking, within half a turn of the stated one, and distance of a start.
+    fn turned(&self, start: &Start) -> [f64; 2] {
         let turn_deg = match self.side {
             Side::Front => start.turn_deg,
             Side::Back => -start.turn_deg,
         };
         let near = self.stated.mounting.clocking_deg.value;
         let clocking = near + (turn_deg - near + 180.0).rem_euclid(360.0) - 180.0;
-        let distance = self.stated.optics.plate_distance_mm.value * start.stretch;
-        let centre = self.stated.mounting.boresight_mil;
-        Some(match self.pointings {
-            Pointings::Known => {
-                DVector::from_vec(vec![start.shift.x, start.shift.y, clocking, distance])
-            }
-            Pointings::Fixed => {
-                let mut values = vec![centre.x, centre.y, clocking, distance];
-                let best = &self.sights[start.best];
-                let instrument = self.instrument(&DVector::from_vec(values.clone()));
-                let seen = best.sun_plate.position.vector() - centre.vector();
-                let front = centre.vector() + self.side.seen(seen);
-                let towards = pointing::pointing(front.into(), &instrument, &best.sun);
-                values.extend([towards.azimuth_deg, towards.elevation_deg]);
-                DVector::from_vec(values)
-            }
-        })
+        [
+            clocking,
+            self.stated.optics.plate_distance_mm.value * start.stretch,
+        ]
     }
 
     /// The stated instrument with the fitted mounting.
@@ -328,7 +336,10 @@ impl Model<'_> {
             centre_mil,
             CLOCKING_PRIOR_DEG,
             DISTANCE_PRIOR * first[3],
-            POINTING_PRIOR_DEG,
+            POINTING_PRIOR_DEG
+                / first
+                    .get(5)
+                    .map_or(1.0, |el| el.to_radians().cos().max(1e-3)),
             POINTING_PRIOR_DEG,
         ];
         DVector::from_fn(first.len(), |n, _| sigmas[n].powi(-2))
@@ -366,4 +377,11 @@ impl Model<'_> {
 /// Covariance of the boresight alone.
 pub(super) fn centre_covariance(fit: &Fit) -> Matrix2<f64> {
     fit.covariance.fixed_view::<2, 2>(0, 0).into_owned()
+}
+
+fn at_sun(sun: &SunPosition) -> Horizontal {
+    Horizontal {
+        azimuth_deg: sun.azimuth_deg,
+        elevation_deg: sun.elevation_deg,
+    }
 }

@@ -4,9 +4,9 @@
 //! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of sights gives one.
 
 use super::Sight;
-use super::chain::Side;
+use super::chain::{Chain, Side};
 use crate::instrument::Instrument;
-use crate::pointing::{self, Horizontal};
+use crate::pointing::Horizontal;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{Rotation2, Vector2};
 
@@ -32,30 +32,27 @@ pub(super) fn start(
     sights: &[Sight],
     telescope: impl Fn(&Sight) -> Horizontal,
     stated: &Instrument,
-    side: Side,
+    (chain, side): (Chain, Side),
 ) -> Option<Start> {
     let mut unturned = stated.clone();
     unturned.mounting.clocking_deg = Measured::new(0.0, 0.0);
     unturned.mounting.boresight_mil = PlateMil::new(0.0, 0.0);
-    let pairs: Vec<(Vector2<f64>, Vector2<f64>)> = sights
+    let (places, pairs): (Vec<usize>, Vec<Pair>) = sights
         .iter()
-        .filter_map(|sight| {
-            let expected = pointing::sun_on_plate(telescope(sight), &unturned, &sight.sun).ok()?;
-            Some((
-                side.seen(expected.vector()),
-                sight.sun_plate.position.vector(),
-            ))
+        .enumerate()
+        .filter_map(|(n, sight)| {
+            let expected = chain.shift(telescope(sight), &unturned, &sight.sun)?;
+            let seen = sight.sun_plate.position.vector();
+            Some((n, (side.seen(expected), seen)))
         })
-        .collect();
-    if pairs.len() < sights.len() {
-        return None;
-    }
+        .unzip();
     let least = LEAST_SPREAD * spread(&pairs);
     let candidates = indices(pairs.len()).filter_map(|(m, n)| through(&pairs[m], &pairs[n], least));
     let judged = candidates.map(|candidate| (median_distance(&candidate, &pairs), candidate));
     let (_, mut start) = judged.min_by(|a, b| a.0.total_cmp(&b.0))?;
     let distance = |n: &usize| distance(&start, &pairs[*n]);
-    start.best = (0..pairs.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    let best = (0..pairs.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    start.best = places[best];
     Some(start)
 }
 
@@ -63,8 +60,9 @@ type Pair = (Vector2<f64>, Vector2<f64>);
 
 /// Pairs of indices, always the same, of all distances.
 fn indices(count: usize) -> impl Iterator<Item = (usize, usize)> {
+    let pairs = if count > 0 { MOST_PAIRS } else { 0 };
     // Steps by the golden section and by the root of two visit everything and meet no period.
-    (0..MOST_PAIRS).map(move |k| {
+    (0..pairs).map(move |k| {
         let part = |step: f64| (((k as f64 + 0.5) * step).fract() * count as f64) as usize;
         (part(0.618_034), part(0.414_214))
     })
