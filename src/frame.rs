@@ -60,6 +60,8 @@ pub struct FrameInfo {
     pub mid_exposure: Option<Timestamp>,
     /// The middle of the exposure on the host's monotonic clock, since an arbitrary start.
     pub monotonic: Option<Duration>,
+    /// By how much UTC has moved against the monotonic clock since the frame before, where that was a step.
+    pub utc_step: Option<SignedDuration>,
     /// The camera's own clock for this frame, since an arbitrary start.
     pub camera_clock: Option<Duration>,
     /// How long the shutter was open.

@@ -14,7 +14,7 @@
 //! | rooms | what they know |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
-//! | [`geometry`], [`frame`] | mappings between sensor and plate; a picture and what is known of it |
+//! | [`geometry`], [`frame`], [`clock`] | mappings between sensor and plate; a picture and what is known of it; how well the clock is held |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
@@ -24,7 +24,7 @@
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
 //! | [`config`] | the parameter table |
-//! | [`service`], [`calibrate`], [`accuracy`] | threads, channels, bounds and overflow rules on one page; the instrument as it is; how near the truth the pipeline comes |
+//! | [`service`], [`calibrate`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; the instrument as it is; how near the truth the pipeline comes; whether all is ready to fly |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions
@@ -38,6 +38,7 @@ pub mod aspect;
 pub mod calibrate;
 pub mod camera;
 pub mod cli;
+pub mod clock;
 pub mod config;
 pub mod fiducial;
 pub mod fits;
@@ -48,6 +49,7 @@ pub mod limb;
 pub mod link;
 pub mod plate;
 pub mod pointing;
+pub mod preflight;
 pub mod registration;
 pub mod report;
 pub mod service;

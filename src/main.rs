@@ -36,9 +36,11 @@ enum Command {
     Simulate(cli::simulate::SimulateArgs),
     Sky(cli::sky::SkyArgs),
     Config(cli::config::ConfigArgs),
+    Preflight(cli::preflight::PreflightArgs),
     Accuracy(cli::accuracy::AccuracyArgs),
     Archive(cli::archive::ArchiveArgs),
     Calibrate(cli::calibrate::CalibrateArgs),
+    Link(cli::link::LinkArgs),
 }
 
 fn main() -> ExitCode {
@@ -50,10 +52,12 @@ fn main() -> ExitCode {
         Command::Solve(args) => cli::solve::run(args),
         Command::Simulate(args) => cli::simulate::run(&args).map(|()| ExitCode::SUCCESS),
         Command::Sky(args) => cli::sky::run(args).map(|()| ExitCode::SUCCESS),
-        Command::Config(args) => cli::config::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Config(args) => cli::config::run(&args),
+        Command::Preflight(args) => cli::preflight::run(args),
         Command::Accuracy(args) => cli::accuracy::run(&args),
         Command::Archive(args) => cli::archive::run(args),
         Command::Calibrate(args) => cli::calibrate::run(args),
+        Command::Link(args) => cli::link::run(args),
     };
     match outcome {
         Ok(code) => code,

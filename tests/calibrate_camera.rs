@@ -228,7 +228,7 @@ fn frames_that_tell_nothing_or_do_not_belong_together_are_refused() {
     for (name, wanted) in [
         ("mixed", "saturate at 4095 DN"),
         ("gains", "analogue gain"),
-        ("small", "mixed instruments"),
+        ("small", "whole sensor"),
         ("empty", "found none"),
         ("absent", "cannot read"),
     ] {

@@ -1,10 +1,16 @@
 //! The cameras that need no camera: their frames, their pace, and what they take of settings.
 
 use jiff::Timestamp;
-use solaspect::camera::{Exposure, FrameSource, PixelFormat, Settings, SimulatedCamera, Take};
-use solaspect::frame::{Frame, Pixels, Region};
+use solaspect::aspect::{self, Expected, Quality};
+use solaspect::camera::{
+    self, CameraError, Exposure, FrameSource, PixelFormat, Settings, SimulatedCamera, Source,
+    Surroundings, Take,
+};
+use solaspect::fits::{self, Compression};
+use solaspect::frame::{Frame, FrameInfo, Pixels, Region};
 use solaspect::instrument;
 use solaspect::simulate::{FlightScenes, Trajectory};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 const RADIUS_MIL: f64 = 547.0;
@@ -121,8 +127,160 @@ fn a_region_that_reaches_over_the_sensor_is_an_error_and_a_good_one_mends_it() {
     let message = camera.next(&mut |_| {}).unwrap_err().to_string();
     assert_eq!(
         message,
-        "camera.region: expected a part of the sensor's 1296 x 966 px, found 1000,0,640,480"
+        "camera.region_px: expected a part of the sensor's 1296 x 966 px, found 1000,0,640,480"
     );
     camera.apply(&Settings::default()).unwrap();
     assert!(next(&mut camera).is_some());
+}
+
+fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError> {
+    let instrument = instrument::builtin("demo").unwrap();
+    let around = Surroundings {
+        instrument: &instrument,
+        seed: 1,
+        duration: None,
+        speed,
+    };
+    let settings = Settings {
+        rate_hz: 50.0,
+        ..Settings::default()
+    };
+    camera::open(&source.parse::<Source>().unwrap(), &settings, &around)
+}
+
+/// Frames of a few pixels, each so many milliseconds after noon, or without a time.
+fn store(folder: &Path, times_ms: &[Option<i64>]) {
+    for (n, time_ms) in times_ms.iter().enumerate() {
+        let info = FrameInfo {
+            mid_exposure: time_ms.map(|ms| noon() + jiff::SignedDuration::from_millis(ms)),
+            ..FrameInfo::default()
+        };
+        let frame = Frame::new(2, 1, Pixels::U8(vec![n as u8, 7]), 255, info).unwrap();
+        let path = folder.join(format!("{n}.fits"));
+        fits::write_frame(&path, &frame, &[], &[], Compression::None).unwrap();
+    }
+}
+
+/// How long a folder takes from its first frame to its last.
+fn replay(folder: &Path, speed: f64, frames: usize) -> Duration {
+    let mut camera = opened(&format!("folder:{}", folder.display()), speed).unwrap();
+    assert!(next(camera.as_mut()).is_some());
+    let begun = Instant::now();
+    for _ in 1..frames {
+        assert!(next(camera.as_mut()).is_some());
+    }
+    assert!(next(camera.as_mut()).is_none());
+    begun.elapsed()
+}
+
+#[test]
+fn a_folder_is_replayed_at_its_own_times_and_faster_by_the_speed() {
+    let folder = tempfile::tempdir().unwrap();
+    // A day passes, time runs back, and one frame has no time: ten seconds at most, or the rate.
+    let times_ms = [Some(0), Some(600), Some(86_400_000), Some(100), None];
+    store(folder.path(), &times_ms);
+    let alive = replay(folder.path(), 20.0, times_ms.len());
+    let expected = Duration::from_millis((600 + 10_000 + 20 + 20) / 20);
+    // It never hurries; how late it is depends on the machine.
+    assert!(alive > expected - Duration::from_millis(20), "{alive:?}");
+    assert!(alive < Duration::from_secs(10), "{alive:?}");
+}
+
+#[test]
+fn a_folders_bad_file_is_told_and_the_rest_is_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    store(folder.path(), &[None, None]);
+    std::fs::write(folder.path().join("1a.fits"), "no picture").unwrap();
+    let mut camera = opened(&format!("folder:{}", folder.path().display()), 1.0).unwrap();
+    assert!(next(camera.as_mut()).is_some() && next(camera.as_mut()).is_some());
+    let message = camera.next(&mut |_| {}).unwrap_err().to_string();
+    assert!(message.contains("1a.fits"), "{message}");
+    assert!(next(camera.as_mut()).is_none());
+}
+
+#[test]
+fn the_simulator_flies_the_path_of_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("path.toml");
+    std::fs::write(
+        &path,
+        "[[piece]]\nstart_s = 0\nsun_mil = [200, 100]\n\
+         [[piece]]\nstart_s = 0.02\nsun_mil = [200, 100]\ncloud = 0.5\n\
+         [[piece]]\nstart_s = 0.04\nsun_mil = [99000, 0]\n",
+    )
+    .unwrap();
+    let mut camera = opened(&format!("simulated:{}", path.display()), 1.0).unwrap();
+    let mut disc = || disc_dn(&next(camera.as_mut()).unwrap().0.frame);
+    let (clear, clouded, away) = (disc(), disc(), disc());
+    assert!((clouded / clear - 0.5).abs() < 0.05, "{clear} {clouded}");
+    assert!(away < 0.2 * clear, "{away}");
+}
+
+#[test]
+fn what_is_no_source_is_an_error_that_says_what_is_one() {
+    let message = "usb:1".parse::<Source>().unwrap_err().to_string();
+    assert!(
+        message.contains("gige:ADDRESS") && message.contains("usb:1"),
+        "{message}"
+    );
+    for source in ["gige:", "folder:", "simulated:", "", "gige"] {
+        assert!(source.parse::<Source>().is_err(), "{source}");
+    }
+    for source in [
+        "gige:10.0.0.1",
+        "folder:a:b",
+        "simulated",
+        "simulated:x.toml",
+    ] {
+        assert_eq!(source.parse::<Source>().unwrap().to_string(), source);
+    }
+    let message = opened("simulated:/nowhere.toml", 1.0)
+        .err()
+        .unwrap()
+        .to_string();
+    assert!(message.contains("/nowhere.toml"), "{message}");
+    if cfg!(not(feature = "gige")) {
+        let message = opened("gige:127.0.0.1", 1.0).err().unwrap().to_string();
+        assert!(message.contains("--features gige"), "{message}");
+    }
+}
+
+#[test]
+fn a_part_of_the_sensor_gives_the_same_aspect_as_the_whole() {
+    let instrument = instrument::builtin("demo").unwrap();
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/frames/standard");
+    let whole = fits::read_frame(&data.join("frame_00000.fits")).unwrap();
+    let expected = whole.info.mid_exposure.and_then(Expected::at);
+    let settings = aspect::Settings::default();
+    let solve = |frame: &Frame| {
+        let seen = instrument.seen_by(frame).unwrap();
+        aspect::solve_with(&settings, frame, &seen, expected, None)
+    };
+    let of_whole = solve(&whole).aspect.unwrap();
+    let sun = of_whole.sun_px.position;
+    let corner = (sun.x as usize - 160, sun.y as usize - 150);
+    let part = whole
+        .cropped(Region::sized(corner.0, corner.1, 320, 300))
+        .unwrap();
+    let solution = solve(&part);
+    assert_eq!(solution.quality, Quality::Fine);
+    let of_part = solution.aspect.unwrap();
+    let apart_mil = of_part
+        .sun_plate
+        .position
+        .distance(of_whole.sun_plate.position);
+    assert!(apart_mil < of_whole.sun_plate.sigma()[0], "{apart_mil} mil");
+    let shifted = of_part.sun_px.position;
+    assert!(
+        (shifted.x + corner.0 as f64 - sun.x).abs() < 0.02,
+        "{shifted:?} {sun:?}"
+    );
+    let stray = whole.cropped(Region::sized(1000, 600, 296, 366)).unwrap();
+    let mut info = stray.info.clone();
+    info.corner_px = Some((1100, 600));
+    let stray = Frame::new(296, 366, stray.pixels().clone(), 255, info).unwrap();
+    assert!(
+        instrument.seen_by(&stray).is_err(),
+        "it reaches over the sensor"
+    );
 }

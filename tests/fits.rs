@@ -26,6 +26,7 @@ fn full_info() -> FrameInfo {
     FrameInfo {
         number: Some(123_456_789_012),
         mid_exposure: Some("2013-09-21T18:00:00.007500001Z".parse().unwrap()),
+        utc_step: Some(jiff::SignedDuration::from_millis(-1500)),
         monotonic: Some(Duration::new(86_400, 123_456_789)),
         camera_clock: Some(Duration::new(1_379_786_400, 123_456_789)),
         exposure: Some(Duration::from_micros(15_001)),

@@ -169,14 +169,14 @@ fn a_camera_that_dies_is_brought_back_with_every_setting() {
     let last = (0..5).map(|_| frame(&mut camera)).last().unwrap();
 
     drop(fake);
-    let mut errors = 0;
     let begun = Instant::now();
-    while errors < 2 && begun.elapsed() < PATIENCE {
+    let mut noticed = false;
+    while !noticed && begun.elapsed() < PATIENCE {
         let asked = Instant::now();
-        errors += u32::from(camera.next(&mut |_| {}).is_err());
+        noticed = camera.next(&mut |_| {}).is_err();
         assert!(asked.elapsed() < Duration::from_secs(5), "it blocks");
     }
-    assert_eq!(errors, 2, "it goes unnoticed");
+    assert!(noticed);
 
     // The new one knows nothing of what the old one was told.
     let _fake = Fake::start(&["--serial", "SECOND"]);

@@ -142,11 +142,12 @@ fn format_text() -> String {
         sample,
     } in &FIELDS
     {
-        text += &format!("{name} RAW {} 1\n", sample.type_name());
-        text += &format!("{name}/quantity STRING \"{meaning}\"\n");
-        if !unit.is_empty() {
-            text += &format!("{name}/units STRING \"{unit}\"\n");
-        }
+        let unit = match *unit {
+            "" => String::new(),
+            unit => format!(" [{unit}]"),
+        };
+        // As comments, for who reads the file: KST 2.0.8 fails on fields of type STRING.
+        text += &format!("# {meaning}{unit}\n{name} RAW {} 1\n", sample.type_name());
     }
     text + "/REFERENCE TIME\n"
 }

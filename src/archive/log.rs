@@ -98,13 +98,19 @@ impl Row {
     }
 }
 
-/// The solution log of one start in one archive: `solutions_<start>.csv`.
+/// A log of one start in one archive: `<what>_<start>.csv`, a file that is made with its first row.
 #[derive(Debug)]
-pub struct SolutionLog {
+pub struct Log {
     root: PathBuf,
+    what: &'static str,
+    columns: Vec<String>,
     start: Timestamp,
     open: Option<Csv>,
 }
+
+/// The solution log of one start in one archive: `solutions_<start>.csv`.
+#[derive(Debug)]
+pub struct SolutionLog(Log);
 
 #[derive(Debug)]
 struct Csv {
@@ -118,11 +124,8 @@ struct Csv {
 impl SolutionLog {
     /// A log under an archive's root; its file is made with the first row and never stands in place of another.
     pub fn new(root: &Path, start: Timestamp) -> Self {
-        Self {
-            root: root.into(),
-            start,
-            open: None,
-        }
+        let columns = Row::csv_columns().into_iter().map(str::to_owned);
+        Self(Log::new(root, "solutions", columns.collect(), start))
     }
 
     /// Adds a row.
@@ -130,19 +133,38 @@ impl SolutionLog {
     /// # Errors
     /// Where the disk refuses; the row is then not in the log, and the next one may be tried.
     pub fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+        self.0.append(&row.csv_fields())
+    }
+}
+
+impl Log {
+    /// A log of these columns under an archive's root; its file never stands in place of another.
+    pub fn new(root: &Path, what: &'static str, columns: Vec<String>, start: Timestamp) -> Self {
+        Self {
+            root: root.into(),
+            what,
+            columns,
+            start,
+            open: None,
+        }
+    }
+
+    /// Adds a row with a field for each column.
+    ///
+    /// # Errors
+    /// Where the disk refuses; the row is then not in the log, and the next one may be tried.
+    pub fn append(&mut self, fields: &[String]) -> Result<(), ArchiveError> {
         let csv = match &mut self.open {
             Some(csv) => csv,
-            none => none.insert(Csv::create(&self.root, self.start)?),
+            none => none.insert(Csv::create(&self.root, self.what, self.start)?),
         };
-        csv.append(row)
+        csv.append(&self.columns, fields)
     }
 }
 
 impl Csv {
-    fn create(root: &Path, start: Timestamp) -> Result<Self, ArchiveError> {
-        let (path, file) = make_new(root, "solutions", start, ".csv", |path| {
-            File::create_new(path)
-        })?;
+    fn create(root: &Path, what: &str, start: Timestamp) -> Result<Self, ArchiveError> {
+        let (path, file) = make_new(root, what, start, ".csv", |path| File::create_new(path))?;
         LocalDisk
             .sync_folder(root)
             .during("bring the folder to the disk", root)?;
@@ -154,14 +176,14 @@ impl Csv {
         })
     }
 
-    fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+    fn append(&mut self, columns: &[String], fields: &[String]) -> Result<(), ArchiveError> {
         let mut lines = csv::Writer::from_writer(Vec::new());
         let written = match self.length {
-            0 => lines.write_record(Row::csv_columns()),
+            0 => lines.write_record(columns),
             _ => Ok(()),
         };
         let bytes = written
-            .and_then(|()| lines.write_record(row.csv_fields()))
+            .and_then(|()| lines.write_record(fields))
             .map_err(io::Error::other)
             .and_then(|()| lines.into_inner().map_err(io::Error::other))
             .during("make a row of the log", &self.path)?;

@@ -16,7 +16,7 @@ mod store;
 
 pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
-pub use log::{Row, SolutionLog, Upkeep};
+pub use log::{Log, Row, SolutionLog, Upkeep};
 pub use name::{NameTime, name};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{

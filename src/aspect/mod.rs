@@ -87,6 +87,16 @@ pub fn solve_with(
     solution
 }
 
+/// The levels of a frame, and nothing more: for cameras whose pictures nobody solves yet.
+pub fn levels_only(settings: &Settings, frame: &Frame, instrument: &Instrument) -> Solution {
+    let mut solution = Solution::none();
+    match Work::new(settings, frame, instrument, None, None).levels() {
+        Ok(levels) => solution.levels = Some(levels),
+        Err(stopped) => solution.stopped = Some(stopped),
+    }
+    solution
+}
+
 fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);

@@ -1,9 +1,10 @@
-//! A folder of files as a camera: its frames in the order of their names, at a steady rate.
+//! A folder of files as a camera: its frames in the order of their names, at the times at which they were taken.
 
 use super::pace::Pace;
 use super::{CameraError, Exposure, FrameSource, Settings, Take, settings};
 use crate::fits;
-use jiff::Timestamp;
+use crate::frame::Frame;
+use jiff::{SignedDuration, Timestamp};
 use std::collections::VecDeque;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,19 +15,30 @@ const ENDINGS: [&str; 8] = [
     ".fits", ".fit", ".fts", ".fits.gz", ".fits.fz", ".png", ".tif", ".tiff",
 ];
 
+/// The longest pause between two frames: nobody waits for the next day's flight.
+const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+
 /// Replays the frames of a folder and of the folders in it.
+///
+/// A frame follows the one before it by the difference of their times. Frames without times, or out of their order,
+/// follow at a steady rate; no pause is longer than ten seconds. A speed makes all of it faster.
 pub struct FolderCamera {
     files: VecDeque<PathBuf>,
     period: Duration,
+    speed: f64,
     pace: Pace,
+    /// The frame whose turn it is, read ahead.
+    ahead: Option<Frame>,
+    /// Mid-exposure of the frame before it.
+    before: Option<Timestamp>,
 }
 
 impl FolderCamera {
-    /// Lists the folder's frames.
+    /// Lists the folder's frames. They are replayed `speed` times as fast as they were taken.
     ///
     /// # Errors
     /// Where the folder cannot be listed, or holds no frame.
-    pub fn open(folder: &Path, rate_hz: f64) -> Result<Self, CameraError> {
+    pub fn open(folder: &Path, rate_hz: f64, speed: f64) -> Result<Self, CameraError> {
         let mut files = Vec::new();
         list(folder, &mut files).map_err(|error| CameraError::Folder {
             folder: folder.into(),
@@ -42,7 +54,10 @@ impl FolderCamera {
         Ok(Self {
             files: files.into(),
             period: settings::period(rate_hz),
+            speed,
             pace: Pace::default(),
+            ahead: None,
+            before: None,
         })
     }
 }
@@ -67,19 +82,45 @@ fn list(folder: &Path, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
     Ok(())
 }
 
+impl FolderCamera {
+    /// Reads the next frame and lets it be due when its turn is; `None` at the end.
+    fn read_ahead(&mut self) -> Result<Option<Frame>, CameraError> {
+        let Some(path) = self.files.pop_front() else {
+            return Ok(None);
+        };
+        let frame = fits::read_frame(&path)?;
+        let time = frame.info.mid_exposure;
+        if self.pace.has_begun() {
+            let pause = self.pause(time).min(LONGEST_PAUSE);
+            self.pace.advance(pause.div_f64(self.speed));
+        }
+        self.before = time.or(self.before);
+        Ok(Some(frame))
+    }
+
+    /// From the frame before to the one of this time, at its own speed.
+    fn pause(&self, time: Option<Timestamp>) -> Duration {
+        time.zip(self.before)
+            .map(|(time, before)| time.duration_since(before))
+            .filter(SignedDuration::is_positive)
+            .map_or(self.period, SignedDuration::unsigned_abs)
+    }
+}
+
 impl FrameSource for FolderCamera {
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
-        if self.files.is_empty() {
-            return Ok(Take::End);
+        if self.ahead.is_none() {
+            self.ahead = self.read_ahead()?;
+            if self.ahead.is_none() {
+                return Ok(Take::End);
+            }
         }
         if !self.pace.is_due() {
             return Ok(Take::NotYet);
         }
-        let Some(path) = self.files.pop_front() else {
-            return Ok(Take::End);
+        let Some(frame) = self.ahead.take() else {
+            return Ok(Take::NotYet);
         };
-        self.pace.advance(self.period);
-        let frame = fits::read_frame(&path)?;
         let announced = frame.info.exposure_start().unwrap_or_else(Timestamp::now);
         starts(announced);
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))

@@ -1,5 +1,6 @@
 //! Where frames come from, each behind the same trait: a GigE Vision camera, a folder of files, or the simulator.
 
+mod auto_exposure;
 mod folder;
 #[cfg(feature = "gige")]
 pub mod gige;
@@ -8,6 +9,7 @@ mod settings;
 mod simulated;
 mod source;
 
+pub use auto_exposure::{AutoExposure, AutoExposureSettings, Brightness};
 pub use folder::FolderCamera;
 pub use settings::{PixelFormat, Settings};
 pub use simulated::{SimulatedCamera, TruthLog};
@@ -15,6 +17,7 @@ pub use source::{NoSource, Source, Surroundings, open};
 
 use crate::fits::FileError;
 use crate::frame::Frame;
+use crate::instrument::TomlError;
 use crate::simulate::SceneError;
 use crate::sky::SkyError;
 use jiff::Timestamp;
@@ -34,6 +37,9 @@ pub enum CameraError {
     Time(#[from] jiff::Error),
     #[error("the simulated camera: {0}")]
     Sky(#[from] SkyError),
+    /// A flight's file is bad.
+    #[error(transparent)]
+    Path(#[from] TomlError),
     #[error("this build has no GigE Vision cameras: build it with `--features gige`")]
     NotBuilt,
     /// The camera itself, or this frame of it.

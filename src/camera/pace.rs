@@ -18,6 +18,11 @@ impl Pace {
         self.due
     }
 
+    /// Whether a frame has been waited for.
+    pub(super) fn has_begun(&self) -> bool {
+        self.start.is_some()
+    }
+
     /// Waits until the next frame is due, with [`PATIENCE`]; whether it is. A late frame is due at once.
     pub(super) fn is_due(&mut self) -> bool {
         let start = *self.start.get_or_insert_with(Instant::now);

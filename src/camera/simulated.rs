@@ -124,7 +124,7 @@ impl FrameSource for SimulatedCamera {
 fn read_out(frame: Frame, region: Region) -> Result<Frame, CameraError> {
     let (width, height) = (frame.width(), frame.height());
     frame.cropped(region).ok_or_else(|| CameraError::Setting {
-        setting: "region",
+        setting: "region_px",
         expected: format!("a part of the sensor's {width} x {height} px"),
         found: region.to_string(),
     })

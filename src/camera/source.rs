@@ -4,11 +4,11 @@
 use super::gige::GigeCamera;
 use super::{CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera};
 use crate::instrument::Instrument;
-use crate::simulate::{FlightScenes, Trajectory};
+use crate::simulate::{Course, FlightScenes, Pieces, Trajectory};
 use crate::sky;
 use jiff::Timestamp;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -19,13 +19,15 @@ pub enum Source {
     Gige(String),
     /// The frames of a folder.
     Folder(PathBuf),
-    /// The simulator's flight.
-    Simulated,
+    /// The simulator's flight, or the one that a file tells.
+    Simulated(Option<PathBuf>),
 }
 
 /// A text that names no source.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("expected gige:ADDRESS, gige:SERIAL, folder:DIR or simulated, found {0:?}")]
+#[error(
+    "expected gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml, found {0:?}"
+)]
 pub struct NoSource(String);
 
 impl FromStr for Source {
@@ -33,7 +35,8 @@ impl FromStr for Source {
 
     fn from_str(text: &str) -> Result<Self, NoSource> {
         match text.split_once(':') {
-            None if text == "simulated" => Ok(Self::Simulated),
+            None if text == "simulated" => Ok(Self::Simulated(None)),
+            Some(("simulated", file)) if !file.is_empty() => Ok(Self::Simulated(Some(file.into()))),
             Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
             Some(("gige", address)) if !address.is_empty() => Ok(Self::Gige(address.into())),
             _ => Err(NoSource(text.into())),
@@ -46,7 +49,8 @@ impl fmt::Display for Source {
         match self {
             Self::Gige(address) => write!(out, "gige:{address}"),
             Self::Folder(folder) => write!(out, "folder:{}", folder.display()),
-            Self::Simulated => write!(out, "simulated"),
+            Self::Simulated(None) => write!(out, "simulated"),
+            Self::Simulated(Some(file)) => write!(out, "simulated:{}", file.display()),
         }
     }
 }
@@ -59,6 +63,8 @@ pub struct Surroundings<'a> {
     pub seed: u64,
     /// Length of a simulated run; `None` without end.
     pub duration: Option<Duration>,
+    /// How many times faster than it was taken a folder is replayed.
+    pub speed: f64,
 }
 
 /// Opens a source and applies the settings. A GigE Vision camera need not be there yet.
@@ -75,19 +81,31 @@ pub fn open(
         Source::Gige(address) => Box::new(GigeCamera::new(address, settings)),
         #[cfg(not(feature = "gige"))]
         Source::Gige(_) => return Err(CameraError::NotBuilt),
-        Source::Folder(folder) => Box::new(FolderCamera::open(folder, settings.rate_hz)?),
-        Source::Simulated => Box::new(simulated(settings, around)?),
+        Source::Folder(folder) => {
+            Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
+        }
+        Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, around)?),
     };
     camera.apply(settings)?;
     Ok(camera)
 }
 
-fn simulated(settings: &Settings, around: &Surroundings) -> Result<SimulatedCamera, CameraError> {
+fn simulated(
+    file: Option<&Path>,
+    settings: &Settings,
+    around: &Surroundings,
+) -> Result<SimulatedCamera, CameraError> {
     let start = Timestamp::now();
+    let Surroundings {
+        instrument, seed, ..
+    } = *around;
     let radius_arcsec = sky::sun_angular_radius(start)?;
-    let radius_mil = around.instrument.optics.radius_mil(radius_arcsec);
-    let trajectory = Trajectory::flight(around.instrument, radius_mil, around.seed)?;
-    let scenes = FlightScenes::new(around.instrument, trajectory, radius_mil, around.seed)?;
+    let radius_mil = instrument.optics.radius_mil(radius_arcsec);
+    let course: Course = match file {
+        Some(file) => Pieces::read(file)?.into(),
+        None => Trajectory::flight(instrument, radius_mil, seed)?.into(),
+    };
+    let scenes = FlightScenes::new(instrument, course, radius_mil, seed)?;
     Ok(SimulatedCamera::new(
         scenes,
         settings.rate_hz,

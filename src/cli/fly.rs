@@ -1,9 +1,10 @@
 //! `solaspect fly`: the flight service.
 
-use super::options;
+mod cameras;
+
+use super::options::{self, ConfigurationArgs};
 use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
-use crate::camera::{self, FrameSource, Source, Surroundings};
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
 use crate::link::{Connection, PortAddress};
@@ -19,80 +20,60 @@ use std::time::{Duration, Instant};
 /// Fly: read the camera, solve, send offsets to the controller, keep every frame
 #[derive(Debug, Args)]
 pub struct FlyArgs {
-    /// The configuration's TOML file; options go over it
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// The instrument's TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR or simulated
-    #[arg(long, value_name = "SOURCE", default_value = "simulated")]
-    camera: Source,
-    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
-    #[arg(long, value_name = "PORT")]
-    serial: Option<String>,
-    /// The archive's folder, or two of them
-    #[arg(long, value_name = "DIR[,DIR2]")]
-    archive: Option<String>,
+    #[command(flatten)]
+    over: ConfigurationArgs,
+    /// Replay a folder so many times faster than it was taken
+    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = options::speed)]
+    speed: f64,
     /// End after this time [default: fly until SIGTERM or SIGINT]
     #[arg(long, value_name = "TIME", value_parser = options::duration)]
     duration: Option<Duration>,
 }
 
+/// A program that is told to end has ended after this, and a little for the line.
+const ENDING: Duration = Duration::from_millis(1500);
+
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
-    let mut config = options::config(args.config.as_deref())?;
-    if let Some(folders) = &args.archive {
-        let mut folders = folders.split(',').map(PathBuf::from);
-        config.archive.directory = folders.next();
-        config.archive.second_directory = folders.next();
-    }
-    config.link.port = args.serial.or(config.link.port);
-    let instrument = options::instrument(args.instrument.as_deref())?;
+    let mut config = options::config(args.over.config.as_deref())?;
+    args.over.options().over(&mut config);
     let mut ephemeris = options::ephemeris(&config)?;
     if let Err(error) = ephemeris.disc(Timestamp::now()) {
         tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
     }
+    let (camera, other_cameras) = cameras::of(&config, &args)?;
     let flight = Flight {
         target: options::target(&config, &mut ephemeris)?,
         ephemeris,
-        camera: camera(&args.camera, &instrument, &config, args.duration)?,
         line: line(&config.link)?,
-        stores: stores(&config, &instrument),
-        instrument,
+        stores: stores(&config, &camera.instrument),
+        camera,
+        other_cameras,
         config,
     };
     let interrupted = options::interrupted()?;
     let service = Service::start(flight)?;
     let start = Instant::now();
+    let told_to_end = || interrupted.load(Ordering::Relaxed) || service.controls().quits();
     while !service.is_finished() {
-        std::thread::sleep(Duration::from_millis(50));
-        let over = args
+        std::thread::sleep(Duration::from_millis(20));
+        if told_to_end() {
+            service.stop_within(ENDING);
+        } else if args
             .duration
-            .is_some_and(|duration| start.elapsed() >= duration);
-        if over || service.controls().quits() || interrupted.load(Ordering::Relaxed) {
+            .is_some_and(|duration| start.elapsed() >= duration)
+        {
             service.stop();
         }
     }
+    let told_to_end = told_to_end();
     let tally = service.join()?;
     println!("{tally}");
     Ok(match tally.lost() {
+        // It did as it was told; what was lost in flight is in the log.
+        _ if told_to_end => ExitCode::SUCCESS,
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,
     })
-}
-
-fn camera(
-    source: &Source,
-    instrument: &Instrument,
-    config: &Config,
-    duration: Option<Duration>,
-) -> anyhow::Result<Box<dyn FrameSource>> {
-    let around = Surroundings {
-        instrument,
-        seed: config.simulation.seed,
-        duration,
-    };
-    Ok(camera::open(source, &config.camera.settings(), &around)?)
 }
 
 /// A port that is not there is looked for in flight.

@@ -1,14 +1,49 @@
 //! What several commands read from their options.
 
 use crate::calibrate::revision::Revision;
+use crate::camera::Source;
 use crate::config::Config;
 use crate::instrument::{self, Instrument};
-use crate::pointing::{Feature, HelioprojectiveArcsec, Target};
-use crate::sky::{Ephemeris, OrientationTable};
-use anyhow::Context;
-use std::path::Path;
+use crate::pointing::Target;
+use crate::preflight::{self, Options};
+use crate::sky::Ephemeris;
+use clap::Args;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+
+/// The configuration of a flight, and what the command line says instead of it.
+#[derive(Debug, Args)]
+pub(super) struct ConfigurationArgs {
+    /// The configuration's TOML file; options go over it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// The instrument's TOML file [default: the configuration's, else the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml [default: the
+    /// configuration's camera.source, else simulated]
+    #[arg(long, value_name = "SOURCE")]
+    camera: Option<Source>,
+    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
+    #[arg(long, value_name = "PORT")]
+    serial: Option<String>,
+    /// The archive's folder, or two of them
+    #[arg(long, value_name = "DIR[,DIR2]", value_delimiter = ',')]
+    archive: Vec<PathBuf>,
+}
+
+impl ConfigurationArgs {
+    /// What the command line says.
+    pub fn options(&self) -> Options {
+        Options {
+            instrument: self.instrument.clone(),
+            camera: self.camera.clone(),
+            serial: self.serial.clone(),
+            archive: self.archive.clone(),
+        }
+    }
+}
 
 /// The instrument of `--instrument`, else the built-in demo.
 pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
@@ -41,24 +76,12 @@ pub(super) fn config(path: Option<&Path>) -> anyhow::Result<Config> {
 
 /// The ephemeris with the configured table of Earth orientation, else the program's own.
 pub(super) fn ephemeris(config: &Config) -> anyhow::Result<Ephemeris> {
-    Ok(match &config.sky.earth_orientation {
-        Some(path) => Ephemeris::new(Arc::new(OrientationTable::read(path)?)),
-        None => Ephemeris::default(),
-    })
+    Ok(preflight::ephemeris(config)?)
 }
 
 /// The configured target; with an epoch, the feature that stood there then.
 pub(super) fn target(config: &Config, ephemeris: &mut Ephemeris) -> anyhow::Result<Target> {
-    let at = HelioprojectiveArcsec {
-        x: config.target.x_arcsec,
-        y: config.target.y_arcsec,
-    };
-    let Some(epoch) = config.target.epoch_utc else {
-        return Ok(Target::Fixed(at));
-    };
-    let disc = ephemeris.disc(epoch).context("target.epoch_utc")?;
-    let feature = Feature::seen(at, epoch, &disc).context("target")?;
-    Ok(Target::Feature(feature))
+    Ok(preflight::target(config, ephemeris)?)
 }
 
 /// A length of time such as 20s, 1.5s, 500ms, 10m or 8h; a bare number is in seconds.
@@ -80,6 +103,16 @@ pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
         Ok(rate) if (0.01..=100.0).contains(&rate) => Ok(rate),
         _ => Err(format!(
             "expected a number from 0.01 to 100 Hz, found \"{text}\""
+        )),
+    }
+}
+
+/// How many times faster than life.
+pub(super) fn speed(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(speed) if (0.01..=1000.0).contains(&speed) => Ok(speed),
+        _ => Err(format!(
+            "expected a number from 0.01 to 1000, found \"{text}\""
         )),
     }
 }

@@ -156,12 +156,11 @@ impl Batch {
         prior: Option<&Track>,
     ) -> anyhow::Result<(Record, Option<Track>)> {
         let frame = fits::read_frame(path)?;
-        self.instrument.check_size(&frame)?;
+        let instrument = &*self.instrument.seen_by(&frame)?;
         let utc = frame.info.mid_exposure;
         let expected = utc.and_then(Expected::at);
         let start = Instant::now();
-        let mut solution =
-            aspect::solve_with(&self.settings, &frame, &self.instrument, expected, prior);
+        let mut solution = aspect::solve_with(&self.settings, &frame, instrument, expected, prior);
         let solve_time = start.elapsed();
         let place = frame.info.place.or(self.place);
         let offset = pointing::offset_of(
@@ -169,7 +168,7 @@ impl Batch {
             utc,
             place,
             &self.target,
-            &self.instrument,
+            instrument,
             &mut self.ephemeris.clone(),
         );
         let name = path.display().to_string();

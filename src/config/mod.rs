@@ -18,7 +18,7 @@ pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
 use crate::archive::{Overflow, Sharing, SpaceLimits};
-use crate::camera::{self, PixelFormat};
+use crate::camera::{self, AutoExposureSettings, PixelFormat, Source};
 use crate::fits::Compression;
 use crate::frame::Region;
 use crate::instrument::TomlError;
@@ -35,8 +35,11 @@ pub struct Config {
     pub sky: Sky,
     pub target: Target,
     pub camera: Camera,
+    pub second_camera: Camera,
+    pub roll_camera: Camera,
     pub link: Link,
     pub archive: Archive,
+    pub preflight: Preflight,
     pub simulation: Simulation,
     pub limb: limb::Settings,
     pub fiducial: fiducial::Settings,
@@ -77,15 +80,45 @@ pub struct Target {
     pub epoch_utc: Option<Timestamp>,
 }
 
-/// How the pitch-yaw camera is run.
+/// Which camera plays a role, and how it is run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
+    /// `None` where nobody plays the role.
+    pub source: Option<Source>,
+    /// The instrument's file, for a camera that sees the plate.
+    pub instrument: Option<PathBuf>,
     pub rate_hz: f64,
     pub exposure_us: u32,
     pub analogue_gain: Option<f64>,
     pub preamp_gain: Option<f64>,
-    pub region: Option<Region>,
+    pub region_px: Option<Region>,
     pub pixel_format: PixelFormat,
+    pub auto_exposure: Switch,
+    pub auto_exposure_target: f64,
+    pub auto_exposure_band: f64,
+    pub auto_exposure_max_factor: f64,
+    pub auto_exposure_hold_frames: u32,
+    pub auto_exposure_min_us: u32,
+    pub auto_exposure_max_us: u32,
+}
+
+/// Whether something is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Switch {
+    Off,
+    On,
+}
+
+impl Switch {
+    pub const KINDS: [Self; 2] = [Self::Off, Self::On];
+
+    /// As the configuration gives it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::On => "on",
+        }
+    }
 }
 
 impl Camera {
@@ -96,21 +129,44 @@ impl Camera {
             exposure_us: self.exposure_us,
             analogue_gain: self.analogue_gain,
             preamp_gain: self.preamp_gain,
-            region: self.region,
+            region: self.region_px,
             pixel_format: self.pixel_format,
         }
+    }
+
+    /// How the exposure is held; `None` where it is not.
+    pub fn auto_exposure(&self) -> Option<AutoExposureSettings> {
+        (self.auto_exposure == Switch::On).then_some(AutoExposureSettings {
+            target: self.auto_exposure_target,
+            band: self.auto_exposure_band,
+            max_factor: self.auto_exposure_max_factor,
+            hold_frames: self.auto_exposure_hold_frames,
+            min_us: self.auto_exposure_min_us,
+            max_us: self.auto_exposure_max_us,
+        })
     }
 }
 
 impl Default for Camera {
     fn default() -> Self {
+        let settings = camera::Settings::default();
+        let auto = AutoExposureSettings::default();
         Self {
-            rate_hz: 4.0,
-            exposure_us: 15_000,
-            analogue_gain: None,
-            preamp_gain: None,
-            region: None,
-            pixel_format: PixelFormat::Mono8,
+            source: None,
+            instrument: None,
+            rate_hz: settings.rate_hz,
+            exposure_us: settings.exposure_us,
+            analogue_gain: settings.analogue_gain,
+            preamp_gain: settings.preamp_gain,
+            region_px: settings.region,
+            pixel_format: settings.pixel_format,
+            auto_exposure: Switch::Off,
+            auto_exposure_target: auto.target,
+            auto_exposure_band: auto.band,
+            auto_exposure_max_factor: auto.max_factor,
+            auto_exposure_hold_frames: auto.hold_frames,
+            auto_exposure_min_us: auto.min_us,
+            auto_exposure_max_us: auto.max_us,
         }
     }
 }
@@ -186,6 +242,22 @@ impl Archive {
     }
 }
 
+/// What is demanded before the flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Preflight {
+    pub max_clock_error_ms: f64,
+    pub max_calibration_age_days: f64,
+}
+
+impl Default for Preflight {
+    fn default() -> Self {
+        Self {
+            max_clock_error_ms: 100.0,
+            max_calibration_age_days: 365.0,
+        }
+    }
+}
+
 /// How scenes are simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulation {
@@ -219,16 +291,26 @@ impl Config {
 
     /// As [`read`](Self::read), from a text; `path` is for the errors.
     pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
-        let document: toml::Table = parse_strict(path, text, &[])?;
+        let (config, errors) = Self::parse_all(path, text);
+        errors.into_iter().next().map_or(Ok(config), Err)
+    }
+
+    /// As [`parse`](Self::parse), but with every error that the text has, and with what was right beside them.
+    pub fn parse_all(path: &Path, text: &str) -> (Self, Vec<TomlError>) {
         let mut config = Self::default();
+        let mut errors = Vec::new();
+        let document = parse_strict(path, text, &[]).unwrap_or_else(|error| {
+            errors.push(error);
+            toml::Table::new()
+        });
         for (table, content) in document {
-            config.read_table(path, &table, content)?;
+            config.read_table(path, &table, content, &mut errors);
         }
-        if config.site.is_complete_or_empty() {
-            return Ok(config);
+        if !config.site.is_complete_or_empty() {
+            let expected = "latitude_deg, longitude_deg and height_m together or none of them";
+            errors.push(TomlError::new(path, "site", expected, "only some"));
         }
-        let expected = "latitude_deg, longitude_deg and height_m together or none of them";
-        Err(TomlError::new(path, "site", expected, "only some"))
+        (config, errors)
     }
 
     fn read_table(
@@ -236,23 +318,28 @@ impl Config {
         path: &Path,
         table: &str,
         content: toml::Value,
-    ) -> Result<(), TomlError> {
-        let values = match content {
-            toml::Value::Table(values) if !values.is_empty() => values,
-            _ if !parameters().iter().any(|p| p.table() == table) => {
-                return Err(unknown(path, table));
+        errors: &mut Vec<TomlError>,
+    ) {
+        let is_known = parameters().iter().any(|p| p.table() == table);
+        match content {
+            toml::Value::Table(values) if is_known || !values.is_empty() => {
+                let mut keyed = |(name, value): (&String, &toml::Value)| {
+                    self.read_value(path, &format!("{table}.{name}"), value)
+                };
+                errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
             }
-            toml::Value::Table(empty) => empty,
-            other => return Err(TomlError::new(path, table, "a table", value::found(&other))),
-        };
-        for (name, value) in values {
-            let key = format!("{table}.{name}");
-            let parameter = by_key(&key).ok_or_else(|| unknown(path, &key))?;
-            parameter
-                .set_from_toml(self, &value)
-                .map_err(|refused| TomlError::new(path, key, refused.expected, refused.found))?;
+            _ if !is_known => errors.push(unknown(path, table)),
+            other => {
+                errors.push(TomlError::new(path, table, "a table", value::found(&other)));
+            }
         }
-        Ok(())
+    }
+
+    fn read_value(&mut self, path: &Path, key: &str, value: &toml::Value) -> Result<(), TomlError> {
+        let parameter = by_key(key).ok_or_else(|| unknown(path, key))?;
+        parameter
+            .set_from_toml(self, value)
+            .map_err(|refused| TomlError::new(path, key, refused.expected, refused.found))
     }
 }
 
@@ -308,6 +395,38 @@ mod tests {
     }
 
     #[test]
+    fn each_role_has_its_own_camera() {
+        let config = parse(
+            "[camera]\nexposure_us = 8000\nauto_exposure = \"on\"\n\
+             [second_camera]\nsource = \"gige:192.168.1.21\"\nregion_px = \"100,50,640,480\"\n\
+             [roll_camera]\nsource = \"gige:BOBCAT7\"\npixel_format = \"mono12\"\n",
+        )
+        .unwrap();
+        assert_eq!(config.camera.source, None);
+        assert_eq!(config.camera.settings().exposure_us, 8000);
+        assert!(config.camera.auto_exposure().is_some());
+        let second = &config.second_camera;
+        assert_eq!(second.source, Some(Source::Gige("192.168.1.21".into())));
+        assert_eq!(
+            second.settings().region,
+            Some(Region::sized(100, 50, 640, 480))
+        );
+        assert_eq!(second.auto_exposure(), None);
+        let roll = config.roll_camera.settings();
+        assert_eq!(roll.pixel_format, PixelFormat::Mono12);
+    }
+
+    #[test]
+    fn all_errors_of_a_file_are_told_at_once_and_what_is_right_is_taken() {
+        let text = "[camera]\nrate_hz = 1000\nexposre_us = 3\nexposure_us = 700\n[lnk]\n[site]\nheight_m = 3\n";
+        let (config, errors) = Config::parse_all(Path::new("c.toml"), text);
+        let mut keys: Vec<&str> = errors.iter().map(|error| error.field.as_str()).collect();
+        keys.sort_unstable();
+        assert_eq!(keys, ["camera.exposre_us", "camera.rate_hz", "lnk", "site"]);
+        assert_eq!(config.camera.exposure_us, 700);
+    }
+
+    #[test]
     fn an_empty_port_is_none() {
         assert_eq!(parse("[link]\nport = \"\"\n").unwrap().link.port, None);
     }
@@ -353,6 +472,14 @@ mod tests {
             (
                 "[archive]\ncompression = \"zip\"\n",
                 &["archive.compression", "\"rice\", \"none\" or \"gzip\""],
+            ),
+            (
+                "[roll_camera]\nsource = \"usb:1\"\n",
+                &["roll_camera.source", "gige:ADDRESS", "usb:1"],
+            ),
+            (
+                "[camera]\nregion_px = \"1,2,3\"\n",
+                &["camera.region_px", "width and height", "1,2,3"],
             ),
             ("[link]\nport = 3\n", &["link.port", "a text", "3"]),
             ("[link]\nport = [1]\n", &["link.port", "a text"]),

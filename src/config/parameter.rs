@@ -2,11 +2,13 @@
 
 use super::Config;
 use super::value::{Value, found};
+use crate::camera::Source;
 use crate::frame::Region;
 use jiff::Timestamp;
 use std::fmt;
 
 /// A parameter of the configuration.
+#[derive(Clone)]
 pub struct Parameter {
     /// Dotted path in the TOML file, with the unit in its last word where it has one.
     pub key: &'static str,
@@ -54,6 +56,8 @@ pub enum Allowed {
     Utc,
     /// A part of the sensor.
     Region,
+    /// Where frames come from.
+    Source,
 }
 
 impl Allowed {
@@ -67,6 +71,7 @@ impl Allowed {
             (Self::Name(names), Value::Text(value)) => names.contains(&value.as_str()),
             (Self::Text, Value::Text(_)) => true,
             // Empty sets nothing.
+            (Self::Source, Value::Text(text)) => text.is_empty() || text.parse::<Source>().is_ok(),
             (Self::Region, Value::Text(text)) => text.is_empty() || text.parse::<Region>().is_ok(),
             (Self::Utc, Value::Text(text)) => text.is_empty() || text.parse::<Timestamp>().is_ok(),
             _ => false,
@@ -138,6 +143,9 @@ impl Parameter {
             Allowed::Whole(low, high) => format!("{low} to {high}"),
             Allowed::Name(names) => listed(names),
             Allowed::Text => "any text".into(),
+            Allowed::Source => {
+                "gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml".into()
+            }
             Allowed::Region => {
                 r#"column and row of its corner, width and height, such as "100,50,640,480""#.into()
             }
@@ -150,7 +158,7 @@ impl Parameter {
         let expected = match self.allowed {
             Allowed::Number(..) => format!("a number from {} {unit}", self.range()),
             Allowed::Whole(..) => format!("a whole number from {} {unit}", self.range()),
-            Allowed::Name(_) | Allowed::Utc | Allowed::Region => self.range(),
+            Allowed::Name(_) | Allowed::Utc | Allowed::Region | Allowed::Source => self.range(),
             Allowed::Text => "a text".into(),
         };
         Refused {

@@ -11,18 +11,19 @@ use crate::archive::{Overflow, Sharing};
 use crate::camera::PixelFormat;
 use crate::fits::Compression;
 use Allowed::{Name, Number, Text, Utc, Whole};
+use std::sync::LazyLock;
 
 macro_rules! row {
-    ($table:ident . $field:ident, $unit:literal, $allowed:expr, command $command:literal, $documentation:literal) => {
+    ($table:ident . $field:ident, $unit:literal, $allowed:expr, command $command:literal, $documentation:expr) => {
         row!(@ $table.$field, $unit, $allowed, Some($command), None, $documentation)
     };
-    ($table:ident . $field:ident, $unit:literal, $allowed:expr, sample $sample:expr, $documentation:literal) => {
+    ($table:ident . $field:ident, $unit:literal, $allowed:expr, sample $sample:expr, $documentation:expr) => {
         row!(@ $table.$field, $unit, $allowed, None, Some($sample), $documentation)
     };
-    ($table:ident . $field:ident, $unit:literal, $allowed:expr, $documentation:literal) => {
+    ($table:ident . $field:ident, $unit:literal, $allowed:expr, $documentation:expr) => {
         row!(@ $table.$field, $unit, $allowed, None, None, $documentation)
     };
-    (@ $table:ident . $field:ident, $unit:literal, $allowed:expr, $command:expr, $sample:expr, $documentation:literal) => {
+    (@ $table:ident . $field:ident, $unit:literal, $allowed:expr, $command:expr, $sample:expr, $documentation:expr) => {
         Parameter {
             key: concat!(stringify!($table), ".", stringify!($field)),
             unit: $unit,
@@ -39,8 +40,69 @@ macro_rules! row {
     };
 }
 
+/// The rows of one camera. `$rate` is the command number of its rate, if any; the texts after it say by which commands
+/// exposure, analogue gain and pre-amplifier gain are set in flight.
+macro_rules! camera_rows {
+    ($table:ident, rate ($($rate:literal)?), exposure $exposure:literal, analogue $analogue:literal, preamp $preamp:literal) => {[
+        row!($table.source, "", Allowed::Source, sample Sample::Text("gige:192.168.1.20"),
+            "Where the camera's frames come from: a GigE Vision camera by IP address or serial number, the frames of a folder, or the simulator. Unset, there is no such camera; for [camera] the simulator."),
+        row!($table.instrument, "", Text, sample Sample::Text("calibration/heroes-pyas-f.toml"),
+            "The instrument's file, for a camera that sees a plate; unset, the instrument of the command line, or the built-in \"demo\"."),
+        row!($table.rate_hz, "Hz", Number(0.01, 100.0), $(command $rate,)?
+            "Frames per second. The 2013 camera gives up to 26; raising it raises the load on solver and disks alike."),
+        row!($table.exposure_us, "us", Whole(1, 1_000_000),
+            concat!("Exposure time. ", $exposure, "A longer one raises the signal until the disc saturates, and the smear while slewing.")),
+        row!($table.analogue_gain, "", Number(-1e6, 1e6), sample Sample::Number(400.0),
+            concat!("Analogue gain in the camera's own scale; unset, the camera keeps its own.", $analogue)),
+        row!($table.preamp_gain, "", Number(-1e6, 1e6), sample Sample::Number(-3.0),
+            concat!("Pre-amplifier gain in the camera's own scale; unset, the camera keeps its own.", $preamp)),
+        row!($table.region_px, "px", Allowed::Region, sample Sample::Text("100,50,640,480"),
+            "Part of the sensor that is read; unset, all of it. Positions on the sensor then count from its corner."),
+        row!($table.pixel_format, "", Name(&PixelFormat::NAMES),
+            "How the camera digitises: 8 bits, or 12 bits in two bytes, which double the traffic and the files."),
+        row!($table.auto_exposure, "", Name(&["off", "on"]),
+            "Whether the exposure follows the light; it then begins with exposure_us."),
+        row!($table.auto_exposure_target, "", Number(0.1, 0.95),
+            "Where the disc's 99th percentile is held, as a fraction of full scale. Raising it lowers the noise and leaves less room for glints."),
+        row!($table.auto_exposure_band, "", Number(0.01, 0.5),
+            "How far, relatively, the exposure may be from the best one before it is changed."),
+        row!($table.auto_exposure_max_factor, "", Number(1.05, 10.0),
+            "The largest factor by which the exposure changes from one frame to the next."),
+        row!($table.auto_exposure_hold_frames, "", Whole(0, 100_000),
+            "Frames through which the exposure is held when the disc suddenly grows dim or is lost; after them it creeps. Raising it rides out longer clouds."),
+        row!($table.auto_exposure_min_us, "us", Whole(1, 1_000_000),
+            "Shortest exposure that is chosen."),
+        row!($table.auto_exposure_max_us, "us", Whole(1, 1_000_000),
+            "Longest exposure that is chosen. Raising it allows more smear."),
+    ]};
+}
+
+/// The cameras by role: two that see a plate, and the one for roll.
+fn cameras() -> impl Iterator<Item = Parameter> {
+    let camera = camera_rows!(
+        camera,
+        rate (1),
+        exposure "Aspect command 0x0451 sets it in flight. ",
+        analogue " Aspect command 0x0481 sets it in flight.",
+        preamp " Aspect command 0x0491 sets it in flight."
+    );
+    let second = camera_rows!(second_camera, rate (), exposure "", analogue "", preamp "");
+    let roll = camera_rows!(
+        roll_camera,
+        rate (),
+        exposure "Aspect command 0x0551 sets it in flight. ",
+        analogue " Aspect command 0x0581 sets it in flight.",
+        preamp " Aspect command 0x0591 sets it in flight."
+    );
+    // The roll camera sees no plate.
+    let roll = roll
+        .into_iter()
+        .filter(|row| row.key != "roll_camera.instrument");
+    camera.into_iter().chain(second).chain(roll)
+}
+
 #[rustfmt::skip]
-static TABLE: &[Parameter] = &[
+static BEFORE_CAMERAS: &[Parameter] = &[
     row!(site.latitude_deg, "deg", Number(-90.0, 90.0), sample Sample::Number(34.49),
         "Geodetic latitude (WGS 84), north positive. The site is used for frames that do not tell their own place; give all three of its values or none."),
     row!(site.longitude_deg, "deg", Number(-180.0, 360.0), sample Sample::Number(-104.2218),
@@ -58,19 +120,11 @@ static TABLE: &[Parameter] = &[
     row!(target.epoch_utc, "UTC", Utc, sample Sample::Text("2013-09-21T18:00:00Z"),
         "When the target stood at x and y; from then on it turns with the Sun (differential rotation, Howard et al. 1990). Unset, the target keeps its place on the disc, as one set by command does."),
 
-    row!(camera.rate_hz, "Hz", Number(0.01, 100.0), command 1,
-        "Frames per second of the pitch-yaw camera. The 2013 camera gives up to 26; raising it raises the load on solver and disks alike."),
-    row!(camera.exposure_us, "us", Whole(1, 1_000_000),
-        "Exposure time. Aspect command 0x0451 sets it in flight. A longer one raises the signal until the disc saturates, and the smear while slewing."),
-    row!(camera.analogue_gain, "", Number(-1e6, 1e6), sample Sample::Number(400.0),
-        "Analogue gain in the camera's own scale; unset, the camera keeps its own. Aspect command 0x0481 sets it in flight."),
-    row!(camera.preamp_gain, "", Number(-1e6, 1e6), sample Sample::Number(-3.0),
-        "Pre-amplifier gain in the camera's own scale; unset, the camera keeps its own. Aspect command 0x0491 sets it in flight."),
-    row!(camera.region, "px", Allowed::Region, sample Sample::Text("100,50,640,480"),
-        "Part of the sensor that is read; unset, all of it. Solving needs the whole sensor of the instrument."),
-    row!(camera.pixel_format, "", Name(&PixelFormat::NAMES),
-        "How the camera digitises: 8 bits, or 12 bits in two bytes, which double the traffic and the files."),
+    // The cameras stand here: see `parameters`.
+];
 
+#[rustfmt::skip]
+static TABLE: &[Parameter] = &[
     row!(link.port, "", Text, sample Sample::Text("/dev/serial/by-id/usb-controller"),
         "Where the gondola's controller is: a serial port, best by its by-id name, or udp:HOST:PORT, or udp:HOST:PORT@LOCALPORT; unset or empty, nothing is sent. A port that is not there, or is lost, is opened again as soon as it is."),
     row!(link.baud, "baud", Whole(300, 4_000_000),
@@ -108,6 +162,11 @@ static TABLE: &[Parameter] = &[
         "With less of every disk free, one frame in store_every is stored; of two disks, the one with more room takes all first."),
     row!(archive.stop_free_percent, "percent", Number(0.0, 100.0), command 43,
         "With less of every disk free, no frames are stored; the log goes on."),
+
+    row!(preflight.max_clock_error_ms, "ms", Number(0.001, 1e6),
+        "`solaspect preflight` objects to a clock that may be off by more. A second moves the Sun by 15 arcsec."),
+    row!(preflight.max_calibration_age_days, "days", Number(1.0, 36_500.0),
+        "`solaspect preflight` warns of an instrument whose boresight, clocking or scale was measured longer ago."),
 
     row!(simulation.seed, "", Whole(0, i64::MAX),
         "Seed of the simulator: the same seed gives the same frames, bit for bit."),
@@ -150,17 +209,22 @@ static TABLE: &[Parameter] = &[
 
 /// Every parameter, in the order of the example.
 pub fn parameters() -> &'static [Parameter] {
-    TABLE
+    static ALL: LazyLock<Vec<Parameter>> = LazyLock::new(|| {
+        let before = BEFORE_CAMERAS.iter().cloned();
+        let after = TABLE.iter().cloned();
+        before.chain(cameras()).chain(after).collect()
+    });
+    &ALL
 }
 
 /// The parameter of a dotted key.
 pub fn by_key(key: &str) -> Option<&'static Parameter> {
-    TABLE.iter().find(|parameter| parameter.key == key)
+    parameters().iter().find(|parameter| parameter.key == key)
 }
 
 /// The parameter that the ground knows by a number.
 pub fn by_command(number: u16) -> Option<&'static Parameter> {
-    TABLE
+    parameters()
         .iter()
         .find(|parameter| parameter.command == Some(number))
 }
@@ -183,6 +247,7 @@ mod tests {
                 .map(|name| Value::Text((*name).into()))
                 .collect(),
             Text => vec![Value::Text("somewhere/else".into())],
+            Allowed::Source => vec![Value::Text("gige:BOBCAT7".into())],
             Allowed::Region => vec![Value::Text("0,10,640,480".into())],
             Utc => vec![Value::Text("2016-01-19T02:00:00.5Z".into())],
         }
@@ -197,6 +262,7 @@ mod tests {
             Whole(low, _) => vec![Value::Whole(low - 1), Value::Number(low as f64 + 0.5)],
             Name(_) => vec![Value::Text("no such name".into()), Value::Whole(0)],
             Text => vec![Value::Whole(0), Value::Number(0.5)],
+            Allowed::Source => vec![Value::Text("gige:".into()), Value::Whole(7)],
             Allowed::Region => vec![Value::Text("0,10,0,480".into()), Value::Whole(7)],
             Utc => vec![Value::Text("yesterday".into()), Value::Whole(2013)],
         };
@@ -269,9 +335,9 @@ mod tests {
     fn a_command_carries_every_value_it_may_set() {
         for parameter in parameters().iter().filter(|p| p.command.is_some()) {
             let fits = match parameter.allowed {
-                Whole(low, high) => low >= 0 && high <= u16::MAX.into(),
+                Whole(low, high) => low >= 0 && high <= i64::from(u16::MAX),
                 Number(low, high) => low >= -1024.0 && high <= f64::from(u16::MAX) / 8.0 - 1024.0,
-                Name(_) | Text | Utc | Allowed::Region => false,
+                _ => false,
             };
             assert!(fits, "{}", parameter.key);
             let number = parameter.command.unwrap();

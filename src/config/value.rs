@@ -1,7 +1,8 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
+use super::Switch;
 use crate::archive::{Overflow, Sharing};
-use crate::camera::PixelFormat;
+use crate::camera::{PixelFormat, Source};
 use crate::fits::Compression;
 use crate::frame::Region;
 use jiff::Timestamp;
@@ -151,9 +152,19 @@ macro_rules! named_field {
     )*};
 }
 
-named_field!(Compression, Overflow, PixelFormat, Sharing);
+named_field!(Compression, Overflow, PixelFormat, Sharing, Switch);
 
 impl Field for Region {
+    fn value(&self) -> Option<Value> {
+        Some(Value::Text(self.to_string()))
+    }
+
+    fn from_value(value: Option<Value>) -> Option<Self> {
+        String::from_value(value)?.parse().ok()
+    }
+}
+
+impl Field for Source {
     fn value(&self) -> Option<Value> {
         Some(Value::Text(self.to_string()))
     }

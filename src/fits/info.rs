@@ -6,6 +6,7 @@
 use super::header::{Header, Value};
 use super::place::{place_cards, read_place};
 use super::{Card, Problem};
+use crate::clock::ClockStatus;
 use crate::frame::{Frame, FrameInfo};
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
@@ -33,6 +34,7 @@ pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
         number: whole("FRAMENUM")?,
         mid_exposure: mid_exposure(header, exposure)?,
         monotonic: seconds(header, "MONOTIME")?,
+        utc_step: step(header)?,
         camera_clock: whole("CAMCLOCK")?.map(Duration::from_nanos),
         exposure,
         analogue_gain: header.number("GAIN")?,
@@ -55,6 +57,16 @@ fn seconds(header: &Header, keyword: &str) -> Result<Option<Duration>, Problem> 
         return Err(Problem::field(keyword, expected, seconds));
     }
     Ok(Some(Duration::from_secs_f64(seconds)))
+}
+
+fn step(header: &Header) -> Result<Option<SignedDuration>, Problem> {
+    let Some(seconds) = header.number("UTCSTEP")? else {
+        return Ok(None);
+    };
+    match SignedDuration::try_from_secs_f64(seconds) {
+        Ok(step) => Ok(Some(step)),
+        Err(_) => Err(Problem::field("UTCSTEP", "a time in seconds", seconds)),
+    }
 }
 
 fn mid_exposure(header: &Header, exposure: Option<Duration>) -> Result<Option<Timestamp>, Problem> {
@@ -162,6 +174,10 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
     add("FRAMENUM", info.number.map(|n| Value::Integer(n as i64)));
     add("MONOTIME", info.monotonic.map(|t| t.as_secs_f64().into()));
     add(
+        "UTCSTEP",
+        info.utc_step.map(|step| step.as_secs_f64().into()),
+    );
+    add(
         "CAMCLOCK",
         info.camera_clock
             .and_then(|t| i64::try_from(t.as_nanos()).ok())
@@ -212,6 +228,17 @@ fn time_cards(info: &FrameInfo) -> Vec<Card> {
     cards
 }
 
+/// The keywords that say how well the computer's clock was held, from which the frame's times come.
+pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
+    let mut cards = vec![
+        Card::new("CLKSYNC", clock.synchronised),
+        Card::new("CLKOFF", clock.offset_us * 1e-6),
+        Card::new("CLKERR", clock.max_error_us * 1e-6),
+    ];
+    cards.extend(clock.source.map(|source| Card::new("CLKSRC", source)));
+    cards
+}
+
 /// Days since 1858-11-17, to the microsecond.
 fn modified_julian_date(time: Timestamp) -> f64 {
     const OF_UNIX_EPOCH: f64 = 40_587.0;
@@ -239,6 +266,26 @@ mod tests {
         ] {
             assert_eq!(parse_time(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn the_clocks_keywords_are_in_seconds_and_tell_of_a_time_service_only_where_there_is_one() {
+        let mut clock = ClockStatus {
+            synchronised: true,
+            offset_us: -250.0,
+            max_error_us: 1500.0,
+            source: Some("chrony"),
+        };
+        let card = |keyword, value: Value| Card::new(keyword, value);
+        let held = [
+            card("CLKSYNC", true.into()),
+            card("CLKOFF", (-250e-6).into()),
+            card("CLKERR", 1500e-6.into()),
+            card("CLKSRC", "chrony".into()),
+        ];
+        assert_eq!(clock_cards(&clock), held);
+        clock.source = None;
+        assert_eq!(clock_cards(&clock), held[..3]);
     }
 
     #[test]

@@ -31,6 +31,7 @@ pub use checksum::Checksums;
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Header, Value};
+pub use info::clock_cards;
 pub use raw::Compression;
 pub use write::{Card, Column, FRAME_EXTENSION, Table, Values, encode_frame, write_frame};
 

@@ -5,11 +5,13 @@
 //! steps: `raw` holds what the file says, [`Instrument`] what has been checked.
 
 mod builtin;
+mod dates;
 mod raw;
 mod sensor;
 pub mod toml_file;
 
 pub use builtin::{builtin, builtin_names, builtin_text};
+pub use dates::Dated;
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;
 
@@ -18,6 +20,7 @@ use crate::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use crate::plate::Plate;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Everything the solver and the pointing need to know of the hardware.
@@ -124,12 +127,22 @@ pub struct WrongSize {
 }
 
 impl Instrument {
-    /// Whether a frame has the size of the instrument's sensor.
-    pub fn check_size(&self, frame: &Frame) -> Result<(), WrongSize> {
+    /// The instrument as a frame sees it: positions on the sensor count from the frame's corner, where the frame tells
+    /// that it is a part of the sensor.
+    ///
+    /// # Errors
+    /// A frame that is neither the whole sensor nor a part of it.
+    pub fn seen_by(&self, frame: &Frame) -> Result<Cow<'_, Self>, WrongSize> {
         let (expected_width, expected_height) = (self.camera.width_px, self.camera.height_px);
         let (width, height) = (frame.width(), frame.height());
         if (width, height) == (expected_width, expected_height) {
-            return Ok(());
+            return Ok(Cow::Borrowed(self));
+        }
+        if let Some((x, y)) = frame.info.corner_px
+            && x.saturating_add(width) <= expected_width
+            && y.saturating_add(height) <= expected_height
+        {
+            return Ok(Cow::Owned(self.windowed((x, y), (width, height))));
         }
         Err(WrongSize {
             instrument: self.name.clone(),
@@ -138,6 +151,19 @@ impl Instrument {
             width,
             height,
         })
+    }
+
+    fn windowed(&self, corner_px: (usize, usize), size_px: (usize, usize)) -> Self {
+        let from_corner = |at: SensorPx| SensorPx {
+            x: at.x - corner_px.0 as f64,
+            y: at.y - corner_px.1 as f64,
+        };
+        let mut window = self.clone();
+        (window.camera.width_px, window.camera.height_px) = size_px;
+        window.camera.distortion.centre = from_corner(self.camera.distortion.centre);
+        window.mounting.plate_centre_px = from_corner(self.mounting.plate_centre_px);
+        window.sensor = self.sensor.windowed(corner_px, size_px);
+        window
     }
 
     /// Reads and checks an instrument's TOML file.

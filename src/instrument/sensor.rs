@@ -13,6 +13,28 @@ pub struct Sensor {
     pub hot_pixels: Vec<(usize, usize)>,
 }
 
+impl Sensor {
+    /// The sensor as a part of it is read, positions from the part's corner.
+    pub(super) fn windowed(&self, corner_px: (usize, usize), size_px: (usize, usize)) -> Self {
+        let within = |(x, y): &(usize, usize)| {
+            let at = (x.checked_sub(corner_px.0)?, y.checked_sub(corner_px.1)?);
+            (at.0 < size_px.0 && at.1 < size_px.1).then_some(at)
+        };
+        let from_corner = |v: &Vignetting| Vignetting {
+            centre: SensorPx::new(
+                v.centre.x - corner_px.0 as f64,
+                v.centre.y - corner_px.1 as f64,
+            ),
+            ..*v
+        };
+        Self {
+            noise: self.noise,
+            vignetting: self.vignetting.as_ref().map(from_corner),
+            hot_pixels: self.hot_pixels.iter().filter_map(within).collect(),
+        }
+    }
+}
+
 /// Noise of a pixel, in the DN of frames that saturate at `saturation_dn`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
@@ -64,4 +86,19 @@ pub struct Thermal {
     pub blur_px_per_c: Option<Measured>,
     /// Change of the plate length per pixel, as a part of it, per deg C.
     pub scale_per_c: Option<Measured>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hot_pixels_of_a_window_count_from_its_corner() {
+        let sensor = Sensor {
+            hot_pixels: vec![(10, 20), (99, 60), (100, 60), (130, 159), (130, 160)],
+            ..Sensor::default()
+        };
+        let window = sensor.windowed((100, 50), (200, 110));
+        assert_eq!(window.hot_pixels, [(0, 10), (30, 109)]);
+    }
 }

@@ -115,6 +115,11 @@ impl Connection {
         self.port.as_mut()
     }
 
+    /// Whether there is a line at all, be it open or not.
+    pub fn is_wanted(&self) -> bool {
+        self.open.is_some() || self.opened > 0
+    }
+
     /// How often the port was opened, the first time not counted.
     pub fn reopened(&self) -> u64 {
         self.opened.saturating_sub(1)

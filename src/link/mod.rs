@@ -8,14 +8,19 @@
 //! The interface is that of the HEROES flight program (2013, repository HEROES-GSFC/SAS); `docs/protocol.md`
 //! sets it out in tables.
 
+pub mod byte_log;
 pub mod code;
 pub mod command;
 pub mod connection;
 pub mod control;
+pub mod describe;
 mod fields;
+pub mod ground;
+pub mod housekeeping;
 pub mod message;
 pub mod packet;
 pub mod parser;
+pub mod picture;
 pub mod port;
 pub mod responder;
 pub mod udp;
@@ -25,11 +30,13 @@ pub use command::{
 };
 pub use connection::{AnyPort, Connection, PortAddress};
 pub use control::{CommandResult, Control};
+pub use housekeeping::Housekeeping;
 pub use message::{
     AspectCommand, ExposureStart, GpsFix, Message, MessageError, Solution, Telemetry,
 };
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
 pub use parser::{Parser, Rejected};
+pub use picture::Picture;
 pub use port::{BytePort, PortError, SerialPort};
 pub use responder::{Exposure, LinkState, Reply, Responder};
 pub use udp::UdpPort;

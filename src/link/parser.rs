@@ -272,12 +272,48 @@ mod tests {
         prop_oneof![command, telemetry]
     }
 
-    /// Bytes at random, or a header without a packet.
+    /// Bytes at random, a header without a packet, a packet cut off, with a wrong bit or a wrong length.
     fn garbage() -> impl Strategy<Value = Vec<u8>> {
         let header = prop::sample::select(vec![0x01, 0x30, 0x82, 0xE1, 0xFF]);
         let false_header = (header, prop::collection::vec(any::<u8>(), 0..20))
             .prop_map(|(kind, rest)| [&SYNC[..], &[kind], &rest].concat());
-        prop_oneof![prop::collection::vec(any::<u8>(), 0..30), false_header]
+        let half = (packets(), any::<prop::sample::Index>()).prop_map(|(packet, at)| {
+            let bytes = packet.encode();
+            bytes[..at.index(bytes.len())].to_vec()
+        });
+        let wrong_bit = (packets(), any::<prop::sample::Index>()).prop_map(|(packet, bit)| {
+            let mut bytes = packet.encode();
+            let bit = bit.index(8 * bytes.len());
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            bytes
+        });
+        let wrong_length = (packets(), 1_u8..=255).prop_map(|(packet, more)| {
+            let mut bytes = packet.encode();
+            let at = match packet {
+                Packet::Command(_) => 3,
+                Packet::Telemetry(_) => 4,
+            };
+            bytes[at] = bytes[at].wrapping_add(more);
+            bytes
+        });
+        prop_oneof![
+            prop::collection::vec(any::<u8>(), 0..30),
+            false_header,
+            half,
+            wrong_bit,
+            wrong_length
+        ]
+    }
+
+    /// A false header that claims a packet of this many bytes.
+    fn claim(direction: Direction, length: usize) -> Vec<u8> {
+        match direction {
+            Direction::ToAspect => [&SYNC[..], &[id::ASPECT, (length - 8) as u8]].concat(),
+            Direction::ToController => {
+                let [low, high] = ((length - 16) as u16).to_le_bytes();
+                [&SYNC[..], &[0x82, id::ASPECT, low, high]].concat()
+            }
+        }
     }
 
     proptest! {
@@ -301,6 +337,26 @@ mod tests {
             prop_assert_eq!(found, good);
             let noise: usize = stream.iter().map(|(g, _)| g.len()).sum();
             prop_assert_eq!(parser.rejected().bytes, noise as u64);
+        }
+
+        #[test]
+        fn a_good_packet_is_given_with_its_last_byte_whatever_a_false_header_before_it_claims(
+            packet in packets(),
+            claimed in 16_usize..70_000,
+            to_controller in any::<bool>(),
+        ) {
+            let (direction, packet) = match to_controller {
+                true => (Direction::ToController, packet),
+                // Only commands run towards us.
+                false => (Direction::ToAspect, stop(claimed as u16)),
+            };
+            let header = claim(direction, claimed.min(if to_controller { 65_551 } else { 263 }));
+            let mut parser = Parser::new(direction);
+            prop_assert!(parser.feed(&header, START).is_empty());
+            let bytes = packet.encode();
+            let (last, others) = bytes.split_last().unwrap();
+            prop_assert!(parser.feed(others, START).is_empty());
+            prop_assert_eq!(parser.feed(&[*last], START), [packet]);
         }
 
         #[test]

@@ -27,7 +27,7 @@ use std::collections::VecDeque;
 const ANNOUNCEMENTS: usize = 64;
 
 /// What the controller and the ground have set of the conversation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LinkState {
     /// The controller wants solutions.
     pub tracking: bool,

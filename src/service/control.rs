@@ -4,16 +4,17 @@
 //! command becomes keys and values; so does a saved file. Both are checked in the same place, against the parameter
 //! table, and take effect all together or not at all.
 
+mod orders;
 mod own;
 mod saved;
 
-pub use saved::{Keeper, SavedError, restore};
+pub use saved::{Keeper, restore};
 
 use crate::aspect;
-use crate::config::{self, Allowed, Config, Value, by_command, by_key};
+use crate::config::{self, Config, Value, by_command, by_key};
 use crate::instrument::Mounting;
 use crate::link::code::angle_code;
-use crate::link::{CameraRole, CameraSetting, Command, CommandResult, Control, GpsFix, Reading};
+use crate::link::{CameraRole, Reading};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -21,6 +22,33 @@ use own::Own;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A camera's place in a flight, each with a table of parameters of its own. Commands to the pitch-yaw camera go to the
+/// first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Seat {
+    PitchYaw,
+    SecondPitchYaw,
+    Roll,
+}
+
+impl Seat {
+    pub fn role(self) -> CameraRole {
+        match self {
+            Self::PitchYaw | Self::SecondPitchYaw => CameraRole::PitchYaw,
+            Self::Roll => CameraRole::Roll,
+        }
+    }
+}
+
+impl From<CameraRole> for Seat {
+    fn from(role: CameraRole) -> Self {
+        match role {
+            CameraRole::PitchYaw => Self::PitchYaw,
+            CameraRole::Roll => Self::Roll,
+        }
+    }
+}
 
 /// What may change in flight, by who wants to know.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +77,7 @@ impl Topic {
             "target" | "site" => Self::Aim,
             "mounting" => Self::Mounting,
             "limb" | "fiducial" | "registration" => Self::Solver,
-            "camera" | "roll" => Self::Cameras,
+            "camera" | "second_camera" | "roll_camera" => Self::Cameras,
             "store" => Self::Storing,
             "link" => Self::Link,
             _ => Self::Other,
@@ -117,7 +145,7 @@ impl Controls {
     pub fn new(config: Config, target: Target, mounting: Mounting) -> Self {
         let state = State {
             place: config.site.place(),
-            own: Own::new(&config),
+            own: Own::new(),
             config,
             target,
             stated: mounting,
@@ -156,9 +184,14 @@ impl Controls {
         self.state().config.clone()
     }
 
-    /// How the cameras of a role are to be set now.
-    pub fn camera(&self, role: CameraRole) -> config::Camera {
-        self.state().camera(role).clone()
+    /// How a camera is to be set now.
+    pub fn camera(&self, seat: Seat) -> config::Camera {
+        self.state().camera(seat).clone()
+    }
+
+    /// By how much the host's clock is ahead of true time, where that is known.
+    pub fn clock_offset_us(&self) -> Option<i64> {
+        self.state().clock_offset_us
     }
 
     /// Whether the frames of a role's cameras are to be stored.
@@ -232,122 +265,14 @@ impl Controls {
         let state = self.0.state.lock();
         state.unwrap_or_else(PoisonError::into_inner)
     }
-
-    fn set_by_command(&self, settings: &[(&str, Value)]) -> CommandResult {
-        match self.set(settings) {
-            Ok(()) => {
-                for (key, value) in settings {
-                    tracing::info!(key, %value, "set by command");
-                }
-                CommandResult::Done
-            }
-            Err(refused) => {
-                tracing::warn!(%refused, "a command was refused");
-                CommandResult::Refused
-            }
-        }
-    }
-
-    /// By its number; `fits` says whether the parameter is of the command's kind.
-    fn set_numbered(&self, number: u16, fits: fn(Allowed) -> bool, value: Value) -> CommandResult {
-        match by_command(number) {
-            Some(parameter) if fits(parameter.allowed) => {
-                self.set_by_command(&[(parameter.key, value)])
-            }
-            _ => CommandResult::Refused,
-        }
-    }
-
-    fn want_picture(&self, role: CameraRole) -> CommandResult {
-        if !self.state().cameras.contains(&role) {
-            return CommandResult::NotImplemented;
-        }
-        self.0.pictures[role as usize].store(true, Ordering::Relaxed);
-        CommandResult::Done
-    }
-}
-
-impl Control for Controls {
-    fn carry_out(&mut self, command: &Command) -> CommandResult {
-        let whole = |value: i64| Value::Whole(value);
-        match *command {
-            Command::NoOp => CommandResult::Done,
-            // The responder's own.
-            Command::StartSending | Command::StopSending => CommandResult::NotImplemented,
-            Command::Quit => {
-                self.0.quits.store(true, Ordering::Relaxed);
-                CommandResult::Done
-            }
-            Command::SendPicture(role) => self.want_picture(role),
-            Command::SetTarget { x_arcsec, y_arcsec } => self.set_by_command(&[
-                ("target.x_arcsec", Value::Number(x_arcsec.into())),
-                ("target.y_arcsec", Value::Number(y_arcsec.into())),
-            ]),
-            Command::StoreFrames { cameras, on } => {
-                let settings: Vec<_> = cameras
-                    .iter()
-                    .map(|role| (store_key(*role), switch(on)))
-                    .collect();
-                self.set_by_command(&settings)
-            }
-            Command::AcceptGps { on } => self.set_by_command(&[("gps.accept", switch(on))]),
-            Command::SetCamera(role, setting) => {
-                let (key, value) = camera_setting(role, setting);
-                self.set_by_command(&[(&key, value)])
-            }
-            Command::SetClocking { angle_deg } => {
-                self.set_by_command(&[("mounting.clocking_deg", Value::Number(angle_deg))])
-            }
-            Command::SetTwist { angle_deg } => {
-                self.set_by_command(&[("mounting.twist_deg", Value::Number(angle_deg))])
-            }
-            Command::SetPlace {
-                latitude_deg,
-                longitude_deg,
-            } => self.set_by_command(&[
-                ("site.latitude_deg", Value::Number(latitude_deg)),
-                ("site.longitude_deg", Value::Number(longitude_deg)),
-            ]),
-            Command::SetInteger { parameter, value } => {
-                let fits = |allowed| matches!(allowed, Allowed::Whole(..));
-                self.set_numbered(parameter, fits, whole(value.into()))
-            }
-            Command::SetFloat { parameter, value } => {
-                let fits = |allowed| matches!(allowed, Allowed::Number(..));
-                self.set_numbered(parameter, fits, Value::Number(value))
-            }
-            Command::Read(reading) => {
-                let value = self.state().read(reading);
-                value.map_or(CommandResult::Unknown, CommandResult::Value)
-            }
-        }
-    }
-
-    fn take_fix(&mut self, fix: GpsFix) -> CommandResult {
-        let mut state = self.state();
-        let last = state.place.map(|place| GpsFix {
-            latitude_deg: place.latitude_deg as f32,
-            longitude_deg: place.longitude_deg as f32,
-        });
-        let height_m = state.place.map_or(0.0, |place| place.height_m);
-        let (latitude, longitude) = (fix.latitude_deg.into(), fix.longitude_deg.into());
-        match Place::new(latitude, longitude, height_m) {
-            Ok(place) if state.own.accepts_gps && fix.may_follow(last) => {
-                state.place = Some(place);
-                drop(state);
-                self.0.versions[Topic::Aim as usize].fetch_add(1, Ordering::Release);
-                CommandResult::Done
-            }
-            _ => CommandResult::Refused,
-        }
-    }
 }
 
 impl State {
-    fn camera(&self, role: CameraRole) -> &config::Camera {
-        match role {
-            CameraRole::PitchYaw => &self.config.camera,
-            CameraRole::Roll => &self.own.roll,
+    fn camera(&self, seat: impl Into<Seat>) -> &config::Camera {
+        match seat.into() {
+            Seat::PitchYaw => &self.config.camera,
+            Seat::SecondPitchYaw => &self.config.second_camera,
+            Seat::Roll => &self.config.roll_camera,
         }
     }
 
@@ -409,26 +334,6 @@ impl State {
 
 fn switch(on: bool) -> Value {
     Value::Whole(on.into())
-}
-
-fn store_key(role: CameraRole) -> &'static str {
-    match role {
-        CameraRole::PitchYaw => "store.pitch_yaw",
-        CameraRole::Roll => "store.roll",
-    }
-}
-
-fn camera_setting(role: CameraRole, setting: CameraSetting) -> (String, Value) {
-    let table = match role {
-        CameraRole::PitchYaw => "camera",
-        CameraRole::Roll => own::ROLL,
-    };
-    let (name, value) = match setting {
-        CameraSetting::ExposureUs(value) => ("exposure_us", Value::Whole(value.into())),
-        CameraSetting::AnalogueGain(value) => ("analogue_gain", Value::Number(value.into())),
-        CameraSetting::PreampGain(value) => ("preamp_gain", Value::Number(value.into())),
-    };
-    (format!("{table}.{name}"), value)
 }
 
 #[cfg(test)]

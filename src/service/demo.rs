@@ -2,7 +2,7 @@
 //! a simulated controller at the other end of a pseudo-terminal.
 
 use super::tally::{FlightTally, quantile};
-use super::{Answer, Flight, Service};
+use super::{Answer, Camera, Flight, Service};
 use crate::archive::Store;
 use crate::aspect::Quality;
 use crate::camera::{SimulatedCamera, TruthLog};
@@ -10,10 +10,9 @@ use crate::config::Config;
 use crate::fits::Compression;
 use crate::instrument::{self, Instrument};
 use crate::link::{Connection, Message, SerialPort};
-use crate::pointing::Target;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::{FlightScenes, Trajectory};
-use crate::sky::{self, Ephemeris};
+use crate::sky;
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::{Timestamp, civil};
@@ -70,13 +69,10 @@ pub fn run(
     config.camera.rate_hz = demo.rate_hz;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {
-        instrument,
         config,
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
         line: Connection::over(near),
         stores: vec![store],
+        ..Flight::of(Camera::new(instrument, camera))
     };
     let received = Arc::new(Mutex::new(None));
     let over = Arc::new(AtomicBool::new(false));

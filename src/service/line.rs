@@ -8,15 +8,19 @@
 //! 3. Ages and waits are monotonic: a step of the clock stops nothing.
 //! 4. A port that is lost is opened again; nothing else waits for it.
 
+mod event;
+
+pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
+
 use super::control::{Controls, Topic};
+use super::shared::Shared;
 use super::tally::{LineTally, worth_a_line};
-use crate::aspect::Stopped;
+use super::worker::Life;
 use crate::config;
 use crate::link::{
-    CommandPacket, Computer, Connection, Direction, Exposure, MessageError, Packet, Parser,
-    PortError, Responder, Solution,
+    CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, MessageError, Packet,
+    Parser, Picture, PortError, Responder,
 };
-use crate::pointing::Offset;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,47 +34,8 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 const BACKLOG: usize = 512;
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
-/// Error code of a frame whose Sun was found but whose time or place is not known.
-pub(super) const NO_OFFSET: u16 = 100;
-
-/// What the link is told.
-pub(super) enum LinkEvent {
-    ExposureStarts(Exposure),
-    Outcome(Outcome),
-}
-
-/// What came of an exposure.
-pub(super) struct Outcome {
-    pub exposure: Exposure,
-    /// When the frame was there.
-    pub arrived: Instant,
-    /// How long the shutter was open, where it is known.
-    pub shutter: Option<Duration>,
-    pub offset: Option<Offset>,
-    pub stopped: Option<Stopped>,
-}
-
-impl Outcome {
-    /// Since mid-exposure.
-    fn age(&self) -> Duration {
-        self.arrived.elapsed() + self.shutter.unwrap_or_default() / 2
-    }
-
-    fn solution(&self) -> Option<Solution> {
-        let offset = self.offset?;
-        let numbers = [offset.azimuth_deg, offset.elevation_deg, offset.sigma_deg];
-        numbers.iter().all(|n| n.is_finite()).then_some(Solution {
-            azimuth_deg: offset.azimuth_deg,
-            elevation_deg: offset.elevation_deg,
-            roll_deg: 0.0,
-            error_deg: offset.sigma_deg,
-            time: self.exposure.start,
-        })
-    }
-}
-
-pub(super) struct Line {
-    connection: Connection,
+pub(super) struct Line<'a> {
+    connection: &'a mut Connection,
     responder: Responder,
     parser: Parser,
     controls: Controls,
@@ -80,11 +45,23 @@ pub(super) struct Line {
     outcomes: u64,
     stalled: bool,
     stopping_since: Option<Instant>,
-    tally: LineTally,
+    picture: Option<PictureUnderWay>,
+    tally: Shared<LineTally>,
 }
 
-impl Line {
-    pub fn new(connection: Connection, controls: Controls) -> Self {
+struct PictureUnderWay {
+    picture: Box<Picture>,
+    next_part: usize,
+    /// Not before this: pictures leave half of the line to everything else.
+    due: Instant,
+}
+
+impl<'a> Line<'a> {
+    pub fn new(
+        connection: &'a mut Connection,
+        controls: Controls,
+        tally: Shared<LineTally>,
+    ) -> Self {
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
         let computer = Computer::numbered(settings.computer).unwrap_or(Computer::One);
@@ -100,26 +77,32 @@ impl Line {
             outcomes: 0,
             stalled: false,
             stopping_since: None,
-            tally: LineTally::default(),
+            picture: None,
+            tally,
         }
     }
 
-    /// Talks while camera and solver work, and from then on listens until it is to hang up.
-    pub fn run(mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool) -> LineTally {
+    /// Talks and listens until it is to hang up and nothing is left to say.
+    pub fn run(&mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool, life: &Life) {
         loop {
+            life.beat();
             self.revive();
             match events.recv_timeout(PATIENCE) {
                 Ok(event) => self.hear(event, events),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) if hang_up.load(Ordering::Relaxed) => {
-                    self.tally.reopened = self.connection.reopened();
-                    return self.tally;
-                }
+                Err(_) if hang_up.load(Ordering::Relaxed) => return,
+                Err(RecvTimeoutError::Timeout) => self.send_part_of_picture(),
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
             }
             self.listen();
             self.finish_stopping();
+            self.publish();
         }
+    }
+
+    fn publish(&mut self) {
+        let mut tally = self.tally.lock();
+        tally.reopened = self.connection.reopened();
+        tally.conversation = *self.responder.state();
     }
 
     /// Says what there is to say. Where nobody takes it, whatever else is queued is dropped: it would only be older.
@@ -127,7 +110,7 @@ impl Line {
         self.look_at_settings();
         self.say(event);
         if self.stalled {
-            self.tally.outdated += events
+            self.tally.lock().outdated += events
                 .try_iter()
                 .filter(|event| matches!(event, LinkEvent::Outcome(_)))
                 .count() as u64;
@@ -139,7 +122,49 @@ impl Line {
         match event {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
+            LinkEvent::Housekeeping(told) => self.tell(&told),
+            LinkEvent::Picture(picture) => {
+                self.picture = Some(PictureUnderWay {
+                    picture,
+                    next_part: 0,
+                    due: Instant::now(),
+                });
+            }
         }
+    }
+
+    fn tell(&mut self, told: &Housekeeping) {
+        if self.backlog() > BACKLOG {
+            return;
+        }
+        match told.packet(Timestamp::now()) {
+            Ok(packet) => {
+                self.tally.lock().housekeeping += u64::from(self.send(&packet.encode()));
+            }
+            Err(error) => tracing::error!(%error, "housekeeping was not sent"),
+        }
+    }
+
+    /// Only when there is nothing else to say, and the system has passed on all that was said.
+    fn send_part_of_picture(&mut self) {
+        let idle = self.backlog() == 0 && !self.stalled;
+        let Some(under_way) = self.picture.as_mut() else {
+            return;
+        };
+        if !idle || Instant::now() < under_way.due {
+            return;
+        }
+        let Some(packet) = under_way.picture.part(under_way.next_part) else {
+            self.picture = None;
+            self.tally.lock().pictures += 1;
+            return;
+        };
+        let bytes = packet.encode();
+        // Ten bits a byte; as long again is left free.
+        let seconds = 2.0 * 10.0 * bytes.len() as f64 / f64::from(self.settings.baud);
+        under_way.next_part += 1;
+        under_way.due = Instant::now() + Duration::from_secs_f64(seconds);
+        self.send(&bytes);
     }
 
     fn look_at_settings(&mut self) {
@@ -155,14 +180,15 @@ impl Line {
             return;
         }
         if self.backlog() > BACKLOG {
-            self.tally.unannounced += 1;
+            self.tally.lock().unannounced += 1;
             return;
         }
         match self.responder.exposure_starts(exposure) {
             Ok(Some(packet)) => {
                 if self.send(&packet) {
-                    self.tally.announced += 1;
+                    self.tally.lock().announced += 1;
                 } else {
+                    self.tally.lock().unannounced += u64::from(self.connection.is_wanted());
                     self.responder.forget(exposure);
                 }
             }
@@ -182,17 +208,17 @@ impl Line {
         }
         let max_age = Duration::from_millis(self.settings.max_solution_age_ms.into());
         if outcome.age() > max_age {
-            self.tally.outdated += 1;
+            self.tally.lock().outdated += 1;
             return self.responder.forget(exposure);
         }
         match self.conclusion(outcome) {
             Ok(Some(packet)) => {
                 if !self.send(&packet) {
                 } else if outcome.solution().is_some() {
-                    self.tally.solutions += 1;
-                    self.tally.note_latency(outcome.arrived.elapsed());
+                    self.tally.lock().solutions += 1;
+                    self.tally.lock().note_latency(outcome.arrived.elapsed());
                 } else {
-                    self.tally.errors += 1;
+                    self.tally.lock().errors += 1;
                 }
             }
             Ok(None) => {}
@@ -204,9 +230,7 @@ impl Line {
     fn conclusion(&mut self, outcome: &Outcome) -> Result<Option<Vec<u8>>, MessageError> {
         match outcome.solution() {
             Some(solution) => self.responder.solution(outcome.exposure, &solution),
-            None => self
-                .responder
-                .error(outcome.exposure, error_code(outcome.stopped)),
+            None => self.responder.error(outcome.exposure, outcome.error_code()),
         }
     }
 
@@ -226,14 +250,14 @@ impl Line {
                 self.obey(&packet);
             }
         }
-        self.tally.rejected = self.parser.rejected();
+        self.tally.lock().rejected = self.parser.rejected();
     }
 
     fn obey(&mut self, packet: &CommandPacket) {
         let now = Timestamp::now();
         match self.responder.handle(packet, now, &mut self.controls) {
             Ok(reply) => {
-                self.tally.commands += u64::from(!reply.packets.is_empty());
+                self.tally.lock().commands += u64::from(!reply.packets.is_empty());
                 for answer in reply.packets {
                     self.send(&answer);
                 }
@@ -301,12 +325,12 @@ impl Line {
             self.stalled = false;
             return true;
         };
-        self.tally.failed += 1;
+        self.tally.lock().failed += 1;
         if matches!(error, PortError::Stalled { .. }) {
             port.discard_backlog();
             self.stalled = true;
-            if worth_a_line(self.tally.failed) {
-                tracing::warn!(%error, failed = self.tally.failed, "a packet was not sent");
+            if worth_a_line(self.tally.lock().failed) {
+                tracing::warn!(%error, failed = self.tally.lock().failed, "a packet was not sent");
             }
         } else {
             self.lose(&error);
@@ -315,9 +339,9 @@ impl Line {
     }
 
     fn lose(&mut self, error: &PortError) {
-        self.tally.lost += 1;
-        if worth_a_line(self.tally.lost) {
-            tracing::error!(%error, lost = self.tally.lost, "the line is lost");
+        self.tally.lock().lost += 1;
+        if worth_a_line(self.tally.lock().lost) {
+            tracing::error!(%error, lost = self.tally.lock().lost, "the line is lost");
         }
         self.connection.lose(self.start.elapsed());
     }
@@ -327,12 +351,11 @@ impl Line {
         if self.connection.revive(self.start.elapsed()) {
             self.parser.abandon();
             self.responder.forget_all();
+            self.picture = None;
             self.stalled = false;
         }
     }
 }
 
-/// The code of a frame without a solution: 1 to 7 for the stage that it did not pass.
-fn error_code(stopped: Option<Stopped>) -> u16 {
-    stopped.map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)
-}
+#[cfg(test)]
+mod tests;

@@ -1,77 +1,142 @@
 //! The flight service: every long-lived thread, channel, bound and overflow rule on one page.
 //!
 //! ```text
-//!            Sighting (8)            pictures (queue_frames)
-//!  camera ----------------> solver ------------------------> archive-1, archive-2    frames
-//!    |                        | \____ rows (10,000) ________> log-1, log-2            log, telemetry
-//!    |                        |  \___ Answer (unbounded, only when watched) ---> watcher
-//!    |  LinkEvent (256)       |
-//!    +----------------------> link <----> controller, over a byte port
-//!                             |
-//!                Controls (shared): what the ground sets, read by the solver; changes ---> values (saved in a file)
+//!             Sighting (8)             pictures (queue_frames)
+//!  camera-1 ---------------> solver-1 ------------------------> archive-1, archive-2    frames
+//!     |  ^                     |  | \______ rows (10,000) ______> log-1, log-2            log, telemetry, housekeeping
+//!     |  \__ Glimpse __________/  |
+//!     |     LinkEvent (256)       |
+//!     +---------------------------+---> link <----> controller, over a byte port
+//!                                 |
+//!                 Controls (shared): what the ground sets; values: saves it
+//!  watch: looks after all of them, tells link and logs the housekeeping each second, feeds systemd's watchdog
 //! ```
+//!
+//! Each camera has a thread and a solver of its own; camera and solver of the second pitch-yaw camera and of the roll camera
+//! are numbered on. Every disk of the archive has two threads.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
 //! | Sighting | frames to solve | the frame is lost and counted: a camera does not wait |
+//! | Glimpse | brightness of the last frame | the newer takes the place of the older |
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
-//! | LinkEvent | exposures about to start, solutions | the event is dropped and counted: the line is stuck |
+//! | LinkEvent | exposures about to start, solutions, housekeeping | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
-//! the last of its work. The link goes on answering commands until the service is joined. A thread that panics is noticed
-//! then.
+//! the last of its work. The link goes on answering commands until the service is joined.
+//!
+//! A thread that panics is started again. So is a camera or a solver that shows no sign of life for a while, with the same
+//! channels; the one that hangs is left alone. A thread that waits for a disk is waited for: the other disk's goes on.
 
 mod archiver;
 pub mod control;
 pub mod demo;
+mod housekeeping;
 mod line;
+mod protocol;
+mod shared;
+mod shutter;
 mod solver;
 mod tally;
+mod watch;
+mod worker;
 
 pub use archiver::DiskHealth;
+pub use control::Seat;
+pub use protocol::protocol_page;
+pub use shutter::Opener;
 pub use solver::Answer;
 pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
-use tally::worth_a_line;
-
 use crate::archive::Store;
-use crate::camera::{Exposure, FrameSource, Take};
+use crate::camera::{Exposure, FrameSource};
 use crate::config::Config;
 use crate::instrument::Instrument;
-use crate::link::{self, CameraRole, Connection};
+use crate::link::Connection;
 use crate::pointing::Target;
 use crate::sky::Ephemeris;
 use control::{Controls, Keeper};
-use crossbeam_channel::{Receiver, Sender, TrySendError, bounded, unbounded};
-use jiff::Timestamp;
+use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
+use housekeeping::{Recent, Teller};
 use line::{Line, LinkEvent};
+use shared::Shared;
+use shutter::{Glimpse, Shutter};
+use solver::Solver;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+use watch::{Counts, Signals, Watch};
+use worker::Worker;
 
 /// Frames that may wait for the solver: a third of a second at 26 frames/s.
 const SIGHTINGS: usize = 8;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
-
-/// The one pitch-yaw camera's number.
-const CAMERA: u16 = 1;
+/// A camera that gives no word for so long hangs. It gives one each second, and may take two to be set.
+const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
+/// So does a solver. It takes a hundredth of a second for a frame.
+const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
 
 /// What a flight is made of.
 pub struct Flight {
-    pub instrument: Instrument,
     pub config: Config,
     /// Where the telescope should point until a command says otherwise.
     pub target: Target,
     pub ephemeris: Ephemeris,
-    pub camera: Box<dyn FrameSource>,
+    /// The pitch-yaw camera that commands speak of.
+    pub camera: Camera,
+    pub other_cameras: Vec<Camera>,
     /// The line to the controller.
     pub line: Connection,
-    /// The archives on the disks, the preferred one first; none where frames are not kept.
+    /// The archives on the disks; none where frames are not kept.
     pub stores: Vec<Store>,
+}
+
+impl Flight {
+    /// A flight of one camera with the defaults for everything else: no line, no archive, the disc's centre as target.
+    pub fn of(camera: Camera) -> Self {
+        Self {
+            config: Config::default(),
+            target: Target::default(),
+            ephemeris: Ephemeris::default(),
+            camera,
+            other_cameras: Vec::new(),
+            line: Connection::none(),
+            stores: Vec::new(),
+        }
+    }
+
+    fn cameras(&self) -> impl Iterator<Item = &Camera> {
+        std::iter::once(&self.camera).chain(&self.other_cameras)
+    }
+}
+
+/// A camera of a flight.
+pub struct Camera {
+    pub seat: Seat,
+    pub instrument: Instrument,
+    /// Of its frames and logs under the archive's root; empty for the root itself.
+    pub folder: PathBuf,
+    /// Where its frames come from, if it is open already.
+    pub source: Option<Box<dyn FrameSource>>,
+    /// Opens it, and opens it again when its thread has failed.
+    pub open: Option<Opener>,
+}
+
+impl Camera {
+    /// A pitch-yaw camera that cannot be opened again.
+    pub fn new(instrument: Instrument, source: impl FrameSource + 'static) -> Self {
+        Self {
+            seat: Seat::PitchYaw,
+            instrument,
+            folder: PathBuf::new(),
+            source: Some(Box::new(source)),
+            open: None,
+        }
+    }
 }
 
 /// A frame on its way from the camera, with the moment it arrived.
@@ -85,7 +150,7 @@ struct Sighting {
 pub struct Station {
     /// Among the flight's cameras, from 0.
     pub index: usize,
-    pub role: CameraRole,
+    pub seat: Seat,
     pub instrument: Instrument,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
@@ -96,20 +161,21 @@ impl Station {
     fn camera_number(&self) -> u16 {
         self.index as u16 + 1
     }
+
+    /// Whether its frames are solved; a roll camera's wait for a solver of horizons.
+    fn is_solved(&self) -> bool {
+        self.seat != Seat::Roll
+    }
 }
 
 /// A running service.
 pub struct Service {
-    camera: JoinHandle<CameraTally>,
-    solver: JoinHandle<SolverTally>,
-    archive: archiver::Threads,
-    gauges: archiver::Gauges,
-    line: JoinHandle<LineTally>,
+    watch: JoinHandle<FlightTally>,
     /// Only where values set by command are saved.
     values: Option<JoinHandle<u64>>,
     controls: Controls,
-    stop: Arc<AtomicBool>,
-    hang_up: Arc<AtomicBool>,
+    gauges: archiver::Gauges,
+    signals: Arc<Signals>,
 }
 
 /// A thread of the service that ended by a panic.
@@ -130,57 +196,62 @@ impl Service {
     }
 
     fn launch(flight: Flight, watcher: Option<Sender<Answer>>) -> std::io::Result<Self> {
-        let config = flight.config;
-        let (to_solver, sightings) = bounded(SIGHTINGS);
-        let (to_line, events) = bounded(LINK_EVENTS);
-        let stop = Arc::new(AtomicBool::new(false));
-        let saved_values = config.link.saved_values.clone();
-        let controls = Controls::new(config, flight.target, flight.instrument.mounting);
-        if let Some(path) = &saved_values {
-            control::restore(&controls, path);
-        }
-        let line = Line::new(flight.line, controls.clone());
-        let station = Arc::new(Station {
-            index: 0,
-            role: CameraRole::PitchYaw,
-            instrument: flight.instrument,
-            folder: PathBuf::new(),
-        });
-        let folders = [station.folder.clone()];
-        let (archive, archive_threads) =
+        let saved_values = flight.config.link.saved_values.clone();
+        let controls = controls(&flight);
+        let folders: Vec<PathBuf> = flight.cameras().map(|c| c.folder.clone()).collect();
+        let (archive, disks) =
             archiver::start(flight.stores, &folders, &controls, &flight.ephemeris)?;
         let gauges = archive.gauges();
-        let solver = solver::Solver {
-            station,
-            ephemeris: flight.ephemeris,
+        let (to_line, events) = bounded(LINK_EVENTS);
+        let signals = Arc::<Signals>::default();
+        let counts = Counts {
+            cameras: Vec::new(),
+            solvers: Vec::new(),
+            archive: gauges.clone(),
+            line: Shared::default(),
+        };
+        let line = start_line(flight.line, &controls, &counts.line, events, &signals)?;
+        let mut crew = Crew {
             controls: controls.clone(),
-            archive,
+            ephemeris: flight.ephemeris,
+            archive: archive.clone(),
             to_line: to_line.clone(),
             watcher,
+            signals: Arc::clone(&signals),
+            counts,
+            recent: Vec::new(),
+            cameras: Vec::new(),
+            solvers: Vec::new(),
         };
-        let mut camera = flight.camera;
-        let stopped = Arc::clone(&stop);
-        let hang_up = Arc::new(AtomicBool::new(false));
-        let hung_up = Arc::clone(&hang_up);
+        let cameras = std::iter::once(flight.camera).chain(flight.other_cameras);
+        for (index, camera) in cameras.enumerate() {
+            crew.join(index, camera)?;
+        }
+        let watch = Watch {
+            cameras: crew.cameras,
+            solvers: crew.solvers,
+            disks,
+            line,
+            archive: Some(archive),
+            to_line,
+            teller: Teller::new(controls.clone(), crew.recent),
+            counts: crew.counts,
+            signals: Arc::clone(&signals),
+        };
         let values = match saved_values {
             Some(path) => {
-                let (keeper, ends) = (Keeper::new(controls.clone(), path), Arc::clone(&hang_up));
+                let keeper = Keeper::new(controls.clone(), path);
+                let ends = Arc::clone(&signals.hang_up);
                 Some(spawn("values", move || keeper.run(&ends))?)
             }
             None => None,
         };
         Ok(Self {
-            line: spawn("link", move || line.run(&events, &hung_up))?,
-            archive: archive_threads,
-            gauges,
-            solver: spawn("solver", move || solver.run(&sightings))?,
-            camera: spawn("camera", move || {
-                take_frames(camera.as_mut(), &to_solver, &to_line, &stopped)
-            })?,
+            watch: spawn("watch", move || watch.run())?,
             values,
             controls,
-            stop,
-            hang_up,
+            gauges,
+            signals,
         })
     }
 
@@ -189,14 +260,23 @@ impl Service {
         &self.controls
     }
 
-    /// Asks the camera to end after the frame it is taking; everything else follows.
+    /// Asks the cameras to end after the frames they are taking; everything else follows.
     pub fn stop(&self) {
-        self.stop.store(true, Ordering::Relaxed);
+        self.signals.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// As [`stop`](Self::stop); what is not finished after this time is given up.
+    pub fn stop_within(&self, time: Duration) {
+        self.stop();
+        self.signals
+            .deadline
+            .lock()
+            .get_or_insert(Instant::now() + time);
     }
 
     /// Whether the last frame has been solved and stored.
     pub fn is_finished(&self) -> bool {
-        self.solver.is_finished() && self.archive.are_finished()
+        self.signals.finished.load(Ordering::Acquire) || self.watch.is_finished()
     }
 
     /// How the archive's disks are.
@@ -211,24 +291,131 @@ impl Service {
 
     /// Waits for the last frame, hangs up, and says what happened.
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
-        let camera = self.camera.join().map_err(|_| ThreadFailed("camera"));
-        let solver = self.solver.join().map_err(|_| ThreadFailed("solver"));
-        let archived = self.archive.join();
-        self.hang_up.store(true, Ordering::Relaxed);
-        let line = self.line.join().map_err(|_| ThreadFailed("link"));
+        self.signals.awaited.store(true, Ordering::Relaxed);
+        let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));
         if let Some(values) = self.values {
             values.join().map_err(|_| ThreadFailed("values"))?;
         }
-        Ok(FlightTally {
-            camera: camera?,
-            solver: solver?,
-            archive: match archived {
-                true => self.gauges.tally(),
-                false => return Err(ThreadFailed("archive")),
-            },
-            line: line?,
-        })
+        tally
     }
+}
+
+/// What the ground may set, with what it set before the last restart.
+fn controls(flight: &Flight) -> Controls {
+    let mounting = flight.camera.instrument.mounting;
+    let controls = Controls::new(flight.config.clone(), flight.target, mounting);
+    let seats = flight.cameras().map(|camera| camera.seat);
+    controls.note_cameras(&seats.map(Seat::role).collect::<Vec<_>>());
+    if let Some(path) = &flight.config.link.saved_values {
+        control::restore(&controls, path);
+    }
+    controls
+}
+
+/// Cameras and solvers as they join the flight, and what they share.
+struct Crew {
+    controls: Controls,
+    ephemeris: Ephemeris,
+    archive: archiver::Archive,
+    to_line: Sender<LinkEvent>,
+    watcher: Option<Sender<Answer>>,
+    signals: Arc<Signals>,
+    counts: Counts,
+    recent: Vec<Shared<Recent>>,
+    cameras: Vec<Worker>,
+    solvers: Vec<Worker>,
+}
+
+impl Crew {
+    fn join(&mut self, index: usize, camera: Camera) -> std::io::Result<()> {
+        let station = Arc::new(Station {
+            index,
+            seat: camera.seat,
+            instrument: camera.instrument,
+            folder: camera.folder,
+        });
+        let (to_solver, sightings) = bounded(SIGHTINGS);
+        let glimpse = Glimpse::default();
+        self.join_solver(&station, &glimpse, sightings)?;
+        self.join_camera(&station, &glimpse, to_solver, camera.source, camera.open)
+    }
+
+    fn join_solver(
+        &mut self,
+        station: &Arc<Station>,
+        glimpse: &Glimpse,
+        sightings: Receiver<Sighting>,
+    ) -> std::io::Result<()> {
+        let solver = Solver {
+            station: Arc::clone(station),
+            ephemeris: self.ephemeris.clone(),
+            controls: self.controls.clone(),
+            archive: self.archive.clone(),
+            to_line: self.to_line.clone(),
+            watcher: self.watcher.clone(),
+            glimpse: glimpse.clone(),
+            cameras_ended: Arc::clone(&self.signals.cameras_ended),
+            recent: Shared::default(),
+            tally: Shared::default(),
+        };
+        self.recent.push(solver.recent.clone());
+        self.counts.solvers.push(solver.tally.clone());
+        let name = format!("solver-{}", station.camera_number());
+        self.solvers
+            .push(Worker::start(name, Some(SOLVER_PATIENCE), move || {
+                let (solver, sightings) = (solver.clone(), sightings.clone());
+                Box::new(move |life| solver.run(&sightings, life))
+            })?);
+        Ok(())
+    }
+
+    fn join_camera(
+        &mut self,
+        station: &Arc<Station>,
+        glimpse: &Glimpse,
+        to_solver: Sender<Sighting>,
+        mut source: Option<Box<dyn FrameSource>>,
+        open: Option<Opener>,
+    ) -> std::io::Result<()> {
+        let shutter = Shutter {
+            station: Arc::clone(station),
+            controls: self.controls.clone(),
+            to_solver,
+            to_line: self.to_line.clone(),
+            glimpse: glimpse.clone(),
+            tally: Shared::default(),
+            stop: Arc::clone(&self.signals.stop),
+        };
+        self.counts.cameras.push(shutter.tally.clone());
+        let name = format!("camera-{}", station.camera_number());
+        self.cameras
+            .push(Worker::start(name, Some(CAMERA_PATIENCE), move || {
+                let (shutter, source, open) = (shutter.clone(), source.take(), open.clone());
+                Box::new(move |life| shutter.run(source, open, life))
+            })?);
+        Ok(())
+    }
+}
+
+fn start_line(
+    connection: Connection,
+    controls: &Controls,
+    tally: &Shared<LineTally>,
+    events: Receiver<LinkEvent>,
+    signals: &Signals,
+) -> std::io::Result<Worker> {
+    let (controls, tally) = (controls.clone(), tally.clone());
+    let hang_up = Arc::clone(&signals.hang_up);
+    // Held by one life after the other: the port outlives a thread that panicked.
+    let connection = Arc::new(Mutex::new(connection));
+    Worker::start("link", None, move || {
+        let (controls, tally, events) = (controls.clone(), tally.clone(), events.clone());
+        let (connection, hang_up) = (Arc::clone(&connection), Arc::clone(&hang_up));
+        Box::new(move |life| {
+            let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
+            Line::new(&mut connection, controls, tally).run(&events, &hang_up, life);
+        })
+    })
 }
 
 fn spawn<T: Send + 'static>(
@@ -236,51 +423,4 @@ fn spawn<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> std::io::Result<JoinHandle<T>> {
     thread::Builder::new().name(name.into()).spawn(work)
-}
-
-/// The camera's thread: announces each exposure on the line, then hands the frame to the solver.
-fn take_frames(
-    camera: &mut dyn FrameSource,
-    to_solver: &Sender<Sighting>,
-    to_line: &Sender<LinkEvent>,
-    stop: &AtomicBool,
-) -> CameraTally {
-    let mut tally = CameraTally::default();
-    while !stop.load(Ordering::Relaxed) {
-        let mut announce = |time: Timestamp| {
-            let (camera, start) = (CAMERA, time);
-            let event = LinkEvent::ExposureStarts(link::Exposure { camera, start });
-            if to_line.try_send(event).is_err() {
-                tally.unannounced += 1;
-                if worth_a_line(tally.unannounced) {
-                    tracing::warn!("the line is stuck: an exposure was not announced");
-                }
-            }
-        };
-        match camera.next(&mut announce) {
-            Ok(Take::Exposure(exposure)) => {
-                tally.taken += 1;
-                let sighting = Sighting {
-                    exposure: *exposure,
-                    arrived: Instant::now(),
-                };
-                if let Err(TrySendError::Full(_)) = to_solver.try_send(sighting) {
-                    tally.lost += 1;
-                    tracing::warn!(
-                        lost = tally.lost,
-                        "the solver cannot follow: a frame was lost"
-                    );
-                }
-            }
-            Ok(Take::NotYet) => {}
-            Ok(Take::End) => break,
-            Err(error) => {
-                tally.failed += 1;
-                if worth_a_line(tally.failed) {
-                    tracing::error!(%error, failed = tally.failed, "no frame from the camera");
-                }
-            }
-        }
-    }
-    tally
 }

@@ -1,20 +1,27 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
 use super::archiver::Archive;
-use super::control::{Controls, Snapshot, Topic};
+use super::control::{Controls, Seat, Snapshot, Topic};
+use super::housekeeping::Recent;
 use super::line::{LinkEvent, Outcome};
+use super::shared::Shared;
+use super::shutter::Glimpse;
 use super::tally::{SolverTally, worth_a_line};
+use super::worker::Life;
 use super::{Sighting, Station};
 use crate::archive::{Record, Row};
 use crate::aspect::{self, Expected, Solution, Stage, Track};
-use crate::camera::Exposure;
-use crate::instrument::Mounting;
-use crate::link;
+use crate::camera::{Brightness, Exposure};
+use crate::frame::FrameInfo;
+use crate::instrument::Instrument;
+use crate::link::picture::{Tag, TagValue};
+use crate::link::{self, Picture};
 use crate::pointing::{self, Offset, Target};
 use crate::sky::Ephemeris;
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// A solved frame.
@@ -43,6 +50,7 @@ impl Answer {
     }
 }
 
+#[derive(Clone)]
 pub(super) struct Solver {
     pub station: Arc<Station>,
     pub ephemeris: Ephemeris,
@@ -50,52 +58,86 @@ pub(super) struct Solver {
     pub archive: Archive,
     pub to_line: Sender<LinkEvent>,
     pub watcher: Option<Sender<Answer>>,
+    /// Where the camera learns of its frames' brightness.
+    pub glimpse: Glimpse,
+    pub cameras_ended: Arc<AtomicBool>,
+    pub recent: Shared<Recent>,
+    pub tally: Shared<SolverTally>,
 }
 
+/// How long the thread waits for a frame before it shows that it is at work.
+const PATIENCE: Duration = Duration::from_millis(200);
+
 impl Solver {
-    /// Solves until the camera ends.
-    pub fn run(mut self, sightings: &Receiver<Sighting>) -> SolverTally {
-        let mut tally = SolverTally::default();
+    /// Solves until the camera ends, or another thread has taken over.
+    pub fn run(mut self, sightings: &Receiver<Sighting>, life: &Life) {
         let mut track = None;
-        let stated = self.station.instrument.mounting;
+        let stated = self.station.instrument.clone();
+        let mut mounted = stated.clone();
         let mut mounting_version = None;
         let mut sun = SunSize::default();
-        for sighting in sightings {
-            let Sighting { exposure, arrived } = sighting;
-            if let Err(error) = self.station.instrument.check_size(&exposure.frame) {
-                tally.misfits += 1;
-                if worth_a_line(tally.misfits) {
-                    tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
-                }
-                continue;
-            }
+        while !life.is_over() {
+            life.beat();
+            let Sighting { exposure, arrived } = match sightings.recv_timeout(PATIENCE) {
+                Ok(sighting) => sighting,
+                Err(_) if self.cameras_ended.load(Ordering::Relaxed) => return,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => return,
+            };
             let version = self.controls.version(Topic::Mounting);
             let snapshot = self.controls.snapshot();
-            if mounting_version.replace(version) != Some(version) {
-                self.remount(&snapshot, &stated, &mut track);
+            // Commands about the mounting are about the first camera's.
+            let commanded = self.station.seat == Seat::PitchYaw;
+            if commanded && mounting_version.replace(version) != Some(version) {
+                mounted.mounting = snapshot.mounting(&stated.mounting);
+            }
+            if !self.fit(&exposure, &mounted, &mut track) {
+                continue;
             }
             let answer = self.solve(exposure, &snapshot, &mut track, &mut sun);
-            count(&mut tally, &answer.solution);
+            if life.is_over() {
+                return;
+            }
+            count(&mut self.tally.lock(), &answer.solution);
             tracing::debug!(
                 number = answer.exposure.frame.info.number,
                 quality = answer.solution.quality.name(),
                 solve_us = answer.solve_time.as_micros() as u64,
                 "solved"
             );
-            self.hand_on(answer, arrived, &mut tally);
+            self.hand_on(answer, arrived);
         }
-        self.archive.close();
-        tally
     }
 
-    /// Where the ground has turned camera or plate, what the last frames taught no longer holds.
-    fn remount(&mut self, commanded: &Snapshot, stated: &Mounting, track: &mut Option<Track>) {
-        let mounting = commanded.mounting(stated);
-        if mounting != self.station.instrument.mounting {
-            let mut station = (*self.station).clone();
-            station.instrument.mounting = mounting;
-            self.station = Arc::new(station);
-            *track = None;
+    /// Fits the station's instrument to the frame. Where it changes - the ground has turned camera or plate, or another
+    /// part of the sensor is read - what the last frames taught no longer holds. False for a frame of another camera; a
+    /// roll camera's may have any size.
+    fn fit(
+        &mut self,
+        exposure: &Exposure,
+        mounted: &Instrument,
+        track: &mut Option<Track>,
+    ) -> bool {
+        if !self.station.is_solved() {
+            return true;
+        }
+        match mounted.seen_by(&exposure.frame) {
+            Ok(seen) if *seen == self.station.instrument => true,
+            Ok(seen) => {
+                let mut station = (*self.station).clone();
+                station.instrument = seen.into_owned();
+                self.station = Arc::new(station);
+                *track = None;
+                true
+            }
+            Err(error) => {
+                let mut tally = self.tally.lock();
+                tally.misfits += 1;
+                if worth_a_line(tally.misfits) {
+                    tracing::error!(%error, misfits = tally.misfits, "not this camera's frame");
+                }
+                false
+            }
         }
     }
 
@@ -110,13 +152,11 @@ impl Solver {
         let size = utc.and_then(|utc| sun.at(utc));
         let start = Instant::now();
         let frame = &exposure.frame;
-        let mut solution = aspect::solve_with(
-            &commanded.solver,
-            frame,
-            &self.station.instrument,
-            size,
-            track.as_ref(),
-        );
+        let instrument = &self.station.instrument;
+        let mut solution = match self.station.is_solved() {
+            true => aspect::solve_with(&commanded.solver, frame, instrument, size, track.as_ref()),
+            false => aspect::levels_only(&commanded.solver, frame, instrument),
+        };
         let solve_time = start.elapsed();
         if solution.track.is_some() {
             track.clone_from(&solution.track);
@@ -139,12 +179,53 @@ impl Solver {
             offset,
             target: commanded.target,
             solve_time,
-            to_be_stored: self.controls.stores(self.station.role),
+            to_be_stored: self.controls.stores(self.station.seat.role()),
+        }
+    }
+
+    /// What the ground has asked for, from the camera that the controller hears of.
+    fn send_picture(&self, answer: &Answer) {
+        let info = &answer.exposure.frame.info;
+        let tags = picture_tags(&self.station.instrument, info);
+        let time = info.mid_exposure.unwrap_or_else(Timestamp::now);
+        match Picture::new(
+            &answer.exposure.frame,
+            self.station.camera_number() as u8,
+            tags,
+            time,
+        ) {
+            Ok(Some(picture)) => {
+                // A line that is stuck carries no pictures.
+                let _ = self.to_line.try_send(LinkEvent::Picture(Box::new(picture)));
+            }
+            Ok(None) => tracing::warn!("the frame is too large for a picture"),
+            Err(error) => tracing::warn!(%error, "no picture"),
         }
     }
 
     /// The line first: a solution does not wait for a disk.
-    fn hand_on(&self, answer: Answer, arrived: Instant, tally: &mut SolverTally) {
+    fn hand_on(&self, answer: Answer, arrived: Instant) {
+        if self.station.is_solved() {
+            self.tell_line(&answer, arrived);
+        }
+        if self.controls.takes_picture(self.station.seat.role()) {
+            self.send_picture(&answer);
+        }
+        let info = &answer.exposure.frame.info;
+        if let Some(exposure) = info.exposure {
+            let saturation_dn = answer.exposure.frame.saturation_dn();
+            let seen = Brightness::of(answer.solution.levels.as_ref(), saturation_dn);
+            *self.glimpse.lock() = Some((seen, exposure.as_micros() as u32));
+        }
+        self.recent.lock().note(&answer);
+        self.archive.offer(&answer);
+        if let Some(watcher) = &self.watcher {
+            // A watcher that has left misses nothing that matters.
+            let _ = watcher.send(answer);
+        }
+    }
+
+    fn tell_line(&self, answer: &Answer, arrived: Instant) {
         let outcome = Outcome {
             exposure: link::Exposure {
                 camera: self.station.camera_number(),
@@ -156,6 +237,7 @@ impl Solver {
             stopped: answer.solution.stopped,
         };
         if self.to_line.try_send(LinkEvent::Outcome(outcome)).is_err() {
+            let mut tally = self.tally.lock();
             tally.unsent += 1;
             if worth_a_line(tally.unsent) {
                 tracing::warn!(
@@ -164,12 +246,29 @@ impl Solver {
                 );
             }
         }
-        self.archive.offer(&answer);
-        if let Some(watcher) = &self.watcher {
-            // A watcher that has left misses nothing that matters.
-            let _ = watcher.send(answer);
-        }
     }
+}
+
+fn picture_tags(instrument: &Instrument, info: &FrameInfo) -> Vec<Tag> {
+    let tag = |name, value, comment| Tag {
+        name,
+        value,
+        comment,
+    };
+    let mut tags = vec![tag(
+        "INSTRUME",
+        TagValue::Text(instrument.name.clone()),
+        "instrument",
+    )];
+    if let Some(exposure) = info.exposure {
+        let seconds = TagValue::Number(exposure.as_secs_f64());
+        tags.push(tag("EXPTIME", seconds, "exposure, s"));
+    }
+    if let Some(number) = info.number {
+        let number = TagValue::Whole(number as i32);
+        tags.push(tag("FRAMENUM", number, "number of the frame"));
+    }
+    tags
 }
 
 fn count(tally: &mut SolverTally, solution: &Solution) {

@@ -1,13 +1,14 @@
 //! What each thread counts, and what a flight comes to.
 
 use crate::aspect::{Quality, Stage};
-use crate::link::Rejected;
+use crate::camera::CameraHealth;
+use crate::link::{LinkState, Rejected};
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::time::Duration;
 
-/// What the camera's thread counts.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+/// What a camera's thread counts.
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct CameraTally {
     pub taken: u64,
     /// Frames that the solver had no room for.
@@ -16,6 +17,28 @@ pub struct CameraTally {
     pub failed: u64,
     /// Exposures that the line's queue had no room for.
     pub unannounced: u64,
+    /// Times that UTC made a step.
+    pub utc_steps: u64,
+    /// Of the camera itself.
+    pub health: CameraHealth,
+}
+
+impl CameraTally {
+    pub(super) fn add(&mut self, other: &Self) {
+        self.taken += other.taken;
+        self.lost += other.lost;
+        self.failed += other.failed;
+        self.unannounced += other.unannounced;
+        self.utc_steps += other.utc_steps;
+        let (own, other) = (&mut self.health, &other.health);
+        own.incomplete += other.incomplete;
+        own.missing += other.missing;
+        own.lost_packets += other.lost_packets;
+        own.underruns += other.underruns;
+        own.refused_settings += other.refused_settings;
+        own.reconnects += other.reconnects;
+        own.temperature_c = own.temperature_c.or(other.temperature_c);
+    }
 }
 
 /// What the solver's thread counts.
@@ -37,6 +60,17 @@ impl SolverTally {
 
     pub fn of(&self, quality: Quality) -> u64 {
         self.solved.get(&quality).copied().unwrap_or(0)
+    }
+
+    pub(super) fn add(&mut self, other: &Self) {
+        for (quality, count) in &other.solved {
+            *self.solved.entry(*quality).or_default() += count;
+        }
+        for (reason, count) in &other.reasons {
+            *self.reasons.entry(*reason).or_default() += count;
+        }
+        self.misfits += other.misfits;
+        self.unsent += other.unsent;
     }
 }
 
@@ -75,12 +109,17 @@ pub struct LineTally {
     pub failed: u64,
     /// Exposures that were not announced because the line could not follow.
     pub unannounced: u64,
+    /// Housekeeping packets and whole pictures that went to the ground.
+    pub housekeeping: u64,
+    pub pictures: u64,
     /// How often the port was lost, and opened again.
     pub lost: u64,
     pub reopened: u64,
     /// What came over the line and was no packet.
     pub rejected: Rejected,
     pub commands: u64,
+    /// What the controller and the ground have set.
+    pub conversation: LinkState,
     /// From a frame's arrival to its solution's last byte: the latest ten thousand.
     pub latencies: VecDeque<Duration>,
 }
@@ -96,12 +135,15 @@ impl LineTally {
 }
 
 /// What a whole flight comes to.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct FlightTally {
+    /// Of all cameras.
     pub camera: CameraTally,
     pub solver: SolverTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
+    /// Threads that panicked or hung, and were started again.
+    pub restarts: u64,
 }
 
 impl FlightTally {
@@ -110,7 +152,7 @@ impl FlightTally {
         let frames = self.camera.lost + self.camera.failed + self.solver.misfits;
         let files = self.archive.unstored + self.archive.rows_lost;
         let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
-        frames + files + packets
+        frames + files + packets + self.restarts
     }
 }
 
@@ -121,12 +163,16 @@ impl fmt::Display for FlightTally {
             solver,
             archive,
             line,
+            restarts,
         } = self;
         writeln!(
             out,
             "frames     {} taken, {} lost, {} failed",
             camera.taken, camera.lost, camera.failed
         )?;
+        if *restarts > 0 {
+            writeln!(out, "threads    {restarts} started again")?;
+        }
         writeln!(
             out,
             "solved     {} fine, {} coarse, {} none",

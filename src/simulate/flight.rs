@@ -2,6 +2,7 @@
 
 use super::blemish::{Blemishes, Counts};
 use super::noise::Noise;
+use super::pieces::Pieces;
 use super::scene::{Scene, SceneError, Sun};
 use super::trajectory::{Swing, Trajectory};
 use super::{EXPOSURE, Purpose, derived_seed, frame_info, generator};
@@ -9,9 +10,62 @@ use crate::frame::FrameInfo;
 use crate::geometry::{Distortion, Mapping, SimilarityParameters};
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
+use nalgebra::Vector2;
 use rand::RngExt;
 use std::f64::consts::TAU;
 use std::time::Duration;
+
+/// Where the Sun goes, and what stands between.
+#[derive(Debug, Clone)]
+pub enum Course {
+    /// Rests, slews and sway.
+    Trajectory(Box<Trajectory>),
+    /// As a file tells.
+    Pieces(Pieces),
+}
+
+impl From<Trajectory> for Course {
+    fn from(trajectory: Trajectory) -> Self {
+        Self::Trajectory(Box::new(trajectory))
+    }
+}
+
+impl From<Pieces> for Course {
+    fn from(pieces: Pieces) -> Self {
+        Self::Pieces(pieces)
+    }
+}
+
+impl Course {
+    fn position(&self, since_start: Duration) -> PlateMil {
+        match self {
+            Self::Trajectory(trajectory) => trajectory.position(since_start),
+            Self::Pieces(pieces) => pieces.position(since_start.as_secs_f64()),
+        }
+    }
+
+    fn velocity_mil_per_s(&self, since_start: Duration) -> Vector2<f64> {
+        match self {
+            Self::Trajectory(trajectory) => trajectory.velocity_mil_per_s(since_start),
+            Self::Pieces(pieces) => pieces.velocity_mil_per_s(since_start.as_secs_f64()),
+        }
+    }
+
+    fn roll_deg(&self, since_start: Duration) -> f64 {
+        match self {
+            Self::Trajectory(_) => 0.0,
+            Self::Pieces(pieces) => pieces.roll_deg(since_start.as_secs_f64()),
+        }
+    }
+
+    /// What the clouds leave of the light, 0 to 1.
+    fn light(&self, since_start: Duration) -> f64 {
+        match self {
+            Self::Trajectory(_) => 1.0,
+            Self::Pieces(pieces) => pieces.light(since_start.as_secs_f64()),
+        }
+    }
+}
 
 /// The scenes of a flight.
 #[derive(Debug, Clone)]
@@ -22,7 +76,7 @@ pub struct FlightScenes {
     pub sun: Sun,
     /// How long the shutter is open. The Sun is as bright as `sun` says at [`EXPOSURE`], and in proportion otherwise.
     pub exposure: Duration,
-    trajectory: Trajectory,
+    course: Course,
     drift: MappingDrift,
     seed: u64,
 }
@@ -32,7 +86,7 @@ impl FlightScenes {
     /// sigmas that the instrument states.
     pub fn new(
         instrument: &Instrument,
-        trajectory: Trajectory,
+        course: impl Into<Course>,
         radius_mil: f64,
         seed: u64,
     ) -> Result<Self, SceneError> {
@@ -52,7 +106,7 @@ impl FlightScenes {
             template,
             sun: Sun::new(PlateMil::new(0.0, 0.0), radius_mil),
             exposure: EXPOSURE,
-            trajectory,
+            course: course.into(),
             drift: MappingDrift::new(instrument, seed),
             seed,
         })
@@ -60,14 +114,17 @@ impl FlightScenes {
 
     /// The scene whose exposure has its middle `since_start` of the run.
     pub fn scene(&self, number: u64, since_start: Duration) -> Result<Scene, SceneError> {
-        let velocity = self.trajectory.velocity_mil_per_s(since_start);
+        let velocity = self.course.velocity_mil_per_s(since_start);
         let exposure_s = self.exposure.as_secs_f64();
+        let light = self.course.light(since_start) * exposure_s / EXPOSURE.as_secs_f64();
+        let roll_deg = self.course.roll_deg(since_start);
+        let mapping = self.drift.mapping(since_start, roll_deg);
         Ok(Scene {
-            mapping: self.drift.mapping(since_start).ok_or(SceneError::Mapping)?,
+            mapping: mapping.ok_or(SceneError::Mapping)?,
             sun: Some(Sun {
-                centre: self.trajectory.position(since_start),
+                centre: self.course.position(since_start),
                 smear_mil: velocity * exposure_s,
-                peak_dn: self.sun.peak_dn * exposure_s / EXPOSURE.as_secs_f64(),
+                peak_dn: self.sun.peak_dn * light,
                 ..self.sun.clone()
             }),
             seed: derived_seed(self.seed, Purpose::Noise, number),
@@ -113,7 +170,7 @@ impl MappingDrift {
         }
     }
 
-    fn mapping(&self, since_start: Duration) -> Option<Mapping> {
+    fn mapping(&self, since_start: Duration, roll_deg: f64) -> Option<Mapping> {
         let time_s = since_start.as_secs_f64();
         let [x, y, turn, stretch]: [f64; 4] = std::array::from_fn(|n| {
             self.sigmas[n] * (self.constant[n] + self.swings[n].offset(time_s))
@@ -122,7 +179,7 @@ impl MappingDrift {
         let now = SimilarityParameters {
             plate_centre: SensorPx::new(centre.x + x, centre.y + y),
             scale_mil_per_px: self.stated.scale_mil_per_px + stretch,
-            rotation_deg: self.stated.rotation_deg + turn,
+            rotation_deg: self.stated.rotation_deg + turn + roll_deg,
             handedness: self.stated.handedness,
         };
         Mapping::similarity(now, self.distortion)

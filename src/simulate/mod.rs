@@ -22,6 +22,7 @@ mod disc;
 mod drift;
 mod flight;
 mod noise;
+mod pieces;
 mod prints;
 mod random;
 mod render;
@@ -30,8 +31,9 @@ mod trajectory;
 
 pub use blemish::{Blemishes, Counts, Dust, HotPixel, Leak, Scratch};
 pub use drift::{DriftError, DriftScenes};
-pub use flight::FlightScenes;
+pub use flight::{Course, FlightScenes};
 pub use noise::{Depth, Noise};
+pub use pieces::{Piece, Pieces};
 pub use random::{Conditions, RandomScenes, SunInView};
 pub use render::{SAMPLES_PER_PX, render_exact, render_oversampled};
 pub use scene::{

@@ -10,7 +10,7 @@ use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{self, Instrument};
 use solaspect::link::Connection;
 use solaspect::pointing::Target;
-use solaspect::service::{Flight, FlightTally, Service};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
 use solaspect::sky::Ephemeris;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -69,13 +69,9 @@ pub fn dark(
         ..Config::default()
     };
     let flight = Flight {
-        instrument,
         config,
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
-        line: Connection::none(),
         stores,
+        ..Flight::of(Camera::new(instrument, camera))
     };
     let (service, answers) = Service::start_watched(flight).unwrap();
     let looked_at = |service: &Service| {

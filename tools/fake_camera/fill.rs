@@ -16,7 +16,6 @@ pub struct Shot {
     pub x0: usize,
     pub y0: usize,
     pub width: usize,
-    pub height: usize,
     pub exposure_us: u32,
     pub bytes_per_pixel: usize,
 }
@@ -74,7 +73,6 @@ unsafe extern "C" fn fill(
         x0,
         y0,
         width,
-        height,
         exposure_us,
         bytes_per_pixel,
     };

@@ -93,7 +93,7 @@ fn described() -> anyhow::Result<String> {
 	<IntReg Name="ThermometerRegister" NameSpace="Custom"><Address>0x154</Address><Length>4</Length><AccessMode>RO</AccessMode>
 		<pPort>Device</pPort><Sign>Signed</Sign><Endianess>BigEndian</Endianess></IntReg>
 	<Port Name="Device""#;
-    let (plain, _) = FakeCamera::new("").genicam_xml();
+    let (plain, _) = FakeCamera::new("XML").genicam_xml();
     let places = [
         (r#"<EnumEntry Name="Mono16""#, MONO12),
         (r#"<Port Name="Device""#, MORE),

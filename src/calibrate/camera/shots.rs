@@ -106,10 +106,16 @@ pub fn load(files: &[PathBuf], instrument: &Instrument) -> anyhow::Result<(Shots
     Ok((Shots { frames }, left_out))
 }
 
+/// Pixels are told by their place on the whole sensor: a part of it does not do.
 fn check_size(frame: &Frame, instrument: &Instrument, name: &str) -> anyhow::Result<()> {
-    instrument
-        .check_size(frame)
-        .with_context(|| format!("mixed instruments: {name}"))
+    let seen = instrument.seen_by(frame);
+    let seen = seen.with_context(|| format!("mixed instruments: {name}"))?;
+    let (width, height) = (instrument.camera.width_px, instrument.camera.height_px);
+    anyhow::ensure!(
+        seen.camera.width_px == width && seen.camera.height_px == height,
+        "{name}: expected frames of the whole sensor, {width} x {height} px, found a part of it; take them without a region"
+    );
+    Ok(())
 }
 
 /// Some of the files, two and two that follow each other.

@@ -146,10 +146,11 @@ fn told_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedness {
         let mut instrument = instrument.clone();
         instrument.mounting.handedness = handedness;
         let fine = |file: &&&PathBuf| {
-            let solved = fits::read_frame(file)
-                .ok()
-                .filter(|f| instrument.check_size(f).is_ok());
-            solved.is_some_and(|f| solve(&f, &instrument).quality == Quality::Fine)
+            let solved = fits::read_frame(file).ok().and_then(|frame| {
+                let seen = instrument.seen_by(&frame).ok()?;
+                Some(solve(&frame, &seen))
+            });
+            solved.is_some_and(|solution| solution.quality == Quality::Fine)
         };
         sample.par_iter().filter(fine).count()
     };
@@ -179,10 +180,11 @@ impl Frames<'_> {
                 return Ok((None, Outcome::LeftOut(Lack::Other, error.to_string())));
             }
         };
-        self.instrument
-            .check_size(&frame)
+        let seen = self
+            .instrument
+            .seen_by(&frame)
             .with_context(|| format!("mixed instruments: {}", file.display()))?;
-        let outcome = match self.sight(file, &frame, ephemeris) {
+        let outcome = match self.sight(file, (&frame, &seen), ephemeris) {
             Ok(sight) => Outcome::Sight(Box::new(sight)),
             Err((lack, reason)) => Outcome::LeftOut(lack, reason),
         };
@@ -192,7 +194,7 @@ impl Frames<'_> {
     fn sight(
         &self,
         file: &Path,
-        frame: &Frame,
+        (frame, seen): (&Frame, &Instrument),
         ephemeris: &mut Ephemeris,
     ) -> Result<Sight, (Lack, String)> {
         let utc = frame
@@ -213,7 +215,7 @@ impl Frames<'_> {
         let pointing = pointing.map(|p| if self.apparent { p } else { lifted(p, &air) });
         let sun = seen_sun(ephemeris, utc, place, &air)
             .map_err(|error| (Lack::Other, error.to_string()))?;
-        let solution = solve(frame, self.instrument);
+        let solution = solve(frame, seen);
         let aspect = solution
             .aspect
             .filter(|_| solution.quality == Quality::Fine);

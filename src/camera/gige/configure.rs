@@ -75,12 +75,13 @@ fn set_format(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
 fn set_region(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
     let wanted = match settings.region {
         Some(region) => [region.x0, region.y0, region.width(), region.height()]
-            .map(|pixels| i32::try_from(pixels).unwrap_or(i32::MAX))
-            .into(),
+            .map(|pixels| i32::try_from(pixels).unwrap_or(i32::MAX)),
         None => {
             let size = camera.sensor_size();
             size.map(|(width, height)| [0, 0, width, height])
-                .map_err(|error| refusal("region", "the sensor's size", Err::<String, _>(error)))?
+                .map_err(|error| {
+                    refusal("region_px", "the sensor's size", Err::<String, _>(error))
+                })?
         }
     };
     let [x, y, width, height] = wanted;
@@ -91,7 +92,7 @@ fn set_region(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
     match found {
         Ok(found) if found == wanted.into() => Ok(()),
         found => Err(refusal(
-            "region",
+            "region_px",
             shown(wanted),
             found.map(|found| shown(found.into())),
         )),

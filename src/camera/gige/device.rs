@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 /// Buffers of a stream: frames that may arrive before they are fetched.
 const BUFFERS: usize = 4;
 /// How long a frame may be on its way after the exposure.
-const TRANSFER: Duration = Duration::from_secs(1);
+const TRANSFER: Duration = Duration::from_millis(500);
 /// A camera that gives no frame so often in a row is gone.
 const SILENT_FRAMES: u32 = 3;
 /// How often the temperature is asked for.
@@ -47,6 +47,7 @@ pub(super) struct Device {
     numbers: Numbers,
     zero: Instant,
     silent: u32,
+    gone: bool,
     counted: Counted,
     health: SharedHealth,
 }
@@ -88,6 +89,7 @@ impl Device {
             numbers: Numbers::from(opening.next_number),
             zero: opening.zero,
             silent: 0,
+            gone: false,
             counted: Counted::default(),
             health: opening.health,
         })
@@ -138,9 +140,9 @@ impl Device {
             self.stream.push_buffer(late);
         }
         let (before, utc) = (Instant::now(), Timestamp::now());
-        self.camera
-            .software_trigger()
-            .map_err(|error| Fault::Camera(self.problem(error)))?;
+        if let Err(error) = self.camera.software_trigger() {
+            return Err(self.is_gone(error));
+        }
         // The camera got the trigger half-way between the order and its answer.
         let on_the_way = before.elapsed() / 2;
         let exposure = self.actual.exposure.unwrap_or(self.settings.exposure());
@@ -162,12 +164,17 @@ impl Device {
         frame.map_err(Fault::Frame)
     }
 
+    fn is_gone(&mut self, problem: impl ToString) -> Fault {
+        self.gone = true;
+        Fault::Camera(self.problem(problem))
+    }
+
     /// No frame came.
     fn silence(&mut self) -> Fault {
         self.silent += 1;
         count(&self.health, |health| health.missing += 1);
         if self.silent >= SILENT_FRAMES {
-            Fault::Camera(self.problem(format!("{SILENT_FRAMES} triggers and no frame")))
+            self.is_gone(format!("{SILENT_FRAMES} triggers and no frame"))
         } else {
             Fault::Frame(self.problem("no frame came of a trigger"))
         }
@@ -237,8 +244,10 @@ impl Device {
 
 impl Drop for Device {
     fn drop(&mut self) {
-        // A camera that is gone cannot be stopped, and need not be.
-        let _ = self.camera.stop_acquisition();
+        // One that is gone would keep this waiting.
+        if !self.gone {
+            let _ = self.camera.stop_acquisition();
+        }
     }
 }
 
@@ -288,6 +297,8 @@ fn prepare(camera: &Camera) -> Result<(), String> {
     if !has(camera, "TriggerSoftware") {
         return Err("it cannot be triggered by software".into());
     }
+    // What the camera's own description rules out is not even sent.
+    camera.set_range_check_policy(aravis::RangeCheckPolicy::Enable);
     // One that was left running takes no settings.
     let _ = camera.stop_acquisition();
     camera

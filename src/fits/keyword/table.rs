@@ -1,7 +1,7 @@
 //! The rows: one keyword each, with its kind, unit, use and meaning.
 
 use super::Group;
-use super::Kind::{Float, Integer, Text, Time};
+use super::Kind::{Float, Integer, Logical, Text, Time};
 use super::Use::{Both, Written};
 use super::row;
 
@@ -53,7 +53,12 @@ const TIME: Group = Group {
         row("EXPTIME", Float, "s", Both, "length of the exposure"),
         row("XPOSURE", Float, "s", Both, "length of the exposure"),
         row("MONOTIME", Float, "s", Both, "mid-exposure on the monotonic clock"),
+        row("UTCSTEP", Float, "s", Both, "step of UTC since the frame before, if any"),
         row("CAMCLOCK", Integer, "ns", Both, "the camera's own clock at the frame"),
+        row("CLKSYNC", Logical, "", Written, "whether the clock was held to UTC"),
+        row("CLKOFF", Float, "s", Written, "clock ahead of UTC, as the kernel knew"),
+        row("CLKERR", Float, "s", Written, "largest error of the clock, as stated"),
+        row("CLKSRC", Text, "", Written, "time service that held the clock"),
         row("FRAMENUM", Integer, "", Both, "number of the frame in its sequence"),
     ],
 };

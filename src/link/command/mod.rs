@@ -143,60 +143,97 @@ impl TryFrom<&AspectCommand> for Command {
     type Error = CommandError;
 
     fn try_from(command: &AspectCommand) -> Result<Self, CommandError> {
-        use CameraRole::{PitchYaw, Roll};
-        let (key, v) = (command.key(), command.variables());
-        let unknown = CommandError::Unknown { key };
-        // A command has as many variables as its key says, so a key of the table has all of its row's.
-        let u16_at = |at: usize| v.get(at).copied().ok_or(unknown);
-        let i16_at = |at| u16_at(at).map(u16::cast_signed);
-        let angle_at = |at| u16_at(at).map(angle_from_code);
-        let switch = || match u16_at(0)? {
+        let key = command.key();
+        let variables = Variables { key, command };
+        match key & !COMPUTERS {
+            0x0000 => Ok(Self::NoOp),
+            0x0030 => Ok(Self::StartSending),
+            0x0040 => Ok(Self::StopSending),
+            0x0050 => Ok(Self::Quit),
+            0x0210 => Ok(Self::SendPicture(CameraRole::PitchYaw)),
+            0x0220 => Ok(Self::SendPicture(CameraRole::Roll)),
+            0x0800.. => {
+                let number = command.variables().first().copied();
+                let reading = reading(key, number.unwrap_or_default());
+                Ok(Self::Read(reading.ok_or(CommandError::Unknown { key })?))
+            }
+            _ => setting(&variables),
+        }
+    }
+}
+
+/// The variables of a command, each as what it stands for.
+struct Variables<'a> {
+    key: u16,
+    command: &'a AspectCommand,
+}
+
+impl Variables<'_> {
+    /// A command has as many variables as its key says, so a key of the table has all of its row's.
+    fn u16(&self, at: usize) -> Result<u16, CommandError> {
+        let key = self.key;
+        let variable = self.command.variables().get(at);
+        variable.copied().ok_or(CommandError::Unknown { key })
+    }
+
+    fn i16(&self, at: usize) -> Result<i16, CommandError> {
+        self.u16(at).map(u16::cast_signed)
+    }
+
+    fn angle(&self, at: usize) -> Result<f64, CommandError> {
+        self.u16(at).map(angle_from_code)
+    }
+
+    fn switch(&self) -> Result<bool, CommandError> {
+        match self.u16(0)? {
             0 => Ok(false),
             1 => Ok(true),
-            found => Err(CommandError::Switch { key, found }),
-        };
-        Ok(match key & !COMPUTERS {
-            0x0000 => Self::NoOp,
-            0x0030 => Self::StartSending,
-            0x0040 => Self::StopSending,
-            0x0050 => Self::Quit,
-            0x0210 => Self::SendPicture(PitchYaw),
-            0x0220 => Self::SendPicture(Roll),
-            0x0412 => Self::SetTarget {
-                x_arcsec: i16_at(0)?,
-                y_arcsec: i16_at(1)?,
-            },
-            0x0421 => store(&[PitchYaw, Roll], switch()?),
-            0x0431 => Self::AcceptGps { on: switch()? },
-            0x0441 => store(&[PitchYaw], switch()?),
-            0x0451 => Self::SetCamera(PitchYaw, CameraSetting::ExposureUs(u16_at(0)?)),
-            0x0481 => Self::SetCamera(PitchYaw, CameraSetting::AnalogueGain(u16_at(0)?)),
-            0x0491 => Self::SetCamera(PitchYaw, CameraSetting::PreampGain(i16_at(0)?)),
-            0x0541 => store(&[Roll], switch()?),
-            0x0551 => Self::SetCamera(Roll, CameraSetting::ExposureUs(u16_at(0)?)),
-            0x0581 => Self::SetCamera(Roll, CameraSetting::AnalogueGain(u16_at(0)?)),
-            0x0591 => Self::SetCamera(Roll, CameraSetting::PreampGain(i16_at(0)?)),
-            0x0621 => Self::SetClocking {
-                angle_deg: angle_at(0)?,
-            },
-            0x06A2 => Self::SetPlace {
-                latitude_deg: angle_at(0)?,
-                longitude_deg: angle_at(1)?,
-            },
-            0x0712 => Self::SetInteger {
-                parameter: u16_at(0)?,
-                value: i16_at(1)?,
-            },
-            0x0722 => Self::SetFloat {
-                parameter: u16_at(0)?,
-                value: angle_at(1)?,
-            },
-            0x0731 => Self::SetTwist {
-                angle_deg: angle_at(0)?,
-            },
-            _ => Self::Read(reading(key, v.first().copied().unwrap_or(0)).ok_or(unknown)?),
-        })
+            found => Err(CommandError::Switch {
+                key: self.key,
+                found,
+            }),
+        }
     }
+}
+
+fn setting(v: &Variables) -> Result<Command, CommandError> {
+    use CameraRole::{PitchYaw, Roll};
+    use CameraSetting::{AnalogueGain, ExposureUs, PreampGain};
+    Ok(match v.key & !COMPUTERS {
+        0x0412 => Command::SetTarget {
+            x_arcsec: v.i16(0)?,
+            y_arcsec: v.i16(1)?,
+        },
+        0x0421 => store(&[PitchYaw, Roll], v.switch()?),
+        0x0431 => Command::AcceptGps { on: v.switch()? },
+        0x0441 => store(&[PitchYaw], v.switch()?),
+        0x0451 => Command::SetCamera(PitchYaw, ExposureUs(v.u16(0)?)),
+        0x0481 => Command::SetCamera(PitchYaw, AnalogueGain(v.u16(0)?)),
+        0x0491 => Command::SetCamera(PitchYaw, PreampGain(v.i16(0)?)),
+        0x0541 => store(&[Roll], v.switch()?),
+        0x0551 => Command::SetCamera(Roll, ExposureUs(v.u16(0)?)),
+        0x0581 => Command::SetCamera(Roll, AnalogueGain(v.u16(0)?)),
+        0x0591 => Command::SetCamera(Roll, PreampGain(v.i16(0)?)),
+        0x0621 => Command::SetClocking {
+            angle_deg: v.angle(0)?,
+        },
+        0x06A2 => Command::SetPlace {
+            latitude_deg: v.angle(0)?,
+            longitude_deg: v.angle(1)?,
+        },
+        0x0712 => Command::SetInteger {
+            parameter: v.u16(0)?,
+            value: v.i16(1)?,
+        },
+        0x0722 => Command::SetFloat {
+            parameter: v.u16(0)?,
+            value: v.angle(1)?,
+        },
+        0x0731 => Command::SetTwist {
+            angle_deg: v.angle(0)?,
+        },
+        _ => return Err(CommandError::Unknown { key: v.key }),
+    })
 }
 
 fn store(cameras: &'static [CameraRole], on: bool) -> Command {

@@ -21,17 +21,18 @@ pub use writer::DiskHealth;
 use super::control::Controls;
 use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
+use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, Upkeep};
+use crate::link::Housekeeping;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
-use journal::{Entry, Journal, JournalTally};
+use journal::{Entry, Journal, JournalTally, RowEntry};
 use picture::{Fate, FrameCounts, Picture};
 use queue::{GivenUp, Queue, Rules};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use writer::{SharedHealth, Writer, health_of};
 
@@ -61,7 +62,7 @@ pub(super) struct Gauges {
 
 /// The archive's threads.
 #[derive(Default)]
-pub(super) struct Threads(Vec<JoinHandle<()>>);
+pub(super) struct Threads(Vec<Worker>);
 
 /// Starts the threads of every disk; `folders` are the cameras' under each root.
 pub(super) fn start(
@@ -101,20 +102,29 @@ pub(super) fn start(
             ..DiskHealth::default()
         }));
         let tally = Arc::new(JournalTally::default());
-        let journal = Journal::new(Arc::clone(&store), folders, start, Arc::clone(&tally));
         let writer = Writer {
             disk,
-            store,
+            store: Arc::clone(&store),
             queue: Arc::clone(queue),
             limits: settings.space_limits(),
             number: n,
             controls: controls.clone(),
+            clock: None,
             ephemeris: ephemeris.clone(),
             health: Arc::clone(&health),
         };
         let (to_log, entries) = bounded(ROWS);
-        threads.spawn(format!("archive-{}", n + 1), move || writer.run())?;
-        threads.spawn(format!("log-{}", n + 1), move || journal.run(&entries))?;
+        threads.start(format!("archive-{}", n + 1), move || {
+            let writer = writer.clone();
+            Box::new(move |_| writer.run())
+        })?;
+        let (folders, counts) = (folders.to_vec(), Arc::clone(&tally));
+        threads.start(format!("log-{}", n + 1), move || {
+            let store = Arc::clone(&store);
+            let journal = Journal::new(store, &folders, start, Arc::clone(&counts));
+            let entries: Receiver<Entry> = entries.clone();
+            Box::new(move |_| journal.run(&entries))
+        })?;
         logs.push(to_log);
         gauges.disks.push(health);
         gauges.journals.push(tally);
@@ -140,17 +150,28 @@ impl Archive {
         for (log, file) in self.logs.iter().zip(heard) {
             let mut row = answer.row();
             row.upkeep = upkeep;
-            let entry = Entry {
+            let entry = Entry::Row(RowEntry {
                 station: answer.station.index,
                 row: Box::new(row),
                 file,
                 deadline,
-            };
-            if log.try_send(entry).is_err() {
-                let lost = self.gauges.rows_lost.fetch_add(1, Ordering::Relaxed) + 1;
-                if worth_a_line(lost) {
-                    tracing::error!(lost, "a log cannot follow: a row was lost");
-                }
+            });
+            self.log(log, entry);
+        }
+    }
+
+    /// Keeps the second's housekeeping.
+    pub fn note(&self, told: &Housekeeping) {
+        for log in &self.logs {
+            self.log(log, Entry::Housekeeping(Box::new(told.clone())));
+        }
+    }
+
+    fn log(&self, log: &Sender<Entry>, entry: Entry) {
+        if log.try_send(entry).is_err() {
+            let lost = self.gauges.rows_lost.fetch_add(1, Ordering::Relaxed) + 1;
+            if worth_a_line(lost) {
+                tracing::error!(lost, "a log cannot follow: a row was lost");
             }
         }
     }
@@ -230,19 +251,22 @@ impl Gauges {
 }
 
 impl Threads {
-    fn spawn(&mut self, name: String, work: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
-        let thread = std::thread::Builder::new().name(name).spawn(work)?;
-        self.0.push(thread);
+    /// A disk may take its time: nobody else can do what its thread waits for.
+    fn start(
+        &mut self,
+        name: String,
+        make: impl FnMut() -> Job + Send + 'static,
+    ) -> std::io::Result<()> {
+        self.0.push(Worker::start(name, None, make)?);
         Ok(())
     }
 
-    pub fn are_finished(&self) -> bool {
-        self.0.iter().all(JoinHandle::is_finished)
+    /// Looks after the threads: whether the work of any goes on.
+    pub fn look(&mut self) -> bool {
+        worker::look(&mut self.0)
     }
 
-    /// Whether all ended well.
-    pub fn join(self) -> bool {
-        let failed = self.0.into_iter().map(JoinHandle::join);
-        failed.filter(Result::is_err).count() == 0
+    pub fn restarts(&self) -> u64 {
+        self.0.iter().map(Worker::restarts).sum()
     }
 }

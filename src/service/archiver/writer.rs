@@ -5,6 +5,8 @@ use super::queue::{Queue, Taken, Waiting};
 use crate::archive::{
     ArchiveError, Encoded, Room, SpaceLimits, Store, instrument_cards, sky_cards, tables,
 };
+use crate::clock::ClockStatus;
+use crate::fits::clock_cards;
 use crate::service::control::Controls;
 use crate::service::tally::worth_a_line;
 use crate::sky::Ephemeris;
@@ -42,6 +44,7 @@ pub(super) fn health_of(shared: &SharedHealth) -> MutexGuard<'_, DiskHealth> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+#[derive(Clone)]
 pub(super) struct Writer {
     /// Its number in the queue.
     pub disk: usize,
@@ -51,6 +54,8 @@ pub(super) struct Writer {
     /// Its number on this computer, from 0.
     pub number: usize,
     pub controls: Controls,
+    /// The computer's clock, as of the last look.
+    pub clock: Option<ClockStatus>,
     pub ephemeris: Ephemeris,
     pub health: SharedHealth,
 }
@@ -132,14 +137,17 @@ impl Writer {
         let (frame, solution) = (&answer.exposure.frame, &answer.solution);
         let instrument = &answer.station.instrument;
         let mut cards = answer.row().record.cards();
-        cards.extend(instrument_cards(instrument));
-        cards.extend(sky_cards(
-            &frame.info,
-            solution,
-            instrument,
-            &answer.target,
-            &mut self.ephemeris,
-        ));
+        if answer.station.is_solved() {
+            cards.extend(instrument_cards(instrument));
+            cards.extend(self.clock.iter().flat_map(clock_cards));
+            cards.extend(sky_cards(
+                &frame.info,
+                solution,
+                instrument,
+                &answer.target,
+                &mut self.ephemeris,
+            ));
+        }
         self.store.encode(
             &answer.station.folder,
             &instrument.name,
@@ -149,8 +157,9 @@ impl Writer {
         )
     }
 
-    /// Measures the disk's free space, and says when its room has changed.
-    fn look(&self) {
+    /// Measures the disk's free space, and says when its room has changed; looks at the clock, too.
+    fn look(&mut self) {
+        self.clock = ClockStatus::read().ok();
         let free_percent = self.store.space().ok().map(|space| space.free_percent());
         let used = free_percent.map(|free| (100.0 - free).round() as u8);
         self.controls.note_disk_use(self.number, used);

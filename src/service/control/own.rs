@@ -1,10 +1,7 @@
 //! The settings in flight that are no parameters of the configuration.
 
-use crate::config::{self, Config, Refused, Value, by_key};
+use crate::config::{Refused, Value};
 use crate::instrument::TURN_DEG;
-
-/// The roll camera's settings are those of the table `camera`, under this name.
-pub(super) const ROLL: &str = "roll";
 
 /// What only commands set. `None` where they have not.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,18 +12,16 @@ pub(super) struct Own {
     pub sending: Option<bool>,
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
-    pub roll: config::Camera,
 }
 
 impl Own {
-    pub fn new(config: &Config) -> Self {
+    pub fn new() -> Self {
         Self {
             accepts_gps: true,
             stores: [true, true],
             sending: None,
             clocking_deg: None,
             twist_deg: None,
-            roll: config.camera.clone(),
         }
     }
 
@@ -41,26 +36,8 @@ impl Own {
                 self.clocking_deg = Some(angle("mounting.clocking_deg", value)?);
             }
             "mounting.twist_deg" => self.twist_deg = Some(angle("mounting.twist_deg", value)?),
-            _ => self.set_roll(key, value)?,
+            _ => return Err(refused("settings", "a key that commands set", value)),
         }
-        Ok(())
-    }
-
-    /// What the pitch-yaw camera may be set to, the roll camera may.
-    fn set_roll(&mut self, key: &str, value: &Value) -> Result<(), Refused> {
-        let unknown = || Refused {
-            key: "settings",
-            expected: "a key that commands set".into(),
-            found: key.into(),
-        };
-        let name = key.strip_prefix(ROLL).ok_or_else(unknown)?;
-        let parameter = by_key(&format!("camera{name}")).ok_or_else(unknown)?;
-        let mut config = Config {
-            camera: self.roll.clone(),
-            ..Config::default()
-        };
-        parameter.set(&mut config, Some(value.clone()))?;
-        self.roll = config.camera;
         Ok(())
     }
 }

@@ -207,6 +207,7 @@ mod tests {
     use crate::instrument::builtin;
     use crate::link::CameraRole;
     use crate::pointing::Target;
+    use crate::service::Seat;
 
     fn controls() -> Controls {
         let mounting = builtin("demo").unwrap().mounting;
@@ -222,7 +223,7 @@ mod tests {
                 ("site.latitude_deg", Value::Number(34.5)),
                 ("site.longitude_deg", Value::Number(-104.25)),
                 ("camera.exposure_us", Value::Whole(12_000)),
-                ("roll.preamp_gain", Value::Number(-3.0)),
+                ("roll_camera.preamp_gain", Value::Number(-3.0)),
                 ("store.roll", Value::Whole(0)),
                 ("link.sending", Value::Whole(0)),
                 ("mounting.twist_deg", Value::Number(0.125)),
@@ -252,7 +253,7 @@ mod tests {
         assert_eq!(restore(&after, &path), 9);
         assert_eq!(after.snapshot(), before.snapshot());
         assert_eq!(after.config(), before.config());
-        assert_eq!(after.camera(CameraRole::Roll).preamp_gain, Some(-3.0));
+        assert_eq!(after.camera(Seat::Roll).preamp_gain, Some(-3.0));
         assert!(!after.stores(CameraRole::Roll));
         assert_eq!(after.sending(), Some(false));
         assert_eq!(

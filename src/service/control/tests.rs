@@ -1,6 +1,6 @@
 use super::*;
 use crate::instrument::builtin;
-use crate::link::{COMMANDS, Computer};
+use crate::link::{COMMANDS, Command, CommandResult, Computer, Control, GpsFix};
 
 fn controls() -> Controls {
     let mounting = builtin("demo").unwrap().mounting;
@@ -77,8 +77,8 @@ fn what_a_command_sets_a_command_reads() {
             "{get}"
         );
     }
-    assert_eq!(controls.camera(CameraRole::PitchYaw).exposure_us, 12_000);
-    assert_eq!(controls.camera(CameraRole::Roll).exposure_us, 50_000);
+    assert_eq!(controls.camera(Seat::PitchYaw).exposure_us, 12_000);
+    assert_eq!(controls.camera(Seat::Roll).exposure_us, 50_000);
     assert_eq!(controls.config().link.solution_divisor, 4);
     assert_eq!(controls.config().camera.rate_hz, 2.5);
 }
@@ -137,7 +137,7 @@ fn what_is_out_of_range_is_refused_and_changes_nothing() {
         );
     }
     assert_eq!(controls.config(), before);
-    assert_eq!(controls.camera(CameraRole::Roll), before.camera);
+    assert_eq!(controls.camera(Seat::Roll), before.roll_camera);
     let snapshot = controls.snapshot();
     assert_eq!((snapshot.clocking_deg, snapshot.twist_deg), (None, None));
     assert_eq!(snapshot.place, None, "not half of it either");

@@ -1,7 +1,8 @@
 //! The program over a pseudo-terminal, with the flight side of the link at the other end.
 
 use solaspect::link::{
-    BytePort, Computer, Direction, Packet, Parser, Responder, SerialPort, Solution,
+    self, BytePort, CommandResult, Computer, Control, Direction, Exposure, GpsFix, Packet, Parser,
+    Responder, SerialPort, Solution,
 };
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -22,7 +23,7 @@ fn converse(line: Line) -> Output {
         .args([far.name(), "--duration", "3s"])
         .stdout(Stdio::piped());
     let mut child = program.spawn().unwrap();
-    let mut responder = Responder::new(Computer::One, None);
+    let mut responder = Responder::new(Computer::One, true);
     let mut parser = Parser::new(Direction::ToAspect);
     let (start, mut millisecond) = (Instant::now(), 1_379_786_400_000);
     while child.try_wait().unwrap().is_none() {
@@ -33,12 +34,12 @@ fn converse(line: Line) -> Output {
         let mut to_send = Vec::new();
         for packet in parser.feed(&buffer[..count], start.elapsed()) {
             if let Packet::Command(packet) = packet {
-                to_send.extend(responder.handle(&packet, now).unwrap().packets);
+                to_send.extend(responder.handle(&packet, now, &mut Desk).unwrap().packets);
             }
         }
         if responder.state().tracking {
-            to_send.extend(responder.exposure_starts(now).unwrap());
-            to_send.extend(responder.solution(&offset(now)).unwrap());
+            to_send.extend(responder.exposure_starts(exposure(now)).unwrap());
+            to_send.extend(responder.solution(exposure(now), &offset(now)).unwrap());
         }
         if let Some(last) = to_send.last_mut().filter(|_| line == Line::Noisy) {
             last.iter_mut()
@@ -51,6 +52,23 @@ fn converse(line: Line) -> Output {
         }
     }
     child.wait_with_output().unwrap()
+}
+
+/// A service that nobody asks anything.
+struct Desk;
+
+impl Control for Desk {
+    fn carry_out(&mut self, _: &link::Command) -> CommandResult {
+        CommandResult::NotImplemented
+    }
+
+    fn take_fix(&mut self, _: GpsFix) -> CommandResult {
+        CommandResult::Refused
+    }
+}
+
+fn exposure(start: jiff::Timestamp) -> Exposure {
+    Exposure { camera: 1, start }
 }
 
 fn offset(time: jiff::Timestamp) -> Solution {

@@ -8,15 +8,12 @@ use camera::RingCamera;
 use clap::Parser;
 use machine::MemoryLog;
 use solaspect::archive::Store;
-use solaspect::config::Config;
 use solaspect::fits::Compression;
 use solaspect::instrument;
 use solaspect::link::{Connection, SerialPort};
-use solaspect::pointing::Target;
-use solaspect::service::{Flight, FlightTally, Service};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
 use solaspect::simulate::Depth;
 use solaspect::simulate::controller::{Controller, Report};
-use solaspect::sky::Ephemeris;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -97,13 +94,9 @@ fn fly(args: &Args, roots: &[PathBuf]) -> anyhow::Result<Run> {
         report.cloned().map(|report| (report, far))
     });
     let flight = Flight {
-        instrument,
-        config: Config::default(),
-        target: Target::default(),
-        ephemeris: Ephemeris::default(),
-        camera: Box::new(camera),
         line: Connection::over(near),
         stores,
+        ..Flight::of(Camera::new(instrument, camera))
     };
     let before = machine::processor_time()?;
     let service = Service::start(flight)?;

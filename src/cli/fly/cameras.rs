@@ -1,0 +1,91 @@
+//! The cameras of a flight, as the configuration names them.
+
+use super::FlyArgs;
+use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
+use crate::cli::options;
+use crate::config::{self, Config};
+use crate::instrument::{self, Instrument};
+use crate::service::{Camera, Opener, Seat};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Frames and logs of the roll camera go here, under the archive's root.
+const ROLL_FOLDER: &str = "roll";
+
+/// The first pitch-yaw camera, and the others that are configured.
+///
+/// With one camera its frames go to the archive's root; with several each has a folder of its own.
+pub(super) fn of(config: &Config, args: &FlyArgs) -> anyhow::Result<(Camera, Vec<Camera>)> {
+    let source = config.camera.source.clone();
+    let source = source.unwrap_or(Source::Simulated(None));
+    let common = Common {
+        seed: config.simulation.seed,
+        duration: args.duration,
+        speed: args.speed,
+    };
+    let mut first = common.camera(Seat::PitchYaw, &config.camera, source)?;
+    let mut others = Vec::new();
+    if let Some(source) = config.second_camera.source.clone() {
+        let mut second = common.camera(Seat::SecondPitchYaw, &config.second_camera, source)?;
+        if second.instrument.name == first.instrument.name {
+            second.instrument.name += "-2";
+        }
+        second.folder = PathBuf::from(&second.instrument.name);
+        others.push(second);
+    }
+    if let Some(source) = config.roll_camera.source.clone() {
+        let mut roll = common.camera(Seat::Roll, &config.roll_camera, source)?;
+        roll.instrument.name = ROLL_FOLDER.into();
+        roll.folder = ROLL_FOLDER.into();
+        others.push(roll);
+    }
+    if !others.is_empty() {
+        first.folder = PathBuf::from(&first.instrument.name);
+    }
+    Ok((first, others))
+}
+
+/// What all cameras of a run share.
+#[derive(Clone, Copy)]
+struct Common {
+    seed: u64,
+    duration: Option<Duration>,
+    speed: f64,
+}
+
+impl Common {
+    fn camera(self, seat: Seat, table: &config::Camera, source: Source) -> anyhow::Result<Camera> {
+        let instrument = match seat {
+            // It looks at the horizon: no instrument describes it yet.
+            Seat::Roll => instrument::builtin("demo")?,
+            _ => options::instrument(table.instrument.as_deref())?,
+        };
+        let settings = table.settings();
+        let first = self.open(&source, &settings, &instrument)?;
+        let again = instrument.clone();
+        let open: Opener = Arc::new(move || self.open(&source, &settings, &again));
+        Ok(Camera {
+            seat,
+            instrument,
+            folder: PathBuf::new(),
+            source: Some(first),
+            open: Some(open),
+        })
+    }
+
+    fn open(
+        self,
+        source: &Source,
+        settings: &Settings,
+        instrument: &Instrument,
+    ) -> Result<Box<dyn FrameSource>, CameraError> {
+        let around = Surroundings {
+            instrument,
+            seed: self.seed,
+            duration: self.duration,
+            speed: self.speed,
+        };
+        camera::open(source, settings, &around)
+    }
+}

@@ -1,0 +1,239 @@
+//! `solaspect link`: the controller's line by hand: send a command, read packets, record what is said.
+
+use super::options;
+use crate::link::byte_log::{self, Burst};
+use crate::link::describe::{describe, from_hex, result_in_words};
+use crate::link::ground::{ask, order};
+use crate::link::port::BAUD;
+use crate::link::{AnyPort, Computer, Direction, PortAddress};
+use anyhow::Context;
+use clap::{Args, Subcommand, ValueEnum};
+use jiff::Timestamp;
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// Send a command over the controller's line, read packets, record what is said
+#[derive(Debug, Args)]
+pub struct LinkArgs {
+    #[command(subcommand)]
+    command: LinkCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum LinkCommand {
+    Send(SendArgs),
+    Decode(DecodeArgs),
+    Log(LogArgs),
+}
+
+/// Where the line is.
+#[derive(Debug, Args)]
+struct Line {
+    /// A serial port, or udp:HOST:PORT[@LOCALPORT]
+    #[arg(long, value_name = "PORT")]
+    port: PortAddress,
+    /// Speed of a serial port
+    #[arg(long, default_value_t = BAUD)]
+    baud: u32,
+}
+
+impl Line {
+    fn open(&self) -> anyhow::Result<AnyPort> {
+        // Any free local port where the address names none: the peer's own may be on this machine.
+        Ok(self.port.open(self.baud, 0)?)
+    }
+}
+
+/// Send a command and wait for its receipt and result
+///
+/// Exit code 1: refused, not carried out, or not answered.
+#[derive(Debug, Args)]
+struct SendArgs {
+    #[command(flatten)]
+    line: Line,
+    /// The computer that is addressed, 1 or 2
+    #[arg(long, default_value = "1", value_parser = computer)]
+    computer: Computer,
+    /// How long to wait for the answer
+    #[arg(long, value_name = "TIME", default_value = "2s", value_parser = options::duration)]
+    timeout: Duration,
+    /// Name or key of the command table (docs/protocol.md), start_tracking, stop_tracking or gps
+    command: String,
+    /// Its values in natural units: angles in deg, signed numbers with their sign, 1 or 0 for on or off
+    #[arg(allow_negative_numbers = true)]
+    values: Vec<String>,
+}
+
+/// Say what packets say
+#[derive(Debug, Args)]
+struct DecodeArgs {
+    /// Bytes in hexadecimal, or a file of them, or of a byte log, or of raw bytes
+    bytes: String,
+    /// Who has said it [default: whichever makes more sense]
+    #[arg(long)]
+    from: Option<Speaker>,
+}
+
+/// Record what comes over a line, or say what a record says
+#[derive(Debug, Args)]
+struct LogArgs {
+    /// A record to read
+    #[arg(required_unless_present = "port", conflicts_with = "port")]
+    file: Option<PathBuf>,
+    /// Record from a serial port, or udp:HOST:PORT[@LOCALPORT]
+    #[arg(long, value_name = "PORT")]
+    port: Option<PortAddress>,
+    /// Speed of a serial port
+    #[arg(long, default_value_t = BAUD)]
+    baud: u32,
+    /// Where the record goes [default: standard output]
+    #[arg(long, value_name = "FILE", requires = "port")]
+    out: Option<PathBuf>,
+    /// How long to record [default: until SIGINT]
+    #[arg(long, value_name = "TIME", requires = "port", value_parser = options::duration)]
+    duration: Option<Duration>,
+    /// Who has said it [default: whichever makes more sense]
+    #[arg(long)]
+    from: Option<Speaker>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Speaker {
+    Aspect,
+    /// Or the ground
+    Controller,
+}
+
+impl Speaker {
+    fn direction(self) -> Direction {
+        match self {
+            Self::Aspect => Direction::ToController,
+            Self::Controller => Direction::ToAspect,
+        }
+    }
+}
+
+fn computer(text: &str) -> Result<Computer, String> {
+    let number = text.parse().ok().and_then(Computer::numbered);
+    number.ok_or_else(|| format!("expected 1 or 2, found \"{text}\""))
+}
+
+pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
+    match args.command {
+        LinkCommand::Send(args) => send(&args),
+        LinkCommand::Decode(args) => decode(&args),
+        LinkCommand::Log(args) => log(&args),
+    }
+}
+
+fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
+    let message = order(&args.command, &args.values, args.computer)?;
+    let mut port = args.line.open()?;
+    // Any number will do that is unlikely to be that of a command under way.
+    let sequence = Timestamp::now().subsec_microsecond() as u16 ^ std::process::id() as u16;
+    let answer = ask(port.as_mut(), &message, sequence, args.timeout)?;
+    println!("{}", result_in_words(answer.key, answer.value));
+    Ok(match answer.is_done() {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
+    })
+}
+
+fn decode(args: &DecodeArgs) -> anyhow::Result<ExitCode> {
+    if let Some(bytes) = from_hex(&args.bytes) {
+        return print(&[at_once(bytes)], args.from, false);
+    }
+    let path = Path::new(&args.bytes);
+    let bytes = std::fs::read(path).with_context(|| {
+        format!(
+            "expected hexadecimal bytes or a file, found \"{}\"",
+            args.bytes
+        )
+    })?;
+    let Ok(text) = str::from_utf8(&bytes) else {
+        return print(&[at_once(bytes)], args.from, false);
+    };
+    match from_hex(text) {
+        Some(bytes) => print(&[at_once(bytes)], args.from, false),
+        None => print(&read_log(path, text)?, args.from, true),
+    }
+}
+
+fn at_once(bytes: Vec<u8>) -> Burst {
+    let time = Timestamp::UNIX_EPOCH;
+    Burst { time, bytes }
+}
+
+fn read_log(path: &Path, text: &str) -> anyhow::Result<Vec<Burst>> {
+    byte_log::read(text).with_context(|| path.display().to_string())
+}
+
+fn log(args: &LogArgs) -> anyhow::Result<ExitCode> {
+    if let Some(path) = &args.file {
+        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        return print(&read_log(path, &text)?, args.from, true);
+    }
+    let Some(address) = &args.port else {
+        anyhow::bail!("expected a FILE or --port");
+    };
+    let mut port = address.open(args.baud, 0)?;
+    match &args.out {
+        Some(path) => {
+            let file = File::create(path).with_context(|| path.display().to_string())?;
+            record(&mut port, file, args.duration)?;
+        }
+        None => record(&mut port, io::stdout(), args.duration)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn record(
+    port: &mut AnyPort,
+    mut out: impl Write,
+    duration: Option<Duration>,
+) -> anyhow::Result<()> {
+    let interrupted = options::interrupted()?;
+    let start = Instant::now();
+    let mut buffer = [0; 2048];
+    writeln!(out, "{}", byte_log::HEADER)?;
+    while !interrupted.load(Ordering::Relaxed)
+        && duration.is_none_or(|duration| start.elapsed() < duration)
+    {
+        let count = port.read(&mut buffer, Duration::from_millis(50))?;
+        if count > 0 {
+            let (time, bytes) = (Timestamp::now(), buffer[..count].to_vec());
+            writeln!(out, "{}", Burst { time, bytes })?;
+            out.flush()?;
+        }
+    }
+    Ok(())
+}
+
+/// Says what the bytes say; exit code 1 where some of them are no packets.
+fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result<ExitCode> {
+    let likely = || byte_log::likely_direction(bursts);
+    let direction = from.map_or_else(likely, Speaker::direction);
+    let (packets, rejected) = byte_log::packets(bursts, direction);
+    let mut out = io::stdout().lock();
+    for (time, packet) in &packets {
+        match timed {
+            true => writeln!(out, "{time:.6} {}", describe(packet))?,
+            false => writeln!(out, "{}", describe(packet))?,
+        }
+    }
+    writeln!(
+        out,
+        "{} packets; rejected: {} packets, {} bytes",
+        packets.len(),
+        rejected.packets,
+        rejected.bytes
+    )?;
+    Ok(match rejected.bytes {
+        0 => ExitCode::SUCCESS,
+        _ => ExitCode::FAILURE,
+    })
+}

@@ -1,0 +1,61 @@
+//! When the numbers of an instrument were measured: for people and for the check before a flight, not for the solver.
+
+use super::toml_file::{TomlError, read_text};
+use super::{Instrument, builtin, raw};
+use jiff::civil::Date;
+use std::path::Path;
+
+/// When one number of an instrument was found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Dated {
+    /// Its dotted key in the instrument's file.
+    pub key: String,
+    pub date: Date,
+}
+
+impl Instrument {
+    /// Reads an instrument's file, or the built-in "demo" without one, with the dates of its mounting, in the order of
+    /// the file.
+    ///
+    /// # Errors
+    /// As [`Instrument::read`].
+    pub fn read_with_dates(path: Option<&Path>) -> Result<(Self, Vec<Dated>), TomlError> {
+        let Some(path) = path else {
+            let text = builtin::builtin_text("demo").unwrap_or_default();
+            return Ok((builtin("demo")?, dates(text, "mounting")));
+        };
+        let text = read_text(path)?;
+        Ok((raw::parse(path, &text)?, dates(&text, "mounting")))
+    }
+}
+
+/// The dates in one table of a file that has been found valid.
+fn dates(text: &str, table: &str) -> Vec<Dated> {
+    let document: toml::Table = text.parse().unwrap_or_default();
+    let entries = document.get(table).and_then(toml::Value::as_table);
+    let dated = |(name, entry): (&String, &toml::Value)| {
+        let date = entry.get("date")?.as_datetime()?.date?;
+        let (year, month) = (i16::try_from(date.year).ok()?, date.month as i8);
+        Some(Dated {
+            key: format!("{table}.{name}"),
+            date: Date::new(year, month, date.day as i8).ok()?,
+        })
+    };
+    entries.into_iter().flatten().filter_map(dated).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_number_of_a_mounting_has_its_date() {
+        let text = include_str!("../../calibration/heroes-pyas-f.toml");
+        let found = dates(text, "mounting");
+        let dated = |key: &str| found.iter().find(|dated| dated.key == key);
+        for key in ["boresight_mil", "clocking_deg", "scale_mil_per_px"] {
+            let dated = dated(&format!("mounting.{key}")).unwrap();
+            assert_eq!(dated.date.year(), 2013, "{dated:?}");
+        }
+    }
+}

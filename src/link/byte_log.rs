@@ -1,0 +1,123 @@
+//! A byte log: what came over a line, and when. Lines of text: the UTC time of the bytes as seconds since 1970 with nine
+//! decimals, a space, the bytes in hexadecimal. Lines that begin with `#` are remarks.
+
+use super::describe::{from_hex, hex};
+use super::packet::{Direction, Packet};
+use super::parser::{Parser, Rejected};
+use jiff::Timestamp;
+use std::time::Duration;
+
+/// The first line of a log.
+pub const HEADER: &str = "# solaspect byte log: UTC seconds since 1970, bytes in hexadecimal";
+
+/// Bytes that came at one time.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Burst {
+    pub time: Timestamp,
+    pub bytes: Vec<u8>,
+}
+
+impl std::fmt::Display for Burst {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let nanosecond = self.time.as_nanosecond();
+        let (seconds, rest) = (
+            nanosecond.div_euclid(1_000_000_000),
+            nanosecond.rem_euclid(1_000_000_000),
+        );
+        write!(out, "{seconds}.{rest:09} {}", hex(&self.bytes))
+    }
+}
+
+/// What is wrong with a log.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: expected seconds with decimals and hexadecimal bytes, found {found:?}")]
+pub struct LogError {
+    pub line: usize,
+    pub found: String,
+}
+
+/// Reads a log.
+pub fn read(text: &str) -> Result<Vec<Burst>, LogError> {
+    let lines = text.lines().enumerate();
+    lines
+        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+        .map(|(number, line)| {
+            burst(line).ok_or_else(|| LogError {
+                line: number + 1,
+                found: line.chars().take(40).collect(),
+            })
+        })
+        .collect()
+}
+
+fn burst(line: &str) -> Option<Burst> {
+    let (time, bytes) = line.split_once(' ')?;
+    let (seconds, decimals) = time.split_once('.')?;
+    let nanoseconds = format!("{decimals:0<9}");
+    if nanoseconds.len() != 9 {
+        return None;
+    }
+    let time = Timestamp::new(seconds.parse().ok()?, nanoseconds.parse().ok()?).ok()?;
+    let bytes = from_hex(bytes)?;
+    Some(Burst { time, bytes })
+}
+
+/// The packets of a log with the times at which they were complete, and what was none.
+pub fn packets(bursts: &[Burst], direction: Direction) -> (Vec<(Timestamp, Packet)>, Rejected) {
+    let mut parser = Parser::new(direction);
+    let mut found = Vec::new();
+    let since_1970 = |time: Timestamp| Duration::try_from(time.as_duration()).unwrap_or_default();
+    let mut last = Duration::ZERO;
+    for Burst { time, bytes } in bursts {
+        last = since_1970(*time);
+        let packets = parser.feed(bytes, last);
+        found.extend(packets.into_iter().map(|packet| (*time, packet)));
+    }
+    parser.feed(&[], last + Duration::from_secs(1));
+    (found, parser.rejected())
+}
+
+/// The direction in which bytes make more sense.
+pub fn likely_direction(bursts: &[Burst]) -> Direction {
+    let rejected = |direction| packets(bursts, direction).1.bytes;
+    match rejected(Direction::ToAspect) < rejected(Direction::ToController) {
+        true => Direction::ToAspect,
+        false => Direction::ToController,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_is_read_as_it_was_written() {
+        let bursts = ["9ac30102", "01007e310011"].map(|bytes| Burst {
+            time: Timestamp::new(1_379_786_400, 5_000_001).unwrap(),
+            bytes: from_hex(bytes).unwrap(),
+        });
+        let text = format!("{HEADER}\n{}\n{}\n", bursts[0], bursts[1]);
+        assert!(text.contains("\n1379786400.005000001 9ac30102\n"), "{text}");
+        let read = read(&text).unwrap();
+        assert_eq!(read, bursts);
+        assert_eq!(likely_direction(&read), Direction::ToController);
+        let (found, rejected) = packets(&read, Direction::ToController);
+        assert_eq!((found.len(), rejected), (1, Rejected::default()));
+    }
+
+    #[test]
+    fn a_pause_within_a_packet_breaks_it_as_it_did_on_the_line() {
+        let text = "1.0 9ac30102\n1.2 01007e310011\n";
+        let (found, rejected) = packets(&read(text).unwrap(), Direction::ToController);
+        assert!(found.is_empty());
+        assert_eq!((rejected.bytes, rejected.packets), (10, 1));
+    }
+
+    #[test]
+    fn a_line_that_is_none_is_named() {
+        for wrong in ["1.0", "1 00", "1.0 0", "x.0 00", "1.0000000001 00"] {
+            let error = read(&format!("# remark\n{wrong}\n")).unwrap_err();
+            assert_eq!((error.line, error.found.as_str()), (2, wrong));
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Packets in words, for people who read a line.
+
+use super::command::{CommandRow, Kind, row_of};
+use super::control::result;
+use super::housekeeping::Housekeeping;
+use super::message::{self, AspectCommand, Message, Telemetry};
+use super::packet::{CommandPacket, Packet, TelemetryPacket, telemetry_type};
+use super::picture::Section;
+use jiff::Timestamp;
+
+/// A packet on one line; housekeeping has a line for each field.
+pub fn describe(packet: &Packet) -> String {
+    match packet {
+        Packet::Command(packet) => command(packet),
+        Packet::Telemetry(packet) => telemetry(packet),
+    }
+}
+
+/// The result of a command in words; `value` is what has come.
+pub fn result_in_words(key: u16, value: u16) -> String {
+    let reads = row_of(key).and_then(|row| row.reads);
+    match (reads, value) {
+        (Some(reads), result::UNKNOWN) if reads.kind != Kind::Signed => "not known".into(),
+        (Some(reads), value) => {
+            let number = reads.kind.value(value);
+            format!("{} {number} {}", reads.name, reads.unit)
+                .trim_end()
+                .into()
+        }
+        (None, result::DONE) => "done".into(),
+        (None, result::NOT_IMPLEMENTED) => "not implemented".into(),
+        (None, result::REFUSED) => "refused: out of range".into(),
+        (None, result::UNKNOWN) => "unknown".into(),
+        (None, value) => format!("{value}"),
+    }
+}
+
+fn command(packet: &CommandPacket) -> String {
+    let (target, sequence) = (packet.target(), packet.sequence());
+    let said = match Message::decode(packet.payload()) {
+        Ok(message) => message_in_words(&message),
+        Err(error) => format!("? {} ({error})", hex(packet.payload())),
+    };
+    format!("to {target:02x} seq {sequence}: {said}")
+}
+
+fn message_in_words(message: &Message) -> String {
+    match message {
+        Message::TrackingOn => "tracking is on".into(),
+        Message::TrackingOff => "tracking is off".into(),
+        Message::StartTracking => "start tracking".into(),
+        Message::StopTracking => "stop tracking".into(),
+        Message::Solution(s) => format!(
+            "solution azimuth {} elevation {} roll {} error {} deg at {}",
+            s.azimuth_deg, s.elevation_deg, s.roll_deg, s.error_deg, s.time
+        ),
+        Message::Error { code } => format!("no solution, error {code}"),
+        Message::ExposureStart(e) => format!("exposure of camera {} at {}", e.camera, e.time),
+        Message::Gps(fix) => format!(
+            "GPS latitude {} longitude {} deg",
+            fix.latitude_deg, fix.longitude_deg
+        ),
+        Message::Aspect(command) => aspect(command),
+    }
+}
+
+fn aspect(command: &AspectCommand) -> String {
+    let key = command.key();
+    let name = row_of(key).map_or("unknown command", |row| row.name);
+    let mut text = format!("{name} ({key:#06x})");
+    for (at, code) in command.variables().iter().enumerate() {
+        let said = match row_of(key).and_then(|row: &CommandRow| row.variables.get(at)) {
+            Some(v) => format!(" {} {} {}", v.name, v.kind.value(*code), v.unit),
+            None => format!(" {code}"),
+        };
+        text += said.trim_end();
+    }
+    text
+}
+
+fn telemetry(packet: &TelemetryPacket) -> String {
+    let (seconds, nanoseconds) = packet.time();
+    let time = Timestamp::new(seconds.into(), nanoseconds as i32);
+    let time = time.map_or(format!("{seconds} s {nanoseconds} ns"), |time| {
+        time.to_string()
+    });
+    let said = match packet.kind() {
+        telemetry_type::RECEIPT | telemetry_type::RESULT => answer(packet),
+        telemetry_type::HOUSEKEEPING => match Housekeeping::decode(packet) {
+            Some(told) => format!("housekeeping\n  {}", told.lines().join("\n  ")),
+            None => format!(
+                "housekeeping of another layout, {} bytes",
+                packet.payload().len()
+            ),
+        },
+        telemetry_type::PICTURE => match Section::decode(packet) {
+            Some(s) => format!(
+                "picture of camera {}, {} x {} px: {} pixels from {}{}",
+                s.camera,
+                s.width,
+                s.height,
+                s.pixels.len(),
+                s.first,
+                if s.last { ", the last" } else { "" }
+            ),
+            None => "picture, cut short".into(),
+        },
+        telemetry_type::PICTURE_TAG => {
+            let name = packet.payload().get(18..26).unwrap_or_default();
+            let name = String::from_utf8_lossy(name);
+            format!("picture tag {}", name.trim_end_matches('\0'))
+        }
+        telemetry_type::IDLE => "idle".into(),
+        kind => format!("type {kind:02x}"),
+    };
+    format!("telemetry of {:02x} at {time}: {said}", packet.source())
+}
+
+fn answer(packet: &TelemetryPacket) -> String {
+    match Telemetry::decode(packet) {
+        Ok(Telemetry::Receipt { sequence }) => format!("receipt of seq {sequence}"),
+        Ok(Telemetry::Result {
+            sequence,
+            key,
+            value,
+        }) => {
+            let name = name_of(key);
+            let said = result_in_words(key, value);
+            format!("result of seq {sequence}, {name} ({key:#06x}): {said}")
+        }
+        Err(error) => error.to_string(),
+    }
+}
+
+/// What a result is of. The no-op of computer 1 has the key of the start of tracking.
+fn name_of(key: u16) -> &'static str {
+    match key {
+        message::key::START_TRACKING => "start_tracking or no_op",
+        message::key::STOP_TRACKING => "stop_tracking",
+        message::key::GPS => "gps",
+        key => row_of(key).map_or("", |row| row.name),
+    }
+}
+
+/// Bytes in hexadecimal.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Bytes from hexadecimal; white space between them does not matter.
+pub fn from_hex(text: &str) -> Option<Vec<u8>> {
+    let digits: Vec<u8> = text.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
+    if !digits.len().is_multiple_of(2) || !digits.iter().all(u8::is_ascii_hexdigit) {
+        return None;
+    }
+    let byte = |pair: &[u8]| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok();
+    digits.chunks_exact(2).map(byte).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::packet::Direction;
+
+    fn said(direction: Direction, text: &str) -> String {
+        describe(&Packet::decode(direction, &from_hex(text).unwrap()).unwrap())
+    }
+
+    #[test]
+    fn real_packets_are_told_in_words() {
+        use Direction::{ToAspect, ToController};
+        assert_eq!(
+            said(ToAspect, "9ac3300809001a41ff101214d4fec201"),
+            "to 30 seq 9: set_target (0x1412) x -300 arcsec y 450 arcsec"
+        );
+        assert_eq!(
+            said(ToController, "9ac3e1300600a3ab80b2e60ea0de3d52090012140000"),
+            "telemetry of 30 at 2013-09-21T18:00:00.25Z: result of seq 9, set_target (0x1412): done"
+        );
+        assert_eq!(
+            said(ToController, "9ac30104050067b803110800"),
+            "to 01 seq 5: no solution, error 8"
+        );
+    }
+
+    #[test]
+    fn results_are_told_by_what_was_asked() {
+        assert_eq!(result_in_words(0x1850, 15_000), "exposure 15000 us");
+        assert_eq!(result_in_words(0x1850, 0xFFFF), "not known");
+        assert_eq!(result_in_words(0x1A10, 0xFFFF), "x -1 arcsec");
+        assert_eq!(result_in_words(0x1C20, 0x1EFD), "angle -32.375 deg");
+        assert_eq!(result_in_words(0x1451, 2), "refused: out of range");
+        assert_eq!(result_in_words(0x1FF0, 0xFFFF), "unknown");
+    }
+
+    #[test]
+    fn hexadecimal_is_read_with_white_space_and_nothing_else() {
+        assert_eq!(from_hex("9A c3\n01"), Some(vec![0x9A, 0xC3, 1]));
+        assert_eq!(from_hex("9ac"), None);
+        assert_eq!(from_hex("+1"), None);
+        assert_eq!(from_hex("packets.bin"), None);
+    }
+}

@@ -1,0 +1,243 @@
+//! The ground's side of the line: an order by name with values as people write them, and the wait for its answer.
+
+use super::command::{COMMANDS, CommandRow, Computer, row_named};
+use super::control::result;
+use super::message::{AspectCommand, GpsFix, Message, MessageError, Telemetry};
+use super::packet::{Direction, Packet, id};
+use super::parser::Parser;
+use super::port::{BytePort, PortError};
+use std::time::{Duration, Instant};
+
+const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Why an order cannot be given, or was not answered.
+#[derive(Debug, thiserror::Error)]
+pub enum OrderError {
+    #[error(
+        "command: expected a name or key of the command table, start_tracking, stop_tracking or gps; found \"{found}\"{nearest}"
+    )]
+    Unknown { found: String, nearest: String },
+    #[error("{name}: expected {expected} ({}), found {found} values", .variables.join(", "))]
+    Count {
+        name: String,
+        expected: usize,
+        variables: Vec<String>,
+        found: usize,
+    },
+    #[error("{name}, {variable}: expected {expected}, found \"{found}\"")]
+    Value {
+        name: String,
+        variable: &'static str,
+        expected: &'static str,
+        found: String,
+    },
+    #[error("no {what} within {timeout:?}")]
+    NoAnswer {
+        what: &'static str,
+        timeout: Duration,
+    },
+    #[error(transparent)]
+    Message(#[from] MessageError),
+    #[error(transparent)]
+    Port(#[from] PortError),
+}
+
+/// The message of an order. Commands of the table go by name or by key (`0x0412`), with their values in natural units.
+pub fn order(name: &str, values: &[String], computer: Computer) -> Result<Message, OrderError> {
+    match name {
+        "start_tracking" => no_values(name, values).map(|()| Message::StartTracking),
+        "stop_tracking" => no_values(name, values).map(|()| Message::StopTracking),
+        "gps" => gps(values),
+        _ => {
+            let row = row(name)?;
+            Ok(Message::Aspect(command(row, values, computer)?))
+        }
+    }
+}
+
+fn row(name: &str) -> Result<&'static CommandRow, OrderError> {
+    let by_key = || {
+        let key = u16::from_str_radix(name.strip_prefix("0x")?, 16).ok()?;
+        COMMANDS.iter().find(|row| row.key == key)
+    };
+    row_named(name).or_else(by_key).ok_or_else(|| {
+        let likeness = |row: &&CommandRow| (1e3 * strsim::jaro_winkler(name, row.name)) as u32;
+        let nearest = COMMANDS.iter().max_by_key(likeness);
+        OrderError::Unknown {
+            found: name.into(),
+            nearest: nearest.map_or(String::new(), |row| {
+                format!("; nearest is \"{}\"", row.name)
+            }),
+        }
+    })
+}
+
+fn command(
+    row: &CommandRow,
+    values: &[String],
+    computer: Computer,
+) -> Result<AspectCommand, OrderError> {
+    let names = row.variables.iter().map(ToString::to_string);
+    count(row.name, &names.collect::<Vec<_>>(), values)?;
+    let code = |(variable, text): (&super::command::Variable, &String)| {
+        let value: Option<f64> = text.parse().ok();
+        let code = value.and_then(|value| variable.kind.code(value));
+        code.ok_or_else(|| OrderError::Value {
+            name: row.name.into(),
+            variable: variable.name,
+            expected: variable.kind.range(),
+            found: text.clone(),
+        })
+    };
+    let codes: Result<Vec<u16>, _> = row.variables.iter().zip(values).map(code).collect();
+    Ok(row.command(computer, &codes?)?)
+}
+
+fn gps(values: &[String]) -> Result<Message, OrderError> {
+    let names = ["latitude, deg".to_owned(), "longitude, deg".to_owned()];
+    count("gps", &names, values)?;
+    let degrees = |at: usize, variable| {
+        values[at].parse().map_err(|_| OrderError::Value {
+            name: "gps".into(),
+            variable,
+            expected: "a number, deg",
+            found: values[at].clone(),
+        })
+    };
+    Ok(Message::Gps(GpsFix {
+        latitude_deg: degrees(0, "latitude")?,
+        longitude_deg: degrees(1, "longitude")?,
+    }))
+}
+
+fn no_values(name: &str, values: &[String]) -> Result<(), OrderError> {
+    count(name, &[], values)
+}
+
+fn count(name: &str, variables: &[String], values: &[String]) -> Result<(), OrderError> {
+    if variables.len() == values.len() {
+        return Ok(());
+    }
+    Err(OrderError::Count {
+        name: name.into(),
+        expected: variables.len(),
+        variables: variables.to_vec(),
+        found: values.len(),
+    })
+}
+
+/// The key and value of a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Answered {
+    pub key: u16,
+    pub value: u16,
+}
+
+impl Answered {
+    /// Whether it was carried out: done, or read.
+    pub fn is_done(self) -> bool {
+        let reads = super::command::row_of(self.key).is_some_and(|row| row.reads.is_some());
+        match reads {
+            true => self.value != result::UNKNOWN,
+            false => self.value == result::DONE,
+        }
+    }
+}
+
+/// Sends an order and waits for receipt and result.
+///
+/// # Errors
+/// [`OrderError::NoAnswer`] says which of them did not come; the port's own.
+pub fn ask(
+    port: &mut dyn BytePort,
+    message: &Message,
+    sequence: u16,
+    timeout: Duration,
+) -> Result<Answered, OrderError> {
+    let packet = message.packet(id::ASPECT, sequence)?;
+    port.write(&packet.encode(), WRITE_TIMEOUT)?;
+    let start = Instant::now();
+    let mut parser = Parser::new(Direction::ToController);
+    let mut received = false;
+    let mut buffer = [0; 2048];
+    while start.elapsed() < timeout {
+        let left = timeout.saturating_sub(start.elapsed());
+        let count = port.read(&mut buffer, left.min(Duration::from_millis(50)))?;
+        for packet in parser.feed(&buffer[..count], start.elapsed()) {
+            let Packet::Telemetry(packet) = packet else {
+                continue;
+            };
+            match Telemetry::decode(&packet) {
+                Ok(Telemetry::Receipt { sequence: of }) if of == sequence => received = true,
+                Ok(Telemetry::Result {
+                    sequence: of,
+                    key,
+                    value,
+                }) if of == sequence && received => return Ok(Answered { key, value }),
+                _ => {}
+            }
+        }
+    }
+    let what = if received { "result" } else { "receipt" };
+    Err(OrderError::NoAnswer { what, timeout })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn say(name: &str, values: &[&str]) -> Result<Message, String> {
+        let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
+        order(name, &values, Computer::One).map_err(|error| error.to_string())
+    }
+
+    fn aspect(key: u16, variables: &[u16]) -> Result<Message, String> {
+        let command = AspectCommand::new(key, variables.to_vec()).unwrap();
+        Ok(Message::Aspect(command))
+    }
+
+    #[test]
+    fn orders_go_by_name_or_key_with_values_as_people_write_them() {
+        let target = aspect(0x1412, &[(-300_i16).cast_unsigned(), 450]);
+        assert_eq!(say("set_target", &["-300", "450"]), target);
+        assert_eq!(say("0x0412", &["-300", "450"]), target);
+        assert_eq!(say("set_clocking", &["-32.425"]), aspect(0x1621, &[0x1EFD]));
+        assert_eq!(say("start_tracking", &[]), Ok(Message::StartTracking));
+        let fix = GpsFix {
+            latitude_deg: 34.49,
+            longitude_deg: -104.25,
+        };
+        assert_eq!(say("gps", &["34.49", "-104.25"]), Ok(Message::Gps(fix)));
+    }
+
+    #[test]
+    fn a_wrong_order_is_refused_on_one_line_that_says_what_was_expected() {
+        for (name, values, words) in [
+            (
+                "set_targets",
+                &[][..],
+                &["set_targets", "\"set_target\""][..],
+            ),
+            (
+                "set_target",
+                &["1"],
+                &["set_target", "expected 2", "x (i16, arcsec)"],
+            ),
+            (
+                "set_target",
+                &["1", "40000"],
+                &["y", "-32768 to 32767", "40000"],
+            ),
+            ("store_frames", &["2"], &["1 (on) or 0 (off)", "2"]),
+            ("set_twist", &["north"], &["angle", "north"]),
+            ("gps", &["1", "x"], &["longitude", "x"]),
+            ("stop_tracking", &["1"], &["expected 0"]),
+        ] {
+            let message = say(name, values).unwrap_err();
+            for word in words {
+                assert!(message.contains(word), "{message} lacks {word}");
+            }
+            assert!(!message.contains('\n'));
+        }
+    }
+}

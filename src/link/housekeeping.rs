@@ -1,0 +1,371 @@
+//! Housekeeping: what the aspect system tells the ground each second, in one telemetry packet of type 0x70.
+//!
+//! The table below is the layout, the struct and the page on the protocol. The first byte of the payload is the
+//! layout's number: a field that is added, removed or changed makes a new one.
+
+use super::message::MessageError;
+use super::packet::{TelemetryPacket, id, telemetry_type};
+use jiff::Timestamp;
+
+/// The layout that this program writes and reads.
+pub const LAYOUT: u8 = 1;
+
+/// A field as the page on the protocol shows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    pub name: &'static str,
+    pub kind: &'static str,
+    pub bytes: usize,
+    pub unit: &'static str,
+    pub documentation: &'static str,
+}
+
+macro_rules! housekeeping {
+    ($($field:ident: $type:ty, $unit:literal, $documentation:literal;)*) => {
+        /// What is told of one second. `None` is what is not known.
+        #[derive(Debug, Clone, PartialEq, Default)]
+        pub struct Housekeeping {
+            $(#[doc = $documentation] pub $field: $type,)*
+        }
+
+        /// The fields of the payload after the layout's number, in order.
+        pub const FIELDS: &[Field] = &[$(Field {
+            name: stringify!($field),
+            kind: <$type as Wire>::KIND,
+            bytes: <$type as Wire>::BYTES,
+            unit: $unit,
+            documentation: $documentation,
+        }),*];
+
+        impl Housekeeping {
+            fn payload(&self) -> Vec<u8> {
+                let mut bytes = vec![LAYOUT];
+                $(self.$field.write(&mut bytes);)*
+                bytes
+            }
+
+            fn from_payload(payload: &[u8]) -> Option<Self> {
+                let mut rest = payload.strip_prefix(&[LAYOUT])?;
+                Some(Self { $($field: Wire::read(&mut rest)?,)* })
+            }
+
+            /// The values as fields of a CSV row, in the order of [`FIELDS`]; what is not known is empty.
+            pub fn csv_row(&self) -> Vec<String> {
+                vec![$(self.$field.text()),*]
+            }
+
+            /// Every field with its value in words.
+            pub fn lines(&self) -> Vec<String> {
+                vec![$(format!("{} {:?} {}", stringify!($field), self.$field, $unit).trim_end().into(),)*]
+            }
+        }
+    };
+}
+
+housekeeping! {
+    computer: u8, "", "which of the two computers";
+    tracking: bool, "", "the controller wants solutions";
+    sending: bool, "", "this computer sends them";
+    storing: bool, "", "frames of the pitch-yaw camera are stored";
+    clock_stepped: bool, "", "UTC has made a step since the last packet";
+    uptime_s: u32, "s", "since the start of the program";
+    taken: u32, "", "frames taken";
+    lost: u32, "", "frames that the camera or the solver lost";
+    fine: u32, "", "frames solved finely";
+    coarse: u32, "", "frames solved coarsely";
+    none: u32, "", "frames without a Sun";
+    stopped: [u16; 7], "", "frames that went no further than levels, limb, marks, identification, registration, aspect, pointing";
+    number: u32, "", "number of the latest frame, which the fields to preamp_gain are about";
+    quality: u8, "", "0 none, 1 coarse, 2 fine";
+    background_dn: Option<f32>, "DN", "level of the background";
+    disc_dn: Option<f32>, "DN", "level of the disc";
+    noise_dn: Option<f32>, "DN", "noise of the background, 1 sigma";
+    sun_x_px: Option<f32>, "px", "the Sun's centre on the sensor";
+    sun_y_px: Option<f32>, "px", "the Sun's centre on the sensor";
+    sun_sigma_px: Option<f32>, "px", "its 1 sigma per axis";
+    plate_x_mil: Option<f32>, "mil", "the Sun's centre on the plate";
+    plate_y_mil: Option<f32>, "mil", "the Sun's centre on the plate";
+    plate_sigma_mil: Option<f32>, "mil", "its 1 sigma per axis";
+    limb_points: u16, "", "points of the limb";
+    marks: u8, "", "marks with ids";
+    ids: MarkIds, "", "the first 16 of their ids, a byte each: 16 (i + 8) + (j + 8), 0 for none";
+    mapping: u8, "", "0 none, 1 similarity, 2 affine, 3 homography, 4 the prior's, 5 the calibration's, 6 keystone";
+    scale_mil_per_px: Option<f32>, "mil/px", "the mapping's scale";
+    rotation_deg: Option<f32>, "deg", "the mapping's rotation";
+    residual_px: Option<f32>, "px", "rms residual of the marks per axis";
+    azimuth_deg: Option<f32>, "deg", "offset in azimuth";
+    elevation_deg: Option<f32>, "deg", "offset in elevation";
+    offset_sigma_deg: Option<f32>, "deg", "its 1 sigma per axis of true angle";
+    exposure_us: u32, "us", "exposure time";
+    analogue_gain: Option<f32>, "", "analogue gain";
+    preamp_gain: Option<f32>, "", "pre-amplifier gain";
+    camera_c: Option<f32>, "deg C", "temperature of the camera";
+    computer_c: Option<f32>, "deg C", "temperature of the computer";
+    disks: [Option<u8>; 2], "%", "how full the disks of the archive are";
+    stored: u32, "", "frames stored";
+    unstored: u32, "", "frames that no disk took";
+    announced: u32, "", "exposures announced to the controller";
+    solutions: u32, "", "solutions sent";
+    errors: u32, "", "errors sent in their place";
+    outdated: u32, "", "solutions too old to be sent";
+    unsent: u32, "", "packets that the line did not take";
+    reopened: u16, "", "how often the line was opened again";
+    rejected: u32, "", "packets from the line that were broken";
+    latency_ms: Option<f32>, "ms", "from frame to packet, median of the second";
+    latency_99_ms: Option<f32>, "ms", "the same, 99 %";
+    solve_ms: Option<f32>, "ms", "time of solving, median of the second";
+    clock_offset_us: Option<f32>, "us", "by which the clock is ahead of true time";
+    restarts: u16, "", "threads that were started again";
+}
+
+/// The ids of up to sixteen marks: i and j, each from -7 to 7.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct MarkIds([Option<[i32; 2]>; 16]);
+
+impl MarkIds {
+    /// The first sixteen.
+    pub fn new(ids: impl IntoIterator<Item = [i32; 2]>) -> Self {
+        let mut own = Self::default();
+        for (place, id) in own.0.iter_mut().zip(ids) {
+            *place = Some(id);
+        }
+        own
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = [i32; 2]> {
+        self.0.iter().flatten().copied()
+    }
+}
+
+impl Housekeeping {
+    /// The packet made at `time`.
+    pub fn packet(&self, time: Timestamp) -> Result<TelemetryPacket, MessageError> {
+        let kind = telemetry_type::HOUSEKEEPING;
+        let time = super::fields::unix_time(kind.into(), time)?;
+        Ok(TelemetryPacket::new(
+            kind,
+            id::ASPECT,
+            time,
+            self.payload(),
+        )?)
+    }
+
+    /// Reads a packet; `None` where it is of another type or layout, or too short.
+    pub fn decode(packet: &TelemetryPacket) -> Option<Self> {
+        (packet.kind() == telemetry_type::HOUSEKEEPING)
+            .then(|| Self::from_payload(packet.payload()))
+            .flatten()
+    }
+}
+
+/// How a field travels.
+trait Wire: Sized {
+    const KIND: &'static str;
+    const BYTES: usize;
+    fn write(&self, bytes: &mut Vec<u8>);
+    fn read(rest: &mut &[u8]) -> Option<Self>;
+    /// In words; empty where not known, parts apart by blanks.
+    fn text(&self) -> String;
+}
+
+fn texts<T: Wire>(parts: &[T]) -> String {
+    let texts: Vec<String> = parts.iter().map(Wire::text).collect();
+    texts.join(" ")
+}
+
+fn known(value: Option<impl ToString>) -> String {
+    value.map_or(String::new(), |value| value.to_string())
+}
+
+fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
+    let (bytes, after) = rest.split_first_chunk()?;
+    *rest = after;
+    Some(*bytes)
+}
+
+macro_rules! whole_wire {
+    ($($type:ty),*) => {$(
+        impl Wire for $type {
+            const KIND: &'static str = stringify!($type);
+            const BYTES: usize = size_of::<$type>();
+
+            fn write(&self, bytes: &mut Vec<u8>) {
+                bytes.extend(self.to_le_bytes());
+            }
+
+            fn read(rest: &mut &[u8]) -> Option<Self> {
+                take(rest).map(Self::from_le_bytes)
+            }
+
+            fn text(&self) -> String {
+                self.to_string()
+            }
+        }
+    )*};
+}
+
+whole_wire!(u8, u16, u32);
+
+impl Wire for bool {
+    const KIND: &'static str = "u8, 1 or 0";
+    const BYTES: usize = 1;
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        bytes.push((*self).into());
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        u8::read(rest).map(|byte| byte != 0)
+    }
+
+    fn text(&self) -> String {
+        u8::from(*self).to_string()
+    }
+}
+
+impl Wire for Option<f32> {
+    const KIND: &'static str = "f32, NaN where not known";
+    const BYTES: usize = 4;
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        bytes.extend(self.unwrap_or(f32::NAN).to_le_bytes());
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        let value = f32::from_le_bytes(take(rest)?);
+        Some((!value.is_nan()).then_some(value))
+    }
+
+    fn text(&self) -> String {
+        known(*self)
+    }
+}
+
+impl Wire for Option<u8> {
+    const KIND: &'static str = "u8, 255 where not known";
+    const BYTES: usize = 1;
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        bytes.push(self.unwrap_or(u8::MAX));
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        let value = u8::read(rest)?;
+        Some((value != u8::MAX).then_some(value))
+    }
+
+    fn text(&self) -> String {
+        known(*self)
+    }
+}
+
+impl Wire for [u16; 7] {
+    const KIND: &'static str = "7 x u16, from 0 again after 65535";
+    const BYTES: usize = 14;
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        self.iter().for_each(|value| value.write(bytes));
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        let mut values = [0; 7];
+        for value in &mut values {
+            *value = u16::read(rest)?;
+        }
+        Some(values)
+    }
+
+    fn text(&self) -> String {
+        texts(self)
+    }
+}
+
+impl Wire for [Option<u8>; 2] {
+    const KIND: &'static str = "2 x u8, 255 where not known";
+    const BYTES: usize = 2;
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        self.iter().for_each(|value| value.write(bytes));
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        Some([Wire::read(rest)?, Wire::read(rest)?])
+    }
+
+    fn text(&self) -> String {
+        texts(self)
+    }
+}
+
+impl Wire for MarkIds {
+    const KIND: &'static str = "16 x u8";
+    const BYTES: usize = 16;
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        let nibble = |index: i32| (index + 8).clamp(0, 15) as u8;
+        let byte = |id: &Option<[i32; 2]>| id.map_or(0, |[i, j]| nibble(i) << 4 | nibble(j));
+        bytes.extend(self.0.iter().map(byte));
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        let bytes: [u8; 16] = take(rest)?;
+        let index = |nibble: u8| i32::from(nibble) - 8;
+        Some(Self(bytes.map(|byte| {
+            let (i, j) = (index(byte >> 4), index(byte & 15));
+            (byte != 0).then_some([i, j])
+        })))
+    }
+
+    fn text(&self) -> String {
+        let ids: Vec<String> = self.iter().map(|[i, j]| format!("{i},{j}")).collect();
+        ids.join(" ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn full() -> Housekeeping {
+        Housekeeping {
+            computer: 2,
+            tracking: true,
+            stopped: [1, 2, 3, 4, 5, 6, 65535],
+            disc_dn: Some(205.5),
+            sun_x_px: Some(-3.25),
+            ids: MarkIds::new([[-7, 7], [0, 0]]),
+            marks: 2,
+            disks: [Some(87), None],
+            latency_ms: Some(3.5),
+            restarts: 1,
+            ..Housekeeping::default()
+        }
+    }
+
+    #[test]
+    fn what_is_told_is_what_is_heard() {
+        let time = Timestamp::from_second(1_379_786_400).unwrap();
+        for told in [Housekeeping::default(), full()] {
+            let packet = told.packet(time).unwrap();
+            assert_eq!(Housekeeping::decode(&packet), Some(told));
+        }
+    }
+
+    #[test]
+    fn the_table_tells_the_length_and_it_is_short() {
+        let length: usize = FIELDS.iter().map(|field| field.bytes).sum();
+        assert_eq!(full().payload().len(), 1 + length);
+        assert!(length <= 210, "{length} bytes");
+    }
+
+    #[test]
+    fn another_layout_and_a_cut_payload_are_not_read() {
+        let payload = full().payload();
+        for length in 0..payload.len() {
+            assert_eq!(Housekeeping::from_payload(&payload[..length]), None);
+        }
+        let mut other = payload;
+        other[0] += 1;
+        assert_eq!(Housekeeping::from_payload(&other), None);
+    }
+}

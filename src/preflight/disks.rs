@@ -1,0 +1,201 @@
+//! Whether the archive's disks are there, have room, and are fast enough.
+
+use super::bounded::findings_within;
+use super::{Finding, Plan};
+use crate::archive::disk::{Disk, LocalDisk};
+use crate::archive::{Room, Sharing, SpaceLimits, Store};
+use crate::camera::PixelFormat;
+use crate::fits::Compression;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+/// Writing is timed for so long, and over so many files at most.
+const TIMED: Duration = Duration::from_millis(500);
+const FILES: u32 = 26;
+const MOUNT: &str = "mount the disk, and let the service's user write to the folder";
+const FREE: &str = "free the disk, or name another folder in archive.directory";
+
+/// What is asked of one disk.
+#[derive(Debug, Clone)]
+pub struct Demand {
+    pub instrument: String,
+    pub compression: Compression,
+    pub limits: SpaceLimits,
+    /// Bytes of a frame before compression.
+    pub frame_bytes: usize,
+    /// Frames that this disk is given.
+    pub rate_hz: f64,
+}
+
+impl Demand {
+    fn of(plan: &Plan, disks: usize) -> Self {
+        let archive = &plan.config.archive;
+        let bytes = |format: PixelFormat| match format {
+            PixelFormat::Mono8 => 1,
+            PixelFormat::Mono12 => 2,
+        };
+        let size = |camera: &super::PlannedCamera| {
+            let sensor = &camera.instrument.camera;
+            sensor.width_px * sensor.height_px * bytes(camera.config.pixel_format)
+        };
+        let rate_hz: f64 = plan
+            .cameras
+            .iter()
+            .map(|camera| camera.config.rate_hz)
+            .sum();
+        let shares = match archive.sharing {
+            Sharing::Alternate => disks.max(1) as f64,
+            Sharing::Mirror => 1.0,
+        };
+        Self {
+            instrument: plan
+                .cameras
+                .first()
+                .map_or(String::new(), |c| c.instrument.name.clone()),
+            compression: archive.compression,
+            limits: archive.space_limits(),
+            frame_bytes: plan.cameras.iter().map(size).max().unwrap_or(0),
+            rate_hz: rate_hz / shares,
+        }
+    }
+}
+
+pub(super) fn check(plan: &Plan) -> Vec<Finding> {
+    let folders = plan.folders();
+    if folders.is_empty() {
+        let found = "no folder: frames would not be kept";
+        return vec![Finding::warn("archive", found, "set archive.directory")];
+    }
+    let demand = Demand::of(plan, folders.len());
+    let mut findings = Vec::new();
+    for folder in &folders {
+        let (demand, work_folder) = (demand.clone(), folder.clone());
+        let check = format!("disk {}", folder.display());
+        findings.extend(findings_within(PATIENCE, &check, MOUNT, move || {
+            check_folder(Arc::new(LocalDisk), &work_folder, &demand)
+        }));
+    }
+    if let [first, second] = folders.as_slice() {
+        findings.push(apart(first, second));
+    }
+    findings
+}
+
+/// Opens one folder of the archive, as the flight does, looks at its room and times its writing. What it writes is removed again.
+pub fn check_folder(disk: Arc<dyn Disk>, folder: &Path, demand: &Demand) -> Vec<Finding> {
+    let check = format!("disk {}", folder.display());
+    let store = Store::new(
+        Arc::clone(&disk),
+        folder,
+        &demand.instrument,
+        demand.compression,
+    );
+    if let Err(error) = store.prepare() {
+        return vec![Finding::fail(check, error.to_string(), MOUNT)];
+    }
+    vec![
+        room(&check, &store, demand),
+        speed(&check, disk.as_ref(), folder, demand),
+    ]
+}
+
+fn room(check: &str, store: &Store, demand: &Demand) -> Finding {
+    let space = match store.space() {
+        Ok(space) => space,
+        Err(error) => return Finding::warn(check, error.to_string(), MOUNT),
+    };
+    let room = demand.limits.room(space.free_percent());
+    let bytes_per_s = demand.frame_bytes as f64 * demand.rate_hz;
+    let found = format!(
+        "{:.1} GB free ({:.0} %), for {:.1} h of frames before they are compressed",
+        space.free_bytes as f64 / 1e9,
+        space.free_percent(),
+        space.free_bytes as f64 / bytes_per_s.max(1.0) / 3600.0
+    );
+    match room {
+        Room::Plenty => Finding::pass(check, found),
+        Room::Low => Finding::warn(check, format!("{found}: below warn_free_percent"), FREE),
+        Room::Scarce => Finding::fail(check, format!("{found}: frames would be thinned out"), FREE),
+        Room::None => Finding::fail(check, format!("{found}: no frames would be stored"), FREE),
+    }
+}
+
+fn speed(check: &str, disk: &dyn Disk, folder: &Path, demand: &Demand) -> Finding {
+    let files_per_s = match timed(disk, folder, demand.frame_bytes) {
+        Ok(files_per_s) => files_per_s,
+        Err(error) => {
+            let found = format!("expected to write a frame's bytes, found \"{error}\"");
+            return Finding::fail(check, found, MOUNT);
+        }
+    };
+    let (megabytes, rate_hz) = (demand.frame_bytes as f64 / 1e6, demand.rate_hz);
+    let found = format!(
+        "writes {files_per_s:.0} files/s of {megabytes:.1} MB, and is to take {rate_hz} frames/s"
+    );
+    match files_per_s >= rate_hz {
+        true => Finding::pass(check, found),
+        false => Finding::warn(
+            check,
+            format!("{found}: frames may be lost"),
+            "take a faster disk, two that alternate, or a lower rate_hz",
+        ),
+    }
+}
+
+/// Files of so many bytes that the disk takes in a second, each brought to the disk and removed again.
+fn timed(disk: &dyn Disk, folder: &Path, bytes: usize) -> io::Result<f64> {
+    // Bytes that no file system makes smaller.
+    let content: Vec<u8> = (0..bytes as u64)
+        .map(|n| (n.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8)
+        .collect();
+    let start = Instant::now();
+    let mut files = 0;
+    while files < FILES && (files == 0 || start.elapsed() < TIMED) {
+        // What ends so is swept away at the next start, should this not come to its end.
+        let path = folder.join(format!(".preflight-{}-{files}.part", std::process::id()));
+        let written = write(disk, folder, &path, &content);
+        let removed = match disk.exists(&path) {
+            true => disk.remove(&path),
+            false => Ok(()),
+        };
+        written.and(removed)?;
+        files += 1;
+    }
+    Ok(f64::from(files) / start.elapsed().as_secs_f64().max(1e-9))
+}
+
+fn write(disk: &dyn Disk, folder: &Path, path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = disk.create(path)?;
+    file.write_all(content)?;
+    file.sync()?;
+    disk.sync_folder(folder)
+}
+
+fn apart(first: &Path, second: &Path) -> Finding {
+    let check = "two disks";
+    match (device(first), device(second)) {
+        (Some(a), Some(b)) if a != b => {
+            Finding::pass(check, "the folders are on different devices")
+        }
+        (Some(_), Some(_)) => Finding::warn(
+            check,
+            "both folders are on one device: when it fails, both do",
+            "mount the second disk, or leave second_directory out",
+        ),
+        _ => Finding::warn(
+            check,
+            "the system does not say on which devices they are",
+            MOUNT,
+        ),
+    }
+}
+
+/// The device that holds a folder, or the nearest one above it that is there.
+pub(super) fn device(folder: &Path) -> Option<u64> {
+    let there = |folder: &Path| folder.metadata().ok();
+    folder.ancestors().find_map(there).map(|found| found.dev())
+}

@@ -1,0 +1,76 @@
+//! What a check found, as one line of the page.
+
+use serde::Serialize;
+use std::fmt;
+
+/// Whether a check is passed. The worst last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    Pass,
+    /// One may fly so, and should know.
+    Warn,
+    Fail,
+}
+
+impl Verdict {
+    /// As the page shows it: what fails cries out.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Warn => "warn",
+            Self::Fail => "FAIL",
+        }
+    }
+}
+
+/// One line of the page.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finding {
+    /// What was looked at.
+    pub check: String,
+    pub verdict: Verdict,
+    /// What was found there.
+    pub found: String,
+    /// What to do about it; empty where nothing needs to be done.
+    pub remedy: String,
+}
+
+impl Finding {
+    pub fn pass(check: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::new(check, Verdict::Pass, found, "")
+    }
+
+    pub fn warn(check: impl Into<String>, found: impl Into<String>, remedy: &str) -> Self {
+        Self::new(check, Verdict::Warn, found, remedy)
+    }
+
+    pub fn fail(check: impl Into<String>, found: impl Into<String>, remedy: &str) -> Self {
+        Self::new(check, Verdict::Fail, found, remedy)
+    }
+
+    pub fn new(
+        check: impl Into<String>,
+        verdict: Verdict,
+        found: impl Into<String>,
+        remedy: &str,
+    ) -> Self {
+        Self {
+            check: check.into(),
+            verdict,
+            found: found.into(),
+            remedy: remedy.into(),
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { check, found, .. } = self;
+        write!(out, "{}  {check:<22} {found}", self.verdict.name())?;
+        match self.remedy.as_str() {
+            "" => Ok(()),
+            remedy => write!(out, "\n      {:<22} -> {remedy}", ""),
+        }
+    }
+}

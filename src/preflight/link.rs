@@ -1,0 +1,82 @@
+//! Whether the controller's line can be opened, and whether somebody speaks on it.
+
+use super::bounded::within;
+use super::{Finding, Plan};
+use crate::link::{BytePort, Direction, Parser, PortAddress, PortError};
+use std::time::{Duration, Instant};
+
+const CHECK: &str = "link";
+/// For opening a port, which may mean to look up a host's name.
+const PATIENCE: Duration = Duration::from_secs(10);
+const PLUG: &str = "plug it in, and name it in link.port as it stands in /dev/serial/by-id; the service's user must be in the group \
+                    that owns it (dialout)";
+const LISTEN: &str =
+    "is the controller on, are receive and transmit crossed, is link.baud its speed?";
+
+/// What came in a while of listening.
+#[derive(Debug, Default, PartialEq)]
+struct Heard {
+    packets: usize,
+    refused_bytes: u64,
+}
+
+pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
+    let link = plan.config.link.clone();
+    let Some(port) = link.port.clone() else {
+        return Finding::warn(CHECK, "no port: nothing would be sent", "set link.port");
+    };
+    let address: PortAddress = match port.parse() {
+        Ok(address) => address,
+        Err(error) => return Finding::fail(CHECK, error, "set link.port"),
+    };
+    let limit = PATIENCE + wait.unwrap_or_default();
+    let local_port = link.udp_local_port as u16;
+    let tried = within(limit, move || -> Result<Option<Heard>, PortError> {
+        let mut open = address.open(link.baud, local_port)?;
+        wait.map(|wait| listen(open.as_mut(), wait)).transpose()
+    });
+    match (tried, wait) {
+        (Err(no_answer), _) => Finding::fail(CHECK, format!("{port}: {no_answer}"), PLUG),
+        (Ok(Err(error)), _) => Finding::fail(CHECK, error.to_string(), PLUG),
+        (Ok(Ok(None)), _) => Finding::pass(CHECK, format!("{port} opens; nobody was waited for")),
+        (Ok(Ok(Some(heard))), wait) => judge(&port, &heard, wait.unwrap_or_default()),
+    }
+}
+
+/// Listens until the first good packet, or for `wait`.
+fn listen(port: &mut dyn BytePort, wait: Duration) -> Result<Heard, PortError> {
+    let mut parser = Parser::new(Direction::ToAspect);
+    let mut heard = Heard::default();
+    let mut buffer = [0; 512];
+    let start = Instant::now();
+    while heard.packets == 0 && start.elapsed() < wait {
+        let count = port.read(&mut buffer, Duration::from_millis(100))?;
+        heard.packets += parser.feed(&buffer[..count], start.elapsed()).len();
+    }
+    heard.refused_bytes = parser.rejected().bytes;
+    Ok(heard)
+}
+
+fn judge(port: &str, heard: &Heard, wait: Duration) -> Finding {
+    let seconds = wait.as_secs_f64();
+    match heard {
+        Heard {
+            packets: 0,
+            refused_bytes: 0,
+        } => Finding::warn(
+            CHECK,
+            format!("{port} opens; nothing heard in {seconds:.0} s"),
+            LISTEN,
+        ),
+        Heard {
+            packets: 0,
+            refused_bytes,
+        } => {
+            let found = format!(
+                "{port} opens; {refused_bytes} bytes in {seconds:.0} s, and no packet in them"
+            );
+            Finding::warn(CHECK, found, LISTEN)
+        }
+        _ => Finding::pass(CHECK, format!("{port} opens, and the controller speaks")),
+    }
+}

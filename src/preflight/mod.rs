@@ -1,0 +1,71 @@
+//! Before the flight: is the configuration right, and does everything answer that it names?
+//!
+//! ```text
+//! configuration -> survey -> Plan and Remarks -> run -> Findings: clock, sky, disks, link, cameras, polarity
+//! ```
+//!
+//! Each check is given its time and no more, on a thread of its own that is left behind where it does not come back: a dead
+//! network disk or a camera that hangs is a finding, and so is a check that panics.
+
+mod bounded;
+mod calibration;
+mod camera;
+mod clock;
+mod disks;
+mod finding;
+mod link;
+mod plan;
+mod polarity;
+mod remarks;
+mod sky;
+
+pub use clock::judge as judge_clock;
+pub use disks::{Demand, check_folder};
+pub use finding::{Finding, Verdict};
+pub use plan::{NoTarget, Options, Plan, PlannedCamera, ephemeris, target};
+pub use polarity::{Axis, Motion, Operator, Trend};
+pub use remarks::{Remark, Remarks, Severity, survey};
+
+use std::path::Path;
+use std::time::Duration;
+
+/// How far the check goes.
+#[derive(Default)]
+pub struct Extent<'a> {
+    /// How long the controller is waited for; `None` if only the port is opened.
+    pub wait_for_controller: Option<Duration>,
+    /// Who slews the telescope for the polarity test; `None` where it is not made.
+    pub operator: Option<&'a mut dyn Operator>,
+}
+
+/// Makes every check of a configuration (the defaults without a file), in order. `tell` hears of each finding as it is
+/// made. Where the configuration has errors there is nothing further to check.
+pub fn run(file: Option<&Path>, options: &Options, extent: Extent, tell: &mut dyn FnMut(Finding)) {
+    let (plan, remarks) = survey(file, options);
+    let news = remarks
+        .list
+        .iter()
+        .filter(|remark| !remark.is_checked_later());
+    news.map(Remark::finding).for_each(&mut *tell);
+    if let Some(plan) = plan {
+        check(&plan, extent, tell);
+    }
+}
+
+fn check(plan: &Plan, extent: Extent, tell: &mut dyn FnMut(Finding)) {
+    clock::check(plan).into_iter().for_each(&mut *tell);
+    sky::check(plan).into_iter().for_each(&mut *tell);
+    disks::check(plan).into_iter().for_each(&mut *tell);
+    tell(link::check(plan, extent.wait_for_controller));
+    for camera in &plan.cameras {
+        calibration::check(plan, camera)
+            .into_iter()
+            .for_each(&mut *tell);
+        camera::check(plan, camera).into_iter().for_each(&mut *tell);
+    }
+    if let Some(operator) = extent.operator {
+        polarity::check(plan, operator)
+            .into_iter()
+            .for_each(&mut *tell);
+    }
+}

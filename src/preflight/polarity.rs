@@ -1,0 +1,269 @@
+//! The guided test of the signs: somebody slews the telescope, and the offsets must follow.
+//!
+//! A wrong twist, clocking or handedness sends the controller the wrong way, with fine solutions. Only a motion whose
+//! direction is known tells.
+
+use super::bounded::within;
+use super::{Finding, Plan, PlannedCamera, camera};
+use crate::aspect::{self, Expected, Track};
+use crate::camera::{FrameSource, Take};
+use crate::link::CameraRole;
+use crate::pointing::{self, Offset};
+use crate::sky::Ephemeris;
+use std::time::{Duration, Instant};
+
+/// How long a slew is waited for.
+const WATCH: Duration = Duration::from_secs(30);
+/// For the camera to be found, and for a call that lasts longer than the watch.
+const PATIENCE: Duration = Duration::from_secs(15);
+/// A slew of this much is a motion, and so is nothing below so many sigma.
+const MOVED_DEG: f64 = 0.05;
+const MOVED_SIGMA: f64 = 5.0;
+/// Frames in a row that must agree.
+const AGREEING: u32 = 3;
+
+/// Who slews the telescope.
+pub trait Operator {
+    /// Asks for a slew, and returns when it is about to begin; `false` where nobody will do it.
+    fn is_ready(&mut self, request: &str) -> bool;
+}
+
+/// An axis of the telescope.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Axis {
+    Elevation,
+    Azimuth,
+}
+
+impl Axis {
+    fn check(self) -> &'static str {
+        match self {
+            Self::Elevation => "polarity of elevation",
+            Self::Azimuth => "polarity of azimuth",
+        }
+    }
+
+    fn request(self) -> &'static str {
+        match self {
+            Self::Elevation => {
+                "slew the telescope UP by 0.1 deg or more, the Sun staying on the plate"
+            }
+            Self::Azimuth => {
+                "slew the telescope to the RIGHT (clockwise seen from above, to larger azimuth) by 0.1 deg or more, \
+                 the Sun staying on the plate"
+            }
+        }
+    }
+
+    /// True angle along the axis.
+    fn of(self, offset: &Offset) -> f64 {
+        match self {
+            Self::Elevation => offset.elevation_deg,
+            Self::Azimuth => offset.cross_elevation_deg,
+        }
+    }
+}
+
+/// Where an offset went.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Motion {
+    Grew,
+    Fell,
+}
+
+/// Follows an offset from its first value until it has moved beyond doubt.
+#[derive(Debug, Clone, Default)]
+pub struct Trend {
+    first_deg: Option<f64>,
+    /// The direction of the last frames, and how many of them agree.
+    run: Option<(Motion, u32)>,
+    samples: u32,
+    change_deg: f64,
+}
+
+impl Trend {
+    /// Takes the next offset with its sigma; the motion, once several frames in a row show it.
+    pub fn push(&mut self, offset_deg: f64, sigma_deg: f64) -> Option<Motion> {
+        self.samples += 1;
+        self.change_deg = offset_deg - *self.first_deg.get_or_insert(offset_deg);
+        let limit_deg = MOVED_DEG.max(MOVED_SIGMA * sigma_deg);
+        if self.change_deg.abs() < limit_deg {
+            self.run = None;
+            return None;
+        }
+        let motion = match self.change_deg > 0.0 {
+            true => Motion::Grew,
+            false => Motion::Fell,
+        };
+        let before = self.run.filter(|(last, _)| *last == motion);
+        let agreeing = before.map_or(1, |(_, agreeing)| agreeing + 1);
+        self.run = Some((motion, agreeing));
+        (agreeing >= AGREEING).then_some(motion)
+    }
+
+    /// From the first offset to the last.
+    pub fn change_deg(&self) -> f64 {
+        self.change_deg
+    }
+
+    /// Offsets so far.
+    pub fn samples(&self) -> u32 {
+        self.samples
+    }
+}
+
+/// A camera that is watched, with what its frames teach.
+struct Watch {
+    plan: Plan,
+    planned: PlannedCamera,
+    camera: Box<dyn FrameSource>,
+    ephemeris: Ephemeris,
+    track: Option<Track>,
+}
+
+pub(super) fn check(plan: &Plan, operator: &mut dyn Operator) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for planned in plan
+        .cameras
+        .iter()
+        .filter(|camera| camera.role == CameraRole::PitchYaw)
+    {
+        findings.extend(check_camera(plan, planned, operator));
+    }
+    findings
+}
+
+fn check_camera(plan: &Plan, planned: &PlannedCamera, operator: &mut dyn Operator) -> Vec<Finding> {
+    let (plan, planned) = (plan.clone(), planned.clone());
+    let opened = within(PATIENCE, move || {
+        let camera = camera::open(&plan.config, &planned)?;
+        Ok::<_, crate::camera::CameraError>(Watch {
+            ephemeris: plan.ephemeris(),
+            plan,
+            planned,
+            camera,
+            track: None,
+        })
+    });
+    let mut watch = match opened {
+        Ok(Ok(watch)) => watch,
+        Ok(Err(error)) => {
+            return vec![Finding::fail(
+                "polarity",
+                error.to_string(),
+                "see the camera",
+            )];
+        }
+        Err(no_answer) => {
+            return vec![Finding::fail(
+                "polarity",
+                no_answer.to_string(),
+                "see the camera",
+            )];
+        }
+    };
+    let mut findings = Vec::new();
+    for axis in [Axis::Elevation, Axis::Azimuth] {
+        if !operator.is_ready(axis.request()) {
+            let remedy = "slew when asked, so that the signs are known before the flight";
+            findings.push(Finding::warn(
+                axis.check(),
+                "not tested: nobody slewed",
+                remedy,
+            ));
+            continue;
+        }
+        let watched = within(WATCH + PATIENCE, move || {
+            let outcome = watch.follow(axis);
+            (watch, outcome)
+        });
+        match watched {
+            Ok((back, (trend, motion))) => {
+                watch = back;
+                findings.push(judge(axis, &trend, motion));
+            }
+            Err(no_answer) => {
+                findings.push(Finding::fail(
+                    axis.check(),
+                    no_answer.to_string(),
+                    "see the camera",
+                ));
+                break;
+            }
+        }
+    }
+    findings
+}
+
+fn judge(axis: Axis, trend: &Trend, motion: Option<Motion>) -> Finding {
+    let found = format!(
+        "the offset changed by {:+.3} deg over {} frames",
+        trend.change_deg(),
+        trend.samples()
+    );
+    match motion {
+        Some(Motion::Grew) => Finding::pass(axis.check(), format!("{found}: it grew, as it must")),
+        Some(Motion::Fell) => Finding::fail(
+            axis.check(),
+            format!("{found}: it fell, and must grow"),
+            "check twist, handedness and clocking in the instrument's file, and which way was slewed",
+        ),
+        None if trend.samples() == 0 => Finding::fail(
+            axis.check(),
+            "no frame gave an offset",
+            "the Sun must be on the plate, and the place known: set [site]",
+        ),
+        None => Finding::fail(
+            axis.check(),
+            format!("{found}: no motion beyond doubt"),
+            "slew further",
+        ),
+    }
+}
+
+impl Watch {
+    /// Takes and solves frames until the offset has moved along the axis, or for the time there is.
+    fn follow(&mut self, axis: Axis) -> (Trend, Option<Motion>) {
+        let mut trend = Trend::default();
+        let start = Instant::now();
+        while start.elapsed() < WATCH {
+            match self.camera.next(&mut |_| {}) {
+                Ok(Take::Exposure(exposure)) => {
+                    let Some(offset) = self.offset(&exposure.frame) else {
+                        continue;
+                    };
+                    let motion = trend.push(axis.of(&offset), offset.sigma_deg);
+                    if motion.is_some() {
+                        return (trend, motion);
+                    }
+                }
+                Ok(Take::NotYet) => {}
+                Ok(Take::End) => break,
+                Err(_) => std::thread::sleep(Duration::from_millis(20)),
+            }
+        }
+        (trend, None)
+    }
+
+    fn offset(&mut self, frame: &crate::frame::Frame) -> Option<Offset> {
+        let instrument = &*self.planned.instrument.seen_by(frame).ok()?;
+        let utc = frame.info.mid_exposure;
+        let settings = self.plan.config.solver();
+        let expected = utc.and_then(Expected::at);
+        let mut solution =
+            aspect::solve_with(&settings, frame, instrument, expected, self.track.as_ref());
+        if solution.track.is_some() {
+            self.track.clone_from(&solution.track);
+        }
+        let place = frame.info.place.or(self.plan.config.site.place());
+        let target = &self.plan.target;
+        pointing::offset_of(
+            &mut solution,
+            utc,
+            place,
+            target,
+            instrument,
+            &mut self.ephemeris,
+        )
+    }
+}

@@ -1,0 +1,379 @@
+//! What can be said of a configuration without touching camera, line or disk: every error at once.
+
+use super::Finding;
+use super::plan::{self, NoTarget, Options, Plan, PlannedCamera};
+use crate::camera::{CameraError, FolderCamera, Source};
+use crate::config::{self, Config};
+use crate::instrument::toml_file::read_text;
+use crate::instrument::{Instrument, TomlError};
+use crate::link::{CameraRole, PortAddress};
+use crate::simulate::Pieces;
+use crate::sky::Ephemeris;
+use serde::Serialize;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    Error,
+    /// It would fly, though perhaps not as was meant.
+    Warning,
+}
+
+/// One thing that is wrong with a configuration, or odd.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Remark {
+    pub severity: Severity,
+    pub what: TomlError,
+}
+
+impl fmt::Display for Remark {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let severity = match self.severity {
+            Severity::Error => "error",
+            Severity::Warning => "warning",
+        };
+        write!(out, "{severity}: {}", self.what)
+    }
+}
+
+/// Keys of which the checks before a flight tell more.
+const CHECKED_LATER: [&str; 4] = [
+    "archive.directory",
+    "archive.second_directory",
+    "link.port",
+    "site",
+];
+
+impl Remark {
+    /// Whether a line of the page will say the same.
+    pub(super) fn is_checked_later(&self) -> bool {
+        let key = self.what.field.as_str();
+        self.severity == Severity::Warning && CHECKED_LATER.contains(&key)
+    }
+
+    pub(super) fn finding(&self) -> Finding {
+        let what = self.what.to_string();
+        match self.severity {
+            Severity::Error => Finding::fail("configuration", what, "see docs/parameters.md"),
+            Severity::Warning => Finding::warn("configuration", what, "see docs/parameters.md"),
+        }
+    }
+}
+
+/// The remarks on a configuration, in the order of the looking.
+#[derive(Debug, Clone, Default)]
+pub struct Remarks {
+    file: PathBuf,
+    pub list: Vec<Remark>,
+}
+
+impl Remarks {
+    fn add(&mut self, severity: Severity, what: TomlError) {
+        self.list.push(Remark { severity, what });
+    }
+
+    /// An error in a key of the configuration.
+    fn error(&mut self, key: &str, expected: impl Into<String>, found: impl Into<String>) {
+        let what = TomlError::new(&self.file, key, expected, found);
+        self.add(Severity::Error, what);
+    }
+
+    fn warn(&mut self, key: &str, expected: impl Into<String>, found: impl Into<String>) {
+        let what = TomlError::new(&self.file, key, expected, found);
+        self.add(Severity::Warning, what);
+    }
+
+    /// The value of a file, or the error noted.
+    fn noted<T>(&mut self, result: Result<T, TomlError>) -> Option<T> {
+        result.map_err(|what| self.add(Severity::Error, what)).ok()
+    }
+
+    pub fn has_errors(&self) -> bool {
+        let is_error = |remark: &Remark| remark.severity == Severity::Error;
+        self.list.iter().any(is_error)
+    }
+}
+
+/// Reads a configuration (the defaults without a file) and every file that it names. There is a plan where there is no
+/// error.
+pub fn survey(file: Option<&Path>, options: &Options) -> (Option<Plan>, Remarks) {
+    let mut remarks = Remarks {
+        file: file.unwrap_or(Path::new("defaults")).into(),
+        list: Vec::new(),
+    };
+    let mut config = Config::default();
+    if let Some(file) = file {
+        let Some(text) = remarks.noted(read_text(file)) else {
+            return (None, remarks);
+        };
+        let (read, errors) = Config::parse_all(file, &text);
+        config = read;
+        let errors = errors.into_iter();
+        errors.for_each(|what| remarks.add(Severity::Error, what));
+    }
+    options.over(&mut config);
+    cross_check(&config, &mut remarks);
+    let plan = files(config, &mut remarks).filter(|_| !remarks.has_errors());
+    (plan, remarks)
+}
+
+/// The cameras' tables. The first flies always.
+fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &config::Camera); 3] {
+    let first = config.camera.source.clone();
+    let (second, roll) = (&config.second_camera, &config.roll_camera);
+    [
+        (
+            "camera",
+            CameraRole::PitchYaw,
+            first.or(Some(Source::Simulated(None))),
+            &config.camera,
+        ),
+        (
+            "second_camera",
+            CameraRole::PitchYaw,
+            second.source.clone(),
+            second,
+        ),
+        ("roll_camera", CameraRole::Roll, roll.source.clone(), roll),
+    ]
+}
+
+fn cross_check(config: &Config, remarks: &mut Remarks) {
+    for (table, _, source, camera) in tables(config) {
+        if source.is_some() {
+            exposure(table, camera, remarks);
+        }
+    }
+    same_sources(config, remarks);
+    archive(&config.archive, remarks);
+    link(config, remarks);
+    if config.site.place().is_none() {
+        remarks.warn(
+            "site",
+            "a place, for offsets where neither frames nor GPS tell one",
+            "none",
+        );
+    }
+}
+
+fn exposure(table: &str, camera: &config::Camera, remarks: &mut Remarks) {
+    let (shortest, longest) = (camera.auto_exposure_min_us, camera.auto_exposure_max_us);
+    let period_us = 1e6 / camera.rate_hz;
+    let key = |name: &str| format!("{table}.{name}");
+    if f64::from(camera.exposure_us) > period_us {
+        let expected = format!("less than the {period_us:.0} us from frame to frame at rate_hz");
+        remarks.error(
+            &key("exposure_us"),
+            expected,
+            camera.exposure_us.to_string(),
+        );
+    }
+    if camera.auto_exposure().is_none() {
+        return;
+    }
+    if shortest >= longest {
+        let expected = format!("less than auto_exposure_max_us, {longest}");
+        remarks.error(&key("auto_exposure_min_us"), expected, shortest.to_string());
+    } else if !(shortest..=longest).contains(&camera.exposure_us) {
+        let expected =
+            format!("one that automatic exposure may choose, {shortest} to {longest} us");
+        remarks.warn(
+            &key("exposure_us"),
+            expected,
+            camera.exposure_us.to_string(),
+        );
+    }
+    if f64::from(longest) > period_us {
+        let expected = format!("less than the {period_us:.0} us from frame to frame at rate_hz");
+        remarks.warn(&key("auto_exposure_max_us"), expected, longest.to_string());
+    }
+}
+
+/// A camera can be opened once; a folder or the simulator may serve twice, if that is meant.
+fn same_sources(config: &Config, remarks: &mut Remarks) {
+    let tables = tables(config);
+    for (n, (table, _, source, _)) in tables.iter().enumerate() {
+        let namesake = |(_, _, other, _): &&(_, _, Option<Source>, _)| other == source;
+        let Some((other, ..)) = tables[..n].iter().find(namesake) else {
+            continue;
+        };
+        let key = format!("{table}.source");
+        let expected = format!("another source than that of {other}");
+        match source {
+            None => {}
+            Some(source @ Source::Gige(_)) => remarks.error(&key, expected, source.to_string()),
+            Some(source) => remarks.warn(&key, expected, source.to_string()),
+        }
+    }
+}
+
+fn archive(archive: &config::Archive, remarks: &mut Remarks) {
+    let limits = archive.space_limits();
+    if limits.thin_percent > limits.warn_percent {
+        let expected = format!("at most warn_free_percent, {}", limits.warn_percent);
+        remarks.error(
+            "archive.thin_free_percent",
+            expected,
+            limits.thin_percent.to_string(),
+        );
+    }
+    if limits.stop_percent > limits.thin_percent {
+        let expected = format!("at most thin_free_percent, {}", limits.thin_percent);
+        remarks.error(
+            "archive.stop_free_percent",
+            expected,
+            limits.stop_percent.to_string(),
+        );
+    }
+    match (&archive.directory, &archive.second_directory) {
+        (None, None) => remarks.warn("archive.directory", "a folder, to keep frames", "none"),
+        (Some(first), Some(second)) if first == second => {
+            let found = second.display().to_string();
+            remarks.warn(
+                "archive.second_directory",
+                "another folder than the first",
+                found,
+            );
+        }
+        (Some(first), Some(second)) => {
+            let devices = [first, second].map(|folder| super::disks::device(folder));
+            if devices[0].is_some() && devices[0] == devices[1] {
+                let found = format!("{} on that of {}", second.display(), first.display());
+                remarks.warn(
+                    "archive.second_directory",
+                    "a folder on another disk",
+                    found,
+                );
+            }
+        }
+        _ => {}
+    }
+}
+
+fn link(config: &Config, remarks: &mut Remarks) {
+    match config.link.port.as_deref().map(str::parse::<PortAddress>) {
+        None => remarks.warn(
+            "link.port",
+            "the controller's port",
+            "none: nothing is sent",
+        ),
+        Some(Ok(_)) => {}
+        Some(Err(_)) => {
+            let found = config.link.port.clone().unwrap_or_default();
+            let expected = "a serial device, udp:HOST:PORT or udp:HOST:PORT@LOCALPORT";
+            remarks.error("link.port", expected, format!("\"{found}\""));
+        }
+    }
+    if config.link.sending_camera == 2 && config.second_camera.source.is_none() {
+        remarks.warn(
+            "link.sending_camera",
+            "a second_camera.source, to send from",
+            "none",
+        );
+    }
+    if let Some(values) = &config.link.saved_values {
+        saved_values(values, remarks);
+    }
+}
+
+/// Only whether they can be read and kept: what flies checks their sum, and starts without them where it is wrong.
+fn saved_values(file: &Path, remarks: &mut Remarks) {
+    let folder = file
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    if !folder.unwrap_or(Path::new(".")).is_dir() {
+        let found = file.display().to_string();
+        remarks.error(
+            "link.saved_values",
+            "a file in a folder that is there",
+            found,
+        );
+    } else if file.exists() {
+        let read = read_text(file).and_then(|text| {
+            let parsed = text.parse::<toml::Table>();
+            parsed.map_err(|error| TomlError::new(file, "", "valid TOML", error.message()))
+        });
+        remarks.noted(read);
+    }
+}
+
+/// What the files say that the configuration names.
+fn files(config: Config, remarks: &mut Remarks) -> Option<Plan> {
+    let planned = cameras(&config, remarks);
+    let orientation = plan::orientation(&config).map_err(|error| {
+        let expected = "a table as tools/iers makes it";
+        remarks.error("sky.earth_orientation", expected, error.to_string());
+    });
+    let orientation = orientation.ok()?;
+    let mut ephemeris = Ephemeris::new(Arc::clone(&orientation));
+    let target = plan::target(&config, &mut ephemeris).map_err(|error| match error {
+        NoTarget::Epoch(error) => {
+            remarks.error(
+                "target.epoch_utc",
+                "a time of which the sky is known",
+                error.to_string(),
+            );
+        }
+        NoTarget::Place(error) => {
+            remarks.error(
+                "target",
+                "a place on the disc, for one with an epoch",
+                error.to_string(),
+            );
+        }
+    });
+    Some(Plan {
+        cameras: planned?,
+        orientation,
+        target: target.ok()?,
+        config,
+    })
+}
+
+/// The cameras with their instruments; each file that is wrong is noted.
+fn cameras(config: &Config, remarks: &mut Remarks) -> Option<Vec<PlannedCamera>> {
+    let mut planned = Vec::new();
+    for (table, role, source, camera) in tables(config) {
+        let Some(source) = source else { continue };
+        check_source(table, &source, camera, remarks);
+        let file = match role {
+            CameraRole::PitchYaw => camera.instrument.as_deref(),
+            CameraRole::Roll => None,
+        };
+        let instrument = remarks.noted(Instrument::read_with_dates(file));
+        planned.push(instrument.map(|(instrument, dates)| PlannedCamera {
+            table,
+            role,
+            source,
+            config: camera.clone(),
+            instrument,
+            dates,
+        }));
+    }
+    planned.into_iter().collect()
+}
+
+fn check_source(table: &str, source: &Source, camera: &config::Camera, remarks: &mut Remarks) {
+    let key = format!("{table}.source");
+    match source {
+        Source::Folder(folder) => match FolderCamera::open(folder, camera.rate_hz, 1.0) {
+            Ok(_) => {}
+            Err(CameraError::Folder { folder, found }) => {
+                let found = format!("{found} in {}", folder.display());
+                remarks.error(&key, "a folder of frames", found);
+            }
+            Err(error) => remarks.error(&key, "a folder of frames", error.to_string()),
+        },
+        Source::Simulated(Some(file)) => {
+            remarks.noted(Pieces::read(file));
+        }
+        Source::Gige(_) if cfg!(not(feature = "gige")) => {
+            let expected = "a program built with `--features gige` for such a camera";
+            remarks.error(&key, expected, source.to_string());
+        }
+        Source::Gige(_) | Source::Simulated(None) => {}
+    }
+}

@@ -1,0 +1,138 @@
+//! Commands become keys and values.
+
+use super::{Controls, Topic, switch};
+use crate::config::{Allowed, Value, by_command};
+use crate::link::{CameraRole, CameraSetting, Command, CommandResult, Control, GpsFix};
+use crate::units::Place;
+use std::sync::atomic::Ordering;
+
+impl Control for Controls {
+    fn carry_out(&mut self, command: &Command) -> CommandResult {
+        let whole = |value: i64| Value::Whole(value);
+        match *command {
+            Command::NoOp => CommandResult::Done,
+            // The responder's own.
+            Command::StartSending | Command::StopSending => CommandResult::NotImplemented,
+            Command::Quit => {
+                self.0.quits.store(true, Ordering::Relaxed);
+                CommandResult::Done
+            }
+            Command::SendPicture(role) => self.want_picture(role),
+            Command::SetTarget { x_arcsec, y_arcsec } => self.set_by_command(&[
+                ("target.x_arcsec", Value::Number(x_arcsec.into())),
+                ("target.y_arcsec", Value::Number(y_arcsec.into())),
+            ]),
+            Command::StoreFrames { cameras, on } => {
+                let settings: Vec<_> = cameras
+                    .iter()
+                    .map(|role| (store_key(*role), switch(on)))
+                    .collect();
+                self.set_by_command(&settings)
+            }
+            Command::AcceptGps { on } => self.set_by_command(&[("gps.accept", switch(on))]),
+            Command::SetCamera(role, setting) => {
+                let (key, value) = camera_setting(role, setting);
+                self.set_by_command(&[(&key, value)])
+            }
+            Command::SetClocking { angle_deg } => {
+                self.set_by_command(&[("mounting.clocking_deg", Value::Number(angle_deg))])
+            }
+            Command::SetTwist { angle_deg } => {
+                self.set_by_command(&[("mounting.twist_deg", Value::Number(angle_deg))])
+            }
+            Command::SetPlace {
+                latitude_deg,
+                longitude_deg,
+            } => self.set_by_command(&[
+                ("site.latitude_deg", Value::Number(latitude_deg)),
+                ("site.longitude_deg", Value::Number(longitude_deg)),
+            ]),
+            Command::SetInteger { parameter, value } => {
+                let fits = |allowed| matches!(allowed, Allowed::Whole(..));
+                self.set_numbered(parameter, fits, whole(value.into()))
+            }
+            Command::SetFloat { parameter, value } => {
+                let fits = |allowed| matches!(allowed, Allowed::Number(..));
+                self.set_numbered(parameter, fits, Value::Number(value))
+            }
+            Command::Read(reading) => {
+                let value = self.state().read(reading);
+                value.map_or(CommandResult::Unknown, CommandResult::Value)
+            }
+        }
+    }
+
+    fn take_fix(&mut self, fix: GpsFix) -> CommandResult {
+        let mut state = self.state();
+        let last = state.place.map(|place| GpsFix {
+            latitude_deg: place.latitude_deg as f32,
+            longitude_deg: place.longitude_deg as f32,
+        });
+        let height_m = state.place.map_or(0.0, |place| place.height_m);
+        let (latitude, longitude) = (fix.latitude_deg.into(), fix.longitude_deg.into());
+        match Place::new(latitude, longitude, height_m) {
+            Ok(place) if state.own.accepts_gps && fix.may_follow(last) => {
+                state.place = Some(place);
+                drop(state);
+                self.0.versions[Topic::Aim as usize].fetch_add(1, Ordering::Release);
+                CommandResult::Done
+            }
+            _ => CommandResult::Refused,
+        }
+    }
+}
+
+impl Controls {
+    fn set_by_command(&self, settings: &[(&str, Value)]) -> CommandResult {
+        match self.set(settings) {
+            Ok(()) => {
+                for (key, value) in settings {
+                    tracing::info!(key, %value, "set by command");
+                }
+                CommandResult::Done
+            }
+            Err(refused) => {
+                tracing::warn!(%refused, "a command was refused");
+                CommandResult::Refused
+            }
+        }
+    }
+
+    /// By its number; `fits` says whether the parameter is of the command's kind.
+    fn set_numbered(&self, number: u16, fits: fn(Allowed) -> bool, value: Value) -> CommandResult {
+        match by_command(number) {
+            Some(parameter) if fits(parameter.allowed) => {
+                self.set_by_command(&[(parameter.key, value)])
+            }
+            _ => CommandResult::Refused,
+        }
+    }
+
+    fn want_picture(&self, role: CameraRole) -> CommandResult {
+        if !self.state().cameras.contains(&role) {
+            return CommandResult::NotImplemented;
+        }
+        self.0.pictures[role as usize].store(true, Ordering::Relaxed);
+        CommandResult::Done
+    }
+}
+
+fn store_key(role: CameraRole) -> &'static str {
+    match role {
+        CameraRole::PitchYaw => "store.pitch_yaw",
+        CameraRole::Roll => "store.roll",
+    }
+}
+
+fn camera_setting(role: CameraRole, setting: CameraSetting) -> (String, Value) {
+    let table = match role {
+        CameraRole::PitchYaw => "camera",
+        CameraRole::Roll => "roll_camera",
+    };
+    let (name, value) = match setting {
+        CameraSetting::ExposureUs(value) => ("exposure_us", Value::Whole(value.into())),
+        CameraSetting::AnalogueGain(value) => ("analogue_gain", Value::Number(value.into())),
+        CameraSetting::PreampGain(value) => ("preamp_gain", Value::Number(value.into())),
+    };
+    (format!("{table}.{name}"), value)
+}

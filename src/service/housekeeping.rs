@@ -1,0 +1,218 @@
+//! What the ground is told each second, put together from the counts and the latest answer.
+
+use super::control::Controls;
+use super::shared::Shared;
+use super::solver::Answer;
+use super::tally::{FlightTally, quantile};
+use super::watch::Counts;
+use crate::aspect::{Origin, Quality};
+use crate::clock::ClockStatus;
+use crate::geometry::MappingKind;
+use crate::link::housekeeping::MarkIds;
+use crate::link::{CameraRole, Housekeeping};
+use std::time::{Duration, Instant};
+
+/// Where Linux tells how warm the computer is, in thousandths of a degree.
+const COMPUTER_TEMPERATURE: &str = "/sys/class/thermal/thermal_zone0/temp";
+
+/// What the solver of the sending camera leaves for the next packet.
+#[derive(Debug, Default)]
+pub(super) struct Recent {
+    pub answer: Option<Answer>,
+    /// Of the frames since the last packet.
+    pub solve_times: Vec<Duration>,
+}
+
+impl Recent {
+    pub fn note(&mut self, answer: &Answer) {
+        /// More than any camera takes between two packets.
+        const MOST: usize = 1000;
+        self.answer = Some(answer.clone());
+        if self.solve_times.len() < MOST {
+            self.solve_times.push(answer.solve_time);
+        }
+    }
+}
+
+/// Makes the packets.
+pub(super) struct Teller {
+    controls: Controls,
+    /// Of each pitch-yaw camera.
+    recent: Vec<Shared<Recent>>,
+    start: Instant,
+    before: FlightTally,
+}
+
+impl Teller {
+    pub fn new(controls: Controls, recent: Vec<Shared<Recent>>) -> Self {
+        Self {
+            controls,
+            recent,
+            start: Instant::now(),
+            before: FlightTally::default(),
+        }
+    }
+
+    pub fn tell(&mut self, counts: &Counts, restarts: u64) -> Box<Housekeeping> {
+        let tally = counts.tally();
+        let mut told = Box::<Housekeeping>::default();
+        let clock = ClockStatus::read().ok();
+        let offset_us = clock.map(|clock| clock.offset_us.round() as i64);
+        self.controls.note_clock_offset(offset_us);
+        told.uptime_s = small(self.start.elapsed().as_secs());
+        told.restarts = small(restarts);
+        self.tell_settings(&mut told);
+        tell_counts(&mut told, &tally);
+        told.clock_stepped = tally.camera.utc_steps > self.before.camera.utc_steps;
+        told.camera_c = tally.camera.health.temperature_c.map(|c| c as f32);
+        told.computer_c = computer_c();
+        let used =
+            |disk: usize| Some((100.0 - counts.archive.disks().get(disk)?.free_percent?) as u8);
+        told.disks = [used(0), used(1)];
+        let sent = tally
+            .line
+            .solutions
+            .saturating_sub(self.before.line.solutions);
+        let latest = tally.line.latencies.iter().rev().take(sent as usize);
+        let mut latencies: Vec<Duration> = latest.copied().collect();
+        told.latency_ms = quantile(&mut latencies, 0.5).map(milliseconds);
+        told.latency_99_ms = quantile(&mut latencies, 0.99).map(milliseconds);
+        self.tell_answer(&mut told);
+        self.before = tally;
+        told
+    }
+
+    fn tell_settings(&self, told: &mut Housekeeping) {
+        let link = self.controls.config().link;
+        told.computer = link.computer as u8;
+        told.storing = self.controls.stores(CameraRole::PitchYaw);
+        told.clock_offset_us = self.controls.clock_offset_us().map(|us| us as f32);
+    }
+
+    fn tell_answer(&self, told: &mut Housekeeping) {
+        let camera = self.controls.config().link.sending_camera as usize;
+        let Some(recent) = self.recent.get(camera.saturating_sub(1)) else {
+            return;
+        };
+        let (answer, mut solve_times) = {
+            let mut recent = recent.lock();
+            let solve_times = std::mem::take(&mut recent.solve_times);
+            (recent.answer.take(), solve_times)
+        };
+        told.solve_ms = quantile(&mut solve_times, 0.5).map(milliseconds);
+        if let Some(answer) = answer {
+            tell_frame(told, &answer);
+            tell_solution(told, &answer);
+        }
+    }
+}
+
+fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
+    let FlightTally {
+        camera,
+        solver,
+        archive,
+        line,
+        ..
+    } = tally;
+    told.taken = small(camera.taken);
+    told.lost = small(camera.lost + camera.failed + solver.misfits);
+    told.fine = small(solver.of(Quality::Fine));
+    told.coarse = small(solver.of(Quality::Coarse));
+    told.none = small(solver.of(Quality::None));
+    for ((stage, _), count) in &solver.reasons {
+        let stopped = &mut told.stopped[*stage as usize];
+        // The layout wants these to begin again after 65535.
+        *stopped = stopped.wrapping_add(*count as u16);
+    }
+    told.stored = small(archive.stored);
+    told.unstored = small(archive.unstored);
+    told.tracking = line.conversation.tracking;
+    told.sending = line.conversation.sending;
+    told.announced = small(line.announced);
+    told.solutions = small(line.solutions);
+    told.errors = small(line.errors);
+    told.outdated = small(line.outdated);
+    told.unsent = small(line.failed + line.unannounced);
+    told.reopened = small(line.reopened);
+    told.rejected = small(line.rejected.packets);
+}
+
+fn tell_frame(told: &mut Housekeeping, answer: &Answer) {
+    let info = &answer.exposure.frame.info;
+    told.number = small(info.number.unwrap_or_default());
+    told.exposure_us = small(info.exposure.map_or(0, |time| time.as_micros() as u64));
+    told.analogue_gain = info.analogue_gain.map(|gain| gain as f32);
+    told.preamp_gain = info.preamp_gain.map(|gain| gain as f32);
+    told.solve_ms = told.solve_ms.or(Some(milliseconds(answer.solve_time)));
+}
+
+fn tell_solution(told: &mut Housekeeping, answer: &Answer) {
+    let solution = &answer.solution;
+    told.quality = solution.quality as u8;
+    if let Some(levels) = solution.levels {
+        told.background_dn = Some(levels.background_dn as f32);
+        told.disc_dn = Some(levels.disc_dn as f32);
+        told.noise_dn = Some(levels.noise_dn as f32);
+    }
+    told.limb_points = small(solution.limb.len() as u64);
+    told.marks = small(solution.marks.len() as u64);
+    told.ids = MarkIds::new(solution.marks.iter().map(|mark| [mark.id.i, mark.id.j]));
+    if let Some(offset) = &answer.offset {
+        told.azimuth_deg = Some(offset.azimuth_deg as f32);
+        told.elevation_deg = Some(offset.elevation_deg as f32);
+        told.offset_sigma_deg = Some(offset.sigma_deg as f32);
+    }
+    let Some((aspect, adopted)) = solution.aspect.as_ref().zip(solution.mapping.as_ref()) else {
+        return;
+    };
+    let one = |[x, y]: [f64; 2]| Some(((x * x + y * y) / 2.0).sqrt() as f32);
+    let sun = aspect.sun_px.position;
+    (told.sun_x_px, told.sun_y_px) = (Some(sun.x as f32), Some(sun.y as f32));
+    told.sun_sigma_px = one(aspect.sun_px.sigma());
+    let plate = aspect.sun_plate.position;
+    (told.plate_x_mil, told.plate_y_mil) = (Some(plate.x as f32), Some(plate.y as f32));
+    told.plate_sigma_mil = one(aspect.sun_plate.sigma());
+    told.mapping = match (adopted.origin, adopted.mapping.kind()) {
+        (Origin::Prior, _) => 4,
+        (Origin::Calibration, _) => 5,
+        (Origin::Frame, MappingKind::Similarity) => 1,
+        (Origin::Frame, MappingKind::Affine) => 2,
+        (Origin::Frame, MappingKind::Homography) => 3,
+        (Origin::Frame, MappingKind::Keystone) => 6,
+    };
+    told.scale_mil_per_px = Some(adopted.mapping.scale_mil_per_px(sun) as f32);
+    told.rotation_deg = Some(adopted.mapping.rotation_deg(sun) as f32);
+    told.residual_px = adopted.residual_px.map(|residual| residual as f32);
+}
+
+/// A count as the packet has room for it.
+fn small<T: TryFrom<u64> + Bounded>(count: u64) -> T {
+    T::try_from(count).unwrap_or(T::MOST)
+}
+
+trait Bounded {
+    const MOST: Self;
+}
+
+impl Bounded for u8 {
+    const MOST: Self = Self::MAX;
+}
+
+impl Bounded for u16 {
+    const MOST: Self = Self::MAX;
+}
+
+impl Bounded for u32 {
+    const MOST: Self = Self::MAX;
+}
+
+fn milliseconds(time: Duration) -> f32 {
+    1e3 * time.as_secs_f32()
+}
+
+fn computer_c() -> Option<f32> {
+    let text = std::fs::read_to_string(COMPUTER_TEMPERATURE).ok()?;
+    let thousandths: f32 = text.trim().parse().ok()?;
+    Some(thousandths / 1000.0)
+}

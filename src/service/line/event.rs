@@ -1,0 +1,68 @@
+//! What the link is told, and what it says of a frame without a solution.
+
+use crate::aspect::Stopped;
+use crate::link::{Exposure, Housekeeping, Picture, Solution};
+use crate::pointing::Offset;
+use std::time::{Duration, Instant};
+
+/// Error code of a frame whose Sun was found but whose time or place is not known.
+pub const NO_OFFSET: u16 = 100;
+
+/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass.
+#[rustfmt::skip] // One row, one line.
+pub const ERROR_CODES: &[(u16, &str)] = &[
+    (1, "levels: no disc stands out of the background"),
+    (2, "limb: no disc was found"),
+    (3, "marks: too few were seen"),
+    (4, "identification: the marks could not be told apart"),
+    (5, "registration: no mapping fits the marks"),
+    (6, "aspect: the Sun's place on the plate is not known"),
+    (7, "pointing: the target cannot be pointed at from here"),
+    (NO_OFFSET, "the Sun was found, but time or place of the frame is not known"),
+];
+
+/// What the link is told.
+pub enum LinkEvent {
+    ExposureStarts(Exposure),
+    Outcome(Outcome),
+    /// The second's housekeeping.
+    Housekeeping(Box<Housekeeping>),
+    /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
+    Picture(Box<Picture>),
+}
+
+/// What came of an exposure.
+pub struct Outcome {
+    pub exposure: Exposure,
+    /// When the frame was there.
+    pub arrived: Instant,
+    /// How long the shutter was open, where it is known.
+    pub shutter: Option<Duration>,
+    pub offset: Option<Offset>,
+    pub stopped: Option<Stopped>,
+}
+
+impl Outcome {
+    /// Since mid-exposure.
+    pub fn age(&self) -> Duration {
+        self.arrived.elapsed() + self.shutter.unwrap_or_default() / 2
+    }
+
+    pub fn solution(&self) -> Option<Solution> {
+        let offset = self.offset?;
+        let numbers = [offset.azimuth_deg, offset.elevation_deg, offset.sigma_deg];
+        numbers.iter().all(|n| n.is_finite()).then_some(Solution {
+            azimuth_deg: offset.azimuth_deg,
+            elevation_deg: offset.elevation_deg,
+            roll_deg: 0.0,
+            error_deg: offset.sigma_deg,
+            time: self.exposure.start,
+        })
+    }
+
+    /// What the controller is told where there is no solution.
+    pub fn error_code(&self) -> u16 {
+        self.stopped
+            .map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)
+    }
+}

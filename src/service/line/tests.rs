@@ -1,0 +1,561 @@
+//! The line's thread over pseudo-terminals; exposures and their outcomes are made by hand.
+
+use super::*;
+use crate::aspect::{Stage, Stopped};
+use crate::config::Config;
+use crate::frame::{Frame, FrameInfo, Pixels};
+use crate::instrument::builtin;
+use crate::link::ground::order;
+use crate::link::picture::Section;
+use crate::link::{BytePort, Message, SerialPort, Telemetry, id};
+use crate::pointing::{Offset, Target};
+use crate::units::Rejected;
+use crossbeam_channel::{Sender, unbounded};
+use nalgebra::Matrix2;
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+
+const LONG: Duration = Duration::from_secs(30);
+
+/// A line's thread, and the far end of its port.
+struct Bench {
+    events: Sender<LinkEvent>,
+    hang_up: Arc<AtomicBool>,
+    thread: JoinHandle<LineTally>,
+    far: Far,
+}
+
+/// The controller's and the ground's end.
+struct Far {
+    port: SerialPort,
+    parser: Parser,
+    start: Instant,
+    sequence: u16,
+    heard: Vec<Packet>,
+    computer: Computer,
+}
+
+fn bench(change: impl FnOnce(&mut config::Link)) -> Bench {
+    let (near, far) = SerialPort::pair().unwrap();
+    bench_over(Connection::over(near), far, change)
+}
+
+fn bench_over(
+    connection: Connection,
+    far: SerialPort,
+    change: impl FnOnce(&mut config::Link),
+) -> Bench {
+    let mut config = Config::default();
+    // No test depends on how fast the machine is.
+    config.link.max_solution_age_ms = 60_000;
+    change(&mut config.link);
+    let computer = Computer::numbered(config.link.computer).unwrap();
+    let mounting = builtin("demo").unwrap().mounting;
+    let controls = Controls::new(config, Target::default(), mounting);
+    let mut connection = connection;
+    let (events, receiver) = unbounded();
+    let hang_up = Arc::new(AtomicBool::new(false));
+    let hung_up = Arc::clone(&hang_up);
+    let thread = std::thread::spawn(move || {
+        let tally = Shared::default();
+        let mut line = Line::new(&mut connection, controls, tally.clone());
+        line.run(&receiver, &hung_up, &Life::new());
+        tally.copy()
+    });
+    let far = Far::new(far, computer);
+    Bench {
+        events,
+        hang_up,
+        thread,
+        far,
+    }
+}
+
+fn exposure(number: i64) -> Exposure {
+    Exposure {
+        camera: 1,
+        start: Timestamp::from_second(1_379_786_400 + number).unwrap(),
+    }
+}
+
+fn offset(sigma_deg: f64) -> Offset {
+    Offset {
+        azimuth_deg: 0.25,
+        elevation_deg: -0.125,
+        cross_elevation_deg: 0.2,
+        sigma_deg,
+        covariance_deg2: Matrix2::identity(),
+        calibration_deg2: Matrix2::identity(),
+    }
+}
+
+fn solved(exposure: Exposure) -> Outcome {
+    Outcome {
+        exposure,
+        arrived: Instant::now(),
+        shutter: None,
+        offset: Some(offset(1.5e-5)),
+        stopped: None,
+    }
+}
+
+fn stopped(stage: Stage) -> Stopped {
+    let rejected = Rejected {
+        reason: "a test",
+        measured: 1.0,
+        limit: 2.0,
+    };
+    Stopped { stage, rejected }
+}
+
+impl Bench {
+    fn starts(&mut self, exposure: Exposure) {
+        self.events
+            .send(LinkEvent::ExposureStarts(exposure))
+            .unwrap();
+    }
+
+    fn ends(&mut self, outcome: Outcome) {
+        self.events.send(LinkEvent::Outcome(outcome)).unwrap();
+    }
+
+    fn expose(&mut self, exposure: Exposure) {
+        self.starts(exposure);
+        self.ends(solved(exposure));
+    }
+
+    /// Waits until all events have been taken.
+    fn drain(&self) {
+        let end = Instant::now() + LONG;
+        while !self.events.is_empty() {
+            assert!(Instant::now() < end, "the line waits");
+            std::thread::sleep(PATIENCE);
+        }
+    }
+
+    /// Waits until all events have been heard. The first answer may overtake the last event, the second cannot.
+    fn settle(&mut self) {
+        self.drain();
+        for _ in 0..2 {
+            assert_eq!(self.far.ask("no_op", &[]), 0);
+        }
+    }
+
+    fn finish(self) -> LineTally {
+        drop(self.events);
+        self.hang_up.store(true, Ordering::Relaxed);
+        self.thread.join().unwrap()
+    }
+}
+
+impl Far {
+    fn new(port: SerialPort, computer: Computer) -> Self {
+        Self {
+            port,
+            parser: Parser::new(Direction::ToController),
+            start: Instant::now(),
+            sequence: 0,
+            heard: Vec::new(),
+            computer,
+        }
+    }
+
+    fn listen(&mut self) {
+        let mut buffer = [0; 4096];
+        let count = self.port.read(&mut buffer, PATIENCE).unwrap();
+        let now = self.start.elapsed();
+        self.heard.extend(self.parser.feed(&buffer[..count], now));
+    }
+
+    fn say(&mut self, name: &str, values: &[&str]) -> u16 {
+        let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
+        let message = order(name, &values, self.computer).unwrap();
+        self.sequence += 1;
+        let packet = message.packet(id::ASPECT, self.sequence).unwrap();
+        self.port.write(&packet.encode(), LONG).unwrap();
+        self.sequence
+    }
+
+    fn answers(&self) -> impl Iterator<Item = Telemetry> {
+        self.heard.iter().filter_map(|packet| match packet {
+            Packet::Telemetry(packet) => Telemetry::decode(packet).ok(),
+            Packet::Command(_) => None,
+        })
+    }
+
+    /// The result of a command.
+    fn ask(&mut self, name: &str, values: &[&str]) -> u16 {
+        let of = self.say(name, values);
+        self.result(of)
+    }
+
+    fn result(&mut self, of: u16) -> u16 {
+        let end = Instant::now() + LONG;
+        loop {
+            assert!(Instant::now() < end, "no result of {of}");
+            let result = self.answers().find_map(|answer| match answer {
+                Telemetry::Result {
+                    sequence, value, ..
+                } if sequence == of => Some(value),
+                _ => None,
+            });
+            match result {
+                Some(value) => return value,
+                None => self.listen(),
+            }
+        }
+    }
+
+    fn messages(&self) -> Vec<Message> {
+        let commands = self.heard.iter().filter_map(|packet| match packet {
+            Packet::Command(packet) => Some(Message::decode(packet.payload()).unwrap()),
+            Packet::Telemetry(_) => None,
+        });
+        commands.collect()
+    }
+
+    /// The times of the solutions, in the order of arrival.
+    fn solutions(&self) -> Vec<Timestamp> {
+        let messages = self.messages().into_iter();
+        let time = |message| match message {
+            Message::Solution(solution) => Some(solution.time),
+            _ => None,
+        };
+        messages.filter_map(time).collect()
+    }
+
+    fn errors(&self) -> Vec<u16> {
+        let messages = self.messages().into_iter();
+        let code = |message| match message {
+            Message::Error { code } => Some(code),
+            _ => None,
+        };
+        messages.filter_map(code).collect()
+    }
+}
+
+fn times(numbers: impl IntoIterator<Item = i64>) -> Vec<Timestamp> {
+    numbers.into_iter().map(|n| exposure(n).start).collect()
+}
+
+#[test]
+fn solutions_go_at_the_divisor_with_their_own_sigma_after_their_announcements() {
+    let mut bench = bench(|link| link.solution_divisor = 4);
+    assert_eq!(bench.far.ask("start_tracking", &[]), 0);
+    for number in 0..8 {
+        bench.expose(exposure(number));
+    }
+    bench.settle();
+    assert_eq!(bench.far.solutions(), times([0, 4]));
+    let messages = bench.far.messages();
+    let announced = messages
+        .iter()
+        .filter(|m| matches!(m, Message::ExposureStart(_)));
+    assert_eq!(announced.count(), 8);
+    let sigma = messages.iter().find_map(|message| match message {
+        Message::Solution(solution) => Some(solution.error_deg),
+        _ => None,
+    });
+    assert_eq!(sigma, Some(1.5e-5));
+    let tally = bench.finish();
+    assert_eq!((tally.announced, tally.solutions, tally.errors), (8, 2, 0));
+}
+
+#[test]
+fn a_frame_without_a_solution_has_an_error_instead() {
+    let mut bench = bench(|_| {});
+    bench.far.ask("start_tracking", &[]);
+    let none = |number| Outcome {
+        offset: None,
+        ..solved(exposure(number))
+    };
+    for (number, outcome) in [
+        Outcome {
+            stopped: Some(stopped(Stage::Limb)),
+            ..none(0)
+        },
+        none(1),
+        Outcome {
+            offset: Some(offset(f64::NAN)),
+            ..none(2)
+        },
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        bench.starts(exposure(number as i64));
+        bench.ends(outcome);
+    }
+    bench.settle();
+    assert_eq!(bench.far.errors(), [2, NO_OFFSET, NO_OFFSET]);
+    assert!(bench.far.solutions().is_empty());
+    assert_eq!(bench.finish().errors, 3);
+}
+
+#[test]
+fn a_solution_is_too_old_by_its_age_since_mid_exposure() {
+    let mut bench = bench(|_| {});
+    bench.far.ask("start_tracking", &[]);
+    let ago = |seconds| {
+        Instant::now()
+            .checked_sub(Duration::from_secs(seconds))
+            .unwrap()
+    };
+    let shutter = |seconds| Some(Duration::from_secs(seconds));
+    for (number, arrived, shutter) in [
+        (0, ago(20), None),
+        (1, ago(20), shutter(20)),
+        (2, ago(20), shutter(90)),
+        (3, ago(61), None),
+        (4, ago(0), None),
+    ] {
+        bench.starts(exposure(number));
+        bench.ends(Outcome {
+            arrived,
+            shutter,
+            ..solved(exposure(number))
+        });
+    }
+    bench.settle();
+    assert_eq!(bench.far.solutions(), times([0, 1, 4]));
+    assert_eq!(bench.finish().outdated, 2);
+}
+
+#[test]
+fn a_clock_that_steps_stops_nothing() {
+    let mut bench = bench(|_| {});
+    bench.far.ask("start_tracking", &[]);
+    let hours = [0, 3600, -3600, 7200, -86_400];
+    for hour in hours {
+        bench.expose(exposure(hour));
+    }
+    bench.settle();
+    assert_eq!(bench.far.solutions(), times(hours));
+}
+
+#[test]
+fn the_controller_hears_of_one_camera_which_a_command_chooses() {
+    let mut bench = bench(|_| {});
+    bench.far.ask("start_tracking", &[]);
+    // Both cameras see every exposure at one time; one sends.
+    let expose_both = |bench: &mut Bench, number| {
+        let both = [1, 2].map(|camera| Exposure {
+            camera,
+            ..exposure(number)
+        });
+        both.iter().for_each(|exposure| bench.starts(*exposure));
+        both.iter()
+            .for_each(|exposure| bench.ends(solved(*exposure)));
+    };
+    (0..5).for_each(|number| expose_both(&mut bench, number));
+    bench.settle();
+    assert_eq!(bench.far.ask("set_integer", &["4", "2"]), 0);
+    (5..10).for_each(|number| expose_both(&mut bench, number));
+    bench.settle();
+    assert_eq!(bench.far.solutions(), times(0..10), "each once");
+    assert_eq!(bench.far.ask("set_integer", &["4", "3"]), 2);
+}
+
+/// Hands the sending over; returns the stop, which may be answered later.
+fn hand_over(from: &mut Bench, to: &mut Bench) -> u16 {
+    let stop = from.far.say("stop_sending", &[]);
+    assert_eq!(to.far.ask("start_sending", &[]), 0);
+    stop
+}
+
+#[test]
+fn a_hand_over_leaves_neither_a_gap_nor_a_double_wherever_it_falls_in_an_exposure() {
+    let mut one = bench(|_| {});
+    let mut two = bench(|link| link.computer = 2);
+    for bench in [&mut one, &mut two] {
+        bench.far.ask("start_tracking", &[]);
+    }
+    for number in 0..12 {
+        for bench in [&mut one, &mut two] {
+            bench.starts(exposure(number));
+            bench.settle();
+        }
+        // In the middle of an exposure.
+        let mut stop_one = (number == 2).then(|| hand_over(&mut one, &mut two));
+        let stop_two = (number == 8).then(|| hand_over(&mut two, &mut one));
+        for bench in [&mut one, &mut two] {
+            bench.ends(solved(exposure(number)));
+            bench.settle();
+        }
+        // Between two exposures.
+        if number == 5 {
+            let stop = hand_over(&mut two, &mut one);
+            assert_eq!(two.far.result(stop), 0);
+        }
+        if number == 6 {
+            stop_one = Some(hand_over(&mut one, &mut two));
+        }
+        if let Some(stop) = stop_one {
+            assert_eq!(one.far.result(stop), 0);
+        }
+        if let Some(stop) = stop_two {
+            assert_eq!(two.far.result(stop), 0);
+        }
+    }
+    assert_eq!(one.far.solutions(), times([0, 1, 2, 6, 9, 10, 11]));
+    assert_eq!(two.far.solutions(), times([3, 4, 5, 7, 8]));
+    one.finish();
+    two.finish();
+}
+
+#[test]
+fn a_stop_is_answered_even_if_the_announced_frame_never_comes() {
+    let mut bench = bench(|link| link.max_solution_age_ms = 50);
+    bench.far.ask("start_tracking", &[]);
+    bench.starts(exposure(0));
+    bench.settle();
+    assert_eq!(bench.far.ask("stop_sending", &[]), 0);
+    bench.expose(exposure(1));
+    bench.settle();
+    assert!(bench.far.solutions().is_empty());
+}
+
+#[test]
+fn a_peer_that_takes_nothing_holds_up_nothing_and_hears_the_newest_afterwards() {
+    let mut bench = bench(|_| {});
+    bench.far.ask("start_tracking", &[]);
+    // Twice what any pseudo-terminal holds. Nobody reads.
+    let many = 3000;
+    for number in 0..many {
+        bench.expose(exposure(number));
+    }
+    bench.drain();
+    // The peer is back. What it reads first is what the system held; then the line is as before.
+    let end = Instant::now() + LONG;
+    for number in many.. {
+        assert!(Instant::now() < end, "nothing new is heard");
+        bench.expose(exposure(number));
+        (0..20).for_each(|_| bench.far.listen());
+        if bench.far.solutions().last() > Some(&exposure(many).start) {
+            break;
+        }
+    }
+    let solutions = bench.far.solutions();
+    assert!(solutions.is_sorted(), "never an older one after a newer");
+    assert!(solutions.len() < many as usize, "some were dropped");
+    let tally = bench.finish();
+    assert!(tally.failed > 0);
+    assert!(tally.outdated > 0);
+}
+
+#[test]
+fn a_port_that_was_unplugged_is_found_again_and_the_conversation_goes_on() {
+    let slot: Arc<Mutex<Option<SerialPort>>> = Arc::default();
+    let socket = Arc::clone(&slot);
+    let connection = Connection::new(move || {
+        let port = socket.lock().unwrap().take();
+        let absent = || PortError::Udp {
+            name: "slot".into(),
+            cause: std::io::ErrorKind::NotFound.into(),
+        };
+        port.map(|port| Box::new(port) as _).ok_or_else(absent)
+    });
+    let (near, far) = SerialPort::pair().unwrap();
+    // Absent at the start, too.
+    let mut bench = bench_over(connection, far, |_| {});
+    bench.expose(exposure(0));
+    bench.drain();
+    *slot.lock().unwrap() = Some(near);
+    assert_eq!(bench.far.ask("start_tracking", &[]), 0);
+    bench.expose(exposure(1));
+    bench.settle();
+    assert_eq!(bench.far.solutions(), times([1]));
+
+    let (near, far) = SerialPort::pair().unwrap();
+    bench.far = Far::new(far, Computer::One);
+    for number in 2..50 {
+        bench.expose(exposure(number));
+    }
+    bench.drain();
+    *slot.lock().unwrap() = Some(near);
+    bench.settle();
+    bench.expose(exposure(50));
+    bench.settle();
+    assert_eq!(
+        bench.far.solutions(),
+        times([50]),
+        "tracking still holds; nothing old comes"
+    );
+    let tally = bench.finish();
+    assert_eq!((tally.lost, tally.reopened), (1, 1));
+}
+
+#[test]
+fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
+    let mut bench = bench(|link| link.baud = 4_000_000);
+    bench.far.ask("start_tracking", &[]);
+    let pixels: Vec<u8> = (0..50 * 40).map(|n| (n % 251) as u8).collect();
+    let info = FrameInfo::default();
+    let frame = Frame::new(50, 40, Pixels::U8(pixels.clone()), 255, info).unwrap();
+    let picture = Picture::new(&frame, 1, vec![], exposure(0).start)
+        .unwrap()
+        .unwrap();
+    bench
+        .events
+        .send(LinkEvent::Picture(Box::new(picture)))
+        .unwrap();
+    let told = Housekeeping {
+        solutions: 7,
+        ..Housekeeping::default()
+    };
+    bench
+        .events
+        .send(LinkEvent::Housekeeping(Box::new(told.clone())))
+        .unwrap();
+    let end = Instant::now() + LONG;
+    let mut received = vec![0; pixels.len()];
+    let mut number = 0;
+    let mut complete = false;
+    while !complete {
+        assert!(Instant::now() < end, "the picture does not come");
+        bench.expose(exposure(number));
+        number += 1;
+        (0..5).for_each(|_| bench.far.listen());
+        for packet in &bench.far.heard {
+            let Packet::Telemetry(packet) = packet else {
+                continue;
+            };
+            if let Some(section) = Section::decode(packet) {
+                received[section.first..][..section.pixels.len()].copy_from_slice(section.pixels);
+                complete |= section.last;
+            }
+        }
+    }
+    bench.settle();
+    assert_eq!(received, pixels);
+    assert_eq!(
+        bench.far.solutions(),
+        times(0..number),
+        "none was lost or late"
+    );
+    let heard = bench.far.heard.iter().find_map(|packet| match packet {
+        Packet::Telemetry(packet) => Housekeeping::decode(packet),
+        Packet::Command(_) => None,
+    });
+    assert_eq!(heard, Some(told));
+    let tally = bench.finish();
+    assert_eq!((tally.pictures, tally.housekeeping), (1, 1));
+}
+
+#[test]
+fn garbage_on_the_line_loses_no_command() {
+    let mut bench = bench(|_| {});
+    for number in 0..20 {
+        let noise: Vec<u8> = (0..number * 7).map(|n| (n * 37 + number) as u8).collect();
+        bench.far.port.write(&noise, LONG).unwrap();
+        bench
+            .far
+            .port
+            .write(&[0x9A, 0xC3, 0x30, 0xFF], LONG)
+            .unwrap();
+        assert_eq!(bench.far.ask("no_op", &[]), 0);
+    }
+    let tally = bench.finish();
+    assert_eq!(tally.commands, 20);
+    assert!(tally.rejected.packets >= 20);
+}

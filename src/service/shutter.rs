@@ -1,0 +1,251 @@
+//! A camera's thread: it sets the camera, announces each exposure on the line, and hands the frame to the solver.
+
+use super::control::{Controls, Topic};
+use super::line::LinkEvent;
+use super::shared::Shared;
+use super::tally::{CameraTally, worth_a_line};
+use super::worker::Life;
+use super::{Sighting, Station};
+use crate::camera::{
+    AutoExposure, AutoExposureSettings, Brightness, CameraError, Exposure, FrameSource, Settings,
+    Take,
+};
+use crate::frame::FrameInfo;
+use crate::link;
+use crossbeam_channel::{Sender, TrySendError};
+use jiff::{SignedDuration, Timestamp};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// After a failure the camera is not asked again at once.
+const PAUSE: Duration = Duration::from_millis(10);
+/// A camera that cannot be opened is tried again after this.
+const OPEN_AGAIN: Duration = Duration::from_secs(1);
+/// UTC may differ by this much from one frame to the next against the monotonic clock: more is a step. A clock that is
+/// being slewed gains half a millisecond a second.
+const STEP: SignedDuration = SignedDuration::from_millis(20);
+
+/// Opens a camera.
+pub type Opener = Arc<dyn Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync>;
+
+/// A frame's brightness and its exposure, us: what the solver tells the shutter.
+pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
+
+#[derive(Clone)]
+pub(super) struct Shutter {
+    pub station: Arc<Station>,
+    pub controls: Controls,
+    pub to_solver: Sender<Sighting>,
+    pub to_line: Sender<LinkEvent>,
+    pub glimpse: Glimpse,
+    pub tally: Shared<CameraTally>,
+    pub stop: Arc<AtomicBool>,
+}
+
+impl Shutter {
+    /// Takes frames until the source ends or the flight does. Without a source it opens one.
+    pub fn run(self, source: Option<Box<dyn FrameSource>>, open: Option<Opener>, life: &Life) {
+        let Some(mut source) = source.or_else(|| self.open(open.as_ref()?, life)) else {
+            return;
+        };
+        let mut dial = Dial::new(&self.controls, &self.station);
+        let mut clock = ClockWatch::default();
+        while self.goes_on(life) {
+            dial.turn(
+                &self.controls,
+                &self.station,
+                &self.glimpse,
+                source.as_mut(),
+            );
+            let mut announce = |start| self.announce(start);
+            let taken = source.next(&mut announce);
+            if life.is_over() {
+                return;
+            }
+            self.tally.lock().health = source.health();
+            match taken {
+                Ok(Take::Exposure(mut exposure)) => {
+                    clock.look(&mut exposure.frame.info, &self.tally);
+                    self.hand_on(*exposure);
+                }
+                Ok(Take::NotYet) => {}
+                Ok(Take::End) => return,
+                Err(error) => {
+                    self.note_failure(&error);
+                    thread::sleep(PAUSE);
+                }
+            }
+        }
+    }
+
+    fn goes_on(&self, life: &Life) -> bool {
+        life.beat();
+        !(self.stop.load(Ordering::Relaxed) || life.is_over())
+    }
+
+    fn open(&self, open: &Opener, life: &Life) -> Option<Box<dyn FrameSource>> {
+        while self.goes_on(life) {
+            match open() {
+                Ok(source) => return Some(source),
+                Err(error) => self.note_failure(&error),
+            }
+            let tried = Instant::now();
+            while tried.elapsed() < OPEN_AGAIN && self.goes_on(life) {
+                thread::sleep(PAUSE);
+            }
+        }
+        None
+    }
+
+    fn announce(&self, start: Timestamp) {
+        let camera = self.station.camera_number();
+        if !self.station.is_solved() {
+            return;
+        }
+        let event = LinkEvent::ExposureStarts(link::Exposure { camera, start });
+        if self.to_line.try_send(event).is_err() {
+            let mut tally = self.tally.lock();
+            tally.unannounced += 1;
+            if worth_a_line(tally.unannounced) {
+                tracing::warn!("the line is stuck: an exposure was not announced");
+            }
+        }
+    }
+
+    fn hand_on(&self, exposure: Exposure) {
+        let arrived = Instant::now();
+        let sighting = Sighting { exposure, arrived };
+        let full = matches!(
+            self.to_solver.try_send(sighting),
+            Err(TrySendError::Full(_))
+        );
+        let mut tally = self.tally.lock();
+        tally.taken += 1;
+        if full {
+            tally.lost += 1;
+            if worth_a_line(tally.lost) {
+                let lost = tally.lost;
+                tracing::warn!(lost, "the solver cannot follow: a frame was lost");
+            }
+        }
+    }
+
+    fn note_failure(&self, error: &CameraError) {
+        let mut tally = self.tally.lock();
+        tally.failed += 1;
+        if worth_a_line(tally.failed) {
+            tracing::error!(%error, failed = tally.failed, "no frame from the camera");
+        }
+    }
+}
+
+/// The camera's settings: the commanded ones, and the exposure that follows the light where that is wanted.
+struct Dial {
+    version: u64,
+    settings: Settings,
+    auto: Option<(AutoExposureSettings, AutoExposure)>,
+    /// Whether the source has been given the settings.
+    set: bool,
+}
+
+impl Dial {
+    fn new(controls: &Controls, station: &Station) -> Self {
+        let version = controls.version(Topic::Cameras);
+        let camera = controls.camera(station.seat);
+        Self {
+            version,
+            settings: camera.settings(),
+            auto: camera.auto_exposure().map(|s| (s, AutoExposure::new(s))),
+            // The source was opened with these.
+            set: true,
+        }
+    }
+
+    fn turn(
+        &mut self,
+        controls: &Controls,
+        station: &Station,
+        glimpse: &Glimpse,
+        source: &mut dyn FrameSource,
+    ) {
+        let version = controls.version(Topic::Cameras);
+        if version != self.version {
+            self.version = version;
+            let camera = controls.camera(station.seat);
+            self.set &= self.settings == camera.settings();
+            self.settings = camera.settings();
+            let wanted = camera.auto_exposure();
+            if wanted != self.auto.as_ref().map(|auto| auto.0) {
+                self.auto = wanted.map(|s| (s, AutoExposure::new(s)));
+            }
+        }
+        if let Some((_, auto)) = &mut self.auto
+            && let Some((seen, exposure_us)) = glimpse.lock().take()
+        {
+            let exposure_us = auto.next(seen, exposure_us);
+            self.set &= exposure_us == self.settings.exposure_us;
+            self.settings.exposure_us = exposure_us;
+        }
+        if !self.set {
+            self.set = true;
+            if let Err(error) = source.apply(&self.settings) {
+                tracing::error!(%error, "the camera did not take a setting");
+            }
+        }
+    }
+}
+
+/// Notices when UTC makes a step against the monotonic clock.
+#[derive(Default)]
+struct ClockWatch {
+    /// UTC at the start of the monotonic clock, by the last frame.
+    zero: Option<Timestamp>,
+}
+
+impl ClockWatch {
+    fn look(&mut self, info: &mut FrameInfo, tally: &Shared<CameraTally>) {
+        let zero = info.mid_exposure.zip(info.monotonic);
+        let zero = zero
+            .and_then(|(utc, since)| utc.checked_sub(SignedDuration::try_from(since).ok()?).ok());
+        let (Some(now), Some(then)) = (zero, self.zero) else {
+            self.zero = zero.or(self.zero);
+            return;
+        };
+        self.zero = Some(now);
+        let step = now.duration_since(then);
+        if step.abs() > STEP {
+            info.utc_step = Some(step);
+            tally.lock().utc_steps += 1;
+            let step_s = step.as_secs_f64();
+            tracing::warn!(step_s, frame = info.number, "UTC has made a step");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_of_utc_is_noticed_and_told_with_its_frame() {
+        let tally = Shared::default();
+        let mut clock = ClockWatch::default();
+        let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+        let mut step = |utc_ms, monotonic_ms| {
+            let mut info = FrameInfo {
+                mid_exposure: Some(start + SignedDuration::from_millis(utc_ms)),
+                monotonic: Some(Duration::from_millis(monotonic_ms)),
+                ..FrameInfo::default()
+            };
+            clock.look(&mut info, &tally);
+            info.utc_step.map(|step| step.as_millis())
+        };
+        assert_eq!([step(0, 5000), step(250, 5250), step(500, 5501)], [None; 3]);
+        assert_eq!(step(1750, 5750), Some(1001));
+        assert_eq!([step(2000, 6000), step(2250, 6250)], [None; 2]);
+        assert_eq!(step(1000, 6500), Some(-1500));
+        assert_eq!(tally.lock().utc_steps, 2);
+    }
+}

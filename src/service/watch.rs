@@ -1,0 +1,174 @@
+//! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
+
+use super::archiver::{self, Archive, Gauges};
+use super::housekeeping::Teller;
+use super::line::LinkEvent;
+use super::shared::Shared;
+use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
+use super::worker::{self, Worker};
+use crossbeam_channel::Sender;
+use sd_notify::NotifyState;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// How often the threads are looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+const TELL_EVERY: Duration = Duration::from_secs(1);
+/// How long the line may take to hang up.
+const HANGING_UP: Duration = Duration::from_millis(300);
+
+/// What the watch and the rest of the program tell each other.
+#[derive(Debug, Default)]
+pub(super) struct Signals {
+    /// No more frames.
+    pub stop: Arc<AtomicBool>,
+    /// No camera takes frames any more; threads of cameras that hang may still hold their channels.
+    pub cameras_ended: Arc<AtomicBool>,
+    /// The last frame is solved and stored, or given up.
+    pub finished: AtomicBool,
+    /// Somebody waits for the end: the line may be hung up when all is finished.
+    pub awaited: AtomicBool,
+    /// No more talking.
+    pub hang_up: Arc<AtomicBool>,
+    /// When what is not done by then is given up.
+    pub deadline: Shared<Option<Instant>>,
+}
+
+/// The counts of all threads.
+#[derive(Clone)]
+pub(super) struct Counts {
+    pub cameras: Vec<Shared<CameraTally>>,
+    pub solvers: Vec<Shared<SolverTally>>,
+    pub archive: Gauges,
+    pub line: Shared<LineTally>,
+}
+
+impl Counts {
+    pub fn tally(&self) -> FlightTally {
+        let mut tally = FlightTally {
+            archive: self.archive.tally(),
+            line: self.line.copy(),
+            ..FlightTally::default()
+        };
+        for camera in &self.cameras {
+            tally.camera.add(&camera.lock());
+        }
+        for solver in &self.solvers {
+            tally.solver.add(&solver.lock());
+        }
+        tally
+    }
+}
+
+pub(super) struct Watch {
+    pub cameras: Vec<Worker>,
+    pub solvers: Vec<Worker>,
+    pub disks: archiver::Threads,
+    pub line: Worker,
+    /// Held until the last solver has ended.
+    pub archive: Option<Archive>,
+    pub to_line: Sender<LinkEvent>,
+    pub teller: Teller,
+    pub counts: Counts,
+    pub signals: Arc<Signals>,
+}
+
+impl Watch {
+    /// Looks after the flight until everything has ended, or the deadline has passed and the line has been hung up.
+    pub fn run(mut self) -> FlightTally {
+        let mut systemd = Systemd::ready();
+        let mut told = Instant::now();
+        while !self.is_over() {
+            systemd.feed();
+            if told.elapsed() >= TELL_EVERY {
+                told += TELL_EVERY;
+                self.tell();
+            }
+            thread::sleep(LOOK_EVERY);
+        }
+        systemd.stopping();
+        self.signals.hang_up.store(true, Ordering::Relaxed);
+        let begin = Instant::now();
+        while self.line.look() && begin.elapsed() < HANGING_UP {
+            thread::sleep(LOOK_EVERY);
+        }
+        let mut tally = self.counts.tally();
+        tally.restarts = self.restarts();
+        tally
+    }
+
+    /// Looks after all threads: whether the work is done and the line is to be hung up.
+    fn is_over(&mut self) -> bool {
+        let taking = worker::look(&mut self.cameras);
+        if !taking {
+            self.signals.cameras_ended.store(true, Ordering::Relaxed);
+        }
+        let flying = worker::look(&mut self.solvers) || taking;
+        if !flying && let Some(archive) = self.archive.take() {
+            archive.close();
+        }
+        let storing = self.disks.look();
+        self.line.look();
+        let deadline = *self.signals.deadline.lock();
+        let late = deadline.is_some_and(|deadline| Instant::now() >= deadline);
+        if late && (flying || storing) && !self.signals.finished.load(Ordering::Relaxed) {
+            tracing::error!("not everything could be finished in time");
+        }
+        if late || !(flying || storing) {
+            self.signals.finished.store(true, Ordering::Release);
+        }
+        self.signals.finished.load(Ordering::Relaxed)
+            && self.signals.awaited.load(Ordering::Relaxed)
+    }
+
+    fn tell(&mut self) {
+        let told = self.teller.tell(&self.counts, self.restarts());
+        if let Some(archive) = &self.archive {
+            archive.note(&told);
+        }
+        // A line that is stuck has more urgent things to say.
+        let _ = self.to_line.try_send(LinkEvent::Housekeeping(told));
+    }
+
+    fn restarts(&self) -> u64 {
+        let workers = self.cameras.iter().chain(&self.solvers);
+        workers.map(Worker::restarts).sum::<u64>() + self.line.restarts() + self.disks.restarts()
+    }
+}
+
+/// The service manager, where it has started this program (`Type=notify`, `WatchdogSec`).
+struct Systemd {
+    every: Option<Duration>,
+    fed: Instant,
+}
+
+impl Systemd {
+    fn ready() -> Self {
+        tell_systemd(NotifyState::Ready);
+        Self {
+            // Twice as often as it wants to be fed.
+            every: sd_notify::watchdog_enabled().map(|patience| patience / 2),
+            fed: Instant::now(),
+        }
+    }
+
+    /// Only this thread feeds it: others that hang are started again; if this one hangs, systemd does the rest.
+    fn feed(&mut self) {
+        if self.every.is_some_and(|every| self.fed.elapsed() >= every) {
+            self.fed = Instant::now();
+            tell_systemd(NotifyState::Watchdog);
+        }
+    }
+
+    fn stopping(&self) {
+        tell_systemd(NotifyState::Stopping);
+    }
+}
+
+fn tell_systemd(state: NotifyState) {
+    if let Err(error) = sd_notify::notify(&[state]) {
+        tracing::warn!(%error, "systemd was not told");
+    }
+}

@@ -1,0 +1,257 @@
+//! A thread that is started again when it panics or hangs.
+//!
+//! A thread cannot be ended from outside. One that hangs is left alone for good: its life is over, it is told so if ever it
+//! looks, and another one takes its place with the same channels.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// A thread that panics again sooner than this is not started at once.
+const SOON: Duration = Duration::from_secs(1);
+
+/// One life of a worker: its heartbeat, and whether another has taken its place.
+#[derive(Debug)]
+pub(super) struct Life {
+    begin: Instant,
+    /// When it last beat, since `begin`.
+    beat_ms: AtomicU64,
+    over: AtomicBool,
+}
+
+impl Life {
+    pub fn new() -> Self {
+        Self {
+            begin: Instant::now(),
+            beat_ms: AtomicU64::new(0),
+            over: AtomicBool::new(false),
+        }
+    }
+
+    /// Says that the thread is at work, or waiting for some.
+    pub fn beat(&self) {
+        let now = self.begin.elapsed().as_millis() as u64;
+        self.beat_ms.store(now, Ordering::Relaxed);
+    }
+
+    /// Whether another thread has taken over: this one is to touch nothing any more.
+    pub fn is_over(&self) -> bool {
+        self.over.load(Ordering::Relaxed)
+    }
+
+    fn silence(&self) -> Duration {
+        let beat = Duration::from_millis(self.beat_ms.load(Ordering::Relaxed));
+        self.begin.elapsed().saturating_sub(beat)
+    }
+}
+
+/// What a thread does in one life. It returns when there is nothing left to do.
+pub(super) type Job = Box<dyn FnOnce(&Life) + Send>;
+type Make = Box<dyn FnMut() -> Job + Send>;
+
+/// A thread under watch.
+pub(super) struct Worker {
+    name: String,
+    /// Longer silence is a hang; `None` for a thread that waits for a disk, as long as the disk likes.
+    patience: Option<Duration>,
+    /// Makes the job of the next life; none once the work is done, so that its channels close.
+    make: Option<Make>,
+    running: Option<Running>,
+    due: Instant,
+    restarts: u64,
+}
+
+struct Running {
+    life: Arc<Life>,
+    thread: JoinHandle<()>,
+}
+
+impl Worker {
+    /// Starts the thread. `make` gives the job of its first life and of every further one.
+    pub fn start(
+        name: impl Into<String>,
+        patience: Option<Duration>,
+        make: impl FnMut() -> Job + Send + 'static,
+    ) -> std::io::Result<Self> {
+        let mut worker = Self {
+            name: name.into(),
+            patience,
+            make: Some(Box::new(make)),
+            running: None,
+            due: Instant::now(),
+            restarts: 0,
+        };
+        worker.live()?;
+        Ok(worker)
+    }
+
+    pub fn restarts(&self) -> u64 {
+        self.restarts
+    }
+
+    /// Looks after the thread: whether its work goes on.
+    pub fn look(&mut self) -> bool {
+        match &self.running {
+            Some(running) if running.thread.is_finished() => self.conclude(),
+            Some(running) => {
+                let silence = running.life.silence();
+                if self.patience.is_some_and(|patience| silence > patience) {
+                    self.abandon(silence);
+                }
+            }
+            None if self.make.is_some() && Instant::now() >= self.due => {
+                if let Err(error) = self.live() {
+                    tracing::error!(thread = self.name, %error, "a thread cannot be started");
+                    self.due = Instant::now() + SOON;
+                }
+            }
+            None => {}
+        }
+        self.running.is_some() || self.make.is_some()
+    }
+
+    fn live(&mut self) -> std::io::Result<()> {
+        let Some(make) = &mut self.make else {
+            return Ok(());
+        };
+        let job = make();
+        let life = Arc::new(Life::new());
+        let own = Arc::clone(&life);
+        let thread = thread::Builder::new()
+            .name(self.name.clone())
+            .spawn(move || job(&own))?;
+        self.running = Some(Running { life, thread });
+        Ok(())
+    }
+
+    fn conclude(&mut self) {
+        let Some(Running { life, thread }) = self.running.take() else {
+            return;
+        };
+        match thread.join() {
+            Ok(()) => self.make = None,
+            Err(panic) => {
+                self.restarts += 1;
+                // What a panic carries may itself panic when it is dropped.
+                let said = message(&*panic);
+                let _ = std::panic::catch_unwind(AssertUnwindSafe(|| drop(panic)));
+                let restarts = self.restarts;
+                tracing::error!(thread = self.name, said, restarts, "a thread panicked");
+                let short_lived = life.begin.elapsed() < SOON;
+                self.due = match short_lived {
+                    true => life.begin + SOON,
+                    false => Instant::now(),
+                };
+            }
+        }
+    }
+
+    fn abandon(&mut self, silence: Duration) {
+        self.restarts += 1;
+        let (silent_ms, restarts) = (silence.as_millis() as u64, self.restarts);
+        tracing::error!(thread = self.name, silent_ms, restarts, "a thread hangs");
+        if let Some(running) = self.running.take() {
+            running.life.over.store(true, Ordering::Relaxed);
+        }
+        self.due = Instant::now();
+    }
+}
+
+/// Looks after threads: whether the work of any goes on.
+pub(super) fn look(workers: &mut [Worker]) -> bool {
+    let at_work = workers
+        .iter_mut()
+        .filter_map(|worker| worker.look().then_some(()));
+    at_work.count() > 0
+}
+
+fn message(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+    text.unwrap_or_else(|| "not a text".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crossbeam_channel::{Receiver, unbounded};
+
+    fn look_until(worker: &mut Worker, done: impl Fn(&Worker, bool) -> bool) {
+        let start = Instant::now();
+        loop {
+            let goes_on = worker.look();
+            if done(worker, goes_on) {
+                return;
+            }
+            assert!(start.elapsed() < Duration::from_secs(60), "it never came");
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn ended(_: &Worker, goes_on: bool) -> bool {
+        !goes_on
+    }
+
+    #[test]
+    fn a_thread_that_panics_is_started_again_until_its_work_is_done() {
+        let (to_do, work) = unbounded();
+        let (say, heard) = unbounded();
+        (0..6).for_each(|n| to_do.send(n).unwrap());
+        drop(to_do);
+        let mut worker = Worker::start("panicking", None, move || {
+            let (work, say): (Receiver<u32>, _) = (work.clone(), say.clone());
+            Box::new(move |_| {
+                for n in work {
+                    assert!(n != 2, "two");
+                    say.send(n).unwrap();
+                }
+            })
+        })
+        .unwrap();
+        look_until(&mut worker, ended);
+        assert_eq!(worker.restarts(), 1);
+        // All ends of the channel are gone with the work.
+        assert_eq!(heard.iter().collect::<Vec<_>>(), [0, 1, 3, 4, 5]);
+    }
+
+    #[test]
+    fn a_thread_that_hangs_is_left_alone_and_another_takes_over() {
+        let (say, heard) = unbounded();
+        let mut lives = 0;
+        let patience = Some(Duration::from_secs(2));
+        let mut worker = Worker::start("hanging", patience, move || {
+            lives += 1;
+            let (say, first) = (say.clone(), lives == 1);
+            Box::new(move |life| {
+                while first && !life.is_over() {
+                    thread::yield_now();
+                }
+                say.send(life.is_over()).unwrap();
+            })
+        })
+        .unwrap();
+        look_until(&mut worker, ended);
+        assert_eq!(worker.restarts(), 1);
+        let mut both: Vec<bool> = heard.iter().collect();
+        both.sort_unstable();
+        assert_eq!(both, [false, true], "the old one learns of it");
+    }
+
+    #[test]
+    fn a_thread_that_beats_is_not_taken_for_one_that_hangs() {
+        let patience = Some(Duration::from_secs(2));
+        let mut worker = Worker::start("beating", patience, || {
+            Box::new(|life| {
+                for _ in 0..50 {
+                    life.beat();
+                    thread::sleep(Duration::from_millis(50));
+                }
+            })
+        })
+        .unwrap();
+        look_until(&mut worker, ended);
+        assert_eq!(worker.restarts(), 0);
+    }
+}

@@ -1,0 +1,234 @@
+//! The flight service at the end of a serial line: commands, a restart, a line that goes away. The camera sees nothing but
+//! darkness, so that every frame has an error and costs little.
+
+use jiff::Timestamp;
+use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
+use solaspect::config::Config;
+use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::instrument::{self, Instrument};
+use solaspect::link::ground::{Answered, ask, order};
+use solaspect::link::{
+    BytePort, COMMANDS, Command, Computer, Connection, Direction, Message, Packet, Parser,
+    PortAddress, SerialPort, id,
+};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+const LONG: Duration = Duration::from_secs(30);
+
+/// A camera in the dark, at 20 frames/s.
+struct Dark {
+    instrument: Instrument,
+    number: u64,
+}
+
+impl FrameSource for Dark {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        let announced = Timestamp::now();
+        starts(announced);
+        std::thread::sleep(Duration::from_millis(50));
+        let info = FrameInfo {
+            number: Some(self.number),
+            mid_exposure: Some(announced),
+            ..FrameInfo::default()
+        };
+        self.number += 1;
+        let (width, height) = (
+            self.instrument.camera.width_px,
+            self.instrument.camera.height_px,
+        );
+        let pixels = Pixels::U8(vec![4; width * height]);
+        let frame = Frame::new(width, height, pixels, 255, info).expect("a frame");
+        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
+    }
+}
+
+fn fly(line: Connection, config: Config) -> Service {
+    let instrument = instrument::builtin("demo").unwrap();
+    let camera = Dark {
+        instrument: instrument.clone(),
+        number: 0,
+    };
+    let flight = Flight {
+        config,
+        line,
+        ..Flight::of(Camera::new(instrument, camera))
+    };
+    Service::start(flight).unwrap()
+}
+
+fn end(service: Service) -> FlightTally {
+    service.stop();
+    service.join().unwrap()
+}
+
+/// What a command comes to; the same number twice would be two answers to one.
+fn tell(far: &mut dyn BytePort, sequence: u16, name: &str, values: &[&str]) -> Answered {
+    let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
+    let message = order(name, &values, Computer::One).unwrap();
+    ask(far, &message, sequence, LONG).unwrap()
+}
+
+#[test]
+fn every_command_of_the_table_is_answered_and_none_ends_the_flight_but_quit() {
+    let (near, mut far) = SerialPort::pair().unwrap();
+    let service = fly(Connection::over(near), Config::default());
+    for (sequence, row) in (1..).zip(COMMANDS) {
+        // Zeros are a value of most variables, and out of range for some.
+        let command = row
+            .command(Computer::One, &vec![0; row.variables.len()])
+            .unwrap();
+        let is_quit = Command::try_from(&command) == Ok(Command::Quit);
+        if is_quit {
+            continue;
+        }
+        let answer = ask(&mut far, &Message::Aspect(command), sequence, LONG).unwrap();
+        assert_eq!(answer.key, 0x1000 | row.key);
+        if row.reads.is_none() {
+            let refused = [
+                "exposure",
+                "set_integer",
+                "set_float",
+                "clocking",
+                "twist",
+                "place",
+            ];
+            let expected = match row.name {
+                name if refused.iter().any(|part| name.contains(part)) => 2,
+                "send_roll_picture" => 1,
+                _ => 0,
+            };
+            assert_eq!(answer.value, expected, "{}", row.name);
+        }
+        assert!(!service.controls().quits());
+    }
+    assert!(tell(&mut far, 1000, "quit", &[]).is_done());
+    assert!(service.controls().quits());
+    let tally = end(service);
+    assert_eq!(tally.line.commands, COMMANDS.len() as u64);
+}
+
+#[test]
+fn values_set_by_command_outlive_a_restart_where_a_file_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = Config::default();
+    config.link.saved_values = Some(folder.path().join("values.toml"));
+    let start = |config: &Config| {
+        let (near, far) = SerialPort::pair().unwrap();
+        (fly(Connection::over(near), config.clone()), far)
+    };
+    let (service, mut far) = start(&config);
+    assert!(tell(&mut far, 1, "set_target", &["-300", "450"]).is_done());
+    assert!(tell(&mut far, 2, "set_pitch_yaw_exposure", &["12000"]).is_done());
+    assert!(tell(&mut far, 3, "stop_sending", &[]).is_done());
+    assert!(!tell(&mut far, 4, "set_twist", &["1000"]).is_done());
+    end(service);
+
+    let (service, mut far) = start(&config);
+    assert_eq!(
+        tell(&mut far, 5, "get_target_x", &[]).value,
+        (-300_i16).cast_unsigned()
+    );
+    assert_eq!(tell(&mut far, 6, "get_target_y", &[]).value, 450);
+    assert_eq!(
+        tell(&mut far, 7, "get_pitch_yaw_exposure", &[]).value,
+        12_000
+    );
+    assert_eq!(
+        end(service).line.announced,
+        0,
+        "it does not send, as it was told"
+    );
+
+    config.link.saved_values = None;
+    let (service, mut far) = start(&config);
+    assert_eq!(tell(&mut far, 8, "get_target_x", &[]).value, 0);
+    end(service);
+}
+
+#[test]
+fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = folder.path().join("controller");
+    let name = device.to_str().unwrap().to_owned();
+    // A name that leads to the device of the day, as by-id names do. It does not exist yet.
+    let plug = |device: &Path| {
+        let (near, far) = SerialPort::pair().unwrap();
+        std::os::unix::fs::symlink(far.name(), device).unwrap();
+        // The service opens the far end by its name; ours is the near one.
+        (near, far)
+    };
+    let line = Connection::to(PortAddress::Serial { name }, 115_200, 0);
+    let service = fly(line, Config::default());
+    std::thread::sleep(Duration::from_millis(100));
+    let (mut ours, theirs) = plug(&device);
+    assert!(tell_patiently(&mut ours, 1, "no_op"));
+
+    std::fs::remove_file(&device).unwrap();
+    drop((ours, theirs));
+    std::thread::sleep(Duration::from_millis(300));
+    let (mut ours, _theirs) = plug(&device);
+    assert!(tell_patiently(&mut ours, 2, "no_op"));
+    let tally = end(service);
+    assert_eq!((tally.line.lost, tally.line.reopened), (1, 1), "{tally}");
+    assert_eq!(tally.camera.lost, 0);
+    assert_eq!(tally.solver.frames(), tally.camera.taken);
+    assert_eq!(tally.solver.unsent, 0);
+}
+
+/// Asks again until somebody listens.
+fn tell_patiently(far: &mut dyn BytePort, sequence: u16, name: &str) -> bool {
+    let message = order(name, &[], Computer::One).unwrap();
+    let end = Instant::now() + LONG;
+    while Instant::now() < end {
+        if ask(far, &message, sequence, Duration::from_millis(500)).is_ok() {
+            return true;
+        }
+    }
+    false
+}
+
+#[test]
+fn a_controller_that_reads_nothing_does_not_hold_up_the_solver() {
+    let (near, mut far) = SerialPort::pair().unwrap();
+    let service = fly(Connection::over(near), Config::default());
+    assert!(tell_patiently(&mut far, 1, "start_tracking"));
+    std::thread::sleep(Duration::from_secs(2));
+    let tally = end(service);
+    assert_eq!(tally.camera.lost, 0);
+    assert_eq!(tally.solver.frames(), tally.camera.taken);
+    assert_eq!(tally.solver.unsent + tally.camera.unannounced, 0);
+}
+
+#[test]
+fn over_udp_a_packet_is_a_datagram() {
+    let mut ours = solaspect::link::UdpPort::open("127.0.0.1:9", 0).unwrap();
+    let peer = format!("127.0.0.1:{}", ours.local_port().unwrap());
+    let near = solaspect::link::UdpPort::open(&peer, 0).unwrap();
+    let theirs = format!("127.0.0.1:{}", near.local_port().unwrap());
+    let service = fly(Connection::over(near), Config::default());
+    // Commands come from another socket than the one that is answered, as those of the ground may.
+    let mut ground = solaspect::link::UdpPort::open(&theirs, 0).unwrap();
+    let packet = Message::StartTracking.packet(id::ASPECT, 7).unwrap();
+    ground.write(&packet.encode(), LONG).unwrap();
+    let (mut heard, mut buffer) = (Vec::new(), [0; 2048]);
+    let finish = Instant::now() + LONG;
+    while !heard.contains(&Some(Message::Error { code: 1 })) {
+        assert!(Instant::now() < finish, "{heard:?}");
+        let count = ours.read(&mut buffer, Duration::from_millis(50)).unwrap();
+        if count == 0 {
+            continue;
+        }
+        // One datagram holds one packet and nothing else.
+        let packets = Parser::new(Direction::ToController).feed(&buffer[..count], Duration::ZERO);
+        assert_eq!(packets.len(), 1);
+        assert_eq!(packets[0].encode().len(), count);
+        heard.push(match &packets[0] {
+            Packet::Command(packet) => Message::decode(packet.payload()).ok(),
+            Packet::Telemetry(_) => None,
+        });
+    }
+    assert!(heard.contains(&Some(Message::TrackingOn)));
+    end(service);
+}
