@@ -24,7 +24,7 @@
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
 //! | [`config`] | the parameter table |
-//! | [`service`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; how near the truth the pipeline comes; whether all is ready to fly |
+//! | [`service`], [`calibrate`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; the instrument as it is; how near the truth the pipeline comes; whether all is ready to fly |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions
@@ -35,6 +35,7 @@
 pub mod accuracy;
 pub mod archive;
 pub mod aspect;
+pub mod calibrate;
 pub mod camera;
 pub mod cli;
 pub mod clock;

@@ -39,6 +39,7 @@ enum Command {
     Preflight(cli::preflight::PreflightArgs),
     Accuracy(cli::accuracy::AccuracyArgs),
     Archive(cli::archive::ArchiveArgs),
+    Calibrate(cli::calibrate::CalibrateArgs),
     Link(cli::link::LinkArgs),
 }
 
@@ -55,6 +56,7 @@ fn main() -> ExitCode {
         Command::Preflight(args) => cli::preflight::run(args),
         Command::Accuracy(args) => cli::accuracy::run(&args),
         Command::Archive(args) => cli::archive::run(args),
+        Command::Calibrate(args) => cli::calibrate::run(args),
         Command::Link(args) => cli::link::run(args),
     };
     match outcome {

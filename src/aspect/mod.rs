@@ -115,6 +115,7 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
         limb = bare; // 7
     }
     solution.limb.clone_from(&limb.points);
+    solution.limb_blur_px = Some(limb.lens_blur_px());
     let registration = read.and_then(|(first, marks)| {
         let sight = MarkSight {
             levels: &levels,

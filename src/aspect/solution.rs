@@ -147,6 +147,8 @@ pub struct Solution {
     pub levels: Option<Levels>,
     /// Points of the limb that the disc rests on.
     pub limb: Vec<LimbPoint>,
+    /// Blur of the limb, 1 sigma, the pixel's own size taken off.
+    pub limb_blur_px: Option<f64>,
     pub detections: Detections,
     pub marks: Vec<Mark>,
     pub mapping: Option<AdoptedMapping>,
@@ -162,6 +164,7 @@ impl Solution {
             stopped: None,
             levels: None,
             limb: Vec::new(),
+            limb_blur_px: None,
             detections: Detections::default(),
             marks: Vec::new(),
             mapping: None,

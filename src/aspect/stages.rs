@@ -66,8 +66,21 @@ impl<'a> Work<'a> {
         2.0 * self.shape.half_length_px
     }
 
+    /// The levels. A background cut off at zero shows less noise than there is: the stated noise is the least.
     pub(super) fn levels(&self) -> Result<Levels, Stopped> {
-        limb::levels(self.frame, &self.settings.limb).map_err(at(Stage::Levels))
+        let seen = limb::levels(self.frame, &self.settings.limb).map_err(at(Stage::Levels))?;
+        let stated = self
+            .instrument
+            .sensor
+            .noise
+            .filter(|noise| noise.is_of(self.frame));
+        Ok(match stated {
+            Some(noise) => Levels {
+                noise_dn: seen.noise_dn.max(noise.read_noise_dn.value),
+                ..seen
+            },
+            None => seen,
+        })
     }
 
     pub(super) fn find_disc(&self, levels: &Levels) -> Result<CoarseDisc, Stopped> {
@@ -137,9 +150,13 @@ impl<'a> Work<'a> {
         .unwrap_or(self.frame.region())
     }
 
-    /// Before the marks are known nothing is hidden.
+    /// Before the marks are known nothing is hidden but the hot pixels that the instrument states.
     pub(super) fn nothing_hidden(&self, disc: &Ellipse) -> Hidden {
-        Hidden::nothing(self.about(disc))
+        let mut hidden = Hidden::nothing(self.about(disc));
+        for (x, y) in &self.instrument.sensor.hot_pixels {
+            hidden.hide(SensorPx::new(*x as f64, *y as f64), 0.0, |_| true);
+        }
+        hidden
     }
 
     /// Hides every mark of the plate that a mapping puts near the limb, seen or not.

@@ -3,9 +3,12 @@
 use super::options;
 use crate::fits::{self, Compression};
 use crate::instrument::Instrument;
-use crate::simulate::{Conditions, Counts, Depth, Noise, Picture, RandomScenes, SunInView, Truth};
+use crate::simulate::{
+    Conditions, Counts, Depth, DriftScenes, FORT_SUMNER, Noise, Picture, RandomScenes, SunInView,
+    Truth,
+};
 use crate::sky;
-use crate::units::SensorPx;
+use crate::units::{Place, SensorPx};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -39,6 +42,18 @@ pub struct SimulateArgs {
     /// Frames per second
     #[arg(long, value_name = "HZ", default_value_t = 4.0, value_parser = Within(1e-3, 1000.0, "Hz"))]
     pub rate: f64,
+    /// A drift scan: the gondola stands still, and the Sun crosses the plate as the ephemeris and the instrument's mounting say; its
+    /// direction goes to pointing.csv
+    #[arg(long, conflicts_with_all = ["partial", "no_sun", "smear"])]
+    pub drift: bool,
+    /// Where the gondola of the drift scan stands [default: Fort Sumner, at float]
+    #[arg(
+        long,
+        value_name = "LAT,LON,HEIGHT_M",
+        allow_hyphen_values = true,
+        requires = "drift"
+    )]
+    pub place: Option<Place>,
     #[command(flatten)]
     pub sun: SunArgs,
     #[command(flatten)]
@@ -178,7 +193,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
         None => sky::sun_angular_radius(args.utc).context("--utc")?,
     };
     let conditions = args.conditions(&instrument, radius_arcsec);
-    let scenes = RandomScenes::new(&instrument, &conditions, args.seed)?;
+    let mut scenes = args.scenes(&instrument, &conditions)?;
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
     let path = args.out.join("truth.csv");
@@ -187,14 +202,24 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     writeln!(truth, "{TRUTH_HEADER}").with_context(cannot_write)?;
     let progress = progress_bar(args.frames);
     for number in 0..args.frames {
-        let picture = args.picture(&scenes, number)?;
+        let picture = args.picture(&mut scenes, number)?;
         let file = args.out.join(format!("frame_{number:05}.fits"));
         fits::write_frame(&file, &picture.frame, &[], &[], Compression::Rice)?;
         writeln!(truth, "{}", truth_line(number, &picture.truth)).with_context(cannot_write)?;
         progress.inc(1);
     }
     progress.finish_and_clear();
-    truth.flush().with_context(cannot_write)
+    truth.flush().with_context(cannot_write)?;
+    match &scenes {
+        Scenes::Random(_) => Ok(()),
+        Scenes::Drift(drift) => args.write_pointing(drift),
+    }
+}
+
+/// Where the frames' scenes come from.
+enum Scenes {
+    Random(Box<RandomScenes>),
+    Drift(Box<DriftScenes>),
 }
 
 /// A bar on the terminal; nothing where standard error is not one.
@@ -218,12 +243,43 @@ fn truth_line(number: u64, truth: &Truth) -> String {
 }
 
 impl SimulateArgs {
-    fn picture(&self, scenes: &RandomScenes, number: u64) -> anyhow::Result<Picture> {
-        let mut scene = scenes.scene(number)?;
-        let since_first = SignedDuration::try_from_secs_f64(number as f64 / self.rate)?;
+    fn scenes(&self, instrument: &Instrument, conditions: &Conditions) -> anyhow::Result<Scenes> {
+        if self.drift {
+            let middle = self.utc_at((self.frames - 1) as f64 / 2.0)?;
+            let at = (middle, self.place.unwrap_or(FORT_SUMNER));
+            let drift = DriftScenes::new(instrument, conditions, at, self.seed)?;
+            return Ok(Scenes::Drift(Box::new(drift)));
+        }
+        let scenes = RandomScenes::new(instrument, conditions, self.seed)?;
+        Ok(Scenes::Random(Box::new(scenes)))
+    }
+
+    fn utc_at(&self, number: f64) -> anyhow::Result<Timestamp> {
+        let since_first = SignedDuration::try_from_secs_f64(number / self.rate)?;
         let utc = self.utc.checked_add(since_first);
-        scene.info.mid_exposure = Some(utc.context("--utc: the last frame lies after year 9999")?);
+        utc.context("--utc: the last frame lies after year 9999")
+    }
+
+    fn picture(&self, scenes: &mut Scenes, number: u64) -> anyhow::Result<Picture> {
+        let utc = self.utc_at(number as f64)?;
+        let mut scene = match scenes {
+            Scenes::Random(scenes) => scenes.scene(number)?,
+            Scenes::Drift(scenes) => scenes.scene(number, utc)?,
+        };
+        scene.info.mid_exposure = Some(utc);
         Ok(scene.picture()?)
+    }
+
+    /// The one direction of a drift scan at the time of every frame, without refraction.
+    fn write_pointing(&self, drift: &DriftScenes) -> anyhow::Result<()> {
+        let path = self.out.join("pointing.csv");
+        let (azimuth, elevation) = (drift.pointing.azimuth_deg, drift.pointing.elevation_deg);
+        let mut text = String::from("utc,azimuth_deg,elevation_deg\n");
+        for number in 0..self.frames {
+            let utc = self.utc_at(number as f64)?;
+            text += &format!("{utc},{azimuth:.7},{elevation:.7}\n");
+        }
+        std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))
     }
 
     fn conditions(&self, instrument: &Instrument, sun_radius_arcsec: f64) -> Conditions {

@@ -18,7 +18,7 @@ const FILES: [(&str, &str); 3] = [
 /// A built-in instrument by name.
 pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
     let path = Path::new(name);
-    match text(name) {
+    match builtin_text(name) {
         Some(text) => raw::parse(path, text),
         None => Err(TomlError::new(
             path,
@@ -29,9 +29,10 @@ pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
     }
 }
 
-pub(super) fn text(name: &str) -> Option<&'static str> {
-    let file = FILES.iter().find(|(known, _)| *known == name);
-    file.map(|(_, text)| *text)
+/// The TOML text of a built-in instrument.
+pub fn builtin_text(name: &str) -> Option<&'static str> {
+    let known = FILES.iter().find(|(known, _)| *known == name);
+    known.map(|(_, text)| *text)
 }
 
 /// Names of the built-in instruments.

@@ -21,7 +21,7 @@ impl Instrument {
     /// As [`Instrument::read`].
     pub fn read_with_dates(path: Option<&Path>) -> Result<(Self, Vec<Dated>), TomlError> {
         let Some(path) = path else {
-            let text = builtin::text("demo").unwrap_or_default();
+            let text = builtin::builtin_text("demo").unwrap_or_default();
             return Ok((builtin("demo")?, dates(text, "mounting")));
         };
         let text = read_text(path)?;

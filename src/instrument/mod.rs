@@ -7,10 +7,12 @@
 mod builtin;
 mod dates;
 mod raw;
+mod sensor;
 pub mod toml_file;
 
-pub use builtin::{builtin, builtin_names};
+pub use builtin::{builtin, builtin_names, builtin_text};
 pub use dates::Dated;
+pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;
 
 use crate::frame::Frame;
@@ -26,6 +28,8 @@ use std::path::Path;
 pub struct Instrument {
     pub name: String,
     pub camera: Camera,
+    /// How the camera's pixels answer to light.
+    pub sensor: Sensor,
     pub plate: Plate,
     pub optics: Optics,
     pub mounting: Mounting,
@@ -51,6 +55,8 @@ pub struct Optics {
     pub blur_px: Measured,
     /// Wavelength of the band-pass filter.
     pub wavelength_nm: f64,
+    /// How blur and scale change with temperature; the solver measures both in each frame and does not ask.
+    pub thermal: Option<Thermal>,
 }
 
 impl Optics {
@@ -156,12 +162,18 @@ impl Instrument {
         (window.camera.width_px, window.camera.height_px) = size_px;
         window.camera.distortion.centre = from_corner(self.camera.distortion.centre);
         window.mounting.plate_centre_px = from_corner(self.mounting.plate_centre_px);
+        window.sensor = self.sensor.windowed(corner_px, size_px);
         window
     }
 
     /// Reads and checks an instrument's TOML file.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         raw::read(path)
+    }
+
+    /// Checks an instrument's TOML text; `path` is what errors name.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
+        raw::parse(path, text)
     }
 
     /// The mapping that the calibration states, with its covariance at the Sun's place by

@@ -6,7 +6,11 @@ use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::Path;
+
+mod sensor;
+use sensor::{RawNoise, RawThermal, RawVignetting};
 
 /// A number with what is known of it. Source and date are for people; the program keeps value and sigma.
 #[derive(Deserialize)]
@@ -34,6 +38,26 @@ struct RawInstrument {
     plate: RawPlate,
     optics: RawOptics,
     mounting: RawMounting,
+    #[serde(default, rename = "calibration")]
+    _calibrations: BTreeMap<String, RawCalibration>,
+}
+
+/// What a calibration rests on; for people, like source and date.
+#[derive(Deserialize)]
+struct RawCalibration {
+    #[serde(rename = "frames")]
+    _frames: usize,
+    #[serde(default, rename = "poses")]
+    _poses: Option<usize>,
+    /// Over the sorted SHA-256 of the files.
+    #[serde(rename = "frames_sha256")]
+    _frames_sha256: String,
+    #[serde(rename = "date")]
+    _date: toml::value::Datetime,
+    #[serde(rename = "program")]
+    _program: String,
+    #[serde(default, rename = "note")]
+    _note: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -42,6 +66,9 @@ struct RawCamera {
     height_px: Entry<usize>,
     bits: Entry<u32>,
     distortion: Option<RawDistortion>,
+    noise: Option<RawNoise>,
+    vignetting: Option<RawVignetting>,
+    hot_pixels_px: Option<Entry<Vec<[usize; 2]>>>,
 }
 
 #[derive(Deserialize)]
@@ -74,6 +101,7 @@ struct RawOptics {
     plate_distance_mm: Entry<f64>,
     blur_px: Entry<f64>,
     wavelength_nm: Entry<f64>,
+    temperature: Option<RawThermal>,
 }
 
 #[derive(Deserialize)]
@@ -92,10 +120,25 @@ pub(super) fn read(path: &Path) -> Result<Instrument, TomlError> {
 }
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {
-    let known = keys_of(include_str!("../../calibration/demo.toml"));
+    let mut known = keys_of(include_str!("../../calibration/demo.toml"));
+    known.extend(OPTIONAL_KEYS.map(str::to_owned));
     let raw: RawInstrument = parse_strict(path, text, &known)?;
     Checker { path }.instrument(raw)
 }
+
+/// Keys that the demo does without: what an unknown key may have been meant for.
+const OPTIONAL_KEYS: [&str; 10] = [
+    "camera.hot_pixels_px",
+    "camera.noise.dark_dn",
+    "camera.noise.gain_dn_per_electron",
+    "camera.noise.read_noise_dn",
+    "camera.noise.saturation_dn",
+    "camera.vignetting.centre_px",
+    "camera.vignetting.radial_per_px2",
+    "optics.temperature.blur_px_per_c",
+    "optics.temperature.reference_c",
+    "optics.temperature.scale_per_c",
+];
 
 /// Turns raw values into checked ones; knows the file for its errors.
 struct Checker<'a> {
@@ -105,6 +148,7 @@ struct Checker<'a> {
 impl Checker<'_> {
     fn instrument(&self, raw: RawInstrument) -> Result<Instrument, TomlError> {
         Ok(Instrument {
+            sensor: self.sensor(&raw.camera)?,
             camera: self.camera(raw.camera)?,
             plate: self.plate(raw.plate)?,
             optics: self.optics(raw.optics)?,
@@ -209,6 +253,11 @@ impl Checker<'_> {
             wavelength_nm: self
                 .measured("optics.wavelength_nm", raw.wavelength_nm, 100.0..=2000.0)?
                 .value,
+            thermal: raw
+                .temperature
+                .as_ref()
+                .map(|t| self.thermal(t))
+                .transpose()?,
         })
     }
 
@@ -246,8 +295,17 @@ impl Checker<'_> {
         entry: Entry<f64>,
         range: std::ops::RangeInclusive<f64>,
     ) -> Result<Measured, TomlError> {
+        self.number(field, &entry, range)
+    }
+
+    fn number(
+        &self,
+        field: &str,
+        entry: &Entry<f64>,
+        range: std::ops::RangeInclusive<f64>,
+    ) -> Result<Measured, TomlError> {
         self.within(field, entry.value, range, unit_of(field))?;
-        self.provenance(field, &entry)?;
+        self.provenance(field, entry)?;
         Ok(Measured::new(entry.value, entry.sigma))
     }
 
@@ -306,7 +364,9 @@ impl Checker<'_> {
 /// The unit that a key names at its end.
 fn unit_of(field: &str) -> &'static str {
     let key = field.trim_end_matches(".sigma");
-    const UNITS: [(&str, &str); 8] = [
+    const UNITS: [(&str, &str); 10] = [
+        ("_dn", "DN"),
+        ("_dn_per_electron", "DN"),
         ("_mil_per_px", "mil/px"),
         ("_per_px2", "px^-2"),
         ("_per_px4", "px^-4"),

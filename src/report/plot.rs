@@ -204,6 +204,57 @@ pub fn vector_map(
     })
 }
 
+/// Named points (x, y) over two linear axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    pub name: String,
+    pub points: Vec<(f64, f64)>,
+}
+
+/// Points over two linear axes, a line at y = 0 where it lies among them.
+pub fn scatter(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
+    let all = || series.iter().flat_map(|s| &s.points);
+    let span = |axis: fn(&(f64, f64)) -> f64| {
+        let (low, high) = extent(all().map(axis))?;
+        let spare = (0.05 * (high - low)).max(1e-9 * high.abs()).max(1e-12);
+        Some(low - spare..high + spare)
+    };
+    let empty = || PlotError::Empty(labels.title.clone());
+    let x = span(|p| p.0).ok_or_else(empty)?;
+    let y = span(|p| p.1).ok_or_else(empty)?;
+    figure(SIZE, |area| {
+        let mut chart = frame(area, labels).build_cartesian_2d(x.clone(), y.clone())?;
+        chart
+            .configure_mesh()
+            .x_desc(&labels.x)
+            .y_desc(&labels.y)
+            .light_line_style(WHITE)
+            .draw()?;
+        if y.contains(&0.0) {
+            let zero = [(x.start, 0.0), (x.end, 0.0)];
+            chart.draw_series(LineSeries::new(zero, BLACK.mix(0.5).stroke_width(1)))?;
+        }
+        for (n, series) in series.iter().enumerate() {
+            let colour = colour(n);
+            let points = series
+                .points
+                .iter()
+                .map(|p| Circle::new(*p, 2, colour.filled()));
+            chart
+                .draw_series(points)?
+                .label(series.name.as_str())
+                .legend(move |(x, y)| Circle::new((x + 9, y), 3, colour.filled()));
+        }
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperRight)
+            .background_style(WHITE.mix(0.8))
+            .border_style(BLACK.mix(0.3))
+            .draw()?;
+        Ok(())
+    })
+}
+
 /// Draws on white and gives the SVG.
 fn figure(
     size: (u32, u32),

@@ -2,7 +2,7 @@
 //!
 //! A [`Scene`] is everything a picture consists of; [`Scene::picture`] renders it to a [`Frame`](crate::frame::Frame) and states its
 //! [`Truth`]. The same scene gives the same frame, bit for bit. [`RandomScenes`] draws scenes by condition,
-//! [`FlightScenes`] follows a [`Trajectory`]. Beside them the gondola's side of the link: [`controller`].
+//! [`FlightScenes`] follows a [`Trajectory`], [`DriftScenes`] the Sun past a gondola that stands still. Beside them the gondola's side of the link: [`controller`].
 //!
 //! # How a picture is made
 //!
@@ -19,6 +19,7 @@ mod blur;
 pub mod controller;
 mod coverage;
 mod disc;
+mod drift;
 mod flight;
 mod noise;
 mod pieces;
@@ -29,6 +30,7 @@ mod scene;
 mod trajectory;
 
 pub use blemish::{Blemishes, Counts, Dust, HotPixel, Leak, Scratch};
+pub use drift::{DriftError, DriftScenes};
 pub use flight::{Course, FlightScenes};
 pub use noise::{Depth, Noise};
 pub use pieces::{Piece, Pieces};

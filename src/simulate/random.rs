@@ -3,10 +3,10 @@
 use super::blemish::{Blemishes, Counts};
 use super::noise::{Depth, Noise};
 use super::scene::{Scene, SceneError, Sun, Sunspot, keystoned, scattered};
-use super::{Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
-use crate::geometry::SimilarityParameters;
+use super::{EXPOSURE, Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
+use crate::geometry::{Mapping, SimilarityParameters};
 use crate::instrument::Instrument;
-use crate::units::SensorPx;
+use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
 use rand::RngExt;
 use std::f64::consts::TAU;
@@ -126,6 +126,25 @@ impl RandomScenes {
             info: frame_info(number),
             ..self.template.clone()
         })
+    }
+
+    /// The scene of a frame with the Sun at a place on the plate, moving by so many mil a second.
+    pub(super) fn scene_at(&self, number: u64, centre: PlateMil, per_s: Vector2<f64>) -> Scene {
+        Scene {
+            sun: Some(Sun {
+                centre,
+                smear_mil: per_s * EXPOSURE.as_secs_f64(),
+                ..self.sun.clone()
+            }),
+            seed: derived_seed(self.seed, Purpose::Noise, number),
+            info: frame_info(number),
+            ..self.template.clone()
+        }
+    }
+
+    /// The mapping that all scenes share.
+    pub(super) fn mapping(&self) -> &Mapping {
+        &self.template.mapping
     }
 
     fn sun(&self, number: u64) -> Result<Option<Sun>, SceneError> {

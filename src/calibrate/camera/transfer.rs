@@ -1,0 +1,208 @@
+//! Photon transfer: how the noise grows with the light.
+
+use super::dark::{Dark, clipped_variance, dn};
+use super::shots::{Shot, Shots};
+use super::straight::{median, solve};
+use super::{Figure, Finding};
+use crate::instrument::Instrument;
+use crate::report::plot::Series;
+use crate::units::{Measured, SensorPx};
+use nalgebra::Vector2;
+
+/// Side of the squares whose light and noise make a point, px.
+const TILE_PX: usize = 32;
+/// Light must span so many times the read noise, or it tells no slope.
+const LEAST_SPAN: f64 = 3.0;
+/// What the plate's grain and the marks' feet may add to the noise between neighbours.
+const GRAIN: f64 = 0.03;
+
+/// Light above the dark level and variance, DN and DN^2, with the pixels behind it.
+struct Point {
+    light: f64,
+    variance: f64,
+    pixels: f64,
+}
+
+/// Gain from pairs of evenly lit frames.
+pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (Finding, Option<Figure>) {
+    let pairs = flats.pairs();
+    let mut points: Vec<Point> = pairs.iter().flat_map(|(a, b)| tiles(a, b, dark)).collect();
+    if let Ok(noise) = &dark.noise {
+        // Worth ten squares of a pair.
+        points.push(Point {
+            light: 0.0,
+            variance: noise.value.powi(2),
+            pixels: 1e4,
+        });
+    }
+    let none = "not determined: no pairs of evenly lit frames at equal exposure; take two at each of several exposures (--flat)";
+    conclude(points, dark, none, "from pairs of evenly lit frames", 0.0)
+}
+
+/// The squares of a pair: the light of one differs from the other's by a common factor at most.
+fn tiles(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
+    let (width, height) = (a.frame.width(), a.frame.height());
+    let level = dark.level_dn();
+    let saturation = f64::from(a.frame.saturation_dn());
+    let corners = (0..height / TILE_PX).flat_map(|row| (0..width / TILE_PX).map(move |c| (c, row)));
+    let point = |(column, row): (usize, usize)| {
+        let inside = || {
+            let (x0, y0) = (column * TILE_PX, row * TILE_PX);
+            (y0..y0 + TILE_PX).flat_map(move |y| (x0..x0 + TILE_PX).map(move |x| (x, y)))
+        };
+        let values: Vec<(f64, f64)> = inside()
+            .map(|(x, y)| (dn(a, x, y) - level, dn(b, x, y) - level))
+            .collect();
+        let count = values.len() as f64;
+        let mean = |of: fn(&(f64, f64)) -> f64| values.iter().map(of).sum::<f64>() / count;
+        let (mean_a, mean_b) = (mean(|v| v.0), mean(|v| v.1));
+        let light = (mean_a + mean_b) / 2.0;
+        let differences: Vec<f64> = values
+            .iter()
+            .map(|(a, b)| (a - mean_a) - (b - mean_b))
+            .collect();
+        let variance = clipped_variance(&differences) / 2.0;
+        let reach = 5.0 * variance.max(1.0).sqrt();
+        let cut = light + level - reach < 0.0 || light + level + reach > saturation;
+        (!cut).then_some(Point {
+            light,
+            variance,
+            pixels: count,
+        })
+    };
+    corners.filter_map(point).collect()
+}
+
+/// Gain from the grain of the Sun's disc between the marks.
+pub(super) fn by_suns(suns: &Shots, stated: &Instrument, dark: &Dark) -> (Finding, Option<Figure>) {
+    let none = "not determined: no frames of the Sun; take pairs of evenly lit frames (--flat)";
+    let reach =
+        stated.plate.cross.arm_length_mil / 2.0 / stated.mounting.scale_mil_per_px.value + 4.0;
+    let mut points: Vec<Point> = suns
+        .frames
+        .iter()
+        .flat_map(|shot| grain(shot, reach, dark))
+        .collect();
+    if let Ok(noise) = &dark.noise {
+        let pixels = points.iter().map(|p| p.pixels).sum();
+        points.push(Point {
+            light: 0.0,
+            variance: noise.value.powi(2),
+            pixels,
+        });
+    }
+    let how = "from neighbouring pixels of the Sun's disc between the marks; the plate's grain counts as noise, so at most this";
+    conclude(points, dark, none, how, GRAIN)
+}
+
+/// Light and noise of rings of the disc: what a pixel differs from the mean of its neighbours to left and right.
+fn grain(shot: &Shot, mark_reach_px: f64, dark: &Dark) -> Vec<Point> {
+    const RINGS: usize = 6;
+    const OUTERMOST: f64 = 0.9;
+    let Some((centre, radius)) = shot.disc else {
+        return Vec::new();
+    };
+    let saturation = f64::from(shot.frame.saturation_dn());
+    let mut rings: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); RINGS];
+    let near: Vec<SensorPx> = shot
+        .marks
+        .iter()
+        .copied()
+        .filter(|m| m.distance(centre) < radius + mark_reach_px)
+        .collect();
+    let span = |middle: f64, pixels: usize| {
+        let low = (middle - radius).max(1.0) as usize;
+        low..((middle + radius).max(0.0) as usize).min(pixels.saturating_sub(2))
+    };
+    for y in span(centre.y, shot.frame.height()) {
+        for x in span(centre.x, shot.frame.width()) {
+            let at = SensorPx::new(x as f64, y as f64);
+            let part = (at.distance(centre) / radius / OUTERMOST).powi(2);
+            if part >= 1.0 || near.iter().any(|m| m.distance(at) < mark_reach_px) {
+                continue;
+            }
+            let [left, here, right] = [x - 1, x, x + 1].map(|x| dn(shot, x, y));
+            let ring = &mut rings[(part * RINGS as f64) as usize];
+            ring.0.push(here);
+            ring.1.push(here - (left + right) / 2.0);
+        }
+    }
+    rings
+        .iter()
+        .filter(|(values, _)| values.len() > 200)
+        .filter_map(|(values, differences)| {
+            let seen = median(values);
+            // Of independent pixels the difference has one and a half times their variance.
+            let variance = clipped_variance(differences) / 1.5;
+            let clear = seen + 5.0 * variance.max(1.0).sqrt() < saturation;
+            clear.then_some(Point {
+                light: seen - dark.level_dn(),
+                variance,
+                pixels: values.len() as f64 / 2.0,
+            })
+        })
+        .collect()
+}
+
+/// The slope of variance over light.
+fn conclude(
+    points: Vec<Point>,
+    dark: &Dark,
+    none: &str,
+    how: &str,
+    systematic: f64,
+) -> (Finding, Option<Figure>) {
+    let figure = Figure {
+        title: "Photon transfer",
+        x: "light above the dark level, DN",
+        y: "variance of a pixel, DN^2",
+        series: vec![Series {
+            name: "measured".into(),
+            points: points.iter().map(|p| (p.light, p.variance)).collect(),
+        }],
+    };
+    let found = slope(&points, dark, none)
+        .map(|gain| Measured::new(gain.value, gain.sigma.hypot(systematic * gain.value)));
+    let finding = Finding {
+        name: "gain",
+        key: "camera.noise.gain_dn_per_electron",
+        unit: "DN/electron",
+        found,
+        remark: how.into(),
+    };
+    (finding, (points.len() > 1).then_some(figure))
+}
+
+fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> {
+    if points.len() < 4 {
+        return Err(none.into());
+    }
+    let (low, high) = points
+        .iter()
+        .fold((f64::INFINITY, 0.0_f64), |(low, high), p| {
+            (low.min(p.light), high.max(p.light))
+        });
+    let least = LEAST_SPAN * dark.noise_dn();
+    if high - low < least {
+        return Err(format!(
+            "not determined: the light spans {:.1} DN, at least {least:.1} is needed; take pairs at several exposures",
+            high - low
+        ));
+    }
+    let terms: Vec<_> = points.iter().map(|p| Vector2::new(1.0, p.light)).collect();
+    let variances: Vec<f64> = points.iter().map(|p| p.variance).collect();
+    // A variance of n values is uncertain by itself times the root of 2 / n.
+    let sigmas: Vec<f64> = points
+        .iter()
+        .map(|p| p.variance.max(1e-3) * (2.0 / p.pixels).sqrt())
+        .collect();
+    let solved = solve(&terms, &variances, &sigmas).ok_or(none.to_owned())?;
+    let gain = Measured::new(solved.coefficients[1], solved.sigma(1));
+    if gain.value < 3.0 * gain.sigma {
+        return Err(format!(
+            "not determined: the noise does not grow with the light ({:.2e} +- {:.1e} DN/electron)",
+            gain.value, gain.sigma
+        ));
+    }
+    Ok(gain)
+}

@@ -1,0 +1,9 @@
+//! The instrument as it is: from frames to a new instrument file. Each part measures some of its numbers, says what the
+//! frames do not determine, and leaves the rest of the file as it was.
+
+pub mod camera;
+pub mod frames;
+mod html;
+pub mod mounting;
+pub mod numbers;
+pub mod revision;

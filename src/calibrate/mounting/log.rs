@@ -1,0 +1,242 @@
+//! Where the telescope pointed, by the hour: a CSV file of UTC, azimuth and elevation.
+
+use crate::pointing::Horizontal;
+use crate::sky::sphere::{angles_deg, direction};
+use jiff::Timestamp;
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
+use std::path::{Path, PathBuf};
+
+/// A frame this near a row takes it as it is, s.
+const SAME_TIME_S: f64 = 0.02;
+/// Rows farther apart than so many median spacings leave a gap.
+const GAP_SPACINGS: f64 = 5.0;
+
+/// Why a file is no log of pointings.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LogError {
+    #[error("{}: cannot read: {cause}", .path.display())]
+    Unreadable { path: PathBuf, cause: String },
+    #[error("{}: line {line}: {field}: expected {expected}, found \"{found}\"", .path.display())]
+    Row {
+        path: PathBuf,
+        line: u64,
+        field: &'static str,
+        expected: &'static str,
+        found: String,
+    },
+    #[error("{}: expected rows of UTC, azimuth and elevation, found none", .0.display())]
+    Empty(PathBuf),
+}
+
+/// Pointings in the order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PointingLog {
+    rows: Vec<(Timestamp, Horizontal)>,
+    gap_s: f64,
+}
+
+impl PointingLog {
+    /// Reads a CSV file of UTC (ISO 8601, with or without Z), azimuth and elevation in deg: its first three columns, or those that a
+    /// heading names utc or time, az... and el...; lines that begin with # are comments.
+    pub fn read(path: &Path) -> Result<Self, LogError> {
+        let unreadable = |cause: String| LogError::Unreadable {
+            path: path.into(),
+            cause,
+        };
+        let mut reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .comment(Some(b'#'))
+            .trim(csv::Trim::All)
+            .from_path(path)
+            .map_err(|error| unreadable(error.to_string()))?;
+        let (mut rows, mut columns) = (Vec::new(), [0, 1, 2]);
+        for (n, record) in reader.records().enumerate() {
+            let record = record.map_err(|error| unreadable(error.to_string()))?;
+            let first = record.get(0).unwrap_or_default();
+            if n == 0 && first.starts_with(char::is_alphabetic) {
+                columns = named(&record).unwrap_or(columns);
+                continue;
+            }
+            rows.push(row(path, &record, columns)?);
+        }
+        Self::new(rows).ok_or_else(|| LogError::Empty(path.into()))
+    }
+
+    /// A log of pointings; `None` without any.
+    pub fn new(mut rows: Vec<(Timestamp, Horizontal)>) -> Option<Self> {
+        rows.sort_by_key(|row| row.0);
+        rows.dedup_by_key(|row| row.0);
+        let mut spacings: Vec<f64> = rows.windows(2).map(|w| seconds(w[0].0, w[1].0)).collect();
+        spacings.sort_by(f64::total_cmp);
+        let median = spacings
+            .get(spacings.len() / 2)
+            .copied()
+            .unwrap_or_default();
+        (!rows.is_empty()).then_some(Self {
+            rows,
+            gap_s: GAP_SPACINGS * median,
+        })
+    }
+
+    /// The pointing at an instant, along the great circle between the rows about it; else why it is not known.
+    pub fn at(&self, utc: Timestamp) -> Result<Horizontal, String> {
+        let after = self.rows.partition_point(|row| row.0 < utc);
+        let before = after.checked_sub(1).and_then(|n| self.rows.get(n));
+        let after = self.rows.get(after);
+        let near = |row: &&(Timestamp, Horizontal)| seconds(row.0, utc).abs() <= SAME_TIME_S;
+        if let Some(row) = before.into_iter().chain(after).find(near) {
+            return Ok(row.1);
+        }
+        match (before, after) {
+            (Some(before), Some(after)) => {
+                let apart_s = seconds(before.0, after.0);
+                if apart_s > self.gap_s {
+                    return Err(format!(
+                        "in a gap of {apart_s:.1} s of the pointings, from {}",
+                        before.0
+                    ));
+                }
+                let part = seconds(before.0, utc) / apart_s;
+                Ok(between(&before.1, &after.1, part))
+            }
+            (None, Some(first)) => Err(format!("before the pointings begin, {}", first.0)),
+            (Some(last), None) => Err(format!("after the pointings end, {}", last.0)),
+            (None, None) => Err("there are no pointings".into()),
+        }
+    }
+}
+
+fn seconds(from: Timestamp, to: Timestamp) -> f64 {
+    to.duration_since(from).as_secs_f64()
+}
+
+/// On the great circle between two near directions.
+fn between(a: &Horizontal, b: &Horizontal, part: f64) -> Horizontal {
+    let [a, b] = [a, b].map(|h| direction(h.azimuth_deg, h.elevation_deg));
+    let (azimuth_deg, elevation_deg) = angles_deg(&(a * (1.0 - part) + b * part));
+    Horizontal {
+        azimuth_deg,
+        elevation_deg,
+    }
+}
+
+/// The columns of UTC, azimuth and elevation by their headings; `None` where one has none.
+fn named(heading: &csv::StringRecord) -> Option<[usize; 3]> {
+    let column = |names: &[&str]| {
+        let is = |text: &str| {
+            names
+                .iter()
+                .any(|name| text.to_lowercase().starts_with(name))
+        };
+        heading.iter().position(is)
+    };
+    Some([
+        column(&["utc", "time", "date"])?,
+        column(&["az"])?,
+        column(&["el", "alt"])?,
+    ])
+}
+
+fn row(
+    path: &Path,
+    record: &csv::StringRecord,
+    [utc, azimuth, elevation]: [usize; 3],
+) -> Result<(Timestamp, Horizontal), LogError> {
+    let line = record.position().map_or(0, csv::Position::line);
+    let field = |n: usize| record.get(n).unwrap_or_default();
+    let wrong = |field, expected, found: &str| LogError::Row {
+        path: path.into(),
+        line,
+        field,
+        expected,
+        found: found.into(),
+    };
+    let [utc, azimuth, elevation] = [utc, azimuth, elevation].map(field);
+    let utc =
+        time(utc).ok_or_else(|| wrong("UTC", "a time such as 2013-09-21T18:00:00.250Z", utc))?;
+    let azimuth_deg = angle(azimuth, 360.0)
+        .ok_or_else(|| wrong("azimuth", "a number from -360 to 360 deg", azimuth))?;
+    let elevation_deg = angle(elevation, 90.0)
+        .ok_or_else(|| wrong("elevation", "a number from -90 to 90 deg", elevation))?;
+    let pointing = Horizontal {
+        azimuth_deg,
+        elevation_deg,
+    };
+    Ok((utc, pointing))
+}
+
+fn time(text: &str) -> Option<Timestamp> {
+    let civil = |text: &str| {
+        TimeZone::UTC
+            .to_timestamp(text.parse::<DateTime>().ok()?)
+            .ok()
+    };
+    text.parse().ok().or_else(|| civil(text))
+}
+
+fn angle(text: &str, limit_deg: f64) -> Option<f64> {
+    let angle: f64 = text.parse().ok()?;
+    (-limit_deg..=limit_deg).contains(&angle).then_some(angle)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn log(rows: &[(&str, f64, f64)]) -> PointingLog {
+        let rows = rows.iter().map(|(utc, azimuth_deg, elevation_deg)| {
+            let pointing = Horizontal {
+                azimuth_deg: *azimuth_deg,
+                elevation_deg: *elevation_deg,
+            };
+            (time(utc).unwrap(), pointing)
+        });
+        PointingLog::new(rows.collect()).unwrap()
+    }
+
+    #[test]
+    fn a_pointing_lies_between_its_neighbours_also_across_north() {
+        let log = log(&[
+            ("2013-09-21T18:00:00", 359.0, 40.0),
+            ("2013-09-21T18:00:01Z", 1.0, 40.0),
+        ]);
+        let middle = log.at("2013-09-21T18:00:00.5Z".parse().unwrap()).unwrap();
+        let from_north = (middle.azimuth_deg + 180.0).rem_euclid(360.0) - 180.0;
+        assert!(from_north.abs() < 1e-9 && (middle.elevation_deg - 40.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn columns_are_found_by_their_headings_and_a_bad_field_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let write = |text: &str| std::fs::write(&path, text).unwrap();
+        write("# night 3\nEl_deg, Azimuth, UTC\n40,180,2013-09-21T18:00:00.5\n");
+        let log = PointingLog::read(&path).unwrap();
+        let at = log.at("2013-09-21T18:00:00.5Z".parse().unwrap()).unwrap();
+        assert_eq!((at.azimuth_deg, at.elevation_deg), (180.0, 40.0));
+        write("2013-09-21T18:00:00,180,140\n");
+        let error = PointingLog::read(&path).unwrap_err().to_string();
+        assert!(error.contains("line 1: elevation: expected"), "{error}");
+    }
+
+    #[test]
+    fn gaps_and_ends_are_said() {
+        let log = log(&[
+            ("2013-09-21T18:00:00Z", 180.0, 40.0),
+            ("2013-09-21T18:00:01Z", 180.0, 40.0),
+            ("2013-09-21T18:00:02Z", 180.0, 40.0),
+            ("2013-09-21T18:01:00Z", 180.0, 40.0),
+        ]);
+        for (utc, wanted) in [
+            ("2013-09-21T17:59:59Z", "before the pointings begin"),
+            ("2013-09-21T18:00:30Z", "in a gap of 58.0 s"),
+            ("2013-09-21T18:02:00Z", "after the pointings end"),
+        ] {
+            let reason = log.at(utc.parse().unwrap()).unwrap_err();
+            assert!(reason.contains(wanted), "{reason}");
+        }
+        assert!(log.at("2013-09-21T18:01:00.010Z".parse().unwrap()).is_ok());
+    }
+}

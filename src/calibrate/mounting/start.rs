@@ -1,0 +1,116 @@
+//! A first mounting, which no minority of wrong sights can spoil.
+//!
+//! Were the sky flat about the Sun, the plate would be a picture of it turned by the clocking and stretched with the distance: a
+//! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of sights gives one.
+
+use super::Sight;
+use super::chain::{Chain, Side};
+use crate::instrument::Instrument;
+use crate::pointing::Horizontal;
+use crate::units::{Measured, PlateMil};
+use nalgebra::{Rotation2, Vector2};
+
+/// Pairs of sights that are tried: of so many, with a third of the sights wrong, one right pair is as good as sure.
+const MOST_PAIRS: usize = 400;
+/// A pair nearer than this part of the sights' spread tells no angle.
+const LEAST_SPREAD: f64 = 0.3;
+
+/// A similarity on the plate: turned by an angle, stretched, shifted.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Start {
+    pub turn_deg: f64,
+    pub stretch: f64,
+    pub shift: Vector2<f64>,
+    /// The sight that it suits best.
+    pub best: usize,
+}
+
+/// The similarity of least median distance; `None` when no two sights tell an angle.
+///
+/// `telescope` says where the telescope is taken to point at each sight.
+pub(super) fn start(
+    sights: &[Sight],
+    telescope: impl Fn(&Sight) -> Horizontal,
+    stated: &Instrument,
+    (chain, side): (Chain, Side),
+) -> Option<Start> {
+    let mut unturned = stated.clone();
+    unturned.mounting.clocking_deg = Measured::new(0.0, 0.0);
+    unturned.mounting.boresight_mil = PlateMil::new(0.0, 0.0);
+    let (places, pairs): (Vec<usize>, Vec<Pair>) = sights
+        .iter()
+        .enumerate()
+        .filter_map(|(n, sight)| {
+            let expected = chain.shift(telescope(sight), &unturned, &sight.sun)?;
+            let seen = sight.sun_plate.position.vector();
+            Some((n, (side.seen(expected), seen)))
+        })
+        .unzip();
+    let least = LEAST_SPREAD * spread(&pairs);
+    let candidates = indices(pairs.len()).filter_map(|(m, n)| through(&pairs[m], &pairs[n], least));
+    let judged = candidates.map(|candidate| (median_distance(&candidate, &pairs), candidate));
+    let (_, mut start) = judged.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let distance = |n: &usize| distance(&start, &pairs[*n]);
+    let best = (0..pairs.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    start.best = places[best];
+    Some(start)
+}
+
+type Pair = (Vector2<f64>, Vector2<f64>);
+
+/// Pairs of indices, always the same, of all distances.
+fn indices(count: usize) -> impl Iterator<Item = (usize, usize)> {
+    let pairs = if count > 0 { MOST_PAIRS } else { 0 };
+    // Steps by the golden section and by the root of two visit everything and meet no period.
+    (0..pairs).map(move |k| {
+        let part = |step: f64| (((k as f64 + 0.5) * step).fract() * count as f64) as usize;
+        (part(0.618_034), part(0.414_214))
+    })
+}
+
+/// The median distance of the expected places from their middle.
+fn spread(pairs: &[Pair]) -> f64 {
+    let middle = Vector2::new(
+        median(pairs.iter().map(|p| p.0.x)),
+        median(pairs.iter().map(|p| p.0.y)),
+    );
+    median(pairs.iter().map(|p| (p.0 - middle).norm()))
+}
+
+fn through(a: &Pair, b: &Pair, least: f64) -> Option<Start> {
+    let (from, to) = (b.0 - a.0, b.1 - a.1);
+    if from.norm() <= least || to.norm() <= f64::EPSILON {
+        return None;
+    }
+    let turn = (to.y.atan2(to.x)) - (from.y.atan2(from.x));
+    let stretch = to.norm() / from.norm();
+    // A plate's distance is known to better than a half.
+    if !(0.5..2.0).contains(&stretch) {
+        return None;
+    }
+    Some(Start {
+        turn_deg: turn.to_degrees(),
+        stretch,
+        shift: a.1 - Rotation2::new(turn) * a.0 * stretch,
+        best: 0,
+    })
+}
+
+fn distance(start: &Start, (expected, seen): &Pair) -> f64 {
+    let turn = Rotation2::new(start.turn_deg.to_radians());
+    (turn * expected * start.stretch + start.shift - seen).norm()
+}
+
+fn median_distance(start: &Start, pairs: &[Pair]) -> f64 {
+    median(pairs.iter().map(|pair| distance(start, pair)))
+}
+
+/// The middle one of some values; 0 of none.
+pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return 0.0;
+    }
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}

@@ -1,0 +1,188 @@
+//! A new edition of an instrument's file: some entries renewed, every other line, comment and order as it was.
+
+use crate::instrument::{Instrument, TomlError, toml_file};
+use crate::units::Measured;
+use jiff::civil::Date;
+use std::path::{Path, PathBuf};
+use toml_edit::{DocumentMut, InlineTable, Item, Table, Value, value};
+
+/// Where new values come from, for people: it stands beside each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Provenance {
+    /// The name of the calibration: the table `[calibration.NAME]` holds what it rests on.
+    pub name: &'static str,
+    /// What was done, with how many frames.
+    pub source: String,
+    /// When the frames were taken.
+    pub date: Date,
+    pub frames: usize,
+    /// Over the sorted SHA-256 of the files.
+    pub frames_sha256: String,
+}
+
+/// An instrument's file, open for new entries.
+#[derive(Debug, Clone)]
+pub struct Revision {
+    path: PathBuf,
+    document: DocumentMut,
+}
+
+impl Revision {
+    /// Opens an instrument's text; `path` is what errors name.
+    pub fn of(path: &Path, text: &str) -> Result<Self, TomlError> {
+        let document = text.parse().map_err(|error: toml_edit::TomlError| {
+            TomlError::new(path, "", "valid TOML", error.message())
+        })?;
+        Ok(Self {
+            path: path.into(),
+            document,
+        })
+    }
+
+    /// Opens an instrument's file.
+    pub fn open(path: &Path) -> Result<Self, TomlError> {
+        Self::of(path, &toml_file::read_text(path)?)
+    }
+
+    /// Renews a number; both it and its sigma are written to two digits of the sigma.
+    pub fn set_measured(&mut self, key: &str, found: Measured, provenance: &Provenance) {
+        let value = number(found.value, found.sigma);
+        self.set(key, value, Some(found.sigma), provenance);
+    }
+
+    /// Renews a pair of numbers that share a sigma.
+    pub fn set_pair(&mut self, key: &str, pair: [f64; 2], sigma: f64, provenance: &Provenance) {
+        let numbers = pair.map(|value| number(value, sigma));
+        let value = Value::Array(numbers.into_iter().collect());
+        self.set(key, value, Some(sigma), provenance);
+    }
+
+    /// Renews an entry by its dotted key: its value, sigma, source and date. Tables on the way are made.
+    pub fn set(&mut self, key: &str, value: Value, sigma: Option<f64>, provenance: &Provenance) {
+        let mut entry = InlineTable::new();
+        entry.insert("value", value);
+        if let Some(sigma) = sigma {
+            entry.insert("sigma", number(sigma, sigma));
+        }
+        entry.insert("source", provenance.source.as_str().into());
+        if let Ok(date) = provenance.date.to_string().parse::<Value>() {
+            entry.insert("date", date);
+        }
+        self.put(key, Item::Value(Value::InlineTable(entry)));
+    }
+
+    /// Notes what the calibration rests on.
+    pub fn sign(&mut self, provenance: &Provenance) {
+        let mut table = Table::new();
+        table["frames"] = value(provenance.frames as i64);
+        table["frames_sha256"] = value(&provenance.frames_sha256);
+        if let Ok(date) = provenance.date.to_string().parse::<Value>() {
+            table["date"] = value(date);
+        }
+        table["program"] = value(concat!("solaspect ", env!("CARGO_PKG_VERSION")));
+        table["note"] = value(&provenance.source);
+        self.put(
+            &format!("calibration.{}", provenance.name),
+            Item::Table(table),
+        );
+        let calibrations = self.document.get_mut("calibration");
+        if let Some(table) = calibrations.and_then(Item::as_table_mut) {
+            table.set_implicit(true);
+        }
+    }
+
+    /// Puts an item at a dotted key, in place of what stood there.
+    pub fn put(&mut self, key: &str, item: Item) {
+        let (tables, last) = key.rsplit_once('.').unwrap_or(("", key));
+        let mut table = self.document.as_table_mut();
+        for name in tables.split('.').filter(|name| !name.is_empty()) {
+            let inner = table.entry(name).or_insert(Item::Table(Table::new()));
+            if !inner.is_table() {
+                *inner = Item::Table(Table::new());
+            }
+            match inner.as_table_mut() {
+                Some(inner) => table = inner,
+                None => return,
+            }
+        }
+        match table.get_mut(last) {
+            // The key keeps its comments and its place.
+            Some(old) => *old = item,
+            None => {
+                table.insert(last, item);
+            }
+        }
+    }
+
+    /// Takes an entry out.
+    pub fn remove(&mut self, key: &str) {
+        let (tables, last) = key.rsplit_once('.').unwrap_or(("", key));
+        let mut table = Some(self.document.as_table_mut());
+        for name in tables.split('.').filter(|name| !name.is_empty()) {
+            table = table.and_then(|t| t.get_mut(name)?.as_table_mut());
+        }
+        if let Some(table) = table {
+            table.remove(last);
+        }
+    }
+
+    /// The new text and the instrument that it describes.
+    ///
+    /// # Errors
+    /// A value out of its range; the error names it.
+    pub fn finish(&self) -> Result<(String, Instrument), TomlError> {
+        let text = self.document.to_string();
+        let instrument = Instrument::parse(&self.path, &text)?;
+        Ok((text, instrument))
+    }
+}
+
+/// A number to two digits of a sigma; all of them where the sigma tells nothing.
+fn number(value: f64, sigma: f64) -> Value {
+    if !(sigma.is_finite() && sigma > 0.0) {
+        return value.into();
+    }
+    let digits = (1.0 - sigma.log10().floor()).max(0.0) as usize;
+    let text = if digits > 12 {
+        format!("{value:e}")
+    } else {
+        format!("{value:.digits$}")
+    };
+    text.parse().unwrap_or_else(|_| value.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_renewed_lines_of_a_file_change() {
+        let old = include_str!("../../calibration/demo.toml");
+        let mut revision = Revision::of(Path::new("a.toml"), old).unwrap();
+        let provenance = Provenance {
+            name: "test",
+            source: "a test".into(),
+            date: "2013-09-21".parse().unwrap(),
+            frames: 3,
+            frames_sha256: "0af3".into(),
+        };
+        let found = Measured::new(-52.123_456, 0.004_2);
+        revision.set_measured("mounting.clocking_deg", found, &provenance);
+        let (new, instrument) = revision.finish().unwrap();
+        let changed: Vec<_> = old
+            .lines()
+            .zip(new.lines())
+            .filter(|(a, b)| a != b)
+            .collect();
+        assert_eq!(changed.len(), 1, "{changed:?}");
+        assert_eq!(
+            changed[0].1,
+            "clocking_deg = { value = -52.1235, sigma = 0.0042, source = \"a test\", date = 2013-09-21 }"
+        );
+        assert_eq!(old.lines().count(), new.lines().count());
+        assert_eq!(instrument.mounting.clocking_deg.value, -52.1235);
+        revision.sign(&provenance);
+        let (signed, _) = revision.finish().unwrap();
+        assert!(signed.starts_with(&new) && signed.contains("[calibration.test]\nframes = 3\n"));
+    }
+}

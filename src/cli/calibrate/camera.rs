@@ -1,0 +1,124 @@
+//! `solaspect calibrate camera`: noise, gain, hot pixels, vignetting, blur.
+
+use crate::calibrate::camera::{self, CameraCalibration, Inputs};
+use crate::calibrate::frames::{self, LeftOut};
+use crate::calibrate::numbers::{sigma_text, value_text};
+use crate::calibrate::revision::Provenance;
+use crate::cli::options;
+use anyhow::Context;
+use clap::Args;
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Measure dark level, noise, gain, hot pixels, vignetting and blur, and how blur and scale go with temperature
+///
+/// Best from dark frames, evenly lit frames (two at each of several exposures) and frames with the Sun all over the plate; each may be
+/// missing. What the frames do not determine keeps the instrument's value, and the program says so.
+#[derive(Debug, Args)]
+pub struct CameraArgs {
+    /// Frames of the Sun on the plate, or folders of them
+    #[arg(required_unless_present_any = ["dark", "flat"], value_name = "FRAME|DIR")]
+    frames: Vec<PathBuf>,
+    /// The instrument as it is known so far, a TOML file [default: the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// The new instrument file
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Write a page with figures to this folder, camera.html
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Frames without light, at equal exposure
+    #[arg(long, value_name = "DIR")]
+    dark: Option<PathBuf>,
+    /// Evenly lit frames, two at each of several exposures
+    #[arg(long, value_name = "DIR")]
+    flat: Option<PathBuf>,
+}
+
+pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
+    let (mut revision, stated) = options::revision(args.instrument.as_deref())?;
+    let listed = |folder: &Option<PathBuf>| frames::list(folder.as_slice());
+    let (dark, flat, sun) = (
+        listed(&args.dark)?,
+        listed(&args.flat)?,
+        frames::list(&args.frames)?,
+    );
+    let mut inputs = Inputs::default();
+    let (mut left_out, mut more);
+    (inputs.dark, left_out) = camera::load(&dark, &stated)?;
+    (inputs.flat, more) = camera::load(&flat, &stated)?;
+    left_out.append(&mut more);
+    (inputs.sun, inputs.suns, more) = camera::look(&sun, &stated)?;
+    left_out.append(&mut more);
+    let calibration =
+        camera::calibrate(&inputs, &stated).with_context(|| frames::first_of(&left_out))?;
+    let files: Vec<PathBuf> = [dark, flat, sun].concat();
+    let provenance = provenance(&inputs, &files);
+    calibration.revise(&mut revision, &provenance);
+    let (text, _) = revision.finish()?;
+    std::fs::write(&args.out, text)
+        .with_context(|| format!("{}: cannot write", args.out.display()))?;
+    print(&calibration, &left_out);
+    if let Some(folder) = &args.report {
+        write_page(
+            folder,
+            &camera::page(&calibration, &stated.name, &provenance.source, &left_out)?,
+        )?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
+    let shots = [&inputs.dark, &inputs.flat, &inputs.sun]
+        .into_iter()
+        .flat_map(|s| &s.frames);
+    let last: Option<Timestamp> = shots.filter_map(|s| s.frame.info.mid_exposure).max();
+    let now = || Timestamp::now();
+    Provenance {
+        name: "camera",
+        source: format!(
+            "camera calibration, {} dark, {} evenly lit and {} frames of the Sun",
+            inputs.dark.frames.len(),
+            inputs.flat.frames.len(),
+            inputs.suns.len()
+        ),
+        date: TimeZone::UTC.to_datetime(last.unwrap_or_else(now)).date(),
+        frames: files.len(),
+        frames_sha256: frames::sha256(files),
+    }
+}
+
+fn print(calibration: &CameraCalibration, left_out: &[LeftOut]) {
+    for finding in &calibration.findings {
+        match &finding.found {
+            Ok(found) => println!(
+                "{}: {} +- {} {}; {}",
+                finding.name,
+                value_text(*found),
+                sigma_text(found.sigma),
+                finding.unit,
+                finding.remark
+            ),
+            Err(why) => println!("{}: {why}; keeps the instrument's value", finding.name),
+        }
+    }
+    match &calibration.hot_pixels {
+        Some(hot) => println!("hot pixels: {}", hot.len()),
+        None => println!(
+            "hot pixels: not determined: at least 3 frames are needed; keeps the instrument's list"
+        ),
+    }
+    for LeftOut { name, reason } in left_out {
+        println!("left out: {name}: {reason}");
+    }
+}
+
+fn write_page(folder: &Path, html: &str) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    let file = folder.join("camera.html");
+    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
+}
