@@ -24,7 +24,7 @@
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
 //! | [`config`] | the parameter table |
-//! | [`service`], [`accuracy`] | threads, channels, bounds and overflow rules on one page; how near the truth the pipeline comes |
+//! | [`service`], [`accuracy`], [`calibrate`] | threads, channels, bounds and overflow rules on one page; how near the truth the pipeline comes; the instrument measured |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions
@@ -35,6 +35,7 @@
 pub mod accuracy;
 pub mod archive;
 pub mod aspect;
+pub mod calibrate;
 pub mod camera;
 pub mod cli;
 pub mod config;

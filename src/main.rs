@@ -38,6 +38,7 @@ enum Command {
     Config(cli::config::ConfigArgs),
     Accuracy(cli::accuracy::AccuracyArgs),
     Archive(cli::archive::ArchiveArgs),
+    Calibrate(cli::calibrate::CalibrateArgs),
 }
 
 fn main() -> ExitCode {
@@ -52,6 +53,7 @@ fn main() -> ExitCode {
         Command::Config(args) => cli::config::run(args).map(|()| ExitCode::SUCCESS),
         Command::Accuracy(args) => cli::accuracy::run(&args),
         Command::Archive(args) => cli::archive::run(args),
+        Command::Calibrate(args) => cli::calibrate::run(args),
     };
     match outcome {
         Ok(code) => code,

@@ -2,6 +2,7 @@
 
 pub mod accuracy;
 pub mod archive;
+pub mod calibrate;
 pub mod config;
 pub mod demo;
 pub mod fly;

@@ -1,0 +1,1 @@
+//! What changed from one instrument to another, in units that a person understands.
