@@ -95,6 +95,7 @@ impl Cross {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
     pub cross: Cross,
+    drawing_sigma_mil: f64,
     positions: Vec<PlateMil>,
     sigmas_mil: Vec<[f64; 2]>,
 }
@@ -104,9 +105,15 @@ impl Plate {
     pub fn drawn(cross: Cross, sigma_mil: f64) -> Self {
         Self {
             cross,
+            drawing_sigma_mil: sigma_mil,
             positions: MarkId::all().map(drawn_position).collect(),
             sigmas_mil: MarkId::all().map(|_| [sigma_mil; 2]).collect(),
         }
+    }
+
+    /// How well the drawing is known to be printed: 1 sigma per axis of marks that were not measured, mil.
+    pub fn drawing_sigma_mil(&self) -> f64 {
+        self.drawing_sigma_mil
     }
 
     /// Replaces a mark's drawn position by a measured one.
