@@ -29,6 +29,12 @@ pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
     }
 }
 
+/// The TOML text of a built-in instrument.
+pub fn builtin_text(name: &str) -> Option<&'static str> {
+    let file = FILES.iter().find(|(known, _)| *known == name);
+    file.map(|(_, text)| *text)
+}
+
 /// Names of the built-in instruments.
 pub fn builtin_names() -> Vec<&'static str> {
     FILES.iter().map(|(name, _)| *name).collect()

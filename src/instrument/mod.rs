@@ -8,7 +8,7 @@ mod builtin;
 mod raw;
 pub mod toml_file;
 
-pub use builtin::{builtin, builtin_names};
+pub use builtin::{builtin, builtin_names, builtin_text};
 pub use toml_file::TomlError;
 
 use crate::frame::Frame;

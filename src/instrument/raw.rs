@@ -6,6 +6,7 @@ use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// A number with what is known of it. Source and date are for people; the program keeps value and sigma.
@@ -34,6 +35,26 @@ struct RawInstrument {
     plate: RawPlate,
     optics: RawOptics,
     mounting: RawMounting,
+    #[serde(default, rename = "calibration")]
+    _calibrations: BTreeMap<String, RawCalibration>,
+}
+
+/// What a calibration rests on; for people, like source and date.
+#[derive(Deserialize)]
+struct RawCalibration {
+    #[serde(rename = "frames")]
+    _frames: usize,
+    #[serde(default, rename = "poses")]
+    _poses: Option<usize>,
+    /// Over the sorted SHA-256 of the files.
+    #[serde(rename = "frames_sha256")]
+    _frames_sha256: String,
+    #[serde(rename = "date")]
+    _date: toml::value::Datetime,
+    #[serde(rename = "program")]
+    _program: String,
+    #[serde(default, rename = "note")]
+    _note: Option<String>,
 }
 
 #[derive(Deserialize)]

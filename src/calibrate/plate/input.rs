@@ -1,6 +1,5 @@
 //! Which files are frames of which pose.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Frames that were taken without moving the camera.
@@ -31,23 +30,20 @@ const ENDINGS: [&str; 8] = [
 /// Sorts frames and folders into poses: each folder is one, and so are all frames given one by one from a folder. A folder
 /// that holds no frames itself stands for the folders in it.
 pub fn poses(given: &[PathBuf]) -> Result<Vec<Pose>, InputError> {
-    let mut poses: BTreeMap<usize, Pose> = BTreeMap::new();
-    let mut order: Vec<PathBuf> = Vec::new();
+    let mut poses: Vec<Pose> = Vec::new();
     let mut add = |folder: &Path, files: Vec<PathBuf>| {
-        let known = order.iter().position(|f| f == folder);
-        let n = known.unwrap_or(order.len());
+        let known = poses.iter().position(|pose| pose.folder == folder);
+        let n = known.unwrap_or(poses.len());
         if known.is_none() {
-            order.push(folder.into());
+            poses.push(Pose {
+                folder: folder.into(),
+                files: Vec::new(),
+            });
         }
-        let pose = poses.entry(n).or_insert_with(|| Pose {
-            folder: folder.into(),
-            files: Vec::new(),
-        });
-        for file in files {
-            if !pose.files.contains(&file) {
-                pose.files.push(file);
-            }
-        }
+        let pose = &mut poses[n].files;
+        let new = files.into_iter().filter(|file| !pose.contains(file));
+        let new: Vec<_> = new.collect();
+        pose.extend(new);
     };
     for path in given {
         let kind = std::fs::metadata(path).map_err(|cause| InputError::Read {
@@ -75,7 +71,7 @@ pub fn poses(given: &[PathBuf]) -> Result<Vec<Pose>, InputError> {
             return Err(InputError::NoFrames(path.clone()));
         }
     }
-    Ok(poses.into_values().collect())
+    Ok(poses)
 }
 
 /// Frames and folders in a folder, sorted.

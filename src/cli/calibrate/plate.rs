@@ -1,13 +1,21 @@
 //! `solaspect calibrate plate`: the plate as it is.
 
+use crate::calibrate::plate;
+use crate::instrument::{self, Instrument};
+use anyhow::Context;
 use clap::Args;
-use std::path::PathBuf;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
+///
+/// Takes frames with the Sun all over the plate, in several poses of the camera (shifted, turned), so that errors of the
+/// plate and of the lens show apart. Frames that cannot be used are listed and the rest go on; a set of frames that gives
+/// no calibration is refused with what to take instead.
 #[derive(Debug, Args)]
 pub struct PlateArgs {
-    /// Frames with the Sun all over the plate; each folder is one pose of the camera
+    /// Frames, or folders of frames; each folder is one pose of the camera
     #[arg(required = true, value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
     /// The instrument to start from, a TOML file [default: the built-in instrument "demo"]
@@ -22,6 +30,37 @@ pub struct PlateArgs {
 }
 
 pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
-    let _ = args;
-    anyhow::bail!("not yet")
+    let (start, text) = start(args.instrument.as_deref())?;
+    let progress = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
+        progress.set_style(style);
+    }
+    let begin = |frames: usize| progress.set_length(frames as u64);
+    let calibration = plate::calibrate(&args.frames, &start, &begin, &|| progress.inc(1));
+    progress.finish_and_clear();
+    let calibration = calibration?;
+    let start_path = args.instrument.as_deref().unwrap_or(Path::new("demo"));
+    let written = plate::instrument_text(start_path, &text, &start, &calibration)?;
+    std::fs::write(&args.out, written)
+        .with_context(|| format!("{}: cannot write the instrument", args.out.display()))?;
+    // What was written must be what everything else reads.
+    let measured = Instrument::read(&args.out)?;
+    print!("{}", plate::summary(&calibration));
+    println!("written to {}", args.out.display());
+    let _ = measured;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The start instrument and its text.
+fn start(path: Option<&Path>) -> anyhow::Result<(Instrument, String)> {
+    Ok(match path {
+        Some(path) => (
+            Instrument::read(path)?,
+            instrument::toml_file::read_text(path)?,
+        ),
+        None => (
+            instrument::builtin("demo")?,
+            instrument::builtin_text("demo").unwrap_or_default().into(),
+        ),
+    })
 }
