@@ -35,6 +35,7 @@ pub use summary::summary;
 pub use write::instrument_text;
 
 use crate::instrument::Instrument;
+use crate::units::PlateMil;
 use jiff::Timestamp;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -51,8 +52,8 @@ pub struct Calibration {
     pub frames_sha256: String,
     /// When the last frame was taken.
     pub last: Option<Timestamp>,
-    /// The pose that the camera was in last.
-    pub last_pose: usize,
+    /// The pose nearest to where the start's mounting states the camera: the others were made for the calibration.
+    pub mounted_pose: usize,
 }
 
 /// Calibrates plate, lens and poses from frames and folders; `each` is called after every frame.
@@ -74,22 +75,34 @@ pub fn calibrate(
     let (poses, sightings) = with_frames(poses, sightings);
     let fit = fit(&sightings.frames, poses.len(), start).ok_or(Refusal::Undetermined)?;
     refusal::check_poses(&poses, &sightings, &fit)?;
-    let latest = sightings
-        .frames
-        .iter()
-        .max_by_key(|frame| (frame.utc, frame.pose));
     let mut spoiled = sightings.spoiled;
     spoiled.extend(fit.spoiled.iter().cloned());
     spoiled.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(Calibration {
-        last: latest.and_then(|frame| frame.utc),
-        last_pose: latest.map_or(0, |frame| frame.pose),
+        last: sightings.frames.iter().filter_map(|frame| frame.utc).max(),
+        mounted_pose: mounted_pose(&fit, start),
         frames_sha256: digest(&sightings.files),
         poses,
         frames: sightings.frames,
         fit,
         spoiled,
     })
+}
+
+/// The pose whose picture of the plate is nearest to the stated one.
+fn mounted_pose(fit: &PlateFit, start: &Instrument) -> usize {
+    let Some(stated) = start.nominal_mapping() else {
+        return 0;
+    };
+    let corners = [(-2000.0, -2000.0), (2000.0, -2000.0), (0.0, 2000.0)];
+    let corners = corners.map(|(x, y)| PlateMil::new(x, y));
+    let apart_px = |pose: &PoseFit| -> f64 {
+        let apart = corners.map(|at| pose.mapping.to_sensor(at).distance(stated.to_sensor(at)));
+        apart.iter().sum()
+    };
+    let poses = fit.poses.iter().map(apart_px).enumerate();
+    let nearest = poses.min_by(|a, b| a.1.total_cmp(&b.1));
+    nearest.map_or(0, |(n, _)| n)
 }
 
 /// Without the poses of which no frame was read.

@@ -25,13 +25,15 @@ pub fn instrument_text(
     if fit.distortion != Distortion::NONE || start.camera.distortion != Distortion::NONE {
         document["camera"]["distortion"] = Item::Table(distortion(calibration, &source));
     }
-    let pose = &fit.poses[calibration.last_pose];
+    let pose = &fit.poses[calibration.mounted_pose];
     mounting(&mut document["mounting"], pose, start, calibration, &source);
     document["plate"]["mark"] = Item::ArrayOfTables(marks(calibration));
-    document["calibration"]["plate"] = Item::Table(provenance(calibration, &source));
-    if let Some(table) = document["calibration"].as_table_mut() {
+    let calibrations = document.entry("calibration").or_insert_with(|| {
+        let mut table = Table::new();
         table.set_implicit(true);
-    }
+        Item::Table(table)
+    });
+    calibrations["plate"] = Item::Table(provenance(calibration, &source));
     Ok(document.to_string())
 }
 
@@ -110,7 +112,7 @@ fn distortion(calibration: &Calibration, source: &Source) -> Table {
     table
 }
 
-/// Scale, rotation and centre of the pose that the camera was in last. A camera that was moved may be moved again, so that
+/// Scale, rotation and centre of the pose nearest to the stated one. A camera that was moved may be moved again, so that
 /// after several poses the start's sigmas stand beside the fit's.
 fn mounting(
     table: &mut Item,
@@ -122,7 +124,11 @@ fn mounting(
     let stated = &start.mounting;
     let moved = calibration.poses.len() > 1;
     let sigma = |fit: f64, stated: f64| if moved { fit.hypot(stated) } else { fit };
-    let remark = if moved { ", the last pose" } else { "" };
+    let remark = if moved {
+        ", the pose nearest to the stated one"
+    } else {
+        ""
+    };
     let mut put = |key: &str, value: String, sigma: f64| {
         let digits = decimals(sigma);
         table[key] = source.entry(value, Some(format!("{sigma:.digits$}")), remark);
@@ -153,6 +159,8 @@ fn mounting(
 
 fn marks(calibration: &Calibration) -> ArrayOfTables {
     const LEAST_SIGMA_MIL: f64 = 0.0001;
+    // The long list stands at the file's end.
+    const AFTER_ALL_ELSE: isize = 1_000_000;
     let fixed = |v: f64| format!("{v:.4}");
     let pair = |[x, y]: [f64; 2]| {
         let text = format!("[{}, {}]", fixed(x), fixed(y));
@@ -161,6 +169,7 @@ fn marks(calibration: &Calibration) -> ArrayOfTables {
     let mut marks = ArrayOfTables::new();
     for mark in &calibration.fit.marks {
         let mut table = Table::new();
+        table.set_position(Some(AFTER_ALL_ELSE));
         let id = [i64::from(mark.id.i), i64::from(mark.id.j)];
         table["id"] = value(Array::from_iter(id));
         table["position_mil"] = pair([mark.position.x, mark.position.y]);
