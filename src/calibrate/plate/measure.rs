@@ -3,7 +3,6 @@
 use super::input::Pose;
 use super::sighting::{FrameSightings, Sighting, Spoiled};
 use crate::aspect::{self, Expected, Origin, Solution};
-use crate::fiducial::Lighting;
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -30,7 +29,7 @@ pub struct FileFacts {
     pub timed: bool,
 }
 
-/// Fewest fully lit marks of a frame that is used.
+/// Fewest marks of a frame that is used.
 const LEAST_MARKS: usize = 3;
 
 /// Reads and solves all frames of all poses, several at a time; `each` is called after every one.
@@ -90,7 +89,7 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
     (Some(facts), sightings.map_err(spoiled))
 }
 
-/// The marks that the Sun lights.
+/// The marks of a frame of the Sun.
 fn by_sun(
     pose: usize,
     file: &Path,
@@ -113,7 +112,7 @@ fn by_sun(
     let sightings = sightings(&solution);
     if sightings.len() < LEAST_MARKS {
         let count = sightings.len();
-        return Err(format!("{count} fully lit marks, expected {LEAST_MARKS}"));
+        return Err(format!("{count} marks, expected {LEAST_MARKS}"));
     }
     Ok(FrameSightings {
         file: file.into(),
@@ -125,9 +124,10 @@ fn by_sun(
     })
 }
 
+/// Marks that the limb cuts too: their own pixels placed them, in the light that the limb tells.
 fn sightings(solution: &Solution) -> Vec<Sighting> {
-    let full = solution.marks.iter();
-    full.filter(|mark| mark.lighting == Lighting::Full)
+    let marks = solution.marks.iter();
+    marks
         .map(|mark| Sighting {
             id: mark.id,
             at: mark.at,
