@@ -89,7 +89,7 @@ impl Settled {
 
 const STEPS: usize = 15;
 /// A shorter step changes nothing: px, mil and parts of a view alike.
-const SETTLED_STEP: f64 = 1e-7;
+const SETTLED_STEP: f64 = 1e-6;
 /// Holds what the gauge forbids, against any information from sightings, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
 
@@ -108,7 +108,8 @@ impl Problem<'_> {
             let common = normal.reduced.clone().cholesky()?.solve(&normal.gradient);
             let mut size = common.norm_squared();
             state.lens.terms += common.fixed_rows::<LENS>(0);
-            for (mark, place) in state.places.iter_mut().enumerate() {
+            let adjusted = self.adjusted_marks();
+            for (mark, place) in state.places.iter_mut().enumerate().take(adjusted) {
                 let step = common.fixed_rows::<2>(LENS + 2 * mark);
                 *place = (place.vector() + step).into();
             }
@@ -136,8 +137,15 @@ impl Problem<'_> {
         })
     }
 
+    fn adjusted_marks(&self) -> usize {
+        match self.freedoms.marks {
+            true => self.marks.len(),
+            false => 0,
+        }
+    }
+
     fn normal(&self, state: &State) -> Option<Normal> {
-        let size = LENS + 2 * self.marks.len();
+        let size = LENS + 2 * self.adjusted_marks();
         let mut reduced = DMatrix::zeros(size, size);
         let mut gradient = DVector::zeros(size);
         self.add_priors(state, &mut reduced, &mut gradient);
@@ -146,13 +154,7 @@ impl Problem<'_> {
             let part = self.view_part(pose, state, &mut reduced, &mut gradient)?;
             views.push(part);
         }
-        let held_lens = (0..LENS).filter(|n| !self.freedoms.lens[*n]);
-        let held_marks = if self.freedoms.marks {
-            size..size
-        } else {
-            LENS..size
-        };
-        for n in held_lens.chain(held_marks) {
+        for n in (0..LENS).filter(|n| !self.freedoms.lens[*n]) {
             reduced.row_mut(n).fill(0.0);
             reduced.column_mut(n).fill(0.0);
             reduced[(n, n)] = 1.0;
@@ -191,19 +193,21 @@ impl Problem<'_> {
             let n = LENS + 2 * cell.mark;
             let to_view = p.view.transpose() * cell.weight;
             let to_lens = p.lens.transpose() * cell.weight;
-            let to_place = p.place.transpose() * cell.weight;
             own += to_view * p.view;
             own_gradient += to_view * miss;
             add(common, (0, 0), to_lens * p.lens);
-            add(common, (0, n), to_lens * p.place);
-            add(common, (n, 0), to_place * p.lens);
-            add(common, (n, n), to_place * p.place);
             add(&mut coupling, (0, 0), to_view * p.lens);
-            add(&mut coupling, (0, n), to_view * p.place);
             let mut part = gradient.fixed_rows_mut::<LENS>(0);
             part += to_lens * miss;
-            let mut part = gradient.fixed_rows_mut::<2>(n);
-            part += to_place * miss;
+            if self.freedoms.marks {
+                let to_place = p.place.transpose() * cell.weight;
+                add(common, (0, n), to_lens * p.place);
+                add(common, (n, 0), to_place * p.lens);
+                add(common, (n, n), to_place * p.place);
+                add(&mut coupling, (0, n), to_view * p.place);
+                let mut part = gradient.fixed_rows_mut::<2>(n);
+                part += to_place * miss;
+            }
         }
         let view = &state.views[pose];
         for (n, sigma) in view.prior_sigmas() {
@@ -229,6 +233,9 @@ impl Problem<'_> {
         for n in 0..LENS {
             common[(n, n)] += lens;
             gradient[n] -= lens * state.lens.terms[n];
+        }
+        if !self.freedoms.marks {
+            return;
         }
         for (mark, prior) in self.marks.iter().enumerate() {
             let weight = prior.sigma_mil.powi(-2);
@@ -307,14 +314,12 @@ impl Problem<'_> {
         let marks = self.marks.iter().enumerate().flat_map(|(mark, prior)| {
             [0, 1].map(|axis| left(LENS + 2 * mark + axis, prior.sigma_mil))
         });
-        let marks = if self.freedoms.marks {
-            marks.sum()
-        } else {
-            0.0
-        };
         // The gauge takes four of the marks' freedoms.
-        let gauge = if self.freedoms.marks { 4.0 } else { 0.0 };
-        lens + marks - gauge + (self.freedoms.view * state.views.len()) as f64
+        let marks = match self.freedoms.marks {
+            true => marks.sum::<f64>() - 4.0,
+            false => 0.0,
+        };
+        lens + marks + (self.freedoms.view * state.views.len()) as f64
     }
 }
 

@@ -2,13 +2,15 @@
 
 use super::sighting::FrameSightings;
 use crate::geometry::Mapping;
-use crate::plate::Plate;
+use crate::plate::{MarkId, Plate};
+use crate::units::SensorPx;
+use std::collections::HashMap;
 
 /// A frame's mapping rests on a few marks: elsewhere on the sensor it is off by pixels, and the lens adds some more. Wrong
 /// ids are off by 47 px at least.
 const AGREEING_PX: f64 = 15.0;
 /// So many frames' mappings are tried, at most.
-const TRIED: usize = 200;
+const TRIED: usize = 50;
 
 /// What the frames of a pose agree upon.
 pub(super) struct Consensus {
@@ -29,8 +31,10 @@ pub(super) fn consensus(
         .step_by(every)
         .map(|n| {
             let mapping = frames[*n].mapping;
+            let marks = plate.marks();
+            let expected = marks.map(|(id, at)| (id, mapping.to_sensor(at))).collect();
             let agreeing = of_pose.iter().copied();
-            let agreeing = agreeing.filter(|m| agrees(&frames[*m], &mapping, plate));
+            let agreeing = agreeing.filter(|m| agrees(&frames[*m], &expected));
             Consensus {
                 mapping,
                 frames: agreeing.collect(),
@@ -41,11 +45,11 @@ pub(super) fn consensus(
         .max_by_key(|c| c.frames.len())
 }
 
-/// Whether a mapping puts more than half of a frame's marks near where they were seen.
-fn agrees(frame: &FrameSightings, mapping: &Mapping, plate: &Plate) -> bool {
+/// Whether more than half of a frame's marks were seen near where they are expected.
+fn agrees(frame: &FrameSightings, expected: &HashMap<MarkId, SensorPx>) -> bool {
     let near = frame.sightings.iter().filter(|sighting| {
-        let expected = mapping.to_sensor(plate.position(sighting.id));
-        expected.distance(sighting.at) < AGREEING_PX
+        let expected = expected.get(&sighting.id);
+        expected.is_some_and(|at| at.distance(sighting.at) < AGREEING_PX)
     });
     2 * near.count() > frame.sightings.len()
 }

@@ -13,6 +13,7 @@
 //! [`Separation`] says so.
 
 mod adjust;
+mod blurred;
 mod camera;
 mod choose;
 mod consensus;
@@ -69,7 +70,9 @@ pub fn calibrate(
 ) -> Result<Calibration, Refusal> {
     let poses = poses(given)?;
     begin(poses.iter().map(|pose| pose.files.len()).sum());
-    let sightings = measure(&poses, start, each);
+    let mut sightings = measure(&poses, start, each);
+    let blurred = blurred::take_blurred(&mut sightings.frames);
+    sightings.spoiled.extend(blurred);
     refusal::check_files(&sightings, start)?;
     refusal::check_coverage(&sightings, start)?;
     let (poses, sightings) = with_frames(poses, sightings);

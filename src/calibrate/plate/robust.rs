@@ -12,7 +12,6 @@
 
 use super::adjust::{Cell, Freedoms, MarkPrior, Problem, Settled, State};
 use nalgebra::{Matrix2, Vector2};
-use std::collections::BTreeMap;
 
 /// A sighting in the adjustment.
 #[derive(Debug, Clone, Copy)]
@@ -45,31 +44,47 @@ const NONE: f64 = 6.0;
 const ROUNDS: usize = 12;
 /// Weights that change by less than this on the whole rest.
 const RESTING: f64 = 1e-3;
+/// Median length of a two-dimensional deviation of 1 sigma per axis.
+const MEDIAN_SIZE: f64 = 1.177;
 /// Enough sightings for the median of a mark's residuals to speak.
 const ENOUGH: usize = 5;
 
 impl Bundle {
     /// The sightings of every mark in every pose, with their common mean.
     pub(super) fn cells(&self) -> Vec<Vec<Cell>> {
-        type Sums = (Matrix2<f64>, Vector2<f64>);
-        let mut sums: Vec<BTreeMap<usize, Sums>> = vec![BTreeMap::new(); self.poses];
+        let mut sums = self.everywhere(|_, _| (Matrix2::zeros(), Vector2::zeros()));
         for o in self.observations.iter().filter(|o| o.weight > 0.0) {
             let Some(inverse) = o.covariance_px2.try_inverse() else {
                 continue;
             };
             let weight = inverse * (o.weight / self.variance_factor);
-            let zero = (Matrix2::zeros(), Vector2::zeros());
-            let sum = sums[o.pose].entry(o.mark).or_insert(zero);
+            let sum = &mut sums[self.place(o)];
             sum.0 += weight;
             sum.1 += weight * o.seen;
         }
-        let cell = |(mark, (weight, moment)): (usize, Sums)| {
+        let cell = |(mark, (weight, moment)): (usize, &(Matrix2<f64>, Vector2<f64>))| {
             let seen = weight.try_inverse()? * moment;
-            Some(Cell { mark, seen, weight })
+            Some(Cell {
+                mark,
+                seen,
+                weight: *weight,
+            })
         };
-        sums.into_iter()
-            .map(|pose| pose.into_iter().filter_map(cell).collect())
+        sums.chunks(self.marks.len().max(1))
+            .map(|pose| pose.iter().enumerate().filter_map(cell).collect())
             .collect()
+    }
+
+    /// A value for every mark in every pose, at [`place`](Self::place).
+    fn everywhere<T>(&self, value: impl Fn(usize, usize) -> T) -> Vec<T> {
+        let marks = self.marks.len();
+        let places = (0..self.poses).flat_map(|pose| (0..marks).map(move |mark| (pose, mark)));
+        places.map(|(pose, mark)| value(pose, mark)).collect()
+    }
+
+    /// Where the value of an observation's mark and pose stands.
+    fn place(&self, o: &Observation) -> usize {
+        o.pose * self.marks.len() + o.mark
     }
 
     /// Notes which marks any sighting speaks for.
@@ -99,51 +114,31 @@ impl Bundle {
             ..freedoms
         };
         let mut state = start.clone();
-        let mut sizes = Vec::new();
         for _ in 0..ROUNDS {
             state = self.settle(&state, freedoms)?.state;
             let off = self.off_mil(&state);
             let own = self.medians(&off);
-            let size = |o: &Observation, off: &Vector2<f64>| (off - own[o.mark]).norm();
-            sizes = self
-                .observations
-                .iter()
-                .zip(&off)
-                .map(|(o, v)| size(o, v))
-                .collect();
-            let scale = median(sizes.iter().copied()).max(1e-6);
-            // The median of a two-dimensional normal deviation is 1.18 sigma.
-            let changed = self.reweigh(|n| sizes[n] * 1.18 / scale);
-            if changed < RESTING {
+            let pairs = self.observations.iter().zip(&off);
+            let sizes: Vec<f64> = pairs.map(|(o, off)| (off - own[o.mark]).norm()).collect();
+            let sigma = (median(sizes.iter().copied()) / MEDIAN_SIZE).max(1e-6);
+            if self.reweigh(|n| sizes[n] / sigma) < RESTING {
                 break;
             }
         }
-        let _ = sizes;
         Some(state)
     }
 
     /// How far from its place the state puts each sighting, on the plate.
     fn off_mil(&self, state: &State) -> Vec<Vector2<f64>> {
-        let back: BTreeMap<(usize, usize), (Vector2<f64>, Matrix2<f64>)> = self
-            .pose_marks()
-            .map(|(pose, mark)| {
-                let p = state.predict(pose, mark);
-                let back = p.place.try_inverse().unwrap_or_else(Matrix2::zeros);
-                ((pose, mark), (p.seen, back))
-            })
-            .collect();
+        let back = self.everywhere(|pose, mark| {
+            let p = state.predict(pose, mark);
+            (p.seen, p.place.try_inverse().unwrap_or_else(Matrix2::zeros))
+        });
         let off = |o: &Observation| {
-            let (seen, back) = back[&(o.pose, o.mark)];
+            let (seen, back) = back[self.place(o)];
             back * (o.seen - seen)
         };
         self.observations.iter().map(off).collect()
-    }
-
-    /// Every mark in every pose it is seen in, once.
-    fn pose_marks(&self) -> impl Iterator<Item = (usize, usize)> {
-        let seen: std::collections::BTreeSet<_> =
-            self.observations.iter().map(|o| (o.pose, o.mark)).collect();
-        seen.into_iter()
     }
 
     /// The median displacement of each mark that is seen often; none of the others.
@@ -187,12 +182,11 @@ impl Bundle {
                 .zip(&pulls)
                 .filter(|(o, _)| o.weight > 0.0);
             let middle = median(kept.map(|(_, pull)| *pull));
-            self.variance_factor *= (middle / 1.18).powi(2).clamp(0.01, 100.0);
-            let scale = (middle / 1.18).max(1e-6);
-            let mut changed = self.reweigh(|n| pulls[n] / scale);
-            changed = changed.max((scale - 1.0).abs() / 10.0);
+            let scale = (middle / MEDIAN_SIZE).clamp(0.1, 10.0);
+            self.variance_factor *= scale.powi(2);
+            let changed = self.reweigh(|n| pulls[n] / scale);
             self.leave_out_frames();
-            if changed < RESTING {
+            if changed < RESTING && (scale - 1.0).abs() < 0.01 {
                 break;
             }
         }
@@ -205,16 +199,13 @@ impl Bundle {
     /// Residual of each sighting over its own sigma: the part of it that the sighting itself takes up is not held against
     /// it.
     pub(super) fn pulls(&self, settled: &Settled) -> Vec<f64> {
-        let of_mark: BTreeMap<(usize, usize), (Vector2<f64>, Matrix2<f64>)> = self
-            .pose_marks()
-            .map(|(pose, mark)| {
-                let p = settled.state.predict(pose, mark);
-                let spread = p.place * settled.place_covariance(mark) * p.place.transpose();
-                ((pose, mark), (p.seen, spread))
-            })
-            .collect();
+        let of_mark = self.everywhere(|pose, mark| {
+            let p = settled.state.predict(pose, mark);
+            let spread = p.place * settled.place_covariance(mark) * p.place.transpose();
+            (p.seen, spread)
+        });
         let pull = |o: &Observation| {
-            let (seen, spread) = of_mark[&(o.pose, o.mark)];
+            let (seen, spread) = of_mark[self.place(o)];
             let stated = o.covariance_px2 * self.variance_factor;
             // A sighting that counts has drawn the mark towards itself; one that does not, has not.
             let variance = stated - spread * (2.0 * o.weight - 1.0);
@@ -249,12 +240,9 @@ impl Bundle {
 
     /// Squared residuals over their variances, weighed.
     pub(super) fn chi2(&self, state: &State) -> f64 {
-        let predicted: BTreeMap<(usize, usize), Vector2<f64>> = self
-            .pose_marks()
-            .map(|(pose, mark)| ((pose, mark), state.predict(pose, mark).seen))
-            .collect();
+        let predicted = self.everywhere(|pose, mark| state.predict(pose, mark).seen);
         let one = |o: &Observation| {
-            let miss = o.seen - predicted[&(o.pose, o.mark)];
+            let miss = o.seen - predicted[self.place(o)];
             let inverse = o
                 .covariance_px2
                 .try_inverse()
