@@ -1,6 +1,7 @@
 //! From files to sightings: each frame is read, solved and forgotten but for its marks.
 
 use super::input::Pose;
+use super::lit::{by_lamp, lit_levels};
 use super::sighting::{FrameSightings, Sighting, Spoiled};
 use crate::aspect::{self, Expected, Origin, Solution};
 use crate::fits;
@@ -85,7 +86,10 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
     let sightings = instrument
         .check_size(&frame)
         .map_err(|wrong| wrong.to_string())
-        .and_then(|()| by_sun(pose, file, &frame, instrument));
+        .and_then(|()| match lit_levels(&frame) {
+            Some(levels) => by_lamp(pose, file, &frame, &levels, instrument),
+            None => by_sun(pose, file, &frame, instrument),
+        });
     (Some(facts), sightings.map_err(spoiled))
 }
 

@@ -19,6 +19,7 @@ mod choose;
 mod consensus;
 mod fit;
 mod input;
+mod lit;
 mod measure;
 mod refusal;
 mod robust;
