@@ -131,6 +131,14 @@ impl Plate {
         self.sigmas_mil[id.index()]
     }
 
+    /// By how much the variance of a mark's position exceeds that of the plate's best known mark, mil^2 per axis: nothing on
+    /// a plate of which all marks are known alike.
+    pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {
+        let variance = |[x, y]: &[f64; 2]| (x * x + y * y) / 2.0;
+        let best = self.sigmas_mil.iter().map(variance);
+        variance(&self.sigma_mil(id)) - best.fold(f64::INFINITY, f64::min)
+    }
+
     /// The mark nearest to a position, and its distance in mil.
     pub fn nearest(&self, at: PlateMil) -> Option<(MarkId, f64)> {
         self.marks()
