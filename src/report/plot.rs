@@ -155,6 +155,50 @@ pub fn histogram(
     })
 }
 
+/// Named dots, (x, y).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dots {
+    pub name: String,
+    pub points: Vec<(f64, f64)>,
+}
+
+/// Dots over two linear axes, the first series lowest.
+pub fn scatter(labels: &Labels, series: &[Dots]) -> Result<String, PlotError> {
+    let all = || series.iter().flat_map(|dots| &dots.points);
+    let span = |axis: fn(&(f64, f64)) -> f64| {
+        let (low, high) = extent(all().map(axis))?;
+        let spare = 0.05 * (high - low).max(1e-9);
+        Some(low - spare..high + spare)
+    };
+    let empty = || PlotError::Empty(labels.title.clone());
+    let x = span(|p| p.0).ok_or_else(empty)?;
+    let y = span(|p| p.1).ok_or_else(empty)?;
+    figure(SIZE, |area| {
+        let mut chart = frame(area, labels).build_cartesian_2d(x, y)?;
+        chart
+            .configure_mesh()
+            .x_desc(&labels.x)
+            .y_desc(&labels.y)
+            .light_line_style(WHITE)
+            .draw()?;
+        for (n, dots) in series.iter().enumerate() {
+            let style = colour(n).mix(0.7).filled();
+            let points = dots.points.iter();
+            chart
+                .draw_series(points.map(|point| Circle::new(*point, 2, style)))?
+                .label(dots.name.as_str())
+                .legend(move |at| Circle::new(at, 3, style));
+        }
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperLeft)
+            .background_style(WHITE.mix(0.8))
+            .border_style(BLACK.mix(0.3))
+            .draw()?;
+        Ok(())
+    })
+}
+
 /// A vector at a place; both in the units of the axes, the vector magnified.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrow {
@@ -276,6 +320,18 @@ mod tests {
         for text in ["<svg", "A title", "noise, DN", "error, arcsec", "median"] {
             assert!(svg.contains(text), "{text}");
         }
+    }
+
+    #[test]
+    fn every_dot_is_drawn() {
+        let dots = Dots {
+            name: "residuals".into(),
+            points: vec![(-1.0, 0.5), (2.0, -0.5), (3.0, 0.1)],
+        };
+        let svg = scatter(&labels(), &[dots]).unwrap();
+        // Three dots and the one of the legend.
+        assert_eq!(svg.matches("<circle").count(), 4);
+        assert!(svg.contains("residuals"));
     }
 
     #[test]

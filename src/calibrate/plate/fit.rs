@@ -40,10 +40,13 @@ pub struct PoseFit {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Residual {
     pub frame: usize,
+    pub pose: usize,
     pub id: MarkId,
     pub at: SensorPx,
     /// Seen less predicted, px.
     pub miss: Vector2<f64>,
+    /// The same with the marks where they were drawn, no distortion and similarities alone.
+    pub before: Vector2<f64>,
     /// 1 sigma of it as stated by the frame, px per axis.
     pub stated_px: f64,
     /// Whether it counts.
@@ -89,6 +92,13 @@ pub struct PlateFit {
 /// What the lens may do at its reach, 1 sigma of each term, px: a stated prior, wide enough for any lens in use.
 pub const LENS_PRIOR_PX: f64 = 5.0;
 
+/// Nothing of the plate or the lens measured.
+const AS_DRAWN: Freedoms = Freedoms {
+    view: 4,
+    lens: [false; LENS],
+    marks: false,
+};
+
 /// Fits plate, lens and poses to the frames' sightings. `None` where they do not determine them.
 pub fn fit(frames: &[FrameSightings], poses: usize, start: &Instrument) -> Option<PlateFit> {
     let (mut bundle, ids, mut spoiled, first) = gather(frames, poses, start)?;
@@ -102,13 +112,14 @@ pub fn fit(frames: &[FrameSightings], poses: usize, start: &Instrument) -> Optio
     };
     let settled = bundle.in_full(&chosen.state, freedoms)?;
     spoiled.extend(disagreeing(frames, &bundle));
+    let before = bundle.settle(&first, AS_DRAWN)?.state;
     Some(PlateFit {
         marks: marks(&bundle, &settled, &ids),
         distortion: settled.state.lens.distortion(),
         distortion_sigma: lens_sigmas(&settled),
         separation: separation(&bundle, &settled, freedoms),
         poses: pose_fits(&bundle, &settled, &choice)?,
-        residuals: residuals(&bundle, &settled, &ids),
+        residuals: residuals(&bundle, &settled, &before, &ids),
         sigma_factor: bundle.variance_factor.sqrt(),
         residual_px: residual_px(&bundle, &settled),
         choice,
@@ -286,8 +297,10 @@ fn relative_sigma(view: &View, covariance: &SMatrix<f64, 8, 8>) -> f64 {
     spread.max(0.0).sqrt() / size
 }
 
-fn residuals(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<Residual> {
+fn residuals(bundle: &Bundle, settled: &Settled, before: &State, ids: &[MarkId]) -> Vec<Residual> {
     let one = |o: &Observation| Residual {
+        pose: o.pose,
+        before: o.seen - before.predict(o.pose, o.mark).seen,
         frame: o.frame,
         id: ids[o.mark],
         at: o.seen.into(),

@@ -22,6 +22,7 @@ mod input;
 mod lit;
 mod measure;
 mod refusal;
+mod report;
 mod robust;
 mod sighting;
 mod summary;
@@ -32,12 +33,13 @@ pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual, Separati
 pub use input::{InputError, Pose, poses};
 pub use measure::{FileFacts, Sightings, measure};
 pub use refusal::Refusal;
+pub use report::html;
 pub use sighting::{FrameSightings, Sighting, Spoiled};
 pub use summary::summary;
 pub use write::instrument_text;
 
 use crate::instrument::Instrument;
-use crate::units::PlateMil;
+use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -56,6 +58,8 @@ pub struct Calibration {
     pub last: Option<Timestamp>,
     /// The pose nearest to where the start's mounting states the camera: the others were made for the calibration.
     pub mounted_pose: usize,
+    /// The sensor's middle.
+    pub middle_px: SensorPx,
 }
 
 /// Calibrates plate, lens and poses from frames and folders; `each` is called after every frame.
@@ -85,6 +89,10 @@ pub fn calibrate(
     Ok(Calibration {
         last: sightings.frames.iter().filter_map(|frame| frame.utc).max(),
         mounted_pose: mounted_pose(&fit, start),
+        middle_px: SensorPx::new(
+            (start.camera.width_px as f64 - 1.0) / 2.0,
+            (start.camera.height_px as f64 - 1.0) / 2.0,
+        ),
         frames_sha256: digest(&sightings.files),
         poses,
         frames: sightings.frames,

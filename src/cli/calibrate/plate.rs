@@ -44,11 +44,20 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     std::fs::write(&args.out, written)
         .with_context(|| format!("{}: cannot write the instrument", args.out.display()))?;
     // What was written must be what everything else reads.
-    let measured = Instrument::read(&args.out)?;
+    Instrument::read(&args.out)?;
+    if let Some(folder) = &args.report {
+        write_report(folder, &plate::html(&calibration)?)?;
+    }
     print!("{}", plate::summary(&calibration));
     println!("written to {}", args.out.display());
-    let _ = measured;
     Ok(ExitCode::SUCCESS)
+}
+
+fn write_report(folder: &Path, html: &str) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    let file = folder.join("index.html");
+    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
 }
 
 /// The start instrument and its text.
