@@ -4,7 +4,7 @@ use super::fit::PlateFit;
 use super::input::{InputError, Pose};
 use super::measure::{FileFacts, Sightings};
 use crate::instrument::Instrument;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// A set of frames that gives no calibration.
@@ -61,12 +61,12 @@ pub enum Refusal {
     )]
     NothingRead { frames: usize, first: String },
     #[error(
-        "too few marks: {marks} marks were seen {sightings} times in {frames} frames, expected at least {LEAST_MARKS} marks seen twice each on average; take more frames, with the Sun all over the plate"
+        "too few marks: {frames} frames show {marks} marks, {again} of them more than once, expected at least {LEAST_MARKS} seen more than once; take more frames, with the Sun all over the plate"
     )]
     TooFewMarks {
-        marks: usize,
-        sightings: usize,
         frames: usize,
+        marks: usize,
+        again: usize,
     },
     #[error(
         "all {frames} frames show the Sun in one place of the plate, within {reach_mil:.0} mil; take frames with the Sun all over the plate"
@@ -87,7 +87,7 @@ pub enum Refusal {
     Undetermined,
 }
 
-/// Fewest marks that a calibration rests on.
+/// Fewest marks seen more than once that a calibration rests on.
 const LEAST_MARKS: usize = 12;
 /// Scales of one camera's poses differ by less than this part.
 const SAME_SCALE: f64 = 0.05;
@@ -168,13 +168,16 @@ pub(super) fn check_coverage(
             reach_mil,
         });
     }
-    let all = || frames.iter().flat_map(|frame| &frame.sightings);
-    let marks: BTreeSet<_> = all().map(|sighting| sighting.id).collect();
-    if marks.len() < LEAST_MARKS || all().count() < 2 * marks.len() {
+    let mut seen: BTreeMap<_, usize> = BTreeMap::new();
+    for sighting in frames.iter().flat_map(|frame| &frame.sightings) {
+        *seen.entry(sighting.id).or_default() += 1;
+    }
+    let again = seen.values().filter(|times| **times > 1).count();
+    if again < LEAST_MARKS {
         return Err(Refusal::TooFewMarks {
-            marks: marks.len(),
-            sightings: all().count(),
             frames: frames.len(),
+            marks: seen.len(),
+            again,
         });
     }
     Ok(())

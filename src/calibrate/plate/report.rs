@@ -10,13 +10,15 @@ use std::fmt::Write;
 
 /// Half the width of the plate's maps, mil.
 const PLATE_MIL: f64 = 3700.0;
+/// Width of a mark's cell in the plate's maps.
+const CELL_MIL: f64 = 260.0;
 /// Arrows are magnified so much that this many mil on the plate show 1 mil of displacement.
 const MAGNIFIED: f64 = 130.0;
 
 const STYLE: &str = "body{font:15px/1.5 sans-serif;max-width:1240px;margin:2em auto;padding:0 1em;color:#222}\
     h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}pre{background:#f5f5f5;padding:1em;overflow-x:auto;white-space:pre-wrap}\
-    figure{display:inline-block;margin:.5em;vertical-align:top}figcaption{max-width:34em;color:#555;font-size:.9em}\
-    svg{max-width:100%;height:auto}table{border-collapse:collapse}td,th{padding:.2em .8em;text-align:right;border-bottom:1px solid #ddd}";
+    figure{display:inline-block;width:590px;margin:.5em 0;vertical-align:top}figcaption{padding:0 2em;color:#555;font-size:.9em}\
+    svg{width:100%;height:auto}table{border-collapse:collapse}td,th{padding:.2em .8em;text-align:right;border-bottom:1px solid #ddd}";
 
 /// The report as one HTML page that needs nothing beside it.
 pub fn html(calibration: &Calibration) -> Result<String, PlotError> {
@@ -106,7 +108,14 @@ fn kept(calibration: &Calibration) -> impl Iterator<Item = &Residual> {
 fn plate_map(title: &str, arrows: &[Arrow]) -> Result<String, PlotError> {
     let title = format!("{title} (x {MAGNIFIED:.0}; full shade 3 mil)");
     let labels = labels(&title, "plate X, mil", "plate Y, mil");
-    plot::vector_map(&labels, -PLATE_MIL..PLATE_MIL, 90.0, arrows, MAGNIFIED, 3.0)
+    plot::vector_map(
+        &labels,
+        -PLATE_MIL..PLATE_MIL,
+        CELL_MIL,
+        arrows,
+        MAGNIFIED,
+        3.0,
+    )
 }
 
 fn displacements(calibration: &Calibration) -> Result<String, PlotError> {
