@@ -1,7 +1,7 @@
 //! What came of a calibration, in words.
 
 use super::{Calibration, LENS_PRIOR_PX, PlateFit};
-use crate::plate::drawn_position;
+use crate::plate::{MarkId, drawn_position};
 use crate::units::SensorPx;
 use std::fmt::Write;
 
@@ -35,7 +35,7 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
     writeln!(
         out,
         "marks      {moved:.3} mil rms off the drawing, known to {sigma:.3} mil rms; {} never seen keep the drawing's place",
-        225 - fit.marks.len()
+        MarkId::all().count() - fit.marks.len()
     )?;
     writeln!(out, "lens       {}", lens(fit))?;
     for (pose, folder) in fit.poses.iter().zip(&calibration.poses) {
