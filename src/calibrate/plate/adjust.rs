@@ -165,7 +165,7 @@ impl Problem<'_> {
         }
         for part in &views {
             // What is left once the view follows the common unknowns.
-            let follow = &part.inverse * &part.coupling;
+            let follow = part.inverse * &part.coupling;
             reduced.gemm_tr(-1.0, &part.coupling, &follow, 1.0);
             gradient.gemv_tr(-1.0, &follow, &part.gradient, 1.0);
         }
