@@ -142,7 +142,8 @@ fn marks_moved(a: &Instrument, b: &Instrument, arcsec_per_mil: f64) -> MarksMove
             .filter(|(_, mil)| *mil > 0.0)
     };
     let moved = moves().count();
-    let squares: f64 = moves().map(|(_, mil)| mil * mil).sum();
+    // From 0: the sum of nothing is -0.
+    let squares = moves().fold(0.0, |sum, (_, mil)| sum + mil * mil);
     let rms_mil = (squares / (2 * moved).max(1) as f64).sqrt();
     let largest = moves().max_by(|x, y| x.1.total_cmp(&y.1));
     MarksMoved {

@@ -4,6 +4,7 @@ use super::Calibration;
 use super::fit::PoseFit;
 use crate::geometry::Distortion;
 use crate::instrument::{Instrument, TomlError};
+use jiff::Timestamp;
 use std::fmt::Display;
 use std::path::Path;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, Item, Table, Value, value};
@@ -37,22 +38,20 @@ pub fn instrument_text(
     Ok(document.to_string())
 }
 
-/// What stands beside every value: where it comes from and of which day.
+/// What stands beside every value; how many frames it rests on is said once, in `[calibration.plate]`.
+const SOURCE: &str = "solaspect calibrate plate";
+
+/// Of which day the values are.
 struct Source {
-    text: String,
     date: String,
 }
 
 impl Source {
     fn of(calibration: &Calibration) -> Self {
-        let frames: usize = calibration.fit.poses.iter().map(|pose| pose.frames).sum();
-        let poses = calibration.poses.len();
-        let plural = if poses == 1 { "" } else { "s" };
-        // The day of the frames, so that the same frames give the same file.
-        let last = calibration.last.map(|utc| utc.to_string());
+        // The day of the frames, so that the same frames give the same file; of frames without time, today.
+        let day = calibration.last.unwrap_or_else(Timestamp::now);
         Self {
-            text: format!("plate calibration, {frames} frames in {poses} pose{plural}"),
-            date: last.map_or("1970-01-01".into(), |utc| utc[..10].into()),
+            date: day.to_string().chars().take(10).collect(),
         }
     }
 
@@ -60,8 +59,8 @@ impl Source {
     fn entry(&self, value: impl Display, sigma: Option<String>, remark: &str) -> Item {
         let sigma = sigma.map_or(String::new(), |sigma| format!(", sigma = {sigma}"));
         let text = format!(
-            "{{ value = {value}{sigma}, source = \"{}{remark}\", date = {} }}",
-            self.text, self.date
+            "{{ value = {value}{sigma}, source = \"{SOURCE}{remark}\", date = {} }}",
+            self.date
         );
         // What is not TOML here would be a number that is not finite; the reader refuses its text.
         let parsed = text.parse::<Value>();

@@ -41,16 +41,24 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     let calibration = calibration?;
     let start_path = args.instrument.as_deref().unwrap_or(Path::new("demo"));
     let written = plate::instrument_text(start_path, &text, &start, &calibration)?;
-    std::fs::write(&args.out, written)
-        .with_context(|| format!("{}: cannot write the instrument", args.out.display()))?;
-    // What was written must be what everything else reads.
-    Instrument::read(&args.out)?;
+    write_instrument(&args.out, &written)?;
     if let Some(folder) = &args.report {
         write_report(folder, &plate::html(&calibration)?)?;
     }
     print!("{}", plate::summary(&calibration));
     println!("written to {}", args.out.display());
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the instrument if it is one that everything else can read; else what stood there stays.
+fn write_instrument(out: &Path, text: &str) -> anyhow::Result<()> {
+    let cannot_write = || format!("{}: cannot write the instrument", out.display());
+    let mut name = out.as_os_str().to_owned();
+    name.push(".part");
+    let part = PathBuf::from(name);
+    std::fs::write(&part, text).with_context(cannot_write)?;
+    Instrument::read(&part)?;
+    std::fs::rename(&part, out).with_context(cannot_write)
 }
 
 fn write_report(folder: &Path, html: &str) -> anyhow::Result<()> {
