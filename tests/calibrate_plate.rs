@@ -519,11 +519,14 @@ fn full_size_sets_meet_the_numbers_that_the_documentation_states() {
         let fit = &calibration.fit;
         let used: usize = fit.poses.iter().map(|pose| pose.frames).sum();
         let often = seen_often(&calibration, 10);
-        let (rms, honest) = errors(&often, &truth);
+        let (rms, honest) = match often.is_empty() {
+            true => (0.0, 0.0),
+            false => errors(&often, &truth),
+        };
         let (all_rms, all_honest) = errors(&seen_often(&calibration, 1), &truth);
         let lens = lens_difference(&fit.distortion, &truth.camera.distortion);
         println!(
-            "| {} | {used} of {} | {}, {} of 10 sightings | {rms:.3} | {honest:.2} | {all_rms:.3} | {all_honest:.2} | {lens:.4} | {} | {} |",
+            "| {} | {used} of {} | {} ({}) | {rms:.3} | {honest:.2} | {all_rms:.3} | {all_honest:.2} | {lens:.4} | {} | {} |",
             set.name,
             set.frames,
             fit.marks.len(),
