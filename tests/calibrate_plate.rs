@@ -363,7 +363,45 @@ fn generated_measurements_of_every_mark_in_many_frames_are_solved() {
     assert!(rms < 0.012, "{rms}");
     assert!((0.8..1.25).contains(&honest), "{honest}");
     assert!(lens_difference(&fit.distortion, &truth.camera.distortion) < 0.005);
+    assert!(fit.separation.by_data());
     assert!((fit.sigma_factor - 1.0).abs() < 0.02);
+}
+
+#[test]
+fn a_plate_as_drawn_behind_a_straight_lens_is_found_to_be_so() {
+    let truth = truth(0.0, 0.0, 6);
+    let mut normal = generator(7);
+    let frame = |n: usize| {
+        let pose = n % 4;
+        let mapping = Mapping::similarity(similarity(pose), truth.camera.distortion).unwrap();
+        let marks = truth.plate.marks().skip(n * 5 % 200).take(20);
+        let sighting = |(id, at)| {
+            let seen = mapping.to_sensor(at);
+            Sighting {
+                id,
+                at: SensorPx::new(seen.x + 0.02 * normal(), seen.y + 0.02 * normal()),
+                covariance_px2: Matrix2::identity() * 0.02_f64.powi(2),
+            }
+        };
+        FrameSightings {
+            file: format!("{n}").into(),
+            pose,
+            utc: None,
+            mapping,
+            sun: None,
+            sightings: marks.map(sighting).collect(),
+        }
+    };
+    let frames: Vec<FrameSightings> = (0..160).map(frame).collect();
+    let fit = plate::fit(&frames, 4, &builtin("demo").unwrap()).unwrap();
+    assert_eq!(fit.choice.lens, [false; 4]);
+    assert!(fit.separation.by_data());
+    let marks: Vec<&MeasuredMark> = fit.marks.iter().collect();
+    let (rms, honest) = errors(&marks, &truth);
+    assert!(
+        rms < 0.06 && (0.8..1.25).contains(&honest),
+        "{rms} {honest}"
+    );
 }
 
 /// What the refusal of a set of frames says.

@@ -253,17 +253,22 @@ fn corner_sigma_px(settled: &Settled, freedoms: Freedoms) -> f64 {
     (spread.trace() / 2.0).max(0.0).sqrt()
 }
 
-/// Compares the lens's sigma with what it were if the marks might be anywhere near their place.
+/// Compares the lens's sigma with what it were if the marks might be anywhere near their place. A lens that needs no
+/// terms still is one that might have them: the first is always free here.
 fn separation(bundle: &Bundle, settled: &Settled, freedoms: Freedoms) -> Separation {
     const LOOSER: f64 = 10.0;
-    let lens_sigma_px = corner_sigma_px(settled, freedoms);
+    let mut freedoms = freedoms;
+    freedoms.lens[0] = true;
+    let sigma_px = |bundle: &Bundle| {
+        let settled = bundle.settle(&settled.state, freedoms);
+        settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s, freedoms))
+    };
     let mut loose = bundle.clone();
     loose.marks.iter_mut().for_each(|m| m.sigma_mil *= LOOSER);
     loose.lens_sigma_px *= LOOSER;
-    let without = loose.settle(&settled.state, freedoms);
     Separation {
-        lens_sigma_px,
-        without_priors_px: without.map_or(f64::INFINITY, |s| corner_sigma_px(&s, freedoms)),
+        lens_sigma_px: sigma_px(bundle),
+        without_priors_px: sigma_px(&loose),
     }
 }
 
