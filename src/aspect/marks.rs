@@ -6,6 +6,7 @@ use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner,
 use crate::frame::Levels;
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::Limb;
+use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::Matrix2;
@@ -138,7 +139,7 @@ impl Work<'_> {
             .map(|mark| Pair {
                 seen: mark.at,
                 printed: self.instrument.plate.position(mark.id),
-                covariance_px2: mark.covariance_px2,
+                covariance_px2: mark.covariance_px2 + self.poorly_known_px2(mark.id),
             })
             .collect();
         let reject = |reason, measured, limit| {
@@ -181,6 +182,13 @@ impl Work<'_> {
             return Err(reject(reason, registration.residual_px, MAX_RESIDUAL_PX));
         }
         Ok(registration)
+    }
+
+    /// A mark that is known less well than the plate's best weighs less: on a plate that was measured, the few marks that
+    /// nobody saw are still where the drawing puts them.
+    fn poorly_known_px2(&self, id: MarkId) -> Matrix2<f64> {
+        let scale = self.instrument.mounting.scale_mil_per_px.value;
+        Matrix2::identity() * (self.instrument.plate.excess_variance_mil2(id) / scale.powi(2))
     }
 
     /// The disc's radius on the plate, so loosely that a whole limb decides it and a short one leans on it.

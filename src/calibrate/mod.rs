@@ -2,8 +2,10 @@
 //! frames do not determine, and leaves the rest of the file as it was.
 
 pub mod camera;
+pub mod compare;
 pub mod frames;
 mod html;
 pub mod mounting;
 pub mod numbers;
+pub mod plate;
 pub mod revision;

@@ -133,16 +133,31 @@ impl Instrument {
     /// # Errors
     /// A frame that is neither the whole sensor nor a part of it.
     pub fn seen_by(&self, frame: &Frame) -> Result<Cow<'_, Self>, WrongSize> {
+        let wrong = match self.check_size(frame) {
+            Ok(()) => return Ok(Cow::Borrowed(self)),
+            Err(wrong) => wrong,
+        };
+        match frame.info.corner_px {
+            Some((x, y))
+                if x.saturating_add(wrong.width) <= wrong.expected_width
+                    && y.saturating_add(wrong.height) <= wrong.expected_height =>
+            {
+                let size = (wrong.width, wrong.height);
+                Ok(Cow::Owned(self.windowed((x, y), size)))
+            }
+            _ => Err(wrong),
+        }
+    }
+
+    /// Whether a frame has the size of the whole sensor.
+    ///
+    /// # Errors
+    /// A frame of another size.
+    pub fn check_size(&self, frame: &Frame) -> Result<(), WrongSize> {
         let (expected_width, expected_height) = (self.camera.width_px, self.camera.height_px);
         let (width, height) = (frame.width(), frame.height());
         if (width, height) == (expected_width, expected_height) {
-            return Ok(Cow::Borrowed(self));
-        }
-        if let Some((x, y)) = frame.info.corner_px
-            && x.saturating_add(width) <= expected_width
-            && y.saturating_add(height) <= expected_height
-        {
-            return Ok(Cow::Owned(self.windowed((x, y), (width, height))));
+            return Ok(());
         }
         Err(WrongSize {
             instrument: self.name.clone(),

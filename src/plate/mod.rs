@@ -95,6 +95,7 @@ impl Cross {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
     pub cross: Cross,
+    drawing_sigma_mil: f64,
     positions: Vec<PlateMil>,
     sigmas_mil: Vec<[f64; 2]>,
 }
@@ -104,9 +105,15 @@ impl Plate {
     pub fn drawn(cross: Cross, sigma_mil: f64) -> Self {
         Self {
             cross,
+            drawing_sigma_mil: sigma_mil,
             positions: MarkId::all().map(drawn_position).collect(),
             sigmas_mil: MarkId::all().map(|_| [sigma_mil; 2]).collect(),
         }
+    }
+
+    /// How well the drawing is known to be printed: 1 sigma per axis of marks that were not measured, mil.
+    pub fn drawing_sigma_mil(&self) -> f64 {
+        self.drawing_sigma_mil
     }
 
     /// Replaces a mark's drawn position by a measured one.
@@ -122,6 +129,14 @@ impl Plate {
     /// 1 sigma of a mark's position, mil.
     pub fn sigma_mil(&self, id: MarkId) -> [f64; 2] {
         self.sigmas_mil[id.index()]
+    }
+
+    /// By how much the variance of a mark's position exceeds that of the plate's best known mark, mil^2 per axis: nothing on
+    /// a plate of which all marks are known alike.
+    pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {
+        let variance = |[x, y]: &[f64; 2]| (x * x + y * y) / 2.0;
+        let best = self.sigmas_mil.iter().map(variance);
+        variance(&self.sigma_mil(id)) - best.fold(f64::INFINITY, f64::min)
     }
 
     /// The mark nearest to a position, and its distance in mil.

@@ -330,6 +330,18 @@ mod tests {
     }
 
     #[test]
+    fn every_dot_is_drawn() {
+        let dots = Series {
+            name: "residuals".into(),
+            points: vec![(-1.0, 0.5), (2.0, -0.5), (3.0, 0.1)],
+        };
+        let svg = scatter(&labels(), &[dots]).unwrap();
+        // Three dots and the one of the legend.
+        assert_eq!(svg.matches("<circle").count(), 4);
+        assert!(svg.contains("residuals"));
+    }
+
+    #[test]
     fn every_value_is_in_a_bar() {
         let svg = histogram(&labels(), &[0.1, 0.2, 0.25, 0.9], 4, &[("limit", 0.5)]).unwrap();
         assert!(svg.contains("limit"));

@@ -1,12 +1,14 @@
 //! `solaspect calibrate`: the instrument as it is.
 
-pub mod camera;
-pub mod mounting;
+mod camera;
+mod compare;
+mod mounting;
+mod plate;
 
 use clap::{Args, Subcommand};
 use std::process::ExitCode;
 
-/// Measure the instrument from frames and write its new TOML file
+/// Measure the instrument from frames and write its new TOML file; tell what changed between two calibrations
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
     #[command(subcommand)]
@@ -16,12 +18,16 @@ pub struct CalibrateArgs {
 #[derive(Debug, Subcommand)]
 enum Part {
     Camera(camera::CameraArgs),
+    Compare(compare::CompareArgs),
     Mounting(mounting::MountingArgs),
+    Plate(plate::PlateArgs),
 }
 
 pub fn run(args: CalibrateArgs) -> anyhow::Result<ExitCode> {
     match args.part {
         Part::Camera(args) => camera::run(args),
+        Part::Compare(args) => compare::run(&args),
         Part::Mounting(args) => mounting::run(args),
+        Part::Plate(args) => plate::run(&args),
     }
 }

@@ -1,0 +1,296 @@
+//! What changed from one instrument to another, in units that a person understands: arcsec on the sky, at the plate's edge
+//! where a turn or a scale is meant.
+
+use crate::instrument::Instrument;
+use crate::plate::{MarkId, drawn_position};
+use crate::units::{PlateMil, SensorPx};
+use serde::Serialize;
+use std::fmt;
+
+/// A change of position.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Shift {
+    /// Along x and y, in the unit of what moved.
+    pub by: [f64; 2],
+    pub arcsec: f64,
+}
+
+/// A turn or a stretch about the plate's centre.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Turn {
+    pub before: f64,
+    pub after: f64,
+    /// What it moves at the plate's edge.
+    pub edge_arcsec: f64,
+}
+
+/// The marks' displacements.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MarksMoved {
+    /// Marks that are not at their drawn place.
+    pub measured_before: usize,
+    pub measured_after: usize,
+    /// Marks that have another place.
+    pub moved: usize,
+    /// Root mean square per axis over those.
+    pub rms_mil: f64,
+    pub rms_arcsec: f64,
+    pub largest: Option<LargestMove>,
+    /// The median of the marks' sigmas.
+    pub sigma_before_mil: f64,
+    pub sigma_after_mil: f64,
+}
+
+/// The mark that moved most.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LargestMove {
+    pub id: [i32; 2],
+    pub mil: f64,
+    pub arcsec: f64,
+}
+
+/// How differently the lens moves positions on the sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LensChange {
+    /// The largest change at a corner of the sensor.
+    pub corner_px: f64,
+    /// Over the whole sensor, per axis.
+    pub rms_px: f64,
+    pub corner_arcsec: f64,
+}
+
+/// What changed from one instrument to another.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    pub from: String,
+    pub to: String,
+    /// Distance of the plate's edge from its centre: of its outermost mark on an axis.
+    pub edge_mil: f64,
+    pub marks: MarksMoved,
+    pub lens: LensChange,
+    /// Where the sensor sees the plate's centre, px.
+    pub plate_centre_px: Shift,
+    pub scale_mil_per_px: Turn,
+    pub rotation_deg: Turn,
+    pub boresight_mil: Shift,
+    pub clocking_deg: Turn,
+    /// A plate farther away makes every offset smaller.
+    pub plate_distance_mm: Turn,
+    pub blur_px: [f64; 2],
+}
+
+/// Compares instrument `b` with `a`, which was before it.
+pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
+    let edge_mil = drawn_position(MarkId { i: -7, j: 0 }).distance(PlateMil::new(0.0, 0.0));
+    let arcsec_per_mil = b.optics.arcsec_per_mil();
+    let edge_arcsec = edge_mil * arcsec_per_mil;
+    let arcsec_per_px = b.mounting.scale_mil_per_px.value * arcsec_per_mil;
+    let (ma, mb) = (&a.mounting, &b.mounting);
+    let stretched = |before: f64, after: f64| Turn {
+        before,
+        after,
+        edge_arcsec: (after / before - 1.0).abs() * edge_arcsec,
+    };
+    let turned = |before: f64, after: f64| {
+        let turn = (after - before + 180.0).rem_euclid(360.0) - 180.0;
+        Turn {
+            before,
+            after,
+            edge_arcsec: 2.0 * (turn.to_radians() / 2.0).sin().abs() * edge_arcsec,
+        }
+    };
+    let shifted = |before: [f64; 2], after: [f64; 2], arcsec: f64| {
+        let by = [after[0] - before[0], after[1] - before[1]];
+        Shift {
+            by,
+            arcsec: by[0].hypot(by[1]) * arcsec,
+        }
+    };
+    let px = |at: SensorPx| [at.x, at.y];
+    let mil = |at: PlateMil| [at.x, at.y];
+    Comparison {
+        from: a.name.clone(),
+        to: b.name.clone(),
+        edge_mil,
+        marks: marks_moved(a, b, arcsec_per_mil),
+        lens: lens_change(a, b, arcsec_per_px),
+        plate_centre_px: shifted(
+            px(ma.plate_centre_px),
+            px(mb.plate_centre_px),
+            arcsec_per_px,
+        ),
+        scale_mil_per_px: stretched(ma.scale_mil_per_px.value, mb.scale_mil_per_px.value),
+        rotation_deg: turned(ma.rotation_deg.value, mb.rotation_deg.value),
+        boresight_mil: shifted(mil(ma.boresight_mil), mil(mb.boresight_mil), arcsec_per_mil),
+        clocking_deg: turned(ma.clocking_deg.value, mb.clocking_deg.value),
+        plate_distance_mm: stretched(
+            a.optics.plate_distance_mm.value,
+            b.optics.plate_distance_mm.value,
+        ),
+        blur_px: [a.optics.blur_px.value, b.optics.blur_px.value],
+    }
+}
+
+fn marks_moved(a: &Instrument, b: &Instrument, arcsec_per_mil: f64) -> MarksMoved {
+    let measured = |i: &Instrument| {
+        let marks = i.plate.marks();
+        marks.filter(|(id, at)| *at != drawn_position(*id)).count()
+    };
+    let moves = || {
+        MarkId::all()
+            .map(|id| (id, a.plate.position(id).distance(b.plate.position(id))))
+            .filter(|(_, mil)| *mil > 0.0)
+    };
+    let moved = moves().count();
+    // From 0: the sum of nothing is -0.
+    let squares = moves().fold(0.0, |sum, (_, mil)| sum + mil * mil);
+    let rms_mil = (squares / (2 * moved).max(1) as f64).sqrt();
+    let largest = moves().max_by(|x, y| x.1.total_cmp(&y.1));
+    MarksMoved {
+        measured_before: measured(a),
+        measured_after: measured(b),
+        moved,
+        rms_mil,
+        rms_arcsec: rms_mil * arcsec_per_mil,
+        largest: largest.map(|(id, mil)| LargestMove {
+            id: [id.i, id.j],
+            mil,
+            arcsec: mil * arcsec_per_mil,
+        }),
+        sigma_before_mil: median_sigma(a),
+        sigma_after_mil: median_sigma(b),
+    }
+}
+
+fn median_sigma(instrument: &Instrument) -> f64 {
+    let mut sigmas: Vec<f64> = MarkId::all()
+        .flat_map(|id| instrument.plate.sigma_mil(id))
+        .collect();
+    sigmas.sort_by(f64::total_cmp);
+    sigmas[sigmas.len() / 2]
+}
+
+fn lens_change(a: &Instrument, b: &Instrument, arcsec_per_px: f64) -> LensChange {
+    const PLACES: i32 = 16;
+    let right = (b.camera.width_px - 1) as f64;
+    let bottom = (b.camera.height_px - 1) as f64;
+    let change = |x: f64, y: f64| {
+        let at = SensorPx::new(x * right, y * bottom);
+        let moved = |i: &Instrument| i.camera.distortion.distort(at);
+        moved(a).distance(moved(b))
+    };
+    let part = |n: i32| f64::from(n) / f64::from(PLACES);
+    let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
+    let corner_px = corners
+        .iter()
+        .fold(0.0_f64, |most, (x, y)| most.max(change(*x, *y)));
+    let places = (0..=PLACES).flat_map(|n| (0..=PLACES).map(move |m| (n, m)));
+    let squares: f64 = places.map(|(n, m)| change(part(n), part(m)).powi(2)).sum();
+    LensChange {
+        corner_px,
+        rms_px: (squares / f64::from(2 * (PLACES + 1).pow(2))).sqrt(),
+        corner_arcsec: corner_px * arcsec_per_px,
+    }
+}
+
+impl fmt::Display for Comparison {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (marks, lens) = (&self.marks, &self.lens);
+        writeln!(out, "from \"{}\" to \"{}\"", self.from, self.to)?;
+        writeln!(
+            out,
+            "marks         {} moved, {:.3} mil rms per axis ({:.2} arcsec); off the drawing: {} before, {} after",
+            marks.moved,
+            marks.rms_mil,
+            marks.rms_arcsec,
+            marks.measured_before,
+            marks.measured_after
+        )?;
+        if let Some(largest) = marks.largest {
+            let [i, j] = largest.id;
+            let (mil, arcsec) = (largest.mil, largest.arcsec);
+            writeln!(
+                out,
+                "              most ({i}, {j}): {mil:.3} mil ({arcsec:.2} arcsec)"
+            )?;
+        }
+        writeln!(
+            out,
+            "              known to {:.3} mil before, {:.3} mil after",
+            marks.sigma_before_mil, marks.sigma_after_mil
+        )?;
+        writeln!(
+            out,
+            "lens          {:.3} px at the sensor's corner ({:.2} arcsec), {:.3} px rms per axis",
+            lens.corner_px, lens.corner_arcsec, lens.rms_px
+        )?;
+        let mut shift = |name: &str, unit: &str, shift: &Shift| {
+            let [x, y] = shift.by;
+            writeln!(
+                out,
+                "{name:<13} ({x:+.3}, {y:+.3}) {unit}, {:.2} arcsec",
+                shift.arcsec
+            )
+        };
+        shift("plate centre", "px", &self.plate_centre_px)?;
+        shift("boresight", "mil", &self.boresight_mil)?;
+        let mut turn = |name: &str, unit: &str, turn: &Turn| {
+            let Turn { before, after, .. } = turn;
+            writeln!(
+                out,
+                "{name:<13} {before} -> {after} {unit}, {:.2} arcsec at the plate's edge",
+                turn.edge_arcsec
+            )
+        };
+        turn("scale", "mil/px", &self.scale_mil_per_px)?;
+        turn("rotation", "deg", &self.rotation_deg)?;
+        turn("clocking", "deg", &self.clocking_deg)?;
+        turn("distance", "mm", &self.plate_distance_mm)?;
+        let [before, after] = self.blur_px;
+        writeln!(out, "blur          {before} -> {after} px")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+
+    #[test]
+    fn an_instrument_compared_with_itself_has_not_changed() {
+        let demo = builtin("demo").unwrap();
+        let same = compare(&demo, &demo);
+        assert_eq!((same.marks.moved, same.marks.largest), (0, None));
+        let numbers = [
+            same.lens.corner_px,
+            same.plate_centre_px.arcsec,
+            same.rotation_deg.edge_arcsec,
+            same.clocking_deg.edge_arcsec,
+            same.scale_mil_per_px.edge_arcsec,
+        ];
+        assert_eq!(numbers, [0.0; 5]);
+    }
+
+    #[test]
+    fn changes_are_told_in_arcsec_at_the_plates_edge() {
+        let a = builtin("demo").unwrap();
+        let mut b = a.clone();
+        let id = MarkId { i: 2, j: -3 };
+        let at = a.plate.position(id);
+        b.plate
+            .set(id, PlateMil::new(at.x + 3.0, at.y - 4.0), [0.1; 2]);
+        b.mounting.clocking_deg.value += 0.1;
+        b.mounting.scale_mil_per_px.value *= 1.001;
+        b.mounting.boresight_mil.x += 10.0;
+        let change = compare(&a, &b);
+        let largest = change.marks.largest.unwrap();
+        assert_eq!(largest.id, [2, -3]);
+        assert!((largest.mil - 5.0).abs() < 1e-9);
+        // 1.746 arcsec/mil, the edge 2843 mil from the centre.
+        assert!((change.clocking_deg.edge_arcsec - 8.665).abs() < 0.01);
+        assert!((change.scale_mil_per_px.edge_arcsec - 4.965).abs() < 0.01);
+        assert!((change.boresight_mil.arcsec - 17.46).abs() < 0.01);
+        let text = change.to_string();
+        assert!(text.contains("most (2, -3): 5.000 mil"), "{text}");
+    }
+}

@@ -1,0 +1,257 @@
+//! A measuring frame: the whole plate lit evenly, no Sun.
+//!
+//! Such a frame is looked at through round windows of the Sun's size, all over the sensor. In each the marks are found and
+//! read as if the Sun lit them; windows that read alike tell all marks.
+
+use super::consensus::consensus;
+use super::sighting::{FrameSightings, Sighting};
+use crate::aspect;
+use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner, Sight};
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Sample, View};
+use crate::geometry::{Circle, Ellipse};
+use crate::instrument::Instrument;
+use crate::registration::{self, Pair};
+use crate::units::Measured;
+use crate::with_view;
+use nalgebra::Vector2;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Angular radius of the windows: the Sun's.
+const WINDOW_ARCSEC: f64 = 960.0;
+/// The Sun lights 2 % of the sensor, a lamp far more than this.
+const LEAST_LIT: f64 = 0.25;
+/// The lit plate outshines the noise by this many sigma.
+const LEAST_LIGHT_SIGMA: f64 = 20.0;
+/// Fewest marks of a measuring frame.
+const LEAST_MARKS: usize = 12;
+/// Two readings of a mark in one frame must agree so closely.
+const SAME_PLACE_PX: f64 = 0.5;
+
+/// Levels of a frame of the lit plate; `None` where the frame is none.
+pub(super) fn lit_levels(frame: &Frame) -> Option<Levels> {
+    let (mut values, noise_dn) = with_view!(frame, view => (sample(&view), noise(&view)));
+    values.sort_by(f32::total_cmp);
+    let at = |share: f64| values.get((share * (values.len() as f64 - 1.0)) as usize);
+    let (middle, bright) = (f64::from(*at(0.5)?), f64::from(*at(0.99)?));
+    let lit = values.iter().filter(|v| f64::from(**v) > bright / 2.0);
+    let share = lit.count() as f64 / values.len() as f64;
+    let is_lit = share > LEAST_LIT && middle > LEAST_LIGHT_SIGMA * noise_dn;
+    is_lit.then_some(Levels {
+        background_dn: 0.0,
+        noise_dn,
+        disc_dn: middle,
+    })
+}
+
+fn sample<T: Sample>(view: &View<'_, T>) -> Vec<f32> {
+    const EVERY: usize = 37;
+    view.pixels.iter().step_by(EVERY).map(|v| v.dn()).collect()
+}
+
+/// 1 sigma of a pixel's noise, from how neighbours differ.
+fn noise<T: Sample>(view: &View<'_, T>) -> f64 {
+    const EVERY: usize = 37;
+    let pairs = view.pixels.windows(2).step_by(EVERY);
+    let differences = pairs.map(|pair| f64::from((pair[1].dn() - pair[0].dn()).abs()));
+    // Median of the absolute difference of two normal values.
+    let sigma = super::robust::median(differences) / (0.6745 * 2.0_f64.sqrt());
+    sigma.max(ROUNDING_NOISE_DN)
+}
+
+/// The marks of a lit plate.
+pub(super) fn by_lamp(
+    pose: usize,
+    file: &Path,
+    frame: &Frame,
+    levels: &Levels,
+    instrument: &Instrument,
+) -> Result<FrameSightings, String> {
+    let looks = Looks {
+        frame,
+        levels,
+        instrument,
+        settings: aspect::Settings::default(),
+    };
+    let windows: Vec<FrameSightings> = looks
+        .windows()
+        .filter_map(|outline| looks.read(outline, pose, file))
+        .collect();
+    let all: Vec<usize> = (0..windows.len()).collect();
+    let agreed = consensus(&windows, &all, &instrument.plate).ok_or("no marks could be read")?;
+    let mut marks: BTreeMap<_, Sighting> = BTreeMap::new();
+    for window in agreed.frames.iter().map(|n| &windows[*n]) {
+        for sighting in &window.sightings {
+            let known = marks.entry(sighting.id).or_insert(*sighting);
+            if known.at.distance(sighting.at) > SAME_PLACE_PX {
+                return Err(format!("mark {} is seen in two places", sighting.id));
+            }
+        }
+    }
+    if marks.len() < LEAST_MARKS {
+        let count = marks.len();
+        return Err(format!(
+            "{count} marks on the lit plate, expected {LEAST_MARKS}"
+        ));
+    }
+    Ok(FrameSightings {
+        file: file.into(),
+        pose,
+        utc: frame.info.mid_exposure,
+        mapping: agreed.mapping,
+        sun: None,
+        sightings: marks.into_values().collect(),
+    })
+}
+
+struct Looks<'a> {
+    frame: &'a Frame,
+    levels: &'a Levels,
+    instrument: &'a Instrument,
+    settings: aspect::Settings,
+}
+
+impl Looks<'_> {
+    /// Windows so close that each mark lies well inside one of them.
+    fn windows(&self) -> impl Iterator<Item = Ellipse> {
+        let radius = self.instrument.radius_px(WINDOW_ARCSEC);
+        let steps = move |size: usize| {
+            let count = (size as f64 / (0.8 * radius)).ceil().max(1.0);
+            (0..=count as usize).map(move |n| n as f64 * size as f64 / count)
+        };
+        let (width, height) = (self.frame.width(), self.frame.height());
+        steps(height).flat_map(move |y| {
+            steps(width).map(move |x| {
+                Ellipse::from(Circle {
+                    centre: Vector2::new(x, y),
+                    radius,
+                })
+            })
+        })
+    }
+
+    /// The marks in a window, read and refined; `None` where they cannot be read.
+    fn read(&self, outline: Ellipse, pose: usize, file: &Path) -> Option<FrameSightings> {
+        let instrument = self.instrument;
+        let (plate, mounting) = (&instrument.plate, &instrument.mounting);
+        let (scale, blur_px) = (
+            mounting.scale_mil_per_px.value,
+            instrument.optics.blur_px.value,
+        );
+        let shape = CrossShape::new(&plate.cross, scale, blur_px);
+        let flat = FlatDisc::new(self.frame, outline, self.levels, 2.0 * shape.half_length_px)?;
+        let mut found = fiducial::detect(&flat, &shape, &self.settings.fiducial);
+        // The window's edge is none of the light's.
+        found.marks.retain(|mark| mark.lighting == Lighting::Full);
+        let sight = self.sight(outline, &found, &shape);
+        let fiducial = &self.settings.fiducial;
+        let read = fiducial::identify(&found.marks, &sight, plate, fiducial).ok()?;
+        let pair = |(n, id): &(usize, _)| Pair {
+            seen: found.marks[*n].at,
+            printed: plate.position(*id),
+            covariance_px2: nalgebra::Matrix2::identity() * found.marks[*n].sigma_px.powi(2),
+        };
+        let pairs: Vec<Pair> = read.ids.iter().map(pair).collect();
+        let distortion = instrument.camera.distortion;
+        let settings = &self.settings.registration;
+        let fitted =
+            registration::register(&pairs, None, mounting.handedness, distortion, settings)?;
+        let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let light = |_, _| self.levels.disc_dn;
+        let refined = |(n, id): &(usize, _)| {
+            let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id));
+            let start = found.marks[*n].at;
+            let mark = refiner.refine(self.frame, self.levels, light, &jacobian, start)?;
+            Some(Sighting {
+                id: *id,
+                at: mark.place.position,
+                covariance_px2: mark.place.covariance,
+            })
+        };
+        Some(FrameSightings {
+            file: file.into(),
+            pose,
+            utc: self.frame.info.mid_exposure,
+            mapping: fitted.mapping,
+            sun: None,
+            sightings: read.ids.iter().filter_map(refined).collect(),
+        })
+    }
+
+    fn sight(&self, outline: Ellipse, found: &Detections, shape: &CrossShape) -> Sight {
+        /// A window's radius on the plate is as uncertain as the scale, and the lens's distortion.
+        const SCALE_SIGMA: f64 = 0.006;
+        /// Marks that go unseen on a plate in plain light.
+        const MISSED: f64 = 0.02;
+        let mounting = &self.instrument.mounting;
+        let radius = outline.mean_radius() * mounting.scale_mil_per_px.value;
+        Sight {
+            outline,
+            radius_mil: Measured::new(radius, SCALE_SIGMA * radius),
+            quarter_rotation_deg: found.quarter_rotation_deg,
+            handedness: mounting.handedness,
+            plate_centre: mounting.plate_centre_px,
+            plate_centre_sigma_px: mounting.plate_centre_sigma_px,
+            missed_share: MISSED,
+            sure_depth_px: shape.half_length_px + 2.0,
+            sure_margin_px: shape.half_length_px + 4.0,
+            sensor_px: [self.frame.width() as f64, self.frame.height() as f64],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+    use crate::simulate::{Conditions, RandomScenes, Sun};
+    use crate::units::{PlateMil, SensorPx};
+
+    /// A lamp is a Sun as large as the plate, without limb darkening.
+    fn lit_frame(instrument: &Instrument) -> crate::simulate::Scene {
+        let scenes = RandomScenes::new(instrument, &Conditions::of(instrument), 3).unwrap();
+        let mut scene = scenes.scene(0).unwrap();
+        scene.sun = Some(Sun {
+            limb_darkening: 0.0,
+            peak_dn: 180.0,
+            ..Sun::new(PlateMil::new(0.0, 0.0), 20_000.0)
+        });
+        scene
+    }
+
+    #[test]
+    fn every_mark_of_a_lit_plate_is_named_and_placed() {
+        let demo = builtin("demo").unwrap();
+        let scene = lit_frame(&demo);
+        let picture = scene.picture().unwrap();
+        let levels = lit_levels(&picture.frame).unwrap();
+        let seen = by_lamp(0, Path::new("lit"), &picture.frame, &levels, &demo).unwrap();
+        let mut misses = 0.0;
+        for sighting in &seen.sightings {
+            let truth = picture
+                .truth
+                .mapping
+                .to_sensor(demo.plate.position(sighting.id));
+            assert!(truth.distance(sighting.at) < 0.15, "{}", sighting.id);
+            misses += truth.distance(sighting.at).powi(2);
+        }
+        let whole = |at: &SensorPx| at.x > 12.0 && at.y > 12.0 && at.x < 1283.0 && at.y < 953.0;
+        let on_sensor = demo.plate.marks().filter(|(_, at)| {
+            let seen = picture.truth.mapping.to_sensor(*at);
+            whole(&seen)
+        });
+        let (found, there) = (seen.sightings.len(), on_sensor.count());
+        assert!(found * 100 >= there * 98, "{found} of {there}");
+        assert!((misses / found as f64).sqrt() < 0.04);
+    }
+
+    #[test]
+    fn neither_the_sun_nor_darkness_is_a_lit_plate() {
+        let demo = builtin("demo").unwrap();
+        let mut scene = lit_frame(&demo);
+        scene.sun = Some(Sun::new(PlateMil::new(0.0, 0.0), 546.0));
+        assert_eq!(lit_levels(&scene.frame().unwrap()), None);
+        scene.sun = None;
+        assert_eq!(lit_levels(&scene.frame().unwrap()), None);
+    }
+}

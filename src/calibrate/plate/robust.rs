@@ -1,0 +1,274 @@
+//! The adjustment that a third of spoiled frames does not disturb.
+//!
+//! # Algorithm
+//! 1. In each pose, the mapping of the frame that most other frames agree with; frames that do not are left out
+//!    ([`consensus`](super::consensus)).
+//! 2. Views and lens with every mark where it was drawn, sightings weighed down the farther off they are. A mark's own
+//!    displacement is the median of its residuals, so that errors show even before marks are adjusted.
+//! 3. All unknowns, the weights from residuals over their own sigma, until the weights rest. A frame that loses half of its
+//!    sightings is left out as a whole.
+//!
+//! The scale of the residuals is their median: their own, not what the frames state.
+
+use super::adjust::{Cell, Freedoms, MarkPrior, Problem, Settled, State};
+use nalgebra::{Matrix2, Vector2};
+
+/// A sighting in the adjustment.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Observation {
+    pub frame: usize,
+    pub pose: usize,
+    /// Index into the marks.
+    pub mark: usize,
+    pub seen: Vector2<f64>,
+    pub covariance_px2: Matrix2<f64>,
+    /// 0 (left out) to 1.
+    pub weight: f64,
+}
+
+/// All that is adjusted together.
+#[derive(Debug, Clone)]
+pub(super) struct Bundle {
+    pub observations: Vec<Observation>,
+    pub poses: usize,
+    pub frames: usize,
+    pub marks: Vec<MarkPrior>,
+    pub lens_sigma_px: f64,
+    /// By how much the stated variances of the sightings are raised.
+    pub variance_factor: f64,
+}
+
+/// Residuals up to this many sigma count in full, from the second on not at all.
+const FULL: f64 = 3.5;
+const NONE: f64 = 6.0;
+const ROUNDS: usize = 12;
+/// Weights that change by less than this on the whole rest.
+const RESTING: f64 = 1e-3;
+/// Median length of a two-dimensional deviation of 1 sigma per axis.
+const MEDIAN_SIZE: f64 = 1.177;
+/// Enough sightings for the median of a mark's residuals to speak.
+const ENOUGH: usize = 5;
+
+impl Bundle {
+    /// The sightings of every mark in every pose, with their common mean.
+    pub(super) fn cells(&self) -> Vec<Vec<Cell>> {
+        let mut sums = self.everywhere(|_, _| (Matrix2::zeros(), Vector2::zeros()));
+        for o in self.observations.iter().filter(|o| o.weight > 0.0) {
+            let Some(inverse) = o.covariance_px2.try_inverse() else {
+                continue;
+            };
+            let weight = inverse * (o.weight / self.variance_factor);
+            let sum = &mut sums[self.place(o)];
+            sum.0 += weight;
+            sum.1 += weight * o.seen;
+        }
+        let cell = |(mark, (weight, moment)): (usize, &(Matrix2<f64>, Vector2<f64>))| {
+            let seen = weight.try_inverse()? * moment;
+            Some(Cell {
+                mark,
+                seen,
+                weight: *weight,
+            })
+        };
+        sums.chunks(self.marks.len().max(1))
+            .map(|pose| pose.iter().enumerate().filter_map(cell).collect())
+            .collect()
+    }
+
+    /// A value for every mark in every pose, at [`place`](Self::place).
+    fn everywhere<T>(&self, value: impl Fn(usize, usize) -> T) -> Vec<T> {
+        let marks = self.marks.len();
+        let places = (0..self.poses).flat_map(|pose| (0..marks).map(move |mark| (pose, mark)));
+        places.map(|(pose, mark)| value(pose, mark)).collect()
+    }
+
+    /// Where the value of an observation's mark and pose stands.
+    fn place(&self, o: &Observation) -> usize {
+        o.pose * self.marks.len() + o.mark
+    }
+
+    /// Notes which marks any sighting speaks for.
+    fn note_measured(&mut self) {
+        self.marks.iter_mut().for_each(|m| m.measured = false);
+        for o in self.observations.iter().filter(|o| o.weight > 0.0) {
+            self.marks[o.mark].measured = true;
+        }
+    }
+
+    /// Adjusts with the weights as they are.
+    pub(super) fn settle(&self, start: &State, freedoms: Freedoms) -> Option<Settled> {
+        let cells = self.cells();
+        let problem = Problem {
+            cells: &cells,
+            marks: &self.marks,
+            lens_sigma_px: self.lens_sigma_px,
+            freedoms,
+        };
+        problem.settle(start)
+    }
+
+    /// Step 2: views and lens by the drawing, and weights that the marks' own displacements do not sway.
+    pub(super) fn by_drawing(&mut self, start: &State, freedoms: Freedoms) -> Option<State> {
+        let freedoms = Freedoms {
+            marks: false,
+            ..freedoms
+        };
+        let mut state = start.clone();
+        for _ in 0..ROUNDS {
+            state = self.settle(&state, freedoms)?.state;
+            let off = self.off_mil(&state);
+            let own = self.medians(&off);
+            let pairs = self.observations.iter().zip(&off);
+            let sizes: Vec<f64> = pairs.map(|(o, off)| (off - own[o.mark]).norm()).collect();
+            let sigma = (median(sizes.iter().copied()) / MEDIAN_SIZE).max(1e-6);
+            if self.reweigh(|n| sizes[n] / sigma) < RESTING {
+                break;
+            }
+        }
+        Some(state)
+    }
+
+    /// How far from its place the state puts each sighting, on the plate.
+    fn off_mil(&self, state: &State) -> Vec<Vector2<f64>> {
+        let back = self.everywhere(|pose, mark| {
+            let p = state.predict(pose, mark);
+            (p.seen, p.place.try_inverse().unwrap_or_else(Matrix2::zeros))
+        });
+        let off = |o: &Observation| {
+            let (seen, back) = back[self.place(o)];
+            back * (o.seen - seen)
+        };
+        self.observations.iter().map(off).collect()
+    }
+
+    /// The median displacement of each mark that is seen often; none of the others.
+    fn medians(&self, off: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
+        let mut by_mark: Vec<Vec<Vector2<f64>>> = vec![Vec::new(); self.marks.len()];
+        for (o, v) in self.observations.iter().zip(off) {
+            by_mark[o.mark].push(*v);
+        }
+        let middle = |offs: &Vec<Vector2<f64>>| {
+            if offs.len() < ENOUGH {
+                return Vector2::zeros();
+            }
+            let axis = |n: usize| median(offs.iter().map(|v| v[n]));
+            Vector2::new(axis(0), axis(1))
+        };
+        by_mark.iter().map(middle).collect()
+    }
+
+    /// New weights from the size of each sighting's residual in sigma; gives the largest change.
+    fn reweigh(&mut self, size: impl Fn(usize) -> f64) -> f64 {
+        let mut changed: f64 = 0.0;
+        for (n, o) in self.observations.iter_mut().enumerate() {
+            let weight = ((NONE - size(n)) / (NONE - FULL)).clamp(0.0, 1.0);
+            changed = changed.max((weight - o.weight).abs());
+            o.weight = weight;
+        }
+        changed
+    }
+
+    /// Step 3: everything, until the weights rest.
+    pub(super) fn in_full(&mut self, start: &State, freedoms: Freedoms) -> Option<Settled> {
+        let mut state = start.clone();
+        for _ in 0..ROUNDS {
+            self.note_measured();
+            let settled = self.settle(&state, freedoms)?;
+            state = settled.state.clone();
+            let pulls = self.pulls(&settled);
+            let kept = self
+                .observations
+                .iter()
+                .zip(&pulls)
+                .filter(|(o, _)| o.weight > 0.0);
+            let middle = median(kept.map(|(_, pull)| *pull));
+            let scale = (middle / MEDIAN_SIZE).clamp(0.1, 10.0);
+            self.variance_factor *= scale.powi(2);
+            let changed = self.reweigh(|n| pulls[n] / scale);
+            self.leave_out_frames();
+            if changed < RESTING && (scale - 1.0).abs() < 0.01 {
+                break;
+            }
+        }
+        self.note_measured();
+        let settled = self.settle(&state, freedoms)?;
+        self.variance_factor *= self.reduced_chi2(&settled);
+        self.settle(&settled.state, freedoms)
+    }
+
+    /// Residual of each sighting over its own sigma: the part of it that the sighting itself takes up is not held against
+    /// it.
+    pub(super) fn pulls(&self, settled: &Settled) -> Vec<f64> {
+        let of_mark = self.everywhere(|pose, mark| {
+            let p = settled.state.predict(pose, mark);
+            let spread = p.place * settled.place_covariance(mark) * p.place.transpose();
+            (p.seen, spread)
+        });
+        let pull = |o: &Observation| {
+            let (seen, spread) = of_mark[self.place(o)];
+            let stated = o.covariance_px2 * self.variance_factor;
+            // A sighting that counts has drawn the mark towards itself; one that does not, has not.
+            let variance = stated - spread * (2.0 * o.weight - 1.0);
+            let least = stated.trace() * 1e-3;
+            let variance = match variance.symmetric_eigenvalues().min() > least {
+                true => variance,
+                false => stated * 0.05,
+            };
+            let miss = o.seen - seen;
+            match variance.try_inverse() {
+                Some(inverse) => miss.dot(&(inverse * miss)).max(0.0).sqrt(),
+                None => f64::INFINITY,
+            }
+        };
+        self.observations.iter().map(pull).collect()
+    }
+
+    /// A frame that has lost half of its sightings or more loses the others too.
+    fn leave_out_frames(&mut self) {
+        let mut counts = vec![(0_usize, 0.0_f64); self.frames];
+        for o in &self.observations {
+            counts[o.frame].0 += 1;
+            counts[o.frame].1 += o.weight;
+        }
+        for o in &mut self.observations {
+            let (seen, kept) = counts[o.frame];
+            if kept < 0.5 * seen as f64 {
+                o.weight = 0.0;
+            }
+        }
+    }
+
+    /// Squared residuals over their variances, weighed.
+    pub(super) fn chi2(&self, state: &State) -> f64 {
+        let predicted = self.everywhere(|pose, mark| state.predict(pose, mark).seen);
+        let one = |o: &Observation| {
+            let miss = o.seen - predicted[self.place(o)];
+            let inverse = o
+                .covariance_px2
+                .try_inverse()
+                .unwrap_or_else(Matrix2::zeros);
+            o.weight * miss.dot(&(inverse * miss)) / self.variance_factor
+        };
+        self.observations.iter().map(one).sum()
+    }
+
+    /// Coordinates that count.
+    pub(super) fn coordinates(&self) -> f64 {
+        2.0 * self.observations.iter().map(|o| o.weight).sum::<f64>()
+    }
+
+    fn reduced_chi2(&self, settled: &Settled) -> f64 {
+        let freedom = self.coordinates() - settled.determined;
+        self.chi2(&settled.state) / freedom.max(1.0)
+    }
+}
+
+/// The middle of some values; 0 where there are none.
+pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}

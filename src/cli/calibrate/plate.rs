@@ -1,0 +1,83 @@
+//! `solaspect calibrate plate`: the plate as it is.
+
+use crate::calibrate::plate;
+use crate::instrument::{self, Instrument};
+use anyhow::Context;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
+///
+/// Takes frames with the Sun all over the plate, in several poses of the camera (shifted, turned), so that errors of the
+/// plate and of the lens show apart. Frames that cannot be used are listed and the rest go on; a set of frames that gives
+/// no calibration is refused with what to take instead.
+#[derive(Debug, Args)]
+pub struct PlateArgs {
+    /// Frames, or folders of frames; each folder is one pose of the camera
+    #[arg(required = true, value_name = "FRAME|DIR")]
+    frames: Vec<PathBuf>,
+    /// The instrument to start from, a TOML file [default: the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// Where the measured instrument is written
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Write a report, index.html, into this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+}
+
+pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
+    let (start, text) = start(args.instrument.as_deref())?;
+    let progress = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
+        progress.set_style(style);
+    }
+    let begin = |frames: usize| progress.set_length(frames as u64);
+    let calibration = plate::calibrate(&args.frames, &start, &begin, &|| progress.inc(1));
+    progress.finish_and_clear();
+    let calibration = calibration?;
+    let start_path = args.instrument.as_deref().unwrap_or(Path::new("demo"));
+    let written = plate::instrument_text(start_path, &text, &start, &calibration)?;
+    write_instrument(&args.out, &written)?;
+    if let Some(folder) = &args.report {
+        write_report(folder, &plate::html(&calibration)?)?;
+    }
+    print!("{}", plate::summary(&calibration));
+    println!("written to {}", args.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the instrument if it is one that everything else can read; else what stood there stays.
+fn write_instrument(out: &Path, text: &str) -> anyhow::Result<()> {
+    let cannot_write = || format!("{}: cannot write the instrument", out.display());
+    let mut name = out.as_os_str().to_owned();
+    name.push(".part");
+    let part = PathBuf::from(name);
+    std::fs::write(&part, text).with_context(cannot_write)?;
+    Instrument::read(&part)?;
+    std::fs::rename(&part, out).with_context(cannot_write)
+}
+
+fn write_report(folder: &Path, html: &str) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    let file = folder.join("index.html");
+    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
+}
+
+/// The start instrument and its text.
+fn start(path: Option<&Path>) -> anyhow::Result<(Instrument, String)> {
+    Ok(match path {
+        Some(path) => (
+            Instrument::read(path)?,
+            instrument::toml_file::read_text(path)?,
+        ),
+        None => (
+            instrument::builtin("demo")?,
+            instrument::builtin_text("demo").unwrap_or_default().into(),
+        ),
+    })
+}
