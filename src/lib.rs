@@ -24,7 +24,7 @@
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
 //! | [`config`] | the parameter table |
-//! | [`service`], [`accuracy`] | threads, channels, bounds and overflow rules on one page; how near the truth the pipeline comes |
+//! | [`service`], [`accuracy`], [`refine`] | threads, channels, bounds and overflow rules on one page; how near the truth the pipeline comes; a flight's best aspect history |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions
@@ -47,6 +47,7 @@ pub mod limb;
 pub mod link;
 pub mod plate;
 pub mod pointing;
+pub mod refine;
 pub mod registration;
 pub mod report;
 pub mod service;
