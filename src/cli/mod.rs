@@ -7,6 +7,7 @@ pub mod demo;
 pub mod fly;
 pub mod link;
 mod options;
+pub mod refine;
 pub mod simulate;
 pub mod sky;
 pub mod solve;

@@ -56,7 +56,11 @@ pub fn on_plate(
             let distance = from_centre.norm();
             let pull = (distance - circle.z) / sigma_mil;
             // The first step has no outline yet to be off from.
-            let off = if step == 0 { 0.0 } else { pull / (TUKEY_SIGMAS * scatter) };
+            let off = if step == 0 {
+                0.0
+            } else {
+                pull / (TUKEY_SIGMAS * scatter)
+            };
             let weight = (1.0 - off.powi(2).min(1.0)).powi(2);
             if weight <= 0.0 {
                 continue;

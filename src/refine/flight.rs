@@ -5,7 +5,7 @@
 //! Frames that were refused or coarse for want of marks are fine where the limb is good, for the mapping is known now.
 
 use super::disc::{self, PlateDisc};
-use super::first_pass::Done;
+use super::first_pass::{Done, Span};
 use super::journal::JournalError;
 use super::mapping::{FlightMapping, Standing, median};
 use super::motion::{self, Path};
@@ -13,7 +13,7 @@ use super::record::{FrameRecord, Grade, Input, Record};
 use super::row::{Oddity, Row};
 use crate::instrument::Instrument;
 use crate::sky::sun_angular_radius;
-use crate::units::{Estimate, Measured};
+use crate::units::{Estimate, Measured, Place};
 use rayon::prelude::*;
 
 /// The limb's part that makes a fine solution.
@@ -54,8 +54,10 @@ pub struct Flight {
     pub radius_ratio: Option<Measured>,
     /// How many rows have a time: the first ones, and those that `mapping` knows.
     pub dated: usize,
-    /// Rows that `path` was measured at, of its points.
+    /// Of each point of `path`, s since 1970.
     pub path_times_s: Vec<f64>,
+    /// Where each row's frame was taken, as its file says.
+    pub places: Vec<Option<Place>>,
 }
 
 /// A frame without its limb.
@@ -72,13 +74,17 @@ pub fn second_pass(
     done: &Done,
     inputs: &[Input],
     instrument: &Instrument,
+    span: &Span,
 ) -> Result<Flight, JournalError> {
     let (mut entries, mut unread) = (Vec::new(), Vec::new());
     let records: Vec<Option<Record>> = inputs
         .par_iter()
         .map(|input| {
             let mut record = done.record(input)?;
-            if let Some(Record { outcome: Ok(frame), .. }) = &mut record {
+            if let Some(Record {
+                outcome: Ok(frame), ..
+            }) = &mut record
+            {
                 frame.limb = Vec::new();
             }
             Ok(record)
@@ -86,22 +92,44 @@ pub fn second_pass(
         .collect::<Result<_, JournalError>>()?;
     for record in records.into_iter().flatten() {
         match record.outcome {
-            Ok(frame) => entries.push(Entry { input: record.input, frame }),
+            Ok(frame) if !span.holds(frame.utc()) => {}
+            Ok(frame) => entries.push(Entry {
+                input: record.input,
+                frame,
+            }),
             Err(error) => unread.push(Row::unread(record.input, error)),
         }
     }
     entries.sort_by(|a, b| {
         let key = |e: &Entry| (e.frame.utc_ns.is_none(), e.frame.utc_ns);
-        key(a).cmp(&key(b)).then_with(|| a.input.file.cmp(&b.input.file))
+        key(a)
+            .cmp(&key(b))
+            .then_with(|| a.input.file.cmp(&b.input.file))
     });
     let dated = entries.partition_point(|entry| entry.frame.utc_ns.is_some());
     let mut work = Work::new(done, instrument, entries, dated);
     work.place_discs()?;
     work.look_for_oddities();
     let (path, path_times_s) = work.follow_path();
-    let Work { mut rows, mapping, radius_ratio, .. } = work;
+    let Work {
+        mut rows,
+        entries,
+        mapping,
+        radius_ratio,
+        ..
+    } = work;
+    let mut places: Vec<_> = entries.iter().map(|entry| entry.frame.place()).collect();
     rows.extend(unread);
-    Ok(Flight { rows, mapping, path, radius_ratio, dated, path_times_s })
+    places.resize(rows.len(), None);
+    Ok(Flight {
+        rows,
+        mapping,
+        path,
+        radius_ratio,
+        dated,
+        path_times_s,
+        places,
+    })
 }
 
 struct Work<'a> {
@@ -115,17 +143,11 @@ struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    fn new(
-        done: &'a Done,
-        instrument: &'a Instrument,
-        entries: Vec<Entry>,
-        dated: usize,
-    ) -> Self {
+    fn new(done: &'a Done, instrument: &'a Instrument, entries: Vec<Entry>, dated: usize) -> Self {
         let frames: Vec<&FrameRecord> = entries[..dated].iter().map(|e| &e.frame).collect();
         let first = frames.first().and_then(|frame| frame.utc_ns).unwrap_or(0);
-        let since = |frame: &&FrameRecord| {
-            frame.utc_ns.map_or(0.0, |utc| (utc - first) as f64 / 1e9)
-        };
+        let since =
+            |frame: &&FrameRecord| frame.utc_ns.map_or(0.0, |utc| (utc - first) as f64 / 1e9);
         let time_s: Vec<f64> = frames.iter().map(since).collect();
         let mapping = FlightMapping::estimate(&frames, &time_s, instrument);
         let row = |entry: &Entry| Row::of(entry.input.clone(), &entry.frame);
@@ -150,13 +172,19 @@ impl<'a> Work<'a> {
         let Some(mapping) = &self.mapping else {
             return Ok(());
         };
-        let whole = |row: &Row| row.own.limb_fraction.is_some_and(|part| part >= TELLING_LIMB);
+        let whole = |row: &Row| {
+            row.own
+                .limb_fraction
+                .is_some_and(|part| part >= TELLING_LIMB)
+        };
         let found = self.discs(mapping, whole, Measured::new(1.0, LOOSE_RADIUS))?;
         let ratios = found.iter().filter_map(|(n, disc)| {
             Some(disc.radius_mil.value / self.rows[*n].expected_radius_mil?)
         });
         self.radius_ratio = middle(ratios.collect());
-        let ratio = self.radius_ratio.unwrap_or(Measured::new(1.0, LOOSE_RADIUS / 4.0));
+        let ratio = self
+            .radius_ratio
+            .unwrap_or(Measured::new(1.0, LOOSE_RADIUS / 4.0));
         let ratio = Measured::new(ratio.value, ratio.sigma.max(TIGHT_RADIUS));
         let partial = self.discs(mapping, |row| !whole(row), ratio)?;
         for (n, disc) in found.into_iter().chain(partial) {
@@ -180,7 +208,10 @@ impl<'a> Work<'a> {
             let Some(expected) = row.expected_radius_mil.filter(|_| wanted(row)) else {
                 return Ok(None);
             };
-            let Some(Record { outcome: Ok(frame), .. }) = self.done.record(&entry.input)? else {
+            let Some(Record {
+                outcome: Ok(frame), ..
+            }) = self.done.record(&entry.input)?
+            else {
                 return Ok(None);
             };
             let radius = Measured::new(expected * ratio.value, expected * ratio.sigma);
@@ -205,7 +236,10 @@ impl<'a> Work<'a> {
         });
         row.disc = Some(disc);
         let known = by_mapping.trace() < 2.0 * MOST_FINE_SIGMA_MIL.powi(2);
-        let limb = row.own.limb_fraction.is_some_and(|part| part >= LEAST_FINE_LIMB);
+        let limb = row
+            .own
+            .limb_fraction
+            .is_some_and(|part| part >= LEAST_FINE_LIMB);
         row.quality = match (limb, known || row.jump_px.is_some()) {
             (true, true) => Grade::Fine,
             _ => Grade::Coarse,
@@ -268,7 +302,9 @@ impl<'a> Work<'a> {
         for (k, (n, value)) in lit.iter().enumerate() {
             let near = &lit[k.saturating_sub(ABOUT)..lit.len().min(k + ABOUT + 1)];
             let usual = median(near.iter().map(|(_, value)| *value).collect());
-            over[*n] = usual.filter(|usual| *usual > 0.0).map(|usual| value / usual);
+            over[*n] = usual
+                .filter(|usual| *usual > 0.0)
+                .map(|usual| value / usual);
         }
         over
     }
@@ -307,7 +343,8 @@ impl<'a> Work<'a> {
             if off.is_empty() {
                 break;
             }
-            off.into_iter().for_each(|n| note(&mut self.rows[n], Oddity::Path));
+            off.into_iter()
+                .for_each(|n| note(&mut self.rows[n], Oddity::Path));
         }
         drop(on_path);
         let times = moments.iter().map(|moment| first + moment.time_s).collect();
@@ -324,7 +361,10 @@ impl<'a> Work<'a> {
             };
             if let Some(before) = before.filter(|before| time_s > *before) {
                 let time_s = (before + time_s) / 2.0;
-                moments.push(motion::Moment { time_s, measured: None });
+                moments.push(motion::Moment {
+                    time_s,
+                    measured: None,
+                });
                 rows.push(None);
             }
             let sun = row.sun.filter(|_| row.is_fine());

@@ -267,7 +267,10 @@ impl Work {
                 let middle = |axis: usize| median(near.iter().map(|(_, m, _)| m[axis]).collect());
                 let middle = Vector2::new(middle(0).unwrap_or(0.0), middle(1).unwrap_or(0.0));
                 let away = (miss - middle).norm();
-                (*n, away > ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.raised))
+                (
+                    *n,
+                    away > ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.raised),
+                )
             })
             .collect();
         for (n, alone) in alone {
@@ -279,7 +282,13 @@ impl Work {
 
     /// The wander that makes the marks most likely.
     fn settle_wander(&mut self) {
-        let likelihood = |wander: &Wander| Drift { wander: *wander, ..self.drift() }.likelihood();
+        let likelihood = |wander: &Wander| {
+            Drift {
+                wander: *wander,
+                ..self.drift()
+            }
+            .likelihood()
+        };
         let Some(mut best) = likelihood(&self.wander) else {
             return;
         };
@@ -297,7 +306,10 @@ impl Work {
                 turn_px: turn_px.max(LEAST_WANDER_PX),
             });
             let found: Vec<Option<f64>> = tried.par_iter().map(likelihood).collect();
-            let better = found.iter().zip(tried).filter_map(|(l, w)| Some(((*l)?, w)));
+            let better = found
+                .iter()
+                .zip(tried)
+                .filter_map(|(l, w)| Some(((*l)?, w)));
             match better.max_by(|a, b| a.0.total_cmp(&b.0)) {
                 Some((found, better)) if found > best => (best, wander) = (found, better),
                 _ => break,
@@ -392,4 +404,3 @@ fn standing(moment: &Moment) -> Standing {
         (false, false) => Standing::Alone,
     }
 }
-

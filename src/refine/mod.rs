@@ -6,7 +6,9 @@ mod record;
 
 pub use first_pass::{Done, Recipe, Shard, Span, inputs};
 pub use journal::{Journal, JournalError};
-pub use record::{DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record};
+pub use record::{
+    DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
+};
 mod drift;
 mod mapping;
 mod view;
@@ -18,3 +20,8 @@ mod flight;
 mod row;
 pub use flight::{Flight, second_pass};
 pub use row::{Oddity, OwnRow, Row, SkyRow};
+pub mod columns;
+mod output;
+mod sky;
+pub use output::{OutputError, Summary, write};
+pub use sky::Sky;

@@ -1,8 +1,8 @@
 //! One input file's row of the history.
 
+use super::disc::PlateDisc;
 use super::mapping::MappingNumbers;
 use super::record::{FrameRecord, Grade, InFlight, Input};
-use super::disc::PlateDisc;
 use crate::units::{Estimate, PlateMil};
 use jiff::Timestamp;
 use std::fmt;

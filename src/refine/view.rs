@@ -140,7 +140,10 @@ mod tests {
             step[n] = if n < 6 { 1e-3 } else { 1e-6 };
             let moved = reference.mapping(&step).unwrap().to_sensor(at).vector();
             let slope = (moved - seen) / step[n];
-            assert!((slope - slopes.column(n)).norm() < 1e-3 * slope.norm(), "{n}");
+            assert!(
+                (slope - slopes.column(n)).norm() < 1e-3 * slope.norm(),
+                "{n}"
+            );
         }
     }
 
