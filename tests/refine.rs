@@ -351,3 +351,192 @@ fn a_flight_is_refined_to_its_truth() {
     assert_eq!(found, [plan.jump()]);
     assert!((jumps[plan.jump()] - 0.5).abs() < 0.1);
 }
+
+fn bytes(out: &Path) -> Vec<Vec<u8>> {
+    ["aspect.fits", "aspect.csv", "summary.json", "report.html"]
+        .map(|name| fs::read(out.join(name)).unwrap())
+        .into()
+}
+
+/// Waits until a run's journal is so long, or the run has ended.
+fn wait_for_journal(out: &Path, bytes: u64, child: &mut Child) {
+    for _ in 0..60_000 {
+        let journal = fs::read_dir(out).ok().and_then(|mut entries| {
+            entries.find_map(|e| {
+                e.ok()
+                    .filter(|e| e.path().extension().is_some_and(|x| x == "journal"))
+            })
+        });
+        let long = journal.is_some_and(|j| j.metadata().is_ok_and(|m| m.len() > bytes));
+        if long || child.try_wait().unwrap().is_some() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    panic!("the journal does not grow");
+}
+
+#[test]
+fn a_run_that_is_killed_and_run_again_gives_the_same_bytes_and_does_nothing_twice() {
+    let (_, archive) = flight();
+    let (whole, killed) = (temporary(), temporary());
+    refine(archive, whole.path(), &["--jobs", "1"]);
+    for kill in 1..=3 {
+        let mut child = command(archive, killed.path(), &[]).spawn().unwrap();
+        wait_for_journal(killed.path(), kill * 60_000, &mut child);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    refine(archive, killed.path(), &[]);
+    assert!(bytes(whole.path()) == bytes(killed.path()));
+    let mut records = Vec::new();
+    for entry in fs::read_dir(killed.path()).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|end| end == "journal") {
+            solaspect::refine::Journal::read(&path, |r, _| records.push(r.input.file)).unwrap();
+        }
+    }
+    let count = records.len();
+    records.sort();
+    records.dedup();
+    assert_eq!((records.len(), count), (240, 240));
+}
+
+#[test]
+fn parts_on_several_machines_merge_to_the_same_bytes() {
+    let (_, archive) = flight();
+    let outs: Vec<_> = (0..4).map(|_| temporary()).collect();
+    let path = |n: usize| outs[n].path().to_str().unwrap();
+    refine(archive, outs[0].path(), &[]);
+    refine(archive, outs[1].path(), &["--shard", "1/2"]);
+    refine(archive, outs[2].path(), &["--shard", "2/2"]);
+    assert!(!outs[1].path().join("aspect.fits").exists());
+    refine(archive, outs[3].path(), &["--merge", path(1), path(2)]);
+    assert!(bytes(outs[0].path()) == bytes(outs[3].path()));
+    let error = command(
+        archive,
+        outs[3].path(),
+        &["--merge", archive.to_str().unwrap()],
+    )
+    .output()
+    .unwrap();
+    assert_eq!(error.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&error.stderr).contains("journal"));
+}
+
+#[test]
+fn since_and_until_choose_by_mid_exposure() {
+    let (_, archive) = flight();
+    let out = temporary();
+    let span = [
+        "--since",
+        "2013-09-21T18:00:05Z",
+        "--until",
+        "2013-09-21T18:00:09.75Z",
+    ];
+    refine(archive, out.path(), &span);
+    let table = Columns::read(out.path(), "ASPECT");
+    let numbers: Vec<usize> = table
+        .texts("FILE")
+        .iter()
+        .map(|file| number(file))
+        .collect();
+    assert_eq!(numbers, (20..40).collect::<Vec<_>>());
+}
+
+/// A frame as the HEROES flight program wrote it.
+fn heroes(path: &Path, frame: &Frame, cards: &[(&str, &str)]) {
+    let header = |cards: &[(&str, &str)]| {
+        let lines = cards
+            .iter()
+            .map(|(name, value)| format!("{:<80}", format!("{name:<8}= {value:>20}")));
+        let mut text: String = lines.collect();
+        text += &format!("{:<80}", "END");
+        let mut bytes = text.into_bytes();
+        bytes.resize(bytes.len().next_multiple_of(2880), b' ');
+        bytes
+    };
+    let Pixels::U8(pixels) = frame.pixels() else {
+        panic!("8 bit");
+    };
+    let (width, height) = (frame.width().to_string(), frame.height().to_string());
+    let primary = [
+        ("SIMPLE", "T"),
+        ("BITPIX", "8"),
+        ("NAXIS", "0"),
+        ("EXTEND", "T"),
+    ];
+    let mut bytes = header(&[&primary[..], cards].concat());
+    bytes.extend(header(&[
+        ("XTENSION", "'IMAGE   '"),
+        ("BITPIX", "8"),
+        ("NAXIS", "2"),
+        ("NAXIS1", &width),
+        ("NAXIS2", &height),
+        ("PCOUNT", "0"),
+        ("GCOUNT", "1"),
+        ("EXTNAME", "'Raw Frame'"),
+    ]));
+    bytes.extend(pixels);
+    bytes.resize(bytes.len().next_multiple_of(2880), 0);
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn the_files_of_the_heroes_flight_are_read() {
+    let plan = Plan::new(40, 3);
+    let (archive, out) = (temporary(), temporary());
+    for n in 0..6 {
+        let path = archive.path().join(format!("frame_{n:05}.fits"));
+        let nanoseconds = format!("{}", 250_000_000 * (n % 4) as u32);
+        let seconds = format!("{}", 1_379_786_400 + n / 4);
+        heroes(
+            &path,
+            &plan.frame(n),
+            &[
+                ("EXPTIME", "0.5"),
+                ("DATE_OBS", "'Sat Sep 21 18:00:00 2013 '"),
+                ("RT_SEC", &seconds),
+                ("RT_NSEC", &nanoseconds),
+                ("TEMPCCD", "21"),
+                ("FRAMENUM", &format!("{n}.0")),
+            ],
+        );
+    }
+    let path = archive.path().join("frame_00006.fits");
+    let asctime = [
+        ("EXPTIME", "0.5"),
+        ("DATE_OBS", "'Sat Sep 21 18:00:03 2013 '"),
+    ];
+    heroes(&path, &plan.frame(6), &asctime);
+    refine(
+        archive.path(),
+        out.path(),
+        &["--place", "34.49,-104.2218,38405"],
+    );
+    let table = Columns::read(out.path(), "ASPECT");
+    let times = &table.texts("UTC")[..];
+    assert_eq!(times[1], "2013-09-21T18:00:00.500000Z");
+    assert_eq!(times[6], "2013-09-21T18:00:03.250000Z");
+    assert!(
+        table
+            .texts("QUALITY")
+            .iter()
+            .all(|quality| quality == "fine")
+    );
+    assert_eq!(table.floats("TEMPERATURE_C")[0], 21.0);
+    assert!(
+        table
+            .floats("POINTING_AZ_DEG")
+            .iter()
+            .all(|az| az.is_finite())
+    );
+    let arcsec = |name| {
+        table
+            .floats(name)
+            .iter()
+            .map(|v| v.abs())
+            .fold(0.0, f64::max)
+    };
+    assert!(arcsec("BORESIGHT_HPLN_ARCSEC").max(arcsec("BORESIGHT_HPLT_ARCSEC")) > 100.0);
+}

@@ -80,6 +80,13 @@ impl RefineArgs {
         }
         let flight = self.second_pass(&mut done, &inputs, recipe, sky)?;
         let summary = refine::write(&self.out, &flight, recipe)?;
+        refine::write_report(
+            &self.out,
+            &self.archive,
+            &flight,
+            &summary,
+            &recipe.instrument,
+        )?;
         print(&summary);
         Ok(ExitCode::SUCCESS)
     }

@@ -281,8 +281,10 @@ impl<'a> Work<'a> {
                         odd.push(Oddity::Noise);
                     }
                 }
-                if mapping.standing[n] == Standing::Alone {
-                    odd.push(Oddity::Marks);
+                match mapping.standing[n] {
+                    Standing::Alone => odd.push(Oddity::Knocked),
+                    Standing::Misread => odd.push(Oddity::Misread),
+                    Standing::Agrees | Standing::Unmarked => {}
                 }
                 odd
             })

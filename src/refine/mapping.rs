@@ -20,6 +20,8 @@ use rayon::prelude::*;
 const ALONE_PX: [f64; 3] = [4.0, 0.3, 0.1];
 /// ... if it is also so many of its own sigmas away.
 const ALONE_SIGMAS: f64 = 6.0;
+/// Cameras are not knocked this far and back, px.
+const MISREAD_PX: f64 = 10.0;
 /// Neighbours to each side whose median it is held against.
 const NEIGHBOURS: [usize; 3] = [10, 4, 4];
 /// A jump explains so much more than wandering: chi^2 of four.
@@ -46,8 +48,10 @@ pub enum Standing {
     Unmarked,
     /// They agree with the flight's.
     Agrees,
-    /// They stand alone.
+    /// The plate stands elsewhere than in the frames before and after: the camera was knocked, or is about to be.
     Alone,
+    /// They are read wrongly: so far off no camera is knocked.
+    Misread,
 }
 
 /// A sudden change of the mapping.
@@ -98,6 +102,7 @@ impl FlightMapping {
             wander: FIRST_WANDER,
             jumps: Vec::new(),
             raised: 1.0,
+            away_px: vec![0.0; frames.len()],
         };
         work.put_aside(None, 0);
         for stage in 1..ALONE_PX.len() {
@@ -224,6 +229,8 @@ struct Work {
     wander: Wander,
     jumps: Vec<usize>,
     raised: f64,
+    /// How far each moment's marks are from their neighbours', px.
+    away_px: Vec<f64>,
 }
 
 impl Work {
@@ -259,7 +266,7 @@ impl Work {
             })
             .collect();
         let reach = NEIGHBOURS[stage];
-        let alone: Vec<(usize, bool)> = misses
+        let alone: Vec<(usize, f64, bool)> = misses
             .par_iter()
             .enumerate()
             .map(|(k, (n, miss, sigma))| {
@@ -267,13 +274,12 @@ impl Work {
                 let middle = |axis: usize| median(near.iter().map(|(_, m, _)| m[axis]).collect());
                 let middle = Vector2::new(middle(0).unwrap_or(0.0), middle(1).unwrap_or(0.0));
                 let away = (miss - middle).norm();
-                (
-                    *n,
-                    away > ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.raised),
-                )
+                let limit = ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.raised);
+                (*n, away, away > limit)
             })
             .collect();
-        for (n, alone) in alone {
+        for (n, away, alone) in alone {
+            self.away_px[n] = away;
             let weight = if alone { 0.0 } else { 1.0 };
             let sights = self.moments[n].sights.iter_mut();
             sights.for_each(|sight| sight.weight = weight);
@@ -388,7 +394,12 @@ impl Work {
         };
         FlightMapping {
             jumps: self.jumps.iter().map(jump).collect(),
-            standing: self.moments.iter().map(standing).collect(),
+            standing: self
+                .moments
+                .iter()
+                .zip(&self.away_px)
+                .map(standing)
+                .collect(),
             wander_px: [self.wander.shift_px, self.wander.turn_px],
             raised: self.raised,
             reference: self.reference,
@@ -397,10 +408,11 @@ impl Work {
     }
 }
 
-fn standing(moment: &Moment) -> Standing {
+fn standing((moment, away_px): (&Moment, &f64)) -> Standing {
     match (moment.sights.is_empty(), moment.has_marks()) {
         (true, _) => Standing::Unmarked,
         (false, true) => Standing::Agrees,
+        (false, false) if *away_px > MISREAD_PX => Standing::Misread,
         (false, false) => Standing::Alone,
     }
 }

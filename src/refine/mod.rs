@@ -25,3 +25,6 @@ mod output;
 mod sky;
 pub use output::{OutputError, Summary, write};
 pub use sky::Sky;
+mod report;
+pub mod spectrum;
+pub use report::write_report;

@@ -16,8 +16,10 @@ pub enum Oddity {
     Limb,
     /// The place is off the path between the frames before and after.
     Path,
-    /// The marks do not agree with those of the frames before and after.
-    Marks,
+    /// The plate stands elsewhere on the sensor than in the frames before and after.
+    Knocked,
+    /// The marks were read wrongly.
+    Misread,
     /// Far fewer marks were read than the disc lights.
     FewMarks,
     /// Much more or less light than in the frames before and after.
@@ -29,7 +31,10 @@ pub enum Oddity {
 impl Oddity {
     /// Whether it spoils the Sun's place; otherwise it is worth knowing and no more.
     pub fn spoils(self) -> bool {
-        matches!(self, Self::Radius | Self::Limb | Self::Path)
+        match self {
+            Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
+            Self::Misread | Self::FewMarks | Self::Light | Self::Noise => false,
+        }
     }
 
     pub fn text(self) -> &'static str {
@@ -37,7 +42,8 @@ impl Oddity {
             Self::Radius => "the radius is not that of the flight",
             Self::Limb => "the limb does not fit the flight's mapping",
             Self::Path => "off the path of the frames before and after",
-            Self::Marks => "the marks do not agree with the flight's mapping",
+            Self::Knocked => "the plate stands elsewhere than in the frames before and after",
+            Self::Misread => "the marks were read wrongly",
             Self::FewMarks => "far fewer marks were read than are lit",
             Self::Light => "the light is not that of the frames before and after",
             Self::Noise => "more noise than in the frames before and after",
