@@ -430,3 +430,20 @@ pub fn markdown() -> String {
         lines(SMOOTHED_COLUMNS)
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_differ_and_are_as_fits_wants_them() {
+        let names = ASPECT_COLUMNS.iter().map(|column| column.name);
+        let mut names: Vec<&str> = names.collect();
+        let all = names.len();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), all);
+        let legal = |b: u8| b.is_ascii_uppercase() || b.is_ascii_digit() || b == b'_';
+        assert!(names.iter().all(|name| name.bytes().all(legal)));
+    }
+}
