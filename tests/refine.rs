@@ -554,3 +554,99 @@ fn the_page_of_columns_is_that_of_the_table() {
         "the tables of docs/refine.md"
     );
 }
+
+/// Peak memory of this process, kB.
+fn peak_kb() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").unwrap();
+    let line = status
+        .lines()
+        .find(|line| line.starts_with("VmHWM"))
+        .unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+/// The records of the small flight that have a disc, up to its jump, in the order of time.
+fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record> {
+    let mut entries = fs::read_dir(out)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let journal = entries.find(|path| path.extension().is_some_and(|end| end == "journal"));
+    let mut records: Vec<solaspect::refine::Record> = Vec::new();
+    solaspect::refine::Journal::read(&journal.unwrap(), |record, _| records.push(record)).unwrap();
+    records.retain(|r| r.outcome.as_ref().is_ok_and(|frame| frame.disc.is_some()));
+    records.sort_by_key(|record| record.input.file.clone());
+    records.truncate(plan.jump());
+    records
+}
+
+/// Seven hours of a flight, from the records of its first half minute there and back. Alone in its process:
+/// `cargo test --test refine -- --ignored a_hundred_thousand --nocapture`.
+#[test]
+#[ignore = "a minute long, and it measures the process's memory"]
+fn a_hundred_thousand_frames_take_less_than_400_mb() {
+    use solaspect::refine::{self as room, Done, Journal, Recipe, Span};
+    const FRAMES: usize = 100_000;
+    let (plan, archive) = flight();
+    let out = temporary();
+    refine(archive, out.path(), &[]);
+    let lit = lit_records(plan, out.path());
+    let long = out.path().join("long.journal");
+    let journal = Journal::open(&long, |_, _| {}).unwrap();
+    let mut inputs = Vec::new();
+    for n in 0..FRAMES {
+        let turn = n % (2 * lit.len());
+        let mut record = lit[turn.min(2 * lit.len() - 1 - turn)].clone();
+        record.input.file = format!(
+            "night_of_the_flight/hour_{:02}/frame_{n:06}.fits",
+            n / 14_400
+        );
+        if let Ok(frame) = &mut record.outcome {
+            frame.utc_ns = Some(time(0).as_nanosecond() as i64 + n as i64 * 250_000_000);
+        }
+        journal.append(&record).unwrap();
+        inputs.push(record.input);
+    }
+    drop((journal, lit));
+    let done = Done::open(&long, &[]).unwrap();
+    let recipe = Recipe {
+        instrument: plan.instrument.clone(),
+        settings: Default::default(),
+    };
+    println!("before {} MB", peak_kb() / 1000);
+    let start = std::time::Instant::now();
+    let flight = room::second_pass(&done, &inputs, &recipe.instrument, &Span::default()).unwrap();
+    println!(
+        "second pass {:.1} s, {} MB",
+        start.elapsed().as_secs_f64(),
+        peak_kb() / 1000
+    );
+    let summary = room::write(out.path(), &flight, &recipe).unwrap();
+    room::write_report(out.path(), archive, &flight, &summary, &recipe.instrument).unwrap();
+    println!(
+        "{} fine of {}, all in all {} MB",
+        summary.fine,
+        summary.files,
+        peak_kb() / 1000
+    );
+    assert!(summary.fine > FRAMES * 9 / 10);
+    assert!(peak_kb() < 400_000);
+}
+
+/// An hour at 4 Hz, made once and kept: `cargo test --test refine -- --ignored an_hour --nocapture`.
+#[test]
+#[ignore = "an hour of flight takes many minutes to simulate"]
+fn an_hour_of_flight_is_refined_to_its_truth() {
+    let plan = Plan::new(14_400, 8);
+    let archive = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("hour-of-flight");
+    if !archive.join("whole").exists() {
+        plan.write(&archive);
+        fs::write(archive.join("whole"), "").unwrap();
+    }
+    let out = temporary();
+    refine(&archive, out.path(), &[]);
+    let compared = compare(&plan, out.path());
+    print("an hour", &compared);
+    assert!(quantile(&compared.errors, 0.997) < 0.35);
+    assert!((0.8..1.25).contains(&rms(&compared.pulls)));
+    assert!(compared.unflagged.is_empty());
+}

@@ -150,6 +150,9 @@ impl<'a> Work<'a> {
             |frame: &&FrameRecord| frame.utc_ns.map_or(0.0, |utc| (utc - first) as f64 / 1e9);
         let time_s: Vec<f64> = frames.iter().map(since).collect();
         let mapping = FlightMapping::estimate(&frames, &time_s, instrument);
+        if mapping.is_none() {
+            tracing::warn!("the marks tell no mapping of the flight: each frame stands by itself");
+        }
         let row = |entry: &Entry| Row::of(entry.input.clone(), &entry.frame);
         let mut rows: Vec<Row> = entries.par_iter().map(row).collect();
         rows.par_iter_mut().for_each(|row| {

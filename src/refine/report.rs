@@ -99,6 +99,16 @@ impl Report<'_> {
         }
     }
 
+    /// The same without what is more than so many times the median, which would flatten the rest.
+    fn usual(&self, name: &str, value: impl Fn(&Row) -> Option<f64>) -> Series {
+        const MOST_MEDIANS: f64 = 5.0;
+        let mut series = self.dots(name, value);
+        let middle = median(series.points.iter().map(|(_, value)| *value).collect());
+        let most = middle.unwrap_or(0.0) * MOST_MEDIANS;
+        series.points.retain(|(_, value)| *value <= most);
+        series
+    }
+
     fn summary(&mut self, summary: &Summary) {
         let mut rows: Vec<Vec<String>> = [
             ("files", summary.files.to_string()),
@@ -180,11 +190,15 @@ impl Report<'_> {
         self.page
             .table(&["part", "1 sigma per axis, arcsec, median"], &rows);
         let series = [
-            self.dots("refined", all),
-            self.dots("of the mapping", mapping),
+            self.usual("refined", all),
+            self.usual("of the mapping", mapping),
         ];
         self.figure(plot::series(
-            &labels("Stated uncertainty", TIME, "1 sigma per axis, arcsec"),
+            &labels(
+                "Stated uncertainty, up to five times the median",
+                TIME,
+                "1 sigma per axis, arcsec",
+            ),
             &series,
         ));
     }
@@ -245,20 +259,24 @@ impl Report<'_> {
             &series,
         ));
         let by_temperature = |name: &str, axis: usize| {
-            let fine = self.rows.iter().filter(|row| row.is_fine());
             let point = |row: &Row| Some((row.temperature_c?, row.mapping?.centre_px[axis].value));
-            let points: Vec<_> = fine.filter_map(point).collect();
-            (slope(&points), from_first(name, &points))
+            let steady = self.rows.chunk_by(|_, next| next.jump_px.is_none());
+            let fine = |rows: &[Row]| -> Vec<_> {
+                rows.iter()
+                    .filter(|row| row.is_fine())
+                    .filter_map(point)
+                    .collect()
+            };
+            let parts: Vec<Vec<(f64, f64)>> = steady.map(fine).collect();
+            (slope(&parts), from_first(name, &parts.concat()))
         };
         let [(slope_x, x), (slope_y, y)] = [by_temperature("x", 0), by_temperature("y", 1)];
         if let Some((slope_x, slope_y)) = slope_x.zip(slope_y) {
             self.page.note(&format!(
-                "With the camera's temperature it goes by {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
+                "With the camera's temperature it goes by {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y, jumps taken off."
             ));
-            self.figure(plot::series(
-                &labels("The same over temperature", "degC", "px"),
-                &[x, y],
-            ));
+            let labels = labels("The same over temperature", "degC", "px");
+            self.figure(plot::series(&labels, &[x, y]));
         } else {
             self.page
                 .note("The headers hold no temperatures, or only one.");
@@ -382,14 +400,18 @@ fn runs(points: &[(f64, f64)]) -> Option<(Vec<Vec<f64>>, f64)> {
     Some((runs.map(values).collect(), step_s))
 }
 
-/// The slope of a straight line through points; none where x does not vary.
-fn slope(points: &[(f64, f64)]) -> Option<f64> {
-    let count = points.len() as f64;
-    let mean = |axis: fn(&(f64, f64)) -> f64| points.iter().map(axis).sum::<f64>() / count;
-    let (x, y) = (mean(|p| p.0), mean(|p| p.1));
-    let spread: f64 = points.iter().map(|p| (p.0 - x).powi(2)).sum();
-    let both: f64 = points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum();
-    (spread > 1e-6 * count).then(|| both / spread)
+/// The common slope of straight lines, one through each part's points; none where x does not vary.
+fn slope(parts: &[Vec<(f64, f64)>]) -> Option<f64> {
+    let (mut spread, mut both, mut all) = (0.0, 0.0, 0.0);
+    for points in parts.iter().filter(|points| !points.is_empty()) {
+        let count = points.len() as f64;
+        let mean = |axis: fn(&(f64, f64)) -> f64| points.iter().map(axis).sum::<f64>() / count;
+        let (x, y) = (mean(|p| p.0), mean(|p| p.1));
+        spread += points.iter().map(|p| (p.0 - x).powi(2)).sum::<f64>();
+        both += points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>();
+        all += count;
+    }
+    (spread > 1e-6 * all).then(|| both / spread)
 }
 
 /// A frame, small and stretched to its brightest pixel; none where it cannot be read.
@@ -410,4 +432,22 @@ fn thumbnail(path: &Path) -> Option<GrayImage> {
     Some(GrayImage::from_fn(width as u32, height as u32, |x, y| {
         Luma([grey(x, y)])
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slope_is_common_to_both_sides_of_a_jump() {
+        let part = |from: i32, jump: f64| {
+            let points = from..from + 10;
+            points
+                .map(|x| (f64::from(x), 2.0 * f64::from(x) + jump))
+                .collect()
+        };
+        let found = slope(&[part(0, 0.0), part(10, 50.0)]).unwrap();
+        assert!((found - 2.0).abs() < 1e-12);
+        assert_eq!(slope(&[vec![(1.0, 2.0); 5], Vec::new()]), None);
+    }
 }
