@@ -7,7 +7,7 @@
 use super::disc::{self, PlateDisc};
 use super::first_pass::{Done, Span};
 use super::journal::JournalError;
-use super::mapping::{FlightMapping, Standing, median};
+use super::mapping::{FlightMapping, MappingFacts, Standing, median};
 use super::motion::{self, Path};
 use super::record::{FrameRecord, Grade, Input, Record};
 use super::row::{Oddity, Row};
@@ -48,7 +48,7 @@ const PATH_ROUNDS: usize = 3;
 pub struct Flight {
     /// In the order of time; frames without a time and files that could not be read come last, by name.
     pub rows: Vec<Row>,
-    pub mapping: Option<FlightMapping>,
+    pub mapping: Option<MappingFacts>,
     pub path: Option<Path>,
     /// The flight's radius over the expected one.
     pub radius_ratio: Option<Measured>,
@@ -123,7 +123,7 @@ pub fn second_pass(
     places.resize(rows.len(), None);
     Ok(Flight {
         rows,
-        mapping,
+        mapping: mapping.map(|mapping| mapping.facts),
         path,
         radius_ratio,
         dated,

@@ -66,16 +66,22 @@ pub struct Jump {
     pub turn_deg: f64,
 }
 
-/// The mapping of a flight, frame by frame.
-pub struct FlightMapping {
-    reference: Reference,
-    estimates: Vec<Estimate>,
+/// What the mapping did in a flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MappingFacts {
     pub jumps: Vec<Jump>,
-    pub standing: Vec<Standing>,
     /// How fast the view wanders, px after a second: shift; turn at 1000 mil from the plate's centre.
     pub wander_px: [f64; 2],
     /// By how much the marks' sigmas were raised.
     pub raised: f64,
+}
+
+/// The mapping of a flight, frame by frame.
+pub struct FlightMapping {
+    reference: Reference,
+    estimates: Vec<Estimate>,
+    pub standing: Vec<Standing>,
+    pub facts: MappingFacts,
 }
 
 /// The mapping in numbers that people read.
@@ -111,9 +117,7 @@ impl FlightMapping {
         }
         work.settle_wander();
         work.find_jumps()?;
-        let (estimates, _) = work.drift().smoothed()?;
-        work.put_aside(Some(&estimates), 2);
-        work.move_reference(&estimates);
+        work.settle_reference()?;
         for _ in 0..2 {
             let (estimates, _) = work.drift().smoothed()?;
             work.weigh(&estimates);
@@ -143,7 +147,7 @@ impl FlightMapping {
 
     /// The size of the jump that happened at a frame, or since the last marked one before it, px.
     pub fn own_jump(&self, frame: usize) -> Option<f64> {
-        let jump = self.jumps.iter();
+        let jump = self.facts.jumps.iter();
         let mut own = jump.filter(|jump| (jump.before + 1..=jump.after).contains(&frame));
         own.next().map(|jump| jump.shift_px.norm())
     }
@@ -344,6 +348,14 @@ impl Work {
         Some(())
     }
 
+    /// Frames that stand alone beside the jumps, and the reference in the middle of the flight.
+    fn settle_reference(&mut self) -> Option<()> {
+        let (estimates, _) = self.drift().smoothed()?;
+        self.put_aside(Some(&estimates), 2);
+        self.move_reference(&estimates);
+        Some(())
+    }
+
     /// Tells states from the middle of the flight, where the slopes are then true.
     fn move_reference(&mut self, estimates: &[Estimate]) {
         let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]).collect());
@@ -393,15 +405,17 @@ impl Work {
             }
         };
         FlightMapping {
-            jumps: self.jumps.iter().map(jump).collect(),
+            facts: MappingFacts {
+                jumps: self.jumps.iter().map(jump).collect(),
+                wander_px: [self.wander.shift_px, self.wander.turn_px],
+                raised: self.raised,
+            },
             standing: self
                 .moments
                 .iter()
                 .zip(&self.away_px)
                 .map(standing)
                 .collect(),
-            wander_px: [self.wander.shift_px, self.wander.turn_px],
-            raised: self.raised,
             reference: self.reference,
             estimates,
         }

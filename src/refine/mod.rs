@@ -28,7 +28,7 @@ pub use disc::PlateDisc;
 pub use first_pass::{Done, Recipe, Shard, Span, inputs};
 pub use flight::{Flight, second_pass};
 pub use journal::{Journal, JournalError};
-pub use mapping::{FlightMapping, Jump, MappingNumbers, Standing};
+pub use mapping::{FlightMapping, Jump, MappingFacts, MappingNumbers, Standing};
 pub use output::{OutputError, Summary, write};
 pub use record::{
     DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
