@@ -518,7 +518,7 @@ fn the_files_of_the_heroes_flight_are_read() {
         &["--place", "34.49,-104.2218,38405"],
     );
     let table = Columns::read(out.path(), "ASPECT");
-    let times = &table.texts("UTC")[..];
+    let times = table.texts("UTC");
     assert_eq!(times[1], "2013-09-21T18:00:00.500000Z");
     assert_eq!(times[6], "2013-09-21T18:00:03.250000Z");
     assert!(
