@@ -60,6 +60,9 @@ pub struct Flight {
     pub places: Vec<Option<Place>>,
 }
 
+/// Records that are read together.
+const TOGETHER: usize = 4096;
+
 /// A frame without its limb.
 struct Entry {
     input: Input,
@@ -77,27 +80,22 @@ pub fn second_pass(
     span: &Span,
 ) -> Result<Flight, JournalError> {
     let (mut entries, mut unread) = (Vec::new(), Vec::new());
-    let records: Vec<Option<Record>> = inputs
-        .par_iter()
-        .map(|input| {
+    for some in inputs.chunks(TOGETHER) {
+        let records = some.par_iter().map(|input| {
             let mut record = done.record(input)?;
-            if let Some(Record {
-                outcome: Ok(frame), ..
-            }) = &mut record
-            {
+            if let Some(Ok(frame)) = record.as_mut().map(|record| &mut record.outcome) {
                 frame.limb = Vec::new();
             }
             Ok(record)
-        })
-        .collect::<Result<_, JournalError>>()?;
-    for record in records.into_iter().flatten() {
-        match record.outcome {
-            Ok(frame) if !span.holds(frame.utc()) => {}
-            Ok(frame) => entries.push(Entry {
-                input: record.input,
-                frame,
-            }),
-            Err(error) => unread.push(Row::unread(record.input, error)),
+        });
+        let records: Vec<Option<Record>> = records.collect::<Result<_, JournalError>>()?;
+        for record in records.into_iter().flatten() {
+            let input = record.input;
+            match record.outcome {
+                Ok(frame) if !span.holds(frame.utc()) => {}
+                Ok(frame) => entries.push(Entry { input, frame }),
+                Err(error) => unread.push(Row::unread(input, error)),
+            }
         }
     }
     entries.sort_by(|a, b| {
@@ -113,12 +111,11 @@ pub fn second_pass(
     let (path, path_times_s) = work.follow_path();
     let Work {
         mut rows,
-        entries,
+        mut places,
         mapping,
         radius_ratio,
         ..
     } = work;
-    let mut places: Vec<_> = entries.iter().map(|entry| entry.frame.place()).collect();
     rows.extend(unread);
     places.resize(rows.len(), None);
     Ok(Flight {
@@ -135,7 +132,9 @@ pub fn second_pass(
 struct Work<'a> {
     done: &'a Done,
     instrument: &'a Instrument,
-    entries: Vec<Entry>,
+    /// Of each row.
+    inputs: Vec<Input>,
+    places: Vec<Option<Place>>,
     dated: usize,
     mapping: Option<FlightMapping>,
     rows: Vec<Row>,
@@ -159,10 +158,14 @@ impl<'a> Work<'a> {
             let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
             row.expected_radius_mil = angular.map(|angular| instrument.optics.radius_mil(angular));
         });
+        // What else the records hold is read again where it is needed.
+        let places = entries.iter().map(|entry| entry.frame.place()).collect();
+        let inputs = entries.into_iter().map(|entry| entry.input).collect();
         Self {
             done,
             instrument,
-            entries,
+            inputs,
+            places,
             dated,
             mapping,
             rows,
@@ -204,17 +207,18 @@ impl<'a> Work<'a> {
         ratio: Measured,
     ) -> Result<Vec<(usize, PlateDisc)>, JournalError> {
         let found = (0..self.dated).into_par_iter().map(|n| {
-            let (row, entry) = (&self.rows[n], &self.entries[n]);
-            let (Some(own), Some(at)) = (&entry.frame.disc, mapping.at(n)) else {
+            let row = &self.rows[n];
+            let Some((expected, at)) = row.expected_radius_mil.zip(mapping.at(n)) else {
                 return Ok(None);
             };
-            let Some(expected) = row.expected_radius_mil.filter(|_| wanted(row)) else {
+            if row.own.sun_px.is_none() || !wanted(row) {
+                return Ok(None);
+            }
+            let record = self.done.record(&self.inputs[n])?;
+            let Some(Ok(frame)) = record.map(|record| record.outcome) else {
                 return Ok(None);
             };
-            let Some(Record {
-                outcome: Ok(frame), ..
-            }) = self.done.record(&entry.input)?
-            else {
+            let Some(own) = &frame.disc else {
                 return Ok(None);
             };
             let radius = Measured::new(expected * ratio.value, expected * ratio.sigma);

@@ -214,10 +214,12 @@ fn moments(
                 weight: 1.0,
             })
         };
-        match frame.quality {
+        let mut sights: Vec<Sight> = match frame.quality {
             Grade::Fine => frame.marks.iter().filter_map(sight).collect(),
             Grade::Coarse | Grade::None => Vec::new(),
-        }
+        };
+        sights.shrink_to_fit();
+        sights
     };
     let moment = |(frame, time_s): (&&FrameRecord, &f64)| Moment {
         time_s: *time_s,
