@@ -24,7 +24,7 @@
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
 //! | [`config`] | the parameter table |
-//! | [`service`], [`calibrate`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; the instrument as it is; how near the truth the pipeline comes; whether all is ready to fly |
+//! | [`service`], [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; the instrument as it is; a flight's best aspect history; how near the truth the pipeline comes; whether all is ready to fly |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions
@@ -50,6 +50,7 @@ pub mod link;
 pub mod plate;
 pub mod pointing;
 pub mod preflight;
+pub mod refine;
 pub mod registration;
 pub mod report;
 pub mod service;

@@ -9,6 +9,7 @@ pub mod fly;
 pub mod link;
 mod options;
 pub mod preflight;
+pub mod refine;
 pub mod simulate;
 pub mod sky;
 pub mod solve;

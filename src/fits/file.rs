@@ -2,8 +2,8 @@
 
 use super::structure::{Hdu, scan};
 use super::{Checksums, FileError, Header, Problem, Table, checked_fits, load};
-use super::{checksum, read, table};
-use crate::frame::Frame;
+use super::{checksum, info, read, table};
+use crate::frame::{Frame, FrameInfo};
 use std::path::{Path, PathBuf};
 
 /// A FITS file that was read once and whose structure is whole. What else may be wrong with it, each method says of its part.
@@ -51,6 +51,15 @@ impl FitsFile {
     /// A file without an image.
     pub fn keywords(&self) -> Result<Header, FileError> {
         self.named(read::read_keywords(&self.hdus))
+    }
+
+    /// How the frame was taken, without reading its pixels.
+    ///
+    /// # Errors
+    /// A file without an image, or keywords that cannot be read.
+    pub fn info(&self) -> Result<FrameInfo, FileError> {
+        let header = read::read_keywords(&self.hdus);
+        self.named(header.and_then(|header| info::read_info(&header)))
     }
 
     /// Checks every checksum that the file carries.

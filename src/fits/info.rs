@@ -1,7 +1,8 @@
 //! How a frame was taken, from keywords and to keywords.
 //!
 //! Times are UTC. The middle of the exposure is DATE-AVG; where that is missing, DATE-OBS (or DATE-BEG) plus half
-//! the exposure. A file that gives a start and no exposure is taken as a very short one.
+//! the exposure. A file that gives a start and no exposure is taken as a very short one. Files of the HEROES flight of
+//! 2013 give the start as RT_SEC and RT_NSEC (s and ns since 1970), or as C's `asctime` writes it, to the second.
 
 use super::header::{Header, Value};
 use super::place::{place_cards, read_place};
@@ -15,6 +16,9 @@ use std::time::Duration;
 
 /// The longest exposure or monotonic time that is believed, s: thirty years.
 const LONGEST_S: f64 = 1e9;
+
+/// The latest RT_SEC that is believed: the year 9999.
+const LONGEST_CLOCK_S: i64 = 253_370_764_800;
 
 /// Reads how a frame was taken.
 pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
@@ -39,7 +43,10 @@ pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
         exposure,
         analogue_gain: header.number("GAIN")?,
         preamp_gain: header.number("PREAMP")?,
-        camera_temperature_c: header.number("CAMTEMP")?,
+        camera_temperature_c: match header.number("CAMTEMP")? {
+            Some(temperature) => Some(temperature),
+            None => header.number("TEMPCCD")?,
+        },
         corner_px: whole("CORNER-X")?
             .zip(whole("CORNER-Y")?)
             .map(|(x, y)| (x as usize, y as usize)),
@@ -73,16 +80,42 @@ fn mid_exposure(header: &Header, exposure: Option<Duration>) -> Result<Option<Ti
     if let Some(middle) = time(header, "DATE-AVG")? {
         return Ok(Some(middle));
     }
-    for keyword in ["DATE-OBS", "DATE-BEG"] {
+    let after = |keyword: &str, start: Timestamp| {
+        let half = SignedDuration::try_from(exposure.unwrap_or_default() / 2);
+        let middle = half.ok().and_then(|half| start.checked_add(half).ok());
+        middle
+            .map(Some)
+            .ok_or_else(|| Problem::field(keyword, "a time before the year 9999", start))
+    };
+    if let Some(start) = clock_time(header)? {
+        return after("RT_SEC", start);
+    }
+    for keyword in ["DATE-OBS", "DATE-BEG", "DATE_OBS"] {
         if let Some(start) = time(header, keyword)? {
-            let half = SignedDuration::try_from(exposure.unwrap_or_default() / 2);
-            let middle = half.ok().and_then(|half| start.checked_add(half).ok());
-            return middle
-                .map(Some)
-                .ok_or_else(|| Problem::field(keyword, "a time before the year 9999", start));
+            return after(keyword, start);
         }
     }
     Ok(None)
+}
+
+/// The computer's clock as HEROES wrote it, where no keyword of today's gives the time.
+fn clock_time(header: &Header) -> Result<Option<Timestamp>, Problem> {
+    let today = ["DATE-OBS", "DATE-BEG"].iter().any(|keyword| {
+        let text = header.text(keyword).ok().flatten();
+        text.is_some_and(|text| parse_time(&text).is_some())
+    });
+    if today || header.get("RT_SEC").is_none() {
+        return Ok(None);
+    }
+    let seconds = header.size("RT_SEC", 0..=LONGEST_CLOCK_S)?;
+    let nanoseconds = match header.get("RT_NSEC") {
+        Some(_) => header.size("RT_NSEC", 0..=999_999_999)?,
+        None => 0,
+    };
+    let start = Timestamp::new(seconds as i64, nanoseconds as i32);
+    start
+        .map(Some)
+        .map_err(|_| Problem::field("RT_SEC", "a time before the year 9999", seconds))
 }
 
 fn time(header: &Header, keyword: &str) -> Result<Option<Timestamp>, Problem> {
@@ -94,7 +127,7 @@ fn time(header: &Header, keyword: &str) -> Result<Option<Timestamp>, Problem> {
     {
         return Err(Problem::field("TIMESYS", "'UTC'", format!("'{scale}'")));
     }
-    match parse_time(&text) {
+    match parse_time(&text).or_else(|| parse_asctime(&text)) {
         Some(time) => Ok(Some(time)),
         None => Err(Problem::field(
             keyword,
@@ -117,6 +150,13 @@ fn parse_time(text: &str) -> Option<Timestamp> {
         return None;
     }
     let civil: DateTime = civil.parse().ok()?;
+    TimeZone::UTC.to_timestamp(civil).ok()
+}
+
+/// A UTC date as C's `asctime` writes it: "Sat Sep 21 18:00:00 2013", perhaps with its line end, which no header may hold.
+fn parse_asctime(text: &str) -> Option<Timestamp> {
+    let text = text.trim_end_matches('?').trim_end();
+    let civil = DateTime::strptime("%a %b %e %H:%M:%S %Y", text).ok()?;
     TimeZone::UTC.to_timestamp(civil).ok()
 }
 
@@ -286,6 +326,17 @@ mod tests {
         assert_eq!(clock_cards(&clock), held);
         clock.source = None;
         assert_eq!(clock_cards(&clock), held[..3]);
+    }
+
+    #[test]
+    fn times_of_c_are_read_with_and_without_their_line_end() {
+        let expected: Timestamp = "2013-09-01T08:05:09Z".parse().unwrap();
+        for text in ["Sun Sep  1 08:05:09 2013", "Sun Sep  1 08:05:09 2013?"] {
+            assert_eq!(parse_asctime(text), Some(expected), "{text}");
+        }
+        for text in ["Mon Sep  1 08:05:09 2013", "Sep 1 2013", ""] {
+            assert_eq!(parse_asctime(text), None, "{text}");
+        }
     }
 
     #[test]

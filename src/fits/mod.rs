@@ -33,7 +33,9 @@ pub use file::FitsFile;
 pub use header::{Header, Value};
 pub use info::clock_cards;
 pub use raw::Compression;
-pub use write::{Card, Column, FRAME_EXTENSION, Table, Values, encode_frame, write_frame};
+pub use write::{
+    Card, Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame,
+};
 
 use crate::frame::Frame;
 use flate2::read::MultiGzDecoder;

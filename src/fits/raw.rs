@@ -376,6 +376,13 @@ impl MemoryFile {
         call!(self, "write the checksums", ffpcks)
     }
 
+    /// Writes DATASUM of the current HDU alone: beside a CHECKSUM cfitsio notes the day.
+    pub fn put_datasum(&self) -> Result<(), Problem> {
+        let (mut data, mut hdu) = (0, 0);
+        call!(self, "add up the data", ffgcks, &mut data, &mut hdu)?;
+        self.put_text("DATASUM", &data.to_string(), "checksum of the data")
+    }
+
     /// Closes the file after its last HDU and returns its bytes.
     pub fn into_bytes(mut self) -> Result<Vec<u8>, Problem> {
         let (mut header, mut data, mut end) = (0, 0, 0);

@@ -157,6 +157,33 @@ pub fn encode_frame(
     file.into_bytes()
 }
 
+/// The bytes of a file of binary tables alone, behind a primary HDU without data. Nothing in it tells when it was made:
+/// the same tables give the same bytes.
+///
+/// # Errors
+/// Columns of unequal length.
+pub fn encode_tables(tables: &[Table]) -> Result<Vec<u8>, Problem> {
+    let file = MemoryFile::create(OTHER_BYTES)?;
+    file.create_primary()?;
+    put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
+    put_cards(
+        &file,
+        &[
+            Card::new("ORIGIN", "solaspect"),
+            Card::new("CREATOR", PROGRAM),
+        ],
+    )?;
+    file.put_datasum()?;
+    for table in tables {
+        put_table(&file, table)?;
+        file.put_datasum()?;
+    }
+    file.into_bytes()
+}
+
+/// Name and version of the program.
+const PROGRAM: &str = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
+
 /// Room for headers and tables.
 const OTHER_BYTES: usize = 1 << 17;
 
@@ -181,10 +208,9 @@ const OTHER_CARDS: usize = 16;
 /// Where the file comes from.
 fn provenance() -> Vec<Card> {
     let now = Timestamp::from_second(Timestamp::now().as_second()).unwrap_or_default();
-    let program = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
     vec![
         Card::new("ORIGIN", "solaspect"),
-        Card::new("CREATOR", program),
+        Card::new("CREATOR", PROGRAM),
         Card::new("DATE", format_time(now)),
         // In part: SOLARNET wants WAVEUNIT as a power of ten, where FITS and sunpy want a unit.
         Card::new("SOLARNET", 0.5),

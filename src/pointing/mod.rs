@@ -129,6 +129,22 @@ pub fn pointing(sun_on_plate: PlateMil, instrument: &Instrument, sun: &SunPositi
     horizontal(&boresight(sun_on_plate, instrument, sun))
 }
 
+/// Where the telescope points about the Sun's centre, when the Sun stands at a place on the plate: the inverse of a
+/// [`Target`]'s place.
+pub fn helioprojective(
+    sun_on_plate: PlateMil,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> HelioprojectiveArcsec {
+    let towards = boresight(sun_on_plate, instrument, sun).normalize();
+    let centre = sun_direction(sun);
+    let (west, north) = west_and_north(&centre, sun);
+    HelioprojectiveArcsec {
+        x: towards.dot(&west).atan2(towards.dot(&centre)) * ARCSEC_PER_RAD,
+        y: towards.dot(&north).asin() * ARCSEC_PER_RAD,
+    }
+}
+
 /// Where on the plate the Sun stands when the telescope points in a direction.
 ///
 /// # Errors
@@ -197,13 +213,17 @@ fn axes(at: &Vector3<f64>) -> Matrix3x2<f64> {
 /// The direction of a target, by the definition of helioprojective longitude and latitude (Thompson 2006).
 fn target_direction(target: HelioprojectiveArcsec, sun: &SunPosition) -> Vector3<f64> {
     let centre = sun_direction(sun);
-    let (up, clockwise) = tangents(&centre);
-    let (sin, cos) = sun.zenith_to_north_deg.to_radians().sin_cos();
-    let north = up * cos + clockwise * sin;
-    let west = clockwise * cos - up * sin;
+    let (west, north) = west_and_north(&centre, sun);
     let (sin_x, cos_x) = (target.x / ARCSEC_PER_RAD).sin_cos();
     let (sin_y, cos_y) = (target.y / ARCSEC_PER_RAD).sin_cos();
     centre * (cos_y * cos_x) + west * (cos_y * sin_x) + north * sin_y
+}
+
+/// Unit vectors at the Sun's centre to solar west and north.
+fn west_and_north(centre: &Vector3<f64>, sun: &SunPosition) -> (Vector3<f64>, Vector3<f64>) {
+    let (up, clockwise) = tangents(centre);
+    let (sin, cos) = sun.zenith_to_north_deg.to_radians().sin_cos();
+    (clockwise * cos - up * sin, up * cos + clockwise * sin)
 }
 
 /// Covariance of the pointing in true angle, across and in elevation: what the frame and what the calibration leave.

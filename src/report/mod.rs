@@ -2,6 +2,7 @@
 //! colours, nothing else.
 
 mod canvas;
+pub mod html;
 pub mod plot;
 
 pub use canvas::{Canvas, Colour};

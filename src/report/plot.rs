@@ -91,6 +91,69 @@ pub fn curves(labels: &Labels, curves: &[Curve]) -> Result<String, PlotError> {
     })
 }
 
+/// How a series over linear axes is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mark {
+    Dots,
+    Line,
+}
+
+/// A named series of points (x, y).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    pub name: String,
+    pub points: Vec<(f64, f64)>,
+    pub mark: Mark,
+}
+
+/// More points than this no reader tells apart: of more, every so many is drawn.
+const MOST_POINTS: usize = 3000;
+const WIDE: (u32, u32) = (1000, 380);
+
+/// Series over linear axes.
+pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
+    let all = || series.iter().flat_map(|series| &series.points);
+    let span = |axis: fn(&(f64, f64)) -> f64| {
+        let (low, high) = extent(all().map(axis))?;
+        let room = ((high - low) * 0.03).max(high.abs() * 1e-9).max(1e-9);
+        Some(low - room..high + room)
+    };
+    let empty = || PlotError::Empty(labels.title.clone());
+    let (x, y) = (
+        span(|p| p.0).ok_or_else(empty)?,
+        span(|p| p.1).ok_or_else(empty)?,
+    );
+    figure(WIDE, |area| {
+        let mut chart = frame(area, labels).build_cartesian_2d(x, y)?;
+        chart
+            .configure_mesh()
+            .x_desc(&labels.x)
+            .y_desc(&labels.y)
+            .light_line_style(WHITE)
+            .draw()?;
+        for (n, series) in series.iter().enumerate() {
+            let colour = colour(n);
+            let every = series.points.len().div_ceil(MOST_POINTS).max(1);
+            let points = series.points.iter().step_by(every).copied();
+            match series.mark {
+                Mark::Dots => {
+                    chart.draw_series(points.map(|p| Circle::new(p, 1, colour.filled())))?
+                }
+                Mark::Line => chart.draw_series(LineSeries::new(points, colour.stroke_width(1)))?,
+            }
+            .label(series.name.as_str())
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+        }
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperRight)
+            .background_style(WHITE.mix(0.8))
+            .border_style(BLACK.mix(0.3))
+            .draw()?;
+        Ok(())
+    })
+}
+
 /// The upper corner that the first curve leaves free.
 fn clear_corner(curves: &[Curve]) -> SeriesLabelPosition {
     let ends = |points: &[(f64, f64)]| Some((points.first()?.1, points.last()?.1));
@@ -206,13 +269,13 @@ pub fn vector_map(
 
 /// Named points (x, y) over two linear axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Series {
+pub struct Dots {
     pub name: String,
     pub points: Vec<(f64, f64)>,
 }
 
 /// Points over two linear axes, a line at y = 0 where it lies among them.
-pub fn scatter(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
+pub fn scatter(labels: &Labels, series: &[Dots]) -> Result<String, PlotError> {
     let all = || series.iter().flat_map(|s| &s.points);
     let span = |axis: fn(&(f64, f64)) -> f64| {
         let (low, high) = extent(all().map(axis))?;
@@ -331,7 +394,7 @@ mod tests {
 
     #[test]
     fn every_dot_is_drawn() {
-        let dots = Series {
+        let dots = Dots {
             name: "residuals".into(),
             points: vec![(-1.0, 0.5), (2.0, -0.5), (3.0, 0.1)],
         };
@@ -346,6 +409,19 @@ mod tests {
         let svg = histogram(&labels(), &[0.1, 0.2, 0.25, 0.9], 4, &[("limit", 0.5)]).unwrap();
         assert!(svg.contains("limit"));
         assert!(histogram(&labels(), &[], 4, &[]).is_err());
+    }
+
+    #[test]
+    fn a_series_of_one_value_and_a_long_one_are_drawn() {
+        let points = (0..100_000).map(|n| (f64::from(n), 3.0)).collect();
+        let flat = Series {
+            name: "flat".into(),
+            points,
+            mark: Mark::Dots,
+        };
+        let svg = series(&labels(), &[flat]).unwrap();
+        assert!(svg.contains("flat") && svg.len() < 1_000_000);
+        assert!(series(&labels(), &[]).is_err());
     }
 
     #[test]

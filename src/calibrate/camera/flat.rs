@@ -5,7 +5,7 @@ use super::shots::{Shots, SunShot};
 use super::straight::{Solved, median, solve};
 use super::{Figure, Finding};
 use crate::instrument::Instrument;
-use crate::report::plot::Series;
+use crate::report::plot::Dots;
 use crate::units::Measured;
 use nalgebra::{SVector, Vector5};
 
@@ -148,11 +148,11 @@ fn conclude(lights: &[Light], systematic: f64, how: &str) -> (Vec<Finding>, Opti
         x: "px",
         y: "light over that in the middle",
         series: vec![
-            Series {
+            Dots {
                 name: "fitted share".into(),
                 points: points.iter().map(|(r, _)| (*r, model(r * r))).collect(),
             },
-            Series {
+            Dots {
                 name: "measured".into(),
                 points,
             },

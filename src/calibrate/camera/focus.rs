@@ -3,7 +3,7 @@
 use super::shots::SunShot;
 use super::straight::{median, solve};
 use super::{Figure, Finding};
-use crate::report::plot::Series;
+use crate::report::plot::Dots;
 use crate::units::Measured;
 use nalgebra::Vector2;
 
@@ -68,7 +68,7 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
         title,
         x: "deg C from the mean temperature",
         y,
-        series: vec![Series {
+        series: vec![Dots {
             name: "frames".into(),
             points: points.to_vec(),
         }],

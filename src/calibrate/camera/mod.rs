@@ -24,7 +24,7 @@ pub use shots::{Shots, SunShot, load, look};
 
 use super::revision::{Provenance, Revision};
 use crate::instrument::Instrument;
-use crate::report::plot::Series;
+use crate::report::plot::Dots;
 use crate::units::Measured;
 use toml_edit::{Array, Value};
 
@@ -57,7 +57,7 @@ pub struct Figure {
     pub title: &'static str,
     pub x: &'static str,
     pub y: &'static str,
-    pub series: Vec<Series>,
+    pub series: Vec<Dots>,
 }
 
 /// What came of a calibration.

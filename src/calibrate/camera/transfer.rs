@@ -5,7 +5,7 @@ use super::shots::{Shot, Shots};
 use super::straight::{median, solve};
 use super::{Figure, Finding};
 use crate::instrument::Instrument;
-use crate::report::plot::Series;
+use crate::report::plot::Dots;
 use crate::units::{Measured, SensorPx};
 use nalgebra::Vector2;
 
@@ -156,7 +156,7 @@ fn conclude(
         title: "Photon transfer",
         x: "light above the dark level, DN",
         y: "variance of a pixel, DN^2",
-        series: vec![Series {
+        series: vec![Dots {
             name: "measured".into(),
             points: points.iter().map(|p| (p.light, p.variance)).collect(),
         }],

@@ -7,7 +7,7 @@ use crate::calibrate::frames::LeftOut;
 use crate::calibrate::html;
 use crate::calibrate::numbers::sigma_text;
 use crate::instrument::Instrument;
-use crate::report::plot::{self, Arrow, Labels, PlotError, Series};
+use crate::report::plot::{self, Arrow, Dots, Labels, PlotError};
 use std::fmt::Write;
 
 /// The page: verdicts, residuals over time and on the plate, and what was left out.
@@ -85,7 +85,7 @@ fn over_time(residuals: &[Residual]) -> Result<String, PlotError> {
     let first = residuals.first().map(|r| r.utc);
     let minutes =
         |r: &Residual| first.map_or(0.0, |f| r.utc.duration_since(f).as_secs_f64() / 60.0);
-    let along = |name: &str, axis: usize| Series {
+    let along = |name: &str, axis: usize| Dots {
         name: name.into(),
         points: residuals
             .iter()

@@ -2,7 +2,7 @@
 
 use super::{Calibration, Residual, summary};
 use crate::plate::drawn_position;
-use crate::report::plot::{self, Arrow, Labels, PlotError, Series};
+use crate::report::plot::{self, Arrow, Dots, Labels, PlotError};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 use std::collections::BTreeMap;
@@ -157,7 +157,7 @@ fn outward(calibration: &Calibration, residual: &Residual, miss: Vector2<f64>) -
 }
 
 fn by_radius(calibration: &Calibration) -> Result<String, PlotError> {
-    let dots = |name: &str, miss: fn(&Residual) -> Vector2<f64>| Series {
+    let dots = |name: &str, miss: fn(&Residual) -> Vector2<f64>| Dots {
         name: name.into(),
         points: kept(calibration)
             .map(|r| outward(calibration, r, miss(r)))
@@ -182,7 +182,7 @@ fn after_by_radius(calibration: &Calibration) -> Result<String, PlotError> {
     let points = kept(calibration)
         .map(|r| outward(calibration, r, r.miss))
         .collect();
-    let dots = Series {
+    let dots = Dots {
         name: "calibrated".into(),
         points,
     };
@@ -238,7 +238,7 @@ fn over_time(calibration: &Calibration) -> Result<String, PlotError> {
         (Some(utc), Some(first)) => utc.duration_since(first).as_secs_f64() / 60.0,
         _ => frame as f64,
     };
-    let dots = |name: &str, axis: usize| Series {
+    let dots = |name: &str, axis: usize| Dots {
         name: name.into(),
         points: sums
             .iter()

@@ -1,0 +1,193 @@
+//! `solaspect refine`: the best aspect history from a flight's archive.
+
+use super::options;
+use crate::refine::{self, Done, Flight, Input, Recipe, Shard, Sky, Span, Summary};
+use crate::units::Place;
+use anyhow::{Context, ensure};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use jiff::Timestamp;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Make the best aspect history from a flight's archive
+///
+/// The first pass solves every frame on its own and notes each in a journal in --out: killed and run again, it goes on where it
+/// was. The second looks at the flight as a whole and writes aspect.fits, aspect.csv, summary.json and report.html. On a cluster
+/// each machine does its --shard, and a last run with --merge takes their journals together.
+/// Files that cannot be read have a row that says why, and are no failure.
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub struct RefineArgs {
+    /// A folder tree of FITS frames
+    #[arg(value_name = "ARCHIVE")]
+    archive: PathBuf,
+    /// Where journal and results go; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The instrument's TOML file [default: the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// The configuration's TOML file
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Frames at a time [default: as many as there are cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Only every Nth frame from the Ith on, and only the first pass
+    #[arg(long, value_name = "I/N", conflicts_with = "merge")]
+    shard: Option<Shard>,
+    /// Take the journals of other runs of the same archive, instrument and settings together
+    #[arg(long, value_name = "DIR", num_args = 1..)]
+    merge: Vec<PathBuf>,
+    /// Only frames whose mid-exposure is not before this, UTC
+    #[arg(long, value_name = "TIME")]
+    since: Option<Timestamp>,
+    /// Only frames whose mid-exposure is not after this, UTC
+    #[arg(long, value_name = "TIME")]
+    until: Option<Timestamp>,
+    /// Where the frames were taken, for frames that do not say so
+    #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
+    place: Option<Place>,
+}
+
+pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
+    let config = options::config(args.config.as_deref())?;
+    let mut ephemeris = options::ephemeris(&config)?;
+    let recipe = Recipe {
+        instrument: options::instrument(args.instrument.as_deref())?,
+        settings: config.solver(),
+    };
+    let sky = Sky {
+        instrument: recipe.instrument.clone(),
+        target: options::target(&config, &mut ephemeris)?,
+        place: args.place.or(config.site.place()),
+        ephemeris,
+    };
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
+    let jobs = args.jobs.map_or(0, usize::from);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
+    pool.install(|| args.refine(&recipe, &sky))
+}
+
+impl RefineArgs {
+    fn refine(&self, recipe: &Recipe, sky: &Sky) -> anyhow::Result<ExitCode> {
+        let inputs = self.inputs()?;
+        let mut done = self.first_pass(recipe, &inputs)?;
+        if self.shard.is_some() {
+            return Ok(ExitCode::SUCCESS);
+        }
+        let flight = self.second_pass(&mut done, &inputs, recipe, sky)?;
+        let summary = refine::write(&self.out, &flight, recipe)?;
+        refine::write_report(
+            &self.out,
+            &self.archive,
+            &flight,
+            &summary,
+            &recipe.instrument,
+        )?;
+        print(&summary);
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn inputs(&self) -> anyhow::Result<Vec<Input>> {
+        let inputs = refine::inputs(&self.archive, &self.out)?;
+        let Some(shard) = self.shard else {
+            return Ok(inputs);
+        };
+        let (skip, every) = (shard.number as usize - 1, shard.of as usize);
+        Ok(inputs.into_iter().skip(skip).step_by(every).collect())
+    }
+
+    fn span(&self) -> Span {
+        Span {
+            since: self.since,
+            until: self.until,
+        }
+    }
+
+    fn first_pass(&self, recipe: &Recipe, inputs: &[Input]) -> anyhow::Result<Done> {
+        let name = format!("{:016x}.journal", recipe.hash());
+        let others = journals(&self.merge, &name)?;
+        let mut done = Done::open(&self.out.join(&name), &others)?;
+        let left = inputs.iter().filter(|input| !done.holds(input)).count();
+        let progress = progress_bar(left);
+        let each = || progress.inc(1);
+        done.work(&self.archive, inputs, recipe, &self.span(), &each)?;
+        progress.finish_and_clear();
+        Ok(done)
+    }
+
+    fn second_pass(
+        &self,
+        done: &mut Done,
+        inputs: &[Input],
+        recipe: &Recipe,
+        sky: &Sky,
+    ) -> anyhow::Result<Flight> {
+        let mut flight = refine::second_pass(done, inputs, &recipe.instrument, &self.span())?;
+        ensure!(
+            !flight.rows.is_empty(),
+            "{}: expected frames from --since to --until, found none",
+            self.archive.display()
+        );
+        sky.fill(&mut flight.rows, &flight.places);
+        Ok(flight)
+    }
+}
+
+/// The journals of other runs: one in each folder, of the same name, for it tells instrument and settings.
+fn journals(folders: &[PathBuf], name: &str) -> anyhow::Result<Vec<PathBuf>> {
+    let journal = |folder: &PathBuf| -> anyhow::Result<PathBuf> {
+        let path = folder.join(name);
+        let found = path.is_file();
+        ensure!(
+            found,
+            "{}: expected a journal of the same version, instrument and settings ({name}), found none",
+            folder.display()
+        );
+        Ok(path)
+    };
+    folders.iter().map(journal).collect()
+}
+
+/// On standard error; hidden by itself where that is no terminal.
+fn progress_bar(frames: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left");
+    ProgressBar::new(frames as u64)
+        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+fn print(summary: &Summary) {
+    println!(
+        "{} files: {} fine ({} by themselves), {} coarse, {} none",
+        summary.files, summary.fine, summary.own_fine, summary.coarse, summary.none
+    );
+    for (odd, count) in &summary.odd {
+        println!("  {count} odd: {odd}");
+    }
+    if let Some(sigma) = summary.median_sigma_mil {
+        println!("median sigma {sigma:.4} mil per axis");
+    }
+    for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
+        let [x, y] = jump.shift_px;
+        println!(
+            "the mapping jumps by {x:.2}, {y:.2} px before {}",
+            jump.file
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_without_the_journal_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = journals(&[folder.path().into()], "x.journal").unwrap_err();
+        let name = folder.path().display().to_string();
+        assert!(error.to_string().starts_with(&name), "{error}");
+    }
+}

@@ -1,0 +1,449 @@
+//! The columns of the history, in one place: `aspect.fits`, `aspect.csv` and `docs/refine.md` are made from these tables.
+
+use super::flight::Flight;
+use super::row::{Row, SkyRow};
+use crate::fits::{Column, Table, Values};
+
+/// A column's value in one row.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cell {
+    Text(String),
+    Integer(i64),
+    /// NaN in the table where there is none.
+    Float(Option<f64>),
+}
+
+/// One column.
+pub struct ColumnRow<T> {
+    pub name: &'static str,
+    /// As FITS writes it; empty for values without.
+    pub unit: &'static str,
+    pub meaning: &'static str,
+    pub value: fn(&T) -> Cell,
+}
+
+const fn column<T>(
+    name: &'static str,
+    unit: &'static str,
+    meaning: &'static str,
+    value: fn(&T) -> Cell,
+) -> ColumnRow<T> {
+    ColumnRow {
+        name,
+        unit,
+        meaning,
+        value,
+    }
+}
+
+fn sky(row: &Row, value: impl Fn(&SkyRow) -> f64) -> Cell {
+    Cell::Float(row.sky.as_ref().map(value))
+}
+
+fn sky_some(row: &Row, value: impl Fn(&SkyRow) -> Option<f64>) -> Cell {
+    Cell::Float(row.sky.as_ref().and_then(value))
+}
+
+fn sigma(row: &Row, axis: usize) -> Cell {
+    Cell::Float(row.sun.map(|sun| sun.sigma()[axis]))
+}
+
+fn part(pair: Option<[f64; 2]>, axis: usize) -> Cell {
+    Cell::Float(pair.map(|pair| pair[axis]))
+}
+
+/// The extension that holds a row for every input file.
+pub const ASPECT: &str = "ASPECT";
+
+/// The columns of [`ASPECT`].
+pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
+    column(
+        "FILE",
+        "",
+        "the frame's file, relative to the archive",
+        |r| Cell::Text(r.file.clone()),
+    ),
+    column("UTC", "", "mid-exposure, UTC, ISO 8601", |r| {
+        Cell::Text(r.utc().map_or(String::new(), |utc| format!("{utc:.6}")))
+    }),
+    column("UNIX_S", "s", "mid-exposure, UTC, since 1970-01-01", |r| {
+        Cell::Float(r.unix_s())
+    }),
+    column("MONO_S", "s", "mid-exposure on the monotonic clock", |r| {
+        Cell::Float(r.monotonic_s)
+    }),
+    column(
+        "FRAMENUM",
+        "",
+        "number of the frame; -1 where it has none",
+        |r| Cell::Integer(r.number.map_or(-1, |number| number as i64)),
+    ),
+    column(
+        "SUN_X_MIL",
+        "mil",
+        "the Sun's centre on the plate, unsmoothed",
+        |r| Cell::Float(r.sun.map(|sun| sun.position.x)),
+    ),
+    column(
+        "SUN_Y_MIL",
+        "mil",
+        "the Sun's centre on the plate, unsmoothed",
+        |r| Cell::Float(r.sun.map(|sun| sun.position.y)),
+    ),
+    column(
+        "SIGMA_X_MIL",
+        "mil",
+        "1 sigma of SUN_X_MIL, of limb and mapping together",
+        |r| sigma(r, 0),
+    ),
+    column(
+        "SIGMA_Y_MIL",
+        "mil",
+        "1 sigma of SUN_Y_MIL, of limb and mapping together",
+        |r| sigma(r, 1),
+    ),
+    column(
+        "COV_XY_MIL2",
+        "mil2",
+        "covariance of SUN_X_MIL and SUN_Y_MIL",
+        |r| Cell::Float(r.sun.map(|sun| sun.covariance.m12)),
+    ),
+    column("QUALITY", "", "fine, coarse or none", |r| {
+        Cell::Text(r.quality.name().into())
+    }),
+    column(
+        "REASON",
+        "",
+        "why the frame is not fine, or what is odd about it; empty for the others",
+        |r| Cell::Text(r.reason.clone()),
+    ),
+    column("NMARKS", "", "marks that were read", |r| {
+        Cell::Integer(r.own.marks as i64)
+    }),
+    column(
+        "LIMB_PART",
+        "",
+        "part of the limb that was seen, 0 to 1",
+        |r| Cell::Float(r.own.limb_fraction),
+    ),
+    column("RADIUS_MIL", "mil", "the disc's radius on the plate", |r| {
+        Cell::Float(r.disc.map(|disc| disc.radius_mil.value))
+    }),
+    column("RADIUS_SIGMA_MIL", "mil", "1 sigma of RADIUS_MIL", |r| {
+        Cell::Float(r.disc.map(|disc| disc.radius_mil.sigma))
+    }),
+    column(
+        "RADIUS_EXPECTED_MIL",
+        "mil",
+        "the radius by ephemeris and plate distance",
+        |r| Cell::Float(r.expected_radius_mil),
+    ),
+    column(
+        "OFFSET_AZ_DEG",
+        "deg",
+        "azimuth, pointing minus target",
+        |r| sky_some(r, |s| Some(s.offset_deg?[0])),
+    ),
+    column(
+        "OFFSET_EL_DEG",
+        "deg",
+        "elevation, pointing minus target",
+        |r| sky_some(r, |s| Some(s.offset_deg?[1])),
+    ),
+    column(
+        "OFFSET_XEL_DEG",
+        "deg",
+        "true angle across, pointing from target, to larger azimuth",
+        |r| sky_some(r, |s| Some(s.offset_deg?[2])),
+    ),
+    column(
+        "OFFSET_SIGMA_DEG",
+        "deg",
+        "1 sigma per axis of true angle, of this frame",
+        |r| sky_some(r, |s| Some(s.sigma_deg?[0])),
+    ),
+    column(
+        "OFFSET_CAL_SIGMA_DEG",
+        "deg",
+        "the same of the calibration, alike in all frames",
+        |r| sky_some(r, |s| Some(s.sigma_deg?[1])),
+    ),
+    column(
+        "POINTING_AZ_DEG",
+        "deg",
+        "azimuth of the telescope, from north through east",
+        |r| sky(r, |s| s.azimuth_deg),
+    ),
+    column(
+        "POINTING_EL_DEG",
+        "deg",
+        "elevation of the telescope, without refraction",
+        |r| sky(r, |s| s.elevation_deg),
+    ),
+    column(
+        "BORESIGHT_HPLN_ARCSEC",
+        "arcsec",
+        "helioprojective longitude of the boresight, to solar west",
+        |r| sky(r, |s| s.helioprojective_arcsec[0]),
+    ),
+    column(
+        "BORESIGHT_HPLT_ARCSEC",
+        "arcsec",
+        "helioprojective latitude of the boresight, to solar north",
+        |r| sky(r, |s| s.helioprojective_arcsec[1]),
+    ),
+    column("SUN_AZ_DEG", "deg", "azimuth of the Sun", |r| {
+        sky(r, |s| s.sun_azimuth_deg)
+    }),
+    column(
+        "SUN_EL_DEG",
+        "deg",
+        "elevation of the Sun, without refraction",
+        |r| sky(r, |s| s.sun_elevation_deg),
+    ),
+    column(
+        "CENTRE_X_PX",
+        "pixel",
+        "where the flight's mapping puts the plate's centre, first pixel is 0",
+        |r| Cell::Float(r.mapping.map(|m| m.centre_px[0].value)),
+    ),
+    column(
+        "CENTRE_Y_PX",
+        "pixel",
+        "where the flight's mapping puts the plate's centre, first pixel is 0",
+        |r| Cell::Float(r.mapping.map(|m| m.centre_px[1].value)),
+    ),
+    column(
+        "ROTATION_DEG",
+        "deg",
+        "rotation of the flight's mapping, from +x towards +y",
+        |r| Cell::Float(r.mapping.map(|m| m.rotation_deg)),
+    ),
+    column(
+        "SCALE_MIL_PER_PX",
+        "mil/pixel",
+        "scale of the flight's mapping at the plate's centre",
+        |r| Cell::Float(r.mapping.map(|m| m.scale_mil_per_px)),
+    ),
+    column(
+        "JUMP_PX",
+        "pixel",
+        "size of the mapping's jump at this frame",
+        |r| Cell::Float(r.jump_px),
+    ),
+    column("TEMPERATURE_C", "degC", "temperature of the camera", |r| {
+        Cell::Float(r.temperature_c)
+    }),
+    column(
+        "OWN_QUALITY",
+        "",
+        "quality of the frame by itself: fine, coarse or none",
+        |r| Cell::Text(r.own.quality.name().into()),
+    ),
+    column(
+        "OWN_X_MIL",
+        "mil",
+        "the Sun on the plate by this frame alone",
+        |r| part(r.own.sun_mil, 0),
+    ),
+    column(
+        "OWN_Y_MIL",
+        "mil",
+        "the Sun on the plate by this frame alone",
+        |r| part(r.own.sun_mil, 1),
+    ),
+    column("OWN_SIGMA_X_MIL", "mil", "1 sigma of OWN_X_MIL", |r| {
+        part(r.own.sigma_mil, 0)
+    }),
+    column("OWN_SIGMA_Y_MIL", "mil", "1 sigma of OWN_Y_MIL", |r| {
+        part(r.own.sigma_mil, 1)
+    }),
+    column(
+        "SUN_X_PX",
+        "pixel",
+        "the disc's centre on the sensor by this frame alone, first pixel is 0",
+        |r| part(r.own.sun_px, 0),
+    ),
+    column(
+        "SUN_Y_PX",
+        "pixel",
+        "the disc's centre on the sensor by this frame alone, first pixel is 0",
+        |r| part(r.own.sun_px, 1),
+    ),
+    column(
+        "FLIGHT_X_MIL",
+        "mil",
+        "SUNMIL-X of the header: the answer in flight",
+        |r| part(r.in_flight.sun_mil, 0),
+    ),
+    column(
+        "FLIGHT_Y_MIL",
+        "mil",
+        "SUNMIL-Y of the header: the answer in flight",
+        |r| part(r.in_flight.sun_mil, 1),
+    ),
+    column("FLIGHT_SIGMA_X_MIL", "mil", "SUNMILSX of the header", |r| {
+        part(r.in_flight.sigma_mil, 0)
+    }),
+    column("FLIGHT_SIGMA_Y_MIL", "mil", "SUNMILSY of the header", |r| {
+        part(r.in_flight.sigma_mil, 1)
+    }),
+    column(
+        "FLIGHT_OFFSET_AZ_DEG",
+        "deg",
+        "OFFSETAZ of the header",
+        |r| part(r.in_flight.offset_deg, 0),
+    ),
+    column(
+        "FLIGHT_OFFSET_EL_DEG",
+        "deg",
+        "OFFSETEL of the header",
+        |r| part(r.in_flight.offset_deg, 1),
+    ),
+    column("FLIGHT_QUALITY", "", "QUALITY of the header", |r| {
+        Cell::Text(r.in_flight.quality.clone().unwrap_or_default())
+    }),
+];
+
+/// The extension that holds the smoothed path: at every frame that has a time, and half-way between two.
+pub const SMOOTHED: &str = "SMOOTHED";
+
+/// A moment of the smoothed path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SmoothedRow {
+    pub unix_s: f64,
+    /// Place, 1 sigma, speed; none where the gap between frames is too long to say.
+    pub point: Option<[[f64; 2]; 3]>,
+}
+
+fn smoothed(row: &SmoothedRow, what: usize, axis: usize) -> Cell {
+    Cell::Float(row.point.map(|point| point[what][axis]))
+}
+
+/// The columns of [`SMOOTHED`].
+pub const SMOOTHED_COLUMNS: &[ColumnRow<SmoothedRow>] = &[
+    column("UNIX_S", "s", "time, UTC, since 1970-01-01", |r| {
+        Cell::Float(Some(r.unix_s))
+    }),
+    column(
+        "SUN_X_MIL",
+        "mil",
+        "the Sun's centre on the plate, smoothed",
+        |r| smoothed(r, 0, 0),
+    ),
+    column(
+        "SUN_Y_MIL",
+        "mil",
+        "the Sun's centre on the plate, smoothed",
+        |r| smoothed(r, 0, 1),
+    ),
+    column("SIGMA_X_MIL", "mil", "1 sigma of SUN_X_MIL", |r| {
+        smoothed(r, 1, 0)
+    }),
+    column("SIGMA_Y_MIL", "mil", "1 sigma of SUN_Y_MIL", |r| {
+        smoothed(r, 1, 1)
+    }),
+    column("SPEED_X_MIL_PER_S", "mil/s", "how fast it moves", |r| {
+        smoothed(r, 2, 0)
+    }),
+    column("SPEED_Y_MIL_PER_S", "mil/s", "how fast it moves", |r| {
+        smoothed(r, 2, 1)
+    }),
+];
+
+/// Beyond this the path is a guess, 1 sigma.
+const MOST_SIGMA_MIL: f64 = 100.0;
+
+impl Flight {
+    /// The smoothed path as rows.
+    pub fn smoothed_rows(&self) -> Vec<SmoothedRow> {
+        let points = self.path.iter().flat_map(|path| &path.points);
+        points
+            .zip(&self.path_times_s)
+            .map(|(point, unix_s)| {
+                let sigma = point.variance_mil2.map(f64::sqrt);
+                let known = sigma.iter().all(|sigma| *sigma < MOST_SIGMA_MIL);
+                let told = [point.place_mil, sigma, point.speed_mil_per_s];
+                SmoothedRow {
+                    unix_s: *unix_s,
+                    point: known.then_some(told),
+                }
+            })
+            .collect()
+    }
+}
+
+/// A table of rows.
+pub fn table<T>(name: &str, columns: &[ColumnRow<T>], rows: &[T]) -> Table {
+    let column = |column: &ColumnRow<T>| Column {
+        name: column.name.into(),
+        unit: column.unit.into(),
+        values: values(rows, column.value),
+    };
+    Table {
+        name: name.into(),
+        columns: columns.iter().map(column).collect(),
+    }
+}
+
+/// The values of a column; its first row tells of which kind they are.
+fn values<T>(rows: &[T], value: fn(&T) -> Cell) -> Values {
+    match rows.first().map(value) {
+        Some(Cell::Text(_)) => Values::Text(rows.iter().map(|row| text(&value(row))).collect()),
+        Some(Cell::Integer(_)) => {
+            let integer = |row| match value(row) {
+                Cell::Integer(integer) => integer,
+                _ => -1,
+            };
+            Values::Integer(rows.iter().map(integer).collect())
+        }
+        _ => {
+            let float = |row| match value(row) {
+                Cell::Float(float) => float.unwrap_or(f64::NAN),
+                _ => f64::NAN,
+            };
+            Values::Float(rows.iter().map(float).collect())
+        }
+    }
+}
+
+/// A cell as CSV has it: nothing where nothing is known. Floats are the shortest that read back as the same number.
+pub fn text(cell: &Cell) -> String {
+    match cell {
+        Cell::Text(text) => text.clone(),
+        Cell::Integer(integer) => integer.to_string(),
+        Cell::Float(Some(float)) => format!("{float:?}"),
+        Cell::Float(None) => String::new(),
+    }
+}
+
+/// The page's tables of columns, in Markdown.
+pub fn markdown() -> String {
+    fn lines<T>(columns: &[ColumnRow<T>]) -> String {
+        let line = |c: &ColumnRow<T>| format!("| `{}` | {} | {} |\n", c.name, c.unit, c.meaning);
+        let head = "| column | unit | meaning |\n|---|---|---|\n";
+        head.to_owned() + &columns.iter().map(line).collect::<String>()
+    }
+    format!(
+        "### {ASPECT}\n\n{}\n### {SMOOTHED}\n\n{}",
+        lines(ASPECT_COLUMNS),
+        lines(SMOOTHED_COLUMNS)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_differ_and_are_as_fits_wants_them() {
+        let names = ASPECT_COLUMNS.iter().map(|column| column.name);
+        let mut names: Vec<&str> = names.collect();
+        let all = names.len();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), all);
+        let legal = |b: u8| b.is_ascii_uppercase() || b.is_ascii_digit() || b == b'_';
+        assert!(names.iter().all(|name| name.bytes().all(legal)));
+    }
+}

@@ -1,0 +1,256 @@
+//! The first pass: every frame on its own, on all cores, each record to the journal as soon as it is made.
+
+use super::journal::{Journal, JournalError, Place};
+use super::record::{FrameRecord, Input, Record};
+use crate::archive::check::{Tree, TreeError};
+use crate::aspect::{self, Expected};
+use crate::fits::{FileError, FitsFile};
+use crate::instrument::Instrument;
+use jiff::Timestamp;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::hash::{Hash, Hasher};
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+/// What a run works with; everything that a frame's own record depends on.
+#[derive(Debug, Clone)]
+pub struct Recipe {
+    pub instrument: Instrument,
+    pub settings: aspect::Settings,
+}
+
+impl Recipe {
+    /// A number that changes with the program's version, the instrument and the settings.
+    pub fn hash(&self) -> u64 {
+        let text = format!(
+            "{} {JOURNAL_VERSION} {:?} {:?}",
+            env!("CARGO_PKG_VERSION"),
+            self.instrument,
+            self.settings
+        );
+        hash_of(text.as_bytes())
+    }
+}
+
+/// Counts with every change of what a record holds or how it is made.
+const JOURNAL_VERSION: u32 = 1;
+
+/// FNV-1a, the same on every machine and in every release of the compiler.
+pub(super) fn hash_of(bytes: &[u8]) -> u64 {
+    let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, mix)
+}
+
+/// One part of several that share the work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// From 1.
+    pub number: u32,
+    pub of: u32,
+}
+
+impl std::str::FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/');
+        let shard = parts.and_then(|(number, of)| {
+            let (number, of) = (number.trim().parse().ok()?, of.trim().parse().ok()?);
+            (1..=of).contains(&number).then_some(Self { number, of })
+        });
+        shard.ok_or_else(|| format!("expected I/N with I from 1 to N, found \"{text}\""))
+    }
+}
+
+/// The first and the last mid-exposure that count; frames without a time count where neither is given.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Span {
+    pub since: Option<Timestamp>,
+    pub until: Option<Timestamp>,
+}
+
+impl Span {
+    pub fn holds(&self, utc: Option<Timestamp>) -> bool {
+        match utc {
+            Some(utc) => {
+                self.since.is_none_or(|since| utc >= since)
+                    && self.until.is_none_or(|until| utc <= until)
+            }
+            None => self.since.is_none() && self.until.is_none(),
+        }
+    }
+}
+
+/// The frames of an archive, by path; what lies under `out` is not of it.
+///
+/// # Errors
+/// A folder that is missing, cannot be listed or holds no frames.
+pub fn inputs(archive: &Path, out: &Path) -> Result<Vec<Input>, TreeError> {
+    let tree = Tree::of(archive)?;
+    let out = out.canonicalize().ok();
+    let own = |path: &Path| {
+        let full = path.canonicalize().ok();
+        full.zip(out.as_ref())
+            .is_some_and(|(path, out)| path.starts_with(out))
+    };
+    // Only an output folder within the archive can hold any.
+    let nested = archive
+        .canonicalize()
+        .ok()
+        .zip(out.as_ref())
+        .is_some_and(|(archive, out)| out.starts_with(archive));
+    let files = tree.files.iter().filter(|path| !(nested && own(path)));
+    Ok(files.map(|path| input(archive, path)).collect())
+}
+
+fn input(archive: &Path, path: &Path) -> Input {
+    let metadata = path.metadata().ok();
+    let written = metadata.as_ref().and_then(|m| m.modified().ok());
+    let since = written.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let relative = path.strip_prefix(archive).unwrap_or(path);
+    let parts: Vec<_> = relative
+        .components()
+        .map(|part| part.as_os_str().to_string_lossy())
+        .collect();
+    Input {
+        file: parts.join("/"),
+        bytes: metadata.map_or(0, |m| m.len()),
+        written_ns: since.map_or(0, |since| since.as_nanos() as i64),
+    }
+}
+
+/// Where the record of each input stands.
+#[derive(Debug)]
+pub struct Done {
+    journals: Vec<Journal>,
+    /// The journal's number and the place in it.
+    places: HashMap<u64, (usize, Place)>,
+}
+
+/// An input's key: what the record must match.
+fn key(input: &Input) -> u64 {
+    let mut hasher = Fnv::default();
+    input.hash(&mut hasher);
+    hasher.0
+}
+
+#[derive(Default)]
+struct Fnv(u64);
+
+impl Hasher for Fnv {
+    fn write(&mut self, bytes: &[u8]) {
+        self.0 = hash_of(&[&self.0.to_le_bytes(), bytes].concat());
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
+}
+
+impl Done {
+    /// Opens the run's own journal and reads those of other runs.
+    ///
+    /// # Errors
+    /// A journal that cannot be used.
+    pub fn open(own: &Path, others: &[PathBuf]) -> Result<Self, JournalError> {
+        let mut places = HashMap::new();
+        let mut journals = Vec::new();
+        for other in others {
+            let number = journals.len() + 1;
+            journals.push(Journal::read(other, |record, place| {
+                places.insert(key(&record.input), (number, place));
+            })?);
+        }
+        let own = Journal::open(own, |record, place| {
+            places.insert(key(&record.input), (0, place));
+        })?;
+        journals.insert(0, own);
+        Ok(Self { journals, places })
+    }
+
+    pub fn holds(&self, input: &Input) -> bool {
+        self.places.contains_key(&key(input))
+    }
+
+    /// The record of an input, where it is done.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn record(&self, input: &Input) -> Result<Option<Record>, JournalError> {
+        let Some((journal, place)) = self.places.get(&key(input)) else {
+            return Ok(None);
+        };
+        self.journals[*journal].record(*place).map(Some)
+    }
+
+    /// Solves the inputs that are not done, several at a time, and notes each in the run's own journal; `each` is called after
+    /// each.
+    ///
+    /// # Errors
+    /// A journal that cannot be written; frames that cannot be read are no error, but a record.
+    pub fn work(
+        &mut self,
+        archive: &Path,
+        inputs: &[Input],
+        recipe: &Recipe,
+        span: &Span,
+        each: &(dyn Fn() + Sync),
+    ) -> Result<(), JournalError> {
+        let journal = &self.journals[0];
+        let new: Vec<(u64, (usize, Place))> = inputs
+            .par_iter()
+            .filter(|input| !self.places.contains_key(&key(input)))
+            .filter_map(|input| {
+                let outcome = solve(&archive.join(&input.file), recipe, span).transpose()?;
+                let record = Record {
+                    input: input.clone(),
+                    outcome,
+                };
+                let place = journal.append(&record);
+                each();
+                Some(place.map(|place| (key(input), (0, place))))
+            })
+            .collect::<Result<_, JournalError>>()?;
+        self.places.extend(new);
+        Ok(())
+    }
+}
+
+/// A frame's record, none where its time lies outside the span.
+fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord>, String> {
+    let read = || -> Result<_, FileError> {
+        let file = FitsFile::open(path)?;
+        let info = file.info()?;
+        Ok((file, info))
+    };
+    // The row names the file already.
+    let told = |error: FileError| error.problem.to_string();
+    let (file, info) = read().map_err(told)?;
+    if !span.holds(info.mid_exposure) {
+        return Ok(None);
+    }
+    let frame = file.frame().map_err(told)?;
+    let header = file.keywords().map_err(told)?;
+    drop(file);
+    let instrument = &recipe.instrument;
+    instrument
+        .check_size(&frame)
+        .map_err(|error| error.to_string())?;
+    let expected = info.mid_exposure.and_then(Expected::at);
+    let solution = aspect::solve_with(&recipe.settings, &frame, instrument, expected, None);
+    Ok(Some(FrameRecord::new(&frame.info, &header, &solution)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shard_is_one_of_n() {
+        assert_eq!("2/4".parse(), Ok(Shard { number: 2, of: 4 }));
+        for text in ["0/4", "5/4", "1", "a/b", "1/0", ""] {
+            assert!(text.parse::<Shard>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! The best aspect history from a flight's archive, in two passes.
+//!
+//! 1. Every frame on its own ([`Done::work`]): the fine pipeline without a prior, on all cores. What a frame gave is a compact
+//!    [`Record`], appended to a [`Journal`] at once; neither pixels nor solutions are kept. A run that is killed goes on where it was.
+//! 2. The flight as a whole ([`second_pass`]): one [`FlightMapping`] from the marks of all frames, each frame's Sun from its own
+//!    limb through that mapping, what is odd beside the other frames, and the Sun's [path](motion) between them.
+//!
+//! What comes out ([`write`], [`write_report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
+//! which frames were done, by how many cores or machines, nor on how often the run was killed.
+
+pub mod columns;
+mod disc;
+mod drift;
+mod first_pass;
+mod flight;
+mod journal;
+mod mapping;
+pub mod motion;
+mod output;
+mod record;
+mod report;
+mod row;
+mod sky;
+pub mod spectrum;
+mod view;
+
+pub use disc::PlateDisc;
+pub use first_pass::{Done, Recipe, Shard, Span, inputs};
+pub use flight::{Flight, second_pass};
+pub use journal::{Journal, JournalError};
+pub use mapping::{FlightMapping, Jump, MappingFacts, MappingNumbers, Standing};
+pub use output::{OutputError, Summary, write};
+pub use record::{
+    DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
+};
+pub use report::write_report;
+pub use row::{Oddity, OwnRow, Row, SkyRow};
+pub use sky::Sky;

@@ -1,0 +1,184 @@
+//! What a refinement leaves: `aspect.fits`, `aspect.csv`, `summary.json`. The same archive, instrument and settings give the
+//! same bytes: nothing in them tells when they were made.
+
+use super::columns::{self, ASPECT, ASPECT_COLUMNS, SMOOTHED, SMOOTHED_COLUMNS};
+use super::first_pass::Recipe;
+use super::flight::Flight;
+use super::record::Grade;
+use super::row::Row;
+use crate::fits;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// A file that could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: expected to write, found \"{cause}\"", .path.display())]
+pub struct OutputError {
+    path: PathBuf,
+    cause: io::Error,
+}
+
+/// The summary: counts, and what the numbers rest on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    pub program: &'static str,
+    pub times: &'static str,
+    pub instrument: String,
+    /// Of version, instrument and settings, hexadecimal.
+    pub recipe_hash: String,
+    pub instrument_hash: String,
+    pub settings_hash: String,
+    /// Of `aspect.fits`.
+    pub table_hash: String,
+    pub files: usize,
+    pub fine: usize,
+    pub coarse: usize,
+    pub none: usize,
+    /// Frames by themselves.
+    pub own_fine: usize,
+    pub odd: BTreeMap<String, usize>,
+    pub first_utc: Option<String>,
+    pub last_utc: Option<String>,
+    pub median_sigma_mil: Option<f64>,
+    pub radius_over_expected: Option<f64>,
+    pub mapping: Option<MappingSummary>,
+    /// Random walk of the gondola's acceleration, mil/s^2 after a second.
+    pub restless_mil_per_s2: Option<f64>,
+}
+
+/// What is known of the flight's mapping.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MappingSummary {
+    pub wander_shift_px: f64,
+    pub wander_turn_px: f64,
+    /// By how much the marks' sigmas were raised.
+    pub sigmas_raised: f64,
+    pub jumps: Vec<JumpSummary>,
+}
+
+/// A jump of the mapping.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct JumpSummary {
+    /// The first frame after it.
+    pub file: String,
+    pub utc: Option<String>,
+    pub shift_px: [f64; 2],
+    pub turn_deg: f64,
+}
+
+/// Writes table, CSV and summary to a folder.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary, OutputError> {
+    let smoothed = flight.smoothed_rows();
+    let path = folder.join("aspect.fits");
+    let bytes = {
+        let tables = [
+            columns::table(ASPECT, ASPECT_COLUMNS, &flight.rows),
+            columns::table(SMOOTHED, SMOOTHED_COLUMNS, &smoothed),
+        ];
+        fits::encode_tables(&tables)
+    };
+    let bytes = bytes.map_err(|problem| OutputError {
+        path: path.clone(),
+        cause: io::Error::other(problem.to_string()),
+    })?;
+    let table_hash = hex(super::first_pass::hash_of(&bytes));
+    whole(&path, |file| file.write_all(&bytes))?;
+    drop(bytes);
+    whole(&folder.join("aspect.csv"), |file| csv(file, &flight.rows))?;
+    let summary = summary(flight, recipe, table_hash);
+    whole(&folder.join("summary.json"), |file| {
+        serde_json::to_writer_pretty(&mut *file, &summary)?;
+        file.write_all(b"\n")
+    })?;
+    Ok(summary)
+}
+
+/// Writes a file that is whole or absent.
+pub(super) fn whole(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<(), OutputError> {
+    let unfinished = path.with_extension("part");
+    let make = || {
+        let mut file = BufWriter::new(File::create(&unfinished)?);
+        write(&mut file)?;
+        file.into_inner()?.sync_all()?;
+        fs::rename(&unfinished, path)
+    };
+    make().map_err(|cause| OutputError {
+        path: path.into(),
+        cause,
+    })
+}
+
+fn csv(file: &mut BufWriter<File>, rows: &[Row]) -> io::Result<()> {
+    let mut csv = csv::Writer::from_writer(file);
+    csv.write_record(ASPECT_COLUMNS.iter().map(|column| column.name))?;
+    for row in rows {
+        let cells = ASPECT_COLUMNS.iter().map(|column| (column.value)(row));
+        csv.write_record(cells.map(|cell| columns::text(&cell)))?;
+    }
+    csv.flush()
+}
+
+fn hex(hash: u64) -> String {
+    format!("{hash:016x}")
+}
+
+fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
+    let rows = &flight.rows;
+    let count = |grade| rows.iter().filter(|row| row.quality == grade).count();
+    let mut odd = BTreeMap::new();
+    for oddity in rows.iter().flat_map(|row| &row.oddities) {
+        *odd.entry(oddity.to_string()).or_default() += 1;
+    }
+    let time = |row: &Row| row.utc().map(|utc| format!("{utc:.6}"));
+    let dated = &rows[..flight.dated];
+    let fine = rows.iter().filter(|row| row.is_fine());
+    let sigmas = fine.filter_map(|row| Some(row.sun?.sigma()));
+    let hash = |text: String| hex(super::first_pass::hash_of(text.as_bytes()));
+    Summary {
+        program: concat!("solaspect ", env!("CARGO_PKG_VERSION")),
+        times: "UTC at mid-exposure",
+        instrument: recipe.instrument.name.clone(),
+        recipe_hash: hex(recipe.hash()),
+        instrument_hash: hash(format!("{:?}", recipe.instrument)),
+        settings_hash: hash(format!("{:?}", recipe.settings)),
+        table_hash,
+        files: rows.len(),
+        fine: count(Grade::Fine),
+        coarse: count(Grade::Coarse),
+        none: count(Grade::None),
+        own_fine: rows
+            .iter()
+            .filter(|row| row.own.quality == Grade::Fine)
+            .count(),
+        odd,
+        first_utc: dated.first().and_then(time),
+        last_utc: dated.last().and_then(time),
+        median_sigma_mil: super::mapping::median(sigmas.flatten().collect()),
+        radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
+        mapping: flight.mapping.as_ref().map(|mapping| MappingSummary {
+            wander_shift_px: mapping.wander_px[0],
+            wander_turn_px: mapping.wander_px[1],
+            sigmas_raised: mapping.raised,
+            jumps: mapping
+                .jumps
+                .iter()
+                .map(|jump| JumpSummary {
+                    file: rows[jump.after].file.clone(),
+                    utc: time(&rows[jump.after]),
+                    shift_px: jump.shift_px.into(),
+                    turn_deg: jump.turn_deg,
+                })
+                .collect(),
+        }),
+        restless_mil_per_s2: flight.path.as_ref().map(|path| path.restless),
+    }
+}

@@ -1,0 +1,238 @@
+//! What one frame gave, as small as the flight needs it: a row of the journal.
+
+use crate::aspect::{Aspect, Mark, Solution};
+use crate::fits::{Header, Value};
+use crate::frame::FrameInfo;
+use crate::limb::LimbPoint;
+use crate::plate::MarkId;
+use crate::units::{Place, SensorPx};
+use jiff::Timestamp;
+use nalgebra::{Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
+
+/// Which file a record is of. A file that has another size or time since is another file.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Input {
+    /// Relative to the archive, with `/` between folders.
+    pub file: String,
+    pub bytes: u64,
+    /// When the file was last written, ns since 1970.
+    pub written_ns: i64,
+}
+
+/// One file's row of the journal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    pub input: Input,
+    /// The frame, or what is wrong with the file.
+    pub outcome: Result<FrameRecord, String>,
+}
+
+/// What one frame gave.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// Mid-exposure, ns since 1970.
+    pub utc_ns: Option<i64>,
+    pub monotonic_s: Option<f64>,
+    pub number: Option<u64>,
+    pub temperature_c: Option<f64>,
+    /// Latitude and longitude (deg) and height (m).
+    pub place: Option<[f64; 3]>,
+    /// What the flight's program wrote into the header.
+    pub in_flight: InFlight,
+    pub quality: Grade,
+    pub reason: Option<String>,
+    /// Background, noise and disc, DN.
+    pub levels_dn: Option<[f64; 3]>,
+    pub disc: Option<DiscRecord>,
+    pub marks: Vec<MarkRecord>,
+    pub limb: Vec<PackedPoint>,
+}
+
+/// How good a frame's own solution is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Grade {
+    None,
+    Coarse,
+    Fine,
+}
+
+impl Grade {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Coarse => "coarse",
+            Self::Fine => "fine",
+        }
+    }
+}
+
+/// The answer in flight, from the keywords that the archive wrote.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct InFlight {
+    pub sun_mil: Option<[f64; 2]>,
+    pub sigma_mil: Option<[f64; 2]>,
+    pub offset_deg: Option<[f64; 2]>,
+    pub quality: Option<String>,
+}
+
+/// The disc as the frame alone tells it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DiscRecord {
+    pub centre_px: [f64; 2],
+    pub radius_px: f64,
+    pub on_plate_mil: [f64; 2],
+    /// Covariance of the place on the plate: xx, xy, yy.
+    pub covariance_mil2: [f64; 3],
+    pub limb_fraction: f64,
+    /// The mapping from the ideal sensor (px) to the plate (mil), row by row, where the frame's own marks gave one.
+    pub to_plate: Option<[f64; 9]>,
+}
+
+/// A mark that was read.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct MarkRecord {
+    pub id: [i8; 2],
+    pub px: [f64; 2],
+    /// Covariance: xx, xy, yy.
+    pub covariance_px2: [f64; 3],
+}
+
+/// A point of the limb, from the disc's centre in steps of 1/256 px, with its sigma in steps of 1/10000 px.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PackedPoint([i16; 2], u16);
+
+const STEPS_PER_PX: f64 = 256.0;
+const SIGMA_STEPS_PER_PX: f64 = 1e4;
+
+impl PackedPoint {
+    fn of(point: &LimbPoint, centre: Vector2<f64>) -> Self {
+        let steps = ((point.at.vector() - centre) * STEPS_PER_PX).map(f64::round);
+        let sigma = (point.sigma_px * SIGMA_STEPS_PER_PX).round();
+        Self([steps.x as i16, steps.y as i16], sigma.max(1.0) as u16)
+    }
+
+    /// Where it is, and 1 sigma along the radius, px.
+    pub fn unpack(self, centre: [f64; 2]) -> (SensorPx, f64) {
+        let [x, y] = self.0.map(|v| f64::from(v) / STEPS_PER_PX);
+        let at = SensorPx::new(centre[0] + x, centre[1] + y);
+        (at, f64::from(self.1) / SIGMA_STEPS_PER_PX)
+    }
+}
+
+impl MarkRecord {
+    fn of(mark: &Mark) -> Self {
+        Self {
+            id: [mark.id.i as i8, mark.id.j as i8],
+            px: [mark.at.x, mark.at.y],
+            covariance_px2: upper(&mark.covariance_px2),
+        }
+    }
+
+    pub fn id(&self) -> MarkId {
+        let [i, j] = self.id.map(i32::from);
+        MarkId { i, j }
+    }
+
+    pub fn at(&self) -> SensorPx {
+        SensorPx::new(self.px[0], self.px[1])
+    }
+
+    pub fn covariance(&self) -> Matrix2<f64> {
+        symmetric(self.covariance_px2)
+    }
+}
+
+/// The parts xx, xy and yy.
+pub(super) fn upper(m: &Matrix2<f64>) -> [f64; 3] {
+    [m.m11, m.m12, m.m22]
+}
+
+/// The matrix of parts xx, xy and yy.
+pub(super) fn symmetric([xx, xy, yy]: [f64; 3]) -> Matrix2<f64> {
+    Matrix2::new(xx, xy, xy, yy)
+}
+
+impl FrameRecord {
+    /// What a frame gave, beside what its file says of it.
+    pub fn new(info: &FrameInfo, header: &Header, solution: &Solution) -> Self {
+        let aspect = solution.aspect.as_ref();
+        let centre = aspect.map(|aspect| aspect.sun_px.position.vector());
+        let limb = centre.map_or(Vec::new(), |centre| {
+            let packed = |point| PackedPoint::of(point, centre);
+            solution.limb.iter().map(packed).collect()
+        });
+        Self {
+            utc_ns: info.mid_exposure.and_then(nanoseconds),
+            monotonic_s: info.monotonic.map(|time| time.as_secs_f64()),
+            number: info.number,
+            temperature_c: info.camera_temperature_c,
+            place: info
+                .place
+                .map(|place| [place.latitude_deg, place.longitude_deg, place.height_m]),
+            in_flight: InFlight::of(header),
+            quality: match solution.quality {
+                crate::aspect::Quality::None => Grade::None,
+                crate::aspect::Quality::Coarse => Grade::Coarse,
+                crate::aspect::Quality::Fine => Grade::Fine,
+            },
+            reason: solution.stopped.map(|stopped| stopped.to_string()),
+            levels_dn: solution
+                .levels
+                .map(|levels| [levels.background_dn, levels.noise_dn, levels.disc_dn]),
+            disc: aspect.map(|aspect| disc(aspect, solution)),
+            marks: solution.marks.iter().map(MarkRecord::of).collect(),
+            limb,
+        }
+    }
+
+    pub fn utc(&self) -> Option<Timestamp> {
+        Timestamp::from_nanosecond(self.utc_ns?.into()).ok()
+    }
+
+    pub fn place(&self) -> Option<Place> {
+        let [latitude, longitude, height] = self.place?;
+        Place::new(latitude, longitude, height).ok()
+    }
+}
+
+fn nanoseconds(utc: Timestamp) -> Option<i64> {
+    i64::try_from(utc.as_nanosecond()).ok()
+}
+
+fn disc(aspect: &Aspect, solution: &Solution) -> DiscRecord {
+    let (sensor, plate) = (aspect.sun_px.position, aspect.sun_plate);
+    let registration = solution.track.as_ref().and(solution.mapping.as_ref());
+    let own = registration.filter(|adopted| adopted.residual_px.is_some());
+    DiscRecord {
+        centre_px: [sensor.x, sensor.y],
+        radius_px: aspect.sun_radius_px,
+        on_plate_mil: [plate.position.x, plate.position.y],
+        covariance_mil2: upper(&plate.covariance),
+        limb_fraction: aspect.limb_fraction,
+        to_plate: own.map(|adopted| {
+            let m = adopted.mapping.matrix();
+            std::array::from_fn(|n| m[(n / 3, n % 3)])
+        }),
+    }
+}
+
+impl InFlight {
+    fn of(header: &Header) -> Self {
+        let number = |keyword| match header.get(keyword) {
+            Some(Value::Float(number)) if number.is_finite() => Some(*number),
+            Some(Value::Integer(number)) => Some(*number as f64),
+            _ => None,
+        };
+        let pair = |x, y| Some([number(x)?, number(y)?]);
+        Self {
+            sun_mil: pair("SUNMIL-X", "SUNMIL-Y"),
+            sigma_mil: pair("SUNMILSX", "SUNMILSY"),
+            offset_deg: pair("OFFSETAZ", "OFFSETEL"),
+            quality: match header.get("QUALITY") {
+                Some(Value::Text(text)) => Some(text.clone()),
+                _ => None,
+            },
+        }
+    }
+}

@@ -1,0 +1,453 @@
+//! The report: one page for people, made from the rows.
+
+use super::columns::SmoothedRow;
+use super::flight::Flight;
+use super::mapping::median;
+use super::output::{OutputError, Summary, whole};
+use super::row::Row;
+use super::spectrum;
+use crate::fits::read_frame;
+use crate::instrument::Instrument;
+use crate::report::html::Page;
+use crate::report::plot::{self, Curve, Labels, Mark, PlotError, Series, Stroke};
+use crate::with_view;
+use image::{GrayImage, Luma};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+
+/// Pictures of a reason.
+const PICTURES: usize = 3;
+/// Pixels of the frame that make one of a picture.
+const SHRUNK: usize = 8;
+/// Frames further apart than so many usual steps end a run.
+const GAP_STEPS: f64 = 1.5;
+
+/// Writes `report.html` to a folder.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_report(
+    folder: &Path,
+    archive: &Path,
+    flight: &Flight,
+    summary: &Summary,
+    instrument: &Instrument,
+) -> Result<(), OutputError> {
+    let arcsec_per_mil = instrument.optics.arcsec_per_mil();
+    let mut report = Report {
+        page: Page::default(),
+        rows: &flight.rows,
+        first_s: flight.rows.first().and_then(Row::unix_s).unwrap_or(0.0),
+        arcsec_per_mil,
+    };
+    report.summary(summary);
+    report.path(&flight.smoothed_rows());
+    report.budget();
+    report.in_flight();
+    report.radius();
+    report.mapping(summary);
+    report.refusals(archive);
+    report.pointing();
+    report.jitter();
+    let text = report
+        .page
+        .finish(&format!("Aspect of {}", summary.instrument));
+    whole(&folder.join("report.html"), |file| {
+        file.write_all(text.as_bytes())
+    })
+}
+
+struct Report<'a> {
+    page: Page,
+    rows: &'a [Row],
+    first_s: f64,
+    arcsec_per_mil: f64,
+}
+
+fn labels(title: &str, x: &str, y: &str) -> Labels {
+    Labels {
+        title: title.into(),
+        x: x.into(),
+        y: y.into(),
+    }
+}
+
+const TIME: &str = "time since the first frame, s";
+
+impl Report<'_> {
+    /// A figure, or a line that says why there is none.
+    fn figure(&mut self, figure: Result<String, PlotError>) {
+        match figure {
+            Ok(svg) => self.page.figure(&svg),
+            Err(error) => self.page.note(&error.to_string()),
+        }
+    }
+
+    /// A value of the fine rows over time.
+    fn over_time(&self, value: impl Fn(&Row) -> Option<f64>) -> Vec<(f64, f64)> {
+        let fine = self.rows.iter().filter(|row| row.is_fine());
+        fine.filter_map(|row| Some((row.unix_s()? - self.first_s, value(row)?)))
+            .collect()
+    }
+
+    fn dots(&self, name: &str, value: impl Fn(&Row) -> Option<f64>) -> Series {
+        Series {
+            name: name.into(),
+            points: self.over_time(value),
+            mark: Mark::Dots,
+        }
+    }
+
+    /// The same without what is more than so many times the median, which would flatten the rest.
+    fn usual(&self, name: &str, value: impl Fn(&Row) -> Option<f64>) -> Series {
+        const MOST_MEDIANS: f64 = 5.0;
+        let mut series = self.dots(name, value);
+        let middle = median(series.points.iter().map(|(_, value)| *value).collect());
+        let most = middle.unwrap_or(0.0) * MOST_MEDIANS;
+        series.points.retain(|(_, value)| *value <= most);
+        series
+    }
+
+    fn summary(&mut self, summary: &Summary) {
+        let mut rows: Vec<Vec<String>> = [
+            ("files", summary.files.to_string()),
+            (
+                "fine",
+                format!("{} ({} by themselves)", summary.fine, summary.own_fine),
+            ),
+            ("coarse", summary.coarse.to_string()),
+            ("none", summary.none.to_string()),
+            ("from", summary.first_utc.clone().unwrap_or_default()),
+            ("to", summary.last_utc.clone().unwrap_or_default()),
+            ("program", summary.program.into()),
+            (
+                "instrument",
+                format!("{}, {}", summary.instrument, summary.instrument_hash),
+            ),
+            ("settings", summary.settings_hash.clone()),
+            ("table", summary.table_hash.clone()),
+        ]
+        .map(|(name, value)| vec![name.to_owned(), value])
+        .into();
+        for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
+            let [x, y] = jump.shift_px;
+            rows.push(vec![
+                "jump of the mapping".into(),
+                format!("{x:.2}, {y:.2} px before {}", jump.file),
+            ]);
+        }
+        self.page.table(&[], &rows);
+        self.page.note("All times are UTC at mid-exposure.");
+    }
+
+    fn path(&mut self, smoothed: &[SmoothedRow]) {
+        self.page.heading("The Sun on the plate");
+        let dots = [("x", 0), ("y", 1)]
+            .map(|(name, axis)| self.dots(name, |row| Some(row.sun?.position.vector()[axis])));
+        let lines = [("x, smoothed", 0), ("y, smoothed", 1)].map(|(name, axis)| Series {
+            name: name.into(),
+            points: smoothed
+                .iter()
+                .filter_map(|row| Some((row.unix_s - self.first_s, row.point?[0][axis])))
+                .collect(),
+            mark: Mark::Line,
+        });
+        let labels = labels("The Sun's centre on the plate", TIME, "mil");
+        self.figure(plot::series(&labels, &[dots, lines].concat()));
+    }
+
+    fn budget(&mut self) {
+        self.page.heading("Error budget");
+        let scale = self.arcsec_per_mil;
+        let per_axis = |trace: f64| (trace.max(0.0) / 2.0).sqrt() * scale;
+        let limb = |row: &Row| Some(per_axis(row.disc?.centre.covariance.trace()));
+        let all = |row: &Row| Some(per_axis(row.sun?.covariance.trace()));
+        let mapping = |row: &Row| {
+            let trace = row.sun?.covariance.trace() - row.disc?.centre.covariance.trace();
+            Some(per_axis(trace))
+        };
+        let own = |row: &Row| {
+            let [x, y] = row.own.sigma_mil?;
+            Some(per_axis(x * x + y * y))
+        };
+        let calibration = |row: &Row| Some(row.sky?.sigma_deg?[1] * 3600.0);
+        let line = |name: &str, points: Vec<(f64, f64)>| {
+            let value = median(points.iter().map(|(_, value)| *value).collect());
+            let value = value.map_or("not known".into(), |value| format!("{value:.4}"));
+            vec![name.to_owned(), value]
+        };
+        let rows = [
+            line("limb", self.over_time(limb)),
+            line("mapping", self.over_time(mapping)),
+            line("both: the refined place", self.over_time(all)),
+            line("the frame by itself", self.over_time(own)),
+            line(
+                "calibration, alike in all frames, not in the above",
+                self.over_time(calibration),
+            ),
+        ];
+        self.page
+            .table(&["part", "1 sigma per axis, arcsec, median"], &rows);
+        let series = [
+            self.usual("refined", all),
+            self.usual("of the mapping", mapping),
+        ];
+        self.figure(plot::series(
+            &labels(
+                "Stated uncertainty, up to five times the median",
+                TIME,
+                "1 sigma per axis, arcsec",
+            ),
+            &series,
+        ));
+    }
+
+    fn in_flight(&mut self) {
+        self.page.heading("In flight against refined");
+        let scale = self.arcsec_per_mil;
+        let difference = |axis: usize| {
+            move |row: &Row| {
+                let refined = row.sun?.position.vector()[axis];
+                Some((row.in_flight.sun_mil?[axis] - refined) * scale)
+            }
+        };
+        let series = [self.dots("x", difference(0)), self.dots("y", difference(1))];
+        if series[0].points.is_empty() {
+            return self
+                .page
+                .note("The headers hold no answers from the flight.");
+        }
+        self.figure(plot::series(
+            &labels("In flight minus refined", TIME, "arcsec"),
+            &series,
+        ));
+    }
+
+    fn radius(&mut self) {
+        self.page.heading("Radius against ephemeris");
+        let ratio = |row: &Row| Some(row.disc?.radius_mil.value / row.expected_radius_mil?);
+        let series = [self.dots("seen over expected", ratio)];
+        self.figure(plot::series(
+            &labels("The disc's radius", TIME, "seen / expected"),
+            &series,
+        ));
+    }
+
+    fn mapping(&mut self, summary: &Summary) {
+        self.page.heading("Drift of the mapping");
+        if let Some(mapping) = &summary.mapping {
+            self.page.note(&format!(
+                "It wanders by {:.4} px after a second, and the marks' sigmas were raised {:.2} times.",
+                mapping.wander_shift_px, mapping.sigmas_raised
+            ));
+        }
+        let centre = |axis: usize| move |row: &Row| Some(row.mapping?.centre_px[axis].value);
+        let [x, y] = [0, 1].map(|axis| self.over_time(centre(axis)));
+        let from_first = |name: &str, points: &[(f64, f64)]| Series {
+            name: name.into(),
+            points: points.iter().map(|(t, v)| (*t, v - points[0].1)).collect(),
+            mark: Mark::Dots,
+        };
+        let series = [from_first("x", &x), from_first("y", &y)];
+        self.figure(plot::series(
+            &labels(
+                "The plate's centre on the sensor",
+                TIME,
+                "px since the first frame",
+            ),
+            &series,
+        ));
+        let by_temperature = |name: &str, axis: usize| {
+            let point = |row: &Row| Some((row.temperature_c?, row.mapping?.centre_px[axis].value));
+            let steady = self.rows.chunk_by(|_, next| next.jump_px.is_none());
+            let fine = |rows: &[Row]| -> Vec<_> {
+                rows.iter()
+                    .filter(|row| row.is_fine())
+                    .filter_map(point)
+                    .collect()
+            };
+            let parts: Vec<Vec<(f64, f64)>> = steady.map(fine).collect();
+            (slope(&parts), from_first(name, &parts.concat()))
+        };
+        let [(slope_x, x), (slope_y, y)] = [by_temperature("x", 0), by_temperature("y", 1)];
+        if let Some((slope_x, slope_y)) = slope_x.zip(slope_y) {
+            self.page.note(&format!(
+                "With the camera's temperature it goes by {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y, jumps taken off."
+            ));
+            let labels = labels("The same over temperature", "degC", "px");
+            self.figure(plot::series(&labels, &[x, y]));
+        } else {
+            self.page
+                .note("The headers hold no temperatures, or only one.");
+        }
+    }
+
+    fn refusals(&mut self, archive: &Path) {
+        self.page.heading("What is not fine, or odd");
+        let mut reasons: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
+        for row in self.rows.iter().filter(|row| !row.reason.is_empty()) {
+            reasons.entry(row.reason.as_str()).or_default().push(row);
+        }
+        let count = |(reason, rows): (&&str, &Vec<&Row>)| {
+            let qualities = ["fine", "coarse", "none"].map(|quality| {
+                rows.iter()
+                    .filter(|row| row.quality.name() == quality)
+                    .count()
+                    .to_string()
+            });
+            [vec![(*reason).to_owned()], qualities.to_vec()].concat()
+        };
+        let counts: Vec<Vec<String>> = reasons.iter().map(count).collect();
+        self.page
+            .table(&["reason", "fine", "coarse", "none"], &counts);
+        for rows in reasons.values() {
+            for row in rows.iter().take(PICTURES) {
+                if let Some(picture) = thumbnail(&archive.join(&row.file)) {
+                    let caption = format!("{}: {}", row.file, row.reason);
+                    self.page.picture(&picture, &caption);
+                }
+            }
+        }
+    }
+
+    /// Offsets across and in elevation, arcsec, of fine rows.
+    fn offsets(&self) -> Vec<(f64, [f64; 2])> {
+        let fine = self.rows.iter().filter(|row| row.is_fine());
+        let offset = |row: &Row| {
+            let [_, elevation, across] = row.sky?.offset_deg?;
+            Some((row.unix_s()?, [across * 3600.0, elevation * 3600.0]))
+        };
+        fine.filter_map(offset).collect()
+    }
+
+    fn pointing(&mut self) {
+        self.page.heading("Pointing");
+        let offsets = self.offsets();
+        if offsets.is_empty() {
+            return self
+                .page
+                .note("No place is known, so there are no offsets.");
+        }
+        let within = |limit: f64, inside: fn(&[f64; 2], f64) -> bool| {
+            let count = offsets
+                .iter()
+                .filter(|(_, offset)| inside(offset, limit))
+                .count();
+            format!("{:.1} %", 100.0 * count as f64 / offsets.len() as f64)
+        };
+        let row = |limit: f64| {
+            vec![
+                format!("{limit} arcsec"),
+                within(limit, |offset, limit| offset[1].abs() <= limit),
+                within(limit, |offset, limit| offset[0].abs() <= limit),
+                within(limit, |offset, limit| offset[0].hypot(offset[1]) <= limit),
+            ]
+        };
+        let heads = ["within", "in elevation", "across", "of the target"];
+        self.page.table(&heads, &[10.0, 30.0, 60.0].map(row));
+        self.page.note("Part of the fine frames.");
+        let series = [("across", 0), ("elevation", 1)].map(|(name, axis)| Series {
+            name: name.into(),
+            points: offsets
+                .iter()
+                .map(|(t, offset)| (t - self.first_s, offset[axis]))
+                .collect(),
+            mark: Mark::Dots,
+        });
+        self.figure(plot::series(
+            &labels("Offset from the target", TIME, "arcsec"),
+            &series,
+        ));
+    }
+
+    fn jitter(&mut self) {
+        self.page.heading("Jitter");
+        let scale = self.arcsec_per_mil;
+        let [x, y] =
+            [0, 1].map(|axis| self.over_time(|row| Some(row.sun?.position.vector()[axis] * scale)));
+        let curve = |name: &str, points: &[(f64, f64)]| {
+            let (runs, step_s) = runs(points)?;
+            let mut points = spectrum::density(&runs, step_s);
+            points.retain(|(_, density)| *density > 0.0);
+            (!points.is_empty()).then(|| Curve {
+                name: name.into(),
+                points,
+                stroke: Stroke::Known,
+            })
+        };
+        let curves: Vec<Curve> = [("x", &x), ("y", &y)]
+            .into_iter()
+            .filter_map(|(n, p)| curve(n, p))
+            .collect();
+        self.figure(plot::curves(
+            &labels(
+                "Spectrum of the Sun's motion on the plate",
+                "Hz",
+                "arcsec^2/Hz",
+            ),
+            &curves,
+        ));
+    }
+}
+
+/// Runs without gaps, and their usual step.
+fn runs(points: &[(f64, f64)]) -> Option<(Vec<Vec<f64>>, f64)> {
+    let steps = points.windows(2).map(|pair| pair[1].0 - pair[0].0);
+    let step_s = median(steps.collect()).filter(|step_s| *step_s > 0.0)?;
+    let runs = points.chunk_by(|a, b| b.0 - a.0 < GAP_STEPS * step_s);
+    let values = |run: &[(f64, f64)]| run.iter().map(|(_, value)| *value).collect();
+    Some((runs.map(values).collect(), step_s))
+}
+
+/// The common slope of straight lines, one through each part's points; none where x does not vary.
+fn slope(parts: &[Vec<(f64, f64)>]) -> Option<f64> {
+    let (mut spread, mut both, mut all) = (0.0, 0.0, 0.0);
+    for points in parts.iter().filter(|points| !points.is_empty()) {
+        let count = points.len() as f64;
+        let mean = |axis: fn(&(f64, f64)) -> f64| points.iter().map(axis).sum::<f64>() / count;
+        let (x, y) = (mean(|p| p.0), mean(|p| p.1));
+        spread += points.iter().map(|p| (p.0 - x).powi(2)).sum::<f64>();
+        both += points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>();
+        all += count;
+    }
+    (spread > 1e-6 * all).then(|| both / spread)
+}
+
+/// A frame, small and stretched to its brightest pixel; none where it cannot be read.
+fn thumbnail(path: &Path) -> Option<GrayImage> {
+    let frame = read_frame(path).ok()?;
+    let (width, height) = (frame.width() / SHRUNK, frame.height() / SHRUNK);
+    let mean = |x: usize, y: usize| {
+        with_view!(&frame, view => {
+            let block = (0..SHRUNK * SHRUNK).map(|n| view.dn(x * SHRUNK + n % SHRUNK, y * SHRUNK + n / SHRUNK));
+            block.sum::<f32>() / (SHRUNK * SHRUNK) as f32
+        })
+    };
+    let means: Vec<f32> = (0..width * height)
+        .map(|n| mean(n % width, n / width))
+        .collect();
+    let brightest = means.iter().copied().fold(1.0, f32::max);
+    let grey = |x: u32, y: u32| (255.0 * means[y as usize * width + x as usize] / brightest) as u8;
+    Some(GrayImage::from_fn(width as u32, height as u32, |x, y| {
+        Luma([grey(x, y)])
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slope_is_common_to_both_sides_of_a_jump() {
+        let part = |from: i32, jump: f64| {
+            let points = from..from + 10;
+            points
+                .map(|x| (f64::from(x), 2.0 * f64::from(x) + jump))
+                .collect()
+        };
+        let found = slope(&[part(0, 0.0), part(10, 50.0)]).unwrap();
+        assert!((found - 2.0).abs() < 1e-12);
+        assert_eq!(slope(&[vec![(1.0, 2.0); 5], Vec::new()]), None);
+    }
+}

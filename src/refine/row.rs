@@ -1,0 +1,183 @@
+//! One input file's row of the history.
+
+use super::disc::PlateDisc;
+use super::mapping::MappingNumbers;
+use super::record::{FrameRecord, Grade, InFlight, Input};
+use crate::units::{Estimate, PlateMil};
+use jiff::Timestamp;
+use std::fmt;
+
+/// What is odd about a frame, seen beside the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Oddity {
+    /// The radius is not that of the other frames.
+    Radius,
+    /// The limb is not as round as the mapping makes it.
+    Limb,
+    /// The place is off the path between the frames before and after.
+    Path,
+    /// The plate stands elsewhere on the sensor than in the frames before and after.
+    Knocked,
+    /// The marks were read wrongly.
+    Misread,
+    /// Far fewer marks were read than the disc lights.
+    FewMarks,
+    /// Much more or less light than in the frames before and after.
+    Light,
+    /// Much more noise than in the frames before and after.
+    Noise,
+}
+
+impl Oddity {
+    /// Whether it spoils the Sun's place; otherwise it is worth knowing and no more.
+    pub fn spoils(self) -> bool {
+        match self {
+            Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
+            Self::Misread | Self::FewMarks | Self::Light | Self::Noise => false,
+        }
+    }
+
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Radius => "the radius is not that of the flight",
+            Self::Limb => "the limb does not fit the flight's mapping",
+            Self::Path => "off the path of the frames before and after",
+            Self::Knocked => "the plate stands elsewhere than in the frames before and after",
+            Self::Misread => "the marks were read wrongly",
+            Self::FewMarks => "far fewer marks were read than are lit",
+            Self::Light => "the light is not that of the frames before and after",
+            Self::Noise => "more noise than in the frames before and after",
+        }
+    }
+}
+
+impl fmt::Display for Oddity {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.text())
+    }
+}
+
+/// Where the telescope pointed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SkyRow {
+    pub azimuth_deg: f64,
+    pub elevation_deg: f64,
+    /// Of the boresight, about the Sun's centre.
+    pub helioprojective_arcsec: [f64; 2],
+    /// Pointing minus target: azimuth, elevation, and true angle across.
+    pub offset_deg: Option<[f64; 3]>,
+    /// 1 sigma per axis of true angle: of the frame, and of the calibration.
+    pub sigma_deg: Option<[f64; 2]>,
+    pub sun_azimuth_deg: f64,
+    pub sun_elevation_deg: f64,
+}
+
+/// What a frame gave by itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OwnRow {
+    pub quality: Grade,
+    pub sun_mil: Option<[f64; 2]>,
+    pub sigma_mil: Option<[f64; 2]>,
+    pub sun_px: Option<[f64; 2]>,
+    pub limb_fraction: Option<f64>,
+    pub marks: usize,
+    pub levels_dn: Option<[f64; 3]>,
+}
+
+/// One input file's row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    pub file: String,
+    pub utc_ns: Option<i64>,
+    pub monotonic_s: Option<f64>,
+    pub number: Option<u64>,
+    pub temperature_c: Option<f64>,
+    pub quality: Grade,
+    /// Empty where nothing is to be said.
+    pub reason: String,
+    pub oddities: Vec<Oddity>,
+    pub sun: Option<Estimate<PlateMil>>,
+    pub disc: Option<PlateDisc>,
+    /// By ephemeris and plate distance.
+    pub expected_radius_mil: Option<f64>,
+    pub mapping: Option<MappingNumbers>,
+    pub jump_px: Option<f64>,
+    pub own: OwnRow,
+    pub sky: Option<SkyRow>,
+    pub in_flight: InFlight,
+}
+
+impl Row {
+    /// A file that could not be read.
+    pub(super) fn unread(input: Input, error: String) -> Self {
+        Self {
+            file: input.file,
+            utc_ns: None,
+            monotonic_s: None,
+            number: None,
+            temperature_c: None,
+            quality: Grade::None,
+            reason: format!("file: {error}"),
+            oddities: Vec::new(),
+            sun: None,
+            disc: None,
+            expected_radius_mil: None,
+            mapping: None,
+            jump_px: None,
+            own: OwnRow {
+                quality: Grade::None,
+                sun_mil: None,
+                sigma_mil: None,
+                sun_px: None,
+                limb_fraction: None,
+                marks: 0,
+                levels_dn: None,
+            },
+            sky: None,
+            in_flight: InFlight::default(),
+        }
+    }
+
+    /// A frame as it gave itself.
+    pub(super) fn of(input: Input, frame: &FrameRecord) -> Self {
+        let disc = frame.disc.as_ref();
+        let sun = disc.map(|disc| Estimate {
+            position: PlateMil::new(disc.on_plate_mil[0], disc.on_plate_mil[1]),
+            covariance: super::record::symmetric(disc.covariance_mil2),
+        });
+        Self {
+            utc_ns: frame.utc_ns,
+            monotonic_s: frame.monotonic_s,
+            number: frame.number,
+            temperature_c: frame.temperature_c,
+            quality: frame.quality,
+            reason: frame.reason.clone().unwrap_or_default(),
+            own: OwnRow {
+                quality: frame.quality,
+                sun_mil: disc.map(|disc| disc.on_plate_mil),
+                sigma_mil: sun.map(|sun| sun.sigma()),
+                sun_px: disc.map(|disc| disc.centre_px),
+                limb_fraction: disc.map(|disc| disc.limb_fraction),
+                marks: frame.marks.len(),
+                levels_dn: frame.levels_dn,
+            },
+            sun,
+            in_flight: frame.in_flight.clone(),
+            ..Self::unread(input, String::new())
+        }
+    }
+
+    pub fn utc(&self) -> Option<Timestamp> {
+        Timestamp::from_nanosecond(self.utc_ns?.into()).ok()
+    }
+
+    /// Seconds since 1970.
+    pub fn unix_s(&self) -> Option<f64> {
+        Some(self.utc_ns? as f64 / 1e9)
+    }
+
+    /// Whether the row's place is one of the flight's path.
+    pub fn is_fine(&self) -> bool {
+        self.quality == Grade::Fine && self.sun.is_some()
+    }
+}

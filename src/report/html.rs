@@ -1,0 +1,97 @@
+//! A page that needs nothing beside itself: text, tables, figures as SVG and pictures as PNG, all in one file.
+
+use base64::prelude::{BASE64_STANDARD, Engine};
+use image::{GrayImage, ImageFormat};
+use std::fmt::Write;
+use std::io::Cursor;
+
+/// A page in the making.
+#[derive(Debug, Clone, Default)]
+pub struct Page {
+    body: String,
+}
+
+const STYLE: &str = "body{font-family:system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
+table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #ccc;padding:.3em .7em;text-align:left;vertical-align:top}\
+svg,img{max-width:100%;height:auto}figure{display:inline-block;margin:.5em;vertical-align:top}figcaption{font-size:.8em;\
+color:#555;max-width:200px;overflow-wrap:anywhere}.note{color:#555}";
+
+/// A text as it may stand in a page.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+impl Page {
+    pub fn heading(&mut self, text: &str) {
+        self.body += &format!("<h2>{}</h2>\n", escaped(text));
+    }
+
+    pub fn note(&mut self, text: &str) {
+        self.body += &format!("<p class=\"note\">{}</p>\n", escaped(text));
+    }
+
+    /// A table: the heads of its columns, none for a table of names and values, and its rows.
+    pub fn table(&mut self, heads: &[&str], rows: &[Vec<String>]) {
+        self.body += "<table>\n";
+        let line = |cells: Vec<String>, tag: &str| {
+            let cells = cells.iter();
+            let cells: String = cells
+                .map(|c| format!("<{tag}>{}</{tag}>", escaped(c)))
+                .collect();
+            format!("<tr>{cells}</tr>\n")
+        };
+        if !heads.is_empty() {
+            self.body += &line(heads.iter().map(|head| (*head).to_owned()).collect(), "th");
+        }
+        for row in rows {
+            self.body += &line(row.clone(), "td");
+        }
+        self.body += "</table>\n";
+    }
+
+    /// A figure, as [`plot`](super::plot) draws it.
+    pub fn figure(&mut self, svg: &str) {
+        let _ = writeln!(self.body, "<div>{svg}</div>");
+    }
+
+    /// A small picture with a caption; a picture that cannot be encoded is left out.
+    pub fn picture(&mut self, picture: &GrayImage, caption: &str) {
+        let mut png = Cursor::new(Vec::new());
+        if picture.write_to(&mut png, ImageFormat::Png).is_ok() {
+            let caption = escaped(caption);
+            let data = BASE64_STANDARD.encode(png.into_inner());
+            let image = format!("<img alt=\"{caption}\" src=\"data:image/png;base64,{data}\">");
+            self.body += &format!("<figure>{image}<figcaption>{caption}</figcaption></figure>\n");
+        }
+    }
+
+    /// The page under a title.
+    pub fn finish(self, title: &str) -> String {
+        let title = escaped(title);
+        format!(
+            "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title><style>{STYLE}</style></head>\n\
+             <body><h1>{title}</h1>\n{}</body></html>\n",
+            self.body
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_cannot_break_the_page_and_pictures_stand_in_it() {
+        let mut page = Page::default();
+        page.heading("a <b> & \"c\"");
+        page.table(&["x"], &[vec!["1 < 2".into()]]);
+        page.picture(&GrayImage::new(4, 3), "four by three");
+        let text = page.finish("t");
+        assert!(text.contains("<h2>a &lt;b&gt; &amp; &quot;c&quot;</h2>"));
+        assert!(text.contains("<td>1 &lt; 2</td>"));
+        assert!(text.contains("data:image/png;base64,iVBOR"));
+    }
+}

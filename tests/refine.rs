@@ -1,0 +1,652 @@
+//! A flight refined: what is said of a simulated one, held against its truth, killed and run again, in parts and merged.
+
+use rand::RngExt;
+use rand::SeedableRng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use solaspect::fits::{self, Compression, Table, Values};
+use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::geometry::Mapping;
+use solaspect::instrument::{self, Instrument};
+use solaspect::simulate::{FORT_SUMNER, Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
+use solaspect::units::PlateMil;
+use std::f64::consts::TAU;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output};
+use std::sync::OnceLock;
+use std::time::Duration;
+
+const RATE_HZ: f64 = 4.0;
+
+/// What spoils a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Spoiled {
+    Blurred,
+    Knocked,
+    Clouded,
+    Truncated,
+    Barred,
+}
+
+const SPOILED: [Spoiled; 5] = [
+    Spoiled::Blurred,
+    Spoiled::Knocked,
+    Spoiled::Clouded,
+    Spoiled::Truncated,
+    Spoiled::Barred,
+];
+
+/// A flight: wind, slews, sunset at the end, a mapping that drifts by 2 px with temperature and jumps by 0.5 px once, and
+/// one frame in fifty spoiled.
+struct Plan {
+    frames: usize,
+    seed: u64,
+    instrument: Instrument,
+    wind: Vec<[f64; 2]>,
+}
+
+impl Plan {
+    fn new(frames: usize, seed: u64) -> Self {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut now = [0.0_f64; 2];
+        let wind = (0..frames).map(|_| {
+            now = now.map(|v| 0.9 * v + rng.random_range(-3.0..3.0));
+            now
+        });
+        Self {
+            wind: wind.collect(),
+            instrument: instrument::builtin("demo").unwrap(),
+            frames,
+            seed,
+        }
+    }
+
+    fn jump(&self) -> usize {
+        self.frames * 6 / 10
+    }
+
+    fn spoiled(&self, n: usize) -> Option<Spoiled> {
+        let last = self.frames * 9 / 10;
+        (n % 50 == 27 && n < last).then(|| SPOILED[n / 50 % SPOILED.len()])
+    }
+
+    fn temperature_c(&self, n: usize) -> f64 {
+        20.0 - 15.0 * n as f64 / self.frames as f64
+    }
+
+    fn mapping(&self, n: usize) -> Mapping {
+        let mut similarity = self.instrument.mounting.similarity();
+        let warmth = self.temperature_c(n) - 20.0;
+        let mut shift = [
+            3.0 + 2.0 / 15.0 * 0.8 * warmth,
+            -2.0 + 2.0 / 15.0 * 0.6 * warmth,
+        ];
+        if n >= self.jump() {
+            shift = [shift[0] + 0.4, shift[1] - 0.3];
+        }
+        if self.spoiled(n) == Some(Spoiled::Knocked) {
+            shift = [shift[0] + 1.5, shift[1] + 1.0];
+        }
+        similarity.plate_centre.x += shift[0];
+        similarity.plate_centre.y += shift[1];
+        similarity.rotation_deg += 0.4 + 0.002 * warmth;
+        similarity.scale_mil_per_px *= 1.001;
+        Mapping::similarity(similarity, self.instrument.camera.distortion).unwrap()
+    }
+
+    fn sun(&self, n: usize) -> PlateMil {
+        let t = n as f64 / RATE_HZ;
+        let swing =
+            |amplitude: f64, period: f64, phase: f64| amplitude * (TAU * t / period + phase).sin();
+        let [x, y] = self.wind[n];
+        // A slew of 10 s every 25 s, between two places.
+        let part =
+            ((t % 50.0 - 15.0) / 10.0).clamp(0.0, 1.0) - ((t % 50.0 - 40.0) / 10.0).clamp(0.0, 1.0);
+        let slewed = (1.0 - (TAU * part / 2.0).cos()) / 2.0;
+        PlateMil::new(
+            -400.0 + 900.0 * slewed + swing(80.0, 12.3, 0.3) + swing(20.0, 3.7, 1.0) + x,
+            250.0 - 500.0 * slewed + swing(60.0, 13.1, 2.0) + swing(15.0, 4.1, 0.0) + y,
+        )
+    }
+
+    /// What is left of the light: it goes down over a twentieth of the flight, and then there is none.
+    fn light(&self, n: usize) -> f64 {
+        let left = (self.frames - n) as f64 / self.frames as f64;
+        ((left - 0.03) / 0.05).clamp(0.0, 1.0)
+    }
+
+    fn frame(&self, n: usize) -> Frame {
+        let spoiled = self.spoiled(n);
+        let radius = self.instrument.optics.radius_mil(SUN_RADIUS_ARCSEC);
+        let mut sun = Sun::new(self.sun(n), radius);
+        sun.peak_dn *= self.light(n);
+        let mut scene = Scene {
+            noise: Noise::read(5.0),
+            seed: self.seed * 1_000_003 + n as u64,
+            ..Scene::new(&self.instrument, self.mapping(n))
+        };
+        match spoiled {
+            Some(Spoiled::Blurred) => scene.blur_px = 5.0,
+            Some(Spoiled::Clouded) => sun.peak_dn *= 0.3,
+            _ => {}
+        }
+        scene.sun = Some(sun);
+        scene.info = FrameInfo {
+            number: Some(n as u64),
+            mid_exposure: Some(time(n)),
+            exposure: Some(Duration::from_millis(15)),
+            camera_temperature_c: Some(self.temperature_c(n)),
+            place: Some(FORT_SUMNER),
+            ..FrameInfo::default()
+        };
+        let frame = scene.frame().unwrap();
+        match spoiled {
+            Some(Spoiled::Barred) => barred(frame, scene.mapping.to_sensor(self.sun(n)).y as usize),
+            _ => frame,
+        }
+    }
+
+    fn write(&self, folder: &Path) {
+        use rayon::prelude::*;
+        (0..self.frames).into_par_iter().for_each(|n| {
+            let folder = folder.join(format!("hour{}", n / 100));
+            fs::create_dir_all(&folder).unwrap();
+            let path = folder.join(format!("frame_{n:05}.fits"));
+            fits::write_frame(&path, &self.frame(n), &[], &[], Compression::Rice).unwrap();
+            if self.spoiled(n) == Some(Spoiled::Truncated) {
+                let bytes = fs::read(&path).unwrap();
+                fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+            }
+        });
+    }
+}
+
+/// A frame whose lines below the middle of the disc were lost.
+fn barred(frame: Frame, from: usize) -> Frame {
+    let Pixels::U8(mut pixels) = frame.pixels().clone() else {
+        panic!("8 bit");
+    };
+    let width = frame.width();
+    pixels[(from + 20) * width..(from + 60) * width].fill(0);
+    let (height, info) = (frame.height(), frame.info.clone());
+    Frame::new(width, height, Pixels::U8(pixels), 255, info).unwrap()
+}
+
+fn time(n: usize) -> jiff::Timestamp {
+    let start: jiff::Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+    start + jiff::SignedDuration::from_millis(250 * n as i64)
+}
+
+/// The small flight, made once for all tests.
+fn flight() -> &'static (Plan, PathBuf) {
+    static FLIGHT: OnceLock<(Plan, PathBuf)> = OnceLock::new();
+    FLIGHT.get_or_init(|| {
+        let plan = Plan::new(240, 5);
+        let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("refined-flight");
+        let _ = fs::remove_dir_all(&folder);
+        plan.write(&folder);
+        (plan, folder)
+    })
+}
+
+fn command(archive: &Path, out: &Path, more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+    let command_ = command.env_remove("RUST_LOG").arg("refine").arg(archive);
+    command_.arg("--out").arg(out).args(more);
+    command
+}
+
+fn refine(archive: &Path, out: &Path, more: &[&str]) -> Output {
+    let output = command(archive, out, more).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{told}");
+    output
+}
+
+struct Columns(Table);
+
+impl Columns {
+    fn read(out: &Path, name: &str) -> Self {
+        Self(
+            fits::read_table(&out.join("aspect.fits"), name)
+                .unwrap()
+                .unwrap(),
+        )
+    }
+
+    fn values(&self, name: &str) -> &Values {
+        &self
+            .0
+            .columns
+            .iter()
+            .find(|c| c.name == name)
+            .unwrap()
+            .values
+    }
+
+    fn floats(&self, name: &str) -> &[f64] {
+        match self.values(name) {
+            Values::Float(values) => values,
+            _ => panic!("{name}"),
+        }
+    }
+
+    fn texts(&self, name: &str) -> &[String] {
+        match self.values(name) {
+            Values::Text(values) => values,
+            _ => panic!("{name}"),
+        }
+    }
+}
+
+/// How the history compares with the truth.
+struct Comparison {
+    /// Radial, arcsec, and over sigma in each axis, of fine rows outside the jump's own frame.
+    errors: Vec<f64>,
+    pulls: Vec<f64>,
+    /// Of the smoothed path, at frames.
+    smooth_errors: Vec<f64>,
+    smooth_pulls: Vec<f64>,
+    unflagged: Vec<usize>,
+}
+
+fn number(file: &str) -> usize {
+    let digits = file.trim_end_matches(".fits");
+    digits[digits.len() - 5..].parse().unwrap()
+}
+
+fn compare(plan: &Plan, out: &Path) -> Comparison {
+    let table = Columns::read(out, "ASPECT");
+    let arcsec_per_mil = plan.instrument.optics.arcsec_per_mil();
+    let mut compared = Comparison {
+        errors: Vec::new(),
+        pulls: Vec::new(),
+        smooth_errors: Vec::new(),
+        smooth_pulls: Vec::new(),
+        unflagged: Vec::new(),
+    };
+    let [x, y, sx, sy] =
+        ["SUN_X_MIL", "SUN_Y_MIL", "SIGMA_X_MIL", "SIGMA_Y_MIL"].map(|n| table.floats(n));
+    for (row, file) in table.texts("FILE").iter().enumerate() {
+        let n = number(file);
+        let fine = table.texts("QUALITY")[row] == "fine";
+        if plan.spoiled(n).is_some() && table.texts("REASON")[row].is_empty() {
+            compared.unflagged.push(n);
+        }
+        if !fine || n == plan.jump() {
+            continue;
+        }
+        let truth = plan.sun(n);
+        let (dx, dy) = (x[row] - truth.x, y[row] - truth.y);
+        compared.errors.push(dx.hypot(dy) * arcsec_per_mil);
+        compared.pulls.extend([dx / sx[row], dy / sy[row]]);
+    }
+    let smoothed = Columns::read(out, "SMOOTHED");
+    let first = time(0).as_millisecond() as f64 / 1e3;
+    let [t, x, sx] = ["UNIX_S", "SUN_X_MIL", "SIGMA_X_MIL"].map(|n| smoothed.floats(n));
+    let y = smoothed.floats("SUN_Y_MIL");
+    for row in 0..t.len() {
+        let n = ((t[row] - first) * RATE_HZ).round();
+        let at_frame = ((t[row] - first) * RATE_HZ - n).abs() < 1e-3;
+        if !at_frame || x[row].is_nan() || sx[row] > 1.0 || n as usize == plan.jump() {
+            continue;
+        }
+        let truth = plan.sun(n as usize);
+        compared
+            .smooth_errors
+            .push((x[row] - truth.x).hypot(y[row] - truth.y) * arcsec_per_mil);
+        compared.smooth_pulls.push((x[row] - truth.x) / sx[row]);
+    }
+    compared
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+fn quantile(values: &[f64], part: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((sorted.len() - 1) as f64 * part).round() as usize]
+}
+
+fn print(name: &str, compared: &Comparison) {
+    println!(
+        "{name}: {} fine, error median {:.3} 99.7 % {:.3} largest {:.3} arcsec, error/sigma {:.3}; smoothed median {:.3} \
+         99.7 % {:.3}, error/sigma {:.3}; spoiled and not flagged {:?}",
+        compared.errors.len(),
+        quantile(&compared.errors, 0.5),
+        quantile(&compared.errors, 0.997),
+        quantile(&compared.errors, 1.0),
+        rms(&compared.pulls),
+        quantile(&compared.smooth_errors, 0.5),
+        quantile(&compared.smooth_errors, 0.997),
+        rms(&compared.smooth_pulls),
+        compared.unflagged,
+    );
+}
+
+fn temporary() -> tempfile::TempDir {
+    tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap()
+}
+
+#[test]
+fn a_flight_is_refined_to_its_truth() {
+    let (plan, archive) = flight();
+    let out = temporary();
+    refine(archive, out.path(), &[]);
+    let compared = compare(plan, out.path());
+    print("refined", &compared);
+    assert!(compared.errors.len() > plan.frames * 8 / 10);
+    assert!(quantile(&compared.errors, 0.997) < 0.35);
+    assert!((0.8..1.25).contains(&rms(&compared.pulls)));
+    assert!(compared.unflagged.is_empty());
+    assert!((0.7..1.3).contains(&rms(&compared.smooth_pulls)));
+    let table = Columns::read(out.path(), "ASPECT");
+    assert_eq!(table.texts("FILE").len(), plan.frames);
+    let jumps = table.floats("JUMP_PX");
+    let found: Vec<usize> = (0..plan.frames)
+        .filter(|row| jumps[*row].is_finite())
+        .collect();
+    assert_eq!(found, [plan.jump()]);
+    assert!((jumps[plan.jump()] - 0.5).abs() < 0.1);
+}
+
+fn bytes(out: &Path) -> Vec<Vec<u8>> {
+    ["aspect.fits", "aspect.csv", "summary.json", "report.html"]
+        .map(|name| fs::read(out.join(name)).unwrap())
+        .into()
+}
+
+/// Waits until a run's journal is so long, or the run has ended.
+fn wait_for_journal(out: &Path, bytes: u64, child: &mut Child) {
+    for _ in 0..60_000 {
+        let journal = fs::read_dir(out).ok().and_then(|mut entries| {
+            entries.find_map(|e| {
+                e.ok()
+                    .filter(|e| e.path().extension().is_some_and(|x| x == "journal"))
+            })
+        });
+        let long = journal.is_some_and(|j| j.metadata().is_ok_and(|m| m.len() > bytes));
+        if long || child.try_wait().unwrap().is_some() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    panic!("the journal does not grow");
+}
+
+#[test]
+fn a_run_that_is_killed_and_run_again_gives_the_same_bytes_and_does_nothing_twice() {
+    let (_, archive) = flight();
+    let (whole, killed) = (temporary(), temporary());
+    refine(archive, whole.path(), &["--jobs", "1"]);
+    for kill in 1..=3 {
+        let mut child = command(archive, killed.path(), &[]).spawn().unwrap();
+        wait_for_journal(killed.path(), kill * 60_000, &mut child);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    refine(archive, killed.path(), &[]);
+    assert!(bytes(whole.path()) == bytes(killed.path()));
+    let mut records = Vec::new();
+    for entry in fs::read_dir(killed.path()).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|end| end == "journal") {
+            solaspect::refine::Journal::read(&path, |r, _| records.push(r.input.file)).unwrap();
+        }
+    }
+    let count = records.len();
+    records.sort();
+    records.dedup();
+    assert_eq!((records.len(), count), (240, 240));
+}
+
+#[test]
+fn parts_on_several_machines_merge_to_the_same_bytes() {
+    let (_, archive) = flight();
+    let outs: Vec<_> = (0..4).map(|_| temporary()).collect();
+    let path = |n: usize| outs[n].path().to_str().unwrap();
+    refine(archive, outs[0].path(), &[]);
+    refine(archive, outs[1].path(), &["--shard", "1/2"]);
+    refine(archive, outs[2].path(), &["--shard", "2/2"]);
+    assert!(!outs[1].path().join("aspect.fits").exists());
+    refine(archive, outs[3].path(), &["--merge", path(1), path(2)]);
+    assert!(bytes(outs[0].path()) == bytes(outs[3].path()));
+    let error = command(
+        archive,
+        outs[3].path(),
+        &["--merge", archive.to_str().unwrap()],
+    )
+    .output()
+    .unwrap();
+    assert_eq!(error.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&error.stderr).contains("journal"));
+}
+
+#[test]
+fn since_and_until_choose_by_mid_exposure() {
+    let (plan, archive) = flight();
+    let out = temporary();
+    let span = [
+        "--since",
+        "2013-09-21T18:00:05Z",
+        "--until",
+        "2013-09-21T18:00:09.75Z",
+    ];
+    refine(archive, out.path(), &span);
+    let table = Columns::read(out.path(), "ASPECT");
+    let numbers: Vec<usize> = table
+        .texts("FILE")
+        .iter()
+        .map(|file| number(file))
+        .collect();
+    // The time of a file that cannot be read nobody knows.
+    let lost = (0..240).filter(|n| plan.spoiled(*n) == Some(Spoiled::Truncated));
+    let expected: Vec<usize> = (20..40).chain(lost).collect();
+    assert_eq!(numbers, expected);
+}
+
+/// A frame as the HEROES flight program wrote it.
+fn heroes(path: &Path, frame: &Frame, cards: &[(&str, &str)]) {
+    let header = |cards: &[(&str, &str)]| {
+        let lines = cards
+            .iter()
+            .map(|(name, value)| format!("{:<80}", format!("{name:<8}= {value:>20}")));
+        let mut text: String = lines.collect();
+        text += &format!("{:<80}", "END");
+        let mut bytes = text.into_bytes();
+        bytes.resize(bytes.len().next_multiple_of(2880), b' ');
+        bytes
+    };
+    let Pixels::U8(pixels) = frame.pixels() else {
+        panic!("8 bit");
+    };
+    let (width, height) = (frame.width().to_string(), frame.height().to_string());
+    let primary = [
+        ("SIMPLE", "T"),
+        ("BITPIX", "8"),
+        ("NAXIS", "0"),
+        ("EXTEND", "T"),
+    ];
+    let mut bytes = header(&[&primary[..], cards].concat());
+    bytes.extend(header(&[
+        ("XTENSION", "'IMAGE   '"),
+        ("BITPIX", "8"),
+        ("NAXIS", "2"),
+        ("NAXIS1", &width),
+        ("NAXIS2", &height),
+        ("PCOUNT", "0"),
+        ("GCOUNT", "1"),
+        ("EXTNAME", "'Raw Frame'"),
+    ]));
+    bytes.extend(pixels);
+    bytes.resize(bytes.len().next_multiple_of(2880), 0);
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn the_files_of_the_heroes_flight_are_read() {
+    let plan = Plan::new(40, 3);
+    let (archive, out) = (temporary(), temporary());
+    for n in 0..6 {
+        let path = archive.path().join(format!("frame_{n:05}.fits"));
+        let nanoseconds = format!("{}", 250_000_000 * (n % 4) as u32);
+        let seconds = format!("{}", 1_379_786_400 + n / 4);
+        heroes(
+            &path,
+            &plan.frame(n),
+            &[
+                ("EXPTIME", "0.5"),
+                ("DATE_OBS", "'Sat Sep 21 18:00:00 2013 '"),
+                ("RT_SEC", &seconds),
+                ("RT_NSEC", &nanoseconds),
+                ("TEMPCCD", "21"),
+                ("FRAMENUM", &format!("{n}.0")),
+            ],
+        );
+    }
+    let path = archive.path().join("frame_00006.fits");
+    let asctime = [
+        ("EXPTIME", "0.5"),
+        ("DATE_OBS", "'Sat Sep 21 18:00:03 2013 '"),
+    ];
+    heroes(&path, &plan.frame(6), &asctime);
+    refine(
+        archive.path(),
+        out.path(),
+        &["--place", "34.49,-104.2218,38405"],
+    );
+    let table = Columns::read(out.path(), "ASPECT");
+    let times = table.texts("UTC");
+    assert_eq!(times[1], "2013-09-21T18:00:00.500000Z");
+    assert_eq!(times[6], "2013-09-21T18:00:03.250000Z");
+    assert!(
+        table
+            .texts("QUALITY")
+            .iter()
+            .all(|quality| quality == "fine")
+    );
+    assert_eq!(table.floats("TEMPERATURE_C")[0], 21.0);
+    assert!(
+        table
+            .floats("POINTING_AZ_DEG")
+            .iter()
+            .all(|az| az.is_finite())
+    );
+    let arcsec = |name| {
+        table
+            .floats(name)
+            .iter()
+            .map(|v| v.abs())
+            .fold(0.0, f64::max)
+    };
+    assert!(arcsec("BORESIGHT_HPLN_ARCSEC").max(arcsec("BORESIGHT_HPLT_ARCSEC")) > 100.0);
+}
+
+const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/refine.md");
+
+#[test]
+fn the_page_of_columns_is_that_of_the_table() {
+    let page = fs::read_to_string(PAGE).unwrap();
+    assert!(
+        page.contains(&solaspect::refine::columns::markdown()),
+        "the tables of docs/refine.md"
+    );
+}
+
+/// Peak memory of this process, kB.
+fn peak_kb() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").unwrap();
+    let line = status
+        .lines()
+        .find(|line| line.starts_with("VmHWM"))
+        .unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+/// The records of the small flight that have a disc, up to its jump, in the order of time.
+fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record> {
+    let mut entries = fs::read_dir(out)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let journal = entries.find(|path| path.extension().is_some_and(|end| end == "journal"));
+    let mut records: Vec<solaspect::refine::Record> = Vec::new();
+    solaspect::refine::Journal::read(&journal.unwrap(), |record, _| records.push(record)).unwrap();
+    records.retain(|r| r.outcome.as_ref().is_ok_and(|frame| frame.disc.is_some()));
+    records.sort_by_key(|record| record.input.file.clone());
+    records.truncate(plan.jump());
+    records
+}
+
+/// Seven hours of a flight, from the records of its first half minute there and back. Alone in its process:
+/// `cargo test --test refine -- --ignored a_hundred_thousand --nocapture`.
+#[test]
+#[ignore = "a minute long, and it measures the process's memory"]
+fn a_hundred_thousand_frames_take_less_than_400_mb() {
+    use solaspect::refine::{self as room, Done, Journal, Recipe, Span};
+    const FRAMES: usize = 100_000;
+    let (plan, archive) = flight();
+    let out = temporary();
+    refine(archive, out.path(), &[]);
+    let lit = lit_records(plan, out.path());
+    let long = out.path().join("long.journal");
+    let journal = Journal::open(&long, |_, _| {}).unwrap();
+    let mut inputs = Vec::new();
+    for n in 0..FRAMES {
+        let turn = n % (2 * lit.len());
+        let mut record = lit[turn.min(2 * lit.len() - 1 - turn)].clone();
+        record.input.file = format!(
+            "night_of_the_flight/hour_{:02}/frame_{n:06}.fits",
+            n / 14_400
+        );
+        if let Ok(frame) = &mut record.outcome {
+            frame.utc_ns = Some(time(0).as_nanosecond() as i64 + n as i64 * 250_000_000);
+        }
+        journal.append(&record).unwrap();
+        inputs.push(record.input);
+    }
+    drop((journal, lit));
+    let done = Done::open(&long, &[]).unwrap();
+    let recipe = Recipe {
+        instrument: plan.instrument.clone(),
+        settings: Default::default(),
+    };
+    println!("before {} MB", peak_kb() / 1000);
+    let start = std::time::Instant::now();
+    let flight = room::second_pass(&done, &inputs, &recipe.instrument, &Span::default()).unwrap();
+    println!(
+        "second pass {:.1} s, {} MB",
+        start.elapsed().as_secs_f64(),
+        peak_kb() / 1000
+    );
+    let summary = room::write(out.path(), &flight, &recipe).unwrap();
+    room::write_report(out.path(), archive, &flight, &summary, &recipe.instrument).unwrap();
+    println!(
+        "{} fine of {}, all in all {} MB",
+        summary.fine,
+        summary.files,
+        peak_kb() / 1000
+    );
+    assert!(summary.fine > FRAMES * 9 / 10);
+    assert!(peak_kb() < 400_000);
+}
+
+/// An hour at 4 Hz, made once and kept: `cargo test --test refine -- --ignored an_hour --nocapture`.
+#[test]
+#[ignore = "an hour of flight takes many minutes to simulate"]
+fn an_hour_of_flight_is_refined_to_its_truth() {
+    let plan = Plan::new(14_400, 8);
+    let archive = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("hour-of-flight");
+    if !archive.join("whole").exists() {
+        plan.write(&archive);
+        fs::write(archive.join("whole"), "").unwrap();
+    }
+    let out = temporary();
+    refine(&archive, out.path(), &[]);
+    let compared = compare(&plan, out.path());
+    print("an hour", &compared);
+    assert!(quantile(&compared.errors, 0.997) < 0.35);
+    assert!((0.8..1.25).contains(&rms(&compared.pulls)));
+    assert!(compared.unflagged.is_empty());
+}
