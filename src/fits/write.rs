@@ -158,11 +158,11 @@ pub fn encode_frame(
 }
 
 /// The bytes of a file of binary tables alone, behind a primary HDU without data. Nothing in it tells when it was made:
-/// the same tables give the same bytes.
+/// the same tables give the same bytes. Each is asked for when its turn comes, and dropped.
 ///
 /// # Errors
 /// Columns of unequal length.
-pub fn encode_tables(tables: &[Table]) -> Result<Vec<u8>, Problem> {
+pub fn encode_tables(tables: impl IntoIterator<Item = Table>) -> Result<Vec<u8>, Problem> {
     let file = MemoryFile::create(OTHER_BYTES)?;
     file.create_primary()?;
     put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
@@ -175,7 +175,8 @@ pub fn encode_tables(tables: &[Table]) -> Result<Vec<u8>, Problem> {
     )?;
     file.put_datasum()?;
     for table in tables {
-        put_table(&file, table)?;
+        put_table(&file, &table)?;
+        drop(table);
         file.put_datasum()?;
     }
     file.into_bytes()

@@ -11,6 +11,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
+use std::iter;
 use std::path::{Path, PathBuf};
 
 /// A file that could not be written.
@@ -74,15 +75,11 @@ pub struct JumpSummary {
 /// # Errors
 /// A file that cannot be written.
 pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary, OutputError> {
-    let smoothed = flight.smoothed_rows();
     let path = folder.join("aspect.fits");
-    let bytes = {
-        let tables = [
-            columns::table(ASPECT, ASPECT_COLUMNS, &flight.rows),
-            columns::table(SMOOTHED, SMOOTHED_COLUMNS, &smoothed),
-        ];
-        fits::encode_tables(&tables)
-    };
+    let aspect = iter::once_with(|| columns::table(ASPECT, ASPECT_COLUMNS, &flight.rows));
+    let path_table =
+        iter::once_with(|| columns::table(SMOOTHED, SMOOTHED_COLUMNS, &flight.smoothed_rows()));
+    let bytes = fits::encode_tables(aspect.chain(path_table));
     let bytes = bytes.map_err(|problem| OutputError {
         path: path.clone(),
         cause: io::Error::other(problem.to_string()),
