@@ -1,13 +1,9 @@
 //! The frames that a calibration is given: their files, their hash, what is wrong with some of them.
 
+use crate::fits::{self, FRAME_ENDINGS, Unlisted};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use std::path::{Path, PathBuf};
-
-/// Endings of the files that are taken for frames.
-const ENDINGS: [&str; 8] = [
-    ".fits", ".fit", ".fts", ".fits.gz", ".fits.fz", ".png", ".tif", ".tiff",
-];
+use std::path::PathBuf;
 
 /// A frame that does not take part, and why.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,7 +30,7 @@ pub fn first_of(left_out: &[LeftOut]) -> String {
 pub enum ListError {
     #[error("{}: cannot read: {cause}", .path.display())]
     Unreadable { path: PathBuf, cause: String },
-    #[error("{}: expected a folder with frames ({}), found none", .0.display(), ENDINGS.join(", "))]
+    #[error("{}: expected a folder with frames ({}), found none", .0.display(), FRAME_ENDINGS.join(", "))]
     NoFrames(PathBuf),
 }
 
@@ -56,47 +52,33 @@ pub fn list(paths: &[PathBuf]) -> Result<Vec<PathBuf>, ListError> {
             files.push(path.clone());
             continue;
         }
-        let mut found = Vec::new();
-        list_folder(path, &mut found)?;
+        let mut found =
+            fits::list_tree(path).map_err(|Unlisted { folder, cause }| ListError::Unreadable {
+                path: folder,
+                cause: cause.to_string(),
+            })?;
         if found.is_empty() {
             return Err(ListError::NoFrames(path.clone()));
         }
-        found.sort();
         files.append(&mut found);
     }
     Ok(files)
 }
 
-fn list_folder(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), ListError> {
-    let failed = |error: std::io::Error| ListError::Unreadable {
-        path: folder.into(),
-        cause: error.to_string(),
-    };
-    for entry in std::fs::read_dir(folder).map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        let name = path.file_name().unwrap_or_default();
-        let name = name.to_string_lossy().to_lowercase();
-        if name.starts_with('.') {
-            continue;
-        }
-        if path.is_dir() {
-            list_folder(&path, files)?;
-        } else if ENDINGS.iter().any(|ending| name.ends_with(ending)) {
-            files.push(path);
-        }
-    }
-    Ok(())
-}
-
 /// SHA-256 over the sorted SHA-256 of the files that can be read, hexadecimal: whatever their names and order.
 pub fn sha256(files: &[PathBuf]) -> String {
-    let one = |file: &PathBuf| Some(Sha256::digest(std::fs::read(file).ok()?));
-    let mut digests: Vec<_> = files.par_iter().filter_map(one).collect();
-    digests.sort();
-    let mut all = Sha256::new();
-    for digest in digests {
-        all.update(digest);
-    }
-    let bytes = all.finalize();
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    let one = |file: &PathBuf| Some(sha256_of(&std::fs::read(file).ok()?));
+    sha256_of_all(files.par_iter().filter_map(one).collect())
+}
+
+/// SHA-256 of a file's bytes.
+pub fn sha256_of(bytes: &[u8]) -> [u8; 32] {
+    Sha256::digest(bytes).into()
+}
+
+/// SHA-256 over those of the files, sorted; hexadecimal.
+pub fn sha256_of_all(mut files: Vec<[u8; 32]>) -> String {
+    files.sort_unstable();
+    let all = sha256_of(&files.concat());
+    all.iter().map(|byte| format!("{byte:02x}")).collect()
 }

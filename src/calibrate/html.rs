@@ -1,6 +1,7 @@
 //! What the pages of all calibrations share.
 
 use super::frames::LeftOut;
+use crate::report::html::escaped;
 use std::fmt::Write;
 
 const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
@@ -27,10 +28,4 @@ pub(super) fn left_out(left_out: &[LeftOut]) -> String {
         );
     }
     html + "</table>\n"
-}
-
-pub(super) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
 }

@@ -6,14 +6,8 @@ use crate::fits;
 use crate::frame::Frame;
 use jiff::{SignedDuration, Timestamp};
 use std::collections::VecDeque;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-
-/// Endings of the files that are taken for frames.
-const ENDINGS: [&str; 8] = [
-    ".fits", ".fit", ".fts", ".fits.gz", ".fits.fz", ".png", ".tif", ".tiff",
-];
 
 /// The longest pause between two frames: nobody waits for the next day's flight.
 const LONGEST_PAUSE: Duration = Duration::from_secs(10);
@@ -39,10 +33,9 @@ impl FolderCamera {
     /// # Errors
     /// Where the folder cannot be listed, or holds no frame.
     pub fn open(folder: &Path, rate_hz: f64, speed: f64) -> Result<Self, CameraError> {
-        let mut files = Vec::new();
-        list(folder, &mut files).map_err(|error| CameraError::Folder {
+        let files = fits::list_tree(folder).map_err(|unlisted| CameraError::Folder {
             folder: folder.into(),
-            found: format!("\"{error}\""),
+            found: format!("\"{}\"", unlisted.cause),
         })?;
         if files.is_empty() {
             return Err(CameraError::Folder {
@@ -50,7 +43,6 @@ impl FolderCamera {
                 found: "no file that ends like one".into(),
             });
         }
-        files.sort();
         Ok(Self {
             files: files.into(),
             period: settings::period(rate_hz),
@@ -60,26 +52,6 @@ impl FolderCamera {
             before: None,
         })
     }
-}
-
-fn list(folder: &Path, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let path = entry?.path();
-        let name = path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .to_lowercase();
-        if name.starts_with('.') {
-            continue;
-        }
-        if path.is_dir() {
-            list(&path, files)?;
-        } else if ENDINGS.iter().any(|ending| name.ends_with(ending)) {
-            files.push(path);
-        }
-    }
-    Ok(())
 }
 
 impl FolderCamera {

@@ -18,6 +18,7 @@ mod form;
 mod header;
 mod info;
 pub mod keyword;
+mod listing;
 mod picture;
 mod place;
 mod raw;
@@ -32,6 +33,7 @@ pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Header, Value};
 pub use info::clock_cards;
+pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use raw::Compression;
 pub use write::{
     Card, Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame,

@@ -5,7 +5,7 @@
 //! 2. The flight as a whole ([`second_pass`]): one [`FlightMapping`] from the marks of all frames, each frame's Sun from its own
 //!    limb through that mapping, what is odd beside the other frames, and the Sun's [path](motion) between them.
 //!
-//! What comes out ([`write`], [`write_report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
+//! What comes out ([`write()`], [`write_report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
 //! which frames were done, by how many cores or machines, nor on how often the run was killed.
 
 pub mod columns;

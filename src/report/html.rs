@@ -17,7 +17,7 @@ svg,img{max-width:100%;height:auto}figure{display:inline-block;margin:.5em;verti
 color:#555;max-width:200px;overflow-wrap:anywhere}.note{color:#555}";
 
 /// A text as it may stand in a page.
-fn escaped(text: &str) -> String {
+pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")

@@ -4,6 +4,7 @@ use super::CameraCalibration;
 use crate::calibrate::frames::LeftOut;
 use crate::calibrate::html;
 use crate::calibrate::numbers::{sigma_text, value_text};
+use crate::report::html::escaped;
 use crate::report::plot::{self, Labels, PlotError};
 use std::fmt::Write;
 
@@ -33,7 +34,7 @@ pub fn page(
             text,
             "<tr><td>{}</td><td>{value}</td><td>{sigma}</td><td class=\"{class}\">{}</td></tr>",
             finding.name,
-            html::escaped(remark)
+            escaped(remark)
         );
     }
     let hot = match &calibration.hot_pixels {

@@ -7,6 +7,7 @@ use crate::calibrate::frames::LeftOut;
 use crate::calibrate::html;
 use crate::calibrate::numbers::sigma_text;
 use crate::instrument::Instrument;
+use crate::report::html::escaped;
 use crate::report::plot::{self, Arrow, Dots, Labels, PlotError};
 use std::fmt::Write;
 
@@ -67,7 +68,7 @@ fn table(findings: &[Finding]) -> String {
             } else {
                 sigma_text(finding.sigma)
             },
-            html::escaped(&finding.remark),
+            escaped(&finding.remark),
         );
     }
     rows + "</table>\n"

@@ -1,5 +1,6 @@
 //! Which files are frames of which pose.
 
+use crate::fits::{self, FRAME_ENDINGS, Listing, Unlisted};
 use std::path::{Path, PathBuf};
 
 /// Frames that were taken without moving the camera.
@@ -18,14 +19,9 @@ pub enum InputError {
         path: PathBuf,
         cause: std::io::Error,
     },
-    #[error("{}: expected frames (files that end in {}), found none", .0.display(), ENDINGS.join(", "))]
+    #[error("{}: expected frames (files that end in {}), found none", .0.display(), FRAME_ENDINGS.join(", "))]
     NoFrames(PathBuf),
 }
-
-/// What a frame's name ends in.
-const ENDINGS: [&str; 8] = [
-    ".fits", ".fits.gz", ".fits.fz", ".fit", ".fts", ".png", ".tif", ".tiff",
-];
 
 /// Sorts frames and folders into poses: each folder is one, and so are all frames given one by one from a folder. A folder
 /// that holds no frames itself stands for the folders in it.
@@ -54,14 +50,14 @@ pub fn poses(given: &[PathBuf]) -> Result<Vec<Pose>, InputError> {
             add(path.parent().unwrap_or(Path::new("")), vec![path.clone()]);
             continue;
         }
-        let (files, folders) = listing(path)?;
+        let Listing { files, folders } = listing(path)?;
         if !files.is_empty() {
             add(path, files);
             continue;
         }
         let mut found = false;
         for folder in folders {
-            let (files, _) = listing(&folder)?;
+            let files = listing(&folder)?.files;
             if !files.is_empty() {
                 found = true;
                 add(&folder, files);
@@ -74,27 +70,9 @@ pub fn poses(given: &[PathBuf]) -> Result<Vec<Pose>, InputError> {
     Ok(poses)
 }
 
-/// Frames and folders in a folder, sorted.
-fn listing(folder: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), InputError> {
-    let refused = |cause| InputError::Read {
-        path: folder.into(),
+fn listing(folder: &Path) -> Result<Listing, InputError> {
+    fits::list_folder(folder).map_err(|Unlisted { folder, cause }| InputError::Read {
+        path: folder,
         cause,
-    };
-    let (mut files, mut folders) = (Vec::new(), Vec::new());
-    for entry in std::fs::read_dir(folder).map_err(refused)? {
-        let path = entry.map_err(refused)?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let name = name.to_lowercase();
-        if name.starts_with('.') {
-            continue;
-        }
-        if path.is_dir() {
-            folders.push(path);
-        } else if ENDINGS.iter().any(|ending| name.ends_with(ending)) {
-            files.push(path);
-        }
-    }
-    files.sort();
-    folders.sort();
-    Ok((files, folders))
+    })
 }

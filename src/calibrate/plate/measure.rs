@@ -4,11 +4,11 @@ use super::input::Pose;
 use super::lit::{by_lamp, lit_levels};
 use super::sighting::{FrameSightings, Sighting, Spoiled};
 use crate::aspect::{self, Expected, Origin, Solution};
+use crate::calibrate::frames::sha256_of;
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
 use rayon::prelude::*;
-use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// What all frames gave.
@@ -76,7 +76,7 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
     let facts = match std::fs::read(file) {
         Ok(bytes) => FileFacts {
             file: file.into(),
-            sha256: Sha256::digest(&bytes).into(),
+            sha256: sha256_of(&bytes),
             camera: frame.info.camera.clone(),
             size_px: (frame.width(), frame.height()),
             timed: frame.info.mid_exposure.is_some(),

@@ -38,10 +38,10 @@ pub use sighting::{FrameSightings, Sighting, Spoiled};
 pub use summary::summary;
 pub use write::instrument_text;
 
+use crate::calibrate::frames::sha256_of_all;
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
-use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 
 /// A plate calibration: the fit and what it rests on.
@@ -93,7 +93,7 @@ pub fn calibrate(
             (start.camera.width_px as f64 - 1.0) / 2.0,
             (start.camera.height_px as f64 - 1.0) / 2.0,
         ),
-        frames_sha256: digest(&sightings.files),
+        frames_sha256: sha256_of_all(sightings.files.iter().map(|file| file.sha256).collect()),
         poses,
         frames: sightings.frames,
         fit,
@@ -129,11 +129,4 @@ fn with_frames(poses: Vec<Pose>, mut sightings: Sightings) -> (Vec<Pose>, Sighti
     }
     let poses = kept.into_iter().map(|n| poses[n].clone()).collect();
     (poses, sightings)
-}
-
-fn digest(files: &[FileFacts]) -> String {
-    let mut all: Vec<_> = files.iter().map(|file| file.sha256).collect();
-    all.sort_unstable();
-    let whole = Sha256::digest(all.concat());
-    whole.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -2,6 +2,7 @@
 
 use super::{Calibration, Residual, summary};
 use crate::plate::drawn_position;
+use crate::report::html::escaped;
 use crate::report::plot::{self, Arrow, Dots, Labels, PlotError};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
@@ -79,12 +80,6 @@ fn figure(page: &mut String, svg: String, caption: &str) {
         page,
         "<figure>{svg}<figcaption>{caption}</figcaption></figure>"
     );
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
 }
 
 /// Without the list of what was not used: the page has its own.

@@ -1,5 +1,6 @@
 //! `solaspect calibrate camera`: noise, gain, hot pixels, vignetting, blur.
 
+use super::{write_instrument, write_page};
 use crate::calibrate::camera::{self, CameraCalibration, Inputs};
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::numbers::{sigma_text, value_text};
@@ -9,7 +10,7 @@ use anyhow::Context;
 use clap::Args;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Measure dark level, noise, gain, hot pixels, vignetting and blur, and how blur and scale go with temperature
@@ -59,12 +60,12 @@ pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
     let provenance = provenance(&inputs, &files);
     calibration.revise(&mut revision, &provenance);
     let (text, _) = revision.finish()?;
-    std::fs::write(&args.out, text)
-        .with_context(|| format!("{}: cannot write", args.out.display()))?;
+    write_instrument(&args.out, &text)?;
     print(&calibration, &left_out);
     if let Some(folder) = &args.report {
         write_page(
             folder,
+            "camera.html",
             &camera::page(&calibration, &stated.name, &provenance.source, &left_out)?,
         )?;
     }
@@ -114,11 +115,4 @@ fn print(calibration: &CameraCalibration, left_out: &[LeftOut]) {
     for LeftOut { name, reason } in left_out {
         println!("left out: {name}: {reason}");
     }
-}
-
-fn write_page(folder: &Path, html: &str) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
-    let file = folder.join("camera.html");
-    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
 }

@@ -1,5 +1,6 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance and mirror.
 
+use super::{write_instrument, write_page};
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings, Verdict};
 use crate::calibrate::numbers::sigma_text;
@@ -12,7 +13,7 @@ use crate::units::Place;
 use anyhow::Context;
 use clap::Args;
 use jiff::tz::TimeZone;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Measure centre, clocking, plate distance and mirror from the Sun on the plate
@@ -92,12 +93,12 @@ pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
         revision.set("mounting.handedness", name.into(), None, &provenance);
     }
     let (text, _) = revision.finish()?;
-    std::fs::write(&args.out, text)
-        .with_context(|| format!("{}: cannot write", args.out.display()))?;
+    write_instrument(&args.out, &text)?;
     print(&mounting, &stated, &left_out);
     if let Some(folder) = &args.report {
         write_page(
             folder,
+            "mounting.html",
             &mounting::page(&mounting, &seen, &provenance.source, &left_out)?,
         )?;
     }
@@ -174,11 +175,4 @@ fn print(mounting: &Mounting, stated: &Instrument, left_out: &[LeftOut]) {
     for LeftOut { name, reason } in left_out {
         println!("left out: {name}: {reason}");
     }
-}
-
-fn write_page(folder: &Path, html: &str) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
-    let file = folder.join("mounting.html");
-    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
 }

@@ -1,8 +1,8 @@
 //! `solaspect calibrate plate`: the plate as it is.
 
+use super::{write_instrument, write_page};
 use crate::calibrate::plate;
 use crate::instrument::{self, Instrument};
-use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
@@ -43,29 +43,11 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     let written = plate::instrument_text(start_path, &text, &start, &calibration)?;
     write_instrument(&args.out, &written)?;
     if let Some(folder) = &args.report {
-        write_report(folder, &plate::html(&calibration)?)?;
+        write_page(folder, "index.html", &plate::html(&calibration)?)?;
     }
     print!("{}", plate::summary(&calibration));
     println!("written to {}", args.out.display());
     Ok(ExitCode::SUCCESS)
-}
-
-/// Writes the instrument if it is one that everything else can read; else what stood there stays.
-fn write_instrument(out: &Path, text: &str) -> anyhow::Result<()> {
-    let cannot_write = || format!("{}: cannot write the instrument", out.display());
-    let mut name = out.as_os_str().to_owned();
-    name.push(".part");
-    let part = PathBuf::from(name);
-    std::fs::write(&part, text).with_context(cannot_write)?;
-    Instrument::read(&part)?;
-    std::fs::rename(&part, out).with_context(cannot_write)
-}
-
-fn write_report(folder: &Path, html: &str) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
-    let file = folder.join("index.html");
-    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
 }
 
 /// The start instrument and its text.
