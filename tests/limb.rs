@@ -2,7 +2,7 @@
 
 use solaspect::fits;
 use solaspect::geometry::Ellipse;
-use solaspect::limb::{self, Hidden, KnownOutline, OutlinePrior, Settings};
+use solaspect::limb::{self, Hidden, KnownOutline, LimbFit, OutlinePrior, Settings};
 use solaspect::units::Measured;
 use std::path::Path;
 
@@ -28,16 +28,14 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
         possible: anything,
         stated: anything,
     };
-    let limb = limb::fit_limb(
-        &frame,
-        &start,
-        &levels,
-        0.95,
-        &known,
-        &Hidden::nothing(frame.region()),
-        &settings,
-    )
-    .unwrap();
+    let fit = LimbFit {
+        frame: &frame,
+        levels: &levels,
+        blur_px: 0.95,
+        known,
+        settings: &settings,
+    };
+    let limb = fit.near(&start, &Hidden::nothing(frame.region())).unwrap();
     let disc = limb.outline.ellipse;
     let (dx, dy) = (disc.centre.x - CENTRE_PX.0, disc.centre.y - CENTRE_PX.1);
     println!(

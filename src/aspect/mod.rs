@@ -17,7 +17,7 @@ use crate::instrument::Instrument;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
 use marks::MarkSight;
-use stages::Work;
+use stages::{Work, at};
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -101,7 +101,10 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
     let found = Ellipse::from(work.find_disc(&levels)?.circle()); // 2
-    let mut limb = work.limb(&levels, &found, &work.nothing_hidden(&found))?; // 3
+    let limb_fit = work.limb_fit(&levels);
+    let mut limb = limb_fit
+        .roughly_near(&found, &work.nothing_hidden(&found))
+        .map_err(at(Stage::Limb))?; // 3
     let disc = limb.outline.ellipse;
     solution.detections = work.detect(&levels, &limb); // 4
     let read = work
@@ -111,7 +114,7 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
         Ok((first, _)) => work.marks_hidden(&disc, &first.mapping),
         Err(_) => work.detections_hidden(&disc, &solution.detections),
     };
-    if let Ok(bare) = work.limb(&levels, &disc, &hidden) {
+    if let Ok(bare) = limb_fit.again(&limb, &hidden) {
         limb = bare; // 7
     }
     solution.limb.clone_from(&limb.points);

@@ -6,7 +6,7 @@ use crate::fiducial::{CrossShape, Detections};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, CoarseDisc, Hidden, KnownOutline, Limb, OutlinePrior};
+use crate::limb::{self, CoarseDisc, Hidden, KnownOutline, LimbFit, OutlinePrior};
 use crate::units::{Measured, Rejected, SensorPx};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
@@ -105,28 +105,26 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// The outline of the disc, without the hidden pixels.
-    pub(super) fn limb(
-        &self,
-        levels: &Levels,
-        start: &Ellipse,
-        hidden: &Hidden,
-    ) -> Result<Limb, Stopped> {
+    /// What fits the outline of the disc.
+    pub(super) fn limb_fit<'b>(&'b self, levels: &'b Levels) -> LimbFit<'b> {
         let settings = &self.settings.limb;
         let spread = settings.max_radius_deviation / 4.0;
-        let known = KnownOutline {
-            possible: OutlinePrior {
-                radius_px: Measured::new(self.radius_px, spread * self.radius_px),
-                flatness: TILTED_FLATNESS,
+        LimbFit {
+            frame: self.frame,
+            levels,
+            blur_px: self.shape.blur_px,
+            known: KnownOutline {
+                possible: OutlinePrior {
+                    radius_px: Measured::new(self.radius_px, spread * self.radius_px),
+                    flatness: TILTED_FLATNESS,
+                },
+                stated: OutlinePrior {
+                    radius_px: self.stated_radius_px(),
+                    flatness: STATED_FLATNESS,
+                },
             },
-            stated: OutlinePrior {
-                radius_px: self.stated_radius_px(),
-                flatness: STATED_FLATNESS,
-            },
-        };
-        let blur_px = self.shape.blur_px;
-        limb::fit_limb(self.frame, start, levels, blur_px, &known, hidden, settings)
-            .map_err(at(Stage::Limb))
+            settings,
+        }
     }
 
     /// The disc's radius on the sensor by ephemeris and stated scale.

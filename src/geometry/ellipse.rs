@@ -31,6 +31,11 @@ impl Ellipse {
         &self.root
     }
 
+    /// The inverse of the root, 1/px.
+    pub fn inverse(&self) -> &Matrix2<f64> {
+        &self.inverse
+    }
+
     /// Mean of the half axes.
     pub fn mean_radius(&self) -> f64 {
         self.root.trace() / 2.0

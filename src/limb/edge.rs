@@ -4,18 +4,21 @@
 //! The pixels within a band about a first outline, but for those that marks hide, are sorted by distance from it and by
 //! sector. The medians at each distance, taken all round, give the [`Profile`]. In each sector the profile is then
 //! shifted and scaled to the pixels by linear least squares, with Tukey's weights against hot pixels and scratches: the
-//! shift is the limb's distance from the first outline, the scale takes up what tilts the light across the disc.
+//! shift is the limb's distance from the first outline, the scale takes up what tilts the light across the disc, which
+//! is nearly alike in neighbouring sectors.
 //!
-//! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for a tenth that the
-//! scale costs.
+//! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for what the scale costs.
+//! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
 
+use super::band::{Band, HIDDEN_DN, Hidden, Reach, middle_of_sector};
 use super::outline::TUKEY_SIGMAS;
-use super::profile::{Brightness, Profile};
-use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region, Sample, View};
+use super::profile::Profile;
+use super::typical::medians;
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
-use crate::with_view;
-use nalgebra::{Matrix2, Vector2};
+use multiversion::multiversion;
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,400 +28,441 @@ pub struct LimbPoint {
     pub sigma_px: f64,
 }
 
-/// Pixels that show no bare limb: marks lie on them.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Hidden {
-    region: Region,
-    covered: Vec<bool>,
-}
-
-impl Hidden {
-    /// Nothing hidden, in a region.
-    pub fn nothing(region: Region) -> Self {
-        let covered = vec![false; region.width() * region.height()];
-        Self { region, covered }
-    }
-
-    /// Hides those of the pixels within `reach` px of a position that `covers` holds for.
-    pub fn hide(&mut self, at: SensorPx, reach: f64, covers: impl Fn(SensorPx) -> bool) {
-        let r = self.region;
-        let Some(near) = Region::around(at, reach, r.x1, r.y1) else {
-            return;
-        };
-        for y in near.y0.max(r.y0)..near.y1 {
-            for x in near.x0.max(r.x0)..near.x1 {
-                if covers(SensorPx::new(x as f64, y as f64)) {
-                    self.covered[(y - r.y0) * r.width() + x - r.x0] = true;
-                }
-            }
-        }
-    }
-
-    /// Whether a pixel is hidden; outside the region none is.
-    pub fn covers(&self, x: usize, y: usize) -> bool {
-        let r = self.region;
-        (r.x0..r.x1).contains(&x)
-            && (r.y0..r.y1).contains(&y)
-            && self.covered[(y - r.y0) * r.width() + x - r.x0]
-    }
-}
-
 /// The band about the first outline that is looked at, in blurs and at least so many px.
-const BAND_INSIDE: (f64, f64) = (5.0, 10.0);
-const BAND_OUTSIDE: (f64, f64) = (4.0, 6.0);
-/// Distances that share a median, px.
-const STEP_PX: f64 = 0.25;
-/// Fewest pixels that make a median, and a point.
-const MIN_PIXELS: usize = 10;
-/// How far the light at one azimuth may be from the mean of all, before its own scale is known.
+const BAND_INSIDE: (f64, f64) = (5.0, 8.0);
+const BAND_OUTSIDE: (f64, f64) = (4.0, 4.5);
+/// How far the light at one azimuth may be from what was expected before its own scale is known, 1 sigma.
 const TILT: f64 = 0.04;
+/// The same once the light's tilt across the disc is known.
+const UNEVEN: f64 = 0.02;
+/// How far the limb may be from an outline before and after a first look, px.
+const FIRST_SHIFT_PX: f64 = 0.7;
+const LATER_SHIFT_PX: f64 = 0.05;
 /// A point so uncertain tells nothing.
 const MAX_SIGMA_PX: f64 = 0.7;
 /// A shift so large is no shift of the limb.
 const MAX_SHIFT_PX: f64 = 3.0;
+/// Fewest pixels that tell a noise.
+const MIN_PIXELS: f32 = 10.0;
 
-/// Points of the limb about a first outline, in `sectors` sectors, and the profile that they show.
-pub fn limb_points(
-    frame: &Frame,
-    outline: &Ellipse,
-    start: &Profile,
-    levels: &Levels,
-    hidden: &Hidden,
-    sectors: usize,
-) -> Option<(Vec<LimbPoint>, Profile)> {
-    let saturation_dn = f64::from(frame.saturation_dn());
-    let band = with_view!(frame, view => {
-        Band::collect(&view, outline, start.blur_px, hidden, sectors)
-    });
-    let noise = Noise {
-        outside_dn: levels.noise_dn,
-        inside_dn: levels.noise_dn,
-    };
-    let (profile, shift_px) = start.fitted(&band.medians(saturation_dn), levels.noise_dn)?;
-    let edge = Edge {
-        profile,
-        shift_px,
-        table: profile_table(&profile, shift_px, &band),
-        first_px: -band.inside_px,
-        clipped_dn: saturation_dn - 2.0 * levels.noise_dn,
-    };
-    let rough = edge.fit_sectors(&band, &noise, None);
-    let noise = edge.noise(&band, &rough);
-    let shifts = edge.fit_sectors(&band, &noise, Some(&rough));
-    let points = shifts.iter().filter_map(|shift| {
-        let shift = shift.as_ref()?;
-        let w = shift.direction.normalize();
-        let at = outline.from_disc(w) + outline.normal(w) * (shift.px + shift_px);
-        Some(LimbPoint {
-            at: at.into(),
-            sigma_px: shift.sigma_px,
-        })
-    });
-    Some((points.collect(), profile))
+/// What a look at the limb teaches beside its points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Appearance {
+    pub profile: Profile,
+    noise: Noise,
+    light: Tilt,
 }
 
-/// The pixels about an outline.
-struct Band {
-    inside_px: f64,
-    outside_px: f64,
-    sectors: usize,
-    pixels: Vec<EdgePixel>,
+/// Points of the limb, and how it appears.
+pub(super) struct Look {
+    pub points: Vec<LimbPoint>,
+    pub appearance: Appearance,
 }
 
-#[derive(Clone, Copy)]
-struct EdgePixel {
-    distance_px: f32,
-    dn: f32,
-    /// Position in disc units: its direction matters.
-    w: [f32; 2],
-    sector: u16,
+/// Where to look.
+pub(super) struct Sight<'a> {
+    pub frame: &'a Frame,
+    pub outline: &'a Ellipse,
+    pub hidden: &'a Hidden,
+    pub sectors: usize,
 }
 
-impl Band {
-    fn collect<T: Sample>(
-        view: &View<'_, T>,
-        outline: &Ellipse,
-        blur_px: f64,
-        hidden: &Hidden,
-        sectors: usize,
-    ) -> Self {
+impl Sight<'_> {
+    fn band(&self, blur_px: f64) -> Band {
         let reach = |(blurs, least): (f64, f64)| (blurs * blur_px).max(least);
-        let (inside_px, outside_px) = (reach(BAND_INSIDE), reach(BAND_OUTSIDE));
-        let mut band = Self {
-            inside_px,
-            outside_px,
-            sectors,
-            pixels: Vec::with_capacity(8192),
+        let reach = Reach {
+            inside_px: reach(BAND_INSIDE),
+            outside_px: reach(BAND_OUTSIDE),
         };
-        let radius = outline.mean_radius();
-        // An ellipse's half axes differ from the mean by less than this.
-        let spare = 0.02 * radius + 1.0;
-        let (least, most) = (
-            (radius - inside_px - spare).max(0.0),
-            radius + outside_px + spare,
-        );
-        let rows = span(outline.centre.y, most, view.height);
-        for y in rows {
-            let dy = y as f64 - outline.centre.y;
-            let half = |r: f64| (r * r - dy * dy).max(0.0).sqrt();
-            let (hole, end) = (half(least), half(most));
-            let c = outline.centre.x;
-            for (from, to) in [(c - end, c - hole), (c + hole, c + end)] {
-                let first = from.ceil().clamp(0.0, view.width as f64) as usize;
-                let last = (to.floor() + 1.0).clamp(0.0, view.width as f64) as usize;
-                for x in first..last {
-                    band.take(view, outline, hidden, x, y);
-                }
-            }
-        }
-        band
+        Band::about(self.frame, self.outline, reach, self.hidden, self.sectors)
     }
 
-    fn take<T: Sample>(
-        &mut self,
-        view: &View<'_, T>,
-        outline: &Ellipse,
-        hidden: &Hidden,
-        x: usize,
-        y: usize,
-    ) {
-        let at = Vector2::new(x as f64, y as f64);
-        let distance = outline.excess(at);
-        if distance < -self.inside_px || distance > self.outside_px || hidden.covers(x, y) {
-            return;
-        }
-        let w = outline.to_disc(at);
-        self.pixels.push(EdgePixel {
-            distance_px: distance as f32,
-            dn: view.dn(x, y),
-            w: [w.x as f32, w.y as f32],
-            sector: (turn(w) * self.sectors as f64) as u16,
+    fn saturation_dn(&self) -> f64 {
+        f64::from(self.frame.saturation_dn())
+    }
+
+    /// The limb where only levels and a typical profile are known. `None` when the pixels determine no profile.
+    pub(super) fn first_look(&self, start: &Profile, levels: &Levels) -> Option<Look> {
+        let band = self.band(start.blur_px);
+        let typical = medians(&band, self.saturation_dn());
+        let (profile, shift_px) = start.fitted(&typical, levels.noise_dn)?;
+        let noise = Noise {
+            outside_dn: levels.noise_dn,
+            inside_dn: levels.noise_dn,
+        };
+        let mut edge = Edge::new(&band, profile, shift_px, self.saturation_dn(), noise);
+        let mut sectors = vec![Sector::default(); self.sectors];
+        let mut unexplained = vec![0.0; band.dn.len()];
+        edge.weigh(&Slack {
+            light: TILT,
+            shift_px: FIRST_SHIFT_PX,
         });
-    }
-
-    /// The typical brightness at each distance. Where the disc saturates it says nothing.
-    fn medians(&self, saturation_dn: f64) -> Vec<Brightness> {
-        let count = ((self.inside_px + self.outside_px) / STEP_PX).ceil() as usize + 1;
-        let mut bins: Vec<Vec<f32>> = vec![Vec::new(); count];
-        let bin = |d: f32| ((f64::from(d) + self.inside_px) / STEP_PX) as usize;
-        for pixel in &self.pixels {
-            bins[bin(pixel.distance_px).min(count - 1)].push(pixel.dn);
+        edge.sum(&mut sectors, &mut unexplained);
+        for sector in &mut sectors {
+            let rough = sector.solve(0.0);
+            *sector = Sector::expecting(
+                rough.map_or(0.0, |found| found.excess_light),
+                rough.map_or(0.0, |found| found.px),
+            );
         }
-        let middle = |n: usize| (n as f64 + 0.5) * STEP_PX - self.inside_px;
-        let typical = bins.iter_mut().enumerate().filter_map(|(n, values)| {
-            (values.len() >= MIN_PIXELS).then(|| Brightness {
-                distance_px: middle(n),
-                dn: median(values),
-                // A median is worth 64 % of a mean.
-                weight: 0.64 * values.len() as f64,
-            })
+        edge.weigh(&Slack {
+            light: UNEVEN,
+            shift_px: LATER_SHIFT_PX,
         });
-        typical.filter(|b| b.dn < saturation_dn - 1.0).collect()
+        edge.sum(&mut sectors, &mut unexplained);
+        Some(self.look(&edge, &sectors, &unexplained))
     }
-}
 
-/// Rows or columns within a reach of a place, as far as there are pixels.
-fn span(middle: f64, reach: f64, pixels: usize) -> std::ops::Range<usize> {
-    let first = (middle - reach).ceil().clamp(0.0, pixels as f64) as usize;
-    let end = ((middle + reach).floor() + 1.0).clamp(0.0, pixels as f64) as usize;
-    first..end.max(first)
-}
+    /// The limb about an outline that is nearly right, as it appeared before.
+    pub(super) fn look_again(&self, before: &Appearance) -> Look {
+        let band = self.band(before.profile.blur_px);
+        let profile = before.profile;
+        let mut edge = Edge::new(&band, profile, 0.0, self.saturation_dn(), before.noise);
+        let expected = |n| {
+            let light = before.light.at(middle_of_sector(n, self.sectors));
+            Sector::expecting(light, 0.0)
+        };
+        let mut sectors: Vec<Sector> = (0..self.sectors).map(expected).collect();
+        let mut unexplained = vec![0.0; band.dn.len()];
+        edge.weigh(&Slack {
+            light: UNEVEN,
+            shift_px: LATER_SHIFT_PX,
+        });
+        edge.sum(&mut sectors, &mut unexplained);
+        self.look(&edge, &sectors, &unexplained)
+    }
 
-/// A direction as a number from 0 to 1 that grows with its angle; cheaper than the angle.
-fn turn(w: Vector2<f64>) -> f64 {
-    let along = w.y / (w.x.abs() + w.y.abs()).max(1e-12);
-    let quarters = if w.x >= 0.0 { 1.0 + along } else { 3.0 - along };
-    (quarters / 4.0).clamp(0.0, 1.0 - 1e-9)
-}
-
-fn median(values: &mut [f32]) -> f64 {
-    let middle = values.len() / 2;
-    f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+    fn look(&self, edge: &Edge<'_>, sectors: &[Sector], unexplained: &[f32]) -> Look {
+        let shifts: Vec<Option<Shift>> = sectors
+            .iter()
+            .map(|sector| sector.solve(UNEVEN.powi(-2)))
+            .collect();
+        let directions = |n: usize| middle_of_sector(n, self.sectors);
+        let found = || {
+            let found = shifts.iter().enumerate();
+            found.filter_map(|(n, shift)| Some((directions(n), shift.as_ref()?)))
+        };
+        let point = |(w, shift): (Vector2<f64>, &Shift)| LimbPoint {
+            at: (self.outline.from_disc(w) + self.outline.normal(w) * (shift.px + edge.shift_px))
+                .into(),
+            sigma_px: shift.sigma_px,
+        };
+        Look {
+            points: found().map(point).collect(),
+            appearance: Appearance {
+                profile: edge.profile,
+                noise: edge.noise(unexplained),
+                light: Tilt::of(found().map(|(w, shift)| (w, shift.excess_light))),
+            },
+        }
+    }
 }
 
 /// Noise of a pixel, 1 sigma, on both sides of the limb.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Noise {
     outside_dn: f64,
     inside_dn: f64,
 }
 
+/// Light over the profile's, less 1, as it changes across the disc.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Tilt {
+    mean: f64,
+    slope: Vector2<f64>,
+}
+
+impl Tilt {
+    /// By least squares, twice: the second time without what is far from the first.
+    fn of(seen: impl Iterator<Item = (Vector2<f64>, f64)> + Clone) -> Self {
+        let mut tilt = Self {
+            mean: 0.0,
+            slope: Vector2::zeros(),
+        };
+        for limit in [4.0 * TILT, 2.0 * TILT] {
+            // A little information of none at all, for what a short arc does not tell.
+            let mut matrix = Matrix3::identity();
+            let mut right = Vector3::zeros();
+            for (w, excess) in seen.clone() {
+                let left = excess - tilt.at(w);
+                if left.abs() < limit {
+                    let row = Vector3::new(1.0, w.x, w.y);
+                    matrix += row * row.transpose();
+                    right += row * excess;
+                }
+            }
+            let Some(fit) = matrix.cholesky().map(|root| root.solve(&right)) else {
+                break;
+            };
+            tilt.mean = fit.x;
+            tilt.slope = Vector2::new(fit.y, fit.z);
+        }
+        tilt
+    }
+
+    fn at(&self, direction: Vector2<f64>) -> f64 {
+        self.mean + self.slope.dot(&direction)
+    }
+}
+
+/// What may differ from the expectation before a sector is fitted, 1 sigma.
+struct Slack {
+    /// Part of the light.
+    light: f64,
+    shift_px: f64,
+}
+
 /// The profile laid about the first outline.
-struct Edge {
+struct Edge<'a> {
+    band: &'a Band,
     profile: Profile,
     shift_px: f64,
-    /// Brightness above the background, and slope outwards, by distance.
-    table: Vec<(f32, f32)>,
+    noise: Noise,
+    /// By distance from [`Edge::first_px`] on.
+    table: Vec<Expected>,
     first_px: f64,
     /// Where the profile is brighter, pixels saturate.
     clipped_dn: f64,
 }
 
-const PER_PX: f64 = 16.0;
+/// What is expected at a distance.
+#[derive(Clone, Copy)]
+struct Expected {
+    /// Slope outwards, light above the background, brightness, nothing.
+    here: [f32; 4],
+    /// What leads from there to the next entry.
+    step: [f32; 4],
+    /// One over the variance; 0 where pixels saturate.
+    weight: f32,
+    /// One over the square of what is out of the question.
+    per_limit2: f32,
+}
 
-fn profile_table(profile: &Profile, shift_px: f64, band: &Band) -> Vec<(f32, f32)> {
-    let count = ((band.inside_px + band.outside_px) * PER_PX) as usize + 2;
-    let distance = |n: usize| n as f64 / PER_PX - band.inside_px - shift_px;
-    (0..count)
-        .map(|n| {
-            let light = profile.at(distance(n)) - profile.background_dn;
-            (light as f32, profile.slope(distance(n)) as f32)
-        })
-        .collect()
+/// Entries of the table for each pixel.
+const PER_PX: f64 = 16.0;
+/// A band's pixels may lie a little outside its reach.
+const MARGIN_PX: f64 = 0.5;
+
+impl<'a> Edge<'a> {
+    fn new(
+        band: &'a Band,
+        profile: Profile,
+        shift_px: f64,
+        saturation_dn: f64,
+        noise: Noise,
+    ) -> Self {
+        let reach = &band.reach;
+        let first_px = -reach.inside_px - MARGIN_PX;
+        let count = ((reach.outside_px + MARGIN_PX - first_px) * PER_PX) as usize + 2;
+        let at = |n: usize| {
+            let distance_px = first_px + n as f64 / PER_PX - shift_px;
+            let (dn, slope) = profile.both(distance_px);
+            [slope, dn - profile.background_dn, dn, 0.0].map(|v| v as f32)
+        };
+        let values: Vec<[f32; 4]> = (0..=count).map(at).collect();
+        let entry = |pair: &[[f32; 4]]| Expected {
+            here: pair[0],
+            step: std::array::from_fn(|k| pair[1][k] - pair[0][k]),
+            weight: 0.0,
+            per_limit2: 0.0,
+        };
+        Self {
+            band,
+            profile,
+            shift_px,
+            noise,
+            table: values.windows(2).map(entry).collect(),
+            first_px,
+            clipped_dn: saturation_dn - 2.0 * noise.outside_dn,
+        }
+    }
+
+    /// Sets the weights by the noise, and what is out of the question by the slack.
+    fn weigh(&mut self, slack: &Slack) {
+        let peak = self.table.first().map_or(1.0, |e| e.here[1].max(1.0));
+        let (outside2, inside2) = (
+            self.noise.outside_dn.powi(2) as f32,
+            self.noise.inside_dn.powi(2) as f32,
+        );
+        let (light2, shift2) = (slack.light.powi(2) as f32, slack.shift_px.powi(2) as f32);
+        for entry in &mut self.table {
+            let [slope, light, dn, _] = entry.here;
+            let share = (light / peak).clamp(0.0, 1.0);
+            let variance = outside2 + (inside2 - outside2) * share;
+            let spread2 = variance + light2 * light * light + shift2 * slope * slope;
+            entry.per_limit2 = 1.0 / (spread2 * (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32);
+            entry.weight = if f64::from(dn) > self.clipped_dn {
+                0.0
+            } else {
+                1.0 / variance
+            };
+        }
+    }
+
+    /// Adds every pixel to its sector's normal equations, and notes what the sector's expectation does not explain.
+    fn sum(&self, sectors: &mut [Sector], unexplained: &mut [f32]) {
+        let band = self.band;
+        let pixels = Pixels {
+            distance_px: &band.distance_px,
+            dn: &band.dn,
+            sector: &band.sector,
+        };
+        sum_pixels(
+            &pixels,
+            &self.table,
+            self.first_px as f32,
+            sectors,
+            unexplained,
+        );
+    }
+
+    /// The pixels' noise from what is left unexplained well away from the limb.
+    fn noise(&self, unexplained: &[f32]) -> Noise {
+        let clear = (3.0 * self.profile.blur_px) as f32;
+        let limb = self.shift_px as f32;
+        let distance_px = &self.band.distance_px;
+        let within = |from: f32, to: f32, start: f64| {
+            clipped_sigma(distance_px, unexplained, [from, to], start as f32)
+        };
+        let outside = within(limb + clear, f32::INFINITY, self.noise.outside_dn);
+        let inside = within(f32::NEG_INFINITY, limb - clear, self.noise.inside_dn);
+        Noise {
+            outside_dn: outside.unwrap_or(self.noise.outside_dn),
+            inside_dn: inside.unwrap_or(self.noise.inside_dn),
+        }
+    }
+}
+
+struct Pixels<'a> {
+    distance_px: &'a [f32],
+    dn: &'a [f32],
+    sector: &'a [u16],
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn sum_pixels(
+    pixels: &Pixels<'_>,
+    table: &[Expected],
+    first_px: f32,
+    sectors: &mut [Sector],
+    unexplained: &mut [f32],
+) {
+    let count = unexplained.len();
+    let (distance_px, dn) = (&pixels.distance_px[..count], &pixels.dn[..count]);
+    let of_sector = &pixels.sector[..count];
+    let last = (table.len() - 1) as f32;
+    for n in 0..count {
+        let along = ((distance_px[n] - first_px) * PER_PX as f32).clamp(0.0, last);
+        let entry = along as i32;
+        let part = along - entry as f32;
+        let expected = &table[entry as usize];
+        let mut item: [f32; 4] =
+            std::array::from_fn(|k| expected.here[k] + part * expected.step[k]);
+        let residual = dn[n] - item[2];
+        item[2] = residual;
+        let sector = &mut sectors[usize::from(of_sector[n])];
+        let left = residual - (sector.light * item[1] - sector.shift_px * item[0]);
+        unexplained[n] = if expected.weight > 0.0 {
+            left
+        } else {
+            HIDDEN_DN
+        };
+        let within = (1.0 - left * left * expected.per_limit2).max(0.0);
+        let weight = within * within * expected.weight;
+        let (by_slope, by_light) = (weight * item[0], weight * item[1]);
+        for k in 0..4 {
+            sector.by_slope[k] += by_slope * item[k];
+            sector.by_light[k] += by_light * item[k];
+        }
+    }
+}
+
+/// 1 sigma of what is left of the pixels at some distances, from those within three of it: in rounds, since the limit
+/// rests on the result. `None` of too few.
+#[multiversion(targets("x86_64+avx2"))]
+fn clipped_sigma(
+    distance_px: &[f32],
+    left: &[f32],
+    between_px: [f32; 2],
+    start: f32,
+) -> Option<f64> {
+    /// What the normal distribution keeps of its sigma within three of it.
+    const KEPT: f32 = 0.9866;
+    const ROUNDS: usize = 4;
+    /// The start may be of another part of the picture.
+    const FIRST_LIMIT: f32 = 5.0;
+    const LANES: usize = 8;
+    let mut limit = FIRST_LIMIT * start;
+    let mut sigma = None;
+    for _ in 0..ROUNDS {
+        let limit2 = limit * limit;
+        let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+        let pairs = distance_px
+            .chunks_exact(LANES)
+            .zip(left.chunks_exact(LANES));
+        for (distance, left) in pairs {
+            for k in 0..LANES {
+                let square = left[k] * left[k];
+                let at = (distance[k] > between_px[0]) & (distance[k] < between_px[1]);
+                let counts_in = at & (square < limit2);
+                counts[k] += if counts_in { 1.0 } else { 0.0 };
+                squares[k] += if counts_in { square } else { 0.0 };
+            }
+        }
+        let count: f32 = counts.iter().sum();
+        if count < MIN_PIXELS {
+            return None;
+        }
+        let found = (squares.iter().sum::<f32>() / count).sqrt() / KEPT;
+        let found = found.max(ROUNDING_NOISE_DN as f32);
+        sigma = Some(f64::from(found));
+        limit = 3.0 * found;
+    }
+    sigma
 }
 
 /// How the limb stands in one sector.
 #[derive(Clone, Copy)]
-struct SectorShift {
+struct Shift {
     /// Outwards from the shifted profile.
     px: f64,
     sigma_px: f64,
     /// Light over the profile's, less 1.
     excess_light: f64,
-    direction: Vector2<f64>,
 }
 
-impl Edge {
-    /// Light above background and slope at a distance from the first outline.
-    fn at(&self, distance_px: f32) -> (f32, f32) {
-        let place = (distance_px - self.first_px as f32) * PER_PX as f32;
-        let n = (place as usize).min(self.table.len() - 2);
-        let part = place - n as f32;
-        let (a, b) = (self.table[n], self.table[n + 1]);
-        (a.0 + (b.0 - a.0) * part, a.1 + (b.1 - a.1) * part)
-    }
-
-    /// Fits every sector. With `rough` shifts known, weights follow from what these leave; without, from the profile,
-    /// and the light may differ.
-    fn fit_sectors(
-        &self,
-        band: &Band,
-        noise: &Noise,
-        rough: Option<&[Option<SectorShift>]>,
-    ) -> Vec<Option<SectorShift>> {
-        let mut sums = vec![SectorSums::default(); band.sectors];
-        let background = self.profile.background_dn as f32;
-        let peak = self.at(self.first_px as f32).0.max(1.0);
-        let (outside2, inside2) = (noise.outside_dn.powi(2), noise.inside_dn.powi(2));
-        for pixel in &band.pixels {
-            let (light, slope) = self.at(pixel.distance_px);
-            if f64::from(light + background) > self.clipped_dn {
-                continue;
-            }
-            let residual = pixel.dn - background - light;
-            let share = f64::from(light / peak).clamp(0.0, 1.0);
-            let variance = (outside2 + (inside2 - outside2) * share) as f32;
-            let (left, spread2) = match rough.and_then(|r| r[pixel.sector as usize]) {
-                Some(s) => {
-                    let explained = s.excess_light as f32 * light - s.px as f32 * slope;
-                    (residual - explained, variance)
-                }
-                None => (residual, variance + (TILT as f32 * light).powi(2)),
-            };
-            let u2 = left * left / (spread2 * (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32);
-            if u2 < 1.0 {
-                let weight = (1.0 - u2) * (1.0 - u2) / variance;
-                sums[pixel.sector as usize].add(pixel, light, slope, residual, weight);
-            }
-        }
-        sums.iter().map(SectorSums::solve).collect()
-    }
-
-    /// The pixels' noise from what the sectors' fits leave.
-    fn noise(&self, band: &Band, fits: &[Option<SectorShift>]) -> Noise {
-        let (mut outside, mut inside) = (Vec::new(), Vec::new());
-        let background = self.profile.background_dn as f32;
-        let clear = 3.0 * self.profile.blur_px as f32;
-        for pixel in &band.pixels {
-            let Some(fit) = fits[pixel.sector as usize] else {
-                continue;
-            };
-            let from_limb = pixel.distance_px - self.shift_px as f32;
-            let (light, slope) = self.at(pixel.distance_px);
-            if f64::from(light + background) > self.clipped_dn {
-                continue;
-            }
-            let explained = light * (1.0 + fit.excess_light as f32) - slope * fit.px as f32;
-            let left = (pixel.dn - background - explained).abs();
-            if from_limb > clear {
-                outside.push(left);
-            } else if from_limb < -clear {
-                inside.push(left);
-            }
-        }
-        let (outside, inside) = (clipped_sigma(&mut outside), clipped_sigma(&mut inside));
-        let either = outside.or(inside).unwrap_or(1.0);
-        Noise {
-            outside_dn: outside.unwrap_or(either),
-            inside_dn: inside.unwrap_or(either),
-        }
-    }
-}
-
-/// 1 sigma of residuals from those within three of it, which the median of all tells first: alone it would be coarse where
-/// pixels hold few whole numbers.
-fn clipped_sigma(sizes: &mut [f32]) -> Option<f64> {
-    /// What the normal distribution keeps of its sigma within three of it.
-    const KEPT: f64 = 0.9866;
-    if sizes.len() < MIN_PIXELS {
-        return None;
-    }
-    let most = (3.0 * 1.4826 * median(sizes).max(ROUNDING_NOISE_DN)) as f32;
-    let kept = sizes.iter().filter(|size| **size < most);
-    let (count, squares) = kept.fold((0_usize, 0.0), |(count, squares), size| {
-        (count + 1, squares + f64::from(size * size))
-    });
-    let sigma = (squares / count.max(1) as f64).sqrt() / KEPT;
-    Some(sigma.max(ROUNDING_NOISE_DN))
-}
-
-/// Normal equations of one sector for its shift and its excess light.
+/// One sector: what is expected of it, and its normal equations for shift and excess light.
 #[derive(Clone, Copy, Default)]
-struct SectorSums {
-    count: usize,
-    slope2: f64,
-    slope_light: f64,
-    light2: f64,
-    slope_residual: f64,
-    light_residual: f64,
-    direction: [f64; 2],
+struct Sector {
+    light: f32,
+    shift_px: f32,
+    /// Products of slope, and of light, with slope, light and residual.
+    by_slope: [f32; 4],
+    by_light: [f32; 4],
 }
 
-impl SectorSums {
-    fn add(&mut self, pixel: &EdgePixel, light: f32, slope: f32, residual: f32, weight: f32) {
-        let (ws, wl) = (f64::from(weight * slope), f64::from(weight * light));
-        let slope2 = ws * f64::from(slope);
-        self.count += 1;
-        self.slope2 += slope2;
-        self.slope_light += ws * f64::from(light);
-        self.light2 += wl * f64::from(light);
-        self.slope_residual += ws * f64::from(residual);
-        self.light_residual += wl * f64::from(residual);
-        self.direction[0] += slope2 * f64::from(pixel.w[0]);
-        self.direction[1] += slope2 * f64::from(pixel.w[1]);
+impl Sector {
+    fn expecting(light: f64, shift_px: f64) -> Self {
+        Self {
+            light: light as f32,
+            shift_px: shift_px as f32,
+            ..Self::default()
+        }
     }
 
-    fn solve(&self) -> Option<SectorShift> {
-        if self.count < MIN_PIXELS {
-            return None;
-        }
-        let normal = Matrix2::new(
-            self.slope2,
-            -self.slope_light,
-            -self.slope_light,
-            self.light2,
-        );
+    /// The fit, with some information that the light is the expected one.
+    fn solve(&self, information: f64) -> Option<Shift> {
+        let [slope2, slope_light, slope_residual, _] = self.by_slope.map(f64::from);
+        let [_, light2, light_residual, _] = self.by_light.map(f64::from);
+        let normal = Matrix2::new(slope2, -slope_light, -slope_light, light2 + information);
         let inverse = normal.try_inverse()?;
-        let fit = inverse * Vector2::new(-self.slope_residual, self.light_residual);
+        let light_residual = light_residual + information * f64::from(self.light);
+        let fit = inverse * Vector2::new(-slope_residual, light_residual);
         let sigma_px = inverse.m11.max(0.0).sqrt();
-        let direction = Vector2::from(self.direction);
-        (sigma_px < MAX_SIGMA_PX && fit.x.abs() < MAX_SHIFT_PX && direction.norm() > 0.0).then_some(
-            SectorShift {
-                px: fit.x,
-                sigma_px,
-                excess_light: fit.y,
-                direction,
-            },
-        )
+        (sigma_px < MAX_SIGMA_PX && fit.x.abs() < MAX_SHIFT_PX).then_some(Shift {
+            px: fit.x,
+            sigma_px,
+            excess_light: fit.y,
+        })
     }
 }

@@ -1,6 +1,7 @@
 //! The outline of the disc from the whole limb: points and ellipse in turn, until neither moves.
 
-use super::edge::{Hidden, LimbPoint, limb_points};
+use super::band::Hidden;
+use super::edge::{Appearance, LimbPoint, Look, Sight};
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::{Profile, Settings};
 use crate::frame::{Frame, Levels, PIXEL_VARIANCE_PX2};
@@ -15,9 +16,27 @@ pub struct Limb {
     pub points: Vec<LimbPoint>,
     pub outline: OutlineFit,
     pub profile: Profile,
+    appearance: Appearance,
+    /// How far the outline lies from the one that its points were measured about.
+    moved_px: f64,
 }
 
 impl Limb {
+    fn new(look: Look, fit: OutlineFit, moved_px: f64) -> Self {
+        let on_it = look.points.iter().zip(&fit.accepted).filter(|(_, a)| **a);
+        let raised = on_it.map(|(point, _)| LimbPoint {
+            sigma_px: point.sigma_px * fit.scatter,
+            ..*point
+        });
+        Self {
+            points: raised.collect(),
+            outline: fit,
+            profile: look.appearance.profile,
+            appearance: look.appearance,
+            moved_px,
+        }
+    }
+
     /// The blur of the limb, 1 sigma, the pixel's own size taken off.
     pub fn lens_blur_px(&self) -> f64 {
         (self.profile.blur_px.powi(2) - PIXEL_VARIANCE_PX2)
@@ -58,49 +77,104 @@ const TYPICAL_DARKENING: f64 = 0.56;
 const PASSES: usize = 6;
 /// Points measured about an outline that was this near are as good as they get, px.
 const SETTLED_PX: f64 = 0.08;
+/// An outline that was this near serves to tell what lies on the disc, px.
+const ROUGHLY_SETTLED_PX: f64 = 0.5;
+/// A profile taken about an outline that was farther off is smeared, px.
+const STEADY_PX: f64 = 0.2;
 /// How far the passes may lead away from the first outline, px.
 const MAX_MOVE_PX: f64 = 8.0;
 
-/// Fits the disc's outline to the whole limb.
-///
-/// `start` is within 2 px or so, `blur_px` the expected blur, the pixel's own size included.
-pub fn fit_limb(
-    frame: &Frame,
-    start: &Ellipse,
-    levels: &Levels,
-    blur_px: f64,
-    known: &KnownOutline,
-    hidden: &Hidden,
-    settings: &Settings,
-) -> Result<Limb, Rejected> {
-    let light = levels.disc_dn - levels.background_dn;
-    let mut profile = Profile {
-        background_dn: levels.background_dn,
-        even_dn: light * (1.0 - TYPICAL_DARKENING),
-        darkened_dn: light * TYPICAL_DARKENING,
-        blur_px,
-        radius_px: start.mean_radius(),
-    };
-    let mut outline = *start;
-    for pass in 0..PASSES {
-        let (points, seen) = limb_points(
-            frame,
-            &outline,
-            &profile,
-            levels,
-            hidden,
-            settings.limb_points,
-        )
-        .ok_or_else(|| too_few(0, settings))?;
-        let fit = known
-            .fit(&points, &outline)
-            .ok_or_else(|| too_few(points.len(), settings))?;
-        let accepted = fit.accepted.iter().filter(|a| **a).count();
-        if accepted < settings.min_limb_points {
-            return Err(too_few(accepted, settings));
+/// Fits the disc's outline to the whole limb of a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct LimbFit<'a> {
+    pub frame: &'a Frame,
+    pub levels: &'a Levels,
+    /// The expected blur, 1 sigma, the pixel's own size included.
+    pub blur_px: f64,
+    pub known: KnownOutline,
+    pub settings: &'a Settings,
+}
+
+impl LimbFit<'_> {
+    /// The limb near a first outline, which is within 2 px or so.
+    pub fn near(&self, start: &Ellipse, hidden: &Hidden) -> Result<Limb, Rejected> {
+        self.settle(start, None, hidden, SETTLED_PX)
+    }
+
+    /// The same, roughly: enough to tell what lies on the disc.
+    pub fn roughly_near(&self, start: &Ellipse, hidden: &Hidden) -> Result<Limb, Rejected> {
+        self.settle(start, None, hidden, ROUGHLY_SETTLED_PX)
+    }
+
+    /// The limb where it was seen before, with other pixels hidden.
+    pub fn again(&self, before: &Limb, hidden: &Hidden) -> Result<Limb, Rejected> {
+        let steady = before.moved_px < STEADY_PX;
+        let appearance = steady.then_some(before.appearance);
+        self.settle(&before.outline.ellipse, appearance, hidden, SETTLED_PX)
+    }
+
+    fn settle(
+        &self,
+        start: &Ellipse,
+        mut appearance: Option<Appearance>,
+        hidden: &Hidden,
+        settled_px: f64,
+    ) -> Result<Limb, Rejected> {
+        let mut outline = *start;
+        for pass in 0..PASSES {
+            let look = self.look(&outline, appearance.as_ref(), hidden)?;
+            let fit = self
+                .known
+                .fit(&look.points, &outline)
+                .ok_or_else(|| self.too_few(look.points.len()))?;
+            self.check(&fit, start)?;
+            let moved_px = (fit.ellipse.centre - outline.centre).norm()
+                + (fit.ellipse.root() - outline.root()).norm();
+            if moved_px < settled_px || pass == PASSES - 1 {
+                return Ok(Limb::new(look, fit, moved_px));
+            }
+            outline = fit.ellipse;
+            appearance = (moved_px < STEADY_PX).then_some(look.appearance);
         }
-        let moved = (fit.ellipse.centre - outline.centre).norm()
-            + (fit.ellipse.root() - outline.root()).norm();
+        Err(self.too_few(0))
+    }
+
+    fn look(
+        &self,
+        outline: &Ellipse,
+        appearance: Option<&Appearance>,
+        hidden: &Hidden,
+    ) -> Result<Look, Rejected> {
+        let sight = Sight {
+            frame: self.frame,
+            outline,
+            hidden,
+            sectors: self.settings.limb_points,
+        };
+        match appearance {
+            Some(before) => Ok(sight.look_again(before)),
+            None => sight
+                .first_look(&self.typical_profile(outline), self.levels)
+                .ok_or_else(|| self.too_few(0)),
+        }
+    }
+
+    fn typical_profile(&self, outline: &Ellipse) -> Profile {
+        let light = self.levels.disc_dn - self.levels.background_dn;
+        Profile {
+            background_dn: self.levels.background_dn,
+            even_dn: light * (1.0 - TYPICAL_DARKENING),
+            darkened_dn: light * TYPICAL_DARKENING,
+            blur_px: self.blur_px,
+            radius_px: outline.mean_radius(),
+        }
+    }
+
+    fn check(&self, fit: &OutlineFit, start: &Ellipse) -> Result<(), Rejected> {
+        let accepted = fit.accepted.iter().filter(|a| **a).count();
+        if accepted < self.settings.min_limb_points {
+            return Err(self.too_few(accepted));
+        }
         let away = (fit.ellipse.centre - start.centre).norm();
         if away > MAX_MOVE_PX {
             return Err(Rejected {
@@ -109,31 +183,14 @@ pub fn fit_limb(
                 limit: MAX_MOVE_PX,
             });
         }
-        if moved < SETTLED_PX || pass == PASSES - 1 {
-            let on_it = points.iter().zip(&fit.accepted).filter(|(_, a)| **a);
-            let raised = on_it.map(|(point, _)| LimbPoint {
-                sigma_px: point.sigma_px * fit.scatter,
-                ..*point
-            });
-            return Ok(Limb {
-                points: raised.collect(),
-                outline: fit,
-                profile: seen,
-            });
-        }
-        outline = fit.ellipse;
-        profile = Profile {
-            radius_px: outline.mean_radius(),
-            ..seen
-        };
+        Ok(())
     }
-    Err(too_few(0, settings))
-}
 
-fn too_few(points: usize, settings: &Settings) -> Rejected {
-    Rejected {
-        reason: "too few points lie on the limb",
-        measured: points as f64,
-        limit: settings.min_limb_points as f64,
+    fn too_few(&self, points: usize) -> Rejected {
+        Rejected {
+            reason: "too few points lie on the limb",
+            measured: points as f64,
+            limit: self.settings.min_limb_points as f64,
+        }
     }
 }

@@ -12,6 +12,7 @@
 //! Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
 //! than [`Settings::min_limb_points`] points on an outline.
 
+mod band;
 mod bright;
 mod chords;
 mod consensus;
@@ -22,10 +23,12 @@ mod outline;
 mod patches;
 mod profile;
 mod search;
+mod typical;
 
+pub use band::Hidden;
 pub use chords::{Axis, Crossing, Edge, Scan};
-pub use edge::{Hidden, LimbPoint};
-pub use fine::{KnownOutline, Limb, fit_limb};
+pub use edge::LimbPoint;
+pub use fine::{KnownOutline, Limb, LimbFit};
 pub use levels::levels;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
@@ -57,7 +60,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             level_fraction: 0.26,
-            limb_points: 180,
+            limb_points: 96,
             search_spacing_px: 8,
             min_run_px: 4,
             min_contrast_sigma: 6.0,

@@ -66,6 +66,10 @@ impl OutlineFit {
 pub(super) const TUKEY_SIGMAS: f64 = 4.685;
 const STEPS: usize = 16;
 const ROUND_STEPS: usize = 6;
+/// Points that scatter by more sigmas than this about the start may lead an ellipse astray; a circle is harder to lead.
+const CRUDE_SIGMAS: f64 = 6.0;
+/// A shorter step changes nothing, px.
+const SETTLED_STEP_PX: f64 = 1e-4;
 /// Two values so many sigma apart are not of the same thing.
 const CONTRADICTION_SIGMAS: f64 = 5.0;
 /// Fewer points make no outline.
@@ -79,68 +83,114 @@ pub fn fit_outline(
     prior: &OutlinePrior,
 ) -> Option<OutlineFit> {
     let mut ellipse = *start;
-    let mut scatter = pull_scatter(points, &ellipse);
+    let mut seen = Seen::from(points, &ellipse);
+    let crude = seen.scatter > CRUDE_SIGMAS;
     let mut information = SMatrix::<f64, 5, 5>::zeros();
     for step in 0..STEPS {
-        let radius = ellipse.mean_radius();
-        let root = *ellipse.root();
-        // A circle first: it is harder to lead astray.
-        let hold = if step < ROUND_STEPS { 0.1 } else { 1.0 };
-        let flat = hold * prior.flatness * prior.radius_px.value;
-        let tightness = [0.0, 0.0, prior.radius_px.sigma, flat, flat]
-            .map(|sigma: f64| if sigma > 0.0 { sigma.powi(-2) } else { 0.0 });
-        let (stretch, diagonal) = ((root.m11 - root.m22) / 2.0, root.m12);
-        let off = [
-            0.0,
-            0.0,
-            prior.radius_px.value - radius,
-            -stretch,
-            -diagonal,
-        ];
-        information = SMatrix::from_diagonal(&SVector::from(tightness));
-        let mut gradient = SVector::<f64, 5>::from_fn(|n, _| tightness[n] * off[n]);
-        for point in points {
-            let excess = ellipse.excess(point.at.vector());
-            let weight = tukey_weight(excess / (point.sigma_px * scatter))
-                / (point.sigma_px * scatter).powi(2);
-            if weight > 0.0 {
-                let row = slopes(&ellipse, point.at.vector());
-                information += row * row.transpose() * weight;
-                gradient += row * (excess * weight);
-            }
-        }
+        let round = crude && step < ROUND_STEPS;
+        let (matrix, gradient) = seen.normal_equations(&ellipse, prior, round);
+        information = matrix;
         let moved = information.cholesky()?.solve(&gradient);
         let grown = Matrix2::new(moved[2] + moved[3], moved[4], moved[4], moved[2] - moved[3]);
-        ellipse = Ellipse::new(ellipse.centre + moved.fixed_rows::<2>(0), root + grown)?;
-        scatter = pull_scatter(points, &ellipse);
-        if step >= ROUND_STEPS && moved.norm() < 1e-5 {
+        let root = ellipse.root() + grown;
+        ellipse = Ellipse::new(ellipse.centre + moved.fixed_rows::<2>(0), root)?;
+        seen = Seen::from(points, &ellipse);
+        if !round && moved.norm() < SETTLED_STEP_PX {
             break;
         }
     }
-    let accepted: Vec<bool> = points
+    let accepted: Vec<bool> = seen
+        .points
         .iter()
-        .map(|p| pull(p, &ellipse).abs() < TUKEY_SIGMAS * scatter)
+        .map(|p| p.pull().abs() < TUKEY_SIGMAS * seen.scatter)
         .collect();
     let count = accepted.iter().filter(|a| **a).count();
     (count >= MIN_POINTS).then_some(OutlineFit {
         ellipse,
         covariance: information.cholesky()?.inverse(),
-        scatter,
-        scatter_px: robust_sigma(points.iter().map(|p| ellipse.excess(p.at.vector()))),
+        scatter: seen.scatter,
+        scatter_px: robust_sigma(seen.points.iter().map(|p| p.excess_px)),
         accepted,
     })
 }
 
-/// How the outline moves outwards at a point with centre x, y, mean radius and the two parts of the flatness.
-fn slopes(ellipse: &Ellipse, point: Vector2<f64>) -> SVector<f64, 5> {
-    let w = ellipse.to_disc(point).normalize();
-    let normal = ellipse.normal(w);
-    let (cos2, sin2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
-    SVector::from([normal.x, normal.y, 1.0, cos2, sin2])
+/// The points as an ellipse sees them.
+struct Seen {
+    points: Vec<SeenPoint>,
+    /// Robust 1 sigma of excess over stated sigma; not below 1, since less is luck.
+    scatter: f64,
 }
 
-fn pull(point: &LimbPoint, ellipse: &Ellipse) -> f64 {
-    ellipse.excess(point.at.vector()) / point.sigma_px
+struct SeenPoint {
+    /// Distance outwards from the outline.
+    excess_px: f64,
+    sigma_px: f64,
+    /// How the outline moves outwards there with centre x, y, mean radius and the two parts of the flatness.
+    slopes: [f64; 5],
+}
+
+impl SeenPoint {
+    fn from(point: &LimbPoint, ellipse: &Ellipse) -> Self {
+        let w = ellipse.to_disc(point.at.vector());
+        let (r2, out) = (w.norm_squared(), ellipse.inverse() * w);
+        let (r, length) = (r2.sqrt(), out.norm());
+        let (cos2, sin2) = ((w.x * w.x - w.y * w.y) / r2, 2.0 * w.x * w.y / r2);
+        Self {
+            excess_px: (r2 - r) / length,
+            sigma_px: point.sigma_px,
+            slopes: [out.x / length, out.y / length, 1.0, cos2, sin2],
+        }
+    }
+
+    fn pull(&self) -> f64 {
+        self.excess_px / self.sigma_px
+    }
+}
+
+impl Seen {
+    fn from(points: &[LimbPoint], ellipse: &Ellipse) -> Self {
+        let points: Vec<SeenPoint> = points
+            .iter()
+            .map(|point| SeenPoint::from(point, ellipse))
+            .collect();
+        let scatter = robust_sigma(points.iter().map(SeenPoint::pull)).max(1.0);
+        Self { points, scatter }
+    }
+
+    /// Information and gradient at an ellipse, that of the prior included; while it is to stay round, held to that.
+    fn normal_equations(
+        &self,
+        ellipse: &Ellipse,
+        prior: &OutlinePrior,
+        round: bool,
+    ) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>) {
+        let root = ellipse.root();
+        let hold = if round { 0.1 } else { 1.0 };
+        let flat = hold * prior.flatness * prior.radius_px.value;
+        let tightness = [0.0, 0.0, prior.radius_px.sigma, flat, flat]
+            .map(|sigma: f64| if sigma > 0.0 { sigma.powi(-2) } else { 0.0 });
+        let (stretch, diagonal) = ((root.m11 - root.m22) / 2.0, root.m12);
+        let short = prior.radius_px.value - ellipse.mean_radius();
+        let off = [0.0, 0.0, short, -stretch, -diagonal];
+        let mut matrix = [[0.0; 5]; 5];
+        let mut gradient: [f64; 5] = std::array::from_fn(|n| tightness[n] * off[n]);
+        for point in &self.points {
+            let spread = point.sigma_px * self.scatter;
+            let weight = tukey_weight(point.excess_px / spread) / (spread * spread);
+            for m in 0..5 {
+                let weighted = weight * point.slopes[m];
+                gradient[m] += weighted * point.excess_px;
+                for n in m..5 {
+                    matrix[m][n] += weighted * point.slopes[n];
+                }
+            }
+        }
+        let information = SMatrix::from_fn(|m, n| {
+            let known = if m == n { tightness[m] } else { 0.0 };
+            matrix[m.min(n)][m.max(n)] + known
+        });
+        (information, SVector::from(gradient))
+    }
 }
 
 fn tukey_weight(sigmas: f64) -> f64 {
@@ -150,11 +200,6 @@ fn tukey_weight(sigmas: f64) -> f64 {
     } else {
         0.0
     }
-}
-
-/// Robust 1 sigma of excess over stated sigma; not below 1, since less is luck.
-fn pull_scatter(points: &[LimbPoint], ellipse: &Ellipse) -> f64 {
-    robust_sigma(points.iter().map(|p| pull(p, ellipse))).max(1.0)
 }
 
 /// 1 sigma from the median of the absolute residuals; 0 of none.

@@ -39,16 +39,22 @@ const MAX_BLUR_PX: f64 = 8.0;
 impl Profile {
     /// Brightness at a distance outwards from the limb.
     pub fn at(&self, distance_px: f64) -> f64 {
-        let z = distance_px / self.blur_px;
-        let root = ROOT.at(z) * self.root_scale(distance_px);
-        self.background_dn + self.even_dn * TAIL.at(z) + self.darkened_dn * root
+        self.both(distance_px).0
     }
 
     /// Change of the brightness per px outwards.
     pub fn slope(&self, distance_px: f64) -> f64 {
+        self.both(distance_px).1
+    }
+
+    /// Brightness at a distance outwards from the limb, and its change per px.
+    pub(super) fn both(&self, distance_px: f64) -> (f64, f64) {
         let z = distance_px / self.blur_px;
-        let root = ROOT.slope(z) * self.root_scale(distance_px);
-        (self.even_dn * TAIL.slope(z) + self.darkened_dn * root) / self.blur_px
+        let scale = self.root_scale(distance_px);
+        let ((tail, tail_slope), (root, root_slope)) = (TAIL.both(z), ROOT.both(z));
+        let dn = self.background_dn + self.even_dn * tail + self.darkened_dn * scale * root;
+        let slope = self.even_dn * tail_slope + self.darkened_dn * scale * root_slope;
+        (dn, slope / self.blur_px)
     }
 
     /// The disc's light at the middle of an unblurred disc.
@@ -108,8 +114,10 @@ impl Profile {
     fn parameter_slopes(&self, distance_px: f64) -> SVector<f64, 5> {
         let z = distance_px / self.blur_px;
         let scale = self.root_scale(distance_px);
-        let (tail, root) = (TAIL.at(z), ROOT.at(z) * scale);
-        let outwards = self.slope(distance_px);
+        let ((tail, tail_slope), (root, root_slope)) = (TAIL.both(z), ROOT.both(z));
+        let root = root * scale;
+        let outwards =
+            (self.even_dn * tail_slope + self.darkened_dn * scale * root_slope) / self.blur_px;
         let by_blur = -z * outwards + self.darkened_dn * root / (2.0 * self.blur_px);
         SVector::from([1.0, tail, root, by_blur, -outwards])
     }
@@ -148,14 +156,6 @@ impl Table {
         let part = place - n as f64;
         let (a, b) = (self.values[n], self.values[n + 1]);
         (a.0 + (b.0 - a.0) * part, a.1 + (b.1 - a.1) * part)
-    }
-
-    fn at(&self, z: f64) -> f64 {
-        self.both(z).0
-    }
-
-    fn slope(&self, z: f64) -> f64 {
-        self.both(z).1
     }
 }
 

@@ -1,0 +1,311 @@
+//! The pixels about an outline, one list for each quantity, as the processor's wide instructions like it.
+
+use crate::frame::{Frame, Region, Sample, View};
+use crate::geometry::Ellipse;
+use crate::units::SensorPx;
+use crate::with_view;
+use multiversion::multiversion;
+use nalgebra::Vector2;
+use std::ops::Range;
+
+/// Pixels that show no bare limb: marks lie on them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Hidden {
+    region: Region,
+    covered: Vec<bool>,
+    /// Rows of the region that have a hidden pixel.
+    rows: Range<usize>,
+}
+
+impl Hidden {
+    /// Nothing hidden, in a region.
+    pub fn nothing(region: Region) -> Self {
+        let covered = vec![false; region.width() * region.height()];
+        Self {
+            region,
+            covered,
+            rows: 0..0,
+        }
+    }
+
+    /// Hides those of the pixels within `reach` px of a position that `covers` holds for.
+    pub fn hide(&mut self, at: SensorPx, reach: f64, covers: impl Fn(SensorPx) -> bool) {
+        let r = self.region;
+        let Some(near) = Region::around(at, reach, r.x1, r.y1) else {
+            return;
+        };
+        let rows = near.y0.max(r.y0)..near.y1;
+        for y in rows.clone() {
+            for x in near.x0.max(r.x0)..near.x1 {
+                if covers(SensorPx::new(x as f64, y as f64)) {
+                    self.covered[(y - r.y0) * r.width() + x - r.x0] = true;
+                }
+            }
+        }
+        self.rows = if self.rows.is_empty() {
+            rows
+        } else {
+            self.rows.start.min(rows.start)..self.rows.end.max(rows.end)
+        };
+    }
+
+    /// Which of a row's pixels are hidden, from the region's first column on; outside the region none is.
+    fn row(&self, y: usize) -> Option<&[bool]> {
+        let r = self.region;
+        (self.rows.contains(&y) && (r.y0..r.y1).contains(&y))
+            .then(|| &self.covered[(y - r.y0) * r.width()..][..r.width()])
+    }
+
+    /// Raises the brightness of a row's hidden pixels, of those from column `from` on, to [`HIDDEN_DN`].
+    fn raise(&self, y: usize, from: usize, dn: &mut [f32]) {
+        let Some(row) = self.row(y) else { return };
+        let first = self.region.x0.max(from);
+        let covered = row.iter().skip(first - self.region.x0);
+        for (dn, covered) in dn.iter_mut().skip(first - from).zip(covered) {
+            if *covered {
+                *dn = HIDDEN_DN;
+            }
+        }
+    }
+}
+
+/// Brightness of a hidden pixel: so far from any limb's that robust weights leave it out by themselves.
+pub(super) const HIDDEN_DN: f32 = 1e9;
+
+/// How far a band reaches from its outline, px.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Reach {
+    pub inside_px: f64,
+    pub outside_px: f64,
+}
+
+/// The pixels about an outline, one entry a pixel.
+pub(super) struct Band {
+    pub reach: Reach,
+    /// Outwards from the outline.
+    pub distance_px: Vec<f32>,
+    /// Sector of the direction from the disc's centre.
+    pub sector: Vec<u16>,
+    /// Brightness; [`HIDDEN_DN`] where it is hidden.
+    pub dn: Vec<f32>,
+}
+
+impl Band {
+    pub(super) fn about(
+        frame: &Frame,
+        outline: &Ellipse,
+        reach: Reach,
+        hidden: &Hidden,
+        sectors: usize,
+    ) -> Self {
+        let spans = Spans::new(outline, reach);
+        let mut pixels = Places::default();
+        with_view!(frame, view => pixels.gather(&view, outline, &spans, hidden));
+        let count = pixels.dn.len();
+        let mut band = Self {
+            reach,
+            distance_px: vec![0.0; count],
+            sector: vec![0; count],
+            dn: pixels.dn,
+        };
+        let inverse = outline.inverse().cast();
+        locate(
+            &pixels.x,
+            &pixels.y,
+            [inverse.m11, inverse.m12, inverse.m22],
+            sectors as f32,
+            &mut band.distance_px,
+            &mut band.sector,
+        );
+        band
+    }
+}
+
+/// Where pixels are, px from the outline's centre, and how bright.
+#[derive(Default)]
+struct Places {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    dn: Vec<f32>,
+}
+
+/// More than the pixels of a band about the Sun.
+const USUAL_PIXELS: usize = 16_384;
+
+impl Places {
+    fn gather<T: Sample>(
+        &mut self,
+        view: &View<'_, T>,
+        outline: &Ellipse,
+        spans: &Spans,
+        hidden: &Hidden,
+    ) {
+        for list in [&mut self.x, &mut self.y, &mut self.dn] {
+            list.reserve(USUAL_PIXELS);
+        }
+        let centre = outline.centre;
+        let reach = spans.most * (outline.root().m11.max(outline.root().m22) + 1.0);
+        for y in pixels_within(centre.y - reach..centre.y + reach, view.height) {
+            let dy = y as f64 - centre.y;
+            let row = &view.pixels[y * view.width..][..view.width];
+            for span in spans.of_row(dy) {
+                let columns = pixels_within(span.start + centre.x..span.end + centre.x, view.width);
+                let first = self.dn.len();
+                let from_centre = (columns.start as f64 - centre.x) as f32;
+                self.x
+                    .extend((0..columns.len()).map(|n| from_centre + n as f32));
+                self.y.extend(std::iter::repeat_n(dy as f32, columns.len()));
+                self.dn
+                    .extend(row[columns.clone()].iter().map(|pixel| pixel.dn()));
+                hidden.raise(y, columns.start, &mut self.dn[first..]);
+            }
+        }
+    }
+}
+
+/// Whole numbers in a half-open range, as far as there are pixels.
+fn pixels_within(range: Range<f64>, pixels: usize) -> Range<usize> {
+    let first = |v: f64| v.ceil().clamp(0.0, pixels as f64) as usize;
+    first(range.start)..first(range.end).max(first(range.start))
+}
+
+/// Where rows cross the band, in columns from the outline's centre.
+struct Spans {
+    /// The outline's inverse root.
+    inverse: nalgebra::Matrix2<f64>,
+    /// The band's edges in units of the disc's radius.
+    least: f64,
+    most: f64,
+}
+
+impl Spans {
+    fn new(outline: &Ellipse, reach: Reach) -> Self {
+        let radius = outline.mean_radius();
+        Self {
+            inverse: *outline.inverse(),
+            least: (1.0 - reach.inside_px / radius).max(0.0),
+            most: 1.0 + reach.outside_px / radius,
+        }
+    }
+
+    /// The two parts of a row that lie in the band; empty where it passes by. Along a row the square of the distance in
+    /// disc units is a parabola.
+    fn of_row(&self, dy: f64) -> [Range<f64>; 2] {
+        let step = self.inverse.column(0);
+        let first = self.inverse.column(1) * dy;
+        let (bend, slope) = (step.norm_squared(), step.dot(&first));
+        let middle = -slope / bend;
+        let half = |edge: f64| {
+            let square = middle * middle - (first.norm_squared() - edge * edge) / bend;
+            square.max(0.0).sqrt()
+        };
+        let (end, hole) = (half(self.most), half(self.least));
+        [middle - end..middle - hole, middle + hole..middle + end]
+    }
+}
+
+/// Distance outwards from the outline, and sector, of places about its centre; `inverse` is the outline's inverse root:
+/// m11, m12, m22. To first order in the distance, like [`Ellipse::excess`].
+#[multiversion(targets("x86_64+avx2"))]
+fn locate(
+    x: &[f32],
+    y: &[f32],
+    inverse: [f32; 3],
+    sectors: f32,
+    distance_px: &mut [f32],
+    sector: &mut [u16],
+) {
+    let [a, b, c] = inverse;
+    let count = distance_px.len();
+    let (x, y, sector) = (&x[..count], &y[..count], &mut sector[..count]);
+    let (per_quarter, last) = (sectors / 4.0, sectors - 1.0);
+    for n in 0..count {
+        let (wx, wy) = (a * x[n] + b * y[n], b * x[n] + c * y[n]);
+        let r2 = wx * wx + wy * wy;
+        let r = r2.sqrt();
+        let (nx, ny) = (a * wx + b * wy, b * wx + c * wy);
+        // A pixel at the very centre is no pixel of the limb.
+        distance_px[n] = (r2 - r) / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
+        let along = wy / (wx.abs() + wy.abs() + f32::MIN_POSITIVE);
+        let quarters = if wx >= 0.0 { 1.0 + along } else { 3.0 - along };
+        sector[n] = (quarters * per_quarter).min(last) as i32 as u16;
+    }
+}
+
+/// The direction of the middle of one of so many sectors: the inverse of what [`locate`] does.
+pub(super) fn middle_of_sector(sector: usize, sectors: usize) -> Vector2<f64> {
+    let quarters = 4.0 * (sector as f64 + 0.5) / sectors as f64;
+    let (along, side) = if quarters < 2.0 {
+        (quarters - 1.0, 1.0)
+    } else {
+        (3.0 - quarters, -1.0)
+    };
+    Vector2::new(side * (1.0 - along.abs()), along).normalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{FrameInfo, Pixels};
+    use nalgebra::Matrix2;
+
+    fn outline() -> Ellipse {
+        Ellipse::new(Vector2::new(60.3, 48.8), Matrix2::new(40.4, 0.2, 0.2, 39.7)).unwrap()
+    }
+
+    fn band(hidden: &Hidden) -> Band {
+        let pixels = (0..120 * 100).map(|n| (n % 251) as u8).collect();
+        let frame = Frame::new(120, 100, Pixels::U8(pixels), 255, FrameInfo::default()).unwrap();
+        let reach = Reach {
+            inside_px: 6.0,
+            outside_px: 4.0,
+        };
+        Band::about(&frame, &outline(), reach, hidden, 96)
+    }
+
+    #[test]
+    fn a_band_holds_the_pixels_about_its_outline_and_no_others() {
+        let nothing = Hidden::nothing(Region::sized(0, 0, 120, 100));
+        let band = band(&nothing);
+        let within = |n: usize| {
+            let at = Vector2::new((n % 120) as f64, (n / 120) as f64);
+            (-5.9..3.9).contains(&outline().excess(at))
+        };
+        let expected = (0..120 * 100).filter(|n| within(*n)).count();
+        let held = band.distance_px.iter().filter(|d| (-5.9..3.9).contains(*d));
+        assert_eq!(held.count(), expected);
+        assert!(band.distance_px.iter().all(|d| (-6.2..4.2).contains(d)));
+    }
+
+    #[test]
+    fn hidden_pixels_and_only_they_are_raised() {
+        let mut hidden = Hidden::nothing(Region::sized(10, 5, 100, 90));
+        let at = SensorPx::new(100.0, 49.0);
+        hidden.hide(at, 3.0, |place| place.distance(at) < 2.5);
+        let raised = band(&hidden)
+            .dn
+            .iter()
+            .filter(|dn| **dn == HIDDEN_DN)
+            .count();
+        assert_eq!(raised, 21);
+    }
+
+    #[test]
+    fn a_sector_s_middle_lies_in_it() {
+        for sector in 0..96 {
+            let middle = middle_of_sector(sector, 96) * 40.0;
+            let (mut distance, mut found) = ([0.0], [0]);
+            let unit = [1.0 / 40.0, 0.0, 1.0 / 40.0];
+            locate(
+                &[middle.x as f32],
+                &[middle.y as f32],
+                unit,
+                96.0,
+                &mut distance,
+                &mut found,
+            );
+            assert_eq!(usize::from(found[0]), sector);
+            assert!(distance[0].abs() < 1e-4);
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! The typical brightness at each distance from an outline, taken all round.
+
+use super::band::{Band, HIDDEN_DN};
+use super::profile::Brightness;
+use multiversion::multiversion;
+
+/// Distances that share a median, per px.
+const PER_PX: f32 = 4.0;
+/// Values are counted in at most so many steps.
+const LEVELS: usize = 256;
+/// Fewest pixels that make a median.
+const MIN_PIXELS: u32 = 10;
+/// A median is worth 64 % of a mean.
+const MEDIAN_WORTH: f64 = 0.64;
+
+/// The medians of the band's brightness by distance. Where the disc saturates it says nothing.
+pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
+    let reach = &band.reach;
+    let bins = ((reach.inside_px + reach.outside_px) * f64::from(PER_PX)).ceil() as usize + 1;
+    let step_dn = ((saturation_dn + 1.0) / LEVELS as f64).ceil().max(1.0);
+    let mut cells = vec![0_u32; band.dn.len()];
+    let hidden = (bins * LEVELS) as u32;
+    find_cells(band, step_dn as f32, hidden, &mut cells);
+    let mut counts = vec![0_u16; (bins + 1) * LEVELS];
+    for cell in cells {
+        if let Some(count) = counts.get_mut(cell as usize) {
+            *count += 1;
+        }
+    }
+    let middle_px = |bin: usize| (bin as f64 + 0.5) / f64::from(PER_PX) - reach.inside_px;
+    counts
+        .chunks_exact(LEVELS)
+        .take(bins)
+        .enumerate()
+        .filter_map(|(bin, counts)| {
+            let (dn, pixels) = median(counts, step_dn)?;
+            (dn < saturation_dn - 1.0).then(|| Brightness {
+                distance_px: middle_px(bin),
+                dn,
+                weight: MEDIAN_WORTH * f64::from(pixels),
+            })
+        })
+        .collect()
+}
+
+/// The cell of every pixel, by distance and then by value; hidden pixels fall into the first cell beyond.
+#[multiversion(targets("x86_64+avx2"))]
+fn find_cells(band: &Band, step_dn: f32, hidden: u32, cells: &mut [u32]) {
+    let inside = band.reach.inside_px as f32;
+    let last_bin = hidden as f32 / LEVELS as f32 - 1.0;
+    let per_step = 1.0 / step_dn;
+    let count = cells.len();
+    let (distance_px, dn) = (&band.distance_px[..count], &band.dn[..count]);
+    for n in 0..count {
+        let bin = ((distance_px[n] + inside) * PER_PX).clamp(0.0, last_bin) as i32;
+        let level = (dn[n] * per_step).min((LEVELS - 1) as f32) as i32;
+        let cell = bin * LEVELS as i32 + level;
+        cells[n] = if dn[n] < HIDDEN_DN {
+            cell as u32
+        } else {
+            hidden
+        };
+    }
+}
+
+/// The median of counted values, interpolated within its step, and their number.
+fn median(counts: &[u16], step_dn: f64) -> Option<(f64, u32)> {
+    let pixels: u32 = counts.iter().map(|n| u32::from(*n)).sum();
+    if pixels < MIN_PIXELS {
+        return None;
+    }
+    let half = pixels.div_ceil(2);
+    let mut upto = 0;
+    for (level, count) in counts.iter().map(|n| u32::from(*n)).enumerate() {
+        if upto + count >= half {
+            let part = (f64::from(pixels) / 2.0 - f64::from(upto)) / f64::from(count);
+            // A value stands for all that was rounded to it.
+            return Some(((level as f64 + part) * step_dn - 0.5, pixels));
+        }
+        upto += count;
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_median_is_found_between_whole_values() {
+        let mut counts = [0_u16; LEVELS];
+        (counts[10], counts[11], counts[200]) = (10, 10, 2);
+        let (dn, pixels) = median(&counts, 1.0).unwrap();
+        assert!((dn - 10.6).abs() < 1e-9, "{dn}");
+        assert_eq!(pixels, 22);
+    }
+
+    #[test]
+    fn a_handful_of_pixels_makes_no_median() {
+        let mut counts = [0_u16; LEVELS];
+        counts[7] = 9;
+        assert_eq!(median(&counts, 1.0), None);
+    }
+}
