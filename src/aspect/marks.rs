@@ -159,7 +159,7 @@ impl Work<'_> {
             .flat_map(|limb| limb.points.iter().map(|point| (point.at, point.sigma_px)))
             .collect();
         let outline = limb.map(|limb| Outline {
-            centre: limb.outline.ellipse.centre.into(),
+            ellipse: limb.outline.ellipse,
             points: &points,
             radius_mil: self.loose_radius_mil(),
         });

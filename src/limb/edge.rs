@@ -322,7 +322,10 @@ impl<'a> Edge<'a> {
         let limb = self.shift_px as f32;
         let distance_px = &self.band.distance_px;
         let within = |from: f32, to: f32, start: f64| {
-            clipped_sigma(distance_px, unexplained, [from, to], start as f32)
+            clipped_sigma(
+                &left_between(distance_px, unexplained, from, to),
+                start as f32,
+            )
         };
         let outside = within(limb + clear, f32::INFINITY, self.noise.outside_dn);
         let inside = within(f32::NEG_INFINITY, limb - clear, self.noise.inside_dn);
@@ -377,15 +380,17 @@ fn sum_pixels(
     }
 }
 
-/// 1 sigma of what is left of the pixels at some distances, from those within three of it: in rounds, since the limit
-/// rests on the result. `None` of too few.
+/// What is left of every second pixel between two distances: enough to tell a noise.
+fn left_between(distance_px: &[f32], left: &[f32], from_px: f32, to_px: f32) -> Vec<f32> {
+    let pairs = distance_px.iter().zip(left).step_by(2);
+    let within = pairs.filter(|(distance, _)| **distance > from_px && **distance < to_px);
+    within.map(|(_, left)| *left).collect()
+}
+
+/// 1 sigma of what is left, from what lies within three of it: in rounds, since the limit rests on the result. `None` of
+/// too few.
 #[multiversion(targets("x86_64+avx2"))]
-fn clipped_sigma(
-    distance_px: &[f32],
-    left: &[f32],
-    between_px: [f32; 2],
-    start: f32,
-) -> Option<f64> {
+fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
     /// What the normal distribution keeps of its sigma within three of it.
     const KEPT: f32 = 0.9866;
     const ROUNDS: usize = 4;
@@ -397,16 +402,11 @@ fn clipped_sigma(
     for _ in 0..ROUNDS {
         let limit2 = limit * limit;
         let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-        let pairs = distance_px
-            .chunks_exact(LANES)
-            .zip(left.chunks_exact(LANES));
-        for (distance, left) in pairs {
+        for left in left.chunks_exact(LANES) {
             for k in 0..LANES {
                 let square = left[k] * left[k];
-                let at = (distance[k] > between_px[0]) & (distance[k] < between_px[1]);
-                let counts_in = at & (square < limit2);
-                counts[k] += if counts_in { 1.0 } else { 0.0 };
-                squares[k] += if counts_in { square } else { 0.0 };
+                counts[k] += if square < limit2 { 1.0 } else { 0.0 };
+                squares[k] += if square < limit2 { square } else { 0.0 };
             }
         }
         let count: f32 = counts.iter().sum();

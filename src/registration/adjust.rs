@@ -1,6 +1,7 @@
 //! One adjustment of everything that the mapping decides: the pairs, and the points that lie on one circle of the plate.
 
 use super::model::{MOST, Model, Normalisation, Parameters};
+use super::normal_points::normal_points;
 use super::{Outline, Pair};
 use crate::geometry::{Circle, Distortion, Handedness, MappingKind, project};
 use crate::units::PlateMil;
@@ -48,7 +49,7 @@ pub(super) struct Adjusted {
 
 const STEPS: usize = 12;
 /// A shorter step changes nothing: px, mil and parts of the picture's size alike.
-const SETTLED_STEP: f64 = 1e-7;
+const SETTLED_STEP: f64 = 1e-5;
 
 impl<'a> Problem<'a> {
     /// `None` when a covariance cannot be inverted or all pairs fall together.
@@ -66,11 +67,12 @@ impl<'a> Problem<'a> {
             })
         };
         let ideal_points = |outline: &'a Outline<'a>| {
-            let point = |(at, sigma_px): &(_, f64)| IdealPoint {
-                seen: distortion.correct(*at).vector(),
-                sigma_px: *sigma_px,
+            let point = |(at, sigma_px): (_, f64)| IdealPoint {
+                seen: distortion.correct(at).vector(),
+                sigma_px,
             };
-            (outline, outline.points.iter().map(point).collect())
+            let points = normal_points(outline.points, &outline.ellipse);
+            (outline, points.into_iter().map(point).collect())
         };
         Some(Self {
             pairs: pairs.iter().map(ideal_pair).collect::<Option<_>>()?,
@@ -90,32 +92,25 @@ impl<'a> Problem<'a> {
     }
 
     /// A fit with the pairs' sigmas raised by another factor; itself where it was made by that very one.
-    pub(super) fn at(&self, adjusted: &Adjusted, raised: f64) -> Option<Adjusted> {
+    pub(super) fn again(&self, adjusted: &Adjusted, raised: f64) -> Option<Adjusted> {
         if adjusted.raised == raised {
             return Some(*adjusted);
         }
-        self.fit(adjusted.model.kind(), raised)
+        self.adjust(adjusted.model, adjusted.circle, raised)
     }
 
-    /// Fits a kind of mapping, the pairs' sigmas raised by a factor. `None` when the data do not determine it.
-    pub(super) fn fit(&self, kind: MappingKind, raised: f64) -> Option<Adjusted> {
+    /// Fits the kind of mapping that the start is of, the pairs' sigmas raised by a factor. `None` when the data do not
+    /// determine it.
+    pub(super) fn fit(&self, start: Model, raised: f64) -> Option<Adjusted> {
         if 2 * self.pairs.len() < MappingKind::Similarity.parameters() {
             return None;
         }
-        // A divisor has no slope at zero, so the kinds that have one start from those that have none.
-        let mut model = match kind {
-            MappingKind::Similarity => self.first_similarity()?,
-            MappingKind::Affine => self.first_similarity()?.as_affine(),
-            MappingKind::Keystone => {
-                let similarity = self.fit(MappingKind::Similarity, raised)?;
-                similarity.model.as_keystone()
-            }
-            MappingKind::Homography => {
-                let affine = self.fit(MappingKind::Affine, raised)?;
-                affine.model.as_homography()
-            }
-        };
-        let mut circle = self.start_circle(&model)?;
+        self.adjust(start, self.start_circle(&start)?, raised)
+    }
+
+    fn adjust(&self, start: Model, circle: Option<Circle>, raised: f64) -> Option<Adjusted> {
+        let (mut model, mut circle) = (start, circle);
+        let kind = model.kind();
         let mut sums = Sums::default();
         for _ in 0..STEPS {
             sums = self.sums(&model, circle, raised, kind)?;
@@ -146,7 +141,7 @@ impl<'a> Problem<'a> {
     }
 
     /// The similarity that the pairs alone give.
-    fn first_similarity(&self) -> Option<Model> {
+    pub(super) fn first_similarity(&self) -> Option<Model> {
         let kind = MappingKind::Similarity;
         let mut first = Model::zero(kind, self.handedness, self.normalisation);
         let mut information = SMatrix::<f64, MOST, MOST>::zeros();
@@ -171,7 +166,7 @@ impl<'a> Problem<'a> {
         };
         let back = model.homography().try_inverse()?;
         Some(Some(Circle {
-            centre: project(&back, outline.centre.vector()),
+            centre: project(&back, outline.ellipse.centre),
             radius: outline.radius_mil.value,
         }))
     }

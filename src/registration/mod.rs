@@ -25,8 +25,9 @@
 
 mod adjust;
 mod model;
+mod normal_points;
 
-use crate::geometry::{Circle, Distortion, Handedness, Mapping, MappingKind};
+use crate::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, MappingKind};
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use adjust::{Adjusted, Covariance, Problem};
 use model::{MOST, Model};
@@ -44,8 +45,8 @@ pub struct Pair {
 /// Points of the sensor that lie on one circle of the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outline<'a> {
-    /// Where its centre is seen, nearly.
-    pub centre: SensorPx,
+    /// The ellipse that it is, nearly.
+    pub ellipse: Ellipse,
     /// Points, and 1 sigma across the outline, px.
     pub points: &'a [(SensorPx, f64)],
     /// What is known of its radius.
@@ -145,50 +146,80 @@ pub fn fit(
     settings: &Settings,
 ) -> Option<Registration> {
     let problem = Problem::new(pairs, None, handedness, distortion)?;
-    let adjusted = settle(&problem, kind, settings)?;
+    let mut adjusted = settle(&problem, problem.first_similarity()?, settings)?;
+    if kind == MappingKind::Homography {
+        adjusted = settle(
+            &problem,
+            adjusted.model.as_kind(MappingKind::Affine),
+            settings,
+        )?;
+    }
+    if kind != MappingKind::Similarity {
+        adjusted = settle(&problem, adjusted.model.as_kind(kind), settings)?;
+    }
     registration(&problem, &adjusted, distortion)
 }
 
 fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
-    let mut best = settle(problem, MappingKind::Similarity, settings)?;
+    let similarity = settle(problem, problem.first_similarity()?, settings)?;
+    let mut best = similarity;
+    let mut affine = None;
     for kind in [
         MappingKind::Keystone,
         MappingKind::Affine,
         MappingKind::Homography,
     ] {
-        let Some(richer) = settle(problem, kind, settings) else {
+        // A divisor has no slope at zero, so the kinds that have one start from those that have none.
+        let start = match kind {
+            MappingKind::Homography => {
+                affine.unwrap_or(similarity.model.as_kind(MappingKind::Affine))
+            }
+            _ => similarity.model,
+        };
+        let Some(richer) = settle(problem, start.as_kind(kind), settings) else {
             continue;
         };
-        // Both are held against the same sigmas: those that the richer one's residuals show, if they can.
-        let raised = if richer.redundancy < TELLING_REDUNDANCY {
-            best.raised
-        } else {
-            richer.raised
-        };
-        let (Some(simple), Some(rich)) = (problem.at(&best, raised), problem.at(&richer, raised))
-        else {
-            continue;
-        };
-        let by_outline = simple.chi2_outline - rich.chi2_outline;
-        let by_pairs = (simple.chi2_pairs - rich.chi2_pairs) / raised.powi(2);
-        let added = kind.parameters() - best.model.kind().parameters();
-        let gain = by_outline + by_pairs / distrust(&richer, settings);
-        if gain / added.max(1) as f64 > settings.min_gain {
+        if kind == MappingKind::Affine {
+            affine = Some(richer.model);
+        }
+        let gain = gain(problem, &best, &richer, settings);
+        if gain.is_some_and(|gain| gain > settings.min_gain) {
             best = richer;
         }
     }
     Some(best)
 }
 
+/// By how much a richer kind lowers chi^2, for every parameter that it adds. `None` where one of the two cannot be
+/// fitted by the sigmas of both.
+fn gain(
+    problem: &Problem<'_>,
+    best: &Adjusted,
+    richer: &Adjusted,
+    settings: &Settings,
+) -> Option<f64> {
+    // Both are held against the same sigmas: those that the richer one's residuals show, if they can.
+    let raised = if richer.redundancy < TELLING_REDUNDANCY {
+        best.raised
+    } else {
+        richer.raised
+    };
+    let (simple, rich) = (problem.again(best, raised)?, problem.again(richer, raised)?);
+    let by_outline = simple.chi2_outline - rich.chi2_outline;
+    let by_pairs = (simple.chi2_pairs - rich.chi2_pairs) / raised.powi(2);
+    let added = richer.model.kind().parameters() - best.model.kind().parameters();
+    Some((by_outline + by_pairs / distrust(richer, settings)) / added.max(1) as f64)
+}
+
 /// Fits a kind, the pairs' sigmas raised until they agree with the residuals.
-fn settle(problem: &Problem<'_>, kind: MappingKind, settings: &Settings) -> Option<Adjusted> {
-    let mut adjusted = problem.fit(kind, 1.0)?;
+fn settle(problem: &Problem<'_>, start: Model, settings: &Settings) -> Option<Adjusted> {
+    let mut adjusted = problem.fit(start, 1.0)?;
     for _ in 0..RISES {
         let raised = risen(&adjusted, settings);
         if (raised / adjusted.raised - 1.0).abs() < 0.01 {
             break;
         }
-        adjusted = problem.fit(kind, raised)?;
+        adjusted = problem.again(&adjusted, raised)?;
     }
     Some(adjusted)
 }

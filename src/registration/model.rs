@@ -91,26 +91,30 @@ impl Model {
         self.kind
     }
 
-    /// A similarity as an affine model.
-    pub(super) fn as_affine(&self) -> Self {
+    /// A similarity as one of the richer kinds, an affine model as a homography; itself of its own kind.
+    pub(super) fn as_kind(&self, kind: MappingKind) -> Self {
+        if kind == self.kind {
+            return *self;
+        }
+        match (self.kind, kind) {
+            (MappingKind::Similarity, MappingKind::Keystone) => self.as_keystone(),
+            (MappingKind::Similarity, _) => self.without_tilt(kind),
+            _ => Self { kind, ..*self },
+        }
+    }
+
+    /// A similarity as an affine model, or as a homography without tilt.
+    fn without_tilt(&self, kind: MappingKind) -> Self {
         let n = self.normalised();
         Self {
-            kind: MappingKind::Affine,
+            kind,
             parameters: [n.m13, n.m23, n.m11, n.m12, n.m21, n.m22, 0.0, 0.0].into(),
             ..*self
         }
     }
 
-    /// An affine model as a homography without tilt.
-    pub(super) fn as_homography(&self) -> Self {
-        Self {
-            kind: MappingKind::Homography,
-            ..*self
-        }
-    }
-
     /// A similarity as a keystone without tilt.
-    pub(super) fn as_keystone(&self) -> Self {
+    fn as_keystone(&self) -> Self {
         let normalisation = self.normalisation.about_plate_centre();
         let centre = self.picture(PlateMil::new(0.0, 0.0));
         let (a, b) = (self.parameters[2], self.parameters[3]);
