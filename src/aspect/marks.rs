@@ -2,7 +2,9 @@
 
 use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
 use super::{Mark, Stage, Stopped};
-use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner, Sight};
+use crate::fiducial::{
+    self, CrossShape, Detections, FlatDisc, Lighting, RefinedMark, Refiner, Sight,
+};
 use crate::frame::Levels;
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::Limb;
@@ -50,48 +52,56 @@ impl Work<'_> {
         }
     }
 
-    /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
-    /// sigma that gives it little weight.
+    /// Marks by their own pixels; none where these do not agree with a cross.
     ///
     /// A limb softer than the instrument's blur may come of haze, which softens the marks too, or of the Sun's motion,
     /// which does not: the marks' own pixels decide.
-    pub(super) fn refine(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Mark> {
+    pub(super) fn refine(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Option<RefinedMark>> {
         let stated_px = self.instrument.optics.blur_px.value;
-        let (sharp, sharp_chi2) = self.refine_at(stated_px, sight, marks);
+        let sharp = self.refine_at(stated_px, sight, marks);
         let limb_px = sight.limb.lens_blur_px();
         if limb_px < SOFT * stated_px {
             return sharp;
         }
-        let (soft, soft_chi2) = self.refine_at(limb_px, sight, marks);
-        if soft_chi2 < sharp_chi2 { soft } else { sharp }
+        let soft = self.refine_at(limb_px, sight, marks);
+        if left_unexplained(&soft) < left_unexplained(&sharp) {
+            soft
+        } else {
+            sharp
+        }
     }
 
-    /// Marks refined at a lens's blur, and what they leave unexplained on average.
-    fn refine_at(&self, blur_px: f64, sight: &MarkSight<'_>, marks: &[Mark]) -> (Vec<Mark>, f64) {
+    /// Marks refined at a lens's blur.
+    fn refine_at(
+        &self,
+        blur_px: f64,
+        sight: &MarkSight<'_>,
+        marks: &[Mark],
+    ) -> Vec<Option<RefinedMark>> {
         let limb = sight.limb;
         let scale = self.disc_scale(&limb.outline.ellipse);
         let plate = &self.instrument.plate;
         let refiner = Refiner::new(&plate.cross, scale, blur_px);
-        let mut chi2 = 0.0;
-        let mut refined = |mark: &Mark| {
+        let refined = |mark: &Mark| {
             let jacobian = sight.mapping.sensor_jacobian(plate.position(mark.id));
             let light = |x, y| limb.light_dn(x, y);
-            let found = refiner.refine(self.frame, sight.levels, light, &jacobian, mark.at);
-            let Some(found) = found else {
-                chi2 += UNREFINED_CHI2;
-                return Mark {
-                    covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
-                    ..*mark
-                };
-            };
-            chi2 += found.reduced_chi2;
-            Mark {
-                at: found.place.position,
-                covariance_px2: found.place.covariance,
-                ..*mark
-            }
+            refiner.refine(self.frame, sight.levels, light, &jacobian, mark.at)
         };
-        (marks.iter().map(&mut refined).collect(), chi2)
+        marks.iter().map(refined).collect()
+    }
+
+    /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
+    /// sigma that gives it little weight.
+    pub(super) fn place(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Mark> {
+        let refined = self.refine(sight, marks);
+        let placed = marks.iter().zip(&refined).map(|(mark, found)| match found {
+            Some(found) => mark.placed(found),
+            None => Mark {
+                covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
+                ..*mark
+            },
+        });
+        placed.collect()
     }
 
     pub(super) fn identify(
@@ -198,6 +208,23 @@ impl Work<'_> {
             self.radius_mil.value,
             self.radius_mil.sigma.hypot(definition),
         )
+    }
+}
+
+/// What refined marks leave unexplained together, beside others of the same marks.
+fn left_unexplained(refined: &[Option<RefinedMark>]) -> f64 {
+    let chi2 = |found: &Option<RefinedMark>| found.map_or(UNREFINED_CHI2, |f| f.reduced_chi2);
+    refined.iter().map(chi2).sum()
+}
+
+impl Mark {
+    /// The mark where its pixels show it.
+    pub(super) fn placed(&self, found: &RefinedMark) -> Self {
+        Self {
+            at: found.place.position,
+            covariance_px2: found.place.covariance,
+            ..*self
+        }
     }
 }
 

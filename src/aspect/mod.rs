@@ -1,6 +1,7 @@
 //! The pipeline on one page: from a frame to the Sun's centre on the plate.
 
 mod conclusion;
+mod foretold;
 mod marks;
 mod overlay;
 mod solution;
@@ -11,9 +12,10 @@ pub use solution::{
     AdoptedMapping, Aspect, Mark, Origin, Quality, Solution, Stage, Stopped, Track,
 };
 
-use crate::frame::Frame;
+use crate::frame::{Frame, Levels};
 use crate::geometry::Ellipse;
 use crate::instrument::Instrument;
+use crate::limb::{CoarseDisc, Limb};
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
 use marks::MarkSight;
@@ -71,6 +73,9 @@ pub fn solve(
 /// 9. The mapping and the disc on the plate, adjusted together; where the marks give no mapping, the prior's, else the
 ///    calibration's.
 /// 10. The Sun's centre on plate and sensor, with covariance; quality.
+///
+/// A prior whose mapping foretells every mark that must be lit spares steps 4 to 6: the marks are measured where it
+/// foretells them, in the same way.
 pub fn solve_with(
     settings: &Settings,
     frame: &Frame,
@@ -100,32 +105,15 @@ pub fn levels_only(settings: &Settings, frame: &Frame, instrument: &Instrument) 
 fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
-    let found = Ellipse::from(work.find_disc(&levels)?.circle()); // 2
-    let limb_fit = work.limb_fit(&levels);
-    let mut limb = limb_fit
-        .roughly_near(&found, &work.nothing_hidden(&found))
-        .map_err(at(Stage::Limb))?; // 3
-    let disc = limb.outline.ellipse;
-    solution.detections = work.detect(&levels, &limb); // 4
-    let read = work
-        .identify(&solution.detections, &limb) // 5
-        .and_then(|marks| Ok((work.register(&marks, None)?, marks))); // 6
-    let hidden = match &read {
-        Ok((first, _)) => work.marks_hidden(&disc, &first.mapping),
-        Err(_) => work.detections_hidden(&disc, &solution.detections),
+    let found = work.find_disc(&levels)?; // 2
+    let Sighting { limb, marks } = match work.foretold(&levels, found.centre) {
+        Some(sighting) => sighting, // 3 to 8, the short way
+        None => look_for_marks(work, &levels, &found, solution)?,
     };
-    if let Ok(bare) = limb_fit.again(&limb, &hidden) {
-        limb = bare; // 7
-    }
     solution.limb.clone_from(&limb.points);
     solution.limb_blur_px = Some(limb.lens_blur_px());
-    let registration = read.and_then(|(first, marks)| {
-        let sight = MarkSight {
-            levels: &levels,
-            limb: &limb,
-            mapping: &first.mapping,
-        };
-        solution.marks = work.refine(&sight, &marks); // 8
+    let registration = marks.and_then(|marks| {
+        solution.marks = marks;
         work.register(&solution.marks, Some(&limb)) // 9
     });
     let registration = registration
@@ -138,4 +126,45 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     solution.aspect = Some(aspect);
     solution.mapping = Some(adopted);
     Ok(())
+}
+
+/// The limb, and the marks by their own pixels or why there are none.
+struct Sighting {
+    limb: Limb,
+    marks: Result<Vec<Mark>, Stopped>,
+}
+
+/// Steps 3 to 8 where no prior foretells the marks.
+fn look_for_marks(
+    work: &Work<'_>,
+    levels: &Levels,
+    found: &CoarseDisc,
+    solution: &mut Solution,
+) -> Result<Sighting, Stopped> {
+    let found = Ellipse::from(found.circle());
+    let limb_fit = work.limb_fit(levels);
+    let mut limb = limb_fit
+        .roughly_near(&found, &work.nothing_hidden(&found))
+        .map_err(at(Stage::Limb))?; // 3
+    let disc = limb.outline.ellipse;
+    solution.detections = work.detect(levels, &limb); // 4
+    let read = work
+        .identify(&solution.detections, &limb) // 5
+        .and_then(|marks| Ok((work.register(&marks, None)?, marks))); // 6
+    let hidden = match &read {
+        Ok((first, _)) => work.marks_hidden(&disc, &first.mapping),
+        Err(_) => work.detections_hidden(&disc, &solution.detections),
+    };
+    if let Ok(bare) = limb_fit.again(&limb, &hidden) {
+        limb = bare; // 7
+    }
+    let marks = read.map(|(first, marks)| {
+        let sight = MarkSight {
+            levels,
+            limb: &limb,
+            mapping: &first.mapping,
+        };
+        work.place(&sight, &marks) // 8
+    });
+    Ok(Sighting { limb, marks })
 }

@@ -7,7 +7,7 @@ use super::{Profile, Settings};
 use crate::frame::{Frame, Levels, PIXEL_VARIANCE_PX2};
 use crate::geometry::Ellipse;
 use crate::units::Rejected;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 /// The limb as one frame shows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -80,7 +80,7 @@ const SETTLED_PX: f64 = 0.08;
 /// An outline that was this near serves to tell what lies on the disc, px.
 const ROUGHLY_SETTLED_PX: f64 = 0.5;
 /// A profile taken about an outline that was farther off is smeared, px.
-const STEADY_PX: f64 = 0.2;
+const STEADY_PX: f64 = 0.3;
 /// How far the passes may lead away from the first outline, px.
 const MAX_MOVE_PX: f64 = 8.0;
 
@@ -128,8 +128,7 @@ impl LimbFit<'_> {
                 .fit(&look.points, &outline)
                 .ok_or_else(|| self.too_few(look.points.len()))?;
             self.check(&fit, start)?;
-            let moved_px = (fit.ellipse.centre - outline.centre).norm()
-                + (fit.ellipse.root() - outline.root()).norm();
+            let moved_px = moved_px(&outline, &fit.ellipse);
             if moved_px < settled_px || pass == PASSES - 1 {
                 return Ok(Limb::new(look, fit, moved_px));
             }
@@ -193,4 +192,11 @@ impl LimbFit<'_> {
             limit: self.settings.min_limb_points as f64,
         }
     }
+}
+
+/// How far one outline lies from another, but for its size, which a look takes in by itself.
+fn moved_px(from: &Ellipse, to: &Ellipse) -> f64 {
+    let grown = to.root() - from.root();
+    let even = Matrix2::identity() * (grown.trace() / 2.0);
+    (to.centre - from.centre).norm() + (grown - even).norm()
 }

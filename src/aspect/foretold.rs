@@ -1,0 +1,123 @@
+//! The short way of a frame whose prior knows the mapping: the marks are where it foretells them, or the frame goes the
+//! long way.
+//!
+//! Camera and plate hardly move from frame to frame; only the Sun moves over both. So every mark that must be lit is looked
+//! for by its own pixels. All of them must be there, each near its foretold place: a mapping whose ids were wrong would
+//! foretell marks where the pattern has none. Nothing else of the prior enters the solution but the place where the fits start.
+
+use super::marks::MarkSight;
+use super::stages::Work;
+use super::{Mark, Sighting};
+use crate::fiducial::Lighting;
+use crate::frame::Levels;
+use crate::geometry::{Ellipse, Mapping};
+use crate::limb::Limb;
+use crate::units::SensorPx;
+use nalgebra::{Matrix2, Vector2};
+
+/// A mark farther than this from its foretold place means that the camera moved, px.
+const MAX_DRIFT_PX: f64 = 1.0;
+/// How far inside the limb and the sensor's edge the tips of a mark are that must be seen, px.
+const SURE_MARGIN_PX: f64 = 1.0;
+/// What of a mark must lie inside the limb for it to be looked for, in half lengths from its middle.
+const WORTH_LOOKING: f64 = 0.3;
+/// A patch that the model leaves so much unexplained shows no mark, or not only one.
+const MAX_CHI2: f64 = 4.0;
+
+impl Work<'_> {
+    /// Limb and marks as the prior's mapping foretells them. `None` where there is no such mapping or not all is as it
+    /// foretells.
+    pub(super) fn foretold(&self, levels: &Levels, found: SensorPx) -> Option<Sighting> {
+        let mapping = &self.prior?.registration.as_ref()?.mapping;
+        let start = self.foretold_outline(mapping, found)?;
+        let hidden = self.marks_hidden(&start, mapping);
+        let limb = self.limb_fit(levels).near(&start, &hidden).ok()?;
+        let foretold = self.foretold_marks(&limb, mapping);
+        let full = |mark: &Mark| mark.lighting == Lighting::Full;
+        if foretold.iter().filter(|m| full(m)).count() < self.settings.fiducial.min_marks {
+            return None;
+        }
+        let sight = MarkSight {
+            levels,
+            limb: &limb,
+            mapping,
+        };
+        let marks = self.seen_where_foretold(&sight, &foretold)?;
+        Some(Sighting {
+            limb,
+            marks: Ok(marks),
+        })
+    }
+
+    /// The disc's outline about a place, as a mapping shows the Sun there.
+    fn foretold_outline(&self, mapping: &Mapping, found: SensorPx) -> Option<Ellipse> {
+        let on_plate = mapping.to_plate(found);
+        let picture = mapping.sensor_jacobian(on_plate) * self.radius_mil.value;
+        // The ellipse's root is the symmetric part of the picture's polar decomposition.
+        let square = (picture * picture.transpose()).symmetric_eigen();
+        let roots = Matrix2::from_diagonal(&square.eigenvalues.map(|v| v.max(0.0).sqrt()));
+        let root = square.eigenvectors * roots * square.eigenvectors.transpose();
+        Ellipse::new(found.vector(), (root + root.transpose()) / 2.0)
+    }
+
+    /// The plate's marks that the disc lights, where a mapping sees them.
+    fn foretold_marks(&self, limb: &Limb, mapping: &Mapping) -> Vec<Mark> {
+        let plate = &self.instrument.plate;
+        let reach_px = self.shape.half_length_px;
+        let outline = &limb.outline.ellipse;
+        let marks = plate.marks().filter_map(|(id, printed)| {
+            let at = mapping.to_sensor(printed);
+            let worth = outline.excess(at.vector()) < -WORTH_LOOKING * reach_px;
+            let on_sensor = self.is_on_sensor(at.vector(), 0.0);
+            (worth && on_sensor).then(|| Mark {
+                id,
+                at,
+                covariance_px2: Matrix2::zeros(),
+                lighting: self.foretold_lighting(limb, mapping.sensor_jacobian(printed), at),
+            })
+        });
+        marks.collect()
+    }
+
+    fn foretold_lighting(&self, limb: &Limb, jacobian: Matrix2<f64>, at: SensorPx) -> Lighting {
+        let half_mil = self.instrument.plate.cross.arm_length_mil / 2.0;
+        let arms = [Vector2::x(), Vector2::y()].map(|arm| jacobian * arm * half_mil);
+        let mut tips = arms
+            .iter()
+            .flat_map(|arm| [at.vector() + arm, at.vector() - arm]);
+        let lit = |tip: Vector2<f64>| {
+            limb.outline.ellipse.excess(tip) < -SURE_MARGIN_PX
+                && self.is_on_sensor(tip, SURE_MARGIN_PX)
+        };
+        if tips.all(lit) {
+            Lighting::Full
+        } else {
+            Lighting::Cut
+        }
+    }
+
+    fn is_on_sensor(&self, at: Vector2<f64>, margin_px: f64) -> bool {
+        let within = |v: f64, pixels: usize| (margin_px..pixels as f64 - margin_px).contains(&v);
+        within(at.x, self.frame.width()) && within(at.y, self.frame.height())
+    }
+
+    /// The marks by their own pixels. `None` where one that must be seen is not; one that the limb cuts may be missing.
+    fn seen_where_foretold(&self, sight: &MarkSight<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
+        let contrast = self.settings.fiducial.min_contrast;
+        let refined = self.refine(sight, foretold);
+        let mut marks = Vec::with_capacity(foretold.len());
+        for (mark, found) in foretold.iter().zip(refined) {
+            let found = found.filter(|found| {
+                found.contrast > contrast
+                    && found.reduced_chi2 < MAX_CHI2
+                    && found.place.position.distance(mark.at) < MAX_DRIFT_PX
+            });
+            match (found, mark.lighting) {
+                (Some(found), _) => marks.push(mark.placed(&found)),
+                (None, Lighting::Cut) => {}
+                (None, Lighting::Full) => return None,
+            }
+        }
+        Some(marks)
+    }
+}
