@@ -3,11 +3,11 @@
 use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
 use super::{Mark, Stage, Stopped};
 use crate::fiducial::{
-    self, CrossShape, Detections, FlatDisc, Lighting, RefinedMark, Refiner, Sight,
+    self, CrossShape, Detections, FlatDisc, Light, Lighting, RefinedMark, Refiner, Sight,
 };
 use crate::frame::Levels;
 use crate::geometry::{Ellipse, Mapping};
-use crate::limb::Limb;
+use crate::limb::{DiscLight, Limb};
 use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
@@ -82,10 +82,10 @@ impl Work<'_> {
         let scale = self.disc_scale(&limb.outline.ellipse);
         let plate = &self.instrument.plate;
         let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let light = LimbLight(limb.light());
         let refined = |mark: &Mark| {
             let jacobian = sight.mapping.sensor_jacobian(plate.position(mark.id));
-            let light = |x, y| limb.light_dn(x, y);
-            refiner.refine(self.frame, sight.levels, light, &jacobian, mark.at)
+            refiner.refine(self.frame, sight.levels, &light, &jacobian, mark.at)
         };
         marks.iter().map(refined).collect()
     }
@@ -208,6 +208,15 @@ impl Work<'_> {
             self.radius_mil.value,
             self.radius_mil.sigma.hypot(definition),
         )
+    }
+}
+
+/// The limb's light, for the marks.
+struct LimbLight(DiscLight);
+
+impl Light for LimbLight {
+    fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
+        self.0.fill(x, y, light);
     }
 }
 

@@ -17,6 +17,8 @@ mod fit;
 mod flatten;
 mod identify;
 mod kernel;
+mod least_squares;
+mod patch;
 mod profile;
 mod reading;
 mod refine;
@@ -26,6 +28,7 @@ pub use detect::{Detection, Detections, Lighting, detect};
 pub use flatten::FlatDisc;
 pub use identify::{Identification, Sight, identify};
 pub use kernel::CrossShape;
+pub use patch::Light;
 pub use refine::{RefinedMark, Refiner};
 
 /// What can be tuned in finding and reading marks.

@@ -1,6 +1,8 @@
 //! The blurred cross as a table: it is asked for hundreds of thousands of times a frame.
 
 use super::CrossShape;
+use multiversion::multiversion;
+use wide::f32x4;
 
 /// Entries of the table for each pixel; straight lines between them miss the coverage by 2e-4 at most.
 const STEPS_PER_PX: f32 = 16.0;
@@ -12,8 +14,14 @@ const REACH_SIGMA: f64 = 4.0;
 /// The cross is two bars less their common middle, and a blurred bar is its profile along times its profile across.
 #[derive(Debug, Clone)]
 pub(super) struct Profile {
-    /// `[long, slope of long, wide, slope of wide]` by distance from the middle.
-    steps: Vec<[f32; 4]>,
+    steps: Vec<Step>,
+}
+
+/// `[long, slope of long, wide, slope of wide]` at a distance from the middle, and what leads to the next entry.
+#[derive(Debug, Clone, Copy)]
+struct Step {
+    here: f32x4,
+    on: f32x4,
 }
 
 /// What a cross covers at a place, and how that changes along its two arms, per px.
@@ -24,20 +32,88 @@ pub(super) struct Coverage {
     pub slope_v: f32,
 }
 
+/// The same of many places, one entry a place.
+pub(super) struct Shares {
+    pub share: Vec<f32>,
+    pub slope_u: Vec<f32>,
+    pub slope_v: Vec<f32>,
+}
+
+impl Shares {
+    pub(super) fn new(count: usize) -> Self {
+        let [share, slope_u, slope_v] = std::array::from_fn(|_| vec![0.0; count]);
+        Self {
+            share,
+            slope_u,
+            slope_v,
+        }
+    }
+}
+
+/// Where in the table places are, along one arm: the entry, how far towards the next one, and the side.
+struct Along {
+    entry: Vec<u16>,
+    part: Vec<f32>,
+    side: Vec<f32>,
+}
+
+impl Along {
+    fn new(count: usize) -> Self {
+        Self {
+            entry: vec![0; count],
+            part: vec![0.0; count],
+            side: vec![0.0; count],
+        }
+    }
+}
+
 impl Profile {
     pub(super) fn new(shape: &CrossShape) -> Self {
         let reach = shape.half_length_px + REACH_SIGMA * shape.blur_px;
         let last = (reach * f64::from(STEPS_PER_PX)).ceil() as usize;
-        let step = |n: usize| {
+        let value = |n: usize| {
             let at = n as f64 / f64::from(STEPS_PER_PX);
             let (long, long_slope) = shape.bar(at, shape.half_length_px);
             let (wide, wide_slope) = shape.bar(at, shape.half_width_px);
-            [long, long_slope, wide, wide_slope].map(|v| v as f32)
+            f32x4::from([long, long_slope, wide, wide_slope].map(|v| v as f32))
         };
         // Beyond the last entry nothing is covered; one more stands in for all of it.
-        let beyond = [[0.0; 4]; 2];
+        let values: Vec<f32x4> = (0..=last).map(value).chain([f32x4::ZERO; 2]).collect();
+        let step = |pair: &[f32x4]| Step {
+            here: pair[0],
+            on: pair[1] - pair[0],
+        };
         Self {
-            steps: (0..=last).map(step).chain(beyond).collect(),
+            steps: values.windows(2).map(step).collect(),
+        }
+    }
+
+    /// The coverage at many places of the sensor, about a middle; `to_arms` (by rows) leads from an offset on the sensor to
+    /// one along the arms, px.
+    pub(super) fn shares(
+        &self,
+        x: &[f32],
+        y: &[f32],
+        middle: [f32; 2],
+        to_arms: [f32; 4],
+        shares: &mut Shares,
+    ) {
+        let [mut along_u, mut along_v] = [x.len(); 2].map(Along::new);
+        let last = (self.steps.len() - 1) as f32;
+        let [ux, uy, vx, vy] = to_arms;
+        find_along(x, y, middle, [ux, uy], last, &mut along_u);
+        find_along(x, y, middle, [vx, vy], last, &mut along_v);
+        let steps = |along: &Along, n: usize| {
+            let step = &self.steps[usize::from(along.entry[n])];
+            (step.here + step.on * f32x4::splat(along.part[n])).to_array()
+        };
+        for n in 0..x.len() {
+            let [long_u, long_slope_u, wide_u, wide_slope_u] = steps(&along_u, n);
+            let [long_v, long_slope_v, wide_v, wide_slope_v] = steps(&along_v, n);
+            let (arm_u, arm_v) = (long_u - wide_u, long_v - wide_v);
+            shares.share[n] = long_u * wide_v + wide_u * arm_v;
+            shares.slope_u[n] = (long_slope_u * wide_v + wide_slope_u * arm_v) * along_u.side[n];
+            shares.slope_v[n] = (long_slope_v * wide_u + wide_slope_v * arm_u) * along_v.side[n];
         }
     }
 
@@ -67,17 +143,37 @@ impl Profile {
 
     /// Both bars at an offset, and their slopes, which are odd.
     fn bars(&self, offset: f32) -> [f32; 4] {
-        let along = (offset.abs() * STEPS_PER_PX).min((self.steps.len() - 2) as f32);
+        let along = (offset.abs() * STEPS_PER_PX).min((self.steps.len() - 1) as f32);
         // By way of a signed number, which the processor converts to at once.
         let n = along as i32 as usize;
-        let part = along - n as f32;
-        let (here, next) = (&self.steps[n], &self.steps[n + 1]);
-        let mut bars = [0.0; 4];
-        for k in 0..4 {
-            bars[k] = here[k] + part * (next[k] - here[k]);
-        }
+        let step = &self.steps[n];
+        let bars = step.here + step.on * f32x4::splat(along - n as f32);
         let side = 1.0_f32.copysign(offset);
-        [bars[0], bars[1] * side, bars[2], bars[3] * side]
+        (bars * f32x4::from([1.0, side, 1.0, side])).to_array()
+    }
+}
+
+/// Where along an arm places of the sensor lie, about a middle.
+#[multiversion(targets("x86_64+avx2"))]
+fn find_along(
+    x: &[f32],
+    y: &[f32],
+    [middle_x, middle_y]: [f32; 2],
+    [by_x, by_y]: [f32; 2],
+    last: f32,
+    along: &mut Along,
+) {
+    let count = x.len();
+    let y = &y[..count];
+    let entry = &mut along.entry[..count];
+    let (part, side) = (&mut along.part[..count], &mut along.side[..count]);
+    for n in 0..count {
+        let offset = by_x * (x[n] - middle_x) + by_y * (y[n] - middle_y);
+        let steps = (offset.abs() * STEPS_PER_PX).min(last);
+        let whole = steps as i32;
+        entry[n] = whole as u16;
+        part[n] = steps - whole as f32;
+        side[n] = 1.0_f32.copysign(offset);
     }
 }
 

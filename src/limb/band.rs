@@ -131,6 +131,8 @@ struct Places {
 
 /// More than the pixels of a band about the Sun.
 const USUAL_PIXELS: usize = 16_384;
+/// Pixels that are taken together.
+const LANES: usize = 8;
 
 impl Places {
     fn gather<T: Sample>(
@@ -152,13 +154,30 @@ impl Places {
                 let columns = pixels_within(span.start + centre.x..span.end + centre.x, view.width);
                 let first = self.dn.len();
                 let from_centre = (columns.start as f64 - centre.x) as f32;
-                self.x
-                    .extend((0..columns.len()).map(|n| from_centre + n as f32));
-                self.y.extend(std::iter::repeat_n(dy as f32, columns.len()));
-                self.dn
-                    .extend(row[columns.clone()].iter().map(|pixel| pixel.dn()));
+                self.take(&row[columns.start..], columns.len(), from_centre, dy as f32);
                 hidden.raise(y, columns.start, &mut self.dn[first..]);
             }
+        }
+    }
+
+    /// Takes the first `count` pixels of a row's rest: whole groups first, of which what is too much is dropped again.
+    fn take<T: Sample>(&mut self, rest: &[T], count: usize, mut x: f32, y: f32) {
+        let end = self.dn.len() + count;
+        for group in rest[..rest.len().min(count.next_multiple_of(LANES))].chunks(LANES) {
+            if let Ok(group) = <&[T; LANES]>::try_from(group) {
+                let columns: [f32; LANES] = std::array::from_fn(|k| x + k as f32);
+                self.x.extend_from_slice(&columns);
+                self.y.extend_from_slice(&[y; LANES]);
+                self.dn.extend_from_slice(&group.map(Sample::dn));
+            } else {
+                self.x.extend((0..group.len()).map(|k| x + k as f32));
+                self.y.extend(group.iter().map(|_| y));
+                self.dn.extend(group.iter().map(|pixel| pixel.dn()));
+            }
+            x += LANES as f32;
+        }
+        for list in [&mut self.x, &mut self.y, &mut self.dn] {
+            list.truncate(end);
         }
     }
 }

@@ -10,7 +10,7 @@
 //! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for what the scale costs.
 //! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
 
-use super::band::{Band, HIDDEN_DN, Hidden, Reach, middle_of_sector};
+use super::band::{Band, Hidden, Reach, middle_of_sector};
 use super::outline::TUKEY_SIGMAS;
 use super::profile::Profile;
 use super::typical::medians;
@@ -19,6 +19,7 @@ use crate::geometry::Ellipse;
 use crate::units::SensorPx;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use wide::f32x4;
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,6 +39,8 @@ const UNEVEN: f64 = 0.02;
 /// How far the limb may be from an outline before and after a first look, px.
 const FIRST_SHIFT_PX: f64 = 0.7;
 const LATER_SHIFT_PX: f64 = 0.05;
+/// Where less than this of what tells the shift is its own, a few pixels tell light and shift together.
+const LEAST_OWN_PART: f64 = 1e-3;
 /// A point so uncertain tells nothing.
 const MAX_SIGMA_PX: f64 = 0.7;
 /// A shift so large is no shift of the limb.
@@ -90,69 +93,70 @@ impl Sight<'_> {
             outside_dn: levels.noise_dn,
             inside_dn: levels.noise_dn,
         };
-        let mut edge = Edge::new(&band, profile, shift_px, self.saturation_dn(), noise);
-        let mut sectors = vec![Sector::default(); self.sectors];
-        let mut unexplained = vec![0.0; band.dn.len()];
-        edge.weigh(&Slack {
+        let slack = Slack {
             light: TILT,
             shift_px: FIRST_SHIFT_PX,
-        });
-        edge.sum(&mut sectors, &mut unexplained);
-        for sector in &mut sectors {
-            let rough = sector.solve(0.0);
-            *sector = Sector::expecting(
-                rough.map_or(0.0, |found| found.excess_light),
-                rough.map_or(0.0, |found| found.px),
-            );
-        }
-        edge.weigh(&Slack {
-            light: UNEVEN,
-            shift_px: LATER_SHIFT_PX,
-        });
-        edge.sum(&mut sectors, &mut unexplained);
-        Some(self.look(&edge, &sectors, &unexplained))
+        };
+        let edge = Edge::new(
+            &band,
+            profile,
+            shift_px,
+            self.saturation_dn(),
+            noise,
+            &slack,
+        );
+        Some(self.look(&edge, Tilt::NONE, 0.0))
     }
 
     /// The limb about an outline that is nearly right, as it appeared before.
     pub(super) fn look_again(&self, before: &Appearance) -> Look {
         let band = self.band(before.profile.blur_px);
-        let profile = before.profile;
-        let mut edge = Edge::new(&band, profile, 0.0, self.saturation_dn(), before.noise);
-        let expected = |n| {
-            let light = before.light.at(middle_of_sector(n, self.sectors));
-            Sector::expecting(light, 0.0)
-        };
-        let mut sectors: Vec<Sector> = (0..self.sectors).map(expected).collect();
-        let mut unexplained = vec![0.0; band.dn.len()];
-        edge.weigh(&Slack {
+        let slack = Slack {
             light: UNEVEN,
             shift_px: LATER_SHIFT_PX,
-        });
-        edge.sum(&mut sectors, &mut unexplained);
-        self.look(&edge, &sectors, &unexplained)
+        };
+        let saturation_dn = self.saturation_dn();
+        let edge = Edge::new(
+            &band,
+            before.profile,
+            0.0,
+            saturation_dn,
+            before.noise,
+            &slack,
+        );
+        self.look(&edge, before.light, UNEVEN.powi(-2))
     }
 
-    fn look(&self, edge: &Edge<'_>, sectors: &[Sector], unexplained: &[f32]) -> Look {
-        let shifts: Vec<Option<Shift>> = sectors
-            .iter()
-            .map(|sector| sector.solve(UNEVEN.powi(-2)))
+    /// Fits every sector: the light expected there, with some information that it is so.
+    fn look(&self, edge: &Edge<'_>, expected: Tilt, information: f64) -> Look {
+        let directions: Vec<Vector2<f64>> = (0..self.sectors)
+            .map(|n| middle_of_sector(n, self.sectors))
             .collect();
-        let directions = |n: usize| middle_of_sector(n, self.sectors);
-        let found = || {
-            let found = shifts.iter().enumerate();
-            found.filter_map(|(n, shift)| Some((directions(n), shift.as_ref()?)))
-        };
-        let point = |(w, shift): (Vector2<f64>, &Shift)| LimbPoint {
-            at: (self.outline.from_disc(w) + self.outline.normal(w) * (shift.px + edge.shift_px))
+        let expecting = |w: &Vector2<f64>| Sector::expecting(expected.at(*w));
+        let mut sectors: Vec<Sector> = directions.iter().map(expecting).collect();
+        let unexplained = edge.sum(&mut sectors);
+        let found: Vec<(Vector2<f64>, Shift)> = directions
+            .iter()
+            .zip(&sectors)
+            .filter_map(|(w, sector)| Some((*w, sector.solve(information)?)))
+            .collect();
+        let point = |(w, shift): &(Vector2<f64>, Shift)| LimbPoint {
+            at: (self.outline.from_disc(*w) + self.outline.normal(*w) * (shift.px + edge.shift_px))
                 .into(),
             sigma_px: shift.sigma_px,
         };
+        let light = Tilt::of(found.iter().map(|(w, shift)| (*w, shift.excess_light)));
+        // What is left of a sector's pixels holds what its light exceeds the expected one by.
+        let more: Vec<f32> = directions
+            .iter()
+            .map(|w| (light.at(*w) - expected.at(*w)) as f32)
+            .collect();
         Look {
-            points: found().map(point).collect(),
+            points: found.iter().map(point).collect(),
             appearance: Appearance {
                 profile: edge.profile,
-                noise: edge.noise(unexplained),
-                light: Tilt::of(found().map(|(w, shift)| (w, shift.excess_light))),
+                noise: edge.noise(&unexplained, &more),
+                light,
             },
         }
     }
@@ -173,12 +177,14 @@ struct Tilt {
 }
 
 impl Tilt {
+    const NONE: Self = Self {
+        mean: 0.0,
+        slope: Vector2::new(0.0, 0.0),
+    };
+
     /// By least squares, twice: the second time without what is far from the first.
     fn of(seen: impl Iterator<Item = (Vector2<f64>, f64)> + Clone) -> Self {
-        let mut tilt = Self {
-            mean: 0.0,
-            slope: Vector2::zeros(),
-        };
+        let mut tilt = Self::NONE;
         for limit in [4.0 * TILT, 2.0 * TILT] {
             // A little information of none at all, for what a short arc does not tell.
             let mut matrix = Matrix3::identity();
@@ -221,18 +227,16 @@ struct Edge<'a> {
     /// By distance from [`Edge::first_px`] on.
     table: Vec<Expected>,
     first_px: f64,
-    /// Where the profile is brighter, pixels saturate.
-    clipped_dn: f64,
 }
 
 /// What is expected at a distance.
 #[derive(Clone, Copy)]
 struct Expected {
-    /// Slope outwards, light above the background, brightness, nothing.
-    here: [f32; 4],
+    /// Slope outwards, light above the background, brightness with its sign changed, nothing.
+    here: f32x4,
     /// What leads from there to the next entry.
-    step: [f32; 4],
-    /// One over the variance; 0 where pixels saturate.
+    step: f32x4,
+    /// One over the variance; 0 where a pixel does not count.
     weight: f32,
     /// One over the square of what is out of the question.
     per_limit2: f32,
@@ -250,6 +254,7 @@ impl<'a> Edge<'a> {
         shift_px: f64,
         saturation_dn: f64,
         noise: Noise,
+        slack: &Slack,
     ) -> Self {
         let reach = &band.reach;
         let first_px = -reach.inside_px - MARGIN_PX;
@@ -257,14 +262,26 @@ impl<'a> Edge<'a> {
         let at = |n: usize| {
             let distance_px = first_px + n as f64 / PER_PX - shift_px;
             let (dn, slope) = profile.both(distance_px);
-            [slope, dn - profile.background_dn, dn, 0.0].map(|v| v as f32)
+            [slope, dn - profile.background_dn, -dn, 0.0].map(|v| v as f32)
         };
         let values: Vec<[f32; 4]> = (0..=count).map(at).collect();
-        let entry = |pair: &[[f32; 4]]| Expected {
-            here: pair[0],
-            step: std::array::from_fn(|k| pair[1][k] - pair[0][k]),
-            weight: 0.0,
-            per_limit2: 0.0,
+        let clipped_dn = (saturation_dn - 2.0 * noise.outside_dn) as f32;
+        let peak = values[0][1].max(1.0);
+        let entry = |pair: &[[f32; 4]]| {
+            let (here, next) = (f32x4::from(pair[0]), f32x4::from(pair[1]));
+            let [slope, light, dark, _] = pair[0];
+            let variance = noise.variance((light / peak).clamp(0.0, 1.0));
+            let spread2 = variance + slack.variance(light, slope);
+            Expected {
+                here,
+                step: next - here,
+                weight: if -dark > clipped_dn {
+                    0.0
+                } else {
+                    1.0 / variance
+                },
+                per_limit2: 1.0 / (spread2 * (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32),
+            }
         };
         Self {
             band,
@@ -273,118 +290,95 @@ impl<'a> Edge<'a> {
             noise,
             table: values.windows(2).map(entry).collect(),
             first_px,
-            clipped_dn: saturation_dn - 2.0 * noise.outside_dn,
         }
     }
 
-    /// Sets the weights by the noise, and what is out of the question by the slack.
-    fn weigh(&mut self, slack: &Slack) {
-        let peak = self.table.first().map_or(1.0, |e| e.here[1].max(1.0));
-        let (outside2, inside2) = (
-            self.noise.outside_dn.powi(2) as f32,
-            self.noise.inside_dn.powi(2) as f32,
-        );
-        let (light2, shift2) = (slack.light.powi(2) as f32, slack.shift_px.powi(2) as f32);
-        for entry in &mut self.table {
-            let [slope, light, dn, _] = entry.here;
-            let share = (light / peak).clamp(0.0, 1.0);
-            let variance = outside2 + (inside2 - outside2) * share;
-            let spread2 = variance + light2 * light * light + shift2 * slope * slope;
-            entry.per_limit2 = 1.0 / (spread2 * (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32);
-            entry.weight = if f64::from(dn) > self.clipped_dn {
-                0.0
-            } else {
-                1.0 / variance
-            };
-        }
-    }
-
-    /// Adds every pixel to its sector's normal equations, and notes what the sector's expectation does not explain.
-    fn sum(&self, sectors: &mut [Sector], unexplained: &mut [f32]) {
+    /// Adds every pixel to its sector's normal equations; what the sectors' expectations do not explain, pixel by pixel.
+    fn sum(&self, sectors: &mut [Sector]) -> Vec<f32> {
         let band = self.band;
-        let pixels = Pixels {
-            distance_px: &band.distance_px,
-            dn: &band.dn,
-            sector: &band.sector,
+        let mut places = Places {
+            entry: vec![0; band.dn.len()],
+            part: vec![0.0; band.dn.len()],
         };
-        sum_pixels(
-            &pixels,
-            &self.table,
-            self.first_px as f32,
-            sectors,
-            unexplained,
-        );
+        places.find(&band.distance_px, self.first_px as f32, self.table.len());
+        let mut unexplained = Vec::with_capacity(band.dn.len());
+        let places = places.entry.iter().zip(&places.part);
+        for ((place, dn), of_sector) in places.zip(&band.dn).zip(&band.sector) {
+            let expected = &self.table[usize::from(*place.0)];
+            let sector = &mut sectors[usize::from(*of_sector)];
+            unexplained.push(sector.add(expected, *place.1, *dn));
+        }
+        unexplained
     }
 
-    /// The pixels' noise from what is left unexplained well away from the limb.
-    fn noise(&self, unexplained: &[f32]) -> Noise {
+    /// The pixels' noise from what is left unexplained well away from the limb, once every sector has so much `more`
+    /// light than was expected.
+    fn noise(&self, unexplained: &[f32], more: &[f32]) -> Noise {
         let clear = (3.0 * self.profile.blur_px) as f32;
         let limb = self.shift_px as f32;
-        let distance_px = &self.band.distance_px;
-        let within = |from: f32, to: f32, start: f64| {
-            clipped_sigma(
-                &left_between(distance_px, unexplained, from, to),
-                start as f32,
-            )
-        };
-        let outside = within(limb + clear, f32::INFINITY, self.noise.outside_dn);
-        let inside = within(f32::NEG_INFINITY, limb - clear, self.noise.inside_dn);
+        // Where the disc saturates its noise does not show.
+        let dull = self.table.iter().position(|e| e.weight > 0.0).unwrap_or(0);
+        let least = (self.first_px + dull as f64 / PER_PX) as f32;
+        let plateau = self.table[self.table.len().min(PER_PX as usize)]
+            .here
+            .to_array()[1];
+        let band = self.band;
+        let (mut outside, mut inside) = (Vec::new(), Vec::new());
+        // Every second pixel tells enough.
+        let pixels = band.distance_px.iter().zip(unexplained).zip(&band.sector);
+        for ((distance, left), sector) in pixels.step_by(2) {
+            if *distance > limb + clear {
+                outside.push(*left);
+            } else if *distance < limb - clear && *distance > least {
+                inside.push(left - more[usize::from(*sector)] * plateau);
+            }
+        }
+        let sigma = |left: &[f32], start: f64| clipped_sigma(left, start as f32).unwrap_or(start);
         Noise {
-            outside_dn: outside.unwrap_or(self.noise.outside_dn),
-            inside_dn: inside.unwrap_or(self.noise.inside_dn),
+            outside_dn: sigma(&outside, self.noise.outside_dn),
+            inside_dn: sigma(&inside, self.noise.inside_dn),
         }
     }
 }
 
-struct Pixels<'a> {
-    distance_px: &'a [f32],
-    dn: &'a [f32],
-    sector: &'a [u16],
+impl Slack {
+    /// What light and slope may differ by, DN^2.
+    fn variance(&self, light: f32, slope: f32) -> f32 {
+        (self.light as f32 * light).powi(2) + (self.shift_px as f32 * slope).powi(2)
+    }
+}
+
+impl Noise {
+    /// At a share of the disc's light, DN^2.
+    fn variance(&self, share: f32) -> f32 {
+        let [outside, inside] = [self.outside_dn, self.inside_dn].map(|dn| dn.powi(2) as f32);
+        outside + (inside - outside) * share
+    }
+}
+
+/// Where in a table pixels are: the entry, and how far towards the next one.
+struct Places {
+    entry: Vec<u16>,
+    part: Vec<f32>,
+}
+
+impl Places {
+    fn find(&mut self, distance_px: &[f32], first_px: f32, entries: usize) {
+        let last = entries.saturating_sub(1) as f32;
+        find_places(distance_px, first_px, last, &mut self.entry, &mut self.part);
+    }
 }
 
 #[multiversion(targets("x86_64+avx2"))]
-fn sum_pixels(
-    pixels: &Pixels<'_>,
-    table: &[Expected],
-    first_px: f32,
-    sectors: &mut [Sector],
-    unexplained: &mut [f32],
-) {
-    let count = unexplained.len();
-    let (distance_px, dn) = (&pixels.distance_px[..count], &pixels.dn[..count]);
-    let of_sector = &pixels.sector[..count];
-    let last = (table.len() - 1) as f32;
+fn find_places(distance_px: &[f32], first_px: f32, last: f32, entry: &mut [u16], part: &mut [f32]) {
+    let count = distance_px.len();
+    let (entry, part) = (&mut entry[..count], &mut part[..count]);
     for n in 0..count {
         let along = ((distance_px[n] - first_px) * PER_PX as f32).clamp(0.0, last);
-        let entry = along as i32;
-        let part = along - entry as f32;
-        let expected = &table[entry as usize];
-        let mut item: [f32; 4] =
-            std::array::from_fn(|k| expected.here[k] + part * expected.step[k]);
-        let residual = dn[n] - item[2];
-        item[2] = residual;
-        let sector = &mut sectors[usize::from(of_sector[n])];
-        let left = residual - (sector.light * item[1] - sector.shift_px * item[0]);
-        unexplained[n] = if expected.weight > 0.0 {
-            left
-        } else {
-            HIDDEN_DN
-        };
-        let within = (1.0 - left * left * expected.per_limit2).max(0.0);
-        let weight = within * within * expected.weight;
-        let (by_slope, by_light) = (weight * item[0], weight * item[1]);
-        for k in 0..4 {
-            sector.by_slope[k] += by_slope * item[k];
-            sector.by_light[k] += by_light * item[k];
-        }
+        let whole = along as i32;
+        entry[n] = whole as u16;
+        part[n] = along - whole as f32;
     }
-}
-
-/// What is left of every second pixel between two distances: enough to tell a noise.
-fn left_between(distance_px: &[f32], left: &[f32], from_px: f32, to_px: f32) -> Vec<f32> {
-    let pairs = distance_px.iter().zip(left).step_by(2);
-    let within = pairs.filter(|(distance, _)| **distance > from_px && **distance < to_px);
-    within.map(|(_, left)| *left).collect()
 }
 
 /// 1 sigma of what is left, from what lies within three of it: in rounds, since the limit rests on the result. `None` of
@@ -431,30 +425,46 @@ struct Shift {
     excess_light: f64,
 }
 
-/// One sector: what is expected of it, and its normal equations for shift and excess light.
-#[derive(Clone, Copy, Default)]
+/// One sector: the light that is expected of it, and its normal equations for shift and excess light.
+#[derive(Clone, Copy)]
 struct Sector {
     light: f32,
-    shift_px: f32,
     /// Products of slope, and of light, with slope, light and residual.
-    by_slope: [f32; 4],
-    by_light: [f32; 4],
+    by_slope: f32x4,
+    by_light: f32x4,
 }
 
 impl Sector {
-    fn expecting(light: f64, shift_px: f64) -> Self {
+    fn expecting(light: f64) -> Self {
         Self {
             light: light as f32,
-            shift_px: shift_px as f32,
-            ..Self::default()
+            by_slope: f32x4::ZERO,
+            by_light: f32x4::ZERO,
         }
+    }
+
+    /// Adds a pixel; what the expected light does not explain of it, DN.
+    #[inline(always)]
+    fn add(&mut self, expected: &Expected, part: f32, dn: f32) -> f32 {
+        let item = expected.here + expected.step * f32x4::splat(part);
+        let item = item + f32x4::from([0.0, 0.0, dn, 0.0]);
+        let [slope, light, residual, _] = item.to_array();
+        let left = residual - self.light * light;
+        let within = (1.0 - left * left * expected.per_limit2).max(0.0);
+        let weight = within * within * expected.weight;
+        self.by_slope += item * f32x4::splat(weight * slope);
+        self.by_light += item * f32x4::splat(weight * light);
+        left
     }
 
     /// The fit, with some information that the light is the expected one.
     fn solve(&self, information: f64) -> Option<Shift> {
-        let [slope2, slope_light, slope_residual, _] = self.by_slope.map(f64::from);
-        let [_, light2, light_residual, _] = self.by_light.map(f64::from);
+        let [slope2, slope_light, slope_residual, _] = self.by_slope.to_array().map(f64::from);
+        let [_, light2, light_residual, _] = self.by_light.to_array().map(f64::from);
         let normal = Matrix2::new(slope2, -slope_light, -slope_light, light2 + information);
+        if normal.determinant() < LEAST_OWN_PART * normal.m11 * normal.m22 {
+            return None;
+        }
         let inverse = normal.try_inverse()?;
         let light_residual = light_residual + information * f64::from(self.light);
         let fit = inverse * Vector2::new(-slope_residual, light_residual);

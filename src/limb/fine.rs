@@ -2,12 +2,13 @@
 
 use super::band::Hidden;
 use super::edge::{Appearance, LimbPoint, Look, Sight};
+use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::{Profile, Settings};
 use crate::frame::{Frame, Levels, PIXEL_VARIANCE_PX2};
 use crate::geometry::Ellipse;
 use crate::units::Rejected;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
 
 /// The limb as one frame shows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,10 +45,9 @@ impl Limb {
             .sqrt()
     }
 
-    /// Blurred light of the disc without marks at a sensor position, DN above the background.
-    pub fn light_dn(&self, x: f64, y: f64) -> f64 {
-        let outwards = self.outline.ellipse.excess(Vector2::new(x, y));
-        self.profile.at(outwards) - self.profile.background_dn
+    /// The blurred light of the disc without marks.
+    pub fn light(&self) -> DiscLight {
+        DiscLight::new(&self.outline.ellipse, &self.profile)
     }
 }
 

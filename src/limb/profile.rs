@@ -87,11 +87,10 @@ impl Profile {
             ];
             let mut gradient = SVector::<f64, 5>::from_fn(|n, _| priors[n] * off[n]);
             for b in typical {
-                let d = b.distance_px - shift;
-                let row = profile.parameter_slopes(d);
+                let (dn, row) = profile.linear(b.distance_px - shift);
                 let weight = b.weight / noise_dn.powi(2);
-                information += row * row.transpose() * weight;
-                gradient += row * ((b.dn - profile.at(d)) * weight);
+                information.ger(weight, &row, &row, 1.0);
+                gradient += row * ((b.dn - dn) * weight);
             }
             let step = information.cholesky()?.solve(&gradient);
             if !step.iter().all(|v| v.is_finite()) {
@@ -110,8 +109,8 @@ impl Profile {
         (profile.peak_dn() > 0.0).then_some((profile, shift))
     }
 
-    /// Slopes in background, even light, darkened light, blur and place of the limb.
-    fn parameter_slopes(&self, distance_px: f64) -> SVector<f64, 5> {
+    /// Brightness, and its slopes in background, even light, darkened light, blur and place of the limb.
+    fn linear(&self, distance_px: f64) -> (f64, SVector<f64, 5>) {
         let z = distance_px / self.blur_px;
         let scale = self.root_scale(distance_px);
         let ((tail, tail_slope), (root, root_slope)) = (TAIL.both(z), ROOT.both(z));
@@ -119,7 +118,8 @@ impl Profile {
         let outwards =
             (self.even_dn * tail_slope + self.darkened_dn * scale * root_slope) / self.blur_px;
         let by_blur = -z * outwards + self.darkened_dn * root / (2.0 * self.blur_px);
-        SVector::from([1.0, tail, root, by_blur, -outwards])
+        let dn = self.background_dn + self.even_dn * tail + self.darkened_dn * root;
+        (dn, SVector::from([1.0, tail, root, by_blur, -outwards]))
     }
 }
 
@@ -244,10 +244,7 @@ mod tests {
                 .at(d)
             };
             let numeric = (blurred(step) - blurred(-step)) / (2.0 * step);
-            assert!(
-                (numeric - PROFILE.parameter_slopes(d)[3]).abs() < 0.6,
-                "{d}"
-            );
+            assert!((numeric - PROFILE.linear(d).1[3]).abs() < 0.6, "{d}");
         }
     }
 

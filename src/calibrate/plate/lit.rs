@@ -157,11 +157,11 @@ impl Looks<'_> {
         let fitted =
             registration::register(&pairs, None, mounting.handedness, distortion, settings)?;
         let refiner = Refiner::new(&plate.cross, scale, blur_px);
-        let light = |_, _| self.levels.disc_dn;
+        let light = |_: f64, _: f64| self.levels.disc_dn;
         let refined = |(n, id): &(usize, _)| {
             let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id));
             let start = found.marks[*n].at;
-            let mark = refiner.refine(self.frame, self.levels, light, &jacobian, start)?;
+            let mark = refiner.refine(self.frame, self.levels, &light, &jacobian, start)?;
             Some(Sighting {
                 id: *id,
                 at: mark.place.position,
