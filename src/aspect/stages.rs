@@ -19,8 +19,8 @@ const TILTED_FLATNESS: f64 = 0.002;
 const STATED_FLATNESS: f64 = 0.0003;
 /// Distance from a mark's arm within which the limb is not trusted, px.
 const MARK_MARGIN_PX: f64 = 3.0;
-/// The limb's fit looks at pixels so far from the limb.
-const HIDING_DEPTH_PX: f64 = 12.0;
+/// The limb's fit looks at pixels so far inside the limb; outside it marks hide no light.
+const HIDING_DEPTH_PX: f64 = 9.0;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
 const PRIOR_REACH_PX: f64 = 45.0;
 
@@ -161,10 +161,11 @@ impl<'a> Work<'a> {
     pub(super) fn marks_hidden(&self, disc: &Ellipse, mapping: &Mapping) -> Hidden {
         let mut hidden = self.nothing_hidden(disc);
         let plate = &self.instrument.plate;
-        let reach_px = self.shape.half_length_px * 1.5 + MARK_MARGIN_PX;
+        let reach_px = self.shape.half_length_px * 1.1 + MARK_MARGIN_PX;
+        let near = -HIDING_DEPTH_PX - reach_px..reach_px;
         for (_, printed) in plate.marks() {
             let seen = mapping.to_sensor(printed);
-            if disc.excess(seen.vector()).abs() > HIDING_DEPTH_PX + reach_px {
+            if !near.contains(&disc.excess(seen.vector())) {
                 continue;
             }
             let Some(back) = mapping.sensor_jacobian(printed).try_inverse() else {

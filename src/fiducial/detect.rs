@@ -68,7 +68,8 @@ pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detec
     let places = spots
         .iter()
         .map(|spot| middle_of_darkness(flat, flat.position(*spot), shape));
-    let Some(rough_deg) = arm_rotation_deg(flat, places, shape) else {
+    let arms = Arms::new(flat, shape);
+    let Some(rough_deg) = arms.rotation_deg(flat, places) else {
         return Detections::default(); // 2
     };
     let search = Search::new(flat, shape, settings, rough_deg);
@@ -79,7 +80,7 @@ pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detec
     let marks = with_common_contrast(likest(found, shape)); // 4
     let full = || marks.iter().filter(|m| m.lighting == Lighting::Full);
     let places = full().map(|mark| mark.at);
-    let quarter_rotation_deg = arm_rotation_deg(flat, places, shape).unwrap_or(rough_deg); // 5
+    let quarter_rotation_deg = arms.rotation_deg(flat, places).unwrap_or(rough_deg); // 5
     Detections {
         marks,
         quarter_rotation_deg,
@@ -108,37 +109,76 @@ fn middle_of_darkness(flat: &FlatDisc, place: SensorPx, shape: &CrossShape) -> S
     }
 }
 
-/// The rotation of the arms in the disc's coordinates, from the fourfold part of the darkness around some places. `None`
-/// without places.
-fn arm_rotation_deg(
-    flat: &FlatDisc,
-    places: impl Iterator<Item = SensorPx>,
-    shape: &CrossShape,
-) -> Option<f64> {
-    let radius = shape.reach_px();
-    let mut common = Complex::new(0.0_f32, 0.0);
-    for place in places {
-        let centre = flat.outline.to_disc(place.vector());
-        let (mut fourfold, mut squares) = (Complex::new(0.0_f32, 0.0), 0.0);
-        for (at, darkness) in flat.around(place, radius) {
-            let w = flat.outline.to_disc(at) - centre;
-            let part = ((at - place.vector()).norm() / radius) as f32;
+/// What tells the arms' rotation: the fourfold part of the darkness about a place.
+struct Arms {
+    reach: usize,
+    side: usize,
+    /// By pixel, row by row: real and imaginary part of what its darkness adds; nothing outside the cross's circle.
+    fourfold: Vec<[f32; 2]>,
+    inside: Vec<f32>,
+}
+
+impl Arms {
+    fn new(flat: &FlatDisc, shape: &CrossShape) -> Self {
+        let radius = shape.reach_px();
+        let reach = radius.floor() as usize;
+        let side = 2 * reach + 1;
+        let to_disc = flat.outline.inverse().cast::<f32>();
+        let offset = |n: usize| {
+            let from_middle = |v: usize| v as f32 - reach as f32;
+            Vector2::new(from_middle(n % side), from_middle(n / side))
+        };
+        let part2 = |n: usize| offset(n).norm_squared() / (radius * radius) as f32;
+        let fourfold = |n: usize| {
             // Where arms are apart from each other, and smooth, lest the pixels' own square shows.
-            let weight = (part * part * (1.0 - part * part)).max(0.0);
-            let direction = Complex::new(w.x as f32, w.y as f32).powi(4);
-            let length = direction.norm();
-            if length > 0.0 {
-                fourfold += direction * (weight * darkness / length);
-                squares += darkness * darkness;
-            }
-        }
-        // A place counts by how fourfold it is, so that the many that are no marks hardly do.
-        if squares > 0.0 {
-            common += fourfold * (fourfold.norm_sqr() / squares);
+            let weight = (part2(n) * (1.0 - part2(n))).max(0.0);
+            let w = to_disc * offset(n);
+            let square = Complex::new(w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
+            let turned = square * square;
+            let unit = turned * (weight / (w.norm_squared().powi(2) + f32::MIN_POSITIVE));
+            [unit.re, unit.im]
+        };
+        let inside = |n: usize| if part2(n) <= 1.0 { 1.0 } else { 0.0 };
+        Self {
+            reach,
+            side,
+            fourfold: (0..side * side).map(fourfold).collect(),
+            inside: (0..side * side).map(inside).collect(),
         }
     }
-    let angle = f64::from(common.arg()) / 4.0;
-    (common.norm() > 0.0).then(|| angle.to_degrees().rem_euclid(90.0))
+
+    /// The rotation of the arms in the disc's coordinates that some places have in common, each to the nearest pixel: what
+    /// that is off turns opposite arms in opposite ways. `None` without places.
+    fn rotation_deg(&self, flat: &FlatDisc, places: impl Iterator<Item = SensorPx>) -> Option<f64> {
+        let mut common = Complex::new(0.0_f32, 0.0);
+        for place in places {
+            let (fourfold, squares) = self.about(flat, place);
+            // A place counts by how fourfold it is, so that the many that are no marks hardly do.
+            if squares > 0.0 {
+                common += fourfold * (fourfold.norm_sqr() / squares);
+            }
+        }
+        let angle = f64::from(common.arg()) / 4.0;
+        (common.norm() > 0.0).then(|| angle.to_degrees().rem_euclid(90.0))
+    }
+
+    /// The fourfold part of the darkness about a place, and the sum of its squares; nothing where the flattened disc ends.
+    fn about(&self, flat: &FlatDisc, place: SensorPx) -> (Complex<f32>, f32) {
+        let (mut fourfold, mut squares) = (Complex::new(0.0, 0.0), 0.0);
+        for row in 0..self.side {
+            let Some(values) = flat.row_from(place, self.reach, row, self.side) else {
+                return (Complex::new(0.0, 0.0), 0.0);
+            };
+            let weights = &self.fourfold[row * self.side..][..self.side];
+            let inside = &self.inside[row * self.side..][..self.side];
+            for ((value, weight), inside) in values.iter().zip(weights).zip(inside) {
+                fourfold.re += value * weight[0];
+                fourfold.im += value * weight[1];
+                squares += value * value * inside;
+            }
+        }
+        (fourfold, squares)
+    }
 }
 
 /// What looks for crosses of one rotation.

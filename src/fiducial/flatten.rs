@@ -4,6 +4,7 @@ use crate::frame::{Frame, Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
 use crate::with_view;
+use multiversion::multiversion;
 use nalgebra::Vector2;
 
 /// Rings that make the profile, equally wide in mu, the cosine of the angle to the Sun's vertical: limb darkening is nearly
@@ -14,7 +15,7 @@ const TABLE: usize = 1024;
 /// Nearer to the limb than this nothing is judged: its blur takes over there.
 const LIMB_MARGIN_PX: f64 = 1.0;
 /// Only every so many columns and rows make the profile.
-const STRIDE_PX: usize = 3;
+const STRIDE_PX: usize = 4;
 /// Fewest pixels that make a ring's median.
 const MIN_RING_PIXELS: usize = 12;
 /// Brighter or darker than this is a mark or a blemish and tells nothing of the light's tilt.
@@ -96,6 +97,22 @@ impl FlatDisc {
         )
     }
 
+    /// Values of a row about a position's nearest pixel: from `reach` left of it, the `row`-th from `reach` above it.
+    pub(super) fn row_from(
+        &self,
+        at: SensorPx,
+        reach: usize,
+        row: usize,
+        count: usize,
+    ) -> Option<&[f32]> {
+        let from = |v: f64, first: isize| {
+            usize::try_from(v.round() as isize - first - reach as isize).ok()
+        };
+        let (x, y) = (from(at.x, self.left)?, from(at.y, self.top)? + row);
+        (x + count <= self.side && y < self.side)
+            .then(|| &self.darkness[y * self.side + x..][..count])
+    }
+
     /// The values within a radius of a position, as far as there are any, and where they are on the sensor.
     pub(super) fn around(
         &self,
@@ -133,12 +150,15 @@ impl FlatDisc {
     }
 }
 
-/// One of the pixels that make the profile.
+/// The pixels that make the profile, one list for each quantity, ring by ring.
 struct Taken {
-    w: Vector2<f32>,
-    ring: usize,
+    /// Position in disc units.
+    x: Vec<f32>,
+    y: Vec<f32>,
     /// Above background, DN.
-    light: f32,
+    light: Vec<f32>,
+    /// The first pixel of every ring, and the one after the last.
+    rings: [usize; RINGS + 1],
 }
 
 /// What the disc looks like without marks.
@@ -190,7 +210,7 @@ impl Profile {
         levels: &Levels,
     ) -> Self {
         let background_dn = levels.background_dn as f32;
-        let taken = take(view, region, outline, background_dn);
+        let taken = Taken::of(view, region, outline, background_dn);
         let mut profile = Self {
             background_dn,
             light: [(levels.disc_dn - levels.background_dn) as f32; RINGS],
@@ -199,26 +219,29 @@ impl Profile {
             table: Vec::new(),
         };
         let least = levels.noise_dn as f32;
-        let lights = by_ring(taken.iter().map(|t| (t.ring, t.light)));
         // From the middle outwards; a ring of which too little is in view is taken to be like the one within.
         let mut last = profile.light[RINGS - 1];
-        for (n, mut ring) in lights.into_iter().enumerate().rev() {
-            last = median(&mut ring).unwrap_or(last).max(least);
+        let mut lights = taken.light.clone();
+        for n in (0..RINGS).rev() {
+            last = median(&mut lights[taken.ring(n)])
+                .unwrap_or(last)
+                .max(least);
             profile.light[n] = last;
         }
         profile.table = profile.tabulate(outline);
-        profile.tilt = profile.measure_tilt(&taken);
-        profile.measure_noise(&taken, levels.noise_dn as f32);
+        let mut darkness = profile.darkness(&taken);
+        profile.tilt = measure_tilt(&taken, &darkness);
+        darkness = profile.darkness(&taken);
+        profile.measure_noise(&taken, darkness, levels.noise_dn as f32);
         profile
     }
 
     /// The noise of every ring, and what brightness it allows.
-    fn measure_noise(&mut self, taken: &[Taken], background_noise_dn: f32) {
-        let off = |t: &Taken| (t.ring, self.darkness(t.light, t.w).abs());
-        let mut spreads = by_ring(taken.iter().map(off));
+    fn measure_noise(&mut self, taken: &Taken, darkness: Vec<f32>, background_noise_dn: f32) {
+        let mut sizes: Vec<f32> = darkness.into_iter().map(f32::abs).collect();
         let mut last = 0.0;
-        for (n, ring) in spreads.iter_mut().enumerate().rev() {
-            last = median(ring).map_or(last, |spread| 1.4826 * spread);
+        for n in (0..RINGS).rev() {
+            last = median(&mut sizes[taken.ring(n)]).map_or(last, |spread| 1.4826 * spread);
             self.noise[n] = last.max(0.5 * background_noise_dn / self.light[n]);
         }
         for (n, expected) in self.table.iter_mut().enumerate() {
@@ -254,27 +277,15 @@ impl Profile {
             .collect()
     }
 
-    fn darkness(&self, light: f32, w: Vector2<f32>) -> f32 {
-        let expected = &self.table[entry(1.0 - w.norm_squared())];
-        // To first order in the tilt, which is small.
-        expected.darkness(light * (1.0 - self.tilt.dot(&w)))
-    }
-
-    /// The slope of the light across the disc, by least squares on what is neither mark nor blemish.
-    fn measure_tilt(&self, taken: &[Taken]) -> Vector2<f32> {
-        let (mut moment, mut inertia) = (Vector2::zeros(), 0.0);
-        for t in taken {
-            let darkness = self.darkness(t.light, t.w);
-            if darkness.abs() < MOST_TILT {
-                moment -= t.w * darkness;
-                inertia += t.w.norm_squared() / 2.0;
-            }
-        }
-        if inertia > 0.0 {
-            moment / inertia
-        } else {
-            moment
-        }
+    /// Of the taken pixels.
+    fn darkness(&self, taken: &Taken) -> Vec<f32> {
+        let of = |n: usize| {
+            let (x, y) = (taken.x[n], taken.y[n]);
+            let expected = &self.table[entry(1.0 - x * x - y * y)];
+            // To first order in the tilt, which is small.
+            expected.darkness(taken.light[n] * (1.0 - self.tilt.x * x - self.tilt.y * y))
+        };
+        (0..taken.light.len()).map(of).collect()
     }
 
     /// The darkness of a row's pixels from column `x0` on; those outside the disc are left as they are.
@@ -301,18 +312,84 @@ impl Profile {
         if inside.is_empty() {
             return;
         }
-        let [middle, half2, bend] = [middle, half2, bend].map(|v| v as f32);
-        let (tilt, tilt_step) = (self.tilt.dot(&first.cast()), self.tilt.dot(&step.cast()));
-        let pixels = seen[inside.clone()]
-            .iter()
-            .zip(&mut darkness[inside.clone()]);
-        for ((seen, darkness), n) in pixels.zip(inside) {
-            let along = n as i32 as f32;
-            let mu2 = bend * (half2 - (along - middle) * (along - middle));
-            let tilted = 1.0 - tilt - tilt_step * along;
-            let light = (seen.dn() - self.background_dn) * tilted;
-            *darkness = self.table[entry(mu2)].darkness(light);
+        let row = Row {
+            parabola: [middle, half2, bend].map(|v| v as f32),
+            tilt: [
+                1.0 - self.tilt.dot(&first.cast()),
+                -self.tilt.dot(&step.cast()),
+            ],
+            background_dn: self.background_dn,
+            first: inside.start as f32,
+        };
+        let mut entries = [0_u16; GROUP];
+        let mut light = [0.0_f32; GROUP];
+        let groups = seen[inside.clone()].chunks(GROUP);
+        for (n, (seen, darkness)) in groups.zip(darkness[inside].chunks_mut(GROUP)).enumerate() {
+            row.find(n * GROUP, seen, &mut entries[..seen.len()], &mut light);
+            for ((darkness, entry), light) in darkness.iter_mut().zip(&entries).zip(&light) {
+                *darkness = self.table[usize::from(*entry)].darkness(*light);
+            }
         }
+    }
+}
+
+/// Pixels of a row that are looked up together.
+const GROUP: usize = 64;
+
+/// A row of the sensor across the disc, from the first pixel that lies in it.
+struct Row {
+    /// Along the row mu^2 = bend (half^2 - (x - middle)^2): middle, half^2, bend.
+    parabola: [f32; 3],
+    /// What takes the tilt off the light, at column 0 and per column.
+    tilt: [f32; 2],
+    background_dn: f32,
+    first: f32,
+}
+
+impl Row {
+    /// The table's entries of pixels, and their light without the tilt.
+    fn find<T: Sample>(&self, from: usize, seen: &[T], entries: &mut [u16], light: &mut [f32]) {
+        let mut dn = [0.0_f32; GROUP];
+        for (dn, seen) in dn.iter_mut().zip(seen) {
+            *dn = seen.dn();
+        }
+        find_entries(
+            self,
+            self.first + from as f32,
+            &dn[..seen.len()],
+            entries,
+            light,
+        );
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn find_entries(row: &Row, first: f32, dn: &[f32], entries: &mut [u16], light: &mut [f32]) {
+    let [middle, half2, bend] = row.parabola;
+    let count = dn.len();
+    let (entries, light) = (&mut entries[..count], &mut light[..count]);
+    for n in 0..count {
+        let along = first + n as i32 as f32;
+        let mu2 = bend * (half2 - (along - middle) * (along - middle));
+        entries[n] = (mu2 * TABLE as f32).clamp(0.0, (TABLE - 1) as f32) as i32 as u16;
+        light[n] = (dn[n] - row.background_dn) * (row.tilt[0] + row.tilt[1] * along);
+    }
+}
+
+/// The slope of the light across the disc, by least squares on what is neither mark nor blemish.
+fn measure_tilt(taken: &Taken, darkness: &[f32]) -> Vector2<f32> {
+    let (mut moment, mut inertia) = (Vector2::zeros(), 0.0);
+    for ((x, y), darkness) in taken.x.iter().zip(&taken.y).zip(darkness) {
+        if darkness.abs() < MOST_TILT {
+            let w = Vector2::new(*x, *y);
+            moment -= w * *darkness;
+            inertia += w.norm_squared() / 2.0;
+        }
+    }
+    if inertia > 0.0 {
+        moment / inertia
+    } else {
+        moment
     }
 }
 
@@ -326,39 +403,54 @@ fn entry(mu2: f32) -> usize {
     ((mu2 * TABLE as f32) as i32 as usize).min(TABLE - 1)
 }
 
-/// Pixels of the disc, some rows and columns apart.
-fn take<T: Sample>(
-    view: &View<'_, T>,
-    region: Region,
-    outline: &Ellipse,
-    background_dn: f32,
-) -> Vec<Taken> {
-    let mut taken = Vec::new();
-    for y in (region.y0..region.y1).step_by(STRIDE_PX) {
-        // Neighbouring rows look at other columns.
-        let x0 = region.x0 + y / STRIDE_PX % STRIDE_PX;
-        for x in (x0..region.x1).step_by(STRIDE_PX) {
-            let w = outline
-                .to_disc(Vector2::new(x as f64, y as f64))
-                .cast::<f32>();
-            let mu2 = 1.0 - w.norm_squared();
-            if mu2 > 0.0 {
-                let light = view.dn(x, y) - background_dn;
-                taken.push(Taken {
-                    w,
-                    ring: ring(mu2),
-                    light,
-                });
+impl Taken {
+    /// Pixels of the disc, some rows and columns apart.
+    fn of<T: Sample>(
+        view: &View<'_, T>,
+        region: Region,
+        outline: &Ellipse,
+        background_dn: f32,
+    ) -> Self {
+        let mut found: Vec<([f32; 3], usize)> = Vec::with_capacity(4096);
+        let mut counts = [0; RINGS];
+        let inverse = outline.inverse().cast::<f32>();
+        for y in (region.y0..region.y1).step_by(STRIDE_PX) {
+            let row = &view.pixels[y * view.width..][..view.width];
+            // Neighbouring rows look at other columns.
+            let x0 = region.x0 + y / STRIDE_PX % STRIDE_PX;
+            let dy = (y as f64 - outline.centre.y) as f32;
+            for x in (x0..region.x1).step_by(STRIDE_PX) {
+                let dx = (x as f64 - outline.centre.x) as f32;
+                let (wx, wy) = (
+                    inverse.m11 * dx + inverse.m12 * dy,
+                    inverse.m12 * dx + inverse.m22 * dy,
+                );
+                let mu2 = 1.0 - wx * wx - wy * wy;
+                if mu2 > 0.0 {
+                    let ring = ring(mu2);
+                    counts[ring] += 1;
+                    found.push(([wx, wy, row[x].dn() - background_dn], ring));
+                }
             }
         }
+        let mut rings = [0; RINGS + 1];
+        for n in 0..RINGS {
+            rings[n + 1] = rings[n] + counts[n];
+        }
+        let [x, y, light] = std::array::from_fn(|_| vec![0.0; found.len()]);
+        let mut taken = Self { x, y, light, rings };
+        let mut next = rings;
+        for ([x, y, light], ring) in found {
+            let n = next[ring];
+            next[ring] += 1;
+            (taken.x[n], taken.y[n], taken.light[n]) = (x, y, light);
+        }
+        taken
     }
-    taken
-}
 
-fn by_ring(values: impl Iterator<Item = (usize, f32)>) -> [Vec<f32>; RINGS] {
-    let mut rings: [Vec<f32>; RINGS] = std::array::from_fn(|_| Vec::new());
-    values.for_each(|(ring, value)| rings[ring].push(value));
-    rings
+    fn ring(&self, ring: usize) -> std::ops::Range<usize> {
+        self.rings[ring]..self.rings[ring + 1]
+    }
 }
 
 /// `None` when there are too few values.

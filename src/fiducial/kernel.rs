@@ -4,6 +4,8 @@ use super::FlatDisc;
 use super::profile::Profile;
 use crate::frame::PIXEL_VARIANCE_PX2;
 use crate::plate::Cross;
+use multiversion::multiversion;
+use std::sync::LazyLock;
 
 /// The cross as the camera sees it, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,17 +28,37 @@ impl CrossShape {
 
     /// The share of the light that a blurred bar covers at a distance from its middle, and its slope, per px.
     pub(super) fn bar(&self, at: f64, half: f64) -> (f64, f64) {
-        let z = |edge: f64| edge / (self.blur_px * std::f64::consts::SQRT_2);
-        let density = |z: f64| (-z * z).exp() / (self.blur_px * std::f64::consts::TAU.sqrt());
-        let (near, far) = (z(at + half), z(at - half));
-        let share = (libm::erf(near) - libm::erf(far)) / 2.0;
-        (share, density(near) - density(far))
+        let [near, far] = [at + half, at - half].map(|edge| normal(edge / self.blur_px));
+        (near.0 - far.0, (near.1 - far.1) / self.blur_px)
     }
 
     /// How far from its middle the cross changes the picture, px.
     pub(super) fn reach_px(&self) -> f64 {
         self.half_length_px + 2.0 * self.blur_px
     }
+}
+
+/// The normal distribution and its density, from a table: straight lines between its entries miss by 4e-6 at most.
+fn normal(z: f64) -> (f64, f64) {
+    const PER_SIGMA: f64 = 128.0;
+    const LAST_SIGMA: f64 = 6.0;
+    static TABLE: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| {
+        let entry = |n: usize| {
+            let z = n as f64 / PER_SIGMA - LAST_SIGMA;
+            let below = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
+            (below, (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt())
+        };
+        let last = (2.0 * LAST_SIGMA * PER_SIGMA) as usize + 1;
+        (0..=last).map(entry).collect()
+    });
+    let along = (z.clamp(-LAST_SIGMA, LAST_SIGMA) + LAST_SIGMA) * PER_SIGMA;
+    let n = along as usize;
+    let part = along - n as f64;
+    let (here, next) = (TABLE[n], TABLE[n + 1]);
+    (
+        here.0 + part * (next.0 - here.0),
+        here.1 + part * (next.1 - here.1),
+    )
 }
 
 /// A zero-mean kernel on a round support, so that neither even ground nor a slope answers.
@@ -125,24 +147,31 @@ impl Kernel {
 
     /// Contrast of the cross as the kernel sees it, centred on a value where it [`fits`](Self::fits).
     pub(super) fn response(&self, flat: &FlatDisc, index: usize) -> f64 {
-        let mut lanes = [0.0_f32; LANES];
         let first = index - self.reach * (flat.side() + 1);
-        for (row, weights) in self.weights.chunks_exact(self.stride).enumerate() {
-            let values = &flat.values()[first + row * flat.side()..][..self.stride];
-            let pairs = weights.chunks_exact(LANES).zip(values.chunks_exact(LANES));
-            for (weights, values) in pairs {
-                for lane in 0..LANES {
-                    lanes[lane] += weights[lane] * values[lane];
-                }
-            }
-        }
-        f64::from(lanes.iter().sum::<f32>()) / self.energy
+        let values = &flat.values()[first..];
+        respond(&self.weights, self.stride, values, flat.side()) / self.energy
     }
 
     /// 1 sigma of a response where the values have this noise.
     pub(super) fn noise(&self, values: f64) -> f64 {
         values / self.energy.sqrt()
     }
+}
+
+/// Sum of the products of weights, row by row, with values of which a row is `side` long.
+#[multiversion(targets("x86_64+avx2"))]
+fn respond(weights: &[f32], stride: usize, values: &[f32], side: usize) -> f64 {
+    let mut lanes = [0.0_f32; LANES];
+    for (row, weights) in weights.chunks_exact(stride).enumerate() {
+        let values = &values[row * side..][..stride];
+        let pairs = weights.chunks_exact(LANES).zip(values.chunks_exact(LANES));
+        for (weights, values) in pairs {
+            for lane in 0..LANES {
+                lanes[lane] += weights[lane] * values[lane];
+            }
+        }
+    }
+    f64::from(lanes.iter().sum::<f32>())
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::{CrossShape, FlatDisc, Settings};
 use crate::units::SensorPx;
+use multiversion::multiversion;
 
 /// The first look is at sums of so many pixels in each axis: a cross is many times larger.
 const BIN_PX: usize = 2;
@@ -23,11 +24,14 @@ struct Binned {
 impl Binned {
     fn of(flat: &FlatDisc) -> Self {
         let side = flat.side() / BIN_PX;
-        let mut values = Vec::with_capacity(side * side);
-        for pair in flat.values().chunks_exact(BIN_PX * flat.side()).take(side) {
+        let mut values = vec![0.0; side * side];
+        for (pair, bins) in flat
+            .values()
+            .chunks_exact(BIN_PX * flat.side())
+            .zip(values.chunks_exact_mut(side))
+        {
             let (upper, lower) = pair.split_at(flat.side());
-            let bins = upper.chunks_exact(BIN_PX).zip(lower.chunks_exact(BIN_PX));
-            values.extend(bins.map(|(u, l)| u[0] + u[1] + l[0] + l[1]));
+            add_pairs(upper, lower, bins);
         }
         Self { side, values }
     }
@@ -44,9 +48,7 @@ impl Binned {
                 continue;
             }
             let first = (row - BOX / 2) * side + BOX / 2;
-            for (sum, part) in sums[first..].iter_mut().zip(columns.windows(BOX)) {
-                *sum = part[0] + part[1] + part[2] + part[3] + part[4];
-            }
+            add_fives(&columns, &mut sums[first..first + side + 1 - BOX]);
             let leaving = &self.values[(row + 1 - BOX) * side..][..side];
             columns.iter_mut().zip(leaving).for_each(|(c, v)| *c -= v);
         }
@@ -56,6 +58,28 @@ impl Binned {
     fn is_peak(&self, index: usize) -> bool {
         let here = self.values[index];
         neighbours(index, self.side).all(|n| self.values[n] <= here)
+    }
+}
+
+/// Sums over two columns of two rows.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_pairs(upper: &[f32], lower: &[f32], bins: &mut [f32]) {
+    let count = bins.len();
+    let (upper, lower) = (&upper[..BIN_PX * count], &lower[..BIN_PX * count]);
+    for n in 0..count {
+        let first = BIN_PX * n;
+        bins[n] = upper[first] + upper[first + 1] + lower[first] + lower[first + 1];
+    }
+}
+
+/// Sums over five neighbours.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_fives(columns: &[f32], sums: &mut [f32]) {
+    let count = sums.len();
+    let columns = &columns[..count + BOX - 1];
+    for n in 0..count {
+        let part = &columns[n..n + BOX];
+        sums[n] = part[0] + part[1] + part[2] + part[3] + part[4];
     }
 }
 

@@ -1,6 +1,7 @@
 //! Pixels that outshine a threshold, compared as the whole numbers they are, and runs of them.
 
 use crate::frame::Sample;
+use multiversion::multiversion;
 use std::ops::BitOr;
 
 /// Pixels that are looked at together: where none of them is bright, none is looked at alone.
@@ -39,29 +40,40 @@ macro_rules! whole {
 whole!(u8);
 whole!(u16);
 
-/// Whether any pixel of a stretch is bright: the compiler makes a few wide instructions of it.
-fn any_bright<T: Whole>(stretch: &[T], floor: T) -> bool {
-    let join = |pixels: &[T]| {
-        pixels
-            .iter()
-            .fold(T::default(), |any, pixel| any | pixel.above(floor))
-    };
-    let any = match <&[T; STRETCH]>::try_from(stretch) {
-        Ok(whole) => join(whole),
-        Err(_) => join(stretch),
-    };
-    any > T::default()
+/// Which stretches of a row hold a bright pixel, in a list that is used again from row to row.
+#[derive(Debug, Default)]
+pub(super) struct Stretches {
+    found: Vec<u32>,
 }
 
-/// The stretches of a row that hold a bright pixel, each with its place in the row.
-pub(super) fn bright_stretches<T: Whole>(
-    row: &[T],
-    floor: T,
-) -> impl Iterator<Item = (usize, &[T])> {
-    row.chunks(STRETCH)
-        .enumerate()
-        .filter(move |(_, stretch)| any_bright(stretch, floor))
-        .map(|(n, stretch)| (n * STRETCH, stretch))
+impl Stretches {
+    /// The stretches of a row that hold a bright pixel, each with its place in the row.
+    pub(super) fn bright<'a, T: Whole>(
+        &'a mut self,
+        row: &'a [T],
+        floor: T,
+    ) -> impl Iterator<Item = (usize, &'a [T])> {
+        self.found.clear();
+        find_bright(row, floor, &mut self.found);
+        self.found.iter().map(move |n| {
+            let first = *n as usize * STRETCH;
+            (first, &row[first..(first + STRETCH).min(row.len())])
+        })
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn find_bright<T: Whole>(row: &[T], floor: T, found: &mut Vec<u32>) {
+    let join = |any: T, pixel: &T| any | pixel.above(floor);
+    for (n, stretch) in row.chunks(STRETCH).enumerate() {
+        let any = match <&[T; STRETCH]>::try_from(stretch) {
+            Ok(whole) => whole.iter().fold(T::default(), join),
+            Err(_) => stretch.iter().fold(T::default(), join),
+        };
+        if any > T::default() {
+            found.push(n as u32);
+        }
+    }
 }
 
 /// Bright runs of a line, first pixel and the one after the last: long enough to be no hot pixel, marks filled in.
@@ -72,6 +84,7 @@ pub(super) struct Runs {
     max_gap_px: usize,
     /// First pixel of the run that has not ended yet, and the pixel after its last so far.
     open: Option<(usize, usize)>,
+    stretches: Stretches,
 }
 
 impl Runs {
@@ -98,9 +111,11 @@ impl Runs {
     /// The same of a row that lies in one piece: what is dark is passed over.
     pub(super) fn of_row<T: Whole>(&mut self, row: &[T], from: usize, floor: T) {
         self.found.clear();
-        for (first, stretch) in bright_stretches(row, floor) {
+        let mut stretches = std::mem::take(&mut self.stretches);
+        for (first, stretch) in stretches.bright(row, floor) {
             self.add(stretch.iter().copied(), from + first, floor);
         }
+        self.stretches = stretches;
         self.close();
     }
 

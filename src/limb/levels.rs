@@ -3,11 +3,11 @@
 //! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the histogram, taken
 //! over every eighth pixel in both axes; where noise is cut off at zero the median and what lies above it do not
 //! mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has only some
-//! hundred pixels: they are looked for in every fourth row, stretches without any being passed over; hot pixels stand
-//! alone and do not count.
+//! hundred pixels: they are looked for by pairs in every fourth row, stretches without any being passed over; hot pixels
+//! stand alone and do not count.
 
 use super::Settings;
-use super::bright::{Whole, bright_stretches};
+use super::bright::{Stretches, Whole};
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, View};
 use crate::units::Rejected;
 use crate::with_view;
@@ -20,8 +20,8 @@ const BRIGHT_ROWS_PX: usize = 4;
 const BRIGHT_SIGMAS: f64 = 4.0;
 /// Which part of the bright pixels is darker than the disc's level.
 const DISC_QUANTILE: f64 = 0.9;
-/// Fewest bright pixels in those rows that can be a disc: 64 stand for 256 pixels, 1 % of the Sun.
-const MIN_BRIGHT_PIXELS: u32 = 64;
+/// Fewest bright pairs in those rows that can be a disc: 32 stand for 256 pixels, 1 % of the Sun.
+const MIN_BRIGHT_PAIRS: u32 = 32;
 /// A dark ground and a bright disc leave less than this part of the values in the middle third between them; noise alone
 /// has half of its own there.
 const MOST_BETWEEN: f64 = 0.1;
@@ -77,15 +77,16 @@ impl Histogram {
         histogram
     }
 
-    /// The pixels above a value, in some of the rows. One without a bright neighbour is hot: of a cap's hundred
+    /// The pixels above a value, in some of the rows, one of each pair of them. One without a bright neighbour is hot: of a cap's hundred
     /// pixels in these rows, hot ones from all over the sensor would be the brightest tenth.
     fn of_brighter<T: Whole>(view: &View<'_, T>, values: usize, dn: f64) -> Self {
         let floor = T::floor(dn);
         let mut histogram = Self::new(values);
+        let mut stretches = Stretches::default();
         let rows = view.pixels.chunks_exact(view.width);
         for row in rows.skip(BRIGHT_ROWS_PX / 2).step_by(BRIGHT_ROWS_PX) {
-            for (_, stretch) in bright_stretches(row, floor) {
-                for pair in stretch.windows(2) {
+            for (_, stretch) in stretches.bright(row, floor) {
+                for pair in stretch.chunks_exact(2) {
                     if pair[0] > floor && pair[1] > floor {
                         histogram.add(pair[1]);
                     }
@@ -150,11 +151,11 @@ impl Histogram {
 
     fn disc_dn(&self) -> Result<f64, Rejected> {
         let bright = self.total();
-        if bright < MIN_BRIGHT_PIXELS {
+        if bright < MIN_BRIGHT_PAIRS {
             return Err(Rejected {
                 reason: "too few pixels are brighter than the background",
                 measured: f64::from(bright),
-                limit: f64::from(MIN_BRIGHT_PIXELS),
+                limit: f64::from(MIN_BRIGHT_PAIRS),
             });
         }
         Ok(self.value_above(DISC_QUANTILE * f64::from(bright)))

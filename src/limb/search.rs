@@ -30,7 +30,7 @@ impl CoarseDisc {
 /// Patches that are looked at.
 const MOST_PATCHES: usize = 6;
 /// Chords across the shorter side of a patch.
-const CHORDS_PER_PATCH: usize = 24;
+const CHORDS_PER_PATCH: usize = 16;
 /// Chords are no nearer to each other than this: what is between is the same noise twice.
 const LEAST_SPACING_PX: usize = 2;
 /// Linear limb darkening at 630 nm: light falls as 1 - u (1 - cos theta) towards the limb.
@@ -171,7 +171,7 @@ fn check_filled<T: Whole>(
     circle: &Circle,
     threshold_dn: f64,
 ) -> Result<(), Rejected> {
-    const PIXELS: usize = 2000;
+    const PIXELS: usize = 1000;
     const LEAST_RIGHT: f64 = 0.8;
     let floor = T::floor(threshold_dn);
     let reach = 1.25 * circle.radius;

@@ -99,6 +99,24 @@ impl<'a> Problem<'a> {
         self.adjust(adjusted.model, adjusted.circle, raised)
     }
 
+    /// Whether the first step of a richer kind would lower chi^2 by more than so much for every parameter that it adds, the
+    /// pairs taken at their stated sigmas.
+    pub(super) fn promises(&self, simple: &Adjusted, start: Model, least_gain: f64) -> bool {
+        let kind = start.kind();
+        let added = kind
+            .parameters()
+            .saturating_sub(simple.model.kind().parameters());
+        let gain = || {
+            let sums = self.sums(&start, simple.circle, 1.0, kind)?;
+            let step = sums.information.cholesky()?.solve(&sums.gradient);
+            // The start may be of another kind than the simple fit.
+            let lost = sums.chi2_pairs + sums.chi2_outline;
+            let least = simple.chi2_pairs + simple.chi2_outline;
+            Some(step.dot(&sums.gradient) - (lost - least))
+        };
+        gain().is_none_or(|gain| gain > least_gain * added.max(1) as f64)
+    }
+
     /// Fits the kind of mapping that the start is of, the pairs' sigmas raised by a factor. `None` when the data do not
     /// determine it.
     pub(super) fn fit(&self, start: Model, raised: f64) -> Option<Adjusted> {

@@ -117,6 +117,8 @@ const LEAST_TO_REJECT: usize = 5;
 const EXPLAINED_SIGMAS: f64 = 6.0;
 /// Sigmas raised by less than this are the stated ones, as well as can be told.
 const EXPLAINED_RISE: f64 = 1.3;
+/// A richer kind whose first step does not promise this part of the least gain is not fitted.
+const PROMISED_SHARE: f64 = 0.5;
 /// How often the sigmas are raised until they agree with the residuals.
 const RISES: usize = 4;
 
@@ -176,7 +178,11 @@ fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
             }
             _ => similarity.model,
         };
-        let Some(richer) = settle(problem, start.as_kind(kind), settings) else {
+        let start = start.as_kind(kind);
+        if !problem.promises(&best, start, settings.min_gain * PROMISED_SHARE) {
+            continue;
+        }
+        let Some(richer) = settle(problem, start, settings) else {
             continue;
         };
         if kind == MappingKind::Affine {
