@@ -45,6 +45,7 @@ pub mod fits;
 pub mod frame;
 pub mod geometry;
 pub mod instrument;
+mod lanes;
 pub mod limb;
 pub mod link;
 pub mod plate;

@@ -2,6 +2,7 @@
 
 use crate::frame::{Frame, Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
+use crate::lanes::split;
 use crate::units::SensorPx;
 use crate::with_view;
 use multiversion::multiversion;
@@ -12,6 +13,7 @@ use nalgebra::Vector2;
 const RINGS: usize = 16;
 /// Entries of the table of expected light, equally wide in mu^2, which needs no root for every pixel: 0.05 px at the limb.
 const TABLE: usize = 1024;
+const LAST_ENTRY: f32 = TABLE as f32 - 0.51;
 /// Nearer to the limb than this nothing is judged: its blur takes over there.
 const LIMB_MARGIN_PX: f64 = 1.0;
 /// Only every so many columns and rows make the profile.
@@ -60,9 +62,17 @@ impl FlatDisc {
         let left = (outline.centre.x - reach).floor() as isize;
         let top = (outline.centre.y - reach).floor() as isize;
         let side = (2.0 * reach).ceil() as usize + 2;
-        let mut darkness = vec![0.0_f32; side * side];
-        for y in region.y0..region.y1 {
-            let row = &mut darkness[(y as isize - top) as usize * side..][..side];
+        let mut darkness = Vec::with_capacity(side * side);
+        for y in top..top + side as isize {
+            let first = darkness.len();
+            darkness.resize(first + side, 0.0);
+            let Some(y) = usize::try_from(y)
+                .ok()
+                .filter(|y| (region.y0..region.y1).contains(y))
+            else {
+                continue;
+            };
+            let row = &mut darkness[first..];
             let values = &mut row[(region.x0 as isize - left) as usize..][..region.width()];
             let seen = &view.pixels[y * view.width..][region.x0..region.x1];
             profile.flatten(&outline, region.x0, y, seen, values);
@@ -371,7 +381,7 @@ fn find_entries(row: &Row, first: f32, dn: &[f32], entries: &mut [u16], light: &
     for n in 0..count {
         let along = first + n as i32 as f32;
         let mu2 = bend * (half2 - (along - middle) * (along - middle));
-        entries[n] = (mu2 * TABLE as f32).clamp(0.0, (TABLE - 1) as f32) as i32 as u16;
+        entries[n] = split((mu2 * TABLE as f32).clamp(0.0, LAST_ENTRY)).0 as u16;
         light[n] = (dn[n] - row.background_dn) * (row.tilt[0] + row.tilt[1] * along);
     }
 }
@@ -400,7 +410,7 @@ fn ring(mu2: f32) -> usize {
 
 /// The place of a mu^2 in the table.
 fn entry(mu2: f32) -> usize {
-    ((mu2 * TABLE as f32) as i32 as usize).min(TABLE - 1)
+    split((mu2 * TABLE as f32).clamp(0.0, LAST_ENTRY)).0 as usize
 }
 
 impl Taken {

@@ -3,6 +3,7 @@
 use super::patch::Patch;
 use super::profile::{Profile, Shares};
 use crate::frame::ROUNDING_NOISE_DN;
+use crate::lanes::Scratch;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
@@ -125,7 +126,7 @@ impl Fit<'_> {
         };
         linear.root_weights.copy_from_slice(&self.patch.root_weight);
         let [x, y, contrast, level, tilt_x, tilt_y] = &mut linear.slopes;
-        let slopes = [x, y, contrast, level, tilt_x, tilt_y].map(Vec::as_mut_slice);
+        let slopes = [x, y, contrast, level, tilt_x, tilt_y].map(|slope| slope.as_mut_slice());
         lay_model(self.patch, shares, &model, &mut linear.residuals, slopes);
     }
 }
@@ -143,17 +144,17 @@ struct Model {
 /// Residuals of a model, DN, and how the model changes with each unknown; one entry a pixel.
 struct Linear {
     /// Roots of the weights that residuals and slopes carry.
-    root_weights: Vec<f32>,
-    residuals: Vec<f32>,
-    slopes: [Vec<f32>; UNKNOWNS],
+    root_weights: Scratch<f32>,
+    residuals: Scratch<f32>,
+    slopes: [Scratch<f32>; UNKNOWNS],
 }
 
 impl Linear {
     fn new(count: usize) -> Self {
         Self {
-            root_weights: vec![0.0; count],
-            residuals: vec![0.0; count],
-            slopes: std::array::from_fn(|_| vec![0.0; count]),
+            root_weights: Scratch::of_length(count),
+            residuals: Scratch::of_length(count),
+            slopes: std::array::from_fn(|_| Scratch::of_length(count)),
         }
     }
 
@@ -187,7 +188,8 @@ impl Linear {
     /// itself may be off: none within a limit, all beyond twice that.
     fn reject(&mut self, allowed_dn: f32) {
         // Every second pixel tells the noise.
-        let mut sizes: Vec<f32> = self.residuals.iter().step_by(2).map(|r| r.abs()).collect();
+        let mut sizes = Scratch::empty(self.residuals.len());
+        sizes.extend(self.residuals.iter().step_by(2).map(|r| r.abs()));
         let middle = sizes.len() / 2;
         let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
         let limit = DOUBTED_SIGMA * 1.4826 * median + allowed_dn;

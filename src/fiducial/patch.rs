@@ -1,6 +1,7 @@
 //! The pixels about a mark, and the light that would fall on them without it.
 
 use crate::frame::{Sample, View};
+use crate::lanes::Scratch;
 use crate::units::SensorPx;
 use multiversion::multiversion;
 
@@ -29,7 +30,7 @@ pub(super) struct LightMap {
     top: isize,
     side: usize,
     /// Row by row, filled up so that groups of pixels may be taken together.
-    light: Vec<f32>,
+    light: Scratch<f32>,
     stride: usize,
 }
 
@@ -42,7 +43,7 @@ impl LightMap {
         );
         let side = 2 * whole as usize + 1;
         let stride = side + LANES;
-        let mut map = vec![0.0; (side + 1) * stride];
+        let mut map = Scratch::zeros((side + 1) * stride);
         for (row, values) in map.chunks_exact_mut(stride).take(side).enumerate() {
             let y = (top + row as isize) as f64;
             light.fill(left as f64, y, &mut values[..side]);
@@ -62,18 +63,17 @@ impl LightMap {
 }
 
 /// The pixels about a mark, one list for each quantity, as vector instructions like it. Positions count from the start.
-#[derive(Default)]
 pub(super) struct Patch {
-    pub x: Vec<f32>,
-    pub y: Vec<f32>,
+    pub x: Scratch<f32>,
+    pub y: Scratch<f32>,
     /// Seen above background, DN.
-    pub seen: Vec<f32>,
+    pub seen: Scratch<f32>,
     /// Light without the mark, DN, and its slopes, DN/px.
-    pub light: Vec<f32>,
-    pub slope_x: Vec<f32>,
-    pub slope_y: Vec<f32>,
+    pub light: Scratch<f32>,
+    pub slope_x: Scratch<f32>,
+    pub slope_y: Scratch<f32>,
     /// Root of what a pixel counts; 0 of one that is dark or saturated, 1 on the even disc.
-    pub root_weight: Vec<f32>,
+    pub root_weight: Scratch<f32>,
 }
 
 /// What decides what a pixel of a patch counts.
@@ -93,11 +93,8 @@ impl Patch {
         start: SensorPx,
         reach: f64,
     ) -> Self {
-        let mut patch = Self::default();
-        for list in patch.lists() {
-            list.reserve(map.side * map.side);
-        }
-        let mut bend = Vec::with_capacity(map.side * map.side);
+        let mut patch = Self::with_room(map.side * map.side);
+        let mut bend = Scratch::empty(map.side * map.side);
         for row in 1..map.side - 1 {
             let Ok(y) = usize::try_from(map.top + row as isize) else {
                 continue;
@@ -130,7 +127,21 @@ impl Patch {
         patch
     }
 
-    fn lists(&mut self) -> [&mut Vec<f32>; 7] {
+    fn with_room(room: usize) -> Self {
+        let [x, y, seen, light, slope_x, slope_y, root_weight] =
+            [(); 7].map(|()| Scratch::empty(room));
+        Self {
+            x,
+            y,
+            seen,
+            light,
+            slope_x,
+            slope_y,
+            root_weight,
+        }
+    }
+
+    fn lists(&mut self) -> [&mut Scratch<f32>; 7] {
         [
             &mut self.x,
             &mut self.y,
@@ -150,7 +161,7 @@ impl Patch {
         map: &LightMap,
         here: usize,
         (x, y): (f64, f64),
-        bend: &mut Vec<f32>,
+        bend: &mut Scratch<f32>,
     ) {
         let end = self.x.len() + seen.len();
         for (n, pixel) in seen.iter().enumerate() {

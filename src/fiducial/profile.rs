@@ -1,6 +1,7 @@
 //! The blurred cross as a table: it is asked for hundreds of thousands of times a frame.
 
 use super::CrossShape;
+use crate::lanes::{Scratch, split};
 use multiversion::multiversion;
 use wide::f32x4;
 
@@ -34,14 +35,14 @@ pub(super) struct Coverage {
 
 /// The same of many places, one entry a place.
 pub(super) struct Shares {
-    pub share: Vec<f32>,
-    pub slope_u: Vec<f32>,
-    pub slope_v: Vec<f32>,
+    pub share: Scratch<f32>,
+    pub slope_u: Scratch<f32>,
+    pub slope_v: Scratch<f32>,
 }
 
 impl Shares {
     pub(super) fn new(count: usize) -> Self {
-        let [share, slope_u, slope_v] = std::array::from_fn(|_| vec![0.0; count]);
+        let [share, slope_u, slope_v] = std::array::from_fn(|_| Scratch::of_length(count));
         Self {
             share,
             slope_u,
@@ -52,17 +53,17 @@ impl Shares {
 
 /// Where in the table places are, along one arm: the entry, how far towards the next one, and the side.
 struct Along {
-    entry: Vec<u16>,
-    part: Vec<f32>,
-    side: Vec<f32>,
+    entry: Scratch<u16>,
+    part: Scratch<f32>,
+    side: Scratch<f32>,
 }
 
 impl Along {
     fn new(count: usize) -> Self {
         Self {
-            entry: vec![0; count],
-            part: vec![0.0; count],
-            side: vec![0.0; count],
+            entry: Scratch::of_length(count),
+            part: Scratch::of_length(count),
+            side: Scratch::of_length(count),
         }
     }
 }
@@ -144,10 +145,9 @@ impl Profile {
     /// Both bars at an offset, and their slopes, which are odd.
     fn bars(&self, offset: f32) -> [f32; 4] {
         let along = (offset.abs() * STEPS_PER_PX).min((self.steps.len() - 1) as f32);
-        // By way of a signed number, which the processor converts to at once.
-        let n = along as i32 as usize;
-        let step = &self.steps[n];
-        let bars = step.here + step.on * f32x4::splat(along - n as f32);
+        let (n, part) = split(along);
+        let step = &self.steps[n as usize];
+        let bars = step.here + step.on * f32x4::splat(part);
         let side = 1.0_f32.copysign(offset);
         (bars * f32x4::from([1.0, side, 1.0, side])).to_array()
     }
@@ -170,9 +170,8 @@ fn find_along(
     for n in 0..count {
         let offset = by_x * (x[n] - middle_x) + by_y * (y[n] - middle_y);
         let steps = (offset.abs() * STEPS_PER_PX).min(last);
-        let whole = steps as i32;
-        entry[n] = whole as u16;
-        part[n] = steps - whole as f32;
+        let (whole, left) = split(steps);
+        (entry[n], part[n]) = (whole as u16, left);
         side[n] = 1.0_f32.copysign(offset);
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::frame::{Frame, Region, Sample, View};
 use crate::geometry::Ellipse;
+use crate::lanes::{Scratch, split};
 use crate::units::SensorPx;
 use crate::with_view;
 use multiversion::multiversion;
@@ -12,20 +13,19 @@ use std::ops::Range;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hidden {
     region: Region,
-    covered: Vec<bool>,
-    /// Rows of the region that have a hidden pixel.
-    rows: Range<usize>,
+    /// A bit for every pixel, each row of the region from a word of its own on.
+    covered: Vec<u64>,
 }
 
 impl Hidden {
     /// Nothing hidden, in a region.
     pub fn nothing(region: Region) -> Self {
-        let covered = vec![false; region.width() * region.height()];
-        Self {
-            region,
-            covered,
-            rows: 0..0,
-        }
+        let covered = vec![0; region.width().div_ceil(64) * region.height()];
+        Self { region, covered }
+    }
+
+    fn words(&self) -> usize {
+        self.region.width().div_ceil(64)
     }
 
     /// Hides those of the pixels within `reach` px of a position that `covers` holds for.
@@ -34,36 +34,34 @@ impl Hidden {
         let Some(near) = Region::around(at, reach, r.x1, r.y1) else {
             return;
         };
-        let rows = near.y0.max(r.y0)..near.y1;
-        for y in rows.clone() {
+        let words = self.words();
+        for y in near.y0.max(r.y0)..near.y1 {
             for x in near.x0.max(r.x0)..near.x1 {
                 if covers(SensorPx::new(x as f64, y as f64)) {
-                    self.covered[(y - r.y0) * r.width() + x - r.x0] = true;
+                    let column = x - r.x0;
+                    self.covered[(y - r.y0) * words + column / 64] |= 1 << (column % 64);
                 }
             }
         }
-        self.rows = if self.rows.is_empty() {
-            rows
-        } else {
-            self.rows.start.min(rows.start)..self.rows.end.max(rows.end)
-        };
     }
 
-    /// Which of a row's pixels are hidden, from the region's first column on; outside the region none is.
-    fn row(&self, y: usize) -> Option<&[bool]> {
-        let r = self.region;
-        (self.rows.contains(&y) && (r.y0..r.y1).contains(&y))
-            .then(|| &self.covered[(y - r.y0) * r.width()..][..r.width()])
-    }
-
-    /// Raises the brightness of a row's hidden pixels, of those from column `from` on, to [`HIDDEN_DN`].
+    /// Raises the brightness of a row's hidden pixels, of those from column `from` on, to [`HIDDEN_DN`]; outside the
+    /// region none is hidden.
     fn raise(&self, y: usize, from: usize, dn: &mut [f32]) {
-        let Some(row) = self.row(y) else { return };
-        let first = self.region.x0.max(from);
-        let covered = row.iter().skip(first - self.region.x0);
-        for (dn, covered) in dn.iter_mut().skip(first - from).zip(covered) {
-            if *covered {
-                *dn = HIDDEN_DN;
+        let r = self.region;
+        if !(r.y0..r.y1).contains(&y) {
+            return;
+        }
+        let words = self.words();
+        let row = &self.covered[(y - r.y0) * words..][..words];
+        for (n, word) in row.iter().enumerate() {
+            let mut left = *word;
+            while left != 0 {
+                let column = r.x0 + 64 * n + left.trailing_zeros() as usize;
+                if let Some(dn) = column.checked_sub(from).and_then(|n| dn.get_mut(n)) {
+                    *dn = HIDDEN_DN;
+                }
+                left &= left - 1;
             }
         }
     }
@@ -83,11 +81,11 @@ pub(super) struct Reach {
 pub(super) struct Band {
     pub reach: Reach,
     /// Outwards from the outline.
-    pub distance_px: Vec<f32>,
+    pub distance_px: Scratch<f32>,
     /// Sector of the direction from the disc's centre.
-    pub sector: Vec<u16>,
+    pub sector: Scratch<u16>,
     /// Brightness; [`HIDDEN_DN`] where it is hidden.
-    pub dn: Vec<f32>,
+    pub dn: Scratch<f32>,
 }
 
 impl Band {
@@ -99,13 +97,13 @@ impl Band {
         sectors: usize,
     ) -> Self {
         let spans = Spans::new(outline, reach);
-        let mut pixels = Places::default();
+        let mut pixels = Places::new();
         with_view!(frame, view => pixels.gather(&view, outline, &spans, hidden));
         let count = pixels.dn.len();
         let mut band = Self {
             reach,
-            distance_px: vec![0.0; count],
-            sector: vec![0; count],
+            distance_px: Scratch::of_length(count),
+            sector: Scratch::of_length(count),
             dn: pixels.dn,
         };
         let inverse = outline.inverse().cast();
@@ -122,11 +120,10 @@ impl Band {
 }
 
 /// Where pixels are, px from the outline's centre, and how bright.
-#[derive(Default)]
 struct Places {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    dn: Vec<f32>,
+    x: Scratch<f32>,
+    y: Scratch<f32>,
+    dn: Scratch<f32>,
 }
 
 /// More than the pixels of a band about the Sun.
@@ -135,6 +132,11 @@ const USUAL_PIXELS: usize = 16_384;
 const LANES: usize = 8;
 
 impl Places {
+    fn new() -> Self {
+        let [x, y, dn] = [(); 3].map(|()| Scratch::empty(USUAL_PIXELS));
+        Self { x, y, dn }
+    }
+
     fn gather<T: Sample>(
         &mut self,
         view: &View<'_, T>,
@@ -142,9 +144,6 @@ impl Places {
         spans: &Spans,
         hidden: &Hidden,
     ) {
-        for list in [&mut self.x, &mut self.y, &mut self.dn] {
-            list.reserve(USUAL_PIXELS);
-        }
         let centre = outline.centre;
         let reach = spans.most * (outline.root().m11.max(outline.root().m22) + 1.0);
         for y in pixels_within(centre.y - reach..centre.y + reach, view.height) {
@@ -237,7 +236,8 @@ fn locate(
     let [a, b, c] = inverse;
     let count = distance_px.len();
     let (x, y, sector) = (&x[..count], &y[..count], &mut sector[..count]);
-    let (per_quarter, last) = (sectors / 4.0, sectors - 1.0);
+    // A number that stands just below the next sector may be taken for it.
+    let (per_quarter, last) = (sectors / 4.0, sectors - 0.51);
     for n in 0..count {
         let (wx, wy) = (a * x[n] + b * y[n], b * x[n] + c * y[n]);
         let r2 = wx * wx + wy * wy;
@@ -247,7 +247,7 @@ fn locate(
         distance_px[n] = (r2 - r) / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
         let along = wy / (wx.abs() + wy.abs() + f32::MIN_POSITIVE);
         let quarters = if wx >= 0.0 { 1.0 + along } else { 3.0 - along };
-        sector[n] = (quarters * per_quarter).min(last) as i32 as u16;
+        sector[n] = split((quarters * per_quarter).clamp(0.0, last)).0 as u16;
     }
 }
 

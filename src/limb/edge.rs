@@ -16,6 +16,7 @@ use super::profile::Profile;
 use super::typical::medians;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
+use crate::lanes::{Scratch, split};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
@@ -294,19 +295,20 @@ impl<'a> Edge<'a> {
     }
 
     /// Adds every pixel to its sector's normal equations; what the sectors' expectations do not explain, pixel by pixel.
-    fn sum(&self, sectors: &mut [Sector]) -> Vec<f32> {
+    fn sum(&self, sectors: &mut [Sector]) -> Scratch<f32> {
         let band = self.band;
         let mut places = Places {
-            entry: vec![0; band.dn.len()],
-            part: vec![0.0; band.dn.len()],
+            entry: Scratch::of_length(band.dn.len()),
+            part: Scratch::of_length(band.dn.len()),
         };
         places.find(&band.distance_px, self.first_px as f32, self.table.len());
-        let mut unexplained = Vec::with_capacity(band.dn.len());
-        let places = places.entry.iter().zip(&places.part);
-        for ((place, dn), of_sector) in places.zip(&band.dn).zip(&band.sector) {
+        let mut unexplained = Scratch::of_length(band.dn.len());
+        let places = places.entry.iter().zip(places.part.iter());
+        let pixels = places.zip(band.dn.iter()).zip(band.sector.iter());
+        for (((place, dn), of_sector), unexplained) in pixels.zip(unexplained.iter_mut()) {
             let expected = &self.table[usize::from(*place.0)];
             let sector = &mut sectors[usize::from(*of_sector)];
-            unexplained.push(sector.add(expected, *place.1, *dn));
+            *unexplained = sector.add(expected, *place.1, *dn);
         }
         unexplained
     }
@@ -323,9 +325,13 @@ impl<'a> Edge<'a> {
             .here
             .to_array()[1];
         let band = self.band;
-        let (mut outside, mut inside) = (Vec::new(), Vec::new());
+        let [mut outside, mut inside] = [(); 2].map(|()| Scratch::empty(band.dn.len()));
         // Every second pixel tells enough.
-        let pixels = band.distance_px.iter().zip(unexplained).zip(&band.sector);
+        let pixels = band
+            .distance_px
+            .iter()
+            .zip(unexplained)
+            .zip(band.sector.iter());
         for ((distance, left), sector) in pixels.step_by(2) {
             if *distance > limb + clear {
                 outside.push(*left);
@@ -358,8 +364,8 @@ impl Noise {
 
 /// Where in a table pixels are: the entry, and how far towards the next one.
 struct Places {
-    entry: Vec<u16>,
-    part: Vec<f32>,
+    entry: Scratch<u16>,
+    part: Scratch<f32>,
 }
 
 impl Places {
@@ -375,9 +381,8 @@ fn find_places(distance_px: &[f32], first_px: f32, last: f32, entry: &mut [u16],
     let (entry, part) = (&mut entry[..count], &mut part[..count]);
     for n in 0..count {
         let along = ((distance_px[n] - first_px) * PER_PX as f32).clamp(0.0, last);
-        let whole = along as i32;
-        entry[n] = whole as u16;
-        part[n] = along - whole as f32;
+        let (whole, left) = split(along);
+        (entry[n], part[n]) = (whole as u16, left);
     }
 }
 

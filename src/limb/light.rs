@@ -2,6 +2,7 @@
 
 use super::Profile;
 use crate::geometry::Ellipse;
+use crate::lanes::split;
 use multiversion::multiversion;
 
 /// Near the limb light bends: entries of the table for each pixel.
@@ -61,9 +62,9 @@ impl DiscLight {
         find_steps(from, inverse, &self.places, light);
         let last = self.table.len() - 1;
         for light in light {
-            let entry = *light as i32;
+            let (entry, part) = split(*light);
             let [here, on] = self.table[(entry as usize).min(last)];
-            *light = here + on * (*light - entry as f32);
+            *light = here + on * part;
         }
     }
 }

@@ -2,12 +2,14 @@
 
 use super::band::{Band, HIDDEN_DN};
 use super::profile::Brightness;
+use crate::lanes::{Scratch, split};
 use multiversion::multiversion;
 
 /// Distances that share a median, per px.
 const PER_PX: f32 = 4.0;
 /// Values are counted in at most so many steps.
 const LEVELS: usize = 256;
+const LAST_LEVEL: f32 = LEVELS as f32 - 0.51;
 /// Fewest pixels that make a median.
 const MIN_PIXELS: u32 = 10;
 /// A median is worth 64 % of a mean.
@@ -18,12 +20,12 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
     let reach = &band.reach;
     let bins = ((reach.inside_px + reach.outside_px) * f64::from(PER_PX)).ceil() as usize + 1;
     let step_dn = ((saturation_dn + 1.0) / LEVELS as f64).ceil().max(1.0);
-    let mut cells = vec![0_u32; band.dn.len()];
+    let mut cells = Scratch::<u32>::of_length(band.dn.len());
     let hidden = (bins * LEVELS) as u32;
     find_cells(band, step_dn as f32, hidden, &mut cells);
-    let mut counts = vec![0_u16; (bins + 1) * LEVELS];
-    for cell in cells {
-        if let Some(count) = counts.get_mut(cell as usize) {
+    let mut counts = Scratch::<u16>::zeros((bins + 1) * LEVELS);
+    for cell in cells.iter() {
+        if let Some(count) = counts.get_mut(*cell as usize) {
             *count += 1;
         }
     }
@@ -47,19 +49,16 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
 #[multiversion(targets("x86_64+avx2"))]
 fn find_cells(band: &Band, step_dn: f32, hidden: u32, cells: &mut [u32]) {
     let inside = band.reach.inside_px as f32;
-    let last_bin = hidden as f32 / LEVELS as f32 - 1.0;
+    let last_bin = hidden as f32 / LEVELS as f32 - 0.51;
     let per_step = 1.0 / step_dn;
     let count = cells.len();
     let (distance_px, dn) = (&band.distance_px[..count], &band.dn[..count]);
     for n in 0..count {
-        let bin = ((distance_px[n] + inside) * PER_PX).clamp(0.0, last_bin) as i32;
-        let level = (dn[n] * per_step).min((LEVELS - 1) as f32) as i32;
-        let cell = bin * LEVELS as i32 + level;
-        cells[n] = if dn[n] < HIDDEN_DN {
-            cell as u32
-        } else {
-            hidden
-        };
+        let bin = split(((distance_px[n] + inside) * PER_PX).clamp(0.0, last_bin)).0;
+        // A whole number would fall on the step between two levels.
+        let level = split(((dn[n] + 0.25) * per_step).min(LAST_LEVEL)).0;
+        let cell = bin * LEVELS as u32 + level;
+        cells[n] = if dn[n] < HIDDEN_DN { cell } else { hidden };
     }
 }
 

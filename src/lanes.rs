@@ -1,0 +1,142 @@
+//! What makes loops over pixels quick: numbers that the compiler can work on side by side, and lists that are used again.
+
+use std::cell::RefCell;
+use std::ops::{Deref, DerefMut};
+use std::thread::LocalKey;
+
+/// The whole part of a number from 0 to 4 million, and what is left of it, 0 to 1 both included; by way of the number's own
+/// bits, which is done side by side where a conversion is not.
+#[inline(always)]
+pub fn split(number: f32) -> (u32, f32) {
+    /// Above it the last bit of a number stands for 1.
+    const WHOLES: f32 = 12_582_912.0;
+    let shifted = number - 0.5 + WHOLES;
+    (
+        shifted.to_bits().wrapping_sub(WHOLES.to_bits()),
+        number - (shifted - WHOLES),
+    )
+}
+
+/// A list whose memory comes from the thread's earlier lists and goes to its later ones: a frame needs dozens, and getting
+/// them anew, or filling them with zeros, costs as much as a stage of the pipeline.
+#[derive(Debug)]
+pub struct Scratch<T: Reused> {
+    list: Vec<T>,
+    class: usize,
+}
+
+/// What scratch lists are made of.
+pub trait Reused: Copy + Default + 'static {
+    /// Lists that nobody uses, by the class of their size.
+    fn shelf() -> &'static LocalKey<RefCell<Shelf<Self>>>;
+}
+
+type Shelf<T> = [Vec<Vec<T>>; CLASSES];
+/// Classes of size, each of twice the size of the one before.
+const CLASSES: usize = 32;
+/// Lists of a class that are kept.
+const MOST_KEPT: usize = 16;
+
+macro_rules! reused {
+    ($kind:ty) => {
+        impl Reused for $kind {
+            fn shelf() -> &'static LocalKey<RefCell<Shelf<Self>>> {
+                thread_local!(static SHELF: RefCell<Shelf<$kind>> = RefCell::default());
+                &SHELF
+            }
+        }
+    };
+}
+reused!(f32);
+reused!(u16);
+reused!(u32);
+reused!(u64);
+
+impl<T: Reused> Scratch<T> {
+    /// So many values, whatever they are: the caller writes them all.
+    pub fn of_length(length: usize) -> Self {
+        let mut scratch = Self::taken(length);
+        scratch.list.resize(length, T::default());
+        scratch
+    }
+
+    /// So many zeros.
+    pub fn zeros(length: usize) -> Self {
+        let mut scratch = Self::empty(length);
+        scratch.list.resize(length, T::default());
+        scratch
+    }
+
+    /// No values yet, but room for so many.
+    pub fn empty(room: usize) -> Self {
+        let mut scratch = Self::taken(room);
+        scratch.list.clear();
+        scratch.list.reserve(room);
+        scratch
+    }
+
+    fn taken(length: usize) -> Self {
+        let class = (usize::BITS - length.leading_zeros()) as usize % CLASSES;
+        let list = T::shelf().with_borrow_mut(|shelf| shelf[class].pop());
+        Self {
+            list: list.unwrap_or_default(),
+            class,
+        }
+    }
+}
+
+impl<T: Reused> Drop for Scratch<T> {
+    fn drop(&mut self) {
+        let list = std::mem::take(&mut self.list);
+        // A thread that ends has no shelf any more: its lists go their own way.
+        let _ = T::shelf().try_with(|shelf| {
+            if let Ok(mut shelf) = shelf.try_borrow_mut()
+                && shelf[self.class].len() < MOST_KEPT
+            {
+                shelf[self.class].push(list);
+            }
+        });
+    }
+}
+
+impl<T: Reused> Deref for Scratch<T> {
+    type Target = Vec<T>;
+
+    fn deref(&self) -> &Vec<T> {
+        &self.list
+    }
+}
+
+impl<T: Reused> DerefMut for Scratch<T> {
+    fn deref_mut(&mut self) -> &mut Vec<T> {
+        &mut self.list
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_its_whole_part_and_what_is_left() {
+        for number in [
+            0.0_f32, 0.25, 0.5, 0.999, 1.0, 1.5, 2.5, 77.77, 1023.0, 65_535.25,
+        ] {
+            let (whole, left) = split(number);
+            assert_eq!(whole as f32 + left, number);
+            assert!((0.0..=1.0).contains(&left), "{number}: {whole} and {left}");
+        }
+    }
+
+    #[test]
+    fn a_list_is_used_again_and_zeros_are_zeros() {
+        let mut first = Scratch::<f32>::of_length(100);
+        first.fill(7.0);
+        let memory = first.as_ptr();
+        drop(first);
+        let again = Scratch::<f32>::of_length(90);
+        assert_eq!((again.as_ptr(), again.len()), (memory, 90));
+        drop(again);
+        assert!(Scratch::<f32>::zeros(95).iter().all(|v| *v == 0.0));
+    }
+}
