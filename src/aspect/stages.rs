@@ -6,7 +6,7 @@ use crate::fiducial::{CrossShape, Detections};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, CoarseDisc, Hidden, KnownOutline, LimbFit, OutlinePrior};
+use crate::limb::{self, Bars, CoarseDisc, Hidden, KnownOutline, LimbFit, OutlinePrior};
 use crate::units::{Measured, Rejected, SensorPx};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
@@ -172,10 +172,11 @@ impl<'a> Work<'a> {
                 continue;
             };
             let margin_mil = MARK_MARGIN_PX * mapping.scale_mil_per_px(seen);
-            hidden.hide(seen, reach_px, |at| {
-                let offset = back * (at.vector() - seen.vector());
-                plate.cross.covers(offset, margin_mil)
-            });
+            let bars = Bars {
+                half_length: plate.cross.arm_length_mil / 2.0 + margin_mil,
+                half_width: plate.cross.arm_width_mil / 2.0 + margin_mil,
+            };
+            hidden.hide_cross(seen, reach_px, &back, bars);
         }
         hidden
     }

@@ -11,8 +11,8 @@ use nalgebra::Vector2;
 /// Rings that make the profile, equally wide in mu, the cosine of the angle to the Sun's vertical: limb darkening is nearly
 /// straight in mu, and towards the limb, where light falls steeply, such rings become narrow by themselves.
 const RINGS: usize = 16;
-/// Entries of the table of expected light, equally wide in mu^2, which needs no root for every pixel: 0.05 px at the limb.
-const TABLE: usize = 1024;
+/// Entries of the table of expected light, equally wide in mu^2, which needs no root for every pixel: 0.1 px at the limb.
+const TABLE: usize = 512;
 const LAST_ENTRY: f32 = TABLE as f32 - 0.51;
 /// Nearer to the limb than this nothing is judged: its blur takes over there.
 const LIMB_MARGIN_PX: f64 = 1.0;
@@ -181,7 +181,7 @@ struct Profile {
     /// 1 sigma of the darkness by ring.
     noise: [f32; RINGS],
     /// By mu^2.
-    table: Vec<Expected>,
+    table: Box<[Expected; TABLE]>,
 }
 
 /// What is expected at a place of the disc.
@@ -226,7 +226,7 @@ impl Profile {
             light: [(levels.disc_dn - levels.background_dn) as f32; RINGS],
             tilt: Vector2::zeros(),
             noise: [0.0; RINGS],
-            table: Vec::new(),
+            table: Box::new([Expected::NOT_JUDGED; TABLE]),
         };
         let least = levels.noise_dn as f32;
         // From the middle outwards; a ring of which too little is in view is taken to be like the one within.
@@ -268,23 +268,20 @@ impl Profile {
         self.light[ring] * (1.0 - part) + self.light[ring + 1] * part
     }
 
-    fn tabulate(&self, outline: &Ellipse) -> Vec<Expected> {
+    fn tabulate(&self, outline: &Ellipse) -> Box<[Expected; TABLE]> {
         let usable = 1.0 - LIMB_MARGIN_PX / outline.mean_radius();
         let least_mu2 = (1.0 - usable * usable) as f32;
-        let at = |n: usize| (n as f32 + 0.5) / TABLE as f32;
-        let expected = |mu2: f32| Expected {
-            inverse_light: 1.0 / self.light_at(mu2.sqrt()),
-            ..Expected::JUDGED
+        let entry = |n: usize| {
+            let mu2 = (n as f32 + 0.5) / TABLE as f32;
+            if mu2 < least_mu2 {
+                return Expected::NOT_JUDGED;
+            }
+            Expected {
+                inverse_light: 1.0 / self.light_at(mu2.sqrt()),
+                ..Expected::JUDGED
+            }
         };
-        (0..TABLE)
-            .map(|n| {
-                if at(n) < least_mu2 {
-                    Expected::NOT_JUDGED
-                } else {
-                    expected(at(n))
-                }
-            })
-            .collect()
+        Box::new(std::array::from_fn(entry))
     }
 
     /// Of the taken pixels.
@@ -337,7 +334,7 @@ impl Profile {
         for (n, (seen, darkness)) in groups.zip(darkness[inside].chunks_mut(GROUP)).enumerate() {
             row.find(n * GROUP, seen, &mut entries[..seen.len()], &mut light);
             for ((darkness, entry), light) in darkness.iter_mut().zip(&entries).zip(&light) {
-                *darkness = self.table[usize::from(*entry)].darkness(*light);
+                *darkness = self.table[usize::from(*entry) % TABLE].darkness(*light);
             }
         }
     }

@@ -164,21 +164,23 @@ impl Patch {
         bend: &mut Scratch<f32>,
     ) {
         let end = self.x.len() + seen.len();
-        for (n, pixel) in seen.iter().enumerate() {
-            let dn = pixel.dn();
-            self.seen.push(dn - counting.background_dn);
-            let counts = if dn < counting.saturation_dn {
+        let dn = || seen.iter().map(|pixel| pixel.dn());
+        let counts = |dn| {
+            if dn < counting.saturation_dn {
                 1.0
             } else {
                 0.0
-            };
-            self.root_weight.push(counts);
-            self.x.push(x as f32 + n as f32);
-        }
+            }
+        };
+        self.seen.extend(dn().map(|dn| dn - counting.background_dn));
+        self.root_weight.extend(dn().map(counts));
+        self.x.extend((0..seen.len()).map(|n| x as f32 + n as f32));
         for first in (0..seen.len()).step_by(LANES) {
-            let at = |offset: isize| -> [f32; LANES] {
+            let at = |offset: isize| {
                 let from = (here + first).wrapping_add_signed(offset);
-                std::array::from_fn(|k| map.light[from + k])
+                let mut lanes = [0.0; LANES];
+                lanes.copy_from_slice(&map.light[from..from + LANES]);
+                lanes
             };
             let stride = map.stride as isize;
             let [middle, left, right, above, below] = [0, -1, 1, -stride, stride].map(at);

@@ -94,7 +94,8 @@ pub(super) fn find_spots(flat: &FlatDisc, shape: &CrossShape, settings: &Setting
     };
     let edge = boxes.side * (boxes.side - 1);
     let mut dark: Vec<(usize, f32)> = Vec::new();
-    for (index, &sum) in boxes.values.iter().enumerate().take(edge).skip(boxes.side) {
+    for (n, &sum) in boxes.values[boxes.side..edge].iter().enumerate() {
+        let index = boxes.side + n;
         if sum > least && boxes.is_peak(index) {
             let spot = unbinned(index);
             let noise = flat.noise(flat.position(spot)) as f32 * box_px;

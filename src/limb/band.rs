@@ -6,7 +6,7 @@ use crate::lanes::{Scratch, split};
 use crate::units::SensorPx;
 use crate::with_view;
 use multiversion::multiversion;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 use std::ops::Range;
 
 /// Pixels that show no bare limb: marks lie on them.
@@ -30,19 +30,51 @@ impl Hidden {
 
     /// Hides those of the pixels within `reach` px of a position that `covers` holds for.
     pub fn hide(&mut self, at: SensorPx, reach: f64, covers: impl Fn(SensorPx) -> bool) {
-        let r = self.region;
-        let Some(near) = Region::around(at, reach, r.x1, r.y1) else {
+        let Some(near) = self.near(at, reach) else {
             return;
         };
-        let words = self.words();
-        for y in near.y0.max(r.y0)..near.y1 {
-            for x in near.x0.max(r.x0)..near.x1 {
+        for y in near.y0..near.y1 {
+            for x in near.x0..near.x1 {
                 if covers(SensorPx::new(x as f64, y as f64)) {
-                    let column = x - r.x0;
-                    self.covered[(y - r.y0) * words + column / 64] |= 1 << (column % 64);
+                    self.cover(x, y);
                 }
             }
         }
+    }
+
+    /// Hides two bars that cross at a position: `to_arms` leads from an offset there, px, to one along them, in the units of
+    /// their half lengths and half widths. None reaches farther than `reach` px.
+    pub fn hide_cross(&mut self, at: SensorPx, reach: f64, to_arms: &Matrix2<f64>, bars: Bars) {
+        let Some(near) = self.near(at, reach) else {
+            return;
+        };
+        let [long, wide] = [bars.half_length as f32, bars.half_width as f32];
+        let step: Vector2<f32> = to_arms.column(0).into_owned().cast();
+        for y in near.y0..near.y1 {
+            let first = Vector2::new(near.x0 as f64 - at.x, y as f64 - at.y);
+            let first: Vector2<f32> = (to_arms * first).cast();
+            for n in 0..near.width() {
+                let along = n as i32 as f32;
+                let u = (first.x + step.x * along).abs();
+                let v = (first.y + step.y * along).abs();
+                if u.min(v) < wide && u.max(v) < long {
+                    self.cover(near.x0 + n, y);
+                }
+            }
+        }
+    }
+
+    fn near(&self, at: SensorPx, reach: f64) -> Option<Region> {
+        let r = self.region;
+        let near = Region::around(at, reach, r.x1, r.y1)?;
+        let [x0, y0] = [near.x0.max(r.x0), near.y0.max(r.y0)];
+        (x0 < near.x1 && y0 < near.y1).then_some(Region { x0, y0, ..near })
+    }
+
+    fn cover(&mut self, x: usize, y: usize) {
+        let (column, row) = (x - self.region.x0, y - self.region.y0);
+        let word = row * self.words() + column / 64;
+        self.covered[word] |= 1 << (column % 64);
     }
 
     /// Raises the brightness of a row's hidden pixels, of those from column `from` on, to [`HIDDEN_DN`]; outside the
@@ -65,6 +97,13 @@ impl Hidden {
             }
         }
     }
+}
+
+/// Two bars that cross.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bars {
+    pub half_length: f64,
+    pub half_width: f64,
 }
 
 /// Brightness of a hidden pixel: so far from any limb's that robust weights leave it out by themselves.
@@ -190,7 +229,7 @@ fn pixels_within(range: Range<f64>, pixels: usize) -> Range<usize> {
 /// Where rows cross the band, in columns from the outline's centre.
 struct Spans {
     /// The outline's inverse root.
-    inverse: nalgebra::Matrix2<f64>,
+    inverse: Matrix2<f64>,
     /// The band's edges in units of the disc's radius.
     least: f64,
     most: f64,
@@ -266,7 +305,6 @@ pub(super) fn middle_of_sector(sector: usize, sectors: usize) -> Vector2<f64> {
 mod tests {
     use super::*;
     use crate::frame::{FrameInfo, Pixels};
-    use nalgebra::Matrix2;
 
     fn outline() -> Ellipse {
         Ellipse::new(Vector2::new(60.3, 48.8), Matrix2::new(40.4, 0.2, 0.2, 39.7)).unwrap()

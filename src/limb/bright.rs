@@ -65,6 +65,10 @@ impl Stretches {
 #[multiversion(targets("x86_64+avx2"))]
 fn find_bright<T: Whole>(row: &[T], floor: T, found: &mut Vec<u32>) {
     let join = |any: T, pixel: &T| any | pixel.above(floor);
+    // Most rows are dark all along.
+    if row.iter().fold(T::default(), join) == T::default() {
+        return;
+    }
     for (n, stretch) in row.chunks(STRETCH).enumerate() {
         let any = match <&[T; STRETCH]>::try_from(stretch) {
             Ok(whole) => whole.iter().fold(T::default(), join),

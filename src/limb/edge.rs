@@ -31,8 +31,8 @@ pub struct LimbPoint {
 }
 
 /// The band about the first outline that is looked at, in blurs and at least so many px.
-const BAND_INSIDE: (f64, f64) = (5.0, 8.0);
-const BAND_OUTSIDE: (f64, f64) = (4.0, 4.5);
+const BAND_INSIDE: (f64, f64) = (5.0, 7.0);
+const BAND_OUTSIDE: (f64, f64) = (4.0, 4.0);
 /// How far the light at one azimuth may be from what was expected before its own scale is known, 1 sigma.
 const TILT: f64 = 0.04;
 /// The same once the light's tilt across the disc is known.

@@ -1,7 +1,7 @@
 //! Robust brightness levels of a frame (Cramer 2014, section 4.2.5, steps 2 to 4).
 //!
 //! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the histogram, taken
-//! over every eighth pixel in both axes; where noise is cut off at zero the median and what lies above it do not
+//! over every eighth row and some ten thousand pixels; where noise is cut off at zero the median and what lies above it do not
 //! mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has only some
 //! hundred pixels: they are looked for by pairs in every fourth row, stretches without any being passed over; hot pixels
 //! stand alone and do not count.
@@ -12,8 +12,10 @@ use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, View};
 use crate::units::Rejected;
 use crate::with_view;
 
-/// Distance of the pixels that tell the background, in both axes.
+/// Least distance of the pixels that tell the background, in both axes.
 const STRIDE_PX: usize = 8;
+/// So many tell background and noise to a hundredth of the noise; large frames have columns to spare.
+const ENOUGH_PIXELS: usize = 10_000;
 /// Distance of the rows that are looked through for bright pixels.
 const BRIGHT_ROWS_PX: usize = 4;
 /// Pixels this many sigma above the background are bright: of a dark frame's fewer than one in 30 000.
@@ -48,6 +50,11 @@ pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
     })
 }
 
+/// Distance of the columns in a frame of so many pixels.
+fn column_stride(pixels: usize) -> usize {
+    (pixels / STRIDE_PX / ENOUGH_PIXELS).max(STRIDE_PX)
+}
+
 /// Counts of values; all that saturate count as saturation.
 struct Histogram {
     counts: Vec<u32>,
@@ -68,10 +75,11 @@ impl Histogram {
     /// always or never.
     fn of_sample<T: Whole>(view: &View<'_, T>, values: usize) -> Self {
         let mut histogram = Self::new(values);
+        let stride = column_stride(view.width * view.height);
         for (n, rows) in view.pixels.chunks_exact(STRIDE_PX * view.width).enumerate() {
             let row = &rows[STRIDE_PX / 2 * view.width..][..view.width];
-            for pixels in row.chunks_exact(STRIDE_PX) {
-                histogram.add(pixels[3 * n % STRIDE_PX]);
+            for pixels in row.chunks_exact(stride) {
+                histogram.add(pixels[3 * n % stride]);
             }
         }
         histogram

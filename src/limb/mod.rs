@@ -26,7 +26,7 @@ mod profile;
 mod search;
 mod typical;
 
-pub use band::Hidden;
+pub use band::{Bars, Hidden};
 pub use chords::{Axis, Crossing, Edge, Scan};
 pub use edge::LimbPoint;
 pub use fine::{KnownOutline, Limb, LimbFit};
