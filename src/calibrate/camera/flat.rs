@@ -2,8 +2,9 @@
 
 use super::dark::{Dark, dn};
 use super::shots::{Shots, SunShot};
-use super::straight::{Solved, median, solve};
+use super::straight::{Solved, solve};
 use super::{Figure, Finding};
+use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::report::plot::Dots;
 use crate::units::Measured;

@@ -1,6 +1,6 @@
 //! From files to sightings: each frame is read, solved and forgotten but for its marks.
 
-use super::input::Pose;
+use super::input::Folder;
 use super::lit::{by_lamp, lit_levels};
 use super::sighting::{FrameSightings, Sighting, Spoiled};
 use crate::aspect::{self, Expected, Origin, Solution};
@@ -33,15 +33,15 @@ pub struct FileFacts {
 /// Fewest marks of a frame that is used.
 const LEAST_MARKS: usize = 3;
 
-/// Reads and solves all frames of all poses, several at a time; `each` is called after every one.
-pub fn measure(poses: &[Pose], instrument: &Instrument, each: &(dyn Fn() + Sync)) -> Sightings {
-    let files: Vec<(usize, &PathBuf)> = poses
+/// Reads and solves all frames of all folders, several at a time; `each` is called after every one.
+pub fn measure(folders: &[Folder], instrument: &Instrument, each: &(dyn Fn() + Sync)) -> Sightings {
+    let files: Vec<(usize, &PathBuf)> = folders
         .iter()
         .enumerate()
-        .flat_map(|(n, pose)| pose.files.iter().map(move |file| (n, file)))
+        .flat_map(|(n, folder)| folder.files.iter().map(move |file| (n, file)))
         .collect();
-    let one = |(pose, file): &(usize, &PathBuf)| {
-        let facts_and_frame = one(*pose, file, instrument);
+    let one = |(folder, file): &(usize, &PathBuf)| {
+        let facts_and_frame = one(*folder, file, instrument);
         each();
         facts_and_frame
     };
@@ -55,6 +55,11 @@ pub fn measure(poses: &[Pose], instrument: &Instrument, each: &(dyn Fn() + Sync)
         }
     }
     sightings
+}
+
+/// Solves a frame as one of a pose, with an instrument that states the pose.
+pub(super) fn measure_one(pose: usize, file: &Path, posed: &Instrument) -> Option<FrameSightings> {
+    one(pose, file, posed).1.ok()
 }
 
 type One = (Option<FileFacts>, Result<FrameSightings, Spoiled>);

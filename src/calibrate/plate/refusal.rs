@@ -1,8 +1,9 @@
 //! Why a calibration is refused, and what to take instead.
 
 use super::fit::PlateFit;
-use super::input::{InputError, Pose};
+use super::input::InputError;
 use super::measure::{FileFacts, Sightings};
+use super::poses::Pose;
 use crate::instrument::Instrument;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -73,7 +74,7 @@ pub enum Refusal {
     )]
     OnePlace { frames: usize, reach_mil: f64 },
     #[error(
-        "{folder}: {agreeing} of {frames} frames agree where the plate is, expected more than half; was the camera moved? give each pose its own folder",
+        "{folder}: {agreeing} of {frames} frames agree with others where the plate is, expected more than half; let the camera rest for several frames in each pose",
         folder = .folder.display()
     )]
     NoPose {
@@ -183,26 +184,8 @@ pub(super) fn check_coverage(
     Ok(())
 }
 
-/// Refuses poses of which most frames contradict one another, and poses of different scale.
-pub(super) fn check_poses(
-    poses: &[Pose],
-    sightings: &Sightings,
-    fit: &PlateFit,
-) -> Result<(), Refusal> {
-    let mut frames: BTreeMap<usize, usize> = BTreeMap::new();
-    for frame in &sightings.frames {
-        *frames.entry(frame.pose).or_default() += 1;
-    }
-    for (pose, fit) in fit.poses.iter().enumerate() {
-        let given = frames.get(&pose).copied().unwrap_or_default();
-        if 2 * fit.frames <= given {
-            return Err(Refusal::NoPose {
-                folder: poses[pose].folder.clone(),
-                agreeing: fit.frames,
-                frames: given,
-            });
-        }
-    }
+/// Refuses poses of different scale.
+pub(super) fn check_scales(poses: &[Pose], fit: &PlateFit) -> Result<(), Refusal> {
     let scale = |pose: usize| fit.poses[pose].scale_mil_per_px.value;
     let other = (0..poses.len()).find(|n| (scale(*n) / scale(0) - 1.0).abs() > SAME_SCALE);
     match other {

@@ -11,6 +11,7 @@
 //! The scale of the residuals is their median: their own, not what the frames state.
 
 use super::adjust::{Cell, Freedoms, MarkPrior, Problem, Settled, State};
+use crate::calibrate::numbers::median;
 use nalgebra::{Matrix2, Vector2};
 
 /// A sighting in the adjustment.
@@ -261,14 +262,4 @@ impl Bundle {
         let freedom = self.coordinates() - settled.determined;
         self.chi2(&settled.state) / freedom.max(1.0)
     }
-}
-
-/// The middle of some values; 0 where there are none.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

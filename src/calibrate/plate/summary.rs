@@ -3,7 +3,9 @@
 use super::{Calibration, LENS_PRIOR_PX, PlateFit};
 use crate::plate::{MarkId, drawn_position};
 use crate::units::SensorPx;
+use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::path::Path;
 
 /// Marks, lens, poses and the frames that were not used, as lines of text.
 pub fn summary(calibration: &Calibration) -> String {
@@ -19,10 +21,14 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
     let kept = fit.residuals.iter().filter(|r| r.kept).count();
     writeln!(
         out,
-        "frames     {used} used, {} not used; {} poses",
+        "frames     {used} used, {} of them read at a second look; {} not used; {} poses",
+        calibration.read_later,
         calibration.spoiled.len(),
         calibration.poses.len()
     )?;
+    for (folder, poses) in found(calibration) {
+        writeln!(out, "found      {}: {poses} poses", folder.display())?;
+    }
     writeln!(
         out,
         "sightings  {kept} of {} marks, {} left out; residual {:.4} px rms, {:.2} of what the frames state",
@@ -38,11 +44,10 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
         MarkId::all().count() - fit.marks.len()
     )?;
     writeln!(out, "lens       {}", lens(fit))?;
-    for (pose, folder) in fit.poses.iter().zip(&calibration.poses) {
+    for (pose, name) in fit.poses.iter().zip(&calibration.poses) {
         writeln!(
             out,
-            "pose       {}: {} frames, {}, plate's centre ({:.3}, {:.3}) px, {:.5} mil/px, {:.4} deg",
-            folder.folder.display(),
+            "pose       {name}: {} frames, {}, plate's centre ({:.3}, {:.3}) px, {:.5} mil/px, {:.4} deg",
             pose.frames,
             fit.choice.kind.name(),
             pose.plate_centre_px.x,
@@ -61,6 +66,16 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
         )?;
     }
     Ok(())
+}
+
+/// The folders that hold several poses, and how many.
+fn found(calibration: &Calibration) -> BTreeMap<&Path, usize> {
+    let numbered = calibration.poses.iter().filter_map(|pose| {
+        let folder = pose.folder.as_path();
+        pose.number.map(|number| (folder, number))
+    });
+    // The last number of a folder is the count.
+    numbered.collect()
 }
 
 /// Root mean square per axis of the marks' displacements, and of their sigmas.
