@@ -141,8 +141,8 @@ pub fn sun_frames(
     let frame = |n: usize| {
         let pose = n % poses;
         let mapping = keystoned(similarity(pose), keystone_deg, 1296, distortion).unwrap();
-        // Steps by the golden section and by the root of two visit every part.
-        let (x, y) = (0.618_034 * n as f64 % 1.0, 1.414_214 * n as f64 % 1.0);
+        // Steps of no period visit every part.
+        let (x, y) = (0.618_034 * n as f64 % 1.0, 0.754_878 * n as f64 % 1.0);
         let sun = SensorPx::new(96.0 + 1103.0 * x, 96.0 + 773.0 * y);
         let lit = |at: SensorPx| at.distance(sun) < LIT_PX;
         sighted((n, pose), (truth, mapping), lit, &mut normal)

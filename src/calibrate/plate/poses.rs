@@ -250,3 +250,87 @@ impl Posed {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::plate::Sighting;
+    use crate::geometry::{Distortion, Mapping, SimilarityParameters};
+    use crate::instrument::{Instrument, builtin};
+    use crate::units::PlateMil;
+    use nalgebra::Matrix2;
+
+    /// Marks near a Sun in the middle of the plate, in a picture moved along x.
+    fn frame(n: usize, demo: &Instrument, moved_px: f64) -> FrameSightings {
+        let stated = demo.mounting.similarity();
+        let at = stated.plate_centre;
+        let mapping = Mapping::similarity(
+            SimilarityParameters {
+                plate_centre: SensorPx::new(at.x + moved_px, at.y),
+                ..stated
+            },
+            Distortion::NONE,
+        );
+        let mapping = mapping.unwrap();
+        let steps = [0.618, 0.755].map(|step| 400.0 * ((step * n as f64) % 1.0 - 0.5));
+        let sun = SensorPx::new(at.x + steps[0], at.y + steps[1]);
+        let seen = demo
+            .plate
+            .marks()
+            .map(|(id, at)| (id, mapping.to_sensor(at)));
+        let sighting = |(id, at): (MarkId, SensorPx)| Sighting {
+            id,
+            at,
+            covariance_px2: Matrix2::identity() * 4e-4,
+        };
+        FrameSightings {
+            file: format!("folder/{n:03}").into(),
+            pose: 0,
+            utc: None,
+            mapping,
+            sun: Some(PlateMil::new(0.0, 0.0)),
+            sightings: seen
+                .filter(|s| s.1.distance(sun) < 87.0)
+                .map(sighting)
+                .collect(),
+        }
+    }
+
+    /// What is found among frames that lie so far along x.
+    fn found(moved_px: impl Fn(usize) -> f64) -> Result<Posed, Refusal> {
+        let demo = builtin("demo").unwrap();
+        let folder = Folder {
+            path: "folder".into(),
+            files: Vec::new(),
+        };
+        let frames = (0..60).map(|n| frame(n, &demo, moved_px(n))).collect();
+        find(&[folder], frames, &demo.plate)
+    }
+
+    #[test]
+    fn a_move_of_two_pixels_there_and_back_is_two_poses() {
+        let posed = found(|n| if (20..45).contains(&n) { 2.0 } else { 0.0 }).unwrap();
+        let numbers: Vec<_> = posed.poses.iter().map(|pose| pose.number).collect();
+        assert_eq!(numbers, [Some(1), Some(2)]);
+        assert_eq!(posed.poses[1].to_string(), "folder (2)");
+        for (n, frame) in posed.frames.iter().enumerate() {
+            assert_eq!(frame.pose == 1, (20..45).contains(&n), "{n}");
+        }
+    }
+
+    #[test]
+    fn a_slow_drift_is_one_pose() {
+        let posed = found(|n| 0.03 * n as f64).unwrap();
+        assert_eq!(posed.poses.len(), 1);
+        assert_eq!(posed.poses[0].number, None);
+        assert!(posed.spoiled.is_empty());
+    }
+
+    #[test]
+    fn an_odd_frame_or_two_are_no_pose() {
+        let posed = found(|n| if n % 30 == 7 { 100.0 } else { 0.0 }).unwrap();
+        assert_eq!((posed.poses.len(), posed.spoiled.len()), (1, 2));
+        let refused = found(|n| 40.0 * n as f64).unwrap_err().to_string();
+        assert!(refused.starts_with("folder: 0 of 60 frames"), "{refused}");
+    }
+}

@@ -197,6 +197,22 @@ impl Bundle {
         self.settle(&settled.state, freedoms)
     }
 
+    /// Raises what is known of the marks beforehand to how far the sightings show them from the drawing; gives by how much.
+    pub(super) fn raise_drawing_sigma(&mut self, settled: &Settled) -> f64 {
+        /// Median of the absolute value of normal errors.
+        const MEDIAN_OFF: f64 = 0.6745;
+        let off = |(mark, prior): (usize, &MarkPrior)| {
+            let covariance = settled.place_covariance(mark);
+            let off = settled.state.places[mark].vector() - prior.printed.vector();
+            let variance = prior.sigma_mil.powi(2);
+            [0, 1].map(|n| off[n].abs() / (variance - covariance[(n, n)]).max(0.0).sqrt())
+        };
+        let measured = self.marks.iter().enumerate().filter(|(_, m)| m.measured);
+        let factor = (median(measured.flat_map(off)) / MEDIAN_OFF).max(1.0);
+        self.marks.iter_mut().for_each(|m| m.sigma_mil *= factor);
+        factor
+    }
+
     /// Residual of each sighting over its own sigma: the part of it that the sighting itself takes up is not held against
     /// it.
     pub(super) fn pulls(&self, settled: &Settled) -> Vec<f64> {

@@ -7,6 +7,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
+/// A drawing's sigma that is off by so much is worth a line.
+const NOTABLE: f64 = 1.5;
+
 /// Marks, lens, poses and the frames that were not used, as lines of text.
 pub fn summary(calibration: &Calibration) -> String {
     let mut text = String::new();
@@ -43,6 +46,13 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
         "marks      {moved:.3} mil rms off the drawing, known to {sigma:.3} mil rms; {} never seen keep the drawing's place",
         MarkId::all().count() - fit.marks.len()
     )?;
+    if fit.drawing_factor > NOTABLE {
+        writeln!(
+            out,
+            "drawing    the marks lie {:.1} times as far from it as its sigma states; so much of it is believed",
+            fit.drawing_factor
+        )?;
+    }
     writeln!(out, "lens       {}", lens(fit))?;
     for (pose, name) in fit.poses.iter().zip(&calibration.poses) {
         writeln!(
