@@ -4,7 +4,7 @@ use super::input::Folder;
 use super::lit::{by_lamp, lit_levels};
 use super::sighting::{FrameSightings, Sighting, Spoiled};
 use crate::aspect::{self, Expected, Origin, Solution};
-use crate::calibrate::frames::sha256_of;
+use crate::calibrate::frames::{sha256_of, unread};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 pub struct Sightings {
     pub frames: Vec<FrameSightings>,
     pub spoiled: Vec<Spoiled>,
-    /// Of every file that could be read: its SHA-256, the camera that it names and its size.
+    /// Of every file that could be read: its SHA-256, the camera that it names, its size and depth.
     pub files: Vec<FileFacts>,
 }
 
@@ -27,6 +27,8 @@ pub struct FileFacts {
     pub sha256: [u8; 32],
     pub camera: Option<String>,
     pub size_px: (usize, usize),
+    /// The value at which its pixels saturate: that of 8 or of 12 bits.
+    pub saturation_dn: u16,
     pub timed: bool,
 }
 
@@ -71,12 +73,7 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
     };
     let frame = match fits::read_frame(file) {
         Ok(frame) => frame,
-        Err(error) => {
-            let name = format!("{}: ", file.display());
-            let text = error.to_string();
-            let reason = text.strip_prefix(&name).unwrap_or(&text).into();
-            return (None, Err(spoiled(reason)));
-        }
+        Err(error) => return (None, Err(spoiled(unread(file, &error)))),
     };
     let facts = match std::fs::read(file) {
         Ok(bytes) => FileFacts {
@@ -84,6 +81,7 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
             sha256: sha256_of(&bytes),
             camera: frame.info.camera.clone(),
             size_px: (frame.width(), frame.height()),
+            saturation_dn: frame.saturation_dn(),
             timed: frame.info.mid_exposure.is_some(),
         },
         Err(error) => return (None, Err(spoiled(format!("cannot read: {error}")))),

@@ -34,6 +34,16 @@ pub enum Refusal {
         other_px: (usize, usize),
     },
     #[error(
+        "{file}: expected frames of one depth, found pixels that saturate at {full_dn} DN here and at {other_dn} DN in {other_file}; give the frames of one camera and setting only",
+        file = .file.display(), other_file = .other_file.display()
+    )]
+    MixedDepths {
+        file: PathBuf,
+        full_dn: u16,
+        other_file: PathBuf,
+        other_dn: u16,
+    },
+    #[error(
         "{file}: expected frames of one instrument, found {scale:.3} mil/px in this pose and {other:.3} mil/px in {other_file}; give the frames of one camera and lens only",
         file = .file.display(), other_file = .other_file.display()
     )]
@@ -93,7 +103,7 @@ const LEAST_MARKS: usize = 12;
 /// Scales of one camera's poses differ by less than this part.
 const SAME_SCALE: f64 = 0.05;
 
-/// Refuses files of several cameras, of several sizes, of another instrument's size, or without any time.
+/// Refuses files of several cameras, sizes or depths, of another instrument's size, or without any time.
 pub(super) fn check_files(sightings: &Sightings, instrument: &Instrument) -> Result<(), Refusal> {
     let files = &sightings.files;
     check_alike(files)?;
@@ -134,6 +144,18 @@ fn check_alike(files: &[FileFacts]) -> Result<(), Refusal> {
             size_px: first.size_px,
             other_file: other.file.clone(),
             other_px: other.size_px,
+        });
+    }
+    if let Some(first) = files.first()
+        && let Some(other) = files
+            .iter()
+            .find(|f| f.saturation_dn != first.saturation_dn)
+    {
+        return Err(Refusal::MixedDepths {
+            file: first.file.clone(),
+            full_dn: first.saturation_dn,
+            other_file: other.file.clone(),
+            other_dn: other.saturation_dn,
         });
     }
     Ok(())
