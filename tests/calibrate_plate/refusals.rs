@@ -2,9 +2,8 @@
 
 use crate::scenes::calibrate;
 use solaspect::fits::{self, Compression};
-use solaspect::frame::FrameInfo;
 use solaspect::instrument::builtin;
-use solaspect::simulate::{Conditions, RandomScenes};
+use solaspect::simulate::{Conditions, Depth, RandomScenes, Scene};
 use solaspect::units::PlateMil;
 use std::path::{Path, PathBuf};
 
@@ -17,12 +16,7 @@ fn refused(given: &[PathBuf]) -> String {
 }
 
 /// Writes frames with the Sun wherever it falls, changed in what they say of themselves.
-fn frames(
-    folder: &Path,
-    count: u64,
-    sun: fn(PlateMil) -> bool,
-    change: impl Fn(u64, &mut FrameInfo),
-) {
+fn frames(folder: &Path, count: u64, sun: fn(PlateMil) -> bool, change: impl Fn(u64, &mut Scene)) {
     let demo = builtin("demo").unwrap();
     let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 5).unwrap();
     let mut written = 0;
@@ -32,7 +26,7 @@ fn frames(
             continue;
         }
         scene.info.mid_exposure = Some("2013-09-21T18:00:00Z".parse().unwrap());
-        change(written, &mut scene.info);
+        change(written, &mut scene);
         let file = folder.join(format!("{written:03}.fits"));
         fits::write_frame(&file, &scene.frame().unwrap(), &[], &[], Compression::Rice).unwrap();
         written += 1;
@@ -68,16 +62,34 @@ fn a_set_that_gives_no_calibration_is_refused_with_what_to_take_instead() {
     );
 
     let timeless = folder("timeless");
-    frames(&timeless, 4, |_| true, |_, info| info.mid_exposure = None);
+    frames(
+        &timeless,
+        4,
+        |_| true,
+        |_, scene| scene.info.mid_exposure = None,
+    );
     let text = refused(&[timeless]);
     assert!(text.contains("time") && text.contains("DATE-OBS"), "{text}");
 
     let mixed = folder("mixed");
-    let names = |n: u64, info: &mut FrameInfo| info.camera = Some(format!("camera {}", n % 2));
+    let names = |n: u64, scene: &mut Scene| scene.info.camera = Some(format!("camera {}", n % 2));
     frames(&mixed, 4, |_| true, names);
     let text = refused(&[mixed]);
     assert!(
         text.contains("\"camera 0\"") && text.contains("one camera only"),
+        "{text}"
+    );
+
+    let two_depths = folder("two depths");
+    let deeper = |n: u64, scene: &mut Scene| {
+        if n % 2 == 1 {
+            scene.depth = Depth::Twelve;
+        }
+    };
+    frames(&two_depths, 4, |_| true, deeper);
+    let text = refused(&[two_depths]);
+    assert!(
+        text.contains("255 DN") && text.contains("one camera and setting"),
         "{text}"
     );
 

@@ -89,22 +89,23 @@ pub fn calibrate(
     refusal::check_files(&sightings, start)?;
     refusal::check_coverage(&sightings, start)?;
     let Sightings {
-        frames,
+        mut frames,
         spoiled: mut unread,
         files,
     } = sightings;
-    let mut posed = poses::find(&folders, frames, &start.plate)?;
+    let mut posed = poses::find(&folders, &frames, &start.plate)?;
     let mut fit = settle(&mut posed, start)?;
     let mut read_later = 0;
     for _ in 0..LOOKS {
-        let mut read = second::look(&unread, &posed, &fit, start);
+        let mut read = second::look(&unread, &folders, (&posed, &fit), start);
         if read.is_empty() {
             break;
         }
         unread.retain(|spoiled| read.iter().all(|frame| frame.file != spoiled.file));
         read_later += read.len();
-        posed.frames.append(&mut read);
-        blurred.extend(blurred::take_blurred(&mut posed.frames));
+        frames.append(&mut read);
+        blurred.extend(blurred::take_blurred(&mut frames));
+        posed = poses::find(&folders, &frames, &start.plate)?;
         fit = settle(&mut posed, start)?;
     }
     refusal::check_scales(&posed.poses, &fit)?;

@@ -59,7 +59,7 @@ const COMPARED: usize = 40;
 /// A folder of which half of the frames or more agree with no other.
 pub(super) fn find(
     folders: &[Folder],
-    frames: Vec<FrameSightings>,
+    frames: &[FrameSightings],
     plate: &Plate,
 ) -> Result<Posed, Refusal> {
     let mut posed = Posed::default();
@@ -69,7 +69,7 @@ pub(super) fn find(
         if of_folder.is_empty() {
             continue;
         }
-        let groups = groups(&frames, &of_folder, plate);
+        let groups = groups(frames, &of_folder, plate);
         let agreeing = groups.iter().map(Vec::len).sum::<usize>();
         if 2 * agreeing <= of_folder.len() {
             return Err(Refusal::NoPose {
@@ -88,11 +88,14 @@ pub(super) fn find(
         }
     }
     posed.number();
-    for (frame, pose) in frames.into_iter().zip(pose_of) {
+    for (frame, pose) in frames.iter().zip(pose_of) {
         match pose {
-            Some(pose) => posed.frames.push(FrameSightings { pose, ..frame }),
+            Some(pose) => posed.frames.push(FrameSightings {
+                pose,
+                ..frame.clone()
+            }),
             None => posed.spoiled.push(Spoiled {
-                file: frame.file,
+                file: frame.file.clone(),
                 reason: "its marks lie elsewhere than those of the other frames of its folder"
                     .into(),
             }),
@@ -303,8 +306,8 @@ mod tests {
             path: "folder".into(),
             files: Vec::new(),
         };
-        let frames = (0..60).map(|n| frame(n, &demo, moved_px(n))).collect();
-        find(&[folder], frames, &demo.plate)
+        let frames: Vec<_> = (0..60).map(|n| frame(n, &demo, moved_px(n))).collect();
+        find(&[folder], &frames, &demo.plate)
     }
 
     #[test]
