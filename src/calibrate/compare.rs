@@ -1,6 +1,7 @@
 //! What changed from one instrument to another, in units that a person understands: arcsec on the sky, at the plate's edge
 //! where a turn or a scale is meant.
 
+use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::plate::{MarkId, drawn_position};
 use crate::units::{PlateMil, SensorPx};
@@ -163,11 +164,7 @@ fn marks_moved(a: &Instrument, b: &Instrument, arcsec_per_mil: f64) -> MarksMove
 }
 
 fn median_sigma(instrument: &Instrument) -> f64 {
-    let mut sigmas: Vec<f64> = MarkId::all()
-        .flat_map(|id| instrument.plate.sigma_mil(id))
-        .collect();
-    sigmas.sort_by(f64::total_cmp);
-    sigmas[sigmas.len() / 2]
+    median(MarkId::all().flat_map(|id| instrument.plate.sigma_mil(id)))
 }
 
 fn lens_change(a: &Instrument, b: &Instrument, arcsec_per_px: f64) -> LensChange {

@@ -1,6 +1,7 @@
-//! Measured numbers for people: to two digits of the sigma.
+//! Numbers: the middle of some, and measured ones for people, to two digits of the sigma.
 
 use crate::units::Measured;
+use std::borrow::Borrow;
 
 /// Sigmas below this are written with an exponent.
 const SMALL: f64 = 1e-5;
@@ -24,9 +25,27 @@ pub fn value_text(measured: Measured) -> String {
     format!("{value:.digits$}")
 }
 
+/// The middle one of some values, those that are finite; 0 where there are none.
+pub fn median<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
+    let values = values.into_iter().map(|v| *v.borrow());
+    let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_middle_one_is_not_swayed_by_the_largest() {
+        assert_eq!(median([3.0, 1.0, 1e9]), 3.0);
+        assert_eq!(median([2.0, f64::NAN]), 2.0);
+        assert_eq!(median::<f64>([]), 0.0);
+    }
 
     #[test]
     fn values_are_written_to_two_digits_of_their_sigma() {

@@ -1,5 +1,6 @@
 //! A new edition of an instrument's file: some entries renewed, every other line, comment and order as it was.
 
+use crate::calibrate::numbers::value_text;
 use crate::instrument::{Instrument, TomlError, toml_file};
 use crate::units::Measured;
 use jiff::civil::Date;
@@ -138,16 +139,8 @@ impl Revision {
 }
 
 /// A number to two digits of a sigma; all of them where the sigma tells nothing.
-fn number(value: f64, sigma: f64) -> Value {
-    if !(sigma.is_finite() && sigma > 0.0) {
-        return value.into();
-    }
-    let digits = (1.0 - sigma.log10().floor()).max(0.0) as usize;
-    let text = if digits > 12 {
-        format!("{value:e}")
-    } else {
-        format!("{value:.digits$}")
-    };
+pub fn number(value: f64, sigma: f64) -> Value {
+    let text = value_text(Measured::new(value, sigma));
     text.parse().unwrap_or_else(|_| value.into())
 }
 

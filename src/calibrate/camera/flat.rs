@@ -2,8 +2,9 @@
 
 use super::dark::{Dark, dn};
 use super::shots::{Shots, SunShot};
-use super::straight::{Solved, median, solve};
+use super::straight::{Solved, solve};
 use super::{Figure, Finding};
+use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::report::plot::Dots;
 use crate::units::Measured;
@@ -62,7 +63,7 @@ pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<Finding>, Option<Figu
                 )
             };
             let lights: Vec<Light> = (0..columns * rows).filter_map(tile).collect();
-            let typical = median(&lights.iter().map(|l| l.dn).collect::<Vec<_>>());
+            let typical = median(lights.iter().map(|l| l.dn));
             // Frames of any exposure, each by its own light.
             lights.into_iter().map(move |l| Light {
                 dn: l.dn / typical,
@@ -93,7 +94,7 @@ pub(super) fn by_suns(suns: &[SunShot], stated: &Instrument) -> (Vec<Finding>, O
         middle(stated.camera.width_px),
         middle(stated.camera.height_px),
     );
-    let typical = median(&suns.iter().map(|s| s.light_dn).collect::<Vec<_>>());
+    let typical = median(suns.iter().map(|s| s.light_dn));
     let lights: Vec<Light> = suns
         .iter()
         .map(|s| Light {

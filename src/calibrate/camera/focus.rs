@@ -1,8 +1,9 @@
 //! The blur of the limb, and how blur and scale go with the camera's temperature.
 
 use super::shots::SunShot;
-use super::straight::{median, solve};
+use super::straight::solve;
 use super::{Figure, Finding};
+use crate::calibrate::numbers::median;
 use crate::report::plot::Dots;
 use crate::units::Measured;
 use nalgebra::Vector2;

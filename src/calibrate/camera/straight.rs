@@ -1,5 +1,6 @@
 //! Linear least squares for a few coefficients, robust against outliers.
 
+use crate::calibrate::numbers::median;
 use nalgebra::{SMatrix, SVector};
 
 /// Sigmas beyond which a value does not count.
@@ -61,14 +62,4 @@ pub(super) fn solve<const N: usize>(
         });
     }
     solved
-}
-
-/// The middle one of some values; 0 of none.
-pub(super) fn median(values: &[f64]) -> f64 {
-    let mut values = values.to_vec();
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -2,8 +2,9 @@
 
 use super::dark::{Dark, clipped_variance, dn};
 use super::shots::{Shot, Shots};
-use super::straight::{median, solve};
+use super::straight::solve;
 use super::{Figure, Finding};
+use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::report::plot::Dots;
 use crate::units::{Measured, SensorPx};

@@ -2,7 +2,7 @@
 
 use super::{PointingLog, Sight};
 use crate::aspect::{self, Expected, Quality, Solution};
-use crate::calibrate::frames::LeftOut;
+use crate::calibrate::frames::{LeftOut, unread};
 use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
@@ -42,6 +42,14 @@ enum Outcome {
     LeftOut(Lack, String),
 }
 
+/// What made a frame, as far as it says.
+#[derive(Debug, Clone, Default)]
+struct Maker {
+    camera: Option<String>,
+    /// The value at which its pixels saturate: that of 8 or of 12 bits.
+    saturation_dn: Option<u16>,
+}
+
 /// What a frame lacks; where all of them lack the same, that is why there is no calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Lack {
@@ -73,7 +81,7 @@ pub fn collect(
             frames.look(file, ephemeris)
         })
         .collect::<anyhow::Result<_>>()?;
-    one_camera(&outcomes)?;
+    one_instrument(&outcomes)?;
     let (mut sights, mut left_out, mut lacks) = (Vec::new(), Vec::new(), Vec::new());
     for (file, (_, outcome)) in files.iter().zip(outcomes) {
         match outcome {
@@ -122,9 +130,17 @@ fn explain(lacks: &[Lack], left_out: &[LeftOut], sights: usize) -> anyhow::Resul
     }
 }
 
-fn one_camera(outcomes: &[(Option<String>, Outcome)]) -> anyhow::Result<()> {
-    let cameras: BTreeSet<_> = outcomes.iter().filter_map(|o| o.0.as_ref()).collect();
+fn one_instrument(outcomes: &[(Maker, Outcome)]) -> anyhow::Result<()> {
+    let cameras: BTreeSet<_> = outcomes
+        .iter()
+        .filter_map(|o| o.0.camera.as_ref())
+        .collect();
     let names: Vec<&str> = cameras.iter().map(|c| c.as_str()).collect();
+    let full: BTreeSet<_> = outcomes.iter().filter_map(|o| o.0.saturation_dn).collect();
+    ensure!(
+        full.len() < 2,
+        "mixed instruments: expected frames that all saturate at one value, found {full:?} DN; give the frames of one camera and setting only"
+    );
     ensure!(
         names.len() < 2,
         "mixed instruments: expected the frames of one camera, found those of \"{}\"; give each camera's frames with its own instrument",
@@ -168,16 +184,15 @@ fn solve(frame: &Frame, instrument: &Instrument) -> Solution {
 }
 
 impl Frames<'_> {
-    /// A frame's camera and sight. A frame of another size ends it all: it is another instrument's.
-    fn look(
-        &self,
-        file: &Path,
-        ephemeris: &mut Ephemeris,
-    ) -> anyhow::Result<(Option<String>, Outcome)> {
+    /// A frame's maker and sight. A frame of another size ends it all: it is another instrument's.
+    fn look(&self, file: &Path, ephemeris: &mut Ephemeris) -> anyhow::Result<(Maker, Outcome)> {
         let frame = match fits::read_frame(file) {
             Ok(frame) => frame,
             Err(error) => {
-                return Ok((None, Outcome::LeftOut(Lack::Other, error.to_string())));
+                return Ok((
+                    Maker::default(),
+                    Outcome::LeftOut(Lack::Other, unread(file, &error)),
+                ));
             }
         };
         let seen = self
@@ -188,7 +203,11 @@ impl Frames<'_> {
             Ok(sight) => Outcome::Sight(Box::new(sight)),
             Err((lack, reason)) => Outcome::LeftOut(lack, reason),
         };
-        Ok((frame.info.camera, outcome))
+        let maker = Maker {
+            saturation_dn: Some(frame.saturation_dn()),
+            camera: frame.info.camera,
+        };
+        Ok((maker, outcome))
     }
 
     fn sight(

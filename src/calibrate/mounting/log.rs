@@ -1,5 +1,6 @@
 //! Where the telescope pointed, by the hour: a CSV file of UTC, azimuth and elevation.
 
+use crate::calibrate::numbers::median;
 use crate::pointing::Horizontal;
 use crate::sky::sphere::{angles_deg, direction};
 use jiff::Timestamp;
@@ -68,15 +69,10 @@ impl PointingLog {
     pub fn new(mut rows: Vec<(Timestamp, Horizontal)>) -> Option<Self> {
         rows.sort_by_key(|row| row.0);
         rows.dedup_by_key(|row| row.0);
-        let mut spacings: Vec<f64> = rows.windows(2).map(|w| seconds(w[0].0, w[1].0)).collect();
-        spacings.sort_by(f64::total_cmp);
-        let median = spacings
-            .get(spacings.len() / 2)
-            .copied()
-            .unwrap_or_default();
+        let spacing_s = median(rows.windows(2).map(|w| seconds(w[0].0, w[1].0)));
         (!rows.is_empty()).then_some(Self {
             rows,
-            gap_s: GAP_SPACINGS * median,
+            gap_s: GAP_SPACINGS * spacing_s,
         })
     }
 

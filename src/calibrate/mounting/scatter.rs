@@ -1,7 +1,7 @@
 //! How sights scatter: weights, noise beyond their own sigmas, likeness of neighbours, and which of two fits is better.
 
 use super::fit::{Fit, Residual};
-use super::start::median;
+use crate::calibrate::numbers::median;
 use nalgebra::Vector2;
 
 /// Tukey's limit for residuals in two axes, in sigmas.

@@ -5,6 +5,7 @@
 
 use super::Sight;
 use super::chain::{Chain, Side};
+use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::pointing::Horizontal;
 use crate::units::{Measured, PlateMil};
@@ -103,14 +104,4 @@ fn distance(start: &Start, (expected, seen): &Pair) -> f64 {
 
 fn median_distance(start: &Start, pairs: &[Pair]) -> f64 {
     median(pairs.iter().map(|pair| distance(start, pair)))
-}
-
-/// The middle one of some values; 0 of none.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

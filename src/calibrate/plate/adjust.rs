@@ -214,7 +214,12 @@ impl Problem<'_> {
             own[(n, n)] += sigma.powi(-2);
             own_gradient[n] -= view.parameters()[n] / sigma.powi(2);
         }
-        for n in self.freedoms.view..VIEW {
+        // A view that nothing is seen in stays as it is.
+        let free = match self.cells[pose].is_empty() {
+            true => 0,
+            false => self.freedoms.view,
+        };
+        for n in free..VIEW {
             own.row_mut(n).fill(0.0);
             own.column_mut(n).fill(0.0);
             own[(n, n)] = 1.0;

@@ -1,7 +1,7 @@
 //! Frames far less sharp than the others.
 
-use super::robust::median;
 use super::sighting::{FrameSightings, Spoiled};
+use crate::calibrate::numbers::median;
 
 /// The best mark of a sharp frame is known as well as those of the other frames, within this factor.
 const SHARP: f64 = 2.0;

@@ -85,6 +85,8 @@ pub struct PlateFit {
     pub sigma_factor: f64,
     /// Root mean square of the kept residuals, px per axis.
     pub residual_px: f64,
+    /// By how much the drawing's sigma was raised to how far the marks were found from the drawing.
+    pub drawing_factor: f64,
     /// Frames that do not agree with the others.
     pub spoiled: Vec<Spoiled>,
 }
@@ -104,6 +106,7 @@ pub fn fit(frames: &[FrameSightings], poses: usize, start: &Instrument) -> Optio
     let (mut bundle, ids, mut spoiled, first) = gather(frames, poses, start)?;
     let by_drawing = bundle.by_drawing(&first, RICHEST)?;
     let rich = bundle.in_full(&by_drawing, RICHEST)?;
+    let drawing_factor = bundle.raise_drawing_sigma(&rich);
     let (choice, chosen) = choose(&bundle, &rich.state)?;
     let freedoms = Freedoms {
         view: view_parameters(choice.kind),
@@ -122,6 +125,7 @@ pub fn fit(frames: &[FrameSightings], poses: usize, start: &Instrument) -> Optio
         residuals: residuals(&bundle, &settled, &before, &ids),
         sigma_factor: bundle.variance_factor.sqrt(),
         residual_px: residual_px(&bundle, &settled),
+        drawing_factor,
         choice,
         spoiled,
     })

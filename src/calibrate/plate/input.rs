@@ -1,17 +1,16 @@
-//! Which files are frames of which pose.
+//! Which files are the frames of which folder.
 
 use crate::fits::{self, FRAME_ENDINGS, Listing, Unlisted};
 use std::path::{Path, PathBuf};
 
-/// Frames that were taken without moving the camera.
+/// The frames of a folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Pose {
-    /// The folder they lie in.
-    pub folder: PathBuf,
+pub struct Folder {
+    pub path: PathBuf,
     pub files: Vec<PathBuf>,
 }
 
-/// Why no poses come of what was given.
+/// Why no frames come of what was given.
 #[derive(Debug, thiserror::Error)]
 pub enum InputError {
     #[error("{path}: cannot read: {cause}", path = .path.display())]
@@ -23,23 +22,23 @@ pub enum InputError {
     NoFrames(PathBuf),
 }
 
-/// Sorts frames and folders into poses: each folder is one, and so are all frames given one by one from a folder. A folder
-/// that holds no frames itself stands for the folders in it.
-pub fn poses(given: &[PathBuf]) -> Result<Vec<Pose>, InputError> {
-    let mut poses: Vec<Pose> = Vec::new();
-    let mut add = |folder: &Path, files: Vec<PathBuf>| {
-        let known = poses.iter().position(|pose| pose.folder == folder);
-        let n = known.unwrap_or(poses.len());
+/// Sorts frames by folder, whether the folder is given or its frames one by one. A folder that holds no frames itself stands
+/// for the folders in it.
+pub fn folders(given: &[PathBuf]) -> Result<Vec<Folder>, InputError> {
+    let mut all: Vec<Folder> = Vec::new();
+    let mut add = |path: &Path, files: Vec<PathBuf>| {
+        let known = all.iter().position(|folder| folder.path == path);
+        let n = known.unwrap_or(all.len());
         if known.is_none() {
-            poses.push(Pose {
-                folder: folder.into(),
+            all.push(Folder {
+                path: path.into(),
                 files: Vec::new(),
             });
         }
-        let pose = &mut poses[n].files;
-        let new = files.into_iter().filter(|file| !pose.contains(file));
+        let old = &mut all[n].files;
+        let new = files.into_iter().filter(|file| !old.contains(file));
         let new: Vec<_> = new.collect();
-        pose.extend(new);
+        old.extend(new);
     };
     for path in given {
         let kind = std::fs::metadata(path).map_err(|cause| InputError::Read {
@@ -67,7 +66,7 @@ pub fn poses(given: &[PathBuf]) -> Result<Vec<Pose>, InputError> {
             return Err(InputError::NoFrames(path.clone()));
         }
     }
-    Ok(poses)
+    Ok(all)
 }
 
 fn listing(folder: &Path) -> Result<Listing, InputError> {

@@ -1,10 +1,10 @@
 //! From files to sightings: each frame is read, solved and forgotten but for its marks.
 
-use super::input::Pose;
+use super::input::Folder;
 use super::lit::{by_lamp, lit_levels};
 use super::sighting::{FrameSightings, Sighting, Spoiled};
 use crate::aspect::{self, Expected, Origin, Solution};
-use crate::calibrate::frames::sha256_of;
+use crate::calibrate::frames::{sha256_of, unread};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 pub struct Sightings {
     pub frames: Vec<FrameSightings>,
     pub spoiled: Vec<Spoiled>,
-    /// Of every file that could be read: its SHA-256, the camera that it names and its size.
+    /// Of every file that could be read: its SHA-256, the camera that it names, its size and depth.
     pub files: Vec<FileFacts>,
 }
 
@@ -27,21 +27,23 @@ pub struct FileFacts {
     pub sha256: [u8; 32],
     pub camera: Option<String>,
     pub size_px: (usize, usize),
+    /// The value at which its pixels saturate: that of 8 or of 12 bits.
+    pub saturation_dn: u16,
     pub timed: bool,
 }
 
 /// Fewest marks of a frame that is used.
 const LEAST_MARKS: usize = 3;
 
-/// Reads and solves all frames of all poses, several at a time; `each` is called after every one.
-pub fn measure(poses: &[Pose], instrument: &Instrument, each: &(dyn Fn() + Sync)) -> Sightings {
-    let files: Vec<(usize, &PathBuf)> = poses
+/// Reads and solves all frames of all folders, several at a time; `each` is called after every one.
+pub fn measure(folders: &[Folder], instrument: &Instrument, each: &(dyn Fn() + Sync)) -> Sightings {
+    let files: Vec<(usize, &PathBuf)> = folders
         .iter()
         .enumerate()
-        .flat_map(|(n, pose)| pose.files.iter().map(move |file| (n, file)))
+        .flat_map(|(n, folder)| folder.files.iter().map(move |file| (n, file)))
         .collect();
-    let one = |(pose, file): &(usize, &PathBuf)| {
-        let facts_and_frame = one(*pose, file, instrument);
+    let one = |(folder, file): &(usize, &PathBuf)| {
+        let facts_and_frame = one(*folder, file, instrument);
         each();
         facts_and_frame
     };
@@ -57,6 +59,11 @@ pub fn measure(poses: &[Pose], instrument: &Instrument, each: &(dyn Fn() + Sync)
     sightings
 }
 
+/// Solves a frame as one of a pose, with an instrument that states the pose.
+pub(super) fn measure_one(pose: usize, file: &Path, posed: &Instrument) -> Option<FrameSightings> {
+    one(pose, file, posed).1.ok()
+}
+
 type One = (Option<FileFacts>, Result<FrameSightings, Spoiled>);
 
 fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
@@ -66,12 +73,7 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
     };
     let frame = match fits::read_frame(file) {
         Ok(frame) => frame,
-        Err(error) => {
-            let name = format!("{}: ", file.display());
-            let text = error.to_string();
-            let reason = text.strip_prefix(&name).unwrap_or(&text).into();
-            return (None, Err(spoiled(reason)));
-        }
+        Err(error) => return (None, Err(spoiled(unread(file, &error)))),
     };
     let facts = match std::fs::read(file) {
         Ok(bytes) => FileFacts {
@@ -79,6 +81,7 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
             sha256: sha256_of(&bytes),
             camera: frame.info.camera.clone(),
             size_px: (frame.width(), frame.height()),
+            saturation_dn: frame.saturation_dn(),
             timed: frame.info.mid_exposure.is_some(),
         },
         Err(error) => return (None, Err(spoiled(format!("cannot read: {error}")))),

@@ -21,17 +21,20 @@ mod fit;
 mod input;
 mod lit;
 mod measure;
+mod poses;
 mod refusal;
 mod report;
 mod robust;
+mod second;
 mod sighting;
 mod summary;
 mod write;
 
 pub use choose::Choice;
 pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual, Separation, fit};
-pub use input::{InputError, Pose, poses};
+pub use input::{Folder, InputError, folders};
 pub use measure::{FileFacts, Sightings, measure};
+pub use poses::Pose;
 pub use refusal::Refusal;
 pub use report::html;
 pub use sighting::{FrameSightings, Sighting, Spoiled};
@@ -42,6 +45,7 @@ use crate::calibrate::frames::sha256_of_all;
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
+use poses::Posed;
 use std::path::PathBuf;
 
 /// A plate calibration: the fit and what it rests on.
@@ -49,6 +53,8 @@ use std::path::PathBuf;
 pub struct Calibration {
     pub poses: Vec<Pose>,
     pub frames: Vec<FrameSightings>,
+    /// How many of them could be read with the plate as found only.
+    pub read_later: usize,
     pub fit: PlateFit,
     /// Every frame that was not used.
     pub spoiled: Vec<Spoiled>,
@@ -62,6 +68,9 @@ pub struct Calibration {
     pub middle_px: SensorPx,
 }
 
+/// Each look at the frames that could not be read knows the plate better than the one before.
+const LOOKS: usize = 3;
+
 /// Calibrates plate, lens and poses from frames and folders; `each` is called after every frame.
 ///
 /// # Errors
@@ -73,29 +82,46 @@ pub fn calibrate(
     begin: &dyn Fn(usize),
     each: &(dyn Fn() + Sync),
 ) -> Result<Calibration, Refusal> {
-    let poses = poses(given)?;
-    begin(poses.iter().map(|pose| pose.files.len()).sum());
-    let mut sightings = measure(&poses, start, each);
-    let blurred = blurred::take_blurred(&mut sightings.frames);
-    sightings.spoiled.extend(blurred);
+    let folders = folders(given)?;
+    begin(folders.iter().map(|folder| folder.files.len()).sum());
+    let mut sightings = measure(&folders, start, each);
+    let mut blurred = blurred::take_blurred(&mut sightings.frames);
     refusal::check_files(&sightings, start)?;
     refusal::check_coverage(&sightings, start)?;
-    let (poses, sightings) = with_frames(poses, sightings);
-    let fit = fit(&sightings.frames, poses.len(), start).ok_or(Refusal::Undetermined)?;
-    refusal::check_poses(&poses, &sightings, &fit)?;
-    let mut spoiled = sightings.spoiled;
-    spoiled.extend(fit.spoiled.iter().cloned());
+    let Sightings {
+        mut frames,
+        spoiled: mut unread,
+        files,
+    } = sightings;
+    let mut posed = poses::find(&folders, &frames, &start.plate)?;
+    let mut fit = settle(&mut posed, start)?;
+    let mut read_later = 0;
+    for _ in 0..LOOKS {
+        let mut read = second::look(&unread, &folders, (&posed, &fit), start);
+        if read.is_empty() {
+            break;
+        }
+        unread.retain(|spoiled| read.iter().all(|frame| frame.file != spoiled.file));
+        read_later += read.len();
+        frames.append(&mut read);
+        blurred.extend(blurred::take_blurred(&mut frames));
+        posed = poses::find(&folders, &frames, &start.plate)?;
+        fit = settle(&mut posed, start)?;
+    }
+    refusal::check_scales(&posed.poses, &fit)?;
+    let mut spoiled = [blurred, unread, posed.spoiled, fit.spoiled.clone()].concat();
     spoiled.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(Calibration {
-        last: sightings.frames.iter().filter_map(|frame| frame.utc).max(),
+        last: posed.frames.iter().filter_map(|frame| frame.utc).max(),
         mounted_pose: mounted_pose(&fit, start),
         middle_px: SensorPx::new(
             (start.camera.width_px as f64 - 1.0) / 2.0,
             (start.camera.height_px as f64 - 1.0) / 2.0,
         ),
-        frames_sha256: sha256_of_all(sightings.files.iter().map(|file| file.sha256).collect()),
-        poses,
-        frames: sightings.frames,
+        frames_sha256: sha256_of_all(files.iter().map(|file| file.sha256).collect()),
+        poses: posed.poses,
+        frames: posed.frames,
+        read_later,
         fit,
         spoiled,
     })
@@ -117,16 +143,12 @@ fn mounted_pose(fit: &PlateFit, start: &Instrument) -> usize {
     nearest.map_or(0, |(n, _)| n)
 }
 
-/// Without the poses of which no frame was read.
-fn with_frames(poses: Vec<Pose>, mut sightings: Sightings) -> (Vec<Pose>, Sightings) {
-    let used = |n: usize| sightings.frames.iter().any(|frame| frame.pose == n);
-    let kept: Vec<usize> = (0..poses.len()).filter(|n| used(*n)).collect();
-    for frame in &mut sightings.frames {
-        frame.pose = kept
-            .iter()
-            .position(|n| *n == frame.pose)
-            .unwrap_or_default();
+/// Fits, without the poses of which most frames contradict the others.
+fn settle(posed: &mut Posed, start: &Instrument) -> Result<PlateFit, Refusal> {
+    loop {
+        let fit = fit(&posed.frames, posed.poses.len(), start).ok_or(Refusal::Undetermined)?;
+        if posed.leave_out(&fit)? == 0 {
+            return Ok(fit);
+        }
     }
-    let poses = kept.into_iter().map(|n| poses[n].clone()).collect();
-    (poses, sightings)
 }

@@ -1,8 +1,9 @@
 //! Why a calibration is refused, and what to take instead.
 
 use super::fit::PlateFit;
-use super::input::{InputError, Pose};
+use super::input::InputError;
 use super::measure::{FileFacts, Sightings};
+use super::poses::Pose;
 use crate::instrument::Instrument;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -31,6 +32,16 @@ pub enum Refusal {
         size_px: (usize, usize),
         other_file: PathBuf,
         other_px: (usize, usize),
+    },
+    #[error(
+        "{file}: expected frames of one depth, found pixels that saturate at {full_dn} DN here and at {other_dn} DN in {other_file}; give the frames of one camera and setting only",
+        file = .file.display(), other_file = .other_file.display()
+    )]
+    MixedDepths {
+        file: PathBuf,
+        full_dn: u16,
+        other_file: PathBuf,
+        other_dn: u16,
     },
     #[error(
         "{file}: expected frames of one instrument, found {scale:.3} mil/px in this pose and {other:.3} mil/px in {other_file}; give the frames of one camera and lens only",
@@ -73,7 +84,7 @@ pub enum Refusal {
     )]
     OnePlace { frames: usize, reach_mil: f64 },
     #[error(
-        "{folder}: {agreeing} of {frames} frames agree where the plate is, expected more than half; was the camera moved? give each pose its own folder",
+        "{folder}: {agreeing} of {frames} frames agree with others where the plate is, expected more than half; let the camera rest for several frames in each pose",
         folder = .folder.display()
     )]
     NoPose {
@@ -92,7 +103,7 @@ const LEAST_MARKS: usize = 12;
 /// Scales of one camera's poses differ by less than this part.
 const SAME_SCALE: f64 = 0.05;
 
-/// Refuses files of several cameras, of several sizes, of another instrument's size, or without any time.
+/// Refuses files of several cameras, sizes or depths, of another instrument's size, or without any time.
 pub(super) fn check_files(sightings: &Sightings, instrument: &Instrument) -> Result<(), Refusal> {
     let files = &sightings.files;
     check_alike(files)?;
@@ -133,6 +144,18 @@ fn check_alike(files: &[FileFacts]) -> Result<(), Refusal> {
             size_px: first.size_px,
             other_file: other.file.clone(),
             other_px: other.size_px,
+        });
+    }
+    if let Some(first) = files.first()
+        && let Some(other) = files
+            .iter()
+            .find(|f| f.saturation_dn != first.saturation_dn)
+    {
+        return Err(Refusal::MixedDepths {
+            file: first.file.clone(),
+            full_dn: first.saturation_dn,
+            other_file: other.file.clone(),
+            other_dn: other.saturation_dn,
         });
     }
     Ok(())
@@ -183,26 +206,8 @@ pub(super) fn check_coverage(
     Ok(())
 }
 
-/// Refuses poses of which most frames contradict one another, and poses of different scale.
-pub(super) fn check_poses(
-    poses: &[Pose],
-    sightings: &Sightings,
-    fit: &PlateFit,
-) -> Result<(), Refusal> {
-    let mut frames: BTreeMap<usize, usize> = BTreeMap::new();
-    for frame in &sightings.frames {
-        *frames.entry(frame.pose).or_default() += 1;
-    }
-    for (pose, fit) in fit.poses.iter().enumerate() {
-        let given = frames.get(&pose).copied().unwrap_or_default();
-        if 2 * fit.frames <= given {
-            return Err(Refusal::NoPose {
-                folder: poses[pose].folder.clone(),
-                agreeing: fit.frames,
-                frames: given,
-            });
-        }
-    }
+/// Refuses poses of different scale.
+pub(super) fn check_scales(poses: &[Pose], fit: &PlateFit) -> Result<(), Refusal> {
     let scale = |pose: usize| fit.poses[pose].scale_mil_per_px.value;
     let other = (0..poses.len()).find(|n| (scale(*n) / scale(0) - 1.0).abs() > SAME_SCALE);
     match other {

@@ -250,7 +250,7 @@ fn over_time(calibration: &Calibration) -> Result<String, PlotError> {
 
 fn poses(calibration: &Calibration) -> String {
     let mut table = String::from(
-        "<h2>Poses</h2>\n<table><tr><th>folder</th><th>frames</th><th>plate's centre, px</th><th>sigma, px</th>\
+        "<h2>Poses</h2>\n<table><tr><th>pose</th><th>frames</th><th>plate's centre, px</th><th>sigma, px</th>\
          <th>scale, mil/px</th><th>sigma</th><th>rotation, deg</th><th>sigma, deg</th></tr>\n",
     );
     for (pose, fit) in calibration.poses.iter().zip(&calibration.fit.poses) {
@@ -259,7 +259,7 @@ fn poses(calibration: &Calibration) -> String {
         let _ = writeln!(
             table,
             "<tr><td>{}</td><td>{}</td><td>{x:.3}, {y:.3}</td><td>{:.4}</td><td>{:.6}</td><td>{:.6}</td><td>{:.5}</td><td>{:.5}</td></tr>",
-            escaped(&pose.folder.display().to_string()),
+            escaped(&pose.to_string()),
             fit.frames,
             fit.plate_centre_sigma_px,
             scale.value,

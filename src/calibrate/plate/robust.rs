@@ -11,6 +11,7 @@
 //! The scale of the residuals is their median: their own, not what the frames state.
 
 use super::adjust::{Cell, Freedoms, MarkPrior, Problem, Settled, State};
+use crate::calibrate::numbers::median;
 use nalgebra::{Matrix2, Vector2};
 
 /// A sighting in the adjustment.
@@ -46,8 +47,22 @@ const ROUNDS: usize = 12;
 const RESTING: f64 = 1e-3;
 /// Median length of a two-dimensional deviation of 1 sigma per axis.
 const MEDIAN_SIZE: f64 = 1.177;
+/// A sighting tells the scale if the others leave it this part of its variance: the only one of a mark has no residual.
+const CHECKED: f64 = 0.2;
+/// Fewer residuals than this tell no scale.
+const TELLING: usize = 20;
+/// Weight of the stated sigmas against the residuals, in degrees of freedom.
+const STATED_FREEDOM: f64 = 6.0;
 /// Enough sightings for the median of a mark's residuals to speak.
 const ENOUGH: usize = 5;
+
+/// Residual of a sighting over its own sigma.
+#[derive(Debug, Clone, Copy)]
+struct Pull {
+    size: f64,
+    /// Whether other sightings check it.
+    telling: bool,
+}
 
 impl Bundle {
     /// The sightings of every mark in every pose, with their common mean.
@@ -176,15 +191,9 @@ impl Bundle {
             let settled = self.settle(&state, freedoms)?;
             state = settled.state.clone();
             let pulls = self.pulls(&settled);
-            let kept = self
-                .observations
-                .iter()
-                .zip(&pulls)
-                .filter(|(o, _)| o.weight > 0.0);
-            let middle = median(kept.map(|(_, pull)| *pull));
-            let scale = (middle / MEDIAN_SIZE).clamp(0.1, 10.0);
+            let scale = self.scale(&pulls);
             self.variance_factor *= scale.powi(2);
-            let changed = self.reweigh(|n| pulls[n] / scale);
+            let changed = self.reweigh(|n| pulls[n].size / scale);
             self.leave_out_frames();
             if changed < RESTING && (scale - 1.0).abs() < 0.01 {
                 break;
@@ -196,9 +205,36 @@ impl Bundle {
         self.settle(&settled.state, freedoms)
     }
 
+    /// Raises what is known of the marks beforehand to how far the sightings show them from the drawing; gives by how much.
+    pub(super) fn raise_drawing_sigma(&mut self, settled: &Settled) -> f64 {
+        /// Median of the absolute value of normal errors.
+        const MEDIAN_OFF: f64 = 0.6745;
+        let off = |(mark, prior): (usize, &MarkPrior)| {
+            let covariance = settled.place_covariance(mark);
+            let off = settled.state.places[mark].vector() - prior.printed.vector();
+            let variance = prior.sigma_mil.powi(2);
+            [0, 1].map(|n| off[n].abs() / (variance - covariance[(n, n)]).max(0.0).sqrt())
+        };
+        let measured = self.marks.iter().enumerate().filter(|(_, m)| m.measured);
+        let factor = (median(measured.flat_map(off)) / MEDIAN_OFF).max(1.0);
+        self.marks.iter_mut().for_each(|m| m.sigma_mil *= factor);
+        factor
+    }
+
+    /// By how much the residuals exceed their sigmas; 1 where too few tell.
+    fn scale(&self, pulls: &[Pull]) -> f64 {
+        let pairs = self.observations.iter().zip(pulls);
+        let telling = pairs.filter(|(o, pull)| o.weight > 0.0 && pull.telling);
+        let sizes: Vec<f64> = telling.map(|(_, pull)| pull.size).collect();
+        match sizes.len() < TELLING {
+            true => 1.0,
+            false => (median(sizes) / MEDIAN_SIZE).clamp(0.1, 10.0),
+        }
+    }
+
     /// Residual of each sighting over its own sigma: the part of it that the sighting itself takes up is not held against
     /// it.
-    pub(super) fn pulls(&self, settled: &Settled) -> Vec<f64> {
+    fn pulls(&self, settled: &Settled) -> Vec<Pull> {
         let of_mark = self.everywhere(|pose, mark| {
             let p = settled.state.predict(pose, mark);
             let spread = p.place * settled.place_covariance(mark) * p.place.transpose();
@@ -209,15 +245,18 @@ impl Bundle {
             let stated = o.covariance_px2 * self.variance_factor;
             // A sighting that counts has drawn the mark towards itself; one that does not, has not.
             let variance = stated - spread * (2.0 * o.weight - 1.0);
-            let least = stated.trace() * 1e-3;
-            let variance = match variance.symmetric_eigenvalues().min() > least {
+            let least = variance.symmetric_eigenvalues().min() / (stated.trace() / 2.0);
+            let variance = match least > 2e-3 {
                 true => variance,
                 false => stated * 0.05,
             };
             let miss = o.seen - seen;
-            match variance.try_inverse() {
-                Some(inverse) => miss.dot(&(inverse * miss)).max(0.0).sqrt(),
-                None => f64::INFINITY,
+            let square = |inverse| miss.dot(&(inverse * miss)).max(0.0);
+            Pull {
+                size: variance
+                    .try_inverse()
+                    .map_or(f64::INFINITY, |inverse| square(inverse).sqrt()),
+                telling: least > CHECKED,
             }
         };
         self.observations.iter().map(pull).collect()
@@ -257,18 +296,9 @@ impl Bundle {
         2.0 * self.observations.iter().map(|o| o.weight).sum::<f64>()
     }
 
+    /// What the residuals say of the variances, and where they are few, what is stated.
     fn reduced_chi2(&self, settled: &Settled) -> f64 {
-        let freedom = self.coordinates() - settled.determined;
-        self.chi2(&settled.state) / freedom.max(1.0)
+        let freedom = (self.coordinates() - settled.determined).max(0.0);
+        (self.chi2(&settled.state) + STATED_FREEDOM) / (freedom + STATED_FREEDOM)
     }
-}
-
-/// The middle of some values; 0 where there are none.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -19,7 +19,7 @@ pub struct Sighting {
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameSightings {
     pub file: PathBuf,
-    /// Which of the poses the frame belongs to.
+    /// Which of the poses the frame belongs to; which of the folders, until poses are told apart.
     pub pose: usize,
     pub utc: Option<Timestamp>,
     /// The frame's own mapping, from its own marks.

@@ -3,7 +3,12 @@
 use super::{Calibration, LENS_PRIOR_PX, PlateFit};
 use crate::plate::{MarkId, drawn_position};
 use crate::units::SensorPx;
+use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::path::Path;
+
+/// A drawing's sigma that is off by so much is worth a line.
+const NOTABLE: f64 = 1.5;
 
 /// Marks, lens, poses and the frames that were not used, as lines of text.
 pub fn summary(calibration: &Calibration) -> String {
@@ -19,10 +24,14 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
     let kept = fit.residuals.iter().filter(|r| r.kept).count();
     writeln!(
         out,
-        "frames     {used} used, {} not used; {} poses",
+        "frames     {used} used, {} of them read at a second look; {} not used; {} poses",
+        calibration.read_later,
         calibration.spoiled.len(),
         calibration.poses.len()
     )?;
+    for (folder, poses) in found(calibration) {
+        writeln!(out, "found      {}: {poses} poses", folder.display())?;
+    }
     writeln!(
         out,
         "sightings  {kept} of {} marks, {} left out; residual {:.4} px rms, {:.2} of what the frames state",
@@ -37,12 +46,18 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
         "marks      {moved:.3} mil rms off the drawing, known to {sigma:.3} mil rms; {} never seen keep the drawing's place",
         MarkId::all().count() - fit.marks.len()
     )?;
-    writeln!(out, "lens       {}", lens(fit))?;
-    for (pose, folder) in fit.poses.iter().zip(&calibration.poses) {
+    if fit.drawing_factor > NOTABLE {
         writeln!(
             out,
-            "pose       {}: {} frames, {}, plate's centre ({:.3}, {:.3}) px, {:.5} mil/px, {:.4} deg",
-            folder.folder.display(),
+            "drawing    the marks lie {:.1} times as far from it as its sigma states; so much of it is believed",
+            fit.drawing_factor
+        )?;
+    }
+    writeln!(out, "lens       {}", lens(fit))?;
+    for (pose, name) in fit.poses.iter().zip(&calibration.poses) {
+        writeln!(
+            out,
+            "pose       {name}: {} frames, {}, plate's centre ({:.3}, {:.3}) px, {:.5} mil/px, {:.4} deg",
             pose.frames,
             fit.choice.kind.name(),
             pose.plate_centre_px.x,
@@ -61,6 +76,16 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
         )?;
     }
     Ok(())
+}
+
+/// The folders that hold several poses, and how many.
+fn found(calibration: &Calibration) -> BTreeMap<&Path, usize> {
+    let numbered = calibration.poses.iter().filter_map(|pose| {
+        let folder = pose.folder.as_path();
+        pose.number.map(|number| (folder, number))
+    });
+    // The last number of a folder is the count.
+    numbered.collect()
 }
 
 /// Root mean square per axis of the marks' displacements, and of their sigmas.

@@ -11,11 +11,11 @@ use std::process::ExitCode;
 /// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
 ///
 /// Takes frames with the Sun all over the plate, in several poses of the camera (shifted, turned), so that errors of the
-/// plate and of the lens show apart. Frames that cannot be used are listed and the rest go on; a set of frames that gives
-/// no calibration is refused with what to take instead.
+/// plate and of the lens show apart. Names and times may repeat across folders. Frames that cannot be used are listed and
+/// the rest go on; a set of frames that gives no calibration is refused with what to take instead.
 #[derive(Debug, Args)]
 pub struct PlateArgs {
-    /// Frames, or folders of frames; each folder is one pose of the camera
+    /// Frames, or folders of frames; the poses of the camera are told apart within each folder
     #[arg(required = true, value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
     /// The instrument to start from, a TOML file [default: the built-in instrument "demo"]

@@ -1,0 +1,339 @@
+//! Which frames were taken in which pose of the camera: a folder holds one pose or several, in whatever order.
+//!
+//! # Algorithm
+//! 1. The mapping that most frames of the folder agree with gathers its frames ([`consensus`]); of those left, again the one
+//!    that most agree with, and so on. This tells poses apart that differ by some 15 px and more anywhere on the plate.
+//! 2. Within a pose a mark that two frames share is seen in the same place, whatever the lens and wherever the mark is.
+//!    Frames that share marks are linked where these agree; frames so linked that contradict the others are another pose.
+//!    Neighbours need to agree, not all frames: a slow drift by less than a pixel is no move.
+//!
+//! Fewer than three frames are no pose but odd ones out, unless one is of the lit plate, which shows all marks.
+
+use super::consensus::consensus;
+use super::fit::PlateFit;
+use super::input::Folder;
+use super::refusal::Refusal;
+use super::sighting::{FrameSightings, Spoiled};
+use crate::plate::{MarkId, Plate};
+use crate::units::SensorPx;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::PathBuf;
+
+/// The camera at rest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pose {
+    /// The folder that holds its frames.
+    pub folder: PathBuf,
+    /// Which of the poses found in the folder, from 1; none where it is the only one.
+    pub number: Option<usize>,
+}
+
+impl fmt::Display for Pose {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}", self.folder.display())?;
+        self.number.map_or(Ok(()), |n| write!(out, " ({n})"))
+    }
+}
+
+/// Frames by pose, and those that belong to none.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Posed {
+    pub poses: Vec<Pose>,
+    pub frames: Vec<FrameSightings>,
+    pub spoiled: Vec<Spoiled>,
+}
+
+/// Fewest frames of a pose that is not its folder's only one.
+const LEAST_FRAMES: usize = 3;
+/// A mark is seen in the same place by two frames of a pose, within this.
+const SAME_PLACE_PX: f64 = 0.5;
+/// Two frames that share so many marks in their places are linked: one may agree by chance.
+const LINKING_MARKS: usize = 2;
+/// Each sighting of a mark is held against so many others of it.
+const COMPARED: usize = 40;
+
+/// Tells the poses of each folder apart. The frames come with the index of their folder in the place of the pose.
+///
+/// # Errors
+/// A folder of which half of the frames or more agree with no other.
+pub(super) fn find(
+    folders: &[Folder],
+    frames: &[FrameSightings],
+    plate: &Plate,
+) -> Result<Posed, Refusal> {
+    let mut posed = Posed::default();
+    let mut pose_of: Vec<Option<usize>> = vec![None; frames.len()];
+    for (n, folder) in folders.iter().enumerate() {
+        let of_folder: Vec<usize> = (0..frames.len()).filter(|m| frames[*m].pose == n).collect();
+        if of_folder.is_empty() {
+            continue;
+        }
+        let groups = groups(frames, &of_folder, plate);
+        let agreeing = groups.iter().map(Vec::len).sum::<usize>();
+        if 2 * agreeing <= of_folder.len() {
+            return Err(Refusal::NoPose {
+                folder: folder.path.clone(),
+                agreeing,
+                frames: of_folder.len(),
+            });
+        }
+        for group in groups {
+            let pose = posed.poses.len();
+            group.iter().for_each(|m| pose_of[*m] = Some(pose));
+            posed.poses.push(Pose {
+                folder: folder.path.clone(),
+                number: None,
+            });
+        }
+    }
+    posed.number();
+    for (frame, pose) in frames.iter().zip(pose_of) {
+        match pose {
+            Some(pose) => posed.frames.push(FrameSightings {
+                pose,
+                ..frame.clone()
+            }),
+            None => posed.spoiled.push(Spoiled {
+                file: frame.file.clone(),
+                reason: "its marks lie elsewhere than those of the other frames of its folder"
+                    .into(),
+            }),
+        }
+    }
+    Ok(posed)
+}
+
+/// The poses among the frames of a folder, in the order in which they were first taken.
+fn groups(frames: &[FrameSightings], of_folder: &[usize], plate: &Plate) -> Vec<Vec<usize>> {
+    let enough = |group: &[usize]| {
+        let lit = group.iter().any(|n| frames[*n].sun.is_none());
+        lit || group.len() >= LEAST_FRAMES || 2 * group.len() > of_folder.len()
+    };
+    let mut rest = of_folder.to_vec();
+    let mut groups = Vec::new();
+    while let Some(agreed) = consensus(frames, &rest, plate) {
+        if !enough(&agreed.frames) {
+            break;
+        }
+        let gathered: BTreeSet<usize> = agreed.frames.iter().copied().collect();
+        rest.retain(|n| !gathered.contains(n));
+        groups.extend(apart(frames, &agreed.frames));
+    }
+    let first = |group: &Vec<usize>| group.iter().map(|n| (frames[*n].utc, *n)).min();
+    groups.sort_by_key(first);
+    groups
+}
+
+/// How two frames see the marks that they share.
+#[derive(Debug, Clone, Copy, Default)]
+struct Shared {
+    same: usize,
+    other: usize,
+}
+
+/// Parts of some frames of nearly one mapping that the marks they share tell apart.
+fn apart(frames: &[FrameSightings], group: &[usize]) -> Vec<Vec<usize>> {
+    let shared = shared(frames, group);
+    let mut parts: Vec<Vec<usize>> = Vec::new();
+    for run in linked(group, &shared) {
+        let free = parts
+            .iter()
+            .position(|part| !contradict(&run, part, &shared));
+        match free {
+            None if parts.is_empty() || run.len() >= LEAST_FRAMES => parts.push(run),
+            // An odd frame is for the adjustment to judge.
+            free => parts[free.unwrap_or(0)].extend(run),
+        }
+    }
+    parts
+}
+
+/// Pairs of frames, by index, that share marks.
+fn shared(frames: &[FrameSightings], group: &[usize]) -> BTreeMap<(usize, usize), Shared> {
+    let mut by_mark: BTreeMap<MarkId, Vec<(usize, SensorPx)>> = BTreeMap::new();
+    for n in group {
+        for sighting in &frames[*n].sightings {
+            let seen = by_mark.entry(sighting.id).or_default();
+            seen.push((*n, sighting.at));
+        }
+    }
+    let mut shared: BTreeMap<(usize, usize), Shared> = BTreeMap::new();
+    for seen in by_mark.values() {
+        for (k, (a, at)) in seen.iter().enumerate() {
+            for (b, there) in seen[k + 1..].iter().take(COMPARED) {
+                let pair = shared.entry((*a, *b)).or_default();
+                match at.distance(*there) < SAME_PLACE_PX {
+                    true => pair.same += 1,
+                    false => pair.other += 1,
+                }
+            }
+        }
+    }
+    shared
+}
+
+/// Frames linked through others, the largest part first.
+fn linked(group: &[usize], shared: &BTreeMap<(usize, usize), Shared>) -> Vec<Vec<usize>> {
+    let mut neighbours: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    let links = |pair: &Shared| pair.same >= LINKING_MARKS && pair.same > pair.other;
+    for ((a, b), _) in shared.iter().filter(|(_, pair)| links(pair)) {
+        neighbours.entry(*a).or_default().push(*b);
+        neighbours.entry(*b).or_default().push(*a);
+    }
+    let mut left: BTreeSet<usize> = group.iter().copied().collect();
+    let mut runs = Vec::new();
+    while let Some(first) = left.pop_first() {
+        let mut run = vec![first];
+        let mut next = 0;
+        while let Some(here) = run.get(next) {
+            let linked = neighbours.get(here).into_iter().flatten();
+            let new: Vec<usize> = linked.copied().filter(|n| left.remove(n)).collect();
+            run.extend(new);
+            next += 1;
+        }
+        runs.push(run);
+    }
+    runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
+    runs
+}
+
+/// Whether more pairs of frames across two parts see their marks in other places than in the same.
+fn contradict(a: &[usize], b: &[usize], shared: &BTreeMap<(usize, usize), Shared>) -> bool {
+    let (mut same, mut other) = (0, 0);
+    for (n, m) in a.iter().flat_map(|n| b.iter().map(move |m| (n, m))) {
+        if let Some(pair) = shared.get(&(*n.min(m), *n.max(m))) {
+            same += usize::from(pair.same > pair.other);
+            other += usize::from(pair.other > pair.same);
+        }
+    }
+    other > same
+}
+
+impl Posed {
+    /// Leaves out the poses of which half of the frames or more do not agree with the other frames. Gives how many.
+    ///
+    /// # Errors
+    /// A folder that would lose all its poses.
+    pub(super) fn leave_out(&mut self, fit: &PlateFit) -> Result<usize, Refusal> {
+        let frames_of = |n: usize| self.frames.iter().filter(|f| f.pose == n).count();
+        let holds = |n: usize| 2 * fit.poses[n].frames > frames_of(n);
+        let (kept, lost): (Vec<usize>, Vec<usize>) = (0..self.poses.len()).partition(|n| holds(*n));
+        for n in &lost {
+            let folder = &self.poses[*n].folder;
+            if !kept.iter().any(|m| self.poses[*m].folder == *folder) {
+                return Err(Refusal::NoPose {
+                    folder: folder.clone(),
+                    agreeing: fit.poses[*n].frames,
+                    frames: frames_of(*n),
+                });
+            }
+        }
+        let place = |pose: usize| kept.iter().position(|n| *n == pose);
+        let odd = self.frames.extract_if(.., |f| place(f.pose).is_none());
+        self.spoiled.extend(odd.map(|frame| Spoiled {
+            file: frame.file,
+            reason: "its marks do not agree with those of the other frames".into(),
+        }));
+        for frame in &mut self.frames {
+            frame.pose = place(frame.pose).unwrap_or_default();
+        }
+        self.poses = kept.iter().map(|n| self.poses[*n].clone()).collect();
+        self.number();
+        Ok(lost.len())
+    }
+
+    /// Numbers the poses of each folder that holds several.
+    fn number(&mut self) {
+        for n in 0..self.poses.len() {
+            let alike = |pose: &&Pose| pose.folder == self.poses[n].folder;
+            let several = self.poses.iter().filter(alike).count() > 1;
+            let number = self.poses[..=n].iter().filter(alike).count();
+            self.poses[n].number = several.then_some(number);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::plate::Sighting;
+    use crate::geometry::{Distortion, Mapping, SimilarityParameters};
+    use crate::instrument::{Instrument, builtin};
+    use crate::units::PlateMil;
+    use nalgebra::Matrix2;
+
+    /// Marks near a Sun in the middle of the plate, in a picture moved along x.
+    fn frame(n: usize, demo: &Instrument, moved_px: f64) -> FrameSightings {
+        let stated = demo.mounting.similarity();
+        let at = stated.plate_centre;
+        let mapping = Mapping::similarity(
+            SimilarityParameters {
+                plate_centre: SensorPx::new(at.x + moved_px, at.y),
+                ..stated
+            },
+            Distortion::NONE,
+        );
+        let mapping = mapping.unwrap();
+        let steps = [0.618, 0.755].map(|step| 400.0 * ((step * n as f64) % 1.0 - 0.5));
+        let sun = SensorPx::new(at.x + steps[0], at.y + steps[1]);
+        let seen = demo
+            .plate
+            .marks()
+            .map(|(id, at)| (id, mapping.to_sensor(at)));
+        let sighting = |(id, at): (MarkId, SensorPx)| Sighting {
+            id,
+            at,
+            covariance_px2: Matrix2::identity() * 4e-4,
+        };
+        FrameSightings {
+            file: format!("folder/{n:03}").into(),
+            pose: 0,
+            utc: None,
+            mapping,
+            sun: Some(PlateMil::new(0.0, 0.0)),
+            sightings: seen
+                .filter(|s| s.1.distance(sun) < 87.0)
+                .map(sighting)
+                .collect(),
+        }
+    }
+
+    /// What is found among frames that lie so far along x.
+    fn found(moved_px: impl Fn(usize) -> f64) -> Result<Posed, Refusal> {
+        let demo = builtin("demo").unwrap();
+        let folder = Folder {
+            path: "folder".into(),
+            files: Vec::new(),
+        };
+        let frames: Vec<_> = (0..60).map(|n| frame(n, &demo, moved_px(n))).collect();
+        find(&[folder], &frames, &demo.plate)
+    }
+
+    #[test]
+    fn a_move_of_two_pixels_there_and_back_is_two_poses() {
+        let posed = found(|n| if (20..45).contains(&n) { 2.0 } else { 0.0 }).unwrap();
+        let numbers: Vec<_> = posed.poses.iter().map(|pose| pose.number).collect();
+        assert_eq!(numbers, [Some(1), Some(2)]);
+        assert_eq!(posed.poses[1].to_string(), "folder (2)");
+        for (n, frame) in posed.frames.iter().enumerate() {
+            assert_eq!(frame.pose == 1, (20..45).contains(&n), "{n}");
+        }
+    }
+
+    #[test]
+    fn a_slow_drift_is_one_pose() {
+        let posed = found(|n| 0.01 * n as f64).unwrap();
+        assert_eq!(posed.poses.len(), 1);
+        assert_eq!(posed.poses[0].number, None);
+        assert!(posed.spoiled.is_empty());
+    }
+
+    #[test]
+    fn an_odd_frame_or_two_are_no_pose() {
+        let posed = found(|n| if n % 30 == 7 { 100.0 } else { 0.0 }).unwrap();
+        assert_eq!((posed.poses.len(), posed.spoiled.len()), (1, 2));
+        let refused = found(|n| 40.0 * n as f64).unwrap_err().to_string();
+        assert!(refused.starts_with("folder: 0 of 60 frames"), "{refused}");
+    }
+}

@@ -1,0 +1,9 @@
+//! The plate's calibration against simulated frames of which the truth is known.
+
+mod frames;
+mod full_size;
+mod judged;
+mod poses;
+mod refusals;
+mod scenes;
+mod sightings;
