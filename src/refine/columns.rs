@@ -124,7 +124,7 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
         "LIMB_PART",
         "",
         "part of the limb that was seen, 0 to 1",
-        |r| Cell::Float(r.own.limb_fraction),
+        |r| Cell::Float(r.limb_part),
     ),
     column("RADIUS_MIL", "mil", "the disc's radius on the plate", |r| {
         Cell::Float(r.disc.map(|disc| disc.radius_mil.value))

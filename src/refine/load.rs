@@ -1,0 +1,108 @@
+//! The records of the first pass, without what the second pass does not hold for all frames at once.
+
+use super::drift::Sight;
+use super::first_pass::{Done, Span};
+use super::journal::JournalError;
+use super::record::{FrameRecord, Grade, Input, MarkRecord, Record, upper};
+use super::row::Row;
+use crate::instrument::Instrument;
+use crate::sky::sun_angular_radius;
+use crate::units::Place;
+use rayon::prelude::*;
+
+/// Records that are read together.
+const TOGETHER: usize = 4096;
+
+/// A frame as the second pass begins with it.
+pub(super) struct Entry {
+    pub input: Input,
+    pub row: Row,
+    pub place: Option<Place>,
+    /// The fine frame's own mapping from the ideal sensor (px) to the plate (mil), row by row.
+    pub own_mapping: Option<[f64; 9]>,
+    /// The fine frame's marks.
+    pub sights: Vec<Sight>,
+}
+
+/// All that is done of a flight.
+pub(super) struct Loaded {
+    /// In the order of time; those without a time come last, by name.
+    pub entries: Vec<Entry>,
+    /// Files that could not be read.
+    pub unread: Vec<Row>,
+}
+
+/// Reads what the span holds.
+///
+/// # Errors
+/// A journal that cannot be read.
+pub(super) fn load(
+    done: &Done,
+    inputs: &[Input],
+    instrument: &Instrument,
+    span: &Span,
+) -> Result<Loaded, JournalError> {
+    let (mut entries, mut unread) = (Vec::new(), Vec::new());
+    for some in inputs.chunks(TOGETHER) {
+        let loaded = some.par_iter().map(|input| {
+            let record = done.record(input)?;
+            Ok(record.and_then(|record| one(record, instrument, span)))
+        });
+        let loaded: Vec<Option<Result<Entry, Row>>> =
+            loaded.collect::<Result<_, JournalError>>()?;
+        for one in loaded.into_iter().flatten() {
+            match one {
+                Ok(entry) => entries.push(entry),
+                Err(row) => unread.push(row),
+            }
+        }
+    }
+    entries.sort_by(|a, b| {
+        let key = |e: &Entry| (e.row.utc_ns.is_none(), e.row.utc_ns);
+        key(a)
+            .cmp(&key(b))
+            .then_with(|| a.row.file.cmp(&b.row.file))
+    });
+    Ok(Loaded { entries, unread })
+}
+
+/// A record's entry, or the row of a file that could not be read; none where it lies outside the span.
+fn one(record: Record, instrument: &Instrument, span: &Span) -> Option<Result<Entry, Row>> {
+    let Record { input, outcome } = record;
+    match outcome {
+        Ok(frame) if !span.holds(frame.utc()) => None,
+        Ok(frame) => Some(Ok(entry(input, &frame, instrument))),
+        Err(error) => Some(Err(Row::unread(input, error))),
+    }
+}
+
+fn entry(input: Input, frame: &FrameRecord, instrument: &Instrument) -> Entry {
+    let mut row = Row::of(input.clone(), frame);
+    let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
+    row.expected_radius_mil = angular.map(|angular| instrument.optics.radius_mil(angular));
+    let fine = frame.quality == Grade::Fine;
+    let marks = frame.marks.iter().filter(|_| fine);
+    let mut sights: Vec<Sight> = marks.filter_map(|mark| sight(mark, instrument)).collect();
+    sights.shrink_to_fit();
+    Entry {
+        input,
+        row,
+        place: frame.place(),
+        own_mapping: frame
+            .disc
+            .as_ref()
+            .and_then(|disc| disc.to_plate)
+            .filter(|_| fine),
+        sights,
+    }
+}
+
+fn sight(mark: &MarkRecord, instrument: &Instrument) -> Option<Sight> {
+    let information = mark.covariance().try_inverse()?;
+    Some(Sight {
+        seen: instrument.camera.distortion.correct(mark.at()).vector(),
+        printed: instrument.plate.position(mark.id()),
+        information: upper(&information).map(|part| part as f32),
+        weight: 1.0,
+    })
+}
