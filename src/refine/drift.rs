@@ -7,6 +7,7 @@
 use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed};
 use crate::units::PlateMil;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, SMatrix, Vector2, Vector4};
+use std::ops::Range;
 
 /// A mark as the flight's mapping takes it.
 #[derive(Debug, Clone, Copy)]
@@ -26,17 +27,50 @@ impl Sight {
     }
 }
 
-/// A moment of the flight, and the marks that were read then.
-#[derive(Debug, Clone)]
-pub(super) struct Moment {
-    /// Since the first moment.
-    pub time_s: f64,
-    pub sights: Vec<Sight>,
+/// The moments of the flight, and the marks that were read then. All marks lie in one piece, which is given back in one.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Sightings {
+    sights: Vec<Sight>,
+    moments: Vec<Moment>,
 }
 
-impl Moment {
-    pub fn has_marks(&self) -> bool {
-        self.sights.iter().any(|sight| sight.weight > 0.0)
+#[derive(Debug, Clone)]
+struct Moment {
+    /// Since the first moment.
+    time_s: f64,
+    marks: Range<usize>,
+}
+
+impl Sightings {
+    /// `marks` are which of the sights belong to each of the moments, which are in order.
+    pub fn new(sights: Vec<Sight>, moments: impl Iterator<Item = (f64, Range<usize>)>) -> Self {
+        let moment = |(time_s, marks)| Moment { time_s, marks };
+        Self {
+            sights,
+            moments: moments.map(moment).collect(),
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.moments.len()
+    }
+
+    pub fn times_s(&self) -> Vec<f64> {
+        self.moments.iter().map(|moment| moment.time_s).collect()
+    }
+
+    /// The marks of a moment.
+    pub fn at(&self, moment: usize) -> &[Sight] {
+        &self.sights[self.moments[moment].marks.clone()]
+    }
+
+    pub fn at_mut(&mut self, moment: usize) -> &mut [Sight] {
+        &mut self.sights[self.moments[moment].marks.clone()]
+    }
+
+    /// Whether any mark of a moment counts.
+    pub fn counts(&self, moment: usize) -> bool {
+        self.at(moment).iter().any(|sight| sight.weight > 0.0)
     }
 }
 
@@ -115,7 +149,7 @@ pub(super) struct Smoothed {
 /// All that estimating the drift takes.
 pub(super) struct Drift<'a> {
     pub reference: &'a Reference,
-    pub moments: &'a [Moment],
+    pub sightings: &'a Sightings,
     pub wander: Wander,
     /// Moments before which the view jumped, in order.
     pub jumps: &'a [usize],
@@ -176,7 +210,8 @@ impl Drift<'_> {
     /// Process noise between a moment and the one before it.
     fn step(&self, moment: usize) -> Covariance {
         let before = moment.saturating_sub(1);
-        let step_s = self.moments[moment].time_s - self.moments[before].time_s;
+        let moments = &self.sightings.moments;
+        let step_s = moments[moment].time_s - moments[before].time_s;
         let wandered = self.wander.variance(step_s.max(0.0));
         match self.jumps.binary_search(&moment) {
             Ok(_) => wandered + diagonal([JUMP_PX[0].powi(2), JUMP_PX[1].powi(2), 0.0, 0.0]),
@@ -203,11 +238,10 @@ impl Drift<'_> {
             now.covariance += self.step(n);
             now.answer += warmed(self.degrees(n) - self.degrees(n - 1));
         }
-        let moment = &self.moments[n];
-        if !moment.has_marks() {
+        if !self.sightings.counts(n) {
             return Some(());
         }
-        let (information, gradient, chi2) = self.sums(moment, &now.state);
+        let (information, gradient, chi2) = self.sums(n, &now.state);
         let before = now.covariance.cholesky()?;
         let root = (before.inverse() + information).cholesky()?;
         let moved = root.solve(&gradient);
@@ -228,7 +262,7 @@ impl Drift<'_> {
     /// All the way forwards.
     fn forwards(&self, mut each: impl FnMut(usize, &Passing)) -> Option<Evidence> {
         let (mut now, mut evidence) = (self.first(), Evidence::none());
-        for n in 0..self.moments.len() {
+        for n in 0..self.sightings.len() {
             self.advance(n, &mut now, &mut evidence)?;
             each(n, &now);
         }
@@ -236,9 +270,14 @@ impl Drift<'_> {
     }
 
     /// What a moment's marks say: information, gradient and chi^2 at a state.
-    fn sums(&self, moment: &Moment, state: &State) -> (Covariance, State, f64) {
+    fn sums(&self, moment: usize, state: &State) -> (Covariance, State, f64) {
         let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
-        for sight in moment.sights.iter().filter(|sight| sight.weight > 0.0) {
+        for sight in self
+            .sightings
+            .at(moment)
+            .iter()
+            .filter(|sight| sight.weight > 0.0)
+        {
             let (seen, slopes) = self.reference.picture(sight.printed);
             let miss = sight.seen - seen - slopes * state;
             let weight = sight.information() * f64::from(sight.weight);
@@ -266,13 +305,13 @@ impl Drift<'_> {
         let mut back = Backwards {
             drift: self,
             warmth: evidence.warmth()?,
-            estimates: Vec::with_capacity(self.moments.len()),
+            estimates: Vec::with_capacity(self.sightings.len()),
             sharpest: None,
             next: None,
         };
         for (block, start) in starts.iter().enumerate().rev() {
             let first = block * BLOCK;
-            let last = (first + BLOCK).min(self.moments.len());
+            let last = (first + BLOCK).min(self.sightings.len());
             let mut way = vec![*start];
             let mut now = *start;
             for n in first + 1..last {
@@ -387,13 +426,14 @@ mod tests {
 
     /// A flight whose view goes with the temperature by so many px per degree, beside a slow walk; nobody sees marks for a
     /// sixth of it. And the view in truth.
-    fn flight(px_per_degc: [f64; WARMED]) -> (Vec<Moment>, Vec<State>) {
+    fn flight(px_per_degc: [f64; WARMED]) -> (Sightings, Vec<State>) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
         let mut noise = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
         let reference = reference();
         let mut walk = State::zeros();
         let seen = |n: usize| !(250..350).contains(&n);
-        let moment = |(n, degrees): (usize, f64)| {
+        let mut sights = Vec::new();
+        let mut moment = |(n, degrees): (usize, f64)| {
             walk[0] += noise(0.002);
             walk[1] += noise(0.002);
             let state = walk + warmed(degrees) * Vector4::from(px_per_degc);
@@ -410,23 +450,25 @@ mod tests {
                     weight: 1.0,
                 }
             });
-            let sights = marks.collect();
-            let time_s = n as f64 / 4.0;
-            (Moment { time_s, sights }, state)
+            let first = sights.len();
+            sights.extend(marks);
+            ((n as f64 / 4.0, first..sights.len()), state)
         };
-        temperature_c().into_iter().enumerate().map(moment).unzip()
+        let degrees = temperature_c().into_iter().enumerate();
+        let (moments, truth): (Vec<_>, Vec<_>) = degrees.map(&mut moment).unzip();
+        (Sightings::new(sights, moments.into_iter()), truth)
     }
 
     fn drift<'a>(
         reference: &'a Reference,
-        moments: &'a [Moment],
+        sightings: &'a Sightings,
         warmth_c: Option<&'a [f64]>,
     ) -> Drift<'a> {
         // Without the temperature the walk must follow it.
         let shift_px = if warmth_c.is_some() { 0.004 } else { 0.1 };
         Drift {
             reference,
-            moments,
+            sightings,
             wander: Wander {
                 shift_px,
                 turn_px: 0.001,
@@ -439,10 +481,10 @@ mod tests {
     #[test]
     fn what_a_degree_does_is_told_and_bridges_the_time_without_marks() {
         let truth_per_degc = [0.13, -0.08, 0.004, -0.01];
-        let (moments, truth) = flight(truth_per_degc);
+        let (sightings, truth) = flight(truth_per_degc);
         let (reference, degrees) = (reference(), temperature_c());
-        let with = drift(&reference, &moments, Some(&degrees));
-        let without = drift(&reference, &moments, None);
+        let with = drift(&reference, &sightings, Some(&degrees));
+        let without = drift(&reference, &sightings, None);
         assert!(with.likelihood().unwrap() > without.likelihood().unwrap() + 100.0);
         let (with, without) = (with.smoothed().unwrap(), without.smoothed().unwrap());
         for (n, truth) in truth_per_degc.iter().enumerate() {
@@ -462,12 +504,12 @@ mod tests {
 
     #[test]
     fn a_temperature_that_does_nothing_is_told_to_do_nothing() {
-        let (moments, _) = flight([0.0; WARMED]);
+        let (sightings, _) = flight([0.0; WARMED]);
         let (reference, degrees) = (reference(), temperature_c());
-        let with = drift(&reference, &moments, Some(&degrees));
+        let with = drift(&reference, &sightings, Some(&degrees));
         let still = Drift {
             warmth_c: None,
-            ..drift(&reference, &moments, Some(&degrees))
+            ..drift(&reference, &sightings, Some(&degrees))
         };
         assert!(with.likelihood().unwrap() < still.likelihood().unwrap());
         let warmth = with.smoothed().unwrap().warmth;
@@ -479,11 +521,16 @@ mod tests {
 
     #[test]
     fn the_way_back_is_the_same_in_one_block_and_in_several() {
-        let (moments, _) = flight([0.1; WARMED]);
+        let (sightings, _) = flight([0.1; WARMED]);
         let (reference, degrees) = (reference(), temperature_c());
-        let all = drift(&reference, &moments, Some(&degrees));
-        let some = drift(&reference, &moments[..BLOCK + 1], Some(&degrees));
-        let one = drift(&reference, &moments[..BLOCK], Some(&degrees));
+        let first = |count: usize| Sightings {
+            moments: sightings.moments[..count].to_vec(),
+            ..sightings.clone()
+        };
+        let (some, one) = (first(BLOCK + 1), first(BLOCK));
+        let all = drift(&reference, &sightings, Some(&degrees));
+        let some = drift(&reference, &some, Some(&degrees));
+        let one = drift(&reference, &one, Some(&degrees));
         assert_eq!(all.smoothed().unwrap().estimates.len(), COUNT);
         let [some, one] = [some, one].map(|drift| drift.smoothed().unwrap());
         let step = some.estimates[BLOCK - 1].state - one.estimates[BLOCK - 1].state;

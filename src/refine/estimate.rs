@@ -8,7 +8,7 @@
 //! 5. What the camera's temperature does, where that explains more than wandering and jumps can; then jumps again.
 //! 6. Single marks that disagree lose their weight (Tukey), and what scatter is left raises the sigmas of all.
 
-use super::drift::{Drift, Estimate, Moment, Sight, Smoothed, Wander, Warmth};
+use super::drift::{Drift, Estimate, Sight, Sightings, Smoothed, Wander, Warmth};
 use super::load::Entry;
 use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, WarmthFacts, median};
 use super::temperature;
@@ -47,14 +47,17 @@ const WANDER_STEP: f64 = 2.0;
 const MOST_WANDER_TRIALS: usize = 24;
 
 impl FlightMapping {
-    /// The mapping at each of the frames, which are in the order of time; takes their marks. `None` where no frame has any.
-    pub(super) fn estimate(entries: &mut [Entry], instrument: &Instrument) -> Option<Self> {
+    /// The mapping at each of the frames, which are in the order of time, from their marks. `None` where no frame has any.
+    pub(super) fn estimate(
+        entries: &[Entry],
+        sights: Vec<Sight>,
+        instrument: &Instrument,
+    ) -> Option<Self> {
         let reference = reference(entries, instrument.camera.distortion)?;
-        let moments = moments(entries);
-        let times: Vec<f64> = moments.iter().map(|moment| moment.time_s).collect();
+        let sightings = sightings(entries, sights);
         let readings: Vec<Option<f64>> = entries.iter().map(|e| e.row.temperature_c).collect();
-        let warmth_c = temperature::from_the_middle(&times, &readings);
-        let mut work = Work::new(reference, moments);
+        let warmth_c = temperature::from_the_middle(&sightings.times_s(), &readings);
+        let mut work = Work::new(reference, sightings);
         work.put_aside_at_first()?;
         work.settle_wander();
         work.find_jumps()?;
@@ -93,23 +96,20 @@ fn reference(entries: &[Entry], distortion: Distortion) -> Option<Reference> {
 }
 
 /// The frames' marks, by time.
-fn moments(entries: &mut [Entry]) -> Vec<Moment> {
+fn sightings(entries: &[Entry], sights: Vec<Sight>) -> Sightings {
     let first = entries.first().and_then(|entry| entry.row.utc_ns);
-    let moment = |entry: &mut Entry| Moment {
-        time_s: entry
-            .row
-            .utc_ns
-            .zip(first)
-            .map_or(0.0, |(utc, first)| (utc - first) as f64 / 1e9),
-        sights: std::mem::take(&mut entry.sights),
-    };
-    entries.iter_mut().map(moment).collect()
+    let since = |utc: i64| (utc - first.unwrap_or(utc)) as f64 / 1e9;
+    let moments = entries.iter().map(|entry| {
+        let time_s = entry.row.utc_ns.map_or(0.0, since);
+        (time_s, entry.marks.clone())
+    });
+    Sightings::new(sights, moments)
 }
 
 /// The mapping in the making.
 struct Work {
     reference: Reference,
-    moments: Vec<Moment>,
+    sightings: Sightings,
     wander: Wander,
     jumps: Vec<usize>,
     raised: f64,
@@ -121,14 +121,14 @@ struct Work {
 }
 
 impl Work {
-    fn new(reference: Reference, moments: Vec<Moment>) -> Self {
+    fn new(reference: Reference, sightings: Sightings) -> Self {
         Self {
             reference,
             wander: FIRST_WANDER,
             jumps: Vec::new(),
             raised: 1.0,
-            away_px: vec![0.0; moments.len()],
-            moments,
+            away_px: vec![0.0; sightings.len()],
+            sightings,
             warmth_c: None,
             warmth_gain: None,
         }
@@ -137,7 +137,7 @@ impl Work {
     fn drift(&self) -> Drift<'_> {
         Drift {
             reference: &self.reference,
-            moments: &self.moments,
+            sightings: &self.sightings,
             wander: self.wander,
             jumps: &self.jumps,
             warmth_c: self.warmth_c.as_deref(),
@@ -145,10 +145,10 @@ impl Work {
     }
 
     /// A moment's mean miss from a state, px, and its 1 sigma.
-    fn mean_miss(&self, moment: &Moment, state: &State) -> Option<(Vector2<f64>, f64)> {
+    fn mean_miss(&self, moment: usize, state: &State) -> Option<(Vector2<f64>, f64)> {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
-        for sight in &moment.sights {
+        for sight in self.sightings.at(moment) {
             let (seen, slopes) = self.reference.picture(sight.printed);
             information += sight.information();
             sum += sight.information() * (sight.seen - seen - slopes * state);
@@ -170,9 +170,9 @@ impl Work {
     /// Takes the weight of frames that stand alone, and gives it back to those that no longer do.
     fn put_aside(&mut self, estimates: Option<&[Estimate]>, stage: usize) {
         let state = |n: usize| estimates.map_or(State::zeros(), |estimates| estimates[n].state);
-        let misses: Vec<(usize, Vector2<f64>, f64)> = (0..self.moments.len())
+        let misses: Vec<(usize, Vector2<f64>, f64)> = (0..self.sightings.len())
             .filter_map(|n| {
-                let (miss, sigma) = self.mean_miss(&self.moments[n], &state(n))?;
+                let (miss, sigma) = self.mean_miss(n, &state(n))?;
                 Some((n, miss, sigma))
             })
             .collect();
@@ -192,7 +192,7 @@ impl Work {
         for (n, away, alone) in alone {
             self.away_px[n] = away;
             let weight = if alone { 0.0 } else { 1.0 };
-            let sights = self.moments[n].sights.iter_mut();
+            let sights = self.sightings.at_mut(n).iter_mut();
             sights.for_each(|sight| sight.weight = weight);
         }
     }
@@ -289,13 +289,14 @@ impl Work {
     fn time_jumps(&mut self) -> Option<()> {
         let estimates = self.drift().smoothed()?.estimates;
         let miss = |n: usize, side: usize| {
-            let miss = self.mean_miss(&self.moments[n], &estimates[side].state);
+            let miss = self.mean_miss(n, &estimates[side].state);
             miss.map_or(0.0, |(miss, _)| miss.norm())
         };
-        let marked = |n: &usize| self.moments[*n].has_marks();
+        let marked = |n: &usize| self.sightings.counts(*n);
         let timed = |jump: &usize| {
             let sides = (0..*jump).rev().find(marked);
-            let Some((before, after)) = sides.zip((*jump..self.moments.len()).find(marked)) else {
+            let Some((before, after)) = sides.zip((*jump..self.sightings.len()).find(marked))
+            else {
                 return *jump;
             };
             let (mut best, mut least, mut cost) = (before + 1, 0.0, 0.0);
@@ -335,17 +336,17 @@ impl Work {
             let miss = sight.seen - seen - slopes * state;
             miss.dot(&(sight.information() * miss))
         };
-        let moments = self.moments.iter().zip(estimates);
-        let all = moments.flat_map(|(moment, estimate)| {
-            let counted = moment.sights.iter().filter(|sight| sight.weight > 0.0);
+        let all = estimates.iter().enumerate().flat_map(|(n, estimate)| {
+            let counted = self.sightings.at(n).iter().filter(|s| s.weight > 0.0);
             counted.map(|sight| chi2(sight, &estimate.state))
         });
         // Half of chi^2 of two lie below 1.386.
         let scatter = median(all.collect()).unwrap_or(0.0) / 1.386;
         let raise = scatter.max(1.0 / self.raised.powi(2));
         self.raised *= raise.sqrt();
-        for (moment, estimate) in self.moments.iter_mut().zip(estimates) {
-            for sight in moment.sights.iter_mut().filter(|sight| sight.weight > 0.0) {
+        for (n, estimate) in estimates.iter().enumerate() {
+            let counted = self.sightings.at_mut(n).iter_mut();
+            for sight in counted.filter(|sight| sight.weight > 0.0) {
                 sight.information = sight.information.map(|part| part / raise as f32);
                 let pull2 = chi2(sight, &estimate.state) / TUKEY_SIGMAS.powi(2);
                 sight.weight = (1.0 - pull2.min(1.0)).powi(2).max(1e-6) as f32;
@@ -358,12 +359,12 @@ impl Work {
             estimates, warmth, ..
         } = smoothed;
         let scale = self.reference.scale_px();
-        let marked = |moment: &Moment| moment.has_marks();
+        let marked = |n: &usize| self.sightings.counts(*n);
         let jump = |after: &usize| {
-            let before = (0..*after).rev().find(|n| marked(&self.moments[*n]));
+            let before = (0..*after).rev().find(marked);
             let before = before.unwrap_or(after - 1);
             let step = estimates[*after].state - estimates[before].state;
-            let after = (*after..estimates.len()).find(|n| marked(&self.moments[*n]));
+            let after = (*after..estimates.len()).find(marked);
             Jump {
                 after: after.unwrap_or(estimates.len() - 1),
                 before,
@@ -378,23 +379,18 @@ impl Work {
                 raised: self.raised,
                 warmth: self.warmth_facts(&warmth),
             },
-            standing: self
-                .moments
-                .iter()
-                .zip(&self.away_px)
-                .map(standing)
-                .collect(),
+            standing: (0..estimates.len()).map(|n| self.standing(n)).collect(),
             reference: self.reference,
             estimates,
         }
     }
-}
 
-fn standing((moment, away_px): (&Moment, &f64)) -> Standing {
-    match (moment.sights.is_empty(), moment.has_marks()) {
-        (true, _) => Standing::Unmarked,
-        (false, true) => Standing::Agrees,
-        (false, false) if *away_px > MISREAD_PX => Standing::Misread,
-        (false, false) => Standing::Alone,
+    fn standing(&self, n: usize) -> Standing {
+        match (self.sightings.at(n).is_empty(), self.sightings.counts(n)) {
+            (true, _) => Standing::Unmarked,
+            (false, true) => Standing::Agrees,
+            (false, false) if self.away_px[n] > MISREAD_PX => Standing::Misread,
+            (false, false) => Standing::Alone,
+        }
     }
 }

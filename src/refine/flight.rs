@@ -5,10 +5,11 @@
 //! Frames that were refused or coarse get a [second look](super::look): mapping and path are known now.
 
 use super::disc::{self, PlateDisc};
+use super::drift::Sight;
 use super::first_pass::{Done, Recipe, Span};
 use super::follow::Followed;
 use super::journal::JournalError;
-use super::load::{Entry, Loaded, load};
+use super::load::{Entry, load};
 use super::look::{Known, Look};
 use super::mapping::{FlightMapping, MappingFacts, median};
 use super::motion;
@@ -65,8 +66,9 @@ pub fn second_pass(
     recipe: &Recipe,
     span: &Span,
 ) -> Result<Flight, JournalError> {
-    let Loaded { entries, unread } = load(done, inputs, &recipe.instrument, span)?;
-    let mut work = Work::new(done, recipe, entries);
+    let loaded = load(done, inputs, &recipe.instrument, span)?;
+    let unread = loaded.unread;
+    let mut work = Work::new(done, recipe, loaded.entries, loaded.sights);
     let ratio = work.place_discs()?;
     work.look_for_oddities(|_| true);
     let mut followed = work.follow_path();
@@ -98,7 +100,7 @@ pub(super) struct Work<'a> {
     done: &'a Done,
     pub recipe: &'a Recipe,
     /// Of each row.
-    inputs: Vec<Input>,
+    keys: Vec<u64>,
     places: Vec<Option<Place>>,
     pub dated: usize,
     pub mapping: Option<FlightMapping>,
@@ -107,16 +109,16 @@ pub(super) struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    fn new(done: &'a Done, recipe: &'a Recipe, mut entries: Vec<Entry>) -> Self {
+    fn new(done: &'a Done, recipe: &'a Recipe, entries: Vec<Entry>, sights: Vec<Sight>) -> Self {
         let dated = entries.partition_point(|entry| entry.row.utc_ns.is_some());
-        let mapping = FlightMapping::estimate(&mut entries[..dated], &recipe.instrument);
+        let mapping = FlightMapping::estimate(&entries[..dated], sights, &recipe.instrument);
         if mapping.is_none() {
             tracing::warn!("the marks tell no mapping of the flight: each frame stands by itself");
         }
         let mut work = Self {
             done,
             recipe,
-            inputs: Vec::with_capacity(entries.len()),
+            keys: Vec::with_capacity(entries.len()),
             places: Vec::with_capacity(entries.len()),
             dated,
             mapping,
@@ -124,7 +126,7 @@ impl<'a> Work<'a> {
             radius_ratio: None,
         };
         for entry in entries {
-            work.inputs.push(entry.input);
+            work.keys.push(entry.key);
             work.places.push(entry.place);
             work.rows.push(entry.row);
         }
@@ -169,7 +171,7 @@ impl<'a> Work<'a> {
             if row.own.sun_px.is_none() || !wanted(row) {
                 return Ok(None);
             }
-            let record = self.done.record(&self.inputs[n])?;
+            let record = self.done.record_of(self.keys[n])?;
             let Some(Ok(frame)) = record.map(|record| record.outcome) else {
                 return Ok(None);
             };

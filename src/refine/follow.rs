@@ -8,8 +8,10 @@ use crate::units::PlateMil;
 
 /// Off the path, chi^2 of two.
 const ODD_PATH_CHI2: f64 = 100.0;
-/// Rounds in which frames off the path are taken off it.
-const PATH_ROUNDS: usize = 3;
+/// A frame off the path pulls its neighbours off, so many to each side: in each round the worst of them goes, and the others are
+/// held against the path without it.
+const PULLED: usize = 8;
+const PATH_ROUNDS: usize = 10;
 
 /// The Sun's path.
 pub(super) struct Followed {
@@ -78,14 +80,37 @@ impl Work<'_> {
     }
 }
 
-/// The rows that lie off a path.
+/// The rows that lie off a path, and farther than their neighbours.
 fn off(path: &Path, moments: &[motion::Moment], at: &[usize]) -> Vec<usize> {
-    let pull = |moment: usize| {
-        let measured = moments[moment].measured?;
-        Some(motion::pull_chi2(&path.points[moment], &measured))
+    let pull = |moment: &usize| {
+        let measured = moments[*moment].measured;
+        measured.map_or(0.0, |m| motion::pull_chi2(&path.points[*moment], &m))
     };
-    let odd = |moment: usize| pull(moment).is_some_and(|pull| pull > ODD_PATH_CHI2);
-    let rows = at.iter().enumerate();
-    rows.filter_map(|(n, moment)| odd(*moment).then_some(n))
+    let pulls: Vec<f64> = at.iter().map(pull).collect();
+    let worst = |n: usize| {
+        let near = &pulls[n.saturating_sub(PULLED)..pulls.len().min(n + PULLED + 1)];
+        near.iter().all(|pull| *pull <= pulls[n])
+    };
+    (0..pulls.len())
+        .filter(|n| pulls[*n] > ODD_PATH_CHI2 && worst(*n))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_neighbours_off_the_path_the_worst_goes_first() {
+        let moment = |n: usize| motion::Moment {
+            time_s: n as f64 / 4.0,
+            measured: Some([(if n == 30 { 500.0 } else { 0.1 * (n % 3) as f64 }, 0.01); 2]),
+        };
+        let moments: Vec<motion::Moment> = (0..60).map(moment).collect();
+        let path = motion::path(&moments).unwrap();
+        let at: Vec<usize> = (0..60).collect();
+        assert_eq!(off(&path, &moments, &at), [30]);
+        let neighbour = moments[31].measured.unwrap();
+        assert!(motion::pull_chi2(&path.points[31], &neighbour) > ODD_PATH_CHI2);
+    }
 }

@@ -1,7 +1,7 @@
 //! The records of the first pass, without what the second pass does not hold for all frames at once.
 
 use super::drift::Sight;
-use super::first_pass::{Done, Span};
+use super::first_pass::{Done, Span, key};
 use super::journal::JournalError;
 use super::record::{FrameRecord, Grade, Input, MarkRecord, Record, upper};
 use super::row::Row;
@@ -9,25 +9,28 @@ use crate::instrument::Instrument;
 use crate::sky::sun_angular_radius;
 use crate::units::Place;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Records that are read together.
 const TOGETHER: usize = 4096;
 
 /// A frame as the second pass begins with it.
 pub(super) struct Entry {
-    pub input: Input,
+    /// Of its record.
+    pub key: u64,
     pub row: Row,
     pub place: Option<Place>,
     /// The fine frame's own mapping from the ideal sensor (px) to the plate (mil), row by row.
     pub own_mapping: Option<[f64; 9]>,
-    /// The fine frame's marks.
-    pub sights: Vec<Sight>,
+    /// Which of the flight's marks are the fine frame's.
+    pub marks: Range<usize>,
 }
 
 /// All that is done of a flight.
 pub(super) struct Loaded {
     /// In the order of time; those without a time come last, by name.
     pub entries: Vec<Entry>,
+    pub sights: Vec<Sight>,
     /// Files that could not be read.
     pub unread: Vec<Row>,
 }
@@ -42,17 +45,20 @@ pub(super) fn load(
     instrument: &Instrument,
     span: &Span,
 ) -> Result<Loaded, JournalError> {
-    let (mut entries, mut unread) = (Vec::new(), Vec::new());
+    let (mut entries, mut sights, mut unread) = (Vec::new(), Vec::new(), Vec::new());
     for some in inputs.chunks(TOGETHER) {
         let loaded = some.par_iter().map(|input| {
             let record = done.record(input)?;
             Ok(record.and_then(|record| one(record, instrument, span)))
         });
-        let loaded: Vec<Option<Result<Entry, Row>>> =
-            loaded.collect::<Result<_, JournalError>>()?;
+        let loaded: Vec<Option<One>> = loaded.collect::<Result<_, JournalError>>()?;
         for one in loaded.into_iter().flatten() {
             match one {
-                Ok(entry) => entries.push(entry),
+                Ok((mut entry, marks)) => {
+                    entry.marks = sights.len()..sights.len() + marks.len();
+                    sights.extend(marks);
+                    entries.push(entry);
+                }
                 Err(row) => unread.push(row),
             }
         }
@@ -63,11 +69,18 @@ pub(super) fn load(
             .cmp(&key(b))
             .then_with(|| a.row.file.cmp(&b.row.file))
     });
-    Ok(Loaded { entries, unread })
+    Ok(Loaded {
+        entries,
+        sights,
+        unread,
+    })
 }
 
-/// A record's entry, or the row of a file that could not be read; none where it lies outside the span.
-fn one(record: Record, instrument: &Instrument, span: &Span) -> Option<Result<Entry, Row>> {
+/// A frame with its marks, or the row of a file that could not be read.
+type One = Result<(Entry, Vec<Sight>), Row>;
+
+/// What a record gives; none where it lies outside the span.
+fn one(record: Record, instrument: &Instrument, span: &Span) -> Option<One> {
     let Record { input, outcome } = record;
     match outcome {
         Ok(frame) if !span.holds(frame.utc()) => None,
@@ -76,25 +89,25 @@ fn one(record: Record, instrument: &Instrument, span: &Span) -> Option<Result<En
     }
 }
 
-fn entry(input: Input, frame: &FrameRecord, instrument: &Instrument) -> Entry {
-    let mut row = Row::of(input.clone(), frame);
+fn entry(input: Input, frame: &FrameRecord, instrument: &Instrument) -> (Entry, Vec<Sight>) {
+    let key = key(&input);
+    let mut row = Row::of(input, frame);
     let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
     row.expected_radius_mil = angular.map(|angular| instrument.optics.radius_mil(angular));
     let fine = frame.quality == Grade::Fine;
     let marks = frame.marks.iter().filter(|_| fine);
-    let mut sights: Vec<Sight> = marks.filter_map(|mark| sight(mark, instrument)).collect();
-    sights.shrink_to_fit();
-    Entry {
-        input,
+    let own = frame.disc.as_ref().filter(|_| fine);
+    let entry = Entry {
+        key,
         row,
         place: frame.place(),
-        own_mapping: frame
-            .disc
-            .as_ref()
-            .and_then(|disc| disc.to_plate)
-            .filter(|_| fine),
-        sights,
-    }
+        own_mapping: own.and_then(|disc| disc.to_plate),
+        marks: 0..0,
+    };
+    (
+        entry,
+        marks.filter_map(|mark| sight(mark, instrument)).collect(),
+    )
 }
 
 fn sight(mark: &MarkRecord, instrument: &Instrument) -> Option<Sight> {

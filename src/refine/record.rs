@@ -228,7 +228,10 @@ impl InFlight {
         Self {
             sun_mil: pair("SUNMIL-X", "SUNMIL-Y"),
             sigma_mil: pair("SUNMILSX", "SUNMILSY"),
-            offset_deg: pair("OFFSETAZ", "OFFSETEL"),
+            offset_deg: pair("OFFSETAZ", "OFFSETEL").or_else(|| {
+                // What HEROES sent; two zeroes where there was nothing to send.
+                pair("CTL_AZIM", "CTL_ELEV").filter(|offset| *offset != [0.0; 2])
+            }),
             quality: match header.get("QUALITY") {
                 Some(Value::Text(text)) => Some(text.clone()),
                 _ => None,
