@@ -803,7 +803,7 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
     assert!(memory_kb("VmHWM") < 400_000);
 }
 
-/// An hour at 4 Hz, or as many frames as SOLASPECT_FLIGHT_FRAMES says, made once and kept:
+/// An hour at 4 Hz, or as many frames as SOLASPECT_FLIGHT_FRAMES says, made once and kept, as is the journal:
 /// `cargo test --test refine -- --ignored an_hour --nocapture`.
 #[test]
 #[ignore = "an hour of flight takes many minutes to simulate"]
@@ -816,9 +816,9 @@ fn an_hour_of_flight_is_refined_to_its_truth() {
         plan.write(&archive);
         fs::write(archive.join("whole"), "").unwrap();
     }
-    let out = temporary();
-    refine(&archive, out.path(), &[]);
-    let compared = compare(&plan, out.path());
+    let out = archive.with_extension("refined");
+    refine(&archive, &out, &[]);
+    let compared = compare(&plan, &out);
     print("an hour", &compared);
     // Of fourteen thousand frames more than three in a thousand are of the last minutes, by a tenth of the light.
     assert!(quantile(&compared.lit_errors, 0.997) < 0.35);

@@ -88,6 +88,10 @@ pub struct JumpSummary {
     pub turn_deg: f64,
 }
 
+/// Hardly a row, or a moment of the path, takes more bytes in the tables.
+const ROW_BYTES: usize = 1024;
+const MOMENT_BYTES: usize = 64;
+
 /// Writes table, CSV and summary to a folder.
 ///
 /// # Errors
@@ -97,7 +101,8 @@ pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary,
     let aspect = iter::once_with(|| columns::table(ASPECT, ASPECT_COLUMNS, &flight.rows));
     let path_table =
         iter::once_with(|| columns::table(SMOOTHED, SMOOTHED_COLUMNS, &flight.smoothed_rows()));
-    let bytes = fits::encode_tables(aspect.chain(path_table));
+    let expected_bytes = flight.rows.len() * ROW_BYTES + flight.path_times_s.len() * MOMENT_BYTES;
+    let bytes = fits::encode_tables(expected_bytes, aspect.chain(path_table));
     let bytes = bytes.map_err(|problem| OutputError {
         path: path.clone(),
         cause: io::Error::other(problem.to_string()),
