@@ -34,7 +34,7 @@ impl Recipe {
 }
 
 /// Counts with every change of what a record holds or how it is made.
-const JOURNAL_VERSION: u32 = 1;
+const JOURNAL_VERSION: u32 = 2;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
 pub(super) fn hash_of(bytes: &[u8]) -> u64 {
