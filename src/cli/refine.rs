@@ -126,7 +126,7 @@ impl RefineArgs {
         recipe: &Recipe,
         sky: &Sky,
     ) -> anyhow::Result<Flight> {
-        let mut flight = refine::second_pass(done, inputs, &recipe.instrument, &self.span())?;
+        let mut flight = refine::second_pass(done, &self.archive, inputs, recipe, &self.span())?;
         ensure!(
             !flight.rows.is_empty(),
             "{}: expected frames from --since to --until, found none",

@@ -37,22 +37,30 @@ pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
     Ok(FrameInfo {
         number: whole("FRAMENUM")?,
         mid_exposure: mid_exposure(header, exposure)?,
-        monotonic: seconds(header, "MONOTIME")?,
+        monotonic: match seconds(header, "MONOTIME")? {
+            Some(monotonic) => Some(monotonic),
+            None => heroes_monotonic(header, exposure)?,
+        },
         utc_step: step(header)?,
         camera_clock: whole("CAMCLOCK")?.map(Duration::from_nanos),
         exposure,
-        analogue_gain: header.number("GAIN")?,
-        preamp_gain: header.number("PREAMP")?,
-        camera_temperature_c: match header.number("CAMTEMP")? {
-            Some(temperature) => Some(temperature),
-            None => header.number("TEMPCCD")?,
-        },
+        analogue_gain: first_number(header, ["GAIN", "GAIN_ANA"])?,
+        preamp_gain: first_number(header, ["PREAMP", "GAIN_PRE"])?,
+        camera_temperature_c: first_number(header, ["CAMTEMP", "TEMPCCD"])?,
         corner_px: whole("CORNER-X")?
             .zip(whole("CORNER-Y")?)
             .map(|(x, y)| (x as usize, y as usize)),
         place: read_place(header)?,
         camera,
     })
+}
+
+/// The first of two keywords that stands there.
+fn first_number(header: &Header, keywords: [&str; 2]) -> Result<Option<f64>, Problem> {
+    match header.number(keywords[0])? {
+        Some(number) => Ok(Some(number)),
+        None => header.number(keywords[1]),
+    }
 }
 
 fn seconds(header: &Header, keyword: &str) -> Result<Option<Duration>, Problem> {
@@ -104,18 +112,41 @@ fn clock_time(header: &Header) -> Result<Option<Timestamp>, Problem> {
         let text = header.text(keyword).ok().flatten();
         text.is_some_and(|text| parse_time(&text).is_some())
     });
-    if today || header.get("RT_SEC").is_none() {
+    if today {
         return Ok(None);
     }
-    let seconds = header.size("RT_SEC", 0..=LONGEST_CLOCK_S)?;
-    let nanoseconds = match header.get("RT_NSEC") {
-        Some(_) => header.size("RT_NSEC", 0..=999_999_999)?,
+    let clock = heroes_clock(header, ["RT_SEC", "RT_NSEC"], LONGEST_CLOCK_S)?;
+    let start = clock.map(|(seconds, nanoseconds)| Timestamp::new(seconds, nanoseconds));
+    start
+        .transpose()
+        .map_err(|_| Problem::field("RT_SEC", "a time before the year 9999", "a later one"))
+}
+
+/// Mid-exposure on the monotonic clock as HEROES wrote its start.
+fn heroes_monotonic(
+    header: &Header,
+    exposure: Option<Duration>,
+) -> Result<Option<Duration>, Problem> {
+    let clock = heroes_clock(header, ["MON_SEC", "MON_NSEC"], LONGEST_S as i64)?;
+    let start = clock.map(|(s, ns)| Duration::new(s as u64, ns as u32));
+    Ok(start.map(|start| start + exposure.unwrap_or_default() / 2))
+}
+
+/// A clock in two keywords, seconds up to `most_s` and nanoseconds.
+fn heroes_clock(
+    header: &Header,
+    [seconds, nanoseconds]: [&str; 2],
+    most_s: i64,
+) -> Result<Option<(i64, i32)>, Problem> {
+    if header.get(seconds).is_none() {
+        return Ok(None);
+    }
+    let whole = header.size(seconds, 0..=most_s)?;
+    let rest = match header.get(nanoseconds) {
+        Some(_) => header.size(nanoseconds, 0..=999_999_999)?,
         None => 0,
     };
-    let start = Timestamp::new(seconds as i64, nanoseconds as i32);
-    start
-        .map(Some)
-        .map_err(|_| Problem::field("RT_SEC", "a time before the year 9999", seconds))
+    Ok(Some((whole as i64, rest as i32)))
 }
 
 fn time(header: &Header, keyword: &str) -> Result<Option<Timestamp>, Problem> {

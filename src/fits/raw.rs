@@ -376,9 +376,11 @@ impl MemoryFile {
         call!(self, "write the checksums", ffpcks)
     }
 
-    /// Writes DATASUM of the current HDU alone: beside a CHECKSUM cfitsio notes the day.
+    /// Writes DATASUM of the current HDU alone: beside a CHECKSUM cfitsio notes the day. Before it is finished, cfitsio does not
+    /// count the rows of a table.
     pub fn put_datasum(&self) -> Result<(), Problem> {
         let (mut data, mut hdu) = (0, 0);
+        call!(self, "finish the data", ffflus)?;
         call!(self, "add up the data", ffgcks, &mut data, &mut hdu)?;
         self.put_text("DATASUM", &data.to_string(), "checksum of the data")
     }

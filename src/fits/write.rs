@@ -158,12 +158,16 @@ pub fn encode_frame(
 }
 
 /// The bytes of a file of binary tables alone, behind a primary HDU without data. Nothing in it tells when it was made:
-/// the same tables give the same bytes. Each is asked for when its turn comes, and dropped.
+/// the same tables give the same bytes. Each is asked for when its turn comes, and dropped. Where the tables need no more than
+/// `expected_bytes`, memory is never moved.
 ///
 /// # Errors
 /// Columns of unequal length.
-pub fn encode_tables(tables: impl IntoIterator<Item = Table>) -> Result<Vec<u8>, Problem> {
-    let file = MemoryFile::create(OTHER_BYTES)?;
+pub fn encode_tables(
+    expected_bytes: usize,
+    tables: impl IntoIterator<Item = Table>,
+) -> Result<Vec<u8>, Problem> {
+    let file = MemoryFile::create(OTHER_BYTES + expected_bytes)?;
     file.create_primary()?;
     put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
     put_cards(

@@ -124,7 +124,7 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
         "LIMB_PART",
         "",
         "part of the limb that was seen, 0 to 1",
-        |r| Cell::Float(r.own.limb_fraction),
+        |r| Cell::Float(r.limb_part),
     ),
     column("RADIUS_MIL", "mil", "the disc's radius on the plate", |r| {
         Cell::Float(r.disc.map(|disc| disc.radius_mil.value))
@@ -291,13 +291,13 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
     column(
         "FLIGHT_OFFSET_AZ_DEG",
         "deg",
-        "OFFSETAZ of the header",
+        "OFFSETAZ of the header, or CTL_AZIM of HEROES",
         |r| part(r.in_flight.offset_deg, 0),
     ),
     column(
         "FLIGHT_OFFSET_EL_DEG",
         "deg",
-        "OFFSETEL of the header",
+        "OFFSETEL of the header, or CTL_ELEV of HEROES",
         |r| part(r.in_flight.offset_deg, 1),
     ),
     column("FLIGHT_QUALITY", "", "QUALITY of the header", |r| {
@@ -434,6 +434,23 @@ pub fn markdown() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// With SOLASPECT_WRITE_DOCS set, the page's tables are written instead.
+    #[test]
+    fn the_page_of_columns_is_that_of_the_tables() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/refine.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let (before, rest) = page.split_once(&format!("### {ASPECT}\n")).unwrap();
+        let after = rest.find("\n## ").map_or("", |at| &rest[at..]);
+        let wanted = format!("{before}{}{after}", markdown());
+        if std::env::var_os("SOLASPECT_WRITE_DOCS").is_some() {
+            std::fs::write(path, &wanted).unwrap();
+        } else {
+            let told =
+                "docs/refine.md has other columns: run this test with SOLASPECT_WRITE_DOCS=1";
+            assert!(page == wanted, "{told}");
+        }
+    }
 
     #[test]
     fn names_differ_and_are_as_fits_wants_them() {

@@ -1,6 +1,6 @@
 //! The disc on the plate, from a frame's limb and a mapping that is known: the circle through its points.
 
-use super::record::{DiscRecord, PackedPoint};
+use super::record::PackedPoint;
 use crate::geometry::Mapping;
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Matrix3, Vector3};
@@ -22,19 +22,19 @@ const TUKEY_SIGMAS: f64 = 5.0;
 /// Fewer points make no circle.
 const LEAST_POINTS: usize = 6;
 
-/// Fits the circle; `radius_mil` is what is known of its radius. `None` where too few points agree.
+/// Fits the circle; `centre_px` is its centre's picture, from which the points are told, and `radius_mil` is what is known of its radius. `None` where too few points agree.
 pub fn on_plate(
-    disc: &DiscRecord,
+    centre_px: [f64; 2],
     limb: &[PackedPoint],
     mapping: &Mapping,
     radius_mil: Measured,
 ) -> Option<PlateDisc> {
-    let centre = SensorPx::new(disc.centre_px[0], disc.centre_px[1]);
+    let centre = SensorPx::new(centre_px[0], centre_px[1]);
     let start = mapping.to_plate(centre).vector();
     let points: Vec<_> = limb
         .iter()
         .map(|point| {
-            let (at, sigma_px) = point.unpack(disc.centre_px);
+            let (at, sigma_px) = point.unpack(centre_px);
             let on_plate = mapping.to_plate(at).vector();
             let outward = (on_plate - start).normalize();
             let across = mapping.plate_jacobian(at).transpose() * outward;

@@ -1,8 +1,13 @@
-//! How the view drifts: a random walk, estimated forwards and backwards in time (Kalman; Rauch, Tung and Striebel).
+//! How the view drifts: with the camera's temperature, and beside it as a random walk, estimated forwards and backwards in
+//! time (Kalman; Rauch, Tung and Striebel).
+//!
+//! What a degree does is estimated together with the walk: along with the walk's state goes how this answers to each
+//! coefficient, and the coefficients follow from what all frames leave unexplained (de Jong, 1991).
 
-use super::view::{Covariance, Reference, STATES, State};
+use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed};
 use crate::units::PlateMil;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Cholesky, Const, Matrix2, Matrix4, SMatrix, Vector2, Vector4};
+use std::ops::Range;
 
 /// A mark as the flight's mapping takes it.
 #[derive(Debug, Clone, Copy)]
@@ -10,23 +15,62 @@ pub(super) struct Sight {
     /// On the ideal sensor.
     pub seen: Vector2<f64>,
     pub printed: PlateMil,
-    /// Inverse covariance, px^-2.
-    pub information: Matrix2<f64>,
+    /// Inverse covariance, px^-2: xx, xy, yy. There are many of these.
+    pub information: [f32; 3],
     /// What it counts, 0 to 1.
-    pub weight: f64,
+    pub weight: f32,
 }
 
-/// A moment of the flight, and the marks that were read then.
+impl Sight {
+    pub fn information(&self) -> Matrix2<f64> {
+        super::record::symmetric(self.information.map(f64::from))
+    }
+}
+
+/// The moments of the flight, and the marks that were read then. All marks lie in one piece, which is given back in one.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Sightings {
+    sights: Vec<Sight>,
+    moments: Vec<Moment>,
+}
+
 #[derive(Debug, Clone)]
-pub(super) struct Moment {
+struct Moment {
     /// Since the first moment.
-    pub time_s: f64,
-    pub sights: Vec<Sight>,
+    time_s: f64,
+    marks: Range<usize>,
 }
 
-impl Moment {
-    pub fn has_marks(&self) -> bool {
-        self.sights.iter().any(|sight| sight.weight > 0.0)
+impl Sightings {
+    /// `marks` are which of the sights belong to each of the moments, which are in order.
+    pub fn new(sights: Vec<Sight>, moments: impl Iterator<Item = (f64, Range<usize>)>) -> Self {
+        let moment = |(time_s, marks)| Moment { time_s, marks };
+        Self {
+            sights,
+            moments: moments.map(moment).collect(),
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.moments.len()
+    }
+
+    pub fn times_s(&self) -> Vec<f64> {
+        self.moments.iter().map(|moment| moment.time_s).collect()
+    }
+
+    /// The marks of a moment.
+    pub fn at(&self, moment: usize) -> &[Sight] {
+        &self.sights[self.moments[moment].marks.clone()]
+    }
+
+    pub fn at_mut(&mut self, moment: usize) -> &mut [Sight] {
+        &mut self.sights[self.moments[moment].marks.clone()]
+    }
+
+    /// Whether any mark of a moment counts.
+    pub fn counts(&self, moment: usize) -> bool {
+        self.at(moment).iter().any(|sight| sight.weight > 0.0)
     }
 }
 
@@ -58,11 +102,32 @@ fn diagonal(variances: [f64; 4]) -> Covariance {
     Covariance::from_diagonal(&State::from_fn(|n, _| variances[n / 2]))
 }
 
+/// The states that a degree changes: the first ones, shift x and y, stretch and turn.
+const WARMED: usize = 4;
+/// What is known beforehand of what a degree does, 1 sigma, px: cameras on balloons shift by a tenth of a pixel, and aluminium
+/// stretches by 23e-6, 0.004 px.
+const WARMTH_SIGMA_PX: [f64; WARMED] = [0.2, 0.2, 0.02, 0.02];
+
+/// What a degree of the camera's temperature does to shift x and y, stretch and turn, px.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Warmth {
+    pub px_per_degc: Vector4<f64>,
+    pub covariance: Matrix4<f64>,
+}
+
+/// How a view answers to each coefficient of [`Warmth`].
+type Answer = SMatrix<f64, STATES, WARMED>;
+
+/// What so many degrees do to the view beside the walk.
+fn warmed(degrees: f64) -> Answer {
+    Answer::identity() * degrees
+}
+
 /// The view at a moment with its covariance.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimate {
     pub state: State,
-    pub covariance: Covariance,
+    pub covariance: UpperTriangle,
 }
 
 /// A jump lies between a moment and the one before it.
@@ -73,20 +138,80 @@ pub(super) struct Break {
     pub chi2: f64,
 }
 
+/// What the whole flight says of the view.
+pub(super) struct Smoothed {
+    pub estimates: Vec<Estimate>,
+    /// Where a jump would explain most.
+    pub sharpest: Option<Break>,
+    pub warmth: Warmth,
+}
+
 /// All that estimating the drift takes.
 pub(super) struct Drift<'a> {
     pub reference: &'a Reference,
-    pub moments: &'a [Moment],
+    pub sightings: &'a Sightings,
     pub wander: Wander,
     /// Moments before which the view jumped, in order.
     pub jumps: &'a [usize],
+    /// The camera's temperature at each moment, from the flight's middle, degC; none where it is not to count.
+    pub warmth_c: Option<&'a [f64]>,
 }
+
+/// The view in the middle of the way, all coefficients of the temperature being zero.
+#[derive(Debug, Clone, Copy)]
+struct Passing {
+    state: State,
+    covariance: Covariance,
+    answer: Answer,
+}
+
+/// What the marks have said so far of the model and of the temperature's coefficients.
+struct Evidence {
+    likelihood: f64,
+    information: Matrix4<f64>,
+    gradient: Vector4<f64>,
+}
+
+impl Evidence {
+    fn none() -> Self {
+        Self {
+            likelihood: 0.0,
+            information: Matrix4::from_diagonal(&prior_information()),
+            gradient: Vector4::zeros(),
+        }
+    }
+
+    fn warmth(&self) -> Option<Warmth> {
+        let root = self.information.cholesky()?;
+        Some(Warmth {
+            px_per_degc: root.solve(&self.gradient),
+            covariance: root.inverse(),
+        })
+    }
+
+    /// Logarithm of the likelihood but for a constant, whatever the coefficients are.
+    fn total(&self) -> Option<f64> {
+        let root = self.information.cholesky()?;
+        let gained = self.gradient.dot(&root.solve(&self.gradient)) / 2.0;
+        let prior: f64 = prior_information().iter().map(|p| p.ln() / 2.0).sum();
+        let total = self.likelihood + gained + prior - log_root(&root);
+        total.is_finite().then_some(total)
+    }
+}
+
+fn prior_information() -> Vector4<f64> {
+    Vector4::from(WARMTH_SIGMA_PX.map(|sigma| sigma.powi(-2)))
+}
+
+/// Moments between two places from which the way forwards is gone again, which costs less memory than to keep it.
+const BLOCK: usize = 256;
 
 impl Drift<'_> {
     /// Process noise between a moment and the one before it.
     fn step(&self, moment: usize) -> Covariance {
         let before = moment.saturating_sub(1);
-        let step_s = self.moments[moment].time_s - self.moments[before].time_s;
+        let moments = &self.sightings.moments;
+        let step_s = moments[moment].time_s - moments[before].time_s;
         let wandered = self.wander.variance(step_s.max(0.0));
         match self.jumps.binary_search(&moment) {
             Ok(_) => wandered + diagonal([JUMP_PX[0].powi(2), JUMP_PX[1].powi(2), 0.0, 0.0]),
@@ -94,40 +219,68 @@ impl Drift<'_> {
         }
     }
 
-    /// The estimates forwards, and the logarithm of the likelihood but for a constant. `None` where a covariance cannot be
-    /// inverted.
-    fn forwards(&self, mut each: impl FnMut(Estimate)) -> Option<f64> {
-        let mut now = Estimate {
+    fn degrees(&self, moment: usize) -> f64 {
+        self.warmth_c.map_or(0.0, |degrees| degrees[moment])
+    }
+
+    /// The view before the first mark.
+    fn first(&self) -> Passing {
+        Passing {
             state: State::zeros(),
             covariance: diagonal(FIRST_SIGMA.map(|sigma| sigma.powi(2))),
-        };
-        let mut likelihood = 0.0;
-        for (n, moment) in self.moments.iter().enumerate() {
-            if n > 0 {
-                now.covariance += self.step(n);
-            }
-            if moment.has_marks() {
-                let (information, gradient, chi2) = self.sums(moment, &now.state);
-                let before = now.covariance.cholesky()?;
-                let root = (before.inverse() + information).cholesky()?;
-                let moved = root.solve(&gradient);
-                likelihood -= (chi2 - gradient.dot(&moved)) / 2.0;
-                likelihood -= log_root(&root) + log_root(&before);
-                now.state += moved;
-                now.covariance = root.inverse();
-            }
-            each(now);
+            answer: warmed(self.degrees(0)),
         }
-        likelihood.is_finite().then_some(likelihood)
+    }
+
+    /// From the moment before to a moment, and what its marks say. `None` where a covariance cannot be inverted.
+    fn advance(&self, n: usize, now: &mut Passing, evidence: &mut Evidence) -> Option<()> {
+        if n > 0 {
+            now.covariance += self.step(n);
+            now.answer += warmed(self.degrees(n) - self.degrees(n - 1));
+        }
+        if !self.sightings.counts(n) {
+            return Some(());
+        }
+        let (information, gradient, chi2) = self.sums(n, &now.state);
+        let before = now.covariance.cholesky()?;
+        let root = (before.inverse() + information).cholesky()?;
+        let moved = root.solve(&gradient);
+        evidence.likelihood -= (chi2 - gradient.dot(&moved)) / 2.0;
+        evidence.likelihood -= log_root(&root) + log_root(&before);
+        now.state += moved;
+        now.covariance = root.inverse();
+        if self.warmth_c.is_some() {
+            let seen = information * now.answer;
+            let answered = now.covariance * seen;
+            evidence.information += now.answer.transpose() * seen - seen.transpose() * answered;
+            evidence.gradient += now.answer.transpose() * gradient - seen.transpose() * moved;
+            now.answer -= answered;
+        }
+        Some(())
+    }
+
+    /// All the way forwards.
+    fn forwards(&self, mut each: impl FnMut(usize, &Passing)) -> Option<Evidence> {
+        let (mut now, mut evidence) = (self.first(), Evidence::none());
+        for n in 0..self.sightings.len() {
+            self.advance(n, &mut now, &mut evidence)?;
+            each(n, &now);
+        }
+        Some(evidence)
     }
 
     /// What a moment's marks say: information, gradient and chi^2 at a state.
-    fn sums(&self, moment: &Moment, state: &State) -> (Covariance, State, f64) {
+    fn sums(&self, moment: usize, state: &State) -> (Covariance, State, f64) {
         let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
-        for sight in moment.sights.iter().filter(|sight| sight.weight > 0.0) {
+        for sight in self
+            .sightings
+            .at(moment)
+            .iter()
+            .filter(|sight| sight.weight > 0.0)
+        {
             let (seen, slopes) = self.reference.picture(sight.printed);
             let miss = sight.seen - seen - slopes * state;
-            let weight = sight.information * sight.weight;
+            let weight = sight.information() * f64::from(sight.weight);
             let weighted = slopes.transpose() * weight;
             information += weighted * slopes;
             gradient += weighted * miss;
@@ -136,42 +289,109 @@ impl Drift<'_> {
         (information, gradient, chi2)
     }
 
+    /// Logarithm of the likelihood but for a constant. `None` where a covariance cannot be inverted.
     pub fn likelihood(&self) -> Option<f64> {
-        self.forwards(|_| {})
+        self.forwards(|_, _| {})?.total()
     }
 
-    /// The estimates from all the flight, and the place where a jump would explain most.
-    pub fn smoothed(&self) -> Option<(Vec<Estimate>, Option<Break>)> {
-        let mut estimates = Vec::with_capacity(self.moments.len());
-        self.forwards(|estimate| estimates.push(estimate))?;
-        let mut sharpest: Option<Break> = None;
-        for n in (0..estimates.len().saturating_sub(1)).rev() {
-            let (now, next) = (estimates[n], estimates[n + 1]);
-            let predicted = now.covariance + self.step(n + 1);
-            let back = predicted.cholesky()?.inverse();
-            let gain = now.covariance * back;
-            let surprise = next.state - now.state;
-            let learnt = next.covariance - predicted;
-            if self.jumps.binary_search(&(n + 1)).is_err()
-                && let Some(chi2) = break_chi2(&back, &surprise, &learnt)
-                && sharpest.is_none_or(|sharpest| chi2 > sharpest.chi2)
-            {
-                let moment = n + 1;
-                sharpest = Some(Break { moment, chi2 });
+    /// The estimates from all the flight.
+    pub fn smoothed(&self) -> Option<Smoothed> {
+        let mut starts = Vec::new();
+        let evidence = self.forwards(|n, now| {
+            if n % BLOCK == 0 {
+                starts.push(*now);
             }
-            let covariance = now.covariance + gain * learnt * gain.transpose();
-            estimates[n] = Estimate {
-                state: now.state + gain * surprise,
-                covariance: (covariance + covariance.transpose()) / 2.0,
-            };
+        })?;
+        let mut back = Backwards {
+            drift: self,
+            warmth: evidence.warmth()?,
+            estimates: Vec::with_capacity(self.sightings.len()),
+            sharpest: None,
+            next: None,
+        };
+        for (block, start) in starts.iter().enumerate().rev() {
+            let first = block * BLOCK;
+            let last = (first + BLOCK).min(self.sightings.len());
+            let mut way = vec![*start];
+            let mut now = *start;
+            for n in first + 1..last {
+                self.advance(n, &mut now, &mut Evidence::none())?;
+                way.push(now);
+            }
+            for (n, now) in (first..last).zip(&way).rev() {
+                back.take(n, now)?;
+            }
         }
-        Some((estimates, sharpest))
+        back.estimates.reverse();
+        Some(Smoothed {
+            estimates: back.estimates,
+            sharpest: back.sharpest,
+            warmth: back.warmth,
+        })
     }
 }
 
-fn log_root(root: &nalgebra::Cholesky<f64, nalgebra::Const<STATES>>) -> f64 {
+/// On the way back.
+struct Backwards<'a> {
+    drift: &'a Drift<'a>,
+    warmth: Warmth,
+    /// From the last moment on.
+    estimates: Vec<Estimate>,
+    sharpest: Option<Break>,
+    next: Option<Passing>,
+}
+
+impl Backwards<'_> {
+    /// Adds to what a moment knew on the way forwards what all later ones say.
+    fn take(&mut self, n: usize, passing: &Passing) -> Option<()> {
+        let mut now = *passing;
+        if let Some(next) = self.next {
+            let predicted = now.covariance + self.drift.step(n + 1);
+            let back = predicted.cholesky()?.inverse();
+            let gain = now.covariance * back;
+            let surprise = next.state - now.state;
+            let degrees = self.drift.degrees(n + 1) - self.drift.degrees(n);
+            let answer = next.answer - now.answer - warmed(degrees);
+            let learnt = next.covariance - predicted;
+            let beside = surprise + answer * self.warmth.px_per_degc;
+            self.look_for_break(n + 1, &back, &beside, &learnt);
+            let covariance = now.covariance + gain * learnt * gain.transpose();
+            now = Passing {
+                state: now.state + gain * surprise,
+                covariance: (covariance + covariance.transpose()) / 2.0,
+                answer: now.answer + gain * answer,
+            };
+        }
+        let by_warmth = now.answer * self.warmth.covariance * now.answer.transpose();
+        self.estimates.push(Estimate {
+            state: now.state + now.answer * self.warmth.px_per_degc,
+            covariance: packed(&(now.covariance + by_warmth)),
+        });
+        self.next = Some(now);
+        Some(())
+    }
+
+    fn look_for_break(
+        &mut self,
+        moment: usize,
+        back: &Covariance,
+        surprise: &State,
+        learnt: &Covariance,
+    ) {
+        let known = self.drift.jumps.binary_search(&moment).is_ok();
+        let found = break_chi2(back, surprise, learnt).filter(|_| !known);
+        let found = found.map(|chi2| Break { moment, chi2 });
+        let least = self.sharpest.map_or(0.0, |sharpest| sharpest.chi2);
+        self.sharpest = found.filter(|found| found.chi2 > least).or(self.sharpest);
+    }
+}
+
+fn log_root<const N: usize>(root: &Cholesky<f64, Const<N>>) -> f64
+where
+    Const<N>: nalgebra::DimMin<Const<N>, Output = Const<N>>,
+{
     let l = root.l_dirty();
-    (0..STATES).map(|n| l[(n, n)].ln()).sum()
+    (0..N).map(|n| l[(n, n)].ln()).sum()
 }
 
 /// How far the disturbance of a step, as all data show it, is beyond what the random walk expects: the auxiliary residual
@@ -182,4 +402,142 @@ fn break_chi2(back: &Covariance, surprise: &State, learnt: &Covariance) -> Optio
     let spread = spread.fixed_view::<4, 4>(0, 0).into_owned();
     let chi2 = pull.dot(&spread.cholesky()?.solve(&pull));
     chi2.is_finite().then_some(chi2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Distortion;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    const COUNT: usize = 600;
+    const MARK_SIGMA_PX: f64 = 0.03;
+
+    fn reference() -> Reference {
+        let corner = |p: PlateMil| Vector2::new(640.0 - 0.17 * p.x, 480.0 + 0.17 * p.y);
+        Reference::through(&Reference::corners().map(corner), Distortion::NONE).unwrap()
+    }
+
+    fn temperature_c() -> Vec<f64> {
+        (0..COUNT).map(|n| 5.0 * (n as f64 / 40.0).sin()).collect()
+    }
+
+    /// A flight whose view goes with the temperature by so many px per degree, beside a slow walk; nobody sees marks for a
+    /// sixth of it. And the view in truth.
+    fn flight(px_per_degc: [f64; WARMED]) -> (Sightings, Vec<State>) {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
+        let mut noise = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
+        let reference = reference();
+        let mut walk = State::zeros();
+        let seen = |n: usize| !(250..350).contains(&n);
+        let mut sights = Vec::new();
+        let mut moment = |(n, degrees): (usize, f64)| {
+            walk[0] += noise(0.002);
+            walk[1] += noise(0.002);
+            let state = walk + warmed(degrees) * Vector4::from(px_per_degc);
+            let marks = (0..9).filter(|_| seen(n)).map(|k| {
+                let at = |k: i32| 300.0 * f64::from(k % 3 - 1);
+                let printed = PlateMil::new(at(k), at(k / 3));
+                let (view, slopes) = reference.picture(printed);
+                let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
+                let information = MARK_SIGMA_PX.powi(-2) as f32;
+                Sight {
+                    seen: view + slopes * state + error,
+                    printed,
+                    information: [information, 0.0, information],
+                    weight: 1.0,
+                }
+            });
+            let first = sights.len();
+            sights.extend(marks);
+            ((n as f64 / 4.0, first..sights.len()), state)
+        };
+        let degrees = temperature_c().into_iter().enumerate();
+        let (moments, truth): (Vec<_>, Vec<_>) = degrees.map(&mut moment).unzip();
+        (Sightings::new(sights, moments.into_iter()), truth)
+    }
+
+    fn drift<'a>(
+        reference: &'a Reference,
+        sightings: &'a Sightings,
+        warmth_c: Option<&'a [f64]>,
+    ) -> Drift<'a> {
+        // Without the temperature the walk must follow it.
+        let shift_px = if warmth_c.is_some() { 0.004 } else { 0.1 };
+        Drift {
+            reference,
+            sightings,
+            wander: Wander {
+                shift_px,
+                turn_px: 0.001,
+            },
+            jumps: &[],
+            warmth_c,
+        }
+    }
+
+    #[test]
+    fn what_a_degree_does_is_told_and_bridges_the_time_without_marks() {
+        let truth_per_degc = [0.13, -0.08, 0.004, -0.01];
+        let (sightings, truth) = flight(truth_per_degc);
+        let (reference, degrees) = (reference(), temperature_c());
+        let with = drift(&reference, &sightings, Some(&degrees));
+        let without = drift(&reference, &sightings, None);
+        assert!(with.likelihood().unwrap() > without.likelihood().unwrap() + 100.0);
+        let (with, without) = (with.smoothed().unwrap(), without.smoothed().unwrap());
+        for (n, truth) in truth_per_degc.iter().enumerate() {
+            let sigma = with.warmth.covariance[(n, n)].sqrt();
+            assert!((with.warmth.px_per_degc[n] - truth).abs() < 4.0 * sigma);
+            assert!(sigma < 0.01);
+        }
+        let off =
+            |smoothed: &Smoothed, n: usize| (smoothed.estimates[n].state[0] - truth[n][0]).abs();
+        let worst = |smoothed: &Smoothed| (250..350).map(|n| off(smoothed, n)).fold(0.0, f64::max);
+        assert!(worst(&with) < 0.05 && worst(&without) > 4.0 * worst(&with));
+        for n in 0..COUNT {
+            let sigma = f64::from(with.estimates[n].covariance[0]).sqrt();
+            assert!(off(&with, n) < 4.5 * sigma, "{n}");
+        }
+    }
+
+    #[test]
+    fn a_temperature_that_does_nothing_is_told_to_do_nothing() {
+        let (sightings, _) = flight([0.0; WARMED]);
+        let (reference, degrees) = (reference(), temperature_c());
+        let with = drift(&reference, &sightings, Some(&degrees));
+        let still = Drift {
+            warmth_c: None,
+            ..drift(&reference, &sightings, Some(&degrees))
+        };
+        assert!(with.likelihood().unwrap() < still.likelihood().unwrap());
+        let warmth = with.smoothed().unwrap().warmth;
+        for n in 0..WARMED {
+            let sigma = warmth.covariance[(n, n)].sqrt();
+            assert!(warmth.px_per_degc[n].abs() < 4.0 * sigma);
+        }
+    }
+
+    #[test]
+    fn the_way_back_is_the_same_in_one_block_and_in_several() {
+        let (sightings, _) = flight([0.1; WARMED]);
+        let (reference, degrees) = (reference(), temperature_c());
+        let first = |count: usize| Sightings {
+            moments: sightings.moments[..count].to_vec(),
+            ..sightings.clone()
+        };
+        let (some, one) = (first(BLOCK + 1), first(BLOCK));
+        let all = drift(&reference, &sightings, Some(&degrees));
+        let some = drift(&reference, &some, Some(&degrees));
+        let one = drift(&reference, &one, Some(&degrees));
+        assert_eq!(all.smoothed().unwrap().estimates.len(), COUNT);
+        let [some, one] = [some, one].map(|drift| drift.smoothed().unwrap());
+        let step = some.estimates[BLOCK - 1].state - one.estimates[BLOCK - 1].state;
+        assert!(step.norm() < 0.02);
+        assert_eq!(
+            (some.estimates.len(), one.estimates.len()),
+            (BLOCK + 1, BLOCK)
+        );
+    }
 }

@@ -34,7 +34,7 @@ impl Recipe {
 }
 
 /// Counts with every change of what a record holds or how it is made.
-const JOURNAL_VERSION: u32 = 1;
+const JOURNAL_VERSION: u32 = 2;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
 pub(super) fn hash_of(bytes: &[u8]) -> u64 {
@@ -129,7 +129,7 @@ pub struct Done {
 }
 
 /// An input's key: what the record must match.
-fn key(input: &Input) -> u64 {
+pub(super) fn key(input: &Input) -> u64 {
     let mut hasher = Fnv::default();
     input.hash(&mut hasher);
     hasher.0
@@ -178,7 +178,12 @@ impl Done {
     /// # Errors
     /// A journal that cannot be read.
     pub fn record(&self, input: &Input) -> Result<Option<Record>, JournalError> {
-        let Some((journal, place)) = self.places.get(&key(input)) else {
+        self.record_of(key(input))
+    }
+
+    /// The same by the input's key.
+    pub(super) fn record_of(&self, key: u64) -> Result<Option<Record>, JournalError> {
+        let Some((journal, place)) = self.places.get(&key) else {
             return Ok(None);
         };
         self.journals[*journal].record(*place).map(Some)

@@ -2,19 +2,25 @@
 //!
 //! The first pass gave each frame's marks and limb. Here the mapping comes from the marks of all frames, and each frame's Sun
 //! from its own limb through that mapping; what does not fit the frames about it is told, and what it spoils refused.
-//! Frames that were refused or coarse for want of marks are fine where the limb is good, for the mapping is known now.
+//! Frames that were refused or coarse get a [second look](super::look): mapping and path are known now.
 
 use super::disc::{self, PlateDisc};
-use super::first_pass::{Done, Span};
+use super::drift::Sight;
+use super::first_pass::{Done, Recipe, Span};
+use super::follow::Followed;
 use super::journal::JournalError;
-use super::mapping::{FlightMapping, MappingFacts, Standing, median};
-use super::motion::{self, Path};
-use super::record::{FrameRecord, Grade, Input, Record};
+use super::load::{Entry, load};
+use super::look::{Known, Look};
+use super::mapping::{FlightMapping, MappingFacts, median};
+use super::motion;
+use super::oddities::note;
+use super::record::{Grade, Input};
 use super::row::{Oddity, Row};
-use crate::instrument::Instrument;
-use crate::sky::sun_angular_radius;
-use crate::units::{Estimate, Measured, Place};
+use crate::fits::read_frame;
+use crate::geometry::Mapping;
+use crate::units::{Estimate, Measured, Place, PlateMil, SensorPx};
 use rayon::prelude::*;
+use std::path::Path;
 
 /// The limb's part that makes a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
@@ -22,34 +28,23 @@ const LEAST_FINE_LIMB: f64 = 0.4;
 const TELLING_LIMB: f64 = 0.7;
 /// A mapping known less well than this makes no fine frame, 1 sigma.
 const MOST_FINE_SIGMA_MIL: f64 = 1.0;
-/// What is known of a radius before the flight has told it, relative.
-const LOOSE_RADIUS: f64 = 0.02;
+/// What is known of a radius before the flight has told it, over the expected one.
+const LOOSE_RADIUS: Measured = Measured::new(1.0, 0.02);
 /// The flight's radius is this good at least, relative.
 const TIGHT_RADIUS: f64 = 1e-4;
-/// So many times the flight's usual scatter is odd.
-const ODD_SIGMAS: f64 = 8.0;
-/// Smaller deviations of the radius are none, relative.
-const LEAST_ODD_RADIUS: f64 = 1e-3;
-/// A limb that scatters so many times more than usual is odd.
-const ODD_SCATTER: f64 = 2.0;
-/// Light or noise that differs by more than this factor from the frames about it is odd.
-const ODD_LIGHT: f64 = 1.3;
-const ODD_NOISE: f64 = 1.6;
-/// Frames to each side that tell what is usual.
-const ABOUT: usize = 20;
-/// Fewer marks than this part of those that are lit is odd.
-const ODD_MARKS: f64 = 0.5;
-/// Off the path, chi^2 of two.
-const ODD_PATH_CHI2: f64 = 100.0;
-/// Rounds in which frames off the path are taken off it.
-const PATH_ROUNDS: usize = 3;
+/// Where a disc is known worse than this, 1 sigma, a second look is of no use.
+const MOST_LOOK_SIGMA_MIL: f64 = 200.0;
+/// How far a frame's own disc may be from the one of the second look, 1 sigma.
+const OWN_DISC_SIGMA_MIL: f64 = 5.0;
+/// A frame's own disc is another thing if it is so many sigma off the path.
+const OTHER_THING_SIGMAS: f64 = 8.0;
 
 /// The flight as a whole.
 pub struct Flight {
     /// In the order of time; frames without a time and files that could not be read come last, by name.
     pub rows: Vec<Row>,
     pub mapping: Option<MappingFacts>,
-    pub path: Option<Path>,
+    pub path: Option<motion::Path>,
     /// The flight's radius over the expected one.
     pub radius_ratio: Option<Measured>,
     /// How many rows have a time: the first ones, and those that `mapping` knows.
@@ -60,143 +55,105 @@ pub struct Flight {
     pub places: Vec<Option<Place>>,
 }
 
-/// Records that are read together.
-const TOGETHER: usize = 4096;
-
-/// A frame without its limb.
-struct Entry {
-    input: Input,
-    frame: FrameRecord,
-}
-
-/// Looks at the flight as a whole.
+/// Looks at the flight as a whole, and a second time at some frames of the archive.
 ///
 /// # Errors
 /// A journal that cannot be read.
 pub fn second_pass(
     done: &Done,
+    archive: &Path,
     inputs: &[Input],
-    instrument: &Instrument,
+    recipe: &Recipe,
     span: &Span,
 ) -> Result<Flight, JournalError> {
-    let (mut entries, mut unread) = (Vec::new(), Vec::new());
-    for some in inputs.chunks(TOGETHER) {
-        let records = some.par_iter().map(|input| {
-            let mut record = done.record(input)?;
-            if let Some(Ok(frame)) = record.as_mut().map(|record| &mut record.outcome) {
-                frame.limb = Vec::new();
-            }
-            Ok(record)
-        });
-        let records: Vec<Option<Record>> = records.collect::<Result<_, JournalError>>()?;
-        for record in records.into_iter().flatten() {
-            let input = record.input;
-            match record.outcome {
-                Ok(frame) if !span.holds(frame.utc()) => {}
-                Ok(frame) => entries.push(Entry { input, frame }),
-                Err(error) => unread.push(Row::unread(input, error)),
-            }
-        }
+    let loaded = load(done, inputs, &recipe.instrument, span)?;
+    let unread = loaded.unread;
+    let mut work = Work::new(done, recipe, loaded.entries, loaded.sights);
+    let ratio = work.place_discs()?;
+    work.look_for_oddities(|_| true);
+    let mut followed = work.follow_path();
+    let seen = work.look_again(archive, &followed, ratio);
+    if !seen.is_empty() {
+        work.look_for_oddities(|n| seen.binary_search(&n).is_ok());
+        followed = work.follow_path();
     }
-    entries.sort_by(|a, b| {
-        let key = |e: &Entry| (e.frame.utc_ns.is_none(), e.frame.utc_ns);
-        key(a)
-            .cmp(&key(b))
-            .then_with(|| a.input.file.cmp(&b.input.file))
-    });
-    let dated = entries.partition_point(|entry| entry.frame.utc_ns.is_some());
-    let mut work = Work::new(done, instrument, entries, dated);
-    work.place_discs()?;
-    work.look_for_oddities();
-    let (path, path_times_s) = work.follow_path();
     let Work {
         mut rows,
         mut places,
-        mapping,
-        radius_ratio,
         ..
     } = work;
     rows.extend(unread);
     places.resize(rows.len(), None);
     Ok(Flight {
         rows,
-        mapping: mapping.map(|mapping| mapping.facts),
-        path,
-        radius_ratio,
-        dated,
-        path_times_s,
+        mapping: work.mapping.map(|mapping| mapping.facts),
+        path: followed.path,
+        radius_ratio: work.radius_ratio,
+        dated: work.dated,
+        path_times_s: followed.times_s,
         places,
     })
 }
 
-struct Work<'a> {
+/// The second pass in the making.
+pub(super) struct Work<'a> {
     done: &'a Done,
-    instrument: &'a Instrument,
+    pub recipe: &'a Recipe,
     /// Of each row.
-    inputs: Vec<Input>,
+    keys: Vec<u64>,
     places: Vec<Option<Place>>,
-    dated: usize,
-    mapping: Option<FlightMapping>,
-    rows: Vec<Row>,
-    radius_ratio: Option<Measured>,
+    pub dated: usize,
+    pub mapping: Option<FlightMapping>,
+    pub rows: Vec<Row>,
+    pub radius_ratio: Option<Measured>,
 }
 
 impl<'a> Work<'a> {
-    fn new(done: &'a Done, instrument: &'a Instrument, entries: Vec<Entry>, dated: usize) -> Self {
-        let frames: Vec<&FrameRecord> = entries[..dated].iter().map(|e| &e.frame).collect();
-        let first = frames.first().and_then(|frame| frame.utc_ns).unwrap_or(0);
-        let since =
-            |frame: &&FrameRecord| frame.utc_ns.map_or(0.0, |utc| (utc - first) as f64 / 1e9);
-        let time_s: Vec<f64> = frames.iter().map(since).collect();
-        let mapping = FlightMapping::estimate(&frames, &time_s, instrument);
+    fn new(done: &'a Done, recipe: &'a Recipe, entries: Vec<Entry>, sights: Vec<Sight>) -> Self {
+        let dated = entries.partition_point(|entry| entry.row.utc_ns.is_some());
+        let mapping = FlightMapping::estimate(&entries[..dated], sights, &recipe.instrument);
         if mapping.is_none() {
             tracing::warn!("the marks tell no mapping of the flight: each frame stands by itself");
         }
-        let row = |entry: &Entry| Row::of(entry.input.clone(), &entry.frame);
-        let mut rows: Vec<Row> = entries.par_iter().map(row).collect();
-        rows.par_iter_mut().for_each(|row| {
-            let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
-            row.expected_radius_mil = angular.map(|angular| instrument.optics.radius_mil(angular));
-        });
-        // What else the records hold is read again where it is needed.
-        let places = entries.iter().map(|entry| entry.frame.place()).collect();
-        let inputs = entries.into_iter().map(|entry| entry.input).collect();
-        Self {
+        let mut work = Self {
             done,
-            instrument,
-            inputs,
-            places,
+            recipe,
+            keys: Vec::with_capacity(entries.len()),
+            places: Vec::with_capacity(entries.len()),
             dated,
             mapping,
-            rows,
+            rows: Vec::with_capacity(entries.len()),
             radius_ratio: None,
+        };
+        for entry in entries {
+            work.keys.push(entry.key);
+            work.places.push(entry.place);
+            work.rows.push(entry.row);
         }
+        work
     }
 
-    /// Each frame's disc through the flight's mapping: whole limbs first, which tell the flight's radius, then the others.
-    fn place_discs(&mut self) -> Result<(), JournalError> {
+    /// Each frame's disc through the flight's mapping: whole limbs first, which tell the flight's radius, then the others. What
+    /// is known of the radius then, over the expected one.
+    fn place_discs(&mut self) -> Result<Measured, JournalError> {
         let Some(mapping) = &self.mapping else {
-            return Ok(());
+            return Ok(LOOSE_RADIUS);
         };
-        let whole = |row: &Row| {
-            row.own
-                .limb_fraction
-                .is_some_and(|part| part >= TELLING_LIMB)
-        };
-        let found = self.discs(mapping, whole, Measured::new(1.0, LOOSE_RADIUS))?;
+        let whole = |row: &Row| row.limb_part.is_some_and(|part| part >= TELLING_LIMB);
+        let found = self.discs(mapping, whole, LOOSE_RADIUS)?;
         let ratios = found.iter().filter_map(|(n, disc)| {
             Some(disc.radius_mil.value / self.rows[*n].expected_radius_mil?)
         });
         self.radius_ratio = middle(ratios.collect());
         let ratio = self
             .radius_ratio
-            .unwrap_or(Measured::new(1.0, LOOSE_RADIUS / 4.0));
+            .unwrap_or(Measured::new(1.0, LOOSE_RADIUS.sigma / 4.0));
         let ratio = Measured::new(ratio.value, ratio.sigma.max(TIGHT_RADIUS));
         let partial = self.discs(mapping, |row| !whole(row), ratio)?;
         for (n, disc) in found.into_iter().chain(partial) {
             self.adopt(n, disc);
         }
-        Ok(())
+        Ok(ratio)
     }
 
     /// The discs of some of the dated frames.
@@ -214,7 +171,7 @@ impl<'a> Work<'a> {
             if row.own.sun_px.is_none() || !wanted(row) {
                 return Ok(None);
             }
-            let record = self.done.record(&self.inputs[n])?;
+            let record = self.done.record_of(self.keys[n])?;
             let Some(Ok(frame)) = record.map(|record| record.outcome) else {
                 return Ok(None);
             };
@@ -222,7 +179,8 @@ impl<'a> Work<'a> {
                 return Ok(None);
             };
             let radius = Measured::new(expected * ratio.value, expected * ratio.sigma);
-            Ok(disc::on_plate(own, &frame.limb, &at, radius).map(|disc| (n, disc)))
+            let disc = disc::on_plate(own.centre_px, &frame.limb, &at, radius);
+            Ok(disc.map(|disc| (n, disc)))
         });
         let found: Vec<_> = found.collect::<Result<_, JournalError>>()?;
         Ok(found.into_iter().flatten().collect())
@@ -243,10 +201,7 @@ impl<'a> Work<'a> {
         });
         row.disc = Some(disc);
         let known = by_mapping.trace() < 2.0 * MOST_FINE_SIGMA_MIL.powi(2);
-        let limb = row
-            .own
-            .limb_fraction
-            .is_some_and(|part| part >= LEAST_FINE_LIMB);
+        let limb = row.limb_part.is_some_and(|part| part >= LEAST_FINE_LIMB);
         row.quality = match (limb, known || row.jump_px.is_some()) {
             (true, true) => Grade::Fine,
             _ => Grade::Coarse,
@@ -256,163 +211,84 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// What is odd about a frame beside the others.
-    fn look_for_oddities(&mut self) {
-        let Some(mapping) = &self.mapping else {
-            return;
-        };
-        let discs = || self.rows.iter().filter_map(|row| row.disc.as_ref());
-        let usual_scatter = median(discs().map(|disc| disc.scatter).collect()).unwrap_or(1.0);
-        let light = self.about(|levels| levels[2] - levels[0]);
-        let noise = self.about(|levels| levels[1]);
-        let ratio = self.radius_ratio;
-        let found: Vec<Vec<Oddity>> = (0..self.dated)
+    /// Looks again at the frames that did not give disc and marks by themselves, or read them wrongly; `ratio` is what is
+    /// known of the radius. The rows, in order, that have another disc now.
+    fn look_again(&mut self, archive: &Path, path: &Followed, ratio: Measured) -> Vec<usize> {
+        let found: Vec<(usize, Look, PlateDisc)> = (0..self.dated)
             .into_par_iter()
-            .map(|n| {
-                let row = &self.rows[n];
-                let mut odd = Vec::new();
-                if let Some(disc) = &row.disc {
-                    if odd_radius(row, disc, ratio) {
-                        odd.push(Oddity::Radius);
-                    }
-                    if disc.scatter > ODD_SCATTER * usual_scatter {
-                        odd.push(Oddity::Limb);
-                    }
-                    if (row.own.marks as f64) < ODD_MARKS * self.lit_marks(disc) {
-                        odd.push(Oddity::FewMarks);
-                    }
-                    if light[n].is_some_and(|l| l.max(1.0 / l) > ODD_LIGHT) {
-                        odd.push(Oddity::Light);
-                    }
-                    if noise[n].is_some_and(|noise| noise > ODD_NOISE) {
-                        odd.push(Oddity::Noise);
-                    }
-                }
-                match mapping.standing[n] {
-                    Standing::Alone => odd.push(Oddity::Knocked),
-                    Standing::Misread => odd.push(Oddity::Misread),
-                    Standing::Agrees | Standing::Unmarked => {}
-                }
-                odd
+            .filter_map(|n| {
+                let (look, disc) = self.look(n, archive, path, ratio)?;
+                Some((n, look, disc))
             })
             .collect();
-        for (row, odd) in self.rows.iter_mut().zip(found) {
-            odd.into_iter().for_each(|odd| note(row, odd));
-        }
-    }
-
-    /// Something of each dated frame's levels over the median of the frames about it that have a disc.
-    fn about(&self, value: impl Fn(&[f64; 3]) -> f64 + Sync) -> Vec<Option<f64>> {
-        let lit: Vec<(usize, f64)> = (0..self.dated)
-            .filter(|n| self.rows[*n].disc.is_some())
-            .filter_map(|n| Some((n, value(self.rows[n].own.levels_dn.as_ref()?))))
-            .collect();
-        let mut over = vec![None; self.dated];
-        for (k, (n, value)) in lit.iter().enumerate() {
-            let near = &lit[k.saturating_sub(ABOUT)..lit.len().min(k + ABOUT + 1)];
-            let usual = median(near.iter().map(|(_, value)| *value).collect());
-            over[*n] = usual
-                .filter(|usual| *usual > 0.0)
-                .map(|usual| value / usual);
-        }
-        over
-    }
-
-    /// How many marks lie well within the disc.
-    fn lit_marks(&self, disc: &PlateDisc) -> f64 {
-        let plate = &self.instrument.plate;
-        let reach = disc.radius_mil.value - plate.cross.arm_length_mil;
-        let lit = plate
-            .marks()
-            .filter(|(_, at)| at.distance(disc.centre.position) < reach);
-        lit.count() as f64
-    }
-
-    /// The Sun's path, without the frames that lie off it; between two frames one more point.
-    fn follow_path(&mut self) -> (Option<Path>, Vec<f64>) {
-        let first = self.rows.first().and_then(Row::unix_s).unwrap_or(0.0);
-        let mut on_path = Vec::new();
-        let mut path = None;
-        let mut moments = Vec::new();
-        for _ in 0..PATH_ROUNDS {
-            (moments, on_path) = self.moments(first);
-            path = motion::path(&moments);
-            let Some(path) = &path else { break };
-            let mut off = Vec::new();
-            for (point, moment) in on_path.iter().zip(0..) {
-                let Some(n) = *point else { continue };
-                let measured = moments[moment].measured;
-                let odd = measured.is_some_and(|measured| {
-                    motion::pull_chi2(&path.points[moment], &measured) > ODD_PATH_CHI2
-                });
-                if odd {
-                    off.push(n);
-                }
+        let seen = found.iter().map(|(n, ..)| *n).collect();
+        for (n, look, disc) in found {
+            let row = &mut self.rows[n];
+            row.limb_part = Some(look.limb_part);
+            row.oddities.clear();
+            row.reason.clone_from(&row.own.reason);
+            self.adopt(n, disc);
+            let row = &mut self.rows[n];
+            if row.own.sun_px.is_none() {
+                row.quality = Grade::Coarse;
+                row.reason.clone_from(&row.own.reason);
+                note(row, Oddity::SecondLook);
             }
-            if off.is_empty() {
-                break;
-            }
-            off.into_iter()
-                .for_each(|n| note(&mut self.rows[n], Oddity::Path));
         }
-        drop(on_path);
-        let times = moments.iter().map(|moment| first + moment.time_s).collect();
-        (path, times)
+        seen
     }
 
-    /// Moments of the path, and the row that each is measured by.
-    fn moments(&self, first: f64) -> (Vec<motion::Moment>, Vec<Option<usize>>) {
-        let (mut moments, mut rows) = (Vec::new(), Vec::new());
-        let mut before: Option<f64> = None;
-        for (n, row) in self.rows[..self.dated].iter().enumerate() {
-            let Some(time_s) = row.unix_s().map(|unix_s| unix_s - first) else {
-                continue;
-            };
-            if let Some(before) = before.filter(|before| time_s > *before) {
-                let time_s = (before + time_s) / 2.0;
-                moments.push(motion::Moment {
-                    time_s,
-                    measured: None,
-                });
-                rows.push(None);
-            }
-            let sun = row.sun.filter(|_| row.is_fine());
-            let measured = sun.map(|sun| {
-                let (at, c) = (sun.position, sun.covariance);
-                [(at.x, c.m11), (at.y, c.m22)]
-            });
-            moments.push(motion::Moment { time_s, measured });
-            rows.push(measured.map(|_| n));
-            before = Some(time_s);
+    fn look(
+        &self,
+        n: usize,
+        archive: &Path,
+        path: &Followed,
+        ratio: Measured,
+    ) -> Option<(Look, PlateDisc)> {
+        let row = &self.rows[n];
+        if row.own.quality == Grade::Fine && !row.oddities.contains(&Oddity::Misread) {
+            return None;
         }
-        (moments, rows)
+        let mapping = self.mapping.as_ref()?.at(n)?;
+        let (centre, sigma_mil) = self.whereabouts(n, path, &mapping)?;
+        let expected = row.expected_radius_mil?;
+        let known = Known {
+            instrument: &self.recipe.instrument,
+            settings: &self.recipe.settings,
+            mapping,
+            centre,
+            sigma_mil,
+            radius_mil: expected * ratio.value,
+        };
+        let look = known.look(&read_frame(&archive.join(&row.file)).ok()?)?;
+        // A limb of which little is seen does not tell its radius.
+        let sigma = match look.limb_part >= TELLING_LIMB {
+            true => LOOSE_RADIUS.sigma,
+            false => ratio.sigma,
+        };
+        let radius = Measured::new(known.radius_mil, expected * sigma);
+        let disc = disc::on_plate(look.centre_px, &look.limb, &mapping, radius)?;
+        let sigma = sigma_mil.hypot(disc.centre.covariance.trace().sqrt());
+        let near = centre.distance(disc.centre.position) < OTHER_THING_SIGMAS * sigma;
+        near.then_some((look, disc))
     }
-}
 
-/// Notes an oddity; one that spoils the frame takes its place away.
-fn note(row: &mut Row, odd: Oddity) {
-    if row.oddities.contains(&odd) {
-        return;
+    /// Where a frame's disc must be, and 1 sigma, mil: where the frame itself has it, unless the path says that this is another
+    /// thing.
+    fn whereabouts(&self, n: usize, path: &Followed, at: &Mapping) -> Option<(PlateMil, f64)> {
+        let by_path = path.place(n);
+        let by_path = by_path.filter(|(_, sigma)| *sigma < MOST_LOOK_SIGMA_MIL);
+        let Some([x, y]) = self.rows[n].own.sun_px else {
+            return by_path;
+        };
+        let own = at.to_plate(SensorPx::new(x, y));
+        let other = by_path.filter(|(place, sigma)| {
+            place.distance(own) > OTHER_THING_SIGMAS * sigma.hypot(OWN_DISC_SIGMA_MIL)
+        });
+        // The same disc again would be as odd.
+        let spoiled = self.rows[n].oddities.iter().any(|odd| odd.spoils());
+        other.or((!spoiled).then_some((own, OWN_DISC_SIGMA_MIL)))
     }
-    row.oddities.push(odd);
-    let text = format!("refine: {odd}");
-    row.reason = match row.reason.as_str() {
-        "" => text,
-        before => format!("{before}; {text}"),
-    };
-    if odd.spoils() {
-        row.quality = Grade::None;
-        row.sun = None;
-    }
-}
-
-fn odd_radius(row: &Row, disc: &PlateDisc, ratio: Option<Measured>) -> bool {
-    let Some((expected, ratio)) = row.expected_radius_mil.zip(ratio) else {
-        return false;
-    };
-    let sigma = ratio.sigma.hypot(disc.radius_mil.sigma / expected);
-    let away = (disc.radius_mil.value / expected - ratio.value).abs();
-    away > (ODD_SIGMAS * sigma).max(LEAST_ODD_RADIUS)
 }
 
 /// The median of some values with their usual scatter.

@@ -3,7 +3,8 @@
 //! 1. Every frame on its own ([`Done::work`]): the fine pipeline without a prior, on all cores. What a frame gave is a compact
 //!    [`Record`], appended to a [`Journal`] at once; neither pixels nor solutions are kept. A run that is killed goes on where it was.
 //! 2. The flight as a whole ([`second_pass`]): one [`FlightMapping`] from the marks of all frames, each frame's Sun from its own
-//!    limb through that mapping, what is odd beside the other frames, and the Sun's [path](motion) between them.
+//!    limb through that mapping, what is odd beside the other frames, the Sun's [path](motion) between them, and a second look at
+//!    frames that had failed.
 //!
 //! What comes out ([`write()`], [`write_report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
 //! which frames were done, by how many cores or machines, nor on how often the run was killed.
@@ -11,24 +12,31 @@
 pub mod columns;
 mod disc;
 mod drift;
+mod drift_report;
+mod estimate;
 mod first_pass;
 mod flight;
+mod follow;
 mod journal;
+mod load;
+mod look;
 mod mapping;
 pub mod motion;
+mod oddities;
 mod output;
 mod record;
 mod report;
 mod row;
 mod sky;
 pub mod spectrum;
+mod temperature;
 mod view;
 
 pub use disc::PlateDisc;
 pub use first_pass::{Done, Recipe, Shard, Span, inputs};
 pub use flight::{Flight, second_pass};
 pub use journal::{Journal, JournalError};
-pub use mapping::{FlightMapping, Jump, MappingFacts, MappingNumbers, Standing};
+pub use mapping::{FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, WarmthFacts};
 pub use output::{OutputError, Summary, write};
 pub use record::{
     DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,

@@ -4,9 +4,11 @@
 use super::columns::{self, ASPECT, ASPECT_COLUMNS, SMOOTHED, SMOOTHED_COLUMNS};
 use super::first_pass::Recipe;
 use super::flight::Flight;
+use super::mapping::{Jump, MappingFacts, WarmthFacts};
 use super::record::Grade;
-use super::row::Row;
+use super::row::{Oddity, Row};
 use crate::fits;
+use crate::units::Measured;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -40,6 +42,8 @@ pub struct Summary {
     pub none: usize,
     /// Frames by themselves.
     pub own_fine: usize,
+    /// Frames that showed their disc on a second look only.
+    pub second_look: usize,
     pub odd: BTreeMap<String, usize>,
     pub first_utc: Option<String>,
     pub last_utc: Option<String>,
@@ -57,7 +61,21 @@ pub struct MappingSummary {
     pub wander_turn_px: f64,
     /// By how much the marks' sigmas were raised.
     pub sigmas_raised: f64,
+    /// How much more likely the camera's temperature makes the marks, natural logarithm; none where no temperature is told.
+    pub temperature_gain: Option<f64>,
+    /// What a degree does, where the mapping follows the temperature.
+    pub by_temperature: Option<WarmthSummary>,
     pub jumps: Vec<JumpSummary>,
+}
+
+/// What a degree of the camera's temperature does: value and 1 sigma.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WarmthSummary {
+    pub shift_x_px_per_degc: [f64; 2],
+    pub shift_y_px_per_degc: [f64; 2],
+    /// At 1000 mil from the plate's centre.
+    pub stretch_px_per_degc: [f64; 2],
+    pub turn_px_per_degc: [f64; 2],
 }
 
 /// A jump of the mapping.
@@ -70,6 +88,10 @@ pub struct JumpSummary {
     pub turn_deg: f64,
 }
 
+/// Hardly a row, or a moment of the path, takes more bytes in the tables.
+const ROW_BYTES: usize = 1024;
+const MOMENT_BYTES: usize = 64;
+
 /// Writes table, CSV and summary to a folder.
 ///
 /// # Errors
@@ -79,7 +101,8 @@ pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary,
     let aspect = iter::once_with(|| columns::table(ASPECT, ASPECT_COLUMNS, &flight.rows));
     let path_table =
         iter::once_with(|| columns::table(SMOOTHED, SMOOTHED_COLUMNS, &flight.smoothed_rows()));
-    let bytes = fits::encode_tables(aspect.chain(path_table));
+    let expected_bytes = flight.rows.len() * ROW_BYTES + flight.path_times_s.len() * MOMENT_BYTES;
+    let bytes = fits::encode_tables(expected_bytes, aspect.chain(path_table));
     let bytes = bytes.map_err(|problem| OutputError {
         path: path.clone(),
         cause: io::Error::other(problem.to_string()),
@@ -135,7 +158,6 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
     for oddity in rows.iter().flat_map(|row| &row.oddities) {
         *odd.entry(oddity.to_string()).or_default() += 1;
     }
-    let time = |row: &Row| row.utc().map(|utc| format!("{utc:.6}"));
     let dated = &rows[..flight.dated];
     let fine = rows.iter().filter(|row| row.is_fine());
     let sigmas = fine.filter_map(|row| Some(row.sun?.sigma()));
@@ -156,26 +178,52 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
             .iter()
             .filter(|row| row.own.quality == Grade::Fine)
             .count(),
+        second_look: rows
+            .iter()
+            .filter(|row| row.oddities.contains(&Oddity::SecondLook))
+            .count(),
         odd,
         first_utc: dated.first().and_then(time),
         last_utc: dated.last().and_then(time),
         median_sigma_mil: super::mapping::median(sigmas.flatten().collect()),
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
-        mapping: flight.mapping.as_ref().map(|mapping| MappingSummary {
-            wander_shift_px: mapping.wander_px[0],
-            wander_turn_px: mapping.wander_px[1],
-            sigmas_raised: mapping.raised,
-            jumps: mapping
-                .jumps
-                .iter()
-                .map(|jump| JumpSummary {
-                    file: rows[jump.after].file.clone(),
-                    utc: time(&rows[jump.after]),
-                    shift_px: jump.shift_px.into(),
-                    turn_deg: jump.turn_deg,
-                })
-                .collect(),
-        }),
+        mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
         restless_mil_per_s2: flight.path.as_ref().map(|path| path.restless),
     }
+}
+
+fn mapping(facts: &MappingFacts, rows: &[Row]) -> MappingSummary {
+    let jump = |jump: &Jump| JumpSummary {
+        file: rows[jump.after].file.clone(),
+        utc: time(&rows[jump.after]),
+        shift_px: jump.shift_px.into(),
+        turn_deg: jump.turn_deg,
+    };
+    let (temperature_gain, by_temperature) = match facts.warmth {
+        WarmthFacts::Untold => (None, None),
+        WarmthFacts::Idle { gain } => (Some(gain), None),
+        WarmthFacts::Follows { gain, px_per_degc } => (Some(gain), Some(warmth(&px_per_degc))),
+    };
+    MappingSummary {
+        wander_shift_px: facts.wander_px[0],
+        wander_turn_px: facts.wander_px[1],
+        sigmas_raised: facts.raised,
+        temperature_gain,
+        by_temperature,
+        jumps: facts.jumps.iter().map(jump).collect(),
+    }
+}
+
+fn warmth(px_per_degc: &[Measured; 4]) -> WarmthSummary {
+    let [x, y, stretch, turn] = px_per_degc.map(|measured| [measured.value, measured.sigma]);
+    WarmthSummary {
+        shift_x_px_per_degc: x,
+        shift_y_px_per_degc: y,
+        stretch_px_per_degc: stretch,
+        turn_px_per_degc: turn,
+    }
+}
+
+fn time(row: &Row) -> Option<String> {
+    row.utc().map(|utc| format!("{utc:.6}"))
 }

@@ -106,7 +106,7 @@ const STEPS_PER_PX: f64 = 256.0;
 const SIGMA_STEPS_PER_PX: f64 = 1e4;
 
 impl PackedPoint {
-    fn of(point: &LimbPoint, centre: Vector2<f64>) -> Self {
+    pub(super) fn of(point: &LimbPoint, centre: Vector2<f64>) -> Self {
         let steps = ((point.at.vector() - centre) * STEPS_PER_PX).map(f64::round);
         let sigma = (point.sigma_px * SIGMA_STEPS_PER_PX).round();
         Self([steps.x as i16, steps.y as i16], sigma.max(1.0) as u16)
@@ -228,7 +228,10 @@ impl InFlight {
         Self {
             sun_mil: pair("SUNMIL-X", "SUNMIL-Y"),
             sigma_mil: pair("SUNMILSX", "SUNMILSY"),
-            offset_deg: pair("OFFSETAZ", "OFFSETEL"),
+            offset_deg: pair("OFFSETAZ", "OFFSETEL").or_else(|| {
+                // What HEROES sent; two zeroes where there was nothing to send.
+                pair("CTL_AZIM", "CTL_ELEV").filter(|offset| *offset != [0.0; 2])
+            }),
             quality: match header.get("QUALITY") {
                 Some(Value::Text(text)) => Some(text.clone()),
                 _ => None,

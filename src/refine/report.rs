@@ -58,14 +58,14 @@ pub fn write_report(
     })
 }
 
-struct Report<'a> {
-    page: Page,
-    rows: &'a [Row],
+pub(super) struct Report<'a> {
+    pub page: Page,
+    pub rows: &'a [Row],
     first_s: f64,
     arcsec_per_mil: f64,
 }
 
-fn labels(title: &str, x: &str, y: &str) -> Labels {
+pub(super) fn labels(title: &str, x: &str, y: &str) -> Labels {
     Labels {
         title: title.into(),
         x: x.into(),
@@ -73,11 +73,11 @@ fn labels(title: &str, x: &str, y: &str) -> Labels {
     }
 }
 
-const TIME: &str = "time since the first frame, s";
+pub(super) const TIME: &str = "time since the first frame, s";
 
 impl Report<'_> {
     /// A figure, or a line that says why there is none.
-    fn figure(&mut self, figure: Result<String, PlotError>) {
+    pub(super) fn figure(&mut self, figure: Result<String, PlotError>) {
         match figure {
             Ok(svg) => self.page.figure(&svg),
             Err(error) => self.page.note(&error.to_string()),
@@ -85,7 +85,7 @@ impl Report<'_> {
     }
 
     /// A value of the fine rows over time.
-    fn over_time(&self, value: impl Fn(&Row) -> Option<f64>) -> Vec<(f64, f64)> {
+    pub(super) fn over_time(&self, value: impl Fn(&Row) -> Option<f64>) -> Vec<(f64, f64)> {
         let fine = self.rows.iter().filter(|row| row.is_fine());
         fine.filter_map(|row| Some((row.unix_s()? - self.first_s, value(row)?)))
             .collect()
@@ -234,55 +234,6 @@ impl Report<'_> {
         ));
     }
 
-    fn mapping(&mut self, summary: &Summary) {
-        self.page.heading("Drift of the mapping");
-        if let Some(mapping) = &summary.mapping {
-            self.page.note(&format!(
-                "It wanders by {:.4} px after a second, and the marks' sigmas were raised {:.2} times.",
-                mapping.wander_shift_px, mapping.sigmas_raised
-            ));
-        }
-        let centre = |axis: usize| move |row: &Row| Some(row.mapping?.centre_px[axis].value);
-        let [x, y] = [0, 1].map(|axis| self.over_time(centre(axis)));
-        let from_first = |name: &str, points: &[(f64, f64)]| Series {
-            name: name.into(),
-            points: points.iter().map(|(t, v)| (*t, v - points[0].1)).collect(),
-            mark: Mark::Dots,
-        };
-        let series = [from_first("x", &x), from_first("y", &y)];
-        self.figure(plot::series(
-            &labels(
-                "The plate's centre on the sensor",
-                TIME,
-                "px since the first frame",
-            ),
-            &series,
-        ));
-        let by_temperature = |name: &str, axis: usize| {
-            let point = |row: &Row| Some((row.temperature_c?, row.mapping?.centre_px[axis].value));
-            let steady = self.rows.chunk_by(|_, next| next.jump_px.is_none());
-            let fine = |rows: &[Row]| -> Vec<_> {
-                rows.iter()
-                    .filter(|row| row.is_fine())
-                    .filter_map(point)
-                    .collect()
-            };
-            let parts: Vec<Vec<(f64, f64)>> = steady.map(fine).collect();
-            (slope(&parts), from_first(name, &parts.concat()))
-        };
-        let [(slope_x, x), (slope_y, y)] = [by_temperature("x", 0), by_temperature("y", 1)];
-        if let Some((slope_x, slope_y)) = slope_x.zip(slope_y) {
-            self.page.note(&format!(
-                "With the camera's temperature it goes by {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y, jumps taken off."
-            ));
-            let labels = labels("The same over temperature", "degC", "px");
-            self.figure(plot::series(&labels, &[x, y]));
-        } else {
-            self.page
-                .note("The headers hold no temperatures, or only one.");
-        }
-    }
-
     fn refusals(&mut self, archive: &Path) {
         self.page.heading("What is not fine, or odd");
         let mut reasons: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
@@ -400,20 +351,6 @@ fn runs(points: &[(f64, f64)]) -> Option<(Vec<Vec<f64>>, f64)> {
     Some((runs.map(values).collect(), step_s))
 }
 
-/// The common slope of straight lines, one through each part's points; none where x does not vary.
-fn slope(parts: &[Vec<(f64, f64)>]) -> Option<f64> {
-    let (mut spread, mut both, mut all) = (0.0, 0.0, 0.0);
-    for points in parts.iter().filter(|points| !points.is_empty()) {
-        let count = points.len() as f64;
-        let mean = |axis: fn(&(f64, f64)) -> f64| points.iter().map(axis).sum::<f64>() / count;
-        let (x, y) = (mean(|p| p.0), mean(|p| p.1));
-        spread += points.iter().map(|p| (p.0 - x).powi(2)).sum::<f64>();
-        both += points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>();
-        all += count;
-    }
-    (spread > 1e-6 * all).then(|| both / spread)
-}
-
 /// A frame, small and stretched to its brightest pixel; none where it cannot be read.
 fn thumbnail(path: &Path) -> Option<GrayImage> {
     let frame = read_frame(path).ok()?;
@@ -432,22 +369,4 @@ fn thumbnail(path: &Path) -> Option<GrayImage> {
     Some(GrayImage::from_fn(width as u32, height as u32, |x, y| {
         Luma([grey(x, y)])
     }))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_slope_is_common_to_both_sides_of_a_jump() {
-        let part = |from: i32, jump: f64| {
-            let points = from..from + 10;
-            points
-                .map(|x| (f64::from(x), 2.0 * f64::from(x) + jump))
-                .collect()
-        };
-        let found = slope(&[part(0, 0.0), part(10, 50.0)]).unwrap();
-        assert!((found - 2.0).abs() < 1e-12);
-        assert_eq!(slope(&[vec![(1.0, 2.0); 5], Vec::new()]), None);
-    }
 }

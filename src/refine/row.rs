@@ -26,6 +26,8 @@ pub enum Oddity {
     Light,
     /// Much more noise than in the frames before and after.
     Noise,
+    /// The frame alone showed no disc.
+    SecondLook,
 }
 
 impl Oddity {
@@ -33,7 +35,7 @@ impl Oddity {
     pub fn spoils(self) -> bool {
         match self {
             Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
-            Self::Misread | Self::FewMarks | Self::Light | Self::Noise => false,
+            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondLook => false,
         }
     }
 
@@ -47,6 +49,7 @@ impl Oddity {
             Self::FewMarks => "far fewer marks were read than are lit",
             Self::Light => "the light is not that of the frames before and after",
             Self::Noise => "more noise than in the frames before and after",
+            Self::SecondLook => "seen only where the frames before and after have the disc",
         }
     }
 }
@@ -73,13 +76,14 @@ pub struct SkyRow {
 }
 
 /// What a frame gave by itself.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct OwnRow {
     pub quality: Grade,
+    /// Why it went no further; empty where nothing is to be said.
+    pub reason: String,
     pub sun_mil: Option<[f64; 2]>,
     pub sigma_mil: Option<[f64; 2]>,
     pub sun_px: Option<[f64; 2]>,
-    pub limb_fraction: Option<f64>,
     pub marks: usize,
     pub levels_dn: Option<[f64; 3]>,
 }
@@ -98,6 +102,8 @@ pub struct Row {
     pub oddities: Vec<Oddity>,
     pub sun: Option<Estimate<PlateMil>>,
     pub disc: Option<PlateDisc>,
+    /// Part of the limb that the disc rests on, 0 to 1.
+    pub limb_part: Option<f64>,
     /// By ephemeris and plate distance.
     pub expected_radius_mil: Option<f64>,
     pub mapping: Option<MappingNumbers>,
@@ -121,15 +127,16 @@ impl Row {
             oddities: Vec::new(),
             sun: None,
             disc: None,
+            limb_part: None,
             expected_radius_mil: None,
             mapping: None,
             jump_px: None,
             own: OwnRow {
                 quality: Grade::None,
+                reason: String::new(),
                 sun_mil: None,
                 sigma_mil: None,
                 sun_px: None,
-                limb_fraction: None,
                 marks: 0,
                 levels_dn: None,
             },
@@ -154,14 +161,15 @@ impl Row {
             reason: frame.reason.clone().unwrap_or_default(),
             own: OwnRow {
                 quality: frame.quality,
+                reason: frame.reason.clone().unwrap_or_default(),
                 sun_mil: disc.map(|disc| disc.on_plate_mil),
                 sigma_mil: sun.map(|sun| sun.sigma()),
                 sun_px: disc.map(|disc| disc.centre_px),
-                limb_fraction: disc.map(|disc| disc.limb_fraction),
                 marks: frame.marks.len(),
                 levels_dn: frame.levels_dn,
             },
             sun,
+            limb_part: disc.map(|disc| disc.limb_fraction),
             in_flight: frame.in_flight.clone(),
             ..Self::unread(input, String::new())
         }

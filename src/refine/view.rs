@@ -1,7 +1,7 @@
 //! How the camera sees the plate, as eight numbers about a reference, linear in each.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
-use crate::units::{PlateMil, SensorPx};
+use crate::units::PlateMil;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
 
 /// Numbers of a view.
@@ -11,6 +11,20 @@ pub(super) const STATES: usize = 8;
 pub(super) type State = SVector<f64, STATES>;
 pub(super) type Covariance = SMatrix<f64, STATES, STATES>;
 pub(super) type Slopes = SMatrix<f64, 2, STATES>;
+/// Half of a covariance, column by column: a flight has a hundred thousand, and none has seven digits.
+pub(super) type UpperTriangle = [f32; STATES * (STATES + 1) / 2];
+
+pub(super) fn packed(covariance: &Covariance) -> UpperTriangle {
+    let mut parts = (0..STATES).flat_map(|j| (0..=j).map(move |i| (i, j)));
+    std::array::from_fn(|_| parts.next().map_or(0.0, |at| covariance[at] as f32))
+}
+
+pub(super) fn unpacked(upper: &UpperTriangle) -> Covariance {
+    Covariance::from_fn(|i, j| {
+        let (i, j) = (i.min(j), i.max(j));
+        f64::from(upper[j * (j + 1) / 2 + i])
+    })
+}
 
 /// The plate's unit of length here.
 pub(super) const UNIT_MIL: f64 = 1000.0;
@@ -61,11 +75,6 @@ impl Reference {
     /// Length of [`UNIT_MIL`] on the sensor.
     pub fn scale_px(&self) -> f64 {
         self.linear.determinant().abs().sqrt()
-    }
-
-    /// From a position on the sensor to the ideal sensor.
-    pub fn ideal(&self, seen: SensorPx) -> Vector2<f64> {
-        self.distortion.correct(seen).vector()
     }
 
     /// Where the reference sees a plate position on the ideal sensor, and the slopes of that in the state.
@@ -125,6 +134,12 @@ mod tests {
     fn reference() -> Reference {
         let corner = |p: PlateMil| Vector2::new(640.0 - 0.17 * p.x, 480.0 + 0.17 * p.y);
         Reference::through(&Reference::corners().map(corner), Distortion::NONE).unwrap()
+    }
+
+    #[test]
+    fn half_of_a_covariance_is_all_of_it() {
+        let all = Covariance::from_fn(|i, j| (1 + i.min(j) + 10 * i.max(j)) as f64);
+        assert_eq!(unpacked(&packed(&all)), all);
     }
 
     #[test]

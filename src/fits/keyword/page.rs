@@ -1,7 +1,7 @@
 //! The table of keywords as a page of markdown.
 
-use super::table::GROUPS;
-use super::{Kind, Use};
+use super::table::{GROUPS, HEROES};
+use super::{Group, Kind, Use};
 use std::fmt::Write;
 
 const COORDINATES: &str = "
@@ -17,6 +17,12 @@ about it, by `CSYERi` at the limb. The observer's place is that of mid-exposure.
 
 In sunpy, `sunpy.map.Map(file)` is all it takes. To turn north up it wants other than whole-number pixels:
 `sunpy.map.Map(m.data.astype(float), m.meta).rotate()`.
+";
+
+const HEROES_NOTE: &str = "
+Each is read where the keywords above do not tell the same. Their pictures stand in the extension `Raw Frame`, their
+keywords in the primary HDU. `CTL_AZIM` and `CTL_ELEV` are the answer in flight, which `solaspect refine` puts beside its own;
+both zero is no answer.
 ";
 
 const TABLES: &str = "
@@ -58,29 +64,33 @@ pub fn markdown() -> String {
          one. Times are UTC. A value that is not known has no keyword; a frame without a Sun, a time or a place has no \
          world coordinates.\n",
     );
-    for group in GROUPS {
-        // Writing to a String cannot fail.
-        let _ = write!(
-            page,
-            "\n## {}\n\n| keyword | value | unit | use | meaning |\n|---|---|---|---|---|\n",
-            group.title
-        );
-        for keyword in group.keywords {
-            let _ = writeln!(
-                page,
-                "| `{}` | {} | {} | {} | {} |",
-                keyword.name,
-                kind_name(keyword.kind),
-                keyword.unit,
-                use_name(keyword.used),
-                keyword.meaning
-            );
-        }
-    }
+    GROUPS.iter().for_each(|group| add(&mut page, group));
+    add(&mut page, &HEROES);
+    page.push_str(HEROES_NOTE);
     page.push_str(COORDINATES);
     page.push_str(TABLES);
     page.push_str(REMARKS);
     page
+}
+
+fn add(page: &mut String, group: &Group) {
+    // Writing to a String cannot fail.
+    let _ = write!(
+        page,
+        "\n## {}\n\n| keyword | value | unit | use | meaning |\n|---|---|---|---|---|\n",
+        group.title
+    );
+    for keyword in group.keywords {
+        let _ = writeln!(
+            page,
+            "| `{}` | {} | {} | {} | {} |",
+            keyword.name,
+            kind_name(keyword.kind),
+            keyword.unit,
+            use_name(keyword.used),
+            keyword.meaning
+        );
+    }
 }
 
 fn kind_name(kind: Kind) -> &'static str {
@@ -96,6 +106,7 @@ fn kind_name(kind: Kind) -> &'static str {
 fn use_name(used: Use) -> &'static str {
     match used {
         Use::Written => "written",
+        Use::Read => "read",
         Use::Both => "written, read",
     }
 }

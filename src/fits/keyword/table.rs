@@ -2,7 +2,7 @@
 
 use super::Group;
 use super::Kind::{Float, Integer, Logical, Text, Time};
-use super::Use::{Both, Written};
+use super::Use::{Both, Read, Written};
 use super::row;
 
 /// The whole table.
@@ -197,5 +197,24 @@ const SOLUTION: Group = Group {
         row("OFFSETSG", Float, "deg", Written, "1 sigma per axis of true angle"),
         row("OFFSETCS", Float, "deg", Written, "the same, left by the calibration"),
         row("SOLVETIM", Float, "s", Written, "wall time of the solver"),
+    ],
+};
+
+/// What the files of the HEROES flight of 2013 say in other words; read where the keywords above do not stand, never
+/// written.
+#[rustfmt::skip]
+pub const HEROES: Group = Group {
+    title: "Files of the HEROES flight of 2013",
+    keywords: &[
+        row("RT_SEC", Integer, "s", Read, "start of the exposure, since 1970"),
+        row("RT_NSEC", Integer, "ns", Read, "the rest of RT_SEC"),
+        row("DATE_OBS", Text, "", Read, "the same by C's asctime, without RT_SEC"),
+        row("MON_SEC", Integer, "s", Read, "start of exposure on the monotonic clock"),
+        row("MON_NSEC", Integer, "ns", Read, "the rest of MON_SEC"),
+        row("TEMPCCD", Float, "degC", Read, "temperature of the camera"),
+        row("GAIN_ANA", Float, "", Read, "analogue gain, camera's unit"),
+        row("GAIN_PRE", Float, "", Read, "pre-amplifier gain, camera's unit"),
+        row("CTL_AZIM", Float, "deg", Read, "azimuth, pointing minus target"),
+        row("CTL_ELEV", Float, "deg", Read, "elevation, pointing minus target"),
     ],
 };

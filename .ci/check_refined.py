@@ -1,0 +1,99 @@
+"""What `solaspect refine` leaves is what its page says, as astropy reads it: columns, units, NaN, the second table, the summary.
+
+    check_refined.py OUT ARCHIVE
+"""
+
+import csv
+import json
+import pathlib
+import re
+import sys
+import warnings
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits
+from astropy.table import Table
+from astropy.time import Time
+
+PAGE = pathlib.Path(__file__).parent.parent / "docs" / "refine.md"
+MIL = u.def_unit("mil", 25.4 * u.um)
+# FITS knows neither; astropy keeps their names, and says so.
+warnings.filterwarnings("ignore", r"'(mil[^']*|degC)' did not parse as fits unit", u.UnitsWarning)
+
+
+def stated(name):
+    """The columns of a table with their units, as the page states them."""
+    section = re.split(r"^##+ ", PAGE.read_text().split(f"### {name}\n")[1], flags=re.MULTILINE)[0]
+    return re.findall(r"^\| `(\w+)` \| (.*?) \|", section, re.MULTILINE)
+
+
+def table(path, name):
+    """A table, each of its columns of the stated name and unit."""
+    found = Table.read(path, hdu=name)
+    columns = [(c, found[c].unit.to_string() if found[c].unit else "") for c in found.colnames]
+    same = [(c, str(u.Unit(unit, format="fits", parse_strict="silent")) if unit else "") for c, unit in stated(name)]
+    assert columns == same, (name, [pair for pair in zip(columns, same) if pair[0] != pair[1]])
+    return found
+
+
+def plain(column):
+    """A column's floats, NaN where nothing is known."""
+    return np.ma.filled(np.ma.asarray(column, dtype=float), np.nan)
+
+
+def check_rows(rows, archive):
+    files = sorted(str(p.relative_to(archive)) for p in archive.rglob("*.fits"))
+    assert sorted(rows["FILE"]) == files
+    assert set(rows["QUALITY"]) <= {"fine", "coarse", "none"}
+    placed = np.isfinite(plain(rows["SUN_X_MIL"]))
+    assert (placed == (rows["QUALITY"] != "none")).all()
+    for name in ("SUN_Y_MIL", "SIGMA_X_MIL", "SIGMA_Y_MIL", "COV_XY_MIL2"):
+        assert (np.isfinite(plain(rows[name])) == placed).all(), name
+    assert (plain(rows["SIGMA_X_MIL"])[placed] > 0).all()
+    fine = rows["QUALITY"] == "fine"
+    assert fine.any() and (rows["REASON"][~fine] != "").all()
+    for name in ("POINTING_AZ_DEG", "BORESIGHT_HPLN_ARCSEC", "OFFSET_AZ_DEG", "FLIGHT_X_MIL"):
+        assert np.isfinite(plain(rows[name])[fine]).all(), name
+    times = Time(list(rows["UTC"]), scale="utc")
+    assert np.abs(times.unix - plain(rows["UNIX_S"])).max() < 1e-5
+    away = plain(rows["SUN_X_MIL"] - rows["FLIGHT_X_MIL"])[fine] * MIL
+    assert np.abs(away).max() < 0.2 * u.mm
+    return int(fine.sum())
+
+
+def check_smoothed(rows, smoothed):
+    times = plain(smoothed["UNIX_S"])
+    assert (np.diff(times) > 0).all() and np.isin(plain(rows["UNIX_S"]), times).all()
+    known = np.isfinite(plain(smoothed["SUN_X_MIL"]))
+    assert known.any() and (plain(smoothed["SIGMA_X_MIL"])[known] > 0).all()
+
+
+def check_same(rows, out):
+    """CSV and summary tell the same."""
+    with open(out / "aspect.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["FILE"] for line in lines] == list(rows["FILE"])
+    told = np.array([float(line["SUN_X_MIL"] or "nan") for line in lines])
+    assert np.array_equal(told, plain(rows["SUN_X_MIL"]), equal_nan=True)
+    summary = json.loads((out / "summary.json").read_text())
+    counts = [summary[quality] for quality in ("fine", "coarse", "none")]
+    assert counts == [int((rows["QUALITY"] == q).sum()) for q in ("fine", "coarse", "none")]
+
+
+def main(out, archive):
+    path = out / "aspect.fits"
+    with fits.open(path, checksum=True) as hdus:
+        hdus.verify("exception")
+        assert [hdu.name for hdu in hdus][1:] == ["ASPECT", "SMOOTHED"]
+        assert all("DATASUM" in hdu.header for hdu in hdus)
+    rows, smoothed = table(path, "ASPECT"), table(path, "SMOOTHED")
+    fine = check_rows(rows, archive)
+    check_smoothed(rows, smoothed)
+    check_same(rows, out)
+    page = (out / "report.html").read_text()
+    assert "<svg" in page and not re.search(r"(src|href)=\"(?!data:)", page)
+    print(f"{len(rows)} rows, {fine} of them fine, {len(smoothed)} moments of the path: all good")
+
+
+main(*map(pathlib.Path, sys.argv[1:3]))

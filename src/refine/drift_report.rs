@@ -1,0 +1,127 @@
+//! The report's part on the mapping: its drift over time and with the camera's temperature.
+
+use super::output::{MappingSummary, Summary, WarmthSummary};
+use super::report::{Report, TIME, labels};
+use super::row::Row;
+use crate::report::plot::{self, Mark, Series};
+
+impl Report<'_> {
+    pub(super) fn mapping(&mut self, summary: &Summary) {
+        self.page.heading("Drift of the mapping");
+        let Some(mapping) = &summary.mapping else {
+            return self.page.note("No marks were read.");
+        };
+        self.page.note(&format!(
+            "It wanders by {:.4} px after a second, and the marks' sigmas were raised {:.2} times.",
+            mapping.wander_shift_px, mapping.sigmas_raised
+        ));
+        let centre = |axis: usize| move |row: &Row| Some(row.mapping?.centre_px[axis].value);
+        let [x, y] = [0, 1].map(|axis| self.over_time(centre(axis)));
+        let labels = labels(
+            "The plate's centre on the sensor",
+            TIME,
+            "px since the first frame",
+        );
+        let series = [from_first("x", &x), from_first("y", &y)];
+        self.figure(plot::series(&labels, &series));
+        self.temperature(mapping);
+    }
+
+    fn temperature(&mut self, mapping: &MappingSummary) {
+        let [(slope_x, x), (slope_y, y)] = [self.by_temperature(0), self.by_temperature(1)];
+        let Some((slope_x, slope_y)) = slope_x.zip(slope_y) else {
+            return self
+                .page
+                .note("The headers hold no temperature of the camera, or only one.");
+        };
+        match (&mapping.by_temperature, mapping.temperature_gain) {
+            (Some(warmth), _) => self.degrees(warmth),
+            (None, Some(_)) => self.page.note(
+                "The camera's temperature does not explain the marks any better than wandering does, so it does not count.",
+            ),
+            (None, None) => self.page.note(
+                "Too few headers hold the camera's temperature, so it does not count.",
+            ),
+        }
+        self.page.note(&format!(
+            "The slopes of the figure, jumps taken off: {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
+        ));
+        let labels = labels("The same over the camera's temperature", "degC", "px");
+        let series = [from_first("x", &x), from_first("y", &y)];
+        self.figure(plot::series(&labels, &series));
+    }
+
+    /// What a degree does, as it was estimated together with wandering and jumps.
+    fn degrees(&mut self, warmth: &WarmthSummary) {
+        let line = |name: &str, [value, sigma]: [f64; 2]| {
+            vec![name.to_owned(), format!("{value:.4} \u{b1} {sigma:.4}")]
+        };
+        let lines = [
+            line("shift in x", warmth.shift_x_px_per_degc),
+            line("shift in y", warmth.shift_y_px_per_degc),
+            line(
+                "stretch, 1000 mil from the plate's centre",
+                warmth.stretch_px_per_degc,
+            ),
+            line(
+                "turn, 1000 mil from the plate's centre",
+                warmth.turn_px_per_degc,
+            ),
+        ];
+        self.page
+            .table(&["with the camera's temperature", "px per degC"], &lines);
+    }
+
+    /// The plate's centre on one axis over temperature, and its slope between the jumps.
+    fn by_temperature(&self, axis: usize) -> (Option<f64>, Vec<(f64, f64)>) {
+        let point = |row: &Row| Some((row.temperature_c?, row.mapping?.centre_px[axis].value));
+        let steady = self.rows.chunk_by(|_, next| next.jump_px.is_none());
+        let fine = |rows: &[Row]| -> Vec<_> {
+            let fine = rows.iter().filter(|row| row.is_fine());
+            fine.filter_map(point).collect()
+        };
+        let parts: Vec<Vec<(f64, f64)>> = steady.map(fine).collect();
+        (slope(&parts), parts.concat())
+    }
+}
+
+fn from_first(name: &str, points: &[(f64, f64)]) -> Series {
+    let first = points.first().map_or(0.0, |point| point.1);
+    Series {
+        name: name.into(),
+        points: points.iter().map(|(at, v)| (*at, v - first)).collect(),
+        mark: Mark::Dots,
+    }
+}
+
+/// The common slope of straight lines, one through each part's points; none where x does not vary.
+fn slope(parts: &[Vec<(f64, f64)>]) -> Option<f64> {
+    let (mut spread, mut both, mut all) = (0.0, 0.0, 0.0);
+    for points in parts.iter().filter(|points| !points.is_empty()) {
+        let count = points.len() as f64;
+        let mean = |axis: fn(&(f64, f64)) -> f64| points.iter().map(axis).sum::<f64>() / count;
+        let (x, y) = (mean(|p| p.0), mean(|p| p.1));
+        spread += points.iter().map(|p| (p.0 - x).powi(2)).sum::<f64>();
+        both += points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>();
+        all += count;
+    }
+    (spread > 1e-6 * all).then(|| both / spread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slope_is_common_to_both_sides_of_a_jump() {
+        let part = |from: i32, jump: f64| {
+            let points = from..from + 10;
+            points
+                .map(|x| (f64::from(x), 2.0 * f64::from(x) + jump))
+                .collect()
+        };
+        let found = slope(&[part(0, 0.0), part(10, 50.0)]).unwrap();
+        assert!((found - 2.0).abs() < 1e-12);
+        assert_eq!(slope(&[vec![(1.0, 2.0); 5], Vec::new()]), None);
+    }
+}

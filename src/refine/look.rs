@@ -1,0 +1,234 @@
+//! The second look: a frame that did not tell its disc or its marks by itself is seen again, now that the flight has told the
+//! mapping and, from the frames before and after, where the disc must be.
+//!
+//! 1. The outline that the disc would have: by the frame's own disc, else by the path; where that is vague, the disc is searched
+//!    about it.
+//! 2. The levels of the disc and its surroundings there, for haze has its own.
+//! 3. The limb, without the pixels of any mark of the plate, seen or not.
+
+use super::record::PackedPoint;
+use crate::aspect::Settings;
+use crate::fiducial::CrossShape;
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
+use crate::geometry::{Ellipse, Mapping};
+use crate::instrument::Instrument;
+use crate::limb::{self, Hidden, KnownOutline, Limb, OutlinePrior};
+use crate::units::{Measured, PlateMil, SensorPx};
+use crate::with_view;
+use nalgebra::{Matrix2, Vector2};
+
+use super::mapping::median;
+
+/// A place this vague is no place to start at: the disc is searched about it.
+const VAGUE_PX: f64 = 2.0;
+/// How many sigma about a vague place are searched, and what is added to them, px.
+const SEARCHED_SIGMAS: f64 = 4.0;
+const SEARCHED_PX: f64 = 10.0;
+/// The parts of the radius within which the disc's light is taken, and between which its surroundings'.
+const INSIDE: f64 = 0.9;
+const AROUND: [f64; 2] = [1.15, 1.6];
+/// Which part of the pixels inside is darker than the disc's level, beside marks.
+const DISC_QUANTILE: f64 = 0.9;
+/// Fewer pixels tell no level.
+const LEAST_PIXELS: usize = 100;
+/// The disc must outshine its surroundings by so many sigma of a pixel's noise.
+const LEAST_CONTRAST: f64 = 2.0;
+/// The sigma of a limb's point (px), at a contrast of one, where 180 points share the limb; and the one that fewer points are to
+/// have, for what is much less sure cannot be told from noise.
+const SIGMA_AT_180_PX: f64 = 2.7;
+const SURE_SIGMA_PX: f64 = 0.25;
+/// Fewer points leave parts of the limb untold.
+const LEAST_POINTS: usize = 36;
+/// How well the outline is known beforehand: its radius (px), and how far it may be from round, relative.
+const POSSIBLE: (f64, f64) = (1.0, 0.002);
+const STATED: (f64, f64) = (0.1, 0.001);
+/// Distance from a mark's arm within which the limb is not trusted, and depth of the pixels that it is fitted to, px.
+const MARK_MARGIN_PX: f64 = 3.0;
+const LIMB_DEPTH_PX: f64 = 12.0;
+/// What must hold of a limb: part of its points on the outline, and how far they scatter, px.
+const LEAST_ON_OUTLINE: f64 = 0.6;
+const MAX_SCATTER_PX: f64 = 1.0;
+
+/// What is known of a frame before its second look.
+pub(super) struct Known<'a> {
+    pub instrument: &'a Instrument,
+    pub settings: &'a Settings,
+    pub mapping: Mapping,
+    /// Where the disc must be, and 1 sigma.
+    pub centre: PlateMil,
+    pub sigma_mil: f64,
+    pub radius_mil: f64,
+}
+
+/// What a second look gave.
+pub(super) struct Look {
+    pub centre_px: [f64; 2],
+    pub limb_part: f64,
+    pub limb: Vec<PackedPoint>,
+}
+
+impl Known<'_> {
+    /// Looks at a frame. `None` where it shows no disc.
+    pub fn look(&self, frame: &Frame) -> Option<Look> {
+        let (start, levels) = self.start(frame)?;
+        let limb = self.limb(frame, &start, &levels)?;
+        let (centre, at) = (limb.outline.ellipse.centre, |p: &limb::LimbPoint| {
+            p.at.vector()
+        });
+        Some(Look {
+            centre_px: centre.into(),
+            limb_part: limb::arc_fraction(limb.points.iter().map(at), centre),
+            limb: limb
+                .points
+                .iter()
+                .map(|point| PackedPoint::of(point, centre))
+                .collect(),
+        })
+    }
+
+    /// The outline of the disc if it were at a place of the plate.
+    fn outline(&self, centre: PlateMil) -> Option<Ellipse> {
+        let to_sensor = self.mapping.sensor_jacobian(centre) * self.radius_mil;
+        let at = self.mapping.to_sensor(centre).vector();
+        Ellipse::new(at, square_root(&(to_sensor * to_sensor.transpose())))
+    }
+
+    /// The outline to start from, and the levels about it.
+    fn start(&self, frame: &Frame) -> Option<(Ellipse, Levels)> {
+        let outline = self.outline(self.centre)?;
+        let scale = self.mapping.scale_mil_per_px(outline.centre.into());
+        let sigma_px = self.sigma_mil / scale;
+        let found = match sigma_px > VAGUE_PX {
+            true => self.search(frame, &outline, sigma_px)?,
+            false => outline,
+        };
+        Some((found, levels_about(frame, &found)?))
+    }
+
+    fn search(&self, frame: &Frame, outline: &Ellipse, sigma_px: f64) -> Option<Ellipse> {
+        let settings = &self.settings.limb;
+        let levels = limb::levels(frame, settings).ok()?;
+        let radius = outline.mean_radius();
+        let reach = radius + SEARCHED_SIGMAS * sigma_px + SEARCHED_PX;
+        let (width, height) = (frame.width(), frame.height());
+        let region = Region::around(outline.centre.into(), reach, width, height)?;
+        let mark_px = 2.0 * self.shape(outline).half_length_px;
+        let disc = limb::find_disc(frame, region, &levels, radius, mark_px, settings).ok()?;
+        self.outline(self.mapping.to_plate(disc.centre))
+    }
+
+    fn shape(&self, outline: &Ellipse) -> CrossShape {
+        let scale = self.radius_mil / outline.mean_radius();
+        let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
+        CrossShape::new(&plate.cross, scale, optics.blur_px.value)
+    }
+
+    fn limb(&self, frame: &Frame, start: &Ellipse, levels: &Levels) -> Option<Limb> {
+        let radius_px = start.mean_radius();
+        let prior = |(sigma_px, flatness)| OutlinePrior {
+            radius_px: Measured::new(radius_px, sigma_px),
+            flatness,
+        };
+        let known = KnownOutline {
+            possible: prior(POSSIBLE),
+            stated: prior(STATED),
+        };
+        let (hidden, blur_px) = (self.hidden(frame, start)?, self.shape(start).blur_px);
+        let settings = limb::Settings {
+            limb_points: self.points(levels),
+            ..self.settings.limb
+        };
+        let limb =
+            limb::fit_limb(frame, start, levels, blur_px, &known, &hidden, &settings).ok()?;
+        let round = limb.outline.accepted_share() >= LEAST_ON_OUTLINE
+            && limb.outline.scatter_px <= MAX_SCATTER_PX;
+        round.then_some(limb)
+    }
+
+    /// Points that the limb is divided into: the less contrast, the fewer.
+    fn points(&self, levels: &Levels) -> usize {
+        let contrast = (levels.disc_dn - levels.background_dn) / levels.noise_dn;
+        let points = 180.0 * (SURE_SIGMA_PX * contrast / SIGMA_AT_180_PX).powi(2);
+        (points as usize)
+            .max(LEAST_POINTS)
+            .min(self.settings.limb.limb_points)
+    }
+
+    /// Hides every mark of the plate near the limb, seen or not, and the hot pixels that the instrument states.
+    fn hidden(&self, frame: &Frame, disc: &Ellipse) -> Option<Hidden> {
+        let reach = 1.3 * disc.mean_radius();
+        let (width, height) = (frame.width(), frame.height());
+        let mut hidden = Hidden::nothing(Region::around(disc.centre.into(), reach, width, height)?);
+        for (x, y) in &self.instrument.sensor.hot_pixels {
+            hidden.hide(SensorPx::new(*x as f64, *y as f64), 0.0, |_| true);
+        }
+        let plate = &self.instrument.plate;
+        let margin_mil = MARK_MARGIN_PX * self.radius_mil / disc.mean_radius();
+        let reach_px = 1.5 * self.shape(disc).half_length_px + MARK_MARGIN_PX;
+        for (_, printed) in plate.marks() {
+            let seen = self.mapping.to_sensor(printed);
+            if disc.excess(seen.vector()).abs() < LIMB_DEPTH_PX + reach_px {
+                hidden.hide(seen, reach_px, |at| {
+                    let from_mark = self.mapping.to_plate(at).vector() - printed.vector();
+                    plate.cross.covers(from_mark, margin_mil)
+                });
+            }
+        }
+        Some(hidden)
+    }
+}
+
+/// Levels of the disc within an outline and of what is about it.
+fn levels_about(frame: &Frame, outline: &Ellipse) -> Option<Levels> {
+    let (mut inside, mut around) = (Vec::new(), Vec::new());
+    let reach = AROUND[1] * outline.mean_radius();
+    let (width, height) = (frame.width(), frame.height());
+    let region = Region::around(outline.centre.into(), reach, width, height)?;
+    with_view!(frame, view => {
+        for y in region.y0..region.y1 {
+            for x in region.x0..region.x1 {
+                let part = outline.to_disc(Vector2::new(x as f64, y as f64)).norm();
+                if part < INSIDE {
+                    inside.push(f64::from(view.dn(x, y)));
+                } else if (AROUND[0]..AROUND[1]).contains(&part) {
+                    around.push(f64::from(view.dn(x, y)));
+                }
+            }
+        }
+    });
+    if inside.len().min(around.len()) < LEAST_PIXELS {
+        return None;
+    }
+    let background_dn = median(around.clone())?;
+    let away = around.iter().map(|dn| (dn - background_dn).abs()).collect();
+    let noise_dn = (1.4826 * median(away)?).max(ROUNDING_NOISE_DN);
+    let middle_dn = median(inside.clone())?;
+    let contrast = (middle_dn - background_dn) / noise_dn;
+    let bright = (DISC_QUANTILE * inside.len() as f64) as usize;
+    let bright_dn = *inside.select_nth_unstable_by(bright, f64::total_cmp).1;
+    // Where the noise outweighs the light, the brightest pixels are the noise's.
+    let disc_dn = bright_dn.min(middle_dn + (middle_dn - background_dn) / 2.0);
+    (contrast > LEAST_CONTRAST).then_some(Levels {
+        background_dn,
+        noise_dn,
+        disc_dn,
+    })
+}
+
+/// The symmetric square root of a symmetric positive matrix.
+fn square_root(m: &Matrix2<f64>) -> Matrix2<f64> {
+    let root = m.determinant().max(0.0).sqrt();
+    (m + Matrix2::identity() * root) / (m.trace() + 2.0 * root).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_square_root_squared_is_the_matrix() {
+        let m = Matrix2::new(5.0, 1.2, 1.2, 3.0);
+        let root = square_root(&m);
+        assert!((root * root - m).norm() < 1e-12);
+    }
+}
