@@ -115,7 +115,7 @@ impl Close {
         let blur = self.scene.blur_px * blur_error;
         let refiner = Refiner::new(&demo().plate.cross, SCALE_MIL_PER_PX, blur);
         let start = SensorPx::new(self.mark.x + 0.24, self.mark.y - 0.18);
-        refiner.refine(frame, &levels, light, &self.jacobian, start)
+        refiner.refine(frame, &levels, &light, &self.jacobian, start)
     }
 
     fn error(&self, mark: &RefinedMark) -> Vector2<f64> {

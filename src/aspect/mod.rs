@@ -19,6 +19,7 @@ use crate::limb::{CoarseDisc, Limb};
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
 use marks::MarkSight;
+pub(crate) use stages::marks_hidden;
 use stages::{Work, at};
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.

@@ -136,49 +136,14 @@ impl<'a> Work<'a> {
         Measured::new(self.radius_px, sigma)
     }
 
-    /// The square about the disc that the limb's fit looks at.
-    fn about(&self, disc: &Ellipse) -> Region {
-        let reach = 1.3 * disc.mean_radius();
-        Region::around(
-            disc.centre.into(),
-            reach,
-            self.frame.width(),
-            self.frame.height(),
-        )
-        .unwrap_or(self.frame.region())
-    }
-
     /// Before the marks are known nothing is hidden but the hot pixels that the instrument states.
     pub(super) fn nothing_hidden(&self, disc: &Ellipse) -> Hidden {
-        let mut hidden = Hidden::nothing(self.about(disc));
-        for (x, y) in &self.instrument.sensor.hot_pixels {
-            hidden.hide(SensorPx::new(*x as f64, *y as f64), 0.0, |_| true);
-        }
-        hidden
+        hot_pixels_hidden(self.frame, self.instrument, disc)
     }
 
     /// Hides every mark of the plate that a mapping puts near the limb, seen or not.
     pub(super) fn marks_hidden(&self, disc: &Ellipse, mapping: &Mapping) -> Hidden {
-        let mut hidden = self.nothing_hidden(disc);
-        let plate = &self.instrument.plate;
-        let reach_px = self.shape.half_length_px * 1.1 + MARK_MARGIN_PX;
-        let near = -HIDING_DEPTH_PX - reach_px..reach_px;
-        for (_, printed) in plate.marks() {
-            let seen = mapping.to_sensor(printed);
-            if !near.contains(&disc.excess(seen.vector())) {
-                continue;
-            }
-            let Some(back) = mapping.sensor_jacobian(printed).try_inverse() else {
-                continue;
-            };
-            let margin_mil = MARK_MARGIN_PX * mapping.scale_mil_per_px(seen);
-            let bars = Bars {
-                half_length: plate.cross.arm_length_mil / 2.0 + margin_mil,
-                half_width: plate.cross.arm_width_mil / 2.0 + margin_mil,
-            };
-            hidden.hide_cross(seen, reach_px, &back, bars);
-        }
-        hidden
+        marks_hidden(self.frame, self.instrument, disc, mapping)
     }
 
     /// Hides what was found near the limb, where no mapping tells which marks lie there.
@@ -192,6 +157,47 @@ impl<'a> Work<'a> {
         }
         hidden
     }
+}
+
+/// The instrument's hot pixels hidden, in the square about the disc that the limb's fit looks at.
+fn hot_pixels_hidden(frame: &Frame, instrument: &Instrument, disc: &Ellipse) -> Hidden {
+    let reach = 1.3 * disc.mean_radius();
+    let about = Region::around(disc.centre.into(), reach, frame.width(), frame.height());
+    let mut hidden = Hidden::nothing(about.unwrap_or(frame.region()));
+    for (x, y) in &instrument.sensor.hot_pixels {
+        hidden.hide(SensorPx::new(*x as f64, *y as f64), 0.0, |_| true);
+    }
+    hidden
+}
+
+/// Hides the instrument's hot pixels and every mark of the plate that a mapping puts near the limb, seen or not.
+pub(crate) fn marks_hidden(
+    frame: &Frame,
+    instrument: &Instrument,
+    disc: &Ellipse,
+    mapping: &Mapping,
+) -> Hidden {
+    let mut hidden = hot_pixels_hidden(frame, instrument, disc);
+    let cross = &instrument.plate.cross;
+    let scale = mapping.scale_mil_per_px(disc.centre.into());
+    let reach_px = 1.1 * cross.arm_length_mil / 2.0 / scale + MARK_MARGIN_PX;
+    let near = -HIDING_DEPTH_PX - reach_px..reach_px;
+    for (_, printed) in instrument.plate.marks() {
+        let seen = mapping.to_sensor(printed);
+        if !near.contains(&disc.excess(seen.vector())) {
+            continue;
+        }
+        let Some(back) = mapping.sensor_jacobian(printed).try_inverse() else {
+            continue;
+        };
+        let margin_mil = MARK_MARGIN_PX * mapping.scale_mil_per_px(seen);
+        let bars = Bars {
+            half_length: cross.arm_length_mil / 2.0 + margin_mil,
+            half_width: cross.arm_width_mil / 2.0 + margin_mil,
+        };
+        hidden.hide_cross(seen, reach_px, &back, bars);
+    }
+    hidden
 }
 
 pub(super) fn at(stage: Stage) -> impl Fn(Rejected) -> Stopped {

@@ -64,22 +64,17 @@ impl Binned {
 /// Sums over two columns of two rows.
 #[multiversion(targets("x86_64+avx2"))]
 fn add_pairs(upper: &[f32], lower: &[f32], bins: &mut [f32]) {
-    let count = bins.len();
-    let (upper, lower) = (&upper[..BIN_PX * count], &lower[..BIN_PX * count]);
-    for n in 0..count {
-        let first = BIN_PX * n;
-        bins[n] = upper[first] + upper[first + 1] + lower[first] + lower[first + 1];
+    let pairs = upper.chunks_exact(BIN_PX).zip(lower.chunks_exact(BIN_PX));
+    for (bin, (upper, lower)) in bins.iter_mut().zip(pairs) {
+        *bin = upper[0] + upper[1] + lower[0] + lower[1];
     }
 }
 
 /// Sums over five neighbours.
 #[multiversion(targets("x86_64+avx2"))]
 fn add_fives(columns: &[f32], sums: &mut [f32]) {
-    let count = sums.len();
-    let columns = &columns[..count + BOX - 1];
-    for n in 0..count {
-        let part = &columns[n..n + BOX];
-        sums[n] = part[0] + part[1] + part[2] + part[3] + part[4];
+    for (sum, part) in sums.iter_mut().zip(columns.windows(BOX)) {
+        *sum = part[0] + part[1] + part[2] + part[3] + part[4];
     }
 }
 

@@ -180,8 +180,8 @@ impl Seen {
             for m in 0..5 {
                 let weighted = weight * point.slopes[m];
                 gradient[m] += weighted * point.excess_px;
-                for n in m..5 {
-                    matrix[m][n] += weighted * point.slopes[n];
+                for (sum, slope) in matrix[m].iter_mut().zip(point.slopes).skip(m) {
+                    *sum += weighted * slope;
                 }
             }
         }

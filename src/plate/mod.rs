@@ -6,7 +6,6 @@
 //! that occurs once in the pattern; a step in j is 90 mil along -X and a coded spacing along Y.
 
 use crate::units::PlateMil;
-use nalgebra::Vector2;
 use std::fmt;
 
 /// The largest |i| and |j| of a mark.
@@ -79,16 +78,6 @@ pub struct Cross {
     /// Tip to tip.
     pub arm_length_mil: f64,
     pub arm_width_mil: f64,
-}
-
-impl Cross {
-    /// Whether an offset from the cross's centre lies on one of its arms, or within `margin_mil` of one.
-    pub fn covers(&self, offset: Vector2<f64>, margin_mil: f64) -> bool {
-        let half_length = self.arm_length_mil / 2.0 + margin_mil;
-        let half_width = self.arm_width_mil / 2.0 + margin_mil;
-        let (x, y) = (offset.x.abs(), offset.y.abs());
-        x.max(y) <= half_length && x.min(y) <= half_width
-    }
 }
 
 /// A plate: where every mark is, and how well that is known.

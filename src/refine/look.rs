@@ -7,13 +7,13 @@
 //! 3. The limb, without the pixels of any mark of the plate, seen or not.
 
 use super::record::PackedPoint;
-use crate::aspect::Settings;
+use crate::aspect::{self, Settings};
 use crate::fiducial::CrossShape;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, Hidden, KnownOutline, Limb, OutlinePrior};
-use crate::units::{Measured, PlateMil, SensorPx};
+use crate::limb::{self, KnownOutline, Limb, LimbFit, OutlinePrior};
+use crate::units::{Measured, PlateMil};
 use crate::with_view;
 use nalgebra::{Matrix2, Vector2};
 
@@ -42,9 +42,6 @@ const LEAST_POINTS: usize = 36;
 /// How well the outline is known beforehand: its radius (px), and how far it may be from round, relative.
 const POSSIBLE: (f64, f64) = (1.0, 0.002);
 const STATED: (f64, f64) = (0.1, 0.001);
-/// Distance from a mark's arm within which the limb is not trusted, and depth of the pixels that it is fitted to, px.
-const MARK_MARGIN_PX: f64 = 3.0;
-const LIMB_DEPTH_PX: f64 = 12.0;
 /// What must hold of a limb: part of its points on the outline, and how far they scatter, px.
 const LEAST_ON_OUTLINE: f64 = 0.6;
 const MAX_SCATTER_PX: f64 = 1.0;
@@ -133,13 +130,19 @@ impl Known<'_> {
             possible: prior(POSSIBLE),
             stated: prior(STATED),
         };
-        let (hidden, blur_px) = (self.hidden(frame, start)?, self.shape(start).blur_px);
+        let hidden = aspect::marks_hidden(frame, self.instrument, start, &self.mapping);
         let settings = limb::Settings {
             limb_points: self.points(levels),
             ..self.settings.limb
         };
-        let limb =
-            limb::fit_limb(frame, start, levels, blur_px, &known, &hidden, &settings).ok()?;
+        let fit = LimbFit {
+            frame,
+            levels,
+            blur_px: self.shape(start).blur_px,
+            known,
+            settings: &settings,
+        };
+        let limb = fit.near(start, &hidden).ok()?;
         let round = limb.outline.accepted_share() >= LEAST_ON_OUTLINE
             && limb.outline.scatter_px <= MAX_SCATTER_PX;
         round.then_some(limb)
@@ -152,29 +155,6 @@ impl Known<'_> {
         (points as usize)
             .max(LEAST_POINTS)
             .min(self.settings.limb.limb_points)
-    }
-
-    /// Hides every mark of the plate near the limb, seen or not, and the hot pixels that the instrument states.
-    fn hidden(&self, frame: &Frame, disc: &Ellipse) -> Option<Hidden> {
-        let reach = 1.3 * disc.mean_radius();
-        let (width, height) = (frame.width(), frame.height());
-        let mut hidden = Hidden::nothing(Region::around(disc.centre.into(), reach, width, height)?);
-        for (x, y) in &self.instrument.sensor.hot_pixels {
-            hidden.hide(SensorPx::new(*x as f64, *y as f64), 0.0, |_| true);
-        }
-        let plate = &self.instrument.plate;
-        let margin_mil = MARK_MARGIN_PX * self.radius_mil / disc.mean_radius();
-        let reach_px = 1.5 * self.shape(disc).half_length_px + MARK_MARGIN_PX;
-        for (_, printed) in plate.marks() {
-            let seen = self.mapping.to_sensor(printed);
-            if disc.excess(seen.vector()).abs() < LIMB_DEPTH_PX + reach_px {
-                hidden.hide(seen, reach_px, |at| {
-                    let from_mark = self.mapping.to_plate(at).vector() - printed.vector();
-                    plate.cross.covers(from_mark, margin_mil)
-                });
-            }
-        }
-        Some(hidden)
     }
 }
 
