@@ -1,10 +1,13 @@
 //! Instructions of a frame, by callgrind.
 
 use crate::flight::{Exposure, Flight};
+use crate::stages::Stages;
 use anyhow::{Context, bail};
 use solaspect::aspect::{self, Solution};
+use solaspect::fiducial::{Detections, FlatDisc};
 use solaspect::frame::Levels;
-use solaspect::limb::{self, CoarseDisc};
+use solaspect::geometry::Ellipse;
+use solaspect::limb::{self, CoarseDisc, Limb};
 use std::fmt;
 use std::fs;
 use std::hint::black_box;
@@ -20,24 +23,23 @@ pub struct Work {
     function: &'static str,
 }
 
-pub const WORKS: [Work; 4] = [
-    Work {
-        name: "levels",
-        function: "counted_levels",
-    },
-    Work {
-        name: "disc search",
-        function: "counted_disc_search",
-    },
-    Work {
-        name: "acquiring",
-        function: "counted_acquiring",
-    },
-    Work {
-        name: "tracking",
-        function: "counted_tracking",
-    },
+/// Stages, each on its own with what it needs from the others, and the whole frame without and with a prior.
+pub const WORKS: [Work; 8] = [
+    Work::new("levels", "counted_levels"),
+    Work::new("disc", "counted_disc_search"),
+    Work::new("limb", "counted_limb"),
+    Work::new("flatten", "counted_flattening"),
+    Work::new("detect", "counted_detection"),
+    Work::new("refine", "counted_refinement"),
+    Work::new("acquiring", "counted_acquiring"),
+    Work::new("tracking", "counted_tracking"),
 ];
+
+impl Work {
+    const fn new(name: &'static str, function: &'static str) -> Self {
+        Self { name, function }
+    }
+}
 
 #[inline(never)]
 fn counted_levels(exposure: &Exposure) -> Option<Levels> {
@@ -45,14 +47,28 @@ fn counted_levels(exposure: &Exposure) -> Option<Levels> {
 }
 
 #[inline(never)]
-fn counted_disc_search(
-    exposure: &Exposure,
-    levels: &Levels,
-    radius_px: f64,
-    mark_px: f64,
-) -> Option<CoarseDisc> {
-    let (frame, settings) = (&exposure.frame, limb::Settings::default());
-    limb::find_disc(frame, frame.region(), levels, radius_px, mark_px, &settings).ok()
+fn counted_disc_search(stages: &Stages<'_>) -> Option<CoarseDisc> {
+    stages.disc()
+}
+
+#[inline(never)]
+fn counted_limb(stages: &Stages<'_>, start: &Ellipse) -> Option<Limb> {
+    stages.limb(start)
+}
+
+#[inline(never)]
+fn counted_flattening(stages: &Stages<'_>, limb: &Limb) -> Option<FlatDisc> {
+    stages.flat(limb)
+}
+
+#[inline(never)]
+fn counted_detection(stages: &Stages<'_>, flat: &FlatDisc) -> Detections {
+    stages.detections(flat)
+}
+
+#[inline(never)]
+fn counted_refinement(stages: &Stages<'_>, limb: &Limb, solution: &Solution) -> usize {
+    stages.refined(limb, solution)
 }
 
 #[inline(never)]
@@ -66,24 +82,40 @@ fn counted_tracking(exposure: &Exposure, flight: &Flight) -> Solution {
     aspect::solve(frame, &flight.instrument, flight.expected, prior)
 }
 
-/// Does every work on every frame, for callgrind to count.
+/// Does every work on every frame, for callgrind to count: each once before, since what is made once a run is no frame's.
 pub fn work_through(flight: &Flight) {
-    let instrument = &flight.instrument;
-    let scale = instrument.mounting.scale_mil_per_px.value;
-    let radius_arcsec = flight.expected.map_or(0.0, |e| e.radius_arcsec);
-    let radius_px = instrument.optics.radius_mil(radius_arcsec) / scale;
-    let mark_px = instrument.plate.cross.arm_length_mil / scale;
+    for exposure in flight.exposures.iter().take(1) {
+        let prior = Some(&exposure.prior);
+        let (frame, instrument) = (&exposure.frame, &flight.instrument);
+        black_box(aspect::solve(frame, instrument, flight.expected, None));
+        black_box(aspect::solve(frame, instrument, flight.expected, prior));
+    }
     for exposure in &flight.exposures {
-        if let Some(levels) = black_box(counted_levels(exposure)) {
-            black_box(counted_disc_search(exposure, &levels, radius_px, mark_px));
-        }
-        black_box(counted_acquiring(exposure, flight));
+        let acquired = black_box(counted_acquiring(exposure, flight));
         black_box(counted_tracking(exposure, flight));
+        by_stages(exposure, flight, &acquired);
     }
 }
 
+/// `None` where a stage fails.
+fn by_stages(exposure: &Exposure, flight: &Flight, acquired: &Solution) -> Option<()> {
+    let levels = black_box(counted_levels(exposure))?;
+    let stages = Stages {
+        frame: &exposure.frame,
+        flight,
+        levels,
+    };
+    let disc = black_box(counted_disc_search(&stages))?;
+    let start = Ellipse::from(disc.circle());
+    let limb = black_box(counted_limb(&stages, &start))?;
+    let flat = black_box(counted_flattening(&stages, &limb))?;
+    black_box(counted_detection(&stages, &flat));
+    black_box(counted_refinement(&stages, &limb, acquired));
+    Some(())
+}
+
 /// Mean instructions of a frame, in the order of [`WORKS`].
-pub struct Instructions([u64; WORKS.len()]);
+pub struct Instructions(pub [u64; WORKS.len()]);
 
 impl Instructions {
     /// Runs this program under callgrind, which writes its counts whenever it leaves one of the works' functions.
@@ -134,6 +166,6 @@ impl fmt::Display for Instructions {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0
             .iter()
-            .try_for_each(|count| write!(out, "{:>12.0}", *count as f64 / 1e3))
+            .try_for_each(|count| write!(out, "{:>11.0}", *count as f64 / 1e3))
     }
 }

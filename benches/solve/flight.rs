@@ -8,7 +8,6 @@ use solaspect::units::SensorPx;
 
 /// Frames of a flight: at 1.25 MB they outgrow the caches that a frame alone fits.
 const FRAMES: u64 = 8;
-const START_PX: [f64; 2] = [420.0, 310.0];
 /// From frame to frame: 0.25 deg/s at 4 frames/s.
 const STEP_PX: [f64; 2] = [19.3, 10.7];
 
@@ -16,25 +15,97 @@ pub struct Conditions {
     pub name: &'static str,
     noise_dn: f64,
     depth: Depth,
+    /// Where the Sun starts, px.
+    start_px: [f64; 2],
+    camera: Camera,
 }
 
-pub const CONDITIONS: [Conditions; 3] = [
+/// How the camera differs from the demo instrument's.
+#[derive(Clone, Copy)]
+enum Camera {
+    Standard,
+    /// Twice as wide and high, what it sees of the same size.
+    Wider,
+    /// The same behind a lens of twice the focal length: the disc's diameter is doubled, the marks stay.
+    Telephoto,
+    /// Twice as wide and high, everything twice as large.
+    Finer,
+}
+
+const STANDARD: Conditions = Conditions {
+    name: "8 bit, noise 5 DN",
+    noise_dn: 5.0,
+    depth: Depth::Eight,
+    start_px: [420.0, 310.0],
+    camera: Camera::Standard,
+};
+
+pub const CONDITIONS: [Conditions; 6] = [
+    STANDARD,
     Conditions {
-        name: "8 bit, noise 5 DN",
-        noise_dn: 5.0,
-        depth: Depth::Eight,
-    },
-    Conditions {
-        name: "8 bit, noise 15 DN",
+        name: "8 bit, noise 15 DN, 12 marks",
         noise_dn: 15.0,
-        depth: Depth::Eight,
+        start_px: [565.0, 435.0],
+        ..STANDARD
     },
     Conditions {
         name: "12 bit, noise 5 DN of 8 bit",
-        noise_dn: 5.0,
         depth: Depth::Twelve,
+        ..STANDARD
+    },
+    Conditions {
+        name: "sensor x 4",
+        camera: Camera::Wider,
+        ..STANDARD
+    },
+    Conditions {
+        name: "sensor x 4, disc and marks x 4",
+        camera: Camera::Telephoto,
+        start_px: [1060.0, 780.0],
+        ..STANDARD
+    },
+    Conditions {
+        name: "sensor x 4, everything x 4",
+        camera: Camera::Finer,
+        start_px: [840.0, 620.0],
+        ..STANDARD
     },
 ];
+
+impl Camera {
+    fn instrument(self) -> Instrument {
+        let mut instrument = builtin("demo").expect("the demo instrument is built in");
+        let (optics, mounting) = (&mut instrument.optics, &mut instrument.mounting);
+        if matches!(self, Self::Standard) {
+            return instrument;
+        }
+        instrument.camera.width_px *= 2;
+        instrument.camera.height_px *= 2;
+        let wide = self.centred();
+        if wide {
+            let centre = mounting.plate_centre_px;
+            mounting.plate_centre_px = SensorPx::new(2.0 * centre.x, 2.0 * centre.y);
+        }
+        match self {
+            Self::Standard | Self::Wider => {}
+            Self::Telephoto => {
+                optics.plate_distance_mm.value *= 2.0;
+                optics.focal_length_mm.value *= 2.0;
+            }
+            Self::Finer => {
+                mounting.scale_mil_per_px.value /= 2.0;
+                mounting.scale_mil_per_px.sigma /= 2.0;
+                optics.blur_px.value *= 2.0;
+            }
+        }
+        instrument
+    }
+
+    /// Whether the plate's centre moves to the larger sensor's middle.
+    fn centred(self) -> bool {
+        matches!(self, Self::Telephoto | Self::Finer)
+    }
+}
 
 pub struct Exposure {
     pub frame: Frame,
@@ -50,7 +121,8 @@ pub struct Flight {
 
 impl Flight {
     pub fn under(conditions: &Conditions) -> Self {
-        let instrument = builtin("demo").expect("the demo instrument is built in");
+        let instrument = conditions.camera.instrument();
+        let start_px = conditions.start_px;
         let expected = Some(Expected {
             radius_arcsec: SUN_RADIUS_ARCSEC,
         });
@@ -62,7 +134,7 @@ impl Flight {
         let scenes = RandomScenes::new(&instrument, &conditions, 1).expect("the demo has room");
         let frame = |n: u64| {
             let mut scene = scenes.scene(n).expect("the demo has room");
-            let at: [f64; 2] = std::array::from_fn(|k| START_PX[k] + STEP_PX[k] * n as f64);
+            let at: [f64; 2] = std::array::from_fn(|k| start_px[k] + STEP_PX[k] * n as f64);
             if let Some(sun) = &mut scene.sun {
                 sun.centre = scene.mapping.to_plate(SensorPx::new(at[0], at[1]));
             }

@@ -8,11 +8,13 @@
 //! To add a parameter: a field in a struct that [`Config`] holds, its default, and one row in the table.
 
 mod documents;
+mod host;
 mod parameter;
 mod table;
 mod value;
 
 pub use documents::{example, parameters_page};
+pub use host::{Host, Memory};
 pub use parameter::{Allowed, Parameter, Refused};
 pub use table::{by_command, by_key, parameters};
 pub use value::Value;
@@ -39,6 +41,7 @@ pub struct Config {
     pub roll_camera: Camera,
     pub link: Link,
     pub archive: Archive,
+    pub host: Host,
     pub preflight: Preflight,
     pub simulation: Simulation,
     pub limb: limb::Settings,

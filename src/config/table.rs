@@ -5,6 +5,7 @@
 //! the example. Command numbers are for parameters that have no command of their own; a number once given is
 //! never given again.
 
+use super::Memory;
 use super::parameter::{Allowed, Parameter, Sample};
 use super::value::Field;
 use crate::archive::{Overflow, Sharing};
@@ -141,6 +142,11 @@ static TABLE: &[Parameter] = &[
         "A solution older than this, counted from mid-exposure, is not sent any more. Raising it lets a slow machine send, but older solutions."),
     row!(link.saved_values, "", Text, sample Sample::Text("/data/aspect/values.toml"),
         "File in which values set by command outlive a restart; unset or empty, they do not. Delete it to return to the values of this configuration."),
+
+    row!(host.realtime_priority, "", Whole(1, 99), sample Sample::Number(10.0),
+        "Priority of the camera's, solver's and link's threads among the real-time threads of the computer (FIFO); unset, they are scheduled like all others. Needs CAP_SYS_NICE or LimitRTPRIO of the unit; without it the flight goes on and says so."),
+    row!(host.memory, "", Name(Memory::NAMES),
+        "What may become of the program's memory: locked, it is never swapped out. Needs CAP_IPC_LOCK or LimitMEMLOCK of the unit; without it the flight goes on and says so."),
 
     row!(archive.directory, "", Text, sample Sample::Text("/data/aspect"),
         "Folder of the archive; unset or empty, frames are not kept."),

@@ -1,6 +1,6 @@
 //! Values of parameters, and how the typed fields of the configuration become them and back.
 
-use super::Switch;
+use super::{Memory, Switch};
 use crate::archive::{Overflow, Sharing};
 use crate::camera::{PixelFormat, Source};
 use crate::fits::Compression;
@@ -87,7 +87,7 @@ macro_rules! whole_field {
     )*};
 }
 
-whole_field!(i32, i64, u32, u64, usize);
+whole_field!(i32, i64, u8, u32, u64, usize);
 
 impl Field for String {
     fn value(&self) -> Option<Value> {
@@ -152,7 +152,7 @@ macro_rules! named_field {
     )*};
 }
 
-named_field!(Compression, Overflow, PixelFormat, Sharing, Switch);
+named_field!(Compression, Memory, Overflow, PixelFormat, Sharing, Switch);
 
 impl Field for Region {
     fn value(&self) -> Option<Value> {

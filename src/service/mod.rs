@@ -35,6 +35,7 @@ pub mod control;
 pub mod demo;
 mod housekeeping;
 mod line;
+pub mod priority;
 mod protocol;
 mod shared;
 mod shutter;
@@ -52,7 +53,7 @@ pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
 use crate::archive::Store;
 use crate::camera::{Exposure, FrameSource};
-use crate::config::Config;
+use crate::config::{Config, Host};
 use crate::instrument::Instrument;
 use crate::link::Connection;
 use crate::pointing::Target;
@@ -211,8 +212,11 @@ impl Service {
             archive: gauges.clone(),
             line: Shared::default(),
         };
-        let line = start_line(flight.line, &controls, &counts.line, events, &signals)?;
+        let host = flight.config.host;
+        host.hold();
+        let line = start_line(flight.line, host, &controls, &counts.line, events, &signals)?;
         let mut crew = Crew {
+            host,
             controls: controls.clone(),
             ephemeris: flight.ephemeris,
             archive: archive.clone(),
@@ -315,6 +319,7 @@ fn controls(flight: &Flight) -> Controls {
 
 /// Cameras and solvers as they join the flight, and what they share.
 struct Crew {
+    host: Host,
     controls: Controls,
     ephemeris: Ephemeris,
     archive: archiver::Archive,
@@ -361,11 +366,15 @@ impl Crew {
         };
         self.recent.push(solver.recent.clone());
         self.counts.solvers.push(solver.tally.clone());
+        let host = self.host;
         let name = format!("solver-{}", station.camera_number());
         self.solvers
             .push(Worker::start(name, Some(SOLVER_PATIENCE), move || {
                 let (solver, sightings) = (solver.clone(), sightings.clone());
-                Box::new(move |life| solver.run(&sightings, life))
+                Box::new(move |life| {
+                    host.hurry();
+                    solver.run(&sightings, life);
+                })
             })?);
         Ok(())
     }
@@ -388,11 +397,15 @@ impl Crew {
             stop: Arc::clone(&self.signals.stop),
         };
         self.counts.cameras.push(shutter.tally.clone());
+        let host = self.host;
         let name = format!("camera-{}", station.camera_number());
         self.cameras
             .push(Worker::start(name, Some(CAMERA_PATIENCE), move || {
                 let (shutter, source, open) = (shutter.clone(), source.take(), open.clone());
-                Box::new(move |life| shutter.run(source, open, life))
+                Box::new(move |life| {
+                    host.hurry();
+                    shutter.run(source, open, life);
+                })
             })?);
         Ok(())
     }
@@ -400,6 +413,7 @@ impl Crew {
 
 fn start_line(
     connection: Connection,
+    host: Host,
     controls: &Controls,
     tally: &Shared<LineTally>,
     events: Receiver<LinkEvent>,
@@ -413,6 +427,7 @@ fn start_line(
         let (controls, tally, events) = (controls.clone(), tally.clone(), events.clone());
         let (connection, hang_up) = (Arc::clone(&connection), Arc::clone(&hang_up));
         Box::new(move |life| {
+            host.hurry();
             let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
             Line::new(&mut connection, controls, tally).run(&events, &hang_up, life);
         })

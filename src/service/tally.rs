@@ -222,10 +222,10 @@ impl fmt::Display for FlightTally {
         let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
         let mut latencies: Vec<f64> = line.latencies.iter().map(milliseconds).collect();
         let mut ms = |fraction| quantile(&mut latencies, fraction);
-        if let (Some(median), Some(most)) = (ms(0.5), ms(0.99)) {
+        if let [Some(median), Some(most), Some(nearly_all)] = [0.5, 0.99, 0.999].map(&mut ms) {
             write!(
                 out,
-                "\nlatency    frame to packet: median {median:.1}, 99 % {most:.1} ms"
+                "\nlatency    frame to packet: median {median:.1}, 99 % {most:.1}, 99.9 % {nearly_all:.1} ms"
             )?;
         }
         Ok(())

@@ -1,0 +1,107 @@
+//! The stages of a frame as the pipeline runs them, one by one.
+
+use crate::flight::Flight;
+use solaspect::aspect::Solution;
+use solaspect::fiducial::{self, CrossShape, Detections, FlatDisc, Light, Refiner};
+use solaspect::frame::{Frame, Levels};
+use solaspect::geometry::Ellipse;
+use solaspect::limb::{
+    self, CoarseDisc, DiscLight, Hidden, KnownOutline, Limb, LimbFit, OutlinePrior,
+};
+use solaspect::units::Measured;
+
+pub struct Stages<'a> {
+    pub frame: &'a Frame,
+    pub flight: &'a Flight,
+    pub levels: Levels,
+}
+
+struct LimbLight(DiscLight);
+
+impl Light for LimbLight {
+    fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
+        self.0.fill(x, y, light);
+    }
+}
+
+impl Stages<'_> {
+    fn radius_mil(&self) -> f64 {
+        let radius_arcsec = self.flight.expected.map_or(0.0, |e| e.radius_arcsec);
+        self.flight.instrument.optics.radius_mil(radius_arcsec)
+    }
+
+    fn shape(&self, scale_mil_per_px: f64) -> CrossShape {
+        let instrument = &self.flight.instrument;
+        let blur_px = instrument.optics.blur_px.value;
+        CrossShape::new(&instrument.plate.cross, scale_mil_per_px, blur_px)
+    }
+
+    pub fn disc(&self) -> Option<CoarseDisc> {
+        let scale = self.flight.instrument.mounting.scale_mil_per_px.value;
+        let mark_px = 2.0 * self.shape(scale).half_length_px;
+        let (region, radius_px) = (self.frame.region(), self.radius_mil() / scale);
+        let settings = limb::Settings::default();
+        limb::find_disc(
+            self.frame,
+            region,
+            &self.levels,
+            radius_px,
+            mark_px,
+            &settings,
+        )
+        .ok()
+    }
+
+    /// The limb, nothing hidden.
+    pub fn limb(&self, start: &Ellipse) -> Option<Limb> {
+        let radius_px = start.mean_radius();
+        let prior = |sigma_px, flatness| OutlinePrior {
+            radius_px: Measured::new(radius_px, sigma_px),
+            flatness,
+        };
+        let scale = self.flight.instrument.mounting.scale_mil_per_px.value;
+        let fit = LimbFit {
+            frame: self.frame,
+            levels: &self.levels,
+            blur_px: self.shape(scale).blur_px,
+            known: KnownOutline {
+                possible: prior(0.03 * radius_px, 0.002),
+                stated: prior(0.5, 0.0003),
+            },
+            settings: &limb::Settings::default(),
+        };
+        fit.near(start, &Hidden::nothing(self.frame.region())).ok()
+    }
+
+    pub fn flat(&self, limb: &Limb) -> Option<FlatDisc> {
+        let disc = limb.outline.ellipse;
+        let margin_px = 2.0 * self.disc_shape(limb).half_length_px;
+        FlatDisc::new(self.frame, disc, &self.levels, margin_px)
+    }
+
+    fn disc_shape(&self, limb: &Limb) -> CrossShape {
+        self.shape(self.radius_mil() / limb.outline.ellipse.mean_radius())
+    }
+
+    pub fn detections(&self, flat: &FlatDisc) -> Detections {
+        let shape = self.shape(self.radius_mil() / flat.outline.mean_radius());
+        fiducial::detect(flat, &shape, &fiducial::Settings::default())
+    }
+
+    /// How many of a solution's marks their own pixels place.
+    pub fn refined(&self, limb: &Limb, solution: &Solution) -> usize {
+        let Some(adopted) = &solution.mapping else {
+            return 0;
+        };
+        let instrument = &self.flight.instrument;
+        let scale = self.radius_mil() / limb.outline.ellipse.mean_radius();
+        let (plate, blur_px) = (&instrument.plate, instrument.optics.blur_px.value);
+        let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let light = LimbLight(limb.light());
+        let refined = solution.marks.iter().filter_map(|mark| {
+            let jacobian = adopted.mapping.sensor_jacobian(plate.position(mark.id));
+            refiner.refine(self.frame, &self.levels, &light, &jacobian, mark.at)
+        });
+        refined.count()
+    }
+}

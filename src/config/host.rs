@@ -1,0 +1,30 @@
+//! What the operating system is asked for.
+
+/// Nothing unless set: a flight must not fail, nor a laptop stall, for want of a privilege.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Host {
+    /// Priority of the threads from frame to packet among real-time threads; none where they are scheduled like all others.
+    pub realtime_priority: Option<u8>,
+    pub memory: Memory,
+}
+
+/// What may become of the program's memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Memory {
+    /// The operating system may swap it out.
+    #[default]
+    Swappable,
+    Locked,
+}
+
+impl Memory {
+    pub const KINDS: [Self; 2] = [Self::Swappable, Self::Locked];
+    pub const NAMES: &'static [&'static str] = &["swappable", "locked"];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Swappable => "swappable",
+            Self::Locked => "locked",
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Real-time scheduling and locked memory, where the configuration asks for them and the computer grants them.
+
+use crate::config::{Host, Memory};
+use nix::sys::mman::{MlockAllFlags, mlockall};
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
+
+/// Why the computer does not grant what was asked for.
+#[derive(Debug, thiserror::Error)]
+pub enum NotGranted {
+    #[error("host.realtime_priority = {priority}: needs CAP_SYS_NICE or LimitRTPRIO: {cause}")]
+    Realtime { priority: u8, cause: String },
+    #[error("host.memory = \"locked\": needs CAP_IPC_LOCK or LimitMEMLOCK: {0}")]
+    Memory(nix::Error),
+}
+
+/// Puts the calling thread among the real-time threads.
+///
+/// # Errors
+/// The operating system does not allow it.
+pub fn run_in_real_time(priority: u8) -> Result<(), NotGranted> {
+    let refused = |cause: String| NotGranted::Realtime { priority, cause };
+    let value = ThreadPriorityValue::try_from(priority).map_err(|e| refused(e.to_string()))?;
+    let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+    let thread = thread_native_id();
+    set_thread_priority_and_policy(thread, ThreadPriority::Crossplatform(value), fifo)
+        .map_err(|error| refused(format!("{error:?}")))
+}
+
+/// Keeps the memory that the program has, and will have, from being swapped out.
+///
+/// # Errors
+/// The operating system does not allow it.
+pub fn lock_memory() -> Result<(), NotGranted> {
+    mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(NotGranted::Memory)
+}
+
+impl Host {
+    /// What the configuration asks for the thread that calls; what is not granted is logged.
+    pub(super) fn hurry(&self) {
+        if let Some(Err(error)) = self.realtime_priority.map(run_in_real_time) {
+            tracing::warn!(%error, "the thread is scheduled like all others");
+        }
+    }
+
+    /// What the configuration asks for the whole program; what is not granted is logged.
+    pub(super) fn hold(&self) {
+        if self.memory == Memory::Locked
+            && let Err(error) = lock_memory()
+        {
+            tracing::warn!(%error, "memory may be swapped out");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::thread;
+    use thread_priority::thread_schedule_policy;
+
+    #[test]
+    fn a_thread_runs_in_real_time_or_is_told_what_that_needs() {
+        let run = || match run_in_real_time(3) {
+            Ok(()) => {
+                let policy = thread_schedule_policy().unwrap();
+                let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+                assert_eq!(policy, fifo);
+            }
+            Err(error) => assert!(error.to_string().contains("LimitRTPRIO"), "{error}"),
+        };
+        thread::spawn(run).join().unwrap();
+    }
+
+    #[test]
+    fn a_priority_that_there_is_none_of_is_refused() {
+        assert!(run_in_real_time(200).is_err());
+    }
+}

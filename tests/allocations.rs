@@ -1,0 +1,61 @@
+//! What a frame allocates once the program is warm.
+
+use solaspect::aspect::{Expected, solve};
+use solaspect::instrument::builtin;
+use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+struct Counting;
+
+static CALLS: AtomicUsize = AtomicUsize::new(0);
+static BYTES: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every call is handed on to the system's allocator as it is.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        CALLS.fetch_add(1, Relaxed);
+        BYTES.fetch_add(layout.size(), Relaxed);
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(memory, layout) }
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        CALLS.fetch_add(1, Relaxed);
+        BYTES.fetch_add(size.saturating_sub(layout.size()), Relaxed);
+        unsafe { System.realloc(memory, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Calls of the allocator, and bytes asked for.
+fn counted<T>(work: impl FnOnce() -> T) -> (T, [usize; 2]) {
+    let before = [CALLS.load(Relaxed), BYTES.load(Relaxed)];
+    let result = work();
+    let after = [CALLS.load(Relaxed), BYTES.load(Relaxed)];
+    (result, [after[0] - before[0], after[1] - before[1]])
+}
+
+#[test]
+fn a_warm_frame_asks_for_little_memory() {
+    let instrument = builtin("demo").unwrap();
+    let scenes = RandomScenes::new(&instrument, &Conditions::of(&instrument), 3).unwrap();
+    let frame = scenes.scene(1).unwrap().frame().unwrap();
+    let expected = Some(Expected {
+        radius_arcsec: SUN_RADIUS_ARCSEC,
+    });
+    let first = solve(&frame, &instrument, expected, None);
+    let track = first.track.as_ref();
+    solve(&frame, &instrument, expected, track);
+    let (_, acquiring) = counted(|| solve(&frame, &instrument, expected, None));
+    let (_, tracking) = counted(|| solve(&frame, &instrument, expected, track));
+    println!("acquiring: {acquiring:?} calls and bytes, tracking: {tracking:?}");
+    // The solution itself, and short lists along the way.
+    assert!(tracking[0] < 400 && tracking[1] < 200_000, "{tracking:?}");
+    assert!(acquiring[0] < 6000 && acquiring[1] < 1_500_000, "{acquiring:?}");
+}
