@@ -20,7 +20,6 @@ use crate::lanes::{Scratch, split};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
-use wide::f32x4;
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -233,14 +232,33 @@ struct Edge<'a> {
 /// What is expected at a distance.
 #[derive(Clone, Copy)]
 struct Expected {
-    /// Slope outwards, light above the background, brightness with its sign changed, nothing.
-    here: f32x4,
+    here: Brightness,
     /// What leads from there to the next entry.
-    step: f32x4,
+    step: Brightness,
     /// One over the variance; 0 where a pixel does not count.
     weight: f32,
     /// One over the square of what is out of the question.
     per_limit2: f32,
+}
+
+/// Brightness about a distance, DN.
+#[derive(Clone, Copy)]
+struct Brightness {
+    /// Change per px outwards.
+    slope: f32,
+    /// Above the background.
+    light: f32,
+    dn: f32,
+}
+
+impl Brightness {
+    fn to(self, next: Self) -> Self {
+        Self {
+            slope: next.slope - self.slope,
+            light: next.light - self.light,
+            dn: next.dn - self.dn,
+        }
+    }
 }
 
 /// Entries of the table for each pixel.
@@ -263,20 +281,23 @@ impl<'a> Edge<'a> {
         let at = |n: usize| {
             let distance_px = first_px + n as f64 / PER_PX - shift_px;
             let (dn, slope) = profile.both(distance_px);
-            [slope, dn - profile.background_dn, -dn, 0.0].map(|v| v as f32)
+            Brightness {
+                slope: slope as f32,
+                light: (dn - profile.background_dn) as f32,
+                dn: dn as f32,
+            }
         };
-        let values: Vec<[f32; 4]> = (0..=count).map(at).collect();
+        let values: Vec<Brightness> = (0..=count).map(at).collect();
         let clipped_dn = (saturation_dn - 2.0 * noise.outside_dn) as f32;
-        let peak = values[0][1].max(1.0);
-        let entry = |pair: &[[f32; 4]]| {
-            let (here, next) = (f32x4::from(pair[0]), f32x4::from(pair[1]));
-            let [slope, light, dark, _] = pair[0];
-            let variance = noise.variance((light / peak).clamp(0.0, 1.0));
-            let spread2 = variance + slack.variance(light, slope);
+        let peak = values[0].light.max(1.0);
+        let entry = |pair: &[Brightness]| {
+            let here = pair[0];
+            let variance = noise.variance((here.light / peak).clamp(0.0, 1.0));
+            let spread2 = variance + slack.variance(here.light, here.slope);
             Expected {
                 here,
-                step: next - here,
-                weight: if -dark > clipped_dn {
+                step: here.to(pair[1]),
+                weight: if here.dn > clipped_dn {
                     0.0
                 } else {
                     1.0 / variance
@@ -321,9 +342,10 @@ impl<'a> Edge<'a> {
         // Where the disc saturates its noise does not show.
         let dull = self.table.iter().position(|e| e.weight > 0.0).unwrap_or(0);
         let least = (self.first_px + dull as f64 / PER_PX) as f32;
-        let plateau = self.table[self.table.len().min(PER_PX as usize)]
-            .here
-            .to_array()[1];
+        let plateau = self
+            .table
+            .get(PER_PX as usize)
+            .map_or(0.0, |e| e.here.light);
         let band = self.band;
         let [mut outside, mut inside] = [(); 2].map(|()| Scratch::empty(band.dn.len()));
         // Every second pixel tells enough.
@@ -431,48 +453,54 @@ struct Shift {
 }
 
 /// One sector: the light that is expected of it, and its normal equations for shift and excess light.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Sector {
     light: f32,
-    /// Products of slope, and of light, with slope, light and residual.
-    by_slope: f32x4,
-    by_light: f32x4,
+    slope2: f32,
+    slope_light: f32,
+    light2: f32,
+    slope_residual: f32,
+    light_residual: f32,
 }
 
 impl Sector {
     fn expecting(light: f64) -> Self {
         Self {
             light: light as f32,
-            by_slope: f32x4::ZERO,
-            by_light: f32x4::ZERO,
+            ..Self::default()
         }
     }
 
     /// Adds a pixel; what the expected light does not explain of it, DN.
     #[inline(always)]
     fn add(&mut self, expected: &Expected, part: f32, dn: f32) -> f32 {
-        let item = expected.here + expected.step * f32x4::splat(part);
-        let item = item + f32x4::from([0.0, 0.0, dn, 0.0]);
-        let [slope, light, residual, _] = item.to_array();
+        let Expected { here, step, .. } = expected;
+        let slope = here.slope + part * step.slope;
+        let light = here.light + part * step.light;
+        let residual = dn - (here.dn + part * step.dn);
         let left = residual - self.light * light;
         let within = (1.0 - left * left * expected.per_limit2).max(0.0);
         let weight = within * within * expected.weight;
-        self.by_slope += item * f32x4::splat(weight * slope);
-        self.by_light += item * f32x4::splat(weight * light);
+        let (by_slope, by_light) = (weight * slope, weight * light);
+        self.slope2 += by_slope * slope;
+        self.slope_light += by_slope * light;
+        self.light2 += by_light * light;
+        self.slope_residual += by_slope * residual;
+        self.light_residual += by_light * residual;
         left
     }
 
     /// The fit, with some information that the light is the expected one.
     fn solve(&self, information: f64) -> Option<Shift> {
-        let [slope2, slope_light, slope_residual, _] = self.by_slope.to_array().map(f64::from);
-        let [_, light2, light_residual, _] = self.by_light.to_array().map(f64::from);
-        let normal = Matrix2::new(slope2, -slope_light, -slope_light, light2 + information);
+        let cross = -f64::from(self.slope_light);
+        let light2 = f64::from(self.light2) + information;
+        let normal = Matrix2::new(f64::from(self.slope2), cross, cross, light2);
         if normal.determinant() < LEAST_OWN_PART * normal.m11 * normal.m22 {
             return None;
         }
         let inverse = normal.try_inverse()?;
-        let light_residual = light_residual + information * f64::from(self.light);
-        let fit = inverse * Vector2::new(-slope_residual, light_residual);
+        let light_residual = f64::from(self.light_residual) + information * f64::from(self.light);
+        let fit = inverse * Vector2::new(-f64::from(self.slope_residual), light_residual);
         let sigma_px = inverse.m11.max(0.0).sqrt();
         (sigma_px < MAX_SIGMA_PX && fit.x.abs() < MAX_SHIFT_PX).then_some(Shift {
             px: fit.x,

@@ -180,7 +180,7 @@ impl Seen {
             for m in 0..5 {
                 let weighted = weight * point.slopes[m];
                 gradient[m] += weighted * point.excess_px;
-                for (sum, slope) in matrix[m].iter_mut().zip(point.slopes).skip(m) {
+                for (sum, slope) in matrix[m][m..].iter_mut().zip(&point.slopes[m..]) {
                     *sum += weighted * slope;
                 }
             }
