@@ -1,6 +1,6 @@
 //! What a prior does to a frame's solution: it spares work, and decides nothing.
 
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector2};
 use solaspect::aspect::{Expected, Origin, Quality, Solution, Track, solve};
 use solaspect::frame::Frame;
 use solaspect::instrument::{Instrument, builtin};
@@ -15,26 +15,34 @@ const EXPECTED: Option<Expected> = Some(Expected {
 struct Flight {
     instrument: Instrument,
     frames: Vec<Frame>,
+    /// Where the Sun's centre is on the plate, frame by frame.
+    truth: Vec<PlateMil>,
 }
 
-/// A Sun that moves over the sensor by 20 px a frame.
-fn flight() -> Flight {
+/// A Sun that moves over the sensor by 20 px a frame, to and fro.
+fn flight(frames: u64) -> Flight {
     let instrument = builtin("demo").unwrap();
     let conditions = Conditions {
         sun: SunInView::Whole,
         ..Conditions::of(&instrument)
     };
     let scenes = RandomScenes::new(&instrument, &conditions, 5).unwrap();
-    let frame = |n: u64| {
+    let picture = |n: u64| {
         let mut scene = scenes.scene(n).unwrap();
-        let at = SensorPx::new(520.0 + 18.0 * n as f64, 500.0 - 9.0 * n as f64);
+        let along = n as f64 * 0.07;
+        let at = SensorPx::new(
+            648.0 + 260.0 * along.sin(),
+            483.0 + 190.0 * (1.7 * along).cos(),
+        );
         let centre = scene.mapping.to_plate(at);
         scene.sun.as_mut().unwrap().centre = centre;
-        scene.frame().unwrap()
+        (scene.frame().unwrap(), centre)
     };
+    let (frames, truth) = (0..frames).map(picture).unzip();
     Flight {
-        frames: (0..8).map(frame).collect(),
         instrument,
+        frames,
+        truth,
     }
 }
 
@@ -77,33 +85,45 @@ fn apart_sigmas(a: &Solution, b: &Solution) -> f64 {
     a.position.distance(b.position) / sigma
 }
 
+/// Root mean square of some errors over sigma, per axis.
+fn rms(pulls: &[Vector2<f64>]) -> f64 {
+    let squares: f64 = pulls.iter().map(|pull| pull.norm_squared()).sum();
+    (squares / (2 * pulls.len()) as f64).sqrt()
+}
+
 #[test]
-fn a_frame_with_a_prior_is_solved_as_it_is_without() {
-    let flight = flight();
+fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
+    let flight = flight(80);
     let mut track = flight.solve(&flight.frames[0], None).track;
-    for frame in &flight.frames[1..] {
+    let (mut pulls, mut errors, mut moved) = (Vec::new(), [0.0; 2], Vec::new());
+    for (frame, truth) in flight.frames.iter().zip(&flight.truth).skip(1) {
         let alone = flight.solve(frame, None);
         let tracked = flight.solve(frame, track.as_ref());
         assert_eq!(tracked.quality, Quality::Fine);
         assert_eq!(tracked.mapping.as_ref().unwrap().origin, Origin::Frame);
         // The short way was taken: nothing was looked for.
         assert!(tracked.detections.marks.is_empty());
-        let apart = apart_sigmas(&alone, &tracked);
-        assert!(apart < 0.4, "{apart} sigma");
-        let id = |m: &solaspect::aspect::Mark| m.id;
-        let ids: Vec<_> = alone.marks.iter().map(id).collect();
-        let full = tracked
-            .marks
-            .iter()
-            .filter(|m| m.lighting == solaspect::fiducial::Lighting::Full);
-        assert!(full.map(id).all(|id| ids.contains(&id)));
+        let [a, b] = [&alone, &tracked].map(|s| s.aspect.as_ref().unwrap().sun_plate);
+        let sigma = (b.covariance.trace() / 2.0).sqrt();
+        pulls.push((b.position.vector() - truth.vector()) / sigma);
+        moved.push((b.position.vector() - a.position.vector()) / sigma);
+        errors[0] += a.position.distance(*truth).powi(2);
+        errors[1] += b.position.distance(*truth).powi(2);
         track = tracked.track;
     }
+    let worse = (errors[1] / errors[0]).sqrt();
+    let (pull, moved) = (rms(&pulls), rms(&moved));
+    println!(
+        "error over sigma {pull:.2}, {worse:.3} of the error without a prior, {moved:.2} sigma apart"
+    );
+    assert!((0.8..1.25).contains(&pull), "{pull}");
+    assert!(worse < 1.1, "{worse}");
+    assert!(moved < 0.4, "{moved}");
 }
 
 #[test]
 fn a_prior_whose_ids_are_wrong_is_found_out() {
-    let flight = flight();
+    let flight = flight(8);
     // As if every mark were its neighbour along X, or along Y.
     for step in [[270.0, 90.0], [-90.0, 270.0]] {
         let misled = flight.misled(step, [0.0, 0.0]);
@@ -118,7 +138,7 @@ fn a_prior_whose_ids_are_wrong_is_found_out() {
 
 #[test]
 fn a_camera_that_moved_is_seen_anew() {
-    let flight = flight();
+    let flight = flight(8);
     let misled = flight.misled([0.0, 0.0], [2.5, -1.5]);
     for frame in &flight.frames[..3] {
         let tracked = flight.solve(frame, Some(&misled));
