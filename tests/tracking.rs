@@ -96,13 +96,13 @@ fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
     let flight = flight(80);
     let mut track = flight.solve(&flight.frames[0], None).track;
     let (mut pulls, mut errors, mut moved) = (Vec::new(), [0.0; 2], Vec::new());
+    let mut short_ways = 0;
     for (frame, truth) in flight.frames.iter().zip(&flight.truth).skip(1) {
         let alone = flight.solve(frame, None);
         let tracked = flight.solve(frame, track.as_ref());
         assert_eq!(tracked.quality, Quality::Fine);
         assert_eq!(tracked.mapping.as_ref().unwrap().origin, Origin::Frame);
-        // The short way was taken: nothing was looked for.
-        assert!(tracked.detections.marks.is_empty());
+        short_ways += u32::from(tracked.track.as_ref().unwrap().foretold > 0);
         let [a, b] = [&alone, &tracked].map(|s| s.aspect.as_ref().unwrap().sun_plate);
         let sigma = (b.covariance.trace() / 2.0).sqrt();
         pulls.push((b.position.vector() - truth.vector()) / sigma);
@@ -116,6 +116,8 @@ fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
     println!(
         "error over sigma {pull:.2}, {worse:.3} of the error without a prior, {moved:.2} sigma apart"
     );
+    // Now and then the marks are looked for again, whatever the prior knows.
+    assert!((60..79).contains(&short_ways), "{short_ways}");
     assert!((0.8..1.25).contains(&pull), "{pull}");
     assert!(worse < 1.1, "{worse}");
     assert!(moved < 0.4, "{moved}");
@@ -130,7 +132,7 @@ fn a_prior_whose_ids_are_wrong_is_found_out() {
         for frame in &flight.frames {
             let tracked = flight.solve(frame, Some(&misled));
             let alone = flight.solve(frame, None);
-            assert!(!tracked.detections.marks.is_empty(), "it was looked for");
+            assert_eq!(tracked.track.as_ref().unwrap().foretold, 0);
             assert!(apart_sigmas(&alone, &tracked) < 0.4);
         }
     }

@@ -149,12 +149,13 @@ impl<'a> Work<'a> {
     }
 
     /// What this frame teaches: a frame without marks hands on the prior's registration.
-    pub(super) fn track(&self, aspect: &Aspect, own: Option<Registration>) -> Track {
+    pub(super) fn track(&self, aspect: &Aspect, own: Option<Registration>, foretold: u32) -> Track {
         Track {
             disc: Circle {
                 centre: aspect.sun_px.position.vector(),
                 radius: aspect.sun_radius_px,
             },
+            foretold,
             registration: own.or_else(|| self.prior_registration().cloned()),
         }
     }

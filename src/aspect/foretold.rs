@@ -8,8 +8,8 @@
 use super::marks::MarkSight;
 use super::stages::Work;
 use super::{Mark, Sighting};
-use crate::fiducial::Lighting;
-use crate::frame::Levels;
+use crate::fiducial::{Lighting, RefinedMark};
+use crate::frame::{Levels, ROUNDING_NOISE_DN};
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::Limb;
 use crate::units::SensorPx;
@@ -21,20 +21,33 @@ const MAX_DRIFT_PX: f64 = 1.0;
 const SURE_MARGIN_PX: f64 = 1.0;
 /// What of a mark must lie inside the limb for it to be looked for, in half lengths from its middle.
 const WORTH_LOOKING: f64 = 0.3;
-/// A patch that the model leaves so much unexplained shows no mark, or not only one.
+/// A patch that the model leaves so much unexplained, in units of the disc's noise, shows no mark, or not only one.
 const MAX_CHI2: f64 = 4.0;
+/// So many marks beyond those that make a reading must be foretold: a wrong mapping that fits a few by chance does not fit these.
+const MORE_MARKS: usize = 2;
+/// After so many frames the marks are looked for again, and read anew: ids that were misread once must not last.
+const MOST_IN_SUCCESSION: u32 = 30;
+/// All marks of a plate have the same contrast; what differs by more from the fully lit ones is something else, or more than one.
+const COMMON_CONTRAST: std::ops::Range<f64> = 0.6..1.6;
+/// A cut mark whose place is less sure tells nothing, px.
+const MOST_CUT_SIGMA_PX: f64 = 0.3;
 
 impl Work<'_> {
     /// Limb and marks as the prior's mapping foretells them. `None` where there is no such mapping or not all is as it
     /// foretells.
     pub(super) fn foretold(&self, levels: &Levels, found: SensorPx) -> Option<Sighting> {
-        let mapping = &self.prior?.registration.as_ref()?.mapping;
+        let prior = self.prior?;
+        if prior.foretold >= MOST_IN_SUCCESSION {
+            return None;
+        }
+        let mapping = &prior.registration.as_ref()?.mapping;
         let start = self.foretold_outline(mapping, found)?;
         let hidden = self.marks_hidden(&start, mapping);
         let limb = self.limb_fit(levels).near(&start, &hidden).ok()?;
         let foretold = self.foretold_marks(&limb, mapping);
         let full = |mark: &Mark| mark.lighting == Lighting::Full;
-        if foretold.iter().filter(|m| full(m)).count() < self.settings.fiducial.min_marks {
+        let enough = self.settings.fiducial.min_marks + MORE_MARKS;
+        if foretold.iter().filter(|m| full(m)).count() < enough {
             return None;
         }
         let sight = MarkSight {
@@ -46,6 +59,7 @@ impl Work<'_> {
         Some(Sighting {
             limb,
             marks: Ok(marks),
+            foretold: prior.foretold + 1,
         })
     }
 
@@ -103,19 +117,34 @@ impl Work<'_> {
 
     /// The marks by their own pixels. `None` where one that must be seen is not; one that the limb cuts may be missing.
     fn seen_where_foretold(&self, sight: &MarkSight<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
-        let contrast = self.settings.fiducial.min_contrast;
         let refined = self.refine(sight, foretold);
+        let full = |(mark, _): &(&Mark, &Option<RefinedMark>)| mark.lighting == Lighting::Full;
+        let mut contrasts: Vec<f64> = foretold
+            .iter()
+            .zip(&refined)
+            .filter(full)
+            .map(|(_, found)| Some(found.as_ref()?.contrast))
+            .collect::<Option<_>>()?;
+        contrasts.sort_by(f64::total_cmp);
+        let usual = *contrasts.get(contrasts.len() / 2)?;
+        let least = self.settings.fiducial.min_contrast;
+        // The refiner counts in the background's noise.
+        let background_dn = sight.levels.noise_dn.max(ROUNDING_NOISE_DN);
+        let per_noise = (background_dn / sight.limb.disc_noise_dn()).powi(2);
+        let is_mark = |mark: &Mark, found: &RefinedMark| {
+            let sigma_px = found.place.covariance.symmetric_eigenvalues().max().sqrt();
+            found.contrast > least
+                && COMMON_CONTRAST.contains(&(found.contrast / usual))
+                && found.reduced_chi2 * per_noise < MAX_CHI2
+                && found.place.position.distance(mark.at) < MAX_DRIFT_PX
+                && (mark.lighting == Lighting::Full || sigma_px < MOST_CUT_SIGMA_PX)
+        };
         let mut marks = Vec::with_capacity(foretold.len());
-        for (mark, found) in foretold.iter().zip(refined) {
-            let found = found.filter(|found| {
-                found.contrast > contrast
-                    && found.reduced_chi2 < MAX_CHI2
-                    && found.place.position.distance(mark.at) < MAX_DRIFT_PX
-            });
-            match (found, mark.lighting) {
-                (Some(found), _) => marks.push(mark.placed(&found)),
-                (None, Lighting::Cut) => {}
-                (None, Lighting::Full) => return None,
+        for (mark, found) in foretold.iter().zip(&refined) {
+            match found.as_ref().filter(|found| is_mark(mark, found)) {
+                Some(found) => marks.push(mark.placed(found)),
+                None if mark.lighting == Lighting::Full => return None,
+                None => {}
             }
         }
         Some(marks)

@@ -107,7 +107,11 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
     let found = work.find_disc(&levels)?; // 2
-    let Sighting { limb, marks } = match work.foretold(&levels, found.centre) {
+    let Sighting {
+        limb,
+        marks,
+        foretold,
+    } = match work.foretold(&levels, found.centre) {
         Some(sighting) => sighting, // 3 to 8, the short way
         None => look_for_marks(work, &levels, &found, solution)?,
     };
@@ -123,7 +127,7 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let adopted = work.adopt(registration.as_ref())?;
     let aspect = work.aspect(&limb, &adopted, registration.as_ref())?; // 10
     solution.quality = work.judge(&aspect, &adopted, solution);
-    solution.track = Some(work.track(&aspect, registration));
+    solution.track = Some(work.track(&aspect, registration, foretold));
     solution.aspect = Some(aspect);
     solution.mapping = Some(adopted);
     Ok(())
@@ -133,6 +137,8 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
 struct Sighting {
     limb: Limb,
     marks: Result<Vec<Mark>, Stopped>,
+    /// Frames in succession, this one included, whose marks the prior foretold.
+    foretold: u32,
 }
 
 /// Steps 3 to 8 where no prior foretells the marks.
@@ -156,9 +162,11 @@ fn look_for_marks(
         Ok((first, _)) => work.marks_hidden(&disc, &first.mapping),
         Err(_) => work.detections_hidden(&disc, &solution.detections),
     };
-    if let Ok(bare) = limb_fit.again(&limb, &hidden) {
-        limb = bare; // 7
-    }
+    // 7; with too much hidden, what the marks do to the limb is the lesser evil.
+    limb = limb_fit
+        .again(&limb, &hidden)
+        .or_else(|_| limb_fit.again(&limb, &work.nothing_hidden(&disc)))
+        .map_err(at(Stage::Limb))?;
     let marks = read.map(|(first, marks)| {
         let sight = MarkSight {
             levels,
@@ -167,5 +175,9 @@ fn look_for_marks(
         };
         work.place(&sight, &marks) // 8
     });
-    Ok(Sighting { limb, marks })
+    Ok(Sighting {
+        limb,
+        marks,
+        foretold: 0,
+    })
 }

@@ -139,11 +139,10 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
             sigma[1],
         ));
         lines.push(format!(
-            "radius {:.2} px   {} limb points   {} of {} marks read   mapping: {}",
+            "radius {:.2} px   {} limb points   {}   mapping: {}",
             aspect.sun_radius_px,
             solution.limb.len(),
-            solution.marks.len(),
-            solution.detections.marks.len(),
+            marks_line(solution),
             adopted.name(),
         ));
     }
@@ -154,4 +153,11 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
         ));
     }
     lines
+}
+fn marks_line(solution: &Solution) -> String {
+    let marks = solution.marks.len();
+    match solution.track.as_ref().map(|track| track.foretold) {
+        Some(1..) => format!("{marks} marks as foretold"),
+        _ => format!("{marks} of {} marks read", solution.detections.marks.len()),
+    }
 }

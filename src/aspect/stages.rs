@@ -20,7 +20,7 @@ const STATED_FLATNESS: f64 = 0.0003;
 /// Distance from a mark's arm within which the limb is not trusted, px.
 const MARK_MARGIN_PX: f64 = 3.0;
 /// The limb's fit looks at pixels so far inside the limb; outside it marks hide no light.
-const HIDING_DEPTH_PX: f64 = 9.0;
+const HIDING_DEPTH_PX: f64 = 14.0;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
 const PRIOR_REACH_PX: f64 = 45.0;
 

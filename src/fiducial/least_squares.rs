@@ -187,9 +187,14 @@ impl Linear {
     /// Takes weight from the pixels that the model is too far from, by the noise that most of them show and by what the model
     /// itself may be off: none within a limit, all beyond twice that.
     fn reject(&mut self, allowed_dn: f32) {
-        // Every second pixel tells the noise.
+        // Every second pixel that counts tells the noise.
         let mut sizes = Scratch::empty(self.residuals.len());
-        sizes.extend(self.residuals.iter().step_by(2).map(|r| r.abs()));
+        let counting = self.residuals.iter().zip(self.root_weights.iter());
+        let counting = counting.filter(|(_, weight)| **weight > 0.0).step_by(2);
+        sizes.extend(counting.map(|(residual, _)| residual.abs()));
+        if sizes.is_empty() {
+            return;
+        }
         let middle = sizes.len() / 2;
         let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
         let limit = DOUBTED_SIGMA * 1.4826 * median + allowed_dn;

@@ -135,6 +135,7 @@ impl Band {
         hidden: &Hidden,
         sectors: usize,
     ) -> Self {
+        let sectors = sectors.max(1);
         let spans = Spans::new(outline, reach);
         let mut pixels = Places::new();
         with_view!(frame, view => pixels.gather(&view, outline, &spans, hidden));

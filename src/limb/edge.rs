@@ -56,6 +56,12 @@ pub(super) struct Appearance {
     light: Tilt,
 }
 
+impl Appearance {
+    pub(super) fn disc_noise_dn(&self) -> f64 {
+        self.noise.inside_dn
+    }
+}
+
 /// Points of the limb, and how it appears.
 pub(super) struct Look {
     pub points: Vec<LimbPoint>,

@@ -45,6 +45,11 @@ impl Limb {
             .sqrt()
     }
 
+    /// Noise of the disc's pixels near the limb, 1 sigma, DN.
+    pub fn disc_noise_dn(&self) -> f64 {
+        self.appearance.disc_noise_dn()
+    }
+
     /// The blurred light of the disc without marks.
     pub fn light(&self) -> DiscLight {
         DiscLight::new(&self.outline.ellipse, &self.profile)

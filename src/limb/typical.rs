@@ -24,9 +24,14 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
     let hidden = (bins * LEVELS) as u32;
     find_cells(band, step_dn as f32, hidden, &mut cells);
     let mut counts = Scratch::<u16>::zeros((bins + 1) * LEVELS);
-    for cell in cells.iter() {
-        if let Some(count) = counts.get_mut(*cell as usize) {
+    let mut sums = Scratch::<f32>::zeros(if step_dn > 1.0 { counts.len() } else { 0 });
+    for (cell, dn) in cells.iter().zip(band.dn.iter()) {
+        let cell = *cell as usize;
+        if let Some(count) = counts.get_mut(cell) {
             *count += 1;
+        }
+        if let Some(sum) = sums.get_mut(cell) {
+            *sum += dn;
         }
     }
     let middle_px = |bin: usize| (bin as f64 + 0.5) / f64::from(PER_PX) - reach.inside_px;
@@ -35,8 +40,9 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
         .take(bins)
         .enumerate()
         .filter_map(|(bin, counts)| {
-            let (dn, pixels) = median(counts, step_dn)?;
-            (dn < saturation_dn - 1.0).then(|| Brightness {
+            let sums = sums.get(bin * LEVELS..(bin + 1) * LEVELS);
+            let (dn, pixels) = median(counts, step_dn, sums)?;
+            (dn < saturation_dn - step_dn).then(|| Brightness {
                 distance_px: middle_px(bin),
                 dn,
                 weight: MEDIAN_WORTH * f64::from(pixels),
@@ -62,8 +68,9 @@ fn find_cells(band: &Band, step_dn: f32, hidden: u32, cells: &mut [u32]) {
     }
 }
 
-/// The median of counted values, interpolated within its step, and their number.
-fn median(counts: &[u16], step_dn: f64) -> Option<(f64, u32)> {
+/// The median of counted values, interpolated within its step, and their number. Where the median's step holds most of the
+/// values, as that of a quiet ground does, it is the mean of these.
+fn median(counts: &[u16], step_dn: f64, sums: Option<&[f32]>) -> Option<(f64, u32)> {
     let pixels: u32 = counts.iter().map(|n| u32::from(*n)).sum();
     if pixels < MIN_PIXELS {
         return None;
@@ -72,6 +79,11 @@ fn median(counts: &[u16], step_dn: f64) -> Option<(f64, u32)> {
     let mut upto = 0;
     for (level, count) in counts.iter().map(|n| u32::from(*n)).enumerate() {
         if upto + count >= half {
+            if let Some(sum) = sums.map(|sums| f64::from(sums[level]))
+                && count > half
+            {
+                return Some((sum / f64::from(count), pixels));
+            }
             let part = (f64::from(pixels) / 2.0 - f64::from(upto)) / f64::from(count);
             // A value stands for all that was rounded to it.
             return Some(((level as f64 + part) * step_dn - 0.5, pixels));
@@ -89,15 +101,22 @@ mod tests {
     fn a_median_is_found_between_whole_values() {
         let mut counts = [0_u16; LEVELS];
         (counts[10], counts[11], counts[200]) = (10, 10, 2);
-        let (dn, pixels) = median(&counts, 1.0).unwrap();
+        let (dn, pixels) = median(&counts, 1.0, None).unwrap();
         assert!((dn - 10.6).abs() < 1e-9, "{dn}");
         assert_eq!(pixels, 22);
+    }
+
+    #[test]
+    fn a_quiet_ground_is_not_rounded_to_the_steps_of_a_deep_picture() {
+        let (mut counts, mut sums) = ([0_u16; LEVELS], [0.0; LEVELS]);
+        (counts[3], sums[3]) = (40, 40.0 * 61.5);
+        assert_eq!(median(&counts, 16.0, Some(&sums)), Some((61.5, 40)));
     }
 
     #[test]
     fn a_handful_of_pixels_makes_no_median() {
         let mut counts = [0_u16; LEVELS];
         counts[7] = 9;
-        assert_eq!(median(&counts, 1.0), None);
+        assert_eq!(median(&counts, 1.0, None), None);
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::config::{Host, Memory};
 use nix::sys::mman::{MlockAllFlags, mlockall};
+use nix::sys::resource::{RLIM_INFINITY, Resource, getrlimit};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
@@ -14,6 +15,8 @@ pub enum NotGranted {
     Realtime { priority: u8, cause: String },
     #[error("host.memory = \"locked\": needs CAP_IPC_LOCK or LimitMEMLOCK: {0}")]
     Memory(nix::Error),
+    #[error("host.memory = \"locked\": expected LimitMEMLOCK=infinity, found {bytes} bytes")]
+    Limit { bytes: u64 },
 }
 
 /// Puts the calling thread among the real-time threads.
@@ -32,8 +35,12 @@ pub fn run_in_real_time(priority: u8) -> Result<(), NotGranted> {
 /// Keeps the memory that the program has, and will have, from being swapped out.
 ///
 /// # Errors
-/// The operating system does not allow it.
+/// The operating system does not allow it, or sets a limit: a program that comes to it later gets no more memory at all.
 pub fn lock_memory() -> Result<(), NotGranted> {
+    let (limit, _) = getrlimit(Resource::RLIMIT_MEMLOCK).map_err(NotGranted::Memory)?;
+    if limit != RLIM_INFINITY {
+        return Err(NotGranted::Limit { bytes: limit });
+    }
     mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(NotGranted::Memory)
 }
 
