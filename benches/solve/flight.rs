@@ -40,7 +40,7 @@ const STANDARD: Conditions = Conditions {
     name: "8 bit, noise 5 DN",
     noise_dn: 5.0,
     depth: Depth::Eight,
-    start_px: [420.0, 310.0],
+    start_px: [500.0, 370.0],
     camera: Camera::Standard,
 };
 
@@ -71,7 +71,7 @@ pub const CONDITIONS: [Conditions; 6] = [
     Conditions {
         name: "sensor x 4, everything x 4",
         camera: Camera::Finer,
-        start_px: [840.0, 620.0],
+        start_px: [1000.0, 740.0],
         ..STANDARD
     },
 ];
