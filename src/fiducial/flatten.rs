@@ -1,5 +1,6 @@
 //! The disc without its own brightness.
 
+use super::rings::{RINGS, Taken, measure_tilt, median, ring};
 use crate::frame::{Frame, Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
 use crate::lanes::split;
@@ -8,20 +9,11 @@ use crate::with_view;
 use multiversion::multiversion;
 use nalgebra::Vector2;
 
-/// Rings that make the profile, equally wide in mu, the cosine of the angle to the Sun's vertical: limb darkening is nearly
-/// straight in mu, and towards the limb, where light falls steeply, such rings become narrow by themselves.
-const RINGS: usize = 16;
 /// Entries of the table of expected light, equally wide in mu^2, which needs no root for every pixel: 0.1 px at the limb.
 const TABLE: usize = 512;
 const LAST_ENTRY: f32 = TABLE as f32 - 0.51;
 /// Nearer to the limb than this nothing is judged: its blur takes over there.
 const LIMB_MARGIN_PX: f64 = 1.0;
-/// Only every so many columns and rows make the profile.
-const STRIDE_PX: usize = 4;
-/// Fewest pixels that make a ring's median.
-const MIN_RING_PIXELS: usize = 12;
-/// Brighter or darker than this is a mark or a blemish and tells nothing of the light's tilt.
-const MOST_TILT: f32 = 0.2;
 /// Darkness is not let below so many sigma: scratches and hot pixels are brighter than the noise allows.
 const BRIGHTEST_SIGMA: f32 = 3.0;
 
@@ -158,17 +150,6 @@ impl FlatDisc {
             && within(at.x, self.sensor_px[0])
             && within(at.y, self.sensor_px[1])
     }
-}
-
-/// The pixels that make the profile, one list for each quantity, ring by ring.
-struct Taken {
-    /// Position in disc units.
-    x: Vec<f32>,
-    y: Vec<f32>,
-    /// Above background, DN.
-    light: Vec<f32>,
-    /// The first pixel of every ring, and the one after the last.
-    rings: [usize; RINGS + 1],
 }
 
 /// What the disc looks like without marks.
@@ -383,88 +364,7 @@ fn find_entries(row: &Row, first: f32, dn: &[f32], entries: &mut [u16], light: &
     }
 }
 
-/// The slope of the light across the disc, by least squares on what is neither mark nor blemish.
-fn measure_tilt(taken: &Taken, darkness: &[f32]) -> Vector2<f32> {
-    let (mut moment, mut inertia) = (Vector2::zeros(), 0.0);
-    for ((x, y), darkness) in taken.x.iter().zip(&taken.y).zip(darkness) {
-        if darkness.abs() < MOST_TILT {
-            let w = Vector2::new(*x, *y);
-            moment -= w * *darkness;
-            inertia += w.norm_squared() / 2.0;
-        }
-    }
-    if inertia > 0.0 {
-        moment / inertia
-    } else {
-        moment
-    }
-}
-
-/// The ring of a mu^2.
-fn ring(mu2: f32) -> usize {
-    ((mu2.sqrt() * RINGS as f32) as usize).min(RINGS - 1)
-}
-
 /// The place of a mu^2 in the table.
 fn entry(mu2: f32) -> usize {
     split((mu2 * TABLE as f32).clamp(0.0, LAST_ENTRY)).0 as usize
-}
-
-impl Taken {
-    /// Pixels of the disc, some rows and columns apart.
-    fn of<T: Sample>(
-        view: &View<'_, T>,
-        region: Region,
-        outline: &Ellipse,
-        background_dn: f32,
-    ) -> Self {
-        let mut found: Vec<([f32; 3], usize)> = Vec::with_capacity(4096);
-        let mut counts = [0; RINGS];
-        let inverse = outline.inverse().cast::<f32>();
-        for y in (region.y0..region.y1).step_by(STRIDE_PX) {
-            let row = &view.pixels[y * view.width..][..view.width];
-            // Neighbouring rows look at other columns.
-            let x0 = region.x0 + y / STRIDE_PX % STRIDE_PX;
-            let dy = (y as f64 - outline.centre.y) as f32;
-            for x in (x0..region.x1).step_by(STRIDE_PX) {
-                let dx = (x as f64 - outline.centre.x) as f32;
-                let (wx, wy) = (
-                    inverse.m11 * dx + inverse.m12 * dy,
-                    inverse.m12 * dx + inverse.m22 * dy,
-                );
-                let mu2 = 1.0 - wx * wx - wy * wy;
-                if mu2 > 0.0 {
-                    let ring = ring(mu2);
-                    counts[ring] += 1;
-                    found.push(([wx, wy, row[x].dn() - background_dn], ring));
-                }
-            }
-        }
-        let mut rings = [0; RINGS + 1];
-        for n in 0..RINGS {
-            rings[n + 1] = rings[n] + counts[n];
-        }
-        let [x, y, light] = std::array::from_fn(|_| vec![0.0; found.len()]);
-        let mut taken = Self { x, y, light, rings };
-        let mut next = rings;
-        for ([x, y, light], ring) in found {
-            let n = next[ring];
-            next[ring] += 1;
-            (taken.x[n], taken.y[n], taken.light[n]) = (x, y, light);
-        }
-        taken
-    }
-
-    fn ring(&self, ring: usize) -> std::ops::Range<usize> {
-        self.rings[ring]..self.rings[ring + 1]
-    }
-}
-
-/// `None` when there are too few values.
-fn median(values: &mut [f32]) -> Option<f32> {
-    if values.len() < MIN_RING_PIXELS {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }

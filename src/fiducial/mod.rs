@@ -22,6 +22,7 @@ mod patch;
 mod profile;
 mod reading;
 mod refine;
+mod rings;
 mod spots;
 
 pub use detect::{Detection, Detections, Lighting, detect};

@@ -10,16 +10,17 @@
 //! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for what the scale costs.
 //! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
 
+use super::appearance::{Appearance, Noise, TILT, Tilt, clipped_sigma};
 use super::band::{Band, Hidden, Reach, middle_of_sector};
 use super::outline::TUKEY_SIGMAS;
 use super::profile::Profile;
 use super::typical::medians;
-use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
+use crate::frame::{Frame, Levels};
 use crate::geometry::Ellipse;
 use crate::lanes::{Scratch, split};
 use crate::units::SensorPx;
 use multiversion::multiversion;
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2};
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,9 +33,7 @@ pub struct LimbPoint {
 /// The band about the first outline that is looked at, in blurs and at least so many px.
 const BAND_INSIDE: (f64, f64) = (5.0, 7.0);
 const BAND_OUTSIDE: (f64, f64) = (4.0, 4.0);
-/// How far the light at one azimuth may be from what was expected before its own scale is known, 1 sigma.
-const TILT: f64 = 0.04;
-/// The same once the light's tilt across the disc is known.
+/// How far the light in a sector may be from what was expected once its tilt across the disc is known, 1 sigma.
 const UNEVEN: f64 = 0.02;
 /// How far the limb may be from an outline before and after a first look, px.
 const FIRST_SHIFT_PX: f64 = 0.7;
@@ -45,22 +44,6 @@ const LEAST_OWN_PART: f64 = 1e-3;
 const MAX_SIGMA_PX: f64 = 0.7;
 /// A shift so large is no shift of the limb.
 const MAX_SHIFT_PX: f64 = 3.0;
-/// Fewest pixels that tell a noise.
-const MIN_PIXELS: f32 = 10.0;
-
-/// What a look at the limb teaches beside its points.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Appearance {
-    pub profile: Profile,
-    noise: Noise,
-    light: Tilt,
-}
-
-impl Appearance {
-    pub(super) fn disc_noise_dn(&self) -> f64 {
-        self.noise.inside_dn
-    }
-}
 
 /// Points of the limb, and how it appears.
 pub(super) struct Look {
@@ -165,55 +148,6 @@ impl Sight<'_> {
                 light,
             },
         }
-    }
-}
-
-/// Noise of a pixel, 1 sigma, on both sides of the limb.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Noise {
-    outside_dn: f64,
-    inside_dn: f64,
-}
-
-/// Light over the profile's, less 1, as it changes across the disc.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Tilt {
-    mean: f64,
-    slope: Vector2<f64>,
-}
-
-impl Tilt {
-    const NONE: Self = Self {
-        mean: 0.0,
-        slope: Vector2::new(0.0, 0.0),
-    };
-
-    /// By least squares, twice: the second time without what is far from the first.
-    fn of(seen: impl Iterator<Item = (Vector2<f64>, f64)> + Clone) -> Self {
-        let mut tilt = Self::NONE;
-        for limit in [4.0 * TILT, 2.0 * TILT] {
-            // A little information of none at all, for what a short arc does not tell.
-            let mut matrix = Matrix3::identity();
-            let mut right = Vector3::zeros();
-            for (w, excess) in seen.clone() {
-                let left = excess - tilt.at(w);
-                if left.abs() < limit {
-                    let row = Vector3::new(1.0, w.x, w.y);
-                    matrix += row * row.transpose();
-                    right += row * excess;
-                }
-            }
-            let Some(fit) = matrix.cholesky().map(|root| root.solve(&right)) else {
-                break;
-            };
-            tilt.mean = fit.x;
-            tilt.slope = Vector2::new(fit.y, fit.z);
-        }
-        tilt
-    }
-
-    fn at(&self, direction: Vector2<f64>) -> f64 {
-        self.mean + self.slope.dot(&direction)
     }
 }
 
@@ -382,14 +316,6 @@ impl Slack {
     }
 }
 
-impl Noise {
-    /// At a share of the disc's light, DN^2.
-    fn variance(&self, share: f32) -> f32 {
-        let [outside, inside] = [self.outside_dn, self.inside_dn].map(|dn| dn.powi(2) as f32);
-        outside + (inside - outside) * share
-    }
-}
-
 /// Where in a table pixels are: the entry, and how far towards the next one.
 struct Places {
     entry: Scratch<u16>,
@@ -412,40 +338,6 @@ fn find_places(distance_px: &[f32], first_px: f32, last: f32, entry: &mut [u16],
         let (whole, left) = split(along);
         (entry[n], part[n]) = (whole as u16, left);
     }
-}
-
-/// 1 sigma of what is left, from what lies within three of it: in rounds, since the limit rests on the result. `None` of
-/// too few.
-#[multiversion(targets("x86_64+avx2"))]
-fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
-    /// What the normal distribution keeps of its sigma within three of it.
-    const KEPT: f32 = 0.9866;
-    const ROUNDS: usize = 4;
-    /// The start may be of another part of the picture.
-    const FIRST_LIMIT: f32 = 5.0;
-    const LANES: usize = 8;
-    let mut limit = FIRST_LIMIT * start;
-    let mut sigma = None;
-    for _ in 0..ROUNDS {
-        let limit2 = limit * limit;
-        let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-        for left in left.chunks_exact(LANES) {
-            for k in 0..LANES {
-                let square = left[k] * left[k];
-                counts[k] += if square < limit2 { 1.0 } else { 0.0 };
-                squares[k] += if square < limit2 { square } else { 0.0 };
-            }
-        }
-        let count: f32 = counts.iter().sum();
-        if count < MIN_PIXELS {
-            return None;
-        }
-        let found = (squares.iter().sum::<f32>() / count).sqrt() / KEPT;
-        let found = found.max(ROUNDING_NOISE_DN as f32);
-        sigma = Some(f64::from(found));
-        limit = 3.0 * found;
-    }
-    sigma
 }
 
 /// How the limb stands in one sector.

@@ -1,7 +1,8 @@
 //! The outline of the disc from the whole limb: points and ellipse in turn, until neither moves.
 
+use super::appearance::Appearance;
 use super::band::Hidden;
-use super::edge::{Appearance, LimbPoint, Look, Sight};
+use super::edge::{LimbPoint, Look, Sight};
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::{Profile, Settings};

@@ -12,6 +12,7 @@
 //! Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
 //! than [`Settings::min_limb_points`] points on an outline.
 
+mod appearance;
 mod band;
 mod bright;
 mod chords;
