@@ -301,7 +301,7 @@ impl Drop for Tmpfs {
 
 #[test]
 fn a_real_file_system_that_fills_leaves_the_rest_to_the_other() {
-    let Some(small) = Tmpfs::mount("size=128k") else {
+    let Some(small) = Tmpfs::mount("size=600k") else {
         return println!("not run: this user may not mount a tmpfs");
     };
     let second = tempfile::tempdir().unwrap();
