@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Matrix6, Vector6};
 const FARTHEST_PX: f64 = 1.5;
 /// So near to a place what the cross covers changes in proportion to the offset: what is beyond is the same on both sides
 /// of an arm, and moves nothing.
-const NEAR_PX: f64 = 0.01;
+const NEAR_PX: f64 = 0.02;
 const MOST_LOOKS: usize = 6;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
 const DOUBTED_SIGMA: f32 = 3.0;
@@ -187,10 +187,9 @@ impl Linear {
     /// Takes weight from the pixels that the model is too far from, by the noise that most of them show and by what the model
     /// itself may be off: none within a limit, all beyond twice that.
     fn reject(&mut self, allowed_dn: f32) {
-        // Every second pixel that counts tells the noise.
         let mut sizes = Scratch::empty(self.residuals.len());
         let counting = self.residuals.iter().zip(self.root_weights.iter());
-        let counting = counting.filter(|(_, weight)| **weight > 0.0).step_by(2);
+        let counting = counting.filter(|(_, weight)| **weight > 0.0);
         sizes.extend(counting.map(|(residual, _)| residual.abs()));
         if sizes.is_empty() {
             return;
