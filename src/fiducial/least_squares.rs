@@ -76,10 +76,14 @@ impl Fit<'_> {
         let mut variance = self.noise_dn.powi(2);
         let mut shares = Shares::new(self.patch.len());
         let mut linear = Linear::new(self.patch.len());
-        for _ in 0..MOST_LOOKS {
+        for look in 0..MOST_LOOKS {
             let about = [unknowns[X], unknowns[Y]];
             self.look_up(about, &mut shares);
             self.lay(&unknowns, about, &shares, &mut linear);
+            // The first model is too far off to tell what does not belong.
+            if look > 0 {
+                linear.reject(allowed_dn);
+            }
             let rough = linear.step(&unknowns, variance)?;
             unknowns += rough.by;
             if unknowns[X].hypot(unknowns[Y]) > FARTHEST_PX {
