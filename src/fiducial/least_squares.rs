@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Matrix6, Vector6};
 const FARTHEST_PX: f64 = 1.5;
 /// So near to a place what the cross covers changes in proportion to the offset: what is beyond is the same on both sides
 /// of an arm, and moves nothing.
-const NEAR_PX: f64 = 0.003;
+const NEAR_PX: f64 = 0.01;
 const MOST_LOOKS: usize = 6;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
 const DOUBTED_SIGMA: f32 = 3.0;
