@@ -9,10 +9,11 @@ use nalgebra::{Matrix2, Matrix6, Vector6};
 
 /// A mark farther than this from where it was expected is not that mark.
 const FARTHEST_PX: f64 = 1.5;
-/// So near to a place what the cross covers changes in proportion to the offset: what is beyond is the same on both sides
-/// of an arm, and moves nothing.
-const NEAR_PX: f64 = 0.01;
-const MOST_LOOKS: usize = 6;
+/// Near to a place what the cross covers changes in proportion to the offset: so near, px, and in sigmas of the place, that what
+/// is beyond does not matter.
+const NEAR_PX: std::ops::RangeInclusive<f64> = 0.0003..=0.02;
+const NEAR_SIGMAS: f64 = 0.5;
+const MOST_LOOKS: usize = 10;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
 const DOUBTED_SIGMA: f32 = 3.0;
 /// Beyond the noise, the model may be off by this part of the light: a blur that is not quite the lens's shows at the arms'
@@ -94,7 +95,9 @@ impl Fit<'_> {
             let fine = linear.step(&unknowns, rough.variance)?;
             unknowns += fine.by;
             variance = fine.variance;
-            if (unknowns[X] - about[X]).hypot(unknowns[Y] - about[Y]) < NEAR_PX {
+            let sigma_px = (fine.covariance.fixed_view::<2, 2>(X, X).trace() / 2.0).sqrt();
+            let near_px = (NEAR_SIGMAS * sigma_px).clamp(*NEAR_PX.start(), *NEAR_PX.end());
+            if (unknowns[X] - about[X]).hypot(unknowns[Y] - about[Y]) < near_px {
                 return Some(Converged {
                     unknowns,
                     covariance: fine.covariance,
