@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Matrix6, Vector6};
 const FARTHEST_PX: f64 = 1.5;
 /// Near to a place what the cross covers changes in proportion to the offset: so near, px, and in sigmas of the place, that what
 /// is beyond does not matter.
-const NEAR_PX: std::ops::RangeInclusive<f64> = 0.0003..=0.02;
+const NEAR_PX: std::ops::RangeInclusive<f64> = 0.0003..=0.002;
 const NEAR_SIGMAS: f64 = 0.5;
 const MOST_LOOKS: usize = 10;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
