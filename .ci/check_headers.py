@@ -34,6 +34,8 @@ LIMB_DARKENING, BLUR_PX = 0.56, np.hypot(0.9, 1 / 12**0.5)
 # Worst deviations that pass. Where the sensor cuts the disc, few marks are lit and the mapping is known less well.
 LIMB_PX, CUT_LIMB_PX, TURN_DEG, SPOT_ARCSEC = 0.1, 0.5, 0.02, 0.5
 REACH_PX = 6.0
+# A Sun that moves faster is smeared by more than a pixel within its exposure: its limb is no sharp edge to measure.
+SLEW_DEG_PER_S = 0.25
 
 
 def accepted_remarks():
@@ -176,6 +178,17 @@ def check_limb(path, header, frame):
     return radius, off_centre, worst, whole
 
 
+def speed_deg_per_s(header, others):
+    """How fast the Sun moves over the picture, from where it was in the nearest of the other frames."""
+
+    def seconds(other):
+        return (Time(other["DATE-AVG"]) - Time(header["DATE-AVG"])).sec
+
+    near = min((other for other in others if other is not header), key=lambda other: abs(seconds(other)))
+    way_px = np.hypot(*(near[k] - header[k] for k in ("SUNPX-X", "SUNPX-Y")))
+    return way_px * header["CDELT1"] / 3600 / abs(seconds(near))
+
+
 def check_spots(folder):
     """A spot is darkest where sunpy looks for it by its helioprojective place."""
     for row in csv.DictReader((folder / "sunspots.csv").read_text().splitlines()):
@@ -208,7 +221,7 @@ def main(archive, spots):
     accepted = accepted_remarks()
     files = sorted(pathlib.Path(archive).rglob("*.fits"))
     assert files, "expected FITS files in the archive, found none"
-    limbs, turns, remarks = [], [], []
+    fine, turns, remarks = [], [], []
     for path in files:
         header, said = check_structure(path, accepted)
         remarks += said
@@ -222,10 +235,15 @@ def main(archive, spots):
         turns.append(check_orientation(path, header, frame))
         assert turns[-1] < TURN_DEG, (path, turns[-1])
         if header["QUALITY"] == "fine":
-            limbs.append(check_limb(path, header, frame))
+            fine.append((path, header, frame))
+    headers = [header for _, header, _ in fine]
+    slow = [f for f in fine if speed_deg_per_s(f[1], headers) < SLEW_DEG_PER_S]
+    limbs = [check_limb(*f) for f in slow]
     check_spots(pathlib.Path(spots))
     print(f"{len(files)} files without a warning; {len(remarks)} remarks of solarnet-metadata, all explained")
     print(f"north and west: at most {max(turns):.4f} deg from where zenith, clocking and mapping put them")
+    if len(slow) < len(fine):
+        print(f"{len(fine) - len(slow)} discs that their motion smeared, whose limb is not measured")
     for title, chosen in (("whole", True), ("cut", False)):
         report_limbs(title, [limb[:3] for limb in limbs if limb[3] is chosen])
     assert any(limb[3] for limb in limbs), "expected whole discs, found none"
