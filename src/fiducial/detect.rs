@@ -1,7 +1,7 @@
 //! Finding marks on the flattened disc, at any rotation of the camera.
 
+use super::coverage::BlurredCross;
 use super::kernel::Kernel;
-use super::profile::Profile;
 use super::spots::{find_spots, neighbours};
 use super::{CrossShape, FlatDisc, Settings};
 use crate::units::SensorPx;
@@ -200,16 +200,16 @@ impl<'a> Search<'a> {
         settings: &'a Settings,
         rotation_deg: f64,
     ) -> Self {
-        let profile = Profile::new(shape);
+        let blurred = BlurredCross::new(shape);
         let (sin, cos) = rotation_deg.to_radians().sin_cos();
         let tip = |x, y| Vector2::new(x, y) * shape.half_length_px;
         Self {
             flat,
             shape,
             settings,
-            cross: Kernel::oriented(shape, &profile, rotation_deg),
-            fourfold: Kernel::fourfold(shape, &profile, rotation_deg),
-            slope_energy: profile.slope_energy(shape.reach_px()),
+            cross: Kernel::oriented(shape, &blurred, rotation_deg),
+            fourfold: Kernel::fourfold(shape, &blurred, rotation_deg),
+            slope_energy: blurred.slope_energy(shape.reach_px()),
             tips: [tip(cos, sin), tip(-sin, cos)],
         }
     }

@@ -1,11 +1,10 @@
 //! The cross as the camera sees it, and the kernels that look for it.
 
 use super::FlatDisc;
-use super::profile::Profile;
+use super::coverage::{BlurredCross, Pose};
 use crate::frame::PIXEL_VARIANCE_PX2;
 use crate::plate::Cross;
 use multiversion::multiversion;
-use std::sync::LazyLock;
 
 /// The cross as the camera sees it, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,39 +25,10 @@ impl CrossShape {
         }
     }
 
-    /// The share of the light that a blurred bar covers at a distance from its middle, and its slope, per px.
-    pub(super) fn bar(&self, at: f64, half: f64) -> (f64, f64) {
-        let [near, far] = [at + half, at - half].map(|edge| normal(edge / self.blur_px));
-        (near.0 - far.0, (near.1 - far.1) / self.blur_px)
-    }
-
     /// How far from its middle the cross changes the picture, px.
     pub(super) fn reach_px(&self) -> f64 {
         self.half_length_px + 2.0 * self.blur_px
     }
-}
-
-/// The normal distribution and its density, from a table: straight lines between its entries miss by 4e-6 at most.
-fn normal(z: f64) -> (f64, f64) {
-    const PER_SIGMA: f64 = 128.0;
-    const LAST_SIGMA: f64 = 6.0;
-    static TABLE: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| {
-        let entry = |n: usize| {
-            let z = n as f64 / PER_SIGMA - LAST_SIGMA;
-            let below = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
-            (below, (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt())
-        };
-        let last = (2.0 * LAST_SIGMA * PER_SIGMA) as usize + 1;
-        (0..=last).map(entry).collect()
-    });
-    let along = (z.clamp(-LAST_SIGMA, LAST_SIGMA) + LAST_SIGMA) * PER_SIGMA;
-    let n = along as usize;
-    let part = along - n as f64;
-    let (here, next) = (TABLE[n], TABLE[n + 1]);
-    (
-        here.0 + part * (next.0 - here.0),
-        here.1 + part * (next.1 - here.1),
-    )
 }
 
 /// A zero-mean kernel on a round support, so that neither even ground nor a slope answers.
@@ -78,65 +48,29 @@ const LANES: usize = 8;
 
 impl Kernel {
     /// The kernel of a cross whose arms are rotated from the sensor's axes.
-    pub(super) fn oriented(shape: &CrossShape, profile: &Profile, rotation_deg: f64) -> Self {
-        let (sin, cos) = rotation_deg.to_radians().sin_cos();
-        let (sin, cos) = (sin as f32, cos as f32);
-        let coverage =
-            |x: f32, y: f32| profile.coverage(cos * x + sin * y, cos * y - sin * x).share;
-        Self::from_coverage(shape, coverage)
+    pub(super) fn oriented(shape: &CrossShape, cross: &BlurredCross, rotation_deg: f64) -> Self {
+        let support = Support::of(shape);
+        let shares = cross.at(&support.x, &support.y, &Pose::turned(rotation_deg));
+        support.kernel(&shares.share)
     }
 
     /// The part of that kernel that is left when its average over all rotations is taken off: what is round (a sunspot,
     /// dust) does not answer to it, a cross does with its full contrast.
-    pub(super) fn fourfold(shape: &CrossShape, profile: &Profile, rotation_deg: f64) -> Self {
+    pub(super) fn fourfold(shape: &CrossShape, cross: &BlurredCross, rotation_deg: f64) -> Self {
         const STEPS_PER_PX: f32 = 4.0;
-        const ANGLES: usize = 12;
-        let average = |n: usize| {
-            let r = n as f32 / STEPS_PER_PX;
-            // An eighth of a turn and its mirror image make the whole cross.
-            let angles =
-                (0..ANGLES).map(|k| (k as f32 + 0.5) / ANGLES as f32 * std::f32::consts::FRAC_PI_4);
-            let shares =
-                angles.map(|angle| profile.coverage(r * angle.cos(), r * angle.sin()).share);
-            shares.sum::<f32>() / ANGLES as f32
-        };
+        let support = Support::of(shape);
         let last = (shape.reach_px() as f32 * STEPS_PER_PX) as usize + 2;
-        let averages: Vec<f32> = (0..=last).map(average).collect();
-        let (sin, cos) = rotation_deg.to_radians().sin_cos();
-        let (sin, cos) = (sin as f32, cos as f32);
-        Self::from_coverage(shape, |x, y| {
-            let along = x.hypot(y) * STEPS_PER_PX;
+        let radii = (0..=last).map(|n| n as f32 / STEPS_PER_PX);
+        let averages = rotation_averages(cross, radii);
+        let mut shares = cross
+            .at(&support.x, &support.y, &Pose::turned(rotation_deg))
+            .share;
+        for ((share, x), y) in shares.iter_mut().zip(&support.x).zip(&support.y) {
+            let along = (x * x + y * y).sqrt() * STEPS_PER_PX;
             let n = (along as usize).min(last - 1);
-            let round = averages[n] + (along - n as f32) * (averages[n + 1] - averages[n]);
-            profile.coverage(cos * x + sin * y, cos * y - sin * x).share - round
-        })
-    }
-
-    fn from_coverage(shape: &CrossShape, coverage: impl Fn(f32, f32) -> f32) -> Self {
-        let radius = shape.reach_px() as f32;
-        let reach = radius.ceil() as usize;
-        let side = 2 * reach + 1;
-        let stride = side.next_multiple_of(LANES);
-        let mut weights = vec![0.0; side * stride];
-        let mut inside = Vec::new();
-        for row in 0..side {
-            for column in 0..side {
-                let (x, y) = (column as f32 - reach as f32, row as f32 - reach as f32);
-                if x * x + y * y <= radius * radius {
-                    weights[row * stride + column] = coverage(x, y);
-                    inside.push(row * stride + column);
-                }
-            }
+            *share -= averages[n] + (along - n as f32) * (averages[n + 1] - averages[n]);
         }
-        let mean = inside.iter().map(|n| weights[*n]).sum::<f32>() / inside.len() as f32;
-        inside.iter().for_each(|n| weights[*n] -= mean);
-        let energy = weights.iter().map(|w| f64::from(w * w)).sum();
-        Self {
-            reach,
-            weights,
-            stride,
-            energy,
-        }
+        support.kernel(&shares)
     }
 
     /// Whether the kernel, laid on a value with one pixel to spare, stays within the flattened disc's square.
@@ -155,6 +89,63 @@ impl Kernel {
     /// 1 sigma of a response where the values have this noise.
     pub(super) fn noise(&self, values: f64) -> f64 {
         values / self.energy.sqrt()
+    }
+}
+
+/// What a cross covers at distances from its middle, on average over its rotations.
+fn rotation_averages(cross: &BlurredCross, radii: impl Iterator<Item = f32>) -> Vec<f32> {
+    const ANGLES: usize = 12;
+    // An eighth of a turn and its mirror image make the whole cross.
+    let angles: [f32; ANGLES] =
+        std::array::from_fn(|k| (k as f32 + 0.5) / ANGLES as f32 * std::f32::consts::FRAC_PI_4);
+    let places = radii.flat_map(|r| angles.map(|angle| (r * angle.cos(), r * angle.sin())));
+    let (x, y): (Vec<f32>, Vec<f32>) = places.unzip();
+    let shares = cross.at(&x, &y, &Pose::turned(0.0)).share;
+    let mean = |shares: &[f32]| shares.iter().sum::<f32>() / ANGLES as f32;
+    shares.chunks_exact(ANGLES).map(mean).collect()
+}
+
+/// The round support of a kernel: its pixels' offsets from the middle, px.
+struct Support {
+    reach: usize,
+    x: Vec<f32>,
+    y: Vec<f32>,
+}
+
+impl Support {
+    fn of(shape: &CrossShape) -> Self {
+        let radius = shape.reach_px() as f32;
+        let reach = radius.ceil() as i32;
+        let square = (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| (x, y)));
+        let (x, y) = square
+            .map(|(x, y)| (x as f32, y as f32))
+            .filter(|(x, y)| x * x + y * y <= radius * radius)
+            .unzip();
+        Self {
+            reach: reach as usize,
+            x,
+            y,
+        }
+    }
+
+    /// The kernel of values on the support's pixels, their mean taken off.
+    fn kernel(&self, values: &[f32]) -> Kernel {
+        let reach = self.reach;
+        let side = 2 * reach + 1;
+        let stride = side.next_multiple_of(LANES);
+        let mut weights = vec![0.0; side * stride];
+        let mean = values.iter().sum::<f32>() / values.len() as f32;
+        for ((value, x), y) in values.iter().zip(&self.x).zip(&self.y) {
+            let place = |offset: f32| (offset + reach as f32) as usize;
+            weights[place(*y) * stride + place(*x)] = value - mean;
+        }
+        let energy = weights.iter().map(|w| f64::from(w * w)).sum();
+        Kernel {
+            reach,
+            weights,
+            stride,
+            energy,
+        }
     }
 }
 
@@ -191,8 +182,8 @@ mod tests {
 
     #[test]
     fn a_cross_looks_the_same_after_a_quarter_turn() {
-        let profile = Profile::new(&SHAPE);
-        let [a, b] = [7.0, 97.0].map(|turn| Kernel::oriented(&SHAPE, &profile, turn));
+        let cross = BlurredCross::new(&SHAPE);
+        let [a, b] = [7.0, 97.0].map(|turn| Kernel::oriented(&SHAPE, &cross, turn));
         for (a, b) in a.weights.iter().zip(&b.weights) {
             assert!((a - b).abs() < 1e-5);
         }
@@ -200,7 +191,7 @@ mod tests {
 
     #[test]
     fn what_is_round_does_not_answer_to_the_fourfold_kernel() {
-        let kernel = Kernel::fourfold(&SHAPE, &Profile::new(&SHAPE), 30.0);
+        let kernel = Kernel::fourfold(&SHAPE, &BlurredCross::new(&SHAPE), 30.0);
         for sigma in [1.5_f32, 2.5, 4.0] {
             let mut sum = 0.0;
             for (x, y) in (-10..=10).flat_map(|y| (-10..=10).map(move |x| (x, y))) {
@@ -216,10 +207,10 @@ mod tests {
 
     #[test]
     fn even_ground_does_not_answer() {
-        let profile = Profile::new(&SHAPE);
+        let cross = BlurredCross::new(&SHAPE);
         let kernels = [
-            Kernel::oriented(&SHAPE, &profile, 30.0),
-            Kernel::fourfold(&SHAPE, &profile, 30.0),
+            Kernel::oriented(&SHAPE, &cross, 30.0),
+            Kernel::fourfold(&SHAPE, &cross, 30.0),
         ];
         for kernel in kernels {
             assert!(kernel.weights.iter().sum::<f32>().abs() < 1e-3);

@@ -1,18 +1,16 @@
 //! One mark's fit: place, contrast and light by Gauss and Newton's steps on the pixels of its patch.
 
+use super::coverage::{BlurredCross, Coverage, Pose};
 use super::patch::Patch;
-use super::profile::{Profile, Shares};
 use crate::frame::ROUNDING_NOISE_DN;
-use crate::lanes::Scratch;
+use crate::lanes::{Scratch, clipped_sigma};
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
 /// A mark farther than this from where it was expected is not that mark.
 const FARTHEST_PX: f64 = 1.5;
-/// Near to a place what the cross covers changes in proportion to the offset: so near, px, and in sigmas of the place, that what
-/// is beyond does not matter.
-const NEAR_PX: std::ops::RangeInclusive<f64> = 0.0003..=0.002;
-const NEAR_SIGMAS: f64 = 0.5;
+/// A step as short as this ends where the next one would, px.
+const SETTLED_PX: f64 = 0.02;
 const MOST_LOOKS: usize = 10;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
 const DOUBTED_SIGMA: f32 = 3.0;
@@ -40,7 +38,7 @@ const EXPECTED_INVERSE_SIGMA: [f64; UNKNOWNS] = [0.0, 0.0, 2.0, 2.0, 5.0, 5.0];
 /// One mark's fit.
 pub(super) struct Fit<'a> {
     pub patch: &'a Patch,
-    pub profile: &'a Profile,
+    pub cross: BlurredCross,
     /// From an offset on the sensor to one along the arms, both px.
     pub to_arms: Matrix2<f32>,
     pub blur_variance: f32,
@@ -67,82 +65,62 @@ struct Step {
 
 impl Fit<'_> {
     /// Steps until the place settles. `None` when they lead away or the pixels are too few.
-    ///
-    /// What the cross covers is looked up about one place for two steps, which take it to change in proportion to the
-    /// offset from there: the first shows what does not belong, the second does without it.
     pub(super) fn run(&self) -> Option<Converged> {
         let mut unknowns = Unknowns::from(EXPECTED);
         let most_light = self.patch.light.iter().copied().fold(0.0, f32::max);
         let allowed_dn = (MODEL_ERROR * most_light).max(ROUNDING_NOISE_DN as f32);
         let mut variance = self.noise_dn.powi(2);
-        let mut shares = Shares::new(self.patch.len());
+        let mut coverage = Coverage::of_length(self.patch.len());
         let mut linear = Linear::new(self.patch.len());
         for look in 0..MOST_LOOKS {
-            let about = [unknowns[X], unknowns[Y]];
-            self.look_up(about, &mut shares);
-            self.lay(&unknowns, about, &shares, &mut linear);
+            self.lay(&unknowns, &mut coverage, &mut linear);
             // The first model is too far off to tell what does not belong.
             if look > 0 {
-                linear.reject(allowed_dn);
+                linear.reject(variance.sqrt() as f32, allowed_dn);
             }
-            let rough = linear.step(&unknowns, variance)?;
-            unknowns += rough.by;
+            let step = linear.step(&unknowns, variance)?;
+            unknowns += step.by;
+            variance = step.variance;
             if unknowns[X].hypot(unknowns[Y]) > FARTHEST_PX {
                 return None;
             }
-            self.lay(&unknowns, about, &shares, &mut linear);
-            linear.reject(allowed_dn);
-            let fine = linear.step(&unknowns, rough.variance)?;
-            unknowns += fine.by;
-            variance = fine.variance;
-            let sigma_px = (fine.covariance.fixed_view::<2, 2>(X, X).trace() / 2.0).sqrt();
-            let near_px = (NEAR_SIGMAS * sigma_px).clamp(*NEAR_PX.start(), *NEAR_PX.end());
-            if (unknowns[X] - about[X]).hypot(unknowns[Y] - about[Y]) < near_px {
+            if look > 0 && step.by[X].hypot(step.by[Y]) < SETTLED_PX {
                 return Some(Converged {
                     unknowns,
-                    covariance: fine.covariance,
+                    covariance: step.covariance,
                     variance,
-                    pixels: fine.pixels,
+                    pixels: step.pixels,
                 });
             }
         }
         None
     }
 
-    /// What a cross about a place covers.
-    fn look_up(&self, about: [f64; 2], shares: &mut Shares) {
-        let patch = self.patch;
-        let about = about.map(|v| v as f32);
-        self.profile
-            .shares(&patch.x, &patch.y, about, self.arms(), shares);
-    }
-
-    fn arms(&self) -> [f32; 4] {
+    /// Residuals and slopes at the unknowns.
+    fn lay(&self, unknowns: &Unknowns, coverage: &mut Coverage, linear: &mut Linear) {
         let m = &self.to_arms;
-        [m.m11, m.m12, m.m21, m.m22]
-    }
-
-    /// Residuals and slopes at the unknowns, from what is covered about a place near theirs.
-    fn lay(&self, unknowns: &Unknowns, about: [f64; 2], shares: &Shares, linear: &mut Linear) {
+        let pose = Pose {
+            middle: [unknowns[X], unknowns[Y]].map(|v| v as f32),
+            to_arms: [m.m11, m.m12, m.m21, m.m22],
+        };
+        self.cross
+            .fill(&self.patch.x, &self.patch.y, &pose, coverage);
         let model = Model {
             at: unknowns.cast::<f32>().into(),
-            off: [unknowns[X] - about[X], unknowns[Y] - about[Y]].map(|v| v as f32),
-            to_arms: self.arms(),
+            to_arms: pose.to_arms,
             blur_variance: self.blur_variance,
             per_reach: 1.0 / self.reach,
         };
         linear.root_weights.copy_from_slice(&self.patch.root_weight);
         let [x, y, contrast, level, tilt_x, tilt_y] = &mut linear.slopes;
         let slopes = [x, y, contrast, level, tilt_x, tilt_y].map(|slope| slope.as_mut_slice());
-        lay_model(self.patch, shares, &model, &mut linear.residuals, slopes);
+        lay_model(self.patch, coverage, &model, &mut linear.residuals, slopes);
     }
 }
 
 /// What the residuals and slopes of every pixel share.
 struct Model {
     at: [f32; UNKNOWNS],
-    /// The place less the one that the shares are of, px.
-    off: [f32; 2],
     to_arms: [f32; 4],
     blur_variance: f32,
     per_reach: f32,
@@ -193,17 +171,11 @@ impl Linear {
 
     /// Takes weight from the pixels that the model is too far from, by the noise that most of them show and by what the model
     /// itself may be off: none within a limit, all beyond twice that.
-    fn reject(&mut self, allowed_dn: f32) {
-        let mut sizes = Scratch::empty(self.residuals.len());
-        let counting = self.residuals.iter().zip(self.root_weights.iter());
-        let counting = counting.filter(|(_, weight)| **weight > 0.0);
-        sizes.extend(counting.map(|(residual, _)| residual.abs()));
-        if sizes.is_empty() {
+    fn reject(&mut self, expected_dn: f32, allowed_dn: f32) {
+        let Some(noise_dn) = clipped_sigma(&self.residuals, expected_dn) else {
             return;
-        }
-        let middle = sizes.len() / 2;
-        let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-        let limit = DOUBTED_SIGMA * 1.4826 * median + allowed_dn;
+        };
+        let limit = DOUBTED_SIGMA * noise_dn as f32 + allowed_dn;
         for n in 0..self.residuals.len() {
             let size = self.residuals[n].abs();
             if size > limit {
@@ -234,7 +206,7 @@ impl Linear {
 #[multiversion(targets("x86_64+avx2"))]
 fn lay_model(
     patch: &Patch,
-    shares: &Shares,
+    coverage: &Coverage,
     model: &Model,
     residuals: &mut [f32],
     slopes: [&mut [f32]; UNKNOWNS],
@@ -244,9 +216,9 @@ fn lay_model(
     let (light, weights) = (&patch.light[..count], &patch.root_weight[..count]);
     let (slope_x, slope_y) = (&patch.slope_x[..count], &patch.slope_y[..count]);
     let (share, by_u, by_v) = (
-        &shares.share[..count],
-        &shares.slope_u[..count],
-        &shares.slope_v[..count],
+        &coverage.share[..count],
+        &coverage.slope_u[..count],
+        &coverage.slope_v[..count],
     );
     let [at_x, at_y, at_contrast, at_level, at_tilt_x, at_tilt_y] = slopes;
     let (at_x, at_y) = (&mut at_x[..count], &mut at_y[..count]);
@@ -254,7 +226,6 @@ fn lay_model(
     let (at_tilt_x, at_tilt_y) = (&mut at_tilt_x[..count], &mut at_tilt_y[..count]);
     let [ux, uy, vx, vy] = model.to_arms;
     let (contrast, per_reach) = (model.at[CONTRAST], model.per_reach);
-    let [off_x, off_y] = model.off;
     for n in 0..count {
         let along_x = ux * by_u[n] + vx * by_v[n];
         let along_y = uy * by_u[n] + vy * by_v[n];
@@ -267,7 +238,7 @@ fn lay_model(
         let dark = weight * level * contrast * light[n];
         at_x[n] = dark * along_x;
         at_y[n] = dark * along_y;
-        residuals[n] = weight * (seen[n] - level * left) - at_x[n] * off_x - at_y[n] * off_y;
+        residuals[n] = weight * (seen[n] - level * left);
         at_contrast[n] = -weight * level * taken;
         at_level[n] = weight * left;
         at_tilt_x[n] = weight * left * tilt_x;
@@ -279,14 +250,14 @@ fn lay_model(
 #[multiversion(targets("x86_64+avx2"))]
 fn dot(a: &[f32], b: &[f32]) -> f64 {
     const LANES: usize = 8;
+    let (whole_a, rest_a) = a.as_chunks::<LANES>();
+    let (whole_b, rest_b) = b.as_chunks::<LANES>();
     let mut lanes = [0.0_f32; LANES];
-    let (whole_a, whole_b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let rest = whole_a.remainder().iter().zip(whole_b.remainder());
-    let rest: f32 = rest.map(|(a, b)| a * b).sum();
-    for (a, b) in whole_a.zip(whole_b) {
+    for (a, b) in whole_a.iter().zip(whole_b) {
         for lane in 0..LANES {
             lanes[lane] += a[lane] * b[lane];
         }
     }
+    let rest: f32 = rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum();
     f64::from(lanes.iter().sum::<f32>() + rest)
 }

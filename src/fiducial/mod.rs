@@ -12,6 +12,7 @@
 //! 4. A fit of the blurred cross to the pixels about it gives a mark's place without the bias that a paraboloid has over the
 //!    sub-pixel phase, with a covariance of its own ([`Refiner`]).
 
+mod coverage;
 mod detect;
 mod fit;
 mod flatten;
@@ -19,7 +20,6 @@ mod identify;
 mod kernel;
 mod least_squares;
 mod patch;
-mod profile;
 mod reading;
 mod refine;
 mod rings;

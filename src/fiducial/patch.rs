@@ -72,7 +72,7 @@ pub(super) struct Patch {
     pub light: Scratch<f32>,
     pub slope_x: Scratch<f32>,
     pub slope_y: Scratch<f32>,
-    /// Root of what a pixel counts; 0 of one that is dark or saturated, 1 on the even disc.
+    /// Root of what a pixel counts, 1 on the even disc.
     pub root_weight: Scratch<f32>,
 }
 
@@ -124,7 +124,20 @@ impl Patch {
             [least, counting.left_out_per_bend],
             &mut patch.root_weight,
         );
+        patch.leave_out_dull();
         patch
+    }
+
+    /// Leaves out the pixels that tell nothing.
+    fn leave_out_dull(&mut self) {
+        let counts: Vec<bool> = self.root_weight.iter().map(|root| *root > 0.0).collect();
+        if counts.iter().all(|counts| *counts) {
+            return;
+        }
+        for list in self.lists() {
+            let mut counts = counts.iter();
+            list.retain(|_| counts.next().is_some_and(|counts| *counts));
+        }
     }
 
     fn with_room(room: usize) -> Self {

@@ -14,9 +14,9 @@
 //! result.
 
 use super::CrossShape;
+use super::coverage::BlurredCross;
 use super::least_squares::{CONTRAST, Fit, LEVEL, X, Y};
 use super::patch::{Counting, Light, LightMap, Patch};
-use super::profile::Profile;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
 use crate::plate::Cross;
 use crate::units::{Estimate, SensorPx};
@@ -46,7 +46,6 @@ pub struct RefinedMark {
 /// Refines the marks of a frame: their shape at the frame's scale and blur.
 #[derive(Debug, Clone)]
 pub struct Refiner {
-    profile: Profile,
     shape: CrossShape,
     scale_mil_per_px: f64,
 }
@@ -56,7 +55,6 @@ impl Refiner {
     pub fn new(cross: &Cross, scale_mil_per_px: f64, lens_blur_px: f64) -> Self {
         let shape = CrossShape::new(cross, scale_mil_per_px, lens_blur_px);
         Self {
-            profile: Profile::new(&shape),
             shape,
             scale_mil_per_px,
         }
@@ -87,7 +85,7 @@ impl Refiner {
         let patch = with_view!(frame, view => Patch::cut(&view, &counting, &map, start, reach));
         let fit = Fit {
             patch: &patch,
-            profile: &self.profile,
+            cross: BlurredCross::new(&self.shape),
             to_arms: to_arms.cast(),
             blur_variance,
             reach: reach as f32,

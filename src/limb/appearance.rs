@@ -1,15 +1,10 @@
 //! How the limb of a frame appears, all round: its profile, the pixels' noise, and the light's tilt across the disc.
 
 use super::profile::Profile;
-use crate::frame::ROUNDING_NOISE_DN;
-use multiversion::multiversion;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// How far the light at one azimuth may be from what was expected before its own scale is known, 1 sigma.
 pub(super) const TILT: f64 = 0.04;
-/// Fewest pixels that tell a noise.
-const MIN_PIXELS: f32 = 10.0;
-
 /// What a look at the limb teaches beside its points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Appearance {
@@ -79,38 +74,4 @@ impl Noise {
         let [outside, inside] = [self.outside_dn, self.inside_dn].map(|dn| dn.powi(2) as f32);
         outside + (inside - outside) * share
     }
-}
-
-/// 1 sigma of what is left, from what lies within three of it: in rounds, since the limit rests on the result. `None` of
-/// too few.
-#[multiversion(targets("x86_64+avx2"))]
-pub(super) fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
-    /// What the normal distribution keeps of its sigma within three of it.
-    const KEPT: f32 = 0.9866;
-    const ROUNDS: usize = 4;
-    /// The start may be of another part of the picture.
-    const FIRST_LIMIT: f32 = 5.0;
-    const LANES: usize = 8;
-    let mut limit = FIRST_LIMIT * start;
-    let mut sigma = None;
-    for _ in 0..ROUNDS {
-        let limit2 = limit * limit;
-        let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-        for left in left.chunks_exact(LANES) {
-            for k in 0..LANES {
-                let square = left[k] * left[k];
-                counts[k] += if square < limit2 { 1.0 } else { 0.0 };
-                squares[k] += if square < limit2 { square } else { 0.0 };
-            }
-        }
-        let count: f32 = counts.iter().sum();
-        if count < MIN_PIXELS {
-            return None;
-        }
-        let found = (squares.iter().sum::<f32>() / count).sqrt() / KEPT;
-        let found = found.max(ROUNDING_NOISE_DN as f32);
-        sigma = Some(f64::from(found));
-        limit = 3.0 * found;
-    }
-    sigma
 }

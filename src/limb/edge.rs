@@ -10,14 +10,14 @@
 //! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for what the scale costs.
 //! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
 
-use super::appearance::{Appearance, Noise, TILT, Tilt, clipped_sigma};
+use super::appearance::{Appearance, Noise, TILT, Tilt};
 use super::band::{Band, Hidden, Reach, middle_of_sector};
 use super::outline::TUKEY_SIGMAS;
 use super::profile::Profile;
 use super::typical::medians;
 use crate::frame::{Frame, Levels};
 use crate::geometry::Ellipse;
-use crate::lanes::{Scratch, split};
+use crate::lanes::{Scratch, clipped_sigma, split};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Vector2};
