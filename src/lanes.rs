@@ -1,10 +1,42 @@
 //! What makes loops over pixels quick: numbers that the compiler can work on side by side, and lists that are used again.
 
-use crate::frame::ROUNDING_NOISE_DN;
+use crate::frame::{ROUNDING_NOISE_DN, Sample};
 use multiversion::multiversion;
 use std::cell::RefCell;
 use std::ops::{Deref, DerefMut};
 use std::thread::LocalKey;
+
+/// Numbers that the processor works on side by side.
+pub const LANES: usize = 8;
+
+/// A number, and those that follow by ones.
+#[inline(always)]
+pub fn counted_lanes(first: f32) -> [f32; LANES] {
+    let mut lanes = [0.0; LANES];
+    for k in 0..LANES {
+        lanes[k] = first + k as f32;
+    }
+    lanes
+}
+
+/// The first pixels of a row's rest, DN; zeros where it ends.
+#[inline(always)]
+pub fn first_lanes<T: Sample>(rest: &[T]) -> [f32; LANES] {
+    let mut lanes = [0.0; LANES];
+    match rest.first_chunk::<LANES>() {
+        Some(group) => {
+            for k in 0..LANES {
+                lanes[k] = group[k].dn();
+            }
+        }
+        None => {
+            for (lane, pixel) in lanes.iter_mut().zip(rest) {
+                *lane = pixel.dn();
+            }
+        }
+    }
+    lanes
+}
 
 /// The whole part of a number from 0 to 4 million, and what is left of it, 0 to 1 both included; by way of the number's own
 /// bits, which is done side by side where a conversion is not.
@@ -30,7 +62,6 @@ pub fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
     const ROUNDS: usize = 4;
     /// The start may be of another part of the picture.
     const FIRST_LIMIT: f32 = 5.0;
-    const LANES: usize = 8;
     let mut limit = FIRST_LIMIT * start;
     let mut sigma = None;
     for _ in 0..ROUNDS {

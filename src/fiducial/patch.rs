@@ -1,7 +1,7 @@
 //! The pixels about a mark, and the light that would fall on them without it.
 
 use crate::frame::{Sample, View};
-use crate::lanes::Scratch;
+use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 
@@ -21,8 +21,6 @@ impl<F: Fn(f64, f64) -> f64> Light for F {
 
 /// Where less than this part of the patch's most light falls, a pixel tells nothing of the mark.
 const LEAST_LIGHT: f32 = 0.05;
-/// Pixels that are taken together.
-const LANES: usize = 8;
 
 /// Light without marks on the pixels of a square, with one more pixel around for the slopes.
 pub(super) struct LightMap {
@@ -93,29 +91,14 @@ impl Patch {
         start: SensorPx,
         reach: f64,
     ) -> Self {
-        let mut patch = Self::with_room(map.side * map.side);
-        let mut bend = Scratch::empty(map.side * map.side);
-        for row in 1..map.side - 1 {
-            let Ok(y) = usize::try_from(map.top + row as isize) else {
-                continue;
-            };
-            if y >= view.height {
-                continue;
-            }
-            let dy = y as f64 - start.y;
-            let half = (reach * reach - dy * dy).max(0.0).sqrt();
-            let first = ((start.x - half).ceil().max(0.0) as isize).max(map.left + 1);
-            let end = ((start.x + half).ceil() as isize)
-                .min(map.left + map.side as isize - 1)
-                .min(view.width as isize);
-            if first >= end {
-                continue;
-            }
-            let columns = first as usize..end as usize;
-            let seen = &view.pixels[y * view.width..][columns.clone()];
-            let here = row * map.stride + (first - map.left) as usize;
-            let places = (columns.start as f64 - start.x, dy);
-            patch.take(seen, counting, map, here, places, &mut bend);
+        // The squares of the pixels lie within half a diagonal of the circle; the last group may reach beyond the last pixel.
+        let most = std::f64::consts::PI * (reach + std::f64::consts::FRAC_1_SQRT_2).powi(2);
+        let room = most as usize + LANES;
+        let mut patch = Self::of_length(room);
+        let mut bend = Scratch::of_length(room);
+        let count = write_pixels(view, counting, map, start, reach, &mut patch, &mut bend);
+        for list in patch.lists() {
+            list.truncate(count);
         }
         let least = LEAST_LIGHT * map.most();
         weigh(
@@ -126,6 +109,46 @@ impl Patch {
         );
         patch.leave_out_dull();
         patch
+    }
+
+    /// Writes the first group of a row's rest, from a place in the lists on: what is seen and where.
+    #[inline(always)]
+    fn write<T: Sample>(&mut self, at: usize, rest: &[T], counting: &Counting, (x, y): (f32, f32)) {
+        let mut seen = first_lanes(rest);
+        let mut roots = [0.0; LANES];
+        for k in 0..LANES {
+            let counts = seen[k] < counting.saturation_dn;
+            roots[k] = if counts { 1.0 } else { 0.0 };
+            seen[k] -= counting.background_dn;
+        }
+        let lanes = at..at + LANES;
+        self.seen[lanes.clone()].copy_from_slice(&seen);
+        self.root_weight[lanes.clone()].copy_from_slice(&roots);
+        self.x[lanes.clone()].copy_from_slice(&counted_lanes(x));
+        self.y[lanes].copy_from_slice(&[y; LANES]);
+    }
+
+    /// Writes the light on a group of pixels, and what it does about them, from an index in the map.
+    #[inline(always)]
+    fn write_light(&mut self, at: usize, map: &LightMap, here: usize, bend: &mut [f32]) {
+        let about = |from: usize| {
+            let mut lanes = [0.0; LANES];
+            lanes.copy_from_slice(&map.light[from..from + LANES]);
+            lanes
+        };
+        let (middle, left, right) = (about(here), about(here - 1), about(here + 1));
+        let (above, below) = (about(here - map.stride), about(here + map.stride));
+        let [mut slope_x, mut slope_y, mut bends] = [[0.0; LANES]; 3];
+        for k in 0..LANES {
+            slope_x[k] = (right[k] - left[k]) / 2.0;
+            slope_y[k] = (below[k] - above[k]) / 2.0;
+            bends[k] = left[k] + right[k] + above[k] + below[k] - 4.0 * middle[k];
+        }
+        let lanes = at..at + LANES;
+        self.light[lanes.clone()].copy_from_slice(&middle);
+        self.slope_x[lanes.clone()].copy_from_slice(&slope_x);
+        self.slope_y[lanes.clone()].copy_from_slice(&slope_y);
+        bend[lanes].copy_from_slice(&bends);
     }
 
     /// Leaves out the pixels that tell nothing.
@@ -140,9 +163,9 @@ impl Patch {
         }
     }
 
-    fn with_room(room: usize) -> Self {
+    fn of_length(length: usize) -> Self {
         let [x, y, seen, light, slope_x, slope_y, root_weight] =
-            [(); 7].map(|()| Scratch::empty(room));
+            std::array::from_fn(|_| Scratch::of_length(length));
         Self {
             x,
             y,
@@ -166,57 +189,50 @@ impl Patch {
         ]
     }
 
-    /// Adds the pixels of a row, of which the first has an index in the map and a place from the start.
-    fn take<T: Sample>(
-        &mut self,
-        seen: &[T],
-        counting: &Counting,
-        map: &LightMap,
-        here: usize,
-        (x, y): (f64, f64),
-        bend: &mut Scratch<f32>,
-    ) {
-        let end = self.x.len() + seen.len();
-        let dn = || seen.iter().map(|pixel| pixel.dn());
-        let counts = |dn| {
-            if dn < counting.saturation_dn {
-                1.0
-            } else {
-                0.0
-            }
-        };
-        self.seen.extend(dn().map(|dn| dn - counting.background_dn));
-        self.root_weight.extend(dn().map(counts));
-        self.x.extend((0..seen.len()).map(|n| x as f32 + n as f32));
-        for first in (0..seen.len()).step_by(LANES) {
-            let at = |offset: isize| {
-                let from = (here + first).wrapping_add_signed(offset);
-                let mut lanes = [0.0; LANES];
-                lanes.copy_from_slice(&map.light[from..from + LANES]);
-                lanes
-            };
-            let stride = map.stride as isize;
-            let [middle, left, right, above, below] = [0, -1, 1, -stride, stride].map(at);
-            let half = |a: [f32; LANES], b: [f32; LANES]| -> [f32; LANES] {
-                std::array::from_fn(|k| (b[k] - a[k]) / 2.0)
-            };
-            self.light.extend_from_slice(&middle);
-            self.slope_x.extend_from_slice(&half(left, right));
-            self.slope_y.extend_from_slice(&half(above, below));
-            let bends: [f32; LANES] =
-                std::array::from_fn(|k| left[k] + right[k] + above[k] + below[k] - 4.0 * middle[k]);
-            bend.extend_from_slice(&bends);
-            self.y.extend_from_slice(&[y as f32; LANES]);
-        }
-        bend.truncate(end);
-        for list in self.lists() {
-            list.truncate(end);
-        }
-    }
-
     pub(super) fn len(&self) -> usize {
         self.x.len()
     }
+}
+
+/// Writes the pixels within `reach` of the start to the lists, and how the light bends there; how many they are.
+#[multiversion(targets("x86_64+avx2"))]
+fn write_pixels<T: Sample>(
+    view: &View<'_, T>,
+    counting: &Counting,
+    map: &LightMap,
+    start: SensorPx,
+    reach: f64,
+    patch: &mut Patch,
+    bend: &mut [f32],
+) -> usize {
+    let mut count = 0;
+    for row in 1..map.side - 1 {
+        let Ok(y) = usize::try_from(map.top + row as isize) else {
+            continue;
+        };
+        if y >= view.height {
+            continue;
+        }
+        let dy = y as f64 - start.y;
+        let half = (reach * reach - dy * dy).max(0.0).sqrt();
+        let first = ((start.x - half).ceil().max(0.0) as isize).max(map.left + 1);
+        let end = ((start.x + half).ceil() as isize)
+            .min(map.left + map.side as isize - 1)
+            .min(view.width as isize);
+        if first >= end {
+            continue;
+        }
+        let line = &view.pixels[y * view.width..][first as usize..view.width];
+        let here = row * map.stride + (first - map.left) as usize;
+        let length = (end - first) as usize;
+        for group in (0..length).step_by(LANES) {
+            let place = ((first as f64 - start.x) as f32 + group as f32, dy as f32);
+            patch.write(count + group, &line[group..], counting, place);
+            patch.write_light(count + group, map, here + group, bend);
+        }
+        count += length;
+    }
+    count
 }
 
 #[multiversion(targets("x86_64+avx2"))]

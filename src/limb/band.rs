@@ -2,7 +2,7 @@
 
 use crate::frame::{Frame, Region, Sample, View};
 use crate::geometry::Ellipse;
-use crate::lanes::{Scratch, split};
+use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, split};
 use crate::units::SensorPx;
 use crate::with_view;
 use multiversion::multiversion;
@@ -48,18 +48,15 @@ impl Hidden {
         let Some(near) = self.near(at, reach) else {
             return;
         };
-        let [long, wide] = [bars.half_length as f32, bars.half_width as f32];
-        let step: Vector2<f32> = to_arms.column(0).into_owned().cast();
+        let (long, wide) = (bars.half_length, bars.half_width);
+        let step = to_arms.column(0).into_owned();
         for y in near.y0..near.y1 {
-            let first = Vector2::new(near.x0 as f64 - at.x, y as f64 - at.y);
-            let first: Vector2<f32> = (to_arms * first).cast();
-            for n in 0..near.width() {
-                let along = n as i32 as f32;
-                let u = (first.x + step.x * along).abs();
-                let v = (first.y + step.y * along).abs();
-                if u.min(v) < wide && u.max(v) < long {
-                    self.cover(near.x0 + n, y);
-                }
+            let first = to_arms * Vector2::new(near.x0 as f64 - at.x, y as f64 - at.y);
+            for [u, v] in [[long, wide], [wide, long]] {
+                let (in_u, in_v) = (within(first.x, step.x, u), within(first.y, step.y, v));
+                let (start, end) = (in_u.start.max(in_v.start), in_u.end.min(in_v.end));
+                let columns = pixels_within(start..end, near.width());
+                self.cover_row(near.x0 + columns.start..near.x0 + columns.end, y);
             }
         }
     }
@@ -75,6 +72,22 @@ impl Hidden {
         let (column, row) = (x - self.region.x0, y - self.region.y0);
         let word = row * self.words() + column / 64;
         self.covered[word] |= 1 << (column % 64);
+    }
+
+    fn cover_row(&mut self, columns: Range<usize>, y: usize) {
+        let words = self.words();
+        let row = &mut self.covered[(y - self.region.y0) * words..][..words];
+        let columns = columns.start - self.region.x0..columns.end - self.region.x0;
+        for (n, word) in row.iter_mut().enumerate().skip(columns.start / 64) {
+            if 64 * n >= columns.end {
+                break;
+            }
+            let upto = |column: usize| match column.saturating_sub(64 * n) {
+                bits @ 0..64 => (1 << bits) - 1,
+                _ => u64::MAX,
+            };
+            *word |= upto(columns.end) & !upto(columns.start);
+        }
     }
 
     /// Raises the brightness of a row's hidden pixels, of those from column `from` on, to [`HIDDEN_DN`]; outside the
@@ -97,6 +110,20 @@ impl Hidden {
             }
         }
     }
+}
+
+/// Where the size of `first + step n` is less than a limit.
+fn within(first: f64, step: f64, limit: f64) -> Range<f64> {
+    if step == 0.0 {
+        let always = if first.abs() < limit {
+            f64::INFINITY
+        } else {
+            -1.0
+        };
+        return -always..always;
+    }
+    let (middle, half) = (-first / step, (limit / step).abs());
+    middle - half..middle + half
 }
 
 /// Two bars that cross.
@@ -138,7 +165,7 @@ impl Band {
         let sectors = sectors.max(1);
         let spans = Spans::new(outline, reach);
         let mut pixels = Places::new();
-        with_view!(frame, view => pixels.gather(&view, outline, &spans, hidden));
+        with_view!(frame, view => gather(&mut pixels, &view, outline, &spans, hidden));
         let count = pixels.dn.len();
         let mut band = Self {
             reach,
@@ -164,60 +191,63 @@ struct Places {
     x: Scratch<f32>,
     y: Scratch<f32>,
     dn: Scratch<f32>,
+    /// Entries of the lists that are pixels.
+    count: usize,
 }
 
-/// More than the pixels of a band about the Sun.
-const USUAL_PIXELS: usize = 16_384;
-/// Pixels that are taken together.
-const LANES: usize = 8;
+/// Pixels of a band about the Sun, and some more.
+const USUAL_PIXELS: usize = 7_168;
 
 impl Places {
     fn new() -> Self {
-        let [x, y, dn] = [(); 3].map(|()| Scratch::empty(USUAL_PIXELS));
-        Self { x, y, dn }
+        let [x, y, dn] = std::array::from_fn(|_| Scratch::of_length(USUAL_PIXELS));
+        Self { x, y, dn, count: 0 }
     }
 
-    fn gather<T: Sample>(
-        &mut self,
-        view: &View<'_, T>,
-        outline: &Ellipse,
-        spans: &Spans,
-        hidden: &Hidden,
-    ) {
-        let centre = outline.centre;
-        let reach = spans.most * (outline.root().m11.max(outline.root().m22) + 1.0);
-        for y in pixels_within(centre.y - reach..centre.y + reach, view.height) {
-            let dy = y as f64 - centre.y;
-            let row = &view.pixels[y * view.width..][..view.width];
-            for span in spans.of_row(dy) {
-                let columns = pixels_within(span.start + centre.x..span.end + centre.x, view.width);
-                let first = self.dn.len();
-                let from_centre = (columns.start as f64 - centre.x) as f32;
-                self.take(&row[columns.start..], columns.len(), from_centre, dy as f32);
-                hidden.raise(y, columns.start, &mut self.dn[first..]);
+    /// Takes the first pixels of a row's rest: whole groups, of which the next row's overwrite what is too much.
+    #[inline(always)]
+    fn take<T: Sample>(&mut self, rest: &[T], count: usize, x: f32, y: f32) {
+        let begin = self.count;
+        self.count += count;
+        let room = self.count + LANES;
+        if room > self.dn.len() {
+            for list in [&mut self.x, &mut self.y, &mut self.dn] {
+                list.resize(2 * room, 0.0);
             }
+        }
+        for group in (0..count).step_by(LANES) {
+            let lanes = begin + group..begin + group + LANES;
+            self.x[lanes.clone()].copy_from_slice(&counted_lanes(x + group as f32));
+            self.y[lanes.clone()].copy_from_slice(&[y; LANES]);
+            self.dn[lanes].copy_from_slice(&first_lanes(&rest[group..]));
         }
     }
+}
 
-    /// Takes the first `count` pixels of a row's rest: whole groups first, of which what is too much is dropped again.
-    fn take<T: Sample>(&mut self, rest: &[T], count: usize, mut x: f32, y: f32) {
-        let end = self.dn.len() + count;
-        for group in rest[..rest.len().min(count.next_multiple_of(LANES))].chunks(LANES) {
-            if let Ok(group) = <&[T; LANES]>::try_from(group) {
-                let columns: [f32; LANES] = std::array::from_fn(|k| x + k as f32);
-                self.x.extend_from_slice(&columns);
-                self.y.extend_from_slice(&[y; LANES]);
-                self.dn.extend_from_slice(&group.map(Sample::dn));
-            } else {
-                self.x.extend((0..group.len()).map(|k| x + k as f32));
-                self.y.extend(group.iter().map(|_| y));
-                self.dn.extend(group.iter().map(|pixel| pixel.dn()));
-            }
-            x += LANES as f32;
+/// Takes the pixels of a band.
+#[multiversion(targets("x86_64+avx2"))]
+fn gather<T: Sample>(
+    pixels: &mut Places,
+    view: &View<'_, T>,
+    outline: &Ellipse,
+    spans: &Spans,
+    hidden: &Hidden,
+) {
+    let centre = outline.centre;
+    let reach = spans.most * (outline.root().m11.max(outline.root().m22) + 1.0);
+    for y in pixels_within(centre.y - reach..centre.y + reach, view.height) {
+        let dy = y as f64 - centre.y;
+        let row = &view.pixels[y * view.width..][..view.width];
+        for span in spans.of_row(dy) {
+            let columns = pixels_within(span.start + centre.x..span.end + centre.x, view.width);
+            let first = pixels.count;
+            let from_centre = (columns.start as f64 - centre.x) as f32;
+            pixels.take(&row[columns.start..], columns.len(), from_centre, dy as f32);
+            hidden.raise(y, columns.start, &mut pixels.dn[first..pixels.count]);
         }
-        for list in [&mut self.x, &mut self.y, &mut self.dn] {
-            list.truncate(end);
-        }
+    }
+    for list in [&mut pixels.x, &mut pixels.y, &mut pixels.dn] {
+        list.truncate(pixels.count);
     }
 }
 
@@ -346,6 +376,28 @@ mod tests {
             .filter(|dn| **dn == HIDDEN_DN)
             .count();
         assert_eq!(raised, 21);
+    }
+
+    #[test]
+    fn a_cross_hides_what_its_bars_cover() {
+        let at = SensorPx::new(71.3, 40.8);
+        let bars = Bars {
+            half_length: 1.3,
+            half_width: 0.4,
+        };
+        for degrees in [0.0, 20.0, 45.0, 90.0, 133.0_f64] {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            let to_arms = Matrix2::new(cos, sin, -sin, cos) / 8.0;
+            let region = Region::sized(10, 5, 100, 90);
+            let mut hidden = Hidden::nothing(region);
+            hidden.hide_cross(at, 13.0, &to_arms, bars);
+            let mut expected = Hidden::nothing(region);
+            expected.hide(at, 20.0, |place| {
+                let [u, v]: [f64; 2] = (to_arms * (place.vector() - at.vector())).abs().into();
+                u.min(v) < bars.half_width && u.max(v) < bars.half_length
+            });
+            assert_eq!(hidden, expected, "turned by {degrees} deg");
+        }
     }
 
     #[test]

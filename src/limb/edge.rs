@@ -264,13 +264,7 @@ impl<'a> Edge<'a> {
         };
         places.find(&band.distance_px, self.first_px as f32, self.table.len());
         let mut unexplained = Scratch::of_length(band.dn.len());
-        let places = places.entry.iter().zip(places.part.iter());
-        let pixels = places.zip(band.dn.iter()).zip(band.sector.iter());
-        for (((place, dn), of_sector), unexplained) in pixels.zip(unexplained.iter_mut()) {
-            let expected = &self.table[usize::from(*place.0)];
-            let sector = &mut sectors[usize::from(*of_sector)];
-            *unexplained = sector.add(expected, *place.1, *dn);
-        }
+        add_pixels(&self.table, &places, band, sectors, &mut unexplained);
         unexplained
     }
 
@@ -326,6 +320,25 @@ impl Places {
     fn find(&mut self, distance_px: &[f32], first_px: f32, entries: usize) {
         let last = entries.saturating_sub(1) as f32;
         find_places(distance_px, first_px, last, &mut self.entry, &mut self.part);
+    }
+}
+
+/// Adds every pixel to its sector; what that does not explain.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_pixels(
+    table: &[Expected],
+    places: &Places,
+    band: &Band,
+    sectors: &mut [Sector],
+    unexplained: &mut [f32],
+) {
+    let count = unexplained.len();
+    let (entry, part) = (&places.entry[..count], &places.part[..count]);
+    let (dn, of_sector) = (&band.dn[..count], &band.sector[..count]);
+    for n in 0..count {
+        let expected = &table[usize::from(entry[n])];
+        let sector = &mut sectors[usize::from(of_sector[n])];
+        unexplained[n] = sector.add(expected, part[n], dn[n]);
     }
 }
 
