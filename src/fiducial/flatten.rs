@@ -1,21 +1,14 @@
 //! The disc without its own brightness.
 
-use super::rings::{RINGS, Taken, measure_tilt, median, ring};
+use super::darkening::{Darkening, RINGS, ring};
 use crate::frame::{Frame, Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
-use crate::lanes::split;
+use crate::lanes::{LANES, counted_lanes, first_lanes};
 use crate::units::SensorPx;
 use crate::with_view;
 use multiversion::multiversion;
 use nalgebra::Vector2;
-
-/// Entries of the table of expected light, equally wide in mu^2, which needs no root for every pixel: 0.1 px at the limb.
-const TABLE: usize = 512;
-const LAST_ENTRY: f32 = TABLE as f32 - 0.51;
-/// Nearer to the limb than this nothing is judged: its blur takes over there.
-const LIMB_MARGIN_PX: f64 = 1.0;
-/// Darkness is not let below so many sigma: scratches and hot pixels are brighter than the noise allows.
-const BRIGHTEST_SIGMA: f32 = 3.0;
+use std::ops::Range;
 
 /// The darkness of every pixel about the disc: 0 on the clean disc and outside it, 1 where no light is left.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,7 +42,7 @@ impl FlatDisc {
         levels: &Levels,
         margin_px: f64,
     ) -> Self {
-        let profile = Profile::measure(view, region, &outline, levels);
+        let darkening = Darkening::measure(view, region, &outline, levels);
         let reach = outline.mean_radius() * 1.02 + margin_px;
         let left = (outline.centre.x - reach).floor() as isize;
         let top = (outline.centre.y - reach).floor() as isize;
@@ -67,7 +60,9 @@ impl FlatDisc {
             let row = &mut darkness[first..];
             let values = &mut row[(region.x0 as isize - left) as usize..][..region.width()];
             let seen = &view.pixels[y * view.width..][region.x0..region.x1];
-            profile.flatten(&outline, region.x0, y, seen, values);
+            if let Some(row) = Row::new(&outline, &darkening.tilt, region.x0, y) {
+                flatten_row(&darkening, &row, seen, values);
+            }
         }
         Self {
             outline,
@@ -76,7 +71,7 @@ impl FlatDisc {
             top,
             side,
             darkness,
-            noise: profile.noise,
+            noise: darkening.noise,
         }
     }
 
@@ -152,219 +147,57 @@ impl FlatDisc {
     }
 }
 
-/// What the disc looks like without marks.
-struct Profile {
-    background_dn: f32,
-    /// Light at the rings' middles, DN above background.
-    light: [f32; RINGS],
-    /// How the light changes over the disc's radius, as a fraction.
-    tilt: Vector2<f32>,
-    /// 1 sigma of the darkness by ring.
-    noise: [f32; RINGS],
-    /// By mu^2.
-    table: Box<[Expected; TABLE]>,
-}
-
-/// What is expected at a place of the disc.
-#[derive(Debug, Clone, Copy)]
-struct Expected {
-    /// Darkness without light: 1, or 0 where nothing is judged.
-    full: f32,
-    /// 1 / light, 1/DN; 0 where nothing is judged.
-    inverse_light: f32,
-    /// Darkness is not let below this.
-    least: f32,
-}
-
-impl Expected {
-    const NOT_JUDGED: Self = Self {
-        full: 0.0,
-        inverse_light: 0.0,
-        least: 0.0,
-    };
-    const JUDGED: Self = Self {
-        full: 1.0,
-        least: f32::NEG_INFINITY,
-        ..Self::NOT_JUDGED
-    };
-
-    fn darkness(&self, light: f32) -> f32 {
-        (self.full - light * self.inverse_light).max(self.least)
-    }
-}
-
-impl Profile {
-    fn measure<T: Sample>(
-        view: &View<'_, T>,
-        region: Region,
-        outline: &Ellipse,
-        levels: &Levels,
-    ) -> Self {
-        let background_dn = levels.background_dn as f32;
-        let taken = Taken::of(view, region, outline, background_dn);
-        let mut profile = Self {
-            background_dn,
-            light: [(levels.disc_dn - levels.background_dn) as f32; RINGS],
-            tilt: Vector2::zeros(),
-            noise: [0.0; RINGS],
-            table: Box::new([Expected::NOT_JUDGED; TABLE]),
-        };
-        let least = levels.noise_dn as f32;
-        // From the middle outwards; a ring of which too little is in view is taken to be like the one within.
-        let mut last = profile.light[RINGS - 1];
-        let mut lights = taken.light.clone();
-        for n in (0..RINGS).rev() {
-            last = median(&mut lights[taken.ring(n)])
-                .unwrap_or(last)
-                .max(least);
-            profile.light[n] = last;
-        }
-        profile.table = profile.tabulate(outline);
-        let mut darkness = profile.darkness(&taken);
-        profile.tilt = measure_tilt(&taken, &darkness);
-        darkness = profile.darkness(&taken);
-        profile.measure_noise(&taken, darkness, levels.noise_dn as f32);
-        profile
-    }
-
-    /// The noise of every ring, and what brightness it allows.
-    fn measure_noise(&mut self, taken: &Taken, darkness: Vec<f32>, background_noise_dn: f32) {
-        let mut sizes: Vec<f32> = darkness.into_iter().map(f32::abs).collect();
-        let mut last = 0.0;
-        for n in (0..RINGS).rev() {
-            last = median(&mut sizes[taken.ring(n)]).map_or(last, |spread| 1.4826 * spread);
-            self.noise[n] = last.max(0.5 * background_noise_dn / self.light[n]);
-        }
-        for (n, expected) in self.table.iter_mut().enumerate() {
-            let noise = self.noise[ring(n as f32 / TABLE as f32)];
-            expected.least = expected.least.max(-BRIGHTEST_SIGMA * noise);
-        }
-    }
-
-    /// Expected light at a mu, interpolated between the middles of the rings.
-    fn light_at(&self, mu: f32) -> f32 {
-        let along = (mu * RINGS as f32 - 0.5).clamp(0.0, (RINGS - 1) as f32);
-        let ring = (along as usize).min(RINGS - 2);
-        let part = along - ring as f32;
-        self.light[ring] * (1.0 - part) + self.light[ring + 1] * part
-    }
-
-    fn tabulate(&self, outline: &Ellipse) -> Box<[Expected; TABLE]> {
-        let usable = 1.0 - LIMB_MARGIN_PX / outline.mean_radius();
-        let least_mu2 = (1.0 - usable * usable) as f32;
-        let entry = |n: usize| {
-            let mu2 = (n as f32 + 0.5) / TABLE as f32;
-            if mu2 < least_mu2 {
-                return Expected::NOT_JUDGED;
-            }
-            Expected {
-                inverse_light: 1.0 / self.light_at(mu2.sqrt()),
-                ..Expected::JUDGED
-            }
-        };
-        Box::new(std::array::from_fn(entry))
-    }
-
-    /// Of the taken pixels.
-    fn darkness(&self, taken: &Taken) -> Vec<f32> {
-        let of = |n: usize| {
-            let (x, y) = (taken.x[n], taken.y[n]);
-            let expected = &self.table[entry(1.0 - x * x - y * y)];
-            // To first order in the tilt, which is small.
-            expected.darkness(taken.light[n] * (1.0 - self.tilt.x * x - self.tilt.y * y))
-        };
-        (0..taken.light.len()).map(of).collect()
-    }
-
-    /// The darkness of a row's pixels from column `x0` on; those outside the disc are left as they are.
-    fn flatten<T: Sample>(
-        &self,
-        outline: &Ellipse,
-        x0: usize,
-        y: usize,
-        seen: &[T],
-        darkness: &mut [f32],
-    ) {
-        let first = outline.to_disc(Vector2::new(x0 as f64, y as f64));
-        let step = outline.to_disc(Vector2::new(x0 as f64 + 1.0, y as f64)) - first;
-        // Along the row mu^2 is a parabola; the row's part in the disc lies between its roots.
-        let (bend, slope) = (step.norm_squared(), step.dot(&first));
-        let middle = -slope / bend;
-        let half2 = middle * middle - (first.norm_squared() - 1.0) / bend;
-        if half2 <= 0.0 {
-            return;
-        }
-        let from = (middle - half2.sqrt()).ceil().max(0.0) as usize;
-        let to = ((middle + half2.sqrt()).floor() + 1.0).max(0.0) as usize;
-        let inside = from..to.min(seen.len());
-        if inside.is_empty() {
-            return;
-        }
-        let row = Row {
-            parabola: [middle, half2, bend].map(|v| v as f32),
-            tilt: [
-                1.0 - self.tilt.dot(&first.cast()),
-                -self.tilt.dot(&step.cast()),
-            ],
-            background_dn: self.background_dn,
-            first: inside.start as f32,
-        };
-        let mut entries = [0_u16; GROUP];
-        let mut light = [0.0_f32; GROUP];
-        let groups = seen[inside.clone()].chunks(GROUP);
-        for (n, (seen, darkness)) in groups.zip(darkness[inside].chunks_mut(GROUP)).enumerate() {
-            row.find(n * GROUP, seen, &mut entries[..seen.len()], &mut light);
-            for ((darkness, entry), light) in darkness.iter_mut().zip(&entries).zip(&light) {
-                *darkness = self.table[usize::from(*entry) % TABLE].darkness(*light);
-            }
-        }
-    }
-}
-
-/// Pixels of a row that are looked up together.
-const GROUP: usize = 64;
-
-/// A row of the sensor across the disc, from the first pixel that lies in it.
+/// A row of the sensor across the disc.
 struct Row {
-    /// Along the row mu^2 = bend (half^2 - (x - middle)^2): middle, half^2, bend.
+    /// Along the row mu^2 = bend (half^2 - (x - middle)^2): middle, half^2, bend; x from the row's first pixel.
     parabola: [f32; 3],
-    /// What takes the tilt off the light, at column 0 and per column.
+    /// What takes the tilt off the light, at the first pixel and per column.
     tilt: [f32; 2],
-    background_dn: f32,
-    first: f32,
+    /// The pixels in the disc.
+    inside: Range<usize>,
 }
 
 impl Row {
-    /// The table's entries of pixels, and their light without the tilt.
-    fn find<T: Sample>(&self, from: usize, seen: &[T], entries: &mut [u16], light: &mut [f32]) {
-        let mut dn = [0.0_f32; GROUP];
-        for (dn, seen) in dn.iter_mut().zip(seen) {
-            *dn = seen.dn();
-        }
-        find_entries(
-            self,
-            self.first + from as f32,
-            &dn[..seen.len()],
-            entries,
-            light,
-        );
+    /// From column `x0` on; `None` where the row passes the disc by.
+    fn new(outline: &Ellipse, tilt: &Vector2<f32>, x0: usize, y: usize) -> Option<Self> {
+        let first = outline.to_disc(Vector2::new(x0 as f64, y as f64));
+        let step = outline.to_disc(Vector2::new(x0 as f64 + 1.0, y as f64)) - first;
+        // The row's part in the disc lies between the parabola's roots.
+        let (bend, slope) = (step.norm_squared(), step.dot(&first));
+        let middle = -slope / bend;
+        let half2 = middle * middle - (first.norm_squared() - 1.0) / bend;
+        (half2 > 0.0).then(|| {
+            let from = (middle - half2.sqrt()).ceil().max(0.0) as usize;
+            let to = ((middle + half2.sqrt()).floor() + 1.0).max(0.0) as usize;
+            Self {
+                parabola: [middle, half2, bend].map(|v| v as f32),
+                tilt: [1.0 - tilt.dot(&first.cast()), -tilt.dot(&step.cast())],
+                inside: from..to,
+            }
+        })
     }
 }
 
+/// The darkness of a row's pixels, of which those outside the disc have none.
 #[multiversion(targets("x86_64+avx2"))]
-fn find_entries(row: &Row, first: f32, dn: &[f32], entries: &mut [u16], light: &mut [f32]) {
+fn flatten_row<T: Sample>(darkening: &Darkening, row: &Row, seen: &[T], darkness: &mut [f32]) {
     let [middle, half2, bend] = row.parabola;
-    let count = dn.len();
-    let (entries, light) = (&mut entries[..count], &mut light[..count]);
-    for n in 0..count {
-        let along = first + n as i32 as f32;
-        let mu2 = bend * (half2 - (along - middle) * (along - middle));
-        entries[n] = split((mu2 * TABLE as f32).clamp(0.0, LAST_ENTRY)).0 as u16;
-        light[n] = (dn[n] - row.background_dn) * (row.tilt[0] + row.tilt[1] * along);
+    let [tilt, tilt_step] = row.tilt;
+    let end = row.inside.end.min(seen.len());
+    for from in (row.inside.start..end).step_by(LANES) {
+        // A last group that reaches beyond the disc finds nothing to be judged there.
+        let along = counted_lanes(from as f32);
+        let mut light = first_lanes(&seen[from..]);
+        let mut mu2 = [0.0; LANES];
+        for k in 0..LANES {
+            let off = along[k] - middle;
+            mu2[k] = bend * (half2 - off * off);
+            light[k] = (light[k] - darkening.background_dn) * (tilt + tilt_step * along[k]);
+        }
+        let dark = darkening.darkness(&light, &mu2);
+        match darkness[from..].first_chunk_mut::<LANES>() {
+            Some(whole) => *whole = dark,
+            None => darkness[from..].copy_from_slice(&dark[..seen.len() - from]),
+        }
     }
-}
-
-/// The place of a mu^2 in the table.
-fn entry(mu2: f32) -> usize {
-    split((mu2 * TABLE as f32).clamp(0.0, LAST_ENTRY)).0 as usize
 }

@@ -13,6 +13,7 @@
 //!    sub-pixel phase, with a covariance of its own ([`Refiner`]).
 
 mod coverage;
+mod darkening;
 mod detect;
 mod fit;
 mod flatten;
@@ -22,7 +23,6 @@ mod least_squares;
 mod patch;
 mod reading;
 mod refine;
-mod rings;
 mod spots;
 
 pub use detect::{Detection, Detections, Lighting, detect};
