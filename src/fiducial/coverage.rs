@@ -72,7 +72,11 @@ impl BlurredCross {
 
     /// The same, into lists as long as those of the places.
     pub(super) fn fill(&self, x: &[f32], y: &[f32], pose: &Pose, coverage: &mut Coverage) {
-        cover(self, x, y, pose, coverage);
+        if self.half_length * self.per_blur > ENDS_APART_SIGMAS {
+            cover::<true>(self, x, y, pose, coverage);
+        } else {
+            cover::<false>(self, x, y, pose, coverage);
+        }
     }
 
     /// Sum over pixels of the squared slope of the coverage along one axis: what a position's noise is divided by. A
@@ -94,10 +98,26 @@ impl BlurredCross {
         let (far, far_density) = tail((at + half) * self.per_blur);
         (near - far, (far_density - near_density) * self.per_blur)
     }
+
+    /// The same of a bar whose other end is not seen from either.
+    #[inline(always)]
+    fn long_bar(&self, at: f32, half: f32) -> (f32, f32) {
+        let (share, density) = tail((at.abs() - half) * self.per_blur);
+        (share, -(density * self.per_blur).copysign(at))
+    }
 }
 
+/// Ends of an arm that are so many sigma of the blur from its middle are each on its own.
+const ENDS_APART_SIGMAS: f32 = 5.0;
+
 #[multiversion(targets("x86_64+avx2"))]
-fn cover(cross: &BlurredCross, x: &[f32], y: &[f32], pose: &Pose, coverage: &mut Coverage) {
+fn cover<const ENDS_APART: bool>(
+    cross: &BlurredCross,
+    x: &[f32],
+    y: &[f32],
+    pose: &Pose,
+    coverage: &mut Coverage,
+) {
     let count = x.len();
     let y = &y[..count];
     let share = &mut coverage.share[..count];
@@ -109,9 +129,18 @@ fn cover(cross: &BlurredCross, x: &[f32], y: &[f32], pose: &Pose, coverage: &mut
     for n in 0..count {
         let (dx, dy) = (x[n] - middle_x, y[n] - middle_y);
         let (u, v) = (ux * dx + uy * dy, vx * dx + vy * dy);
-        let (long_u, long_slope_u) = cross.bar(u, cross.half_length);
+        let ((long_u, long_slope_u), (long_v, long_slope_v)) = if ENDS_APART {
+            (
+                cross.long_bar(u, cross.half_length),
+                cross.long_bar(v, cross.half_length),
+            )
+        } else {
+            (
+                cross.bar(u, cross.half_length),
+                cross.bar(v, cross.half_length),
+            )
+        };
         let (wide_u, wide_slope_u) = cross.bar(u, cross.half_width);
-        let (long_v, long_slope_v) = cross.bar(v, cross.half_length);
         let (wide_v, wide_slope_v) = cross.bar(v, cross.half_width);
         let (arm_u, arm_v) = (long_u - wide_u, long_v - wide_v);
         share[n] = long_u * wide_v + wide_u * arm_v;

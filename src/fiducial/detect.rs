@@ -93,9 +93,14 @@ fn middle_of_darkness(flat: &FlatDisc, place: SensorPx, shape: &CrossShape) -> S
     let mut middle = place.vector();
     for _ in 0..ROUNDS {
         let (mut sum, mut moment) = (0.0, Vector2::zeros());
-        for (at, darkness) in flat.around(middle.into(), 0.75 * shape.half_length_px) {
-            sum += f64::from(darkness);
-            moment += (at - middle) * f64::from(darkness);
+        for (first, values) in flat.around(middle.into(), 0.75 * shape.half_length_px) {
+            let (mut row, mut along) = (0.0_f32, 0.0_f32);
+            for (n, darkness) in values.iter().enumerate() {
+                row += darkness;
+                along += darkness * n as f32;
+            }
+            sum += f64::from(row);
+            moment += (first - middle) * f64::from(row) + Vector2::x() * f64::from(along);
         }
         if sum > 0.0 {
             middle += moment / sum;
@@ -280,8 +285,13 @@ impl<'a> Search<'a> {
     /// off.
     fn structure(&self, at: SensorPx, noise: f64) -> f64 {
         let mut rings = vec![Ring::default(); self.cross.reach + 1];
-        for (place, darkness) in self.flat.around(at, self.shape.reach_px()) {
-            rings[(place - at.vector()).norm() as usize].add(darkness);
+        for (first, values) in self.flat.around(at, self.shape.reach_px()) {
+            let from: Vector2<f32> = (first - at.vector()).cast();
+            for (n, darkness) in values.iter().enumerate() {
+                let dx = from.x + n as f32;
+                let ring = (dx * dx + from.y * from.y).sqrt() as usize;
+                rings[ring.min(self.cross.reach)].add(*darkness);
+            }
         }
         rings.iter().map(|ring| ring.structure(noise)).sum()
     }

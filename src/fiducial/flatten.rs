@@ -110,25 +110,30 @@ impl FlatDisc {
             .then(|| &self.darkness[y * self.side + x..][..count])
     }
 
-    /// The values within a radius of a position, as far as there are any, and where they are on the sensor.
+    /// The values within a radius of a position, as far as there are any: row by row, with where the row's first one is on
+    /// the sensor.
     pub(super) fn around(
         &self,
         middle: SensorPx,
         radius_px: f64,
-    ) -> impl Iterator<Item = (Vector2<f64>, f32)> {
-        let span = |from_first: f64| {
-            let low = (from_first - radius_px).ceil().max(0.0) as usize;
-            let high = (from_first + radius_px).floor() + 1.0;
+    ) -> impl Iterator<Item = (Vector2<f64>, &[f32])> {
+        // Numbers of pixels from the first to the last within a reach of a place, as far as there are any.
+        let span = |place: f64, reach: f64| {
+            let low = (place - reach).ceil().max(0.0) as usize;
+            let high = (place + reach).floor() + 1.0;
             low..(high.max(0.0) as usize).min(self.side)
         };
-        let (left, top) = (self.left as f64, self.top as f64);
-        let columns = span(middle.x - left);
-        let squares =
-            span(middle.y - top).flat_map(move |row| columns.clone().map(move |c| (c, row)));
-        squares.filter_map(move |(column, row)| {
-            let at = Vector2::new(left + column as f64, top + row as f64);
-            let near = (at - middle.vector()).norm_squared() <= radius_px * radius_px;
-            near.then(|| (at, self.darkness[row * self.side + column]))
+        let from_first = middle.vector() - Vector2::new(self.left as f64, self.top as f64);
+        span(from_first.y, radius_px).filter_map(move |row| {
+            let dy = row as f64 - from_first.y;
+            let half = (radius_px * radius_px - dy * dy).max(0.0).sqrt();
+            let columns = span(from_first.x, half);
+            let first = Vector2::new(
+                (self.left + columns.start as isize) as f64,
+                (self.top + row as isize) as f64,
+            );
+            let values = self.darkness[row * self.side..][..self.side].get(columns)?;
+            Some((first, values))
         })
     }
 

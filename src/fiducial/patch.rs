@@ -27,9 +27,11 @@ pub(super) struct LightMap {
     left: isize,
     top: isize,
     side: usize,
-    /// Row by row, filled up so that groups of pixels may be taken together.
+    /// Row by row; what follows each row, whatever it is, lets groups of pixels be taken together.
     light: Scratch<f32>,
     stride: usize,
+    /// The most light, DN.
+    most: f32,
 }
 
 impl LightMap {
@@ -41,10 +43,14 @@ impl LightMap {
         );
         let side = 2 * whole as usize + 1;
         let stride = side + LANES;
-        let mut map = Scratch::zeros((side + 1) * stride);
+        let mut map = Scratch::of_length((side + 1) * stride);
+        let mut most = 0.0_f32;
         for (row, values) in map.chunks_exact_mut(stride).take(side).enumerate() {
             let y = (top + row as isize) as f64;
             light.fill(left as f64, y, &mut values[..side]);
+            most = values[..side]
+                .iter()
+                .fold(most, |most, v| if *v > most { *v } else { most });
         }
         Self {
             left,
@@ -52,11 +58,8 @@ impl LightMap {
             side,
             light: map,
             stride,
+            most,
         }
-    }
-
-    fn most(&self) -> f32 {
-        self.light.iter().copied().fold(0.0, f32::max)
     }
 }
 
@@ -100,7 +103,7 @@ impl Patch {
         for list in patch.lists() {
             list.truncate(count);
         }
-        let least = LEAST_LIGHT * map.most();
+        let least = LEAST_LIGHT * map.most;
         weigh(
             &patch.light,
             &bend,
@@ -153,10 +156,11 @@ impl Patch {
 
     /// Leaves out the pixels that tell nothing.
     fn leave_out_dull(&mut self) {
-        let counts: Vec<bool> = self.root_weight.iter().map(|root| *root > 0.0).collect();
-        if counts.iter().all(|counts| *counts) {
+        let dull = self.root_weight.iter().filter(|root| **root <= 0.0);
+        if dull.count() == 0 {
             return;
         }
+        let counts: Vec<bool> = self.root_weight.iter().map(|root| *root > 0.0).collect();
         for list in self.lists() {
             let mut counts = counts.iter();
             list.retain(|_| counts.next().is_some_and(|counts| *counts));

@@ -1,6 +1,7 @@
 //! Where the disc is dark: places that may be marks, whatever the camera's rotation.
 
 use super::{CrossShape, FlatDisc, Settings};
+use crate::lanes::{LANES, Scratch};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 
@@ -18,13 +19,13 @@ const SPOTS_PER_DETECTION: usize = 2;
 /// The flattened disc's values summed over bins, or bins over boxes.
 struct Binned {
     side: usize,
-    values: Vec<f32>,
+    values: Scratch<f32>,
 }
 
 impl Binned {
     fn of(flat: &FlatDisc) -> Self {
         let side = flat.side() / BIN_PX;
-        let mut values = vec![0.0; side * side];
+        let mut values = Scratch::of_length(side * side);
         for (pair, bins) in flat
             .values()
             .chunks_exact(BIN_PX * flat.side())
@@ -39,9 +40,10 @@ impl Binned {
     /// Sums over the boxes about every bin; 0 where the box does not fit.
     fn boxed(&self) -> Self {
         let side = self.side;
-        let mut sums = vec![0.0_f32; side * side];
+        let mut sums = Scratch::of_length(side * side);
         let mut columns = vec![0.0_f32; side];
         for row in 0..side {
+            sums[row * side..][..side].fill(0.0);
             let entering = &self.values[row * side..][..side];
             columns.iter_mut().zip(entering).for_each(|(c, v)| *c += v);
             if row + 1 < BOX {
@@ -53,6 +55,22 @@ impl Binned {
             columns.iter_mut().zip(leaving).for_each(|(c, v)| *c -= v);
         }
         Self { side, values: sums }
+    }
+
+    /// Indices of the values above a least one that no neighbour exceeds.
+    fn peaks(&self, least: f32) -> Vec<usize> {
+        let inner = self.side..self.side * (self.side - 1);
+        let mut peaks = Vec::new();
+        for (n, group) in self.values[inner].chunks(LANES).enumerate() {
+            // Most of the disc is bright.
+            if group.iter().filter(|sum| **sum > least).count() == 0 {
+                continue;
+            }
+            let first = self.side + n * LANES;
+            let dark = (first..first + group.len()).filter(|n| self.values[*n] > least);
+            peaks.extend(dark.filter(|n| self.is_peak(*n)));
+        }
+        peaks
     }
 
     fn is_peak(&self, index: usize) -> bool {
@@ -87,16 +105,13 @@ pub(super) fn find_spots(flat: &FlatDisc, shape: &CrossShape, settings: &Setting
         let (row, column) = (index / boxes.side, index % boxes.side);
         BIN_PX * (row * flat.side() + column)
     };
-    let edge = boxes.side * (boxes.side - 1);
     let mut dark: Vec<(usize, f32)> = Vec::new();
-    for (n, &sum) in boxes.values[boxes.side..edge].iter().enumerate() {
-        let index = boxes.side + n;
-        if sum > least && boxes.is_peak(index) {
-            let spot = unbinned(index);
-            let noise = flat.noise(flat.position(spot)) as f32 * box_px;
-            if sum > BOX_SIGMA * noise {
-                dark.push((spot, sum));
-            }
+    for index in boxes.peaks(least) {
+        let spot = unbinned(index);
+        let sum = boxes.values[index];
+        let noise = flat.noise(flat.position(spot)) as f32 * box_px;
+        if sum > BOX_SIGMA * noise {
+            dark.push((spot, sum));
         }
     }
     dark.sort_by(|a, b| b.1.total_cmp(&a.1));

@@ -99,8 +99,10 @@ impl Hidden {
         }
         let words = self.words();
         let row = &self.covered[(y - r.y0) * words..][..words];
-        for (n, word) in row.iter().enumerate() {
-            let mut left = *word;
+        let first = from.saturating_sub(r.x0) / 64;
+        let end = (from + dn.len()).saturating_sub(r.x0).div_ceil(64);
+        for n in first..end.min(words) {
+            let mut left = row[n];
             while left != 0 {
                 let column = r.x0 + 64 * n + left.trailing_zeros() as usize;
                 if let Some(dn) = column.checked_sub(from).and_then(|n| dn.get_mut(n)) {

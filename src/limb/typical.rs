@@ -68,6 +68,20 @@ fn find_cells(band: &Band, step_dn: f32, hidden: u32, cells: &mut [u32]) {
     }
 }
 
+/// The last stride of levels that begins before so many values, and how many lie before it.
+fn stride_before(counts: &[u16], wanted: u32) -> (usize, u32) {
+    const STRIDE: usize = 16;
+    let mut upto = 0;
+    for (n, stride) in counts.chunks(STRIDE).enumerate() {
+        let within: u32 = stride.iter().map(|n| u32::from(*n)).sum();
+        if upto + within >= wanted {
+            return (n * STRIDE, upto);
+        }
+        upto += within;
+    }
+    (counts.len(), upto)
+}
+
 /// The median of counted values, interpolated within its step, and their number. Where the median's step holds most of the
 /// values, as that of a quiet ground does, it is the mean of these.
 fn median(counts: &[u16], step_dn: f64, sums: Option<&[f32]>) -> Option<(f64, u32)> {
@@ -76,8 +90,9 @@ fn median(counts: &[u16], step_dn: f64, sums: Option<&[f32]>) -> Option<(f64, u3
         return None;
     }
     let half = pixels.div_ceil(2);
-    let mut upto = 0;
-    for (level, count) in counts.iter().map(|n| u32::from(*n)).enumerate() {
+    let (first, mut upto) = stride_before(counts, half);
+    let rest = counts.iter().map(|n| u32::from(*n)).enumerate();
+    for (level, count) in rest.skip(first) {
         if upto + count >= half {
             if let Some(sum) = sums.map(|sums| f64::from(sums[level]))
                 && count > half
