@@ -1,7 +1,7 @@
 //! Robust brightness levels of a frame (Cramer 2014, section 4.2.5, steps 2 to 4).
 //!
 //! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the histogram, taken
-//! over every eighth row and some ten thousand pixels; where noise is cut off at zero the median and what lies above it do not
+//! over every eighth row and some twenty thousand pixels; where noise is cut off at zero the median and what lies above it do not
 //! mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has only some
 //! hundred pixels: they are looked for by pairs in every fourth row, stretches without any being passed over; hot pixels
 //! stand alone and do not count.
@@ -14,8 +14,8 @@ use crate::with_view;
 
 /// Least distance of the pixels that tell the background, in both axes.
 const STRIDE_PX: usize = 8;
-/// So many tell background and noise to a seventieth of the noise; larger frames have columns to spare.
-const ENOUGH_PIXELS: usize = 10_000;
+/// So many tell background and noise to a hundredth of the noise; larger frames have columns to spare.
+const ENOUGH_PIXELS: usize = 20_000;
 /// Distance of the rows that are looked through for bright pixels.
 const BRIGHT_ROWS_PX: usize = 4;
 /// Pixels this many sigma above the background are bright: of a dark frame's fewer than one in 30 000.
@@ -94,9 +94,9 @@ impl Histogram {
         let rows = view.pixels.chunks_exact(view.width);
         for row in rows.skip(BRIGHT_ROWS_PX / 2).step_by(BRIGHT_ROWS_PX) {
             for (_, stretch) in stretches.bright(row, floor) {
-                for [first, second] in stretch.as_chunks().0 {
-                    if *first > floor && *second > floor {
-                        histogram.add(*second);
+                for pair in stretch.chunks_exact(2) {
+                    if pair[0] > floor && pair[1] > floor {
+                        histogram.add(pair[1]);
                     }
                 }
             }
