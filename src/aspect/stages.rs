@@ -84,25 +84,19 @@ impl<'a> Work<'a> {
     }
 
     pub(super) fn find_disc(&self, levels: &Levels) -> Result<CoarseDisc, Stopped> {
-        let find = |region| {
-            limb::find_disc(
-                self.frame,
-                region,
-                levels,
-                self.radius_px,
-                self.mark_length_px(),
-                &self.settings.limb,
-            )
-        };
+        let (radius_px, mark_px) = (self.radius_px, self.mark_length_px());
+        let settings = &self.settings.limb;
         let near = self.prior.and_then(|prior| {
             let reach = prior.disc.radius + PRIOR_REACH_PX;
             let centre = SensorPx::from(prior.disc.centre);
-            Region::around(centre, reach, self.frame.width(), self.frame.height())
+            let region = Region::around(centre, reach, self.frame.width(), self.frame.height())?;
+            limb::find_disc_near(self.frame, region, levels, radius_px, mark_px, settings).ok()
         });
-        match near.map(find) {
-            Some(Ok(disc)) => Ok(disc),
-            _ => find(self.frame.region()).map_err(at(Stage::Limb)),
-        }
+        let anywhere = || {
+            let region = self.frame.region();
+            limb::find_disc(self.frame, region, levels, radius_px, mark_px, settings)
+        };
+        near.map_or_else(anywhere, Ok).map_err(at(Stage::Limb))
     }
 
     /// What fits the outline of the disc.

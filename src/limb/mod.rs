@@ -35,7 +35,7 @@ pub use levels::levels;
 pub use light::DiscLight;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
-pub use search::{CoarseDisc, find_disc};
+pub use search::{CoarseDisc, find_disc, find_disc_near};
 
 /// What can be tuned in finding the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -27,10 +27,21 @@ impl CoarseDisc {
     }
 }
 
+impl From<Circle> for CoarseDisc {
+    fn from(circle: Circle) -> Self {
+        Self {
+            centre: circle.centre.into(),
+            radius_px: circle.radius,
+        }
+    }
+}
+
 /// Patches that are looked at.
 const MOST_PATCHES: usize = 6;
 /// Chords across the shorter side of a patch.
 const CHORDS_PER_PATCH: usize = 16;
+/// Rows across a disc that is where it was, or near.
+const ROWS_ACROSS: usize = 24;
 /// Chords are no nearer to each other than this: what is between is the same noise twice.
 const LEAST_SPACING_PX: usize = 2;
 /// Linear limb darkening at 630 nm: light falls as 1 - u (1 - cos theta) towards the limb.
@@ -60,11 +71,30 @@ pub fn find_disc(
         mark_length_px,
         settings,
     };
-    let circle = with_view!(frame, view => search.run(&view, region))?;
-    Ok(CoarseDisc {
-        centre: circle.centre.into(),
-        radius_px: circle.radius,
-    })
+    Ok(with_view!(frame, view => search.run(&view, region))?.into())
+}
+
+/// Finds the disc in a region about the place where it was: steps 2 to 4 of [`find_disc`], by rows alone.
+pub fn find_disc_near(
+    frame: &Frame,
+    region: Region,
+    levels: &Levels,
+    radius_px: f64,
+    mark_length_px: f64,
+    settings: &Settings,
+) -> Result<CoarseDisc, Rejected> {
+    let search = Search {
+        levels,
+        radius_px,
+        mark_length_px,
+        settings,
+    };
+    let grid = Grid {
+        region,
+        spacing_px: (2.0 * radius_px) as usize / ROWS_ACROSS,
+        axes: Axes::Rows,
+    };
+    Ok(with_view!(frame, view => search.disc_on(&view, &grid))?.into())
 }
 
 /// What is known of the disc before it is found.
@@ -85,8 +115,8 @@ impl Search<'_> {
             limit: 1.0,
         };
         for (n, patch) in patches.iter().take(MOST_PATCHES).enumerate() {
-            match self.disc_in(view, patch, &scan) {
-                Ok(circle) => return Ok(self.with_whole_levels(view, patch, circle)),
+            match self.disc_on(view, &self.grid_over(view, patch)) {
+                Ok(circle) => return Ok(circle),
                 Err(rejected) if n == 0 => reason = rejected,
                 Err(_) => {}
             }
@@ -103,23 +133,41 @@ impl Search<'_> {
         self.settings.search_spacing_px.max(1)
     }
 
+    /// The rows and columns that cross a patch.
+    fn grid_over<T: Whole>(&self, view: &View<'_, T>, patch: &Patch) -> Grid {
+        // The patch may end anywhere before the next row, and its chords need dark pixels at their ends.
+        let margin_px = self.spacing_px() + self.settings.min_run_px;
+        let region = patch.grown(margin_px, view.width, view.height);
+        Grid {
+            region,
+            spacing_px: region.width().min(region.height()) / CHORDS_PER_PATCH,
+            axes: Axes::Both,
+        }
+    }
+
     fn disc_in<T: Whole>(
         &self,
         view: &View<'_, T>,
-        patch: &Patch,
+        grid: &Grid,
         scan: &Scan,
     ) -> Result<Circle, Rejected> {
-        let crossings = cross_patch(view, patch, scan, self.spacing_px()); // 2
+        let crossings = grid.crossings(view, scan); // 2
         let circle = agreed_circle(&crossings, self.radius_px, self.settings)?; // 3
         check_filled(view, &circle, scan.threshold_dn)?;
         Ok(circle)
+    }
+
+    /// The disc that a grid crosses.
+    fn disc_on<T: Whole>(&self, view: &View<'_, T>, grid: &Grid) -> Result<Circle, Rejected> {
+        let circle = self.disc_in(view, grid, &self.scan(self.levels))?;
+        Ok(self.with_whole_levels(view, grid, circle))
     }
 
     /// The disc by the threshold of the whole disc, where the levels are those of a darker part; else as it was. 4
     fn with_whole_levels<T: Whole>(
         &self,
         view: &View<'_, T>,
-        patch: &Patch,
+        grid: &Grid,
         circle: Circle,
     ) -> Circle {
         const HARDLY_DARKER: f64 = 0.95;
@@ -132,7 +180,7 @@ impl Search<'_> {
             disc_dn: background_dn + (self.levels.disc_dn - background_dn) / brightest,
             ..*self.levels
         };
-        self.disc_in(view, patch, &self.scan(&levels))
+        self.disc_in(view, grid, &self.scan(&levels))
             .unwrap_or(circle)
     }
 }
@@ -149,20 +197,32 @@ fn brightest_seen(circle: &Circle, width: usize, height: usize) -> f64 {
     1.0 - LIMB_DARKENING * (1.0 - cosine)
 }
 
-/// The crossings of rows and columns with the edge of a patch.
-fn cross_patch<T: Whole>(
-    view: &View<'_, T>,
-    patch: &Patch,
-    scan: &Scan,
-    row_spacing_px: usize,
-) -> Vec<Crossing> {
-    // The patch may end anywhere before the next row, and its chords need dark pixels at their ends.
-    let region = patch.grown(row_spacing_px + scan.min_run_px, view.width, view.height);
-    let shorter_px = region.width().min(region.height());
-    let spacing = (shorter_px / CHORDS_PER_PATCH).max(LEAST_SPACING_PX);
-    let rows = (region.y0 + spacing / 2..region.y1).step_by(spacing);
-    let columns = (region.x0 + spacing / 2..region.x1).step_by(spacing);
-    scan.run(view, region, rows, columns)
+/// Rows, and columns perhaps, that cross a region.
+struct Grid {
+    region: Region,
+    spacing_px: usize,
+    axes: Axes,
+}
+
+/// What crosses a region.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Axes {
+    Rows,
+    Both,
+}
+
+impl Grid {
+    /// Their crossings with the edge of what is bright.
+    fn crossings<T: Whole>(&self, view: &View<'_, T>, scan: &Scan) -> Vec<Crossing> {
+        let region = self.region;
+        let spacing = self.spacing_px.max(LEAST_SPACING_PX);
+        let rows = (region.y0 + spacing / 2..region.y1).step_by(spacing);
+        let columns = match self.axes {
+            Axes::Rows => 0..0,
+            Axes::Both => region.x0 + spacing / 2..region.x1,
+        };
+        scan.run(view, region, rows, columns.step_by(spacing))
+    }
 }
 
 /// A disc is bright within and dark about: a circle of noise, or one drawn through anything else, is not.
