@@ -5,6 +5,7 @@ use super::straight::solve;
 use super::{Figure, Finding};
 use crate::calibrate::numbers::median;
 use crate::report::plot::Dots;
+use crate::statistics::SIGMA_PER_MEDIAN;
 use crate::units::Measured;
 use nalgebra::Vector2;
 
@@ -116,7 +117,7 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding
         count => {
             let middle = at_reference.unwrap_or_else(|| median(&values));
             let off: Vec<f64> = values.iter().map(|v| (v - median(&values)).abs()).collect();
-            let scatter = 1.4826 * median(&off) * 1.25 / (count as f64).sqrt();
+            let scatter = SIGMA_PER_MEDIAN * median(&off) * 1.25 / (count as f64).sqrt();
             Ok(Measured::new(middle, scatter.hypot(BLUR_SYSTEMATIC_PX)))
         }
     };
