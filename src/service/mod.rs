@@ -371,10 +371,7 @@ impl Crew {
         self.solvers
             .push(Worker::start(name, Some(SOLVER_PATIENCE), move || {
                 let (solver, sightings) = (solver.clone(), sightings.clone());
-                Box::new(move |life| {
-                    host.hurry();
-                    solver.run(&sightings, life);
-                })
+                host.hurried(move |life| solver.run(&sightings, life))
             })?);
         Ok(())
     }
@@ -402,10 +399,7 @@ impl Crew {
         self.cameras
             .push(Worker::start(name, Some(CAMERA_PATIENCE), move || {
                 let (shutter, source, open) = (shutter.clone(), source.take(), open.clone());
-                Box::new(move |life| {
-                    host.hurry();
-                    shutter.run(source, open, life);
-                })
+                host.hurried(move |life| shutter.run(source, open, life))
             })?);
         Ok(())
     }
@@ -426,8 +420,7 @@ fn start_line(
     Worker::start("link", None, move || {
         let (controls, tally, events) = (controls.clone(), tally.clone(), events.clone());
         let (connection, hang_up) = (Arc::clone(&connection), Arc::clone(&hang_up));
-        Box::new(move |life| {
-            host.hurry();
+        host.hurried(move |life| {
             let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
             Line::new(&mut connection, controls, tally).run(&events, &hang_up, life);
         })
