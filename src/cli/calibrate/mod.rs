@@ -5,6 +5,7 @@ mod compare;
 mod mounting;
 mod plate;
 
+use super::output::make_folder;
 use crate::calibrate::revision::Revision;
 use crate::instrument::{Instrument, builtin_text, toml_file};
 use anyhow::Context;
@@ -75,8 +76,7 @@ impl Edition {
 }
 
 fn write_page(folder: &Path, name: &str, html: &str) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+    make_folder(folder)?;
     let file = folder.join(name);
     std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
 }

@@ -2,8 +2,8 @@
 
 use super::{Edition, write_page};
 use crate::calibrate::plate;
+use crate::cli::output::progress_bar;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -26,10 +26,7 @@ pub struct PlateArgs {
 
 pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     let (mut revision, start) = args.edition.open()?;
-    let progress = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
-        progress.set_style(style);
-    }
+    let progress = progress_bar(0, "frames");
     let begin = |frames: usize| progress.set_length(frames as u64);
     let calibration = plate::calibrate(&args.frames, &start, &begin, &|| progress.inc(1));
     progress.finish_and_clear();
