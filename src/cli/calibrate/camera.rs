@@ -70,8 +70,8 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
     let shots = [&inputs.dark, &inputs.flat, &inputs.sun]
         .into_iter()
         .flat_map(|s| &s.frames);
-    let last: Option<Timestamp> = shots.filter_map(|s| s.frame.info.mid_exposure).max();
-    let now = || Timestamp::now();
+    let last = shots.filter_map(|s| s.frame.info.mid_exposure).max();
+    let last = last.unwrap_or_else(Timestamp::now);
     Provenance {
         name: "camera",
         source: format!(
@@ -80,7 +80,7 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
             inputs.flat.frames.len(),
             inputs.suns.len()
         ),
-        date: TimeZone::UTC.to_datetime(last.unwrap_or_else(now)).date(),
+        date: TimeZone::UTC.to_datetime(last).date(),
         frames: files.len(),
         frames_sha256: frames::sha256(files),
     }
