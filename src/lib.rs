@@ -14,6 +14,7 @@
 //! | rooms | what they know |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
+//! | `statistics` | the middle of many values |
 //! | [`geometry`], [`frame`], [`clock`] | mappings between sensor and plate; a picture and what is known of it; how well the clock is held |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
@@ -57,4 +58,5 @@ pub mod report;
 pub mod service;
 pub mod simulate;
 pub mod sky;
+mod statistics;
 pub mod units;

@@ -226,6 +226,7 @@ mod tests {
     use crate::accuracy::conditions::noise;
     use crate::accuracy::recipe::{ENOUGH_MARKS, Recipe, View};
     use crate::instrument::builtin;
+    use crate::statistics::median;
 
     fn medians_arcsec(noise_dn: f64) -> f64 {
         let demo = builtin("demo").unwrap();
@@ -234,15 +235,13 @@ mod tests {
             lit_marks: ENOUGH_MARKS,
         };
         noise(&mut recipe, noise_dn);
-        let mut sigmas: Vec<f64> = (0..15)
+        let sigmas = (0..15)
             .filter_map(|seed| {
                 let scene = recipe.scene(&demo, seed).unwrap();
                 covariance_mil2(&scene)
             })
-            .map(|covariance| (covariance.trace() / 2.0).sqrt())
-            .collect();
-        sigmas.sort_by(f64::total_cmp);
-        sigmas[sigmas.len() / 2] * demo.optics.arcsec_per_mil()
+            .map(|covariance| (covariance.trace() / 2.0).sqrt());
+        median(sigmas).unwrap() * demo.optics.arcsec_per_mil()
     }
 
     #[test]

@@ -1,22 +1,16 @@
 //! The frames that a calibration is given: their files, their hash, what is wrong with some of them.
 
-use crate::fits::{self, FRAME_ENDINGS, FileError, Unlisted};
+use crate::fits::{self, FRAME_ENDINGS, Unlisted};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A frame that does not take part, and why.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LeftOut {
     pub name: String,
+    /// Without the name, which stands beside.
     pub reason: String,
-}
-
-/// Why a frame cannot be read, without the name of its file, which stands beside.
-pub fn unread(file: &Path, error: &FileError) -> String {
-    let text = error.to_string();
-    let name = format!("{}: ", file.display());
-    text.strip_prefix(&name).unwrap_or(&text).into()
 }
 
 /// How many frames are left out and why the first is, for an error that may come of it.

@@ -1,7 +1,7 @@
 //! A new edition of an instrument's file: some entries renewed, every other line, comment and order as it was.
 
 use crate::calibrate::numbers::value_text;
-use crate::instrument::{Instrument, TomlError, toml_file};
+use crate::instrument::{Instrument, TomlError};
 use crate::units::Measured;
 use jiff::civil::Date;
 use std::path::{Path, PathBuf};
@@ -38,11 +38,6 @@ impl Revision {
             path: path.into(),
             document,
         })
-    }
-
-    /// Opens an instrument's file.
-    pub fn open(path: &Path) -> Result<Self, TomlError> {
-        Self::of(path, &toml_file::read_text(path)?)
     }
 
     /// Renews a number; both it and its sigma are written to two digits of the sigma.

@@ -1,10 +1,10 @@
 //! `solaspect archive`: what is in an archive, and whether it is sound.
 
+use super::output::{make_folder, progress_bar};
 use crate::archive::check::{self, BadFile, Gap, Report, Row, Tree};
 use crate::fits::{self, FitsFile};
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -97,16 +97,9 @@ pub fn run(args: ArchiveArgs) -> anyhow::Result<ExitCode> {
     })
 }
 
-/// On standard error; hidden by itself where that is no terminal.
-fn progress_bar(files: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} files, {per_sec}, {eta} left");
-    ProgressBar::new(files as u64)
-        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-}
-
 fn run_check(args: &CheckArgs) -> anyhow::Result<bool> {
     let tree = Tree::of(&args.folder)?;
-    let progress = progress_bar(tree.files.len());
+    let progress = progress_bar(tree.files.len(), "files");
     let report = check::check(&tree, &|| progress.inc(1));
     progress.finish_and_clear();
     let mut out = std::io::stdout().lock();
@@ -254,7 +247,7 @@ fn run_export(args: &ExportArgs) -> anyhow::Result<bool> {
 }
 
 fn export_table(files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<bool> {
-    let progress = progress_bar(files.len());
+    let progress = progress_bar(files.len(), "files");
     let row = |path: &PathBuf| {
         let row = check::csv_row(path);
         progress.inc(1);
@@ -290,9 +283,8 @@ fn export_pictures(files: &[PathBuf], folder: &Path) -> anyhow::Result<bool> {
             );
         }
     }
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
-    let progress = progress_bar(pictures.len());
+    make_folder(folder)?;
+    let progress = progress_bar(pictures.len(), "files");
     let export = |(picture, file): (&PathBuf, &&PathBuf)| -> anyhow::Result<()> {
         progress.inc(1);
         let frame = fits::read_frame(file)?;

@@ -8,6 +8,7 @@ pub mod demo;
 pub mod fly;
 pub mod link;
 mod options;
+mod output;
 pub mod preflight;
 pub mod refine;
 pub mod simulate;

@@ -1,6 +1,5 @@
 //! What several commands read from their options.
 
-use crate::calibrate::revision::Revision;
 use crate::camera::Source;
 use crate::config::Config;
 use crate::instrument::{self, Instrument};
@@ -51,19 +50,6 @@ pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
         Some(path) => Instrument::read(path)?,
         None => instrument::builtin("demo")?,
     })
-}
-
-/// The instrument of `--instrument`, else the built-in demo, and its file open for new entries.
-pub(super) fn revision(path: Option<&Path>) -> anyhow::Result<(Revision, Instrument)> {
-    let revision = match path {
-        Some(path) => Revision::open(path)?,
-        None => {
-            let text = instrument::builtin_text("demo").unwrap_or_default();
-            Revision::of(Path::new("demo"), text)?
-        }
-    };
-    let (_, instrument) = revision.finish()?;
-    Ok((revision, instrument))
 }
 
 /// The configuration of `--config`, else the defaults.

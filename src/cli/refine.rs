@@ -1,11 +1,11 @@
 //! `solaspect refine`: the best aspect history from a flight's archive.
 
 use super::options;
+use super::output::{make_folder, progress_bar};
 use crate::refine::{self, Done, Flight, Input, Recipe, Shard, Sky, Span, Summary};
 use crate::units::Place;
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use jiff::Timestamp;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -64,8 +64,7 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         place: args.place.or(config.site.place()),
         ephemeris,
     };
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
+    make_folder(&args.out)?;
     let jobs = args.jobs.map_or(0, usize::from);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
     pool.install(|| args.refine(&recipe, &sky))
@@ -112,7 +111,7 @@ impl RefineArgs {
         let others = journals(&self.merge, &name)?;
         let mut done = Done::open(&self.out.join(&name), &others)?;
         let left = inputs.iter().filter(|input| !done.holds(input)).count();
-        let progress = progress_bar(left);
+        let progress = progress_bar(left, "frames");
         let each = || progress.inc(1);
         done.work(&self.archive, inputs, recipe, &self.span(), &each)?;
         progress.finish_and_clear();
@@ -150,13 +149,6 @@ fn journals(folders: &[PathBuf], name: &str) -> anyhow::Result<Vec<PathBuf>> {
         Ok(path)
     };
     folders.iter().map(journal).collect()
-}
-
-/// On standard error; hidden by itself where that is no terminal.
-fn progress_bar(frames: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left");
-    ProgressBar::new(frames as u64)
-        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
 fn print(summary: &Summary) {

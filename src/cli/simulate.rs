@@ -1,6 +1,7 @@
 //! `solaspect simulate`: frames of random scenes, and the truth about them.
 
 use super::options;
+use super::output::{make_folder, progress_bar};
 use crate::fits::{self, Compression};
 use crate::instrument::Instrument;
 use crate::simulate::{
@@ -11,7 +12,6 @@ use crate::sky;
 use crate::units::{Place, SensorPx};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
 use jiff::{SignedDuration, Timestamp};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -194,13 +194,12 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     };
     let conditions = args.conditions(&instrument, radius_arcsec);
     let mut scenes = args.scenes(&instrument, &conditions)?;
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
+    make_folder(&args.out)?;
     let path = args.out.join("truth.csv");
     let cannot_write = || format!("{}: cannot write", path.display());
     let mut truth = BufWriter::new(File::create(&path).with_context(cannot_write)?);
     writeln!(truth, "{TRUTH_HEADER}").with_context(cannot_write)?;
-    let progress = progress_bar(args.frames);
+    let progress = progress_bar(args.frames as usize, "frames");
     for number in 0..args.frames {
         let picture = args.picture(&mut scenes, number)?;
         let file = args.out.join(format!("frame_{number:05}.fits"));
@@ -220,15 +219,6 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
 enum Scenes {
     Random(Box<RandomScenes>),
     Drift(Box<DriftScenes>),
-}
-
-/// A bar on the terminal; nothing where standard error is not one.
-fn progress_bar(frames: u64) -> ProgressBar {
-    let bar = ProgressBar::new(frames);
-    match ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
-        Ok(style) => bar.with_style(style),
-        Err(_) => bar,
-    }
 }
 
 /// A line of `truth.csv`; without Sun every column but the first is empty.

@@ -1,6 +1,7 @@
 //! `solaspect solve`: frames in, answers out.
 
 use super::options;
+use super::output::{make_folder, progress_bar};
 use crate::archive::Record;
 use crate::aspect::{self, Expected, Solution, Track};
 use crate::fits;
@@ -11,7 +12,7 @@ use crate::sky::Ephemeris;
 use crate::units::Place;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::io::{IsTerminal, Write};
@@ -72,8 +73,7 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
         overlay: args.overlay,
     };
     if let Some(folder) = &batch.overlay {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+        make_folder(folder)?;
         let names: std::collections::BTreeSet<_> =
             args.frames.iter().map(|f| picture_name(f)).collect();
         ensure!(
@@ -82,7 +82,7 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
         );
     }
     let mut printer = Printer::new(args.format)?;
-    let progress = progress_bar(args.frames.len());
+    let progress = progress_of(args.frames.len());
     let mut failed = false;
     let mut take = |answers: Vec<Answer>| -> anyhow::Result<()> {
         for answer in answers {
@@ -199,14 +199,12 @@ fn picture_name(path: &Path) -> String {
     }
 }
 
-fn progress_bar(frames: usize) -> ProgressBar {
-    // Beside a table on the same terminal a bar only flickers.
+/// None beside a table on the same terminal, where a bar only flickers.
+fn progress_of(frames: usize) -> ProgressBar {
     if frames < 2 || std::io::stdout().is_terminal() {
         return ProgressBar::hidden();
     }
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left");
-    ProgressBar::new(frames as u64)
-        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+    progress_bar(frames, "frames")
 }
 
 /// Writes answers to standard output in one format.

@@ -145,22 +145,11 @@ fn check_camera(plan: &Plan, planned: &PlannedCamera, operator: &mut dyn Operato
             track: None,
         })
     });
+    let failed = |found: String| vec![Finding::fail("polarity", found, "see the camera")];
     let mut watch = match opened {
         Ok(Ok(watch)) => watch,
-        Ok(Err(error)) => {
-            return vec![Finding::fail(
-                "polarity",
-                error.to_string(),
-                "see the camera",
-            )];
-        }
-        Err(no_answer) => {
-            return vec![Finding::fail(
-                "polarity",
-                no_answer.to_string(),
-                "see the camera",
-            )];
-        }
+        Ok(Err(error)) => return failed(error.to_string()),
+        Err(no_answer) => return failed(no_answer.to_string()),
     };
     let mut findings = Vec::new();
     for axis in [Axis::Elevation, Axis::Azimuth] {

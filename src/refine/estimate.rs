@@ -10,11 +10,12 @@
 
 use super::drift::{Drift, Estimate, Sight, Sightings, Smoothed, Wander, Warmth};
 use super::load::Entry;
-use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, WarmthFacts, median};
+use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, WarmthFacts};
 use super::temperature;
 use super::view::{Reference, State};
 use crate::geometry::Distortion;
 use crate::instrument::Instrument;
+use crate::statistics::median;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{Matrix2, Matrix3, Vector2};
 use rayon::prelude::*;
@@ -87,7 +88,7 @@ fn reference(entries: &[Entry], distortion: Distortion) -> Option<Reference> {
                 let h = m * corner.vector().push(1.0);
                 h[axis] / h.z
             });
-            median(at.collect())
+            median(at)
         };
         Some(Vector2::new(seen(0)?, seen(1)?))
     };
@@ -182,7 +183,7 @@ impl Work {
             .enumerate()
             .map(|(k, (n, miss, sigma))| {
                 let near = &misses[k.saturating_sub(reach)..misses.len().min(k + reach + 1)];
-                let middle = |axis: usize| median(near.iter().map(|(_, m, _)| m[axis]).collect());
+                let middle = |axis: usize| median(near.iter().map(|(_, m, _)| m[axis]));
                 let middle = Vector2::new(middle(0).unwrap_or(0.0), middle(1).unwrap_or(0.0));
                 let away = (miss - middle).norm();
                 let limit = ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.raised);
@@ -323,7 +324,7 @@ impl Work {
 
     /// Tells states from the middle of the flight, where the slopes are then true.
     fn move_reference(&mut self, estimates: &[Estimate]) {
-        let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]).collect());
+        let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]));
         let state = State::from_fn(|n, _| middle(n).unwrap_or(0.0));
         self.reference = self.reference.moved(&state);
     }
@@ -341,7 +342,7 @@ impl Work {
             counted.map(|sight| chi2(sight, &estimate.state))
         });
         // Half of chi^2 of two lie below 1.386.
-        let scatter = median(all.collect()).unwrap_or(0.0) / 1.386;
+        let scatter = median(all).unwrap_or(0.0) / 1.386;
         let raise = scatter.max(1.0 / self.raised.powi(2));
         self.raised *= raise.sqrt();
         for (n, estimate) in estimates.iter().enumerate() {

@@ -11,13 +11,14 @@ use super::follow::Followed;
 use super::journal::JournalError;
 use super::load::{Entry, load};
 use super::look::{Known, Look};
-use super::mapping::{FlightMapping, MappingFacts, median};
+use super::mapping::{FlightMapping, MappingFacts};
 use super::motion;
 use super::oddities::note;
 use super::record::{Grade, Input};
 use super::row::{Oddity, Row};
 use crate::fits::read_frame;
 use crate::geometry::Mapping;
+use crate::statistics::median_and_scatter;
 use crate::units::{Estimate, Measured, Place, PlateMil, SensorPx};
 use rayon::prelude::*;
 use std::path::Path;
@@ -144,7 +145,9 @@ impl<'a> Work<'a> {
         let ratios = found.iter().filter_map(|(n, disc)| {
             Some(disc.radius_mil.value / self.rows[*n].expected_radius_mil?)
         });
-        self.radius_ratio = middle(ratios.collect());
+        let ratios: Vec<f64> = ratios.collect();
+        let ratio = median_and_scatter(&ratios);
+        self.radius_ratio = ratio.map(|(value, sigma)| Measured::new(value, sigma));
         let ratio = self
             .radius_ratio
             .unwrap_or(Measured::new(1.0, LOOSE_RADIUS.sigma / 4.0));
@@ -289,11 +292,4 @@ impl<'a> Work<'a> {
         let spoiled = self.rows[n].oddities.iter().any(|odd| odd.spoils());
         other.or((!spoiled).then_some((own, OWN_DISC_SIGMA_MIL)))
     }
-}
-
-/// The median of some values with their usual scatter.
-fn middle(values: Vec<f64>) -> Option<Measured> {
-    let middle = median(values.clone())?;
-    let away = values.iter().map(|value| (value - middle).abs()).collect();
-    Some(Measured::new(middle, 1.4826 * median(away)?))
 }

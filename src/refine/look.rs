@@ -13,11 +13,10 @@ use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
 use crate::limb::{self, KnownOutline, Limb, LimbFit, OutlinePrior};
+use crate::statistics::{median, median_and_scatter};
 use crate::units::{Measured, PlateMil};
 use crate::with_view;
 use nalgebra::{Matrix2, Vector2};
-
-use super::mapping::median;
 
 /// A place this vague is no place to start at: the disc is searched about it.
 const VAGUE_PX: f64 = 2.0;
@@ -179,10 +178,9 @@ fn levels_about(frame: &Frame, outline: &Ellipse) -> Option<Levels> {
     if inside.len().min(around.len()) < LEAST_PIXELS {
         return None;
     }
-    let background_dn = median(around.clone())?;
-    let away = around.iter().map(|dn| (dn - background_dn).abs()).collect();
-    let noise_dn = (1.4826 * median(away)?).max(ROUNDING_NOISE_DN);
-    let middle_dn = median(inside.clone())?;
+    let (background_dn, scatter_dn) = median_and_scatter(&around)?;
+    let noise_dn = scatter_dn.max(ROUNDING_NOISE_DN);
+    let middle_dn = median(&inside)?;
     let contrast = (middle_dn - background_dn) / noise_dn;
     let bright = (DISC_QUANTILE * inside.len() as f64) as usize;
     let bright_dn = *inside.select_nth_unstable_by(bright, f64::total_cmp).1;

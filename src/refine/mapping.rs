@@ -115,9 +115,3 @@ impl FlightMapping {
         })
     }
 }
-
-/// The middle one of some values.
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
-}

@@ -2,9 +2,10 @@
 
 use super::disc::PlateDisc;
 use super::flight::Work;
-use super::mapping::{Standing, median};
+use super::mapping::Standing;
 use super::record::Grade;
 use super::row::{Oddity, Row};
+use crate::statistics::median;
 use crate::units::Measured;
 use rayon::prelude::*;
 
@@ -37,7 +38,7 @@ impl Work<'_> {
             return;
         }
         let discs = self.rows.iter().filter_map(|row| row.disc.as_ref());
-        let scatter = median(discs.map(|disc| disc.scatter).collect());
+        let scatter = median(discs.map(|disc| disc.scatter));
         let usual = Usual {
             scatter: scatter.unwrap_or(1.0),
             light: self.about(|levels| levels[2] - levels[0]),
@@ -86,7 +87,7 @@ impl Work<'_> {
         let mut over = vec![None; self.dated];
         for (k, (n, value)) in lit.iter().enumerate() {
             let near = &lit[k.saturating_sub(ABOUT)..lit.len().min(k + ABOUT + 1)];
-            let usual = median(near.iter().map(|(_, value)| *value).collect());
+            let usual = median(near.iter().map(|(_, value)| value));
             over[*n] = usual
                 .filter(|usual| *usual > 0.0)
                 .map(|usual| value / usual);

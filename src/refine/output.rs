@@ -8,6 +8,7 @@ use super::mapping::{Jump, MappingFacts, WarmthFacts};
 use super::record::Grade;
 use super::row::{Oddity, Row};
 use crate::fits;
+use crate::statistics::median;
 use crate::units::Measured;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -185,7 +186,7 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         odd,
         first_utc: dated.first().and_then(time),
         last_utc: dated.last().and_then(time),
-        median_sigma_mil: super::mapping::median(sigmas.flatten().collect()),
+        median_sigma_mil: median(sigmas.flatten()),
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
         restless_mil_per_s2: flight.path.as_ref().map(|path| path.restless),

@@ -2,7 +2,6 @@
 
 use super::columns::SmoothedRow;
 use super::flight::Flight;
-use super::mapping::median;
 use super::output::{OutputError, Summary, whole};
 use super::row::Row;
 use super::spectrum;
@@ -10,6 +9,7 @@ use crate::fits::read_frame;
 use crate::instrument::Instrument;
 use crate::report::html::Page;
 use crate::report::plot::{self, Curve, Labels, Mark, PlotError, Series, Stroke};
+use crate::statistics::median;
 use crate::with_view;
 use image::{GrayImage, Luma};
 use std::collections::BTreeMap;
@@ -103,7 +103,7 @@ impl Report<'_> {
     fn usual(&self, name: &str, value: impl Fn(&Row) -> Option<f64>) -> Series {
         const MOST_MEDIANS: f64 = 5.0;
         let mut series = self.dots(name, value);
-        let middle = median(series.points.iter().map(|(_, value)| *value).collect());
+        let middle = median(series.points.iter().map(|(_, value)| value));
         let most = middle.unwrap_or(0.0) * MOST_MEDIANS;
         series.points.retain(|(_, value)| *value <= most);
         series
@@ -173,7 +173,7 @@ impl Report<'_> {
         };
         let calibration = |row: &Row| Some(row.sky?.sigma_deg?[1] * 3600.0);
         let line = |name: &str, points: Vec<(f64, f64)>| {
-            let value = median(points.iter().map(|(_, value)| *value).collect());
+            let value = median(points.iter().map(|(_, value)| value));
             let value = value.map_or("not known".into(), |value| format!("{value:.4}"));
             vec![name.to_owned(), value]
         };
@@ -345,7 +345,7 @@ impl Report<'_> {
 /// Runs without gaps, and their usual step.
 fn runs(points: &[(f64, f64)]) -> Option<(Vec<Vec<f64>>, f64)> {
     let steps = points.windows(2).map(|pair| pair[1].0 - pair[0].0);
-    let step_s = median(steps.collect()).filter(|step_s| *step_s > 0.0)?;
+    let step_s = median(steps).filter(|step_s| *step_s > 0.0)?;
     let runs = points.chunk_by(|a, b| b.0 - a.0 < GAP_STEPS * step_s);
     let values = |run: &[(f64, f64)]| run.iter().map(|(_, value)| *value).collect();
     Some((runs.map(values).collect(), step_s))

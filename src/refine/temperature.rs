@@ -1,6 +1,6 @@
 //! The camera's temperature as the flight tells it: headers hold it in steps, and with slips.
 
-use super::mapping::median;
+use crate::statistics::median;
 
 /// Part of the frames that must tell a temperature.
 const LEAST_TOLD: f64 = 0.9;
@@ -28,14 +28,14 @@ pub(super) fn from_the_middle(time_s: &[f64], readings: &[Option<f64>]) -> Optio
     let knots = knots(&without_slips(&told));
     let straight: Vec<f64> = straight(&knots, time_s);
     let even = even(&straight, time_s);
-    let middle = median(even.clone())?;
+    let middle = median(&even)?;
     let most = even.iter().map(|c| (c - middle).abs()).fold(0.0, f64::max);
     (most > LEAST_CHANGE_C).then(|| even.iter().map(|c| c - middle).collect())
 }
 
 fn without_slips(told: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let near = |n: usize| &told[n.saturating_sub(SLIP)..told.len().min(n + SLIP + 1)];
-    let usual = |n: usize| median(near(n).iter().map(|(_, c)| *c).collect());
+    let usual = |n: usize| median(near(n).iter().map(|(_, c)| c));
     let points = told.iter().enumerate();
     points
         .map(|(n, (time_s, c))| (*time_s, usual(n).unwrap_or(*c)))
@@ -71,7 +71,7 @@ fn straight(knots: &[(f64, f64)], time_s: &[f64]) -> Vec<f64> {
 /// The mean over as many to the one side as to the other, so that what goes straight stays straight, to the very ends.
 fn even(values: &[f64], time_s: &[f64]) -> Vec<f64> {
     let count = values.len();
-    let steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let steps = time_s.windows(2).map(|pair| pair[1] - pair[0]);
     let step_s = median(steps).filter(|step_s| *step_s > 0.0);
     let reach = step_s.map_or(0, |step_s| (EVEN_S / step_s) as usize);
     let mut sums = vec![0.0];
@@ -101,7 +101,7 @@ mod tests {
         readings[777] = Some(-999.0);
         readings[1234] = None;
         let found = from_the_middle(&times, &readings).unwrap();
-        let middle = median(truth.clone()).unwrap();
+        let middle = median(&truth).unwrap();
         // Half a step at the ends, where nobody knows when it changed.
         for n in 200..3800 {
             assert!((found[n] - (truth[n] - middle)).abs() < 0.15, "{n}");

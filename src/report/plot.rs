@@ -1,6 +1,8 @@
 //! Figures as SVG: curves over logarithmic axes, histograms, maps of small vectors. It knows numbers and labels, nothing else.
 
-use plotters::coord::Shift;
+use plotters::chart::MeshStyle;
+use plotters::coord::ranged1d::ValueFormatter;
+use plotters::coord::{CoordTranslate, Shift};
 use plotters::prelude::*;
 use std::ops::Range;
 
@@ -45,24 +47,14 @@ const FONT: &str = "sans-serif";
 
 /// Curves over two logarithmic axes.
 pub fn curves(labels: &Labels, curves: &[Curve]) -> Result<String, PlotError> {
-    let all = || curves.iter().flat_map(|curve| &curve.points);
-    let span = |axis: fn(&(f64, f64)) -> f64| {
-        let (low, high) = extent(all().map(axis))?;
-        Some(low / 1.15..high * 1.15)
-    };
-    let empty = || PlotError::Empty(labels.title.clone());
-    let x = span(|p| p.0).ok_or_else(empty)?;
-    let y = span(|p| p.1).ok_or_else(empty)?;
+    let points = curves.iter().flat_map(|curve| &curve.points);
+    let [x, y] = ranges(labels, points, |low, high| low / 1.15..high * 1.15)?;
     figure(SIZE, |area| {
         let mut chart = frame(area, labels).build_cartesian_2d(x.log_scale(), y.log_scale())?;
         let decimal = |v: &f64| format!("{}", (v * 1e6).round() / 1e6);
-        chart
-            .configure_mesh()
-            .x_desc(&labels.x)
-            .y_desc(&labels.y)
+        mesh(&mut chart, labels)
             .x_label_formatter(&decimal)
             .y_label_formatter(&decimal)
-            .light_line_style(WHITE)
             .draw()?;
         for (n, curve) in curves.iter().enumerate() {
             let colour = colour(n);
@@ -70,24 +62,17 @@ pub fn curves(labels: &Labels, curves: &[Curve]) -> Result<String, PlotError> {
                 Stroke::Measured => 2,
                 Stroke::Known => 1,
             };
+            let stroke = colour.stroke_width(width);
             let points = curve.points.iter().copied();
             chart
-                .draw_series(LineSeries::new(points.clone(), colour.stroke_width(width)))?
+                .draw_series(LineSeries::new(points.clone(), stroke))?
                 .label(curve.name.as_str())
-                .legend(move |(x, y)| {
-                    PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(width))
-                });
+                .legend(piece_of(stroke));
             if curve.stroke == Stroke::Measured {
                 chart.draw_series(points.map(|point| Circle::new(point, 3, colour.filled())))?;
             }
         }
-        chart
-            .configure_series_labels()
-            .position(clear_corner(curves))
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .draw()?;
-        Ok(())
+        legend(&mut chart, clear_corner(curves))
     })
 }
 
@@ -112,25 +97,14 @@ const WIDE: (u32, u32) = (1000, 380);
 
 /// Series over linear axes.
 pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
-    let all = || series.iter().flat_map(|series| &series.points);
-    let span = |axis: fn(&(f64, f64)) -> f64| {
-        let (low, high) = extent(all().map(axis))?;
+    let points = series.iter().flat_map(|series| &series.points);
+    let [x, y] = ranges(labels, points, |low, high| {
         let room = ((high - low) * 0.03).max(high.abs() * 1e-9).max(1e-9);
-        Some(low - room..high + room)
-    };
-    let empty = || PlotError::Empty(labels.title.clone());
-    let (x, y) = (
-        span(|p| p.0).ok_or_else(empty)?,
-        span(|p| p.1).ok_or_else(empty)?,
-    );
+        low - room..high + room
+    })?;
     figure(WIDE, |area| {
         let mut chart = frame(area, labels).build_cartesian_2d(x, y)?;
-        chart
-            .configure_mesh()
-            .x_desc(&labels.x)
-            .y_desc(&labels.y)
-            .light_line_style(WHITE)
-            .draw()?;
+        mesh(&mut chart, labels).draw()?;
         for (n, series) in series.iter().enumerate() {
             let colour = colour(n);
             let every = series.points.len().div_ceil(MOST_POINTS).max(1);
@@ -142,15 +116,9 @@ pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
                 Mark::Line => chart.draw_series(LineSeries::new(points, colour.stroke_width(1)))?,
             }
             .label(series.name.as_str())
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+            .legend(piece_of(colour.stroke_width(2)));
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .draw()?;
-        Ok(())
+        legend(&mut chart, SeriesLabelPosition::UpperRight)
     })
 }
 
@@ -184,13 +152,9 @@ pub fn histogram(
     figure(SIZE, |area| {
         let x: Range<f64> = 0.0..high * 1.05;
         let mut chart = frame(area, labels).build_cartesian_2d(x, 0.0..most * 1.1)?;
-        chart
-            .configure_mesh()
-            .x_desc(&labels.x)
-            .y_desc(&labels.y)
+        mesh(&mut chart, labels)
             .y_label_formatter(&|count: &f64| format!("{count:.0}"))
             .disable_x_mesh()
-            .light_line_style(WHITE)
             .draw()?;
         let bars = counts.iter().enumerate().map(|(bin, count)| {
             let left = bin as f64 * width;
@@ -199,22 +163,14 @@ pub fn histogram(
         });
         chart.draw_series(bars)?;
         for (n, (name, at)) in lines.iter().enumerate() {
-            let colour = colour(n + 1);
+            let stroke = colour(n + 1).stroke_width(2);
             let upright = [(*at, 0.0), (*at, most * 1.1)];
             chart
-                .draw_series(LineSeries::new(upright, colour.stroke_width(2)))?
+                .draw_series(LineSeries::new(upright, stroke))?
                 .label(*name)
-                .legend(move |(x, y)| {
-                    PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2))
-                });
+                .legend(piece_of(stroke));
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .draw()?;
-        Ok(())
+        legend(&mut chart, SeriesLabelPosition::UpperRight)
     })
 }
 
@@ -237,12 +193,7 @@ pub fn vector_map(
 ) -> Result<String, PlotError> {
     figure((560, 560), |area| {
         let mut chart = frame(area, labels).build_cartesian_2d(range.clone(), range)?;
-        chart
-            .configure_mesh()
-            .x_desc(&labels.x)
-            .y_desc(&labels.y)
-            .disable_mesh()
-            .draw()?;
+        mesh(&mut chart, labels).disable_mesh().draw()?;
         chart.draw_series(arrows.iter().map(|arrow| {
             let (x, y) = arrow.at;
             let half = cell / 2.0;
@@ -276,23 +227,14 @@ pub struct Dots {
 
 /// Points over two linear axes, a line at y = 0 where it lies among them.
 pub fn scatter(labels: &Labels, series: &[Dots]) -> Result<String, PlotError> {
-    let all = || series.iter().flat_map(|s| &s.points);
-    let span = |axis: fn(&(f64, f64)) -> f64| {
-        let (low, high) = extent(all().map(axis))?;
-        let spare = (0.05 * (high - low)).max(1e-9 * high.abs()).max(1e-12);
-        Some(low - spare..high + spare)
-    };
-    let empty = || PlotError::Empty(labels.title.clone());
-    let x = span(|p| p.0).ok_or_else(empty)?;
-    let y = span(|p| p.1).ok_or_else(empty)?;
+    let points = series.iter().flat_map(|series| &series.points);
+    let [x, y] = ranges(labels, points, |low, high| {
+        let room = (0.05 * (high - low)).max(1e-9 * high.abs()).max(1e-12);
+        low - room..high + room
+    })?;
     figure(SIZE, |area| {
         let mut chart = frame(area, labels).build_cartesian_2d(x.clone(), y.clone())?;
-        chart
-            .configure_mesh()
-            .x_desc(&labels.x)
-            .y_desc(&labels.y)
-            .light_line_style(WHITE)
-            .draw()?;
+        mesh(&mut chart, labels).draw()?;
         if y.contains(&0.0) {
             let zero = [(x.start, 0.0), (x.end, 0.0)];
             chart.draw_series(LineSeries::new(zero, BLACK.mix(0.5).stroke_width(1)))?;
@@ -308,13 +250,7 @@ pub fn scatter(labels: &Labels, series: &[Dots]) -> Result<String, PlotError> {
                 .label(series.name.as_str())
                 .legend(move |(x, y)| Circle::new((x + 9, y), 3, colour.filled()));
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK.mix(0.3))
-            .draw()?;
-        Ok(())
+        legend(&mut chart, SeriesLabelPosition::UpperRight)
     })
 }
 
@@ -345,6 +281,57 @@ fn frame<'a, 'b>(area: &'a Area<'b>, labels: &Labels) -> ChartBuilder<'a, 'b, SV
         .x_label_area_size(44)
         .y_label_area_size(64);
     builder
+}
+
+type Chart<'a, 'b, C> = ChartContext<'a, SVGBackend<'b>, C>;
+
+/// The axes with their names, and of the grid the coarse lines alone.
+fn mesh<'a, 'b, 'm, X, Y>(
+    chart: &'m mut Chart<'a, 'b, Cartesian2d<X, Y>>,
+    labels: &Labels,
+) -> MeshStyle<'a, 'm, X, Y, SVGBackend<'b>>
+where
+    X: Ranged + ValueFormatter<X::ValueType>,
+    Y: Ranged + ValueFormatter<Y::ValueType>,
+{
+    let mut mesh = chart.configure_mesh();
+    mesh.x_desc(&labels.x)
+        .y_desc(&labels.y)
+        .light_line_style(WHITE);
+    mesh
+}
+
+/// The names of all series that have one.
+fn legend<'a>(
+    chart: &mut Chart<'a, 'a, impl CoordTranslate>,
+    corner: SeriesLabelPosition,
+) -> Result<(), DrawingError> {
+    chart
+        .configure_series_labels()
+        .position(corner)
+        .background_style(WHITE.mix(0.8))
+        .border_style(BLACK.mix(0.3))
+        .draw()
+}
+
+/// How a line shows in the legend.
+fn piece_of(stroke: ShapeStyle) -> impl Fn((i32, i32)) -> PathElement<(i32, i32)> {
+    move |(x, y)| PathElement::new([(x, y), (x + 18, y)], stroke)
+}
+
+/// What both axes span: from the smallest to the largest of some points, widened.
+fn ranges<'a>(
+    labels: &Labels,
+    points: impl Iterator<Item = &'a (f64, f64)> + Clone,
+    widened: fn(f64, f64) -> Range<f64>,
+) -> Result<[Range<f64>; 2], PlotError> {
+    let range = |axis: fn(&(f64, f64)) -> f64| {
+        let (low, high) = extent(points.clone().map(axis))?;
+        Some(widened(low, high))
+    };
+    let both = range(|p| p.0).zip(range(|p| p.1));
+    let (x, y) = both.ok_or_else(|| PlotError::Empty(labels.title.clone()))?;
+    Ok([x, y])
 }
 
 /// The smallest and the largest of some values.

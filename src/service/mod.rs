@@ -33,6 +33,7 @@
 mod archiver;
 pub mod control;
 pub mod demo;
+mod flight;
 mod housekeeping;
 mod line;
 pub mod priority;
@@ -46,17 +47,15 @@ mod worker;
 
 pub use archiver::DiskHealth;
 pub use control::Seat;
+pub use flight::{Camera, Flight, Station};
 pub use protocol::protocol_page;
 pub use shutter::Opener;
 pub use solver::Answer;
 pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
-use crate::archive::Store;
 use crate::camera::{Exposure, FrameSource};
-use crate::config::{Config, Host};
-use crate::instrument::Instrument;
+use crate::config::Host;
 use crate::link::Connection;
-use crate::pointing::Target;
 use crate::sky::Ephemeris;
 use control::{Controls, Keeper};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
@@ -82,92 +81,10 @@ const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
 /// So does a solver. It takes a hundredth of a second for a frame.
 const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
 
-/// What a flight is made of.
-pub struct Flight {
-    pub config: Config,
-    /// Where the telescope should point until a command says otherwise.
-    pub target: Target,
-    pub ephemeris: Ephemeris,
-    /// The pitch-yaw camera that commands speak of.
-    pub camera: Camera,
-    pub other_cameras: Vec<Camera>,
-    /// The line to the controller.
-    pub line: Connection,
-    /// The archives on the disks; none where frames are not kept.
-    pub stores: Vec<Store>,
-}
-
-impl Flight {
-    /// A flight of one camera with the defaults for everything else: no line, no archive, the disc's centre as target.
-    pub fn of(camera: Camera) -> Self {
-        Self {
-            config: Config::default(),
-            target: Target::default(),
-            ephemeris: Ephemeris::default(),
-            camera,
-            other_cameras: Vec::new(),
-            line: Connection::none(),
-            stores: Vec::new(),
-        }
-    }
-
-    fn cameras(&self) -> impl Iterator<Item = &Camera> {
-        std::iter::once(&self.camera).chain(&self.other_cameras)
-    }
-}
-
-/// A camera of a flight.
-pub struct Camera {
-    pub seat: Seat,
-    pub instrument: Instrument,
-    /// Of its frames and logs under the archive's root; empty for the root itself.
-    pub folder: PathBuf,
-    /// Where its frames come from, if it is open already.
-    pub source: Option<Box<dyn FrameSource>>,
-    /// Opens it, and opens it again when its thread has failed.
-    pub open: Option<Opener>,
-}
-
-impl Camera {
-    /// A pitch-yaw camera that cannot be opened again.
-    pub fn new(instrument: Instrument, source: impl FrameSource + 'static) -> Self {
-        Self {
-            seat: Seat::PitchYaw,
-            instrument,
-            folder: PathBuf::new(),
-            source: Some(Box::new(source)),
-            open: None,
-        }
-    }
-}
-
 /// A frame on its way from the camera, with the moment it arrived.
 struct Sighting {
     exposure: Exposure,
     arrived: Instant,
-}
-
-/// A camera's place in the flight.
-#[derive(Debug, Clone)]
-pub struct Station {
-    /// Among the flight's cameras, from 0.
-    pub index: usize,
-    pub seat: Seat,
-    pub instrument: Instrument,
-    /// Of its frames and logs under the archive's root; empty for the root itself.
-    pub folder: PathBuf,
-}
-
-impl Station {
-    /// As the link counts cameras, from 1.
-    fn camera_number(&self) -> u16 {
-        self.index as u16 + 1
-    }
-
-    /// Whether its frames are solved; a roll camera's wait for a solver of horizons.
-    fn is_solved(&self) -> bool {
-        self.seat != Seat::Roll
-    }
 }
 
 /// A running service.
@@ -243,14 +160,9 @@ impl Service {
             counts: crew.counts,
             signals: Arc::clone(&signals),
         };
-        let values = match saved_values {
-            Some(path) => {
-                let keeper = Keeper::new(controls.clone(), path);
-                let ends = Arc::clone(&signals.hang_up);
-                Some(spawn("values", move || keeper.run(&ends))?)
-            }
-            None => None,
-        };
+        let values = saved_values
+            .map(|path| keep_values(path, &controls, &signals))
+            .transpose()?;
         Ok(Self {
             watch: spawn("watch", move || watch.run())?,
             values,
@@ -317,6 +229,16 @@ fn controls(flight: &Flight) -> Controls {
     controls
 }
 
+fn keep_values(
+    path: PathBuf,
+    controls: &Controls,
+    signals: &Signals,
+) -> std::io::Result<JoinHandle<u64>> {
+    let keeper = Keeper::new(controls.clone(), path);
+    let ends = Arc::clone(&signals.hang_up);
+    spawn("values", move || keeper.run(&ends))
+}
+
 /// Cameras and solvers as they join the flight, and what they share.
 struct Crew {
     host: Host,
@@ -371,10 +293,7 @@ impl Crew {
         self.solvers
             .push(Worker::start(name, Some(SOLVER_PATIENCE), move || {
                 let (solver, sightings) = (solver.clone(), sightings.clone());
-                Box::new(move |life| {
-                    host.hurry();
-                    solver.run(&sightings, life);
-                })
+                host.hurried(move |life| solver.run(&sightings, life))
             })?);
         Ok(())
     }
@@ -402,10 +321,7 @@ impl Crew {
         self.cameras
             .push(Worker::start(name, Some(CAMERA_PATIENCE), move || {
                 let (shutter, source, open) = (shutter.clone(), source.take(), open.clone());
-                Box::new(move |life| {
-                    host.hurry();
-                    shutter.run(source, open, life);
-                })
+                host.hurried(move |life| shutter.run(source, open, life))
             })?);
         Ok(())
     }
@@ -426,8 +342,7 @@ fn start_line(
     Worker::start("link", None, move || {
         let (controls, tally, events) = (controls.clone(), tally.clone(), events.clone());
         let (connection, hang_up) = (Arc::clone(&connection), Arc::clone(&hang_up));
-        Box::new(move |life| {
-            host.hurry();
+        host.hurried(move |life| {
             let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
             Line::new(&mut connection, controls, tally).run(&events, &hang_up, life);
         })

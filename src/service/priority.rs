@@ -1,5 +1,6 @@
 //! Real-time scheduling and locked memory, where the configuration asks for them and the computer grants them.
 
+use super::worker::{Job, Life};
 use crate::config::{Host, Memory};
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::sys::resource::{RLIM_INFINITY, Resource, getrlimit};
@@ -45,11 +46,14 @@ pub fn lock_memory() -> Result<(), NotGranted> {
 }
 
 impl Host {
-    /// What the configuration asks for the thread that calls; what is not granted is logged.
-    pub(super) fn hurry(&self) {
-        if let Some(Err(error)) = self.realtime_priority.map(run_in_real_time) {
-            tracing::warn!(%error, "the thread is scheduled like all others");
-        }
+    /// Work for a thread that is scheduled as the configuration asks; what is not granted is logged.
+    pub(super) fn hurried(self, work: impl FnOnce(&Life) + Send + 'static) -> Job {
+        Box::new(move |life| {
+            if let Some(Err(error)) = self.realtime_priority.map(run_in_real_time) {
+                tracing::warn!(%error, "the thread is scheduled like all others");
+            }
+            work(life);
+        })
     }
 
     /// What the configuration asks for the whole program; what is not granted is logged.

@@ -39,6 +39,27 @@ impl CameraTally {
         own.reconnects += other.reconnects;
         own.temperature_c = own.temperature_c.or(other.temperature_c);
     }
+
+    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            out,
+            "frames     {} taken, {} lost, {} failed",
+            self.taken, self.lost, self.failed
+        )?;
+        let health = &self.health;
+        if *health != CameraHealth::default() {
+            writeln!(
+                out,
+                "camera     {} incomplete, {} missing, {} packets lost, {} settings refused, {} reconnects",
+                health.incomplete,
+                health.missing,
+                health.lost_packets,
+                health.refused_settings,
+                health.reconnects,
+            )?;
+        }
+        Ok(())
+    }
 }
 
 /// What the solver's thread counts.
@@ -72,6 +93,20 @@ impl SolverTally {
         self.misfits += other.misfits;
         self.unsent += other.unsent;
     }
+
+    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            out,
+            "solved     {} fine, {} coarse, {} none",
+            self.of(Quality::Fine),
+            self.of(Quality::Coarse),
+            self.of(Quality::None),
+        )?;
+        for ((stage, reason), count) in &self.reasons {
+            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
+        }
+        Ok(())
+    }
 }
 
 /// What the archive's threads count.
@@ -95,6 +130,23 @@ pub struct ArchiveTally {
     pub rows_lost: u64,
     /// Half-written files of an earlier run that were removed.
     pub swept: u64,
+}
+
+impl ArchiveTally {
+    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            out,
+            "stored     {}, {} not: {} overflowed, {} no room, {} failed; {} refusals, {} rows refused, {} half-written removed",
+            self.stored,
+            self.unstored,
+            self.overflowed,
+            self.no_room,
+            self.failed,
+            self.refused,
+            self.rows_refused,
+            self.swept,
+        )
+    }
 }
 
 /// What the link's thread counts.
@@ -132,6 +184,31 @@ impl LineTally {
         }
         self.latencies.push_back(latency);
     }
+
+    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            out,
+            "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
+            self.solutions, self.errors, self.announced, self.commands, self.outdated,
+        )?;
+        if (self.lost, self.unannounced) != (0, 0) {
+            write!(
+                out,
+                "\nline       lost {} times, opened again {} times, {} exposures not announced",
+                self.lost, self.reopened, self.unannounced,
+            )?;
+        }
+        let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
+        let mut latencies: Vec<f64> = self.latencies.iter().map(milliseconds).collect();
+        let mut ms = |fraction| quantile(&mut latencies, fraction);
+        if let [Some(median), Some(most), Some(nearly_all)] = [0.5, 0.99, 0.999].map(&mut ms) {
+            write!(
+                out,
+                "\nlatency    frame to packet: median {median:.1}, 99 % {most:.1}, 99.9 % {nearly_all:.1} ms"
+            )?;
+        }
+        Ok(())
+    }
 }
 
 /// What a whole flight comes to.
@@ -158,77 +235,13 @@ impl FlightTally {
 
 impl fmt::Display for FlightTally {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            camera,
-            solver,
-            archive,
-            line,
-            restarts,
-        } = self;
-        writeln!(
-            out,
-            "frames     {} taken, {} lost, {} failed",
-            camera.taken, camera.lost, camera.failed
-        )?;
-        let health = &camera.health;
-        if *health != CameraHealth::default() {
-            writeln!(
-                out,
-                "camera     {} incomplete, {} missing, {} packets lost, {} settings refused, {} reconnects",
-                health.incomplete,
-                health.missing,
-                health.lost_packets,
-                health.refused_settings,
-                health.reconnects,
-            )?;
+        self.camera.tell(out)?;
+        if self.restarts > 0 {
+            writeln!(out, "threads    {} started again", self.restarts)?;
         }
-        if *restarts > 0 {
-            writeln!(out, "threads    {restarts} started again")?;
-        }
-        writeln!(
-            out,
-            "solved     {} fine, {} coarse, {} none",
-            solver.of(Quality::Fine),
-            solver.of(Quality::Coarse),
-            solver.of(Quality::None),
-        )?;
-        for ((stage, reason), count) in &solver.reasons {
-            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
-        }
-        writeln!(
-            out,
-            "stored     {}, {} not: {} overflowed, {} no room, {} failed; {} refusals, {} rows refused, {} half-written removed",
-            archive.stored,
-            archive.unstored,
-            archive.overflowed,
-            archive.no_room,
-            archive.failed,
-            archive.refused,
-            archive.rows_refused,
-            archive.swept,
-        )?;
-        write!(
-            out,
-            "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
-            line.solutions, line.errors, line.announced, line.commands, line.outdated,
-        )?;
-        if (line.lost, line.unannounced) != (0, 0) {
-            write!(
-                out,
-                "\nline       lost {} times, opened again {} times, {} exposures not announced",
-                line.lost, line.reopened, line.unannounced,
-            )?;
-        }
-        let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
-        let mut latencies: Vec<f64> = line.latencies.iter().map(milliseconds).collect();
-        let mut ms = |fraction| quantile(&mut latencies, fraction);
-        if let [Some(median), Some(most), Some(nearly_all)] = [0.5, 0.99, 0.999].map(&mut ms) {
-            write!(
-                out,
-                "\nlatency    frame to packet: median {median:.1}, 99 % {most:.1}, 99.9 % {nearly_all:.1} ms"
-            )?;
-        }
-        Ok(())
+        self.solver.tell(out)?;
+        self.archive.tell(out)?;
+        self.line.tell(out)
     }
 }
 

@@ -2,7 +2,8 @@
 
 use crate::judged::{errors, lens_difference, seen_often};
 use crate::scenes::{K1, calibrate, generator, near, pose_folder, similarity, truth};
-use solaspect::calibrate::plate::{self, instrument_text};
+use solaspect::calibrate::plate;
+use solaspect::calibrate::revision::Revision;
 use solaspect::fits::{self, Compression};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
 use solaspect::plate::{MarkId, drawn_position};
@@ -34,7 +35,9 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
 
     // What is written is what was measured.
     let text = builtin_text("demo").unwrap();
-    let written = instrument_text(Path::new("demo"), text, &start, &calibration).unwrap();
+    let mut revision = Revision::of(Path::new("demo"), text).unwrap();
+    calibration.revise(&mut revision, &start);
+    let (written, _) = revision.finish().unwrap();
     let path = folder.path().join("b.toml");
     std::fs::write(&path, &written).unwrap();
     let read = Instrument::read(&path).unwrap();

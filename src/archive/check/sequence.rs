@@ -174,6 +174,7 @@ fn steps(files: &[Dated]) -> Vec<Step<'_>> {
     steps
 }
 
+/// The middle of some values; of an even number, half-way between the two in the middle.
 fn median(values: &mut [f64]) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;

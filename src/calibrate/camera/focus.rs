@@ -5,6 +5,7 @@ use super::straight::solve;
 use super::{Figure, Finding};
 use crate::calibrate::numbers::median;
 use crate::report::plot::Dots;
+use crate::statistics::SIGMA_PER_MEDIAN;
 use crate::units::Measured;
 use nalgebra::Vector2;
 
@@ -24,20 +25,7 @@ pub(super) struct Focus {
 pub(super) fn measure(suns: &[SunShot]) -> Focus {
     let temperatures: Vec<f64> = suns.iter().filter_map(|s| s.temperature_c).collect();
     let reference_c = temperatures.iter().sum::<f64>() / temperatures.len().max(1) as f64;
-    let range = temperatures
-        .iter()
-        .fold(f64::NEG_INFINITY, |m, t| m.max(*t))
-        - temperatures.iter().fold(f64::INFINITY, |m, t| m.min(*t));
-    let refused = match temperatures.len() {
-        0 => Some("not determined: no temperature (CAMTEMP) in the frames of the Sun".to_owned()),
-        _ if range < LEAST_RANGE_C => Some(format!(
-            "not determined: temperatures span {range:.1} deg C, at least {LEAST_RANGE_C} are needed"
-        )),
-        n if n < LEAST_FRAMES => Some(format!(
-            "not determined: expected at least {LEAST_FRAMES} frames of the Sun, found {n}"
-        )),
-        _ => None,
-    };
+    let refused = refusal(&temperatures);
     let by_temperature = |value: fn(&SunShot) -> Option<f64>| -> Vec<(f64, f64)> {
         let point = |s: &SunShot| Some((s.temperature_c? - reference_c, value(s)?));
         suns.iter().filter_map(point).collect()
@@ -87,6 +75,26 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
     }
 }
 
+/// Why such temperatures tell no dependence.
+fn refusal(temperatures: &[f64]) -> Option<String> {
+    let most = temperatures
+        .iter()
+        .copied()
+        .fold(f64::NEG_INFINITY, f64::max);
+    let least = temperatures.iter().copied().fold(f64::INFINITY, f64::min);
+    let range = most - least;
+    match temperatures.len() {
+        0 => Some("not determined: no temperature (CAMTEMP) in the frames of the Sun".to_owned()),
+        _ if range < LEAST_RANGE_C => Some(format!(
+            "not determined: temperatures span {range:.1} deg C, at least {LEAST_RANGE_C} are needed"
+        )),
+        n if n < LEAST_FRAMES => Some(format!(
+            "not determined: expected at least {LEAST_FRAMES} frames of the Sun, found {n}"
+        )),
+        _ => None,
+    }
+}
+
 fn finding(
     name: &'static str,
     key: &'static str,
@@ -116,7 +124,7 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding
         count => {
             let middle = at_reference.unwrap_or_else(|| median(&values));
             let off: Vec<f64> = values.iter().map(|v| (v - median(&values)).abs()).collect();
-            let scatter = 1.4826 * median(&off) * 1.25 / (count as f64).sqrt();
+            let scatter = SIGMA_PER_MEDIAN * median(&off) * 1.25 / (count as f64).sqrt();
             Ok(Measured::new(middle, scatter.hypot(BLUR_SYSTEMATIC_PX)))
         }
     };

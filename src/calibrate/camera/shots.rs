@@ -2,7 +2,7 @@
 
 use super::CameraError;
 use crate::aspect::{self, Expected, Origin, Quality};
-use crate::calibrate::frames::{LeftOut, unread};
+use crate::calibrate::frames::LeftOut;
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -99,7 +99,7 @@ pub fn load(files: &[PathBuf], instrument: &Instrument) -> anyhow::Result<(Shots
             }
             Err(error) => left_out.push(LeftOut {
                 name,
-                reason: unread(file, &error),
+                reason: error.problem.to_string(),
             }),
         }
     }
@@ -160,7 +160,7 @@ fn look_at(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result<L
     let name = file.display().to_string();
     let frame = match fits::read_frame(file) {
         Ok(frame) => frame,
-        Err(error) => return Ok(Err(unread(file, &error))),
+        Err(error) => return Ok(Err(error.problem.to_string())),
     };
     check_size(&frame, instrument, &name)?;
     let expected = frame.info.mid_exposure.and_then(Expected::at);

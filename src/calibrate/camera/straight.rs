@@ -1,6 +1,7 @@
 //! Linear least squares for a few coefficients, robust against outliers.
 
 use crate::calibrate::numbers::median;
+use crate::statistics::SIGMA_PER_MEDIAN;
 use nalgebra::{SMatrix, SVector};
 
 /// Sigmas beyond which a value does not count.
@@ -46,8 +47,9 @@ pub(super) fn solve<const N: usize>(
         }
         let off = |n: usize| (values[n] - terms[n].dot(&coefficients)) / sigmas[n];
         let sizes: Vec<f64> = (0..values.len()).map(|n| off(n).abs()).collect();
-        let scale =
-            1.4826 * median(&sizes) * (values.len() as f64 / (values.len() - N) as f64).sqrt();
+        let scale = SIGMA_PER_MEDIAN
+            * median(&sizes)
+            * (values.len() as f64 / (values.len() - N) as f64).sqrt();
         if scale > 0.0 {
             let part = |u: f64| {
                 (1.0 - (u / (TUKEY_SIGMAS * scale)).powi(2))

@@ -2,7 +2,7 @@
 
 use super::{PointingLog, Sight};
 use crate::aspect::{self, Expected, Quality, Solution};
-use crate::calibrate::frames::{LeftOut, unread};
+use crate::calibrate::frames::LeftOut;
 use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
@@ -191,7 +191,7 @@ impl Frames<'_> {
             Err(error) => {
                 return Ok((
                     Maker::default(),
-                    Outcome::LeftOut(Lack::Other, unread(file, &error)),
+                    Outcome::LeftOut(Lack::Other, error.problem.to_string()),
                 ));
             }
         };

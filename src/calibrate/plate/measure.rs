@@ -4,7 +4,7 @@ use super::input::Folder;
 use super::lit::{by_lamp, lit_levels};
 use super::sighting::{FrameSightings, Sighting, Spoiled};
 use crate::aspect::{self, Expected, Origin, Solution};
-use crate::calibrate::frames::{sha256_of, unread};
+use crate::calibrate::frames::sha256_of;
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -73,7 +73,7 @@ fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
     };
     let frame = match fits::read_frame(file) {
         Ok(frame) => frame,
-        Err(error) => return (None, Err(spoiled(unread(file, &error)))),
+        Err(error) => return (None, Err(spoiled(error.problem.to_string()))),
     };
     let facts = match std::fs::read(file) {
         Ok(bytes) => FileFacts {

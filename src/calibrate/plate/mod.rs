@@ -39,7 +39,6 @@ pub use refusal::Refusal;
 pub use report::html;
 pub use sighting::{FrameSightings, Sighting, Spoiled};
 pub use summary::summary;
-pub use write::instrument_text;
 
 use crate::calibrate::frames::sha256_of_all;
 use crate::instrument::Instrument;

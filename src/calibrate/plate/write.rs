@@ -1,43 +1,36 @@
-//! The calibrated instrument as TOML: the start's text with what was measured put in its place.
+//! The calibrated instrument as TOML: what was measured put in its place in the start's file.
 
 use super::Calibration;
 use super::fit::PoseFit;
 use crate::calibrate::revision::{Provenance, Revision, number};
 use crate::geometry::Distortion;
-use crate::instrument::{Instrument, TomlError};
+use crate::instrument::Instrument;
 use crate::units::Measured;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use std::path::Path;
 use toml_edit::{Array, ArrayOfTables, Item, Table, Value, value};
 
-/// The text of the start instrument with the calibration's marks, lens and mounting, and where they come from.
-///
-/// All else of the start stays as it is, comments too. `start_path` names the start in errors.
-pub fn instrument_text(
-    start_path: &Path,
-    start_text: &str,
-    start: &Instrument,
-    calibration: &Calibration,
-) -> Result<String, TomlError> {
-    let mut revision = Revision::of(start_path, start_text)?;
-    let fit = &calibration.fit;
-    let provenance = provenance(calibration);
-    if fit.distortion != Distortion::NONE || start.camera.distortion != Distortion::NONE {
-        distortion(&mut revision, calibration, &provenance);
-    }
-    mounting(&mut revision, start, calibration, &provenance);
-    revision.put("plate.mark", Item::ArrayOfTables(marks(calibration)));
-    let note = match fit.separation.by_data() {
-        true => "the frames tell the plate's errors from the lens's distortion",
-        false => {
-            "the frames do not tell the plate's errors from the lens's distortion: the split rests on stated priors"
+impl Calibration {
+    /// Writes marks, lens and mounting, and where they come from, into the file of the start instrument; all else stays as it
+    /// is.
+    pub fn revise(&self, revision: &mut Revision, start: &Instrument) {
+        let fit = &self.fit;
+        let provenance = provenance(self);
+        if fit.distortion != Distortion::NONE || start.camera.distortion != Distortion::NONE {
+            distortion(revision, self, &provenance);
         }
-    };
-    revision.sign(&provenance.with_source(note));
-    let poses = i64::try_from(calibration.poses.len()).unwrap_or(i64::MAX);
-    revision.put("calibration.plate.poses", value(poses));
-    Ok(revision.finish()?.0)
+        mounting(revision, start, self, &provenance);
+        revision.put("plate.mark", Item::ArrayOfTables(marks(self)));
+        let note = match fit.separation.by_data() {
+            true => "the frames tell the plate's errors from the lens's distortion",
+            false => {
+                "the frames do not tell the plate's errors from the lens's distortion: the split rests on stated priors"
+            }
+        };
+        revision.sign(&provenance.with_source(note));
+        let poses = i64::try_from(self.poses.len()).unwrap_or(i64::MAX);
+        revision.put("calibration.plate.poses", value(poses));
+    }
 }
 
 /// What stands beside every value; how many frames it rests on is said once, in `[calibration.plate]`.

@@ -1,11 +1,10 @@
 //! `solaspect calibrate camera`: noise, gain, hot pixels, vignetting, blur.
 
-use super::{write_instrument, write_page};
+use super::{Edition, write_page};
 use crate::calibrate::camera::{self, CameraCalibration, Inputs};
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::calibrate::revision::Provenance;
-use crate::cli::options;
 use anyhow::Context;
 use clap::Args;
 use jiff::Timestamp;
@@ -22,12 +21,8 @@ pub struct CameraArgs {
     /// Frames of the Sun on the plate, or folders of them
     #[arg(required_unless_present_any = ["dark", "flat"], value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
-    /// The instrument as it is known so far, a TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// The new instrument file
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
+    #[command(flatten)]
+    edition: Edition,
     /// Write a page with figures to this folder, camera.html
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -40,7 +35,7 @@ pub struct CameraArgs {
 }
 
 pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
-    let (mut revision, stated) = options::revision(args.instrument.as_deref())?;
+    let (mut revision, stated) = args.edition.open()?;
     let listed = |folder: &Option<PathBuf>| frames::list(folder.as_slice());
     let (dark, flat, sun) = (
         listed(&args.dark)?,
@@ -59,8 +54,7 @@ pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
     let files: Vec<PathBuf> = [dark, flat, sun].concat();
     let provenance = provenance(&inputs, &files);
     calibration.revise(&mut revision, &provenance);
-    let (text, _) = revision.finish()?;
-    write_instrument(&args.out, &text)?;
+    args.edition.write(&revision)?;
     print(&calibration, &left_out);
     if let Some(folder) = &args.report {
         write_page(
@@ -76,8 +70,8 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
     let shots = [&inputs.dark, &inputs.flat, &inputs.sun]
         .into_iter()
         .flat_map(|s| &s.frames);
-    let last: Option<Timestamp> = shots.filter_map(|s| s.frame.info.mid_exposure).max();
-    let now = || Timestamp::now();
+    let last = shots.filter_map(|s| s.frame.info.mid_exposure).max();
+    let last = last.unwrap_or_else(Timestamp::now);
     Provenance {
         name: "camera",
         source: format!(
@@ -86,7 +80,7 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
             inputs.flat.frames.len(),
             inputs.suns.len()
         ),
-        date: TimeZone::UTC.to_datetime(last.unwrap_or_else(now)).date(),
+        date: TimeZone::UTC.to_datetime(last).date(),
         frames: files.len(),
         frames_sha256: frames::sha256(files),
     }

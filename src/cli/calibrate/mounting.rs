@@ -1,6 +1,6 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance and mirror.
 
-use super::{write_instrument, write_page};
+use super::{Edition, write_page};
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings, Verdict};
 use crate::calibrate::numbers::sigma_text;
@@ -26,12 +26,8 @@ pub struct MountingArgs {
     /// Frames, or folders of them
     #[arg(required = true, value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
-    /// The instrument as it is known so far, a TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// The new instrument file
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
+    #[command(flatten)]
+    edition: Edition,
     /// Write a page with residuals to this folder, mounting.html
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -61,7 +57,7 @@ pub struct MountingArgs {
 }
 
 pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
-    let (mut revision, stated) = options::revision(args.instrument.as_deref())?;
+    let (mut revision, stated) = args.edition.open()?;
     let config = options::config(args.config.as_deref())?;
     let log = args
         .pointing
@@ -92,8 +88,7 @@ pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
         let name = handedness_name(handedness);
         revision.set("mounting.handedness", name.into(), None, &provenance);
     }
-    let (text, _) = revision.finish()?;
-    write_instrument(&args.out, &text)?;
+    args.edition.write(&revision)?;
     print(&mounting, &stated, &left_out);
     if let Some(folder) = &args.report {
         write_page(

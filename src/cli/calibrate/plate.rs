@@ -1,11 +1,10 @@
 //! `solaspect calibrate plate`: the plate as it is.
 
-use super::{write_instrument, write_page};
+use super::{Edition, write_page};
 use crate::calibrate::plate;
-use crate::instrument::{self, Instrument};
+use crate::cli::output::progress_bar;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
@@ -18,48 +17,26 @@ pub struct PlateArgs {
     /// Frames, or folders of frames; the poses of the camera are told apart within each folder
     #[arg(required = true, value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
-    /// The instrument to start from, a TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// Where the measured instrument is written
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
+    #[command(flatten)]
+    edition: Edition,
     /// Write a report, index.html, into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
 }
 
 pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
-    let (start, text) = start(args.instrument.as_deref())?;
-    let progress = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
-        progress.set_style(style);
-    }
+    let (mut revision, start) = args.edition.open()?;
+    let progress = progress_bar(0, "frames");
     let begin = |frames: usize| progress.set_length(frames as u64);
     let calibration = plate::calibrate(&args.frames, &start, &begin, &|| progress.inc(1));
     progress.finish_and_clear();
     let calibration = calibration?;
-    let start_path = args.instrument.as_deref().unwrap_or(Path::new("demo"));
-    let written = plate::instrument_text(start_path, &text, &start, &calibration)?;
-    write_instrument(&args.out, &written)?;
+    calibration.revise(&mut revision, &start);
+    args.edition.write(&revision)?;
     if let Some(folder) = &args.report {
         write_page(folder, "index.html", &plate::html(&calibration)?)?;
     }
     print!("{}", plate::summary(&calibration));
-    println!("written to {}", args.out.display());
+    println!("written to {}", args.edition.out.display());
     Ok(ExitCode::SUCCESS)
-}
-
-/// The start instrument and its text.
-fn start(path: Option<&Path>) -> anyhow::Result<(Instrument, String)> {
-    Ok(match path {
-        Some(path) => (
-            Instrument::read(path)?,
-            instrument::toml_file::read_text(path)?,
-        ),
-        None => (
-            instrument::builtin("demo")?,
-            instrument::builtin_text("demo").unwrap_or_default().into(),
-        ),
-    })
 }

@@ -23,6 +23,7 @@ use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
 use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, Upkeep};
+use crate::config;
 use crate::link::Housekeeping;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -72,19 +73,7 @@ pub(super) fn start(
     ephemeris: &Ephemeris,
 ) -> std::io::Result<(Archive, Threads)> {
     let settings = controls.config().archive;
-    let rules = Rules {
-        bound: settings.queue_frames,
-        overflow: settings.overflow,
-        every: settings.store_every,
-    };
-    let queues: Vec<Arc<Queue<Picture>>> = match settings.sharing {
-        _ if stores.is_empty() => Vec::new(),
-        Sharing::Alternate => vec![Arc::new(Queue::new(rules, stores.len()))],
-        Sharing::Mirror => stores
-            .iter()
-            .map(|_| Arc::new(Queue::new(rules, 1)))
-            .collect(),
-    };
+    let queues = queues(&settings, stores.len());
     let mut gauges = Gauges {
         queues: queues.clone(),
         ..Gauges::default()
@@ -135,6 +124,20 @@ pub(super) fn start(
         gauges,
     };
     Ok((archive, threads))
+}
+
+/// One queue that all disks take from, or one for each.
+fn queues(settings: &config::Archive, disks: usize) -> Vec<Arc<Queue<Picture>>> {
+    let rules = Rules {
+        bound: settings.queue_frames,
+        overflow: settings.overflow,
+        every: settings.store_every,
+    };
+    match settings.sharing {
+        _ if disks == 0 => Vec::new(),
+        Sharing::Alternate => vec![Arc::new(Queue::new(rules, disks))],
+        Sharing::Mirror => (0..disks).map(|_| Arc::new(Queue::new(rules, 1))).collect(),
+    }
 }
 
 impl Archive {

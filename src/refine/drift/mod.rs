@@ -4,75 +4,16 @@
 //! What a degree does is estimated together with the walk: along with the walk's state goes how this answers to each
 //! coefficient, and the coefficients follow from what all frames leave unexplained (de Jong, 1991).
 
-use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed};
-use crate::units::PlateMil;
-use nalgebra::{Cholesky, Const, Matrix2, Matrix4, SMatrix, Vector2, Vector4};
-use std::ops::Range;
+mod backwards;
+mod sightings;
+mod warmth;
 
-/// A mark as the flight's mapping takes it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sight {
-    /// On the ideal sensor.
-    pub seen: Vector2<f64>,
-    pub printed: PlateMil,
-    /// Inverse covariance, px^-2: xx, xy, yy. There are many of these.
-    pub information: [f32; 3],
-    /// What it counts, 0 to 1.
-    pub weight: f32,
-}
+pub(super) use sightings::{Sight, Sightings};
+pub(super) use warmth::Warmth;
 
-impl Sight {
-    pub fn information(&self) -> Matrix2<f64> {
-        super::record::symmetric(self.information.map(f64::from))
-    }
-}
-
-/// The moments of the flight, and the marks that were read then. All marks lie in one piece, which is given back in one.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Sightings {
-    sights: Vec<Sight>,
-    moments: Vec<Moment>,
-}
-
-#[derive(Debug, Clone)]
-struct Moment {
-    /// Since the first moment.
-    time_s: f64,
-    marks: Range<usize>,
-}
-
-impl Sightings {
-    /// `marks` are which of the sights belong to each of the moments, which are in order.
-    pub fn new(sights: Vec<Sight>, moments: impl Iterator<Item = (f64, Range<usize>)>) -> Self {
-        let moment = |(time_s, marks)| Moment { time_s, marks };
-        Self {
-            sights,
-            moments: moments.map(moment).collect(),
-        }
-    }
-
-    pub fn len(&self) -> usize {
-        self.moments.len()
-    }
-
-    pub fn times_s(&self) -> Vec<f64> {
-        self.moments.iter().map(|moment| moment.time_s).collect()
-    }
-
-    /// The marks of a moment.
-    pub fn at(&self, moment: usize) -> &[Sight] {
-        &self.sights[self.moments[moment].marks.clone()]
-    }
-
-    pub fn at_mut(&mut self, moment: usize) -> &mut [Sight] {
-        &mut self.sights[self.moments[moment].marks.clone()]
-    }
-
-    /// Whether any mark of a moment counts.
-    pub fn counts(&self, moment: usize) -> bool {
-        self.at(moment).iter().any(|sight| sight.weight > 0.0)
-    }
-}
+use super::view::{Covariance, Reference, State, UpperTriangle};
+use backwards::Backwards;
+use warmth::{Answer, Evidence, log_root, warmed};
 
 /// How fast the view wanders, 1 sigma after a second.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,27 +41,6 @@ impl Wander {
 /// A diagonal matrix from the variances of shift, turn, shape and lean.
 fn diagonal(variances: [f64; 4]) -> Covariance {
     Covariance::from_diagonal(&State::from_fn(|n, _| variances[n / 2]))
-}
-
-/// The states that a degree changes: the first ones, shift x and y, stretch and turn.
-const WARMED: usize = 4;
-/// What is known beforehand of what a degree does, 1 sigma, px: cameras on balloons shift by a tenth of a pixel, and aluminium
-/// stretches by 23e-6, 0.004 px.
-const WARMTH_SIGMA_PX: [f64; WARMED] = [0.2, 0.2, 0.02, 0.02];
-
-/// What a degree of the camera's temperature does to shift x and y, stretch and turn, px.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Warmth {
-    pub px_per_degc: Vector4<f64>,
-    pub covariance: Matrix4<f64>,
-}
-
-/// How a view answers to each coefficient of [`Warmth`].
-type Answer = SMatrix<f64, STATES, WARMED>;
-
-/// What so many degrees do to the view beside the walk.
-fn warmed(degrees: f64) -> Answer {
-    Answer::identity() * degrees
 }
 
 /// The view at a moment with its covariance.
@@ -165,54 +85,13 @@ struct Passing {
     answer: Answer,
 }
 
-/// What the marks have said so far of the model and of the temperature's coefficients.
-struct Evidence {
-    likelihood: f64,
-    information: Matrix4<f64>,
-    gradient: Vector4<f64>,
-}
-
-impl Evidence {
-    fn none() -> Self {
-        Self {
-            likelihood: 0.0,
-            information: Matrix4::from_diagonal(&prior_information()),
-            gradient: Vector4::zeros(),
-        }
-    }
-
-    fn warmth(&self) -> Option<Warmth> {
-        let root = self.information.cholesky()?;
-        Some(Warmth {
-            px_per_degc: root.solve(&self.gradient),
-            covariance: root.inverse(),
-        })
-    }
-
-    /// Logarithm of the likelihood but for a constant, whatever the coefficients are.
-    fn total(&self) -> Option<f64> {
-        let root = self.information.cholesky()?;
-        let gained = self.gradient.dot(&root.solve(&self.gradient)) / 2.0;
-        let prior: f64 = prior_information().iter().map(|p| p.ln() / 2.0).sum();
-        let total = self.likelihood + gained + prior - log_root(&root);
-        total.is_finite().then_some(total)
-    }
-}
-
-fn prior_information() -> Vector4<f64> {
-    Vector4::from(WARMTH_SIGMA_PX.map(|sigma| sigma.powi(-2)))
-}
-
 /// Moments between two places from which the way forwards is gone again, which costs less memory than to keep it.
 const BLOCK: usize = 256;
 
 impl Drift<'_> {
     /// Process noise between a moment and the one before it.
     fn step(&self, moment: usize) -> Covariance {
-        let before = moment.saturating_sub(1);
-        let moments = &self.sightings.moments;
-        let step_s = moments[moment].time_s - moments[before].time_s;
-        let wandered = self.wander.variance(step_s.max(0.0));
+        let wandered = self.wander.variance(self.sightings.step_s(moment));
         match self.jumps.binary_search(&moment) {
             Ok(_) => wandered + diagonal([JUMP_PX[0].powi(2), JUMP_PX[1].powi(2), 0.0, 0.0]),
             Err(_) => wandered,
@@ -302,13 +181,7 @@ impl Drift<'_> {
                 starts.push(*now);
             }
         })?;
-        let mut back = Backwards {
-            drift: self,
-            warmth: evidence.warmth()?,
-            estimates: Vec::with_capacity(self.sightings.len()),
-            sharpest: None,
-            next: None,
-        };
+        let mut back = Backwards::new(self, evidence.warmth()?);
         for (block, start) in starts.iter().enumerate().rev() {
             let first = block * BLOCK;
             let last = (first + BLOCK).min(self.sightings.len());
@@ -322,92 +195,17 @@ impl Drift<'_> {
                 back.take(n, now)?;
             }
         }
-        back.estimates.reverse();
-        Some(Smoothed {
-            estimates: back.estimates,
-            sharpest: back.sharpest,
-            warmth: back.warmth,
-        })
+        Some(back.arrived())
     }
-}
-
-/// On the way back.
-struct Backwards<'a> {
-    drift: &'a Drift<'a>,
-    warmth: Warmth,
-    /// From the last moment on.
-    estimates: Vec<Estimate>,
-    sharpest: Option<Break>,
-    next: Option<Passing>,
-}
-
-impl Backwards<'_> {
-    /// Adds to what a moment knew on the way forwards what all later ones say.
-    fn take(&mut self, n: usize, passing: &Passing) -> Option<()> {
-        let mut now = *passing;
-        if let Some(next) = self.next {
-            let predicted = now.covariance + self.drift.step(n + 1);
-            let back = predicted.cholesky()?.inverse();
-            let gain = now.covariance * back;
-            let surprise = next.state - now.state;
-            let degrees = self.drift.degrees(n + 1) - self.drift.degrees(n);
-            let answer = next.answer - now.answer - warmed(degrees);
-            let learnt = next.covariance - predicted;
-            let beside = surprise + answer * self.warmth.px_per_degc;
-            self.look_for_break(n + 1, &back, &beside, &learnt);
-            let covariance = now.covariance + gain * learnt * gain.transpose();
-            now = Passing {
-                state: now.state + gain * surprise,
-                covariance: (covariance + covariance.transpose()) / 2.0,
-                answer: now.answer + gain * answer,
-            };
-        }
-        let by_warmth = now.answer * self.warmth.covariance * now.answer.transpose();
-        self.estimates.push(Estimate {
-            state: now.state + now.answer * self.warmth.px_per_degc,
-            covariance: packed(&(now.covariance + by_warmth)),
-        });
-        self.next = Some(now);
-        Some(())
-    }
-
-    fn look_for_break(
-        &mut self,
-        moment: usize,
-        back: &Covariance,
-        surprise: &State,
-        learnt: &Covariance,
-    ) {
-        let known = self.drift.jumps.binary_search(&moment).is_ok();
-        let found = break_chi2(back, surprise, learnt).filter(|_| !known);
-        let found = found.map(|chi2| Break { moment, chi2 });
-        let least = self.sharpest.map_or(0.0, |sharpest| sharpest.chi2);
-        self.sharpest = found.filter(|found| found.chi2 > least).or(self.sharpest);
-    }
-}
-
-fn log_root<const N: usize>(root: &Cholesky<f64, Const<N>>) -> f64
-where
-    Const<N>: nalgebra::DimMin<Const<N>, Output = Const<N>>,
-{
-    let l = root.l_dirty();
-    (0..N).map(|n| l[(n, n)].ln()).sum()
-}
-
-/// How far the disturbance of a step, as all data show it, is beyond what the random walk expects: the auxiliary residual
-/// of Harvey and Koopman (1992), of shift and turn.
-fn break_chi2(back: &Covariance, surprise: &State, learnt: &Covariance) -> Option<f64> {
-    let pull = (back * surprise).fixed_rows::<4>(0).into_owned();
-    let spread = -(back * learnt * back);
-    let spread = spread.fixed_view::<4, 4>(0, 0).into_owned();
-    let chi2 = pull.dot(&spread.cholesky()?.solve(&pull));
-    chi2.is_finite().then_some(chi2)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::warmth::WARMED;
     use super::*;
     use crate::geometry::Distortion;
+    use crate::units::PlateMil;
+    use nalgebra::{Vector2, Vector4};
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
     use rand_xoshiro::Xoshiro256PlusPlus;
@@ -424,9 +222,9 @@ mod tests {
         (0..COUNT).map(|n| 5.0 * (n as f64 / 40.0).sin()).collect()
     }
 
-    /// A flight whose view goes with the temperature by so many px per degree, beside a slow walk; nobody sees marks for a
+    /// The first moments of a flight whose view goes with the temperature by so many px per degree, beside a slow walk; nobody sees marks for a
     /// sixth of it. And the view in truth.
-    fn flight(px_per_degc: [f64; WARMED]) -> (Sightings, Vec<State>) {
+    fn flight(moments: usize, px_per_degc: [f64; WARMED]) -> (Sightings, Vec<State>) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
         let mut noise = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
         let reference = reference();
@@ -454,7 +252,7 @@ mod tests {
             sights.extend(marks);
             ((n as f64 / 4.0, first..sights.len()), state)
         };
-        let degrees = temperature_c().into_iter().enumerate();
+        let degrees = temperature_c().into_iter().take(moments).enumerate();
         let (moments, truth): (Vec<_>, Vec<_>) = degrees.map(&mut moment).unzip();
         (Sightings::new(sights, moments.into_iter()), truth)
     }
@@ -481,7 +279,7 @@ mod tests {
     #[test]
     fn what_a_degree_does_is_told_and_bridges_the_time_without_marks() {
         let truth_per_degc = [0.13, -0.08, 0.004, -0.01];
-        let (sightings, truth) = flight(truth_per_degc);
+        let (sightings, truth) = flight(COUNT, truth_per_degc);
         let (reference, degrees) = (reference(), temperature_c());
         let with = drift(&reference, &sightings, Some(&degrees));
         let without = drift(&reference, &sightings, None);
@@ -504,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_temperature_that_does_nothing_is_told_to_do_nothing() {
-        let (sightings, _) = flight([0.0; WARMED]);
+        let (sightings, _) = flight(COUNT, [0.0; WARMED]);
         let (reference, degrees) = (reference(), temperature_c());
         let with = drift(&reference, &sightings, Some(&degrees));
         let still = Drift {
@@ -521,18 +319,14 @@ mod tests {
 
     #[test]
     fn the_way_back_is_the_same_in_one_block_and_in_several() {
-        let (sightings, _) = flight([0.1; WARMED]);
         let (reference, degrees) = (reference(), temperature_c());
-        let first = |count: usize| Sightings {
-            moments: sightings.moments[..count].to_vec(),
-            ..sightings.clone()
+        let smoothed = |count: usize| {
+            let (sightings, _) = flight(count, [0.1; WARMED]);
+            let drift = drift(&reference, &sightings, Some(&degrees));
+            drift.smoothed().unwrap()
         };
-        let (some, one) = (first(BLOCK + 1), first(BLOCK));
-        let all = drift(&reference, &sightings, Some(&degrees));
-        let some = drift(&reference, &some, Some(&degrees));
-        let one = drift(&reference, &one, Some(&degrees));
-        assert_eq!(all.smoothed().unwrap().estimates.len(), COUNT);
-        let [some, one] = [some, one].map(|drift| drift.smoothed().unwrap());
+        assert_eq!(smoothed(COUNT).estimates.len(), COUNT);
+        let [some, one] = [BLOCK + 1, BLOCK].map(smoothed);
         let step = some.estimates[BLOCK - 1].state - one.estimates[BLOCK - 1].state;
         assert!(step.norm() < 0.02);
         assert_eq!(

@@ -1,0 +1,237 @@
+//! The configuration from its TOML file: every error that it has, each with the file, the key and what was expected.
+
+use super::{Config, Parameter, by_key, parameters, value};
+use crate::instrument::TomlError;
+use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
+use std::path::Path;
+
+impl Config {
+    /// Reads a configuration; what the file leaves out keeps its default.
+    ///
+    /// # Errors
+    /// A file that cannot be read, an unknown key (named with the nearest known one), a value of the wrong type
+    /// or out of range, an incomplete site.
+    pub fn read(path: &Path) -> Result<Self, TomlError> {
+        Self::parse(path, &read_text(path)?)
+    }
+
+    /// As [`read`](Self::read), from a text; `path` is for the errors.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
+        let (config, errors) = Self::parse_all(path, text);
+        errors.into_iter().next().map_or(Ok(config), Err)
+    }
+
+    /// As [`parse`](Self::parse), but with every error that the text has, and with what was right beside them.
+    pub fn parse_all(path: &Path, text: &str) -> (Self, Vec<TomlError>) {
+        let mut config = Self::default();
+        let mut errors = Vec::new();
+        let document = parse_strict(path, text, &[]).unwrap_or_else(|error| {
+            errors.push(error);
+            toml::Table::new()
+        });
+        for (table, content) in document {
+            config.read_table(path, &table, content, &mut errors);
+        }
+        if !config.site.is_complete_or_empty() {
+            let expected = "latitude_deg, longitude_deg and height_m together or none of them";
+            errors.push(TomlError::new(path, "site", expected, "only some"));
+        }
+        (config, errors)
+    }
+
+    fn read_table(
+        &mut self,
+        path: &Path,
+        table: &str,
+        content: toml::Value,
+        errors: &mut Vec<TomlError>,
+    ) {
+        let is_known = parameters().iter().any(|p| p.table() == table);
+        match content {
+            toml::Value::Table(values) if is_known || !values.is_empty() => {
+                let mut keyed = |(name, value): (&String, &toml::Value)| {
+                    self.read_value(path, &format!("{table}.{name}"), value)
+                };
+                errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
+            }
+            _ if !is_known => errors.push(unknown(path, table)),
+            other => {
+                errors.push(TomlError::new(path, table, "a table", value::found(&other)));
+            }
+        }
+    }
+
+    fn read_value(&mut self, path: &Path, key: &str, value: &toml::Value) -> Result<(), TomlError> {
+        let parameter = by_key(key).ok_or_else(|| unknown(path, key))?;
+        parameter
+            .set_from_toml(self, value)
+            .map_err(|refused| TomlError::new(path, key, refused.expected, refused.found))
+    }
+}
+
+/// The error for an unknown key or table. A parameter of the same name in another table is nearest, whatever
+/// the letters say.
+fn unknown(path: &Path, key: &str) -> TomlError {
+    let name = key.rsplit('.').next();
+    let namesake = |p: &&Parameter| Some(p.name()) == name;
+    let near: Vec<String> = match parameters().iter().find(namesake) {
+        Some(parameter) => vec![parameter.key.into()],
+        None => parameters()
+            .iter()
+            .flat_map(|p| [p.table(), p.key])
+            .map(str::to_owned)
+            .collect(),
+    };
+    unknown_key(path, key, &near)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{PixelFormat, Source};
+    use crate::fits::Compression;
+    use crate::frame::Region;
+    use crate::units::Place;
+    use std::path::PathBuf;
+
+    fn parse(text: &str) -> Result<Config, String> {
+        Config::parse(Path::new("c.toml"), text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_a_file_leaves_out_keeps_its_default() {
+        assert_eq!(parse(""), Ok(Config::default()));
+        let config = parse("[camera]\nrate_hz = 10\n").unwrap();
+        assert_eq!(config.camera.rate_hz, 10.0);
+        assert_eq!(config.camera.exposure_us, 15_000);
+    }
+
+    #[test]
+    fn a_file_reaches_every_kind_of_value() {
+        let config = parse(
+            "[site]\nlatitude_deg = 34.49\nlongitude_deg = -104.2218\nheight_m = 38405\n\
+             [target]\nx_arcsec = -300\n[link]\nport = \"/dev/ttyS0\"\n\
+             [archive]\ndirectory = \"/data\"\ncompression = \"gzip\"\n[simulation]\nseed = 7\n",
+        )
+        .unwrap();
+        assert_eq!(
+            config.site.place(),
+            Place::new(34.49, -104.2218, 38405.0).ok()
+        );
+        assert_eq!(config.target.x_arcsec, -300.0);
+        assert_eq!(config.link.port.as_deref(), Some("/dev/ttyS0"));
+        assert_eq!(config.archive.directory, Some(PathBuf::from("/data")));
+        assert_eq!(config.archive.compression, Compression::Gzip);
+        assert_eq!(config.simulation.seed, 7);
+    }
+
+    #[test]
+    fn each_role_has_its_own_camera() {
+        let config = parse(
+            "[camera]\nexposure_us = 8000\nauto_exposure = \"on\"\n\
+             [second_camera]\nsource = \"gige:192.168.1.21\"\nregion_px = \"100,50,640,480\"\n\
+             [roll_camera]\nsource = \"gige:BOBCAT7\"\npixel_format = \"mono12\"\n",
+        )
+        .unwrap();
+        assert_eq!(config.camera.source, None);
+        assert_eq!(config.camera.settings().exposure_us, 8000);
+        assert!(config.camera.auto_exposure().is_some());
+        let second = &config.second_camera;
+        assert_eq!(second.source, Some(Source::Gige("192.168.1.21".into())));
+        assert_eq!(
+            second.settings().region,
+            Some(Region::sized(100, 50, 640, 480))
+        );
+        assert_eq!(second.auto_exposure(), None);
+        let roll = config.roll_camera.settings();
+        assert_eq!(roll.pixel_format, PixelFormat::Mono12);
+    }
+
+    #[test]
+    fn all_errors_of_a_file_are_told_at_once_and_what_is_right_is_taken() {
+        let text = "[camera]\nrate_hz = 1000\nexposre_us = 3\nexposure_us = 700\n[lnk]\n[site]\nheight_m = 3\n";
+        let (config, errors) = Config::parse_all(Path::new("c.toml"), text);
+        let mut keys: Vec<&str> = errors.iter().map(|error| error.field.as_str()).collect();
+        keys.sort_unstable();
+        assert_eq!(keys, ["camera.exposre_us", "camera.rate_hz", "lnk", "site"]);
+        assert_eq!(config.camera.exposure_us, 700);
+    }
+
+    #[test]
+    fn an_empty_port_is_none() {
+        assert_eq!(parse("[link]\nport = \"\"\n").unwrap().link.port, None);
+    }
+
+    #[test]
+    fn a_bad_file_is_refused_on_one_line_that_names_file_field_and_expectation() {
+        for (text, words) in [
+            (
+                "[camera]\nrate_hertz = 4\n",
+                &["camera.rate_hertz", "\"camera.rate_hz\""][..],
+            ),
+            (
+                "[camrea]\nrate_hz = 4\n",
+                &["camrea.rate_hz", "\"camera.rate_hz\""],
+            ),
+            (
+                "[link]\nrate_hz = 4\n",
+                &["link.rate_hz", "\"camera.rate_hz\""],
+            ),
+            ("[cammera]\n", &["cammera", "\"camera\""]),
+            (
+                "rate_hz = 4\n",
+                &["rate_hz", "nearest is \"camera.rate_hz\""],
+            ),
+            (
+                "[camera]\nrate_hz = 1000\n",
+                &["camera.rate_hz", "from 0.01 to 100 Hz", "1000"],
+            ),
+            ("[camera]\nrate_hz = nan\n", &["camera.rate_hz", "NaN"]),
+            ("[camera]\nrate_hz = = 4\n", &["valid TOML", "line 2"]),
+            (
+                "[camera]\nrate_hz = \"\"\"fast\nest\"\"\"\n",
+                &["camera.rate_hz", "a number from", "fast\\nest"],
+            ),
+            (
+                "[camera]\nexposure_us = 1.5\n",
+                &["camera.exposure_us", "a whole number from", "1.5"],
+            ),
+            (
+                "[camera]\nexposure_us = -1\n",
+                &["camera.exposure_us", "-1"],
+            ),
+            (
+                "[archive]\ncompression = \"zip\"\n",
+                &["archive.compression", "\"rice\", \"none\" or \"gzip\""],
+            ),
+            (
+                "[roll_camera]\nsource = \"usb:1\"\n",
+                &["roll_camera.source", "gige:ADDRESS", "usb:1"],
+            ),
+            (
+                "[camera]\nregion_px = \"1,2,3\"\n",
+                &["camera.region_px", "width and height", "1,2,3"],
+            ),
+            ("[link]\nport = 3\n", &["link.port", "a text", "3"]),
+            ("[link]\nport = [1]\n", &["link.port", "a text"]),
+            ("camera = 3\n", &["camera", "a table", "3"]),
+            ("[site]\nlatitude_deg = 3\n", &["site", "height_m"]),
+            ("[camera\n", &["valid TOML", "line 1"]),
+        ] {
+            let message = parse(text).unwrap_err();
+            assert!(message.starts_with("c.toml: "), "{message}");
+            assert!(!message.contains('\n'), "{message}");
+            for word in words {
+                assert!(message.contains(word), "{message} lacks {word}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_missing_file_is_an_error_that_names_it() {
+        let message = Config::read(Path::new("/nowhere/at-all.toml"))
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("/nowhere/at-all.toml"), "{message}");
+    }
+}
