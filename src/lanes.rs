@@ -38,6 +38,18 @@ pub fn first_lanes<T: Sample>(rest: &[T]) -> [f32; LANES] {
     lanes
 }
 
+/// The larger of two numbers, neither of which is no number: the processor's own comparison, where [`f32::max`] takes three.
+#[inline(always)]
+pub fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The smaller of two, likewise.
+#[inline(always)]
+pub fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
 /// The whole part of a number from 0 to 4 million, and what is left of it, 0 to 1 both included; by way of the number's own
 /// bits, which is done side by side where a conversion is not.
 #[inline(always)]

@@ -5,7 +5,7 @@
 //! Functions, 26.2.16, to 1e-5), which is quicker than any table: eight places go through it at once.
 
 use super::CrossShape;
-use crate::lanes::Scratch;
+use crate::lanes::{Scratch, larger};
 use multiversion::multiversion;
 
 /// A blurred cross of full contrast.
@@ -166,7 +166,7 @@ fn power_of_two(x: f32) -> f32 {
     const WHOLES: f32 = 12_582_912.0;
     const EXPONENT_BITS: u32 = 23;
     const EXPONENT_OF_ONE: u32 = 127;
-    let x = x.max(-120.0);
+    let x = larger(x, -120.0);
     let shifted = x + WHOLES;
     let part = x - (shifted - WHOLES);
     let series = (0.009_666_37 * part + 0.055_921_98) * part + 0.240_223_49;

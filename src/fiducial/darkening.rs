@@ -6,7 +6,7 @@
 
 use crate::frame::{Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
-use crate::lanes::{LANES, Scratch};
+use crate::lanes::{LANES, Scratch, larger, smaller};
 use multiversion::multiversion;
 use nalgebra::Vector2;
 
@@ -100,16 +100,16 @@ impl Darkening {
         let mut mu = [0.0; LANES];
         let mut expected = [self.edge_dn; LANES];
         for k in 0..LANES {
-            mu[k] = mu2[k].max(0.0).sqrt();
+            mu[k] = larger(mu2[k], 0.0).sqrt();
         }
         for (at, bend) in &self.bends {
             for k in 0..LANES {
-                expected[k] += bend * (mu[k] - at).max(0.0);
+                expected[k] += bend * larger(mu[k] - at, 0.0);
             }
         }
         let mut darkness = [0.0; LANES];
         for k in 0..LANES {
-            let seen = light[k].min(expected[k] + self.most_excess_dn);
+            let seen = smaller(light[k], expected[k] + self.most_excess_dn);
             let dark = 1.0 - seen / expected[k];
             darkness[k] = if mu2[k] >= self.least_mu2 { dark } else { 0.0 };
         }

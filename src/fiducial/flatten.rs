@@ -202,7 +202,10 @@ fn flatten_row<T: Sample>(darkening: &Darkening, row: &Row, seen: &[T], darkness
         let dark = darkening.darkness(&light, &mu2);
         match darkness[from..].first_chunk_mut::<LANES>() {
             Some(whole) => *whole = dark,
-            None => darkness[from..].copy_from_slice(&dark[..seen.len() - from]),
+            None => darkness[from..]
+                .iter_mut()
+                .zip(dark)
+                .for_each(|(darkness, dark)| *darkness = dark),
         }
     }
 }

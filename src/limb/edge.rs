@@ -17,7 +17,7 @@ use super::profile::Profile;
 use super::typical::medians;
 use crate::frame::{Frame, Levels};
 use crate::geometry::Ellipse;
-use crate::lanes::{Scratch, clipped_sigma, split};
+use crate::lanes::{Scratch, clipped_sigma, larger, split};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Vector2};
@@ -390,7 +390,7 @@ impl Sector {
         let light = here.light + part * step.light;
         let residual = dn - (here.dn + part * step.dn);
         let left = residual - self.light * light;
-        let within = (1.0 - left * left * expected.per_limit2).max(0.0);
+        let within = larger(1.0 - left * left * expected.per_limit2, 0.0);
         let weight = within * within * expected.weight;
         let (by_slope, by_light) = (weight * slope, weight * light);
         self.slope2 += by_slope * slope;
