@@ -2,26 +2,16 @@
 
 use crate::flight::Flight;
 use solaspect::aspect::Solution;
-use solaspect::fiducial::{self, CrossShape, Detections, FlatDisc, Light, Refiner};
+use solaspect::fiducial::{self, CrossShape, Detections, FlatDisc, Refiner};
 use solaspect::frame::{Frame, Levels};
 use solaspect::geometry::Ellipse;
-use solaspect::limb::{
-    self, CoarseDisc, DiscLight, Hidden, KnownOutline, Limb, LimbFit, OutlinePrior,
-};
+use solaspect::limb::{self, CoarseDisc, Hidden, KnownOutline, Limb, LimbFit, OutlinePrior};
 use solaspect::units::Measured;
 
 pub struct Stages<'a> {
     pub frame: &'a Frame,
     pub flight: &'a Flight,
     pub levels: Levels,
-}
-
-struct LimbLight(DiscLight);
-
-impl Light for LimbLight {
-    fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
-        self.0.fill(x, y, light);
-    }
 }
 
 impl Stages<'_> {
@@ -97,7 +87,7 @@ impl Stages<'_> {
         let scale = self.radius_mil() / limb.outline.ellipse.mean_radius();
         let (plate, blur_px) = (&instrument.plate, instrument.optics.blur_px.value);
         let refiner = Refiner::new(&plate.cross, scale, blur_px);
-        let light = LimbLight(limb.light());
+        let light = limb.light();
         let refined = solution.marks.iter().filter_map(|mark| {
             let jacobian = adopted.mapping.sensor_jacobian(plate.position(mark.id));
             refiner.refine(self.frame, &self.levels, &light, &jacobian, mark.at)

@@ -82,7 +82,7 @@ impl Work<'_> {
         let scale = self.disc_scale(&limb.outline.ellipse);
         let plate = &self.instrument.plate;
         let refiner = Refiner::new(&plate.cross, scale, blur_px);
-        let light = LimbLight(limb.light());
+        let light = limb.light();
         let refined = |mark: &Mark| {
             let jacobian = sight.mapping.sensor_jacobian(plate.position(mark.id));
             refiner.refine(self.frame, sight.levels, &light, &jacobian, mark.at)
@@ -211,12 +211,10 @@ impl Work<'_> {
     }
 }
 
-/// The limb's light, for the marks.
-struct LimbLight(DiscLight);
-
-impl Light for LimbLight {
+/// The limb tells the light that falls on the marks.
+impl Light for DiscLight {
     fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
-        self.0.fill(x, y, light);
+        self.fill(x, y, light);
     }
 }
 

@@ -7,6 +7,7 @@
 use crate::frame::{Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
 use crate::lanes::{LANES, Scratch, larger, smaller};
+use crate::statistics::SIGMA_PER_MEDIAN;
 use multiversion::multiversion;
 use nalgebra::Vector2;
 
@@ -81,7 +82,7 @@ impl Darkening {
         let mut last = 0.0;
         for n in (0..RINGS).rev() {
             let sizes = darkness[taken.ring(n)].iter().map(|d| d.abs());
-            last = median(sizes).map_or(last, |spread| 1.4826 * spread);
+            last = median(sizes).map_or(last, |spread| SIGMA_PER_MEDIAN as f32 * spread);
             self.noise[n] = last.max(0.5 * background_noise_dn / lights[n]);
         }
         let noises_dn = self

@@ -13,12 +13,6 @@ pub(super) struct Appearance {
     pub light: Tilt,
 }
 
-impl Appearance {
-    pub(super) fn disc_noise_dn(&self) -> f64 {
-        self.noise.inside_dn
-    }
-}
-
 /// Noise of a pixel, 1 sigma, on both sides of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Noise {

@@ -294,8 +294,19 @@ impl Spans {
     }
 }
 
-/// Distance outwards from the outline, and sector, of places about its centre; `inverse` is the outline's inverse root:
-/// m11, m12, m22. To first order in the distance, like [`Ellipse::excess`].
+/// A place about an outline's centre in disc units, and its distance outwards from the outline to first order, like
+/// [`Ellipse::excess`]; the outline's inverse root is given by m11, m12, m22.
+#[inline(always)]
+pub(super) fn outwards([a, b, c]: [f32; 3], x: f32, y: f32) -> ([f32; 2], f32) {
+    let (wx, wy) = (a * x + b * y, b * x + c * y);
+    let r2 = wx * wx + wy * wy;
+    let (nx, ny) = (a * wx + b * wy, b * wx + c * wy);
+    // The very centre has no direction outwards.
+    let per_disc = (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
+    ([wx, wy], (r2 - r2.sqrt()) / per_disc)
+}
+
+/// Distance outwards from the outline, and sector, of places about its centre; `inverse` as for [`outwards`].
 #[multiversion(targets("x86_64+avx2"))]
 fn locate(
     x: &[f32],
@@ -305,18 +316,13 @@ fn locate(
     distance_px: &mut [f32],
     sector: &mut [u16],
 ) {
-    let [a, b, c] = inverse;
     let count = distance_px.len();
     let (x, y, sector) = (&x[..count], &y[..count], &mut sector[..count]);
     // A number that stands just below the next sector may be taken for it.
     let (per_quarter, last) = (sectors / 4.0, sectors - 0.51);
     for n in 0..count {
-        let (wx, wy) = (a * x[n] + b * y[n], b * x[n] + c * y[n]);
-        let r2 = wx * wx + wy * wy;
-        let r = r2.sqrt();
-        let (nx, ny) = (a * wx + b * wy, b * wx + c * wy);
-        // A pixel at the very centre is no pixel of the limb.
-        distance_px[n] = (r2 - r) / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
+        let ([wx, wy], distance) = outwards(inverse, x[n], y[n]);
+        distance_px[n] = distance;
         let along = wy / (wx.abs() + wy.abs() + f32::MIN_POSITIVE);
         let quarters = if wx >= 0.0 { 1.0 + along } else { 3.0 - along };
         sector[n] = split((quarters * per_quarter).clamp(0.0, last)).0 as u16;

@@ -172,18 +172,18 @@ struct Edge<'a> {
 /// What is expected at a distance.
 #[derive(Clone, Copy)]
 struct Expected {
-    here: Brightness,
+    here: Ordinates,
     /// What leads from there to the next entry.
-    step: Brightness,
+    step: Ordinates,
     /// One over the variance; 0 where a pixel does not count.
     weight: f32,
     /// One over the square of what is out of the question.
     per_limit2: f32,
 }
 
-/// Brightness about a distance, DN.
+/// The profile at a distance.
 #[derive(Clone, Copy)]
-struct Brightness {
+struct Ordinates {
     /// Change per px outwards.
     slope: f32,
     /// Above the background.
@@ -191,7 +191,7 @@ struct Brightness {
     dn: f32,
 }
 
-impl Brightness {
+impl Ordinates {
     fn to(self, next: Self) -> Self {
         Self {
             slope: next.slope - self.slope,
@@ -221,16 +221,16 @@ impl<'a> Edge<'a> {
         let at = |n: usize| {
             let distance_px = first_px + n as f64 / PER_PX - shift_px;
             let (dn, slope) = profile.both(distance_px);
-            Brightness {
+            Ordinates {
                 slope: slope as f32,
                 light: (dn - profile.background_dn) as f32,
                 dn: dn as f32,
             }
         };
-        let values: Vec<Brightness> = (0..=count).map(at).collect();
+        let values: Vec<Ordinates> = (0..=count).map(at).collect();
         let clipped_dn = (saturation_dn - 2.0 * noise.outside_dn) as f32;
         let peak = values[0].light.max(1.0);
-        let entry = |pair: &[Brightness]| {
+        let entry = |pair: &[Ordinates]| {
             let here = pair[0];
             let variance = noise.variance((here.light / peak).clamp(0.0, 1.0));
             let spread2 = variance + slack.variance(here.light, here.slope);
@@ -258,13 +258,24 @@ impl<'a> Edge<'a> {
     /// Adds every pixel to its sector's normal equations; what the sectors' expectations do not explain, pixel by pixel.
     fn sum(&self, sectors: &mut [Sector]) -> Scratch<f32> {
         let band = self.band;
-        let mut places = Places {
-            entry: Scratch::of_length(band.dn.len()),
-            part: Scratch::of_length(band.dn.len()),
-        };
-        places.find(&band.distance_px, self.first_px as f32, self.table.len());
-        let mut unexplained = Scratch::of_length(band.dn.len());
-        add_pixels(&self.table, &places, band, sectors, &mut unexplained);
+        let count = band.dn.len();
+        let (mut entry, mut part) = (Scratch::of_length(count), Scratch::of_length(count));
+        let last = self.table.len().saturating_sub(1) as f32;
+        find_places(
+            &band.distance_px,
+            self.first_px as f32,
+            last,
+            &mut entry,
+            &mut part,
+        );
+        let mut unexplained = Scratch::of_length(count);
+        add_pixels(
+            &self.table,
+            (&entry, &part),
+            band,
+            sectors,
+            &mut unexplained,
+        );
         unexplained
     }
 
@@ -310,30 +321,17 @@ impl Slack {
     }
 }
 
-/// Where in a table pixels are: the entry, and how far towards the next one.
-struct Places {
-    entry: Scratch<u16>,
-    part: Scratch<f32>,
-}
-
-impl Places {
-    fn find(&mut self, distance_px: &[f32], first_px: f32, entries: usize) {
-        let last = entries.saturating_sub(1) as f32;
-        find_places(distance_px, first_px, last, &mut self.entry, &mut self.part);
-    }
-}
-
 /// Adds every pixel to its sector; what that does not explain.
 #[multiversion(targets("x86_64+avx2"))]
 fn add_pixels(
     table: &[Expected],
-    places: &Places,
+    (entry, part): (&[u16], &[f32]),
     band: &Band,
     sectors: &mut [Sector],
     unexplained: &mut [f32],
 ) {
     let count = unexplained.len();
-    let (entry, part) = (&places.entry[..count], &places.part[..count]);
+    let (entry, part) = (&entry[..count], &part[..count]);
     let (dn, of_sector) = (&band.dn[..count], &band.sector[..count]);
     for n in 0..count {
         let expected = &table[usize::from(entry[n])];
@@ -342,6 +340,7 @@ fn add_pixels(
     }
 }
 
+/// Where in a table pixels are: the entry, and how far towards the next one.
 #[multiversion(targets("x86_64+avx2"))]
 fn find_places(distance_px: &[f32], first_px: f32, last: f32, entry: &mut [u16], part: &mut [f32]) {
     let count = distance_px.len();

@@ -48,7 +48,7 @@ impl Limb {
 
     /// Noise of the disc's pixels near the limb, 1 sigma, DN.
     pub fn disc_noise_dn(&self) -> f64 {
-        self.appearance.disc_noise_dn()
+        self.appearance.noise.inside_dn
     }
 
     /// The blurred light of the disc without marks.
@@ -127,7 +127,9 @@ impl LimbFit<'_> {
         settled_px: f64,
     ) -> Result<Limb, Rejected> {
         let mut outline = *start;
-        for pass in 0..PASSES {
+        let mut pass = 0;
+        loop {
+            pass += 1;
             let look = self.look(&outline, appearance.as_ref(), hidden)?;
             let fit = self
                 .known
@@ -135,13 +137,12 @@ impl LimbFit<'_> {
                 .ok_or_else(|| self.too_few(look.points.len()))?;
             self.check(&fit, start)?;
             let moved_px = moved_px(&outline, &fit.ellipse);
-            if moved_px < settled_px || pass == PASSES - 1 {
+            if moved_px < settled_px || pass == PASSES {
                 return Ok(Limb::new(look, fit, moved_px));
             }
             outline = fit.ellipse;
             appearance = (moved_px < STEADY_PX).then_some(look.appearance);
         }
-        Err(self.too_few(0))
     }
 
     fn look(

@@ -1,6 +1,7 @@
 //! The disc's light by rows of pixels, as marks' fits ask for it.
 
 use super::Profile;
+use super::band::outwards;
 use crate::geometry::Ellipse;
 use crate::lanes::split;
 use multiversion::multiversion;
@@ -16,12 +17,12 @@ pub struct DiscLight {
     outline: Ellipse,
     /// Light above the background, DN, and what leads to the next entry: by pixels from the middle, then near the limb.
     table: Vec<[f32; 2]>,
-    places: Places,
+    places: Steps,
 }
 
 /// Where distances from the outline are in the table.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Places {
+struct Steps {
     first_px: f32,
     near_px: f32,
     /// The first entry that is near the limb.
@@ -44,7 +45,7 @@ impl DiscLight {
         let table: Vec<[f32; 2]> = values.windows(2).map(|v| [v[0], v[1] - v[0]]).collect();
         Self {
             outline: *outline,
-            places: Places {
+            places: Steps {
                 first_px: -deep_px as f32,
                 near_px: -near_px as f32,
                 near: deep as f32,
@@ -71,8 +72,8 @@ impl DiscLight {
 
 /// How many entries into the table a row's pixels are.
 #[multiversion(targets("x86_64+avx2"))]
-fn find_steps(from: [f32; 2], [a, b, c]: [f32; 3], places: &Places, steps: &mut [f32]) {
-    let Places {
+fn find_steps(from: [f32; 2], inverse: [f32; 3], places: &Steps, steps: &mut [f32]) {
+    let Steps {
         first_px,
         near_px,
         near,
@@ -81,10 +82,7 @@ fn find_steps(from: [f32; 2], [a, b, c]: [f32; 3], places: &Places, steps: &mut 
     let y = from[1];
     for (n, steps) in steps.iter_mut().enumerate() {
         let x = from[0] + n as i32 as f32;
-        let (wx, wy) = (a * x + b * y, b * x + c * y);
-        let r2 = wx * wx + wy * wy;
-        let (nx, ny) = (a * wx + b * wy, b * wx + c * wy);
-        let out = (r2 - r2.sqrt()) / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
+        let (_, out) = outwards(inverse, x, y);
         let deep = out - first_px;
         let along = near + (out - near_px) * NEAR_PER_PX;
         *steps = if out < near_px { deep } else { along }.clamp(0.0, last);

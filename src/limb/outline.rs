@@ -3,6 +3,7 @@
 use super::LimbPoint;
 use crate::geometry::Ellipse;
 use crate::lanes::Scratch;
+use crate::statistics::SIGMA_PER_MEDIAN;
 use crate::units::Measured;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -215,7 +216,7 @@ fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
     }
     let middle = sizes.len() / 2;
     let (_, median, _) = sizes.select_nth_unstable(middle);
-    1.4826 * f64::from(f32::from_bits(*median))
+    SIGMA_PER_MEDIAN * f64::from(f32::from_bits(*median))
 }
 
 /// Which part of the outline has points on it, 0 to 1, in steps of 10 deg.
