@@ -12,11 +12,7 @@ pub const LANES: usize = 8;
 /// A number, and those that follow by ones.
 #[inline(always)]
 pub fn counted_lanes(first: f32) -> [f32; LANES] {
-    let mut lanes = [0.0; LANES];
-    for k in 0..LANES {
-        lanes[k] = first + k as f32;
-    }
-    lanes
+    std::array::from_fn(|k| first + k as f32)
 }
 
 /// The first pixels of a row's rest, DN; zeros where it ends.
@@ -25,8 +21,8 @@ pub fn first_lanes<T: Sample>(rest: &[T]) -> [f32; LANES] {
     let mut lanes = [0.0; LANES];
     match rest.first_chunk::<LANES>() {
         Some(group) => {
-            for k in 0..LANES {
-                lanes[k] = group[k].dn();
+            for (lane, pixel) in lanes.iter_mut().zip(group) {
+                *lane = pixel.dn();
             }
         }
         None => {

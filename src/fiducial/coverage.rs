@@ -169,8 +169,8 @@ fn power_of_two(x: f32) -> f32 {
     let x = larger(x, -120.0);
     let shifted = x + WHOLES;
     let part = x - (shifted - WHOLES);
-    let series = (0.009_666_37 * part + 0.055_921_98) * part + 0.240_223_49;
-    let series = (series * part + 0.693_121_05) * part + 1.0;
+    let series = (0.009_666_37 * part + 0.055_921_98) * part + 0.240_223_5;
+    let series = (series * part + 0.693_121_1) * part + 1.0;
     let whole = shifted.to_bits().wrapping_sub(WHOLES.to_bits());
     series * f32::from_bits(whole.wrapping_add(EXPONENT_OF_ONE) << EXPONENT_BITS)
 }

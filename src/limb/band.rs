@@ -101,8 +101,8 @@ impl Hidden {
         let row = &self.covered[(y - r.y0) * words..][..words];
         let first = from.saturating_sub(r.x0) / 64;
         let end = (from + dn.len()).saturating_sub(r.x0).div_ceil(64);
-        for n in first..end.min(words) {
-            let mut left = row[n];
+        for (n, word) in row.iter().enumerate().take(end).skip(first) {
+            let mut left = *word;
             while left != 0 {
                 let column = r.x0 + 64 * n + left.trailing_zeros() as usize;
                 if let Some(dn) = column.checked_sub(from).and_then(|n| dn.get_mut(n)) {
