@@ -11,7 +11,8 @@
 //! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
 
 use super::appearance::{Appearance, Noise, TILT, Tilt};
-use super::band::{Band, Hidden, Reach, middle_of_sector};
+use super::band::{Band, Reach, middle_of_sector};
+use super::hidden::Hidden;
 use super::outline::TUKEY_SIGMAS;
 use super::profile::Profile;
 use super::typical::medians;

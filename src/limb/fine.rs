@@ -1,8 +1,8 @@
 //! The outline of the disc from the whole limb: points and ellipse in turn, until neither moves.
 
 use super::appearance::Appearance;
-use super::band::Hidden;
 use super::edge::{LimbPoint, Look, Sight};
+use super::hidden::Hidden;
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::{Profile, Settings};

@@ -1,6 +1,7 @@
 //! The typical brightness at each distance from an outline, taken all round.
 
-use super::band::{Band, HIDDEN_DN};
+use super::band::Band;
+use super::hidden::HIDDEN_DN;
 use super::profile::Brightness;
 use crate::lanes::{Scratch, split};
 use multiversion::multiversion;
