@@ -20,6 +20,7 @@ pub(super) struct Problem<'a> {
     normalisation: Normalisation,
 }
 
+#[derive(Clone)]
 struct IdealPair {
     seen: Vector2<f64>,
     printed: PlateMil,
@@ -84,6 +85,24 @@ impl<'a> Problem<'a> {
 
     pub(super) fn pairs(&self) -> usize {
         self.pairs.len()
+    }
+
+    /// Raises the sigmas of the outline's points by a factor.
+    pub(super) fn doubt_outline(&mut self, factor: f64) {
+        if let Some((_, points)) = &mut self.outline {
+            points.iter_mut().for_each(|point| point.sigma_px *= factor);
+        }
+    }
+
+    /// The same without the outline; `None` where there is none.
+    pub(super) fn pairs_alone(&self) -> Option<Self> {
+        self.outline.as_ref()?;
+        Some(Self {
+            pairs: self.pairs.clone(),
+            outline: None,
+            handedness: self.handedness,
+            normalisation: self.normalisation,
+        })
     }
 
     /// Leaves out one of the pairs.

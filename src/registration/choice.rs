@@ -18,11 +18,39 @@ const EXPLAINED_SIGMAS: f64 = 6.0;
 const EXPLAINED_RISE: f64 = 1.3;
 /// A richer kind whose first step does not promise this part of the least gain is not fitted.
 const PROMISED_SHARE: f64 = 0.5;
+/// Pairs whose sigmas must rise by more than this beside the outline are contradicted by it ...
+const CONTRADICTED_RISE: f64 = 3.0;
+/// ... if they agree among themselves with less.
+const AGREED_RISE: f64 = 1.5;
+/// How often an outline is doubted.
+const DOUBTS: usize = 6;
 /// How often the sigmas are raised until they agree with the residuals.
 const RISES: usize = 4;
 
-/// The simplest kind of mapping that the data support, fitted.
-pub(super) fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
+/// The simplest kind of mapping that the data support, fitted. An outline that contradicts pairs which agree among
+/// themselves is not the picture of a circle, since the Sun moved; it is doubted until it does no more.
+pub(super) fn agreed(problem: &mut Problem<'_>, settings: &Settings) -> Option<Adjusted> {
+    let mut best = simplest(problem, settings)?;
+    for _ in 0..DOUBTS {
+        if best.raised < CONTRADICTED_RISE || !pairs_agree(problem, settings) {
+            break;
+        }
+        problem.doubt_outline(best.raised);
+        best = simplest(problem, settings)?;
+    }
+    Some(best)
+}
+
+/// Whether a similarity explains the pairs by themselves.
+fn pairs_agree(problem: &Problem<'_>, settings: &Settings) -> bool {
+    let alone = || {
+        let pairs = problem.pairs_alone()?;
+        settle(&pairs, pairs.first_similarity()?, settings)
+    };
+    alone().is_some_and(|fit| fit.redundancy >= TELLING_REDUNDANCY && fit.raised < AGREED_RISE)
+}
+
+fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
     let similarity = settle(problem, problem.first_similarity()?, settings)?;
     let mut best = similarity;
     let mut affine = None;

@@ -31,7 +31,7 @@ mod normal_points;
 use crate::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, MappingKind};
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use adjust::{Adjusted, Covariance, Problem};
-use choice::{outlier, settle, simplest};
+use choice::{agreed, outlier, settle};
 use model::{MOST, Model};
 use nalgebra::{Matrix2, SMatrix};
 
@@ -117,10 +117,10 @@ pub fn register(
     settings: &Settings,
 ) -> Option<Registration> {
     let mut problem = Problem::new(pairs, outline, handedness, distortion)?;
-    let mut best = simplest(&problem, settings)?;
+    let mut best = agreed(&mut problem, settings)?;
     while let Some(worst) = outlier(&problem, &best) {
         problem.leave_out(worst);
-        best = simplest(&problem, settings)?;
+        best = agreed(&mut problem, settings)?;
     }
     registration(&problem, &best, distortion)
 }
