@@ -1,8 +1,10 @@
 //! The fit of a reading: from what the outline and the arms tell to what the marks say.
 
 use super::identify::Sight;
-use crate::plate::MarkId;
+use crate::lanes::{LANES, Scratch};
+use crate::plate::{MarkId, Plate};
 use crate::units::PlateMil;
+use multiversion::multiversion;
 use nalgebra::Vector2;
 use std::f64::consts::{PI, TAU};
 
@@ -24,6 +26,9 @@ pub(super) struct Fit {
     rotation_weight: f64,
     stretch: f64,
     twist: f64,
+    /// What they come to.
+    scale: f64,
+    rotation: f64,
 }
 
 impl Fit {
@@ -37,6 +42,8 @@ impl Fit {
             rotation_weight: ARMS_SIGMA_RAD.powi(-2),
             stretch: 0.0,
             twist: 0.0,
+            scale: 0.0,
+            rotation: 0.0,
         }
     }
 
@@ -53,27 +60,21 @@ impl Fit {
         self.weight += weight;
         self.offset += part * arm;
         self.step += part * change;
-    }
-
-    fn scale(&self) -> f64 {
-        self.stretch / self.scale_weight
-    }
-
-    fn rotation(&self) -> f64 {
-        self.twist / self.rotation_weight
+        self.scale = self.stretch / self.scale_weight;
+        self.rotation = self.twist / self.rotation_weight;
     }
 
     /// Where on the plate an offset leads.
     pub(super) fn place(&self, offset: Vector2<f64>) -> PlateMil {
         let arm = offset - self.offset;
         let turn = Vector2::new(-arm.y, arm.x);
-        (offset + self.step + self.scale() * arm + self.rotation() * turn).into()
+        (offset + self.step + self.scale * arm + self.rotation * turn).into()
     }
 
     /// The inverse of [`place`](Self::place).
     pub(super) fn offset(&self, printed: PlateMil) -> Vector2<f64> {
         let arm = printed.vector() - self.offset - self.step;
-        let (along, across) = (1.0 + self.scale(), self.rotation());
+        let (along, across) = (1.0 + self.scale, self.rotation);
         let turned = Vector2::new(
             along * arm.x + across * arm.y,
             along * arm.y - across * arm.x,
@@ -81,38 +82,118 @@ impl Fit {
         self.offset + turned / (along * along + across * across)
     }
 
-    /// Error of a place in the worse direction, 1 sigma, mil.
-    pub(super) fn sigma(&self, offset: Vector2<f64>) -> f64 {
+    /// Variance of a place in the worse direction, mil^2.
+    pub(super) fn variance(&self, offset: Vector2<f64>) -> f64 {
         let least = self.scale_weight.min(self.rotation_weight);
-        (1.0 / self.weight + (offset - self.offset).norm_squared() / least).sqrt()
+        1.0 / self.weight + (offset - self.offset).norm_squared() / least
     }
 
-    /// The mark that a detection is, of which `variance` (mil^2) tells how far it may be seen from its place, with the logarithm of how likely it is to be seen there, per mil^2. `None` when it
-    /// is none.
-    pub(super) fn explain(
+    /// Square of the distance, mil^2, from where an offset leads to the farthest mark that may be seen there, when `variance`
+    /// (mil^2) tells how far a mark may be seen from its place: along the worse direction.
+    pub(super) fn gate_mil2(&self, offset: Vector2<f64>, variance: f64) -> f64 {
+        GATE_SIGMAS * GATE_SIGMAS * (variance + self.variance(offset))
+    }
+
+    /// How likely the mark that is printed at a place is seen at an offset, per mil^2, logarithm; `variance` (mil^2) tells
+    /// how far it may be seen from its place. `None` when it is not that mark.
+    pub(super) fn likelihood(
         &self,
         offset: Vector2<f64>,
-        marks: &[(MarkId, PlateMil)],
-        variance: impl Fn(PlateMil) -> f64,
-    ) -> Option<(MarkId, PlateMil, f64)> {
-        let place = self.place(offset).vector();
-        let miss = |(_, printed): &&(MarkId, PlateMil)| (printed.vector() - place).norm_squared();
-        let (id, printed) = marks.iter().min_by(|a, b| miss(a).total_cmp(&miss(b)))?;
+        printed: PlateMil,
+        variance: f64,
+    ) -> Option<f64> {
         let arm = offset - self.offset;
         let reach = arm.norm_squared();
-        let common = variance(*printed) + 1.0 / self.weight;
+        let common = variance + 1.0 / self.weight;
         let along = common + reach / self.scale_weight;
         let across = common + reach / self.rotation_weight;
-        let miss = printed.vector() - place;
+        let miss = printed.vector() - self.place(offset).vector();
         let (stretch, twist) = (arm.dot(&miss), arm.perp(&miss));
         let off =
             (stretch * stretch / along + twist * twist / across) / reach.max(f64::MIN_POSITIVE);
-        (off < GATE_SIGMAS * GATE_SIGMAS).then(|| {
-            (
-                *id,
-                *printed,
-                -0.5 * off - TAU.ln() - 0.5 * (along * across).ln(),
-            )
-        })
+        let gate = GATE_SIGMAS * GATE_SIGMAS;
+        (off < gate).then(|| -0.5 * off - TAU.ln() - 0.5 * (along * across).ln())
     }
+}
+
+/// What leads from one detection to another.
+pub(super) struct Arm {
+    pub to: Vector2<f64>,
+    /// Square of the distance from a mark at which the other may be seen to be that mark, mil^2.
+    pub gate_mil2: f64,
+}
+
+/// Printed marks.
+pub(super) struct Printed {
+    pub marks: Vec<(MarkId, PlateMil)>,
+    /// Their places, mil, to be compared side by side; filled up with places at infinity.
+    x: Scratch<f32>,
+    y: Scratch<f32>,
+}
+
+/// What rounding to single precision may change in a square of a distance on the plate: a share, and mil^2.
+const ROUNDING: (f64, f64) = (0.001, 0.01);
+
+impl Printed {
+    /// Those of a plate that lie about a place.
+    pub(super) fn about(place: PlateMil, reach_mil: f64, plate: &Plate) -> Self {
+        let place = place.vector();
+        let near = |at: PlateMil| (at.vector() - place).norm_squared() < reach_mil * reach_mil;
+        let marks: Vec<_> = plate.marks().filter(|(_, at)| near(*at)).collect();
+        let filled = marks.len().next_multiple_of(LANES);
+        let side_by_side = |coordinate: fn(&PlateMil) -> f64| {
+            let mut list = Scratch::empty(filled);
+            list.extend(marks.iter().map(|(_, at)| coordinate(at) as f32));
+            list.resize(filled, f32::INFINITY);
+            list
+        };
+        let (x, y) = (side_by_side(|at| at.x), side_by_side(|at| at.y));
+        Self { marks, x, y }
+    }
+
+    /// Whether there may be a mark so near to a place: where it says no, there is none.
+    pub(super) fn any_near(&self, place: Vector2<f64>, within_mil2: f64) -> bool {
+        let (share, more) = ROUNDING;
+        let within = (1.0 + share) * within_mil2 + more;
+        f64::from(least_mil2(&self.x, &self.y, place.x as f32, place.y as f32)) < within
+    }
+
+    /// Whether a mark at a place has another where some arm leads, or may have.
+    pub(super) fn lead_on(&self, at: PlateMil, arms: &[Arm]) -> bool {
+        let at = at.vector();
+        arms.iter()
+            .any(|arm| self.any_near(at + arm.to, arm.gate_mil2))
+    }
+
+    /// The mark nearest to a place and nearer than stated.
+    pub(super) fn nearest(
+        &self,
+        place: Vector2<f64>,
+        within_mil2: f64,
+    ) -> Option<(MarkId, PlateMil)> {
+        if !self.any_near(place, within_mil2) {
+            return None;
+        }
+        let miss = |(_, at): &&(MarkId, PlateMil)| (at.vector() - place).norm_squared();
+        let near = self.marks.iter().filter(|mark| miss(mark) < within_mil2);
+        near.min_by(|a, b| miss(a).total_cmp(&miss(b))).copied()
+    }
+}
+
+/// Square of the distance from (x, y) to the nearest of many places.
+#[multiversion(targets("x86_64+avx2"))]
+fn least_mil2(xs: &[f32], ys: &[f32], x: f32, y: f32) -> f32 {
+    let mut least = [f32::INFINITY; LANES];
+    let (xs, _) = xs.as_chunks::<LANES>();
+    let (ys, _) = ys.as_chunks::<LANES>();
+    for (xs, ys) in xs.iter().zip(ys) {
+        for k in 0..LANES {
+            let (across, down) = (xs[k] - x, ys[k] - y);
+            let square = across * across + down * down;
+            least[k] = if square < least[k] { square } else { least[k] };
+        }
+    }
+    least
+        .into_iter()
+        .fold(f32::INFINITY, |a, b| if b < a { b } else { a })
 }

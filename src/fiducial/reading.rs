@@ -8,7 +8,7 @@
 //! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
 //! against the place that the marks before it foretell, the nearest to the first mark first.
 
-use super::fit::{Fit, GATE_SIGMAS};
+use super::fit::{Arm, Fit, GATE_SIGMAS, Printed};
 use super::identify::Sight;
 use super::{Detection, Lighting};
 use crate::plate::{Cross, MarkId};
@@ -42,8 +42,8 @@ const ANY_CONTRAST: f64 = 2.3;
 pub(super) struct Reading {
     /// Every detection that the reading explains.
     pub ids: Vec<(usize, MarkId)>,
-    /// Those of them that lie where they should.
-    pub named: Vec<(usize, MarkId)>,
+    /// Those of them that lie elsewhere than they should.
+    displaced: Vec<usize>,
     /// Fully lit marks among them.
     pub full: usize,
     /// Where the reading puts the plate's centre, and how well the marks on the disc tell it, px.
@@ -54,6 +54,12 @@ pub(super) struct Reading {
 }
 
 impl Reading {
+    /// The detections that lie where they should.
+    pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
+        let in_place = |(n, _): &&(usize, MarkId)| !self.displaced.contains(n);
+        self.ids.iter().filter(in_place).copied().collect()
+    }
+
     /// Whether two readings cannot both be true: they name a detection differently, or have none in common.
     pub(super) fn contradicts(&self, other: &Self) -> bool {
         let mut shared = self.ids.iter().filter_map(|(n, id)| {
@@ -67,12 +73,96 @@ impl Reading {
     }
 }
 
-/// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
-pub(super) struct Turned<'a> {
+/// What all readings share.
+pub(super) struct Seen<'a> {
     sight: &'a Sight,
     detections: &'a [Detection],
+    /// Of the detections' positions, were they fully lit marks, mil^2.
+    variances: Vec<f64>,
+    /// Logarithms of the detections' contrasts.
+    contrasts: Vec<f64>,
+    by_contrast: Vec<usize>,
     /// Depth inside the limb at which a mark is fully lit, mil.
     lit_depth_mil: f64,
+    /// Distance from the Sun's centre within which a mark must have been found, mil.
+    sure_reach_mil: f64,
+    /// Logarithms of the shares of marks that are found, found where the limb cuts too much, and missed.
+    found: f64,
+    cut_found: f64,
+    missed: f64,
+    /// False detections per mil^2, logarithm.
+    false_density: f64,
+}
+
+impl<'a> Seen<'a> {
+    pub(super) fn new(sight: &'a Sight, detections: &'a [Detection], cross: &Cross) -> Self {
+        let radius_mil = sight.radius_mil.value;
+        let variance =
+            |seen: &Detection| SCATTER_MIL.powi(2) + (seen.sigma_px * sight.mil_per_px()).powi(2);
+        let contrasts: Vec<f64> = detections.iter().map(|seen| seen.contrast.ln()).collect();
+        let mut by_contrast: Vec<usize> = (0..detections.len()).collect();
+        by_contrast.sort_by(|a, b| contrasts[*a].total_cmp(&contrasts[*b]));
+        Self {
+            sight,
+            detections,
+            variances: detections.iter().map(variance).collect(),
+            contrasts,
+            by_contrast,
+            lit_depth_mil: LIT_HALF_LENGTHS * cross.arm_length_mil / 2.0,
+            sure_reach_mil: radius_mil - sight.sure_depth_px * sight.mil_per_px(),
+            found: sight.found_share().ln(),
+            cut_found: CUT_FOUND_SHARE.ln(),
+            missed: sight.missed_share.ln(),
+            false_density: (FALSE_ON_DISC / (PI * radius_mil.powi(2))).ln(),
+        }
+    }
+
+    fn is_full(&self, n: usize) -> bool {
+        self.detections[n].lighting == Lighting::Full
+    }
+
+    /// The detections that the limb cuts.
+    fn cut(&self) -> impl Iterator<Item = usize> {
+        (0..self.detections.len()).filter(|n| !self.is_full(*n))
+    }
+
+    /// How far the limb may pull a mark inwards, 1 sigma, mil.
+    fn pull_mil(&self, offset: Vector2<f64>) -> f64 {
+        let depth = self.sight.radius_mil.value - offset.norm();
+        PULL_MIL * (1.0 - depth / self.lit_depth_mil).clamp(0.0, 1.0)
+    }
+
+    /// Whether a printed place is on the disc or near it, as seen from where the Sun's centre is on the plate.
+    fn on_disc(&self, printed: PlateMil, sun: Vector2<f64>) -> bool {
+        let reach = self.sight.radius_mil.value + GATE_SIGMAS * PULL_MIL;
+        (printed.vector() - sun).norm_squared() < reach * reach
+    }
+
+    /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
+    /// the print's contrast is not known beforehand.
+    fn looks(&self, ids: &[(usize, MarkId)]) -> f64 {
+        let named = |n: &&usize| ids.iter().any(|(named, _)| named == *n);
+        let mut ordered = self.by_contrast.iter().filter(named);
+        let usual = ordered
+            .nth(ids.len() / 2)
+            .map_or(0.0, |n| self.contrasts[*n]);
+        let gains = ids.iter().map(|(n, _)| gain(self.contrasts[*n] - usual));
+        gains.sum::<f64>() - gain(0.0)
+    }
+}
+
+/// How much likelier a contrast so far from the usual one is as a mark's than as a false detection's; all of them logarithms.
+fn gain(off: f64) -> f64 {
+    let off = off / CONTRAST_SCATTER;
+    let print = (-0.5 * off * off).exp() / (CONTRAST_SCATTER * TAU.sqrt());
+    let mark = (1.0 - ODD_MARKS) * print + ODD_MARKS / ANY_CONTRAST;
+    let other = LIKE_MARKS * print + (1.0 - LIKE_MARKS) / ANY_CONTRAST;
+    (mark / other).ln()
+}
+
+/// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
+pub(super) struct Turned<'a> {
+    seen: &'a Seen<'a>,
     /// From offsets on the plate, mil, to the unit disc.
     from_plate: Matrix2<f64>,
     /// Of the detections, mil.
@@ -83,20 +173,13 @@ pub(super) struct Turned<'a> {
 
 impl<'a> Turned<'a> {
     /// `None` when the outline has no size.
-    pub(super) fn new(
-        sight: &'a Sight,
-        detections: &'a [Detection],
-        cross: &Cross,
-        to_plate: Matrix2<f64>,
-    ) -> Option<Self> {
-        let offset = |at: SensorPx| to_plate * sight.outline.to_disc(at.vector());
+    pub(super) fn new(seen: &'a Seen<'a>, to_plate: Matrix2<f64>) -> Option<Self> {
+        let offset = |at: SensorPx| to_plate * seen.sight.outline.to_disc(at.vector());
         Some(Self {
-            sight,
-            detections,
-            lit_depth_mil: LIT_HALF_LENGTHS * cross.arm_length_mil / 2.0,
+            seen,
             from_plate: to_plate.try_inverse()?,
-            offsets: detections.iter().map(|d| offset(d.at)).collect(),
-            centre: offset(sight.plate_centre),
+            offsets: seen.detections.iter().map(|d| offset(d.at)).collect(),
+            centre: offset(seen.sight.plate_centre),
         })
     }
 
@@ -110,142 +193,112 @@ impl<'a> Turned<'a> {
     }
 
     fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {
-        let outline = &self.sight.outline;
+        let outline = &self.seen.sight.outline;
         outline.from_disc(self.from_plate * offset).into()
     }
 
-    /// The reading that follows when detection `order[0]` is the mark `anchor`; the others are tried in the given order.
-    /// `None` when it explains fewer than two fully lit marks.
+    /// The fit in which a detection is the mark at a place, and nothing else is known.
+    fn fit_of(&self, detection: usize, printed: PlateMil) -> Fit {
+        let mut fit = Fit::new(self.seen.sight);
+        fit.add(
+            self.offsets[detection],
+            printed,
+            self.seen.variances[detection],
+        );
+        fit
+    }
+
+    /// What leads from the first of some fully lit marks to the others.
+    pub(super) fn arms(&self, order: &[usize]) -> Vec<Arm> {
+        let (Some(&first), others) = (order.first(), order.iter().skip(1)) else {
+            return Vec::new();
+        };
+        let fit = self.fit_of(first, PlateMil::new(0.0, 0.0));
+        let arm = |&n: &usize| Arm {
+            to: self.offsets[n] - self.offsets[first],
+            gate_mil2: fit.gate_mil2(self.offsets[n], self.seen.variances[n]),
+        };
+        others.map(arm).collect()
+    }
+
+    /// The reading that follows when detection `order[0]` is the mark `anchor`; the other fully lit ones are tried in the
+    /// given order. `None` when it explains fewer than two fully lit marks.
     pub(super) fn follow(
         &self,
         anchor: (MarkId, PlateMil),
         order: &[usize],
-        marks: &[(MarkId, PlateMil)],
+        printed: &Printed,
     ) -> Option<Reading> {
+        let seen = self.seen;
         let first = *order.first()?;
-        let near = self.marks_near(anchor.1.vector() - self.offsets[first], marks);
-        let mut fit = Fit::new(self.sight);
-        fit.add(self.offsets[first], anchor.1, self.variance(first));
-        let mut ids = vec![(first, anchor.0)];
-        let mut score = self.sight.found_share().ln();
-        for &n in order.iter().skip(1).filter(|n| self.is_full(**n)) {
-            let variance = self.variance(n);
-            if let Some((id, printed, likelihood)) =
-                fit.explain(self.offsets[n], &near, |_| variance)
-                && ids.iter().all(|(_, taken)| *taken != id)
+        let sun = anchor.1.vector() - self.offsets[first];
+        let mut fit = self.fit_of(first, anchor.1);
+        let mut ids = Vec::with_capacity(seen.detections.len());
+        ids.push((first, anchor.0));
+        let mut score = seen.found;
+        let mark_at = |fit: &Fit, n: usize, variance, ids: &[(usize, MarkId)]| {
+            let offset = self.offsets[n];
+            let gate_mil2 = fit.gate_mil2(offset, variance);
+            let (id, at) = printed.nearest(fit.place(offset).vector(), gate_mil2)?;
+            let free = ids.iter().all(|(_, taken)| *taken != id);
+            (free && seen.on_disc(at, sun)).then_some((id, at))
+        };
+        for &n in &order[1..] {
+            let variance = seen.variances[n];
+            if let Some((id, at)) = mark_at(&fit, n, variance, &ids)
+                && let Some(likelihood) = fit.likelihood(self.offsets[n], at, variance)
             {
-                fit.add(self.offsets[n], printed, variance);
+                fit.add(self.offsets[n], at, variance);
                 ids.push((n, id));
-                score += self.sight.found_share().ln() + likelihood - self.false_density();
+                score += seen.found + likelihood - seen.false_density;
             }
         }
         let full = ids.len();
         if full < 2 {
             return None;
         }
-        score += self.looks(&ids);
-        let mut named = ids.clone();
-        for n in (0..self.detections.len()).filter(|n| !self.is_full(*n)) {
-            let pulled = |printed| self.variance(n) + self.pull_mil(fit.offset(printed)).powi(2);
-            if let Some((id, printed, likelihood)) = fit.explain(self.offsets[n], &near, pulled)
-                && ids.iter().all(|(_, taken)| *taken != id)
+        score += seen.looks(&ids);
+        let mut displaced = Vec::new();
+        for n in seen.cut() {
+            let variance = seen.variances[n];
+            let most = variance + PULL_MIL.powi(2);
+            if let Some((id, at)) = mark_at(&fit, n, most, &ids)
+                && let pulled = variance + seen.pull_mil(fit.offset(at)).powi(2)
+                && let Some(likelihood) = fit.likelihood(self.offsets[n], at, pulled)
             {
                 ids.push((n, id));
-                if fit.place(self.offsets[n]).distance(printed) < NAMED_WITHIN_MIL {
-                    named.push((n, id));
+                if fit.place(self.offsets[n]).distance(at) >= NAMED_WITHIN_MIL {
+                    displaced.push(n);
                 }
-                score +=
-                    self.found_share(fit.offset(printed)).ln() + likelihood - self.false_density();
+                let found = match self.must_be_found(fit.offset(at)) {
+                    true => seen.found,
+                    false => seen.cut_found,
+                };
+                score += found + likelihood - seen.false_density;
             }
         }
-        score += self.absences(&fit, &ids, &near);
+        score += self.absences(&fit, &ids, printed);
         let centre = fit.offset(PlateMil::new(0.0, 0.0));
         Some(Reading {
             ids,
-            named,
+            displaced,
             full,
             plate_centre: self.to_sensor(centre),
-            centre_sigma_px: fit.sigma(centre) / self.sight.mil_per_px(),
+            centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
             score,
         })
     }
 
-    fn is_full(&self, n: usize) -> bool {
-        self.detections[n].lighting == Lighting::Full
-    }
-
-    /// Of a fully lit mark's position, mil^2.
-    fn variance(&self, n: usize) -> f64 {
-        let measured = self.detections[n].sigma_px * self.sight.mil_per_px();
-        SCATTER_MIL.powi(2) + measured.powi(2)
-    }
-
-    /// How far the limb may pull a mark inwards, 1 sigma, mil.
-    fn pull_mil(&self, offset: Vector2<f64>) -> f64 {
-        let depth = self.sight.radius_mil.value - offset.norm();
-        PULL_MIL * (1.0 - depth / self.lit_depth_mil).clamp(0.0, 1.0)
-    }
-
-    /// Part of the marks at an offset that is found.
-    fn found_share(&self, offset: Vector2<f64>) -> f64 {
-        if self.must_be_found(offset) {
-            self.sight.found_share()
-        } else {
-            CUT_FOUND_SHARE
-        }
-    }
-
     fn must_be_found(&self, offset: Vector2<f64>) -> bool {
-        let sure_depth_mil = self.sight.sure_depth_px * self.sight.mil_per_px();
-        offset.norm() < self.sight.radius_mil.value - sure_depth_mil
-            && self.sight.on_sensor(self.to_sensor(offset))
-    }
-
-    /// False detections per mil^2, logarithm.
-    fn false_density(&self) -> f64 {
-        (FALSE_ON_DISC / (PI * self.sight.radius_mil.value.powi(2))).ln()
-    }
-
-    /// The printed marks on the disc or near it.
-    fn marks_near(
-        &self,
-        sun: Vector2<f64>,
-        marks: &[(MarkId, PlateMil)],
-    ) -> Vec<(MarkId, PlateMil)> {
-        let reach = self.sight.radius_mil.value + GATE_SIGMAS * PULL_MIL;
-        let near = |at: &PlateMil| (at.vector() - sun).norm_squared() < reach * reach;
-        let marks = marks.iter().copied();
-        marks.filter(|(_, at)| near(at)).collect()
+        let reach = self.seen.sure_reach_mil.max(0.0);
+        offset.norm_squared() < reach * reach && self.seen.sight.on_sensor(self.to_sensor(offset))
     }
 
     /// What the marks that must have been found and are not take from the score.
-    fn absences(&self, fit: &Fit, ids: &[(usize, MarkId)], near: &[(MarkId, PlateMil)]) -> f64 {
-        let absent = near.iter().filter(|(id, printed)| {
-            self.must_be_found(fit.offset(*printed)) && ids.iter().all(|(_, found)| found != id)
+    fn absences(&self, fit: &Fit, ids: &[(usize, MarkId)], printed: &Printed) -> f64 {
+        let absent = printed.marks.iter().filter(|(id, at)| {
+            self.must_be_found(fit.offset(*at)) && ids.iter().all(|(_, found)| found != id)
         });
-        absent.count() as f64 * self.sight.missed_share.ln()
+        absent.count() as f64 * self.seen.missed
     }
-
-    /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
-    /// the print's contrast is not known beforehand.
-    fn looks(&self, ids: &[(usize, MarkId)]) -> f64 {
-        let logs = || ids.iter().map(|(n, _)| self.detections[*n].contrast.ln());
-        let usual = median(logs());
-        let print = |x: f64| {
-            let off = (x - usual) / CONTRAST_SCATTER;
-            (-0.5 * off * off).exp() / (CONTRAST_SCATTER * TAU.sqrt())
-        };
-        let gain = |x: f64| {
-            let mark = (1.0 - ODD_MARKS) * print(x) + ODD_MARKS / ANY_CONTRAST;
-            let other = LIKE_MARKS * print(x) + (1.0 - LIKE_MARKS) / ANY_CONTRAST;
-            (mark / other).ln()
-        };
-        logs().map(gain).sum::<f64>() - gain(usual)
-    }
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted[sorted.len() / 2]
 }
