@@ -2,7 +2,7 @@
 
 use super::identify::Sight;
 use crate::lanes::{LANES, Scratch};
-use crate::plate::{MarkId, Plate};
+use crate::plate::MarkId;
 use crate::units::PlateMil;
 use multiversion::multiversion;
 use nalgebra::Vector2;
@@ -135,11 +135,12 @@ pub(super) struct Printed {
 const ROUNDING: (f64, f64) = (0.001, 0.01);
 
 impl Printed {
-    /// Those of a plate that lie about a place.
-    pub(super) fn about(place: PlateMil, reach_mil: f64, plate: &Plate) -> Self {
+    /// Those that lie about a place.
+    pub(super) fn about(place: PlateMil, reach_mil: f64, marks: &[(MarkId, PlateMil)]) -> Self {
         let place = place.vector();
         let near = |at: PlateMil| (at.vector() - place).norm_squared() < reach_mil * reach_mil;
-        let marks: Vec<_> = plate.marks().filter(|(_, at)| near(*at)).collect();
+        let marks = marks.iter().filter(|(_, at)| near(*at)).copied();
+        let marks: Vec<_> = marks.collect();
         let filled = marks.len().next_multiple_of(LANES);
         let side_by_side = |coordinate: fn(&PlateMil) -> f64| {
             let mut list = Scratch::empty(filled);
@@ -151,49 +152,69 @@ impl Printed {
         Self { marks, x, y }
     }
 
-    /// Whether there may be a mark so near to a place: where it says no, there is none.
-    pub(super) fn any_near(&self, place: Vector2<f64>, within_mil2: f64) -> bool {
-        let (share, more) = ROUNDING;
-        let within = (1.0 + share) * within_mil2 + more;
-        f64::from(least_mil2(&self.x, &self.y, place.x as f32, place.y as f32)) < within
+    /// Whether from a mark at a place some arm may lead to another: where it says no, none does.
+    pub(super) fn lead_on(&self, from: PlateMil, arms: &[Arm]) -> bool {
+        let from = from.vector();
+        arms.iter().any(|arm| {
+            let at = from + arm.to;
+            let gate_mil2 = rounded_up(arm.gate_mil2);
+            any_within(&self.x, &self.y, [at.x as f32, at.y as f32], gate_mil2)
+        })
     }
 
-    /// Whether a mark at a place has another where some arm leads, or may have.
-    pub(super) fn lead_on(&self, at: PlateMil, arms: &[Arm]) -> bool {
-        let at = at.vector();
-        arms.iter()
-            .any(|arm| self.any_near(at + arm.to, arm.gate_mil2))
-    }
-
-    /// The mark nearest to a place and nearer than stated.
+    /// The mark nearest to a place, if it may be so near.
     pub(super) fn nearest(
         &self,
         place: Vector2<f64>,
         within_mil2: f64,
     ) -> Option<(MarkId, PlateMil)> {
-        if !self.any_near(place, within_mil2) {
-            return None;
-        }
-        let miss = |(_, at): &&(MarkId, PlateMil)| (at.vector() - place).norm_squared();
-        let near = self.marks.iter().filter(|mark| miss(mark) < within_mil2);
-        near.min_by(|a, b| miss(a).total_cmp(&miss(b))).copied()
+        let (n, mil2) = nearest(&self.x, &self.y, [place.x as f32, place.y as f32]);
+        let mark = self.marks.get(n)?;
+        (mil2 < rounded_up(within_mil2)).then_some(*mark)
     }
 }
 
-/// Square of the distance from (x, y) to the nearest of many places.
+/// The square of a distance, to be compared with such as are rounded.
+fn rounded_up(mil2: f64) -> f32 {
+    ((1.0 + ROUNDING.0) * mil2 + ROUNDING.1) as f32
+}
+
+/// Whether any of many places lies so near to another.
 #[multiversion(targets("x86_64+avx2"))]
-fn least_mil2(xs: &[f32], ys: &[f32], x: f32, y: f32) -> f32 {
+fn any_within(xs: &[f32], ys: &[f32], [x, y]: [f32; 2], mil2: f32) -> bool {
     let mut least = [f32::INFINITY; LANES];
-    let (xs, _) = xs.as_chunks::<LANES>();
-    let (ys, _) = ys.as_chunks::<LANES>();
+    let (xs, ys) = (xs.as_chunks::<LANES>().0, ys.as_chunks::<LANES>().0);
     for (xs, ys) in xs.iter().zip(ys) {
         for k in 0..LANES {
-            let (across, down) = (xs[k] - x, ys[k] - y);
-            let square = across * across + down * down;
+            let square = (xs[k] - x) * (xs[k] - x) + (ys[k] - y) * (ys[k] - y);
             least[k] = if square < least[k] { square } else { least[k] };
         }
     }
     least
-        .into_iter()
-        .fold(f32::INFINITY, |a, b| if b < a { b } else { a })
+        .iter()
+        .fold(false, |any, square| any | (*square < mil2))
+}
+
+/// The one of many places that is nearest to another, and its distance's square.
+#[multiversion(targets("x86_64+avx2"))]
+fn nearest(xs: &[f32], ys: &[f32], [x, y]: [f32; 2]) -> (usize, f32) {
+    let mut least = [f32::INFINITY; LANES];
+    let mut group_of = [0_u32; LANES];
+    let (xs, ys) = (xs.as_chunks::<LANES>().0, ys.as_chunks::<LANES>().0);
+    for (group, (xs, ys)) in (0_u32..).zip(xs.iter().zip(ys)) {
+        for k in 0..LANES {
+            let square = (xs[k] - x) * (xs[k] - x) + (ys[k] - y) * (ys[k] - y);
+            group_of[k] = if square < least[k] {
+                group
+            } else {
+                group_of[k]
+            };
+            least[k] = if square < least[k] { square } else { least[k] };
+        }
+    }
+    let mut lane = 0;
+    for k in 1..LANES {
+        lane = if least[k] < least[lane] { k } else { lane };
+    }
+    (group_of[lane] as usize * LANES + lane, least[lane])
 }

@@ -225,13 +225,14 @@ fn readings(
     let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
     let in_view_mil = reach_mil + 1.1 * sight.radius_mil.value;
     let seen = Seen::new(sight, detections, &plate.cross);
+    let marks: Vec<_> = plate.marks().collect();
     let mut readings: Vec<Reading> = Vec::new();
     for to_plate in sight.turns() {
         let Some(turned) = Turned::new(&seen, to_plate) else {
             continue;
         };
         let sun = turned.stated_sun();
-        let printed = Printed::about(sun, in_view_mil, plate);
+        let printed = Printed::about(sun, in_view_mil, &marks);
         let first = readings.len();
         for order in &orders {
             let arms = turned.arms(order);

@@ -86,6 +86,8 @@ pub(super) struct Seen<'a> {
     lit_depth_mil: f64,
     /// Distance from the Sun's centre within which a mark must have been found, mil.
     sure_reach_mil: f64,
+    /// Whether all of the disc so near to its centre is far enough from the sensor's edge.
+    sure_on_sensor: bool,
     /// Logarithms of the shares of marks that are found, found where the limb cuts too much, and missed.
     found: f64,
     cut_found: f64,
@@ -99,6 +101,11 @@ impl<'a> Seen<'a> {
         let radius_mil = sight.radius_mil.value;
         let variance =
             |seen: &Detection| SCATTER_MIL.powi(2) + (seen.sigma_px * sight.mil_per_px()).powi(2);
+        let sure_reach_mil = radius_mil - sight.sure_depth_px * sight.mil_per_px();
+        let sure_reach_mil = sure_reach_mil.max(0.0);
+        let corner =
+            sight.outline.root().map(f64::abs).column_sum() * (sure_reach_mil / radius_mil);
+        let on_sensor = |at: Vector2<f64>| sight.on_sensor(at.into());
         let contrasts: Vec<f64> = detections.iter().map(|seen| seen.contrast.ln()).collect();
         let mut by_contrast: Vec<usize> = (0..detections.len()).collect();
         by_contrast.sort_by(|a, b| contrasts[*a].total_cmp(&contrasts[*b]));
@@ -109,7 +116,9 @@ impl<'a> Seen<'a> {
             contrasts,
             by_contrast,
             lit_depth_mil: LIT_HALF_LENGTHS * cross.arm_length_mil / 2.0,
-            sure_reach_mil: radius_mil - sight.sure_depth_px * sight.mil_per_px(),
+            sure_reach_mil,
+            sure_on_sensor: on_sensor(sight.outline.centre - corner)
+                && on_sensor(sight.outline.centre + corner),
             found: sight.found_share().ln(),
             cut_found: CUT_FOUND_SHARE.ln(),
             missed: sight.missed_share.ln(),
@@ -290,8 +299,9 @@ impl<'a> Turned<'a> {
     }
 
     fn must_be_found(&self, offset: Vector2<f64>) -> bool {
-        let reach = self.seen.sure_reach_mil.max(0.0);
-        offset.norm_squared() < reach * reach && self.seen.sight.on_sensor(self.to_sensor(offset))
+        let seen = self.seen;
+        offset.norm_squared() < seen.sure_reach_mil.powi(2)
+            && (seen.sure_on_sensor || seen.sight.on_sensor(self.to_sensor(offset)))
     }
 
     /// What the marks that must have been found and are not take from the score.
