@@ -65,10 +65,16 @@ impl Fit {
     }
 
     /// Where on the plate an offset leads.
+    #[inline(always)]
     pub(super) fn place(&self, offset: Vector2<f64>) -> PlateMil {
         let arm = offset - self.offset;
         let turn = Vector2::new(-arm.y, arm.x);
         (offset + self.step + self.scale * arm + self.rotation * turn).into()
+    }
+
+    /// How much longer a way on the plate is than the offset that leads along it, squared.
+    pub(super) fn stretch2(&self) -> f64 {
+        (1.0 + self.scale).powi(2) + self.rotation.powi(2)
     }
 
     /// The inverse of [`place`](Self::place).
@@ -83,6 +89,7 @@ impl Fit {
     }
 
     /// Variance of a place in the worse direction, mil^2.
+    #[inline(always)]
     pub(super) fn variance(&self, offset: Vector2<f64>) -> f64 {
         let least = self.scale_weight.min(self.rotation_weight);
         1.0 / self.weight + (offset - self.offset).norm_squared() / least
@@ -90,7 +97,8 @@ impl Fit {
 
     /// Square of the distance, mil^2, from where an offset leads to the farthest mark that may be seen there, when `variance`
     /// (mil^2) tells how far a mark may be seen from its place: along the worse direction.
-    pub(super) fn gate_mil2(&self, offset: Vector2<f64>, variance: f64) -> f64 {
+    #[inline(always)]
+    fn gate_mil2(&self, offset: Vector2<f64>, variance: f64) -> f64 {
         GATE_SIGMAS * GATE_SIGMAS * (variance + self.variance(offset))
     }
 
@@ -116,11 +124,14 @@ impl Fit {
     }
 }
 
-/// What leads from one detection to another.
-pub(super) struct Arm {
-    pub to: Vector2<f64>,
-    /// Square of the distance from a mark at which the other may be seen to be that mark, mil^2.
-    pub gate_mil2: f64,
+/// Where a detection is, as an offset from the Sun's centre on the plate.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Spot {
+    /// Index of the detection.
+    pub detection: usize,
+    pub offset: Vector2<f64>,
+    /// How far it may be seen from the mark that it is: most of that, mil^2.
+    pub variance: f64,
 }
 
 /// Printed marks.
@@ -130,9 +141,6 @@ pub(super) struct Printed {
     x: Scratch<f32>,
     y: Scratch<f32>,
 }
-
-/// What rounding to single precision may change in a square of a distance on the plate: a share, and mil^2.
-const ROUNDING: (f64, f64) = (0.001, 0.01);
 
 impl Printed {
     /// Those that lie about a place.
@@ -152,69 +160,54 @@ impl Printed {
         Self { marks, x, y }
     }
 
-    /// Whether from a mark at a place some arm may lead to another: where it says no, none does.
-    pub(super) fn lead_on(&self, from: PlateMil, arms: &[Arm]) -> bool {
-        let from = from.vector();
-        arms.iter().any(|arm| {
-            let at = from + arm.to;
-            let gate_mil2 = rounded_up(arm.gate_mil2);
-            any_within(&self.x, &self.y, [at.x as f32, at.y as f32], gate_mil2)
-        })
-    }
-
-    /// The mark nearest to a place, if it may be so near.
-    pub(super) fn nearest(
+    /// The first of some spots that may be a mark, as its index, and that mark: what it passes over is none. What is found
+    /// is so to single precision, and to be held against the mark's likelihood.
+    pub(super) fn first_seen(
         &self,
-        place: Vector2<f64>,
-        within_mil2: f64,
-    ) -> Option<(MarkId, PlateMil)> {
-        let (n, mil2) = nearest(&self.x, &self.y, [place.x as f32, place.y as f32]);
-        let mark = self.marks.get(n)?;
-        (mil2 < rounded_up(within_mil2)).then_some(*mark)
+        spots: &[Spot],
+        fit: &Fit,
+    ) -> Option<(usize, MarkId, PlateMil)> {
+        let (spot, mark) = first_near(&self.x, &self.y, spots, fit)?;
+        let (id, at) = *self.marks.get(mark)?;
+        Some((spot, id, at))
     }
 }
 
-/// The square of a distance, to be compared with such as are rounded.
+/// The first spot that a fit puts near one of many places, and the nearest of these.
+#[multiversion(targets("x86_64+avx2"))]
+fn first_near(xs: &[f32], ys: &[f32], spots: &[Spot], fit: &Fit) -> Option<(usize, usize)> {
+    let groups = || {
+        xs.as_chunks::<LANES>()
+            .0
+            .iter()
+            .zip(ys.as_chunks::<LANES>().0)
+    };
+    for (n, spot) in spots.iter().enumerate() {
+        let place = fit.place(spot.offset);
+        let (x, y) = (place.x as f32, place.y as f32);
+        let square = |at_x: f32, at_y: f32| (at_x - x) * (at_x - x) + (at_y - y) * (at_y - y);
+        let mut least = [f32::INFINITY; LANES];
+        for (xs, ys) in groups() {
+            for k in 0..LANES {
+                let square = square(xs[k], ys[k]);
+                least[k] = if square < least[k] { square } else { least[k] };
+            }
+        }
+        let gate = rounded_up(fit.gate_mil2(spot.offset, spot.variance));
+        if least
+            .iter()
+            .fold(false, |any, square| any | (*square < gate))
+        {
+            let least = least.into_iter().fold(f32::INFINITY, f32::min);
+            let mut places = xs.iter().zip(ys);
+            return Some((n, places.position(|(x, y)| square(*x, *y) <= least)?));
+        }
+    }
+    None
+}
+
+/// The square of a distance on the plate, mil^2, no less than it is when rounded to single precision.
+#[inline(always)]
 fn rounded_up(mil2: f64) -> f32 {
-    ((1.0 + ROUNDING.0) * mil2 + ROUNDING.1) as f32
-}
-
-/// Whether any of many places lies so near to another.
-#[multiversion(targets("x86_64+avx2"))]
-fn any_within(xs: &[f32], ys: &[f32], [x, y]: [f32; 2], mil2: f32) -> bool {
-    let mut least = [f32::INFINITY; LANES];
-    let (xs, ys) = (xs.as_chunks::<LANES>().0, ys.as_chunks::<LANES>().0);
-    for (xs, ys) in xs.iter().zip(ys) {
-        for k in 0..LANES {
-            let square = (xs[k] - x) * (xs[k] - x) + (ys[k] - y) * (ys[k] - y);
-            least[k] = if square < least[k] { square } else { least[k] };
-        }
-    }
-    least
-        .iter()
-        .fold(false, |any, square| any | (*square < mil2))
-}
-
-/// The one of many places that is nearest to another, and its distance's square.
-#[multiversion(targets("x86_64+avx2"))]
-fn nearest(xs: &[f32], ys: &[f32], [x, y]: [f32; 2]) -> (usize, f32) {
-    let mut least = [f32::INFINITY; LANES];
-    let mut group_of = [0_u32; LANES];
-    let (xs, ys) = (xs.as_chunks::<LANES>().0, ys.as_chunks::<LANES>().0);
-    for (group, (xs, ys)) in (0_u32..).zip(xs.iter().zip(ys)) {
-        for k in 0..LANES {
-            let square = (xs[k] - x) * (xs[k] - x) + (ys[k] - y) * (ys[k] - y);
-            group_of[k] = if square < least[k] {
-                group
-            } else {
-                group_of[k]
-            };
-            least[k] = if square < least[k] { square } else { least[k] };
-        }
-    }
-    let mut lane = 0;
-    for k in 1..LANES {
-        lane = if least[k] < least[lane] { k } else { lane };
-    }
-    (group_of[lane] as usize * LANES + lane, least[lane])
+    (1.001 * mil2 + 0.01) as f32
 }

@@ -11,7 +11,7 @@
 //! another quarter turn, is off by 22 px, which tells where the instrument states its centre to 5 px. A reading
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
-use super::fit::Printed;
+use super::fit::{Printed, Spot};
 use super::reading::{Reading, Seen, Turned};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::{Ellipse, Handedness};
@@ -235,13 +235,14 @@ fn readings(
         let printed = Printed::about(sun, in_view_mil, &marks);
         let first = readings.len();
         for order in &orders {
-            let arms = turned.arms(order);
-            let from = turned.offset(order[0]) + sun.vector();
+            let full: Vec<Spot> = order.iter().map(|n| turned.spot(*n)).collect();
+            let from = full[0].offset + sun.vector();
+            let named = |r: &Reading| r.ids.iter().find(|(n, _)| *n == order[0]).copied();
+            let known: Vec<_> = readings[first..].iter().filter_map(named).collect();
             for &(id, at) in &printed.marks {
                 let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
-                let known = |r: &Reading| r.ids.contains(&(order[0], id));
-                if near && printed.lead_on(at, &arms) && !readings[first..].iter().any(known) {
-                    let reading = turned.follow((id, at), order, &printed);
+                if near && !known.contains(&(order[0], id)) {
+                    let reading = turned.follow((id, at), &full, &printed);
                     readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
                 }
             }

@@ -8,7 +8,7 @@
 //! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
 //! against the place that the marks before it foretell, the nearest to the first mark first.
 
-use super::fit::{Arm, Fit, GATE_SIGMAS, Printed};
+use super::fit::{Fit, GATE_SIGMAS, Printed, Spot};
 use super::identify::Sight;
 use super::{Detection, Lighting};
 use crate::plate::{Cross, MarkId};
@@ -77,6 +77,8 @@ impl Reading {
 pub(super) struct Seen<'a> {
     sight: &'a Sight,
     detections: &'a [Detection],
+    /// What is known of scale and rotation before any mark is read.
+    fit: Fit,
     /// Of the detections' positions, were they fully lit marks, mil^2.
     variances: Vec<f64>,
     /// Logarithms of the detections' contrasts.
@@ -112,6 +114,7 @@ impl<'a> Seen<'a> {
         Self {
             sight,
             detections,
+            fit: Fit::new(sight),
             variances: detections.iter().map(variance).collect(),
             contrasts,
             by_contrast,
@@ -128,11 +131,6 @@ impl<'a> Seen<'a> {
 
     fn is_full(&self, n: usize) -> bool {
         self.detections[n].lighting == Lighting::Full
-    }
-
-    /// The detections that the limb cuts.
-    fn cut(&self) -> impl Iterator<Item = usize> {
-        (0..self.detections.len()).filter(|n| !self.is_full(*n))
     }
 
     /// How far the limb may pull a mark inwards, 1 sigma, mil.
@@ -176,6 +174,8 @@ pub(super) struct Turned<'a> {
     from_plate: Matrix2<f64>,
     /// Of the detections, mil.
     offsets: Vec<Vector2<f64>>,
+    /// Those that the limb cuts and may have pulled inwards.
+    cut: Vec<Spot>,
     /// Offset of the place where the instrument says the plate's centre is seen, mil.
     centre: Vector2<f64>,
 }
@@ -184,16 +184,15 @@ impl<'a> Turned<'a> {
     /// `None` when the outline has no size.
     pub(super) fn new(seen: &'a Seen<'a>, to_plate: Matrix2<f64>) -> Option<Self> {
         let offset = |at: SensorPx| to_plate * seen.sight.outline.to_disc(at.vector());
-        Some(Self {
+        let mut turned = Self {
             seen,
             from_plate: to_plate.try_inverse()?,
             offsets: seen.detections.iter().map(|d| offset(d.at)).collect(),
+            cut: Vec::new(),
             centre: offset(seen.sight.plate_centre),
-        })
-    }
-
-    pub(super) fn offset(&self, detection: usize) -> Vector2<f64> {
-        self.offsets[detection]
+        };
+        turned.cut = turned.cut_spots();
+        Some(turned)
     }
 
     /// Where the Sun's centre would be on the plate if the instrument were right about the plate's centre.
@@ -206,109 +205,117 @@ impl<'a> Turned<'a> {
         outline.from_disc(self.from_plate * offset).into()
     }
 
-    /// The fit in which a detection is the mark at a place, and nothing else is known.
-    fn fit_of(&self, detection: usize, printed: PlateMil) -> Fit {
-        let mut fit = Fit::new(self.seen.sight);
-        fit.add(
-            self.offsets[detection],
-            printed,
-            self.seen.variances[detection],
-        );
-        fit
+    /// Where a fully lit detection is.
+    pub(super) fn spot(&self, detection: usize) -> Spot {
+        Spot {
+            detection,
+            offset: self.offsets[detection],
+            variance: self.seen.variances[detection],
+        }
     }
 
-    /// What leads from the first of some fully lit marks to the others.
-    pub(super) fn arms(&self, order: &[usize]) -> Vec<Arm> {
-        let (Some(&first), others) = (order.first(), order.iter().skip(1)) else {
-            return Vec::new();
+    /// Where the detections are that the limb cuts and may have pulled inwards.
+    fn cut_spots(&self) -> Vec<Spot> {
+        let cut = (0..self.offsets.len()).filter(|n| !self.seen.is_full(*n));
+        let pulled = |spot: Spot| Spot {
+            variance: spot.variance + PULL_MIL.powi(2),
+            ..spot
         };
-        let fit = self.fit_of(first, PlateMil::new(0.0, 0.0));
-        let arm = |&n: &usize| Arm {
-            to: self.offsets[n] - self.offsets[first],
-            gate_mil2: fit.gate_mil2(self.offsets[n], self.seen.variances[n]),
-        };
-        others.map(arm).collect()
+        cut.map(|n| pulled(self.spot(n))).collect()
     }
 
-    /// The reading that follows when detection `order[0]` is the mark `anchor`; the other fully lit ones are tried in the
-    /// given order. `None` when it explains fewer than two fully lit marks.
+    /// The reading that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
+    /// their order. `None` when it explains fewer than two of them.
     pub(super) fn follow(
         &self,
         anchor: (MarkId, PlateMil),
-        order: &[usize],
+        full: &[Spot],
         printed: &Printed,
     ) -> Option<Reading> {
         let seen = self.seen;
-        let first = *order.first()?;
-        let sun = anchor.1.vector() - self.offsets[first];
-        let mut fit = self.fit_of(first, anchor.1);
+        let (first, mut others) = full.split_first()?;
+        let mut fit = seen.fit;
+        fit.add(first.offset, anchor.1, first.variance);
+        let mut next = Some(printed.first_seen(others, &fit)?);
+        let sun = anchor.1.vector() - first.offset;
         let mut ids = Vec::with_capacity(seen.detections.len());
-        ids.push((first, anchor.0));
+        ids.push((first.detection, anchor.0));
         let mut score = seen.found;
-        let mark_at = |fit: &Fit, n: usize, variance, ids: &[(usize, MarkId)]| {
-            let offset = self.offsets[n];
-            let gate_mil2 = fit.gate_mil2(offset, variance);
-            let (id, at) = printed.nearest(fit.place(offset).vector(), gate_mil2)?;
-            let free = ids.iter().all(|(_, taken)| *taken != id);
-            (free && seen.on_disc(at, sun)).then_some((id, at))
-        };
-        for &n in &order[1..] {
-            let variance = seen.variances[n];
-            if let Some((id, at)) = mark_at(&fit, n, variance, &ids)
-                && let Some(likelihood) = fit.likelihood(self.offsets[n], at, variance)
+        while let Some((n, id, at)) = next {
+            let spot = others[n];
+            others = &others[n + 1..];
+            if seen.on_disc(at, sun)
+                && ids.iter().all(|(_, taken)| *taken != id)
+                && let Some(likelihood) = fit.likelihood(spot.offset, at, spot.variance)
             {
-                fit.add(self.offsets[n], at, variance);
-                ids.push((n, id));
+                fit.add(spot.offset, at, spot.variance);
+                ids.push((spot.detection, id));
                 score += seen.found + likelihood - seen.false_density;
             }
+            next = printed.first_seen(others, &fit);
         }
         let full = ids.len();
         if full < 2 {
             return None;
         }
         score += seen.looks(&ids);
-        let mut displaced = Vec::new();
-        for n in seen.cut() {
-            let variance = seen.variances[n];
-            let most = variance + PULL_MIL.powi(2);
-            if let Some((id, at)) = mark_at(&fit, n, most, &ids)
-                && let pulled = variance + seen.pull_mil(fit.offset(at)).powi(2)
-                && let Some(likelihood) = fit.likelihood(self.offsets[n], at, pulled)
+        let mut reading = Reading {
+            ids,
+            displaced: Vec::new(),
+            full,
+            score,
+            plate_centre: self.to_sensor(fit.offset(PlateMil::new(0.0, 0.0))),
+            centre_sigma_px: fit.variance(fit.offset(PlateMil::new(0.0, 0.0))).sqrt()
+                / seen.sight.mil_per_px(),
+        };
+        self.add_cut(&mut reading, &fit, sun, printed);
+        reading.score += self.absences(&fit, &reading.ids, printed);
+        Some(reading)
+    }
+
+    /// Adds to a reading what it explains of the detections that the limb cuts.
+    fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>, printed: &Printed) {
+        let seen = self.seen;
+        let mut spots = &self.cut[..];
+        while let Some((n, id, at)) = printed.first_seen(spots, fit) {
+            let spot = spots[n];
+            spots = &spots[n + 1..];
+            let variance = seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2);
+            if seen.on_disc(at, sun)
+                && reading.ids.iter().all(|(_, taken)| *taken != id)
+                && let Some(likelihood) = fit.likelihood(spot.offset, at, variance)
             {
-                ids.push((n, id));
-                if fit.place(self.offsets[n]).distance(at) >= NAMED_WITHIN_MIL {
-                    displaced.push(n);
+                reading.ids.push((spot.detection, id));
+                if fit.place(spot.offset).distance(at) >= NAMED_WITHIN_MIL {
+                    reading.displaced.push(spot.detection);
                 }
-                let found = match self.must_be_found(fit.offset(at)) {
+                let found = match self.must_be_found(fit)(at) {
                     true => seen.found,
                     false => seen.cut_found,
                 };
-                score += found + likelihood - seen.false_density;
+                reading.score += found + likelihood - seen.false_density;
             }
         }
-        score += self.absences(&fit, &ids, printed);
-        let centre = fit.offset(PlateMil::new(0.0, 0.0));
-        Some(Reading {
-            ids,
-            displaced,
-            full,
-            plate_centre: self.to_sensor(centre),
-            centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
-            score,
-        })
     }
 
-    fn must_be_found(&self, offset: Vector2<f64>) -> bool {
+    /// Whether a mark at a place lies so deep in the disc and so far from the sensor's edge that it is found.
+    fn must_be_found(&self, fit: &Fit) -> impl Fn(PlateMil) -> bool {
         let seen = self.seen;
-        offset.norm_squared() < seen.sure_reach_mil.powi(2)
-            && (seen.sure_on_sensor || seen.sight.on_sensor(self.to_sensor(offset)))
+        let sun = fit.place(Vector2::zeros()).vector();
+        let reach2 = seen.sure_reach_mil.powi(2) * fit.stretch2();
+        move |at| {
+            (at.vector() - sun).norm_squared() < reach2
+                && (seen.sure_on_sensor || seen.sight.on_sensor(self.to_sensor(fit.offset(at))))
+        }
     }
 
     /// What the marks that must have been found and are not take from the score.
     fn absences(&self, fit: &Fit, ids: &[(usize, MarkId)], printed: &Printed) -> f64 {
-        let absent = printed.marks.iter().filter(|(id, at)| {
-            self.must_be_found(fit.offset(*at)) && ids.iter().all(|(_, found)| found != id)
-        });
+        let must_be_found = self.must_be_found(fit);
+        let absent = printed
+            .marks
+            .iter()
+            .filter(|(id, at)| must_be_found(*at) && ids.iter().all(|(_, found)| found != id));
         absent.count() as f64 * self.seen.missed
     }
 }
