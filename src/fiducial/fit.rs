@@ -137,9 +137,9 @@ pub(super) struct Spot {
 /// Printed marks.
 pub(super) struct Printed {
     pub marks: Vec<(MarkId, PlateMil)>,
-    /// Their places, mil, to be compared side by side; filled up with places at infinity.
-    x: Scratch<f32>,
-    y: Scratch<f32>,
+    /// Their places, mil, to be compared side by side: the x of a group of marks, then the y of them; the last group is
+    /// filled up with places at infinity.
+    groups: Scratch<f32>,
 }
 
 impl Printed {
@@ -147,17 +147,21 @@ impl Printed {
     pub(super) fn about(place: PlateMil, reach_mil: f64, marks: &[(MarkId, PlateMil)]) -> Self {
         let place = place.vector();
         let near = |at: PlateMil| (at.vector() - place).norm_squared() < reach_mil * reach_mil;
-        let marks = marks.iter().filter(|(_, at)| near(*at)).copied();
-        let marks: Vec<_> = marks.collect();
-        let filled = marks.len().next_multiple_of(LANES);
-        let side_by_side = |coordinate: fn(&PlateMil) -> f64| {
-            let mut list = Scratch::empty(filled);
-            list.extend(marks.iter().map(|(_, at)| coordinate(at) as f32));
-            list.resize(filled, f32::INFINITY);
-            list
-        };
-        let (x, y) = (side_by_side(|at| at.x), side_by_side(|at| at.y));
-        Self { marks, x, y }
+        let mut about = Vec::with_capacity(marks.len());
+        about.extend(marks.iter().filter(|(_, at)| near(*at)));
+        let mut groups = Scratch::empty(2 * about.len().next_multiple_of(LANES));
+        for marks in about.chunks(LANES) {
+            let mut group = [[f32::INFINITY; LANES]; 2];
+            for (k, (_, at)) in marks.iter().enumerate() {
+                group[0][k] = at.x as f32;
+                group[1][k] = at.y as f32;
+            }
+            groups.extend(group.as_flattened());
+        }
+        Self {
+            marks: about,
+            groups,
+        }
     }
 
     /// The first of some spots that may be a mark, as its index, and that mark: what it passes over is none. What is found
@@ -167,7 +171,7 @@ impl Printed {
         spots: &[Spot],
         fit: &Fit,
     ) -> Option<(usize, MarkId, PlateMil)> {
-        let (spot, mark) = first_near(&self.x, &self.y, spots, fit)?;
+        let (spot, mark) = first_near(self.groups.as_chunks().0, spots, fit)?;
         let (id, at) = *self.marks.get(mark)?;
         Some((spot, id, at))
     }
@@ -175,35 +179,46 @@ impl Printed {
 
 /// The first spot that a fit puts near one of many places, and the nearest of these.
 #[multiversion(targets("x86_64+avx2"))]
-fn first_near(xs: &[f32], ys: &[f32], spots: &[Spot], fit: &Fit) -> Option<(usize, usize)> {
-    let groups = || {
-        xs.as_chunks::<LANES>()
-            .0
-            .iter()
-            .zip(ys.as_chunks::<LANES>().0)
-    };
+fn first_near(groups: &[[f32; 2 * LANES]], spots: &[Spot], fit: &Fit) -> Option<(usize, usize)> {
     for (n, spot) in spots.iter().enumerate() {
         let place = fit.place(spot.offset);
-        let (x, y) = (place.x as f32, place.y as f32);
-        let square = |at_x: f32, at_y: f32| (at_x - x) * (at_x - x) + (at_y - y) * (at_y - y);
+        let at = [place.x as f32, place.y as f32];
         let mut least = [f32::INFINITY; LANES];
-        for (xs, ys) in groups() {
+        for group in groups {
+            let mil2 = distances_mil2(group, at);
             for k in 0..LANES {
-                let square = square(xs[k], ys[k]);
-                least[k] = if square < least[k] { square } else { least[k] };
+                least[k] = if mil2[k] < least[k] {
+                    mil2[k]
+                } else {
+                    least[k]
+                };
             }
         }
         let gate = rounded_up(fit.gate_mil2(spot.offset, spot.variance));
-        if least
-            .iter()
-            .fold(false, |any, square| any | (*square < gate))
-        {
-            let least = least.into_iter().fold(f32::INFINITY, f32::min);
-            let mut places = xs.iter().zip(ys);
-            return Some((n, places.position(|(x, y)| square(*x, *y) <= least)?));
+        if least.iter().fold(false, |any, mil2| any | (*mil2 < gate)) {
+            let least = least
+                .into_iter()
+                .fold(gate, |a, b| if b < a { b } else { a });
+            for (group, places) in groups.iter().enumerate() {
+                let mil2 = distances_mil2(places, at);
+                if let Some(k) = mil2.iter().position(|mil2| *mil2 <= least) {
+                    return Some((n, group * LANES + k));
+                }
+            }
         }
     }
     None
+}
+
+/// Squares of the distances of a group's places from another.
+#[inline(always)]
+fn distances_mil2(group: &[f32; 2 * LANES], [x, y]: [f32; 2]) -> [f32; LANES] {
+    let mut mil2 = [0.0; LANES];
+    for k in 0..LANES {
+        let (across, down) = (group[k] - x, group[LANES + k] - y);
+        mil2[k] = across * across + down * down;
+    }
+    mil2
 }
 
 /// The square of a distance on the plate, mil^2, no less than it is when rounded to single precision.

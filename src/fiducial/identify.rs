@@ -159,9 +159,10 @@ fn decide(
     for reading in &mut readings {
         reading.score += sight.centre_odds(reading, settings);
     }
+    let mut readings: Vec<&Reading> = readings.iter().collect();
     readings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let least = settings.min_marks as f64;
-    let Some(best) = readings.first() else {
+    let Some(&best) = readings.first() else {
         return reject("the marks' spacings allow no reading", 0.0, least);
     };
     if best.full < settings.min_marks {
@@ -225,7 +226,8 @@ fn readings(
     let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
     let in_view_mil = reach_mil + 1.1 * sight.radius_mil.value;
     let seen = Seen::new(sight, detections, &plate.cross);
-    let marks: Vec<_> = plate.marks().collect();
+    let mut marks = Vec::new();
+    plate.marks().for_each(|mark| marks.push(mark));
     let mut readings: Vec<Reading> = Vec::new();
     for to_plate in sight.turns() {
         let Some(turned) = Turned::new(&seen, to_plate) else {

@@ -145,6 +145,14 @@ impl<'a> Seen<'a> {
         (printed.vector() - sun).norm_squared() < reach * reach
     }
 
+    /// Whether a mark at a place lies deep enough in the disc to be found.
+    fn sure(&self, fit: &Fit) -> impl Fn(PlateMil) -> bool + use<> {
+        let sun = fit.place(Vector2::zeros()).vector();
+        let reach2 = self.sure_reach_mil.powi(2) * fit.stretch2();
+        #[inline(always)]
+        move |at| (at.vector() - sun).norm_squared() < reach2
+    }
+
     /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
     /// the print's contrast is not known beforehand.
     fn looks(&self, ids: &[(usize, MarkId)]) -> f64 {
@@ -289,7 +297,7 @@ impl<'a> Turned<'a> {
                 if fit.place(spot.offset).distance(at) >= NAMED_WITHIN_MIL {
                     reading.displaced.push(spot.detection);
                 }
-                let found = match self.must_be_found(fit)(at) {
+                let found = match self.must_be_found(at, fit) {
                     true => seen.found,
                     false => seen.cut_found,
                 };
@@ -298,24 +306,24 @@ impl<'a> Turned<'a> {
         }
     }
 
-    /// Whether a mark at a place lies so deep in the disc and so far from the sensor's edge that it is found.
-    fn must_be_found(&self, fit: &Fit) -> impl Fn(PlateMil) -> bool {
+    /// Whether a mark at a place is found, as it lies deep enough in the disc and far enough from the sensor's edge.
+    fn must_be_found(&self, at: PlateMil, fit: &Fit) -> bool {
+        let sure = self.seen.sure(fit);
+        sure(at) && self.on_sensor(at, fit)
+    }
+
+    fn on_sensor(&self, at: PlateMil, fit: &Fit) -> bool {
         let seen = self.seen;
-        let sun = fit.place(Vector2::zeros()).vector();
-        let reach2 = seen.sure_reach_mil.powi(2) * fit.stretch2();
-        move |at| {
-            (at.vector() - sun).norm_squared() < reach2
-                && (seen.sure_on_sensor || seen.sight.on_sensor(self.to_sensor(fit.offset(at))))
-        }
+        seen.sure_on_sensor || seen.sight.on_sensor(self.to_sensor(fit.offset(at)))
     }
 
     /// What the marks that must have been found and are not take from the score.
     fn absences(&self, fit: &Fit, ids: &[(usize, MarkId)], printed: &Printed) -> f64 {
-        let must_be_found = self.must_be_found(fit);
-        let absent = printed
-            .marks
-            .iter()
-            .filter(|(id, at)| must_be_found(*at) && ids.iter().all(|(_, found)| found != id));
+        let sure = self.seen.sure(fit);
+        let inside = printed.marks.iter().filter(|(_, at)| sure(*at));
+        let absent = inside.filter(|(id, at)| {
+            ids.iter().all(|(_, found)| found != id) && self.on_sensor(*at, fit)
+        });
         absent.count() as f64 * self.seen.missed
     }
 }
