@@ -134,6 +134,17 @@ pub(super) struct Spot {
     pub variance: f64,
 }
 
+/// A spot with the mark that it is.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Explained {
+    pub spot: Spot,
+    pub id: MarkId,
+    /// Where the mark is printed.
+    pub at: PlateMil,
+    /// How likely it is seen where it is, per mil^2, logarithm.
+    pub likelihood: f64,
+}
+
 /// Printed marks.
 pub(super) struct Printed {
     pub marks: Vec<(MarkId, PlateMil)>,
@@ -164,20 +175,33 @@ impl Printed {
         }
     }
 
-    /// The first of some spots that may be a mark, as its index, and that mark: what it passes over is none. What is found
-    /// is so to single precision, and to be held against the mark's likelihood.
-    pub(super) fn first_seen(
+    /// The first of some spots that is a mark, `variance` (mil^2) telling how far it may be seen from the place of one, with
+    /// the spots after it; `None` when none is.
+    pub(super) fn explain<'s>(
         &self,
-        spots: &[Spot],
+        mut spots: &'s [Spot],
         fit: &Fit,
-    ) -> Option<(usize, MarkId, PlateMil)> {
-        let (spot, mark) = first_near(self.groups.as_chunks().0, spots, fit)?;
-        let (id, at) = *self.marks.get(mark)?;
-        Some((spot, id, at))
+        variance: impl Fn(&Spot, PlateMil) -> f64,
+    ) -> Option<(Explained, &'s [Spot])> {
+        loop {
+            let (n, mark) = first_near(self.groups.as_chunks().0, spots, fit)?;
+            let (spot, (id, at)) = (&spots[n], *self.marks.get(mark)?);
+            spots = &spots[n + 1..];
+            if let Some(likelihood) = fit.likelihood(spot.offset, at, variance(spot, at)) {
+                let explained = Explained {
+                    spot: *spot,
+                    id,
+                    at,
+                    likelihood,
+                };
+                return Some((explained, spots));
+            }
+        }
     }
 }
 
-/// The first spot that a fit puts near one of many places, and the nearest of these.
+/// The first spot that a fit puts near one of many places, and the nearest of these. To single precision: what is passed
+/// over is near none, what is found may be a little too far.
 #[multiversion(targets("x86_64+avx2"))]
 fn first_near(groups: &[[f32; 2 * LANES]], spots: &[Spot], fit: &Fit) -> Option<(usize, usize)> {
     for (n, spot) in spots.iter().enumerate() {
@@ -196,15 +220,10 @@ fn first_near(groups: &[[f32; 2 * LANES]], spots: &[Spot], fit: &Fit) -> Option<
         }
         let gate = rounded_up(fit.gate_mil2(spot.offset, spot.variance));
         if least.iter().fold(false, |any, mil2| any | (*mil2 < gate)) {
-            let least = least
-                .into_iter()
-                .fold(gate, |a, b| if b < a { b } else { a });
-            for (group, places) in groups.iter().enumerate() {
-                let mil2 = distances_mil2(places, at);
-                if let Some(k) = mil2.iter().position(|mil2| *mil2 <= least) {
-                    return Some((n, group * LANES + k));
-                }
-            }
+            let lane = (1..LANES).fold(0, |a, b| if least[b] < least[a] { b } else { a });
+            let nearest = |group: &[f32; 2 * LANES]| distances_mil2(group, at)[lane] <= least[lane];
+            let group = groups.iter().position(nearest)?;
+            return Some((n, group * LANES + lane));
         }
     }
     None

@@ -239,11 +239,16 @@ fn readings(
         for order in &orders {
             let full: Vec<Spot> = order.iter().map(|n| turned.spot(*n)).collect();
             let from = full[0].offset + sun.vector();
-            let named = |r: &Reading| r.ids.iter().find(|(n, _)| *n == order[0]).copied();
-            let known: Vec<_> = readings[first..].iter().filter_map(named).collect();
+            let named = |r: &Reading| {
+                r.ids
+                    .iter()
+                    .find(|id| id.detection == order[0])
+                    .map(|id| id.id)
+            };
+            let known: Vec<MarkId> = readings[first..].iter().filter_map(named).collect();
             for &(id, at) in &printed.marks {
                 let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
-                if near && !known.contains(&(order[0], id)) {
+                if near && !known.contains(&id) {
                     let reading = turned.follow((id, at), &full, &printed);
                     readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
                 }

@@ -8,7 +8,7 @@
 //! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
 //! against the place that the marks before it foretell, the nearest to the first mark first.
 
-use super::fit::{Fit, GATE_SIGMAS, Printed, Spot};
+use super::fit::{Explained, Fit, GATE_SIGMAS, Printed, Spot};
 use super::identify::Sight;
 use super::{Detection, Lighting};
 use crate::plate::{Cross, MarkId};
@@ -37,11 +37,29 @@ const ODD_MARKS: f64 = 0.02;
 const LIKE_MARKS: f64 = 0.4;
 const ANY_CONTRAST: f64 = 2.3;
 
-/// Ids given to detections (by index).
+/// An id given to a detection (by index), and where the mark of that id is printed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Id {
+    pub detection: usize,
+    pub id: MarkId,
+    at: PlateMil,
+}
+
+impl From<&Explained> for Id {
+    fn from(explained: &Explained) -> Self {
+        Self {
+            detection: explained.spot.detection,
+            id: explained.id,
+            at: explained.at,
+        }
+    }
+}
+
+/// Ids given to detections.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Reading {
     /// Every detection that the reading explains.
-    pub ids: Vec<(usize, MarkId)>,
+    pub ids: Vec<Id>,
     /// Those of them that lie elsewhere than they should.
     displaced: Vec<usize>,
     /// Fully lit marks among them.
@@ -56,15 +74,17 @@ pub(super) struct Reading {
 impl Reading {
     /// The detections that lie where they should.
     pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
-        let in_place = |(n, _): &&(usize, MarkId)| !self.displaced.contains(n);
-        self.ids.iter().filter(in_place).copied().collect()
+        let in_place = |id: &&Id| !self.displaced.contains(&id.detection);
+        let ids = self.ids.iter().filter(in_place);
+        ids.map(|id| (id.detection, id.id)).collect()
     }
 
     /// Whether two readings cannot both be true: they name a detection differently, or have none in common.
     pub(super) fn contradicts(&self, other: &Self) -> bool {
-        let mut shared = self.ids.iter().filter_map(|(n, id)| {
-            let elsewhere = other.ids.iter().find(|(m, _)| m == n)?;
-            Some(elsewhere.1 == *id)
+        let mut shared = self.ids.iter().filter_map(|here| {
+            let mut there = other.ids.iter();
+            let there = there.find(|there| there.detection == here.detection)?;
+            Some(there.id == here.id)
         });
         match shared.next() {
             None => true,
@@ -139,29 +159,24 @@ impl<'a> Seen<'a> {
         PULL_MIL * (1.0 - depth / self.lit_depth_mil).clamp(0.0, 1.0)
     }
 
-    /// Whether a printed place is on the disc or near it, as seen from where the Sun's centre is on the plate.
-    fn on_disc(&self, printed: PlateMil, sun: Vector2<f64>) -> bool {
+    /// Whether a mark that explains a detection is printed on the disc or near it and is no other detection's.
+    fn allows(&self, explained: &Explained, ids: &[Id], sun: Vector2<f64>) -> bool {
         let reach = self.sight.radius_mil.value + GATE_SIGMAS * PULL_MIL;
-        (printed.vector() - sun).norm_squared() < reach * reach
-    }
-
-    /// Whether a mark at a place lies deep enough in the disc to be found.
-    fn sure(&self, fit: &Fit) -> impl Fn(PlateMil) -> bool + use<> {
-        let sun = fit.place(Vector2::zeros()).vector();
-        let reach2 = self.sure_reach_mil.powi(2) * fit.stretch2();
-        #[inline(always)]
-        move |at| (at.vector() - sun).norm_squared() < reach2
+        (explained.at.vector() - sun).norm_squared() < reach * reach
+            && ids.iter().all(|taken| taken.id != explained.id)
     }
 
     /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
     /// the print's contrast is not known beforehand.
-    fn looks(&self, ids: &[(usize, MarkId)]) -> f64 {
-        let named = |n: &&usize| ids.iter().any(|(named, _)| named == *n);
+    fn looks(&self, ids: &[Id]) -> f64 {
+        let named = |n: &&usize| ids.iter().any(|id| id.detection == **n);
         let mut ordered = self.by_contrast.iter().filter(named);
         let usual = ordered
             .nth(ids.len() / 2)
             .map_or(0.0, |n| self.contrasts[*n]);
-        let gains = ids.iter().map(|(n, _)| gain(self.contrasts[*n] - usual));
+        let gains = ids
+            .iter()
+            .map(|id| gain(self.contrasts[id.detection] - usual));
         gains.sum::<f64>() - gain(0.0)
     }
 }
@@ -244,37 +259,35 @@ impl<'a> Turned<'a> {
         let (first, mut others) = full.split_first()?;
         let mut fit = seen.fit;
         fit.add(first.offset, anchor.1, first.variance);
-        let mut next = Some(printed.first_seen(others, &fit)?);
+        let variance = |spot: &Spot, _| spot.variance;
+        let mut next = Some(printed.explain(others, &fit, variance)?);
         let sun = anchor.1.vector() - first.offset;
-        let mut ids = Vec::with_capacity(seen.detections.len());
-        ids.push((first.detection, anchor.0));
         let mut score = seen.found;
-        while let Some((n, id, at)) = next {
-            let spot = others[n];
-            others = &others[n + 1..];
-            if seen.on_disc(at, sun)
-                && ids.iter().all(|(_, taken)| *taken != id)
-                && let Some(likelihood) = fit.likelihood(spot.offset, at, spot.variance)
-            {
-                fit.add(spot.offset, at, spot.variance);
-                ids.push((spot.detection, id));
-                score += seen.found + likelihood - seen.false_density;
+        let mut ids = Vec::with_capacity(seen.detections.len());
+        ids.push(Id {
+            detection: first.detection,
+            id: anchor.0,
+            at: anchor.1,
+        });
+        while let Some((explained, rest)) = next {
+            if seen.allows(&explained, &ids, sun) {
+                fit.add(explained.spot.offset, explained.at, explained.spot.variance);
+                ids.push(Id::from(&explained));
+                score += seen.found + explained.likelihood - seen.false_density;
             }
-            next = printed.first_seen(others, &fit);
+            next = printed.explain(rest, &fit, variance);
         }
-        let full = ids.len();
-        if full < 2 {
+        if ids.len() < 2 {
             return None;
         }
-        score += seen.looks(&ids);
+        let centre = fit.offset(PlateMil::new(0.0, 0.0));
         let mut reading = Reading {
+            full: ids.len(),
+            score: score + seen.looks(&ids),
             ids,
             displaced: Vec::new(),
-            full,
-            score,
-            plate_centre: self.to_sensor(fit.offset(PlateMil::new(0.0, 0.0))),
-            centre_sigma_px: fit.variance(fit.offset(PlateMil::new(0.0, 0.0))).sqrt()
-                / seen.sight.mil_per_px(),
+            plate_centre: self.to_sensor(centre),
+            centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
         };
         self.add_cut(&mut reading, &fit, sun, printed);
         reading.score += self.absences(&fit, &reading.ids, printed);
@@ -284,46 +297,48 @@ impl<'a> Turned<'a> {
     /// Adds to a reading what it explains of the detections that the limb cuts.
     fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>, printed: &Printed) {
         let seen = self.seen;
+        let variance = |spot: &Spot, at| {
+            seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2)
+        };
         let mut spots = &self.cut[..];
-        while let Some((n, id, at)) = printed.first_seen(spots, fit) {
-            let spot = spots[n];
-            spots = &spots[n + 1..];
-            let variance = seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2);
-            if seen.on_disc(at, sun)
-                && reading.ids.iter().all(|(_, taken)| *taken != id)
-                && let Some(likelihood) = fit.likelihood(spot.offset, at, variance)
-            {
-                reading.ids.push((spot.detection, id));
+        while let Some((explained, rest)) = printed.explain(spots, fit, variance) {
+            spots = rest;
+            if seen.allows(&explained, &reading.ids, sun) {
+                let (spot, at) = (explained.spot, explained.at);
+                reading.ids.push(Id::from(&explained));
                 if fit.place(spot.offset).distance(at) >= NAMED_WITHIN_MIL {
                     reading.displaced.push(spot.detection);
                 }
-                let found = match self.must_be_found(at, fit) {
+                let found = match self.must_be_found(fit)(at) {
                     true => seen.found,
                     false => seen.cut_found,
                 };
-                reading.score += found + likelihood - seen.false_density;
+                reading.score += found + explained.likelihood - seen.false_density;
             }
         }
     }
 
-    /// Whether a mark at a place is found, as it lies deep enough in the disc and far enough from the sensor's edge.
-    fn must_be_found(&self, at: PlateMil, fit: &Fit) -> bool {
-        let sure = self.seen.sure(fit);
-        sure(at) && self.on_sensor(at, fit)
-    }
-
-    fn on_sensor(&self, at: PlateMil, fit: &Fit) -> bool {
+    /// Tells of a mark at a place whether it lies deep enough in the disc and far enough from the sensor's edge to be found.
+    fn must_be_found(&self, fit: &Fit) -> impl Fn(PlateMil) -> bool {
         let seen = self.seen;
-        seen.sure_on_sensor || seen.sight.on_sensor(self.to_sensor(fit.offset(at)))
+        let sun = fit.place(Vector2::zeros()).vector();
+        let reach2 = seen.sure_reach_mil.powi(2) * fit.stretch2();
+        let on_sensor = move |at| seen.sight.on_sensor(self.to_sensor(fit.offset(at)));
+        #[inline(always)]
+        move |at: PlateMil| {
+            (at.vector() - sun).norm_squared() < reach2 && (seen.sure_on_sensor || on_sensor(at))
+        }
     }
 
     /// What the marks that must have been found and are not take from the score.
-    fn absences(&self, fit: &Fit, ids: &[(usize, MarkId)], printed: &Printed) -> f64 {
-        let sure = self.seen.sure(fit);
-        let inside = printed.marks.iter().filter(|(_, at)| sure(*at));
-        let absent = inside.filter(|(id, at)| {
-            ids.iter().all(|(_, found)| found != id) && self.on_sensor(*at, fit)
-        });
-        absent.count() as f64 * self.seen.missed
+    fn absences(&self, fit: &Fit, ids: &[Id], printed: &Printed) -> f64 {
+        let must_be_found = self.must_be_found(fit);
+        let expected = printed
+            .marks
+            .iter()
+            .filter(|(_, at)| must_be_found(*at))
+            .count();
+        let found = ids.iter().filter(|id| must_be_found(id.at)).count();
+        (expected - found) as f64 * self.seen.missed
     }
 }
