@@ -11,8 +11,8 @@
 //! another quarter turn, is off by 22 px, which tells where the instrument states its centre to 5 px. A reading
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
-use super::fit::{Printed, Spot};
-use super::reading::{Reading, Seen, Turned};
+use super::fit::Printed;
+use super::reading::{Id, Reading, Seen, Turned};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::{Ellipse, Handedness};
 use crate::plate::{MarkId, Plate};
@@ -228,6 +228,7 @@ fn readings(
     let seen = Seen::new(sight, detections, &plate.cross);
     let mut marks = Vec::new();
     plate.marks().for_each(|mark| marks.push(mark));
+    let (mut full, mut known) = (Vec::new(), Vec::new());
     let mut readings: Vec<Reading> = Vec::new();
     for to_plate in sight.turns() {
         let Some(turned) = Turned::new(&seen, to_plate) else {
@@ -237,15 +238,15 @@ fn readings(
         let printed = Printed::about(sun, in_view_mil, &marks);
         let first = readings.len();
         for order in &orders {
-            let full: Vec<Spot> = order.iter().map(|n| turned.spot(*n)).collect();
+            full.clear();
+            full.extend(order.iter().map(|n| turned.spot(*n)));
             let from = full[0].offset + sun.vector();
-            let named = |r: &Reading| {
-                r.ids
-                    .iter()
-                    .find(|id| id.detection == order[0])
-                    .map(|id| id.id)
-            };
-            let known: Vec<MarkId> = readings[first..].iter().filter_map(named).collect();
+            let anchor = |id: &&Id| id.detection == order[0];
+            let named = readings[first..]
+                .iter()
+                .filter_map(|r| r.ids.iter().find(anchor));
+            known.clear();
+            known.extend(named.map(|id| id.id));
             for &(id, at) in &printed.marks {
                 let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
                 if near && !known.contains(&id) {

@@ -37,20 +37,24 @@ const ODD_MARKS: f64 = 0.02;
 const LIKE_MARKS: f64 = 0.4;
 const ANY_CONTRAST: f64 = 2.3;
 
-/// An id given to a detection (by index), and where the mark of that id is printed.
+/// An id given to a detection (by index).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Id {
     pub detection: usize,
     pub id: MarkId,
-    at: PlateMil,
+    /// Where the mark of that id is printed.
+    printed: PlateMil,
+    /// Whether it is seen where it should be.
+    in_place: bool,
 }
 
-impl From<&Explained> for Id {
-    fn from(explained: &Explained) -> Self {
-        Self {
-            detection: explained.spot.detection,
-            id: explained.id,
-            at: explained.at,
+impl Explained {
+    fn id(&self, in_place: bool) -> Id {
+        Id {
+            detection: self.spot.detection,
+            id: self.id,
+            printed: self.at,
+            in_place,
         }
     }
 }
@@ -60,8 +64,6 @@ impl From<&Explained> for Id {
 pub(super) struct Reading {
     /// Every detection that the reading explains.
     pub ids: Vec<Id>,
-    /// Those of them that lie elsewhere than they should.
-    displaced: Vec<usize>,
     /// Fully lit marks among them.
     pub full: usize,
     /// Where the reading puts the plate's centre, and how well the marks on the disc tell it, px.
@@ -74,8 +76,7 @@ pub(super) struct Reading {
 impl Reading {
     /// The detections that lie where they should.
     pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
-        let in_place = |id: &&Id| !self.displaced.contains(&id.detection);
-        let ids = self.ids.iter().filter(in_place);
+        let ids = self.ids.iter().filter(|id| id.in_place);
         ids.map(|id| (id.detection, id.id)).collect()
     }
 
@@ -267,12 +268,13 @@ impl<'a> Turned<'a> {
         ids.push(Id {
             detection: first.detection,
             id: anchor.0,
-            at: anchor.1,
+            printed: anchor.1,
+            in_place: true,
         });
         while let Some((explained, rest)) = next {
             if seen.allows(&explained, &ids, sun) {
                 fit.add(explained.spot.offset, explained.at, explained.spot.variance);
-                ids.push(Id::from(&explained));
+                ids.push(explained.id(true));
                 score += seen.found + explained.likelihood - seen.false_density;
             }
             next = printed.explain(rest, &fit, variance);
@@ -285,7 +287,6 @@ impl<'a> Turned<'a> {
             full: ids.len(),
             score: score + seen.looks(&ids),
             ids,
-            displaced: Vec::new(),
             plate_centre: self.to_sensor(centre),
             centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
         };
@@ -304,12 +305,10 @@ impl<'a> Turned<'a> {
         while let Some((explained, rest)) = printed.explain(spots, fit, variance) {
             spots = rest;
             if seen.allows(&explained, &reading.ids, sun) {
-                let (spot, at) = (explained.spot, explained.at);
-                reading.ids.push(Id::from(&explained));
-                if fit.place(spot.offset).distance(at) >= NAMED_WITHIN_MIL {
-                    reading.displaced.push(spot.detection);
-                }
-                let found = match self.must_be_found(fit)(at) {
+                let seen_at = fit.place(explained.spot.offset);
+                let in_place = seen_at.distance(explained.at) < NAMED_WITHIN_MIL;
+                reading.ids.push(explained.id(in_place));
+                let found = match self.must_be_found(fit)(explained.at) {
                     true => seen.found,
                     false => seen.cut_found,
                 };
@@ -338,7 +337,7 @@ impl<'a> Turned<'a> {
             .iter()
             .filter(|(_, at)| must_be_found(*at))
             .count();
-        let found = ids.iter().filter(|id| must_be_found(id.at)).count();
+        let found = ids.iter().filter(|id| must_be_found(id.printed)).count();
         (expected - found) as f64 * self.seen.missed
     }
 }
