@@ -12,6 +12,8 @@ use std::f64::consts::{PI, TAU};
 const ARMS_SIGMA_RAD: f64 = 0.6 * PI / 180.0;
 /// A detection farther from a mark's foretold place is not that mark, in sigma.
 pub(super) const GATE_SIGMAS: f64 = 4.0;
+/// Its square.
+const GATE: f64 = GATE_SIGMAS * GATE_SIGMAS;
 
 /// From offsets to the plate: shift, and small changes of scale and rotation, from the marks so far. Least squares with
 /// what is known of scale and rotation beforehand, in sums that grow by a mark at a time.
@@ -96,10 +98,11 @@ impl Fit {
     }
 
     /// Square of the distance, mil^2, from where an offset leads to the farthest mark that may be seen there, when `variance`
-    /// (mil^2) tells how far a mark may be seen from its place: along the worse direction.
+    /// (mil^2) tells how far a mark may be seen from its place. The error in the worse direction is taken for both, so that
+    /// no mark is farther that [`likelihood`](Self::likelihood) would not refuse.
     #[inline(always)]
     fn gate_mil2(&self, offset: Vector2<f64>, variance: f64) -> f64 {
-        GATE_SIGMAS * GATE_SIGMAS * (variance + self.variance(offset))
+        GATE * (variance + self.variance(offset))
     }
 
     /// How likely the mark that is printed at a place is seen at an offset, per mil^2, logarithm; `variance` (mil^2) tells
@@ -119,8 +122,7 @@ impl Fit {
         let (stretch, twist) = (arm.dot(&miss), arm.perp(&miss));
         let off =
             (stretch * stretch / along + twist * twist / across) / reach.max(f64::MIN_POSITIVE);
-        let gate = GATE_SIGMAS * GATE_SIGMAS;
-        (off < gate).then(|| -0.5 * off - TAU.ln() - 0.5 * (along * across).ln())
+        (off < GATE).then(|| -0.5 * off - TAU.ln() - 0.5 * (along * across).ln())
     }
 }
 
@@ -154,7 +156,7 @@ pub(super) struct Printed {
 }
 
 impl Printed {
-    /// Those that lie about a place.
+    /// Those of some marks that lie about a place.
     pub(super) fn about(place: PlateMil, reach_mil: f64, marks: &[(MarkId, PlateMil)]) -> Self {
         let place = place.vector();
         let near = |at: PlateMil| (at.vector() - place).norm_squared() < reach_mil * reach_mil;
@@ -200,8 +202,8 @@ impl Printed {
     }
 }
 
-/// The first spot that a fit puts near one of many places, and the nearest of these. To single precision: what is passed
-/// over is near none, what is found may be a little too far.
+/// The first spot that a fit puts near one of many places, and the nearest of these. In single precision, whose rounding the
+/// gate allows for: what is passed over is near none, what is found may be a little too far.
 #[multiversion(targets("x86_64+avx2"))]
 fn first_near(groups: &[[f32; 2 * LANES]], spots: &[Spot], fit: &Fit) -> Option<(usize, usize)> {
     for (n, spot) in spots.iter().enumerate() {
@@ -240,7 +242,7 @@ fn distances_mil2(group: &[f32; 2 * LANES], [x, y]: [f32; 2]) -> [f32; LANES] {
     mil2
 }
 
-/// The square of a distance on the plate, mil^2, no less than it is when rounded to single precision.
+/// The square of a distance, mil^2, and more than single precision may add to that between two places on the plate.
 #[inline(always)]
 fn rounded_up(mil2: f64) -> f32 {
     (1.001 * mil2 + 0.01) as f32

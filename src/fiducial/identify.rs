@@ -176,7 +176,7 @@ fn decide(
     let odds = |against: &dyn Fn(&Reading) -> bool| {
         let rivals = readings
             .iter()
-            .filter(|r| r.contradicts(best) && against(r));
+            .filter(|r| against(r) && r.contradicts(best));
         let rivals: f64 = rivals.map(|rival| (rival.score - best.score).exp()).sum();
         -(rivals + (-best.score).exp()).ln()
     };
@@ -227,6 +227,7 @@ fn readings(
     let in_view_mil = reach_mil + 1.1 * sight.radius_mil.value;
     let seen = Seen::new(sight, detections, &plate.cross);
     let mut marks = Vec::new();
+    // Quicker than to collect them one by one.
     plate.marks().for_each(|mark| marks.push(mark));
     let (mut full, mut known) = (Vec::new(), Vec::new());
     let mut readings: Vec<Reading> = Vec::new();

@@ -257,10 +257,11 @@ impl<'a> Turned<'a> {
         printed: &Printed,
     ) -> Option<Reading> {
         let seen = self.seen;
-        let (first, mut others) = full.split_first()?;
+        let (first, others) = full.split_first()?;
         let mut fit = seen.fit;
         fit.add(first.offset, anchor.1, first.variance);
         let variance = |spot: &Spot, _| spot.variance;
+        // Most anchors explain no other: they end here.
         let mut next = Some(printed.explain(others, &fit, variance)?);
         let sun = anchor.1.vector() - first.offset;
         let mut score = seen.found;
