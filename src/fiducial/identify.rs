@@ -11,11 +11,12 @@
 //! another quarter turn, is off by 22 px, which tells where the instrument states its centre to 5 px. A reading
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
-use super::reading::{Reading, Turned};
+use super::fit::Printed;
+use super::reading::{Id, Reading, Seen, Turned};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::{Ellipse, Handedness};
 use crate::plate::{MarkId, Plate};
-use crate::units::{Measured, PlateMil, Rejected, SensorPx};
+use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::{Matrix2, Rotation2};
 
 /// What is known of the picture before any mark is read.
@@ -158,9 +159,10 @@ fn decide(
     for reading in &mut readings {
         reading.score += sight.centre_odds(reading, settings);
     }
+    let mut readings: Vec<&Reading> = readings.iter().collect();
     readings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let least = settings.min_marks as f64;
-    let Some(best) = readings.first() else {
+    let Some(&best) = readings.first() else {
         return reject("the marks' spacings allow no reading", 0.0, least);
     };
     if best.full < settings.min_marks {
@@ -174,7 +176,7 @@ fn decide(
     let odds = |against: &dyn Fn(&Reading) -> bool| {
         let rivals = readings
             .iter()
-            .filter(|r| r.contradicts(best) && against(r));
+            .filter(|r| against(r) && r.contradicts(best));
         let rivals: f64 = rivals.map(|rival| (rival.score - best.score).exp()).sum();
         -(rivals + (-best.score).exp()).ln()
     };
@@ -199,7 +201,7 @@ fn decide(
         return reject(reason, beyond, 1.0);
     }
     Ok(Identification {
-        ids: best.named.clone(),
+        ids: best.named(),
         odds: alike.min(sound),
     })
 }
@@ -222,25 +224,34 @@ fn readings(
     let from_sun = (sight.plate_centre.vector() - sight.outline.centre).norm();
     let open_px = GUESS_ERROR * (from_sun + sight.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
+    let in_view_mil = reach_mil + 1.1 * sight.radius_mil.value;
+    let seen = Seen::new(sight, detections, &plate.cross);
+    let mut marks = Vec::new();
+    // Quicker than to collect them one by one.
+    plate.marks().for_each(|mark| marks.push(mark));
+    let (mut full, mut known) = (Vec::new(), Vec::new());
     let mut readings: Vec<Reading> = Vec::new();
     for to_plate in sight.turns() {
-        let Some(turned) = Turned::new(sight, detections, &plate.cross, to_plate) else {
+        let Some(turned) = Turned::new(&seen, to_plate) else {
             continue;
         };
         let sun = turned.stated_sun();
-        let in_view = reach_mil + 1.1 * sight.radius_mil.value;
-        let marks: Vec<(MarkId, PlateMil)> = plate
-            .marks()
-            .filter(|(_, at)| at.distance(sun) < in_view)
-            .collect();
+        let printed = Printed::about(sun, in_view_mil, &marks);
         let first = readings.len();
         for order in &orders {
-            for &(id, printed) in &marks {
-                let guess = printed.vector() - turned.offset(order[0]);
-                let known = |r: &Reading| r.ids.contains(&(order[0], id));
-                if (guess - sun.vector()).norm() < reach_mil && !readings[first..].iter().any(known)
-                {
-                    let reading = turned.follow((id, printed), order, &marks);
+            full.clear();
+            full.extend(order.iter().map(|n| turned.spot(*n)));
+            let from = full[0].offset + sun.vector();
+            let anchor = |id: &&Id| id.detection == order[0];
+            let named = readings[first..]
+                .iter()
+                .filter_map(|r| r.ids.iter().find(anchor));
+            known.clear();
+            known.extend(named.map(|id| id.id));
+            for &(id, at) in &printed.marks {
+                let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
+                if near && !known.contains(&id) {
+                    let reading = turned.follow((id, at), &full, &printed);
                     readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
                 }
             }
@@ -251,7 +262,8 @@ fn readings(
 
 /// Detections ordered by their distance from one of them.
 fn nearest_first(from: usize, among: &[usize], detections: &[Detection]) -> Vec<usize> {
-    let distance = |n: usize| detections[n].at.distance(detections[from].at);
+    let place = |n: usize| detections[n].at.vector();
+    let distance = |n: usize| (place(n) - place(from)).norm_squared();
     let mut order = among.to_vec();
     order.sort_by(|a, b| distance(*a).total_cmp(&distance(*b)));
     order

@@ -8,7 +8,7 @@
 //! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
 //! against the place that the marks before it foretell, the nearest to the first mark first.
 
-use super::fit::{Fit, GATE_SIGMAS};
+use super::fit::{Explained, Fit, GATE_SIGMAS, Printed, Spot};
 use super::identify::Sight;
 use super::{Detection, Lighting};
 use crate::plate::{Cross, MarkId};
@@ -37,13 +37,33 @@ const ODD_MARKS: f64 = 0.02;
 const LIKE_MARKS: f64 = 0.4;
 const ANY_CONTRAST: f64 = 2.3;
 
-/// Ids given to detections (by index).
+/// An id given to a detection (by index).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Id {
+    pub detection: usize,
+    pub id: MarkId,
+    /// Where the mark of that id is printed.
+    printed: PlateMil,
+    /// Whether it is seen where it should be.
+    in_place: bool,
+}
+
+impl Explained {
+    fn id(&self, in_place: bool) -> Id {
+        Id {
+            detection: self.spot.detection,
+            id: self.id,
+            printed: self.at,
+            in_place,
+        }
+    }
+}
+
+/// Ids given to detections.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Reading {
     /// Every detection that the reading explains.
-    pub ids: Vec<(usize, MarkId)>,
-    /// Those of them that lie where they should.
-    pub named: Vec<(usize, MarkId)>,
+    pub ids: Vec<Id>,
     /// Fully lit marks among them.
     pub full: usize,
     /// Where the reading puts the plate's centre, and how well the marks on the disc tell it, px.
@@ -54,11 +74,18 @@ pub(super) struct Reading {
 }
 
 impl Reading {
+    /// The detections that lie where they should.
+    pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
+        let ids = self.ids.iter().filter(|id| id.in_place);
+        ids.map(|id| (id.detection, id.id)).collect()
+    }
+
     /// Whether two readings cannot both be true: they name a detection differently, or have none in common.
     pub(super) fn contradicts(&self, other: &Self) -> bool {
-        let mut shared = self.ids.iter().filter_map(|(n, id)| {
-            let elsewhere = other.ids.iter().find(|(m, _)| m == n)?;
-            Some(elsewhere.1 == *id)
+        let mut shared = self.ids.iter().filter_map(|here| {
+            let mut there = other.ids.iter();
+            let there = there.find(|there| there.detection == here.detection)?;
+            Some(there.id == here.id)
         });
         match shared.next() {
             None => true,
@@ -67,117 +94,64 @@ impl Reading {
     }
 }
 
-/// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
-pub(super) struct Turned<'a> {
+/// What all readings share.
+pub(super) struct Seen<'a> {
     sight: &'a Sight,
     detections: &'a [Detection],
+    /// What is known of scale and rotation before any mark is read.
+    fit: Fit,
+    /// Of the detections' positions, were they fully lit marks, mil^2.
+    variances: Vec<f64>,
+    /// Logarithms of the detections' contrasts.
+    contrasts: Vec<f64>,
+    by_contrast: Vec<usize>,
     /// Depth inside the limb at which a mark is fully lit, mil.
     lit_depth_mil: f64,
-    /// From offsets on the plate, mil, to the unit disc.
-    from_plate: Matrix2<f64>,
-    /// Of the detections, mil.
-    offsets: Vec<Vector2<f64>>,
-    /// Offset of the place where the instrument says the plate's centre is seen, mil.
-    centre: Vector2<f64>,
+    /// Distance from the Sun's centre within which a mark must have been found, mil.
+    sure_reach_mil: f64,
+    /// Whether all of the disc so near to its centre is far enough from the sensor's edge.
+    sure_on_sensor: bool,
+    /// Logarithms of the shares of marks that are found, found where the limb cuts too much, and missed.
+    found: f64,
+    cut_found: f64,
+    missed: f64,
+    /// False detections per mil^2, logarithm.
+    false_density: f64,
 }
 
-impl<'a> Turned<'a> {
-    /// `None` when the outline has no size.
-    pub(super) fn new(
-        sight: &'a Sight,
-        detections: &'a [Detection],
-        cross: &Cross,
-        to_plate: Matrix2<f64>,
-    ) -> Option<Self> {
-        let offset = |at: SensorPx| to_plate * sight.outline.to_disc(at.vector());
-        Some(Self {
+impl<'a> Seen<'a> {
+    pub(super) fn new(sight: &'a Sight, detections: &'a [Detection], cross: &Cross) -> Self {
+        let radius_mil = sight.radius_mil.value;
+        let variance =
+            |seen: &Detection| SCATTER_MIL.powi(2) + (seen.sigma_px * sight.mil_per_px()).powi(2);
+        let sure_reach_mil = radius_mil - sight.sure_depth_px * sight.mil_per_px();
+        let sure_reach_mil = sure_reach_mil.max(0.0);
+        let corner =
+            sight.outline.root().map(f64::abs).column_sum() * (sure_reach_mil / radius_mil);
+        let on_sensor = |at: Vector2<f64>| sight.on_sensor(at.into());
+        let contrasts: Vec<f64> = detections.iter().map(|seen| seen.contrast.ln()).collect();
+        let mut by_contrast: Vec<usize> = (0..detections.len()).collect();
+        by_contrast.sort_by(|a, b| contrasts[*a].total_cmp(&contrasts[*b]));
+        Self {
             sight,
             detections,
+            fit: Fit::new(sight),
+            variances: detections.iter().map(variance).collect(),
+            contrasts,
+            by_contrast,
             lit_depth_mil: LIT_HALF_LENGTHS * cross.arm_length_mil / 2.0,
-            from_plate: to_plate.try_inverse()?,
-            offsets: detections.iter().map(|d| offset(d.at)).collect(),
-            centre: offset(sight.plate_centre),
-        })
-    }
-
-    pub(super) fn offset(&self, detection: usize) -> Vector2<f64> {
-        self.offsets[detection]
-    }
-
-    /// Where the Sun's centre would be on the plate if the instrument were right about the plate's centre.
-    pub(super) fn stated_sun(&self) -> PlateMil {
-        (-self.centre).into()
-    }
-
-    fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {
-        let outline = &self.sight.outline;
-        outline.from_disc(self.from_plate * offset).into()
-    }
-
-    /// The reading that follows when detection `order[0]` is the mark `anchor`; the others are tried in the given order.
-    /// `None` when it explains fewer than two fully lit marks.
-    pub(super) fn follow(
-        &self,
-        anchor: (MarkId, PlateMil),
-        order: &[usize],
-        marks: &[(MarkId, PlateMil)],
-    ) -> Option<Reading> {
-        let first = *order.first()?;
-        let near = self.marks_near(anchor.1.vector() - self.offsets[first], marks);
-        let mut fit = Fit::new(self.sight);
-        fit.add(self.offsets[first], anchor.1, self.variance(first));
-        let mut ids = vec![(first, anchor.0)];
-        let mut score = self.sight.found_share().ln();
-        for &n in order.iter().skip(1).filter(|n| self.is_full(**n)) {
-            let variance = self.variance(n);
-            if let Some((id, printed, likelihood)) =
-                fit.explain(self.offsets[n], &near, |_| variance)
-                && ids.iter().all(|(_, taken)| *taken != id)
-            {
-                fit.add(self.offsets[n], printed, variance);
-                ids.push((n, id));
-                score += self.sight.found_share().ln() + likelihood - self.false_density();
-            }
+            sure_reach_mil,
+            sure_on_sensor: on_sensor(sight.outline.centre - corner)
+                && on_sensor(sight.outline.centre + corner),
+            found: sight.found_share().ln(),
+            cut_found: CUT_FOUND_SHARE.ln(),
+            missed: sight.missed_share.ln(),
+            false_density: (FALSE_ON_DISC / (PI * radius_mil.powi(2))).ln(),
         }
-        let full = ids.len();
-        if full < 2 {
-            return None;
-        }
-        score += self.looks(&ids);
-        let mut named = ids.clone();
-        for n in (0..self.detections.len()).filter(|n| !self.is_full(*n)) {
-            let pulled = |printed| self.variance(n) + self.pull_mil(fit.offset(printed)).powi(2);
-            if let Some((id, printed, likelihood)) = fit.explain(self.offsets[n], &near, pulled)
-                && ids.iter().all(|(_, taken)| *taken != id)
-            {
-                ids.push((n, id));
-                if fit.place(self.offsets[n]).distance(printed) < NAMED_WITHIN_MIL {
-                    named.push((n, id));
-                }
-                score +=
-                    self.found_share(fit.offset(printed)).ln() + likelihood - self.false_density();
-            }
-        }
-        score += self.absences(&fit, &ids, &near);
-        let centre = fit.offset(PlateMil::new(0.0, 0.0));
-        Some(Reading {
-            ids,
-            named,
-            full,
-            plate_centre: self.to_sensor(centre),
-            centre_sigma_px: fit.sigma(centre) / self.sight.mil_per_px(),
-            score,
-        })
     }
 
     fn is_full(&self, n: usize) -> bool {
         self.detections[n].lighting == Lighting::Full
-    }
-
-    /// Of a fully lit mark's position, mil^2.
-    fn variance(&self, n: usize) -> f64 {
-        let measured = self.detections[n].sigma_px * self.sight.mil_per_px();
-        SCATTER_MIL.powi(2) + measured.powi(2)
     }
 
     /// How far the limb may pull a mark inwards, 1 sigma, mil.
@@ -186,66 +160,185 @@ impl<'a> Turned<'a> {
         PULL_MIL * (1.0 - depth / self.lit_depth_mil).clamp(0.0, 1.0)
     }
 
-    /// Part of the marks at an offset that is found.
-    fn found_share(&self, offset: Vector2<f64>) -> f64 {
-        if self.must_be_found(offset) {
-            self.sight.found_share()
-        } else {
-            CUT_FOUND_SHARE
-        }
-    }
-
-    fn must_be_found(&self, offset: Vector2<f64>) -> bool {
-        let sure_depth_mil = self.sight.sure_depth_px * self.sight.mil_per_px();
-        offset.norm() < self.sight.radius_mil.value - sure_depth_mil
-            && self.sight.on_sensor(self.to_sensor(offset))
-    }
-
-    /// False detections per mil^2, logarithm.
-    fn false_density(&self) -> f64 {
-        (FALSE_ON_DISC / (PI * self.sight.radius_mil.value.powi(2))).ln()
-    }
-
-    /// The printed marks on the disc or near it.
-    fn marks_near(
-        &self,
-        sun: Vector2<f64>,
-        marks: &[(MarkId, PlateMil)],
-    ) -> Vec<(MarkId, PlateMil)> {
+    /// Whether a mark that explains a detection is printed on the disc or near it and is no other detection's.
+    fn allows(&self, explained: &Explained, ids: &[Id], sun: Vector2<f64>) -> bool {
         let reach = self.sight.radius_mil.value + GATE_SIGMAS * PULL_MIL;
-        let near = |at: &PlateMil| (at.vector() - sun).norm_squared() < reach * reach;
-        let marks = marks.iter().copied();
-        marks.filter(|(_, at)| near(at)).collect()
-    }
-
-    /// What the marks that must have been found and are not take from the score.
-    fn absences(&self, fit: &Fit, ids: &[(usize, MarkId)], near: &[(MarkId, PlateMil)]) -> f64 {
-        let absent = near.iter().filter(|(id, printed)| {
-            self.must_be_found(fit.offset(*printed)) && ids.iter().all(|(_, found)| found != id)
-        });
-        absent.count() as f64 * self.sight.missed_share.ln()
+        (explained.at.vector() - sun).norm_squared() < reach * reach
+            && ids.iter().all(|taken| taken.id != explained.id)
     }
 
     /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
     /// the print's contrast is not known beforehand.
-    fn looks(&self, ids: &[(usize, MarkId)]) -> f64 {
-        let logs = || ids.iter().map(|(n, _)| self.detections[*n].contrast.ln());
-        let usual = median(logs());
-        let print = |x: f64| {
-            let off = (x - usual) / CONTRAST_SCATTER;
-            (-0.5 * off * off).exp() / (CONTRAST_SCATTER * TAU.sqrt())
-        };
-        let gain = |x: f64| {
-            let mark = (1.0 - ODD_MARKS) * print(x) + ODD_MARKS / ANY_CONTRAST;
-            let other = LIKE_MARKS * print(x) + (1.0 - LIKE_MARKS) / ANY_CONTRAST;
-            (mark / other).ln()
-        };
-        logs().map(gain).sum::<f64>() - gain(usual)
+    fn looks(&self, ids: &[Id]) -> f64 {
+        let named = |n: &&usize| ids.iter().any(|id| id.detection == **n);
+        let mut ordered = self.by_contrast.iter().filter(named);
+        let usual = ordered
+            .nth(ids.len() / 2)
+            .map_or(0.0, |n| self.contrasts[*n]);
+        let gains = ids
+            .iter()
+            .map(|id| gain(self.contrasts[id.detection] - usual));
+        gains.sum::<f64>() - gain(0.0)
     }
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted[sorted.len() / 2]
+/// How much likelier a contrast so far from the usual one is as a mark's than as a false detection's; all of them logarithms.
+fn gain(off: f64) -> f64 {
+    let off = off / CONTRAST_SCATTER;
+    let print = (-0.5 * off * off).exp() / (CONTRAST_SCATTER * TAU.sqrt());
+    let mark = (1.0 - ODD_MARKS) * print + ODD_MARKS / ANY_CONTRAST;
+    let other = LIKE_MARKS * print + (1.0 - LIKE_MARKS) / ANY_CONTRAST;
+    (mark / other).ln()
+}
+
+/// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
+pub(super) struct Turned<'a> {
+    seen: &'a Seen<'a>,
+    /// From offsets on the plate, mil, to the unit disc.
+    from_plate: Matrix2<f64>,
+    /// Of the detections, mil.
+    offsets: Vec<Vector2<f64>>,
+    /// Those that the limb cuts and may have pulled inwards.
+    cut: Vec<Spot>,
+    /// Offset of the place where the instrument says the plate's centre is seen, mil.
+    centre: Vector2<f64>,
+}
+
+impl<'a> Turned<'a> {
+    /// `None` when the outline has no size.
+    pub(super) fn new(seen: &'a Seen<'a>, to_plate: Matrix2<f64>) -> Option<Self> {
+        let offset = |at: SensorPx| to_plate * seen.sight.outline.to_disc(at.vector());
+        let mut turned = Self {
+            seen,
+            from_plate: to_plate.try_inverse()?,
+            offsets: seen.detections.iter().map(|d| offset(d.at)).collect(),
+            cut: Vec::new(),
+            centre: offset(seen.sight.plate_centre),
+        };
+        turned.cut = turned.cut_spots();
+        Some(turned)
+    }
+
+    /// Where the Sun's centre would be on the plate if the instrument were right about the plate's centre.
+    pub(super) fn stated_sun(&self) -> PlateMil {
+        (-self.centre).into()
+    }
+
+    fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {
+        let outline = &self.seen.sight.outline;
+        outline.from_disc(self.from_plate * offset).into()
+    }
+
+    /// Where a fully lit detection is.
+    pub(super) fn spot(&self, detection: usize) -> Spot {
+        Spot {
+            detection,
+            offset: self.offsets[detection],
+            variance: self.seen.variances[detection],
+        }
+    }
+
+    /// Where the detections are that the limb cuts and may have pulled inwards.
+    fn cut_spots(&self) -> Vec<Spot> {
+        let cut = (0..self.offsets.len()).filter(|n| !self.seen.is_full(*n));
+        let pulled = |spot: Spot| Spot {
+            variance: spot.variance + PULL_MIL.powi(2),
+            ..spot
+        };
+        cut.map(|n| pulled(self.spot(n))).collect()
+    }
+
+    /// The reading that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
+    /// their order. `None` when it explains fewer than two of them.
+    pub(super) fn follow(
+        &self,
+        anchor: (MarkId, PlateMil),
+        full: &[Spot],
+        printed: &Printed,
+    ) -> Option<Reading> {
+        let seen = self.seen;
+        let (first, others) = full.split_first()?;
+        let mut fit = seen.fit;
+        fit.add(first.offset, anchor.1, first.variance);
+        let variance = |spot: &Spot, _| spot.variance;
+        // Most anchors explain no other: they end here.
+        let mut next = Some(printed.explain(others, &fit, variance)?);
+        let sun = anchor.1.vector() - first.offset;
+        let mut score = seen.found;
+        let mut ids = Vec::with_capacity(seen.detections.len());
+        ids.push(Id {
+            detection: first.detection,
+            id: anchor.0,
+            printed: anchor.1,
+            in_place: true,
+        });
+        while let Some((explained, rest)) = next {
+            if seen.allows(&explained, &ids, sun) {
+                fit.add(explained.spot.offset, explained.at, explained.spot.variance);
+                ids.push(explained.id(true));
+                score += seen.found + explained.likelihood - seen.false_density;
+            }
+            next = printed.explain(rest, &fit, variance);
+        }
+        if ids.len() < 2 {
+            return None;
+        }
+        let centre = fit.offset(PlateMil::new(0.0, 0.0));
+        let mut reading = Reading {
+            full: ids.len(),
+            score: score + seen.looks(&ids),
+            ids,
+            plate_centre: self.to_sensor(centre),
+            centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
+        };
+        self.add_cut(&mut reading, &fit, sun, printed);
+        reading.score += self.absences(&fit, &reading.ids, printed);
+        Some(reading)
+    }
+
+    /// Adds to a reading what it explains of the detections that the limb cuts.
+    fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>, printed: &Printed) {
+        let seen = self.seen;
+        let variance = |spot: &Spot, at| {
+            seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2)
+        };
+        let mut spots = &self.cut[..];
+        while let Some((explained, rest)) = printed.explain(spots, fit, variance) {
+            spots = rest;
+            if seen.allows(&explained, &reading.ids, sun) {
+                let seen_at = fit.place(explained.spot.offset);
+                let in_place = seen_at.distance(explained.at) < NAMED_WITHIN_MIL;
+                reading.ids.push(explained.id(in_place));
+                let found = match self.must_be_found(fit)(explained.at) {
+                    true => seen.found,
+                    false => seen.cut_found,
+                };
+                reading.score += found + explained.likelihood - seen.false_density;
+            }
+        }
+    }
+
+    /// Tells of a mark at a place whether it lies deep enough in the disc and far enough from the sensor's edge to be found.
+    fn must_be_found(&self, fit: &Fit) -> impl Fn(PlateMil) -> bool {
+        let seen = self.seen;
+        let sun = fit.place(Vector2::zeros()).vector();
+        let reach2 = seen.sure_reach_mil.powi(2) * fit.stretch2();
+        let on_sensor = move |at| seen.sight.on_sensor(self.to_sensor(fit.offset(at)));
+        #[inline(always)]
+        move |at: PlateMil| {
+            (at.vector() - sun).norm_squared() < reach2 && (seen.sure_on_sensor || on_sensor(at))
+        }
+    }
+
+    /// What the marks that must have been found and are not take from the score.
+    fn absences(&self, fit: &Fit, ids: &[Id], printed: &Printed) -> f64 {
+        let must_be_found = self.must_be_found(fit);
+        let expected = printed
+            .marks
+            .iter()
+            .filter(|(_, at)| must_be_found(*at))
+            .count();
+        let found = ids.iter().filter(|id| must_be_found(id.printed)).count();
+        (expected - found) as f64 * self.seen.missed
+    }
 }
