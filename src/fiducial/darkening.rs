@@ -201,16 +201,16 @@ impl Taken {
             rings[n + 1] += rings[n];
         }
         let mut next = rings;
-        let mut places = Scratch::<u16>::empty(ring_of.len());
+        let mut places = Scratch::<u32>::empty(ring_of.len());
         places.extend(ring_of.iter().map(|ring| {
             let place = &mut next[usize::from(*ring)];
             *place += 1;
-            (*place - 1) as u16
+            (*place - 1) as u32
         }));
         let [x, y, light] = found.each_ref().map(|list| {
             let mut sorted = Scratch::of_length(list.len());
             for (place, value) in places.iter().zip(list.iter()) {
-                sorted[usize::from(*place)] = *value;
+                sorted[*place as usize] = *value;
             }
             sorted
         });
