@@ -184,7 +184,10 @@ def speed_deg_per_s(header, others):
     def seconds(other):
         return (Time(other["DATE-AVG"]) - Time(header["DATE-AVG"])).sec
 
-    near = min((other for other in others if other is not header), key=lambda other: abs(seconds(other)))
+    others = [other for other in others if abs(seconds(other)) > 0]
+    if not others:
+        return 0.0
+    near = min(others, key=lambda other: abs(seconds(other)))
     way_px = np.hypot(*(near[k] - header[k] for k in ("SUNPX-X", "SUNPX-Y")))
     return way_px * header["CDELT1"] / 3600 / abs(seconds(near))
 

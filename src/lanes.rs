@@ -1,7 +1,6 @@
 //! What makes loops over pixels quick: numbers that the compiler can work on side by side, and lists that are used again.
 
-use crate::frame::{ROUNDING_NOISE_DN, Sample};
-use multiversion::multiversion;
+use crate::frame::Sample;
 use std::cell::RefCell;
 use std::ops::{Deref, DerefMut};
 use std::thread::LocalKey;
@@ -46,52 +45,18 @@ pub fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
+/// Above it the last bit of a number stands for 1.
+pub const WHOLES: f32 = 12_582_912.0;
+
 /// The whole part of a number from 0 to 4 million, and what is left of it, 0 to 1 both included; by way of the number's own
 /// bits, which is done side by side where a conversion is not.
 #[inline(always)]
 pub fn split(number: f32) -> (u32, f32) {
-    /// Above it the last bit of a number stands for 1.
-    const WHOLES: f32 = 12_582_912.0;
     let shifted = number - 0.5 + WHOLES;
     (
         shifted.to_bits().wrapping_sub(WHOLES.to_bits()),
         number - (shifted - WHOLES),
     )
-}
-
-/// 1 sigma of what is left, from what lies within three of it: in rounds, since the limit rests on the result. `None` of
-/// too few.
-#[multiversion(targets("x86_64+avx2"))]
-pub fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
-    /// Fewest values that tell a sigma.
-    const MIN_VALUES: f32 = 10.0;
-    /// What the normal distribution keeps of its sigma within three of it.
-    const KEPT: f32 = 0.9866;
-    const ROUNDS: usize = 4;
-    /// The start may be of another part of the picture.
-    const FIRST_LIMIT: f32 = 5.0;
-    let mut limit = FIRST_LIMIT * start;
-    let mut sigma = None;
-    for _ in 0..ROUNDS {
-        let limit2 = limit * limit;
-        let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-        for left in left.chunks_exact(LANES) {
-            for k in 0..LANES {
-                let square = left[k] * left[k];
-                counts[k] += if square < limit2 { 1.0 } else { 0.0 };
-                squares[k] += if square < limit2 { square } else { 0.0 };
-            }
-        }
-        let count: f32 = counts.iter().sum();
-        if count < MIN_VALUES {
-            return None;
-        }
-        let found = (squares.iter().sum::<f32>() / count).sqrt() / KEPT;
-        let found = found.max(ROUNDING_NOISE_DN as f32);
-        sigma = Some(f64::from(found));
-        limit = 3.0 * found;
-    }
-    sigma
 }
 
 /// A list whose memory comes from the thread's earlier lists and goes to its later ones: a frame needs dozens, and getting
@@ -112,7 +77,7 @@ type Shelf<T> = [Vec<Vec<T>>; CLASSES];
 /// Classes of size, each of twice the size of the one before.
 const CLASSES: usize = 32;
 /// Lists of a class that are kept.
-const MOST_KEPT: usize = 16;
+const MOST_KEPT: usize = 32;
 
 macro_rules! reused {
     ($kind:ty) => {

@@ -225,15 +225,20 @@ fn hot_pixels_do_not_pull_a_mark() {
 
 #[test]
 fn a_scratch_through_a_mark_pulls_it_by_less_than_half_an_arc_second() {
-    let mut close = Close::new([0.1, -0.3], 7.0, 60.0, 0.0);
-    close.scene.blemishes.scratches = vec![Scratch {
-        start: PlateMil::new(-90.0, 40.0),
-        end: PlateMil::new(90.0, 15.0),
-        width_mil: 8.0,
-        brightness: 1.4,
-    }];
-    let off = mean_error(&close).norm();
-    assert!(off < HALF_ARCSEC_PX, "{off} px");
+    for (width_mil, brightness) in [(8.0, 1.4), (12.0, 1.4), (12.0, 1.25), (12.0, 1.15)] {
+        let mut close = Close::new([0.1, -0.3], 7.0, 60.0, 0.0);
+        close.scene.blemishes.scratches = vec![Scratch {
+            start: PlateMil::new(-90.0, 40.0),
+            end: PlateMil::new(90.0, 15.0),
+            width_mil,
+            brightness,
+        }];
+        let off = mean_error(&close).norm();
+        assert!(
+            off < HALF_ARCSEC_PX,
+            "{off} px by a scratch of {width_mil} mil"
+        );
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@
 //! Functions, 26.2.16, to 1e-5), which is quicker than any table: eight places go through it at once.
 
 use super::CrossShape;
-use crate::lanes::{Scratch, larger};
+use crate::lanes::{Scratch, WHOLES, larger};
 use multiversion::multiversion;
 
 /// A blurred cross of full contrast.
@@ -162,8 +162,6 @@ fn tail(z: f32) -> (f32, f32) {
 /// 2^x of x from 0 down, to 4e-6 of it (interpolated at Chebyshev's nodes); what is below 2^-120 is taken for that.
 #[inline(always)]
 fn power_of_two(x: f32) -> f32 {
-    /// Above it the last bit of a number stands for 1.
-    const WHOLES: f32 = 12_582_912.0;
     const EXPONENT_BITS: u32 = 23;
     const EXPONENT_OF_ONE: u32 = 127;
     let x = larger(x, -120.0);

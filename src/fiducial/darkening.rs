@@ -7,7 +7,7 @@
 use crate::frame::{Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
 use crate::lanes::{LANES, Scratch, larger, smaller};
-use crate::statistics::SIGMA_PER_MEDIAN;
+use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use multiversion::multiversion;
 use nalgebra::Vector2;
 
@@ -235,16 +235,10 @@ impl Taken {
     }
 }
 
-/// `None` when there are too few values. They must not be negative; one that is counts as none.
-fn median(values: impl Iterator<Item = f32>) -> Option<f32> {
-    // The bits of such numbers are ordered as the numbers are, and compared more quickly.
-    let mut bits = Scratch::<u32>::empty(USUAL_PIXELS / RINGS);
-    bits.extend(values.map(|v| v.max(0.0).to_bits()));
-    if bits.len() < MIN_RING_PIXELS {
-        return None;
-    }
-    let middle = bits.len() / 2;
-    Some(f32::from_bits(*bits.select_nth_unstable(middle).1))
+/// `None` when there are too few values; one that is negative counts as none.
+fn median(values: impl ExactSizeIterator<Item = f32>) -> Option<f32> {
+    let enough = values.len() >= MIN_RING_PIXELS;
+    enough.then(|| median_size(values.map(|v| v.max(0.0))))?
 }
 
 /// The darkness of the taken pixels.

@@ -98,8 +98,8 @@ impl Fit {
     }
 
     /// Square of the distance, mil^2, from where an offset leads to the farthest mark that may be seen there, when `variance`
-    /// (mil^2) tells how far a mark may be seen from its place. The error in the worse direction is taken for both, so that
-    /// no mark is farther that [`likelihood`](Self::likelihood) would not refuse.
+    /// (mil^2) tells how far a mark may be seen from its place. The error in the worse direction is taken for both:
+    /// whatever is farther, [`likelihood`](Self::likelihood) refuses too.
     #[inline(always)]
     fn gate_mil2(&self, offset: Vector2<f64>, variance: f64) -> f64 {
         GATE * (variance + self.variance(offset))

@@ -3,6 +3,7 @@
 use super::FlatDisc;
 use super::coverage::{BlurredCross, Pose};
 use crate::frame::PIXEL_VARIANCE_PX2;
+use crate::lanes::LANES;
 use crate::plate::Cross;
 use multiversion::multiversion;
 
@@ -42,9 +43,6 @@ pub(super) struct Kernel {
     /// Sum of the squared weights: the response to a cross of contrast 1.
     pub energy: f64,
 }
-
-/// Products that the processor makes side by side.
-const LANES: usize = 8;
 
 impl Kernel {
     /// The kernel of a cross whose arms are rotated from the sensor's axes.

@@ -3,7 +3,8 @@
 use super::coverage::{BlurredCross, Coverage, Pose};
 use super::patch::Patch;
 use crate::frame::ROUNDING_NOISE_DN;
-use crate::lanes::{Scratch, clipped_sigma};
+use crate::lanes::{LANES, Scratch};
+use crate::statistics::clipped_sigma;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix6, Vector6};
 
@@ -69,6 +70,8 @@ impl Fit<'_> {
         let mut unknowns = Unknowns::from(EXPECTED);
         let most_light = self.patch.light.iter().copied().fold(0.0, f32::max);
         let allowed_dn = (MODEL_ERROR * most_light).max(ROUNDING_NOISE_DN as f32);
+        // What does not belong must not widen the limits by itself, so these start from what is known.
+        let expected_dn = (0.5 * allowed_dn).max(self.noise_dn as f32);
         let mut variance = self.noise_dn.powi(2);
         let mut coverage = Coverage::of_length(self.patch.len());
         let mut linear = Linear::new(self.patch.len());
@@ -76,7 +79,7 @@ impl Fit<'_> {
             self.lay(&unknowns, &mut coverage, &mut linear);
             // The first model is too far off to tell what does not belong.
             if look > 0 {
-                linear.reject(variance.sqrt() as f32, allowed_dn);
+                linear.reject(expected_dn, allowed_dn);
             }
             let step = linear.step(&unknowns, variance)?;
             unknowns += step.by;
@@ -169,8 +172,8 @@ impl Linear {
         })
     }
 
-    /// Takes weight from the pixels that the model is too far from, by the noise that most of them show and by what the model
-    /// itself may be off: none within a limit, all beyond twice that.
+    /// Takes weight from the pixels that the model is too far from, by the noise that most of them show, about the expected
+    /// one, and by what the model itself may be off: none within a limit, all beyond twice that.
     fn reject(&mut self, expected_dn: f32, allowed_dn: f32) {
         let Some(noise_dn) = clipped_sigma(&self.residuals, expected_dn) else {
             return;
@@ -249,7 +252,6 @@ fn lay_model(
 /// Sum of products, in lanes that the processor adds side by side.
 #[multiversion(targets("x86_64+avx2"))]
 fn dot(a: &[f32], b: &[f32]) -> f64 {
-    const LANES: usize = 8;
     let (whole_a, rest_a) = a.as_chunks::<LANES>();
     let (whole_b, rest_b) = b.as_chunks::<LANES>();
     let mut lanes = [0.0_f32; LANES];

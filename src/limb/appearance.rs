@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// How far the light at one azimuth may be from what was expected before its own scale is known, 1 sigma.
 pub(super) const TILT: f64 = 0.04;
+
 /// What a look at the limb teaches beside its points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Appearance {

@@ -1,6 +1,6 @@
 //! The pixels about an outline, one list for each quantity, as the processor's wide instructions like it.
 
-use super::hidden::Hidden;
+use super::hidden::{Hidden, pixels_within};
 use crate::frame::{Frame, Sample, View};
 use crate::geometry::Ellipse;
 use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, split};
@@ -122,12 +122,6 @@ fn gather<T: Sample>(
     for list in [&mut pixels.x, &mut pixels.y, &mut pixels.dn] {
         list.truncate(pixels.count);
     }
-}
-
-/// Whole numbers in a half-open range, as far as there are pixels.
-pub(super) fn pixels_within(range: Range<f64>, pixels: usize) -> Range<usize> {
-    let first = |v: f64| v.ceil().clamp(0.0, pixels as f64) as usize;
-    first(range.start)..first(range.end).max(first(range.start))
 }
 
 /// Where rows cross the band, in columns from the outline's centre.

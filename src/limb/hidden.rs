@@ -1,6 +1,5 @@
 //! What of the limb marks hide.
 
-use super::band::pixels_within;
 use crate::frame::Region;
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
@@ -130,6 +129,12 @@ fn within(first: f64, step: f64, limit: f64) -> Range<f64> {
 pub struct Bars {
     pub half_length: f64,
     pub half_width: f64,
+}
+
+/// Whole numbers in a half-open range, as far as there are pixels.
+pub(super) fn pixels_within(range: Range<f64>, pixels: usize) -> Range<usize> {
+    let first = |v: f64| v.ceil().clamp(0.0, pixels as f64) as usize;
+    first(range.start)..first(range.end).max(first(range.start))
 }
 
 /// Brightness of a hidden pixel: so far from any limb's that robust weights leave it out by themselves.

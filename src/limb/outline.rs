@@ -2,8 +2,7 @@
 
 use super::LimbPoint;
 use crate::geometry::Ellipse;
-use crate::lanes::Scratch;
-use crate::statistics::SIGMA_PER_MEDIAN;
+use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use crate::units::Measured;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
@@ -74,8 +73,6 @@ const CRUDE_SIGMAS: f64 = 6.0;
 const SETTLED_STEP_PX: f64 = 1e-4;
 /// Two values so many sigma apart are not of the same thing.
 const CONTRADICTION_SIGMAS: f64 = 5.0;
-/// Points of a limb, or fewer.
-const USUAL_POINTS: usize = 128;
 /// Fewer points make no outline.
 const MIN_POINTS: usize = 6;
 
@@ -208,15 +205,8 @@ fn tukey_weight(sigmas: f64) -> f64 {
 
 /// 1 sigma from the median of the absolute residuals; 0 of none.
 fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
-    // The bits of numbers that are not negative are ordered as the numbers are, and compared more quickly.
-    let mut sizes = Scratch::<u32>::empty(USUAL_POINTS);
-    sizes.extend(residuals.map(|residual| (residual.abs() as f32).to_bits()));
-    if sizes.is_empty() {
-        return 0.0;
-    }
-    let middle = sizes.len() / 2;
-    let (_, median, _) = sizes.select_nth_unstable(middle);
-    SIGMA_PER_MEDIAN * f64::from(f32::from_bits(*median))
+    let sizes = residuals.map(|residual| residual.abs() as f32);
+    SIGMA_PER_MEDIAN * f64::from(median_size(sizes).unwrap_or(0.0))
 }
 
 /// Which part of the outline has points on it, 0 to 1, in steps of 10 deg.

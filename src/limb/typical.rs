@@ -28,8 +28,9 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
     let mut sums = Scratch::<f32>::zeros(if step_dn > 1.0 { counts.len() } else { 0 });
     for (cell, dn) in cells.iter().zip(band.dn.iter()) {
         let cell = *cell as usize;
+        // No cell but that of the hidden pixels, which nobody reads, can fill up.
         if let Some(count) = counts.get_mut(cell) {
-            *count += 1;
+            *count = count.wrapping_add(1);
         }
         if let Some(sum) = sums.get_mut(cell) {
             *sum += dn;

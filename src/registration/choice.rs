@@ -31,12 +31,18 @@ const RISES: usize = 4;
 /// themselves is not the picture of a circle, since the Sun moved; it is doubted until it does no more.
 pub(super) fn agreed(problem: &mut Problem<'_>, settings: &Settings) -> Option<Adjusted> {
     let mut best = simplest(problem, settings)?;
+    if best.raised < CONTRADICTED_RISE || !pairs_agree(problem, settings) {
+        return Some(best);
+    }
     for _ in 0..DOUBTS {
-        if best.raised < CONTRADICTED_RISE || !pairs_agree(problem, settings) {
+        problem.doubt_outline(best.raised);
+        let Some(fairer) = simplest(problem, settings) else {
+            break;
+        };
+        best = fairer;
+        if best.raised < CONTRADICTED_RISE {
             break;
         }
-        problem.doubt_outline(best.raised);
-        best = simplest(problem, settings)?;
     }
     Some(best)
 }

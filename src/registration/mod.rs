@@ -14,6 +14,9 @@
 //! pairs gain counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test);
 //! too few say nothing, else one bad pair bends the mapping to itself.
 //!
+//! Where the pairs, a similarity of which explains them, contradict the outline, it is the outline that is doubted: its
+//! sigmas are raised until both agree. A Sun that moves fast during the exposure shows no circle's picture.
+//!
 //! A camera that looks askew shows a keystone, x = t + L P / (1 + g . P), L a similarity. Its tilt shows most in what it
 //! does to angles far from the plate's centre, and from there follows what a few marks do not show: how far the centre
 //! of the disc's ellipse lies from the picture of the disc's centre, 0.1 px at 3 deg.
@@ -295,6 +298,47 @@ mod tests {
         let truth = Mapping::new(MappingKind::Similarity, *similarity().matrix(), lens).unwrap();
         let registration = registered(&truth, 0.0);
         assert!(registration.residual_px < 1e-6);
+    }
+
+    #[test]
+    fn an_outline_that_contradicts_pairs_which_agree_is_doubted() {
+        let truth = similarity();
+        let pairs = pairs(&truth, 0.02);
+        let centre = truth.to_sensor(PlateMil::new(120.0, 60.0)).vector();
+        let register_about = |stretch_px: f64| {
+            let root = Matrix2::new(95.0 - stretch_px, 0.0, 0.0, 95.0);
+            let ellipse = Ellipse::new(centre, root).unwrap();
+            let on_it = |n: i32| {
+                let (sin, cos) = (f64::from(n) * 0.0628).sin_cos();
+                (
+                    ellipse.from_disc(nalgebra::Vector2::new(cos, sin)).into(),
+                    0.03,
+                )
+            };
+            let points: Vec<(SensorPx, f64)> = (0..100).map(on_it).collect();
+            let outline = Outline {
+                ellipse,
+                points: &points,
+                radius_mil: Measured::new(95.0 * 5.75, 2.0),
+            };
+            register(
+                &pairs,
+                Some(&outline),
+                Handedness::Mirrored,
+                Distortion::NONE,
+                &Settings::default(),
+            )
+            .unwrap()
+        };
+        let round = register_about(0.0);
+        let smeared = register_about(1.5);
+        for found in [&round, &smeared] {
+            assert_eq!(found.mapping.kind(), MappingKind::Similarity);
+            assert!(found.residual_px < 0.03, "{}", found.residual_px);
+        }
+        let sigma = |found: &Registration| found.disc.unwrap().on_sensor.covariance.trace().sqrt();
+        assert!(sigma(&smeared) > 5.0 * sigma(&round));
+        assert!((smeared.disc.unwrap().on_sensor.position.vector() - centre).norm() < 0.1);
     }
 
     #[test]
