@@ -1,7 +1,7 @@
 //! What a prior does to a frame's solution: it spares work, and decides nothing.
 
 use nalgebra::{Matrix2, Vector2};
-use solaspect::aspect::{Expected, Origin, Quality, Solution, Track, solve};
+use solaspect::aspect::{Expected, Origin, Quality, Solution, Track, overlay, solve};
 use solaspect::frame::Frame;
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::registration::{self, Pair};
@@ -148,4 +148,25 @@ fn a_camera_that_moved_is_seen_anew() {
         assert_eq!(tracked.quality, alone.quality);
         assert!(apart_sigmas(&alone, &tracked) < 0.4);
     }
+}
+
+#[test]
+fn the_picture_of_a_frame_shows_its_marks_though_they_were_foretold() {
+    let flight = flight(2);
+    let prior = flight.solve(&flight.frames[0], None).track;
+    let drawn = |solution: &Solution| {
+        let plate = &flight.instrument.plate;
+        let picture = overlay(&flight.frames[1], solution, plate, "a frame");
+        let coloured = |pixel: &&image::Rgb<u8>| pixel.0 == [110, 190, 255];
+        picture.pixels().filter(coloured).count()
+    };
+    let alone = flight.solve(&flight.frames[1], None);
+    let foretold = flight.solve(&flight.frames[1], prior.as_ref());
+    assert_eq!(foretold.track.as_ref().map(|track| track.foretold), Some(1));
+    let (alone, foretold) = (drawn(&alone), drawn(&foretold));
+    assert!(alone > 500, "{alone}");
+    assert!(
+        alone.abs_diff(foretold) < alone / 5,
+        "{alone} and {foretold}"
+    );
 }

@@ -13,6 +13,8 @@ use image::RgbImage;
 const AXIS_MIL: f64 = 350.0;
 /// A mark's refined position is no farther from where it was detected.
 const SAME_MARK_PX: f64 = 2.0;
+/// Of the circle about a mark.
+const MARK_RADIUS_PX: f64 = 11.0;
 const CAPTION_LINES: u32 = 4;
 
 /// The disc magnified, with points of the limb (yellow), the fitted disc (green), marks
@@ -82,26 +84,23 @@ fn draw_axes(canvas: &mut Canvas, mapping: &Mapping, sun: PlateMil) {
 }
 
 fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
-    for detection in &solution.detections.marks {
-        let same = |mark: &&Mark| mark.at.distance(detection.at) < SAME_MARK_PX;
-        let read = solution.marks.iter().find(same);
-        let colour = match read.map(|mark| mark.lighting) {
-            Some(Lighting::Full) => Colour::BLUE,
-            Some(Lighting::Cut) | None => Colour::RED,
+    for mark in &solution.marks {
+        let colour = match mark.lighting {
+            Lighting::Full => Colour::BLUE,
+            Lighting::Cut => Colour::RED,
         };
-        canvas.circle(detection.at, 11.0, colour);
-        if let Some(mark) = read {
-            let beside = SensorPx::new(mark.at.x + 8.0, mark.at.y - 8.0);
-            canvas.label(beside, &mark.id.to_string(), colour);
+        canvas.circle(mark.at, MARK_RADIUS_PX, colour);
+        let beside = SensorPx::new(mark.at.x + 8.0, mark.at.y - 8.0);
+        canvas.label(beside, &mark.id.to_string(), colour);
+        if let Some(adopted) = &solution.mapping {
+            let centre = plate.position(mark.id);
+            draw_cross(canvas, &adopted.mapping, plate, centre, colour);
         }
-        if let (Some(mark), Some(adopted)) = (read, &solution.mapping) {
-            draw_cross(
-                canvas,
-                &adopted.mapping,
-                plate,
-                plate.position(mark.id),
-                colour,
-            );
+    }
+    for detection in &solution.detections.marks {
+        let same = |mark: &Mark| mark.at.distance(detection.at) < SAME_MARK_PX;
+        if !solution.marks.iter().any(same) {
+            canvas.circle(detection.at, MARK_RADIUS_PX, Colour::RED);
         }
     }
 }
@@ -154,6 +153,7 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
     }
     lines
 }
+
 fn marks_line(solution: &Solution) -> String {
     let marks = solution.marks.len();
     match solution.track.as_ref().map(|track| track.foretold) {
