@@ -12,6 +12,7 @@ use crate::fiducial::{Lighting, RefinedMark};
 use crate::frame::{Levels, ROUNDING_NOISE_DN};
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::Limb;
+use crate::statistics::median;
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
 
@@ -119,14 +120,13 @@ impl Work<'_> {
     fn seen_where_foretold(&self, sight: &MarkSight<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
         let refined = self.refine(sight, foretold);
         let full = |(mark, _): &(&Mark, &Option<RefinedMark>)| mark.lighting == Lighting::Full;
-        let mut contrasts: Vec<f64> = foretold
+        let contrasts: Vec<f64> = foretold
             .iter()
             .zip(&refined)
             .filter(full)
             .map(|(_, found)| Some(found.as_ref()?.contrast))
             .collect::<Option<_>>()?;
-        contrasts.sort_by(f64::total_cmp);
-        let usual = *contrasts.get(contrasts.len() / 2)?;
+        let usual = median(&contrasts)?;
         let least = self.settings.fiducial.min_contrast;
         // The refiner counts in the background's noise.
         let background_dn = sight.levels.noise_dn.max(ROUNDING_NOISE_DN);

@@ -10,6 +10,7 @@ use crate::geometry::{Ellipse, Mapping};
 use crate::limb::{DiscLight, Limb};
 use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
+use crate::statistics::median;
 use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::Matrix2;
 
@@ -241,9 +242,7 @@ fn missed_share(detections: &Detections) -> f64 {
     const MOST: f64 = 0.1;
     const LEAST: f64 = 0.003;
     const SIGMA_OF_MOST_PX: f64 = 0.08;
-    let mut sigmas: Vec<f64> = detections.marks.iter().map(|d| d.sigma_px).collect();
-    sigmas.sort_by(f64::total_cmp);
-    match sigmas.get(sigmas.len() / 2) {
+    match median(detections.marks.iter().map(|d| d.sigma_px)) {
         Some(median) => (MOST * (median / SIGMA_OF_MOST_PX).powi(2)).clamp(LEAST, MOST),
         None => MOST,
     }

@@ -90,7 +90,7 @@ impl Darkening {
             .iter()
             .zip(lights)
             .map(|(noise, light)| noise * light);
-        let usual_dn = median(noises_dn).unwrap_or(background_noise_dn);
+        let usual_dn = median_size(noises_dn).unwrap_or(background_noise_dn);
         self.most_excess_dn = BRIGHTEST_SIGMA * usual_dn;
     }
 

@@ -205,7 +205,7 @@ struct Grid {
 }
 
 /// What crosses a region.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 enum Axes {
     Rows,
     Both,
