@@ -2,7 +2,7 @@
 
 use jiff::{SignedDuration, Timestamp};
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
-use solaspect::frame::Frame;
+use solaspect::frame::{Frame, Pixels};
 use solaspect::instrument::Instrument;
 use solaspect::simulate::{Depth, EXPOSURE, FlightScenes, Trajectory};
 use solaspect::sky;
@@ -42,6 +42,15 @@ impl RingCamera {
             number: 0,
             end: (duration.as_secs_f64() * rate_hz).round() as u64,
         })
+    }
+
+    /// Memory that the drawn frames take; no camera has them.
+    pub fn drawn_bytes(&self) -> f64 {
+        let bytes = |frame: &Frame| match frame.pixels() {
+            Pixels::U8(pixels) => size_of_val(pixels.as_slice()),
+            Pixels::U16(pixels) => size_of_val(pixels.as_slice()),
+        };
+        self.frames.iter().map(bytes).sum::<usize>() as f64
     }
 
     fn frame(&self, number: u64) -> Frame {

@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Resident memory that the service may take.
+/// Resident memory that the service may take, beside the frames that its camera has drawn.
 const MOST_BYTES: f64 = 200e6;
 /// Growth per frame that is taken for a leak.
 const LEAK_BYTES_PER_FRAME: f64 = 500.0;
@@ -69,6 +69,7 @@ struct Run {
     tally: FlightTally,
     heard: Report,
     memory: MemoryLog,
+    drawn_bytes: f64,
     processor: Duration,
 }
 
@@ -80,6 +81,7 @@ fn fly(args: &Args, roots: &[PathBuf]) -> anyhow::Result<Run> {
     };
     let duration = Duration::from_secs(args.seconds);
     let camera = RingCamera::new(&instrument, depth, args.rate, duration)?;
+    let drawn_bytes = camera.drawn_bytes();
     let stores = roots
         .iter()
         .map(|root| Store::open(root, &instrument.name, Compression::Rice))
@@ -121,6 +123,7 @@ fn fly(args: &Args, roots: &[PathBuf]) -> anyhow::Result<Run> {
         tally,
         heard,
         memory,
+        drawn_bytes,
         processor,
     })
 }
@@ -161,8 +164,12 @@ fn report(args: &Args, run: &Run) -> u64 {
     );
     let cpu_ms = 1e3 * run.processor.as_secs_f64() / frames as f64;
     println!("processor  {cpu_ms:.2} ms a frame, camera and controller included");
-    let largest = run.memory.largest_bytes();
-    println!("memory     {:.1} MB at most", largest / 1e6);
+    let largest = run.memory.largest_bytes() - run.drawn_bytes;
+    println!(
+        "memory     {:.1} MB at most, beside the {:.1} MB of drawn frames",
+        largest / 1e6,
+        run.drawn_bytes / 1e6
+    );
     let growth = run.memory.growth_bytes_per_s().map(|g| g / args.rate);
     if let Some(growth) = growth {
         println!("           {growth:.0} bytes more with every frame");
