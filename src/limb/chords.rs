@@ -95,7 +95,7 @@ impl Scan {
                 sensor_end: view.width,
             };
             let row = &view.pixels[y * view.width..][..view.width];
-            runs.of_row(&row[line.from..line.to], line.from, floor);
+            runs.find(&row[line.from..line.to], line.from, floor);
             self.chords_of(line, |x| view.dn(x, y), &runs.found, &mut crossings);
         }
         for x in columns.filter(|x| (region.x0..region.x1).contains(x)) {
@@ -110,7 +110,8 @@ impl Scan {
                 .iter()
                 .step_by(view.width)
                 .take(line.to - line.from);
-            runs.of_line(column.copied(), line.from, floor);
+            let column: Vec<T> = column.copied().collect();
+            runs.find(&column, line.from, floor);
             self.chords_of(line, |y| view.dn(x, y), &runs.found, &mut crossings);
         }
         crossings

@@ -32,7 +32,7 @@ pub(super) fn bright_patches<T: Whole>(
     let mut count = 0;
     for y in rows {
         let row = &view.pixels[y * view.width..][region.x0..region.x1];
-        runs.of_row(row, region.x0, floor);
+        runs.find(row, region.x0, floor);
         count += runs.found.len();
         if count > most_runs {
             return Err(Rejected {
