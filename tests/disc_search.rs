@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::limb::{self, CoarseDisc, Settings};
+use solaspect::limb::{self, CoarseDisc, DiscSearch, Settings};
 use solaspect::simulate::{
     Conditions, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC, Scene, Sun, SunInView,
 };
@@ -31,9 +31,14 @@ fn find(frame: &Frame, radius_px: f64) -> Option<CoarseDisc> {
     let (instrument, settings) = (demo(), Settings::default());
     let scale = instrument.mounting.scale_mil_per_px.value;
     let mark_px = instrument.plate.cross.arm_length_mil / scale;
-    let levels = limb::levels(frame, &settings).ok()?;
-    let region = frame.region();
-    limb::find_disc(frame, region, &levels, radius_px, mark_px, &settings).ok()
+    let search = DiscSearch {
+        frame,
+        levels: &limb::levels(frame, &settings).ok()?,
+        radius_px,
+        mark_length_px: mark_px,
+        settings: &settings,
+    };
+    search.anywhere(frame.region()).ok()
 }
 
 /// The share of the Sun's limb that lies on the sensor.

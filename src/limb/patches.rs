@@ -1,7 +1,7 @@
 //! Where a frame is bright: rows far apart, and their bright runs joined to patches, each of which may be the disc.
 
-use super::Scan;
 use super::bright::Whole;
+use super::chords::Scan;
 use crate::frame::{Region, View};
 use crate::units::Rejected;
 
