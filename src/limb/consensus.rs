@@ -19,6 +19,8 @@ const LEAST_ARC: f64 = 0.1;
 const RADIUS_SIGMA: f64 = 0.003;
 /// A limb that tells the radius as well as this, relative to it, is asked for it.
 const WELL_TOLD: f64 = 0.001;
+/// A radius that differs from the expected one by so many sigma is another one.
+const PLAIN_SIGMAS: f64 = 5.0;
 /// A disc known less well than this is not known, px.
 const MAX_CENTRE_SIGMA_PX: f64 = 1.0;
 
@@ -104,16 +106,21 @@ impl Vote<'_> {
         (circle.radius / self.radius_px - 1.0).abs() <= self.settings.max_radius_deviation
     }
 
-    /// The circle through all that agree: of the radius that they tell where they tell it well, of the expected one
-    /// where the arc is too short for that.
+    /// The circle through all that agree: of the radius that they tell where they tell it well, or plainly another than the expected
+    /// one; of the expected one where the arc is too short for that.
     fn refined(&self, start: Circle) -> Option<CircleFit> {
         let fit = |sigma: f64| {
             let radius_px = Measured::new(self.radius_px, sigma * self.radius_px);
             self.groups.fit(start, radius_px)
         };
+        let tells = |fit: &CircleFit| {
+            let sigma_px = fit.radius_sigma_px();
+            let off_px = (fit.circle.radius - self.radius_px).abs();
+            let limit_px = PLAIN_SIGMAS * sigma_px.hypot(RADIUS_SIGMA * self.radius_px);
+            sigma_px < WELL_TOLD * self.radius_px || off_px > limit_px
+        };
         let told = fit(self.settings.max_radius_deviation)
-            .filter(|fit| fit.radius_sigma_px() < WELL_TOLD * self.radius_px)
-            .filter(|fit| self.of_size(&fit.circle));
+            .filter(|fit| tells(fit) && self.of_size(&fit.circle));
         told.or_else(|| fit(RADIUS_SIGMA))
     }
 

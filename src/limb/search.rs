@@ -121,9 +121,10 @@ impl DiscSearch<'_> {
         let margin_px = self.spacing_px() + self.settings.min_run_px;
         let region = patch.grown(margin_px, view.width, view.height);
         let (width, height) = (region.width(), region.height());
+        let diameter_px = (2.0 * self.radius_px) as usize;
         Grid {
             region,
-            spacing_px: width.min(height) / self.lines_across(),
+            spacing_px: width.min(height).min(diameter_px) / self.lines_across(),
             axis: match width > WIDE * height {
                 true => Axis::Column,
                 false => Axis::Row,
