@@ -225,3 +225,72 @@ fn weighted_sums(groups: &[Group], circle: &Circle, limit_px: f32) -> [f32; 10] 
     }
     sums.map(|lanes| lanes.iter().sum())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::chords::{Axis, Edge};
+    use super::*;
+    use crate::units::SensorPx;
+
+    const TRUTH: Circle = Circle {
+        centre: Vector2::new(400.3, 299.6),
+        radius: 95.2,
+    };
+
+    /// Where 24 rows cross a circle, the first of them off by `off_px` in x.
+    fn crossings(off_px: f64) -> Vec<Crossing> {
+        let row = |n: usize| {
+            let y = TRUTH.centre.y + 7.5 * (n as f64 - 11.5);
+            let half = (TRUTH.radius.powi(2) - (y - TRUTH.centre.y).powi(2)).sqrt();
+            [(Edge::Entering, -half), (Edge::Leaving, half)].map(|(edge, x)| Crossing {
+                at: SensorPx::new(TRUTH.centre.x + x, y),
+                axis: Axis::Row,
+                edge,
+            })
+        };
+        let mut crossings: Vec<Crossing> = (0..24).flat_map(row).collect();
+        for crossing in crossings.iter_mut().take(6) {
+            crossing.at.x += off_px;
+        }
+        crossings
+    }
+
+    #[test]
+    fn crossings_agree_with_their_circle_and_those_that_face_the_other_way_do_not() {
+        let mut some = crossings(0.0);
+        some.truncate(45);
+        for crossing in &mut some[20..22] {
+            crossing.edge = match crossing.edge {
+                Edge::Entering => Edge::Leaving,
+                Edge::Leaving => Edge::Entering,
+            };
+        }
+        let agreement = Crossings::new(&some).agreement(&TRUTH);
+        assert_eq!((agreement.on, agreement.near), (43.0, 45.0));
+        assert_eq!(Crossings::new(&some).on(&TRUTH).count(), 43);
+    }
+
+    #[test]
+    fn a_circle_is_found_though_an_eighth_of_the_crossings_is_off() {
+        let start = Circle {
+            centre: TRUTH.centre + Vector2::new(0.4, -0.3),
+            radius: 94.9,
+        };
+        for off_px in [0.0, 1.9, -30.0] {
+            let anything = Measured::new(95.0, 10.0);
+            let fit = Crossings::new(&crossings(off_px)).fit(start, anything);
+            let circle = fit.unwrap().circle;
+            assert!((circle.centre - TRUTH.centre).norm() < 0.02, "{circle:?}");
+            assert!((circle.radius - TRUTH.radius).abs() < 0.02, "{circle:?}");
+        }
+    }
+
+    #[test]
+    fn a_radius_that_is_known_before_is_kept() {
+        let known = Measured::new(95.0, 0.001);
+        let fit = Crossings::new(&crossings(0.0)).fit(TRUTH, known).unwrap();
+        assert!((fit.circle.radius - 95.0).abs() < 0.01);
+        assert!(fit.radius_sigma_px() < 0.001);
+        assert!((0.01..0.05).contains(&fit.centre_sigma_px()));
+    }
+}

@@ -239,6 +239,20 @@ mod tests {
     }
 
     #[test]
+    fn the_ground_beside_a_disc_that_covers_half_of_a_picture_is_all_of_its_dark_half() {
+        let even = |x: usize, y: usize| ((x * 7919 + y * 104_729) % 21) as u8;
+        let half = frame(|x, y| if x < 100 { 200 } else { even(x, y) });
+        let levels = levels(&half, &Settings::default()).unwrap();
+        assert!((levels.background_dn - 10.0).abs() <= 1.0, "{levels:?}");
+        // A quarter of an even spread lies between its middle and its upper quartile.
+        let noise_dn = 21.0 / 4.0 / QUARTILE_SIGMAS;
+        assert!(
+            (levels.noise_dn / noise_dn - 1.0).abs() < 0.15,
+            "{levels:?}"
+        );
+    }
+
+    #[test]
     fn frames_of_one_value_have_no_disc() {
         for value in [0, 255] {
             assert!(levels(&frame(|_, _| value), &Settings::default()).is_err());
