@@ -77,7 +77,7 @@ fn brightest<T: Whole>(row: &[T]) -> T {
 fn first<T: Whole>(row: &[T], wanted: impl Fn(T) -> bool) -> Option<usize> {
     let (groups, _) = row.as_chunks::<GROUP>();
     let any = |group: &[T; GROUP]| group.iter().fold(false, |any, pixel| any | wanted(*pixel));
-    let passed = GROUP * groups.iter().take_while(|group| !any(group)).count();
+    let passed = groups.iter().position(any).unwrap_or(groups.len()) * GROUP;
     let left = &row[passed..];
     Some(passed + left.iter().position(|pixel| wanted(*pixel))?)
 }

@@ -117,7 +117,9 @@ impl Vote<'_> {
             let sigma_px = fit.radius_sigma_px();
             let off_px = (fit.circle.radius - self.radius_px).abs();
             let limit_px = PLAIN_SIGMAS * sigma_px.hypot(RADIUS_SIGMA * self.radius_px);
-            sigma_px < WELL_TOLD * self.radius_px || off_px > limit_px
+            let well = sigma_px < WELL_TOLD * self.radius_px;
+            let plainly = off_px > limit_px && fit.centre_sigma_px() < MAX_CENTRE_SIGMA_PX;
+            well || plainly
         };
         let told = fit(self.settings.max_radius_deviation)
             .filter(|fit| tells(fit) && self.of_size(&fit.circle));

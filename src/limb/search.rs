@@ -210,7 +210,7 @@ fn check_filled<T: Whole>(
     circle: &Circle,
     threshold_dn: f64,
 ) -> Result<(), Rejected> {
-    const PIXELS: usize = 600;
+    const PIXELS: usize = 400;
     const LEAST_RIGHT: f64 = 0.8;
     let floor = T::floor(threshold_dn);
     let [inside, rim, outside] = [0.95, 1.05, 1.25].map(|part| (part * circle.radius).powi(2));
