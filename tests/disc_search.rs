@@ -4,10 +4,10 @@
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
-use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::frame::{Frame, FrameInfo, Levels, Pixels, Region};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::limb::{self, CoarseDisc, Settings};
+use solaspect::limb::{self, CoarseDisc, DiscSearch, Settings};
 use solaspect::simulate::{
     Conditions, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC, Scene, Sun, SunInView,
 };
@@ -28,12 +28,27 @@ fn frames(in_ci: u64) -> u64 {
 }
 
 fn find(frame: &Frame, radius_px: f64) -> Option<CoarseDisc> {
-    let (instrument, settings) = (demo(), Settings::default());
-    let scale = instrument.mounting.scale_mil_per_px.value;
-    let mark_px = instrument.plate.cross.arm_length_mil / scale;
+    let settings = Settings::default();
     let levels = limb::levels(frame, &settings).ok()?;
-    let region = frame.region();
-    limb::find_disc(frame, region, &levels, radius_px, mark_px, &settings).ok()
+    let search = search(frame, &levels, radius_px, &settings);
+    search.anywhere(frame.region()).ok()
+}
+
+fn search<'a>(
+    frame: &'a Frame,
+    levels: &'a Levels,
+    radius_px: f64,
+    settings: &'a Settings,
+) -> DiscSearch<'a> {
+    let instrument = demo();
+    let scale = instrument.mounting.scale_mil_per_px.value;
+    DiscSearch {
+        frame,
+        levels,
+        radius_px,
+        mark_length_px: instrument.plate.cross.arm_length_mil / scale,
+        settings,
+    }
 }
 
 /// The share of the Sun's limb that lies on the sensor.
@@ -278,6 +293,24 @@ fn a_whole_disc_is_always_found() {
         c.sunspots = 8;
         c.noise = Noise::read(15.0);
     });
+}
+
+#[test]
+fn a_disc_near_where_it_was_is_found_though_more_crossings_are_asked_for() {
+    let frame = frame_of(|x, y| lit((x - 612.0).hypot(y - 431.0) < 95.2));
+    let region = Region::sized(480, 300, 280, 280);
+    for min_crossings in [8, 48, 120] {
+        let settings = Settings {
+            min_crossings,
+            ..Settings::default()
+        };
+        let levels = limb::levels(&frame, &settings).unwrap();
+        let search = search(&frame, &levels, 95.2, &settings);
+        for disc in [search.near(region), search.anywhere(frame.region())] {
+            let centre = disc.unwrap().centre;
+            assert!(centre.distance(SensorPx::new(612.0, 431.0)) < 0.3);
+        }
+    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use solaspect::fits;
 use solaspect::geometry::Ellipse;
-use solaspect::limb::{self, Hidden, KnownOutline, LimbFit, OutlinePrior, Settings};
+use solaspect::limb::{self, DiscSearch, Hidden, KnownOutline, LimbFit, OutlinePrior, Settings};
 use solaspect::units::Measured;
 use std::path::Path;
 
@@ -16,8 +16,14 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
     let frame = fits::read_frame(&path).unwrap();
     let settings = Settings::default();
     let levels = limb::levels(&frame, &settings).unwrap();
-    let found =
-        limb::find_disc(&frame, frame.region(), &levels, RADIUS_PX, 15.7, &settings).unwrap();
+    let search = DiscSearch {
+        frame: &frame,
+        levels: &levels,
+        radius_px: RADIUS_PX,
+        mark_length_px: 15.7,
+        settings: &settings,
+    };
+    let found = search.anywhere(frame.region()).unwrap();
     let start = Ellipse::from(found.circle());
     // Neither radius nor roundness is given: 3 % and 0.3 % decide nothing here.
     let anything = OutlinePrior {

@@ -5,7 +5,9 @@ use solaspect::aspect::Solution;
 use solaspect::fiducial::{self, CrossShape, Detections, FlatDisc, Refiner};
 use solaspect::frame::{Frame, Levels};
 use solaspect::geometry::Ellipse;
-use solaspect::limb::{self, CoarseDisc, Hidden, KnownOutline, Limb, LimbFit, OutlinePrior};
+use solaspect::limb::{
+    self, CoarseDisc, DiscSearch, Hidden, KnownOutline, Limb, LimbFit, OutlinePrior,
+};
 use solaspect::units::Measured;
 
 pub struct Stages<'a> {
@@ -28,18 +30,14 @@ impl Stages<'_> {
 
     pub fn disc(&self) -> Option<CoarseDisc> {
         let scale = self.flight.instrument.mounting.scale_mil_per_px.value;
-        let mark_px = 2.0 * self.shape(scale).half_length_px;
-        let (region, radius_px) = (self.frame.region(), self.radius_mil() / scale);
-        let settings = limb::Settings::default();
-        limb::find_disc(
-            self.frame,
-            region,
-            &self.levels,
-            radius_px,
-            mark_px,
-            &settings,
-        )
-        .ok()
+        let search = DiscSearch {
+            frame: self.frame,
+            levels: &self.levels,
+            radius_px: self.radius_mil() / scale,
+            mark_length_px: 2.0 * self.shape(scale).half_length_px,
+            settings: &limb::Settings::default(),
+        };
+        search.anywhere(self.frame.region()).ok()
     }
 
     /// The limb, nothing hidden.

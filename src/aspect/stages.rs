@@ -6,7 +6,9 @@ use crate::fiducial::{CrossShape, Detections};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, Bars, CoarseDisc, Hidden, KnownOutline, LimbFit, OutlinePrior};
+use crate::limb::{
+    self, Bars, CoarseDisc, DiscSearch, Hidden, KnownOutline, LimbFit, OutlinePrior,
+};
 use crate::units::{Measured, Rejected, SensorPx};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
@@ -84,18 +86,20 @@ impl<'a> Work<'a> {
     }
 
     pub(super) fn find_disc(&self, levels: &Levels) -> Result<CoarseDisc, Stopped> {
-        let (radius_px, mark_px) = (self.radius_px, self.mark_length_px());
-        let settings = &self.settings.limb;
+        let search = DiscSearch {
+            frame: self.frame,
+            levels,
+            radius_px: self.radius_px,
+            mark_length_px: self.mark_length_px(),
+            settings: &self.settings.limb,
+        };
         let near = self.prior.and_then(|prior| {
             let reach = prior.disc.radius + PRIOR_REACH_PX;
             let centre = SensorPx::from(prior.disc.centre);
             let region = Region::around(centre, reach, self.frame.width(), self.frame.height())?;
-            limb::find_disc_near(self.frame, region, levels, radius_px, mark_px, settings).ok()
+            search.near(region).ok()
         });
-        let anywhere = || {
-            let region = self.frame.region();
-            limb::find_disc(self.frame, region, levels, radius_px, mark_px, settings)
-        };
+        let anywhere = || search.anywhere(self.frame.region());
         near.map_or_else(anywhere, Ok).map_err(at(Stage::Limb))
     }
 

@@ -2,82 +2,84 @@
 
 use crate::frame::Sample;
 use multiversion::multiversion;
-use std::ops::BitOr;
 
-/// Pixels that are looked at together: where none of them is bright, none is looked at alone.
-const STRETCH: usize = 64;
+/// Pixels that are compared side by side.
+const GROUP: usize = 32;
 
 /// A pixel as a whole number.
-pub trait Whole: Sample + PartialOrd + Default + BitOr<Output = Self> {
+pub trait Whole: Sample + Ord + Default {
     /// The largest value that does not outshine a threshold: `value > floor` says what
     /// `value.dn() > threshold_dn` says.
     fn floor(threshold_dn: f64) -> Self;
 
-    /// How far a value lies above another; zero where it does not.
-    fn above(self, floor: Self) -> Self;
+    /// How many values there are to count in a frame that saturates at `saturation_dn`.
+    fn values(saturation_dn: u16) -> usize;
 
     /// The value, to count by.
     fn index(self) -> usize;
 }
 
-macro_rules! whole {
-    ($kind:ty) => {
-        impl Whole for $kind {
-            fn floor(threshold_dn: f64) -> Self {
-                threshold_dn.floor() as Self
-            }
+impl Whole for u8 {
+    fn floor(threshold_dn: f64) -> Self {
+        threshold_dn.floor() as Self
+    }
 
-            fn above(self, floor: Self) -> Self {
-                self.saturating_sub(floor)
-            }
+    /// All there are, whatever saturates: a number that the compiler knows spares a check at every pixel.
+    fn values(_: u16) -> usize {
+        1 << Self::BITS
+    }
 
-            fn index(self) -> usize {
-                usize::from(self)
-            }
-        }
-    };
-}
-whole!(u8);
-whole!(u16);
-
-/// Which stretches of a row hold a bright pixel, in a list that is used again from row to row.
-#[derive(Debug, Default)]
-pub(super) struct Stretches {
-    found: Vec<u32>,
-}
-
-impl Stretches {
-    /// The stretches of a row that hold a bright pixel, each with its place in the row.
-    pub(super) fn bright<'a, T: Whole>(
-        &'a mut self,
-        row: &'a [T],
-        floor: T,
-    ) -> impl Iterator<Item = (usize, &'a [T])> {
-        self.found.clear();
-        find_bright(row, floor, &mut self.found);
-        self.found.iter().map(move |n| {
-            let first = *n as usize * STRETCH;
-            (first, &row[first..(first + STRETCH).min(row.len())])
-        })
+    fn index(self) -> usize {
+        usize::from(self)
     }
 }
 
-#[multiversion(targets("x86_64+avx2"))]
-fn find_bright<T: Whole>(row: &[T], floor: T, found: &mut Vec<u32>) {
-    let join = |any: T, pixel: &T| any | pixel.above(floor);
+impl Whole for u16 {
+    fn floor(threshold_dn: f64) -> Self {
+        threshold_dn.floor() as Self
+    }
+
+    fn values(saturation_dn: u16) -> usize {
+        usize::from(saturation_dn) + 1
+    }
+
+    fn index(self) -> usize {
+        usize::from(self)
+    }
+}
+
+/// The first bright pixel of a row.
+#[inline(always)]
+pub(super) fn first_bright<T: Whole>(row: &[T], floor: T) -> Option<usize> {
     // Most rows are dark all along.
-    if row.iter().fold(T::default(), join) == T::default() {
-        return;
+    if brightest(row) > floor {
+        first(row, |pixel| pixel > floor)
+    } else {
+        None
     }
-    for (n, stretch) in row.chunks(STRETCH).enumerate() {
-        let any = match <&[T; STRETCH]>::try_from(stretch) {
-            Ok(whole) => whole.iter().fold(T::default(), join),
-            Err(_) => stretch.iter().fold(T::default(), join),
-        };
-        if any > T::default() {
-            found.push(n as u32);
+}
+
+#[inline(always)]
+fn brightest<T: Whole>(row: &[T]) -> T {
+    let (groups, rest) = row.as_chunks::<GROUP>();
+    let mut most = [T::default(); GROUP];
+    for group in groups {
+        for (most, pixel) in most.iter_mut().zip(group) {
+            *most = (*most).max(*pixel);
         }
     }
+    let all = most.iter().chain(rest);
+    all.fold(T::default(), |most, pixel| most.max(*pixel))
+}
+
+/// The first pixel of a row that is as wanted: groups without any are passed over.
+#[inline(always)]
+fn first<T: Whole>(row: &[T], wanted: impl Fn(T) -> bool) -> Option<usize> {
+    let (groups, _) = row.as_chunks::<GROUP>();
+    let any = |group: &[T; GROUP]| group.iter().fold(false, |any, pixel| any | wanted(*pixel));
+    let passed = groups.iter().position(any).unwrap_or(groups.len()) * GROUP;
+    let left = &row[passed..];
+    Some(passed + left.iter().position(|pixel| wanted(*pixel))?)
 }
 
 /// Bright runs of a line, first pixel and the one after the last: long enough to be no hot pixel, marks filled in.
@@ -86,9 +88,6 @@ pub(super) struct Runs {
     pub found: Vec<(usize, usize)>,
     min_run_px: usize,
     max_gap_px: usize,
-    /// First pixel of the run that has not ended yet, and the pixel after its last so far.
-    open: Option<(usize, usize)>,
-    stretches: Stretches,
 }
 
 impl Runs {
@@ -100,53 +99,30 @@ impl Runs {
         }
     }
 
-    /// The runs of a line from its pixel `from` on.
-    pub(super) fn of_line<T: Whole>(
-        &mut self,
-        line: impl Iterator<Item = T>,
-        from: usize,
-        floor: T,
-    ) {
+    /// The runs of a line, whose first pixel is the line's pixel `from`.
+    pub(super) fn find<T: Whole>(&mut self, line: &[T], from: usize, floor: T) {
         self.found.clear();
-        self.add(line, from, floor);
-        self.close();
+        add_runs(self, line, from, floor);
     }
 
-    /// The same of a row that lies in one piece: what is dark is passed over.
-    pub(super) fn of_row<T: Whole>(&mut self, row: &[T], from: usize, floor: T) {
-        self.found.clear();
-        let mut stretches = std::mem::take(&mut self.stretches);
-        for (first, stretch) in stretches.bright(row, floor) {
-            self.add(stretch.iter().copied(), from + first, floor);
-        }
-        self.stretches = stretches;
-        self.close();
-    }
-
-    fn add<T: Whole>(&mut self, pixels: impl Iterator<Item = T>, from: usize, floor: T) {
-        for (n, pixel) in pixels.enumerate() {
-            if pixel > floor {
-                let n = from + n;
-                match &mut self.open {
-                    Some((_, end)) if *end == n => *end = n + 1,
-                    _ => {
-                        self.close();
-                        self.open = Some((n, n + 1));
-                    }
-                }
-            }
-        }
-    }
-
-    fn close(&mut self) {
-        if let Some((first, end)) = self.open.take()
-            && end - first >= self.min_run_px
-        {
+    fn add(&mut self, first: usize, end: usize) {
+        if end - first >= self.min_run_px {
             match self.found.last_mut() {
                 Some(last) if first - last.1 <= self.max_gap_px => last.1 = end,
                 _ => self.found.push((first, end)),
             }
         }
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn add_runs<T: Whole>(runs: &mut Runs, line: &[T], from: usize, floor: T) {
+    let mut at = 0;
+    while let Some(dark) = first_bright(&line[at..], floor) {
+        let start = at + dark;
+        let left = &line[start..];
+        at = start + first(left, |pixel| pixel <= floor).unwrap_or(left.len());
+        runs.add(from + start, from + at);
     }
 }
 
@@ -167,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_in_one_piece_has_the_runs_that_its_pixels_have_one_by_one() {
+    fn runs_are_those_that_are_long_enough_with_their_short_gaps_filled() {
         let lit = [3..30, 50..56, 120..123, 125..135, 190..320, 331..333];
         let row: Vec<u16> = (0..333)
             .map(|n| {
@@ -178,11 +154,9 @@ mod tests {
                 }
             })
             .collect();
-        let [mut passing, mut each] = [(); 2].map(|()| Runs::new(4, 5));
-        passing.of_row(&row, 7, 500);
-        each.of_line(row.iter().copied(), 7, 500);
-        assert_eq!(passing.found, each.found);
+        let mut runs = Runs::new(4, 5);
+        runs.find(&row, 7, 500);
         let long = [(10, 37), (57, 63), (132, 142), (197, 327)];
-        assert_eq!(passing.found, long);
+        assert_eq!(runs.found, long);
     }
 }

@@ -11,14 +11,14 @@ use nalgebra::Vector2;
 
 /// The direction of a chord.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Axis {
+pub(super) enum Axis {
     Row,
     Column,
 }
 
 /// Which end of a chord a crossing is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Edge {
+pub(super) enum Edge {
     /// Brightness rises along the chord: it enters the disc.
     Entering,
     /// Brightness falls along the chord: it leaves the disc.
@@ -27,7 +27,7 @@ pub enum Edge {
 
 /// A sub-pixel place where a chord crosses the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Crossing {
+pub(super) struct Crossing {
     pub at: SensorPx,
     pub axis: Axis,
     pub edge: Edge,
@@ -35,7 +35,7 @@ pub struct Crossing {
 
 impl Crossing {
     /// Unit vector along the chord, into the disc.
-    pub fn inward(&self) -> Vector2<f64> {
+    pub(super) fn inward(&self) -> Vector2<f64> {
         let sign = match self.edge {
             Edge::Entering => 1.0,
             Edge::Leaving => -1.0,
@@ -49,7 +49,7 @@ impl Crossing {
 
 /// What makes a chord: the threshold, and the lengths of what is no disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scan {
+pub(super) struct Scan {
     pub threshold_dn: f64,
     /// Shorter bright runs are hot pixels and noise.
     pub min_run_px: usize,
@@ -61,7 +61,7 @@ pub struct Scan {
 
 impl Scan {
     /// A scan for a threshold and a mark's length from tip to tip, px.
-    pub fn new(threshold_dn: f64, mark_length_px: f64, settings: &Settings) -> Self {
+    pub(super) fn new(threshold_dn: f64, mark_length_px: f64, settings: &Settings) -> Self {
         let gap = (1.3 * mark_length_px).ceil() as usize;
         Self {
             threshold_dn,
@@ -75,62 +75,52 @@ impl Scan {
         Runs::new(self.min_run_px, self.max_gap_px)
     }
 
-    /// The crossings of the given rows and columns, within a region.
-    pub fn run<T: Whole>(
+    /// The crossings of the given rows or columns, within a region.
+    pub(super) fn run<T: Whole>(
         &self,
         view: &View<'_, T>,
         region: Region,
-        rows: impl Iterator<Item = usize>,
-        columns: impl Iterator<Item = usize>,
+        axis: Axis,
+        lines: impl Iterator<Item = usize>,
     ) -> Vec<Crossing> {
         let floor = T::floor(self.threshold_dn);
         let mut crossings = Vec::new();
         let mut runs = self.runs();
-        for y in rows.filter(|y| (region.y0..region.y1).contains(y)) {
-            let line = Line {
-                axis: Axis::Row,
-                at: y,
-                from: region.x0,
-                to: region.x1,
-                sensor_end: view.width,
-            };
-            let row = &view.pixels[y * view.width..][..view.width];
-            runs.of_row(&row[line.from..line.to], line.from, floor);
-            self.chords_of(line, |x| view.dn(x, y), &runs.found, &mut crossings);
-        }
-        for x in columns.filter(|x| (region.x0..region.x1).contains(x)) {
-            let line = Line {
-                axis: Axis::Column,
-                at: x,
-                from: region.y0,
-                to: region.y1,
-                sensor_end: view.height,
-            };
-            let column = view.pixels[line.from * view.width + x..]
-                .iter()
-                .step_by(view.width)
-                .take(line.to - line.from);
-            runs.of_line(column.copied(), line.from, floor);
-            self.chords_of(line, |y| view.dn(x, y), &runs.found, &mut crossings);
+        let mut column = Vec::new();
+        for at in lines {
+            let line = Line { view, axis, at };
+            match axis {
+                Axis::Row => {
+                    let row = &view.pixels[at * view.width..][..region.x1];
+                    runs.find(&row[region.x0..], region.x0, floor);
+                }
+                Axis::Column => {
+                    let rows = view.pixels.chunks_exact(view.width);
+                    let rows = rows.skip(region.y0).take(region.height());
+                    column.clear();
+                    column.extend(rows.map(|row| row[at]));
+                    runs.find(&column, region.y0, floor);
+                }
+            }
+            self.add_crossings(&line, &runs.found, &mut crossings);
         }
         crossings
     }
 
     /// The crossings of those runs of a line that are chords.
-    fn chords_of(
+    fn add_crossings<T: Whole>(
         &self,
-        line: Line,
-        value: impl Fn(usize) -> f32,
+        line: &Line<'_, T>,
         runs: &[(usize, usize)],
         crossings: &mut Vec<Crossing>,
     ) {
         // A run that the sensor cuts may be short and yet a chord of the disc.
         let chord = |(first, end): &(usize, usize)| {
-            *first == 0 || *end == line.sensor_end || end - first >= self.min_chord_px
+            *first == 0 || *end == line.end() || end - first >= self.min_chord_px
         };
         for (start, end) in runs.iter().copied().filter(chord) {
             for (edge, first_after) in [(Edge::Entering, start), (Edge::Leaving, end)] {
-                if let Some(along) = self.cross(line, &value, edge, first_after) {
+                if let Some(along) = self.cross(line, edge, first_after) {
                     crossings.push(line.crossing(along, edge));
                 }
             }
@@ -139,20 +129,14 @@ impl Scan {
 
     /// Where a straight line through the four pixels about a threshold crossing meets the threshold; the window is
     /// centred anew once, since noise may have moved the first guess. `None` where the sensor ends.
-    fn cross(
-        &self,
-        line: Line,
-        value: &impl Fn(usize) -> f32,
-        edge: Edge,
-        first_after: usize,
-    ) -> Option<f64> {
+    fn cross<T: Whole>(&self, line: &Line<'_, T>, edge: Edge, first_after: usize) -> Option<f64> {
         let mut first_after = first_after;
         let mut refined = None;
         for _ in 0..2 {
-            if first_after < 2 || first_after + 2 > line.sensor_end {
+            if first_after < 2 || first_after + 2 > line.end() {
                 return None;
             }
-            let window: [f64; 4] = std::array::from_fn(|k| f64::from(value(first_after - 2 + k)));
+            let window: [f64; 4] = std::array::from_fn(|k| line.dn(first_after - 2 + k));
             let mean = window.iter().sum::<f64>() / 4.0;
             let slope =
                 (-1.5 * window[0] - 0.5 * window[1] + 0.5 * window[2] + 1.5 * window[3]) / 5.0;
@@ -166,23 +150,35 @@ impl Scan {
             }
             let along = first_after as f64 - 0.5 + from_middle;
             refined = Some(along);
-            first_after = (along + 0.5).round().max(0.0) as usize;
+            first_after = (along + 1.0).max(0.0) as usize;
         }
         refined
     }
 }
 
-/// A row or a column, and the part of it that is looked at.
-#[derive(Clone, Copy)]
-struct Line {
+/// A row or a column of the sensor.
+struct Line<'a, T> {
+    view: &'a View<'a, T>,
     axis: Axis,
     at: usize,
-    from: usize,
-    to: usize,
-    sensor_end: usize,
 }
 
-impl Line {
+impl<T: Whole> Line<'_, T> {
+    /// The pixel after its last.
+    fn end(&self) -> usize {
+        match self.axis {
+            Axis::Row => self.view.width,
+            Axis::Column => self.view.height,
+        }
+    }
+
+    fn dn(&self, along: usize) -> f64 {
+        f64::from(match self.axis {
+            Axis::Row => self.view.dn(along, self.at),
+            Axis::Column => self.view.dn(self.at, along),
+        })
+    }
+
     fn crossing(&self, along: f64, edge: Edge) -> Crossing {
         let at = match self.axis {
             Axis::Row => SensorPx::new(along, self.at as f64),
@@ -219,7 +215,7 @@ mod tests {
             x1: row.len(),
             y1: 1,
         };
-        let crossings = SCAN.run(&view, region, 0..1, 0..0);
+        let crossings = SCAN.run(&view, region, Axis::Row, 0..1);
         crossings.iter().map(|c| c.at.x).collect()
     }
 

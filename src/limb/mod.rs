@@ -12,6 +12,7 @@
 //! Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
 //! than [`Settings::min_limb_points`] points on an outline.
 
+mod agreement;
 mod appearance;
 mod band;
 mod bright;
@@ -28,7 +29,6 @@ mod profile;
 mod search;
 mod typical;
 
-pub use chords::{Axis, Crossing, Edge, Scan};
 pub use edge::LimbPoint;
 pub use fine::{KnownOutline, Limb, LimbFit};
 pub use hidden::{Bars, Hidden};
@@ -36,7 +36,7 @@ pub use levels::levels;
 pub use light::DiscLight;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
-pub use search::{CoarseDisc, find_disc, find_disc_near};
+pub use search::{CoarseDisc, DiscSearch};
 
 /// What can be tuned in finding the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,7 @@
 //! Where a frame is bright: rows far apart, and their bright runs joined to patches, each of which may be the disc.
 
-use super::Scan;
 use super::bright::Whole;
+use super::chords::Scan;
 use crate::frame::{Region, View};
 use crate::units::Rejected;
 
@@ -32,7 +32,7 @@ pub(super) fn bright_patches<T: Whole>(
     let mut count = 0;
     for y in rows {
         let row = &view.pixels[y * view.width..][region.x0..region.x1];
-        runs.of_row(row, region.x0, floor);
+        runs.find(row, region.x0, floor);
         count += runs.found.len();
         if count > most_runs {
             return Err(Rejected {

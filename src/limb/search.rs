@@ -1,10 +1,11 @@
 //! Finding the disc: sparse rows over the whole frame, chords where it is bright, and a circle that most crossings
 //! agree on.
 
+use super::Settings;
 use super::bright::Whole;
+use super::chords::{Axis, Crossing, Scan};
 use super::consensus::agreed_circle;
 use super::patches::{Patch, bright_patches};
-use super::{Crossing, Scan, Settings};
 use crate::frame::{Frame, Levels, Region, View};
 use crate::geometry::Circle;
 use crate::units::{Rejected, SensorPx};
@@ -38,75 +39,51 @@ impl From<Circle> for CoarseDisc {
 
 /// Patches that are looked at.
 const MOST_PATCHES: usize = 6;
-/// Chords across the shorter side of a patch.
-const CHORDS_PER_PATCH: usize = 16;
-/// Rows across a disc that is where it was, or near.
-const ROWS_ACROSS: usize = 24;
-/// Chords are no nearer to each other than this: what is between is the same noise twice.
+/// Lines across a disc, or across the shorter side of a patch.
+const LINES_ACROSS: usize = 24;
+/// Lines are no nearer to each other than this: what is between is the same noise twice.
 const LEAST_SPACING_PX: usize = 2;
+/// A patch this much wider than high is crossed by columns: rows would hardly cross its limb.
+const WIDE: usize = 2;
 /// Linear limb darkening at 630 nm: light falls as 1 - u (1 - cos theta) towards the limb.
 const LIMB_DARKENING: f64 = 0.56;
 
-/// Finds the disc in a region of the frame, whole or in part.
-///
-/// `radius_px` is the expected radius, `mark_length_px` a mark from tip to tip.
+/// A search for the disc, whole or in part.
 ///
 /// # Algorithm
 /// 1. Rows far apart tell where the frame is bright.
-/// 2. Each bright patch, the largest first, is crossed by rows and columns: the smaller it is, the nearer they lie.
+/// 2. Each bright patch, the largest first, is crossed by rows or columns: the smaller it is, the nearer they lie.
 /// 3. The circle that most of their crossings agree on is the disc if it is bright within and dark about.
 /// 4. Where the sensor shows only the darker outside of the disc, 2 and 3 again with the threshold that the whole
 ///    disc would have had.
-pub fn find_disc(
-    frame: &Frame,
-    region: Region,
-    levels: &Levels,
-    radius_px: f64,
-    mark_length_px: f64,
-    settings: &Settings,
-) -> Result<CoarseDisc, Rejected> {
-    let search = Search {
-        levels,
-        radius_px,
-        mark_length_px,
-        settings,
-    };
-    Ok(with_view!(frame, view => search.run(&view, region))?.into())
+#[derive(Debug, Clone, Copy)]
+pub struct DiscSearch<'a> {
+    pub frame: &'a Frame,
+    pub levels: &'a Levels,
+    /// The expected radius.
+    pub radius_px: f64,
+    /// A mark from tip to tip.
+    pub mark_length_px: f64,
+    pub settings: &'a Settings,
 }
 
-/// Finds the disc in a region about the place where it was: steps 2 to 4 of [`find_disc`], by rows alone.
-pub fn find_disc_near(
-    frame: &Frame,
-    region: Region,
-    levels: &Levels,
-    radius_px: f64,
-    mark_length_px: f64,
-    settings: &Settings,
-) -> Result<CoarseDisc, Rejected> {
-    let search = Search {
-        levels,
-        radius_px,
-        mark_length_px,
-        settings,
-    };
-    let grid = Grid {
-        region,
-        spacing_px: (2.0 * radius_px) as usize / ROWS_ACROSS,
-        axes: Axes::Rows,
-    };
-    Ok(with_view!(frame, view => search.disc_on(&view, &grid))?.into())
-}
+impl DiscSearch<'_> {
+    /// Looks for the disc everywhere in a region of the frame.
+    pub fn anywhere(&self, region: Region) -> Result<CoarseDisc, Rejected> {
+        Ok(with_view!(self.frame, view => self.in_patches(&view, region))?.into())
+    }
 
-/// What is known of the disc before it is found.
-struct Search<'a> {
-    levels: &'a Levels,
-    radius_px: f64,
-    mark_length_px: f64,
-    settings: &'a Settings,
-}
+    /// Looks for the disc in a region about the place where it was: steps 2 to 4, the region for a patch.
+    pub fn near(&self, region: Region) -> Result<CoarseDisc, Rejected> {
+        let grid = Grid {
+            region,
+            spacing_px: (2.0 * self.radius_px) as usize / self.lines_across(),
+            axis: Axis::Row,
+        };
+        Ok(with_view!(self.frame, view => self.disc_on(&view, &grid))?.into())
+    }
 
-impl Search<'_> {
-    fn run<T: Whole>(&self, view: &View<'_, T>, region: Region) -> Result<Circle, Rejected> {
+    fn in_patches<T: Whole>(&self, view: &View<'_, T>, region: Region) -> Result<Circle, Rejected> {
         let scan = self.scan(self.levels);
         let patches = bright_patches(view, region, &scan, self.spacing_px())?; // 1
         let mut reason = Rejected {
@@ -133,15 +110,25 @@ impl Search<'_> {
         self.settings.search_spacing_px.max(1)
     }
 
-    /// The rows and columns that cross a patch.
+    /// Each line crosses the limb twice at the most: where many crossings are asked for, so are lines.
+    fn lines_across(&self) -> usize {
+        LINES_ACROSS.max(self.settings.min_crossings)
+    }
+
+    /// The rows or columns that cross a patch.
     fn grid_over<T: Whole>(&self, view: &View<'_, T>, patch: &Patch) -> Grid {
         // The patch may end anywhere before the next row, and its chords need dark pixels at their ends.
         let margin_px = self.spacing_px() + self.settings.min_run_px;
         let region = patch.grown(margin_px, view.width, view.height);
+        let (width, height) = (region.width(), region.height());
+        let diameter_px = (2.0 * self.radius_px) as usize;
         Grid {
             region,
-            spacing_px: region.width().min(region.height()) / CHORDS_PER_PATCH,
-            axes: Axes::Both,
+            spacing_px: width.min(height).min(diameter_px) / self.lines_across(),
+            axis: match width > WIDE * height {
+                true => Axis::Column,
+                false => Axis::Row,
+            },
         }
     }
 
@@ -197,31 +184,23 @@ fn brightest_seen(circle: &Circle, width: usize, height: usize) -> f64 {
     1.0 - LIMB_DARKENING * (1.0 - cosine)
 }
 
-/// Rows, and columns perhaps, that cross a region.
+/// Rows or columns that cross a region.
 struct Grid {
     region: Region,
     spacing_px: usize,
-    axes: Axes,
-}
-
-/// What crosses a region.
-#[derive(Clone, Copy)]
-enum Axes {
-    Rows,
-    Both,
+    axis: Axis,
 }
 
 impl Grid {
     /// Their crossings with the edge of what is bright.
     fn crossings<T: Whole>(&self, view: &View<'_, T>, scan: &Scan) -> Vec<Crossing> {
-        let region = self.region;
-        let spacing = self.spacing_px.max(LEAST_SPACING_PX);
-        let rows = (region.y0 + spacing / 2..region.y1).step_by(spacing);
-        let columns = match self.axes {
-            Axes::Rows => 0..0,
-            Axes::Both => region.x0 + spacing / 2..region.x1,
+        let (spacing, region) = (self.spacing_px.max(LEAST_SPACING_PX), self.region);
+        let across = match self.axis {
+            Axis::Row => region.y0..region.y1,
+            Axis::Column => region.x0..region.x1,
         };
-        scan.run(view, region, rows, columns.step_by(spacing))
+        let lines = across.skip(spacing / 2).step_by(spacing);
+        scan.run(view, region, self.axis, lines)
     }
 }
 
@@ -231,21 +210,24 @@ fn check_filled<T: Whole>(
     circle: &Circle,
     threshold_dn: f64,
 ) -> Result<(), Rejected> {
-    const PIXELS: usize = 1000;
+    const PIXELS: usize = 400;
     const LEAST_RIGHT: f64 = 0.8;
     let floor = T::floor(threshold_dn);
-    let reach = 1.25 * circle.radius;
+    let [inside, rim, outside] = [0.95, 1.05, 1.25].map(|part| (part * circle.radius).powi(2));
     let (mut within, mut about) = (Share::default(), Share::default());
+    let reach = 1.25 * circle.radius;
     if let Some(region) = Region::around(circle.centre.into(), reach, view.width, view.height) {
         let step = (region.width() * region.height() / PIXELS).isqrt().max(1);
         for y in (region.y0..region.y1).step_by(step) {
-            for x in (region.x0..region.x1).step_by(step) {
-                let out = circle.excess(Vector2::new(x as f64, y as f64)) / circle.radius;
-                let bright = view.pixels[y * view.width + x] > floor;
-                if out < -0.05 {
-                    within.count(bright);
-                } else if (0.05..0.25).contains(&out) {
-                    about.count(!bright);
+            let row = &view.pixels[y * view.width..][..region.x1];
+            let dy2 = (y as f64 - circle.centre.y).powi(2);
+            for (n, pixel) in row[region.x0..].iter().step_by(step).enumerate() {
+                let x = (region.x0 + n * step) as f64;
+                let out2 = (x - circle.centre.x).powi(2) + dy2;
+                if out2 < inside {
+                    within.count(*pixel > floor);
+                } else if (rim..outside).contains(&out2) {
+                    about.count(*pixel <= floor);
                 }
             }
         }

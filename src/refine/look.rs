@@ -12,7 +12,7 @@ use crate::fiducial::CrossShape;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, KnownOutline, Limb, LimbFit, OutlinePrior};
+use crate::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
 use crate::statistics::{median, median_and_scatter};
 use crate::units::{Measured, PlateMil};
 use crate::with_view;
@@ -108,8 +108,14 @@ impl Known<'_> {
         let reach = radius + SEARCHED_SIGMAS * sigma_px + SEARCHED_PX;
         let (width, height) = (frame.width(), frame.height());
         let region = Region::around(outline.centre.into(), reach, width, height)?;
-        let mark_px = 2.0 * self.shape(outline).half_length_px;
-        let disc = limb::find_disc(frame, region, &levels, radius, mark_px, settings).ok()?;
+        let search = DiscSearch {
+            frame,
+            levels: &levels,
+            radius_px: radius,
+            mark_length_px: 2.0 * self.shape(outline).half_length_px,
+            settings,
+        };
+        let disc = search.anywhere(region).ok()?;
         self.outline(self.mapping.to_plate(disc.centre))
     }
 
