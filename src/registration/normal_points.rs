@@ -11,25 +11,35 @@ use nalgebra::Vector2;
 const ARCS: usize = 24;
 
 /// Points with 1 sigma across the outline, px, made few. The ellipse is the outline, nearly.
-pub(super) fn normal_points(points: &[(SensorPx, f64)], ellipse: &Ellipse) -> Vec<(SensorPx, f64)> {
+pub(super) fn normal_points(
+    points: &[(SensorPx, f64)],
+    ellipse: &Ellipse,
+) -> impl Iterator<Item = (SensorPx, f64)> {
     let mut arcs = [Arc::default(); ARCS];
     for (at, sigma_px) in points {
         let w = ellipse.to_disc(at.vector());
-        let turns = w.y.atan2(w.x) / std::f64::consts::TAU;
-        let arc = (turns.rem_euclid(1.0) * ARCS as f64) as usize % ARCS;
-        let weight = sigma_px.powi(-2);
+        let arc = (turns(w) * ARCS as f64) as usize % ARCS;
+        let weight = 1.0 / (sigma_px * sigma_px);
         arcs[arc].weight += weight;
         arcs[arc].direction += w * weight;
         arcs[arc].excess_px += ellipse.excess(at.vector()) * weight;
     }
-    let filled = arcs.iter().filter(|arc| arc.weight > 0.0);
-    filled
-        .map(|arc| {
-            let w = arc.direction.normalize();
-            let out = ellipse.normal(w) * (arc.excess_px / arc.weight);
-            ((ellipse.from_disc(w) + out).into(), arc.weight.powf(-0.5))
-        })
-        .collect()
+    let filled = arcs.into_iter().filter(|arc| arc.weight > 0.0);
+    filled.map(|arc| {
+        let w = arc.direction.normalize();
+        let out = ellipse.normal(w) * (arc.excess_px / arc.weight);
+        ((ellipse.from_disc(w) + out).into(), 1.0 / arc.weight.sqrt())
+    })
+}
+
+/// A direction's angle, 0 to 1 turn, to a thousandth.
+fn turns(w: Vector2<f64>) -> f64 {
+    let (x, y) = (w.x.abs(), w.y.abs());
+    let slope = x.min(y) / x.max(y);
+    let from_axis = slope * (0.1685 - 0.0435 * slope);
+    let quarter = if y > x { 0.25 - from_axis } else { from_axis };
+    let half = if w.x < 0.0 { 0.5 - quarter } else { quarter };
+    if w.y < 0.0 { 1.0 - half } else { half }
 }
 
 /// Weighted sums over an arc of the outline.
@@ -46,6 +56,15 @@ mod tests {
     use nalgebra::Matrix2;
 
     #[test]
+    fn a_direction_has_its_angle() {
+        for n in 0..100 {
+            let angle = f64::from(n) / 100.0;
+            let (sin, cos) = (angle * std::f64::consts::TAU).sin_cos();
+            assert!((turns(Vector2::new(cos, sin)) - angle).abs() < 0.001, "{n}");
+        }
+    }
+
+    #[test]
     fn normal_points_lie_where_their_points_lie_on_average() {
         let root = Matrix2::new(95.2, 0.1, 0.1, 94.9);
         let ellipse = Ellipse::new(Vector2::new(400.0, 300.0), root).unwrap();
@@ -58,7 +77,7 @@ mod tests {
             (at.into(), 0.1)
         };
         let points: Vec<(SensorPx, f64)> = (0..180).map(point).collect();
-        let few = normal_points(&points, &ellipse);
+        let few: Vec<_> = normal_points(&points, &ellipse).collect();
         assert_eq!(few.len(), ARCS);
         for (at, sigma_px) in few {
             let at = at.vector();
