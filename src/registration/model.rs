@@ -122,7 +122,7 @@ impl Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::project;
+    use crate::geometry::{Distortion, Mapping};
 
     fn tilted() -> Model {
         let parameters = [650.0, 480.0, 150.0, 80.0, 0.3, -0.2, 0.02, -0.01];
@@ -134,7 +134,9 @@ mod tests {
         let model = tilted();
         let at = PlateMil::new(700.0, -400.0);
         let seen = model.picture(at);
-        assert!((project(&model.homography(), at.vector()) - seen).norm() < 1e-9);
+        let to_plate = model.homography().try_inverse().unwrap();
+        let mapping = Mapping::new(MappingKind::Homography, to_plate, Distortion::NONE).unwrap();
+        assert!((mapping.to_sensor(at).vector() - seen).norm() < 1e-9);
         let (back, slopes) = model.back(seen).unwrap();
         assert!((back - at.vector()).norm() < 1e-9);
         assert!((slopes * model.jacobian(at) - Matrix2::identity()).norm() < 1e-12);

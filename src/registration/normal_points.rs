@@ -3,7 +3,7 @@
 //! Whatever a mapping does to the outline is smooth along it: it moves and stretches an ellipse. So the mean distance of
 //! neighbouring points from an ellipse near them, at their mean direction, tells as much as the points themselves.
 
-use crate::geometry::Ellipse;
+use crate::geometry::{Ellipse, turns};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 
@@ -22,7 +22,7 @@ pub(super) fn normal_points(
         let weight = 1.0 / (sigma_px * sigma_px);
         arcs[arc].weight += weight;
         arcs[arc].direction += w * weight;
-        arcs[arc].excess_px += ellipse.excess(at.vector()) * weight;
+        arcs[arc].excess_px += ellipse.excess_at(w) * weight;
     }
     let filled = arcs.into_iter().filter(|arc| arc.weight > 0.0);
     filled.map(|arc| {
@@ -30,16 +30,6 @@ pub(super) fn normal_points(
         let out = ellipse.normal(w) * (arc.excess_px / arc.weight);
         ((ellipse.from_disc(w) + out).into(), 1.0 / arc.weight.sqrt())
     })
-}
-
-/// A direction's angle, 0 to 1 turn, to a thousandth.
-fn turns(w: Vector2<f64>) -> f64 {
-    let (x, y) = (w.x.abs(), w.y.abs());
-    let slope = x.min(y) / x.max(y);
-    let from_axis = slope * (0.1685 - 0.0435 * slope);
-    let quarter = if y > x { 0.25 - from_axis } else { from_axis };
-    let half = if w.x < 0.0 { 0.5 - quarter } else { quarter };
-    if w.y < 0.0 { 1.0 - half } else { half }
 }
 
 /// Weighted sums over an arc of the outline.
@@ -54,15 +44,6 @@ struct Arc {
 mod tests {
     use super::*;
     use nalgebra::Matrix2;
-
-    #[test]
-    fn a_direction_has_its_angle() {
-        for n in 0..100 {
-            let angle = f64::from(n) / 100.0;
-            let (sin, cos) = (angle * std::f64::consts::TAU).sin_cos();
-            assert!((turns(Vector2::new(cos, sin)) - angle).abs() < 0.001, "{n}");
-        }
-    }
 
     #[test]
     fn normal_points_lie_where_their_points_lie_on_average() {
