@@ -123,14 +123,11 @@ impl Work<'_> {
     /// The marks by their own pixels. `None` where one that must be seen is not; one that the limb cuts may be missing.
     fn seen_where_foretold(&self, sight: &MarkSight<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
         let refined = self.refine(sight, foretold);
-        let full = |(mark, _): &(&Mark, &Option<RefinedMark>)| mark.lighting == Lighting::Full;
-        let contrasts: Vec<f64> = foretold
-            .iter()
-            .zip(&refined)
-            .filter(full)
-            .map(|(_, found)| Some(found.as_ref()?.contrast))
-            .collect::<Option<_>>()?;
-        let usual = median(&contrasts)?;
+        let full = |(mark, found): (&Mark, &Option<RefinedMark>)| {
+            let found = found.filter(|_| mark.lighting == Lighting::Full);
+            found.map(|found| found.contrast)
+        };
+        let usual = median(foretold.iter().zip(&refined).filter_map(full))?;
         let least = self.settings.fiducial.min_contrast;
         // The refiner counts in the background's noise.
         let background_dn = sight.levels.noise_dn.max(ROUNDING_NOISE_DN);
@@ -157,9 +154,6 @@ impl Work<'_> {
 
 /// Along the direction that is known worst.
 fn largest_variance(covariance: &Matrix2<f64>) -> f64 {
-    let (mean, half) = (
-        covariance.trace() / 2.0,
-        (covariance.m11 - covariance.m22) / 2.0,
-    );
-    mean + half.hypot(covariance.m12)
+    let half_difference = (covariance.m11 - covariance.m22) / 2.0;
+    covariance.trace() / 2.0 + half_difference.hypot(covariance.m12)
 }

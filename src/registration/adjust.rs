@@ -1,7 +1,7 @@
 //! One adjustment of everything that the mapping decides: the pairs, and the points that lie on one circle of the plate.
 
 use super::model::{MOST, Model, parameters_of};
-use super::normal_points::normal_points;
+use super::normal_points::{ARCS, normal_points};
 use super::sums::{MISS, Row, Solved, Sums, UNKNOWNS};
 use super::{Outline, Pair};
 use crate::geometry::{Circle, Distortion, Handedness, MappingKind};
@@ -82,11 +82,16 @@ impl<'a> Problem<'a> {
                 seen: distortion.correct(at).vector(),
                 sigma_px,
             };
-            let points = normal_points(outline.points, &outline.ellipse);
-            (outline, points.map(point).collect())
+            let mut points = Vec::with_capacity(ARCS);
+            points.extend(normal_points(outline.points, &outline.ellipse).map(point));
+            (outline, points)
         };
+        let mut ideal_pairs = Vec::with_capacity(pairs.len());
+        for pair in pairs {
+            ideal_pairs.push(ideal_pair(pair)?);
+        }
         Some(Self {
-            pairs: pairs.iter().map(ideal_pair).collect::<Option<_>>()?,
+            pairs: ideal_pairs,
             outline: outline.map(ideal_points),
             handedness,
         })

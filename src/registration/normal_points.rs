@@ -8,7 +8,7 @@ use crate::units::SensorPx;
 use nalgebra::Vector2;
 
 /// Normal points all round: an ellipse needs five, and a point of these sees the stretch to one part in a hundred.
-const ARCS: usize = 24;
+pub(super) const ARCS: usize = 24;
 
 /// Points with 1 sigma across the outline, px, made few. The ellipse is the outline, nearly.
 pub(super) fn normal_points(
