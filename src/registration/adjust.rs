@@ -154,7 +154,7 @@ impl<'a> Problem<'a> {
 
     /// The vicinity of the similarity that the pairs alone give.
     pub(super) fn near_first_similarity(&self) -> Option<Vicinity> {
-        // The picture is linear in a similarity's parameters.
+        // A similarity's picture is linear in its parameters.
         let zero = Model::zero(self.handedness);
         let pairs = Sums::of(&self.pair_rows(&zero));
         let step = pairs.solved(&free(MappingKind::Similarity, false))?.step();
@@ -170,9 +170,11 @@ impl<'a> Problem<'a> {
     }
 
     fn near(&self, model: Model, circle: Option<Circle>) -> Option<Vicinity> {
-        let outline = match circle {
-            Some(circle) => self.outline_rows(&model, &circle)?,
-            None => Vec::new(),
+        let outline = match (&self.outline, circle) {
+            (Some((outline, points)), Some(circle)) => {
+                outline_rows(outline, points, &model, &circle)?
+            }
+            _ => Vec::new(),
         };
         Some(Vicinity {
             model,
@@ -195,31 +197,6 @@ impl<'a> Problem<'a> {
             }
         }
         rows
-    }
-
-    fn outline_rows(&self, model: &Model, circle: &Circle) -> Option<Vec<Row>> {
-        let Some((outline, points)) = &self.outline else {
-            return Some(Vec::new());
-        };
-        let mut rows = Vec::with_capacity(points.len() + 1);
-        let radius_mil = outline.radius_mil;
-        let weight = 1.0 / radius_mil.sigma;
-        let miss = (radius_mil.value - circle.radius) * weight;
-        rows.push(row([0.0; MOST], [0.0, 0.0, weight], miss));
-        for point in points {
-            let (on_plate, to_plate) = model.back(point.seen)?;
-            let from_centre = on_plate - circle.centre;
-            let distance = from_centre.norm();
-            let outward = (distance > 0.0).then(|| from_centre / distance)?;
-            let across = to_plate.tr_mul(&outward);
-            let weight = 1.0 / (point.sigma_px * across.norm());
-            let (out, across) = (outward * weight, across * weight);
-            let [x, y] = model.parameter_slopes(on_plate.into());
-            let slopes = std::array::from_fn(|k| across.x * x[k] + across.y * y[k]);
-            let miss = (distance - circle.radius) * weight;
-            rows.push(row(slopes, [out.x, out.y, weight], miss));
-        }
-        Some(rows)
     }
 
     /// Squared residual over covariance of every pair, and its residual in px.
@@ -288,6 +265,34 @@ fn free(kind: MappingKind, with_circle: bool) -> [bool; UNKNOWNS] {
     let [tx, ty, a, b, c, d, gx, gy] = parameters_of(kind);
     let circle = with_circle;
     [tx, ty, a, b, c, d, gx, gy, circle, circle, circle]
+}
+
+/// What is known of the circle's radius, and the points that lie on the circle.
+fn outline_rows(
+    outline: &Outline<'_>,
+    points: &[IdealPoint],
+    model: &Model,
+    circle: &Circle,
+) -> Option<Vec<Row>> {
+    let mut rows = Vec::with_capacity(points.len() + 1);
+    let radius_mil = outline.radius_mil;
+    let weight = 1.0 / radius_mil.sigma;
+    let miss = (radius_mil.value - circle.radius) * weight;
+    rows.push(row([0.0; MOST], [0.0, 0.0, weight], miss));
+    for point in points {
+        let (on_plate, to_plate) = model.back(point.seen)?;
+        let from_centre = on_plate - circle.centre;
+        let distance = from_centre.norm();
+        let outward = (distance > 0.0).then(|| from_centre / distance)?;
+        let across = to_plate.tr_mul(&outward);
+        let weight = 1.0 / (point.sigma_px * across.norm());
+        let (out, across) = (outward * weight, across * weight);
+        let [x, y] = model.parameter_slopes(on_plate.into());
+        let slopes = std::array::from_fn(|k| across.x * x[k] + across.y * y[k]);
+        let miss = (distance - circle.radius) * weight;
+        rows.push(row(slopes, [out.x, out.y, weight], miss));
+    }
+    Some(rows)
 }
 
 fn row(slopes: [f64; MOST], circle: [f64; 3], miss: f64) -> Row {
