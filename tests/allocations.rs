@@ -56,9 +56,9 @@ fn a_warm_frame_asks_for_little_memory() {
     let (_, tracking) = counted(|| solve(&frame, &instrument, expected, track));
     println!("acquiring: {acquiring:?} calls and bytes, tracking: {tracking:?}");
     // The solution itself, and short lists along the way.
-    assert!(tracking[0] < 200 && tracking[1] < 200_000, "{tracking:?}");
+    assert!(tracking[0] < 110 && tracking[1] < 135_000, "{tracking:?}");
     assert!(
-        acquiring[0] < 500 && acquiring[1] < 700_000,
+        acquiring[0] < 320 && acquiring[1] < 530_000,
         "{acquiring:?}"
     );
 }

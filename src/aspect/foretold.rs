@@ -6,7 +6,7 @@
 //! foretell marks where the pattern has none. Nothing else of the prior enters the solution but the place where the fits start.
 
 use super::marks::MarkSight;
-use super::stages::Work;
+use super::stages::{DISC_ROOM, Work};
 use super::{Mark, Sighting};
 use crate::fiducial::{Lighting, RefinedMark};
 use crate::frame::{Levels, ROUNDING_NOISE_DN};
@@ -68,11 +68,12 @@ impl Work<'_> {
     fn foretold_outline(&self, mapping: &Mapping, found: SensorPx) -> Option<Ellipse> {
         let on_plate = mapping.to_plate(found);
         let picture = mapping.sensor_jacobian(on_plate) * self.radius_mil.value;
-        // The ellipse's root is the symmetric part of the picture's polar decomposition.
-        let square = (picture * picture.transpose()).symmetric_eigen();
-        let roots = Matrix2::from_diagonal(&square.eigenvalues.map(|v| v.max(0.0).sqrt()));
-        let root = square.eigenvectors * roots * square.eigenvectors.transpose();
-        Ellipse::new(found.vector(), (root + root.transpose()) / 2.0)
+        // The ellipse's root is the symmetric part of the picture's polar decomposition, the square root of P P^T, which
+        // by Cayley and Hamilton is (P P^T + d 1) / sqrt(trace + 2 d) with d^2 its determinant.
+        let square = picture * picture.transpose();
+        let d = picture.determinant().abs();
+        let root = (square + Matrix2::identity() * d) / (square.trace() + 2.0 * d).sqrt();
+        Ellipse::new(found.vector(), root)
     }
 
     /// The plate's marks that the disc lights, where a mapping sees them.
@@ -80,7 +81,10 @@ impl Work<'_> {
         let plate = &self.instrument.plate;
         let reach_px = self.shape.half_length_px;
         let outline = &limb.outline.ellipse;
-        let marks = plate.marks().filter_map(|(id, printed)| {
+        let centre = SensorPx::from(outline.centre);
+        let about_mil = DISC_ROOM * outline.mean_radius() * mapping.scale_mil_per_px(centre);
+        let near = plate.marks_about(mapping.to_plate(centre), about_mil);
+        let marks = near.filter_map(|(id, printed)| {
             let at = mapping.to_sensor(printed);
             let worth = outline.excess(at.vector()) < -WORTH_LOOKING * reach_px;
             let on_sensor = self.is_on_sensor(at.vector(), 0.0);
@@ -119,25 +123,22 @@ impl Work<'_> {
     /// The marks by their own pixels. `None` where one that must be seen is not; one that the limb cuts may be missing.
     fn seen_where_foretold(&self, sight: &MarkSight<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
         let refined = self.refine(sight, foretold);
-        let full = |(mark, _): &(&Mark, &Option<RefinedMark>)| mark.lighting == Lighting::Full;
-        let contrasts: Vec<f64> = foretold
-            .iter()
-            .zip(&refined)
-            .filter(full)
-            .map(|(_, found)| Some(found.as_ref()?.contrast))
-            .collect::<Option<_>>()?;
-        let usual = median(&contrasts)?;
+        let full = |(mark, found): (&Mark, &Option<RefinedMark>)| {
+            let found = found.filter(|_| mark.lighting == Lighting::Full);
+            found.map(|found| found.contrast)
+        };
+        let usual = median(foretold.iter().zip(&refined).filter_map(full))?;
         let least = self.settings.fiducial.min_contrast;
         // The refiner counts in the background's noise.
         let background_dn = sight.levels.noise_dn.max(ROUNDING_NOISE_DN);
         let per_noise = (background_dn / sight.limb.disc_noise_dn()).powi(2);
         let is_mark = |mark: &Mark, found: &RefinedMark| {
-            let sigma_px = found.place.covariance.symmetric_eigenvalues().max().sqrt();
             found.contrast > least
                 && COMMON_CONTRAST.contains(&(found.contrast / usual))
                 && found.reduced_chi2 * per_noise < MAX_CHI2
                 && found.place.position.distance(mark.at) < MAX_DRIFT_PX
-                && (mark.lighting == Lighting::Full || sigma_px < MOST_CUT_SIGMA_PX)
+                && (mark.lighting == Lighting::Full
+                    || largest_variance(&found.place.covariance) < MOST_CUT_SIGMA_PX.powi(2))
         };
         let mut marks = Vec::with_capacity(foretold.len());
         for (mark, found) in foretold.iter().zip(&refined) {
@@ -149,4 +150,10 @@ impl Work<'_> {
         }
         Some(marks)
     }
+}
+
+/// Along the direction that is known worst.
+fn largest_variance(covariance: &Matrix2<f64>) -> f64 {
+    let half_difference = (covariance.m11 - covariance.m22) / 2.0;
+    covariance.trace() / 2.0 + half_difference.hypot(covariance.m12)
 }

@@ -144,15 +144,15 @@ impl Work<'_> {
         marks: &[Mark],
         limb: Option<&Limb>,
     ) -> Result<Registration, Stopped> {
-        let pairs: Vec<Pair> = marks
+        let mut pairs = Vec::with_capacity(marks.len());
+        let used = marks
             .iter()
-            .filter(|mark| limb.is_some() || mark.lighting == Lighting::Full)
-            .map(|mark| Pair {
-                seen: mark.at,
-                printed: self.instrument.plate.position(mark.id),
-                covariance_px2: mark.covariance_px2 + self.poorly_known_px2(mark.id),
-            })
-            .collect();
+            .filter(|mark| limb.is_some() || mark.lighting == Lighting::Full);
+        pairs.extend(used.map(|mark| Pair {
+            seen: mark.at,
+            printed: self.instrument.plate.position(mark.id),
+            covariance_px2: mark.covariance_px2 + self.poorly_known_px2(mark.id),
+        }));
         let reject = |reason, measured, limit| {
             at(Stage::Registration)(Rejected {
                 reason,
@@ -165,10 +165,8 @@ impl Work<'_> {
             let reason = "too few fully lit marks have an id";
             return Err(reject(reason, pairs.len() as f64, least as f64));
         }
-        let points: Vec<(SensorPx, f64)> = limb
-            .iter()
-            .flat_map(|limb| limb.points.iter().map(|point| (point.at, point.sigma_px)))
-            .collect();
+        let points = limb.map_or(&[][..], |limb| &limb.points);
+        let points: Vec<(SensorPx, f64)> = points.iter().map(|p| (p.at, p.sigma_px)).collect();
         let outline = limb.map(|limb| Outline {
             ellipse: limb.outline.ellipse,
             points: &points,

@@ -23,6 +23,8 @@ const STATED_FLATNESS: f64 = 0.0003;
 const MARK_MARGIN_PX: f64 = 3.0;
 /// The limb's fit looks at pixels so far inside the limb; outside it marks hide no light.
 const HIDING_DEPTH_PX: f64 = 14.0;
+/// The marks near a disc are looked for within so many times its radius: a camera that looks askew shows it flattened.
+pub(super) const DISC_ROOM: f64 = 1.2;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
 const PRIOR_REACH_PX: f64 = 45.0;
 
@@ -180,7 +182,9 @@ pub(crate) fn marks_hidden(
     let scale = mapping.scale_mil_per_px(disc.centre.into());
     let reach_px = 1.1 * cross.arm_length_mil / 2.0 / scale + MARK_MARGIN_PX;
     let near = -HIDING_DEPTH_PX - reach_px..reach_px;
-    for (_, printed) in instrument.plate.marks() {
+    let centre = mapping.to_plate(disc.centre.into());
+    let about_mil = DISC_ROOM * (disc.mean_radius() + reach_px) * scale;
+    for (_, printed) in instrument.plate.marks_about(centre, about_mil) {
         let seen = mapping.to_sensor(printed);
         if !near.contains(&disc.excess(seen.vector())) {
             continue;

@@ -58,7 +58,11 @@ impl Ellipse {
 
     /// Distance of a point outwards from the outline; to first order in that distance and in the ellipse's flatness.
     pub fn excess(&self, point: Vector2<f64>) -> f64 {
-        let w = self.to_disc(point);
+        self.excess_at(self.to_disc(point))
+    }
+
+    /// The same of a position in units of the disc's radius.
+    pub fn excess_at(&self, w: Vector2<f64>) -> f64 {
         let r = w.norm();
         if r == 0.0 {
             return -self.mean_radius();

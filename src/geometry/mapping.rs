@@ -176,7 +176,7 @@ impl Mapping {
 }
 
 /// A position projected by a plane homography.
-pub(crate) fn project(homography: &Matrix3<f64>, p: Vector2<f64>) -> Vector2<f64> {
+fn project(homography: &Matrix3<f64>, p: Vector2<f64>) -> Vector2<f64> {
     let h = homography * Vector3::new(p.x, p.y, 1.0);
     Vector2::new(h.x / h.z, h.y / h.z)
 }

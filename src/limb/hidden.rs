@@ -51,6 +51,9 @@ impl Hidden {
             for [u, v] in [[long, wide], [wide, long]] {
                 let (in_u, in_v) = (within(first.x, step.x, u), within(first.y, step.y, v));
                 let (start, end) = (in_u.start.max(in_v.start), in_u.end.min(in_v.end));
+                if start >= end {
+                    continue;
+                }
                 let columns = pixels_within(start..end, near.width());
                 self.cover_row(near.x0 + columns.start..near.x0 + columns.end, y);
             }
@@ -133,8 +136,14 @@ pub struct Bars {
 
 /// Whole numbers in a half-open range, as far as there are pixels.
 pub(super) fn pixels_within(range: Range<f64>, pixels: usize) -> Range<usize> {
-    let first = |v: f64| v.ceil().clamp(0.0, pixels as f64) as usize;
-    first(range.start)..first(range.end).max(first(range.start))
+    // What `ceil` does, which many processors' programs must call.
+    let first = |v: f64| {
+        let v = v.clamp(0.0, pixels as f64);
+        let whole = v as u32;
+        (whole + u32::from(f64::from(whole) < v)) as usize
+    };
+    let start = first(range.start);
+    start..first(range.end).max(start)
 }
 
 /// Brightness of a hidden pixel: so far from any limb's that robust weights leave it out by themselves.

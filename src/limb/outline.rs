@@ -1,7 +1,7 @@
 //! The ellipse through points of the limb, on the sensor.
 
 use super::LimbPoint;
-use crate::geometry::Ellipse;
+use crate::geometry::{Ellipse, turns};
 use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use crate::units::Measured;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
@@ -214,9 +214,7 @@ pub fn arc_fraction(points: impl Iterator<Item = Vector2<f64>>, centre: Vector2<
     const BINS: usize = 36;
     let mut seen = [false; BINS];
     for point in points {
-        let d = point - centre;
-        let turns = d.y.atan2(d.x) / std::f64::consts::TAU;
-        seen[(turns.rem_euclid(1.0) * BINS as f64) as usize % BINS] = true;
+        seen[(turns(point - centre) * BINS as f64) as usize % BINS] = true;
     }
     seen.iter().filter(|s| **s).count() as f64 / BINS as f64
 }

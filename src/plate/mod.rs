@@ -10,6 +10,8 @@ use std::fmt;
 
 /// The largest |i| and |j| of a mark.
 pub const MAX_INDEX: i32 = 7;
+/// Marks in a row or column.
+const SIDE: i32 = 2 * MAX_INDEX + 1;
 
 /// The fixed part of a step between neighbours, mil.
 pub const FIXED_SPACING_MIL: f64 = 90.0;
@@ -37,8 +39,15 @@ impl MarkId {
     }
 
     fn index(self) -> usize {
-        let side = 2 * MAX_INDEX + 1;
-        ((self.i + MAX_INDEX) * side + self.j + MAX_INDEX) as usize
+        ((self.i + MAX_INDEX) * SIDE + self.j + MAX_INDEX) as usize
+    }
+
+    fn of_index(index: usize) -> Self {
+        let index = index as i32;
+        Self {
+            i: index / SIDE - MAX_INDEX,
+            j: index % SIDE - MAX_INDEX,
+        }
     }
 }
 
@@ -87,6 +96,8 @@ pub struct Plate {
     drawing_sigma_mil: f64,
     positions: Vec<PlateMil>,
     sigmas_mil: Vec<[f64; 2]>,
+    /// Variance of the best known mark's position, per axis.
+    least_variance_mil2: f64,
 }
 
 impl Plate {
@@ -97,6 +108,7 @@ impl Plate {
             drawing_sigma_mil: sigma_mil,
             positions: MarkId::all().map(drawn_position).collect(),
             sigmas_mil: MarkId::all().map(|_| [sigma_mil; 2]).collect(),
+            least_variance_mil2: variance(&[sigma_mil; 2]),
         }
     }
 
@@ -109,6 +121,8 @@ impl Plate {
     pub fn set(&mut self, id: MarkId, position: PlateMil, sigma_mil: [f64; 2]) {
         self.positions[id.index()] = position;
         self.sigmas_mil[id.index()] = sigma_mil;
+        let variances = self.sigmas_mil.iter().map(variance);
+        self.least_variance_mil2 = variances.fold(f64::INFINITY, f64::min);
     }
 
     pub fn position(&self, id: MarkId) -> PlateMil {
@@ -123,9 +137,7 @@ impl Plate {
     /// By how much the variance of a mark's position exceeds that of the plate's best known mark, mil^2 per axis: nothing on
     /// a plate of which all marks are known alike.
     pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {
-        let variance = |[x, y]: &[f64; 2]| (x * x + y * y) / 2.0;
-        let best = self.sigmas_mil.iter().map(variance);
-        variance(&self.sigma_mil(id)) - best.fold(f64::INFINITY, f64::min)
+        variance(&self.sigma_mil(id)) - self.least_variance_mil2
     }
 
     /// The mark nearest to a position, and its distance in mil.
@@ -139,6 +151,25 @@ impl Plate {
     pub fn marks(&self) -> impl Iterator<Item = (MarkId, PlateMil)> + '_ {
         MarkId::all().map(|id| (id, self.position(id)))
     }
+
+    /// The marks in the square that reaches so far about a position, in the order of all.
+    pub fn marks_about(
+        &self,
+        at: PlateMil,
+        reach_mil: f64,
+    ) -> impl Iterator<Item = (MarkId, PlateMil)> + '_ {
+        let about =
+            move |p: &PlateMil| (p.x - at.x).abs() < reach_mil && (p.y - at.y).abs() < reach_mil;
+        let found = self.positions.iter().enumerate();
+        found
+            .filter(move |(_, position)| about(position))
+            .map(|(n, position)| (MarkId::of_index(n), *position))
+    }
+}
+
+/// Mean of both axes.
+fn variance([x, y]: &[f64; 2]) -> f64 {
+    (x * x + y * y) / 2.0
 }
 
 #[cfg(test)]
@@ -188,5 +219,21 @@ mod tests {
             drawn_position(MarkId { i: -1, j: 2 }),
             PlateMil::new(-468.0, 486.0)
         );
+    }
+
+    #[test]
+    fn marks_about_a_place_are_those_of_the_square_about_it() {
+        let plate = Plate::drawn(
+            Cross {
+                arm_length_mil: 100.0,
+                arm_width_mil: 10.0,
+            },
+            0.2,
+        );
+        let at = PlateMil::new(300.0, -500.0);
+        let within = |p: &PlateMil| (p.x - at.x).abs() < 700.0 && (p.y - at.y).abs() < 700.0;
+        let expected: Vec<_> = plate.marks().filter(|(_, p)| within(p)).collect();
+        assert!(expected.len() > 9);
+        assert_eq!(plate.marks_about(at, 700.0).collect::<Vec<_>>(), expected);
     }
 }

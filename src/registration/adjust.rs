@@ -1,31 +1,29 @@
 //! One adjustment of everything that the mapping decides: the pairs, and the points that lie on one circle of the plate.
 
-use super::model::{MOST, Model, Normalisation, Parameters};
-use super::normal_points::normal_points;
+use super::model::{MOST, Model, parameters_of};
+use super::normal_points::{ARCS, normal_points};
+use super::sums::{MISS, Row, Solved, Sums, UNKNOWNS};
 use super::{Outline, Pair};
-use crate::geometry::{Circle, Distortion, Handedness, MappingKind, project};
+use crate::geometry::{Circle, Distortion, Handedness, MappingKind};
 use crate::units::PlateMil;
-use nalgebra::{Cholesky, Const, Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, Vector2};
 
-/// The mapping's parameters, then the circle's centre x, y and radius.
-pub(super) const ALL: usize = MOST + 3;
-pub(super) type Covariance = SMatrix<f64, ALL, ALL>;
-type Row = SVector<f64, ALL>;
+/// The place of the circle's centre x, y and radius among the unknowns, after the mapping's parameters.
+pub(super) const CIRCLE: usize = MOST;
 
 /// What is to be fitted, on the ideal sensor.
 pub(super) struct Problem<'a> {
     pairs: Vec<IdealPair>,
     outline: Option<(&'a Outline<'a>, Vec<IdealPoint>)>,
     handedness: Handedness,
-    normalisation: Normalisation,
 }
 
 #[derive(Clone)]
 struct IdealPair {
     seen: Vector2<f64>,
     printed: PlateMil,
-    /// Inverse of the covariance, px^-2.
-    weight: Matrix2<f64>,
+    /// Takes a miss, px, to two numbers of sigma 1 that know nothing of each other.
+    in_sigmas: Matrix2<f64>,
 }
 
 struct IdealPoint {
@@ -36,9 +34,10 @@ struct IdealPoint {
 /// A fit with all that is needed to judge it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Adjusted {
+    pub kind: MappingKind,
     pub model: Model,
     pub circle: Option<Circle>,
-    pub covariance: Covariance,
+    pub solved: Solved,
     /// By the pairs' stated sigmas.
     pub chi2_pairs: f64,
     pub chi2_outline: f64,
@@ -48,12 +47,23 @@ pub(super) struct Adjusted {
     pub raised: f64,
 }
 
+/// The problem near a model, where its misses are linear in all parameters of the richest kind: good for every kind and for
+/// any sigmas that lead not far away.
+#[derive(Clone)]
+pub(super) struct Vicinity {
+    model: Model,
+    circle: Option<Circle>,
+    pairs: Sums,
+    outline: Sums,
+    coordinates: usize,
+}
+
 const STEPS: usize = 12;
-/// A shorter step changes nothing: px, mil and parts of the picture's size alike.
-const SETTLED_STEP: f64 = 1e-5;
+/// A step as short as this leaves misses linear to a hundred-thousandth of a pixel.
+const SHORT_STEP_PX: f64 = 0.03;
 
 impl<'a> Problem<'a> {
-    /// `None` when a covariance cannot be inverted or all pairs fall together.
+    /// `None` when a covariance is not positive.
     pub(super) fn new(
         pairs: &[Pair],
         outline: Option<&'a Outline<'a>>,
@@ -64,7 +74,7 @@ impl<'a> Problem<'a> {
             Some(IdealPair {
                 seen: distortion.correct(pair.seen).vector(),
                 printed: pair.printed,
-                weight: pair.covariance_px2.try_inverse()?,
+                in_sigmas: in_sigmas(&pair.covariance_px2)?,
             })
         };
         let ideal_points = |outline: &'a Outline<'a>| {
@@ -72,14 +82,18 @@ impl<'a> Problem<'a> {
                 seen: distortion.correct(at).vector(),
                 sigma_px,
             };
-            let points = normal_points(outline.points, &outline.ellipse);
-            (outline, points.into_iter().map(point).collect())
+            let mut points = Vec::with_capacity(ARCS);
+            points.extend(normal_points(outline.points, &outline.ellipse).map(point));
+            (outline, points)
         };
+        let mut ideal_pairs = Vec::with_capacity(pairs.len());
+        for pair in pairs {
+            ideal_pairs.push(ideal_pair(pair)?);
+        }
         Some(Self {
-            pairs: pairs.iter().map(ideal_pair).collect::<Option<_>>()?,
+            pairs: ideal_pairs,
             outline: outline.map(ideal_points),
             handedness,
-            normalisation: Normalisation::of(pairs.iter().map(|pair| pair.printed))?,
         })
     }
 
@@ -101,7 +115,6 @@ impl<'a> Problem<'a> {
             pairs: self.pairs.clone(),
             outline: None,
             handedness: self.handedness,
-            normalisation: self.normalisation,
         })
     }
 
@@ -115,219 +128,188 @@ impl<'a> Problem<'a> {
         if adjusted.raised == raised {
             return Some(*adjusted);
         }
-        self.adjust(adjusted.model, adjusted.circle, raised)
+        let mut near = self.near(adjusted.model, adjusted.circle)?;
+        self.adjust(&mut near, adjusted.kind, raised)
     }
 
-    /// Whether the first step of a richer kind would lower chi^2 by more than so much for every parameter that it adds, the
-    /// pairs taken at their stated sigmas.
-    pub(super) fn promises(&self, simple: &Adjusted, start: Model, least_gain: f64) -> bool {
-        let kind = start.kind();
-        let added = kind
-            .parameters()
-            .saturating_sub(simple.model.kind().parameters());
-        let gain = || {
-            let sums = self.sums(&start, simple.circle, 1.0, kind)?;
-            let step = sums.information.cholesky()?.solve(&sums.gradient);
-            // The start may be of another kind than the simple fit.
-            let lost = sums.chi2_pairs + sums.chi2_outline;
-            let least = simple.chi2_pairs + simple.chi2_outline;
-            Some(step.dot(&sums.gradient) - (lost - least))
-        };
-        gain().is_none_or(|gain| gain > least_gain * added.max(1) as f64)
-    }
-
-    /// Fits the kind of mapping that the start is of, the pairs' sigmas raised by a factor. `None` when the data do not
-    /// determine it.
-    pub(super) fn fit(&self, start: Model, raised: f64) -> Option<Adjusted> {
-        if 2 * self.pairs.len() < MappingKind::Similarity.parameters() {
-            return None;
-        }
-        self.adjust(start, self.start_circle(&start)?, raised)
-    }
-
-    fn adjust(&self, start: Model, circle: Option<Circle>, raised: f64) -> Option<Adjusted> {
-        let (mut model, mut circle) = (start, circle);
-        let kind = model.kind();
-        let mut sums = Sums::default();
-        for _ in 0..STEPS {
-            sums = self.sums(&model, circle, raised, kind)?;
-            let step = sums.information.cholesky()?.solve(&sums.gradient);
-            if !step.iter().all(|v| v.is_finite()) {
-                return None;
-            }
-            model.advance(&step.fixed_rows::<MOST>(0).into_owned());
-            if let Some(circle) = &mut circle {
-                circle.centre += Vector2::new(step[MOST], step[MOST + 1]);
-                circle.radius += step[MOST + 2];
-            }
-            if step.norm_squared() < SETTLED_STEP.powi(2) {
+    /// Fits a kind of mapping, the pairs' sigmas raised by a factor, and moves the vicinity to where the fit is. `None` when
+    /// the data do not determine it.
+    pub(super) fn adjust(
+        &self,
+        near: &mut Vicinity,
+        kind: MappingKind,
+        raised: f64,
+    ) -> Option<Adjusted> {
+        let mut solved = near.solved(kind, raised)?;
+        for _ in 1..STEPS {
+            if near.moved_px2(&solved.step()) < SHORT_STEP_PX.powi(2) {
                 break;
             }
+            let (model, circle) = near.after(&solved.step());
+            *near = self.near(model, circle)?;
+            solved = near.solved(kind, raised)?;
         }
-        let covariance = well_conditioned(&sums.information)?.inverse();
-        let last = self.sums(&model, circle, raised, kind)?;
-        Some(Adjusted {
+        Some(near.adjusted(solved, kind, raised))
+    }
+
+    /// The vicinity of the similarity that the pairs alone give.
+    pub(super) fn near_first_similarity(&self) -> Option<Vicinity> {
+        // A similarity's picture is linear in its parameters.
+        let zero = Model::zero(self.handedness);
+        let pairs = Sums::of(&self.pair_rows(&zero));
+        let step = pairs.solved(&free(MappingKind::Similarity, false))?.step();
+        let similarity = zero.advanced(&step);
+        let circle = match &self.outline {
+            Some((outline, _)) => Some(Circle {
+                centre: similarity.back(outline.ellipse.centre)?.0,
+                radius: outline.radius_mil.value,
+            }),
+            None => None,
+        };
+        self.near(similarity, circle)
+    }
+
+    fn near(&self, model: Model, circle: Option<Circle>) -> Option<Vicinity> {
+        let outline = match (&self.outline, circle) {
+            (Some((outline, points)), Some(circle)) => {
+                outline_rows(outline, points, &model, &circle)?
+            }
+            _ => Vec::new(),
+        };
+        Some(Vicinity {
             model,
             circle,
-            covariance,
-            chi2_pairs: last.chi2_pairs,
-            chi2_outline: last.chi2_outline,
-            redundancy: self.redundancy(&model, &covariance, raised),
-            raised,
+            pairs: Sums::of(&self.pair_rows(&model)),
+            outline: Sums::of(&outline),
+            coordinates: 2 * self.pairs.len(),
         })
     }
 
-    /// The similarity that the pairs alone give.
-    pub(super) fn first_similarity(&self) -> Option<Model> {
-        let kind = MappingKind::Similarity;
-        let mut first = Model::zero(kind, self.handedness, self.normalisation);
-        let mut information = SMatrix::<f64, MOST, MOST>::zeros();
-        let mut gradient = Parameters::zeros();
+    fn pair_rows(&self, model: &Model) -> Vec<Row> {
+        let mut rows = Vec::with_capacity(2 * self.pairs.len());
         for pair in &self.pairs {
-            let slopes = first.parameter_slopes(pair.printed);
-            let miss = pair.seen - first.picture(pair.printed);
-            information += slopes.transpose() * pair.weight * slopes;
-            gradient += slopes.transpose() * (pair.weight * miss);
-        }
-        for n in kind.parameters()..MOST {
-            information[(n, n)] = 1.0;
-        }
-        first.advance(&information.cholesky()?.solve(&gradient));
-        Some(first)
-    }
-
-    /// `Some(None)` where no outline is fitted.
-    fn start_circle(&self, model: &Model) -> Option<Option<Circle>> {
-        let Some((outline, _)) = &self.outline else {
-            return Some(None);
-        };
-        let back = model.homography().try_inverse()?;
-        Some(Some(Circle {
-            centre: project(&back, outline.ellipse.centre),
-            radius: outline.radius_mil.value,
-        }))
-    }
-
-    fn sums(
-        &self,
-        model: &Model,
-        circle: Option<Circle>,
-        raised: f64,
-        kind: MappingKind,
-    ) -> Option<Sums> {
-        let mut sums = Sums::default();
-        for pair in &self.pairs {
-            let slopes = model.parameter_slopes(pair.printed);
-            let miss = pair.seen - model.picture(pair.printed);
-            let weighted = slopes.transpose() * (pair.weight / raised.powi(2));
-            sums.add_pair(&(weighted * slopes), &(weighted * miss));
-            sums.chi2_pairs += miss.dot(&(pair.weight * miss));
-        }
-        if let (Some(circle), Some((outline, points))) = (circle, &self.outline) {
-            sums.add_prior(outline, &circle);
-            let back = model.homography().try_inverse()?;
-            for point in points {
-                let on_plate = project(&back, point.seen);
-                let outward = (on_plate - circle.centre).try_normalize(0.0)?;
-                let excess = (on_plate - circle.centre).norm() - circle.radius;
-                let to_plate = model.jacobian(on_plate.into()).try_inverse()?;
-                let across = to_plate.transpose() * outward;
-                let slopes = model.parameter_slopes(on_plate.into());
-                let mut row = Row::zeros();
-                row.fixed_rows_mut::<MOST>(0)
-                    .copy_from(&(slopes.transpose() * across));
-                row[MOST] = outward.x;
-                row[MOST + 1] = outward.y;
-                row[MOST + 2] = 1.0;
-                let weight = (point.sigma_px * across.norm()).powi(-2);
-                sums.add_row(&row, excess, weight);
+            let [x, y] = model.parameter_slopes(pair.printed);
+            let miss = pair.in_sigmas * (pair.seen - model.picture(pair.printed));
+            for n in 0..2 {
+                let (of_x, of_y) = (pair.in_sigmas[(n, 0)], pair.in_sigmas[(n, 1)]);
+                let slopes = std::array::from_fn(|k| of_x * x[k] + of_y * y[k]);
+                rows.push(row(slopes, [0.0; 3], miss[n]));
             }
         }
-        sums.hold_unused(kind, circle.is_some());
-        Some(sums)
-    }
-
-    /// Förstner's redundancy numbers, summed over the pairs.
-    fn redundancy(&self, model: &Model, covariance: &Covariance, raised: f64) -> f64 {
-        let of_mapping = covariance.fixed_view::<MOST, MOST>(0, 0);
-        self.pairs
-            .iter()
-            .map(|pair| {
-                let slopes = model.parameter_slopes(pair.printed);
-                let explained = slopes * of_mapping * slopes.transpose() * pair.weight;
-                2.0 - explained.trace() / raised.powi(2)
-            })
-            .sum()
+        rows
     }
 
     /// Squared residual over covariance of every pair, and its residual in px.
-    pub(super) fn residuals(&self, model: &Model) -> Vec<(f64, Vector2<f64>)> {
-        self.pairs
-            .iter()
-            .map(|pair| {
-                let miss = pair.seen - model.picture(pair.printed);
-                (miss.dot(&(pair.weight * miss)), miss)
-            })
-            .collect()
+    pub(super) fn residuals(&self, model: &Model) -> impl Iterator<Item = (f64, Vector2<f64>)> {
+        self.pairs.iter().map(|pair| {
+            let miss = pair.seen - model.picture(pair.printed);
+            ((pair.in_sigmas * miss).norm_squared(), miss)
+        })
     }
 }
 
-/// The normal equations' root, unless one parameter is so nearly a combination of others that the data do not tell
-/// them apart.
-fn well_conditioned(information: &Covariance) -> Option<Cholesky<f64, Const<ALL>>> {
-    const LEAST_OWN_PART: f64 = 1e-10;
-    let root = information.cholesky()?;
-    let own_part = |n: usize| root.l_dirty()[(n, n)].powi(2) / information[(n, n)];
-    (0..ALL)
-        .all(|n| own_part(n) > LEAST_OWN_PART)
-        .then_some(root)
-}
+impl Vicinity {
+    /// Whether a richer kind would lower chi^2 by more than so much for every parameter that it adds, the pairs taken at
+    /// their stated sigmas.
+    pub(super) fn promises(&self, simple: &Adjusted, kind: MappingKind, least_gain: f64) -> bool {
+        let added = kind
+            .parameters()
+            .saturating_sub(simple.kind.parameters())
+            .max(1);
+        let left = simple.chi2_pairs + simple.chi2_outline;
+        self.solved(kind, 1.0)
+            .is_some_and(|richer| left - richer.chi2() > least_gain * added as f64)
+    }
 
-/// Normal equations.
-struct Sums {
-    information: Covariance,
-    gradient: Row,
-    chi2_pairs: f64,
-    chi2_outline: f64,
-}
+    fn solved(&self, kind: MappingKind, raised: f64) -> Option<Solved> {
+        let sums = self.outline.with(&self.pairs, 1.0 / (raised * raised));
+        sums.solved(&free(kind, self.circle.is_some()))
+    }
 
-impl Default for Sums {
-    fn default() -> Self {
-        Self {
-            information: Covariance::zeros(),
-            gradient: Row::zeros(),
-            chi2_pairs: 0.0,
-            chi2_outline: 0.0,
+    fn moved_px2(&self, step: &[f64; UNKNOWNS]) -> f64 {
+        let [tx, ty, a, b, c, d, gx, gy, circle @ ..] = *step;
+        let mapping = self.model.moved_px2(&[tx, ty, a, b, c, d, gx, gy]);
+        let circle_mil2: f64 = circle.iter().map(|v| v * v).sum();
+        mapping + circle_mil2 * self.model.scale_px_per_mil().powi(2)
+    }
+
+    fn after(&self, step: &[f64; UNKNOWNS]) -> (Model, Option<Circle>) {
+        let [.., x, y, radius] = *step;
+        let circle = self.circle.map(|circle| Circle {
+            centre: circle.centre + Vector2::new(x, y),
+            radius: circle.radius + radius,
+        });
+        (self.model.advanced(step), circle)
+    }
+
+    fn adjusted(&self, solved: Solved, kind: MappingKind, raised: f64) -> Adjusted {
+        let step = solved.step();
+        let (model, circle) = self.after(&step);
+        // Förstner's redundancy numbers, summed over the pairs.
+        let explained = self.pairs.explained(&solved) / (raised * raised);
+        Adjusted {
+            kind,
+            model,
+            circle,
+            chi2_pairs: self.pairs.chi2(&step),
+            chi2_outline: self.outline.chi2(&step),
+            redundancy: self.coordinates as f64 - explained,
+            solved,
+            raised,
         }
     }
 }
 
-impl Sums {
-    fn add_pair(&mut self, information: &SMatrix<f64, MOST, MOST>, gradient: &Parameters) {
-        let mut block = self.information.fixed_view_mut::<MOST, MOST>(0, 0);
-        block += information;
-        let mut rows = self.gradient.fixed_rows_mut::<MOST>(0);
-        rows += gradient;
-    }
+/// The unknowns of a kind of mapping.
+fn free(kind: MappingKind, with_circle: bool) -> [bool; UNKNOWNS] {
+    let [tx, ty, a, b, c, d, gx, gy] = parameters_of(kind);
+    let circle = with_circle;
+    [tx, ty, a, b, c, d, gx, gy, circle, circle, circle]
+}
 
-    fn add_row(&mut self, row: &Row, miss: f64, weight: f64) {
-        self.information.ger(weight, row, row, 1.0);
-        self.gradient += row * (miss * weight);
-        self.chi2_outline += miss * miss * weight;
+/// What is known of the circle's radius, and the points that lie on the circle.
+fn outline_rows(
+    outline: &Outline<'_>,
+    points: &[IdealPoint],
+    model: &Model,
+    circle: &Circle,
+) -> Option<Vec<Row>> {
+    let mut rows = Vec::with_capacity(points.len() + 1);
+    let radius_mil = outline.radius_mil;
+    let weight = 1.0 / radius_mil.sigma;
+    let miss = (radius_mil.value - circle.radius) * weight;
+    rows.push(row([0.0; MOST], [0.0, 0.0, weight], miss));
+    for point in points {
+        let (on_plate, to_plate) = model.back(point.seen)?;
+        let from_centre = on_plate - circle.centre;
+        let distance = from_centre.norm();
+        let outward = (distance > 0.0).then(|| from_centre / distance)?;
+        let across = to_plate.tr_mul(&outward);
+        let weight = 1.0 / (point.sigma_px * across.norm());
+        let (out, across) = (outward * weight, across * weight);
+        let [x, y] = model.parameter_slopes(on_plate.into());
+        let slopes = std::array::from_fn(|k| across.x * x[k] + across.y * y[k]);
+        let miss = (distance - circle.radius) * weight;
+        rows.push(row(slopes, [out.x, out.y, weight], miss));
     }
+    Some(rows)
+}
 
-    fn add_prior(&mut self, outline: &Outline<'_>, circle: &Circle) {
-        let mut row = Row::zeros();
-        row[MOST + 2] = 1.0;
-        let miss = outline.radius_mil.value - circle.radius;
-        self.add_row(&row, miss, outline.radius_mil.sigma.powi(-2));
-    }
+fn row(slopes: [f64; MOST], circle: [f64; 3], miss: f64) -> Row {
+    let mut row = [0.0; MISS + 1];
+    row[..MOST].copy_from_slice(&slopes);
+    row[CIRCLE..MISS].copy_from_slice(&circle);
+    row[MISS] = miss;
+    row
+}
 
-    /// Parameters that the kind does not have stay where they are.
-    fn hold_unused(&mut self, kind: MappingKind, with_circle: bool) {
-        let circle = if with_circle { MOST..MOST } else { MOST..ALL };
-        for n in (kind.parameters()..MOST).chain(circle) {
-            self.information[(n, n)] = 1.0;
-        }
-    }
+/// The inverse of a covariance's root.
+fn in_sigmas(covariance: &Matrix2<f64>) -> Option<Matrix2<f64>> {
+    let first = covariance.m11.sqrt();
+    let common = covariance.m21 / first;
+    let rest = (covariance.m22 - common * common).sqrt();
+    (first > 0.0 && rest > 0.0).then(|| {
+        let own = 1.0 / rest;
+        Matrix2::new(1.0 / first, 0.0, -common / first * own, own)
+    })
 }

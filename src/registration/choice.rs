@@ -1,8 +1,7 @@
 //! Which kind of mapping, which pairs, and with what sigmas.
 
 use super::Settings;
-use super::adjust::{Adjusted, Problem};
-use super::model::Model;
+use super::adjust::{Adjusted, Problem, Vicinity};
 use crate::geometry::MappingKind;
 
 /// Fewest redundant coordinates of the pairs that tell their sigmas; with fewer, pairs that lie well by chance bend the
@@ -51,37 +50,26 @@ pub(super) fn agreed(problem: &mut Problem<'_>, settings: &Settings) -> Option<A
 fn pairs_agree(problem: &Problem<'_>, settings: &Settings) -> bool {
     let alone = || {
         let pairs = problem.pairs_alone()?;
-        settle(&pairs, pairs.first_similarity()?, settings)
+        let mut near = pairs.near_first_similarity()?;
+        settle(&pairs, &mut near, MappingKind::Similarity, settings)
     };
     alone().is_some_and(|fit| fit.redundancy >= TELLING_REDUNDANCY && fit.raised < AGREED_RISE)
 }
 
 fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
-    let similarity = settle(problem, problem.first_similarity()?, settings)?;
-    let mut best = similarity;
-    let mut affine = None;
+    let mut near = problem.near_first_similarity()?;
+    let mut best = settle(problem, &mut near, MappingKind::Similarity, settings)?;
     for kind in [
         MappingKind::Keystone,
         MappingKind::Affine,
         MappingKind::Homography,
     ] {
-        // A divisor has no slope at zero, so the kinds that have one start from those that have none.
-        let start = match kind {
-            MappingKind::Homography => {
-                affine.unwrap_or(similarity.model.as_kind(MappingKind::Affine))
-            }
-            _ => similarity.model,
-        };
-        let start = start.as_kind(kind);
-        if !problem.promises(&best, start, settings.min_gain * PROMISED_SHARE) {
+        if !near.promises(&best, kind, settings.min_gain * PROMISED_SHARE) {
             continue;
         }
-        let Some(richer) = settle(problem, start, settings) else {
+        let Some(richer) = settle(problem, &mut near.clone(), kind, settings) else {
             continue;
         };
-        if kind == MappingKind::Affine {
-            affine = Some(richer.model);
-        }
         let gain = gain(problem, &best, &richer, settings);
         if gain.is_some_and(|gain| gain > settings.min_gain) {
             best = richer;
@@ -107,19 +95,24 @@ fn gain(
     let (simple, rich) = (problem.again(best, raised)?, problem.again(richer, raised)?);
     let by_outline = simple.chi2_outline - rich.chi2_outline;
     let by_pairs = (simple.chi2_pairs - rich.chi2_pairs) / raised.powi(2);
-    let added = richer.model.kind().parameters() - best.model.kind().parameters();
+    let added = richer.kind.parameters() - best.kind.parameters();
     Some((by_outline + by_pairs / distrust(richer, settings)) / added.max(1) as f64)
 }
 
-/// Fits a kind, the pairs' sigmas raised until they agree with the residuals.
-pub(super) fn settle(problem: &Problem<'_>, start: Model, settings: &Settings) -> Option<Adjusted> {
-    let mut adjusted = problem.fit(start, 1.0)?;
+/// Fits a kind, the pairs' sigmas raised until they agree with the residuals, and moves the vicinity to where the fit is.
+pub(super) fn settle(
+    problem: &Problem<'_>,
+    near: &mut Vicinity,
+    kind: MappingKind,
+    settings: &Settings,
+) -> Option<Adjusted> {
+    let mut adjusted = problem.adjust(near, kind, 1.0)?;
     for _ in 0..RISES {
         let raised = risen(&adjusted, settings);
         if (raised / adjusted.raised - 1.0).abs() < 0.01 {
             break;
         }
-        adjusted = problem.again(&adjusted, raised)?;
+        adjusted = problem.adjust(near, kind, raised)?;
     }
     Some(adjusted)
 }
@@ -159,10 +152,9 @@ pub(super) fn outlier(problem: &Problem<'_>, adjusted: &Adjusted) -> Option<usiz
     if problem.pairs() < LEAST_TO_REJECT {
         return None;
     }
-    let residuals = problem.residuals(&adjusted.model);
-    let (worst, squared) = residuals
-        .iter()
-        .map(|(chi2, _)| *chi2)
+    let (worst, squared) = problem
+        .residuals(&adjusted.model)
+        .map(|(chi2, _)| chi2)
         .enumerate()
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
     // What the others show of the true sigmas.

@@ -30,13 +30,15 @@ mod adjust;
 mod choice;
 mod model;
 mod normal_points;
+mod sums;
 
 use crate::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, MappingKind};
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
-use adjust::{Adjusted, Covariance, Problem};
+use adjust::{Adjusted, CIRCLE, Problem};
 use choice::{agreed, outlier, settle};
 use model::{MOST, Model};
 use nalgebra::{Matrix2, SMatrix};
+use sums::{Solved, UNKNOWNS};
 
 /// The same point, seen and printed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,7 +106,8 @@ pub struct Registration {
 impl Registration {
     /// Covariance, from the mapping alone, of a plate position got through it; mil^2.
     pub fn covariance_mil2(&self, at: PlateMil) -> Matrix2<f64> {
-        let slopes = self.model.parameter_slopes(at);
+        let [x, y] = self.model.parameter_slopes(at);
+        let slopes = SMatrix::<f64, 2, MOST>::from_fn(|n, k| [x, y][n][k]);
         let on_sensor = slopes * self.covariance * slopes.transpose();
         let to_plate = self.mapping.plate_jacobian(self.mapping.to_sensor(at));
         to_plate * on_sensor * to_plate.transpose()
@@ -137,16 +140,10 @@ pub fn fit(
     settings: &Settings,
 ) -> Option<Registration> {
     let problem = Problem::new(pairs, None, handedness, distortion)?;
-    let mut adjusted = settle(&problem, problem.first_similarity()?, settings)?;
-    if kind == MappingKind::Homography {
-        adjusted = settle(
-            &problem,
-            adjusted.model.as_kind(MappingKind::Affine),
-            settings,
-        )?;
-    }
+    let mut near = problem.near_first_similarity()?;
+    let mut adjusted = settle(&problem, &mut near, MappingKind::Similarity, settings)?;
     if kind != MappingKind::Similarity {
-        adjusted = settle(&problem, adjusted.model.as_kind(kind), settings)?;
+        adjusted = settle(&problem, &mut near, kind, settings)?;
     }
     registration(&problem, &adjusted, distortion)
 }
@@ -157,47 +154,43 @@ fn registration(
     distortion: Distortion,
 ) -> Option<Registration> {
     let model = adjusted.model;
-    let mapping = Mapping::new(model.kind(), model.homography().try_inverse()?, distortion)?;
+    let to_plate = model.homography().try_inverse()?;
+    let mapping = Mapping::new(adjusted.kind, to_plate, distortion)?;
     let residuals = problem.residuals(&model);
-    let squares: f64 = residuals.iter().map(|(_, miss)| miss.norm_squared()).sum();
+    let squares: f64 = residuals.map(|(_, miss)| miss.norm_squared()).sum();
     Some(Registration {
         mapping,
-        residual_px: (squares / (2 * residuals.len()) as f64).sqrt(),
-        pairs: residuals.len(),
+        residual_px: (squares / (2 * problem.pairs()) as f64).sqrt(),
+        pairs: problem.pairs(),
         disc: adjusted
             .circle
-            .map(|circle| disc(circle, &model, &adjusted.covariance, &mapping)),
+            .map(|circle| disc(circle, &model, &adjusted.solved, &mapping)),
         model,
-        covariance: adjusted
-            .covariance
-            .fixed_view::<MOST, MOST>(0, 0)
-            .into_owned(),
+        covariance: SMatrix::from_fn(|n, k| adjusted.solved.covariance(n, k)),
     })
 }
 
-fn disc(circle: Circle, model: &Model, covariance: &Covariance, mapping: &Mapping) -> Disc {
+fn disc(circle: Circle, model: &Model, solved: &Solved, mapping: &Mapping) -> Disc {
     let centre = PlateMil::from(circle.centre);
-    let on_plate = covariance.fixed_view::<2, 2>(MOST, MOST).into_owned();
-    let mut to_sensor = SMatrix::<f64, 2, { adjust::ALL }>::zeros();
-    to_sensor
-        .fixed_view_mut::<2, MOST>(0, 0)
-        .copy_from(&model.parameter_slopes(centre));
-    to_sensor
-        .fixed_view_mut::<2, 2>(0, MOST)
-        .copy_from(&model.jacobian(centre));
+    let covariance = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(|n, k| solved.covariance(n, k));
+    let slopes = model.parameter_slopes(centre);
+    let jacobian = model.jacobian(centre);
+    let to_sensor = SMatrix::<f64, 2, UNKNOWNS>::from_fn(|n, k| match k {
+        ..CIRCLE => slopes[n][k],
+        _ if k < CIRCLE + 2 => jacobian[(n, k - CIRCLE)],
+        _ => 0.0,
+    });
+    let radius_variance = covariance[(CIRCLE + 2, CIRCLE + 2)];
     Disc {
         on_plate: Estimate {
             position: centre,
-            covariance: on_plate,
+            covariance: covariance.fixed_view::<2, 2>(CIRCLE, CIRCLE).into_owned(),
         },
         on_sensor: Estimate {
             position: mapping.to_sensor(centre),
             covariance: to_sensor * covariance * to_sensor.transpose(),
         },
-        radius_mil: Measured::new(
-            circle.radius,
-            covariance[(MOST + 2, MOST + 2)].max(0.0).sqrt(),
-        ),
+        radius_mil: Measured::new(circle.radius, radius_variance.max(0.0).sqrt()),
     }
 }
 

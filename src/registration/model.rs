@@ -2,188 +2,93 @@
 
 use crate::geometry::{Handedness, MappingKind, projection_jacobian};
 use crate::units::PlateMil;
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, Matrix3, Vector2};
 
-/// The most parameters a mapping has; kinds with fewer leave the last ones at zero.
+/// The most parameters a mapping has.
 pub(super) const MOST: usize = 8;
 
-/// Parameters of a model.
-pub(super) type Parameters = SVector<f64, MOST>;
-/// Slopes of a picture in the parameters.
-pub(super) type Slopes = SMatrix<f64, 2, MOST>;
+/// Plate positions are counted in it, which makes the parameters alike in size.
+const UNIT_MIL: f64 = 1000.0;
 
-/// Plate coordinates about the pairs' middle, scaled to about one, which keeps the normal equations well
-/// conditioned.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Normalisation {
-    middle: Vector2<f64>,
-    size_mil: f64,
-}
-
-impl Normalisation {
-    /// `None` when the positions do not differ.
-    pub(super) fn of(positions: impl Iterator<Item = PlateMil> + Clone) -> Option<Self> {
-        let count = positions.clone().count() as f64;
-        let sum: Vector2<f64> = positions.clone().map(|p| p.vector()).sum();
-        let middle = sum / count;
-        let square: f64 = positions
-            .map(|p| (p.vector() - middle).norm_squared())
-            .sum();
-        let size_mil = (square / count).sqrt();
-        (size_mil > 0.0 && size_mil.is_finite()).then_some(Self { middle, size_mil })
-    }
-
-    /// Coordinates about the plate's centre instead, which the keystone is defined by.
-    fn about_plate_centre(self) -> Self {
-        Self {
-            middle: Vector2::zeros(),
-            ..self
-        }
-    }
-
-    fn apply(&self, position: PlateMil) -> Vector2<f64> {
-        (position.vector() - self.middle) / self.size_mil
-    }
-
-    fn matrix(&self) -> Matrix3<f64> {
-        let s = 1.0 / self.size_mil;
-        Matrix3::new(
-            s,
-            0.0,
-            -s * self.middle.x, //
-            0.0,
-            s,
-            -s * self.middle.y, //
-            0.0,
-            0.0,
-            1.0,
-        )
-    }
-}
-
-/// A picture of the plate, x = (t + L u) / (1 + g . u) with u the normalised plate position.
+/// A picture of the plate, x = t + L w / (1 + g . w), with w the plate position from the plate's centre, in units of 1000 mil
+/// along the axes of the handedness, and L = [a, -b; b, a] + [c, d; d, -c].
 ///
-/// Parameters: similarity tx, ty, a, b with L = [a, -b; b, a] times the axes of the handedness; keystone tx, ty, a, b
-/// and g about the plate's centre, x = t + L u / (1 + g . u); affine tx, ty and L by rows; homography the same and g.
+/// Parameters: tx, ty; a, b; c, d; gx, gy. Every kind of mapping has some of them, and the others are zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Model {
-    kind: MappingKind,
     handedness: Handedness,
-    normalisation: Normalisation,
-    parameters: Parameters,
+    parameters: [f64; MOST],
+}
+
+/// Which parameters a kind of mapping has.
+pub(super) fn parameters_of(kind: MappingKind) -> [bool; MOST] {
+    let stretch = matches!(kind, MappingKind::Affine | MappingKind::Homography);
+    let divisor = matches!(kind, MappingKind::Keystone | MappingKind::Homography);
+    [true, true, true, true, stretch, stretch, divisor, divisor]
 }
 
 impl Model {
-    pub(super) fn zero(
-        kind: MappingKind,
-        handedness: Handedness,
-        normalisation: Normalisation,
-    ) -> Self {
+    pub(super) fn zero(handedness: Handedness) -> Self {
         Self {
-            kind,
             handedness,
-            normalisation,
-            parameters: Parameters::zeros(),
+            parameters: [0.0; MOST],
         }
     }
 
-    pub(super) fn kind(&self) -> MappingKind {
-        self.kind
+    pub(super) fn advanced(mut self, step: &[f64]) -> Self {
+        for (parameter, step) in self.parameters.iter_mut().zip(step) {
+            *parameter += step;
+        }
+        self
     }
 
-    /// A similarity as one of the richer kinds, an affine model as a homography; itself of its own kind.
-    pub(super) fn as_kind(&self, kind: MappingKind) -> Self {
-        if kind == self.kind {
-            return *self;
-        }
-        match (self.kind, kind) {
-            (MappingKind::Similarity, MappingKind::Keystone) => self.as_keystone(),
-            (MappingKind::Similarity, _) => self.without_tilt(kind),
-            _ => Self { kind, ..*self },
-        }
+    /// How far a step moves the picture of what lies 1000 mil from the plate's centre, px, squared.
+    pub(super) fn moved_px2(&self, step: &[f64; MOST]) -> f64 {
+        let unit_px = self.scale_px_per_mil() * UNIT_MIL;
+        let [linear @ .., gx, gy] = step;
+        let by_linear: f64 = linear.iter().map(|v| v * v).sum();
+        by_linear + unit_px * unit_px * (gx * gx + gy * gy)
     }
 
-    /// A similarity as an affine model, or as a homography without tilt.
-    fn without_tilt(&self, kind: MappingKind) -> Self {
-        let n = self.normalised();
-        Self {
-            kind,
-            parameters: [n.m13, n.m23, n.m11, n.m12, n.m21, n.m22, 0.0, 0.0].into(),
-            ..*self
-        }
+    /// At the plate's centre.
+    pub(super) fn scale_px_per_mil(&self) -> f64 {
+        self.parameters[2].hypot(self.parameters[3]) / UNIT_MIL
     }
 
-    /// A similarity as a keystone without tilt.
-    fn as_keystone(&self) -> Self {
-        let normalisation = self.normalisation.about_plate_centre();
-        let centre = self.picture(PlateMil::new(0.0, 0.0));
-        let (a, b) = (self.parameters[2], self.parameters[3]);
-        Self {
-            kind: MappingKind::Keystone,
-            normalisation,
-            parameters: [centre.x, centre.y, a, b, 0.0, 0.0, 0.0, 0.0].into(),
-            ..*self
-        }
+    fn shift(&self) -> Vector2<f64> {
+        Vector2::new(self.parameters[0], self.parameters[1])
     }
 
-    pub(super) fn advance(&mut self, step: &Parameters) {
-        self.parameters += step;
+    fn linear(&self) -> Matrix2<f64> {
+        let [_, _, a, b, c, d, ..] = self.parameters;
+        Matrix2::new(a + c, d - b, d + b, a - c)
     }
 
-    /// The normalised homography from plate to sensor.
-    fn normalised(&self) -> Matrix3<f64> {
-        let p = &self.parameters;
-        match self.kind {
-            MappingKind::Similarity => {
-                let axes = self.handedness.axes();
-                Matrix3::new(
-                    p[2] * axes.m11,
-                    -p[3],
-                    p[0], //
-                    p[3] * axes.m11,
-                    p[2],
-                    p[1], //
-                    0.0,
-                    0.0,
-                    1.0,
-                )
-            }
-            MappingKind::Keystone => {
-                let axes = self.handedness.axes();
-                Matrix3::new(
-                    p[2] * axes.m11 + p[0] * p[4],
-                    -p[3] + p[0] * p[5],
-                    p[0], //
-                    p[3] * axes.m11 + p[1] * p[4],
-                    p[2] + p[1] * p[5],
-                    p[1], //
-                    p[4],
-                    p[5],
-                    1.0,
-                )
-            }
-            MappingKind::Affine => Matrix3::new(
-                p[2], p[3], p[0], //
-                p[4], p[5], p[1], //
-                0.0, 0.0, 1.0,
-            ),
-            MappingKind::Homography => Matrix3::new(
-                p[2], p[3], p[0], //
-                p[4], p[5], p[1], //
-                p[6], p[7], 1.0,
-            ),
-        }
+    fn divisor(&self) -> Vector2<f64> {
+        Vector2::new(self.parameters[6], self.parameters[7])
+    }
+
+    /// Takes plate positions, mil, to w.
+    fn axes(&self) -> Matrix2<f64> {
+        self.handedness.axes() / UNIT_MIL
     }
 
     /// The homography from plate (mil) to ideal sensor (px).
     pub(super) fn homography(&self) -> Matrix3<f64> {
-        self.normalised() * self.normalisation.matrix()
+        let (shift, divisor) = (self.shift(), self.divisor());
+        let linear = (self.linear() + shift * divisor.transpose()) * self.axes();
+        let last = self.axes() * divisor;
+        Matrix3::new(
+            linear.m11, linear.m12, shift.x, //
+            linear.m21, linear.m22, shift.y, //
+            last.x, last.y, 1.0,
+        )
     }
 
     /// Where the model sees a plate position on the ideal sensor, px.
     pub(super) fn picture(&self, at: PlateMil) -> Vector2<f64> {
-        let h = self.normalised() * self.normalisation.apply(at).push(1.0);
-        Vector2::new(h.x / h.z, h.y / h.z)
+        let w = self.axes() * at.vector();
+        self.shift() + self.linear() * w / (1.0 + self.divisor().dot(&w))
     }
 
     /// Derivative of [`picture`](Self::picture), px per mil.
@@ -191,48 +96,64 @@ impl Model {
         projection_jacobian(&self.homography(), at.vector())
     }
 
-    /// Slopes of [`picture`](Self::picture) in the parameters.
-    pub(super) fn parameter_slopes(&self, at: PlateMil) -> Slopes {
-        let u = self.normalisation.apply(at);
-        let p = &self.parameters;
-        let mut slopes = Slopes::zeros();
-        let mut put = |x: &[f64], y: &[f64]| {
-            for (n, (x, y)) in x.iter().zip(y).enumerate() {
-                slopes[(0, n)] = *x;
-                slopes[(1, n)] = *y;
-            }
-        };
-        match self.kind {
-            MappingKind::Similarity => {
-                let v = self.handedness.axes() * u;
-                put(&[1.0, 0.0, v.x, -v.y], &[0.0, 1.0, v.y, v.x]);
-            }
-            MappingKind::Keystone => {
-                let divisor = 1.0 + p[4] * u.x + p[5] * u.y;
-                let v = self.handedness.axes() * u / divisor;
-                let q = Vector2::new(p[2] * v.x - p[3] * v.y, p[3] * v.x + p[2] * v.y);
-                let (gx, gy) = (-q * u.x / divisor, -q * u.y / divisor);
-                put(
-                    &[1.0, 0.0, v.x, -v.y, gx.x, gy.x],
-                    &[0.0, 1.0, v.y, v.x, gx.y, gy.y],
-                );
-            }
-            MappingKind::Affine => {
-                put(
-                    &[1.0, 0.0, u.x, u.y, 0.0, 0.0],
-                    &[0.0, 1.0, 0.0, 0.0, u.x, u.y],
-                );
-            }
-            MappingKind::Homography => {
-                let divisor = 1.0 + p[6] * u.x + p[7] * u.y;
-                let image = self.picture(at);
-                let (one, x, y) = (1.0 / divisor, u.x / divisor, u.y / divisor);
-                put(
-                    &[one, 0.0, x, y, 0.0, 0.0, -image.x * x, -image.x * y],
-                    &[0.0, one, 0.0, 0.0, x, y, -image.y * x, -image.y * y],
-                );
-            }
+    /// The plate position seen at a place on the ideal sensor, mil, and its derivative, mil per px.
+    pub(super) fn back(&self, seen: Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let back = self.linear().try_inverse()?;
+        let straight = back * (seen - self.shift());
+        let left = 1.0 / (1.0 - self.divisor().dot(&straight));
+        let w = straight * left;
+        let slopes = (back + w * (back.transpose() * self.divisor()).transpose()) * left;
+        let to_mil = self.handedness.axes() * UNIT_MIL;
+        Some((to_mil * w, to_mil * slopes))
+    }
+
+    /// Slopes of [`picture`](Self::picture) in the parameters: of its x, and of its y.
+    pub(super) fn parameter_slopes(&self, at: PlateMil) -> [[f64; MOST]; 2] {
+        let w = self.axes() * at.vector();
+        let v = w / (1.0 + self.divisor().dot(&w));
+        let q = self.linear() * v;
+        [
+            [1.0, 0.0, v.x, -v.y, v.x, v.y, -q.x * v.x, -q.x * v.y],
+            [0.0, 1.0, v.y, v.x, -v.y, v.x, -q.y * v.x, -q.y * v.y],
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Distortion, Mapping};
+
+    fn tilted() -> Model {
+        let parameters = [650.0, 480.0, 150.0, 80.0, 0.3, -0.2, 0.02, -0.01];
+        Model::zero(Handedness::Mirrored).advanced(&parameters)
+    }
+
+    #[test]
+    fn a_picture_is_that_of_its_homography_and_leads_back() {
+        let model = tilted();
+        let at = PlateMil::new(700.0, -400.0);
+        let seen = model.picture(at);
+        let to_plate = model.homography().try_inverse().unwrap();
+        let mapping = Mapping::new(MappingKind::Homography, to_plate, Distortion::NONE).unwrap();
+        assert!((mapping.to_sensor(at).vector() - seen).norm() < 1e-9);
+        let (back, slopes) = model.back(seen).unwrap();
+        assert!((back - at.vector()).norm() < 1e-9);
+        assert!((slopes * model.jacobian(at) - Matrix2::identity()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_picture() {
+        let (model, at) = (tilted(), PlateMil::new(700.0, -400.0));
+        let slopes = model.parameter_slopes(at);
+        for n in 0..MOST {
+            let mut step = [0.0; MOST];
+            step[n] = 1e-5;
+            let plus = model.advanced(&step).picture(at);
+            step[n] = -1e-5;
+            let slope = (plus - model.advanced(&step).picture(at)) / 2e-5;
+            assert!((slope.x - slopes[0][n]).abs() < 1e-4, "{n}");
+            assert!((slope.y - slopes[1][n]).abs() < 1e-4, "{n}");
         }
-        slopes
     }
 }

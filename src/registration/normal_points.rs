@@ -3,33 +3,33 @@
 //! Whatever a mapping does to the outline is smooth along it: it moves and stretches an ellipse. So the mean distance of
 //! neighbouring points from an ellipse near them, at their mean direction, tells as much as the points themselves.
 
-use crate::geometry::Ellipse;
+use crate::geometry::{Ellipse, turns};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 
 /// Normal points all round: an ellipse needs five, and a point of these sees the stretch to one part in a hundred.
-const ARCS: usize = 24;
+pub(super) const ARCS: usize = 24;
 
 /// Points with 1 sigma across the outline, px, made few. The ellipse is the outline, nearly.
-pub(super) fn normal_points(points: &[(SensorPx, f64)], ellipse: &Ellipse) -> Vec<(SensorPx, f64)> {
+pub(super) fn normal_points(
+    points: &[(SensorPx, f64)],
+    ellipse: &Ellipse,
+) -> impl Iterator<Item = (SensorPx, f64)> {
     let mut arcs = [Arc::default(); ARCS];
     for (at, sigma_px) in points {
         let w = ellipse.to_disc(at.vector());
-        let turns = w.y.atan2(w.x) / std::f64::consts::TAU;
-        let arc = (turns.rem_euclid(1.0) * ARCS as f64) as usize % ARCS;
-        let weight = sigma_px.powi(-2);
+        let arc = (turns(w) * ARCS as f64) as usize % ARCS;
+        let weight = 1.0 / (sigma_px * sigma_px);
         arcs[arc].weight += weight;
         arcs[arc].direction += w * weight;
-        arcs[arc].excess_px += ellipse.excess(at.vector()) * weight;
+        arcs[arc].excess_px += ellipse.excess_at(w) * weight;
     }
-    let filled = arcs.iter().filter(|arc| arc.weight > 0.0);
-    filled
-        .map(|arc| {
-            let w = arc.direction.normalize();
-            let out = ellipse.normal(w) * (arc.excess_px / arc.weight);
-            ((ellipse.from_disc(w) + out).into(), arc.weight.powf(-0.5))
-        })
-        .collect()
+    let filled = arcs.into_iter().filter(|arc| arc.weight > 0.0);
+    filled.map(|arc| {
+        let w = arc.direction.normalize();
+        let out = ellipse.normal(w) * (arc.excess_px / arc.weight);
+        ((ellipse.from_disc(w) + out).into(), 1.0 / arc.weight.sqrt())
+    })
 }
 
 /// Weighted sums over an arc of the outline.
@@ -58,7 +58,7 @@ mod tests {
             (at.into(), 0.1)
         };
         let points: Vec<(SensorPx, f64)> = (0..180).map(point).collect();
-        let few = normal_points(&points, &ellipse);
+        let few: Vec<_> = normal_points(&points, &ellipse).collect();
         assert_eq!(few.len(), ARCS);
         for (at, sigma_px) in few {
             let at = at.vector();
