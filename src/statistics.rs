@@ -33,7 +33,6 @@ pub fn median_size(sizes: impl Iterator<Item = f32>) -> Option<f32> {
 
 /// 1 sigma of what is left, from what lies within three of it: in rounds, since the limit rests on the result. `None` of
 /// too few.
-#[multiversion(targets("x86_64+avx2"))]
 pub fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
     /// Fewest values that tell a sigma.
     const MIN_VALUES: f32 = 10.0;
@@ -45,25 +44,33 @@ pub fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
     let mut limit = FIRST_LIMIT * start;
     let mut sigma = None;
     for _ in 0..ROUNDS {
-        let limit2 = limit * limit;
-        let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-        for left in left.chunks_exact(LANES) {
-            for k in 0..LANES {
-                let square = left[k] * left[k];
-                counts[k] += if square < limit2 { 1.0 } else { 0.0 };
-                squares[k] += if square < limit2 { square } else { 0.0 };
-            }
-        }
-        let count: f32 = counts.iter().sum();
+        let [count, squares] = sums_within(left, limit).map(|lanes| lanes.iter().sum::<f32>());
         if count < MIN_VALUES {
             return None;
         }
-        let found = (squares.iter().sum::<f32>() / count).sqrt() / KEPT;
-        let found = found.max(ROUNDING_NOISE_DN as f32);
+        let found = ((squares / count).sqrt() / KEPT).max(ROUNDING_NOISE_DN as f32);
         sigma = Some(f64::from(found));
+        if limit == 3.0 * found {
+            break;
+        }
         limit = 3.0 * found;
     }
     sigma
+}
+
+/// How many values are within a limit, and their squares, summed by lanes.
+#[multiversion(targets("x86_64+avx2"))]
+fn sums_within(left: &[f32], limit: f32) -> [[f32; LANES]; 2] {
+    let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    for left in left.as_chunks::<LANES>().0 {
+        for k in 0..LANES {
+            let square = left[k] * left[k];
+            let within = square < limit * limit;
+            counts[k] += if within { 1.0 } else { 0.0 };
+            squares[k] += if within { square } else { 0.0 };
+        }
+    }
+    [counts, squares]
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
 //! What the blurred cross covers, at many places side by side: it is asked for ten thousand places a frame.
 //!
 //! The cross is two bars less their common middle, and a blurred bar is its profile along times its profile across. Each
-//! profile is a difference of two tails of the normal distribution (Abramowitz and Stegun, Handbook of Mathematical
-//! Functions, 26.2.16, to 1e-5), which is quicker than any table: eight places go through it at once.
+//! profile is a difference of two tails of the normal distribution, which is quicker than any table: eight places go through
+//! it at once.
 
 use super::CrossShape;
-use crate::lanes::{Scratch, WHOLES, larger};
+use crate::lanes::{Scratch, normal_tail};
 use multiversion::multiversion;
 
 /// A blurred cross of full contrast.
@@ -16,11 +16,15 @@ pub(super) struct BlurredCross {
     per_blur: f32,
 }
 
-/// Shares of the light that a cross covers, and how they change along its two arms, per px; one entry a place.
+/// Shares of the light that a cross covers, how they change along its two arms, per px, and how these slopes change; one
+/// entry a place.
 pub(super) struct Coverage {
     pub share: Scratch<f32>,
     pub slope_u: Scratch<f32>,
     pub slope_v: Scratch<f32>,
+    pub bend_uu: Scratch<f32>,
+    pub bend_uv: Scratch<f32>,
+    pub bend_vv: Scratch<f32>,
 }
 
 /// Where a cross lies: its middle on the sensor, px, and (by rows) what leads from an offset on the sensor to one along its
@@ -45,11 +49,15 @@ impl Pose {
 
 impl Coverage {
     pub(super) fn of_length(count: usize) -> Self {
-        let [share, slope_u, slope_v] = std::array::from_fn(|_| Scratch::of_length(count));
+        let [share, slope_u, slope_v, bend_uu, bend_uv, bend_vv] =
+            std::array::from_fn(|_| Scratch::of_length(count));
         Self {
             share,
             slope_u,
             slope_v,
+            bend_uu,
+            bend_uv,
+            bend_vv,
         }
     }
 }
@@ -91,19 +99,27 @@ impl BlurredCross {
         2.0 * slopes.map(|slope| f64::from(slope * slope)).sum::<f64>()
     }
 
-    /// A bar of some half length at an offset from its middle: the share that it covers, and its slope.
+    /// A bar of some half length at an offset from its middle: the share that it covers, its slope and its bend.
     #[inline(always)]
-    fn bar(&self, at: f32, half: f32) -> (f32, f32) {
-        let (near, near_density) = tail((at - half) * self.per_blur);
-        let (far, far_density) = tail((at + half) * self.per_blur);
-        (near - far, (far_density - near_density) * self.per_blur)
+    fn bar(&self, at: f32, half: f32) -> [f32; 3] {
+        let (z_near, z_far) = ((at - half) * self.per_blur, (at + half) * self.per_blur);
+        let (near, near_density) = normal_tail(z_near);
+        let (far, far_density) = normal_tail(z_far);
+        let bend = z_near * near_density - z_far * far_density;
+        [
+            near - far,
+            (far_density - near_density) * self.per_blur,
+            bend * self.per_blur * self.per_blur,
+        ]
     }
 
     /// The same of a bar whose other end is not seen from either.
     #[inline(always)]
-    fn long_bar(&self, at: f32, half: f32) -> (f32, f32) {
-        let (share, density) = tail((at.abs() - half) * self.per_blur);
-        (share, -(density * self.per_blur).copysign(at))
+    fn long_bar(&self, at: f32, half: f32) -> [f32; 3] {
+        let z = (at.abs() - half) * self.per_blur;
+        let (share, density) = normal_tail(z);
+        let slope = density * self.per_blur;
+        [share, -slope.copysign(at), slope * self.per_blur * z]
     }
 }
 
@@ -125,52 +141,35 @@ fn cover<const ENDS_APART: bool>(
         &mut coverage.slope_u[..count],
         &mut coverage.slope_v[..count],
     );
+    let bend_uu = &mut coverage.bend_uu[..count];
+    let bend_uv = &mut coverage.bend_uv[..count];
+    let bend_vv = &mut coverage.bend_vv[..count];
     let ([middle_x, middle_y], [ux, uy, vx, vy]) = (pose.middle, pose.to_arms);
     for n in 0..count {
         let (dx, dy) = (x[n] - middle_x, y[n] - middle_y);
         let (u, v) = (ux * dx + uy * dy, vx * dx + vy * dy);
-        let ((long_u, long_slope_u), (long_v, long_slope_v)) = if ENDS_APART {
-            (
-                cross.long_bar(u, cross.half_length),
-                cross.long_bar(v, cross.half_length),
-            )
-        } else {
-            (
-                cross.bar(u, cross.half_length),
-                cross.bar(v, cross.half_length),
-            )
-        };
-        let (wide_u, wide_slope_u) = cross.bar(u, cross.half_width);
-        let (wide_v, wide_slope_v) = cross.bar(v, cross.half_width);
+        let ([long_u, long_slope_u, long_bend_u], [long_v, long_slope_v, long_bend_v]) =
+            if ENDS_APART {
+                (
+                    cross.long_bar(u, cross.half_length),
+                    cross.long_bar(v, cross.half_length),
+                )
+            } else {
+                (
+                    cross.bar(u, cross.half_length),
+                    cross.bar(v, cross.half_length),
+                )
+            };
+        let [wide_u, wide_slope_u, wide_bend_u] = cross.bar(u, cross.half_width);
+        let [wide_v, wide_slope_v, wide_bend_v] = cross.bar(v, cross.half_width);
         let (arm_u, arm_v) = (long_u - wide_u, long_v - wide_v);
         share[n] = long_u * wide_v + wide_u * arm_v;
         slope_u[n] = long_slope_u * wide_v + wide_slope_u * arm_v;
         slope_v[n] = long_slope_v * wide_u + wide_slope_v * arm_u;
+        bend_uu[n] = long_bend_u * wide_v + wide_bend_u * arm_v;
+        bend_vv[n] = long_bend_v * wide_u + wide_bend_v * arm_u;
+        bend_uv[n] = long_slope_u * wide_slope_v + wide_slope_u * (long_slope_v - wide_slope_v);
     }
-}
-
-/// The normal distribution's tail beyond z, and its density there.
-#[inline(always)]
-fn tail(z: f32) -> (f32, f32) {
-    const PER_ROOT_TAU: f32 = 0.398_942_3;
-    let t = 1.0 / (1.0 + 0.332_67 * z.abs());
-    let density = PER_ROOT_TAU * power_of_two(-0.5 * std::f32::consts::LOG2_E * z * z);
-    let beyond = ((0.937_298 * t - 0.120_167_6) * t + 0.436_183_6) * t * density;
-    (if z < 0.0 { 1.0 - beyond } else { beyond }, density)
-}
-
-/// 2^x of x from 0 down, to 4e-6 of it (interpolated at Chebyshev's nodes); what is below 2^-120 is taken for that.
-#[inline(always)]
-fn power_of_two(x: f32) -> f32 {
-    const EXPONENT_BITS: u32 = 23;
-    const EXPONENT_OF_ONE: u32 = 127;
-    let x = larger(x, -120.0);
-    let shifted = x + WHOLES;
-    let part = x - (shifted - WHOLES);
-    let series = (0.009_666_37 * part + 0.055_921_98) * part + 0.240_223_5;
-    let series = (series * part + 0.693_121_1) * part + 1.0;
-    let whole = shifted.to_bits().wrapping_sub(WHOLES.to_bits());
-    series * f32::from_bits(whole.wrapping_add(EXPONENT_OF_ONE) << EXPONENT_BITS)
 }
 
 #[cfg(test)]

@@ -1,17 +1,20 @@
 //! One mark's fit: place, contrast and light by Gauss and Newton's steps on the pixels of its patch.
+//!
+//! What the cross covers is laid once, about the patch's middle. As far as a mark may be from there, the coverage follows by
+//! its slopes and bends.
 
 use super::coverage::{BlurredCross, Coverage, Pose};
 use super::patch::Patch;
 use crate::frame::ROUNDING_NOISE_DN;
-use crate::lanes::{LANES, Scratch};
+use crate::lanes::{LANES, Scratch, larger, smaller};
 use crate::statistics::clipped_sigma;
 use multiversion::multiversion;
-use nalgebra::{Matrix2, Matrix6, Vector6};
+use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector6};
 
-/// A mark farther than this from where it was expected is not that mark.
-const FARTHEST_PX: f64 = 1.5;
+/// A mark so near the patch's middle is fitted there, px: its slopes and bends tell the coverage, to 0.0005 px of its place.
+pub(super) const NEAR_PX: f64 = 0.15;
 /// A step as short as this ends where the next one would, px.
-const SETTLED_PX: f64 = 0.02;
+const SETTLED_PX: f64 = 0.003;
 const MOST_LOOKS: usize = 10;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
 const DOUBTED_SIGMA: f32 = 3.0;
@@ -21,8 +24,8 @@ const MODEL_ERROR: f32 = 0.04;
 /// Fewest pixels that make a fit.
 const MIN_PIXELS: usize = 60;
 
-/// What is fitted, by index: the offset from the start, px; the mark's contrast; the light over the expected light at the
-/// start, and how that changes over the patch's radius along x and y.
+/// What is fitted, by index: the offset from the patch's middle, px; the mark's contrast; the light over the expected light
+/// there, and how that changes over the patch's radius along x and y.
 pub(super) type Unknowns = Vector6<f64>;
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
@@ -40,84 +43,78 @@ const EXPECTED_INVERSE_SIGMA: [f64; UNKNOWNS] = [0.0, 0.0, 2.0, 2.0, 5.0, 5.0];
 pub(super) struct Fit<'a> {
     pub patch: &'a Patch,
     pub cross: BlurredCross,
-    /// From an offset on the sensor to one along the arms, both px.
-    pub to_arms: Matrix2<f32>,
+    /// From an offset on the sensor to one along the arms, both px, by rows.
+    pub to_arms: [f32; 4],
     pub blur_variance: f32,
     pub reach: f32,
     pub noise_dn: f64,
 }
 
-/// Where a fit ended.
-pub(super) struct Converged {
+/// Where a fit ended: settled, or farther from the patch's middle than [`NEAR_PX`].
+pub(super) struct Ended {
     pub unknowns: Unknowns,
-    pub covariance: Matrix6<f64>,
+    /// Of the place, px^2.
+    pub covariance: Matrix2<f64>,
     /// Of the residuals, DN^2.
     pub variance: f64,
     pub pixels: usize,
 }
 
-/// A step of a fit, and what it rests on.
-struct Step {
-    by: Unknowns,
-    covariance: Matrix6<f64>,
-    variance: f64,
-    pixels: usize,
-}
-
 impl Fit<'_> {
-    /// Steps until the place settles. `None` when they lead away or the pixels are too few.
-    pub(super) fn run(&self) -> Option<Converged> {
+    /// Steps until the place settles or is too far for the patch. `None` when the pixels are too few.
+    pub(super) fn run(&self) -> Option<Ended> {
         let mut unknowns = Unknowns::from(EXPECTED);
-        let most_light = self.patch.light.iter().copied().fold(0.0, f32::max);
-        let allowed_dn = (MODEL_ERROR * most_light).max(ROUNDING_NOISE_DN as f32);
+        let allowed_dn = (MODEL_ERROR * self.patch.most_light).max(ROUNDING_NOISE_DN as f32);
         // What does not belong must not widen the limits by itself, so these start from what is known.
         let expected_dn = (0.5 * allowed_dn).max(self.noise_dn as f32);
         let mut variance = self.noise_dn.powi(2);
-        let mut coverage = Coverage::of_length(self.patch.len());
-        let mut linear = Linear::new(self.patch.len());
+        let coverage = self.coverage();
+        let mut linear = Linear::new(self.patch);
         for look in 0..MOST_LOOKS {
-            self.lay(&unknowns, &mut coverage, &mut linear);
+            self.lay(&unknowns, &coverage, &mut linear);
             // The first model is too far off to tell what does not belong.
             if look > 0 {
-                linear.reject(expected_dn, allowed_dn);
+                linear.reject(self.patch, expected_dn, allowed_dn);
             }
-            let step = linear.step(&unknowns, variance)?;
-            unknowns += step.by;
-            variance = step.variance;
-            if unknowns[X].hypot(unknowns[Y]) > FARTHEST_PX {
-                return None;
-            }
-            if look > 0 && step.by[X].hypot(step.by[Y]) < SETTLED_PX {
-                return Some(Converged {
+            let normal = linear.normal_equations()?;
+            let mut step = normal.step(&unknowns, variance)?;
+            variance = normal.variance_after(&step);
+            // What moves a pale model far moves one of the new contrast less far.
+            let paler = unknowns[CONTRAST] / (unknowns[CONTRAST] + step[CONTRAST]);
+            step.fixed_rows_mut::<2>(X).scale_mut(paler.clamp(0.0, 1.0));
+            unknowns += step;
+            let settled = look > 0 && step[X].hypot(step[Y]) < SETTLED_PX;
+            if settled || unknowns[X].hypot(unknowns[Y]) > NEAR_PX {
+                return Some(Ended {
                     unknowns,
-                    covariance: step.covariance,
+                    covariance: normal.covariance(variance)?,
                     variance,
-                    pixels: step.pixels,
+                    pixels: linear.pixels,
                 });
             }
         }
         None
     }
 
-    /// Residuals and slopes at the unknowns.
-    fn lay(&self, unknowns: &Unknowns, coverage: &mut Coverage, linear: &mut Linear) {
-        let m = &self.to_arms;
+    /// What a cross in the patch's middle covers.
+    fn coverage(&self) -> Coverage {
         let pose = Pose {
-            middle: [unknowns[X], unknowns[Y]].map(|v| v as f32),
-            to_arms: [m.m11, m.m12, m.m21, m.m22],
+            middle: [0.0; 2],
+            to_arms: self.to_arms,
         };
-        self.cross
-            .fill(&self.patch.x, &self.patch.y, &pose, coverage);
+        let [x, y, ..] = self.patch.lists();
+        self.cross.at(x, y, &pose)
+    }
+
+    /// Residuals and slopes at the unknowns.
+    fn lay(&self, unknowns: &Unknowns, coverage: &Coverage, linear: &mut Linear) {
         let model = Model {
             at: unknowns.cast::<f32>().into(),
-            to_arms: pose.to_arms,
+            to_arms: self.to_arms,
             blur_variance: self.blur_variance,
             per_reach: 1.0 / self.reach,
         };
-        linear.root_weights.copy_from_slice(&self.patch.root_weight);
-        let [x, y, contrast, level, tilt_x, tilt_y] = &mut linear.slopes;
-        let slopes = [x, y, contrast, level, tilt_x, tilt_y].map(|slope| slope.as_mut_slice());
-        lay_model(self.patch, coverage, &model, &mut linear.residuals, slopes);
+        lay_model(self.patch, coverage, &model, linear);
     }
 }
 
@@ -129,137 +126,217 @@ struct Model {
     per_reach: f32,
 }
 
-/// Residuals of a model, DN, and how the model changes with each unknown; one entry a pixel.
+/// How a model changes with each unknown, its residuals, DN, and the root of what each pixel counts, by which both are
+/// multiplied: by groups of pixels.
 struct Linear {
-    /// Roots of the weights that residuals and slopes carry.
-    root_weights: Scratch<f32>,
+    columns: Scratch<f32>,
     residuals: Scratch<f32>,
-    slopes: [Scratch<f32>; UNKNOWNS],
+    /// What of each pixel is kept, 0 to 1.
+    kept: Scratch<f32>,
+    /// How many are kept, be it in part.
+    pixels: usize,
 }
 
+/// The slopes in the unknowns, the residuals, the roots.
+const COLUMNS: usize = UNKNOWNS + 2;
+const RESIDUAL: usize = UNKNOWNS;
+const ROOT: usize = UNKNOWNS + 1;
+
+type Group = [f32; LANES];
+/// Products of columns with those that follow, each lane's own sum.
+type Products = [[Group; COLUMNS]; COLUMNS];
+
 impl Linear {
-    fn new(count: usize) -> Self {
+    /// Of a patch whose pixels are all kept.
+    fn new(patch: &Patch) -> Self {
+        let length = patch.length();
+        let mut kept = Scratch::of_length(length);
+        kept.fill(1.0);
         Self {
-            root_weights: Scratch::of_length(count),
-            residuals: Scratch::of_length(count),
-            slopes: std::array::from_fn(|_| Scratch::of_length(count)),
+            columns: Scratch::of_length(COLUMNS * length),
+            residuals: Scratch::of_length(length),
+            kept,
+            pixels: patch.pixels,
         }
     }
 
-    /// Gauss and Newton's step, with what is known of the unknowns beforehand. `None` of too few pixels.
-    fn step(&self, unknowns: &Unknowns, variance: f64) -> Option<Step> {
-        let pixels = self.root_weights.iter().filter(|w| **w > 0.0).count();
-        if pixels < MIN_PIXELS {
-            return None;
+    /// Keeps less of the pixels that the model is too far from, by the noise that most of them show, about the expected
+    /// one, and by what the model itself may be off: all within a limit, nothing beyond twice that.
+    fn reject(&mut self, patch: &Patch, expected_dn: f32, allowed_dn: f32) {
+        let residuals = &self.residuals[..patch.pixels];
+        if let Some(noise_dn) = clipped_sigma(residuals, expected_dn) {
+            let limit = DOUBTED_SIGMA * noise_dn as f32 + allowed_dn;
+            let left_out = keep_within(limit, &self.residuals, &mut self.kept);
+            self.pixels = patch.pixels - total(&left_out) as usize;
         }
-        let (matrix, right, squares) = self.normal_equations();
-        let weight = dot(&self.root_weights, &self.root_weights);
-        let freedoms = weight * (1.0 - UNKNOWNS as f64 / pixels as f64);
-        let known = Vector6::from(EXPECTED_INVERSE_SIGMA.map(|s| s * s));
-        let informed = |variance| matrix / variance + Matrix6::from_diagonal(&known);
-        let pull = known.component_mul(&(Unknowns::from(EXPECTED) - unknowns));
-        let by = informed(variance)
-            .cholesky()?
-            .solve(&(right / variance + pull));
-        // What the step explains is no noise.
-        let left = (squares - 2.0 * by.dot(&right) + by.dot(&(matrix * by))) / freedoms;
-        let variance = left.max(ROUNDING_NOISE_DN.powi(2));
-        Some(Step {
-            by,
-            covariance: informed(variance).cholesky()?.inverse(),
-            variance,
-            pixels,
+    }
+
+    /// `None` of too few pixels.
+    fn normal_equations(&self) -> Option<Normal> {
+        let products = products(&self.columns, &self.kept);
+        let sum = |m: usize, n: usize| total(&products[m.min(n)][m.max(n)]);
+        let share = 1.0 - UNKNOWNS as f64 / self.pixels as f64;
+        (self.pixels >= MIN_PIXELS).then(|| Normal {
+            matrix: Matrix6::from_fn(sum),
+            right: Vector6::from_fn(|m, _| sum(m, RESIDUAL)),
+            squares: sum(RESIDUAL, RESIDUAL),
+            freedoms: sum(ROOT, ROOT) * share,
         })
     }
+}
 
-    /// Takes weight from the pixels that the model is too far from, by the noise that most of them show, about the expected
-    /// one, and by what the model itself may be off: none within a limit, all beyond twice that.
-    fn reject(&mut self, expected_dn: f32, allowed_dn: f32) {
-        let Some(noise_dn) = clipped_sigma(&self.residuals, expected_dn) else {
-            return;
-        };
-        let limit = DOUBTED_SIGMA * noise_dn as f32 + allowed_dn;
-        for n in 0..self.residuals.len() {
-            let size = self.residuals[n].abs();
-            if size > limit {
-                let part = (2.0 - size / limit).max(0.0).sqrt();
-                self.residuals[n] *= part;
-                self.root_weights[n] *= part;
-                self.slopes.iter_mut().for_each(|slope| slope[n] *= part);
-            }
-        }
+/// The normal equations of a step.
+struct Normal {
+    matrix: Matrix6<f64>,
+    right: Vector6<f64>,
+    /// Of the residuals, DN^2.
+    squares: f64,
+    freedoms: f64,
+}
+
+impl Normal {
+    /// What the pixels tell at a variance, and what is known beforehand: the inverse of the unknowns' covariance.
+    fn informed(&self, variance: f64) -> Matrix6<f64> {
+        self.matrix / variance + Matrix6::from_diagonal(&known())
     }
 
-    /// The products of the slopes with each other and with the residuals, and the residuals' squares.
-    fn normal_equations(&self) -> (Matrix6<f64>, Vector6<f64>, f64) {
-        let mut matrix = Matrix6::zeros();
-        let mut right = Vector6::zeros();
-        for (m, a) in self.slopes.iter().enumerate() {
-            for (n, b) in self.slopes.iter().enumerate().skip(m) {
-                matrix[(m, n)] = dot(a, b);
-                matrix[(n, m)] = matrix[(m, n)];
-            }
-            right[m] = dot(a, &self.residuals);
-        }
-        (matrix, right, dot(&self.residuals, &self.residuals))
+    /// Gauss and Newton's step.
+    fn step(&self, unknowns: &Unknowns, variance: f64) -> Option<Unknowns> {
+        let pull = known().component_mul(&(Unknowns::from(EXPECTED) - unknowns));
+        let right = self.right / variance + pull;
+        Some(self.informed(variance).cholesky()?.solve(&right))
     }
+
+    /// Of the place, at a variance.
+    fn covariance(&self, variance: f64) -> Option<Matrix2<f64>> {
+        let of_place = self
+            .informed(variance)
+            .cholesky()?
+            .solve(&Matrix6x2::identity());
+        Some(of_place.fixed_rows::<2>(X).into_owned())
+    }
+
+    /// The residuals' variance, DN^2, less what a step explains, which is no noise.
+    fn variance_after(&self, step: &Unknowns) -> f64 {
+        let left = self.squares - 2.0 * step.dot(&self.right) + step.dot(&(self.matrix * step));
+        (left / self.freedoms).max(ROUNDING_NOISE_DN.powi(2))
+    }
+}
+
+/// What is known of the unknowns before the fit, 1 / variance.
+fn known() -> Unknowns {
+    Unknowns::from(EXPECTED_INVERSE_SIGMA.map(|s| s * s))
 }
 
 /// Residuals and slopes of every pixel.
 #[multiversion(targets("x86_64+avx2"))]
-fn lay_model(
-    patch: &Patch,
-    coverage: &Coverage,
-    model: &Model,
-    residuals: &mut [f32],
-    slopes: [&mut [f32]; UNKNOWNS],
-) {
-    let count = residuals.len();
-    let (x, y, seen) = (&patch.x[..count], &patch.y[..count], &patch.seen[..count]);
-    let (light, weights) = (&patch.light[..count], &patch.root_weight[..count]);
-    let (slope_x, slope_y) = (&patch.slope_x[..count], &patch.slope_y[..count]);
-    let (share, by_u, by_v) = (
-        &coverage.share[..count],
-        &coverage.slope_u[..count],
-        &coverage.slope_v[..count],
+fn lay_model(patch: &Patch, coverage: &Coverage, model: &Model, linear: &mut Linear) {
+    let columns = groups_mut(&mut linear.columns).as_chunks_mut::<COLUMNS>().0;
+    let count = columns.len();
+    let residuals = &mut groups_mut(&mut linear.residuals)[..count];
+    let [x, y, seen, light, slope_x, slope_y, root] = patch.lists();
+    let (x, y, seen) = (
+        &groups(x)[..count],
+        &groups(y)[..count],
+        &groups(seen)[..count],
     );
-    let [at_x, at_y, at_contrast, at_level, at_tilt_x, at_tilt_y] = slopes;
-    let (at_x, at_y) = (&mut at_x[..count], &mut at_y[..count]);
-    let (at_contrast, at_level) = (&mut at_contrast[..count], &mut at_level[..count]);
-    let (at_tilt_x, at_tilt_y) = (&mut at_tilt_x[..count], &mut at_tilt_y[..count]);
-    let [ux, uy, vx, vy] = model.to_arms;
+    let (slope_x, slope_y) = (&groups(slope_x)[..count], &groups(slope_y)[..count]);
+    let (light, root) = (&groups(light)[..count], &groups(root)[..count]);
+    let share = &groups(&coverage.share)[..count];
+    let slope_u = &groups(&coverage.slope_u)[..count];
+    let slope_v = &groups(&coverage.slope_v)[..count];
+    let bend_uu = &groups(&coverage.bend_uu)[..count];
+    let bend_uv = &groups(&coverage.bend_uv)[..count];
+    let bend_vv = &groups(&coverage.bend_vv)[..count];
+    let ([ux, uy, vx, vy], [moved_x, moved_y, ..]) = (model.to_arms, model.at);
+    let (moved_u, moved_v) = (ux * moved_x + uy * moved_y, vx * moved_x + vy * moved_y);
     let (contrast, per_reach) = (model.at[CONTRAST], model.per_reach);
     for n in 0..count {
-        let along_x = ux * by_u[n] + vx * by_v[n];
-        let along_y = uy * by_u[n] + vy * by_v[n];
-        let drift = slope_x[n] * along_x + slope_y[n] * along_y;
-        let taken = light[n] * share[n] + model.blur_variance * drift;
-        let left = light[n] - contrast * taken;
-        let (tilt_x, tilt_y) = (x[n] * per_reach, y[n] * per_reach);
-        let level = model.at[LEVEL] + model.at[TILT_X] * tilt_x + model.at[TILT_Y] * tilt_y;
-        let weight = weights[n];
-        let dark = weight * level * contrast * light[n];
-        at_x[n] = dark * along_x;
-        at_y[n] = dark * along_y;
-        residuals[n] = weight * (seen[n] - level * left);
-        at_contrast[n] = -weight * level * taken;
-        at_level[n] = weight * left;
-        at_tilt_x[n] = weight * left * tilt_x;
-        at_tilt_y[n] = weight * left * tilt_y;
+        let mut of_group = [[0.0; LANES]; COLUMNS];
+        for k in 0..LANES {
+            let by_u = moved_u * bend_uu[n][k] + moved_v * bend_uv[n][k];
+            let by_v = moved_u * bend_uv[n][k] + moved_v * bend_vv[n][k];
+            let half_way = [slope_u[n][k] - 0.5 * by_u, slope_v[n][k] - 0.5 * by_v];
+            let covered = share[n][k] - moved_u * half_way[0] - moved_v * half_way[1];
+            let (by_u, by_v) = (slope_u[n][k] - by_u, slope_v[n][k] - by_v);
+            let (along_x, along_y) = (ux * by_u + vx * by_v, uy * by_u + vy * by_v);
+            let drift = slope_x[n][k] * along_x + slope_y[n][k] * along_y;
+            let taken = light[n][k] * covered + model.blur_variance * drift;
+            let left = light[n][k] - contrast * taken;
+            let (tilt_x, tilt_y) = (x[n][k] * per_reach, y[n][k] * per_reach);
+            let level = model.at[LEVEL] + model.at[TILT_X] * tilt_x + model.at[TILT_Y] * tilt_y;
+            let root = root[n][k];
+            let dark = root * level * contrast * light[n][k];
+            of_group[X][k] = dark * along_x;
+            of_group[Y][k] = dark * along_y;
+            of_group[CONTRAST][k] = -root * level * taken;
+            of_group[LEVEL][k] = root * left;
+            of_group[TILT_X][k] = root * left * tilt_x;
+            of_group[TILT_Y][k] = root * left * tilt_y;
+            of_group[RESIDUAL][k] = root * (seen[n][k] - level * left);
+            of_group[ROOT][k] = root;
+        }
+        residuals[n] = of_group[RESIDUAL];
+        columns[n] = of_group;
     }
 }
 
-/// Sum of products, in lanes that the processor adds side by side.
+/// Keeps all of what is within a limit, nothing beyond twice that; how many are left out, by lanes.
 #[multiversion(targets("x86_64+avx2"))]
-fn dot(a: &[f32], b: &[f32]) -> f64 {
-    let (whole_a, rest_a) = a.as_chunks::<LANES>();
-    let (whole_b, rest_b) = b.as_chunks::<LANES>();
-    let mut lanes = [0.0_f32; LANES];
-    for (a, b) in whole_a.iter().zip(whole_b) {
-        for lane in 0..LANES {
-            lanes[lane] += a[lane] * b[lane];
+fn keep_within(limit: f32, residuals: &[f32], kept: &mut [f32]) -> Group {
+    let mut left_out = [0.0; LANES];
+    for (kept, residuals) in groups_mut(kept).iter_mut().zip(groups(residuals)) {
+        for k in 0..LANES {
+            kept[k] = larger(smaller(2.0 - residuals[k].abs() / limit, 1.0), 0.0);
+            left_out[k] += if kept[k] > 0.0 { 0.0 } else { 1.0 };
         }
     }
-    let rest: f32 = rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum();
-    f64::from(lanes.iter().sum::<f32>() + rest)
+    left_out
+}
+
+/// Products of the columns, summed over what is kept of the pixels.
+#[multiversion(targets("x86_64+avx2"))]
+fn products(columns: &[f32], kept: &[f32]) -> Products {
+    let columns = groups(columns).as_chunks().0;
+    let mut sums = [[[0.0; LANES]; COLUMNS]; COLUMNS];
+    // As many at a time as the processor holds sums.
+    add_products::<0, 2>(columns, kept, &mut sums);
+    add_products::<2, 4>(columns, kept, &mut sums);
+    add_products::<4, COLUMNS>(columns, kept, &mut sums);
+    sums
+}
+
+/// Adds the products of some columns with those that follow.
+#[inline(always)]
+fn add_products<const FROM: usize, const TO: usize>(
+    columns: &[[Group; COLUMNS]],
+    kept: &[f32],
+    into: &mut Products,
+) {
+    let mut sums = *into;
+    for (columns, kept) in columns.iter().zip(groups(kept)) {
+        for m in FROM..TO {
+            let column: Group = std::array::from_fn(|k| columns[m][k] * kept[k]);
+            for n in m..COLUMNS {
+                for k in 0..LANES {
+                    sums[m][n][k] += column[k] * columns[n][k];
+                }
+            }
+        }
+    }
+    *into = sums;
+}
+
+#[inline(always)]
+fn groups(list: &[f32]) -> &[Group] {
+    list.as_chunks().0
+}
+
+#[inline(always)]
+fn groups_mut(list: &mut [f32]) -> &mut [Group] {
+    list.as_chunks_mut().0
+}
+
+fn total(lanes: &Group) -> f64 {
+    f64::from(lanes.iter().sum::<f32>())
 }

@@ -1,7 +1,7 @@
 //! The pixels about a mark, and the light that would fall on them without it.
 
 use crate::frame::{Sample, View};
-use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes};
+use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, larger, smaller};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 
@@ -36,21 +36,25 @@ pub(super) struct LightMap {
 
 impl LightMap {
     pub(super) fn about(start: SensorPx, reach: f64, light: &impl Light) -> Self {
-        let whole = reach.ceil() as isize + 1;
+        // The start lies within half a pixel of the middle.
+        let whole = (reach + 0.5) as isize + 1;
         let (left, top) = (
             start.x.round() as isize - whole,
             start.y.round() as isize - whole,
         );
         let side = 2 * whole as usize + 1;
-        let stride = side + LANES;
+        let filled = side.next_multiple_of(LANES);
+        let stride = filled + LANES;
         let mut map = Scratch::of_length((side + 1) * stride);
-        let mut most = 0.0_f32;
+        let mut most = [0.0_f32; LANES];
         for (row, values) in map.chunks_exact_mut(stride).take(side).enumerate() {
-            let y = (top + row as isize) as f64;
-            light.fill(left as f64, y, &mut values[..side]);
-            most = values[..side]
-                .iter()
-                .fold(most, |most, v| if *v > most { *v } else { most });
+            let values = &mut values[..filled];
+            light.fill(left as f64, (top + row as isize) as f64, values);
+            for group in values.as_chunks::<LANES>().0 {
+                for k in 0..LANES {
+                    most[k] = larger(group[k], most[k]);
+                }
+            }
         }
         Self {
             left,
@@ -58,24 +62,58 @@ impl LightMap {
             side,
             light: map,
             stride,
-            most,
+            most: most.into_iter().fold(0.0, larger),
         }
+    }
+
+    /// The pixels of a row of the sensor within `reach` of the start that are lit, by column: first, and what follows the
+    /// last one.
+    #[inline(always)]
+    fn lit(&self, row: usize, dy: f64, start_x: f64, reach: f64, width: usize) -> (isize, isize) {
+        let half = (reach * reach - dy * dy).max(0.0).sqrt();
+        let mut first = ((start_x - half).ceil() as isize).max(0);
+        let mut end = ((start_x + half).ceil() as isize).min(width as isize);
+        let values = &self.light[row * self.stride..][..self.side];
+        let least = LEAST_LIGHT * self.most;
+        let dull = |column: isize| values[(column - self.left) as usize] <= least;
+        while first < end && dull(first) {
+            first += 1;
+        }
+        while first < end && dull(end - 1) {
+            end -= 1;
+        }
+        (first, end)
+    }
+
+    /// The light on a group of pixels, and left, right, above and below of each, from an index on.
+    #[inline(always)]
+    fn with_neighbours(&self, here: usize) -> [[f32; LANES]; 5] {
+        let group = |from: usize| {
+            let mut lanes = [0.0; LANES];
+            lanes.copy_from_slice(&self.light[from..][..LANES]);
+            lanes
+        };
+        let (left, right) = (group(here - 1), group(here + 1));
+        let (above, below) = (group(here - self.stride), group(here + self.stride));
+        [group(here), left, right, above, below]
     }
 }
 
-/// The pixels about a mark, one list for each quantity, as vector instructions like it. Positions count from the start.
+/// The pixels about a mark, one list for each quantity, as vector instructions like it: in groups, of which what fills the
+/// last one counts nothing.
 pub(super) struct Patch {
-    pub x: Scratch<f32>,
-    pub y: Scratch<f32>,
-    /// Seen above background, DN.
-    pub seen: Scratch<f32>,
-    /// Light without the mark, DN, and its slopes, DN/px.
-    pub light: Scratch<f32>,
-    pub slope_x: Scratch<f32>,
-    pub slope_y: Scratch<f32>,
-    /// Root of what a pixel counts, 1 on the even disc.
-    pub root_weight: Scratch<f32>,
+    lists: Scratch<f32>,
+    /// What each list has room for.
+    room: usize,
+    pub pixels: usize,
+    /// The most light on one, DN.
+    pub most_light: f32,
 }
+
+/// The lists of a patch: the pixels' places from the start, px; what is seen above background, DN; light without the mark,
+/// DN, and its slopes, DN/px; the root of what a pixel counts, 1 on the even disc.
+const LISTS: usize = 7;
+const ROOT_WEIGHTS: usize = 6;
 
 /// What decides what a pixel of a patch counts.
 pub(super) struct Counting {
@@ -86,7 +124,7 @@ pub(super) struct Counting {
 }
 
 impl Patch {
-    /// The pixels within `reach` of the start.
+    /// The pixels within `reach` of the start that tell something of the mark.
     pub(super) fn cut<T: Sample>(
         view: &View<'_, T>,
         counting: &Counting,
@@ -96,109 +134,53 @@ impl Patch {
     ) -> Self {
         // The squares of the pixels lie within half a diagonal of the circle; the last group may reach beyond the last pixel.
         let most = std::f64::consts::PI * (reach + std::f64::consts::FRAC_1_SQRT_2).powi(2);
-        let room = most as usize + LANES;
-        let mut patch = Self::of_length(room);
-        let mut bend = Scratch::of_length(room);
-        let count = write_pixels(view, counting, map, start, reach, &mut patch, &mut bend);
-        for list in patch.lists() {
-            list.truncate(count);
+        let room = (most as usize + LANES).next_multiple_of(LANES);
+        let mut patch = Self {
+            lists: Scratch::of_length(LISTS * room),
+            room,
+            pixels: 0,
+            most_light: map.most,
+        };
+        patch.pixels = write_pixels(view, counting, map, start, reach, patch.lists_mut());
+        patch.leave_out_saturated();
+        let (pixels, length) = (patch.pixels, patch.length());
+        for list in patch.lists_mut() {
+            list[pixels..length].fill(0.0);
         }
-        let least = LEAST_LIGHT * map.most;
-        weigh(
-            &patch.light,
-            &bend,
-            [least, counting.left_out_per_bend],
-            &mut patch.root_weight,
-        );
-        patch.leave_out_dull();
         patch
     }
 
-    /// Writes the first group of a row's rest, from a place in the lists on: what is seen and where.
-    #[inline(always)]
-    fn write<T: Sample>(&mut self, at: usize, rest: &[T], counting: &Counting, (x, y): (f32, f32)) {
-        let mut seen = first_lanes(rest);
-        let mut roots = [0.0; LANES];
-        for k in 0..LANES {
-            let counts = seen[k] < counting.saturation_dn;
-            roots[k] = if counts { 1.0 } else { 0.0 };
-            seen[k] -= counting.background_dn;
-        }
-        let lanes = at..at + LANES;
-        self.seen[lanes.clone()].copy_from_slice(&seen);
-        self.root_weight[lanes.clone()].copy_from_slice(&roots);
-        self.x[lanes.clone()].copy_from_slice(&counted_lanes(x));
-        self.y[lanes].copy_from_slice(&[y; LANES]);
+    /// The pixels, and what fills the last group.
+    pub(super) fn length(&self) -> usize {
+        self.pixels.next_multiple_of(LANES)
     }
 
-    /// Writes the light on a group of pixels, and what it does about them, from an index in the map.
-    #[inline(always)]
-    fn write_light(&mut self, at: usize, map: &LightMap, here: usize, bend: &mut [f32]) {
-        let about = |from: usize| {
-            let mut lanes = [0.0; LANES];
-            lanes.copy_from_slice(&map.light[from..from + LANES]);
-            lanes
-        };
-        let (middle, left, right) = (about(here), about(here - 1), about(here + 1));
-        let (above, below) = (about(here - map.stride), about(here + map.stride));
-        let [mut slope_x, mut slope_y, mut bends] = [[0.0; LANES]; 3];
-        for k in 0..LANES {
-            slope_x[k] = (right[k] - left[k]) / 2.0;
-            slope_y[k] = (below[k] - above[k]) / 2.0;
-            bends[k] = left[k] + right[k] + above[k] + below[k] - 4.0 * middle[k];
-        }
-        let lanes = at..at + LANES;
-        self.light[lanes.clone()].copy_from_slice(&middle);
-        self.slope_x[lanes.clone()].copy_from_slice(&slope_x);
-        self.slope_y[lanes.clone()].copy_from_slice(&slope_y);
-        bend[lanes].copy_from_slice(&bends);
+    pub(super) fn lists(&self) -> [&[f32]; LISTS] {
+        std::array::from_fn(|n| &self.lists[n * self.room..][..self.length()])
     }
 
-    /// Leaves out the pixels that tell nothing.
-    fn leave_out_dull(&mut self) {
-        let dull = self.root_weight.iter().filter(|root| **root <= 0.0);
-        if dull.count() == 0 {
+    fn lists_mut(&mut self) -> [&mut [f32]; LISTS] {
+        let mut lists = self.lists.chunks_exact_mut(self.room);
+        std::array::from_fn(|_| lists.next().unwrap_or_default())
+    }
+
+    /// Leaves out the pixels that count nothing.
+    fn leave_out_saturated(&mut self) {
+        let roots = &self.lists()[ROOT_WEIGHTS][..self.pixels];
+        if roots.iter().copied().fold(1.0, smaller) > 0.0 {
             return;
         }
-        let counts: Vec<bool> = self.root_weight.iter().map(|root| *root > 0.0).collect();
-        for list in self.lists() {
-            let mut counts = counts.iter();
-            list.retain(|_| counts.next().is_some_and(|counts| *counts));
+        let counting: Vec<usize> = (0..self.pixels).filter(|n| roots[*n] > 0.0).collect();
+        for list in self.lists_mut() {
+            for (to, from) in counting.iter().enumerate() {
+                list[to] = list[*from];
+            }
         }
-    }
-
-    fn of_length(length: usize) -> Self {
-        let [x, y, seen, light, slope_x, slope_y, root_weight] =
-            std::array::from_fn(|_| Scratch::of_length(length));
-        Self {
-            x,
-            y,
-            seen,
-            light,
-            slope_x,
-            slope_y,
-            root_weight,
-        }
-    }
-
-    fn lists(&mut self) -> [&mut Scratch<f32>; 7] {
-        [
-            &mut self.x,
-            &mut self.y,
-            &mut self.seen,
-            &mut self.light,
-            &mut self.slope_x,
-            &mut self.slope_y,
-            &mut self.root_weight,
-        ]
-    }
-
-    pub(super) fn len(&self) -> usize {
-        self.x.len()
+        self.pixels = counting.len();
     }
 }
 
-/// Writes the pixels within `reach` of the start to the lists, and how the light bends there; how many they are.
+/// Writes the pixels within `reach` of the start to the lists of a patch; how many they are.
 #[multiversion(targets("x86_64+avx2"))]
 fn write_pixels<T: Sample>(
     view: &View<'_, T>,
@@ -206,46 +188,67 @@ fn write_pixels<T: Sample>(
     map: &LightMap,
     start: SensorPx,
     reach: f64,
-    patch: &mut Patch,
-    bend: &mut [f32],
+    lists: [&mut [f32]; LISTS],
 ) -> usize {
+    let room = lists[0].len();
+    let [x, y, seen, light, slope_x, slope_y, root_weight] = lists;
+    let (x, y, seen) = (&mut x[..room], &mut y[..room], &mut seen[..room]);
+    let (slope_x, slope_y) = (&mut slope_x[..room], &mut slope_y[..room]);
+    let (light, root_weight) = (&mut light[..room], &mut root_weight[..room]);
     let mut count = 0;
     for row in 1..map.side - 1 {
-        let Ok(y) = usize::try_from(map.top + row as isize) else {
+        let Ok(sensor_row) = usize::try_from(map.top + row as isize) else {
             continue;
         };
-        if y >= view.height {
+        if sensor_row >= view.height {
             continue;
         }
-        let dy = y as f64 - start.y;
-        let half = (reach * reach - dy * dy).max(0.0).sqrt();
-        let first = ((start.x - half).ceil().max(0.0) as isize).max(map.left + 1);
-        let end = ((start.x + half).ceil() as isize)
-            .min(map.left + map.side as isize - 1)
-            .min(view.width as isize);
+        let dy = sensor_row as f64 - start.y;
+        let (first, end) = map.lit(row, dy, start.x, reach, view.width);
         if first >= end {
             continue;
         }
-        let line = &view.pixels[y * view.width..][first as usize..view.width];
+        let line = &view.pixels[sensor_row * view.width..][first as usize..view.width];
         let here = row * map.stride + (first - map.left) as usize;
+        let from_start = (first as f64 - start.x) as f32;
         let length = (end - first) as usize;
         for group in (0..length).step_by(LANES) {
-            let place = ((first as f64 - start.x) as f32 + group as f32, dy as f32);
-            patch.write(count + group, &line[group..], counting, place);
-            patch.write_light(count + group, map, here + group, bend);
+            let lanes = count + group..count + group + LANES;
+            let dn = first_lanes(&line[group..]);
+            let near = map.with_neighbours(here + group);
+            let [above_background, across, down, roots] = counting.weighed(dn, &near);
+            x[lanes.clone()].copy_from_slice(&counted_lanes(from_start + group as f32));
+            y[lanes.clone()].copy_from_slice(&[dy as f32; LANES]);
+            seen[lanes.clone()].copy_from_slice(&above_background);
+            light[lanes.clone()].copy_from_slice(&near[0]);
+            slope_x[lanes.clone()].copy_from_slice(&across);
+            slope_y[lanes.clone()].copy_from_slice(&down);
+            root_weight[lanes].copy_from_slice(&roots);
         }
         count += length;
     }
     count
 }
 
-#[multiversion(targets("x86_64+avx2"))]
-fn weigh(light: &[f32], bend: &[f32], [least, per_bend]: [f32; 2], root_weight: &mut [f32]) {
-    let count = root_weight.len();
-    let (light, bend) = (&light[..count], &bend[..count]);
-    for n in 0..count {
-        let left_out = per_bend * bend[n];
-        let root = 1.0 / (1.0 + left_out * left_out).sqrt();
-        root_weight[n] *= if light[n] > least { root } else { 0.0 };
+impl Counting {
+    /// Of a group of pixels: what is seen above background, the light's slopes, and the roots of what the pixels count.
+    #[inline(always)]
+    fn weighed(
+        &self,
+        dn: [f32; LANES],
+        [middle, left, right, above, below]: &[[f32; LANES]; 5],
+    ) -> [[f32; LANES]; 4] {
+        let [mut seen, mut across, mut down, mut roots] = [[0.0; LANES]; 4];
+        for k in 0..LANES {
+            across[k] = (right[k] - left[k]) / 2.0;
+            down[k] = (below[k] - above[k]) / 2.0;
+            let bend = left[k] + right[k] + above[k] + below[k] - 4.0 * middle[k];
+            let left_out = self.left_out_per_bend * bend;
+            let root = 1.0 / (1.0 + left_out * left_out).sqrt();
+            let counts = dn[k] < self.saturation_dn;
+            roots[k] = if counts { root } else { 0.0 };
+            seen[k] = dn[k] - self.background_dn;
+        }
+        [seen, across, down, roots]
     }
 }

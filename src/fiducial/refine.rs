@@ -15,7 +15,7 @@
 
 use super::CrossShape;
 use super::coverage::BlurredCross;
-use super::least_squares::{CONTRAST, Fit, LEVEL, X, Y};
+use super::least_squares::{CONTRAST, Ended, Fit, LEVEL, NEAR_PX, X, Y};
 use super::patch::{Counting, Light, LightMap, Patch};
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
 use crate::plate::Cross;
@@ -25,6 +25,10 @@ use nalgebra::{Matrix2, Vector2};
 
 /// Ground about the cross that takes part, px: it tells the light's level and slope.
 const GROUND_PX: f64 = 2.5;
+/// A mark farther than this from where it was expected is not that mark.
+const FARTHEST_PX: f64 = 1.5;
+/// A mark that is far from the middle of its patch gets another about its place, up to so many.
+const MOST_PATCHES: usize = 8;
 /// What the blurred product leaves out is about this part of s^2 div grad L', of a mark of contrast 1.
 const LEFT_OUT: f32 = 0.4;
 
@@ -73,37 +77,72 @@ impl Refiner {
         start: SensorPx,
     ) -> Option<RefinedMark> {
         let to_arms = jacobian.try_inverse()? / self.scale_mil_per_px;
-        let reach = self.shape.half_length_px + GROUND_PX;
+        let to_arms = [to_arms.m11, to_arms.m12, to_arms.m21, to_arms.m22].map(|v| v as f32);
         let noise_dn = levels.noise_dn.max(ROUNDING_NOISE_DN);
-        let blur_variance = self.shape.blur_px.powi(2) as f32;
         let counting = Counting {
             background_dn: levels.background_dn as f32,
             saturation_dn: f32::from(frame.saturation_dn()),
-            left_out_per_bend: LEFT_OUT * blur_variance / noise_dn as f32,
+            left_out_per_bend: LEFT_OUT * self.blur_variance() / noise_dn as f32,
         };
-        let map = LightMap::about(start, reach, light);
-        let patch = with_view!(frame, view => Patch::cut(&view, &counting, &map, start, reach));
+        let mut middle = start;
+        for _ in 0..MOST_PATCHES {
+            let ended = self.fit(frame, &counting, noise_dn, light, to_arms, middle)?;
+            let offset = Vector2::new(ended.unknowns[X], ended.unknowns[Y]);
+            let place = SensorPx::from(middle.vector() + offset);
+            if start.distance(place) > FARTHEST_PX {
+                return None;
+            }
+            if offset.norm() <= NEAR_PX {
+                return RefinedMark::of(&ended, place, noise_dn);
+            }
+            middle = place;
+        }
+        None
+    }
+
+    /// The fit on the pixels about a place.
+    fn fit(
+        &self,
+        frame: &Frame,
+        counting: &Counting,
+        noise_dn: f64,
+        light: &impl Light,
+        to_arms: [f32; 4],
+        middle: SensorPx,
+    ) -> Option<Ended> {
+        let reach = self.shape.half_length_px + GROUND_PX;
+        let map = LightMap::about(middle, reach, light);
+        let patch = with_view!(frame, view => Patch::cut(&view, counting, &map, middle, reach));
         let fit = Fit {
             patch: &patch,
             cross: BlurredCross::new(&self.shape),
-            to_arms: to_arms.cast(),
-            blur_variance,
+            to_arms,
+            blur_variance: self.blur_variance(),
             reach: reach as f32,
             noise_dn,
         };
-        let found = fit.run()?;
-        let offset = Vector2::new(found.unknowns[X], found.unknowns[Y]);
-        let covariance = found.covariance.fixed_view::<2, 2>(X, X).into_owned();
-        let sound = found.unknowns[CONTRAST] > 0.0 && covariance.iter().all(|v| v.is_finite());
-        sound.then(|| RefinedMark {
+        fit.run()
+    }
+
+    fn blur_variance(&self) -> f32 {
+        self.shape.blur_px.powi(2) as f32
+    }
+}
+
+impl RefinedMark {
+    /// `None` of what is no mark.
+    fn of(ended: &Ended, position: SensorPx, noise_dn: f64) -> Option<Self> {
+        let covariance = ended.covariance;
+        let sound = ended.unknowns[CONTRAST] > 0.0 && covariance.iter().all(|v| v.is_finite());
+        sound.then(|| Self {
             place: Estimate {
-                position: (start.vector() + offset).into(),
+                position,
                 covariance,
             },
-            contrast: found.unknowns[CONTRAST],
-            level: found.unknowns[LEVEL],
-            reduced_chi2: found.variance / noise_dn.powi(2),
-            pixels: found.pixels,
+            contrast: ended.unknowns[CONTRAST],
+            level: ended.unknowns[LEVEL],
+            reduced_chi2: ended.variance / noise_dn.powi(2),
+            pixels: ended.pixels,
         })
     }
 }

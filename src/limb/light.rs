@@ -3,90 +3,112 @@
 use super::Profile;
 use super::band::outwards;
 use crate::geometry::Ellipse;
-use crate::lanes::split;
+use crate::lanes::{larger, normal_tail, smaller};
 use multiversion::multiversion;
 
-/// Near the limb light bends: entries of the table for each pixel.
-const NEAR_PER_PX: f32 = 8.0;
-/// What is near the limb, in blurs; deeper inside an entry a pixel is enough.
-const NEAR_BLURS: (f64, f64) = (8.0, 6.0);
+/// Deeper inside than so many blurs the blur adds little to the limb darkening.
+const DEEP_BLURS: f64 = 6.0;
 
 /// The disc's blurred light without marks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DiscLight {
-    outline: Ellipse,
-    /// Light above the background, DN, and what leads to the next entry: by pixels from the middle, then near the limb.
-    table: Vec<[f32; 2]>,
-    places: Steps,
-}
-
-/// Where distances from the outline are in the table.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Steps {
-    first_px: f32,
-    near_px: f32,
-    /// The first entry that is near the limb.
-    near: f32,
-    last: f32,
+    centre: [f64; 2],
+    /// The outline's inverse root, 1/px: m11, m12, m22.
+    inverse: [f32; 3],
+    /// Light of the even part, and of the one that falls to zero at the edge, DN.
+    even_dn: f32,
+    darkened_dn: f32,
+    /// The blur in px, and in radii.
+    blur_px: f32,
+    blur: f32,
+    /// Deeper inside than this the disc is deep, radii squared.
+    deep: f32,
 }
 
 impl DiscLight {
     pub(super) fn new(outline: &Ellipse, profile: &Profile) -> Self {
-        let deep_px = (1.1 * outline.mean_radius()).ceil();
-        let near_px = (NEAR_BLURS.0 * profile.blur_px).ceil().min(deep_px);
-        let beyond_px = NEAR_BLURS.1 * profile.blur_px;
-        let deep = (deep_px - near_px) as usize;
-        let near = ((near_px + beyond_px) * f64::from(NEAR_PER_PX)) as usize + 2;
-        let distances = (0..deep)
-            .map(|n| n as f64 - deep_px)
-            .chain((0..near).map(|n| n as f64 / f64::from(NEAR_PER_PX) - near_px));
-        let light = distances.map(|d| (profile.both(d).0 - profile.background_dn) as f32);
-        let values: Vec<f32> = light.chain([0.0]).collect();
-        let table: Vec<[f32; 2]> = values.windows(2).map(|v| [v[0], v[1] - v[0]]).collect();
+        let inverse = outline.inverse().cast::<f32>();
+        let blur = profile.blur_px / profile.radius_px;
         Self {
-            outline: *outline,
-            places: Steps {
-                first_px: -deep_px as f32,
-                near_px: -near_px as f32,
-                near: deep as f32,
-                last: (table.len() - 1) as f32,
-            },
-            table,
+            centre: outline.centre.into(),
+            inverse: [inverse.m11, inverse.m12, inverse.m22],
+            even_dn: profile.even_dn as f32,
+            darkened_dn: profile.darkened_dn as f32,
+            blur_px: profile.blur_px as f32,
+            blur: blur as f32,
+            deep: (1.0 - DEEP_BLURS * blur).max(0.0).powi(2) as f32,
         }
     }
 
     /// The light on a row's pixels from column `x` on, DN above the background.
     pub fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
-        let from = [x - self.outline.centre.x, y - self.outline.centre.y].map(|v| v as f32);
-        let inverse = self.outline.inverse().cast::<f32>();
-        let inverse = [inverse.m11, inverse.m12, inverse.m22];
-        find_steps(from, inverse, &self.places, light);
-        let last = self.table.len() - 1;
-        for light in light {
-            let (entry, part) = split(*light);
-            let [here, on] = self.table[(entry as usize).min(last)];
-            *light = here + on * part;
+        let from = [x - self.centre[0], y - self.centre[1]].map(|v| v as f32);
+        let ends = [from[0], from[0] + light.len() as f32];
+        // What lies between two places deep inside is deep inside.
+        if ends.iter().all(|x| self.radius2(*x, from[1]) < self.deep) {
+            fill_deep(self, from, light);
+        } else {
+            fill_near_limb(self, from, light);
         }
+    }
+
+    /// Distance of a place from the centre, radii squared.
+    #[inline(always)]
+    fn radius2(&self, x: f32, y: f32) -> f32 {
+        let [a, b, c] = self.inverse;
+        let (wx, wy) = (a * x + b * y, b * x + c * y);
+        wx * wx + wy * wy
     }
 }
 
-/// How many entries into the table a row's pixels are.
+/// Deep inside, the blur adds to the limb darkening half its variance times how much that bends.
 #[multiversion(targets("x86_64+avx2"))]
-fn find_steps(from: [f32; 2], inverse: [f32; 3], places: &Steps, steps: &mut [f32]) {
-    let Steps {
-        first_px,
-        near_px,
-        near,
-        last,
-    } = *places;
-    let y = from[1];
-    for (n, steps) in steps.iter_mut().enumerate() {
-        let x = from[0] + n as i32 as f32;
-        let (_, out) = outwards(inverse, x, y);
-        let deep = out - first_px;
-        let along = near + (out - near_px) * NEAR_PER_PX;
-        *steps = if out < near_px { deep } else { along }.clamp(0.0, last);
+fn fill_deep(disc: &DiscLight, [x, y]: [f32; 2], light: &mut [f32]) {
+    let half_variance = 0.5 * disc.blur * disc.blur;
+    for (n, light) in light.iter_mut().enumerate() {
+        let root = (1.0 - disc.radius2(x + n as i32 as f32, y)).sqrt();
+        let per_root = 1.0 / root;
+        let bend = per_root + per_root * per_root * per_root;
+        *light = disc.even_dn + disc.darkened_dn * (root - half_variance * bend);
     }
+}
+
+/// Near the limb, the light is the [`Profile`]'s.
+#[multiversion(targets("x86_64+avx2"))]
+fn fill_near_limb(disc: &DiscLight, [x, y]: [f32; 2], light: &mut [f32]) {
+    let (per_blur, blur) = (1.0 / disc.blur_px, disc.blur);
+    for (n, light) in light.iter_mut().enumerate() {
+        let (_, out) = outwards(disc.inverse, x + n as i32 as f32, y);
+        let z = out * per_blur;
+        let depth = larger(smaller(-z * blur, 1.0), 0.0);
+        let scale = ((2.0 - depth) * blur).sqrt();
+        *light = disc.even_dn * normal_tail(z).0 + disc.darkened_dn * scale * mean_root(z);
+    }
+}
+
+/// F(z), the mean of the root of what a normally distributed number exceeds z by, to 0.001: a polynomial through it, and where
+/// that ends what F comes close to.
+#[inline(always)]
+fn mean_root(z: f32) -> f32 {
+    const LEAST: f32 = -3.1;
+    const MOST: f32 = 3.5;
+    const SERIES: [f32; 9] = [
+        -2.769_58e-5,
+        8.825_47e-5,
+        8.390_37e-4,
+        -2.526_34e-3,
+        -1.108_4e-2,
+        3.148_97e-2,
+        0.101_004,
+        -0.427_181,
+        0.411_382,
+    ];
+    let near = larger(smaller(z, MOST), LEAST);
+    let near = SERIES.iter().fold(0.0, |sum, term| sum * near + term);
+    let depth = larger(-z, -LEAST);
+    let per_depth2 = 1.0 / (depth * depth);
+    let deep = depth.sqrt() * (1.0 - per_depth2 * (0.125 + 0.117_187_5 * per_depth2));
+    if z < LEAST { deep } else { near }
 }
 
 #[cfg(test)]
