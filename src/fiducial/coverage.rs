@@ -1,11 +1,11 @@
 //! What the blurred cross covers, at many places side by side: it is asked for ten thousand places a frame.
 //!
 //! The cross is two bars less their common middle, and a blurred bar is its profile along times its profile across. Each
-//! profile is a difference of two tails of the normal distribution (Abramowitz and Stegun, Handbook of Mathematical
-//! Functions, 26.2.16, to 1e-5), which is quicker than any table: eight places go through it at once.
+//! profile is a difference of two tails of the normal distribution, which is quicker than any table: eight places go through
+//! it at once.
 
 use super::CrossShape;
-use crate::lanes::{Scratch, WHOLES, larger};
+use crate::lanes::{Scratch, normal_tail as tail};
 use multiversion::multiversion;
 
 /// A blurred cross of full contrast.
@@ -147,30 +147,6 @@ fn cover<const ENDS_APART: bool>(
         slope_u[n] = long_slope_u * wide_v + wide_slope_u * arm_v;
         slope_v[n] = long_slope_v * wide_u + wide_slope_v * arm_u;
     }
-}
-
-/// The normal distribution's tail beyond z, and its density there.
-#[inline(always)]
-fn tail(z: f32) -> (f32, f32) {
-    const PER_ROOT_TAU: f32 = 0.398_942_3;
-    let t = 1.0 / (1.0 + 0.332_67 * z.abs());
-    let density = PER_ROOT_TAU * power_of_two(-0.5 * std::f32::consts::LOG2_E * z * z);
-    let beyond = ((0.937_298 * t - 0.120_167_6) * t + 0.436_183_6) * t * density;
-    (if z < 0.0 { 1.0 - beyond } else { beyond }, density)
-}
-
-/// 2^x of x from 0 down, to 4e-6 of it (interpolated at Chebyshev's nodes); what is below 2^-120 is taken for that.
-#[inline(always)]
-fn power_of_two(x: f32) -> f32 {
-    const EXPONENT_BITS: u32 = 23;
-    const EXPONENT_OF_ONE: u32 = 127;
-    let x = larger(x, -120.0);
-    let shifted = x + WHOLES;
-    let part = x - (shifted - WHOLES);
-    let series = (0.009_666_37 * part + 0.055_921_98) * part + 0.240_223_5;
-    let series = (series * part + 0.693_121_1) * part + 1.0;
-    let whole = shifted.to_bits().wrapping_sub(WHOLES.to_bits());
-    series * f32::from_bits(whole.wrapping_add(EXPONENT_OF_ONE) << EXPONENT_BITS)
 }
 
 #[cfg(test)]
