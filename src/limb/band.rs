@@ -1,12 +1,12 @@
 //! The pixels about an outline, one list for each quantity, as the processor's wide instructions like it.
 
-use super::hidden::{Hidden, pixels_within};
+use super::hidden::{HIDDEN_DN, Hidden, pixels_within};
 use crate::frame::{Frame, Sample, View};
 use crate::geometry::Ellipse;
-use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, split};
+use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, larger, split};
 use crate::with_view;
 use multiversion::multiversion;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 use std::ops::Range;
 
 /// How far a band reaches from its outline, px.
@@ -16,16 +16,27 @@ pub(super) struct Reach {
     pub outside_px: f64,
 }
 
-/// The pixels about an outline, one entry a pixel.
+/// The pixels about an outline, strip by strip. Entries that are no pixels of the band are [`NO_PIXEL_DN`].
 pub(super) struct Band {
     pub reach: Reach,
     /// Outwards from the outline.
     pub distance_px: Scratch<f32>,
-    /// Sector of the direction from the disc's centre.
-    pub sector: Scratch<u16>,
-    /// Brightness; [`HIDDEN_DN`](super::hidden::HIDDEN_DN) where it is hidden.
+    /// Brightness; [`HIDDEN_DN`] where it is hidden.
     pub dn: Scratch<f32>,
+    pub strips: Vec<Strip>,
 }
+
+/// Neighbouring columns that cross the limb above or below the disc's centre, or rows that do beside it, so that pixels
+/// which lie side by side in a list do so along the limb.
+pub(super) struct Strip {
+    /// Entries of the band, by groups of [`LANES`]: a pixel of each column, or row.
+    pub entries: Range<usize>,
+    /// The sector of the direction, from the disc's centre, in which each column or row crosses the limb.
+    pub sectors: [u16; LANES],
+}
+
+/// Brightness of what is no pixel: without weight by itself, like that of a hidden one.
+const NO_PIXEL_DN: f32 = 2.0 * HIDDEN_DN;
 
 impl Band {
     pub(super) fn about(
@@ -35,127 +46,180 @@ impl Band {
         hidden: &Hidden,
         sectors: usize,
     ) -> Self {
-        let sectors = sectors.max(1);
-        let spans = Spans::new(outline, reach);
-        let mut pixels = Places::new();
-        with_view!(frame, view => gather(&mut pixels, &view, outline, &spans, hidden));
-        let count = pixels.dn.len();
-        let mut band = Self {
-            reach,
-            distance_px: Scratch::of_length(count),
-            sector: Scratch::of_length(count),
-            dn: pixels.dn,
-        };
+        let mut places = Places::new(sectors.max(1));
+        let ring = Ring::new(outline, reach);
         let inverse = outline.inverse().cast();
-        locate(
-            &pixels.x,
-            &pixels.y,
-            [inverse.m11, inverse.m12, inverse.m22],
-            sectors as f32,
-            &mut band.distance_px,
-            &mut band.sector,
-        );
-        band
+        with_view!(frame, view => gather(&mut places, &view, &ring, Lanes::AlongRow, hidden));
+        let above_and_below = places.dn.len();
+        with_view!(frame, view => gather(&mut places, &view, &ring, Lanes::AlongColumn, hidden));
+        let mut distance_px = Scratch::of_length(places.dn.len());
+        let (first, last) = distance_px.split_at_mut(above_and_below);
+        for (inverse, from, distance_px) in [
+            ([inverse.m11, inverse.m12, inverse.m22], 0, first),
+            ([inverse.m22, inverse.m12, inverse.m11], above_and_below, last),
+        ] {
+            let (along, away) = (&places.along[from..], &places.away[from..]);
+            locate(along, away, inverse, reach, distance_px, &mut places.dn[from..]);
+        }
+        Self {
+            reach,
+            distance_px,
+            dn: places.dn,
+            strips: places.strips,
+        }
     }
 }
 
-/// Where pixels are, px from the outline's centre, and how bright.
-struct Places {
-    x: Scratch<f32>,
-    y: Scratch<f32>,
-    dn: Scratch<f32>,
-    /// Entries of the lists that are pixels.
-    count: usize,
+/// Whether the pixels of a strip that lie side by side do so along a row of the sensor or along a column.
+#[derive(Clone, Copy)]
+enum Lanes {
+    AlongRow,
+    AlongColumn,
 }
 
-/// Pixels of a band about the Sun, and some more.
-const USUAL_PIXELS: usize = 7_168;
+/// Where pixels are, px from the outline's centre along a strip's lanes and away from them, and how bright.
+struct Places {
+    along: Scratch<f32>,
+    away: Scratch<f32>,
+    dn: Scratch<f32>,
+    strips: Vec<Strip>,
+    sectors: usize,
+}
+
+/// Entries of a band about the Sun, and some more.
+const USUAL_ENTRIES: usize = 12_000;
 
 impl Places {
-    fn new() -> Self {
-        let [x, y, dn] = std::array::from_fn(|_| Scratch::of_length(USUAL_PIXELS));
-        Self { x, y, dn, count: 0 }
-    }
-
-    /// Takes the first pixels of a row's rest: whole groups, of which the next row's overwrite what is too much.
-    #[inline(always)]
-    fn take<T: Sample>(&mut self, rest: &[T], count: usize, x: f32, y: f32) {
-        let begin = self.count;
-        self.count += count;
-        let room = self.count + LANES;
-        if room > self.dn.len() {
-            for list in [&mut self.x, &mut self.y, &mut self.dn] {
-                list.resize(2 * room, 0.0);
-            }
-        }
-        for group in (0..count).step_by(LANES) {
-            let lanes = begin + group..begin + group + LANES;
-            self.x[lanes.clone()].copy_from_slice(&counted_lanes(x + group as f32));
-            self.y[lanes.clone()].copy_from_slice(&[y; LANES]);
-            self.dn[lanes].copy_from_slice(&first_lanes(&rest[group..]));
+    fn new(sectors: usize) -> Self {
+        let [along, away, dn] = std::array::from_fn(|_| Scratch::empty(USUAL_ENTRIES));
+        Self {
+            along,
+            away,
+            dn,
+            strips: Vec::with_capacity(USUAL_ENTRIES / 128),
+            sectors,
         }
     }
 }
 
-/// Takes the pixels of a band.
+/// Takes the strips of a band whose lanes lie along rows, or along columns.
 #[multiversion(targets("x86_64+avx2"))]
 fn gather<T: Sample>(
-    pixels: &mut Places,
+    places: &mut Places,
     view: &View<'_, T>,
-    outline: &Ellipse,
-    spans: &Spans,
+    ring: &Ring,
+    lanes: Lanes,
     hidden: &Hidden,
 ) {
-    let centre = outline.centre;
-    let reach = spans.most * (outline.root().m11.max(outline.root().m22) + 1.0);
-    for y in pixels_within(centre.y - reach..centre.y + reach, view.height) {
-        let dy = y as f64 - centre.y;
-        let row = &view.pixels[y * view.width..][..view.width];
-        for span in spans.of_row(dy) {
-            let columns = pixels_within(span.start + centre.x..span.end + centre.x, view.width);
-            let first = pixels.count;
-            let from_centre = (columns.start as f64 - centre.x) as f32;
-            pixels.take(&row[columns.start..], columns.len(), from_centre, dy as f32);
-            hidden.raise(y, columns.start, &mut pixels.dn[first..pixels.count]);
+    let (x, y) = (ring.centre.x, ring.centre.y);
+    let ((middle, length), (centre, depth)) = match lanes {
+        Lanes::AlongRow => ((x, view.width), (y, view.height)),
+        Lanes::AlongColumn => ((y, view.height), (x, view.width)),
+    };
+    let half = ring.most * std::f64::consts::FRAC_1_SQRT_2 + 1.0;
+    for side in [-1.0, 1.0] {
+        let columns = pixels_within(middle - half..middle + half, length);
+        for first in columns.clone().step_by(LANES) {
+            let columns = first..columns.end.min(first + LANES);
+            let from_middle = first as f64 - middle;
+            let away = ring.crossed_by(from_middle, side);
+            let rows = pixels_within(centre + away.start..centre + away.end, depth);
+            let begin = places.dn.len();
+            let along = counted_lanes(from_middle as f32);
+            for row in rows.clone() {
+                places.along.extend_from_slice(&along);
+                places.away.extend_from_slice(&[(row as f64 - centre) as f32; LANES]);
+                places.dn.extend_from_slice(&match lanes {
+                    Lanes::AlongRow => first_lanes(&view.pixels[row * view.width..][columns.clone()]),
+                    Lanes::AlongColumn => lanes_down(view, row, columns.clone()),
+                });
+            }
+            let dn = &mut places.dn[begin..];
+            hide(dn, hidden, lanes, &columns, &rows);
+            places.strips.push(Strip {
+                entries: begin..begin + dn.len(),
+                sectors: along.map(|along| {
+                    let away = side as f32 * ring.limb_away(along);
+                    let sectors = places.sectors as f32;
+                    match lanes {
+                        Lanes::AlongRow => sector_of([along, away], sectors),
+                        Lanes::AlongColumn => sector_of([away, along], sectors),
+                    }
+                }),
+            });
         }
-    }
-    for list in [&mut pixels.x, &mut pixels.y, &mut pixels.dn] {
-        list.truncate(pixels.count);
     }
 }
 
-/// Where rows cross the band, in columns from the outline's centre.
-struct Spans {
-    /// The outline's inverse root.
-    inverse: Matrix2<f64>,
-    /// The band's edges in units of the disc's radius.
+/// Pixels of a column in neighbouring rows; zeros where these end.
+#[inline(always)]
+fn lanes_down<T: Sample>(view: &View<'_, T>, column: usize, rows: Range<usize>) -> [f32; LANES] {
+    let mut lanes = [0.0; LANES];
+    let pixels = view.pixels[rows.start * view.width..].iter().skip(column).step_by(view.width);
+    for (lane, pixel) in lanes.iter_mut().zip(pixels).take(rows.len()) {
+        *lane = pixel.dn();
+    }
+    lanes
+}
+
+/// Raises what marks hide of a strip, and what is beyond the sensor's edge.
+fn hide(dn: &mut [f32], hidden: &Hidden, lanes: Lanes, columns: &Range<usize>, rows: &Range<usize>) {
+    if columns.len() < LANES {
+        for group in dn.chunks_exact_mut(LANES) {
+            group[columns.len()..].fill(NO_PIXEL_DN);
+        }
+    }
+    match lanes {
+        Lanes::AlongRow => {
+            for (group, y) in dn.chunks_exact_mut(LANES).zip(rows.clone()) {
+                hidden.each(y, columns.clone(), |n| group[n] = HIDDEN_DN);
+            }
+        }
+        Lanes::AlongColumn => {
+            for (lane, y) in columns.clone().enumerate() {
+                hidden.each(y, rows.clone(), |n| dn[n * LANES + lane] = HIDDEN_DN);
+            }
+        }
+    }
+}
+
+/// The ring about a disc's centre that holds the band, px.
+struct Ring {
+    centre: Vector2<f64>,
+    radius: f64,
     least: f64,
     most: f64,
 }
 
-impl Spans {
+impl Ring {
     fn new(outline: &Ellipse, reach: Reach) -> Self {
         let radius = outline.mean_radius();
+        let root = outline.root();
+        let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12);
         Self {
-            inverse: *outline.inverse(),
-            least: (1.0 - reach.inside_px / radius).max(0.0),
-            most: 1.0 + reach.outside_px / radius,
+            centre: outline.centre,
+            radius,
+            least: radius - uneven - reach.inside_px,
+            most: radius + uneven + reach.outside_px,
         }
     }
 
-    /// The two parts of a row that lie in the band; empty where it passes by. Along a row the square of the distance in
-    /// disc units is a parabola.
-    fn of_row(&self, dy: f64) -> [Range<f64>; 2] {
-        let step = self.inverse.column(0);
-        let first = self.inverse.column(1) * dy;
-        let (bend, slope) = (step.norm_squared(), step.dot(&first));
-        let middle = -slope / bend;
-        let half = |edge: f64| {
-            let square = middle * middle - (first.norm_squared() - edge * edge) / bend;
-            square.max(0.0).sqrt()
-        };
-        let (end, hole) = (half(self.most), half(self.least));
-        [middle - end..middle - hole, middle + hole..middle + end]
+    /// Where the lanes from one so far from the middle on cross the quarter of the ring that lies on a side.
+    fn crossed_by(&self, first: f64, side: f64) -> Range<f64> {
+        let last = first + (LANES - 1) as f64;
+        let nearest = if first * last < 0.0 { 0.0 } else { first.abs().min(last.abs()) };
+        let farthest = first.abs().max(last.abs());
+        let height = |radius: f64, along: f64| (radius * radius - along * along).max(0.0).sqrt();
+        let inner = height(self.least.max(0.0), farthest).max(nearest - 1.0);
+        let outer = height(self.most, nearest) + 1.0;
+        if side < 0.0 { -outer..-inner } else { inner..outer }
+    }
+
+    /// How far away the limb crosses a lane, or the quarter's end.
+    #[inline(always)]
+    fn limb_away(&self, along: f32) -> f32 {
+        let radius = self.radius as f32;
+        larger(radius * radius - along * along, along * along).sqrt()
     }
 }
 
@@ -171,30 +235,38 @@ pub(super) fn outwards([a, b, c]: [f32; 3], x: f32, y: f32) -> ([f32; 2], f32) {
     ([wx, wy], (r2 - r2.sqrt()) / per_disc)
 }
 
-/// Distance outwards from the outline, and sector, of places about its centre; `inverse` as for [`outwards`].
+/// Distance outwards from the outline of places about its centre, `inverse` as for [`outwards`]. What is nearer to the other
+/// axis, and what is out of reach, is no pixel.
 #[multiversion(targets("x86_64+avx2"))]
 fn locate(
-    x: &[f32],
-    y: &[f32],
+    along: &[f32],
+    away: &[f32],
     inverse: [f32; 3],
-    sectors: f32,
+    reach: Reach,
     distance_px: &mut [f32],
-    sector: &mut [u16],
+    dn: &mut [f32],
 ) {
     let count = distance_px.len();
-    let (x, y, sector) = (&x[..count], &y[..count], &mut sector[..count]);
-    // A number that stands just below the next sector may be taken for it.
-    let (per_quarter, last) = (sectors / 4.0, sectors - 0.51);
+    let (along, away, dn) = (&along[..count], &away[..count], &mut dn[..count]);
+    let (inside, outside) = (reach.inside_px as f32, reach.outside_px as f32);
     for n in 0..count {
-        let ([wx, wy], distance) = outwards(inverse, x[n], y[n]);
-        distance_px[n] = distance;
-        let along = wy / (wx.abs() + wy.abs() + f32::MIN_POSITIVE);
-        let quarters = if wx >= 0.0 { 1.0 + along } else { 3.0 - along };
-        sector[n] = split((quarters * per_quarter).clamp(0.0, last)).0 as u16;
+        let ([u, v], distance) = outwards(inverse, along[n], away[n]);
+        let belongs = (distance > -inside) & (distance < outside) & (u.abs() <= v.abs());
+        distance_px[n] = if belongs { distance } else { outside };
+        dn[n] = if belongs { dn[n] } else { NO_PIXEL_DN };
     }
 }
 
-/// The direction of the middle of one of so many sectors: the inverse of what [`locate`] does.
+/// The sector of a direction from the disc's centre.
+#[inline(always)]
+fn sector_of([x, y]: [f32; 2], sectors: f32) -> u16 {
+    let along = y / (x.abs() + y.abs() + f32::MIN_POSITIVE);
+    let quarters = if x >= 0.0 { 1.0 + along } else { 3.0 - along };
+    // A number that stands just below the next sector may be taken for it.
+    split((quarters * sectors / 4.0).clamp(0.0, sectors - 0.51)).0 as u16
+}
+
+/// The direction of the middle of one of so many sectors: the inverse of [`sector_of`].
 pub(super) fn middle_of_sector(sector: usize, sectors: usize) -> Vector2<f64> {
     let quarters = 4.0 * (sector as f64 + 0.5) / sectors as f64;
     let (along, side) = if quarters < 2.0 {
@@ -207,10 +279,10 @@ pub(super) fn middle_of_sector(sector: usize, sectors: usize) -> Vector2<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::hidden::HIDDEN_DN;
     use super::*;
     use crate::frame::{FrameInfo, Pixels, Region};
     use crate::units::SensorPx;
+    use nalgebra::Matrix2;
 
     fn outline() -> Ellipse {
         Ellipse::new(Vector2::new(60.3, 48.8), Matrix2::new(40.4, 0.2, 0.2, 39.7)).unwrap()
@@ -257,18 +329,8 @@ mod tests {
     fn a_sector_s_middle_lies_in_it() {
         for sector in 0..96 {
             let middle = middle_of_sector(sector, 96) * 40.0;
-            let (mut distance, mut found) = ([0.0], [0]);
-            let unit = [1.0 / 40.0, 0.0, 1.0 / 40.0];
-            locate(
-                &[middle.x as f32],
-                &[middle.y as f32],
-                unit,
-                96.0,
-                &mut distance,
-                &mut found,
-            );
-            assert_eq!(usize::from(found[0]), sector);
-            assert!(distance[0].abs() < 1e-4);
+            let found = sector_of([middle.x as f32, middle.y as f32], 96.0);
+            assert_eq!(usize::from(found), sector);
         }
     }
 }

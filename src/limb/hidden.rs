@@ -86,24 +86,24 @@ impl Hidden {
         }
     }
 
-    /// Raises the brightness of a row's hidden pixels, of those from column `from` on, to [`HIDDEN_DN`]; outside the
-    /// region none is hidden.
-    pub(super) fn raise(&self, y: usize, from: usize, dn: &mut [f32]) {
+    /// Calls with every hidden one of some columns of a row, counted from the first of them; outside the region none is hidden.
+    #[inline(always)]
+    pub(super) fn each(&self, y: usize, columns: Range<usize>, mut found: impl FnMut(usize)) {
         let r = self.region;
         if !(r.y0..r.y1).contains(&y) {
             return;
         }
         let words = self.words();
         let row = &self.covered[(y - r.y0) * words..][..words];
-        let first = from.saturating_sub(r.x0) / 64;
-        let end = (from + dn.len()).saturating_sub(r.x0).div_ceil(64);
-        for (n, word) in row.iter().enumerate().take(end).skip(first) {
-            let mut left = *word;
+        let first = columns.start.saturating_sub(r.x0);
+        let end = columns.end.saturating_sub(r.x0).min(64 * words);
+        for from in (first..end).step_by(64) {
+            let (word, bit) = (from / 64, from % 64);
+            let next = row.get(word + 1).map_or(0, |next| (next << 1) << (63 - bit));
+            let kept = u64::MAX >> (64 - (end - from).min(64));
+            let mut left = (row[word] >> bit | next) & kept;
             while left != 0 {
-                let column = r.x0 + 64 * n + left.trailing_zeros() as usize;
-                if let Some(dn) = column.checked_sub(from).and_then(|n| dn.get_mut(n)) {
-                    *dn = HIDDEN_DN;
-                }
+                found(r.x0 + from + left.trailing_zeros() as usize - columns.start);
                 left &= left - 1;
             }
         }

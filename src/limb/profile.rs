@@ -131,13 +131,20 @@ impl Profile {
     }
 }
 
-/// Light above the background and its change per px at many distances outwards from the limb.
+/// Light above the background and its change per px at many distances outwards from an outline, from which the limb lies
+/// `shift_px` outwards.
 #[multiversion(targets("x86_64+avx2"))]
-pub(super) fn lay_light(profile: &Profile, distance_px: &[f32], light: &mut [f32], slope: &mut [f32]) {
+pub(super) fn lay_light(
+    profile: &Profile,
+    shift_px: f32,
+    distance_px: &[f32],
+    light: &mut [f32],
+    slope: &mut [f32],
+) {
     let count = distance_px.len();
     let (light, slope) = (&mut light[..count], &mut slope[..count]);
     for n in 0..count {
-        (light[n], slope[n]) = profile.light(distance_px[n]);
+        (light[n], slope[n]) = profile.light(distance_px[n] - shift_px);
     }
 }
 
