@@ -36,7 +36,7 @@ pub fn median_size(sizes: impl Iterator<Item = f32>) -> Option<f32> {
 #[multiversion(targets("x86_64+avx2"))]
 pub fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
     /// Fewest values that tell a sigma.
-    const MIN_VALUES: f32 = 10.0;
+    const MIN_VALUES: u32 = 10;
     /// What the normal distribution keeps of its sigma within three of it.
     const KEPT: f32 = 0.9866;
     const ROUNDS: usize = 4;
@@ -46,19 +46,19 @@ pub fn clipped_sigma(left: &[f32], start: f32) -> Option<f64> {
     let mut sigma = None;
     for _ in 0..ROUNDS {
         let limit2 = limit * limit;
-        let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-        for left in left.chunks_exact(LANES) {
+        let (mut counts, mut squares) = ([0_u32; LANES], [0.0_f32; LANES]);
+        for left in left.as_chunks::<LANES>().0 {
             for k in 0..LANES {
                 let square = left[k] * left[k];
-                counts[k] += if square < limit2 { 1.0 } else { 0.0 };
+                counts[k] += u32::from(square < limit2);
                 squares[k] += if square < limit2 { square } else { 0.0 };
             }
         }
-        let count: f32 = counts.iter().sum();
+        let count: u32 = counts.iter().sum();
         if count < MIN_VALUES {
             return None;
         }
-        let found = (squares.iter().sum::<f32>() / count).sqrt() / KEPT;
+        let found = (squares.iter().sum::<f32>() / count as f32).sqrt() / KEPT;
         let found = found.max(ROUNDING_NOISE_DN as f32);
         sigma = Some(f64::from(found));
         limit = 3.0 * found;

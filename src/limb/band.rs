@@ -7,6 +7,7 @@ use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, larger, split};
 use crate::with_view;
 use multiversion::multiversion;
 use nalgebra::Vector2;
+use std::f64::consts::FRAC_1_SQRT_2;
 use std::ops::Range;
 
 /// How far a band reaches from its outline, px.
@@ -46,29 +47,59 @@ impl Band {
         hidden: &Hidden,
         sectors: usize,
     ) -> Self {
-        let mut places = Places::new(sectors.max(1));
-        let ring = Ring::new(outline, reach);
-        let inverse = outline.inverse().cast();
-        with_view!(frame, view => gather(&mut places, &view, &ring, Lanes::AlongRow, hidden));
-        let above_and_below = places.dn.len();
-        with_view!(frame, view => gather(&mut places, &view, &ring, Lanes::AlongColumn, hidden));
-        let mut distance_px = Scratch::of_length(places.dn.len());
-        let (first, last) = distance_px.split_at_mut(above_and_below);
-        for (inverse, from, distance_px) in [
-            ([inverse.m11, inverse.m12, inverse.m22], 0, first),
-            ([inverse.m22, inverse.m12, inverse.m11], above_and_below, last),
-        ] {
-            let (along, away) = (&places.along[from..], &places.away[from..]);
-            locate(along, away, inverse, reach, distance_px, &mut places.dn[from..]);
-        }
-        Self {
+        let mut band = Self {
             reach,
-            distance_px,
-            dn: places.dn,
-            strips: places.strips,
+            distance_px: Scratch::empty(USUAL_ENTRIES),
+            dn: Scratch::empty(USUAL_ENTRIES),
+            strips: Vec::with_capacity(USUAL_STRIPS),
+        };
+        for lanes in [Lanes::AlongRow, Lanes::AlongColumn] {
+            let ring = Ring::new(outline, reach, lanes);
+            for side in [-1.0, 1.0] {
+                with_view!(frame, view => band.take_quarter(&view, &ring, side, hidden, sectors));
+            }
+        }
+        band
+    }
+
+    /// Takes the strips of the quarter that lies on one side of the middle.
+    fn take_quarter<T: Sample>(
+        &mut self,
+        view: &View<'_, T>,
+        ring: &Ring,
+        side: f64,
+        hidden: &Hidden,
+        sectors: usize,
+    ) {
+        let [width, height] = ring.lanes.swapped([view.width, view.height]);
+        let [middle, centre] = ring.centre;
+        let half = ring.most * FRAC_1_SQRT_2 + 1.0;
+        let all = pixels_within(middle - half..middle + half, width);
+        for first in all.clone().step_by(LANES) {
+            let columns = first..all.end.min(first + LANES);
+            let from_middle = first as f64 - middle;
+            let away = ring.crossed_by(from_middle, side);
+            let rows = pixels_within(centre + away.start..centre + away.end, height);
+            let begin = self.dn.len();
+            let end = begin + rows.len() * LANES;
+            self.dn.resize(end, 0.0);
+            self.distance_px.resize(end, 0.0);
+            let (dn, distance_px) = (&mut self.dn[begin..], &mut self.distance_px[begin..]);
+            ring.lanes.copy(view, &columns, &rows, dn);
+            hide(dn, hidden, ring.lanes, &columns, &rows);
+            let from = [from_middle as f32, (rows.start as f64 - centre) as f32];
+            locate(ring, self.reach, from, distance_px, dn);
+            self.strips.push(Strip {
+                entries: begin..end,
+                sectors: ring.sectors(from_middle as f32, side as f32, sectors),
+            });
         }
     }
 }
+
+/// Entries and strips of a band about the Sun, and some more.
+const USUAL_ENTRIES: usize = 12_000;
+const USUAL_STRIPS: usize = 90;
 
 /// Whether the pixels of a strip that lie side by side do so along a row of the sensor or along a column.
 #[derive(Clone, Copy)]
@@ -77,149 +108,110 @@ enum Lanes {
     AlongColumn,
 }
 
-/// Where pixels are, px from the outline's centre along a strip's lanes and away from them, and how bright.
-struct Places {
-    along: Scratch<f32>,
-    away: Scratch<f32>,
-    dn: Scratch<f32>,
-    strips: Vec<Strip>,
-    sectors: usize,
-}
+impl Lanes {
+    /// What belongs to x and y, in the order of along the lanes and across them; and back.
+    #[inline(always)]
+    fn swapped<V>(self, [x, y]: [V; 2]) -> [V; 2] {
+        match self {
+            Self::AlongRow => [x, y],
+            Self::AlongColumn => [y, x],
+        }
+    }
 
-/// Entries of a band about the Sun, and some more.
-const USUAL_ENTRIES: usize = 12_000;
-
-impl Places {
-    fn new(sectors: usize) -> Self {
-        let [along, away, dn] = std::array::from_fn(|_| Scratch::empty(USUAL_ENTRIES));
-        Self {
-            along,
-            away,
-            dn,
-            strips: Vec::with_capacity(USUAL_ENTRIES / 128),
-            sectors,
+    /// Copies a strip's pixels.
+    fn copy<T: Sample>(self, view: &View<'_, T>, columns: &Range<usize>, rows: &Range<usize>, dn: &mut [f32]) {
+        match self {
+            Self::AlongRow => copy_along_row(view, columns, rows, dn),
+            Self::AlongColumn => copy_along_column(view, columns, rows, dn),
         }
     }
 }
 
-/// Takes the strips of a band whose lanes lie along rows, or along columns.
 #[multiversion(targets("x86_64+avx2"))]
-fn gather<T: Sample>(
-    places: &mut Places,
-    view: &View<'_, T>,
-    ring: &Ring,
-    lanes: Lanes,
-    hidden: &Hidden,
-) {
-    let (x, y) = (ring.centre.x, ring.centre.y);
-    let ((middle, length), (centre, depth)) = match lanes {
-        Lanes::AlongRow => ((x, view.width), (y, view.height)),
-        Lanes::AlongColumn => ((y, view.height), (x, view.width)),
-    };
-    let half = ring.most * std::f64::consts::FRAC_1_SQRT_2 + 1.0;
-    for side in [-1.0, 1.0] {
-        let columns = pixels_within(middle - half..middle + half, length);
-        for first in columns.clone().step_by(LANES) {
-            let columns = first..columns.end.min(first + LANES);
-            let from_middle = first as f64 - middle;
-            let away = ring.crossed_by(from_middle, side);
-            let rows = pixels_within(centre + away.start..centre + away.end, depth);
-            let begin = places.dn.len();
-            let along = counted_lanes(from_middle as f32);
-            for row in rows.clone() {
-                places.along.extend_from_slice(&along);
-                places.away.extend_from_slice(&[(row as f64 - centre) as f32; LANES]);
-                places.dn.extend_from_slice(&match lanes {
-                    Lanes::AlongRow => first_lanes(&view.pixels[row * view.width..][columns.clone()]),
-                    Lanes::AlongColumn => lanes_down(view, row, columns.clone()),
-                });
-            }
-            let dn = &mut places.dn[begin..];
-            hide(dn, hidden, lanes, &columns, &rows);
-            places.strips.push(Strip {
-                entries: begin..begin + dn.len(),
-                sectors: along.map(|along| {
-                    let away = side as f32 * ring.limb_away(along);
-                    let sectors = places.sectors as f32;
-                    match lanes {
-                        Lanes::AlongRow => sector_of([along, away], sectors),
-                        Lanes::AlongColumn => sector_of([away, along], sectors),
-                    }
-                }),
-            });
-        }
+fn copy_along_row<T: Sample>(view: &View<'_, T>, columns: &Range<usize>, rows: &Range<usize>, dn: &mut [f32]) {
+    let pixels = view.pixels[rows.start * view.width..].chunks(view.width);
+    for (group, row) in dn.as_chunks_mut::<LANES>().0.iter_mut().zip(pixels) {
+        *group = first_lanes(&row[columns.start..]);
     }
 }
 
-/// Pixels of a column in neighbouring rows; zeros where these end.
-#[inline(always)]
-fn lanes_down<T: Sample>(view: &View<'_, T>, column: usize, rows: Range<usize>) -> [f32; LANES] {
-    let mut lanes = [0.0; LANES];
-    let pixels = view.pixels[rows.start * view.width..].iter().skip(column).step_by(view.width);
-    for (lane, pixel) in lanes.iter_mut().zip(pixels).take(rows.len()) {
-        *lane = pixel.dn();
+/// Here the strip's columns are rows of the sensor.
+#[multiversion(targets("x86_64+avx2"))]
+fn copy_along_column<T: Sample>(view: &View<'_, T>, columns: &Range<usize>, rows: &Range<usize>, dn: &mut [f32]) {
+    // Beyond the sensor's edge stands the last one once more, until it is hidden.
+    let lanes: [&[T]; LANES] = std::array::from_fn(|k| {
+        let y = (columns.start + k).min(columns.end - 1);
+        &view.pixels[y * view.width..][rows.clone()]
+    });
+    for (n, group) in dn.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        *group = lanes.map(|row| row[n].dn());
     }
-    lanes
 }
 
 /// Raises what marks hide of a strip, and what is beyond the sensor's edge.
 fn hide(dn: &mut [f32], hidden: &Hidden, lanes: Lanes, columns: &Range<usize>, rows: &Range<usize>) {
     if columns.len() < LANES {
-        for group in dn.chunks_exact_mut(LANES) {
+        for group in dn.as_chunks_mut::<LANES>().0 {
             group[columns.len()..].fill(NO_PIXEL_DN);
         }
     }
-    match lanes {
-        Lanes::AlongRow => {
-            for (group, y) in dn.chunks_exact_mut(LANES).zip(rows.clone()) {
-                hidden.each(y, columns.clone(), |n| group[n] = HIDDEN_DN);
-            }
-        }
-        Lanes::AlongColumn => {
-            for (lane, y) in columns.clone().enumerate() {
-                hidden.each(y, rows.clone(), |n| dn[n * LANES + lane] = HIDDEN_DN);
-            }
-        }
+    let [x, y] = lanes.swapped([columns.clone(), rows.clone()]);
+    if hidden.bares(&x, &y) {
+        return;
+    }
+    for (n, y) in y.enumerate() {
+        hidden.each(y, &x, |k| match lanes {
+            Lanes::AlongRow => dn[n * LANES + k] = HIDDEN_DN,
+            Lanes::AlongColumn => dn[k * LANES + n] = HIDDEN_DN,
+        });
     }
 }
 
-/// The ring about a disc's centre that holds the band, px.
+/// The ring about a disc's centre that holds the band, px; coordinates along the strips' lanes and across them.
 struct Ring {
-    centre: Vector2<f64>,
+    lanes: Lanes,
+    centre: [f64; 2],
+    /// The outline's inverse root, as [`outwards`] takes it.
+    inverse: [f32; 3],
     radius: f64,
     least: f64,
     most: f64,
 }
 
 impl Ring {
-    fn new(outline: &Ellipse, reach: Reach) -> Self {
+    fn new(outline: &Ellipse, reach: Reach, lanes: Lanes) -> Self {
         let radius = outline.mean_radius();
-        let root = outline.root();
+        let (root, inverse) = (outline.root(), outline.inverse().cast());
         let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12);
+        let [along, across] = lanes.swapped([inverse.m11, inverse.m22]);
         Self {
-            centre: outline.centre,
+            lanes,
+            centre: lanes.swapped(outline.centre.into()),
+            inverse: [along, inverse.m12, across],
             radius,
             least: radius - uneven - reach.inside_px,
             most: radius + uneven + reach.outside_px,
         }
     }
 
-    /// Where the lanes from one so far from the middle on cross the quarter of the ring that lies on a side.
+    /// Where lanes, the first of them so far from the middle, cross the quarter of the ring that lies on a side of it.
     fn crossed_by(&self, first: f64, side: f64) -> Range<f64> {
         let last = first + (LANES - 1) as f64;
-        let nearest = if first * last < 0.0 { 0.0 } else { first.abs().min(last.abs()) };
-        let farthest = first.abs().max(last.abs());
+        let (nearest, farthest) = (first.max(-last).max(0.0), last.max(-first));
         let height = |radius: f64, along: f64| (radius * radius - along * along).max(0.0).sqrt();
-        let inner = height(self.least.max(0.0), farthest).max(nearest - 1.0);
-        let outer = height(self.most, nearest) + 1.0;
+        // Half a pixel for an ellipse's quarters, which are not quite those of the sensor.
+        let inner = height(self.least.max(0.0), farthest).max(nearest - 0.5);
+        let outer = height(self.most, nearest);
         if side < 0.0 { -outer..-inner } else { inner..outer }
     }
 
-    /// How far away the limb crosses a lane, or the quarter's end.
-    #[inline(always)]
-    fn limb_away(&self, along: f32) -> f32 {
+    /// The sectors in which lanes cross the limb, or the quarter's end.
+    fn sectors(&self, first: f32, side: f32, sectors: usize) -> [u16; LANES] {
         let radius = self.radius as f32;
-        larger(radius * radius - along * along, along * along).sqrt()
+        counted_lanes(first).map(|along| {
+            let across = larger(radius * radius - along * along, along * along).sqrt();
+            sector_of(self.lanes.swapped([along, side * across]), sectors as f32)
+        })
     }
 }
 
@@ -235,25 +227,21 @@ pub(super) fn outwards([a, b, c]: [f32; 3], x: f32, y: f32) -> ([f32; 2], f32) {
     ([wx, wy], (r2 - r2.sqrt()) / per_disc)
 }
 
-/// Distance outwards from the outline of places about its centre, `inverse` as for [`outwards`]. What is nearer to the other
-/// axis, and what is out of reach, is no pixel.
+/// Distances outwards from the outline of a strip's entries, of which the first is `from` the centre. What is nearer to the
+/// other axis, and what is out of reach, is no pixel.
 #[multiversion(targets("x86_64+avx2"))]
-fn locate(
-    along: &[f32],
-    away: &[f32],
-    inverse: [f32; 3],
-    reach: Reach,
-    distance_px: &mut [f32],
-    dn: &mut [f32],
-) {
-    let count = distance_px.len();
-    let (along, away, dn) = (&along[..count], &away[..count], &mut dn[..count]);
+fn locate(ring: &Ring, reach: Reach, from: [f32; 2], distance_px: &mut [f32], dn: &mut [f32]) {
     let (inside, outside) = (reach.inside_px as f32, reach.outside_px as f32);
-    for n in 0..count {
-        let ([u, v], distance) = outwards(inverse, along[n], away[n]);
-        let belongs = (distance > -inside) & (distance < outside) & (u.abs() <= v.abs());
-        distance_px[n] = if belongs { distance } else { outside };
-        dn[n] = if belongs { dn[n] } else { NO_PIXEL_DN };
+    let along = counted_lanes(from[0]);
+    let groups = distance_px.as_chunks_mut::<LANES>().0;
+    for (row, (distance_px, dn)) in groups.iter_mut().zip(dn.as_chunks_mut::<LANES>().0).enumerate() {
+        let across = from[1] + row as i32 as f32;
+        for k in 0..LANES {
+            let ([u, v], distance) = outwards(ring.inverse, along[k], across);
+            let belongs = (distance > -inside) & (distance < outside) & (u.abs() <= v.abs());
+            distance_px[k] = if belongs { distance } else { outside };
+            dn[k] = larger(dn[k], if belongs { 0.0 } else { NO_PIXEL_DN });
+        }
     }
 }
 

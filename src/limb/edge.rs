@@ -216,27 +216,44 @@ impl<'a> Edge<'a> {
     /// The pixels' noise from what is left unexplained well away from the limb, once every sector has so much `more`
     /// light than was expected.
     fn noise(&self, unexplained: &[f32], more: &[f32]) -> Noise {
-        let clear = (3.0 * self.profile.blur_px) as f32;
-        let limb = self.shift_px as f32;
-        let (plateau, saturated) = (self.plateau_dn(), self.saturated_dn as f32);
         let [mut outside, mut inside] = [(); 2].map(|()| Scratch::empty(unexplained.len()));
-        // Every second strip tells enough.
-        for strip in self.band.strips.iter().step_by(2) {
-            let more = strip.sectors.map(|sector| more[usize::from(sector)] * plateau);
-            for n in strip.entries.clone() {
-                let (distance, left) = (self.band.distance_px[n], unexplained[n]);
-                // What is of no use here is told from noise by its size.
-                let far = distance > limb + clear;
-                outside.push(if far { left } else { HIDDEN_DN });
-                // Where the disc saturates its noise does not show.
-                let deep = distance < limb - clear && self.light[n] < saturated;
-                inside.push(if deep { left - more[n % LANES] } else { HIDDEN_DN });
-            }
-        }
+        tell_noise(self, unexplained, more, &mut outside, &mut inside);
         let sigma = |left: &[f32], start: f64| clipped_sigma(left, start as f32).unwrap_or(start);
         Noise {
             outside_dn: sigma(&outside, self.noise.outside_dn),
             inside_dn: sigma(&inside, self.noise.inside_dn),
+        }
+    }
+}
+
+/// What is left unexplained well outside the limb and well inside it, every sector having so much `more` light than was
+/// expected. Every second strip tells enough.
+#[multiversion(targets("x86_64+avx2"))]
+fn tell_noise(
+    edge: &Edge<'_>,
+    unexplained: &[f32],
+    more: &[f32],
+    outside: &mut Vec<f32>,
+    inside: &mut Vec<f32>,
+) {
+    let (limb, clear) = (edge.shift_px as f32, (3.0 * edge.profile.blur_px) as f32);
+    let (plateau, saturated) = (edge.plateau_dn(), edge.saturated_dn as f32);
+    for strip in edge.band.strips.iter().step_by(2) {
+        let (distance, _) = edge.band.distance_px[strip.entries.clone()].as_chunks::<LANES>();
+        let (light, _) = edge.light[strip.entries.clone()].as_chunks::<LANES>();
+        let (left, _) = unexplained[strip.entries.clone()].as_chunks::<LANES>();
+        let more = strip.sectors.map(|sector| more[usize::from(sector)] * plateau);
+        for ((distance, light), left) in distance.iter().zip(light).zip(left) {
+            // What is of no use is told from noise by its size; where the disc saturates its noise does not show.
+            let (mut far, mut deep) = ([0.0; LANES], [0.0; LANES]);
+            for k in 0..LANES {
+                let (out, own) = (distance[k] - limb, left[k] - more[k]);
+                let shows = (out < -clear) & (light[k] < saturated);
+                far[k] = left[k] + if out > clear { 0.0 } else { HIDDEN_DN };
+                deep[k] = own + if shows { 0.0 } else { HIDDEN_DN };
+            }
+            outside.extend_from_slice(&far);
+            inside.extend_from_slice(&deep);
         }
     }
 }

@@ -86,9 +86,20 @@ impl Hidden {
         }
     }
 
+    /// Whether nothing is hidden near some columns of some rows.
+    pub(super) fn bares(&self, columns: &Range<usize>, rows: &Range<usize>) -> bool {
+        let r = self.region;
+        let words = self.words();
+        let [first, last] = [columns.start, columns.end - 1].map(|x| x.saturating_sub(r.x0) / 64);
+        let rows = rows.start.max(r.y0) - r.y0..rows.end.clamp(r.y0, r.y1) - r.y0;
+        rows.into_iter().all(|row| {
+            let row = &self.covered[row * words..][..words];
+            row.iter().take(last + 1).skip(first).all(|word| *word == 0)
+        })
+    }
+
     /// Calls with every hidden one of some columns of a row, counted from the first of them; outside the region none is hidden.
-    #[inline(always)]
-    pub(super) fn each(&self, y: usize, columns: Range<usize>, mut found: impl FnMut(usize)) {
+    pub(super) fn each(&self, y: usize, columns: &Range<usize>, mut found: impl FnMut(usize)) {
         let r = self.region;
         if !(r.y0..r.y1).contains(&y) {
             return;
