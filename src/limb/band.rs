@@ -207,11 +207,9 @@ impl Ring {
 
     /// The sectors in which lanes cross the limb, or the quarter's end.
     fn sectors(&self, first: f32, side: f32, sectors: usize) -> [u16; LANES] {
-        let radius = self.radius as f32;
-        counted_lanes(first).map(|along| {
-            let across = larger(radius * radius - along * along, along * along).sqrt();
-            sector_of(self.lanes.swapped([along, side * across]), sectors as f32)
-        })
+        let mut found = [0; LANES];
+        find_sectors(self, counted_lanes(first), side, sectors as f32, &mut found);
+        found
     }
 }
 
@@ -242,6 +240,16 @@ fn locate(ring: &Ring, reach: Reach, from: [f32; 2], distance_px: &mut [f32], dn
             distance_px[k] = if belongs { distance } else { outside };
             dn[k] = larger(dn[k], if belongs { 0.0 } else { NO_PIXEL_DN });
         }
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn find_sectors(ring: &Ring, along: [f32; LANES], side: f32, sectors: f32, found: &mut [u16; LANES]) {
+    let radius2 = (ring.radius * ring.radius) as f32;
+    for k in 0..LANES {
+        let square = along[k] * along[k];
+        let across = side * larger(radius2 - square, square).sqrt();
+        found[k] = sector_of(ring.lanes.swapped([along[k], across]), sectors);
     }
 }
 

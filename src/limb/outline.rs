@@ -70,7 +70,7 @@ const ROUND_STEPS: usize = 6;
 /// Points that scatter by more sigmas than this about the start may lead an ellipse astray; a circle is harder to lead.
 const CRUDE_SIGMAS: f64 = 6.0;
 /// A shorter step changes nothing, px.
-const SETTLED_STEP_PX: f64 = 1e-4;
+const SETTLED_STEP_PX: f64 = 1e-3;
 /// Two values so many sigma apart are not of the same thing.
 const CONTRADICTION_SIGMAS: f64 = 5.0;
 /// Fewer points make no outline.
