@@ -118,7 +118,8 @@ impl Sight<'_> {
         self.look(&edge, before.light, UNEVEN.powi(-2))
     }
 
-    /// Fits every sector: the light expected there, with some information that it is so.
+    /// Fits every sector: first for the light's tilt across the disc, from what was expected of it with some information that
+    /// it is so, then for the limb with that tilt.
     fn look(&self, edge: &Edge<'_>, expected: Tilt, information: f64) -> Look {
         let directions: Vec<Vector2<f64>> = (0..self.sectors)
             .map(|n| middle_of_sector(n, self.sectors))
@@ -126,24 +127,27 @@ impl Sight<'_> {
         let expecting = |w: &Vector2<f64>| Sector::expecting(expected.at(*w));
         let mut sectors: Vec<Sector> = directions.iter().map(expecting).collect();
         let unexplained = edge.sum(&mut sectors);
-        let found: Vec<(Vector2<f64>, Shift)> = directions
-            .iter()
-            .zip(&sectors)
-            .filter_map(|(w, sector)| Some((*w, sector.solve(information)?)))
-            .collect();
-        let point = |(w, shift): &(Vector2<f64>, Shift)| LimbPoint {
-            at: (self.outline.from_disc(*w) + self.outline.normal(*w) * (shift.px + edge.shift_px))
+        let all = directions.iter().zip(&sectors);
+        let light = Tilt::of(all.clone().filter_map(|(w, sector)| {
+            let shift = sector.solve(expected.at(*w), information)?;
+            Some((*w, shift.excess_light))
+        }));
+        let found = all.filter_map(|(w, sector)| {
+            let shift = sector.solve(light.at(*w), UNEVEN.powi(-2))?;
+            Some((*w, shift))
+        });
+        let point = |(w, shift): (Vector2<f64>, Shift)| LimbPoint {
+            at: (self.outline.from_disc(w) + self.outline.normal(w) * (shift.px + edge.shift_px))
                 .into(),
             sigma_px: shift.sigma_px,
         };
-        let light = Tilt::of(found.iter().map(|(w, shift)| (*w, shift.excess_light)));
         // What is left of a sector's pixels holds what its light exceeds the expected one by.
         let more: Vec<f32> = directions
             .iter()
             .map(|w| (light.at(*w) - expected.at(*w)) as f32)
             .collect();
         Look {
-            points: found.iter().map(point).collect(),
+            points: found.map(point).collect(),
             appearance: Appearance {
                 profile: edge.profile,
                 noise: edge.noise(&unexplained, &more),
@@ -368,7 +372,7 @@ impl Sector {
     }
 
     /// The fit, with some information that the light is the expected one.
-    fn solve(&self, information: f64) -> Option<Shift> {
+    fn solve(&self, light: f64, information: f64) -> Option<Shift> {
         let cross = -f64::from(self.slope_light);
         let light2 = f64::from(self.light2) + information;
         let normal = Matrix2::new(f64::from(self.slope2), cross, cross, light2);
@@ -376,7 +380,7 @@ impl Sector {
             return None;
         }
         let inverse = normal.try_inverse()?;
-        let light_residual = f64::from(self.light_residual) + information * f64::from(self.light);
+        let light_residual = f64::from(self.light_residual) + information * light;
         let fit = inverse * Vector2::new(-f64::from(self.slope_residual), light_residual);
         let sigma_px = inverse.m11.max(0.0).sqrt();
         (sigma_px < MAX_SIGMA_PX && fit.x.abs() < MAX_SHIFT_PX).then_some(Shift {
