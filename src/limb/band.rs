@@ -119,7 +119,13 @@ impl Lanes {
     }
 
     /// Copies a strip's pixels.
-    fn copy<T: Sample>(self, view: &View<'_, T>, columns: &Range<usize>, rows: &Range<usize>, dn: &mut [f32]) {
+    fn copy<T: Sample>(
+        self,
+        view: &View<'_, T>,
+        columns: &Range<usize>,
+        rows: &Range<usize>,
+        dn: &mut [f32],
+    ) {
         match self {
             Self::AlongRow => copy_along_row(view, columns, rows, dn),
             Self::AlongColumn => copy_along_column(view, columns, rows, dn),
@@ -128,7 +134,12 @@ impl Lanes {
 }
 
 #[multiversion(targets("x86_64+avx2"))]
-fn copy_along_row<T: Sample>(view: &View<'_, T>, columns: &Range<usize>, rows: &Range<usize>, dn: &mut [f32]) {
+fn copy_along_row<T: Sample>(
+    view: &View<'_, T>,
+    columns: &Range<usize>,
+    rows: &Range<usize>,
+    dn: &mut [f32],
+) {
     let pixels = view.pixels[rows.start * view.width..].chunks(view.width);
     for (group, row) in dn.as_chunks_mut::<LANES>().0.iter_mut().zip(pixels) {
         *group = first_lanes(&row[columns.start..]);
@@ -137,7 +148,12 @@ fn copy_along_row<T: Sample>(view: &View<'_, T>, columns: &Range<usize>, rows: &
 
 /// Here the strip's columns are rows of the sensor.
 #[multiversion(targets("x86_64+avx2"))]
-fn copy_along_column<T: Sample>(view: &View<'_, T>, columns: &Range<usize>, rows: &Range<usize>, dn: &mut [f32]) {
+fn copy_along_column<T: Sample>(
+    view: &View<'_, T>,
+    columns: &Range<usize>,
+    rows: &Range<usize>,
+    dn: &mut [f32],
+) {
     // Beyond the sensor's edge stands the last one once more, until it is hidden.
     let lanes: [&[T]; LANES] = std::array::from_fn(|k| {
         let y = (columns.start + k).min(columns.end - 1);
@@ -149,7 +165,13 @@ fn copy_along_column<T: Sample>(view: &View<'_, T>, columns: &Range<usize>, rows
 }
 
 /// Raises what marks hide of a strip, and what is beyond the sensor's edge.
-fn hide(dn: &mut [f32], hidden: &Hidden, lanes: Lanes, columns: &Range<usize>, rows: &Range<usize>) {
+fn hide(
+    dn: &mut [f32],
+    hidden: &Hidden,
+    lanes: Lanes,
+    columns: &Range<usize>,
+    rows: &Range<usize>,
+) {
     if columns.len() < LANES {
         for group in dn.as_chunks_mut::<LANES>().0 {
             group[columns.len()..].fill(NO_PIXEL_DN);
@@ -202,7 +224,11 @@ impl Ring {
         // Half a pixel for an ellipse's quarters, which are not quite those of the sensor.
         let inner = height(self.least.max(0.0), farthest).max(nearest - 0.5);
         let outer = height(self.most, nearest);
-        if side < 0.0 { -outer..-inner } else { inner..outer }
+        if side < 0.0 {
+            -outer..-inner
+        } else {
+            inner..outer
+        }
     }
 
     /// The sectors in which lanes cross the limb, or the quarter's end.
@@ -232,7 +258,11 @@ fn locate(ring: &Ring, reach: Reach, from: [f32; 2], distance_px: &mut [f32], dn
     let (inside, outside) = (reach.inside_px as f32, reach.outside_px as f32);
     let along = counted_lanes(from[0]);
     let groups = distance_px.as_chunks_mut::<LANES>().0;
-    for (row, (distance_px, dn)) in groups.iter_mut().zip(dn.as_chunks_mut::<LANES>().0).enumerate() {
+    for (row, (distance_px, dn)) in groups
+        .iter_mut()
+        .zip(dn.as_chunks_mut::<LANES>().0)
+        .enumerate()
+    {
         let across = from[1] + row as i32 as f32;
         for k in 0..LANES {
             let ([u, v], distance) = outwards(ring.inverse, along[k], across);
@@ -244,7 +274,13 @@ fn locate(ring: &Ring, reach: Reach, from: [f32; 2], distance_px: &mut [f32], dn
 }
 
 #[multiversion(targets("x86_64+avx2"))]
-fn find_sectors(ring: &Ring, along: [f32; LANES], side: f32, sectors: f32, found: &mut [u16; LANES]) {
+fn find_sectors(
+    ring: &Ring,
+    along: [f32; LANES],
+    side: f32,
+    sectors: f32,
+    found: &mut [u16; LANES],
+) {
     let radius2 = (ring.radius * ring.radius) as f32;
     for k in 0..LANES {
         let square = along[k] * along[k];

@@ -34,7 +34,7 @@ pub struct LimbPoint {
 
 /// The band about the first outline that is looked at, in blurs and at least so many px.
 const BAND_INSIDE: (f64, f64) = (5.0, 7.0);
-const BAND_OUTSIDE: (f64, f64) = (4.0, 4.0);
+const BAND_OUTSIDE: (f64, f64) = (3.5, 3.5);
 /// How far the light in a sector may be from what was expected once its tilt across the disc is known, 1 sigma.
 const UNEVEN: f64 = 0.02;
 /// How far the limb may be from an outline before and after a first look, px.
@@ -88,14 +88,7 @@ impl Sight<'_> {
             light: TILT,
             shift_px: FIRST_SHIFT_PX,
         };
-        let edge = Edge::new(
-            &band,
-            profile,
-            shift_px,
-            self.saturation_dn(),
-            noise,
-            slack,
-        );
+        let edge = Edge::new(&band, profile, shift_px, self.saturation_dn(), noise, slack);
         Some(self.look(&edge, Tilt::NONE, 0.0))
     }
 
@@ -246,7 +239,9 @@ fn tell_noise(
         let (distance, _) = edge.band.distance_px[strip.entries.clone()].as_chunks::<LANES>();
         let (light, _) = edge.light[strip.entries.clone()].as_chunks::<LANES>();
         let (left, _) = unexplained[strip.entries.clone()].as_chunks::<LANES>();
-        let more = strip.sectors.map(|sector| more[usize::from(sector)] * plateau);
+        let more = strip
+            .sectors
+            .map(|sector| more[usize::from(sector)] * plateau);
         for ((distance, light), left) in distance.iter().zip(light).zip(left) {
             // What is of no use is told from noise by its size; where the disc saturates its noise does not show.
             let (mut far, mut deep) = ([0.0; LANES], [0.0; LANES]);
@@ -295,7 +290,11 @@ impl Weighing {
         let spread2 = variance + self.light * light * light + self.slope * slope * slope;
         let within = larger(1.0 - left * left / (TUKEY2 * spread2), 0.0);
         let weight = within * within / variance;
-        if light > self.saturated_dn { 0.0 } else { weight }
+        if light > self.saturated_dn {
+            0.0
+        } else {
+            weight
+        }
     }
 }
 
@@ -312,9 +311,12 @@ fn add_pixels(
         let (slope, _) = edge.slope[strip.entries.clone()].as_chunks::<LANES>();
         let (dn, _) = edge.band.dn[strip.entries.clone()].as_chunks::<LANES>();
         let (unexplained, _) = unexplained[strip.entries.clone()].as_chunks_mut::<LANES>();
-        let expected = strip.sectors.map(|sector| sectors[usize::from(sector)].light);
+        let expected = strip
+            .sectors
+            .map(|sector| sectors[usize::from(sector)].light);
         let mut sums = [[0.0; LANES]; 5];
-        for (((light, slope), dn), unexplained) in light.iter().zip(slope).zip(dn).zip(unexplained) {
+        for (((light, slope), dn), unexplained) in light.iter().zip(slope).zip(dn).zip(unexplained)
+        {
             for k in 0..LANES {
                 let residual = dn[k] - weighing.background_dn - light[k];
                 let left = residual - expected[k] * light[k];

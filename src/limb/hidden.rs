@@ -74,50 +74,70 @@ impl Hidden {
         let words = self.words();
         let row = &mut self.covered[(y - self.region.y0) * words..][..words];
         let columns = columns.start - self.region.x0..columns.end - self.region.x0;
-        for (n, word) in row.iter_mut().enumerate().skip(columns.start / 64) {
-            if 64 * n >= columns.end {
-                break;
-            }
-            let upto = |column: usize| match column.saturating_sub(64 * n) {
-                bits @ 0..64 => (1 << bits) - 1,
-                _ => u64::MAX,
-            };
-            *word |= upto(columns.end) & !upto(columns.start);
+        for (n, word) in row
+            .iter_mut()
+            .enumerate()
+            .take(columns.end.div_ceil(64))
+            .skip(columns.start / 64)
+        {
+            *word |= bits_of(&columns, n);
         }
     }
 
-    /// Whether nothing is hidden near some columns of some rows.
+    /// Whether nothing is hidden in some columns of some rows.
     pub(super) fn bares(&self, columns: &Range<usize>, rows: &Range<usize>) -> bool {
         let r = self.region;
         let words = self.words();
-        let [first, last] = [columns.start, columns.end - 1].map(|x| x.saturating_sub(r.x0) / 64);
+        let columns = columns.start.saturating_sub(r.x0)..columns.end.saturating_sub(r.x0);
         let rows = rows.start.max(r.y0) - r.y0..rows.end.clamp(r.y0, r.y1) - r.y0;
-        rows.into_iter().all(|row| {
-            let row = &self.covered[row * words..][..words];
-            row.iter().take(last + 1).skip(first).all(|word| *word == 0)
+        (columns.start / 64..columns.end.div_ceil(64).min(words)).all(|n| {
+            let bits = bits_of(&columns, n);
+            let mut words = rows.clone().map(|row| self.covered[row * words + n]);
+            words.all(|word| word & bits == 0)
         })
     }
 
     /// Calls with every hidden one of some columns of a row, counted from the first of them; outside the region none is hidden.
+    #[inline(always)]
     pub(super) fn each(&self, y: usize, columns: &Range<usize>, mut found: impl FnMut(usize)) {
-        let r = self.region;
-        if !(r.y0..r.y1).contains(&y) {
+        let region = self.region;
+        if !(region.y0..region.y1).contains(&y) {
             return;
         }
         let words = self.words();
-        let row = &self.covered[(y - r.y0) * words..][..words];
-        let first = columns.start.saturating_sub(r.x0);
-        let end = columns.end.saturating_sub(r.x0).min(64 * words);
-        for from in (first..end).step_by(64) {
-            let (word, bit) = (from / 64, from % 64);
-            let next = row.get(word + 1).map_or(0, |next| (next << 1) << (63 - bit));
-            let kept = u64::MAX >> (64 - (end - from).min(64));
-            let mut left = (row[word] >> bit | next) & kept;
+        let row = &self.covered[(y - region.y0) * words..][..words];
+        for from in columns.clone().step_by(64) {
+            let mut left = next_bits(row, region.x0, from);
+            if columns.end - from < 64 {
+                left &= (1 << (columns.end - from)) - 1;
+            }
             while left != 0 {
-                found(r.x0 + from + left.trailing_zeros() as usize - columns.start);
+                found(from - columns.start + left.trailing_zeros() as usize);
                 left &= left - 1;
             }
         }
+    }
+}
+
+/// The bits of some columns in the n-th word of a row.
+fn bits_of(columns: &Range<usize>, n: usize) -> u64 {
+    let upto = |column: usize| match column.saturating_sub(64 * n) {
+        bits @ 0..64 => (1 << bits) - 1,
+        _ => u64::MAX,
+    };
+    upto(columns.end) & !upto(columns.start)
+}
+
+/// The 64 bits from column `from` on of a row whose first one is that of column `first`.
+#[inline(always)]
+fn next_bits(row: &[u64], first: usize, from: usize) -> u64 {
+    let word = |n: usize| row.get(n).copied().unwrap_or(0);
+    match from.checked_sub(first) {
+        Some(bit) => {
+            (word(bit / 64) >> (bit % 64)) | ((word(bit / 64 + 1) << 1) << (63 - bit % 64))
+        }
+        None if first - from < 64 => word(0) << (first - from),
+        None => 0,
     }
 }
 
@@ -144,7 +164,11 @@ pub struct Bars {
 
 /// Whole numbers in a half-open range, as far as there are pixels.
 pub(super) fn pixels_within(range: Range<f64>, pixels: usize) -> Range<usize> {
-    let first = |v: f64| v.ceil().clamp(0.0, pixels as f64) as usize;
+    let first = |v: f64| {
+        let v = v.clamp(0.0, pixels as f64);
+        let below = v as usize;
+        below + usize::from((below as f64) < v)
+    };
     first(range.start)..first(range.end).max(first(range.start))
 }
 

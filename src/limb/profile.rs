@@ -62,7 +62,10 @@ impl Profile {
         let (even, darkened) = (self.even_dn as f32, self.darkened_dn as f32);
         let parts = self.parts(distance_px);
         let slope = darkened * parts.root_slope - even * parts.density;
-        (even * parts.tail + darkened * parts.root, slope / self.blur_px as f32)
+        (
+            even * parts.tail + darkened * parts.root,
+            slope / self.blur_px as f32,
+        )
     }
 
     /// What the two parts of the light, as they are at the middle of an unblurred disc, leave at a distance.

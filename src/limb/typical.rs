@@ -29,19 +29,29 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
     let mut cells = Scratch::<u32>::empty(band.dn.len());
     let mut counts = Scratch::<u16>::zeros((bins + 1) * LEVELS);
     let mut sums = Scratch::<f32>::zeros(if step_dn > 1.0 { counts.len() } else { 0 });
-    for strip in band.strips.iter().step_by((band.strips.len() / STRIPS).max(1)) {
+    for strip in band
+        .strips
+        .iter()
+        .step_by((band.strips.len() / STRIPS).max(1))
+    {
         let dn = &band.dn[strip.entries.clone()];
         let distance_px = &band.distance_px[strip.entries.clone()];
         cells.resize(dn.len(), 0);
-        find_cells(reach.inside_px as f32, step_dn as f32, hidden, distance_px, dn, &mut cells);
-        for (cell, dn) in cells.iter().zip(dn) {
-            let cell = *cell as usize;
-            // No cell but that of the hidden pixels, which nobody reads, can fill up.
-            if let Some(count) = counts.get_mut(cell) {
-                *count = count.wrapping_add(1);
-            }
-            if let Some(sum) = sums.get_mut(cell) {
-                *sum += dn;
+        find_cells(
+            reach.inside_px as f32,
+            step_dn as f32,
+            hidden,
+            distance_px,
+            dn,
+            &mut cells,
+        );
+        // No cell but that of the hidden pixels, which nobody reads, can fill up.
+        for cell in cells.iter() {
+            counts[*cell as usize] = counts[*cell as usize].wrapping_add(1);
+        }
+        if !sums.is_empty() {
+            for (cell, dn) in cells.iter().zip(dn) {
+                sums[*cell as usize] += dn;
             }
         }
     }
@@ -88,11 +98,10 @@ fn find_cells(
 /// The median of counted values, interpolated within its step, and their number. Where the median's step holds most of the
 /// values, as that of a quiet ground does, it is the mean of these.
 fn median(counts: &[u16], step_dn: f64, sums: Option<&[f32]>) -> Option<(f64, u32)> {
-    let strides: [u32; LEVELS / STRIDE] = std::array::from_fn(|n| {
-        let stride = &counts[n * STRIDE..(n + 1) * STRIDE];
-        stride.iter().map(|count| u32::from(*count)).sum()
-    });
-    let pixels: u32 = strides.iter().sum();
+    let (strides, _) = counts.as_chunks::<STRIDE>();
+    let add = |stride: &[u16; STRIDE]| stride.iter().fold(0_u16, |sum, n| sum.wrapping_add(*n));
+    let strides = strides.iter().map(|stride| u32::from(add(stride)));
+    let pixels: u32 = strides.clone().sum();
     if pixels < MIN_PIXELS {
         return None;
     }
