@@ -120,17 +120,16 @@ impl Sight<'_> {
         let expecting = |w: &Vector2<f64>| Sector::expecting(expected.at(*w));
         let mut sectors: Vec<Sector> = directions.iter().map(expecting).collect();
         let unexplained = edge.sum(&mut sectors);
-        let all = directions.iter().zip(&sectors);
-        let light = Tilt::of(all.clone().filter_map(|(w, sector)| {
-            let shift = sector.solve(expected.at(*w), information)?;
-            Some((*w, shift.excess_light))
-        }));
-        let found = all.filter_map(|(w, sector)| {
-            let shift = sector.solve(light.at(*w), UNEVEN.powi(-2))?;
-            Some((*w, shift))
-        });
-        let point = |(w, shift): (Vector2<f64>, Shift)| LimbPoint {
-            at: (self.outline.from_disc(w) + self.outline.normal(w) * (shift.px + edge.shift_px))
+        let solved = |light: Tilt, information: f64| -> Vec<(Vector2<f64>, Shift)> {
+            let all = directions.iter().zip(&sectors);
+            all.filter_map(|(w, sector)| Some((*w, sector.solve(light.at(*w), information)?)))
+                .collect()
+        };
+        let free = solved(expected, information);
+        let light = Tilt::of(free.iter().map(|(w, shift)| (*w, shift.excess_light)));
+        let found = solved(light, UNEVEN.powi(-2));
+        let point = |(w, shift): &(Vector2<f64>, Shift)| LimbPoint {
+            at: (self.outline.from_disc(*w) + self.outline.normal(*w) * (shift.px + edge.shift_px))
                 .into(),
             sigma_px: shift.sigma_px,
         };
@@ -140,7 +139,7 @@ impl Sight<'_> {
             .map(|w| (light.at(*w) - expected.at(*w)) as f32)
             .collect();
         Look {
-            points: found.map(point).collect(),
+            points: found.iter().map(point).collect(),
             appearance: Appearance {
                 profile: edge.profile,
                 noise: edge.noise(&unexplained, &more),
