@@ -226,6 +226,26 @@ mod tests {
     }
 
     #[test]
+    fn the_blurred_parts_are_those_of_their_definition() {
+        let density = |x: f64| (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
+        for n in -60..=32 {
+            let z = f64::from(n) * 0.25;
+            // With x = z + s^2 the root is gone: F = integral of 2 s^2 density, F' = -integral of density.
+            let step = (8.0 - z).max(1.0).sqrt() / 2000.0;
+            let cells = (0..2000).map(|n| (n as f64 + 0.5) * step);
+            let (root, slope) = cells.fold((0.0, 0.0), |(root, slope), s| {
+                let here = density(z + s * s) * step;
+                (root + 2.0 * s * s * here, slope - here)
+            });
+            let parts = Parts::at(z as f32, 1.0);
+            assert!((f64::from(parts.root) - root).abs() < 0.004, "{z}");
+            assert!((f64::from(parts.root_slope) - slope).abs() < 0.008, "{z}");
+            let tail = 0.5 * libm::erfc(z / std::f64::consts::SQRT_2);
+            assert!((f64::from(parts.tail) - tail).abs() < 2e-5, "{z}");
+        }
+    }
+
+    #[test]
     fn slopes_are_those_of_the_profile() {
         for n in -40..25 {
             let d = f64::from(n) * 0.25 + 0.01;

@@ -7,9 +7,9 @@ use crate::lanes::{Scratch, split};
 use multiversion::multiversion;
 
 /// Distances that share a median, per px.
-const PER_PX: f32 = 4.0;
+const PER_PX: f32 = 3.0;
 /// So many strips tell the typical brightness.
-const STRIPS: usize = 26;
+const STRIPS: usize = 20;
 /// Values are counted in at most so many steps.
 const LEVELS: usize = 256;
 /// Levels that are counted together on the way to the median.
