@@ -62,6 +62,13 @@ impl Band {
         band
     }
 
+    /// Strips from all round, as many as tell what is the same everywhere.
+    pub(super) fn sample(&self) -> impl Iterator<Item = &Strip> {
+        self.strips
+            .iter()
+            .step_by((self.strips.len() / SAMPLE).max(1))
+    }
+
     /// Takes the strips of the quarter that lies on one side of the middle.
     fn take_quarter<T: Sample>(
         &mut self,
@@ -97,6 +104,8 @@ impl Band {
     }
 }
 
+/// So many strips tell the typical brightness and the noise.
+const SAMPLE: usize = 20;
 /// Entries and strips of a band about the Sun, and some more.
 const USUAL_ENTRIES: usize = 12_000;
 const USUAL_STRIPS: usize = 90;

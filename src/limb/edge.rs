@@ -223,7 +223,7 @@ impl<'a> Edge<'a> {
 }
 
 /// What is left unexplained well outside the limb and well inside it, every sector having so much `more` light than was
-/// expected. Every second strip tells enough.
+/// expected.
 #[multiversion(targets("x86_64+avx2"))]
 fn tell_noise(
     edge: &Edge<'_>,
@@ -234,7 +234,7 @@ fn tell_noise(
 ) {
     let (limb, clear) = (edge.shift_px as f32, (3.0 * edge.profile.blur_px) as f32);
     let (plateau, saturated) = (edge.plateau_dn(), edge.saturated_dn as f32);
-    for strip in edge.band.strips.iter().step_by(2) {
+    for strip in edge.band.sample() {
         let (distance, _) = edge.band.distance_px[strip.entries.clone()].as_chunks::<LANES>();
         let (light, _) = edge.light[strip.entries.clone()].as_chunks::<LANES>();
         let (left, _) = unexplained[strip.entries.clone()].as_chunks::<LANES>();

@@ -8,8 +8,6 @@ use multiversion::multiversion;
 
 /// Distances that share a median, per px.
 const PER_PX: f32 = 3.0;
-/// So many strips tell the typical brightness.
-const STRIPS: usize = 20;
 /// Values are counted in at most so many steps.
 const LEVELS: usize = 256;
 /// Levels that are counted together on the way to the median.
@@ -29,11 +27,7 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
     let mut cells = Scratch::<u32>::empty(band.dn.len());
     let mut counts = Scratch::<u16>::zeros((bins + 1) * LEVELS);
     let mut sums = Scratch::<f32>::zeros(if step_dn > 1.0 { counts.len() } else { 0 });
-    for strip in band
-        .strips
-        .iter()
-        .step_by((band.strips.len() / STRIPS).max(1))
-    {
+    for strip in band.sample() {
         let dn = &band.dn[strip.entries.clone()];
         let distance_px = &band.distance_px[strip.entries.clone()];
         cells.resize(dn.len(), 0);
