@@ -1,11 +1,11 @@
 //! Points of the limb: at every azimuth the edge's profile is fitted to the pixels about it.
 //!
 //! # Method
-//! The pixels within a band about a first outline, but for those that marks hide, are sorted by distance from it and by
-//! sector. The medians at each distance, taken all round, give the [`Profile`]. In each sector the profile is then
+//! The pixels within a band about a first outline, but for those that marks hide, are taken in strips that cross the limb.
+//! The medians at each distance, taken all round, give the [`Profile`]. In each sector of azimuth the profile is then
 //! shifted and scaled to the pixels by linear least squares, with Tukey's weights against hot pixels and scratches: the
 //! shift is the limb's distance from the first outline, the scale takes up what tilts the light across the disc, which
-//! is nearly alike in neighbouring sectors.
+//! is nearly alike in neighbouring sectors. Once all sectors have told that tilt, each is solved again with it.
 //!
 //! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for what the scale costs.
 //! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
