@@ -187,7 +187,7 @@ fn hide(
         }
     }
     let [x, y] = lanes.swapped([columns.clone(), rows.clone()]);
-    if hidden.bares(&x, &y) {
+    if hidden.is_bare(&x, &y) {
         return;
     }
     for (n, y) in y.enumerate() {

@@ -197,7 +197,7 @@ impl<'a> Edge<'a> {
 
     /// The light at the band's inner edge, where it hardly changes any more.
     fn plateau_dn(&self) -> f32 {
-        let inner = self.shift_px - self.band.reach.inside_px;
+        let inner = -self.band.reach.inside_px - self.shift_px;
         (self.profile.at(inner) - self.profile.background_dn) as f32
     }
 

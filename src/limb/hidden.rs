@@ -85,7 +85,7 @@ impl Hidden {
     }
 
     /// Whether nothing is hidden in some columns of some rows.
-    pub(super) fn bares(&self, columns: &Range<usize>, rows: &Range<usize>) -> bool {
+    pub(super) fn is_bare(&self, columns: &Range<usize>, rows: &Range<usize>) -> bool {
         let r = self.region;
         let words = self.words();
         let columns = columns.start.saturating_sub(r.x0)..columns.end.saturating_sub(r.x0);
