@@ -1,24 +1,24 @@
 //! Points of the limb: at every azimuth the edge's profile is fitted to the pixels about it.
 //!
 //! # Method
-//! The pixels within a band about a first outline, but for those that marks hide, are sorted by distance from it and by
-//! sector. The medians at each distance, taken all round, give the [`Profile`]. In each sector the profile is then
+//! The pixels within a band about a first outline, but for those that marks hide, are taken in strips that cross the limb.
+//! The medians at each distance, taken all round, give the [`Profile`]. In each sector of azimuth the profile is then
 //! shifted and scaled to the pixels by linear least squares, with Tukey's weights against hot pixels and scratches: the
 //! shift is the limb's distance from the first outline, the scale takes up what tilts the light across the disc, which
-//! is nearly alike in neighbouring sectors.
+//! is nearly alike in neighbouring sectors. Once all sectors have told that tilt, each is solved again with it.
 //!
 //! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for what the scale costs.
 //! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
 
 use super::appearance::{Appearance, Noise, TILT, Tilt};
 use super::band::{Band, Reach, middle_of_sector};
-use super::hidden::Hidden;
+use super::hidden::{HIDDEN_DN, Hidden};
 use super::outline::TUKEY_SIGMAS;
-use super::profile::Profile;
+use super::profile::{Profile, lay_light};
 use super::typical::medians;
 use crate::frame::{Frame, Levels};
 use crate::geometry::Ellipse;
-use crate::lanes::{Scratch, larger, split};
+use crate::lanes::{LANES, Scratch, larger};
 use crate::statistics::clipped_sigma;
 use crate::units::SensorPx;
 use multiversion::multiversion;
@@ -34,7 +34,7 @@ pub struct LimbPoint {
 
 /// The band about the first outline that is looked at, in blurs and at least so many px.
 const BAND_INSIDE: (f64, f64) = (5.0, 7.0);
-const BAND_OUTSIDE: (f64, f64) = (4.0, 4.0);
+const BAND_OUTSIDE: (f64, f64) = (3.5, 3.5);
 /// How far the light in a sector may be from what was expected once its tilt across the disc is known, 1 sigma.
 const UNEVEN: f64 = 0.02;
 /// How far the limb may be from an outline before and after a first look, px.
@@ -88,14 +88,7 @@ impl Sight<'_> {
             light: TILT,
             shift_px: FIRST_SHIFT_PX,
         };
-        let edge = Edge::new(
-            &band,
-            profile,
-            shift_px,
-            self.saturation_dn(),
-            noise,
-            &slack,
-        );
+        let edge = Edge::new(&band, profile, shift_px, self.saturation_dn(), noise, slack);
         Some(self.look(&edge, Tilt::NONE, 0.0))
     }
 
@@ -113,12 +106,13 @@ impl Sight<'_> {
             0.0,
             saturation_dn,
             before.noise,
-            &slack,
+            slack,
         );
         self.look(&edge, before.light, UNEVEN.powi(-2))
     }
 
-    /// Fits every sector: the light expected there, with some information that it is so.
+    /// Fits every sector: first for the light's tilt across the disc, from what was expected of it with some information that
+    /// it is so, then for the limb with that tilt.
     fn look(&self, edge: &Edge<'_>, expected: Tilt, information: f64) -> Look {
         let directions: Vec<Vector2<f64>> = (0..self.sectors)
             .map(|n| middle_of_sector(n, self.sectors))
@@ -126,17 +120,19 @@ impl Sight<'_> {
         let expecting = |w: &Vector2<f64>| Sector::expecting(expected.at(*w));
         let mut sectors: Vec<Sector> = directions.iter().map(expecting).collect();
         let unexplained = edge.sum(&mut sectors);
-        let found: Vec<(Vector2<f64>, Shift)> = directions
-            .iter()
-            .zip(&sectors)
-            .filter_map(|(w, sector)| Some((*w, sector.solve(information)?)))
-            .collect();
+        let solved = |light: Tilt, information: f64| -> Vec<(Vector2<f64>, Shift)> {
+            let all = directions.iter().zip(&sectors);
+            all.filter_map(|(w, sector)| Some((*w, sector.solve(light.at(*w), information)?)))
+                .collect()
+        };
+        let free = solved(expected, information);
+        let light = Tilt::of(free.iter().map(|(w, shift)| (*w, shift.excess_light)));
+        let found = solved(light, UNEVEN.powi(-2));
         let point = |(w, shift): &(Vector2<f64>, Shift)| LimbPoint {
             at: (self.outline.from_disc(*w) + self.outline.normal(*w) * (shift.px + edge.shift_px))
                 .into(),
             sigma_px: shift.sigma_px,
         };
-        let light = Tilt::of(found.iter().map(|(w, shift)| (*w, shift.excess_light)));
         // What is left of a sector's pixels holds what its light exceeds the expected one by.
         let more: Vec<f32> = directions
             .iter()
@@ -166,47 +162,13 @@ struct Edge<'a> {
     profile: Profile,
     shift_px: f64,
     noise: Noise,
-    /// By distance from [`Edge::first_px`] on.
-    table: Vec<Expected>,
-    first_px: f64,
+    slack: Slack,
+    /// Where the disc saturates, light above the background.
+    saturated_dn: f64,
+    /// Light above the background that is expected of every entry of the band, and its change per px outwards.
+    light: Scratch<f32>,
+    slope: Scratch<f32>,
 }
-
-/// What is expected at a distance.
-#[derive(Clone, Copy)]
-struct Expected {
-    here: Ordinates,
-    /// What leads from there to the next entry.
-    step: Ordinates,
-    /// One over the variance; 0 where a pixel does not count.
-    weight: f32,
-    /// One over the square of what is out of the question.
-    per_limit2: f32,
-}
-
-/// The profile at a distance.
-#[derive(Clone, Copy)]
-struct Ordinates {
-    /// Change per px outwards.
-    slope: f32,
-    /// Above the background.
-    light: f32,
-    dn: f32,
-}
-
-impl Ordinates {
-    fn to(self, next: Self) -> Self {
-        Self {
-            slope: next.slope - self.slope,
-            light: next.light - self.light,
-            dn: next.dn - self.dn,
-        }
-    }
-}
-
-/// Entries of the table for each pixel.
-const PER_PX: f64 = 16.0;
-/// A band's pixels may lie a little outside its reach.
-const MARGIN_PX: f64 = 0.5;
 
 impl<'a> Edge<'a> {
     fn new(
@@ -215,99 +177,43 @@ impl<'a> Edge<'a> {
         shift_px: f64,
         saturation_dn: f64,
         noise: Noise,
-        slack: &Slack,
+        slack: Slack,
     ) -> Self {
-        let reach = &band.reach;
-        let first_px = -reach.inside_px - MARGIN_PX;
-        let count = ((reach.outside_px + MARGIN_PX - first_px) * PER_PX) as usize + 2;
-        let at = |n: usize| {
-            let distance_px = first_px + n as f64 / PER_PX - shift_px;
-            let (dn, slope) = profile.both(distance_px);
-            Ordinates {
-                slope: slope as f32,
-                light: (dn - profile.background_dn) as f32,
-                dn: dn as f32,
-            }
-        };
-        let values: Vec<Ordinates> = (0..=count).map(at).collect();
-        let clipped_dn = (saturation_dn - 2.0 * noise.outside_dn) as f32;
-        let peak = values[0].light.max(1.0);
-        let entry = |pair: &[Ordinates]| {
-            let here = pair[0];
-            let variance = noise.variance((here.light / peak).clamp(0.0, 1.0));
-            let spread2 = variance + slack.variance(here.light, here.slope);
-            Expected {
-                here,
-                step: here.to(pair[1]),
-                weight: if here.dn > clipped_dn {
-                    0.0
-                } else {
-                    1.0 / variance
-                },
-                per_limit2: 1.0 / (spread2 * (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32),
-            }
-        };
+        let count = band.dn.len();
+        let [mut light, mut slope] = [(); 2].map(|()| Scratch::of_length(count));
+        let shift = shift_px as f32;
+        lay_light(&profile, shift, &band.distance_px, &mut light, &mut slope);
         Self {
             band,
             profile,
             shift_px,
             noise,
-            table: values.windows(2).map(entry).collect(),
-            first_px,
+            slack,
+            saturated_dn: saturation_dn - 2.0 * noise.outside_dn - profile.background_dn,
+            light,
+            slope,
         }
+    }
+
+    /// The light at the band's inner edge, where it hardly changes any more.
+    fn plateau_dn(&self) -> f32 {
+        let inner = -self.band.reach.inside_px - self.shift_px;
+        (self.profile.at(inner) - self.profile.background_dn) as f32
     }
 
     /// Adds every pixel to its sector's normal equations; what the sectors' expectations do not explain, pixel by pixel.
     fn sum(&self, sectors: &mut [Sector]) -> Scratch<f32> {
-        let band = self.band;
-        let count = band.dn.len();
-        let (mut entry, mut part) = (Scratch::of_length(count), Scratch::of_length(count));
-        let last = self.table.len().saturating_sub(1) as f32;
-        find_places(
-            &band.distance_px,
-            self.first_px as f32,
-            last,
-            &mut entry,
-            &mut part,
-        );
-        let mut unexplained = Scratch::of_length(count);
-        add_pixels(
-            &self.table,
-            (&entry, &part),
-            band,
-            sectors,
-            &mut unexplained,
-        );
+        let mut unexplained = Scratch::of_length(self.band.dn.len());
+        let weighing = Weighing::new(self);
+        add_pixels(self, &weighing, sectors, &mut unexplained);
         unexplained
     }
 
     /// The pixels' noise from what is left unexplained well away from the limb, once every sector has so much `more`
     /// light than was expected.
     fn noise(&self, unexplained: &[f32], more: &[f32]) -> Noise {
-        let clear = (3.0 * self.profile.blur_px) as f32;
-        let limb = self.shift_px as f32;
-        // Where the disc saturates its noise does not show.
-        let dull = self.table.iter().position(|e| e.weight > 0.0).unwrap_or(0);
-        let least = (self.first_px + dull as f64 / PER_PX) as f32;
-        let plateau = self
-            .table
-            .get(PER_PX as usize)
-            .map_or(0.0, |e| e.here.light);
-        let band = self.band;
-        let [mut outside, mut inside] = [(); 2].map(|()| Scratch::empty(band.dn.len()));
-        // Every second pixel tells enough.
-        let pixels = band
-            .distance_px
-            .iter()
-            .zip(unexplained)
-            .zip(band.sector.iter());
-        for ((distance, left), sector) in pixels.step_by(2) {
-            if *distance > limb + clear {
-                outside.push(*left);
-            } else if *distance < limb - clear && *distance > least {
-                inside.push(left - more[usize::from(*sector)] * plateau);
-            }
-        }
+        let [mut outside, mut inside] = [(); 2].map(|()| Scratch::empty(unexplained.len()));
+        tell_noise(self, unexplained, more, &mut outside, &mut inside);
         let sigma = |left: &[f32], start: f64| clipped_sigma(left, start as f32).unwrap_or(start);
         Noise {
             outside_dn: sigma(&outside, self.noise.outside_dn),
@@ -316,41 +222,116 @@ impl<'a> Edge<'a> {
     }
 }
 
-impl Slack {
-    /// What light and slope may differ by, DN^2.
-    fn variance(&self, light: f32, slope: f32) -> f32 {
-        (self.light as f32 * light).powi(2) + (self.shift_px as f32 * slope).powi(2)
+/// What is left unexplained well outside the limb and well inside it, every sector having so much `more` light than was
+/// expected.
+#[multiversion(targets("x86_64+avx2"))]
+fn tell_noise(
+    edge: &Edge<'_>,
+    unexplained: &[f32],
+    more: &[f32],
+    outside: &mut Vec<f32>,
+    inside: &mut Vec<f32>,
+) {
+    let (limb, clear) = (edge.shift_px as f32, (3.0 * edge.profile.blur_px) as f32);
+    let (plateau, saturated) = (edge.plateau_dn(), edge.saturated_dn as f32);
+    for strip in edge.band.sample() {
+        let (distance, _) = edge.band.distance_px[strip.entries.clone()].as_chunks::<LANES>();
+        let (light, _) = edge.light[strip.entries.clone()].as_chunks::<LANES>();
+        let (left, _) = unexplained[strip.entries.clone()].as_chunks::<LANES>();
+        let more = strip
+            .sectors
+            .map(|sector| more[usize::from(sector)] * plateau);
+        for ((distance, light), left) in distance.iter().zip(light).zip(left) {
+            // What is of no use is told from noise by its size; where the disc saturates its noise does not show.
+            let (mut far, mut deep) = ([0.0; LANES], [0.0; LANES]);
+            for k in 0..LANES {
+                let (out, own) = (distance[k] - limb, left[k] - more[k]);
+                let shows = (out < -clear) & (light[k] < saturated);
+                far[k] = left[k] + if out > clear { 0.0 } else { HIDDEN_DN };
+                deep[k] = own + if shows { 0.0 } else { HIDDEN_DN };
+            }
+            outside.extend_from_slice(&far);
+            inside.extend_from_slice(&deep);
+        }
+    }
+}
+
+/// How pixels are weighed by the light that is expected of them.
+struct Weighing {
+    background_dn: f32,
+    saturated_dn: f32,
+    /// Variance of the pixels' noise outside, and how it changes with the light.
+    outside: f32,
+    by_light: f32,
+    /// Variance of what the light, in units of it squared, and the slope may differ by.
+    light: f32,
+    slope: f32,
+}
+
+impl Weighing {
+    fn new(edge: &Edge<'_>) -> Self {
+        let [outside, inside] = [0.0, 1.0].map(|share| edge.noise.variance(share));
+        Self {
+            background_dn: edge.profile.background_dn as f32,
+            saturated_dn: edge.saturated_dn as f32,
+            outside,
+            by_light: (inside - outside) / edge.plateau_dn().max(1.0),
+            light: edge.slack.light.powi(2) as f32,
+            slope: edge.slack.shift_px.powi(2) as f32,
+        }
+    }
+
+    /// The weight of a pixel that is `left` from what was expected.
+    #[inline(always)]
+    fn weight(&self, light: f32, slope: f32, left: f32) -> f32 {
+        const TUKEY2: f32 = (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32;
+        let variance = self.outside + self.by_light * light;
+        let spread2 = variance + self.light * light * light + self.slope * slope * slope;
+        let within = larger(1.0 - left * left / (TUKEY2 * spread2), 0.0);
+        let weight = within * within / variance;
+        if light > self.saturated_dn {
+            0.0
+        } else {
+            weight
+        }
     }
 }
 
 /// Adds every pixel to its sector; what that does not explain.
 #[multiversion(targets("x86_64+avx2"))]
 fn add_pixels(
-    table: &[Expected],
-    (entry, part): (&[u16], &[f32]),
-    band: &Band,
+    edge: &Edge<'_>,
+    weighing: &Weighing,
     sectors: &mut [Sector],
     unexplained: &mut [f32],
 ) {
-    let count = unexplained.len();
-    let (entry, part) = (&entry[..count], &part[..count]);
-    let (dn, of_sector) = (&band.dn[..count], &band.sector[..count]);
-    for n in 0..count {
-        let expected = &table[usize::from(entry[n])];
-        let sector = &mut sectors[usize::from(of_sector[n])];
-        unexplained[n] = sector.add(expected, part[n], dn[n]);
-    }
-}
-
-/// Where in a table pixels are: the entry, and how far towards the next one.
-#[multiversion(targets("x86_64+avx2"))]
-fn find_places(distance_px: &[f32], first_px: f32, last: f32, entry: &mut [u16], part: &mut [f32]) {
-    let count = distance_px.len();
-    let (entry, part) = (&mut entry[..count], &mut part[..count]);
-    for n in 0..count {
-        let along = ((distance_px[n] - first_px) * PER_PX as f32).clamp(0.0, last);
-        let (whole, left) = split(along);
-        (entry[n], part[n]) = (whole as u16, left);
+    for strip in &edge.band.strips {
+        let (light, _) = edge.light[strip.entries.clone()].as_chunks::<LANES>();
+        let (slope, _) = edge.slope[strip.entries.clone()].as_chunks::<LANES>();
+        let (dn, _) = edge.band.dn[strip.entries.clone()].as_chunks::<LANES>();
+        let (unexplained, _) = unexplained[strip.entries.clone()].as_chunks_mut::<LANES>();
+        let expected = strip
+            .sectors
+            .map(|sector| sectors[usize::from(sector)].light);
+        let mut sums = [[0.0; LANES]; 5];
+        for (((light, slope), dn), unexplained) in light.iter().zip(slope).zip(dn).zip(unexplained)
+        {
+            for k in 0..LANES {
+                let residual = dn[k] - weighing.background_dn - light[k];
+                let left = residual - expected[k] * light[k];
+                unexplained[k] = left;
+                let weight = weighing.weight(light[k], slope[k], left);
+                let (by_slope, by_light) = (weight * slope[k], weight * light[k]);
+                sums[0][k] += by_slope * slope[k];
+                sums[1][k] += by_slope * light[k];
+                sums[2][k] += by_light * light[k];
+                sums[3][k] += by_slope * residual;
+                sums[4][k] += by_light * residual;
+            }
+        }
+        for (k, sector) in strip.sectors.iter().enumerate() {
+            sectors[usize::from(*sector)].add(sums.map(|sum| sum[k]));
+        }
     }
 }
 
@@ -383,27 +364,16 @@ impl Sector {
         }
     }
 
-    /// Adds a pixel; what the expected light does not explain of it, DN.
-    #[inline(always)]
-    fn add(&mut self, expected: &Expected, part: f32, dn: f32) -> f32 {
-        let Expected { here, step, .. } = expected;
-        let slope = here.slope + part * step.slope;
-        let light = here.light + part * step.light;
-        let residual = dn - (here.dn + part * step.dn);
-        let left = residual - self.light * light;
-        let within = larger(1.0 - left * left * expected.per_limit2, 0.0);
-        let weight = within * within * expected.weight;
-        let (by_slope, by_light) = (weight * slope, weight * light);
-        self.slope2 += by_slope * slope;
-        self.slope_light += by_slope * light;
-        self.light2 += by_light * light;
-        self.slope_residual += by_slope * residual;
-        self.light_residual += by_light * residual;
-        left
+    fn add(&mut self, [slope2, slope_light, light2, slope_residual, light_residual]: [f32; 5]) {
+        self.slope2 += slope2;
+        self.slope_light += slope_light;
+        self.light2 += light2;
+        self.slope_residual += slope_residual;
+        self.light_residual += light_residual;
     }
 
     /// The fit, with some information that the light is the expected one.
-    fn solve(&self, information: f64) -> Option<Shift> {
+    fn solve(&self, light: f64, information: f64) -> Option<Shift> {
         let cross = -f64::from(self.slope_light);
         let light2 = f64::from(self.light2) + information;
         let normal = Matrix2::new(f64::from(self.slope2), cross, cross, light2);
@@ -411,7 +381,7 @@ impl Sector {
             return None;
         }
         let inverse = normal.try_inverse()?;
-        let light_residual = f64::from(self.light_residual) + information * f64::from(self.light);
+        let light_residual = f64::from(self.light_residual) + information * light;
         let fit = inverse * Vector2::new(-f64::from(self.slope_residual), light_residual);
         let sigma_px = inverse.m11.max(0.0).sqrt();
         (sigma_px < MAX_SIGMA_PX && fit.x.abs() < MAX_SHIFT_PX).then_some(Shift {

@@ -77,39 +77,70 @@ impl Hidden {
         let words = self.words();
         let row = &mut self.covered[(y - self.region.y0) * words..][..words];
         let columns = columns.start - self.region.x0..columns.end - self.region.x0;
-        for (n, word) in row.iter_mut().enumerate().skip(columns.start / 64) {
-            if 64 * n >= columns.end {
-                break;
-            }
-            let upto = |column: usize| match column.saturating_sub(64 * n) {
-                bits @ 0..64 => (1 << bits) - 1,
-                _ => u64::MAX,
-            };
-            *word |= upto(columns.end) & !upto(columns.start);
+        for (n, word) in row
+            .iter_mut()
+            .enumerate()
+            .take(columns.end.div_ceil(64))
+            .skip(columns.start / 64)
+        {
+            *word |= bits_of(&columns, n);
         }
     }
 
-    /// Raises the brightness of a row's hidden pixels, of those from column `from` on, to [`HIDDEN_DN`]; outside the
-    /// region none is hidden.
-    pub(super) fn raise(&self, y: usize, from: usize, dn: &mut [f32]) {
+    /// Whether nothing is hidden in some columns of some rows.
+    pub(super) fn is_bare(&self, columns: &Range<usize>, rows: &Range<usize>) -> bool {
         let r = self.region;
-        if !(r.y0..r.y1).contains(&y) {
+        let words = self.words();
+        let columns = columns.start.saturating_sub(r.x0)..columns.end.saturating_sub(r.x0);
+        let rows = rows.start.max(r.y0) - r.y0..rows.end.clamp(r.y0, r.y1) - r.y0;
+        (columns.start / 64..columns.end.div_ceil(64).min(words)).all(|n| {
+            let bits = bits_of(&columns, n);
+            let mut words = rows.clone().map(|row| self.covered[row * words + n]);
+            words.all(|word| word & bits == 0)
+        })
+    }
+
+    /// Calls with every hidden one of some columns of a row, counted from the first of them; outside the region none is hidden.
+    #[inline(always)]
+    pub(super) fn each(&self, y: usize, columns: &Range<usize>, mut found: impl FnMut(usize)) {
+        let region = self.region;
+        if !(region.y0..region.y1).contains(&y) {
             return;
         }
         let words = self.words();
-        let row = &self.covered[(y - r.y0) * words..][..words];
-        let first = from.saturating_sub(r.x0) / 64;
-        let end = (from + dn.len()).saturating_sub(r.x0).div_ceil(64);
-        for (n, word) in row.iter().enumerate().take(end).skip(first) {
-            let mut left = *word;
+        let row = &self.covered[(y - region.y0) * words..][..words];
+        for from in columns.clone().step_by(64) {
+            let mut left = next_bits(row, region.x0, from);
+            if columns.end - from < 64 {
+                left &= (1 << (columns.end - from)) - 1;
+            }
             while left != 0 {
-                let column = r.x0 + 64 * n + left.trailing_zeros() as usize;
-                if let Some(dn) = column.checked_sub(from).and_then(|n| dn.get_mut(n)) {
-                    *dn = HIDDEN_DN;
-                }
+                found(from - columns.start + left.trailing_zeros() as usize);
                 left &= left - 1;
             }
         }
+    }
+}
+
+/// The bits of some columns in the n-th word of a row.
+fn bits_of(columns: &Range<usize>, n: usize) -> u64 {
+    let upto = |column: usize| match column.saturating_sub(64 * n) {
+        bits @ 0..64 => (1 << bits) - 1,
+        _ => u64::MAX,
+    };
+    upto(columns.end) & !upto(columns.start)
+}
+
+/// The 64 bits from column `from` on of a row whose first one is that of column `first`.
+#[inline(always)]
+fn next_bits(row: &[u64], first: usize, from: usize) -> u64 {
+    let word = |n: usize| row.get(n).copied().unwrap_or(0);
+    match from.checked_sub(first) {
+        Some(bit) => {
+            (word(bit / 64) >> (bit % 64)) | ((word(bit / 64 + 1) << 1) << (63 - bit % 64))
+        }
+        None if first - from < 64 => word(0) << (first - from),
+        None => 0,
     }
 }
 

@@ -1,9 +1,12 @@
 //! The ellipse through points of the limb, on the sensor.
 
 use super::LimbPoint;
+use super::band::outwards;
 use crate::geometry::{Ellipse, turns};
+use crate::lanes::{LANES, Scratch, larger};
 use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use crate::units::Measured;
+use multiversion::multiversion;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// What is known of the outline before the limb is looked at.
@@ -70,7 +73,7 @@ const ROUND_STEPS: usize = 6;
 /// Points that scatter by more sigmas than this about the start may lead an ellipse astray; a circle is harder to lead.
 const CRUDE_SIGMAS: f64 = 6.0;
 /// A shorter step changes nothing, px.
-const SETTLED_STEP_PX: f64 = 1e-4;
+const SETTLED_STEP_PX: f64 = 1e-3;
 /// Two values so many sigma apart are not of the same thing.
 const CONTRADICTION_SIGMAS: f64 = 5.0;
 /// Fewer points make no outline.
@@ -84,7 +87,8 @@ pub fn fit_outline(
     prior: &OutlinePrior,
 ) -> Option<OutlineFit> {
     let mut ellipse = *start;
-    let mut seen = Seen::from(points, &ellipse);
+    let places = Places::from(points, start);
+    let mut seen = Seen::from(&places, &ellipse);
     let crude = seen.scatter > CRUDE_SIGMAS;
     let mut information = SMatrix::<f64, 5, 5>::zeros();
     for step in 0..STEPS {
@@ -95,67 +99,95 @@ pub fn fit_outline(
         let grown = Matrix2::new(moved[2] + moved[3], moved[4], moved[4], moved[2] - moved[3]);
         let root = ellipse.root() + grown;
         ellipse = Ellipse::new(ellipse.centre + moved.fixed_rows::<2>(0), root)?;
-        seen = Seen::from(points, &ellipse);
+        seen = Seen::from(&places, &ellipse);
         if !round && moved.norm() < SETTLED_STEP_PX {
             break;
         }
     }
-    let accepted: Vec<bool> = seen
-        .points
-        .iter()
-        .map(|p| p.pull().abs() < TUKEY_SIGMAS * seen.scatter)
-        .collect();
+    let limit = (TUKEY_SIGMAS * seen.scatter) as f32;
+    let accepted: Vec<bool> = seen.pulls().map(|pull| pull.abs() < limit).collect();
     let count = accepted.iter().filter(|a| **a).count();
+    let excess = seen.excess_px.iter().take(places.count);
     (count >= MIN_POINTS).then_some(OutlineFit {
         ellipse,
         covariance: information.cholesky()?.inverse(),
         scatter: seen.scatter,
-        scatter_px: robust_sigma(seen.points.iter().map(|p| p.excess_px)),
+        scatter_px: robust_sigma(excess.copied()),
         accepted,
     })
 }
 
+/// The points, in whole groups of lanes; what fills up the last one has no weight.
+struct Places {
+    count: usize,
+    origin: Vector2<f64>,
+    /// From the origin, px.
+    x: Scratch<f32>,
+    y: Scratch<f32>,
+    /// One over the points' sigmas.
+    per_sigma: Scratch<f32>,
+}
+
+impl Places {
+    fn from(points: &[LimbPoint], start: &Ellipse) -> Self {
+        let origin = start.centre;
+        let room = points.len().next_multiple_of(LANES);
+        let list = |value: &dyn Fn(&LimbPoint) -> f64, filling: f64| {
+            let mut list = Scratch::empty(room);
+            list.extend(points.iter().map(|point| value(point) as f32));
+            list.resize(room, filling as f32);
+            list
+        };
+        Self {
+            count: points.len(),
+            origin,
+            x: list(&|point| point.at.x - origin.x, start.mean_radius()),
+            y: list(&|point| point.at.y - origin.y, 0.0),
+            per_sigma: list(&|point| 1.0 / point.sigma_px, 0.0),
+        }
+    }
+}
+
 /// The points as an ellipse sees them.
-struct Seen {
-    points: Vec<SeenPoint>,
+struct Seen<'a> {
+    places: &'a Places,
+    /// Distance outwards from the outline.
+    excess_px: Scratch<f32>,
+    /// How the outline moves outwards there with centre x and y and the two parts of the flatness; with its mean radius it
+    /// moves as that does.
+    slopes: [Scratch<f32>; 4],
     /// Robust 1 sigma of excess over stated sigma; not below 1, since less is luck.
     scatter: f64,
 }
 
-struct SeenPoint {
-    /// Distance outwards from the outline.
-    excess_px: f64,
-    sigma_px: f64,
-    /// How the outline moves outwards there with centre x, y, mean radius and the two parts of the flatness.
-    slopes: [f64; 5],
-}
-
-impl SeenPoint {
-    fn from(point: &LimbPoint, ellipse: &Ellipse) -> Self {
-        let w = ellipse.to_disc(point.at.vector());
-        let (r2, out) = (w.norm_squared(), ellipse.inverse() * w);
-        let (r, length) = (r2.sqrt(), out.norm());
-        let (cos2, sin2) = ((w.x * w.x - w.y * w.y) / r2, 2.0 * w.x * w.y / r2);
-        Self {
-            excess_px: (r2 - r) / length,
-            sigma_px: point.sigma_px,
-            slopes: [out.x / length, out.y / length, 1.0, cos2, sin2],
-        }
+impl<'a> Seen<'a> {
+    fn from(places: &'a Places, ellipse: &Ellipse) -> Self {
+        let list = || Scratch::of_length(places.x.len());
+        let mut seen = Self {
+            places,
+            excess_px: list(),
+            slopes: std::array::from_fn(|_| list()),
+            scatter: 1.0,
+        };
+        let [x, y] = (ellipse.centre - places.origin).into();
+        let inverse = ellipse.inverse().cast();
+        let inverse = [inverse.m11, inverse.m12, inverse.m22];
+        see(
+            places,
+            [x as f32, y as f32],
+            inverse,
+            &mut seen.excess_px,
+            &mut seen.slopes,
+        );
+        seen.scatter = robust_sigma(seen.pulls()).max(1.0);
+        seen
     }
 
-    fn pull(&self) -> f64 {
-        self.excess_px / self.sigma_px
-    }
-}
-
-impl Seen {
-    fn from(points: &[LimbPoint], ellipse: &Ellipse) -> Self {
-        let points: Vec<SeenPoint> = points
-            .iter()
-            .map(|point| SeenPoint::from(point, ellipse))
-            .collect();
-        let scatter = robust_sigma(points.iter().map(SeenPoint::pull)).max(1.0);
-        Self { points, scatter }
+    fn pulls(&self) -> impl Iterator<Item = f32> {
+        let excess = self.excess_px.iter().take(self.places.count);
+        excess
+            .zip(self.places.per_sigma.iter())
+            .map(|(excess, per_sigma)| excess * per_sigma)
     }
 
     /// Information and gradient at an ellipse, that of the prior included; while it is to stay round, held to that.
@@ -173,39 +205,75 @@ impl Seen {
         let (stretch, diagonal) = ((root.m11 - root.m22) / 2.0, root.m12);
         let short = prior.radius_px.value - ellipse.mean_radius();
         let off = [0.0, 0.0, short, -stretch, -diagonal];
-        let mut matrix = [[0.0; 5]; 5];
-        let mut gradient: [f64; 5] = std::array::from_fn(|n| tightness[n] * off[n]);
-        for point in &self.points {
-            let spread = point.sigma_px * self.scatter;
-            let weight = tukey_weight(point.excess_px / spread) / (spread * spread);
-            for m in 0..5 {
-                let weighted = weight * point.slopes[m];
-                gradient[m] += weighted * point.excess_px;
-                for (sum, slope) in matrix[m][m..].iter_mut().zip(&point.slopes[m..]) {
-                    *sum += weighted * slope;
+        let sums = sum_products(self);
+        let information = SMatrix::from_fn(|m, n| {
+            let known = if m == n { tightness[m] } else { 0.0 };
+            sums[m.min(n)][m.max(n)] + known
+        });
+        let gradient = SVector::from_fn(|m, _| sums[m][5] + tightness[m] * off[m]);
+        (information, gradient)
+    }
+}
+
+/// The points as an ellipse sees them, its centre given from the points' origin and `inverse` as for [`outwards`].
+#[multiversion(targets("x86_64+avx2"))]
+fn see(
+    places: &Places,
+    centre: [f32; 2],
+    inverse: [f32; 3],
+    excess_px: &mut [f32],
+    slopes: &mut [Scratch<f32>; 4],
+) {
+    let count = excess_px.len();
+    let (x, y) = (&places.x[..count], &places.y[..count]);
+    let [a, b, c] = inverse;
+    let [by_x, by_y, by_stretch, by_diagonal] = slopes.each_mut().map(|list| &mut list[..count]);
+    for n in 0..count {
+        let ([wx, wy], distance) = outwards(inverse, x[n] - centre[0], y[n] - centre[1]);
+        let (nx, ny) = (a * wx + b * wy, b * wx + c * wy);
+        let (per_normal, per_r2) = (1.0 / (nx * nx + ny * ny).sqrt(), 1.0 / (wx * wx + wy * wy));
+        excess_px[n] = distance;
+        (by_x[n], by_y[n]) = (nx * per_normal, ny * per_normal);
+        by_stretch[n] = (wx * wx - wy * wy) * per_r2;
+        by_diagonal[n] = 2.0 * wx * wy * per_r2;
+    }
+}
+
+/// Weighted sums of the products of the slopes with one another and, last, with the excess; from the diagonal on.
+#[multiversion(targets("x86_64+avx2"))]
+fn sum_products(seen: &Seen<'_>) -> [[f64; 6]; 5] {
+    let per_limit = (1.0 / (TUKEY_SIGMAS * seen.scatter)) as f32;
+    let per_scatter = (1.0 / seen.scatter) as f32;
+    let (per_sigma, _) = seen.places.per_sigma.as_chunks::<LANES>();
+    let (excess, _) = seen.excess_px.as_chunks::<LANES>();
+    let [x, y, stretch, diagonal] = seen
+        .slopes
+        .each_ref()
+        .map(|list| list.as_chunks::<LANES>().0);
+    let mut sums = [[[0.0_f32; LANES]; 6]; 5];
+    for n in 0..excess.len() {
+        let factors = [x[n], y[n], [1.0; LANES], stretch[n], diagonal[n], excess[n]];
+        let mut weight = [0.0; LANES];
+        for k in 0..LANES {
+            let u = excess[n][k] * per_sigma[n][k] * per_limit;
+            let within = larger(1.0 - u * u, 0.0);
+            let per_spread = per_sigma[n][k] * per_scatter;
+            weight[k] = within * within * per_spread * per_spread;
+        }
+        for p in 0..5 {
+            for q in p..6 {
+                for k in 0..LANES {
+                    sums[p][q][k] += weight[k] * factors[p][k] * factors[q][k];
                 }
             }
         }
-        let information = SMatrix::from_fn(|m, n| {
-            let known = if m == n { tightness[m] } else { 0.0 };
-            matrix[m.min(n)][m.max(n)] + known
-        });
-        (information, SVector::from(gradient))
     }
-}
-
-fn tukey_weight(sigmas: f64) -> f64 {
-    let u = sigmas / TUKEY_SIGMAS;
-    if u.abs() < 1.0 {
-        (1.0 - u * u).powi(2)
-    } else {
-        0.0
-    }
+    sums.map(|row| row.map(|lanes| f64::from(lanes.iter().sum::<f32>())))
 }
 
 /// 1 sigma from the median of the absolute residuals; 0 of none.
-fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
-    let sizes = residuals.map(|residual| residual.abs() as f32);
+fn robust_sigma(residuals: impl Iterator<Item = f32>) -> f64 {
+    let sizes = residuals.map(f32::abs);
     SIGMA_PER_MEDIAN * f64::from(median_size(sizes).unwrap_or(0.0))
 }
 

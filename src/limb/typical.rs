@@ -7,9 +7,11 @@ use crate::lanes::{Scratch, split};
 use multiversion::multiversion;
 
 /// Distances that share a median, per px.
-const PER_PX: f32 = 4.0;
+const PER_PX: f32 = 3.0;
 /// Values are counted in at most so many steps.
 const LEVELS: usize = 256;
+/// Levels that are counted together on the way to the median.
+const STRIDE: usize = 16;
 const LAST_LEVEL: f32 = LEVELS as f32 - 0.51;
 /// Fewest pixels that make a median.
 const MIN_PIXELS: u32 = 10;
@@ -21,19 +23,30 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
     let reach = &band.reach;
     let bins = ((reach.inside_px + reach.outside_px) * f64::from(PER_PX)).ceil() as usize + 1;
     let step_dn = ((saturation_dn + 1.0) / LEVELS as f64).ceil().max(1.0);
-    let mut cells = Scratch::<u32>::of_length(band.dn.len());
     let hidden = (bins * LEVELS) as u32;
-    find_cells(band, step_dn as f32, hidden, &mut cells);
+    let mut cells = Scratch::<u32>::empty(band.dn.len());
     let mut counts = Scratch::<u16>::zeros((bins + 1) * LEVELS);
     let mut sums = Scratch::<f32>::zeros(if step_dn > 1.0 { counts.len() } else { 0 });
-    for (cell, dn) in cells.iter().zip(band.dn.iter()) {
-        let cell = *cell as usize;
+    for strip in band.sample() {
+        let dn = &band.dn[strip.entries.clone()];
+        let distance_px = &band.distance_px[strip.entries.clone()];
+        cells.resize(dn.len(), 0);
+        find_cells(
+            reach.inside_px as f32,
+            step_dn as f32,
+            hidden,
+            distance_px,
+            dn,
+            &mut cells,
+        );
         // No cell but that of the hidden pixels, which nobody reads, can fill up.
-        if let Some(count) = counts.get_mut(cell) {
-            *count = count.wrapping_add(1);
+        for cell in cells.iter() {
+            counts[*cell as usize] = counts[*cell as usize].wrapping_add(1);
         }
-        if let Some(sum) = sums.get_mut(cell) {
-            *sum += dn;
+        if !sums.is_empty() {
+            for (cell, dn) in cells.iter().zip(dn) {
+                sums[*cell as usize] += dn;
+            }
         }
     }
     let middle_px = |bin: usize| (bin as f64 + 0.5) / f64::from(PER_PX) - reach.inside_px;
@@ -55,14 +68,20 @@ pub(super) fn medians(band: &Band, saturation_dn: f64) -> Vec<Brightness> {
 
 /// The cell of every pixel, by distance and then by value; hidden pixels fall into the first cell beyond.
 #[multiversion(targets("x86_64+avx2"))]
-fn find_cells(band: &Band, step_dn: f32, hidden: u32, cells: &mut [u32]) {
-    let inside = band.reach.inside_px as f32;
+fn find_cells(
+    inside_px: f32,
+    step_dn: f32,
+    hidden: u32,
+    distance_px: &[f32],
+    dn: &[f32],
+    cells: &mut [u32],
+) {
     let last_bin = hidden as f32 / LEVELS as f32 - 0.51;
     let per_step = 1.0 / step_dn;
     let count = cells.len();
-    let (distance_px, dn) = (&band.distance_px[..count], &band.dn[..count]);
+    let (distance_px, dn) = (&distance_px[..count], &dn[..count]);
     for n in 0..count {
-        let bin = split(((distance_px[n] + inside) * PER_PX).clamp(0.0, last_bin)).0;
+        let bin = split(((distance_px[n] + inside_px) * PER_PX).clamp(0.0, last_bin)).0;
         // A whole number would fall on the step between two levels.
         let level = split(((dn[n] + 0.25) * per_step).min(LAST_LEVEL)).0;
         let cell = bin * LEVELS as u32 + level;
@@ -70,29 +89,25 @@ fn find_cells(band: &Band, step_dn: f32, hidden: u32, cells: &mut [u32]) {
     }
 }
 
-/// The last stride of levels that begins before so many values, and how many lie before it.
-fn stride_before(counts: &[u16], wanted: u32) -> (usize, u32) {
-    const STRIDE: usize = 16;
-    let mut upto = 0;
-    for (n, stride) in counts.chunks(STRIDE).enumerate() {
-        let within: u32 = stride.iter().map(|n| u32::from(*n)).sum();
-        if upto + within >= wanted {
-            return (n * STRIDE, upto);
-        }
-        upto += within;
-    }
-    (counts.len(), upto)
-}
-
 /// The median of counted values, interpolated within its step, and their number. Where the median's step holds most of the
 /// values, as that of a quiet ground does, it is the mean of these.
 fn median(counts: &[u16], step_dn: f64, sums: Option<&[f32]>) -> Option<(f64, u32)> {
-    let pixels: u32 = counts.iter().map(|n| u32::from(*n)).sum();
+    let (strides, _) = counts.as_chunks::<STRIDE>();
+    let add = |stride: &[u16; STRIDE]| stride.iter().fold(0_u16, |sum, n| sum.wrapping_add(*n));
+    let strides = strides.iter().map(|stride| u32::from(add(stride)));
+    let pixels: u32 = strides.clone().sum();
     if pixels < MIN_PIXELS {
         return None;
     }
     let half = pixels.div_ceil(2);
-    let (first, mut upto) = stride_before(counts, half);
+    let (mut first, mut upto) = (0, 0);
+    for within in strides {
+        if upto + within >= half {
+            break;
+        }
+        upto += within;
+        first += STRIDE;
+    }
     let rest = counts.iter().map(|n| u32::from(*n)).enumerate();
     for (level, count) in rest.skip(first) {
         if upto + count >= half {
