@@ -3,7 +3,6 @@
 use super::Profile;
 use super::band::outwards;
 use crate::geometry::Ellipse;
-use crate::lanes::{larger, normal_tail, smaller};
 use multiversion::multiversion;
 
 /// Deeper inside than so many blurs the blur adds little to the limb darkening.
@@ -15,12 +14,7 @@ pub struct DiscLight {
     centre: [f64; 2],
     /// The outline's inverse root, 1/px: m11, m12, m22.
     inverse: [f32; 3],
-    /// Light of the even part, and of the one that falls to zero at the edge, DN.
-    even_dn: f32,
-    darkened_dn: f32,
-    /// The blur in px, and in radii.
-    blur_px: f32,
-    blur: f32,
+    profile: Profile,
     /// Deeper inside than this the disc is deep, radii squared.
     deep: f32,
 }
@@ -28,15 +22,12 @@ pub struct DiscLight {
 impl DiscLight {
     pub(super) fn new(outline: &Ellipse, profile: &Profile) -> Self {
         let inverse = outline.inverse().cast::<f32>();
-        let blur = profile.blur_px / profile.radius_px;
+        let deep = 1.0 - DEEP_BLURS * profile.blur_px / profile.radius_px;
         Self {
             centre: outline.centre.into(),
             inverse: [inverse.m11, inverse.m12, inverse.m22],
-            even_dn: profile.even_dn as f32,
-            darkened_dn: profile.darkened_dn as f32,
-            blur_px: profile.blur_px as f32,
-            blur: blur as f32,
-            deep: (1.0 - DEEP_BLURS * blur).max(0.0).powi(2) as f32,
+            profile: *profile,
+            deep: deep.max(0.0).powi(2) as f32,
         }
     }
 
@@ -64,51 +55,24 @@ impl DiscLight {
 /// Deep inside, the blur adds to the limb darkening half its variance times how much that bends.
 #[multiversion(targets("x86_64+avx2"))]
 fn fill_deep(disc: &DiscLight, [x, y]: [f32; 2], light: &mut [f32]) {
-    let half_variance = 0.5 * disc.blur * disc.blur;
+    let profile = &disc.profile;
+    let (even_dn, darkened_dn) = (profile.even_dn as f32, profile.darkened_dn as f32);
+    let half_variance = (0.5 * (profile.blur_px / profile.radius_px).powi(2)) as f32;
     for (n, light) in light.iter_mut().enumerate() {
         let root = (1.0 - disc.radius2(x + n as i32 as f32, y)).sqrt();
         let per_root = 1.0 / root;
         let bend = per_root + per_root * per_root * per_root;
-        *light = disc.even_dn + disc.darkened_dn * (root - half_variance * bend);
+        *light = even_dn + darkened_dn * (root - half_variance * bend);
     }
 }
 
 /// Near the limb, the light is the [`Profile`]'s.
 #[multiversion(targets("x86_64+avx2"))]
 fn fill_near_limb(disc: &DiscLight, [x, y]: [f32; 2], light: &mut [f32]) {
-    let (per_blur, blur) = (1.0 / disc.blur_px, disc.blur);
     for (n, light) in light.iter_mut().enumerate() {
         let (_, out) = outwards(disc.inverse, x + n as i32 as f32, y);
-        let z = out * per_blur;
-        let depth = larger(smaller(-z * blur, 1.0), 0.0);
-        let scale = ((2.0 - depth) * blur).sqrt();
-        *light = disc.even_dn * normal_tail(z).0 + disc.darkened_dn * scale * mean_root(z);
+        (*light, _) = disc.profile.light(out);
     }
-}
-
-/// F(z), the mean of the root of what a normally distributed number exceeds z by, to 0.001: a polynomial through it, and where
-/// that ends what F comes close to.
-#[inline(always)]
-fn mean_root(z: f32) -> f32 {
-    const LEAST: f32 = -3.1;
-    const MOST: f32 = 3.5;
-    const SERIES: [f32; 9] = [
-        -2.769_58e-5,
-        8.825_47e-5,
-        8.390_37e-4,
-        -2.526_34e-3,
-        -1.108_4e-2,
-        3.148_97e-2,
-        0.101_004,
-        -0.427_181,
-        0.411_382,
-    ];
-    let near = larger(smaller(z, MOST), LEAST);
-    let near = SERIES.iter().fold(0.0, |sum, term| sum * near + term);
-    let depth = larger(-z, -LEAST);
-    let per_depth2 = 1.0 / (depth * depth);
-    let deep = depth.sqrt() * (1.0 - per_depth2 * (0.125 + 0.117_187_5 * per_depth2));
-    if z < LEAST { deep } else { near }
 }
 
 #[cfg(test)]

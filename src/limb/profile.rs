@@ -58,7 +58,7 @@ impl Profile {
 
     /// Light above the background at a distance outwards from the limb, and its change per px.
     #[inline(always)]
-    fn light(&self, distance_px: f32) -> (f32, f32) {
+    pub(super) fn light(&self, distance_px: f32) -> (f32, f32) {
         let (even, darkened) = (self.even_dn as f32, self.darkened_dn as f32);
         let parts = self.parts(distance_px);
         let slope = darkened * parts.root_slope - even * parts.density;
