@@ -153,18 +153,20 @@ struct Seen {
 
 #[multiversion(targets("x86_64+avx2"))]
 fn agreement(groups: &[Group], circle: &Circle) -> Agreement {
-    let mut sums = [[0.0; LANES]; 3];
-    let near = NEAR * circle.radius as f32;
+    let [mut costs, mut ons, mut nears] = [[0.0; LANES]; 3];
+    let near_px = NEAR * circle.radius as f32;
     for group in groups {
-        let seen = group.seen_from(circle);
+        let Seen {
+            excess, distance, ..
+        } = group.seen_from(circle);
         for k in 0..LANES {
-            let on = seen.excess[k].abs() < AGREEMENT_PX;
-            sums[0][k] += seen.excess[k] * seen.excess[k];
-            sums[1][k] += if on { 1.0 } else { 0.0 };
-            sums[2][k] += if seen.distance[k] < near { 1.0 } else { 0.0 };
+            costs[k] += excess[k] * excess[k];
+            let on = excess[k].abs() < AGREEMENT_PX;
+            ons[k] += if on { 1.0 } else { 0.0 };
+            nears[k] += if distance[k] < near_px { 1.0 } else { 0.0 };
         }
     }
-    let [cost_px2, on, near] = sums.map(|lanes| lanes.iter().sum());
+    let [cost_px2, on, near] = [costs, ons, nears].map(|lanes| lanes.iter().sum());
     Agreement { cost_px2, on, near }
 }
 
