@@ -110,6 +110,8 @@ impl Middle {
     /// The index nearest to the centroid; what leads far away is no middle.
     fn near(&self, flat: &FlatDisc, spot: usize) -> usize {
         const ROUNDS: usize = 2;
+        // Arms that reach beyond hold a cross's centroid back by half of the way.
+        const STEP: f64 = 1.5;
         let place = flat.position(spot);
         let mut middle = spot;
         for _ in 0..ROUNDS {
@@ -117,9 +119,10 @@ impl Middle {
                 return spot;
             }
             let weights = [&self.support.inside[..], &self.x, &self.y];
-            let [sum, x, y] = self.support.sums(weights, flat, middle).map(f64::from);
+            let sum = |weights| f64::from(self.support.sum(weights, flat, middle));
+            let [sum, x, y] = weights.map(sum);
             let from = flat.position(middle);
-            let near = SensorPx::new(from.x + x / sum, from.y + y / sum);
+            let near = SensorPx::new(from.x + STEP * x / sum, from.y + STEP * y / sum);
             if sum <= 0.0 || near.distance(place) > self.farthest_px {
                 return spot;
             }
@@ -163,8 +166,8 @@ impl<'a> Arms<'a> {
     fn rotation_deg(&self, flat: &FlatDisc, places: impl Iterator<Item = usize>) -> Option<f64> {
         let mut common = Complex::new(0.0_f32, 0.0);
         for place in places.filter(|place| self.support.fits(flat, *place)) {
-            let weights = [&self.real[..], &self.imaginary];
-            let [re, im] = self.support.sums(weights, flat, place);
+            let weights = [&self.real, &self.imaginary];
+            let [re, im] = weights.map(|weights| self.support.sum(weights, flat, place));
             let squares = self.support.squares(flat, place);
             // A place counts by how fourfold it is, so that the many that are no marks hardly do.
             if squares > 0.0 {
@@ -264,12 +267,8 @@ impl<'a> Search<'a> {
             }
             let mut around = [0.0; 9];
             let mut best = (index, f64::NEG_INFINITY);
-            let side = self.flat.side();
-            for (row, three) in around.as_chunks_mut().0.iter_mut().enumerate() {
-                let middle = index + row * side - side;
-                *three = self.cross.three(self.support, self.flat, middle);
-            }
-            for (response, n) in around.iter().zip(neighbours(index, side)) {
+            for (response, n) in around.iter_mut().zip(neighbours(index, self.flat.side())) {
+                *response = self.cross.response(self.support, self.flat, n);
                 if *response > best.1 {
                     best = (n, *response);
                 }

@@ -12,7 +12,7 @@
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
 use super::fit::Printed;
-use super::reading::{Id, Reading, Seen, Turned};
+use super::reading::{Begun, Id, Reading, Seen, Turned};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::{Ellipse, Handedness};
 use crate::plate::{MarkId, Plate};
@@ -106,6 +106,8 @@ const DECISIVE_ODDS: f64 = 7.0;
 /// detection unexplained: where one is false another may be.
 const SOUND_ODDS: f64 = 9.0;
 const SOUND_ODDS_AMONG_FALSE: f64 = 11.0;
+/// A reading that is less likely than another by this is as good as none.
+const NEGLIGIBLE_ODDS: f64 = 30.0;
 /// Readings are held against one another up to this much beyond the largest shift of the plate's centre: were the true
 /// one left out, a wrong one would stand unrivalled.
 const RIVALS_BEYOND: f64 = 2.0;
@@ -135,7 +137,7 @@ pub fn identify(
         });
     }
     decide(
-        readings(detections, sight, plate, settings),
+        &readings(detections, sight, plate, settings),
         full,
         sight,
         settings,
@@ -144,7 +146,7 @@ pub fn identify(
 
 /// The best reading of so many fully lit detections, if all that contradict it are unlikely together.
 fn decide(
-    mut readings: Vec<Reading>,
+    readings: &[Reading],
     full: usize,
     sight: &Sight,
     settings: &Settings,
@@ -156,9 +158,6 @@ fn decide(
             limit,
         })
     };
-    for reading in &mut readings {
-        reading.score += sight.centre_odds(reading, settings);
-    }
     let mut readings: Vec<&Reading> = readings.iter().collect();
     readings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let least = settings.min_marks as f64;
@@ -229,32 +228,55 @@ fn readings(
     let mut marks = Vec::new();
     // Quicker than to collect them one by one.
     plate.marks().for_each(|mark| marks.push(mark));
+    let turns = sight.turns().filter_map(|turn| Turned::new(&seen, turn));
+    let turns: Vec<(Turned, Printed)> = turns
+        .map(|turned| {
+            let printed = Printed::about(turned.stated_sun(), in_view_mil, &marks);
+            (turned, printed)
+        })
+        .collect();
     let (mut full, mut known) = (Vec::new(), Vec::new());
-    let mut readings: Vec<Reading> = Vec::new();
-    for to_plate in sight.turns() {
-        let Some(turned) = Turned::new(&seen, to_plate) else {
-            continue;
-        };
-        let sun = turned.stated_sun();
-        let printed = Printed::about(sun, in_view_mil, &marks);
-        let first = readings.len();
+    let mut begun = Vec::new();
+    for turn @ (turned, printed) in &turns {
+        let first = begun.len();
         for order in &orders {
             full.clear();
             full.extend(order.iter().map(|n| turned.spot(*n)));
-            let from = full[0].offset + sun.vector();
+            let from = full[0].offset + turned.stated_sun().vector();
             let anchor = |id: &&Id| id.detection == order[0];
-            let named = readings[first..]
+            let named = begun[first..]
                 .iter()
-                .filter_map(|r| r.ids.iter().find(anchor));
+                .filter_map(|(_, b): &(_, Begun)| b.reading.ids.iter().find(anchor));
             known.clear();
             known.extend(named.map(|id| id.id));
             for &(id, at) in &printed.marks {
                 let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
                 if near && !known.contains(&id) {
-                    let reading = turned.follow((id, at), &full, &printed);
-                    readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
+                    let reading = turned.follow((id, at), &full, printed);
+                    let near_by = |b: &Begun| sight.beyond(&b.reading, settings) < RIVALS_BEYOND;
+                    begun.extend(reading.filter(near_by).map(|begun| (turn, begun)));
                 }
             }
+        }
+    }
+    completed(begun, sight, settings)
+}
+
+/// The readings with their scores, but for those that can no longer count beside the best.
+fn completed(
+    mut begun: Vec<(&(Turned, Printed), Begun)>,
+    sight: &Sight,
+    settings: &Settings,
+) -> Vec<Reading> {
+    begun.sort_by(|(_, a), (_, b)| b.reading.score.total_cmp(&a.reading.score));
+    let mut readings: Vec<Reading> = Vec::new();
+    let mut best = f64::NEG_INFINITY;
+    for ((turned, printed), begun) in begun {
+        if turned.most(&begun) > best - NEGLIGIBLE_ODDS {
+            let mut reading = turned.complete(begun, printed);
+            reading.score += sight.centre_odds(&reading, settings);
+            best = best.max(reading.score);
+            readings.push(reading);
         }
     }
     readings

@@ -103,14 +103,10 @@ impl Support {
         list.chunks_exact(self.stride)
     }
 
-    /// Sums of the products of several weights with the values about one of them, where the support [`fits`](Self::fits).
-    pub(super) fn sums<const N: usize>(
-        &self,
-        weights: [&[f32]; N],
-        flat: &FlatDisc,
-        index: usize,
-    ) -> [f32; N] {
-        sums(weights, self.stride, self.values(flat, index), flat.side())
+    /// Sum of the products of weights with the values about one of them, where the support [`fits`](Self::fits).
+    pub(super) fn sum(&self, weights: &[f32], flat: &FlatDisc, index: usize) -> f32 {
+        let values = self.values(flat, index);
+        products(weights, self.stride, values, flat.side())
     }
 
     /// Sum of the squared values within the radius.
@@ -159,15 +155,7 @@ impl Kernel {
 
     /// Contrast of the cross as the kernel sees it, centred on a value where its support fits.
     pub(super) fn response(&self, support: &Support, flat: &FlatDisc, index: usize) -> f64 {
-        let [sum] = support.sums([&self.weights], flat, index);
-        f64::from(sum) / self.energy
-    }
-
-    /// The same at a value and its neighbours to the left and right.
-    pub(super) fn three(&self, support: &Support, flat: &FlatDisc, index: usize) -> [f64; 3] {
-        let values = support.values(flat, index - 1);
-        let sums = three(&self.weights, support.stride, values, flat.side());
-        sums.map(|sum| f64::from(sum) / self.energy)
+        f64::from(support.sum(&self.weights, flat, index)) / self.energy
     }
 
     /// 1 sigma of a response where the values have this noise.
@@ -191,58 +179,31 @@ fn rotation_averages(cross: &BlurredCross, count: usize, steps_per_px: f32) -> V
     shares.as_chunks::<LANES>().0.iter().map(mean).collect()
 }
 
-/// Sums of the products of several weights, row by row, with values of which a row is `side` long.
+/// Sum of the products of weights, row by row, with values of which a row is `side` long.
 #[multiversion(targets("x86_64+avx2"))]
-fn sums<const N: usize>(
-    weights: [&[f32]; N],
-    stride: usize,
-    values: &[f32],
-    side: usize,
-) -> [f32; N] {
-    let rows = weights.map(|weights| weights.len() / stride);
-    let mut lanes = [[0.0_f32; LANES]; N];
-    for row in 0..rows.into_iter().min().unwrap_or(0) {
-        let values = values[row * side..][..stride].as_chunks::<LANES>().0;
-        for n in 0..N {
-            let weights = weights[n][row * stride..][..stride].as_chunks::<LANES>().0;
-            for (weights, values) in weights.iter().zip(values) {
-                for k in 0..LANES {
-                    lanes[n][k] += weights[k] * values[k];
-                }
-            }
-        }
-    }
-    lanes.map(|lanes| lanes.iter().sum())
-}
-
-/// Sums of the products of weights, row by row, with values of which a row is `side` long, and with those one and two on.
-#[multiversion(targets("x86_64+avx2"))]
-fn three(weights: &[f32], stride: usize, values: &[f32], side: usize) -> [f32; 3] {
-    let mut lanes = [[0.0_f32; LANES]; 3];
-    for (row, weights) in weights.chunks_exact(stride).enumerate() {
-        let mut values = &values[row * side..];
-        for weights in weights.as_chunks::<LANES>().0 {
-            let Some(group) = values.first_chunk::<{ LANES + 2 }>() else {
-                break;
-            };
+fn products(weights: &[f32], stride: usize, values: &[f32], side: usize) -> f32 {
+    let mut lanes = [0.0_f32; LANES];
+    for (weights, values) in weights.chunks_exact(stride).zip(values.chunks(side)) {
+        for (weights, values) in groups(weights).iter().zip(groups(&values[..stride])) {
             for k in 0..LANES {
-                lanes[0][k] += weights[k] * group[k];
-                lanes[1][k] += weights[k] * group[k + 1];
-                lanes[2][k] += weights[k] * group[k + 2];
+                lanes[k] += weights[k] * values[k];
             }
-            values = &values[LANES..];
         }
     }
-    lanes.map(|lanes| lanes.iter().sum())
+    lanes.iter().sum()
 }
 
-/// Sum of the squares, each times its weight, likewise.
+#[inline(always)]
+fn groups(list: &[f32]) -> &[[f32; LANES]] {
+    list.as_chunks().0
+}
+
+/// Sum of the squares, each times its weight.
 #[multiversion(targets("x86_64+avx2"))]
 fn squares(weights: &[f32], stride: usize, values: &[f32], side: usize) -> f32 {
     let mut lanes = [0.0_f32; LANES];
-    for (row, weights) in weights.chunks_exact(stride).enumerate() {
-        let values = values[row * side..][..stride].as_chunks::<LANES>().0;
-        for (weights, values) in weights.as_chunks::<LANES>().0.iter().zip(values) {
+    for (weights, values) in weights.chunks_exact(stride).zip(values.chunks(side)) {
+        for (weights, values) in groups(weights).iter().zip(groups(&values[..stride])) {
             for k in 0..LANES {
                 lanes[k] += weights[k] * (values[k] * values[k]);
             }

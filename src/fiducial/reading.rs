@@ -73,6 +73,14 @@ pub(super) struct Reading {
     pub score: f64,
 }
 
+/// A reading of the fully lit marks alone; its score counts these as they are placed and no more.
+pub(super) struct Begun {
+    pub reading: Reading,
+    fit: Fit,
+    /// Where it puts the Sun's centre on the plate, mil.
+    sun: Vector2<f64>,
+}
+
 impl Reading {
     /// The detections that lie where they should.
     pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
@@ -255,7 +263,7 @@ impl<'a> Turned<'a> {
         anchor: (MarkId, PlateMil),
         full: &[Spot],
         printed: &Printed,
-    ) -> Option<Reading> {
+    ) -> Option<Begun> {
         let seen = self.seen;
         let (first, others) = full.split_first()?;
         let mut fit = seen.fit;
@@ -284,16 +292,35 @@ impl<'a> Turned<'a> {
             return None;
         }
         let centre = fit.offset(PlateMil::new(0.0, 0.0));
-        let mut reading = Reading {
+        let reading = Reading {
             full: ids.len(),
-            score: score + seen.looks(&ids),
+            score,
             ids,
             plate_centre: self.to_sensor(centre),
             centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
         };
+        Some(Begun { reading, fit, sun })
+    }
+
+    /// A reading with all that it explains and leaves unexplained.
+    pub(super) fn complete(&self, begun: Begun, printed: &Printed) -> Reading {
+        let Begun {
+            mut reading,
+            fit,
+            sun,
+        } = begun;
+        reading.score += self.seen.looks(&reading.ids);
         self.add_cut(&mut reading, &fit, sun, printed);
         reading.score += self.absences(&fit, &reading.ids, printed);
-        Some(reading)
+        reading
+    }
+
+    /// The highest score that a reading may come to.
+    pub(super) fn most(&self, begun: &Begun) -> f64 {
+        let looks = begun.reading.full as f64 * gain(0.0);
+        let best_placed = -TAU.ln() - (SCATTER_MIL * SCATTER_MIL).ln();
+        let cut = self.cut.len() as f64 * (best_placed - self.seen.false_density);
+        begun.reading.score + looks + cut
     }
 
     /// Adds to a reading what it explains of the detections that the limb cuts.
