@@ -11,7 +11,6 @@
 //! another quarter turn, is off by 22 px, which tells where the instrument states its centre to 5 px. A reading
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
-use super::fit::Printed;
 use super::reading::{Begun, Id, Reading, Seen, Turned};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::{Ellipse, Handedness};
@@ -228,52 +227,61 @@ fn readings(
     let mut marks = Vec::new();
     // Quicker than to collect them one by one.
     plate.marks().for_each(|mark| marks.push(mark));
-    let turns = sight.turns().filter_map(|turn| Turned::new(&seen, turn));
-    let turns: Vec<(Turned, Printed)> = turns
-        .map(|turned| {
-            let printed = Printed::about(turned.stated_sun(), in_view_mil, &marks);
-            (turned, printed)
-        })
+    let turns = sight.turns();
+    let turns: Vec<Turned> = turns
+        .filter_map(|turn| Turned::new(&seen, turn, &marks, in_view_mil))
         .collect();
-    let (mut full, mut known) = (Vec::new(), Vec::new());
+    let near = |b: &Begun| sight.beyond(&b.reading, settings) < RIVALS_BEYOND;
     let mut begun = Vec::new();
-    for turn @ (turned, printed) in &turns {
-        let first = begun.len();
-        for order in &orders {
-            full.clear();
-            full.extend(order.iter().map(|n| turned.spot(*n)));
-            let from = full[0].offset + turned.stated_sun().vector();
-            let anchor = |id: &&Id| id.detection == order[0];
-            let named = begun[first..]
-                .iter()
-                .filter_map(|(_, b): &(_, Begun)| b.reading.ids.iter().find(anchor));
-            known.clear();
-            known.extend(named.map(|id| id.id));
-            for &(id, at) in &printed.marks {
-                let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
-                if near && !known.contains(&id) {
-                    let reading = turned.follow((id, at), &full, printed);
-                    let near_by = |b: &Begun| sight.beyond(&b.reading, settings) < RIVALS_BEYOND;
-                    begun.extend(reading.filter(near_by).map(|begun| (turn, begun)));
-                }
-            }
-        }
+    for turned in &turns {
+        let here = begun_at(turned, &orders, reach_mil, near);
+        begun.extend(here.into_iter().map(|begun| (turned, begun)));
     }
     completed(begun, sight, settings)
 }
 
+/// The readings of one quarter turn that begin with a mark near the first detection of one of the orders, and of these those
+/// that are wanted.
+fn begun_at(
+    turned: &Turned,
+    orders: &[Vec<usize>],
+    reach_mil: f64,
+    wanted: impl Fn(&Begun) -> bool,
+) -> Vec<Begun> {
+    let (mut full, mut known) = (Vec::new(), Vec::new());
+    let mut begun: Vec<Begun> = Vec::new();
+    for order in orders {
+        full.clear();
+        full.extend(order.iter().map(|n| turned.spot(*n)));
+        let from = full[0].offset + turned.stated_sun().vector();
+        let anchor = |id: &&Id| id.detection == order[0];
+        let named = begun
+            .iter()
+            .filter_map(|b| b.reading.ids.iter().find(anchor));
+        known.clear();
+        known.extend(named.map(|id| id.id));
+        for &(id, at) in &turned.printed.marks {
+            let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
+            if near && !known.contains(&id) {
+                begun.extend(turned.follow((id, at), &full).filter(&wanted));
+            }
+        }
+    }
+    begun
+}
+
 /// The readings with their scores, but for those that can no longer count beside the best.
-fn completed(
-    mut begun: Vec<(&(Turned, Printed), Begun)>,
-    sight: &Sight,
-    settings: &Settings,
-) -> Vec<Reading> {
-    begun.sort_by(|(_, a), (_, b)| b.reading.score.total_cmp(&a.reading.score));
+fn completed(mut begun: Vec<(&Turned, Begun)>, sight: &Sight, settings: &Settings) -> Vec<Reading> {
+    let score = |n: &usize| begun[*n].1.reading.score;
+    let likeliest = (0..begun.len()).max_by(|a, b| score(a).total_cmp(&score(b)));
+    if let Some(n) = likeliest {
+        begun.swap(0, n);
+    }
     let mut readings: Vec<Reading> = Vec::new();
     let mut best = f64::NEG_INFINITY;
-    for ((turned, printed), begun) in begun {
+    for (turned, begun) in begun {
         if turned.most(&begun) > best - NEGLIGIBLE_ODDS {
-            let mut reading = turned.complete(begun, printed);
+            let mut reading = turned.complete(begun);
             reading.score += sight.centre_odds(&reading, settings);
             best = best.max(reading.score);
             readings.push(reading);

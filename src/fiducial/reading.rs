@@ -210,18 +210,27 @@ pub(super) struct Turned<'a> {
     cut: Vec<Spot>,
     /// Offset of the place where the instrument says the plate's centre is seen, mil.
     centre: Vector2<f64>,
+    /// The marks that may be in view.
+    pub printed: Printed,
 }
 
 impl<'a> Turned<'a> {
-    /// `None` when the outline has no size.
-    pub(super) fn new(seen: &'a Seen<'a>, to_plate: Matrix2<f64>) -> Option<Self> {
+    /// With those of some marks that lie about the place where the Sun should be; `None` when the outline has no size.
+    pub(super) fn new(
+        seen: &'a Seen<'a>,
+        to_plate: Matrix2<f64>,
+        marks: &[(MarkId, PlateMil)],
+        in_view_mil: f64,
+    ) -> Option<Self> {
         let offset = |at: SensorPx| to_plate * seen.sight.outline.to_disc(at.vector());
+        let centre = offset(seen.sight.plate_centre);
         let mut turned = Self {
             seen,
             from_plate: to_plate.try_inverse()?,
             offsets: seen.detections.iter().map(|d| offset(d.at)).collect(),
             cut: Vec::new(),
-            centre: offset(seen.sight.plate_centre),
+            centre,
+            printed: Printed::about((-centre).into(), in_view_mil, marks),
         };
         turned.cut = turned.cut_spots();
         Some(turned)
@@ -258,13 +267,8 @@ impl<'a> Turned<'a> {
 
     /// The reading that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
     /// their order. `None` when it explains fewer than two of them.
-    pub(super) fn follow(
-        &self,
-        anchor: (MarkId, PlateMil),
-        full: &[Spot],
-        printed: &Printed,
-    ) -> Option<Begun> {
-        let seen = self.seen;
+    pub(super) fn follow(&self, anchor: (MarkId, PlateMil), full: &[Spot]) -> Option<Begun> {
+        let (seen, printed) = (self.seen, &self.printed);
         let (first, others) = full.split_first()?;
         let mut fit = seen.fit;
         fit.add(first.offset, anchor.1, first.variance);
@@ -303,15 +307,15 @@ impl<'a> Turned<'a> {
     }
 
     /// A reading with all that it explains and leaves unexplained.
-    pub(super) fn complete(&self, begun: Begun, printed: &Printed) -> Reading {
+    pub(super) fn complete(&self, begun: Begun) -> Reading {
         let Begun {
             mut reading,
             fit,
             sun,
         } = begun;
         reading.score += self.seen.looks(&reading.ids);
-        self.add_cut(&mut reading, &fit, sun, printed);
-        reading.score += self.absences(&fit, &reading.ids, printed);
+        self.add_cut(&mut reading, &fit, sun);
+        reading.score += self.absences(&fit, &reading.ids);
         reading
     }
 
@@ -324,13 +328,13 @@ impl<'a> Turned<'a> {
     }
 
     /// Adds to a reading what it explains of the detections that the limb cuts.
-    fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>, printed: &Printed) {
+    fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>) {
         let seen = self.seen;
         let variance = |spot: &Spot, at| {
             seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2)
         };
         let mut spots = &self.cut[..];
-        while let Some((explained, rest)) = printed.explain(spots, fit, variance) {
+        while let Some((explained, rest)) = self.printed.explain(spots, fit, variance) {
             spots = rest;
             if seen.allows(&explained, &reading.ids, sun) {
                 let seen_at = fit.place(explained.spot.offset);
@@ -358,9 +362,10 @@ impl<'a> Turned<'a> {
     }
 
     /// What the marks that must have been found and are not take from the score.
-    fn absences(&self, fit: &Fit, ids: &[Id], printed: &Printed) -> f64 {
+    fn absences(&self, fit: &Fit, ids: &[Id]) -> f64 {
         let must_be_found = self.must_be_found(fit);
-        let expected = printed
+        let expected = self
+            .printed
             .marks
             .iter()
             .filter(|(_, at)| must_be_found(*at))
