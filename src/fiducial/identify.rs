@@ -11,6 +11,7 @@
 //! another quarter turn, is off by 22 px, which tells where the instrument states its centre to 5 px. A reading
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
+use super::fit::Spot;
 use super::reading::{Begun, Id, Reading, Seen, Turned};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::{Ellipse, Handedness};
@@ -106,7 +107,7 @@ const DECISIVE_ODDS: f64 = 7.0;
 const SOUND_ODDS: f64 = 9.0;
 const SOUND_ODDS_AMONG_FALSE: f64 = 11.0;
 /// A reading that is less likely than another by this is as good as none.
-const NEGLIGIBLE_ODDS: f64 = 30.0;
+const NEGLIGIBLE_ODDS: f64 = 20.0;
 /// Readings are held against one another up to this much beyond the largest shift of the plate's centre: were the true
 /// one left out, a wrong one would stand unrivalled.
 const RIVALS_BEYOND: f64 = 2.0;
@@ -227,67 +228,58 @@ fn readings(
     let mut marks = Vec::new();
     // Quicker than to collect them one by one.
     plate.marks().for_each(|mark| marks.push(mark));
-    let turns = sight.turns();
-    let turns: Vec<Turned> = turns
-        .filter_map(|turn| Turned::new(&seen, turn, &marks, in_view_mil))
-        .collect();
-    let near = |b: &Begun| sight.beyond(&b.reading, settings) < RIVALS_BEYOND;
-    let mut begun = Vec::new();
-    for turned in &turns {
-        let here = begun_at(turned, &orders, reach_mil, near);
-        begun.extend(here.into_iter().map(|begun| (turned, begun)));
-    }
-    completed(begun, sight, settings)
-}
-
-/// The readings of one quarter turn that begin with a mark near the first detection of one of the orders, and of these those
-/// that are wanted.
-fn begun_at(
-    turned: &Turned,
-    orders: &[Vec<usize>],
-    reach_mil: f64,
-    wanted: impl Fn(&Begun) -> bool,
-) -> Vec<Begun> {
-    let (mut full, mut known) = (Vec::new(), Vec::new());
-    let mut begun: Vec<Begun> = Vec::new();
-    for order in orders {
-        full.clear();
-        full.extend(order.iter().map(|n| turned.spot(*n)));
-        let from = full[0].offset + turned.stated_sun().vector();
-        let anchor = |id: &&Id| id.detection == order[0];
-        let named = begun
-            .iter()
-            .filter_map(|b| b.reading.ids.iter().find(anchor));
-        known.clear();
-        known.extend(named.map(|id| id.id));
-        for &(id, at) in &turned.printed.marks {
-            let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
-            if near && !known.contains(&id) {
-                begun.extend(turned.follow((id, at), &full).filter(&wanted));
+    let turned = |turn| Turned::new(&seen, turn, &marks, in_view_mil);
+    let turns: Vec<Turned> = sight.turns().filter_map(turned).collect();
+    let mut named = vec![Vec::new(); turns.len()];
+    let mut readings = Vec::new();
+    for (tried, order) in orders.iter().enumerate() {
+        // What is not found yet names none of the anchors tried.
+        if seen.most_of(full.len() - tried) < least_that_counts(&readings) {
+            break;
+        }
+        let mut begun = Vec::new();
+        for (turned, named) in turns.iter().zip(&mut named) {
+            let here = begun_at(turned, order, reach_mil, named).into_iter();
+            let near = here.filter(|b| sight.beyond(&b.reading, settings) < RIVALS_BEYOND);
+            for reading in near {
+                named.extend_from_slice(&reading.reading.ids);
+                begun.push((turned, reading));
+            }
+        }
+        // The likeliest first: many that can no longer count beside it end here.
+        begun.sort_by(|(_, a), (_, b)| b.reading.score.total_cmp(&a.reading.score));
+        for (turned, begun) in begun {
+            if turned.most(&begun) > least_that_counts(&readings) {
+                let mut reading = turned.complete(begun);
+                reading.score += sight.centre_odds(&reading, settings);
+                readings.push(reading);
             }
         }
     }
-    begun
+    readings
 }
 
-/// The readings with their scores, but for those that can no longer count beside the best.
-fn completed(mut begun: Vec<(&Turned, Begun)>, sight: &Sight, settings: &Settings) -> Vec<Reading> {
-    let score = |n: &usize| begun[*n].1.reading.score;
-    let likeliest = (0..begun.len()).max_by(|a, b| score(a).total_cmp(&score(b)));
-    if let Some(n) = likeliest {
-        begun.swap(0, n);
-    }
-    let mut readings: Vec<Reading> = Vec::new();
-    let mut best = f64::NEG_INFINITY;
-    for (turned, begun) in begun {
-        if turned.most(&begun) > best - NEGLIGIBLE_ODDS {
-            let mut reading = turned.complete(begun);
-            reading.score += sight.centre_odds(&reading, settings);
-            best = best.max(reading.score);
-            readings.push(reading);
+/// The score below which a reading is as good as none beside the best of others.
+fn least_that_counts(readings: &[Reading]) -> f64 {
+    let scores = readings.iter().map(|reading| reading.score);
+    scores.fold(f64::NEG_INFINITY, f64::max) - NEGLIGIBLE_ODDS
+}
+
+/// The readings at one quarter turn that begin with the first detection of an order, where those that are named already
+/// do not.
+fn begun_at(turned: &Turned, order: &[usize], reach_mil: f64, named: &[Id]) -> Vec<Begun> {
+    let full: Vec<Spot> = order.iter().map(|n| turned.spot(*n)).collect();
+    let from = full[0].offset + turned.stated_sun().vector();
+    let known = named.iter().filter(|id| id.detection == order[0]);
+    let known: Vec<MarkId> = known.map(|id| id.id).collect();
+    let mut begun = Vec::new();
+    for &(id, at) in &turned.printed.marks {
+        let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
+        if near && !known.contains(&id) {
+            begun.extend(turned.follow((id, at), &full));
         }
     }
-    readings
+    begun
 }
 
 /// Detections ordered by their distance from one of them.

@@ -158,6 +158,17 @@ impl<'a> Seen<'a> {
         }
     }
 
+    /// The highest score that a reading may come to that explains so many fully lit marks.
+    pub(super) fn most_of(&self, full: usize) -> f64 {
+        let cut = (0..self.detections.len()).filter(|n| !self.is_full(*n));
+        full as f64 * gain(0.0) + (full + cut.count()) as f64 * self.most_placed()
+    }
+
+    /// The most that the place of a mark adds to a score.
+    fn most_placed(&self) -> f64 {
+        -TAU.ln() - (SCATTER_MIL * SCATTER_MIL).ln() - self.false_density
+    }
+
     fn is_full(&self, n: usize) -> bool {
         self.detections[n].lighting == Lighting::Full
     }
@@ -322,9 +333,7 @@ impl<'a> Turned<'a> {
     /// The highest score that a reading may come to.
     pub(super) fn most(&self, begun: &Begun) -> f64 {
         let looks = begun.reading.full as f64 * gain(0.0);
-        let best_placed = -TAU.ln() - (SCATTER_MIL * SCATTER_MIL).ln();
-        let cut = self.cut.len() as f64 * (best_placed - self.seen.false_density);
-        begun.reading.score + looks + cut
+        begun.reading.score + looks + self.cut.len() as f64 * self.seen.most_placed()
     }
 
     /// Adds to a reading what it explains of the detections that the limb cuts.
