@@ -72,9 +72,9 @@ fn add_pairs(upper: &[f32], lower: &[f32], bins: &mut [f32]) {
         .iter()
         .zip(lower.as_chunks::<WIDTH>().0);
     for ((upper, lower), bins) in rows.zip(bins.as_chunks_mut::<LANES>().0) {
-        for k in 0..LANES {
+        for (k, bin) in bins.iter_mut().enumerate() {
             let pair = BIN_PX * k;
-            bins[k] = (upper[pair] + lower[pair]) + (upper[pair + 1] + lower[pair + 1]);
+            *bin = (upper[pair] + lower[pair]) + (upper[pair + 1] + lower[pair + 1]);
         }
     }
 }
