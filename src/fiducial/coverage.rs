@@ -87,18 +87,6 @@ impl BlurredCross {
         }
     }
 
-    /// Sum over pixels of the squared slope of the coverage along one axis: what a position's noise is divided by. A
-    /// quarter turn leaves the cross as it is, so the sum is the same along every axis.
-    pub(super) fn slope_energy(&self, reach_px: f64) -> f64 {
-        let reach = reach_px.ceil() as i32;
-        // One quadrant, and the axis between it and the next, stand for all four.
-        let quadrant = (0..=reach).flat_map(|v| (1..=reach).map(move |u| (u as f32, v as f32)));
-        let (u, v): (Vec<f32>, Vec<f32>) = quadrant.unzip();
-        let coverage = self.at(&u, &v, &Pose::turned(0.0));
-        let slopes = coverage.slope_u.iter().chain(coverage.slope_v.iter());
-        2.0 * slopes.map(|slope| f64::from(slope * slope)).sum::<f64>()
-    }
-
     /// A bar of some half length at an offset from its middle: the share that it covers, its slope and its bend.
     #[inline(always)]
     fn bar(&self, at: f32, half: f32) -> [f32; 3] {

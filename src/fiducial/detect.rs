@@ -1,11 +1,11 @@
 //! Finding marks on the flattened disc, at any rotation of the camera.
 
-use super::coverage::BlurredCross;
-use super::kernel::Kernel;
+use super::coverage::{BlurredCross, Pose};
+use super::kernel::{Kernel, Support};
 use super::spots::{find_spots, neighbours};
 use super::{CrossShape, FlatDisc, Settings};
 use crate::units::SensorPx;
-use nalgebra::{Complex, Matrix6, Vector2, Vector6};
+use nalgebra::{Complex, Vector2};
 
 /// Whether the whole mark is lit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,22 +64,22 @@ const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
 /// 4. Of those too near to each other the likest; of all, those of the contrast that the frame's marks have in common.
 /// 5. The rotation again, from the marks' own places.
 pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detections {
+    let middle = Middle::new(shape);
     let spots = find_spots(flat, shape, settings); // 1
-    let places = spots
-        .iter()
-        .map(|spot| middle_of_darkness(flat, flat.position(*spot), shape));
-    let arms = Arms::new(flat, shape);
-    let Some(rough_deg) = arms.rotation_deg(flat, places) else {
+    let spots: Vec<usize> = spots.iter().map(|spot| middle.near(flat, *spot)).collect();
+    let support = Support::within(shape.reach_px());
+    let arms = Arms::new(flat, shape, &support);
+    let Some(rough_deg) = arms.rotation_deg(flat, spots.iter().copied()) else {
         return Detections::default(); // 2
     };
-    let search = Search::new(flat, shape, settings, rough_deg);
+    let search = Search::new(flat, shape, settings, &support, rough_deg);
     let found = spots
         .iter()
         .filter_map(|spot| search.measure(*spot))
         .collect(); // 3
     let marks = with_common_contrast(likest(found, shape)); // 4
     let full = || marks.iter().filter(|m| m.lighting == Lighting::Full);
-    let places = full().map(|mark| mark.at);
+    let places = full().filter_map(|mark| flat.index(mark.at));
     let quarter_rotation_deg = arms.rotation_deg(flat, places).unwrap_or(rough_deg); // 5
     Detections {
         marks,
@@ -87,112 +87,106 @@ pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detec
     }
 }
 
-/// The centroid of the darkness about a place that is within a few pixels of it.
-fn middle_of_darkness(flat: &FlatDisc, place: SensorPx, shape: &CrossShape) -> SensorPx {
-    const ROUNDS: usize = 2;
-    let mut middle = place.vector();
-    for _ in 0..ROUNDS {
-        let (mut sum, mut moment) = (0.0, Vector2::zeros());
-        for (first, values) in flat.around(middle.into(), 0.75 * shape.half_length_px) {
-            let (mut row, mut along) = (0.0_f32, 0.0_f32);
-            for (n, darkness) in values.iter().enumerate() {
-                row += darkness;
-                along += darkness * n as f32;
-            }
-            sum += f64::from(row);
-            moment += (first - middle) * f64::from(row) + Vector2::x() * f64::from(along);
-        }
-        if sum > 0.0 {
-            middle += moment / sum;
+/// What tells the centroid of the darkness about a place that is within a few pixels of it.
+struct Middle {
+    support: Support,
+    /// Offsets within the support's radius, px.
+    x: Vec<f32>,
+    y: Vec<f32>,
+    farthest_px: f64,
+}
+
+impl Middle {
+    fn new(shape: &CrossShape) -> Self {
+        let support = Support::within(0.75 * shape.half_length_px);
+        Self {
+            x: support.weights(&support.x),
+            y: support.weights(&support.y),
+            support,
+            farthest_px: shape.half_length_px,
         }
     }
-    // What leads far away is no middle.
-    if SensorPx::from(middle).distance(place) < shape.half_length_px {
-        middle.into()
-    } else {
-        place
+
+    /// The index nearest to the centroid; what leads far away is no middle.
+    fn near(&self, flat: &FlatDisc, spot: usize) -> usize {
+        const ROUNDS: usize = 2;
+        // Arms that reach beyond hold a cross's centroid back by half of the way.
+        const STEP: f64 = 1.5;
+        let place = flat.position(spot);
+        let mut middle = spot;
+        for _ in 0..ROUNDS {
+            if !self.support.fits(flat, middle) {
+                return spot;
+            }
+            let weights = [&self.support.inside[..], &self.x, &self.y];
+            let sum = |weights| f64::from(self.support.sum(weights, flat, middle));
+            let [sum, x, y] = weights.map(sum);
+            let from = flat.position(middle);
+            let near = SensorPx::new(from.x + STEP * x / sum, from.y + STEP * y / sum);
+            if sum <= 0.0 || near.distance(place) > self.farthest_px {
+                return spot;
+            }
+            middle = flat.index(near).unwrap_or(spot);
+        }
+        middle
     }
 }
 
 /// What tells the arms' rotation: the fourfold part of the darkness about a place.
-struct Arms {
-    reach: usize,
-    side: usize,
-    /// By pixel, row by row: real and imaginary part of what its darkness adds; nothing outside the cross's circle.
-    fourfold: Vec<[f32; 2]>,
-    inside: Vec<f32>,
+struct Arms<'a> {
+    support: &'a Support,
+    /// By pixel: real and imaginary part of what its darkness adds.
+    real: Vec<f32>,
+    imaginary: Vec<f32>,
 }
 
-impl Arms {
-    fn new(flat: &FlatDisc, shape: &CrossShape) -> Self {
-        let radius = shape.reach_px();
-        let reach = radius.floor() as usize;
-        let side = 2 * reach + 1;
+impl<'a> Arms<'a> {
+    fn new(flat: &FlatDisc, shape: &CrossShape, support: &'a Support) -> Self {
         let to_disc = flat.outline.inverse().cast::<f32>();
-        let offset = |n: usize| {
-            let from_middle = |v: usize| v as f32 - reach as f32;
-            Vector2::new(from_middle(n % side), from_middle(n / side))
-        };
-        let part2 = |n: usize| offset(n).norm_squared() / (radius * radius) as f32;
-        let fourfold = |n: usize| {
+        let per_radius2 = shape.reach_px().powi(-2) as f32;
+        let fourfold = |(x, y): (&f32, &f32)| {
             // Where arms are apart from each other, and smooth, lest the pixels' own square shows.
-            let weight = (part2(n) * (1.0 - part2(n))).max(0.0);
-            let w = to_disc * offset(n);
-            let square = Complex::new(w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
-            let turned = square * square;
-            let unit = turned * (weight / (w.norm_squared().powi(2) + f32::MIN_POSITIVE));
-            [unit.re, unit.im]
+            let part2 = (x * x + y * y) * per_radius2;
+            let weight = (part2 * (1.0 - part2)).max(0.0);
+            let w = to_disc * Vector2::new(*x, *y);
+            let (re, im) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
+            let unit = weight / (re * re + im * im + f32::MIN_POSITIVE);
+            ((re * re - im * im) * unit, 2.0 * re * im * unit)
         };
-        let inside = |n: usize| if part2(n) <= 1.0 { 1.0 } else { 0.0 };
+        let (real, imaginary) = support.x.iter().zip(&support.y).map(fourfold).unzip();
         Self {
-            reach,
-            side,
-            fourfold: (0..side * side).map(fourfold).collect(),
-            inside: (0..side * side).map(inside).collect(),
+            support,
+            real,
+            imaginary,
         }
     }
 
     /// The rotation of the arms in the disc's coordinates that some places have in common, each to the nearest pixel: what
     /// that is off turns opposite arms in opposite ways. `None` without places.
-    fn rotation_deg(&self, flat: &FlatDisc, places: impl Iterator<Item = SensorPx>) -> Option<f64> {
+    fn rotation_deg(&self, flat: &FlatDisc, places: impl Iterator<Item = usize>) -> Option<f64> {
         let mut common = Complex::new(0.0_f32, 0.0);
-        for place in places {
-            let (fourfold, squares) = self.about(flat, place);
+        for place in places.filter(|place| self.support.fits(flat, *place)) {
+            let weights = [&self.real, &self.imaginary];
+            let [re, im] = weights.map(|weights| self.support.sum(weights, flat, place));
+            let squares = self.support.squares(flat, place);
             // A place counts by how fourfold it is, so that the many that are no marks hardly do.
             if squares > 0.0 {
-                common += fourfold * (fourfold.norm_sqr() / squares);
+                common += Complex::new(re, im) * ((re * re + im * im) / squares);
             }
         }
         let angle = f64::from(common.arg()) / 4.0;
         (common.norm() > 0.0).then(|| angle.to_degrees().rem_euclid(90.0))
-    }
-
-    /// The fourfold part of the darkness about a place, and the sum of its squares; nothing where the flattened disc ends.
-    fn about(&self, flat: &FlatDisc, place: SensorPx) -> (Complex<f32>, f32) {
-        let (mut fourfold, mut squares) = (Complex::new(0.0, 0.0), 0.0);
-        for row in 0..self.side {
-            let Some(values) = flat.row_from(place, self.reach, row, self.side) else {
-                return (Complex::new(0.0, 0.0), 0.0);
-            };
-            let weights = &self.fourfold[row * self.side..][..self.side];
-            let inside = &self.inside[row * self.side..][..self.side];
-            for ((value, weight), inside) in values.iter().zip(weights).zip(inside) {
-                fourfold.re += value * weight[0];
-                fourfold.im += value * weight[1];
-                squares += value * value * inside;
-            }
-        }
-        (fourfold, squares)
     }
 }
 
 /// What looks for crosses of one rotation.
 struct Search<'a> {
     flat: &'a FlatDisc,
-    shape: &'a CrossShape,
     settings: &'a Settings,
+    support: &'a Support,
     cross: Kernel,
     fourfold: Kernel,
+    rings: Rings,
     slope_energy: f64,
     /// Offsets of two neighbouring tips from the middle, px.
     tips: [Vector2<f64>; 2],
@@ -203,18 +197,24 @@ impl<'a> Search<'a> {
         flat: &'a FlatDisc,
         shape: &'a CrossShape,
         settings: &'a Settings,
+        support: &'a Support,
         rotation_deg: f64,
     ) -> Self {
         let blurred = BlurredCross::new(shape);
+        let coverage = blurred.at(&support.x, &support.y, &Pose::turned(rotation_deg));
+        // A quarter turn leaves the cross as it is, so its slope is the same along every axis.
+        let slopes = coverage.slope_u.iter().chain(coverage.slope_v.iter());
+        let slope_energy = f64::from(slopes.map(|slope| slope * slope).sum::<f32>()) / 2.0;
         let (sin, cos) = rotation_deg.to_radians().sin_cos();
         let tip = |x, y| Vector2::new(x, y) * shape.half_length_px;
         Self {
             flat,
-            shape,
             settings,
-            cross: Kernel::oriented(shape, &blurred, rotation_deg),
-            fourfold: Kernel::fourfold(shape, &blurred, rotation_deg),
-            slope_energy: blurred.slope_energy(shape.reach_px()),
+            support,
+            cross: Kernel::of(support, &coverage.share),
+            fourfold: Kernel::fourfold(support, &coverage.share, &blurred),
+            rings: Rings::of(support),
+            slope_energy,
             tips: [tip(cos, sin), tip(-sin, cos)],
         }
     }
@@ -232,9 +232,9 @@ impl<'a> Search<'a> {
         if contrast < enough.max(settings.min_contrast) {
             return None;
         }
-        let fourfold = self.fourfold.response(flat, index);
+        let fourfold = self.fourfold.response(self.support, flat, index);
         let significant = fourfold > FOURFOLD_SIGMA * self.fourfold.noise(noise);
-        let structure = self.structure(at, noise);
+        let structure = self.rings.structure(self.support, flat, index, noise);
         let explained = fourfold * fourfold * self.fourfold.energy;
         // The noise of this very patch may exceed its mean share; structure is never less than what is explained.
         let likeness = explained / structure.max(explained);
@@ -244,8 +244,8 @@ impl<'a> Search<'a> {
         {
             return None;
         }
-        let disturbed =
-            DISTURBANCE_PX2 * (structure - CLEAN_SHARE * explained).max(0.0) / self.area_px2();
+        let disturbed = DISTURBANCE_PX2 * (structure - CLEAN_SHARE * explained).max(0.0)
+            / self.rings.area_px2();
         let random = noise.hypot(disturbed.sqrt()) / (contrast * self.slope_energy.sqrt());
         Some(Detection {
             at,
@@ -262,13 +262,13 @@ impl<'a> Search<'a> {
         const FARTHEST: usize = 6;
         let mut index = spot;
         for _ in 0..=FARTHEST {
-            if !self.cross.fits(self.flat, index) {
+            if !self.support.fits(self.flat, index) {
                 return None;
             }
             let mut around = [0.0; 9];
             let mut best = (index, f64::NEG_INFINITY);
             for (response, n) in around.iter_mut().zip(neighbours(index, self.flat.side())) {
-                *response = self.cross.response(self.flat, n);
+                *response = self.cross.response(self.support, self.flat, n);
                 if *response > best.1 {
                     best = (n, *response);
                 }
@@ -279,26 +279,6 @@ impl<'a> Search<'a> {
             index = best.0;
         }
         None
-    }
-
-    /// Sum of the squared darkness about a position, the noise's own share and all that is round about the position taken
-    /// off.
-    fn structure(&self, at: SensorPx, noise: f64) -> f64 {
-        let mut rings = vec![Ring::default(); self.cross.reach + 1];
-        for (first, values) in self.flat.around(at, self.shape.reach_px()) {
-            let from: Vector2<f32> = (first - at.vector()).cast();
-            for (n, darkness) in values.iter().enumerate() {
-                let dx = from.x + n as f32;
-                let ring = (dx * dx + from.y * from.y).sqrt() as usize;
-                rings[ring.min(self.cross.reach)].add(*darkness);
-            }
-        }
-        rings.iter().map(|ring| ring.structure(noise)).sum()
-    }
-
-    /// Of the patch that is judged about a position.
-    fn area_px2(&self) -> f64 {
-        std::f64::consts::PI * self.shape.reach_px().powi(2)
     }
 
     fn lighting(&self, at: SensorPx) -> Lighting {
@@ -314,26 +294,47 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The darkness on a ring about a position.
-#[derive(Debug, Clone, Copy, Default)]
-struct Ring {
-    pixels: f32,
-    sum: f32,
-    squares: f32,
+/// The rings, a pixel wide, about the middle of a support.
+struct Rings {
+    /// By pixel, row by row; one more for what is outside the radius.
+    ring: Vec<u16>,
+    /// Pixels of each within the radius.
+    pixels: Vec<f32>,
 }
 
-impl Ring {
-    fn add(&mut self, darkness: f32) {
-        self.pixels += 1.0;
-        self.sum += darkness;
-        self.squares += darkness * darkness;
+impl Rings {
+    fn of(support: &Support) -> Self {
+        let outside = support.reach as u16 + 1;
+        let places = support.x.iter().zip(&support.y).zip(&support.inside);
+        let ring = places.map(|((x, y), inside)| match *inside > 0.0 {
+            true => (x * x + y * y).sqrt() as u16,
+            false => outside,
+        });
+        let ring: Vec<u16> = ring.collect();
+        let mut pixels = vec![0.0; usize::from(outside) + 1];
+        ring.iter()
+            .for_each(|ring| pixels[usize::from(*ring)] += 1.0);
+        pixels.pop();
+        Self { ring, pixels }
     }
 
-    /// Sum of the squares about the ring's mean beyond what noise of this sigma makes.
-    fn structure(&self, noise: f64) -> f64 {
-        let freedoms = (self.pixels - 1.0).max(0.0);
-        let about_mean = self.squares - self.sum * self.sum / self.pixels.max(1.0);
-        f64::from(about_mean) - f64::from(freedoms) * noise * noise
+    /// Sum of the squared darkness about a place, the noise's own share and all that is round about the place taken off.
+    fn structure(&self, support: &Support, flat: &FlatDisc, index: usize, noise: f64) -> f64 {
+        let mut sums = vec![0.0_f32; self.pixels.len() + 1];
+        for (row, rings) in support.rows(flat, index).zip(support.rows_of(&self.ring)) {
+            for (darkness, ring) in row.iter().zip(rings) {
+                sums[usize::from(*ring)] += darkness;
+            }
+        }
+        let rings = self.pixels.iter().zip(&sums);
+        let round: f32 = rings.map(|(pixels, sum)| sum * sum / pixels).sum();
+        let freedoms = self.pixels.iter().map(|pixels| pixels - 1.0).sum::<f32>();
+        let about_means = support.squares(flat, index) - round;
+        f64::from(about_means) - f64::from(freedoms) * noise * noise
+    }
+
+    fn area_px2(&self) -> f64 {
+        f64::from(self.pixels.iter().sum::<f32>())
     }
 }
 
@@ -365,22 +366,24 @@ fn with_common_contrast(mut marks: Vec<Detection>) -> Vec<Detection> {
 /// The top of the least-squares paraboloid through a 3 x 3 neighbourhood, from its middle. `None` when it has no top
 /// within a pixel.
 fn paraboloid_peak(around: &[f64; 9]) -> Option<(f64, f64)> {
-    let mut normal = Matrix6::zeros();
-    let mut right = Vector6::zeros();
-    for (n, value) in around.iter().enumerate() {
-        let (x, y) = (n as f64 % 3.0 - 1.0, (n / 3) as f64 - 1.0);
-        let row = Vector6::new(1.0, x, y, x * x, x * y, y * y);
-        normal += row * row.transpose();
-        right += row * *value;
-    }
-    let p = normal.cholesky()?.solve(&right);
-    let (a, b, c) = (2.0 * p[3], p[4], 2.0 * p[5]);
+    // On such a neighbourhood x, y, xy, and x^2 and y^2 less their means, are independent of each other.
+    let sum = |weight: &dyn Fn(f64, f64) -> f64| -> f64 {
+        let place = |n: usize| (n as f64 % 3.0 - 1.0, (n / 3) as f64 - 1.0);
+        let weighted = |(n, value): (usize, &f64)| weight(place(n).0, place(n).1) * value;
+        around.iter().enumerate().map(weighted).sum()
+    };
+    let (along_x, along_y) = (sum(&|x, _| x) / 6.0, sum(&|_, y| y) / 6.0);
+    let (a, c) = (
+        sum(&|x, _| x * x - 2.0 / 3.0),
+        sum(&|_, y| y * y - 2.0 / 3.0),
+    );
+    let b = sum(&|x, y| x * y) / 4.0;
     let determinant = a * c - b * b;
     if a >= 0.0 || c >= 0.0 || determinant <= 0.0 {
         return None;
     }
-    let x = -(c * p[1] - b * p[2]) / determinant;
-    let y = -(a * p[2] - b * p[1]) / determinant;
+    let x = -(c * along_x - b * along_y) / determinant;
+    let y = -(a * along_y - b * along_x) / determinant;
     (x.abs() <= 1.0 && y.abs() <= 1.0).then_some((x, y))
 }
 

@@ -11,8 +11,8 @@
 //! another quarter turn, is off by 22 px, which tells where the instrument states its centre to 5 px. A reading
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
-use super::fit::Printed;
-use super::reading::{Id, Reading, Seen, Turned};
+use super::fit::Spot;
+use super::reading::{Begun, Id, Reading, Seen, Turned};
 use super::{Detection, Lighting, Settings};
 use crate::geometry::{Ellipse, Handedness};
 use crate::plate::{MarkId, Plate};
@@ -106,6 +106,8 @@ const DECISIVE_ODDS: f64 = 7.0;
 /// detection unexplained: where one is false another may be.
 const SOUND_ODDS: f64 = 9.0;
 const SOUND_ODDS_AMONG_FALSE: f64 = 11.0;
+/// A reading that is less likely than another by this is as good as none.
+const NEGLIGIBLE_ODDS: f64 = 20.0;
 /// Readings are held against one another up to this much beyond the largest shift of the plate's centre: were the true
 /// one left out, a wrong one would stand unrivalled.
 const RIVALS_BEYOND: f64 = 2.0;
@@ -135,7 +137,7 @@ pub fn identify(
         });
     }
     decide(
-        readings(detections, sight, plate, settings),
+        &readings(detections, sight, plate, settings),
         full,
         sight,
         settings,
@@ -144,7 +146,7 @@ pub fn identify(
 
 /// The best reading of so many fully lit detections, if all that contradict it are unlikely together.
 fn decide(
-    mut readings: Vec<Reading>,
+    readings: &[Reading],
     full: usize,
     sight: &Sight,
     settings: &Settings,
@@ -156,9 +158,6 @@ fn decide(
             limit,
         })
     };
-    for reading in &mut readings {
-        reading.score += sight.centre_odds(reading, settings);
-    }
     let mut readings: Vec<&Reading> = readings.iter().collect();
     readings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let least = settings.min_marks as f64;
@@ -229,35 +228,58 @@ fn readings(
     let mut marks = Vec::new();
     // Quicker than to collect them one by one.
     plate.marks().for_each(|mark| marks.push(mark));
-    let (mut full, mut known) = (Vec::new(), Vec::new());
-    let mut readings: Vec<Reading> = Vec::new();
-    for to_plate in sight.turns() {
-        let Some(turned) = Turned::new(&seen, to_plate) else {
-            continue;
-        };
-        let sun = turned.stated_sun();
-        let printed = Printed::about(sun, in_view_mil, &marks);
-        let first = readings.len();
-        for order in &orders {
-            full.clear();
-            full.extend(order.iter().map(|n| turned.spot(*n)));
-            let from = full[0].offset + sun.vector();
-            let anchor = |id: &&Id| id.detection == order[0];
-            let named = readings[first..]
-                .iter()
-                .filter_map(|r| r.ids.iter().find(anchor));
-            known.clear();
-            known.extend(named.map(|id| id.id));
-            for &(id, at) in &printed.marks {
-                let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
-                if near && !known.contains(&id) {
-                    let reading = turned.follow((id, at), &full, &printed);
-                    readings.extend(reading.filter(|r| sight.beyond(r, settings) < RIVALS_BEYOND));
-                }
+    let turned = |turn| Turned::new(&seen, turn, &marks, in_view_mil);
+    let turns: Vec<Turned> = sight.turns().filter_map(turned).collect();
+    let mut named = vec![Vec::new(); turns.len()];
+    let mut readings = Vec::new();
+    for (tried, order) in orders.iter().enumerate() {
+        // What is not found yet names none of the anchors tried.
+        if seen.most_of(full.len() - tried) < least_that_counts(&readings) {
+            break;
+        }
+        let mut begun = Vec::new();
+        for (turned, named) in turns.iter().zip(&mut named) {
+            let here = begun_at(turned, order, reach_mil, named).into_iter();
+            let near = here.filter(|b| sight.beyond(&b.reading, settings) < RIVALS_BEYOND);
+            for reading in near {
+                named.extend_from_slice(&reading.reading.ids);
+                begun.push((turned, reading));
+            }
+        }
+        // The likeliest first: many that can no longer count beside it end here.
+        begun.sort_by(|(_, a), (_, b)| b.reading.score.total_cmp(&a.reading.score));
+        for (turned, begun) in begun {
+            if turned.most(&begun) > least_that_counts(&readings) {
+                let mut reading = turned.complete(begun);
+                reading.score += sight.centre_odds(&reading, settings);
+                readings.push(reading);
             }
         }
     }
     readings
+}
+
+/// The score below which a reading is as good as none beside the best of others.
+fn least_that_counts(readings: &[Reading]) -> f64 {
+    let scores = readings.iter().map(|reading| reading.score);
+    scores.fold(f64::NEG_INFINITY, f64::max) - NEGLIGIBLE_ODDS
+}
+
+/// The readings at one quarter turn that begin with the first detection of an order, where those that are named already
+/// do not.
+fn begun_at(turned: &Turned, order: &[usize], reach_mil: f64, named: &[Id]) -> Vec<Begun> {
+    let full: Vec<Spot> = order.iter().map(|n| turned.spot(*n)).collect();
+    let from = full[0].offset + turned.stated_sun().vector();
+    let known = named.iter().filter(|id| id.detection == order[0]);
+    let known: Vec<MarkId> = known.map(|id| id.id).collect();
+    let mut begun = Vec::new();
+    for &(id, at) in &turned.printed.marks {
+        let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
+        if near && !known.contains(&id) {
+            begun.extend(turned.follow((id, at), &full));
+        }
+    }
+    begun
 }
 
 /// Detections ordered by their distance from one of them.

@@ -73,6 +73,14 @@ pub(super) struct Reading {
     pub score: f64,
 }
 
+/// A reading of the fully lit marks alone; its score counts these as they are placed and no more.
+pub(super) struct Begun {
+    pub reading: Reading,
+    fit: Fit,
+    /// Where it puts the Sun's centre on the plate, mil.
+    sun: Vector2<f64>,
+}
+
 impl Reading {
     /// The detections that lie where they should.
     pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
@@ -150,6 +158,17 @@ impl<'a> Seen<'a> {
         }
     }
 
+    /// The highest score that a reading may come to that explains so many fully lit marks.
+    pub(super) fn most_of(&self, full: usize) -> f64 {
+        let cut = (0..self.detections.len()).filter(|n| !self.is_full(*n));
+        full as f64 * gain(0.0) + (full + cut.count()) as f64 * self.most_placed()
+    }
+
+    /// The most that the place of a mark adds to a score.
+    fn most_placed(&self) -> f64 {
+        -TAU.ln() - (SCATTER_MIL * SCATTER_MIL).ln() - self.false_density
+    }
+
     fn is_full(&self, n: usize) -> bool {
         self.detections[n].lighting == Lighting::Full
     }
@@ -202,18 +221,27 @@ pub(super) struct Turned<'a> {
     cut: Vec<Spot>,
     /// Offset of the place where the instrument says the plate's centre is seen, mil.
     centre: Vector2<f64>,
+    /// The marks that may be in view.
+    pub printed: Printed,
 }
 
 impl<'a> Turned<'a> {
-    /// `None` when the outline has no size.
-    pub(super) fn new(seen: &'a Seen<'a>, to_plate: Matrix2<f64>) -> Option<Self> {
+    /// With those of some marks that lie about the place where the Sun should be; `None` when the outline has no size.
+    pub(super) fn new(
+        seen: &'a Seen<'a>,
+        to_plate: Matrix2<f64>,
+        marks: &[(MarkId, PlateMil)],
+        in_view_mil: f64,
+    ) -> Option<Self> {
         let offset = |at: SensorPx| to_plate * seen.sight.outline.to_disc(at.vector());
+        let centre = offset(seen.sight.plate_centre);
         let mut turned = Self {
             seen,
             from_plate: to_plate.try_inverse()?,
             offsets: seen.detections.iter().map(|d| offset(d.at)).collect(),
             cut: Vec::new(),
-            centre: offset(seen.sight.plate_centre),
+            centre,
+            printed: Printed::about((-centre).into(), in_view_mil, marks),
         };
         turned.cut = turned.cut_spots();
         Some(turned)
@@ -250,13 +278,8 @@ impl<'a> Turned<'a> {
 
     /// The reading that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
     /// their order. `None` when it explains fewer than two of them.
-    pub(super) fn follow(
-        &self,
-        anchor: (MarkId, PlateMil),
-        full: &[Spot],
-        printed: &Printed,
-    ) -> Option<Reading> {
-        let seen = self.seen;
+    pub(super) fn follow(&self, anchor: (MarkId, PlateMil), full: &[Spot]) -> Option<Begun> {
+        let (seen, printed) = (self.seen, &self.printed);
         let (first, others) = full.split_first()?;
         let mut fit = seen.fit;
         fit.add(first.offset, anchor.1, first.variance);
@@ -284,26 +307,43 @@ impl<'a> Turned<'a> {
             return None;
         }
         let centre = fit.offset(PlateMil::new(0.0, 0.0));
-        let mut reading = Reading {
+        let reading = Reading {
             full: ids.len(),
-            score: score + seen.looks(&ids),
+            score,
             ids,
             plate_centre: self.to_sensor(centre),
             centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
         };
-        self.add_cut(&mut reading, &fit, sun, printed);
-        reading.score += self.absences(&fit, &reading.ids, printed);
-        Some(reading)
+        Some(Begun { reading, fit, sun })
+    }
+
+    /// A reading with all that it explains and leaves unexplained.
+    pub(super) fn complete(&self, begun: Begun) -> Reading {
+        let Begun {
+            mut reading,
+            fit,
+            sun,
+        } = begun;
+        reading.score += self.seen.looks(&reading.ids);
+        self.add_cut(&mut reading, &fit, sun);
+        reading.score += self.absences(&fit, &reading.ids);
+        reading
+    }
+
+    /// The highest score that a reading may come to.
+    pub(super) fn most(&self, begun: &Begun) -> f64 {
+        let looks = begun.reading.full as f64 * gain(0.0);
+        begun.reading.score + looks + self.cut.len() as f64 * self.seen.most_placed()
     }
 
     /// Adds to a reading what it explains of the detections that the limb cuts.
-    fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>, printed: &Printed) {
+    fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>) {
         let seen = self.seen;
         let variance = |spot: &Spot, at| {
             seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2)
         };
         let mut spots = &self.cut[..];
-        while let Some((explained, rest)) = printed.explain(spots, fit, variance) {
+        while let Some((explained, rest)) = self.printed.explain(spots, fit, variance) {
             spots = rest;
             if seen.allows(&explained, &reading.ids, sun) {
                 let seen_at = fit.place(explained.spot.offset);
@@ -331,9 +371,10 @@ impl<'a> Turned<'a> {
     }
 
     /// What the marks that must have been found and are not take from the score.
-    fn absences(&self, fit: &Fit, ids: &[Id], printed: &Printed) -> f64 {
+    fn absences(&self, fit: &Fit, ids: &[Id]) -> f64 {
         let must_be_found = self.must_be_found(fit);
-        let expected = printed
+        let expected = self
+            .printed
             .marks
             .iter()
             .filter(|(_, at)| must_be_found(*at))

@@ -16,7 +16,7 @@ const BOX_SIGMA: f32 = 4.0;
 /// So many dark places are looked at for each mark that may be found.
 const SPOTS_PER_DETECTION: usize = 2;
 
-/// The flattened disc's values summed over bins, or bins over boxes.
+/// The flattened disc's values summed over bins, or bins over boxes; of the bins of a row there are whole lanes.
 struct Binned {
     side: usize,
     values: Scratch<f32>,
@@ -26,51 +26,34 @@ impl Binned {
     fn of(flat: &FlatDisc) -> Self {
         let side = flat.side() / BIN_PX;
         let mut values = Scratch::of_length(side * side);
-        for (pair, bins) in flat
-            .values()
-            .chunks_exact(BIN_PX * flat.side())
-            .zip(values.chunks_exact_mut(side))
-        {
+        let pairs = flat.values().chunks_exact(BIN_PX * flat.side());
+        for (pair, bins) in pairs.zip(values.chunks_exact_mut(side)) {
             let (upper, lower) = pair.split_at(flat.side());
             add_pairs(upper, lower, bins);
         }
         Self { side, values }
     }
 
-    /// Sums over the boxes about every bin; 0 where the box does not fit.
+    /// Sums over boxes, each at its first bin; those that reach over the end of a row sum up nothing but margin.
     fn boxed(&self) -> Self {
         let side = self.side;
-        let mut sums = Scratch::of_length(side * side);
-        let mut columns = vec![0.0_f32; side];
-        for row in 0..side {
-            sums[row * side..][..side].fill(0.0);
-            let entering = &self.values[row * side..][..side];
-            columns.iter_mut().zip(entering).for_each(|(c, v)| *c += v);
-            if row + 1 < BOX {
-                continue;
-            }
-            let first = (row - BOX / 2) * side + BOX / 2;
-            add_fives(&columns, &mut sums[first..first + side + 1 - BOX]);
-            let leaving = &self.values[(row + 1 - BOX) * side..][..side];
-            columns.iter_mut().zip(leaving).for_each(|(c, v)| *c -= v);
-        }
-        Self { side, values: sums }
+        let count = self.values.len().saturating_sub(BOX * side);
+        let mut columns = Scratch::of_length(count);
+        let rows = std::array::from_fn(|n| &self.values[n * side..][..count]);
+        add_five(rows, &mut columns);
+        let count = count.saturating_sub(BOX - 1);
+        let mut values = Scratch::of_length(count);
+        add_five(std::array::from_fn(|n| &columns[n..][..count]), &mut values);
+        Self { side, values }
     }
 
     /// Indices of the values above a least one that no neighbour exceeds.
     fn peaks(&self, least: f32) -> Vec<usize> {
-        let inner = self.side..self.side * (self.side - 1);
-        let mut peaks = Vec::new();
-        for (n, group) in self.values[inner].chunks(LANES).enumerate() {
-            // Most of the disc is bright.
-            if group.iter().filter(|sum| **sum > least).count() == 0 {
-                continue;
-            }
-            let first = self.side + n * LANES;
-            let dark = (first..first + group.len()).filter(|n| self.values[*n] > least);
-            peaks.extend(dark.filter(|n| self.is_peak(*n)));
-        }
-        peaks
+        let mut dark = Vec::new();
+        let last = self.values.len().saturating_sub(self.side);
+        find_dark(&self.values[..last], least, &mut dark);
+        dark.retain(|n| *n > self.side && self.is_peak(*n));
+        dark
     }
 
     fn is_peak(&self, index: usize) -> bool {
@@ -82,17 +65,38 @@ impl Binned {
 /// Sums over two columns of two rows.
 #[multiversion(targets("x86_64+avx2"))]
 fn add_pairs(upper: &[f32], lower: &[f32], bins: &mut [f32]) {
-    let pairs = upper.chunks_exact(BIN_PX).zip(lower.chunks_exact(BIN_PX));
-    for (bin, (upper, lower)) in bins.iter_mut().zip(pairs) {
-        *bin = upper[0] + upper[1] + lower[0] + lower[1];
+    const WIDTH: usize = BIN_PX * LANES;
+    let rows = upper
+        .as_chunks::<WIDTH>()
+        .0
+        .iter()
+        .zip(lower.as_chunks::<WIDTH>().0);
+    for ((upper, lower), bins) in rows.zip(bins.as_chunks_mut::<LANES>().0) {
+        for (k, bin) in bins.iter_mut().enumerate() {
+            let pair = BIN_PX * k;
+            *bin = (upper[pair] + lower[pair]) + (upper[pair + 1] + lower[pair + 1]);
+        }
     }
 }
 
-/// Sums over five neighbours.
+/// Sums of five lists, number by number.
 #[multiversion(targets("x86_64+avx2"))]
-fn add_fives(columns: &[f32], sums: &mut [f32]) {
-    for (sum, part) in sums.iter_mut().zip(columns.windows(BOX)) {
-        *sum = part[0] + part[1] + part[2] + part[3] + part[4];
+fn add_five([a, b, c, d, e]: [&[f32]; BOX], sums: &mut [f32]) {
+    let lists = a.iter().zip(b).zip(c).zip(d).zip(e);
+    for (sum, ((((a, b), c), d), e)) in sums.iter_mut().zip(lists) {
+        *sum = a + b + c + d + e;
+    }
+}
+
+/// Indices of the values above a least one.
+#[multiversion(targets("x86_64+avx2"))]
+fn find_dark(values: &[f32], least: f32, dark: &mut Vec<usize>) {
+    for (n, group) in values.as_chunks::<LANES>().0.iter().enumerate() {
+        // Most of the disc is bright.
+        if group.iter().fold(false, |any, sum| any | (*sum > least)) {
+            let above = |k: &usize| group[*k] > least;
+            dark.extend((0..LANES).filter(above).map(|k| n * LANES + k));
+        }
     }
 }
 
@@ -102,7 +106,7 @@ pub(super) fn find_spots(flat: &FlatDisc, shape: &CrossShape, settings: &Setting
     let box_px = (BOX * BIN_PX) as f32;
     let least = settings.min_contrast as f32 * BOX_SHARE * box_px * box_px;
     let unbinned = |index: usize| {
-        let (row, column) = (index / boxes.side, index % boxes.side);
+        let (row, column) = (index / boxes.side + BOX / 2, index % boxes.side + BOX / 2);
         BIN_PX * (row * flat.side() + column)
     };
     let mut dark: Vec<(usize, f32)> = Vec::new();
