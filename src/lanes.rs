@@ -101,6 +101,8 @@ pub trait Reused: Copy + Default + 'static {
 type Shelf<T> = [Vec<Vec<T>>; CLASSES];
 /// Classes of size, each of twice the size of the one before.
 const CLASSES: usize = 32;
+/// Memory that is filled in one go.
+const FILL_BYTES: usize = 1024;
 /// Lists of a class that are kept.
 const MOST_KEPT: usize = 32;
 
@@ -123,15 +125,25 @@ impl<T: Reused> Scratch<T> {
     /// So many values, whatever they are: the caller writes them all.
     pub fn of_length(length: usize) -> Self {
         let mut scratch = Self::taken(length);
-        scratch.list.resize(length, T::default());
+        scratch.list.truncate(length);
+        scratch.fill_up(length);
         scratch
     }
 
     /// So many zeros.
     pub fn zeros(length: usize) -> Self {
         let mut scratch = Self::empty(length);
-        scratch.list.resize(length, T::default());
+        scratch.fill_up(length);
         scratch
+    }
+
+    /// Appends zeros, piece by piece: long fills in one go are slow to begin, and callgrind counts them byte by byte.
+    fn fill_up(&mut self, length: usize) {
+        let piece = FILL_BYTES / size_of::<T>();
+        while self.list.len() < length {
+            let end = length.min(self.list.len() + piece);
+            self.list.resize(end, T::default());
+        }
     }
 
     /// No values yet, but room for so many.
