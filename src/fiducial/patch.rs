@@ -159,6 +159,10 @@ impl Patch {
         std::array::from_fn(|n| &self.lists[n * self.room..][..self.length()])
     }
 
+    pub(super) fn root_weights(&self) -> &[f32] {
+        self.lists()[ROOT_WEIGHTS]
+    }
+
     fn lists_mut(&mut self) -> [&mut [f32]; LISTS] {
         let mut lists = self.lists.chunks_exact_mut(self.room);
         std::array::from_fn(|_| lists.next().unwrap_or_default())
