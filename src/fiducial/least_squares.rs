@@ -76,7 +76,7 @@ impl Fit<'_> {
             if look > 0 {
                 linear.reject(self.patch, expected_dn, allowed_dn);
             }
-            let normal = linear.normal_equations()?;
+            let normal = linear.normal_equations(self.patch)?;
             let mut step = normal.step(&unknowns, variance)?;
             variance = normal.variance_after(&step);
             // What moves a pale model far moves one of the new contrast less far.
@@ -126,8 +126,8 @@ struct Model {
     per_reach: f32,
 }
 
-/// How a model changes with each unknown, its residuals, DN, and the root of what each pixel counts, by which both are
-/// multiplied: by groups of pixels.
+/// How a model changes with each unknown, and its residuals, DN, both times the root of what each pixel counts: by groups
+/// of pixels.
 struct Linear {
     columns: Scratch<f32>,
     residuals: Scratch<f32>,
@@ -137,10 +137,9 @@ struct Linear {
     pixels: usize,
 }
 
-/// The slopes in the unknowns, the residuals, the roots.
-const COLUMNS: usize = UNKNOWNS + 2;
+/// The slopes in the unknowns, the residuals.
+const COLUMNS: usize = UNKNOWNS + 1;
 const RESIDUAL: usize = UNKNOWNS;
-const ROOT: usize = UNKNOWNS + 1;
 
 type Group = [f32; LANES];
 /// Products of columns with those that follow, each lane's own sum.
@@ -172,15 +171,24 @@ impl Linear {
     }
 
     /// `None` of too few pixels.
-    fn normal_equations(&self) -> Option<Normal> {
+    fn normal_equations(&self, patch: &Patch) -> Option<Normal> {
+        if self.pixels < MIN_PIXELS {
+            return None;
+        }
         let products = products(&self.columns, &self.kept);
-        let sum = |m: usize, n: usize| total(&products[m.min(n)][m.max(n)]);
-        let share = 1.0 - UNKNOWNS as f64 / self.pixels as f64;
-        (self.pixels >= MIN_PIXELS).then(|| Normal {
-            matrix: Matrix6::from_fn(sum),
-            right: Vector6::from_fn(|m, _| sum(m, RESIDUAL)),
-            squares: sum(RESIDUAL, RESIDUAL),
-            freedoms: sum(ROOT, ROOT) * share,
+        let mut matrix = Matrix6::zeros();
+        for m in 0..UNKNOWNS {
+            for n in m..UNKNOWNS {
+                matrix[(n, m)] = total(&products[m][n]);
+                matrix[(m, n)] = matrix[(n, m)];
+            }
+        }
+        let weight = total(&weight(patch.root_weights(), &self.kept));
+        Some(Normal {
+            matrix,
+            right: Vector6::from_fn(|m, _| total(&products[m][RESIDUAL])),
+            squares: total(&products[RESIDUAL][RESIDUAL]),
+            freedoms: weight * (1.0 - UNKNOWNS as f64 / self.pixels as f64),
         })
     }
 }
@@ -274,7 +282,6 @@ fn lay_model(patch: &Patch, coverage: &Coverage, model: &Model, linear: &mut Lin
             of_group[TILT_X][k] = root * left * tilt_x;
             of_group[TILT_Y][k] = root * left * tilt_y;
             of_group[RESIDUAL][k] = root * (seen[n][k] - level * left);
-            of_group[ROOT][k] = root;
         }
         residuals[n] = of_group[RESIDUAL];
         columns[n] = of_group;
@@ -303,6 +310,18 @@ fn products(columns: &[f32], kept: &[f32]) -> Products {
     add_products::<0, 2>(columns, kept, &mut sums);
     add_products::<2, 4>(columns, kept, &mut sums);
     add_products::<4, COLUMNS>(columns, kept, &mut sums);
+    sums
+}
+
+/// What all that is kept counts, each lane's own sum.
+#[multiversion(targets("x86_64+avx2"))]
+fn weight(roots: &[f32], kept: &[f32]) -> Group {
+    let mut sums = [0.0; LANES];
+    for (roots, kept) in groups(roots).iter().zip(groups(kept)) {
+        for k in 0..LANES {
+            sums[k] += roots[k] * roots[k] * kept[k];
+        }
+    }
     sums
 }
 

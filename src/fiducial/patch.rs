@@ -22,20 +22,29 @@ impl<F: Fn(f64, f64) -> f64> Light for F {
 /// Where less than this part of the patch's most light falls, a pixel tells nothing of the mark.
 const LEAST_LIGHT: f32 = 0.05;
 
-/// Light without marks on the pixels of a square, with one more pixel around for the slopes.
+/// Light without marks on the pixels of a square, row by row, with one more pixel around for the slopes.
 pub(super) struct LightMap {
     left: isize,
     top: isize,
     side: usize,
-    /// Row by row; what follows each row, whatever it is, lets groups of pixels be taken together.
-    light: Scratch<f32>,
     stride: usize,
+    /// The light, DN; its slopes along x and y, DN/px; the root of what a pixel counts by it.
+    planes: [Scratch<f32>; PLANES],
     /// The most light, DN.
     most: f32,
 }
 
+const PLANES: usize = 4;
+
 impl LightMap {
-    pub(super) fn about(start: SensorPx, reach: f64, light: &impl Light) -> Self {
+    /// `left_out_per_bend` is what the model leaves out, in parts of the noise, for each DN/px^2 that the light bends by
+    /// (div grad).
+    pub(super) fn about(
+        start: SensorPx,
+        reach: f64,
+        left_out_per_bend: f32,
+        light: &impl Light,
+    ) -> Self {
         // The start lies within half a pixel of the middle.
         let whole = (reach + 0.5) as isize + 1;
         let (left, top) = (
@@ -43,12 +52,13 @@ impl LightMap {
             start.y.round() as isize - whole,
         );
         let side = 2 * whole as usize + 1;
-        let filled = side.next_multiple_of(LANES);
-        let stride = filled + LANES;
-        let mut map = Scratch::of_length((side + 1) * stride);
+        let stride = side.next_multiple_of(LANES);
+        // The groups of the last row's pixels may reach beyond it.
+        let length = side * stride + LANES;
+        let mut planes = std::array::from_fn(|_| Scratch::of_length(length));
         let mut most = [0.0_f32; LANES];
-        for (row, values) in map.chunks_exact_mut(stride).take(side).enumerate() {
-            let values = &mut values[..filled];
+        let [middle, across, down, roots] = &mut planes;
+        for (row, values) in middle.chunks_exact_mut(stride).take(side).enumerate() {
             light.fill(left as f64, (top + row as isize) as f64, values);
             for group in values.as_chunks::<LANES>().0 {
                 for k in 0..LANES {
@@ -56,12 +66,13 @@ impl LightMap {
                 }
             }
         }
+        slopes(left_out_per_bend, stride, middle, across, down, roots);
         Self {
             left,
             top,
             side,
-            light: map,
             stride,
+            planes,
             most: most.into_iter().fold(0.0, larger),
         }
     }
@@ -73,7 +84,7 @@ impl LightMap {
         let half = (reach * reach - dy * dy).max(0.0).sqrt();
         let mut first = ((start_x - half).ceil() as isize).max(0);
         let mut end = ((start_x + half).ceil() as isize).min(width as isize);
-        let values = &self.light[row * self.stride..][..self.side];
+        let values = &self.planes[0][row * self.stride..][..self.side];
         let least = LEAST_LIGHT * self.most;
         let dull = |column: isize| values[(column - self.left) as usize] <= least;
         while first < end && dull(first) {
@@ -84,18 +95,31 @@ impl LightMap {
         }
         (first, end)
     }
+}
 
-    /// The light on a group of pixels, and left, right, above and below of each, from an index on.
-    #[inline(always)]
-    fn with_neighbours(&self, here: usize) -> [[f32; LANES]; 5] {
-        let group = |from: usize| {
-            let mut lanes = [0.0; LANES];
-            lanes.copy_from_slice(&self.light[from..][..LANES]);
-            lanes
-        };
-        let (left, right) = (group(here - 1), group(here + 1));
-        let (above, below) = (group(here - self.stride), group(here + self.stride));
-        [group(here), left, right, above, below]
+/// The slopes of what lies in rows of a length, and the roots of what pixels count where it bends; those of the first and last
+/// rows and columns mean nothing.
+#[multiversion(targets("x86_64+avx2"))]
+fn slopes(
+    left_out_per_bend: f32,
+    stride: usize,
+    light: &[f32],
+    across: &mut [f32],
+    down: &mut [f32],
+    roots: &mut [f32],
+) {
+    let count = light.len() - 2 * stride;
+    let (above, below) = (&light[..count], &light[2 * stride..][..count]);
+    let (left, right) = (&light[stride - 1..][..count], &light[stride + 1..][..count]);
+    let middle = &light[stride..][..count];
+    let (across, down) = (&mut across[stride..][..count], &mut down[stride..][..count]);
+    let roots = &mut roots[stride..][..count];
+    for n in 0..count {
+        across[n] = (right[n] - left[n]) / 2.0;
+        down[n] = (below[n] - above[n]) / 2.0;
+        let bend = left[n] + right[n] + above[n] + below[n] - 4.0 * middle[n];
+        let left_out = left_out_per_bend * bend;
+        roots[n] = 1.0 / (1.0 + left_out * left_out).sqrt();
     }
 }
 
@@ -115,12 +139,10 @@ pub(super) struct Patch {
 const LISTS: usize = 7;
 const ROOT_WEIGHTS: usize = 6;
 
-/// What decides what a pixel of a patch counts.
+/// What decides what a pixel of a patch shows.
 pub(super) struct Counting {
     pub background_dn: f32,
     pub saturation_dn: f32,
-    /// What the model leaves out, in parts of the noise, for each DN/px^2 that the light bends by (div grad).
-    pub left_out_per_bend: f32,
 }
 
 impl Patch {
@@ -159,6 +181,10 @@ impl Patch {
         std::array::from_fn(|n| &self.lists[n * self.room..][..self.length()])
     }
 
+    pub(super) fn root_weights(&self) -> &[f32] {
+        self.lists()[ROOT_WEIGHTS]
+    }
+
     fn lists_mut(&mut self) -> [&mut [f32]; LISTS] {
         let mut lists = self.lists.chunks_exact_mut(self.room);
         std::array::from_fn(|_| lists.next().unwrap_or_default())
@@ -191,10 +217,14 @@ fn write_pixels<T: Sample>(
     lists: [&mut [f32]; LISTS],
 ) -> usize {
     let room = lists[0].len();
-    let [x, y, seen, light, slope_x, slope_y, root_weight] = lists;
+    let [x, y, seen, light, slope_x, slope_y, roots] = lists;
     let (x, y, seen) = (&mut x[..room], &mut y[..room], &mut seen[..room]);
     let (slope_x, slope_y) = (&mut slope_x[..room], &mut slope_y[..room]);
-    let (light, root_weight) = (&mut light[..room], &mut root_weight[..room]);
+    let (light, roots) = (&mut light[..room], &mut roots[..room]);
+    let [map_light, map_slope_x, map_slope_y, map_roots] = &map.planes;
+    let length = map_light.len();
+    let (map_light, map_roots) = (&map_light[..length], &map_roots[..length]);
+    let (map_slope_x, map_slope_y) = (&map_slope_x[..length], &map_slope_y[..length]);
     let mut count = 0;
     for row in 1..map.side - 1 {
         let Ok(sensor_row) = usize::try_from(map.top + row as isize) else {
@@ -209,46 +239,29 @@ fn write_pixels<T: Sample>(
             continue;
         }
         let line = &view.pixels[sensor_row * view.width..][first as usize..view.width];
+        let length = (end - first) as usize;
         let here = row * map.stride + (first - map.left) as usize;
         let from_start = (first as f64 - start.x) as f32;
-        let length = (end - first) as usize;
         for group in (0..length).step_by(LANES) {
-            let lanes = count + group..count + group + LANES;
             let dn = first_lanes(&line[group..]);
-            let near = map.with_neighbours(here + group);
-            let [above_background, across, down, roots] = counting.weighed(dn, &near);
-            x[lanes.clone()].copy_from_slice(&counted_lanes(from_start + group as f32));
-            y[lanes.clone()].copy_from_slice(&[dy as f32; LANES]);
-            seen[lanes.clone()].copy_from_slice(&above_background);
-            light[lanes.clone()].copy_from_slice(&near[0]);
-            slope_x[lanes.clone()].copy_from_slice(&across);
-            slope_y[lanes.clone()].copy_from_slice(&down);
-            root_weight[lanes].copy_from_slice(&roots);
+            let from = here + group..here + group + LANES;
+            let to = count + group..count + group + LANES;
+            let (mut above_background, mut counts) = ([0.0; LANES], [0.0; LANES]);
+            counts.copy_from_slice(&map_roots[from.clone()]);
+            for k in 0..LANES {
+                above_background[k] = dn[k] - counting.background_dn;
+                let unsaturated = dn[k] < counting.saturation_dn;
+                counts[k] = if unsaturated { counts[k] } else { 0.0 };
+            }
+            x[to.clone()].copy_from_slice(&counted_lanes(from_start + group as i32 as f32));
+            y[to.clone()].copy_from_slice(&[dy as f32; LANES]);
+            seen[to.clone()].copy_from_slice(&above_background);
+            light[to.clone()].copy_from_slice(&map_light[from.clone()]);
+            slope_x[to.clone()].copy_from_slice(&map_slope_x[from.clone()]);
+            slope_y[to.clone()].copy_from_slice(&map_slope_y[from]);
+            roots[to].copy_from_slice(&counts);
         }
         count += length;
     }
     count
-}
-
-impl Counting {
-    /// Of a group of pixels: what is seen above background, the light's slopes, and the roots of what the pixels count.
-    #[inline(always)]
-    fn weighed(
-        &self,
-        dn: [f32; LANES],
-        [middle, left, right, above, below]: &[[f32; LANES]; 5],
-    ) -> [[f32; LANES]; 4] {
-        let [mut seen, mut across, mut down, mut roots] = [[0.0; LANES]; 4];
-        for k in 0..LANES {
-            across[k] = (right[k] - left[k]) / 2.0;
-            down[k] = (below[k] - above[k]) / 2.0;
-            let bend = left[k] + right[k] + above[k] + below[k] - 4.0 * middle[k];
-            let left_out = self.left_out_per_bend * bend;
-            let root = 1.0 / (1.0 + left_out * left_out).sqrt();
-            let counts = dn[k] < self.saturation_dn;
-            roots[k] = if counts { root } else { 0.0 };
-            seen[k] = dn[k] - self.background_dn;
-        }
-        [seen, across, down, roots]
-    }
 }

@@ -82,7 +82,6 @@ impl Refiner {
         let counting = Counting {
             background_dn: levels.background_dn as f32,
             saturation_dn: f32::from(frame.saturation_dn()),
-            left_out_per_bend: LEFT_OUT * self.blur_variance() / noise_dn as f32,
         };
         let mut middle = start;
         for _ in 0..MOST_PATCHES {
@@ -111,7 +110,8 @@ impl Refiner {
         middle: SensorPx,
     ) -> Option<Ended> {
         let reach = self.shape.half_length_px + GROUND_PX;
-        let map = LightMap::about(middle, reach, light);
+        let left_out_per_bend = LEFT_OUT * self.blur_variance() / noise_dn as f32;
+        let map = LightMap::about(middle, reach, left_out_per_bend, light);
         let patch = with_view!(frame, view => Patch::cut(&view, counting, &map, middle, reach));
         let fit = Fit {
             patch: &patch,
