@@ -3,7 +3,7 @@
 use super::hidden::{HIDDEN_DN, Hidden, pixels_within};
 use crate::frame::{Frame, Sample, View};
 use crate::geometry::Ellipse;
-use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, larger, split};
+use crate::lanes::{LANES, Scratch, counted_lanes, larger, smaller, split};
 use crate::with_view;
 use multiversion::multiversion;
 use nalgebra::Vector2;
@@ -84,23 +84,42 @@ impl Band {
         let all = pixels_within(middle - half..middle + half, width);
         for first in all.clone().step_by(LANES) {
             let columns = first..all.end.min(first + LANES);
-            let from_middle = first as f64 - middle;
-            let away = ring.crossed_by(from_middle, side);
-            let rows = pixels_within(centre + away.start..centre + away.end, height);
+            let along = counted_lanes((first as f64 - middle) as f32);
+            let rows = ring.crossed_by(along, side, height);
             let begin = self.dn.len();
-            let end = begin + rows.len() * LANES;
+            let end = begin + rows.count * LANES;
             self.dn.resize(end, 0.0);
             self.distance_px.resize(end, 0.0);
             let (dn, distance_px) = (&mut self.dn[begin..], &mut self.distance_px[begin..]);
             ring.lanes.copy(view, &columns, &rows, dn);
             hide(dn, hidden, ring.lanes, &columns, &rows);
-            let from = [from_middle as f32, (rows.start as f64 - centre) as f32];
-            locate(ring, self.reach, from, distance_px, dn);
+            let across = rows.first.map(|row| (f64::from(row) - centre) as f32);
+            locate(ring, self.reach, [along, across], distance_px, dn);
             self.strips.push(Strip {
                 entries: begin..end,
-                sectors: ring.sectors(from_middle as f32, side as f32, sectors),
+                sectors: ring.sectors(along, side as f32, sectors),
             });
         }
+    }
+}
+
+/// The rows of a strip's columns, as many of each from its own first one on, as the limb slants.
+struct Rows {
+    first: [u32; LANES],
+    count: usize,
+}
+
+impl Rows {
+    fn of_column(&self, lane: usize) -> Range<usize> {
+        let first = self.first[lane] as usize;
+        first..first + self.count
+    }
+
+    fn of_all(&self) -> Range<usize> {
+        let (least, most) = self.first.iter().fold((u32::MAX, 0), |(least, most), row| {
+            (least.min(*row), most.max(*row))
+        });
+        least as usize..most as usize + self.count
     }
 }
 
@@ -132,69 +151,62 @@ impl Lanes {
         self,
         view: &View<'_, T>,
         columns: &Range<usize>,
-        rows: &Range<usize>,
+        rows: &Rows,
         dn: &mut [f32],
     ) {
-        match self {
-            Self::AlongRow => copy_along_row(view, columns, rows, dn),
-            Self::AlongColumn => copy_along_column(view, columns, rows, dn),
+        let [_, step] = self.swapped([1, view.width]);
+        let starts = std::array::from_fn(|k| {
+            // Beyond the sensor's edge stands the last column once more, until it is hidden.
+            let column = (columns.start + k).min(columns.end - 1);
+            let [x, y] = self.swapped([column, rows.first[k] as usize]);
+            view.pixels.get(y * view.width + x..).unwrap_or(&[])
+        });
+        copy_lanes(starts, step, dn);
+    }
+}
+
+/// Copies pixels from where each lane starts on, every `step`-th.
+#[multiversion(targets("x86_64+avx2"))]
+fn copy_lanes<T: Sample>(starts: [&[T]; LANES], step: usize, dn: &mut [f32]) {
+    let shortest = starts
+        .iter()
+        .fold(usize::MAX, |least, lane| least.min(lane.len()));
+    let lanes = starts.map(|lane| &lane[..shortest]);
+    for (n, group) in dn.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        let at = n * step;
+        for k in 0..LANES {
+            group[k] = lanes[k][at].dn();
         }
     }
 }
 
-#[multiversion(targets("x86_64+avx2"))]
-fn copy_along_row<T: Sample>(
-    view: &View<'_, T>,
-    columns: &Range<usize>,
-    rows: &Range<usize>,
-    dn: &mut [f32],
-) {
-    let pixels = view.pixels[rows.start * view.width..].chunks(view.width);
-    for (group, row) in dn.as_chunks_mut::<LANES>().0.iter_mut().zip(pixels) {
-        *group = first_lanes(&row[columns.start..]);
-    }
-}
-
-/// Here the strip's columns are rows of the sensor.
-#[multiversion(targets("x86_64+avx2"))]
-fn copy_along_column<T: Sample>(
-    view: &View<'_, T>,
-    columns: &Range<usize>,
-    rows: &Range<usize>,
-    dn: &mut [f32],
-) {
-    // Beyond the sensor's edge stands the last one once more, until it is hidden.
-    let lanes: [&[T]; LANES] = std::array::from_fn(|k| {
-        let y = (columns.start + k).min(columns.end - 1);
-        &view.pixels[y * view.width..][rows.clone()]
-    });
-    for (n, group) in dn.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-        *group = lanes.map(|row| row[n].dn());
-    }
-}
-
 /// Raises what marks hide of a strip, and what is beyond the sensor's edge.
-fn hide(
-    dn: &mut [f32],
-    hidden: &Hidden,
-    lanes: Lanes,
-    columns: &Range<usize>,
-    rows: &Range<usize>,
-) {
+fn hide(dn: &mut [f32], hidden: &Hidden, lanes: Lanes, columns: &Range<usize>, rows: &Rows) {
     if columns.len() < LANES {
         for group in dn.as_chunks_mut::<LANES>().0 {
             group[columns.len()..].fill(NO_PIXEL_DN);
         }
     }
-    let [x, y] = lanes.swapped([columns.clone(), rows.clone()]);
+    let [x, y] = lanes.swapped([columns.clone(), rows.of_all()]);
     if hidden.is_bare(&x, &y) {
         return;
     }
-    for (n, y) in y.enumerate() {
-        hidden.each(y, &x, |k| match lanes {
-            Lanes::AlongRow => dn[n * LANES + k] = HIDDEN_DN,
-            Lanes::AlongColumn => dn[k * LANES + n] = HIDDEN_DN,
-        });
+    match lanes {
+        Lanes::AlongRow => {
+            for y in y {
+                hidden.each(y, &x, |k| {
+                    let row = y.wrapping_sub(rows.first[k] as usize);
+                    if row < rows.count {
+                        dn[row * LANES + k] = HIDDEN_DN;
+                    }
+                });
+            }
+        }
+        Lanes::AlongColumn => {
+            for (k, y) in y.enumerate() {
+                hidden.each(y, &rows.of_column(k), |row| dn[row * LANES + k] = HIDDEN_DN);
+            }
+        }
     }
 }
 
@@ -225,25 +237,26 @@ impl Ring {
         }
     }
 
-    /// Where lanes, the first of them so far from the middle, cross the quarter of the ring that lies on a side of it.
-    fn crossed_by(&self, first: f64, side: f64) -> Range<f64> {
-        let last = first + (LANES - 1) as f64;
-        let (nearest, farthest) = (first.max(-last).max(0.0), last.max(-first));
-        let height = |radius: f64, along: f64| (radius * radius - along * along).max(0.0).sqrt();
-        // Half a pixel for an ellipse's quarters, which are not quite those of the sensor.
-        let inner = height(self.least.max(0.0), farthest).max(nearest - 0.5);
-        let outer = height(self.most, nearest);
-        if side < 0.0 {
-            -outer..-inner
-        } else {
-            inner..outer
+    /// Where lanes, so far from the middle, cross the quarter of the ring that lies on a side of it.
+    fn crossed_by(&self, along: [f32; LANES], side: f64, height: usize) -> Rows {
+        let (mut first, mut end) = ([0; LANES], [0; LANES]);
+        find_rows(self, along, side < 0.0, height as f32, &mut first, &mut end);
+        let counts = first
+            .iter()
+            .zip(&end)
+            .map(|(first, end)| end.saturating_sub(*first));
+        let count = counts.fold(0, u32::max);
+        let last = (height as u32).saturating_sub(count);
+        Rows {
+            first: first.map(|row| row.min(last)),
+            count: count as usize,
         }
     }
 
     /// The sectors in which lanes cross the limb, or the quarter's end.
-    fn sectors(&self, first: f32, side: f32, sectors: usize) -> [u16; LANES] {
+    fn sectors(&self, along: [f32; LANES], side: f32, sectors: usize) -> [u16; LANES] {
         let mut found = [0; LANES];
-        find_sectors(self, counted_lanes(first), side, sectors as f32, &mut found);
+        find_sectors(self, along, side, sectors as f32, &mut found);
         found
     }
 }
@@ -260,25 +273,55 @@ pub(super) fn outwards([a, b, c]: [f32; 3], x: f32, y: f32) -> ([f32; 2], f32) {
     ([wx, wy], (r2 - r2.sqrt()) / per_disc)
 }
 
-/// Distances outwards from the outline of a strip's entries, of which the first is `from` the centre. What is nearer to the
-/// other axis, and what is out of reach, is no pixel.
+/// Distances outwards from the outline of a strip's entries, of which the first ones are `from` the centre. What is nearer to
+/// the other axis, and what is out of reach, is no pixel.
 #[multiversion(targets("x86_64+avx2"))]
-fn locate(ring: &Ring, reach: Reach, from: [f32; 2], distance_px: &mut [f32], dn: &mut [f32]) {
+fn locate(
+    ring: &Ring,
+    reach: Reach,
+    from: [[f32; LANES]; 2],
+    distance_px: &mut [f32],
+    dn: &mut [f32],
+) {
     let (inside, outside) = (reach.inside_px as f32, reach.outside_px as f32);
-    let along = counted_lanes(from[0]);
+    let [along, first] = from;
     let groups = distance_px.as_chunks_mut::<LANES>().0;
     for (row, (distance_px, dn)) in groups
         .iter_mut()
         .zip(dn.as_chunks_mut::<LANES>().0)
         .enumerate()
     {
-        let across = from[1] + row as i32 as f32;
+        let row = row as i32 as f32;
         for k in 0..LANES {
-            let ([u, v], distance) = outwards(ring.inverse, along[k], across);
+            let ([u, v], distance) = outwards(ring.inverse, along[k], first[k] + row);
             let belongs = (distance > -inside) & (distance < outside) & (u.abs() <= v.abs());
             distance_px[k] = if belongs { distance } else { outside };
             dn[k] = larger(dn[k], if belongs { 0.0 } else { NO_PIXEL_DN });
         }
+    }
+}
+
+/// The first row that each lane crosses the ring in, and the one after the last.
+#[multiversion(targets("x86_64+avx2"))]
+fn find_rows(
+    ring: &Ring,
+    along: [f32; LANES],
+    above: bool,
+    height: f32,
+    first: &mut [u32; LANES],
+    end: &mut [u32; LANES],
+) {
+    let [least, most] = [ring.least.max(0.0), ring.most].map(|radius| (radius * radius) as f32);
+    let centre = ring.centre[1] as f32;
+    for k in 0..LANES {
+        let square = along[k] * along[k];
+        // Half a pixel for an ellipse's quarters, which are not quite those of the sensor.
+        let inner = larger(larger(least - square, 0.0).sqrt(), along[k].abs() - 0.5);
+        let outer = larger(most - square, 0.0).sqrt();
+        let from = centre + if above { -outer } else { inner };
+        let to = centre + if above { -inner } else { outer };
+        first[k] = split(smaller(larger(from, 0.0), height) + 0.99).0;
+        end[k] = split(smaller(larger(to, 0.0), height) + 0.99).0;
     }
 }
 
