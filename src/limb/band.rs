@@ -171,7 +171,11 @@ fn copy_lanes<T: Sample>(starts: [&[T]; LANES], step: usize, dn: &mut [f32]) {
     let shortest = starts
         .iter()
         .fold(usize::MAX, |least, lane| least.min(lane.len()));
-    let lanes = starts.map(|lane| &lane[..shortest]);
+    // Of one length, so that all lanes' places are checked at once.
+    let mut lanes = starts;
+    for lane in &mut lanes {
+        *lane = &lane[..shortest];
+    }
     for (n, group) in dn.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
         let at = n * step;
         for k in 0..LANES {
