@@ -269,7 +269,7 @@ fn begun_at(turned: &Turned, order: &[usize], reach_mil: f64, named: &[Id]) -> V
     let from = full[0].offset + turned.stated_sun().vector();
     let known = named.iter().filter(|id| id.detection == order[0]);
     let known: Vec<MarkId> = known.map(|id| id.id).collect();
-    let mut begun = Vec::with_capacity(turned.printed.marks.len());
+    let mut begun = Vec::new();
     for &(id, at) in &turned.printed.marks {
         let near = (at.vector() - from).norm_squared() < reach_mil * reach_mil;
         if near && !known.contains(&id) {
