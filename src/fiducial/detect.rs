@@ -265,10 +265,19 @@ impl<'a> Search<'a> {
             if !self.support.fits(self.flat, index) {
                 return None;
             }
+            let side = self.flat.side();
             let mut around = [0.0; 9];
+            for (row, middle) in
+                around
+                    .as_chunks_mut()
+                    .0
+                    .iter_mut()
+                    .zip([index - side, index, index + side])
+            {
+                *row = self.cross.responses_beside(self.support, self.flat, middle);
+            }
             let mut best = (index, f64::NEG_INFINITY);
-            for (response, n) in around.iter_mut().zip(neighbours(index, self.flat.side())) {
-                *response = self.cross.response(self.support, self.flat, n);
+            for (response, n) in around.iter().zip(neighbours(index, side)) {
                 if *response > best.1 {
                     best = (n, *response);
                 }

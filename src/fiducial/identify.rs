@@ -216,10 +216,6 @@ fn readings(
     let full: Vec<usize> = (0..detections.len()).filter(full).collect();
     // A reading, rivals included, has two of them: one is among all but the last.
     let anchors = &full[..full.len().saturating_sub(1)];
-    let orders: Vec<Vec<usize>> = anchors
-        .iter()
-        .map(|n| nearest_first(*n, &full, detections))
-        .collect();
     let from_sun = (sight.plate_centre.vector() - sight.outline.centre).norm();
     let open_px = GUESS_ERROR * (from_sun + sight.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
@@ -232,14 +228,15 @@ fn readings(
     let turns: Vec<Turned> = sight.turns().filter_map(turned).collect();
     let mut named = vec![Vec::new(); turns.len()];
     let mut readings = Vec::new();
-    for (tried, order) in orders.iter().enumerate() {
+    for (tried, anchor) in anchors.iter().enumerate() {
         // What is not found yet names none of the anchors tried.
         if seen.most_of(full.len() - tried) < least_that_counts(&readings) {
             break;
         }
+        let order = nearest_first(*anchor, &full, detections);
         let mut begun = Vec::new();
         for (turned, named) in turns.iter().zip(&mut named) {
-            let here = begun_at(turned, order, reach_mil, named).into_iter();
+            let here = begun_at(turned, &order, reach_mil, named).into_iter();
             let near = here.filter(|b| sight.beyond(&b.reading, settings) < RIVALS_BEYOND);
             for reading in near {
                 named.extend_from_slice(&reading.reading.ids);

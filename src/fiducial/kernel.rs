@@ -158,6 +158,18 @@ impl Kernel {
         f64::from(support.sum(&self.weights, flat, index)) / self.energy
     }
 
+    /// The responses centred on the value before, on this one and on the one after.
+    pub(super) fn responses_beside(
+        &self,
+        support: &Support,
+        flat: &FlatDisc,
+        index: usize,
+    ) -> [f64; 3] {
+        let values = support.values(flat, index - 1);
+        let sums = products_beside(&self.weights, support.stride, values, flat.side());
+        sums.map(|lanes| f64::from(lanes.iter().sum::<f32>()) / self.energy)
+    }
+
     /// 1 sigma of a response where the values have this noise.
     pub(super) fn noise(&self, values: f64) -> f64 {
         values / self.energy.sqrt()
@@ -191,6 +203,30 @@ fn products(weights: &[f32], stride: usize, values: &[f32], side: usize) -> f32 
         }
     }
     lanes.iter().sum()
+}
+
+/// The same, by lanes, with the values from the first, from the second and from the third on.
+#[multiversion(targets("x86_64+avx2"))]
+fn products_beside(
+    weights: &[f32],
+    stride: usize,
+    values: &[f32],
+    side: usize,
+) -> [[f32; LANES]; 3] {
+    let [mut before, mut here, mut after] = [[0.0_f32; LANES]; 3];
+    for (weights, values) in weights.chunks_exact(stride).zip(values.chunks(side)) {
+        let values = &values[..stride + 2];
+        let (first, second, third) = (groups(values), groups(&values[1..]), groups(&values[2..]));
+        let beside = first.iter().zip(second).zip(third);
+        for (weights, ((first, second), third)) in groups(weights).iter().zip(beside) {
+            for k in 0..LANES {
+                before[k] += weights[k] * first[k];
+                here[k] += weights[k] * second[k];
+                after[k] += weights[k] * third[k];
+            }
+        }
+    }
+    [before, here, after]
 }
 
 #[inline(always)]

@@ -88,14 +88,25 @@ fn add_five([a, b, c, d, e]: [&[f32]; BOX], sums: &mut [f32]) {
     }
 }
 
-/// Indices of the values above a least one.
+/// Indices of the values above a least one that neither the one before nor the one after exceeds.
 #[multiversion(targets("x86_64+avx2"))]
 fn find_dark(values: &[f32], least: f32, dark: &mut Vec<usize>) {
-    for (n, group) in values.as_chunks::<LANES>().0.iter().enumerate() {
+    let groups = |from| {
+        values
+            .get(from..)
+            .unwrap_or_default()
+            .as_chunks::<LANES>()
+            .0
+    };
+    let rows = groups(0).iter().zip(groups(1)).zip(groups(2));
+    for (n, ((before, here), after)) in rows.enumerate() {
+        let mut found = [false; LANES];
+        for k in 0..LANES {
+            found[k] = (here[k] > least) & (here[k] >= before[k]) & (here[k] >= after[k]);
+        }
         // Most of the disc is bright.
-        if group.iter().fold(false, |any, sum| any | (*sum > least)) {
-            let above = |k: &usize| group[*k] > least;
-            dark.extend((0..LANES).filter(above).map(|k| n * LANES + k));
+        if found.iter().fold(false, |any, found| any | found) {
+            dark.extend((0..LANES).filter(|k| found[*k]).map(|k| n * LANES + k + 1));
         }
     }
 }
