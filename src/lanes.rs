@@ -63,25 +63,29 @@ pub fn split(number: f32) -> (u32, f32) {
 /// and its density there.
 #[inline(always)]
 pub fn normal_tail(z: f32) -> (f32, f32) {
-    const PER_ROOT_TAU: f32 = 0.398_942_3;
     let t = 1.0 / (1.0 + 0.332_67 * z.abs());
-    let density = PER_ROOT_TAU * power_of_two(-0.5 * std::f32::consts::LOG2_E * z * z);
+    let density = normal_density(z);
     let beyond = ((0.937_298 * t - 0.120_167_6) * t + 0.436_183_6) * t * density;
     (if z < 0.0 { 1.0 - beyond } else { beyond }, density)
 }
 
-/// 2^x of x from 0 down, to 4e-6 of it (interpolated at Chebyshev's nodes); what is below 2^-120 is taken for that.
+/// The normal distribution's density at z, to 1e-5 of it; what is below 2^-120 is taken for about that.
+///
+/// It is 2^x / sqrt(2 pi) of an x below 0: a series in x less the nearest whole number (interpolated at Chebyshev's nodes), the
+/// whole number added to its exponent.
 #[inline(always)]
-fn power_of_two(x: f32) -> f32 {
+fn normal_density(z: f32) -> f32 {
     const EXPONENT_BITS: u32 = 23;
-    const EXPONENT_OF_ONE: u32 = 127;
-    let x = larger(x, -120.0);
+    let x = larger(-0.5 * std::f32::consts::LOG2_E * z * z, -120.0);
     let shifted = x + WHOLES;
     let part = x - (shifted - WHOLES);
-    let series = (0.009_666_37 * part + 0.055_921_98) * part + 0.240_223_5;
-    let series = (series * part + 0.693_121_1) * part + 1.0;
-    let whole = shifted.to_bits().wrapping_sub(WHOLES.to_bits());
-    series * f32::from_bits(whole.wrapping_add(EXPONENT_OF_ONE) << EXPONENT_BITS)
+    let series = (0.003_856_324 * part + 0.022_309_643) * part + 0.095_835_316;
+    let series = (series * part + 0.276_515_326) * part + 0.398_942_3;
+    f32::from_bits(
+        series
+            .to_bits()
+            .wrapping_add(shifted.to_bits() << EXPONENT_BITS),
+    )
 }
 
 /// A list whose memory comes from the thread's earlier lists and goes to its later ones: a frame needs dozens, and getting
