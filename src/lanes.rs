@@ -79,8 +79,8 @@ fn normal_density(z: f32) -> f32 {
     let x = larger(-0.5 * std::f32::consts::LOG2_E * z * z, -120.0);
     let shifted = x + WHOLES;
     let part = x - (shifted - WHOLES);
-    let series = (0.003_856_324 * part + 0.022_309_643) * part + 0.095_835_316;
-    let series = (series * part + 0.276_515_326) * part + 0.398_942_3;
+    let series = (0.003_856_324 * part + 0.022_309_643) * part + 0.095_835_31;
+    let series = (series * part + 0.276_515_33) * part + 0.398_942_3;
     f32::from_bits(
         series
             .to_bits()
