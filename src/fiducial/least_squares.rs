@@ -60,20 +60,31 @@ pub(super) struct Ended {
     pub pixels: usize,
 }
 
+impl Ended {
+    /// The unknowns of a patch about the place.
+    fn in_its_middle(&self) -> Unknowns {
+        let mut unknowns = self.unknowns;
+        unknowns.fixed_rows_mut::<2>(X).fill(0.0);
+        unknowns
+    }
+}
+
 impl Fit<'_> {
-    /// Steps until the place settles or is too far for the patch. `None` when the pixels are too few.
-    pub(super) fn run(&self) -> Option<Ended> {
-        let mut unknowns = Unknowns::from(EXPECTED);
+    /// Steps until the place settles or is too far for the patch, `before` telling where the fit on another patch ended, in
+    /// the middle of this one. `None` when the pixels are too few.
+    pub(super) fn run(&self, before: Option<&Ended>) -> Option<Ended> {
+        let mut unknowns = before.map_or(Unknowns::from(EXPECTED), Ended::in_its_middle);
         let allowed_dn = (MODEL_ERROR * self.patch.most_light).max(ROUNDING_NOISE_DN as f32);
         // What does not belong must not widen the limits by itself, so these start from what is known.
         let expected_dn = (0.5 * allowed_dn).max(self.noise_dn as f32);
-        let mut variance = self.noise_dn.powi(2);
+        let mut variance = before.map_or(self.noise_dn.powi(2), |ended| ended.variance);
         let coverage = self.coverage();
         let mut linear = Linear::new(self.patch);
         for look in 0..MOST_LOOKS {
             self.lay(&unknowns, &coverage, &mut linear);
-            // The first model is too far off to tell what does not belong.
-            if look > 0 {
+            // The very first model is too far off to tell what does not belong.
+            let told = look > 0 || before.is_some();
+            if told {
                 linear.reject(self.patch, expected_dn, allowed_dn);
             }
             let normal = linear.normal_equations(self.patch)?;
@@ -83,7 +94,7 @@ impl Fit<'_> {
             let paler = unknowns[CONTRAST] / (unknowns[CONTRAST] + step[CONTRAST]);
             step.fixed_rows_mut::<2>(X).scale_mut(paler.clamp(0.0, 1.0));
             unknowns += step;
-            let settled = look > 0 && step[X].hypot(step[Y]) < SETTLED_PX;
+            let settled = told && step[X].hypot(step[Y]) < SETTLED_PX;
             if settled || unknowns[X].hypot(unknowns[Y]) > NEAR_PX {
                 return Some(Ended {
                     unknowns,

@@ -84,8 +84,9 @@ impl Refiner {
             saturation_dn: f32::from(frame.saturation_dn()),
         };
         let mut middle = start;
+        let mut before = None;
         for _ in 0..MOST_PATCHES {
-            let ended = self.fit(frame, &counting, noise_dn, light, to_arms, middle)?;
+            let ended = self.fit(frame, &counting, noise_dn, light, to_arms, (middle, before))?;
             let offset = Vector2::new(ended.unknowns[X], ended.unknowns[Y]);
             let place = SensorPx::from(middle.vector() + offset);
             if start.distance(place) > FARTHEST_PX {
@@ -95,11 +96,12 @@ impl Refiner {
                 return RefinedMark::of(&ended, place, noise_dn);
             }
             middle = place;
+            before = Some(ended);
         }
         None
     }
 
-    /// The fit on the pixels about a place.
+    /// The fit on the pixels about a place, which goes on from where another patch's ended.
     fn fit(
         &self,
         frame: &Frame,
@@ -107,7 +109,7 @@ impl Refiner {
         noise_dn: f64,
         light: &impl Light,
         to_arms: [f32; 4],
-        middle: SensorPx,
+        (middle, before): (SensorPx, Option<Ended>),
     ) -> Option<Ended> {
         let reach = self.shape.half_length_px + GROUND_PX;
         let left_out_per_bend = LEFT_OUT * self.blur_variance() / noise_dn as f32;
@@ -121,7 +123,7 @@ impl Refiner {
             reach: reach as f32,
             noise_dn,
         };
-        fit.run()
+        fit.run(before.as_ref())
     }
 
     fn blur_variance(&self) -> f32 {
