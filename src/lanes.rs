@@ -8,6 +8,18 @@ use std::thread::LocalKey;
 /// Numbers that the processor works on side by side.
 pub const LANES: usize = 8;
 
+/// A list's whole groups of numbers that are worked on side by side.
+#[inline(always)]
+pub fn groups(list: &[f32]) -> &[[f32; LANES]] {
+    list.as_chunks().0
+}
+
+/// The same, to be changed.
+#[inline(always)]
+pub fn groups_mut(list: &mut [f32]) -> &mut [[f32; LANES]] {
+    list.as_chunks_mut().0
+}
+
 /// A number, and those that follow by ones.
 #[inline(always)]
 pub fn counted_lanes(first: f32) -> [f32; LANES] {

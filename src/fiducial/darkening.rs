@@ -6,7 +6,7 @@
 
 use crate::frame::{Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
-use crate::lanes::{LANES, Scratch, larger, smaller};
+use crate::lanes::{LANES, Scratch, groups, larger, smaller};
 use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use multiversion::multiversion;
 use nalgebra::Vector2;
@@ -298,13 +298,8 @@ fn darken(darkening: &Darkening, taken: &Taken, darkness: &mut [f32]) {
 #[multiversion(targets("x86_64+avx2"))]
 fn measure_tilt(taken: &Taken, darkness: &[f32]) -> Vector2<f32> {
     let (mut along_x, mut along_y, mut inertia) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    let places = taken
-        .x
-        .as_chunks::<LANES>()
-        .0
-        .iter()
-        .zip(taken.y.as_chunks::<LANES>().0);
-    for ((x, y), darkness) in places.zip(darkness.as_chunks::<LANES>().0) {
+    let places = groups(&taken.x).iter().zip(groups(&taken.y));
+    for ((x, y), darkness) in places.zip(groups(darkness)) {
         for k in 0..LANES {
             let weight = if darkness[k].abs() < MOST_TILT {
                 1.0

@@ -3,7 +3,7 @@
 use super::FlatDisc;
 use super::coverage::{BlurredCross, Pose};
 use crate::frame::PIXEL_VARIANCE_PX2;
-use crate::lanes::{LANES, smaller, split};
+use crate::lanes::{LANES, groups, smaller, split};
 use crate::plate::Cross;
 use multiversion::multiversion;
 use std::f32::consts::FRAC_PI_4;
@@ -52,9 +52,7 @@ impl Support {
         let reach = radius_px as usize;
         let side = 2 * reach + 1;
         let stride = side.next_multiple_of(LANES);
-        let (mut x, mut y) = (Vec::new(), Vec::new());
-        x.reserve(side * stride);
-        y.reserve(side * stride);
+        let [mut x, mut y] = [(); 2].map(|()| Vec::with_capacity(side * stride));
         for row in 0..side {
             x.extend((0..stride).map(|column| column as i32 as f32 - reach as f32));
             y.resize(y.len() + stride, row as f32 - reach as f32);
@@ -227,11 +225,6 @@ fn products_beside(
         }
     }
     [before, here, after]
-}
-
-#[inline(always)]
-fn groups(list: &[f32]) -> &[[f32; LANES]] {
-    list.as_chunks().0
 }
 
 /// Sum of the squares, each times its weight.

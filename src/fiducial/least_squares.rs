@@ -6,7 +6,7 @@
 use super::coverage::{BlurredCross, Coverage, Pose};
 use super::patch::Patch;
 use crate::frame::ROUNDING_NOISE_DN;
-use crate::lanes::{LANES, Scratch, larger, smaller};
+use crate::lanes::{LANES, Scratch, groups, groups_mut, larger, smaller};
 use crate::statistics::clipped_sigma;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector6};
@@ -355,16 +355,6 @@ fn add_products<const FROM: usize, const TO: usize>(
         }
     }
     *into = sums;
-}
-
-#[inline(always)]
-fn groups(list: &[f32]) -> &[Group] {
-    list.as_chunks().0
-}
-
-#[inline(always)]
-fn groups_mut(list: &mut [f32]) -> &mut [Group] {
-    list.as_chunks_mut().0
 }
 
 fn total(lanes: &Group) -> f64 {

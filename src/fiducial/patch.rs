@@ -1,7 +1,7 @@
 //! The pixels about a mark, and the light that would fall on them without it.
 
 use crate::frame::{Sample, View};
-use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, larger, smaller};
+use crate::lanes::{LANES, Scratch, counted_lanes, first_lanes, groups, larger, smaller};
 use crate::units::SensorPx;
 use multiversion::multiversion;
 
@@ -60,7 +60,7 @@ impl LightMap {
         let [middle, across, down, roots] = &mut planes;
         for (row, values) in middle.chunks_exact_mut(stride).take(side).enumerate() {
             light.fill(left as f64, (top + row as isize) as f64, values);
-            for group in values.as_chunks::<LANES>().0 {
+            for group in groups(values) {
                 for k in 0..LANES {
                     most[k] = larger(group[k], most[k]);
                 }

@@ -1,6 +1,7 @@
 //! How well crossings agree with a circle, and the circle that suits them best; eight of them side by side.
 
 use super::chords::Crossing;
+use super::outline::TUKEY_SIGMAS;
 use crate::geometry::Circle;
 use crate::lanes::{LANES, larger, smaller};
 use crate::units::Measured;
@@ -13,8 +14,6 @@ const AGREEMENT_PX: f32 = 2.0;
 const NEAR: f32 = 0.25;
 /// Crossings are never better than this, px: marks, haze and the sensor's tilt see to it.
 const CROSSING_SIGMA_PX: f32 = 0.1;
-/// Tukey's biweight gives no weight beyond so many sigma.
-const TUKEY_SIGMAS: f32 = 4.685;
 /// What such weights leave of the variance of normal errors.
 const TUKEY_VARIANCE: f32 = 0.87;
 /// Weights and circle settle within so many steps.
@@ -100,7 +99,7 @@ impl Crossings {
             let moved = covariance * pull;
             circle.centre += Vector2::new(moved.x, moved.y);
             circle.radius += moved.z;
-            limit_px = AGREEMENT_PX.min(TUKEY_SIGMAS * variance.sqrt());
+            limit_px = AGREEMENT_PX.min(TUKEY_SIGMAS as f32 * variance.sqrt());
         }
         Some(CircleFit { circle, covariance })
     }

@@ -18,7 +18,7 @@ use super::profile::{Profile, lay_light};
 use super::typical::medians;
 use crate::frame::{Frame, Levels};
 use crate::geometry::Ellipse;
-use crate::lanes::{LANES, Scratch, larger};
+use crate::lanes::{LANES, Scratch, groups, groups_mut, larger};
 use crate::statistics::clipped_sigma;
 use crate::units::SensorPx;
 use multiversion::multiversion;
@@ -235,9 +235,9 @@ fn tell_noise(
     let (limb, clear) = (edge.shift_px as f32, (3.0 * edge.profile.blur_px) as f32);
     let (plateau, saturated) = (edge.plateau_dn(), edge.saturated_dn as f32);
     for strip in edge.band.sample() {
-        let (distance, _) = edge.band.distance_px[strip.entries.clone()].as_chunks::<LANES>();
-        let (light, _) = edge.light[strip.entries.clone()].as_chunks::<LANES>();
-        let (left, _) = unexplained[strip.entries.clone()].as_chunks::<LANES>();
+        let distance = groups(&edge.band.distance_px[strip.entries.clone()]);
+        let light = groups(&edge.light[strip.entries.clone()]);
+        let left = groups(&unexplained[strip.entries.clone()]);
         let more = strip
             .sectors
             .map(|sector| more[usize::from(sector)] * plateau);
@@ -306,10 +306,10 @@ fn add_pixels(
     unexplained: &mut [f32],
 ) {
     for strip in &edge.band.strips {
-        let (light, _) = edge.light[strip.entries.clone()].as_chunks::<LANES>();
-        let (slope, _) = edge.slope[strip.entries.clone()].as_chunks::<LANES>();
-        let (dn, _) = edge.band.dn[strip.entries.clone()].as_chunks::<LANES>();
-        let (unexplained, _) = unexplained[strip.entries.clone()].as_chunks_mut::<LANES>();
+        let light = groups(&edge.light[strip.entries.clone()]);
+        let slope = groups(&edge.slope[strip.entries.clone()]);
+        let dn = groups(&edge.band.dn[strip.entries.clone()]);
+        let unexplained = groups_mut(&mut unexplained[strip.entries.clone()]);
         let expected = strip
             .sectors
             .map(|sector| sectors[usize::from(sector)].light);

@@ -3,7 +3,7 @@
 use super::LimbPoint;
 use super::band::outwards;
 use crate::geometry::{Ellipse, turns};
-use crate::lanes::{LANES, Scratch, larger};
+use crate::lanes::{LANES, Scratch, groups, larger};
 use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use crate::units::Measured;
 use multiversion::multiversion;
@@ -244,8 +244,8 @@ fn see(
 fn sum_products(seen: &Seen<'_>) -> [[f64; 6]; 5] {
     let per_limit = (1.0 / (TUKEY_SIGMAS * seen.scatter)) as f32;
     let per_scatter = (1.0 / seen.scatter) as f32;
-    let (per_sigma, _) = seen.places.per_sigma.as_chunks::<LANES>();
-    let (excess, _) = seen.excess_px.as_chunks::<LANES>();
+    let per_sigma = groups(&seen.places.per_sigma);
+    let excess = groups(&seen.excess_px);
     let [x, y, stretch, diagonal] = seen
         .slopes
         .each_ref()
