@@ -7,8 +7,8 @@ use super::message::MessageError;
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 
-/// The layout that this program writes and reads.
-pub const LAYOUT: u8 = 1;
+/// The layout that this program writes. Layout 1, which ended with `restarts`, is read too.
+pub const LAYOUT: u8 = 2;
 
 /// A field as the page on the protocol shows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +45,10 @@ macro_rules! housekeeping {
             }
 
             fn from_payload(payload: &[u8]) -> Option<Self> {
+                let payload = match payload.first()? {
+                    1 => completed(payload)?,
+                    _ => payload.to_vec(),
+                };
                 let mut rest = payload.strip_prefix(&[LAYOUT])?;
                 Some(Self { $($field: Wire::read(&mut rest)?,)* })
             }
@@ -118,6 +122,19 @@ housekeeping! {
     solve_ms: Option<f32>, "ms", "time of solving, median of the second";
     clock_offset_us: Option<f32>, "us", "by which the clock is ahead of true time";
     restarts: u16, "", "threads that were started again";
+    takeovers: u16, "", "of these, threads that hung and were replaced";
+    simulated: bool, "", "the frames come from the simulator";
+    calibration_contradicted: bool, "", "fine frames contradict the instrument's rotation, scale or centre by more than 5 sigma";
+    silent_s: u32, "s", "time in which a camera gave no frames though it should have";
+    queued_frames: u16, "", "frames that wait for a solver";
+    queued_pictures: u16, "", "solved frames that wait for a disk";
+    queued_rows: u16, "", "rows that wait for the logs";
+    queued_events: u16, "", "events that wait for the line";
+    disk_refusals: [u32; 2], "", "how often each disk of the archive refused";
+    rows_refused: u32, "", "rows that a log refused or had no room for";
+    gps_refused: u16, "", "GPS fixes that were not believed";
+    datagrams_refused: u32, "", "datagrams refused: unknown sender, replayed, or not authentic";
+    log_lines_lost: u32, "", "log lines that standard error did not take in time";
 }
 
 /// The ids of up to sixteen marks: i and j, each from -7 to 7.
@@ -137,6 +154,19 @@ impl MarkIds {
     pub fn iter(&self) -> impl Iterator<Item = [i32; 2]> {
         self.0.iter().flatten().copied()
     }
+}
+
+/// A payload of layout 1 as one of layout 2: what layout 1 did not have is zero.
+fn completed(payload: &[u8]) -> Option<Vec<u8>> {
+    let added = FIELDS.iter().skip_while(|field| field.name != "takeovers");
+    let added: usize = added.map(|field| field.bytes).sum();
+    let mut completed = Housekeeping::default().payload();
+    let known = completed.len() - added;
+    let (told, zero) = completed.split_at_mut_checked(known)?;
+    told.copy_from_slice(payload.get(..told.len())?);
+    zero.fill(0);
+    completed[0] = LAYOUT;
+    Some(completed)
 }
 
 impl Housekeeping {
@@ -282,6 +312,23 @@ impl Wire for [u16; 7] {
     }
 }
 
+impl Wire for [u32; 2] {
+    const KIND: &'static str = "2 x u32";
+    const BYTES: usize = 8;
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        self.iter().for_each(|value| value.write(bytes));
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        Some([Wire::read(rest)?, Wire::read(rest)?])
+    }
+
+    fn text(&self) -> String {
+        texts(self)
+    }
+}
+
 impl Wire for [Option<u8>; 2] {
     const KIND: &'static str = "2 x u8, 255 where not known";
     const BYTES: usize = 2;
@@ -340,6 +387,8 @@ mod tests {
             disks: [Some(87), None],
             latency_ms: Some(3.5),
             restarts: 1,
+            disk_refusals: [0, 70_000],
+            simulated: true,
             ..Housekeeping::default()
         }
     }
@@ -357,7 +406,7 @@ mod tests {
     fn the_table_tells_the_length_and_it_is_short() {
         let length: usize = FIELDS.iter().map(|field| field.bytes).sum();
         assert_eq!(full().payload().len(), 1 + length);
-        assert!(length <= 210, "{length} bytes");
+        assert!(length <= 255, "{length} bytes");
     }
 
     #[test]
@@ -369,5 +418,23 @@ mod tests {
         let mut other = payload;
         other[0] += 1;
         assert_eq!(Housekeeping::from_payload(&other), None);
+    }
+
+    #[test]
+    fn a_packet_of_layout_1_is_read_without_what_it_did_not_have() {
+        let restarts = FIELDS.iter().take_while(|field| field.name != "takeovers");
+        let length = 1 + restarts.map(|field| field.bytes).sum::<usize>();
+        assert_eq!(length, 207, "layout 1 does not change any more");
+        let mut payload = full().payload();
+        payload[0] = 1;
+        let told = Housekeeping {
+            disk_refusals: [0, 0],
+            simulated: false,
+            ..full()
+        };
+        assert_eq!(Housekeeping::from_payload(&payload[..length]), Some(told));
+        for shorter in 0..length {
+            assert_eq!(Housekeeping::from_payload(&payload[..shorter]), None);
+        }
     }
 }

@@ -69,6 +69,7 @@ impl Teller {
         let used =
             |disk: usize| Some((100.0 - counts.archive.disks().get(disk)?.free_percent?) as u8);
         told.disks = [used(0), used(1)];
+        told.queued_pictures = small(counts.archive.waiting() as u64);
         let sent = tally
             .line
             .solutions
@@ -129,6 +130,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     }
     told.stored = small(archive.stored);
     told.unstored = small(archive.unstored);
+    told.rows_refused = small(archive.rows_refused + archive.rows_lost);
     told.tracking = line.conversation.tracking;
     told.sending = line.conversation.sending;
     told.announced = small(line.announced);
