@@ -15,6 +15,7 @@
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
 //! | `statistics` | the middle and the scatter of many values |
+//! | [`log`] | the log on standard error, for which nothing waits |
 //! | `lanes` | what makes loops over pixels quick |
 //! | [`geometry`], [`frame`], [`clock`] | mappings between sensor and plate; a picture and what is known of it; how well the clock is held |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
@@ -50,6 +51,7 @@ pub mod instrument;
 mod lanes;
 pub mod limb;
 pub mod link;
+pub mod log;
 pub mod plate;
 pub mod pointing;
 pub mod preflight;

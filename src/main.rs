@@ -1,10 +1,9 @@
 //! The program: one command per file of `cli`.
 
 use clap::{Parser, Subcommand, ValueEnum};
-use solaspect::cli;
+use solaspect::{cli, log};
 use std::io::ErrorKind;
 use std::process::ExitCode;
-use tracing_subscriber::EnvFilter;
 
 /// Three-axis aspect of a balloon gondola from its cameras, above all from the Sun on a fiducial plate.
 ///
@@ -46,7 +45,17 @@ enum Command {
 
 fn main() -> ExitCode {
     let program = Program::parse();
-    start_log(program.verbose, program.log_format);
+    let format = match program.log_format {
+        LogFormat::Text => log::Format::Text,
+        LogFormat::Json => log::Format::Json,
+    };
+    let _log = match log::start(program.verbose, format) {
+        Ok(log) => log,
+        Err(error) => {
+            log::say(&format!("solaspect: no thread for the log: {error}"));
+            return ExitCode::FAILURE;
+        }
+    };
     let outcome = match program.command {
         Command::Demo(args) => cli::demo::run(args),
         Command::Fly(args) => cli::fly::run(args),
@@ -65,7 +74,7 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("solaspect: {error:#}");
+            log::say(&format!("solaspect: {error:#}"));
             ExitCode::FAILURE
         }
     }
@@ -75,21 +84,4 @@ fn main() -> ExitCode {
 fn is_closed_pipe(error: &anyhow::Error) -> bool {
     let io = error.downcast_ref::<std::io::Error>();
     io.is_some_and(|io| io.kind() == ErrorKind::BrokenPipe)
-}
-
-fn start_log(verbose: u8, format: LogFormat) {
-    let level = match verbose {
-        0 => "warn",
-        1 => "info",
-        2 => "debug",
-        _ => "trace",
-    };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr);
-    match format {
-        LogFormat::Text => log.init(),
-        LogFormat::Json => log.json().init(),
-    }
 }

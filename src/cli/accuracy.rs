@@ -1,5 +1,6 @@
 //! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
 
+use super::output::say;
 use crate::accuracy::{Case, Figures, Program, Size, case_text, markdown, text};
 use crate::fits::{self, Compression};
 use anyhow::Context;
@@ -38,7 +39,7 @@ pub fn run(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
 
 fn one_frame(part: &str, seed: u64, out: Option<&Path>) -> anyhow::Result<ExitCode> {
     let case = Case::new(part, seed)?;
-    print!("{}", case_text(&case));
+    say(case_text(&case).trim_end())?;
     if let Some(folder) = out {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot make {}", folder.display()))?;
@@ -63,7 +64,7 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     }
     let report = program.run(&|| progress.inc(1))?;
     progress.finish_and_clear();
-    print!("{}", text(&report));
+    say(text(&report).trim_end())?;
     if let Some(folder) = &args.out {
         let commit = commit();
         write(folder, "accuracy.md", &markdown(&report, commit.as_deref()))?;

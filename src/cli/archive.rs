@@ -3,6 +3,7 @@
 use super::output::{make_folder, progress_bar};
 use crate::archive::check::{self, BadFile, Gap, Report, Row, Tree};
 use crate::fits::{self, FitsFile};
+use crate::log;
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use rayon::prelude::*;
@@ -295,7 +296,7 @@ fn export_pictures(files: &[PathBuf], folder: &Path) -> anyhow::Result<bool> {
     let errors: Vec<_> = outcomes.filter_map(Result::err).collect();
     progress.finish_and_clear();
     for error in &errors {
-        eprintln!("solaspect: {error:#}");
+        log::say(&format!("solaspect: {error:#}"));
     }
     Ok(errors.is_empty())
 }

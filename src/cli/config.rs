@@ -1,5 +1,6 @@
 //! `solaspect config`: the configuration's documents, made from the parameter table, and the check of a configuration.
 
+use super::output::say;
 use crate::config::{example, parameters_page};
 use crate::preflight::{self, Options, Plan, Remark, Remarks};
 use clap::{Args, Subcommand};
@@ -32,35 +33,36 @@ enum Action {
 
 pub fn run(args: &ConfigArgs) -> anyhow::Result<ExitCode> {
     match &args.action {
-        Action::Example => print!("{}", example()),
-        Action::Parameters => print!("{}", parameters_page()),
-        Action::Check { file, json } => return Ok(check(file.as_deref(), *json)),
+        Action::Example => say(example().trim_end())?,
+        Action::Parameters => say(parameters_page().trim_end())?,
+        Action::Check { file, json } => return check(file.as_deref(), *json),
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn check(file: Option<&Path>, as_json: bool) -> ExitCode {
+fn check(file: Option<&Path>, as_json: bool) -> anyhow::Result<ExitCode> {
     let (plan, remarks) = preflight::survey(file, &Options::default());
     match as_json {
-        true => println!("{}", json(plan.as_ref(), &remarks)),
-        false => print_lines(plan.as_ref(), &remarks),
+        true => say(json(plan.as_ref(), &remarks))?,
+        false => print_lines(plan.as_ref(), &remarks)?,
     }
-    match plan {
+    Ok(match plan {
         Some(_) => ExitCode::SUCCESS,
         None => ExitCode::FAILURE,
-    }
+    })
 }
 
-fn print_lines(plan: Option<&Plan>, remarks: &Remarks) {
+fn print_lines(plan: Option<&Plan>, remarks: &Remarks) -> anyhow::Result<()> {
     for remark in &remarks.list {
-        println!("{remark}");
+        say(remark)?;
     }
     if let Some(plan) = plan {
-        println!("ok: this would fly");
+        say("ok: this would fly")?;
         for line in plan.to_string().lines() {
-            println!("  {line}");
+            say(format_args!("  {line}"))?;
         }
     }
+    Ok(())
 }
 
 fn json(plan: Option<&Plan>, remarks: &Remarks) -> serde_json::Value {

@@ -1,6 +1,7 @@
 //! `solaspect demo`: the main job on one machine, with nothing attached.
 
 use super::options;
+use super::output::say;
 use crate::service::demo::{self, Demo, Glimpse};
 use anyhow::Context;
 use clap::Args;
@@ -55,7 +56,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
         || interrupted.load(std::sync::atomic::Ordering::Relaxed),
     )?;
     display.finish_and_clear();
-    println!("{summary}");
+    say(&summary)?;
     Ok(match summary.lost() {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,

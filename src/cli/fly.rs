@@ -3,6 +3,7 @@
 mod cameras;
 
 use super::options::{self, ConfigurationArgs};
+use super::output::say;
 use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
 use crate::config::{self, Config};
@@ -67,7 +68,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     }
     let told_to_end = told_to_end();
     let tally = service.join()?;
-    println!("{tally}");
+    say(&tally)?;
     Ok(match tally.lost() {
         // It did as it was told; what was lost in flight is in the log.
         _ if told_to_end => ExitCode::SUCCESS,

@@ -1,6 +1,7 @@
 //! `solaspect link`: the controller's line by hand: send a command, read packets, record what is said.
 
 use super::options;
+use super::output::say;
 use crate::link::byte_log::{self, Burst};
 use crate::link::describe::{describe, from_hex, result_in_words};
 use crate::link::ground::{ask, order};
@@ -136,7 +137,7 @@ fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
     // Any number will do that is unlikely to be that of a command under way.
     let sequence = Timestamp::now().subsec_microsecond() as u16 ^ std::process::id() as u16;
     let answer = ask(port.as_mut(), &message, sequence, args.timeout)?;
-    println!("{}", result_in_words(answer.key, answer.value));
+    say(result_in_words(answer.key, answer.value))?;
     Ok(match answer.is_done() {
         true => ExitCode::SUCCESS,
         false => ExitCode::FAILURE,

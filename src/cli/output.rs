@@ -1,8 +1,23 @@
-//! What several commands write beside their answers.
+//! What several commands write, their answers and beside them.
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Display;
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
+
+/// Writes a line to standard output. A reader that has left does not want the rest: that is no error.
+///
+/// # Errors
+/// Standard output takes nothing: a full disk, for one.
+pub(super) fn say(line: impl Display) -> anyhow::Result<()> {
+    match writeln!(io::stdout(), "{line}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(error).context("standard output")
+        }
+        _ => Ok(()),
+    }
+}
 
 /// A bar of so many frames or files on standard error; hidden by itself where that is no terminal.
 pub(super) fn progress_bar(count: usize, what: &str) -> ProgressBar {

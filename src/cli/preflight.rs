@@ -1,6 +1,8 @@
 //! `solaspect preflight`: one page of what is ready to fly and what is not.
 
 use super::options::{self, ConfigurationArgs};
+use super::output::say;
+use crate::log;
 use crate::preflight::{self, Extent, Finding, Operator, Verdict};
 use clap::Args;
 use crossbeam_channel::{Receiver, bounded};
@@ -47,7 +49,8 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
     let mut findings = Vec::new();
     let mut tell = |finding: Finding| {
         if !args.json {
-            println!("{finding}");
+            // The checks go on, and the exit code tells, whoever reads.
+            let _ = say(&finding);
         }
         findings.push(finding);
     };
@@ -57,26 +60,26 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
         operator: console.as_mut().map(|console| console as &mut dyn Operator),
     };
     preflight::run(args.over.config.as_deref(), &options, extent, &mut tell);
-    Ok(conclude(&findings, args.json))
+    conclude(&findings, args.json)
 }
 
-fn conclude(findings: &[Finding], as_json: bool) -> ExitCode {
+fn conclude(findings: &[Finding], as_json: bool) -> anyhow::Result<ExitCode> {
     let count = |verdict| findings.iter().filter(|f| f.verdict == verdict).count();
     let [passed, warned, failed] = [Verdict::Pass, Verdict::Warn, Verdict::Fail].map(count);
     let worst = findings.iter().map(|finding| finding.verdict).max();
     let verdict = worst.unwrap_or(Verdict::Pass);
     if as_json {
-        println!("{}", json!({ "verdict": verdict, "checks": findings }));
+        say(json!({ "verdict": verdict, "checks": findings }))?;
     } else {
-        println!(
-            "{}: {passed} passed, {warned} warnings, {failed} failed",
-            verdict.name()
-        );
+        let verdict = verdict.name();
+        say(format_args!(
+            "{verdict}: {passed} passed, {warned} warnings, {failed} failed"
+        ))?;
     }
-    match verdict {
+    Ok(match verdict {
         Verdict::Fail => ExitCode::FAILURE,
         Verdict::Warn | Verdict::Pass => ExitCode::SUCCESS,
-    }
+    })
 }
 
 /// Asks at the terminal. Answers are read on a thread of their own: an operator who has left ends nothing else.
@@ -101,7 +104,7 @@ impl Console {
 
 impl Operator for Console {
     fn is_ready(&mut self, request: &str) -> bool {
-        eprintln!("Press Enter (or type skip), then {request}.");
+        log::say(&format!("Press Enter (or type skip), then {request}."));
         match self.answers.recv_timeout(OPERATOR) {
             Ok(answer) => !answer.trim().eq_ignore_ascii_case("skip"),
             Err(_) => false,

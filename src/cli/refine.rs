@@ -1,7 +1,7 @@
 //! `solaspect refine`: the best aspect history from a flight's archive.
 
 use super::options;
-use super::output::{make_folder, progress_bar};
+use super::output::{make_folder, progress_bar, say};
 use crate::refine::{self, Done, Flight, Input, Recipe, Shard, Sky, Span, Summary};
 use crate::units::Place;
 use anyhow::ensure;
@@ -86,7 +86,7 @@ impl RefineArgs {
             &summary,
             &recipe.instrument,
         )?;
-        print(&summary);
+        print(&summary)?;
         Ok(ExitCode::SUCCESS)
     }
 
@@ -151,24 +151,25 @@ fn journals(folders: &[PathBuf], name: &str) -> anyhow::Result<Vec<PathBuf>> {
     folders.iter().map(journal).collect()
 }
 
-fn print(summary: &Summary) {
-    println!(
+fn print(summary: &Summary) -> anyhow::Result<()> {
+    say(format_args!(
         "{} files: {} fine ({} by themselves), {} coarse, {} none",
         summary.files, summary.fine, summary.own_fine, summary.coarse, summary.none
-    );
+    ))?;
     for (odd, count) in &summary.odd {
-        println!("  {count} odd: {odd}");
+        say(format_args!("  {count} odd: {odd}"))?;
     }
     if let Some(sigma) = summary.median_sigma_mil {
-        println!("median sigma {sigma:.4} mil per axis");
+        say(format_args!("median sigma {sigma:.4} mil per axis"))?;
     }
     for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
         let [x, y] = jump.shift_px;
-        println!(
+        say(format_args!(
             "the mapping jumps by {x:.2}, {y:.2} px before {}",
             jump.file
-        );
+        ))?;
     }
+    Ok(())
 }
 
 #[cfg(test)]

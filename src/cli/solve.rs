@@ -1,7 +1,7 @@
 //! `solaspect solve`: frames in, answers out.
 
 use super::options;
-use super::output::{make_folder, progress_bar};
+use super::output::{make_folder, progress_bar, say};
 use crate::archive::Record;
 use crate::aspect::{self, Expected, Solution, Track};
 use crate::fits;
@@ -228,7 +228,7 @@ impl Printer {
                 csv.write_record(Record::CSV_COLUMNS.iter().chain(&["error"]))?;
                 csv.flush()?;
             }
-            Format::Table => println!(
+            Format::Table => say(format_args!(
                 "{:<32} {:<6} {:>19} {:>23} {:>13} {:>5} {:>21}  reason",
                 "file",
                 "",
@@ -237,7 +237,7 @@ impl Printer {
                 "sigma, mil",
                 "marks",
                 "offset az, el, deg"
-            ),
+            ))?,
         }
         Ok(Self { format, csv })
     }

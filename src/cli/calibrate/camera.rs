@@ -5,6 +5,7 @@ use crate::calibrate::camera::{self, CameraCalibration, Inputs};
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::calibrate::revision::Provenance;
+use crate::cli::output::say;
 use anyhow::Context;
 use clap::Args;
 use jiff::Timestamp;
@@ -55,7 +56,7 @@ pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
     let provenance = provenance(&inputs, &files);
     calibration.revise(&mut revision, &provenance);
     args.edition.write(&revision)?;
-    print(&calibration, &left_out);
+    print(&calibration, &left_out)?;
     if let Some(folder) = &args.report {
         write_page(
             folder,
@@ -86,27 +87,31 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
     }
 }
 
-fn print(calibration: &CameraCalibration, left_out: &[LeftOut]) {
+fn print(calibration: &CameraCalibration, left_out: &[LeftOut]) -> anyhow::Result<()> {
     for finding in &calibration.findings {
         match &finding.found {
-            Ok(found) => println!(
+            Ok(found) => say(format_args!(
                 "{}: {} +- {} {}; {}",
                 finding.name,
                 value_text(*found),
                 sigma_text(found.sigma),
                 finding.unit,
                 finding.remark
-            ),
-            Err(why) => println!("{}: {why}; keeps the instrument's value", finding.name),
+            ))?,
+            Err(why) => say(format_args!(
+                "{}: {why}; keeps the instrument's value",
+                finding.name
+            ))?,
         }
     }
     match &calibration.hot_pixels {
-        Some(hot) => println!("hot pixels: {}", hot.len()),
-        None => println!(
-            "hot pixels: not determined: at least 3 frames are needed; keeps the instrument's list"
-        ),
+        Some(hot) => say(format_args!("hot pixels: {}", hot.len()))?,
+        None => say(
+            "hot pixels: not determined: at least 3 frames are needed; keeps the instrument's list",
+        )?,
     }
     for LeftOut { name, reason } in left_out {
-        println!("left out: {name}: {reason}");
+        say(format_args!("left out: {name}: {reason}"))?;
     }
+    Ok(())
 }

@@ -1,6 +1,7 @@
 //! `solaspect calibrate compare`: what changed from one instrument to another.
 
 use crate::calibrate::compare;
+use crate::cli::output::say;
 use crate::instrument::{self, Instrument};
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -22,9 +23,9 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     let [a, b] = [&args.a, &args.b].map(|path| instrument(path));
     let comparison = compare::compare(&a?, &b?);
     if args.json {
-        println!("{}", serde_json::to_string(&comparison)?);
+        say(serde_json::to_string(&comparison)?)?;
     } else {
-        print!("{comparison}");
+        say(comparison.to_string().trim_end())?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -6,6 +6,7 @@ use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings,
 use crate::calibrate::numbers::sigma_text;
 use crate::calibrate::revision::Provenance;
 use crate::cli::options;
+use crate::cli::output::say;
 use crate::geometry::Handedness;
 use crate::instrument::Instrument;
 use crate::sky::Air;
@@ -89,7 +90,7 @@ pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
         revision.set("mounting.handedness", name.into(), None, &provenance);
     }
     args.edition.write(&revision)?;
-    print(&mounting, &stated, &left_out);
+    print(&mounting, &stated, &left_out)?;
     if let Some(folder) = &args.report {
         write_page(
             folder,
@@ -133,15 +134,15 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
     }
 }
 
-fn print(mounting: &Mounting, stated: &Instrument, left_out: &[LeftOut]) {
+fn print(mounting: &Mounting, stated: &Instrument, left_out: &[LeftOut]) -> anyhow::Result<()> {
     let fit = &mounting.fit;
-    println!(
+    say(format_args!(
         "{} of {} sights agree, scattering by {:.3} mil ({:.2} arcsec) rms per axis",
         fit.accepted(),
         fit.residuals.len(),
         fit.scatter_mil,
         fit.scatter_mil * stated.optics.arcsec_per_mil(),
-    );
+    ))?;
     for finding in &mounting.findings {
         let numbers = |values: &[f64]| {
             let texts: Vec<String> = values.iter().map(|v| format!("{v:.4}")).collect();
@@ -161,13 +162,14 @@ fn print(mounting: &Mounting, stated: &Instrument, left_out: &[LeftOut]) {
             }
             (_, Verdict::Kept) => format!("{} {}; ", numbers(&finding.stated), finding.unit),
         };
-        println!("{}: {change}{}", finding.name, finding.remark);
+        say(format_args!("{}: {change}{}", finding.name, finding.remark))?;
     }
     if mounting.handedness != stated.mounting.handedness {
         let name = handedness_name(mounting.handedness);
-        println!("handedness: determined by the marks: {name}");
+        say(format_args!("handedness: determined by the marks: {name}"))?;
     }
     for LeftOut { name, reason } in left_out {
-        println!("left out: {name}: {reason}");
+        say(format_args!("left out: {name}: {reason}"))?;
     }
+    Ok(())
 }

@@ -3,6 +3,7 @@
 use super::{Edition, write_page};
 use crate::calibrate::plate;
 use crate::cli::output::progress_bar;
+use crate::cli::output::say;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -36,7 +37,7 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     if let Some(folder) = &args.report {
         write_page(folder, "index.html", &plate::html(&calibration)?)?;
     }
-    print!("{}", plate::summary(&calibration));
-    println!("written to {}", args.edition.out.display());
+    say(plate::summary(&calibration).trim_end())?;
+    say(format_args!("written to {}", args.edition.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }

@@ -8,6 +8,8 @@ use clap::Parser;
 use jiff::SignedDuration;
 use solaspect::link::{Message, SerialPort, port::BAUD};
 use solaspect::simulate::controller::{Controller, Report};
+use std::fmt::Display;
+use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,7 +34,7 @@ fn main() -> ExitCode {
         Ok(report) if report.faults.total() == 0 && report.tracking_on > 0 => ExitCode::SUCCESS,
         Ok(_) => ExitCode::FAILURE,
         Err(error) => {
-            eprintln!("gondola: {error:#}");
+            say(io::stderr(), format_args!("gondola: {error:#}"));
             ExitCode::FAILURE
         }
     }
@@ -47,15 +49,18 @@ fn run(arguments: &Arguments) -> anyhow::Result<Report> {
     let mut controller = Controller::new();
     let start = Instant::now();
     let stopped = || interrupted.load(Ordering::Relaxed) || start.elapsed() >= arguments.duration;
-    println!(
-        "{:<24} {:>12} {:>12} {:>12}",
-        "exposure (UTC)", "azimuth deg", "elevation deg", "error deg"
+    say(
+        io::stdout(),
+        format_args!(
+            "{:<24} {:>12} {:>12} {:>12}",
+            "exposure (UTC)", "azimuth deg", "elevation deg", "error deg"
+        ),
     );
     let ended = controller.run(&mut port, stopped, print).map(|_| ());
     let report = controller.report().clone();
-    println!("{report}");
+    say(io::stdout(), &report);
     if report.tracking_on == 0 {
-        println!("no answer to the start of tracking");
+        say(io::stdout(), "no answer to the start of tracking");
     }
     ended?;
     Ok(report)
@@ -63,13 +68,21 @@ fn run(arguments: &Arguments) -> anyhow::Result<Report> {
 
 fn print(message: &Message) {
     match message {
-        Message::Solution(offset) => println!(
-            "{:<24.3} {:>12.6} {:>12.6}  {:>12.6}",
-            offset.time, offset.azimuth_deg, offset.elevation_deg, offset.error_deg
+        Message::Solution(offset) => say(
+            io::stdout(),
+            format_args!(
+                "{:<24.3} {:>12.6} {:>12.6}  {:>12.6}",
+                offset.time, offset.azimuth_deg, offset.elevation_deg, offset.error_deg
+            ),
         ),
-        Message::Error { code } => println!("no solution: error {code}"),
+        Message::Error { code } => say(io::stdout(), format_args!("no solution: error {code}")),
         _ => {}
     }
+}
+
+/// Writes a line; the controller goes on when nobody reads it.
+fn say(mut out: impl Write, line: impl Display) {
+    let _ = writeln!(out, "{line}");
 }
 
 fn duration(text: &str) -> Result<Duration, String> {

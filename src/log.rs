@@ -1,0 +1,232 @@
+//! The log on standard error: bounded and lossy, so that no thread ever waits for whoever reads it.
+//!
+//! A line is made by the thread that logs it and put into a queue; one thread writes the queue to standard error. A line that
+//! finds the queue full, or that standard error refuses, is lost and counted. A terminal may also be shown a live line,
+//! which stands below the log and is replaced as the run goes on.
+//!
+//! `tracing-appender` offers such a queue, but does not count lines that the writer refuses, and prints to standard output
+//! where its queue is full at the end.
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use std::io::{self, IsTerminal, Write};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
+use std::time::Duration;
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::MakeWriter;
+
+/// Lines that may wait for standard error: some seconds of a flight at the level of single frames.
+const QUEUE_LINES: usize = 1024;
+/// How long the end of the program waits for standard error to take the last lines.
+const LAST_LINES: Duration = Duration::from_secs(1);
+
+/// How lines are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    Text,
+    Json,
+}
+
+static QUEUE: OnceLock<Queue> = OnceLock::new();
+static LOST: AtomicU64 = AtomicU64::new(0);
+
+/// Log lines that standard error did not take in time, or at all, since the start of the program.
+pub fn lost_lines() -> u64 {
+    LOST.load(Ordering::Relaxed)
+}
+
+/// Starts the log of this program, once; panics are logged too. `verbose` counts from 0 (warnings) to 3 (everything), unless
+/// the environment variable `RUST_LOG` says otherwise.
+///
+/// The log ends when the guard is dropped, after the lines that still wait.
+///
+/// # Errors
+/// There is no thread to write with.
+pub fn start(verbose: u8, format: Format) -> io::Result<Guard> {
+    let level = ["warn", "info", "debug"].get(usize::from(verbose));
+    let level = level.copied().unwrap_or("trace");
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    let (queue, entries) = bounded(QUEUE_LINES);
+    thread::Builder::new()
+        .name("log".into())
+        .spawn(move || write_all(&entries, &mut io::stderr()))?;
+    let queue = QUEUE.get_or_init(|| Queue(queue)).clone();
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(io::stderr().is_terminal())
+        .with_writer(queue.clone());
+    // A second log would be the first one's: there is one standard error.
+    let _ = match format {
+        Format::Text => log.try_init(),
+        Format::Json => log.json().try_init(),
+    };
+    std::panic::set_hook(Box::new(|panic| {
+        let place = panic.location().map(ToString::to_string);
+        let said = panic.payload_as_str().unwrap_or_default();
+        tracing::error!(place, said, "panic");
+    }));
+    Ok(Guard(queue))
+}
+
+/// Says something to whoever reads standard error, in order with the log and whatever its level.
+pub fn say(text: &str) {
+    match QUEUE.get() {
+        Some(queue) => queue.offer(Entry::Line(format!("{text}\n").into_bytes())),
+        None => {
+            let _ = writeln!(io::stderr(), "{text}");
+        }
+    }
+}
+
+/// Shows a terminal what goes on now, in place of what was shown before. Nothing is shown before the log has started.
+pub fn show(text: String) {
+    if let Some(queue) = QUEUE.get() {
+        queue.offer(Entry::Live(text));
+    }
+}
+
+/// Ends the log when it is dropped.
+#[must_use]
+pub struct Guard(Queue);
+
+impl Drop for Guard {
+    fn drop(&mut self) {
+        let (written, wait) = bounded(1);
+        if self
+            .0
+            .0
+            .send_timeout(Entry::Flush(written), LAST_LINES)
+            .is_ok()
+        {
+            // Standard error that takes nothing does not keep the program from ending.
+            let _ = wait.recv_timeout(LAST_LINES);
+        }
+    }
+}
+
+enum Entry {
+    Line(Vec<u8>),
+    Live(String),
+    /// Answered when all before it is written.
+    Flush(Sender<()>),
+}
+
+/// The end that threads write to: it never waits.
+#[derive(Clone)]
+struct Queue(Sender<Entry>);
+
+impl Queue {
+    fn offer(&self, entry: Entry) {
+        let is_line = matches!(entry, Entry::Line(_));
+        if self.0.try_send(entry).is_err() && is_line {
+            LOST.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Write for Queue {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        self.offer(Entry::Line(line.to_vec()));
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl<'a> MakeWriter<'a> for Queue {
+    type Writer = Self;
+
+    fn make_writer(&'a self) -> Self {
+        self.clone()
+    }
+}
+
+/// Writes what comes, until no more can come.
+fn write_all(entries: &Receiver<Entry>, out: &mut impl Write) {
+    /// To the beginning of the line, and nothing in it.
+    const CLEAR: &str = "\r\x1b[2K";
+    let mut live = String::new();
+    for entry in entries {
+        let written = match entry {
+            Entry::Line(line) if live.is_empty() => out.write_all(&line),
+            Entry::Line(line) => out
+                .write_all(CLEAR.as_bytes())
+                .and_then(|()| out.write_all(&line))
+                .and_then(|()| out.write_all(live.as_bytes())),
+            Entry::Live(text) => {
+                live = text;
+                // What a terminal does not take of it is not missed.
+                let _ = out.write_all(format!("{CLEAR}{live}").as_bytes());
+                Ok(())
+            }
+            Entry::Flush(written) => {
+                let _ = written.send(());
+                Ok(())
+            }
+        };
+        if written.is_err() {
+            LOST.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Takes so many bytes and refuses the rest.
+    struct Refusing(usize);
+
+    impl Write for Refusing {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0 = self
+                .0
+                .checked_sub(bytes.len())
+                .ok_or_else(|| io::Error::other("full"))?;
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn line(text: &str) -> Entry {
+        Entry::Line(text.as_bytes().to_vec())
+    }
+
+    #[test]
+    fn lines_that_are_not_taken_are_lost_and_counted() {
+        let (queue, entries) = bounded(3);
+        let queue = Queue(queue);
+        let before = lost_lines();
+        (0..5).for_each(|_| queue.offer(line("12345\n")));
+        assert_eq!(lost_lines() - before, 2, "two found the queue full");
+        drop(queue);
+        write_all(&entries, &mut Refusing(7));
+        assert_eq!(lost_lines() - before, 4, "two more were refused");
+    }
+
+    #[test]
+    fn the_live_line_stands_below_the_log() {
+        let (queue, entries) = bounded(9);
+        let queue = Queue(queue);
+        for entry in [
+            line("one\n"),
+            Entry::Live("3 frames".into()),
+            line("two\n"),
+            Entry::Live(String::new()),
+        ] {
+            queue.offer(entry);
+        }
+        drop(queue);
+        let mut written = Vec::new();
+        write_all(&entries, &mut written);
+        let text = String::from_utf8(written).unwrap();
+        let expected = "one\n\r\x1b[2K3 frames\r\x1b[2Ktwo\n3 frames\r\x1b[2K";
+        assert_eq!(text, expected);
+    }
+}
