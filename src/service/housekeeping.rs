@@ -10,6 +10,7 @@ use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
 use crate::link::housekeeping::MarkIds;
 use crate::link::{CameraRole, Housekeeping};
+use crate::log;
 use std::time::{Duration, Instant};
 
 /// Where Linux tells how warm the computer is, in thousandths of a degree.
@@ -34,6 +35,14 @@ impl Recent {
     }
 }
 
+/// How often threads were started again.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Restarts {
+    pub all: u64,
+    /// Of them, those that hung.
+    pub takeovers: u64,
+}
+
 /// Makes the packets.
 pub(super) struct Teller {
     controls: Controls,
@@ -53,14 +62,16 @@ impl Teller {
         }
     }
 
-    pub fn tell(&mut self, counts: &Counts, restarts: u64) -> Box<Housekeeping> {
+    pub fn tell(&mut self, counts: &Counts, restarts: Restarts) -> Box<Housekeeping> {
         let tally = counts.tally();
         let mut told = Box::<Housekeeping>::default();
         let clock = ClockStatus::read().ok();
         let offset_us = clock.map(|clock| clock.offset_us.round() as i64);
         self.controls.note_clock_offset(offset_us);
         told.uptime_s = small(self.start.elapsed().as_secs());
-        told.restarts = small(restarts);
+        told.restarts = small(restarts.all);
+        told.takeovers = small(restarts.takeovers);
+        told.log_lines_lost = small(log::lost_lines());
         self.tell_settings(&mut told);
         tell_counts(&mut told, &tally);
         told.clock_stepped = tally.camera.utc_steps > self.before.camera.utc_steps;

@@ -159,6 +159,7 @@ impl Service {
             teller: Teller::new(controls.clone(), crew.recent),
             counts: crew.counts,
             signals: Arc::clone(&signals),
+            gave_up: false,
         };
         let values = saved_values
             .map(|path| keep_values(path, &controls, &signals))

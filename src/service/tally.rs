@@ -221,6 +221,12 @@ pub struct FlightTally {
     pub line: LineTally,
     /// Threads that panicked or hung, and were started again.
     pub restarts: u64,
+    /// Of them, threads that hung.
+    pub takeovers: u64,
+    /// Whether the flight ended because its threads hung again and again.
+    pub gave_up: bool,
+    /// Log lines that standard error did not take.
+    pub log_lines_lost: u64,
 }
 
 impl FlightTally {
@@ -237,7 +243,14 @@ impl fmt::Display for FlightTally {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.camera.tell(out)?;
         if self.restarts > 0 {
-            writeln!(out, "threads    {} started again", self.restarts)?;
+            writeln!(
+                out,
+                "threads    {} started again, {} of them because they hung",
+                self.restarts, self.takeovers
+            )?;
+        }
+        if self.log_lines_lost > 0 {
+            writeln!(out, "log        {} lines lost", self.log_lines_lost)?;
         }
         self.solver.tell(out)?;
         self.archive.tell(out)?;

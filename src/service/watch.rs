@@ -1,7 +1,7 @@
 //! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
 
 use super::archiver::{self, Archive, Gauges};
-use super::housekeeping::Teller;
+use super::housekeeping::{Restarts, Teller};
 use super::line::LinkEvent;
 use super::shared::Shared;
 use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
@@ -16,6 +16,10 @@ use std::time::{Duration, Instant};
 /// How often the threads are looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 const TELL_EVERY: Duration = Duration::from_secs(1);
+/// A look that comes so late tells that the whole program was stopped: suspended, or by SIGSTOP.
+const STOPPED: Duration = Duration::from_secs(1);
+/// What the last frames may take to be stored before a program is replaced that cannot be helped.
+const ENDING: Duration = Duration::from_millis(1500);
 /// A line that shows no sign of life for so long is left to systemd: only a new process gets a new port.
 const LINE_PATIENCE: Duration = Duration::from_secs(10);
 /// How long the line may take to hang up.
@@ -52,6 +56,7 @@ impl Counts {
         let mut tally = FlightTally {
             archive: self.archive.tally(),
             line: self.line.copy(),
+            log_lines_lost: crate::log::lost_lines(),
             ..FlightTally::default()
         };
         for camera in &self.cameras {
@@ -75,46 +80,89 @@ pub(super) struct Watch {
     pub teller: Teller,
     pub counts: Counts,
     pub signals: Arc<Signals>,
+    /// Whether the flight was ended because threads could not be helped any more.
+    pub gave_up: bool,
 }
 
 impl Watch {
     /// Looks after the flight until everything has ended, or the deadline has passed and the line has been hung up.
     pub fn run(mut self) -> FlightTally {
         let mut systemd = Systemd::ready();
-        let mut told = Instant::now();
-        while !self.is_over() {
-            if !self.line.is_silent_for(LINE_PATIENCE) {
+        let mut looked = Instant::now();
+        let mut tell_at = looked + TELL_EVERY;
+        loop {
+            let now = Instant::now();
+            if now - looked > STOPPED {
+                self.excuse(now - looked);
+            }
+            looked = now;
+            if self.is_over(now) {
+                break;
+            }
+            if !self.line.is_silent_for(LINE_PATIENCE, now) {
                 systemd.feed();
             }
-            if told.elapsed() >= TELL_EVERY {
-                told += TELL_EVERY;
+            if systemd.is_there && !self.gave_up && self.is_beyond_help(now) {
+                self.give_up();
+            }
+            if now >= tell_at {
                 self.tell();
+                tell_at += TELL_EVERY;
+                if tell_at <= now {
+                    // Seconds in which the program was stopped are not made up for.
+                    tell_at = now + TELL_EVERY;
+                }
             }
             thread::sleep(LOOK_EVERY);
         }
         systemd.stopping();
         self.signals.hang_up.store(true, Ordering::Relaxed);
         let begin = Instant::now();
-        while self.line.look() && begin.elapsed() < HANGING_UP {
+        while self.line.look(Instant::now()) && begin.elapsed() < HANGING_UP {
             thread::sleep(LOOK_EVERY);
         }
         let mut tally = self.counts.tally();
         tally.restarts = self.restarts();
+        tally.takeovers = self.takeovers();
+        tally.gave_up = self.gave_up;
         tally
     }
 
+    /// The threads were stopped like everything else: nobody is to be blamed for it.
+    fn excuse(&self, stopped: Duration) {
+        let stopped_s = stopped.as_secs_f64();
+        tracing::warn!(stopped_s, "the whole program was stopped for a while");
+        let workers = self.cameras.iter().chain(&self.solvers).chain([&self.line]);
+        workers.for_each(Worker::excuse);
+    }
+
+    /// Whether there is no camera left that takes frames and has them solved.
+    fn is_beyond_help(&self, now: Instant) -> bool {
+        let mut pairs = self.cameras.iter().zip(&self.solvers);
+        pairs.all(|(camera, solver)| camera.is_beyond_help(now) || solver.is_beyond_help(now))
+    }
+
+    /// Ends the flight in order: systemd starts a new one.
+    fn give_up(&mut self) {
+        tracing::error!("threads hang again and again: the program ends, to be started anew");
+        self.gave_up = true;
+        self.signals.stop.store(true, Ordering::Relaxed);
+        let deadline = Instant::now() + ENDING;
+        self.signals.deadline.lock().get_or_insert(deadline);
+    }
+
     /// Looks after all threads: whether the work is done and the line is to be hung up.
-    fn is_over(&mut self) -> bool {
-        let taking = worker::look(&mut self.cameras);
+    fn is_over(&mut self, now: Instant) -> bool {
+        let taking = worker::look(&mut self.cameras, now);
         if !taking {
             self.signals.cameras_ended.store(true, Ordering::Relaxed);
         }
-        let flying = worker::look(&mut self.solvers) || taking;
+        let flying = worker::look(&mut self.solvers, now) || taking;
         if !flying && let Some(archive) = self.archive.take() {
             archive.close();
         }
-        let storing = self.disks.look();
-        self.line.look();
+        let storing = self.disks.look(now);
+        self.line.look(now);
         let deadline = *self.signals.deadline.lock();
         let late = deadline.is_some_and(|deadline| Instant::now() >= deadline);
         if late && (flying || storing) && !self.signals.finished.load(Ordering::Relaxed) {
@@ -128,12 +176,21 @@ impl Watch {
     }
 
     fn tell(&mut self) {
-        let told = self.teller.tell(&self.counts, self.restarts());
+        let restarts = Restarts {
+            all: self.restarts(),
+            takeovers: self.takeovers(),
+        };
+        let told = self.teller.tell(&self.counts, restarts);
         if let Some(archive) = &self.archive {
             archive.note(&told);
         }
         // A line that is stuck has more urgent things to say.
         let _ = self.to_line.try_send(LinkEvent::Housekeeping(told));
+    }
+
+    fn takeovers(&self) -> u64 {
+        let workers = self.cameras.iter().chain(&self.solvers);
+        workers.map(Worker::takeovers).sum()
     }
 
     fn restarts(&self) -> u64 {
@@ -144,6 +201,7 @@ impl Watch {
 
 /// The service manager, where it has started this program (`Type=notify`, `WatchdogSec`).
 struct Systemd {
+    is_there: bool,
     every: Option<Duration>,
     fed: Instant,
 }
@@ -152,6 +210,7 @@ impl Systemd {
     fn ready() -> Self {
         tell_systemd(NotifyState::Ready);
         Self {
+            is_there: std::env::var_os("NOTIFY_SOCKET").is_some(),
             // Twice as often as it wants to be fed.
             every: sd_notify::watchdog_enabled().map(|patience| patience / 2),
             fed: Instant::now(),

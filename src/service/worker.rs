@@ -1,7 +1,8 @@
 //! A thread that is started again when it panics or hangs.
 //!
 //! A thread cannot be ended from outside. One that hangs is left alone for good: its life is over, it is told so if ever it
-//! looks, and another one takes its place with the same channels.
+//! looks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so this is done a few
+//! times at most; then only a new process helps.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -11,6 +12,8 @@ use std::time::{Duration, Instant};
 
 /// A thread that panics again sooner than this is not started at once.
 const SOON: Duration = Duration::from_secs(1);
+/// How often a thread that hangs is replaced.
+const MOST_TAKEOVERS: u64 = 3;
 
 /// One life of a worker: its heartbeat, and whether another has taken its place.
 #[derive(Debug)]
@@ -41,9 +44,9 @@ impl Life {
         self.over.load(Ordering::Relaxed)
     }
 
-    fn silence(&self) -> Duration {
+    fn silence(&self, now: Instant) -> Duration {
         let beat = Duration::from_millis(self.beat_ms.load(Ordering::Relaxed));
-        self.begin.elapsed().saturating_sub(beat)
+        now.saturating_duration_since(self.begin + beat)
     }
 }
 
@@ -61,7 +64,8 @@ pub(super) struct Worker {
     make: Option<Make>,
     running: Option<Running>,
     due: Instant,
-    restarts: u64,
+    panics: u64,
+    takeovers: u64,
 }
 
 struct Running {
@@ -82,36 +86,58 @@ impl Worker {
             make: Some(Box::new(make)),
             running: None,
             due: Instant::now(),
-            restarts: 0,
+            panics: 0,
+            takeovers: 0,
         };
         worker.live()?;
         Ok(worker)
     }
 
+    /// How often the thread was started again, after a panic or a hang.
     pub fn restarts(&self) -> u64 {
-        self.restarts
+        self.panics + self.takeovers
     }
 
-    /// Whether the thread has shown no sign of life for longer than this.
-    pub fn is_silent_for(&self, patience: Duration) -> bool {
+    /// How often a thread that hung was replaced.
+    pub fn takeovers(&self) -> u64 {
+        self.takeovers
+    }
+
+    /// Whether the thread had shown no sign of life for longer than this at `now`.
+    pub fn is_silent_for(&self, patience: Duration, now: Instant) -> bool {
         let running = self.running.as_ref();
-        running.is_some_and(|running| running.life.silence() > patience)
+        running.is_some_and(|running| running.life.silence(now) > patience)
     }
 
-    /// Looks after the thread: whether its work goes on.
-    pub fn look(&mut self) -> bool {
+    /// Whether the thread hangs and was replaced too often to be replaced again.
+    pub fn is_beyond_help(&self, now: Instant) -> bool {
+        let hangs = |patience| self.is_silent_for(patience, now);
+        self.takeovers >= MOST_TAKEOVERS && self.patience.is_some_and(hangs)
+    }
+
+    /// Counts its silence from now on: the whole program was stopped for a while.
+    pub fn excuse(&self) {
+        if let Some(running) = &self.running {
+            running.life.beat();
+        }
+    }
+
+    /// Looks after the thread as it was at `now`: whether its work goes on.
+    pub fn look(&mut self, now: Instant) -> bool {
         match &self.running {
             Some(running) if running.thread.is_finished() => self.conclude(),
             Some(running) => {
-                let silence = running.life.silence();
-                if self.patience.is_some_and(|patience| silence > patience) {
+                let silence = running.life.silence(now);
+                if self.takeovers < MOST_TAKEOVERS
+                    && self.patience.is_some_and(|patience| silence > patience)
+                {
                     self.abandon(silence);
                 }
             }
-            None if self.make.is_some() && Instant::now() >= self.due => {
+            None if self.make.is_some() && now >= self.due => {
                 if let Err(error) = self.live() {
                     tracing::error!(thread = self.name, %error, "a thread cannot be started");
-                    self.due = Instant::now() + SOON;
+                    self.due = now + SOON;
                 }
             }
             None => {}
@@ -140,11 +166,11 @@ impl Worker {
         match thread.join() {
             Ok(()) => self.make = None,
             Err(panic) => {
-                self.restarts += 1;
+                self.panics += 1;
                 // What a panic carries may itself panic when it is dropped.
                 let said = message(&*panic);
                 let _ = std::panic::catch_unwind(AssertUnwindSafe(|| drop(panic)));
-                let restarts = self.restarts;
+                let restarts = self.restarts();
                 tracing::error!(thread = self.name, said, restarts, "a thread panicked");
                 let short_lived = life.begin.elapsed() < SOON;
                 self.due = match short_lived {
@@ -156,9 +182,9 @@ impl Worker {
     }
 
     fn abandon(&mut self, silence: Duration) {
-        self.restarts += 1;
-        let (silent_ms, restarts) = (silence.as_millis() as u64, self.restarts);
-        tracing::error!(thread = self.name, silent_ms, restarts, "a thread hangs");
+        self.takeovers += 1;
+        let (silent_ms, takeovers) = (silence.as_millis() as u64, self.takeovers);
+        tracing::error!(thread = self.name, silent_ms, takeovers, "a thread hangs");
         if let Some(running) = self.running.take() {
             running.life.over.store(true, Ordering::Relaxed);
         }
@@ -167,10 +193,10 @@ impl Worker {
 }
 
 /// Looks after threads: whether the work of any goes on.
-pub(super) fn look(workers: &mut [Worker]) -> bool {
+pub(super) fn look(workers: &mut [Worker], now: Instant) -> bool {
     let at_work = workers
         .iter_mut()
-        .filter_map(|worker| worker.look().then_some(()));
+        .filter_map(|worker| worker.look(now).then_some(()));
     at_work.count() > 0
 }
 
@@ -188,7 +214,7 @@ mod tests {
     fn look_until(worker: &mut Worker, done: impl Fn(&Worker, bool) -> bool) {
         let start = Instant::now();
         loop {
-            let goes_on = worker.look();
+            let goes_on = worker.look(Instant::now());
             if done(worker, goes_on) {
                 return;
             }
@@ -244,6 +270,42 @@ mod tests {
         let mut both: Vec<bool> = heard.iter().collect();
         both.sort_unstable();
         assert_eq!(both, [false, true], "the old one learns of it");
+    }
+
+    #[test]
+    fn a_thread_that_always_hangs_is_replaced_three_times_and_then_beyond_help() {
+        let (_open, never) = unbounded::<()>();
+        let patience = Duration::from_millis(1);
+        let mut worker = Worker::start("hanging", Some(patience), move || {
+            let never = never.clone();
+            Box::new(move |_| drop(never.recv()))
+        })
+        .unwrap();
+        look_until(&mut worker, |worker, _| worker.takeovers() == 3);
+        look_until(&mut worker, |worker, _| {
+            worker.is_beyond_help(Instant::now())
+        });
+        let late = Instant::now() + 1000 * patience;
+        assert!(worker.look(late), "the last one is left to its work");
+        assert_eq!((worker.takeovers(), worker.restarts()), (3, 3));
+    }
+
+    #[test]
+    fn a_thread_is_not_blamed_for_the_time_in_which_the_program_was_stopped() {
+        let (open, never) = unbounded::<()>();
+        let patience = Duration::from_millis(1);
+        let mut worker = Worker::start("stopped", Some(patience), move || {
+            let never = never.clone();
+            Box::new(move |_| drop(never.recv()))
+        })
+        .unwrap();
+        thread::sleep(5 * patience);
+        let now = Instant::now();
+        assert!(worker.is_silent_for(patience, now));
+        worker.excuse();
+        assert!(worker.look(now) && worker.takeovers() == 0);
+        drop(open);
+        look_until(&mut worker, ended);
     }
 
     #[test]

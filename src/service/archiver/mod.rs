@@ -265,8 +265,8 @@ impl Threads {
     }
 
     /// Looks after the threads: whether the work of any goes on.
-    pub fn look(&mut self) -> bool {
-        worker::look(&mut self.0)
+    pub fn look(&mut self, now: Instant) -> bool {
+        worker::look(&mut self.0, now)
     }
 
     pub fn restarts(&self) -> u64 {
