@@ -22,4 +22,4 @@ pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{
     MappingRecord, MarkRecord, OffsetRecord, Reason, Record, instrument_cards, tables,
 };
-pub use store::{ArchiveError, Encoded, MARK, Store};
+pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// What ends the name of a file that is being written.
-const UNFINISHED: &str = ".part";
+pub const UNFINISHED: &str = ".part";
 
 /// The file at an archive's root that tells an archive's disk from the empty folder it is mounted on.
 pub const MARK: &str = "archive.lock";

@@ -88,17 +88,13 @@ fn line(link: &config::Link) -> anyhow::Result<Connection> {
     Ok(Connection::to(address, link.baud, local_port))
 }
 
-/// The archives on the configured disks. One that is not there now is tried again in flight.
+/// The archives on the configured disks. They are opened in flight: a disk that hangs keeps nothing from starting.
 fn stores(config: &Config, instrument: &Instrument) -> Vec<Store> {
     let archive = &config.archive;
     let folders = [&archive.directory, &archive.second_directory];
-    let open = |folder: &PathBuf| {
+    let store = |folder: &PathBuf| {
         let disk = Arc::new(LocalDisk);
-        let store = Store::new(disk, folder, &instrument.name, archive.compression);
-        if let Err(error) = store.prepare() {
-            tracing::error!(%error, "a disk of the archive cannot be used yet");
-        }
-        store
+        Store::new(disk, folder, &instrument.name, archive.compression)
     };
-    folders.into_iter().flatten().map(open).collect()
+    folders.into_iter().flatten().map(store).collect()
 }

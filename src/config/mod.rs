@@ -104,6 +104,7 @@ pub struct Link {
     pub solution_divisor: u32,
     pub max_solution_age_ms: u32,
     pub saved_values: Option<PathBuf>,
+    pub restore_tracking_s: u32,
 }
 
 impl Default for Link {
@@ -117,6 +118,7 @@ impl Default for Link {
             solution_divisor: 1,
             max_solution_age_ms: 500,
             saved_values: None,
+            restore_tracking_s: 600,
         }
     }
 }

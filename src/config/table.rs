@@ -141,7 +141,9 @@ static TABLE: &[Parameter] = &[
     row!(link.max_solution_age_ms, "ms", Whole(1, 60_000), command 3,
         "A solution older than this, counted from mid-exposure, is not sent any more. Raising it lets a slow machine send, but older solutions."),
     row!(link.saved_values, "", Text, sample Sample::Text("/data/aspect/values.toml"),
-        "File in which values set by command outlive a restart; unset or empty, they do not. Delete it to return to the values of this configuration."),
+        "File in which values set by command outlive a restart; unset or empty, values.toml in archive.directory. Delete it to return to the values of this configuration."),
+    row!(link.restore_tracking_s, "s", Whole(0, 86_400),
+        "Tracking and the last GPS fix are taken up again after a restart of the program within the same start of the computer, or if they were saved less than this ago: they are saved at each change and each minute. Raising it rides out longer power cuts; a computer that is switched on within it steers at once."),
 
     row!(host.realtime_priority, "", Whole(1, 99), sample Sample::Number(10.0),
         "Priority of the camera's, solver's and link's threads among the real-time threads of the computer (FIFO); unset, they are scheduled like all others. Needs CAP_SYS_NICE or LimitRTPRIO of the unit; without it the flight goes on and says so."),

@@ -48,22 +48,34 @@ pub trait Control {
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult;
 }
 
-/// A fix this far from the last place is taken for an error, deg.
+/// A fix this far from the last one is taken for an error, deg.
 const LATITUDE_JUMP_DEG: f32 = 5.0;
 const LONGITUDE_JUMP_DEG: f32 = 15.0;
+/// Fixes within this of each other, in latitude and in longitude, agree, deg.
+const AGREEMENT_DEG: f32 = 1.0;
 
 impl GpsFix {
-    /// Whether a fix may be believed after the last place that was. (0, 0) is what a receiver without a fix sends; a
-    /// jump is a mistake of the receiver or of the line.
-    pub fn may_follow(&self, last: Option<Self>) -> bool {
+    /// Whether it is a place on Earth. (0, 0) is what a receiver without a fix sends.
+    pub fn is_possible(self) -> bool {
         let on_earth = self.latitude_deg.abs() <= 90.0 && self.longitude_deg.abs() <= 360.0;
         let nowhere = self.latitude_deg == 0.0 && self.longitude_deg == 0.0;
-        let jumps = last.is_some_and(|last| {
-            let longitude = (self.longitude_deg - last.longitude_deg).rem_euclid(360.0);
-            (self.latitude_deg - last.latitude_deg).abs() > LATITUDE_JUMP_DEG
-                || longitude.min(360.0 - longitude) > LONGITUDE_JUMP_DEG
-        });
-        on_earth && !nowhere && !jumps
+        on_earth && !nowhere
+    }
+
+    /// Whether it is no jump from the last fix, where there is one: a jump is a mistake of the receiver or of the line.
+    pub fn may_follow(self, last: Option<Self>) -> bool {
+        last.is_none_or(|last| self.is_within(last, LATITUDE_JUMP_DEG, LONGITUDE_JUMP_DEG))
+    }
+
+    /// Whether two fixes tell of one place, to about a degree.
+    pub fn agrees_with(self, other: Self) -> bool {
+        self.is_within(other, AGREEMENT_DEG, AGREEMENT_DEG)
+    }
+
+    fn is_within(self, other: Self, latitude_deg: f32, longitude_deg: f32) -> bool {
+        let longitude = (self.longitude_deg - other.longitude_deg).rem_euclid(360.0);
+        (self.latitude_deg - other.latitude_deg).abs() <= latitude_deg
+            && longitude.min(360.0 - longitude) <= longitude_deg
     }
 }
 
@@ -79,7 +91,7 @@ mod tests {
                 latitude_deg,
                 longitude_deg,
             };
-            let believed = fix.may_follow(last);
+            let believed = fix.is_possible() && fix.may_follow(last);
             if believed {
                 last = Some(fix);
             }

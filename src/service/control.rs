@@ -4,21 +4,23 @@
 //! command becomes keys and values; so does a saved file. Both are checked in the same place, against the parameter
 //! table, and take effect all together or not at all.
 
+mod gps;
 mod orders;
 mod own;
 mod saved;
 
-pub use saved::{Keeper, restore};
+pub use saved::{Keeper, SavedValues, restore};
 
 use crate::aspect;
 use crate::config::{self, Config, Value, by_command, by_key};
 use crate::instrument::Mounting;
 use crate::link::code::angle_code;
-use crate::link::{CameraRole, Reading};
+use crate::link::{CameraRole, GpsFix, Reading};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
-use own::Own;
+use gps::Gps;
+use own::{LATITUDE, LONGITUDE, Own};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -74,7 +76,7 @@ impl Topic {
 
     fn of(key: &str) -> Self {
         match key.split_once('.').map_or(key, |(table, _)| table) {
-            "target" | "site" => Self::Aim,
+            "target" | "site" | "gps" => Self::Aim,
             "mounting" => Self::Mounting,
             "limb" | "fiducial" | "registration" => Self::Solver,
             "camera" | "second_camera" | "roll_camera" => Self::Cameras,
@@ -111,6 +113,13 @@ impl Snapshot {
     }
 }
 
+/// Whether settings were others before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Changed {
+    Yes,
+    No,
+}
+
 /// The settings in flight. Clones share them.
 #[derive(Debug, Clone)]
 pub struct Controls(Arc<Shared>);
@@ -131,6 +140,7 @@ struct State {
     target: Target,
     place: Option<Place>,
     own: Own,
+    gps: Gps,
     /// The instrument's own.
     stated: Mounting,
     /// All that commands have set, by key: what is saved.
@@ -146,6 +156,7 @@ impl Controls {
         let state = State {
             place: config.site.place(),
             own: Own::new(),
+            gps: Gps::default(),
             config,
             target,
             stated: mounting,
@@ -253,6 +264,15 @@ impl Controls {
     /// # Errors
     /// Which key was refused, and why.
     pub fn set(&self, settings: &[(&str, Value)]) -> Result<(), config::Refused> {
+        if self.apply(settings)? == Changed::Yes {
+            // The keeper has not taken the last word yet: it will see this change, too.
+            let _ = self.0.changed.0.try_send(());
+        }
+        Ok(())
+    }
+
+    /// As [`set`](Self::set), but nothing is saved for it alone.
+    fn apply(&self, settings: &[(&str, Value)]) -> Result<Changed, config::Refused> {
         let mut state = self.state();
         let mut next = state.clone();
         for (key, value) in settings {
@@ -264,11 +284,12 @@ impl Controls {
         for (key, _) in settings {
             self.0.versions[Topic::of(key) as usize].fetch_add(1, Ordering::Release);
         }
-        if changed {
-            // The keeper has not taken the last word yet: it will see this change, too.
-            let _ = self.0.changed.0.try_send(());
-        }
-        Ok(())
+        Ok(if changed { Changed::Yes } else { Changed::No })
+    }
+
+    /// GPS fixes that were not believed.
+    pub fn gps_refused(&self) -> u64 {
+        self.state().gps.refused()
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -302,10 +323,34 @@ impl State {
             Some(("site", _)) => {
                 self.config.site.height_m.get_or_insert(0.0);
                 self.place = self.config.site.place();
+                self.forget_fix();
             }
+            Some(("gps", "latitude_deg" | "longitude_deg")) => self.move_to_fix(),
             _ => {}
         }
         Ok(())
+    }
+
+    /// GPS tells no height: that of the last place holds.
+    fn move_to_fix(&mut self) {
+        let Some((latitude, longitude)) = self.own.latitude_deg.zip(self.own.longitude_deg) else {
+            return;
+        };
+        let height_m = self.place.map_or(0.0, |place| place.height_m);
+        let place = Place::new(latitude, longitude, height_m);
+        self.place = place.ok().or(self.place);
+        self.gps.resume(GpsFix {
+            latitude_deg: latitude as f32,
+            longitude_deg: longitude as f32,
+        });
+    }
+
+    /// The ground knows better: the next fix is judged by no other.
+    fn forget_fix(&mut self) {
+        (self.own.latitude_deg, self.own.longitude_deg) = (None, None);
+        self.commanded.remove(LATITUDE);
+        self.commanded.remove(LONGITUDE);
+        self.gps.forget();
     }
 
     /// A value as it travels; `None` where it is not known.

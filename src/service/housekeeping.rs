@@ -98,6 +98,7 @@ impl Teller {
         let link = self.controls.config().link;
         told.computer = link.computer as u8;
         told.storing = self.controls.stores(CameraRole::PitchYaw);
+        told.gps_refused = small(self.controls.gps_refused());
         told.clock_offset_us = self.controls.clock_offset_us().map(|us| us as f32);
     }
 

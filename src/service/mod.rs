@@ -57,7 +57,7 @@ use crate::camera::{Exposure, FrameSource};
 use crate::config::Host;
 use crate::link::Connection;
 use crate::sky::Ephemeris;
-use control::{Controls, Keeper};
+use control::{Controls, Keeper, SavedValues};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use housekeeping::{Recent, Teller};
 use line::{Line, LinkEvent};
@@ -80,6 +80,9 @@ const LINK_EVENTS: usize = 256;
 const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
 /// So does a solver. It takes a hundredth of a second for a frame.
 const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
+
+/// How long the start waits for the saved values, and the end for the last of them to be saved.
+const SAVED_VALUES: Duration = Duration::from_millis(500);
 
 /// A frame on its way from the camera, with the moment it arrived.
 struct Sighting {
@@ -115,14 +118,16 @@ impl Service {
     }
 
     fn launch(flight: Flight, watcher: Option<Sender<Answer>>) -> std::io::Result<Self> {
-        let saved_values = flight.config.link.saved_values.clone();
         let controls = controls(&flight);
+        let signals = Arc::<Signals>::default();
+        let values = SavedValues::of(&flight.config)
+            .map(|file| keep_values(file, &controls, &signals))
+            .transpose()?;
         let folders: Vec<PathBuf> = flight.cameras().map(|c| c.folder.clone()).collect();
         let (archive, disks) =
             archiver::start(flight.stores, &folders, &controls, &flight.ephemeris)?;
         let gauges = archive.gauges();
         let (to_line, events) = bounded(LINK_EVENTS);
-        let signals = Arc::<Signals>::default();
         let counts = Counts {
             cameras: Vec::new(),
             solvers: Vec::new(),
@@ -161,9 +166,6 @@ impl Service {
             signals: Arc::clone(&signals),
             gave_up: false,
         };
-        let values = saved_values
-            .map(|path| keep_values(path, &controls, &signals))
-            .transpose()?;
         Ok(Self {
             watch: spawn("watch", move || watch.run())?,
             values,
@@ -211,33 +213,42 @@ impl Service {
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
         self.signals.awaited.store(true, Ordering::Relaxed);
         let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));
-        if let Some(values) = self.values {
-            values.join().map_err(|_| ThreadFailed("values"))?;
+        let begin = Instant::now();
+        let is_saving = |values: &JoinHandle<u64>| !values.is_finished();
+        while self.values.as_ref().is_some_and(is_saving) && begin.elapsed() < SAVED_VALUES {
+            thread::sleep(Duration::from_millis(1));
         }
         tally
     }
 }
 
-/// What the ground may set, with what it set before the last restart.
+/// What the ground may set.
 fn controls(flight: &Flight) -> Controls {
     let mounting = flight.camera.instrument.mounting;
     let controls = Controls::new(flight.config.clone(), flight.target, mounting);
     let seats = flight.cameras().map(|camera| camera.seat);
     controls.note_cameras(&seats.map(Seat::role).collect::<Vec<_>>());
-    if let Some(path) = &flight.config.link.saved_values {
-        control::restore(&controls, path);
-    }
     controls
 }
 
+/// Starts the thread that reads and saves what commands set, and waits a moment for what was saved.
 fn keep_values(
-    path: PathBuf,
+    file: SavedValues,
     controls: &Controls,
     signals: &Signals,
 ) -> std::io::Result<JoinHandle<u64>> {
-    let keeper = Keeper::new(controls.clone(), path);
+    let name = file.path().display().to_string();
+    let keeper = Keeper::new(controls.clone(), file);
     let ends = Arc::clone(&signals.hang_up);
-    spawn("values", move || keeper.run(&ends))
+    let (restored, wait) = bounded(1);
+    let values = spawn("values", move || keeper.run(&restored, &ends))?;
+    if wait.recv_timeout(SAVED_VALUES).is_err() {
+        tracing::error!(
+            file = name,
+            "the disk hangs: starting without the saved values"
+        );
+    }
+    Ok(values)
 }
 
 /// Cameras and solvers as they join the flight, and what they share.

@@ -260,7 +260,7 @@ impl fmt::Display for FlightTally {
 
 /// Whether a fault that has happened so often deserves a line in the log: the 1st, 2nd, 4th, 8th ... A dead disk or line
 /// must not fill the log.
-pub(super) fn worth_a_line(count: u64) -> bool {
+pub(in crate::service) fn worth_a_line(count: u64) -> bool {
     count.is_power_of_two()
 }
 

@@ -59,12 +59,12 @@ pub(super) enum Taken<P> {
 }
 
 pub(super) struct Queue<P> {
-    rules: Rules,
     state: Mutex<State<P>>,
     changed: Condvar,
 }
 
 struct State<P> {
+    rules: Rules,
     pictures: VecDeque<Waiting<P>>,
     disks: Vec<DiskState>,
     closed: bool,
@@ -95,8 +95,8 @@ enum Activity {
 impl<P> Queue<P> {
     pub fn new(rules: Rules, disks: usize) -> Self {
         Self {
-            rules,
             state: Mutex::new(State {
+                rules,
                 pictures: VecDeque::new(),
                 disks: vec![DiskState::default(); disks],
                 closed: false,
@@ -128,9 +128,14 @@ impl<P> Queue<P> {
             picture,
             refusals: 0,
         };
-        let given_up = self.lock().offer(waiting, &self.rules);
+        let given_up = self.lock().offer(waiting);
         self.changed.notify_all();
         given_up
+    }
+
+    /// Stores one in so many from now on, when pictures are thinned out.
+    pub fn set_every(&self, every: u64) {
+        self.lock().rules.every = every;
     }
 
     /// Notes how much room a disk has.
@@ -146,7 +151,7 @@ impl<P> Queue<P> {
         // A disk that leaves off waiting may have been the one that another stood back for.
         self.changed.notify_all();
         let taken = loop {
-            if let Some(picture) = state.next_for(disk, &self.rules) {
+            if let Some(picture) = state.next_for(disk) {
                 state.last = Some(disk);
                 break Taken::Picture(picture);
             }
@@ -228,7 +233,8 @@ impl<P> Queue<P> {
 }
 
 impl<P> State<P> {
-    fn offer(&mut self, waiting: Waiting<P>, rules: &Rules) -> GivenUp {
+    fn offer(&mut self, waiting: Waiting<P>) -> GivenUp {
+        let rules = self.rules;
         let nth = self.offered.is_multiple_of(rules.every);
         self.offered += 1;
         let room = self.best_room();
@@ -265,9 +271,9 @@ impl<P> State<P> {
         rooms.max().unwrap_or_default()
     }
 
-    fn next_for(&mut self, disk: usize, rules: &Rules) -> Option<Waiting<P>> {
+    fn next_for(&mut self, disk: usize) -> Option<Waiting<P>> {
         let room = self.disks[disk].room;
-        if room == Room::None || (!self.closed && self.stands_back(disk, rules)) {
+        if room == Room::None || (!self.closed && self.stands_back(disk)) {
             return None;
         }
         self.pictures.pop_front()
@@ -275,7 +281,7 @@ impl<P> State<P> {
 
     /// Whether a disk leaves the next picture to another one: to one that waits, when it took the last itself; and to
     /// one with more room, unless that cannot follow.
-    fn stands_back(&self, disk: usize, rules: &Rules) -> bool {
+    fn stands_back(&self, disk: usize) -> bool {
         let own = self.disks[disk].room;
         let others = self.disks.iter().enumerate();
         others.filter(|&(n, _)| n != disk).any(|(_, other)| {
@@ -283,7 +289,7 @@ impl<P> State<P> {
             match other.activity {
                 Activity::Waiting if other.room <= Room::Scarce && own > other.room => false,
                 Activity::Waiting => roomier || self.last == Some(disk) && other.room > Room::None,
-                Activity::Writing => roomier && 2 * self.pictures.len() < rules.bound,
+                Activity::Writing => roomier && 2 * self.pictures.len() < self.rules.bound,
                 Activity::Resting | Activity::Ended => false,
             }
         })

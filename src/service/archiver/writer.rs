@@ -157,8 +157,11 @@ impl Writer {
         )
     }
 
-    /// Measures the disk's free space, and says when its room has changed; looks at the clock, too.
+    /// Measures the disk's free space, and says when its room has changed; looks at the clock and the settings, too.
     fn look(&mut self) {
+        let settings = self.controls.config().archive;
+        self.limits = settings.space_limits();
+        self.queue.set_every(settings.store_every);
         self.clock = ClockStatus::read().ok();
         let free_percent = self.store.space().ok().map(|space| space.free_percent());
         let used = free_percent.map(|free| (100.0 - free).round() as u8);

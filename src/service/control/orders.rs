@@ -1,9 +1,10 @@
 //! Commands become keys and values.
 
-use super::{Controls, Topic, switch};
+use super::own::{LATITUDE, LONGITUDE};
+use super::{Controls, switch};
 use crate::config::{Allowed, Value, by_command};
 use crate::link::{CameraRole, CameraSetting, Command, CommandResult, Control, GpsFix};
-use crate::units::Place;
+use crate::service::tally::worth_a_line;
 use std::sync::atomic::Ordering;
 
 impl Control for Controls {
@@ -63,26 +64,39 @@ impl Control for Controls {
     }
 
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult {
-        let mut state = self.state();
-        let last = state.place.map(|place| GpsFix {
-            latitude_deg: place.latitude_deg as f32,
-            longitude_deg: place.longitude_deg as f32,
-        });
-        let height_m = state.place.map_or(0.0, |place| place.height_m);
-        let (latitude, longitude) = (fix.latitude_deg.into(), fix.longitude_deg.into());
-        match Place::new(latitude, longitude, height_m) {
-            Ok(place) if state.own.accepts_gps && fix.may_follow(last) => {
-                state.place = Some(place);
-                drop(state);
-                self.0.versions[Topic::Aim as usize].fetch_add(1, Ordering::Release);
-                CommandResult::Done
-            }
-            _ => CommandResult::Refused,
+        let accepted = self.state().own.accepts_gps;
+        if !(accepted && self.believes(fix)) {
+            return CommandResult::Refused;
+        }
+        // Kept with the next values that are saved: a fix a second is no reason to write a file a second.
+        match self.apply(&[
+            (LATITUDE, Value::Number(fix.latitude_deg.into())),
+            (LONGITUDE, Value::Number(fix.longitude_deg.into())),
+        ]) {
+            Ok(_) => CommandResult::Done,
+            Err(_) => CommandResult::Refused,
         }
     }
 }
 
 impl Controls {
+    fn believes(&self, fix: GpsFix) -> bool {
+        let mut state = self.state();
+        let believed = state.gps.believes(fix);
+        let refused = state.gps.refused();
+        drop(state);
+        if !believed && worth_a_line(refused) {
+            let (latitude_deg, longitude_deg) = (fix.latitude_deg, fix.longitude_deg);
+            tracing::warn!(
+                latitude_deg,
+                longitude_deg,
+                refused,
+                "a GPS fix is not believed"
+            );
+        }
+        believed
+    }
+
     fn set_by_command(&self, settings: &[(&str, Value)]) -> CommandResult {
         match self.set(settings) {
             Ok(()) => {

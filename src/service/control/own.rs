@@ -3,6 +3,12 @@
 use crate::config::{Refused, Value};
 use crate::instrument::TURN_DEG;
 
+/// The key that tells whether the controller wants solutions.
+pub(super) const TRACKING: &str = "link.tracking";
+/// The keys of the last GPS fix.
+pub(super) const LATITUDE: &str = "gps.latitude_deg";
+pub(super) const LONGITUDE: &str = "gps.longitude_deg";
+
 /// What only commands set. `None` where they have not.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Own {
@@ -14,6 +20,9 @@ pub(super) struct Own {
     pub tracking: bool,
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
+    /// The last GPS fix that was believed.
+    pub latitude_deg: Option<f64>,
+    pub longitude_deg: Option<f64>,
 }
 
 impl Own {
@@ -25,6 +34,8 @@ impl Own {
             tracking: false,
             clocking_deg: None,
             twist_deg: None,
+            latitude_deg: None,
+            longitude_deg: None,
         }
     }
 
@@ -35,7 +46,9 @@ impl Own {
             "store.pitch_yaw" => self.stores[0] = switch("store.pitch_yaw", value)?,
             "store.roll" => self.stores[1] = switch("store.roll", value)?,
             "link.sending" => self.sending = Some(switch("link.sending", value)?),
-            "link.tracking" => self.tracking = switch("link.tracking", value)?,
+            TRACKING => self.tracking = switch(TRACKING, value)?,
+            LATITUDE => self.latitude_deg = Some(angle(LATITUDE, value)?),
+            LONGITUDE => self.longitude_deg = Some(angle(LONGITUDE, value)?),
             "mounting.clocking_deg" => {
                 self.clocking_deg = Some(angle("mounting.clocking_deg", value)?);
             }

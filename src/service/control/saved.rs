@@ -3,23 +3,40 @@
 //! The file is a header line with a checksum, then TOML: one key and value a line. It is replaced as a whole, by a new
 //! file that is on the disk before it takes the old one's name: a reader finds the old values or the new ones, never
 //! half of them. The checksum is for what disks do later.
+//!
+//! Tracking and the last GPS fix are kept, too, but only for a flight that goes on: they are taken up again within the same
+//! start of the computer, or if they were saved a short time ago. A computer that is switched on the next day in the
+//! laboratory does not steer. While there is such a value, the file is written anew each minute, with the time.
 
 use super::Controls;
-use crate::config::Value;
+use super::own::{LATITUDE, LONGITUDE, TRACKING};
+use crate::archive::{MARK, UNFINISHED};
+use crate::config::{Config, Value};
+use crate::service::tally::worth_a_line;
 use crc::{CRC_32_ISO_HDLC, Crc};
+use crossbeam_channel::Sender;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const HEADER: &str = "# solaspect: values set by command. crc32 ";
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// How long the keeper waits for a change before it looks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(100);
 /// After a failure, the next attempt.
-const RETRY: Duration = Duration::from_secs(10);
+const RETRY: Duration = Duration::from_secs(5);
+/// How often the file is written anew while it holds a value that is for a short time only.
+const REFRESH: Duration = Duration::from_secs(60);
+/// The keys whose values are for a short time only.
+const SHORT_LIVED: [&str; 3] = [TRACKING, LATITUDE, LONGITUDE];
+/// The keys that tell when the file was written: the time, and the start of the computer.
+const WRITTEN_UTC: &str = "written.utc";
+const WRITTEN_BOOT: &str = "written.boot";
+/// Where Linux tells a number that is another one after each start of the computer.
+const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
 
 /// Why saved values cannot be used, or could not be saved.
 #[derive(Debug, thiserror::Error)]
@@ -34,10 +51,85 @@ pub enum SavedError {
     },
 }
 
-/// Sets what was saved. Whatever is wrong is logged, never fatal: a damaged file is set aside under another name, a value that is
-/// refused is left out. Returns how many values were set.
+/// Where values are saved.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SavedValues {
+    path: PathBuf,
+    /// Whether the folder is an archive's, and must be seen to be one before anything is written there.
+    in_archive: bool,
+}
+
+impl SavedValues {
+    /// The configured file, else one in the archive; `None` where there is neither.
+    pub fn of(config: &Config) -> Option<Self> {
+        let configured = config.link.saved_values.clone();
+        let in_archive = configured.is_none();
+        let archive = config.archive.directory.as_deref();
+        let path = configured.or_else(|| Some(archive?.join("values.toml")))?;
+        Some(Self { path, in_archive })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A disk that is not mounted leaves an empty folder, which is not the archive.
+    fn check(&self) -> Result<(), SavedError> {
+        let mark = folder_of(&self.path).join(MARK);
+        if self.in_archive && !mark.exists() {
+            let (path, cause) = (mark, io::ErrorKind::NotFound.into());
+            return Err(SavedError::File { path, cause });
+        }
+        Ok(())
+    }
+}
+
+/// When a file was written.
+#[derive(Debug, Clone, PartialEq)]
+struct Written {
+    utc: Timestamp,
+    /// `None` where the system does not tell.
+    boot: Option<String>,
+}
+
+impl Written {
+    fn now() -> Self {
+        let boot = std::fs::read_to_string(BOOT_ID).ok();
+        Self {
+            utc: Timestamp::now(),
+            boot: boot.map(|id| id.trim().to_owned()),
+        }
+    }
+
+    /// Takes it out of the values of a file.
+    fn take(values: &mut BTreeMap<String, Value>) -> Option<Self> {
+        let mut text = |key| match values.remove(key) {
+            Some(Value::Text(text)) => Some(text),
+            _ => None,
+        };
+        let (utc, boot) = (text(WRITTEN_UTC), text(WRITTEN_BOOT));
+        Some(Self {
+            utc: utc?.parse().ok()?,
+            boot,
+        })
+    }
+
+    /// Whether a flight of `then` goes on now. A clock that has been set back tells nothing.
+    fn is_recent(&self, then: &Self, limit: Duration) -> bool {
+        let same_boot = self.boot.is_some() && self.boot == then.boot;
+        let age = Duration::try_from(self.utc.duration_since(then.utc));
+        same_boot || age.is_ok_and(|age| age <= limit)
+    }
+}
+
+/// Sets what was saved, but for what has been commanded since. Whatever is wrong is logged, never fatal: a damaged file is set
+/// aside under another name, a value that is refused is left out. Returns how many values were set.
 pub fn restore(controls: &Controls, path: &Path) -> usize {
-    let values = match read(path) {
+    restore_at(controls, path, &Written::now())
+}
+
+fn restore_at(controls: &Controls, path: &Path, now: &Written) -> usize {
+    let mut values = match read(path) {
         Ok(values) => values,
         Err(error) => {
             tracing::error!(%error, "starting without the saved values");
@@ -47,11 +139,25 @@ pub fn restore(controls: &Controls, path: &Path) -> usize {
             return 0;
         }
     };
+    let written = Written::take(&mut values);
+    let limit = Duration::from_secs(controls.config().link.restore_tracking_s.into());
+    if !written.is_some_and(|then| now.is_recent(&then, limit)) {
+        let before = values.len();
+        values.retain(|key, _| !SHORT_LIVED.contains(&key.as_str()));
+        if values.len() < before {
+            let (file, limit_s) = (path.display(), limit.as_secs());
+            tracing::warn!(%file, limit_s, "saved too long ago: tracking and GPS begin anew");
+        }
+    }
+    let commanded = controls.state().commanded.clone();
+    values.retain(|key, _| !commanded.contains_key(key));
     // Together first: a place is refused by halves. One by one, where not all may be set.
-    let settings: Vec<(&str, Value)> = values
+    let mut settings: Vec<(&str, Value)> = values
         .iter()
         .map(|(k, v)| (k.as_str(), v.clone()))
         .collect();
+    // The fix last: where there is one, it is newer than a place set by command.
+    settings.sort_by_key(|(key, _)| SHORT_LIVED.contains(key));
     if controls.set(&settings).is_ok() {
         return settings.len();
     }
@@ -127,7 +233,12 @@ fn decode(bytes: &[u8]) -> Result<BTreeMap<String, Value>, (String, String)> {
         .collect()
 }
 
-fn encode(values: &BTreeMap<String, Value>) -> String {
+fn encode(values: &BTreeMap<String, Value>, written: &Written) -> String {
+    let mut values = values.clone();
+    values.insert(WRITTEN_UTC.into(), Value::Text(written.utc.to_string()));
+    if let Some(boot) = &written.boot {
+        values.insert(WRITTEN_BOOT.into(), Value::Text(boot.clone()));
+    }
     let lines = values.iter().map(|(key, value)| match value {
         // A whole number would come back as one.
         Value::Number(number) => format!("{key:?} = {number:?}\n"),
@@ -138,17 +249,15 @@ fn encode(values: &BTreeMap<String, Value>) -> String {
     format!("{HEADER}{crc:08x}\n{body}")
 }
 
-/// Replaces the file as a whole.
-fn write(path: &Path, values: &BTreeMap<String, Value>) -> Result<(), SavedError> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
+/// Replaces the file as a whole. What a power cut leaves of it is swept from an archive like a frame that was half-written.
+fn write(path: &Path, text: &str) -> Result<(), SavedError> {
+    let folder = folder_of(path);
     let replace = || -> io::Result<()> {
         let mut file = tempfile::Builder::new()
             .prefix(".values-")
+            .suffix(UNFINISHED)
             .tempfile_in(folder)?;
-        file.write_all(encode(values).as_bytes())?;
+        file.write_all(text.as_bytes())?;
         file.as_file().sync_all()?;
         file.persist(path)?;
         // The name, too, is to survive a power cut.
@@ -160,33 +269,49 @@ fn write(path: &Path, values: &BTreeMap<String, Value>) -> Result<(), SavedError
     })
 }
 
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
 /// Saves what commands set, on a thread of its own: a disk that hangs does not hold up an answer.
 pub struct Keeper {
     controls: Controls,
-    path: PathBuf,
+    file: SavedValues,
 }
 
 impl Keeper {
-    pub fn new(controls: Controls, path: PathBuf) -> Self {
-        Self { controls, path }
+    pub fn new(controls: Controls, file: SavedValues) -> Self {
+        Self { controls, file }
     }
 
-    /// Saves after every change until told to end, and then what is left to save. Returns how often it failed.
-    pub fn run(self, ends: &AtomicBool) -> u64 {
+    /// Sets what was saved, says so to `restored`, and saves after every change until told to end, and then what is left to
+    /// save. Returns how often it failed.
+    pub fn run(self, restored: &Sender<()>, ends: &AtomicBool) -> u64 {
+        restore(&self.controls, &self.file.path);
+        // Nobody listens any more where this came too late.
+        let _ = restored.send(());
         let changes = self.controls.0.changed.1.clone();
-        let mut failed = 0;
-        let mut retry_at = None;
+        let mut failed: u64 = 0;
+        let mut due_at = None;
         loop {
             let last = ends.load(Ordering::Relaxed);
             let changed = changes.recv_timeout(PATIENCE).is_ok();
-            let due = retry_at.is_some_and(|at| std::time::Instant::now() >= at || last);
+            let due = due_at.is_some_and(|at| Instant::now() >= at || last);
             if changed || due {
-                retry_at = None;
-                if let Err(error) = self.save() {
-                    failed += 1;
-                    tracing::error!(%error, failed, "values set by command were not saved");
-                    retry_at = Some(std::time::Instant::now() + RETRY);
-                }
+                due_at = match self.save() {
+                    Ok(ShortLived::Some) => Some(Instant::now() + REFRESH),
+                    Ok(ShortLived::None) => None,
+                    Err(error) => {
+                        failed += 1;
+                        if worth_a_line(failed) {
+                            tracing::error!(%error, failed, "values set by command were not saved");
+                        }
+                        Some(Instant::now() + RETRY)
+                    }
+                };
             }
             if last {
                 return failed;
@@ -194,20 +319,33 @@ impl Keeper {
         }
     }
 
-    fn save(&self) -> Result<(), SavedError> {
+    fn save(&self) -> Result<ShortLived, SavedError> {
         let values = self.controls.state().commanded.clone();
-        write(&self.path, &values)
+        self.file.check()?;
+        write(&self.file.path, &encode(&values, &Written::now()))?;
+        Ok(
+            match SHORT_LIVED.iter().any(|key| values.contains_key(*key)) {
+                true => ShortLived::Some,
+                false => ShortLived::None,
+            },
+        )
     }
+}
+
+/// Whether a file holds values that are for a short time only.
+enum ShortLived {
+    Some,
+    None,
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
     use crate::instrument::builtin;
-    use crate::link::CameraRole;
+    use crate::link::{CameraRole, CommandResult, Control, GpsFix};
     use crate::pointing::Target;
     use crate::service::Seat;
+    use crossbeam_channel::bounded;
 
     fn controls() -> Controls {
         let mounting = builtin("demo").unwrap().mounting;
@@ -218,10 +356,18 @@ mod tests {
     fn set_values(controls: &Controls) {
         controls
             .set(&[
-                ("target.x_arcsec", Value::Number(-300.0)),
-                ("target.y_arcsec", Value::Number(450.0)),
                 ("site.latitude_deg", Value::Number(34.5)),
                 ("site.longitude_deg", Value::Number(-104.25)),
+            ])
+            .unwrap();
+        set_values_but_place(controls);
+    }
+
+    fn set_values_but_place(controls: &Controls) {
+        controls
+            .set(&[
+                ("target.x_arcsec", Value::Number(-300.0)),
+                ("target.y_arcsec", Value::Number(450.0)),
                 ("camera.exposure_us", Value::Whole(12_000)),
                 ("roll_camera.preamp_gain", Value::Number(-3.0)),
                 ("store.roll", Value::Whole(0)),
@@ -229,6 +375,22 @@ mod tests {
                 ("mounting.twist_deg", Value::Number(0.125)),
             ])
             .unwrap();
+    }
+
+    fn write_values(path: &Path, values: &BTreeMap<String, Value>) {
+        write(path, &encode(values, &Written::now())).unwrap();
+    }
+
+    /// Runs a keeper that is told to end, with what `set` has set after the start: how often it failed.
+    fn run(controls: &Controls, path: &Path, set: impl Fn(&Controls)) -> u64 {
+        let path = path.to_path_buf();
+        let file = SavedValues {
+            path,
+            in_archive: false,
+        };
+        let (restored, _) = bounded(1);
+        set(controls);
+        Keeper::new(controls.clone(), file).run(&restored, &AtomicBool::new(true))
     }
 
     fn names(folder: &Path) -> Vec<String> {
@@ -244,10 +406,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("values.toml");
         let before = controls();
-        let keeper = Keeper::new(before.clone(), path.clone());
-        let ends = AtomicBool::new(true);
-        set_values(&before);
-        assert_eq!(keeper.run(&ends), 0);
+        assert_eq!(run(&before, &path, set_values), 0);
 
         let after = controls();
         assert_eq!(restore(&after, &path), 9);
@@ -261,6 +420,97 @@ mod tests {
             ["values.toml"],
             "nothing else is left"
         );
+    }
+
+    fn written(utc: &str, boot: &str) -> Written {
+        Written {
+            utc: utc.parse().unwrap(),
+            boot: Some(boot.into()),
+        }
+    }
+
+    #[test]
+    fn a_flight_goes_on_within_a_boot_or_a_short_time_and_no_laboratory_computer_steers() {
+        let then = written("2013-09-21T18:00:00Z", "boot-1");
+        let limit = Duration::from_secs(600);
+        for (utc, boot, goes_on) in [
+            ("2013-09-21T18:00:09Z", "boot-2", true),
+            ("2013-09-21T18:10:00Z", "boot-2", true),
+            ("2013-09-21T18:10:01Z", "boot-2", false),
+            ("2013-09-22T18:00:00Z", "boot-2", false),
+            ("2013-09-21T23:00:00Z", "boot-1", true),
+            // The clock has been set back.
+            ("2013-09-21T17:59:59Z", "boot-2", false),
+            ("1970-01-01T00:00:10Z", "boot-1", true),
+        ] {
+            let now = written(utc, boot);
+            assert_eq!(now.is_recent(&then, limit), goes_on, "{utc} {boot}");
+        }
+        let nowhere = |utc| Written {
+            boot: None,
+            ..written(utc, "")
+        };
+        let late = nowhere("2013-09-21T19:00:00Z");
+        assert!(!late.is_recent(&nowhere("2013-09-21T18:00:00Z"), limit));
+    }
+
+    #[test]
+    fn tracking_and_the_last_fix_survive_a_restart_of_a_flight_and_of_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("values.toml");
+        let before = controls();
+        let set = |controls: &Controls| {
+            controls.note_tracking(true);
+            let (latitude_deg, longitude_deg) = (-77.85, 166.67);
+            let fix = GpsFix {
+                latitude_deg,
+                longitude_deg,
+            };
+            assert_eq!(controls.clone().take_fix(fix), CommandResult::Done);
+            set_values_but_place(controls);
+        };
+        assert_eq!(run(&before, &path, set), 0);
+
+        let after = controls();
+        restore(&after, &path);
+        assert!(after.tracking());
+        assert_eq!(after.snapshot(), before.snapshot());
+
+        let next_day = Written {
+            utc: Timestamp::now() + jiff::SignedDuration::from_hours(24),
+            boot: Some("another".into()),
+        };
+        let in_the_laboratory = controls();
+        restore_at(&in_the_laboratory, &path, &next_day);
+        assert!(!in_the_laboratory.tracking());
+        assert_eq!(in_the_laboratory.snapshot().place, None);
+        assert_eq!(in_the_laboratory.camera(Seat::PitchYaw).exposure_us, 12_000);
+    }
+
+    #[test]
+    fn what_was_commanded_while_a_disk_hung_is_not_undone_by_what_was_saved() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("values.toml");
+        assert_eq!(run(&controls(), &path, set_values), 0);
+        let controls = controls();
+        let newer = ("camera.exposure_us", Value::Whole(700));
+        controls.set(std::slice::from_ref(&newer)).unwrap();
+        restore(&controls, &path);
+        assert_eq!(controls.camera(Seat::PitchYaw).exposure_us, 700);
+        assert_eq!(controls.camera(Seat::Roll).preamp_gain, Some(-3.0));
+    }
+
+    #[test]
+    fn nothing_is_saved_into_the_empty_folder_of_a_disk_that_is_not_mounted() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = Config::default();
+        assert_eq!(SavedValues::of(&config), None, "nowhere to save them");
+        config.archive.directory = Some(folder.path().into());
+        let file = SavedValues::of(&config).unwrap();
+        assert_eq!(file.path(), folder.path().join("values.toml"));
+        assert!(file.check().is_err());
+        std::fs::write(folder.path().join(MARK), "").unwrap();
+        assert!(file.check().is_ok());
     }
 
     #[test]
@@ -279,7 +529,7 @@ mod tests {
         let path = folder.path().join("values.toml");
         let good = controls();
         set_values(&good);
-        write(&path, &good.state().commanded).unwrap();
+        write_values(&path, &good.state().commanded);
         let bytes = std::fs::read(&path).unwrap();
         let middle = bytes.len() / 2;
         let mut flipped = bytes.clone();
@@ -301,7 +551,7 @@ mod tests {
     fn any_one_bit_wrong_is_found() {
         let good = controls();
         set_values(&good);
-        let bytes = encode(&good.state().commanded).into_bytes();
+        let bytes = encode(&good.state().commanded, &Written::now()).into_bytes();
         assert!(decode(&bytes).is_ok());
         for bit in 0..8 * bytes.len() {
             let mut wrong = bytes.clone();
@@ -322,7 +572,7 @@ mod tests {
             ("no.such_key".to_owned(), Value::Whole(0)),
             ("store.roll".to_owned(), Value::Whole(0)),
         ]);
-        write(&path, &values).unwrap();
+        write_values(&path, &values);
         let controls = controls();
         assert_eq!(restore(&controls, &path), 1);
         assert!(!controls.stores(CameraRole::Roll));
@@ -331,9 +581,7 @@ mod tests {
 
     #[test]
     fn a_folder_that_takes_nothing_is_counted_and_ends_nothing() {
-        let controls = controls();
-        set_values(&controls);
-        let keeper = Keeper::new(controls, PathBuf::from("/nowhere/at/all/values.toml"));
-        assert_eq!(keeper.run(&AtomicBool::new(true)), 1);
+        let nowhere = Path::new("/nowhere/at/all/values.toml");
+        assert_eq!(run(&controls(), nowhere, set_values), 1);
     }
 }

@@ -219,6 +219,7 @@ fn a_place_from_gps_is_taken_while_it_is_accepted_and_no_jump() {
     assert_eq!(controls.take_fix(fix(34.5, -104.25)), DONE);
     assert_eq!(controls.take_fix(fix(0.0, 0.0)), REFUSED);
     assert_eq!(controls.take_fix(fix(40.0, -104.25)), REFUSED);
+    assert_eq!(controls.gps_refused(), 2);
     assert_eq!(order(&controls, "accept_gps", &[0]), DONE);
     assert_eq!(controls.take_fix(fix(34.6, -104.25)), REFUSED);
     assert_eq!(
@@ -231,7 +232,7 @@ fn a_place_from_gps_is_taken_while_it_is_accepted_and_no_jump() {
     assert_eq!(
         controls.take_fix(fix(-77.75, 166.0)),
         DONE,
-        "judged by the place set"
+        "a place set by command begins anew"
     );
 }
 

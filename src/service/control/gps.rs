@@ -1,0 +1,95 @@
+//! Which GPS fixes are believed.
+
+use crate::link::GpsFix;
+
+/// So many fixes in a row that contradict the last one, but not each other, are believed.
+const CONVINCING: usize = 3;
+
+/// The fixes so far. Only fixes are compared with fixes: a configured place may be that of another continent.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Gps {
+    last: Option<GpsFix>,
+    /// Fixes in a row that contradict the last one and agree with each other.
+    disputed: Vec<GpsFix>,
+    refused: u64,
+}
+
+impl Gps {
+    /// Fixes that were not believed.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// Takes a fix from before a restart as the last one.
+    pub fn resume(&mut self, fix: GpsFix) {
+        self.last = Some(fix);
+    }
+
+    /// Believes the next fix, wherever it is.
+    pub fn forget(&mut self) {
+        self.last = None;
+        self.disputed.clear();
+    }
+
+    /// Whether the fix is believed, given those before it.
+    pub fn believes(&mut self, fix: GpsFix) -> bool {
+        let believed = fix.is_possible() && (fix.may_follow(self.last) || self.convinces(fix));
+        if believed {
+            self.last = Some(fix);
+            self.disputed.clear();
+        } else {
+            self.refused += 1;
+        }
+        believed
+    }
+
+    fn convinces(&mut self, fix: GpsFix) -> bool {
+        self.disputed.retain(|other| fix.agrees_with(*other));
+        self.disputed.push(fix);
+        self.disputed.len() >= CONVINCING
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fix(latitude_deg: f32, longitude_deg: f32) -> GpsFix {
+        GpsFix {
+            latitude_deg,
+            longitude_deg,
+        }
+    }
+
+    #[test]
+    fn the_first_fix_is_believed_and_a_jump_is_not() {
+        let mut gps = Gps::default();
+        assert!(gps.believes(fix(-77.85, 166.67)), "wherever it is");
+        assert!(!gps.believes(fix(34.49, -104.25)));
+        assert!(!gps.believes(fix(0.0, 0.0)), "a receiver without a fix");
+        assert!(gps.believes(fix(-77.9, 166.0)));
+        assert_eq!(gps.refused(), 2);
+    }
+
+    #[test]
+    fn three_fixes_in_a_row_that_agree_are_believed() {
+        let mut gps = Gps::default();
+        gps.resume(fix(34.49, -104.25));
+        let far = [fix(-77.85, 166.67), fix(-77.84, 166.9), fix(-77.86, 166.5)];
+        assert_eq!(far.map(|fix| gps.believes(fix)), [false, false, true]);
+        assert!(gps.believes(far[0]), "judged by the new place from now on");
+        assert!(!gps.believes(fix(34.49, -104.25)));
+    }
+
+    #[test]
+    fn fixes_that_jump_about_are_never_believed() {
+        let mut gps = Gps::default();
+        gps.resume(fix(34.49, -104.25));
+        for n in 0..50 {
+            let north = fix(60.0 + 1.5 * (n % 3) as f32, 20.0);
+            let west = fix(10.0, -170.0 + 0.1 * n as f32);
+            assert!(!gps.believes(north) && !gps.believes(fix(0.0, 0.0)) && !gps.believes(west));
+        }
+        assert!(gps.believes(fix(34.5, -104.3)), "a good one still is");
+    }
+}
