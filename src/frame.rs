@@ -51,6 +51,9 @@ impl Sample for u16 {
     }
 }
 
+/// The name of the camera in frames that the simulator has made, by which they are told from real ones.
+pub const SIMULATED_CAMERA: &str = "simulated";
+
 /// How a frame was taken. What the source does not tell is `None`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameInfo {
@@ -81,6 +84,11 @@ pub struct FrameInfo {
 }
 
 impl FrameInfo {
+    /// Whether the frame was made by the simulator.
+    pub fn is_simulated(&self) -> bool {
+        self.camera.as_deref() == Some(SIMULATED_CAMERA)
+    }
+
     /// The start of the exposure, where both its middle and its length are known.
     pub fn exposure_start(&self) -> Option<Timestamp> {
         let half = SignedDuration::try_from(self.exposure? / 2).ok()?;

@@ -7,6 +7,7 @@ use crate::pointing::Target;
 use crate::preflight::{self, Options};
 use crate::sky::Ephemeris;
 use clap::Args;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -21,7 +22,7 @@ pub(super) struct ConfigurationArgs {
     #[arg(long, value_name = "FILE")]
     instrument: Option<PathBuf>,
     /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml [default: the
-    /// configuration's camera.source, else simulated]
+    /// configuration's camera.source]
     #[arg(long, value_name = "SOURCE")]
     camera: Option<Source>,
     /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
@@ -103,13 +104,26 @@ pub(super) fn speed(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Becomes true when the program is asked to end, by SIGINT or SIGTERM.
+/// Becomes true when the program is asked to end: by SIGINT, by SIGTERM, or by SIGHUP, which a terminal sends that is closed. A
+/// program that was started with SIGHUP ignored, as by nohup, goes on ignoring it.
 pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
     let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+    let mut signals = vec![SIGINT, SIGTERM];
+    if !is_ignored(SIGHUP) {
+        signals.push(SIGHUP);
+    }
+    for signal in signals {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
     }
     Ok(interrupted)
+}
+
+/// Whether the program ignores a signal, as Linux tells it: a bit for each, from SIGHUP on.
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let bits = line.and_then(|hex| u64::from_str_radix(hex.trim(), 16).ok());
+    bits.is_some_and(|bits| bits >> (signal - 1) & 1 == 1)
 }
 
 #[cfg(test)]

@@ -23,6 +23,7 @@ pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
 use crate::archive::{Overflow, Sharing, SpaceLimits};
+use crate::camera::Source;
 use crate::fits::Compression;
 use crate::units::Place;
 use crate::{aspect, fiducial, limb, registration};
@@ -49,6 +50,34 @@ pub struct Config {
 }
 
 impl Config {
+    /// What a flight needs and no default can stand for: the first camera, and the instrument of every real camera that sees a
+    /// plate.
+    pub fn missing(&self) -> Vec<Refused> {
+        let mut missing = Vec::new();
+        let mut needs = |key, expected: &str| {
+            missing.push(Refused {
+                key,
+                expected: expected.into(),
+                found: "none".into(),
+            });
+        };
+        if self.camera.source.is_none() {
+            needs(
+                "camera.source",
+                "a camera, such as \"gige:192.168.1.20\" (\"simulated\" for the simulator)",
+            );
+        }
+        for (key, camera) in [
+            ("camera.instrument", &self.camera),
+            ("second_camera.instrument", &self.second_camera),
+        ] {
+            if matches!(camera.source, Some(Source::Gige(_))) && camera.instrument.is_none() {
+                needs(key, "the instrument's file, for a real camera");
+            }
+        }
+        missing
+    }
+
     /// The tunable parts of the solver.
     pub fn solver(&self) -> aspect::Settings {
         aspect::Settings {

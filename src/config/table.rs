@@ -46,9 +46,9 @@ macro_rules! row {
 macro_rules! camera_rows {
     ($table:ident, rate ($($rate:literal)?), exposure $exposure:literal, analogue $analogue:literal, preamp $preamp:literal) => {[
         row!($table.source, "", Allowed::Source, sample Sample::Text("gige:192.168.1.20"),
-            "Where the camera's frames come from: a GigE Vision camera by IP address or serial number, the frames of a folder, or the simulator. Unset, there is no such camera; for [camera] the simulator."),
+            "Where the camera's frames come from: a GigE Vision camera by IP address or serial number, the frames of a folder, or the simulator. Unset, there is no such camera; [camera] must be set, \"simulated\" for the simulator."),
         row!($table.instrument, "", Text, sample Sample::Text("calibration/heroes-pyas-f.toml"),
-            "The instrument's file, for a camera that sees a plate; unset, the instrument of the command line, or the built-in \"demo\"."),
+            "The instrument's file, for a camera that sees a plate; unset, the built-in \"demo\", but for a GigE Vision camera, which needs one."),
         row!($table.rate_hz, "Hz", Number(0.01, 100.0), $(command $rate,)?
             "Frames per second. The 2013 camera gives up to 26; raising it raises the load on solver and disks alike."),
         row!($table.exposure_us, "us", Whole(1, 1_000_000),

@@ -120,17 +120,12 @@ pub fn survey(file: Option<&Path>, options: &Options) -> (Option<Plan>, Remarks)
     (plan, remarks)
 }
 
-/// The cameras' tables. The first flies always.
+/// The cameras' tables.
 fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &config::Camera); 3] {
-    let first = config.camera.source.clone();
+    let first = &config.camera;
     let (second, roll) = (&config.second_camera, &config.roll_camera);
     [
-        (
-            "camera",
-            CameraRole::PitchYaw,
-            first.or(Some(Source::Simulated(None))),
-            &config.camera,
-        ),
+        ("camera", CameraRole::PitchYaw, first.source.clone(), first),
         (
             "second_camera",
             CameraRole::PitchYaw,
@@ -142,6 +137,9 @@ fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &confi
 }
 
 fn cross_check(config: &Config, remarks: &mut Remarks) {
+    for missing in config.missing() {
+        remarks.error(missing.key, missing.expected, missing.found);
+    }
     for (table, _, source, camera) in tables(config) {
         if source.is_some() {
             exposure(table, camera, remarks);

@@ -157,6 +157,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
 fn tell_frame(told: &mut Housekeeping, answer: &Answer) {
     let info = &answer.exposure.frame.info;
     told.number = small(info.number.unwrap_or_default());
+    told.simulated = info.is_simulated();
     told.exposure_us = small(info.exposure.map_or(0, |time| time.as_micros() as u64));
     told.analogue_gain = info.analogue_gain.map(|gain| gain as f32);
     told.preamp_gain = info.preamp_gain.map(|gain| gain as f32);

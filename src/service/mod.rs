@@ -55,7 +55,7 @@ pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
 use crate::camera::{Exposure, FrameSource};
 use crate::config::Host;
-use crate::link::Connection;
+use crate::link::{Connection, Housekeeping};
 use crate::sky::Ephemeris;
 use control::{Controls, Keeper, SavedValues};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
@@ -197,6 +197,11 @@ impl Service {
     /// Whether the last frame has been solved and stored.
     pub fn is_finished(&self) -> bool {
         self.signals.finished.load(Ordering::Acquire) || self.watch.is_finished()
+    }
+
+    /// What the ground was told last; `None` in the first second.
+    pub fn housekeeping(&self) -> Option<Housekeeping> {
+        self.signals.housekeeping.copy()
     }
 
     /// How the archive's disks are.

@@ -264,6 +264,9 @@ fn picture_tags(instrument: &Instrument, info: &FrameInfo) -> Vec<Tag> {
         let seconds = TagValue::Number(exposure.as_secs_f64());
         tags.push(tag("EXPTIME", seconds, "exposure, s"));
     }
+    if let Some(camera) = &info.camera {
+        tags.push(tag("CAMERA", TagValue::Text(camera.clone()), "camera"));
+    }
     if let Some(number) = info.number {
         let number = TagValue::Whole(number as i32);
         tags.push(tag("FRAMENUM", number, "number of the frame"));

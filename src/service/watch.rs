@@ -6,6 +6,7 @@ use super::line::LinkEvent;
 use super::shared::Shared;
 use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
 use super::worker::{self, Worker};
+use crate::link::Housekeeping;
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 use std::sync::Arc;
@@ -40,6 +41,8 @@ pub(super) struct Signals {
     pub hang_up: Arc<AtomicBool>,
     /// When what is not done by then is given up.
     pub deadline: Shared<Option<Instant>>,
+    /// What the ground was told last.
+    pub housekeeping: Shared<Option<Housekeeping>>,
 }
 
 /// The counts of all threads.
@@ -184,6 +187,7 @@ impl Watch {
         if let Some(archive) = &self.archive {
             archive.note(&told);
         }
+        *self.signals.housekeeping.lock() = Some((*told).clone());
         // A line that is stuck has more urgent things to say.
         let _ = self.to_line.try_send(LinkEvent::Housekeeping(told));
     }

@@ -41,7 +41,7 @@ pub use scene::{
 };
 pub use trajectory::{MAX_SLEW_DEG_PER_S, Trajectory};
 
-use crate::frame::FrameInfo;
+use crate::frame::{FrameInfo, SIMULATED_CAMERA};
 use crate::units::Place;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -66,7 +66,7 @@ fn frame_info(number: u64) -> FrameInfo {
         number: Some(number),
         exposure: Some(EXPOSURE),
         place: Some(FORT_SUMNER),
-        camera: Some("simulated".into()),
+        camera: Some(SIMULATED_CAMERA.into()),
         ..FrameInfo::default()
     }
 }

@@ -17,8 +17,9 @@ const ROLL_FOLDER: &str = "roll";
 ///
 /// With one camera its frames go to the archive's root; with several each has a folder of its own.
 pub(super) fn of(config: &Config, args: &FlyArgs) -> anyhow::Result<(Camera, Vec<Camera>)> {
-    let source = config.camera.source.clone();
-    let source = source.unwrap_or(Source::Simulated(None));
+    let Some(source) = config.camera.source.clone() else {
+        anyhow::bail!("camera.source: expected a camera, found none");
+    };
     let common = Common {
         seed: config.simulation.seed,
         duration: args.duration,
