@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 const FRAMES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames");
 
@@ -45,6 +45,67 @@ fn image<'a>(bitpix: &'a str, axes: &[&'a str]) -> Vec<(&'static str, &'a str)> 
     let mut cards = vec![("SIMPLE", "T"), ("BITPIX", bitpix), ("NAXIS", count)];
     cards.extend(NAMES.into_iter().zip(axes.iter().copied()));
     cards
+}
+
+/// Everything that prints, and ends soon.
+fn that_print(folder: &Path) -> Vec<Vec<String>> {
+    let frame = format!("{FRAMES}/standard/frame_00000.fits");
+    let good = folder.join("good.toml");
+    fs::write(&good, "[camera]\nsource = \"simulated\"\n").unwrap();
+    let archive = folder.join("archive");
+    fs::create_dir_all(&archive).unwrap();
+    fs::copy(&frame, archive.join("frame.fits")).unwrap();
+    let at = |name: &str| folder.join(name).display().to_string();
+    let lines = [
+        "config example".to_owned(),
+        "config parameters".into(),
+        format!("config check {}", good.display()),
+        format!("config check --json {}", good.display()),
+        "preflight --camera simulated".into(),
+        "calibrate compare heroes-pyas-f heroes-pyas-r".into(),
+        "calibrate compare --json heroes-pyas-f heroes-pyas-r".into(),
+        format!("solve {frame}"),
+        format!("solve --format table {frame}"),
+        format!("solve --format csv {frame}"),
+        "sky --at 2013-09-21T18:00:00Z --place 34.49,-104.2218,38405".into(),
+        format!("simulate --frames 1 --out {}", at("simulated")),
+        format!("refine {} --out {}", archive.display(), at("refined")),
+        format!("archive check {}", archive.display()),
+        "link decode 9ac30104050067b803110800".into(),
+        "fly --camera simulated --duration 1s".into(),
+        format!("demo --duration 1s --archive {}", at("demo")),
+    ];
+    let words = |line: &String| line.split(' ').map(str::to_owned).collect();
+    lines.iter().map(words).collect()
+}
+
+/// Runs a command with this as standard output and standard error: neither ends it by a panic.
+fn run_into(words: &[String], out: impl Fn() -> Stdio) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+    let status = command.args(words).stdout(out()).stderr(out()).status();
+    let code = status.unwrap().code();
+    assert!(matches!(code, Some(0 | 1)), "{words:?}: {code:?}");
+}
+
+#[test]
+fn no_command_panics_when_nobody_reads_what_it_prints() {
+    let folder = tempfile::tempdir().unwrap();
+    for words in that_print(folder.path()) {
+        run_into(&words, || {
+            let (reader, writer) = std::io::pipe().unwrap();
+            drop(reader);
+            writer.into()
+        });
+    }
+}
+
+#[test]
+fn no_command_panics_when_what_it_prints_cannot_be_written() {
+    let folder = tempfile::tempdir().unwrap();
+    for words in that_print(folder.path()) {
+        let full = || fs::File::options().write(true).open("/dev/full").unwrap();
+        run_into(&words, || full().into());
+    }
 }
 
 #[test]

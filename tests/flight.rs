@@ -1,21 +1,26 @@
 //! A flight survives what happens to it: a camera that panics, hangs or cannot be opened, a program that is told to end, a
 //! clock that makes a step.
 
+use common::disk::{Fault, FaultyDisk};
 use common::flight::{dark_frame, frames_in};
-use crossbeam_channel::{Receiver, unbounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded, unbounded};
 use jiff::{SignedDuration, Timestamp};
-use solaspect::archive::Store;
+use solaspect::archive::disk::LocalDisk;
+use solaspect::archive::{Room, Store};
 use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
-use solaspect::config::Config;
+use solaspect::config::{Allowed, Config, by_command, parameters};
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
-use solaspect::link::{BytePort, Connection, Direction, Housekeeping, Packet, Parser, SerialPort};
+use solaspect::link::{
+    self, BytePort, CommandResult, Connection, Control, Direction, Housekeeping, Packet, Parser,
+    SerialPort,
+};
 use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
-use std::io::Read;
+use std::io::{Read, Write};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -353,6 +358,10 @@ fn the_ground_is_told_each_second_how_all_is() {
     assert!(log.records().count() >= 2);
 }
 
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
 fn solaspect(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
     command.args(arguments).env("RUST_LOG", "warn");
@@ -362,10 +371,16 @@ fn solaspect(arguments: &[&str]) -> Command {
 #[test]
 fn told_to_end_it_finishes_and_ends_well_within_two_seconds() {
     let root = tempfile::tempdir().unwrap();
-    let mut child = solaspect(&["fly", "--archive", root.path().to_str().unwrap()])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut child = solaspect(&[
+        "fly",
+        "--camera",
+        "simulated",
+        "--archive",
+        text(root.path()),
+    ])
+    .stdout(Stdio::piped())
+    .spawn()
+    .unwrap();
     wait_until("a frame", || !frames_in(root.path()).is_empty());
     let pid = child.id().to_string();
     assert!(Command::new("kill").arg(pid).status().unwrap().success());
@@ -387,13 +402,310 @@ fn told_to_end_it_finishes_and_ends_well_within_two_seconds() {
     }
 }
 
+/// Sends a signal by its name.
+fn signal(child: &Child, name: &str) {
+    let mut kill = Command::new("kill");
+    let status = kill.args(["-s", name, &child.id().to_string()]).status();
+    assert!(status.unwrap().success());
+}
+
+#[test]
+fn a_terminal_that_closes_ends_it_in_order() {
+    let root = tempfile::tempdir().unwrap();
+    let mut child = solaspect(&[
+        "fly",
+        "--camera",
+        "simulated",
+        "--archive",
+        text(root.path()),
+    ])
+    .stdout(Stdio::piped())
+    .spawn()
+    .unwrap();
+    wait_until("a frame", || !frames_in(root.path()).is_empty());
+    signal(&child, "HUP");
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    let mut said = String::new();
+    child.stdout.unwrap().read_to_string(&mut said).unwrap();
+    assert!(said.contains("frames     "), "{said}");
+}
+
+/// Flies for two seconds with a log of every frame on `stderr`, and gives what it said on standard output.
+fn fly_with_log_on(stderr: impl Into<Stdio>, root: &Path) -> String {
+    let arguments = [
+        "fly",
+        "-vv",
+        "--camera",
+        "simulated",
+        "--duration",
+        "2s",
+        "--archive",
+    ];
+    let mut command = solaspect(&arguments);
+    command.arg(root).env_remove("RUST_LOG");
+    let output = command.stderr(stderr).stdout(Stdio::piped()).spawn();
+    let output = output.unwrap().wait_with_output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert_eq!(frames_in(root).len(), 8, "{said}");
+    said
+}
+
+#[test]
+fn a_flight_goes_on_when_nobody_reads_its_log() {
+    let root = tempfile::tempdir().unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let said = fly_with_log_on(writer, root.path());
+    assert!(said.contains(" lines lost"), "{said}");
+}
+
+#[test]
+fn a_flight_goes_on_when_its_log_cannot_be_written() {
+    let root = tempfile::tempdir().unwrap();
+    let full = std::fs::File::options().write(true).open("/dev/full");
+    let said = fly_with_log_on(full.unwrap(), root.path());
+    assert!(said.contains(" lines lost"), "{said}");
+}
+
+#[test]
+fn a_flight_goes_on_when_the_reader_of_its_log_stalls() {
+    let root = tempfile::tempdir().unwrap();
+    let (_reader, mut writer) = std::io::pipe().unwrap();
+    // As much as a pipe of Linux holds: the first line of the log has no room.
+    writer.write_all(&[b'\n'; 65_536]).unwrap();
+    fly_with_log_on(writer, root.path());
+}
+
+/// A file whose opening never returns, as on a disk that hangs.
+fn hang(path: &Path) {
+    nix::unistd::mkfifo(path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+}
+
+#[test]
+fn a_disk_that_hangs_at_the_start_holds_up_neither_the_other_disk_nor_the_line() {
+    let disks = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    hang(&disks[0].path().join("archive.lock"));
+    hang(&disks[0].path().join("values.toml"));
+    let (mut ours, theirs) = SerialPort::pair().unwrap();
+    let archive = disks.each_ref().map(|disk| text(disk.path())).join(",");
+    let child = solaspect(&["fly", "--camera", "simulated", "--archive", &archive])
+        .args(["--serial", theirs.name()])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(theirs);
+    let mut parser = Parser::new(Direction::ToController);
+    let start = Instant::now();
+    wait_until("an announced exposure", || {
+        let mut buffer = [0; 512];
+        let count = ours
+            .read(&mut buffer, Duration::from_millis(20))
+            .unwrap_or(0);
+        !parser.feed(&buffer[..count], start.elapsed()).is_empty()
+    });
+    wait_until("a frame", || !frames_in(disks[1].path()).is_empty());
+    signal(&child, "TERM");
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+}
+
+#[test]
+fn after_a_stop_of_the_whole_program_nothing_is_called_hung_and_nothing_is_made_up_for() {
+    let root = tempfile::tempdir().unwrap();
+    let child = solaspect(&[
+        "fly",
+        "--camera",
+        "simulated",
+        "--archive",
+        text(root.path()),
+    ])
+    .stdout(Stdio::piped())
+    .spawn()
+    .unwrap();
+    wait_until("a frame", || !frames_in(root.path()).is_empty());
+    signal(&child, "STOP");
+    // Longer than a camera or a solver may be silent.
+    std::thread::sleep(Duration::from_secs(11));
+    signal(&child, "CONT");
+    let stored = frames_in(root.path()).len();
+    wait_until("more frames", || frames_in(root.path()).len() > stored + 4);
+    signal(&child, "TERM");
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(!said.contains("started again"), "{said}");
+    let mut entries = std::fs::read_dir(root.path()).unwrap();
+    let log = entries.find_map(|entry| {
+        let path = entry.unwrap().path();
+        path.to_string_lossy()
+            .contains("housekeeping_")
+            .then_some(path)
+    });
+    let mut log = csv::Reader::from_path(log.unwrap()).unwrap();
+    let rows: Vec<csv::StringRecord> = log.records().map(Result::unwrap).collect();
+    let times = rows.iter().map(|row| row[0].parse::<Timestamp>().unwrap());
+    let times: Vec<Timestamp> = times.collect();
+    let steps = times.windows(2).map(|pair| pair[1].duration_since(pair[0]));
+    let short = steps.filter(|step| step.as_secs_f64() < 0.5).count();
+    assert!(short <= 1, "housekeeping comes in a burst: {times:?}");
+}
+
+/// Frames by number: the same ones again and again, in ordinary and in poor light.
+fn ordinary_and_poor(number: u64) -> Frame {
+    const FRAMES: [&str; 4] = [
+        "standard/frame_00000.fits",
+        "dim/frame_00000.fits",
+        "disturbed/frame_00000.fits",
+        "partial/frame_00000.fits",
+    ];
+    let name = FRAMES[number as usize % FRAMES.len()];
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames"));
+    let mut frame = fits::read_frame(&folder.join(name)).unwrap();
+    frame.info.number = Some(number);
+    // A long exposure, so that solutions are old.
+    frame.info.exposure = Some(Duration::from_millis(200));
+    frame
+}
+
+/// What a short flight comes to whose parameters are set by command before its first frame: settings that the camera was given,
+/// answers, what the line and the archive did.
+fn flown_with(settings: &[(u16, f64)]) -> String {
+    const FRAMES: u64 = 8;
+    let root = tempfile::tempdir().unwrap();
+    let disk = FaultyDisk::new(LocalDisk);
+    disk.set(Some(Fault::Free(50.0)));
+    let store = Store::new(disk, root.path(), "demo", Compression::None);
+    let (go, gate) = bounded::<()>(0);
+    let given = Arc::new(Mutex::new(Vec::new()));
+    let camera = Prompted {
+        number: 0,
+        end: FRAMES,
+        gate,
+        given: Arc::clone(&given),
+    };
+    let (near, _far) = SerialPort::pair().unwrap();
+    let mut flight = flight(
+        Camera::new(instrument::builtin("demo").unwrap(), camera),
+        vec![store],
+    );
+    flight.line = Connection::over(near);
+    let (service, answers) = Service::start_watched(flight).unwrap();
+    wait_until("the disk's room", || {
+        service.disks()[0].free_percent.is_some()
+    });
+    let mut controls = service.controls().clone();
+    for &(number, value) in settings {
+        let parameter = number;
+        let command = match by_command(number).unwrap().allowed {
+            Allowed::Whole(..) => link::Command::SetInteger {
+                parameter,
+                value: value as i16,
+            },
+            _ => link::Command::SetFloat { parameter, value },
+        };
+        assert_eq!(
+            controls.carry_out(&command),
+            CommandResult::Done,
+            "{number}"
+        );
+    }
+    // A disk is looked at each second.
+    let looked = Instant::now();
+    let room = || service.disks()[0].room;
+    while settings
+        .iter()
+        .any(|(number, _)| (40..=43).contains(number))
+        && looked.elapsed() < Duration::from_secs(3)
+        && room() == Room::Plenty
+    {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let solve = |_| {
+        go.send(()).unwrap();
+        let answer = answers.recv().unwrap();
+        format!("{:?} {:?}", answer.solution.quality, answer.solution)
+    };
+    let solved: Vec<String> = (0..FRAMES).map(solve).collect();
+    let room = room();
+    drop(go);
+    wait_until("the flight's end", || service.is_finished());
+    let tally = service.join().unwrap();
+    let given = given.lock().unwrap();
+    let line = (tally.line.announced, tally.line.outdated, tally.line.errors);
+    format!(
+        "{given:?} {solved:?} {line:?} {} {room:?}",
+        tally.archive.stored
+    )
+}
+
+/// A camera that takes a frame when it is told to, and notes what it is set to.
+struct Prompted {
+    number: u64,
+    end: u64,
+    gate: Receiver<()>,
+    given: Arc<Mutex<Vec<f64>>>,
+}
+
+impl FrameSource for Prompted {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        match self.gate.recv_timeout(Duration::from_millis(20)) {
+            Ok(()) => {}
+            Err(RecvTimeoutError::Timeout) => return Ok(Take::NotYet),
+            Err(RecvTimeoutError::Disconnected) => return Ok(Take::End),
+        }
+        assert!(self.number < self.end);
+        let announced = Timestamp::now();
+        starts(announced);
+        let frame = ordinary_and_poor(self.number);
+        self.number += 1;
+        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
+    }
+
+    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+        self.given.lock().unwrap().push(settings.rate_hz);
+        Ok(())
+    }
+}
+
+#[test]
+fn every_parameter_that_a_command_sets_changes_what_the_flight_does() {
+    let as_it_is = flown_with(&[]);
+    assert_eq!(
+        as_it_is,
+        flown_with(&[]),
+        "a flight is the same when nothing is set"
+    );
+    for parameter in parameters() {
+        let Some(number) = parameter.command else {
+            continue;
+        };
+        let tries: Vec<Vec<(u16, f64)>> = match (parameter.key, parameter.allowed) {
+            // Seen where frames are thinned out.
+            ("archive.store_every", _) => vec![vec![(40, 2.0), (41, 70.0), (42, 60.0)]],
+            ("archive.thin_free_percent", _) => vec![vec![(41, 70.0), (42, 60.0)]],
+            (_, Allowed::Number(low, high)) => vec![vec![(number, high)], vec![(number, low)]],
+            (_, Allowed::Whole(low, high)) => {
+                vec![vec![(number, high as f64)], vec![(number, low as f64)]]
+            }
+            _ => vec![],
+        };
+        let beside = match parameter.key {
+            "archive.store_every" => flown_with(&[(41, 70.0), (42, 60.0)]),
+            "archive.thin_free_percent" => flown_with(&[(41, 70.0)]),
+            _ => as_it_is.clone(),
+        };
+        let changes = tries.iter().any(|settings| flown_with(settings) != beside);
+        assert!(changes, "{} ({number}) changes nothing", parameter.key);
+    }
+}
+
 #[test]
 fn systemd_is_told_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
     socket.set_read_timeout(Some(LONG)).unwrap();
-    let mut child = solaspect(&["fly", "--duration", "2s"])
+    let mut child = solaspect(&["fly", "--camera", "simulated", "--duration", "2s"])
         .env("NOTIFY_SOCKET", &path)
         .env("WATCHDOG_USEC", "400000")
         .stdout(Stdio::null())

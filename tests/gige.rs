@@ -257,6 +257,8 @@ fn a_flight_over_the_real_protocol_solves_the_simulators_frames() {
             "fly",
             "--camera",
             "gige:127.0.0.1",
+            "--instrument",
+            "calibration/demo.toml",
             "--duration",
             "6s",
             "--archive",

@@ -542,7 +542,10 @@ fn two_cameras_with_one_source_are_an_error_if_the_source_is_a_device() {
 
 #[test]
 fn a_configuration_without_errors_is_ok_and_says_what_would_fly() {
-    let output = solaspect(&["config", "check", "docs/solaspect.example.toml"], "");
+    let folder = folder();
+    let file = folder.path().join("good.toml");
+    fs::write(&file, "[camera]\nsource = \"simulated\"\n").unwrap();
+    let output = solaspect(&["config", "check", file.to_str().unwrap()], "");
     let said = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{said}");
     assert!(
@@ -550,6 +553,37 @@ fn a_configuration_without_errors_is_ok_and_says_what_would_fly() {
         "{said}"
     );
     assert!(said.contains("instrument \"demo\""), "{said}");
+}
+
+#[test]
+fn a_configuration_that_names_no_camera_flies_nothing() {
+    let example = ["--config", "docs/solaspect.example.toml"];
+    let check = solaspect(&["config", "check", example[1]], "");
+    assert_eq!(check.status.code(), Some(1));
+    let said = String::from_utf8(check.stdout).unwrap();
+    assert!(
+        said.contains("error: docs/solaspect.example.toml: camera.source: expected a camera"),
+        "{said}"
+    );
+    for command in [vec!["fly", "--duration", "1s"], vec!["preflight"]] {
+        let output = solaspect(&[&command[..], &example].concat(), "");
+        assert_eq!(output.status.code(), Some(1));
+        let said = [output.stdout, output.stderr].concat();
+        let said = String::from_utf8(said).unwrap();
+        assert!(said.contains("camera.source: expected a camera"), "{said}");
+    }
+    let real = ["fly", "--camera", "gige:10.0.0.7", "--duration", "1s"];
+    let output = solaspect(&real, "");
+    assert_eq!(output.status.code(), Some(1));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        said.contains("camera.instrument: expected the instrument's file"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_configuration_that_cannot_be_read_is_an_error() {
     let output = solaspect(&["config", "check", "/nowhere/flight.toml"], "");
     assert_eq!(output.status.code(), Some(1));
     let said = String::from_utf8(output.stdout).unwrap();

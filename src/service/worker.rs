@@ -278,7 +278,9 @@ mod tests {
         let patience = Duration::from_millis(1);
         let mut worker = Worker::start("hanging", Some(patience), move || {
             let never = never.clone();
-            Box::new(move |_| drop(never.recv()))
+            Box::new(move |_| {
+                let _ = never.recv();
+            })
         })
         .unwrap();
         look_until(&mut worker, |worker, _| worker.takeovers() == 3);
@@ -296,7 +298,9 @@ mod tests {
         let patience = Duration::from_millis(1);
         let mut worker = Worker::start("stopped", Some(patience), move || {
             let never = never.clone();
-            Box::new(move |_| drop(never.recv()))
+            Box::new(move |_| {
+                let _ = never.recv();
+            })
         })
         .unwrap();
         thread::sleep(5 * patience);
