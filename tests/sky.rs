@@ -196,24 +196,22 @@ fn within_a_second_the_sun_moves_without_a_jump() {
 }
 
 #[test]
-fn a_date_outside_the_table_is_refused_with_its_range() {
+fn a_date_before_the_table_is_refused_with_its_beginning() {
     let place = Place::new(0.0, 0.0, 0.0).unwrap();
     let mut ephemeris = Ephemeris::default();
-    for utc in ["1972-12-31T23:59:59Z", "2099-01-01T00:00:00Z"] {
+    for utc in ["1972-12-31T23:59:59Z", "1950-01-01T00:00:00Z"] {
         let utc: Timestamp = utc.parse().unwrap();
         let error = ephemeris.sun(utc, place).unwrap_err();
         assert!(matches!(error, SkyError::Orientation { .. }), "{error}");
-        assert!(
-            error.to_string().contains("from 1973-01-02 to 20"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("from 1973-01-02 on"), "{error}");
         assert_eq!(ephemeris.moon(utc, place).unwrap_err(), error);
         let rejected = error.rejected();
         assert!(rejected.measured.is_finite() && rejected.limit.is_finite());
         assert!(sun_angular_radius(utc).is_ok());
     }
     for utc in ["1973-01-02T00:00:00Z", "2027-06-30T23:59:59Z"] {
-        assert!(ephemeris.sun(utc.parse().unwrap(), place).is_ok());
+        let sun = ephemeris.sun(utc.parse().unwrap(), place).unwrap();
+        assert_eq!(sun.ut1_shift_arcsec, [0.0; 2]);
     }
     for utc in ["1800-01-01T00:00:00Z", "2200-01-01T00:00:00Z"] {
         let utc = utc.parse().unwrap();
