@@ -5,7 +5,7 @@ use common::flight::{dark_frame, frames_in};
 use crossbeam_channel::{Receiver, unbounded};
 use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::Store;
-use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
+use solaspect::camera::{CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
 use solaspect::config::Config;
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -119,6 +119,67 @@ fn a_camera_that_hangs_is_left_alone_and_opened_again() {
     );
     assert_eq!((tally.restarts, tally.camera.taken), (1, 7));
     assert_eq!(tally.archive.stored, 7);
+}
+
+#[test]
+fn a_camera_that_pauses_between_frames_is_counted_as_silent_for_as_long() {
+    let root = tempfile::tempdir().unwrap();
+    let tally = fly(
+        scripted(|call| match call {
+            3 => {
+                std::thread::sleep(Duration::from_millis(1500));
+                Ok(Take::NotYet)
+            }
+            8 => Ok(Take::End),
+            number => taken(number),
+        }),
+        root.path(),
+    );
+    // A slow machine may add pauses of its own.
+    assert!(tally.camera.silences >= 1, "{tally}");
+    assert!(tally.camera.silent >= Duration::from_millis(1500));
+    assert_eq!((tally.camera.taken, tally.restarts), (7, 0));
+    assert!(tally.lost() > 0, "what it did not take is lost");
+    assert!(tally.to_string().contains("camera     silent "), "{tally}");
+}
+
+#[test]
+fn a_camera_that_dies_within_a_call_of_its_driver_is_silent_though_it_never_says_so() {
+    let root = tempfile::tempdir().unwrap();
+    let camera = scripted(|call| match call {
+        3.. => loop {
+            std::thread::park();
+        },
+        number => taken(number),
+    });
+    let service = Service::start(flight(camera, vec![open(root.path())])).unwrap();
+    wait_until("the frames", || frames_in(root.path()).len() == 3);
+    // Longer than three periods; sooner than the thread is taken for one that hangs.
+    std::thread::sleep(Duration::from_millis(1500));
+    service.stop_within(Duration::from_millis(10));
+    wait_until("the flight's end", || service.is_finished());
+    let tally = service.join().unwrap();
+    assert_eq!(tally.camera.silences, 1, "{tally}");
+    assert!(
+        tally.camera.silent >= Duration::from_millis(1400),
+        "{tally}"
+    );
+    assert!(tally.lost() > 0);
+}
+
+#[test]
+fn a_folder_that_pauses_as_its_frames_did_is_not_silent() {
+    let (root, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let demo = instrument::builtin("demo").unwrap();
+    for number in [0, 1, 7] {
+        let path = folder.path().join(format!("{number}.fits"));
+        let frame = dark_frame(&demo, number);
+        fits::write_frame(&path, &frame, &[], &[], Compression::Rice).unwrap();
+    }
+    let frames = FolderCamera::open(folder.path(), 4.0, 1.0).unwrap();
+    let tally = fly(Camera::new(demo, frames), root.path());
+    assert_eq!((tally.camera.taken, tally.camera.silences), (3, 0));
+    assert_eq!(tally.lost(), 0, "{tally}");
 }
 
 #[test]
