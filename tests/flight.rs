@@ -5,6 +5,7 @@ use common::flight::{dark_frame, frames_in};
 use crossbeam_channel::{Receiver, unbounded};
 use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::Store;
+use solaspect::aspect::Quality;
 use solaspect::camera::{CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
 use solaspect::config::Config;
 use solaspect::fits::{self, Compression, Value};
@@ -12,6 +13,9 @@ use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
 use solaspect::link::{BytePort, Connection, Direction, Housekeeping, Packet, Parser, SerialPort};
 use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
+use solaspect::simulate::{Conditions, RandomScenes};
+use solaspect::units::PlateMil;
+use std::collections::VecDeque;
 use std::io::Read;
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
@@ -180,6 +184,77 @@ fn a_folder_that_pauses_as_its_frames_did_is_not_silent() {
     let tally = fly(Camera::new(demo, frames), root.path());
     assert_eq!((tally.camera.taken, tally.camera.silences), (3, 0));
     assert_eq!(tally.lost(), 0, "{tally}");
+}
+
+/// Frames one after the other.
+struct Given(VecDeque<Frame>);
+
+impl FrameSource for Given {
+    fn next(&mut self, _: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        let announced = Timestamp::now();
+        Ok(match self.0.pop_front() {
+            Some(frame) => Take::Exposure(Box::new(Exposure { frame, announced })),
+            None => Take::End,
+        })
+    }
+
+    fn frames_wait(&self) -> bool {
+        true
+    }
+}
+
+/// The part of a frame from this corner on.
+fn part(frame: &Frame, corner: (usize, usize), size: (usize, usize)) -> Frame {
+    let Pixels::U8(pixels) = frame.pixels() else {
+        unreachable!()
+    };
+    let row = |y: usize| {
+        let start = (corner.1 + y) * frame.width() + corner.0;
+        pixels[start..start + size.0].to_vec()
+    };
+    let pixels = Pixels::U8((0..size.1).flat_map(row).collect());
+    let info = FrameInfo {
+        corner_px: Some(corner),
+        ..frame.info.clone()
+    };
+    Frame::new(size.0, size.1, pixels, frame.saturation_dn(), info).unwrap()
+}
+
+#[test]
+fn a_flight_with_the_wrong_cameras_file_says_so_and_borrows_what_it_measured() {
+    let demo = instrument::builtin("demo").unwrap();
+    let truth = PlateMil::new(700.0, 500.0);
+    let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 5).unwrap();
+    let mut scene = scenes.scene(1).unwrap();
+    scene.sun.as_mut().unwrap().centre = truth;
+    let with_marks = scene.frame().unwrap();
+    scene.mark_contrast = 0.0;
+    let without = scene.frame().unwrap();
+    // No more than wait for the solver. When another part of the sensor is read, no frame's mapping is left.
+    let mut frames = VecDeque::from(vec![with_marks; 4]);
+    frames.push_back(without.clone());
+    frames.push_back(part(&without, (300, 300), (600, 500)));
+    let mut wrong = demo;
+    wrong.mounting.rotation_deg.value = 180.0;
+    let flight = flight(Camera::new(wrong, Given(frames)), Vec::new());
+    let (service, answers) = Service::start_watched(flight).unwrap();
+    let answers: Vec<_> = answers.iter().take(6).collect();
+    wait_until("the flight's end", || service.is_finished());
+    let tally = service.join().unwrap();
+    let qualities = answers.iter().map(|answer| answer.solution.quality);
+    assert_eq!(qualities.filter(|q| *q == Quality::Fine).count(), 4);
+    for answer in &answers[4..] {
+        let solution = &answer.solution;
+        assert_eq!(solution.quality, Quality::Coarse);
+        let found = solution.aspect.unwrap().sun_plate;
+        let sigma_mil = (found.covariance.trace() / 2.0).sqrt();
+        let off_mil = found.position.distance(truth);
+        assert!(off_mil < 5.0 * sigma_mil, "{off_mil} at {sigma_mil} mil");
+    }
+    assert!(tally.solver.contradicted);
+    assert_eq!(tally.solver.contradictions.len(), 1, "{tally}");
+    let said = "demo: mounting.rotation_deg: stated 180 +- 1, measured ";
+    assert!(tally.to_string().contains(said), "{tally}");
 }
 
 #[test]
