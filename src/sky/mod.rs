@@ -61,7 +61,7 @@ impl SkyError {
             Self::Orientation { utc, first } => {
                 let limit = f64::from(first.year()) + f64::from(first.day_of_year() - 1) / 365.25;
                 (
-                    "date before the table of Earth orientation",
+                    "date outside the table of Earth orientation",
                     year(utc),
                     limit,
                 )
