@@ -335,6 +335,42 @@ fn an_overlay_is_a_picture_for_every_frame() {
 }
 
 #[test]
+fn a_wrong_cameras_file_is_told_once_on_standard_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let demo = solaspect::instrument::builtin_text("demo").unwrap();
+    let key = "rotation_deg = { value = 0,";
+    assert_eq!(demo.matches(key).count(), 1);
+    let file = folder.path().join("turned.toml");
+    fs::write(&file, demo.replace(key, "rotation_deg = { value = 180,")).unwrap();
+    let frame = format!("{FRAMES}/standard/frame_00000.fits");
+    let solve = |options: &[&str]| {
+        let arguments = [&["solve"], options, &[&frame, &frame]].concat();
+        let output = solaspect(&arguments);
+        assert_eq!(output.status.code(), Some(0));
+        assert!(lines(&output).iter().any(|line| line["quality"] == "fine"));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    for options in [
+        &["--instrument", text(&file)][..],
+        &["--track", "--instrument", text(&file)],
+    ] {
+        let said = solve(options);
+        assert_eq!(
+            said.matches("mounting.rotation_deg: stated 180 +- 1")
+                .count(),
+            1,
+            "{said}"
+        );
+        assert!(
+            said.contains("frame_0000") && said.contains("instrument"),
+            "{said}"
+        );
+    }
+    let said = solve(&[]);
+    assert!(!said.contains("contradicts"), "{said}");
+}
+
+#[test]
 fn simulated_frames_are_solved_to_their_truth() {
     let folder = tempfile::tempdir().unwrap();
     let out = text(folder.path());

@@ -7,7 +7,8 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, bounded, unbounded};
 use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::disk::LocalDisk;
 use solaspect::archive::{Room, Store};
-use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
+use solaspect::aspect::Quality;
+use solaspect::camera::{CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
 use solaspect::config::{Allowed, Config, by_command, parameters};
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -17,6 +18,9 @@ use solaspect::link::{
     SerialPort,
 };
 use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
+use solaspect::simulate::{Conditions, RandomScenes};
+use solaspect::units::PlateMil;
+use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
@@ -124,6 +128,138 @@ fn a_camera_that_hangs_is_left_alone_and_opened_again() {
     );
     assert_eq!((tally.restarts, tally.camera.taken), (1, 7));
     assert_eq!(tally.archive.stored, 7);
+}
+
+#[test]
+fn a_camera_that_pauses_between_frames_is_counted_as_silent_for_as_long() {
+    let root = tempfile::tempdir().unwrap();
+    let tally = fly(
+        scripted(|call| match call {
+            3 => {
+                std::thread::sleep(Duration::from_millis(1500));
+                Ok(Take::NotYet)
+            }
+            8 => Ok(Take::End),
+            number => taken(number),
+        }),
+        root.path(),
+    );
+    // A slow machine may add pauses of its own.
+    assert!(tally.camera.silences >= 1, "{tally}");
+    assert!(tally.camera.silent >= Duration::from_millis(1500));
+    assert_eq!((tally.camera.taken, tally.restarts), (7, 0));
+    assert!(tally.lost() > 0, "what it did not take is lost");
+    assert!(tally.to_string().contains("camera     silent "), "{tally}");
+}
+
+#[test]
+fn a_camera_that_dies_within_a_call_of_its_driver_is_silent_though_it_never_says_so() {
+    let root = tempfile::tempdir().unwrap();
+    let camera = scripted(|call| match call {
+        3.. => loop {
+            std::thread::park();
+        },
+        number => taken(number),
+    });
+    let service = Service::start(flight(camera, vec![open(root.path())])).unwrap();
+    wait_until("the frames", || frames_in(root.path()).len() == 3);
+    // Longer than three periods; sooner than the thread is taken for one that hangs.
+    std::thread::sleep(Duration::from_millis(1500));
+    service.stop_within(Duration::from_millis(10));
+    wait_until("the flight's end", || service.is_finished());
+    let tally = service.join().unwrap();
+    assert_eq!(tally.camera.silences, 1, "{tally}");
+    assert!(
+        tally.camera.silent >= Duration::from_millis(1400),
+        "{tally}"
+    );
+    assert!(tally.lost() > 0);
+}
+
+#[test]
+fn a_folder_that_pauses_as_its_frames_did_is_not_silent() {
+    let (root, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let demo = instrument::builtin("demo").unwrap();
+    for number in [0, 1, 7] {
+        let path = folder.path().join(format!("{number}.fits"));
+        let frame = dark_frame(&demo, number);
+        fits::write_frame(&path, &frame, &[], &[], Compression::Rice).unwrap();
+    }
+    let frames = FolderCamera::open(folder.path(), 4.0, 1.0).unwrap();
+    let tally = fly(Camera::new(demo, frames), root.path());
+    assert_eq!((tally.camera.taken, tally.camera.silences), (3, 0));
+    assert_eq!(tally.lost(), 0, "{tally}");
+}
+
+/// Frames one after the other.
+struct Given(VecDeque<Frame>);
+
+impl FrameSource for Given {
+    fn next(&mut self, _: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        let announced = Timestamp::now();
+        Ok(match self.0.pop_front() {
+            Some(frame) => Take::Exposure(Box::new(Exposure { frame, announced })),
+            None => Take::End,
+        })
+    }
+
+    fn frames_wait(&self) -> bool {
+        true
+    }
+}
+
+/// The part of a frame from this corner on.
+fn part(frame: &Frame, corner: (usize, usize), size: (usize, usize)) -> Frame {
+    let Pixels::U8(pixels) = frame.pixels() else {
+        unreachable!()
+    };
+    let row = |y: usize| {
+        let start = (corner.1 + y) * frame.width() + corner.0;
+        pixels[start..start + size.0].to_vec()
+    };
+    let pixels = Pixels::U8((0..size.1).flat_map(row).collect());
+    let info = FrameInfo {
+        corner_px: Some(corner),
+        ..frame.info.clone()
+    };
+    Frame::new(size.0, size.1, pixels, frame.saturation_dn(), info).unwrap()
+}
+
+#[test]
+fn a_flight_with_the_wrong_cameras_file_says_so_and_borrows_what_it_measured() {
+    let demo = instrument::builtin("demo").unwrap();
+    let truth = PlateMil::new(700.0, 500.0);
+    let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 5).unwrap();
+    let mut scene = scenes.scene(1).unwrap();
+    scene.sun.as_mut().unwrap().centre = truth;
+    let with_marks = scene.frame().unwrap();
+    scene.mark_contrast = 0.0;
+    let without = scene.frame().unwrap();
+    // No more than wait for the solver. When another part of the sensor is read, no frame's mapping is left.
+    let mut frames = VecDeque::from(vec![with_marks; 4]);
+    frames.push_back(without.clone());
+    frames.push_back(part(&without, (300, 300), (600, 500)));
+    let mut wrong = demo;
+    wrong.mounting.rotation_deg.value = 180.0;
+    let flight = flight(Camera::new(wrong, Given(frames)), Vec::new());
+    let (service, answers) = Service::start_watched(flight).unwrap();
+    let answers: Vec<_> = answers.iter().take(6).collect();
+    wait_until("the flight's end", || service.is_finished());
+    let tally = service.join().unwrap();
+    let qualities = answers.iter().map(|answer| answer.solution.quality);
+    assert_eq!(qualities.filter(|q| *q == Quality::Fine).count(), 4);
+    for answer in &answers[4..] {
+        let solution = &answer.solution;
+        assert_eq!(solution.quality, Quality::Coarse);
+        let found = solution.aspect.unwrap().sun_plate;
+        let sigma_mil = (found.covariance.trace() / 2.0).sqrt();
+        let off_mil = found.position.distance(truth);
+        assert!(off_mil < 5.0 * sigma_mil, "{off_mil} at {sigma_mil} mil");
+    }
+    assert!(tally.solver.contradicted);
+    assert_eq!(tally.solver.contradictions.len(), 1, "{tally}");
+    let said = "demo: mounting.rotation_deg: stated 180 +- 1, measured ";
+    assert!(tally.to_string().contains(said), "{tally}");
 }
 
 #[test]

@@ -28,6 +28,7 @@ fn sun(azimuth_deg: f64, elevation_deg: f64, zenith_to_north_deg: f64) -> SunPos
         p_deg: 25.07,
         b0_deg: 7.07,
         l0_deg: 84.3,
+        ut1_shift_arcsec: [0.0; 2],
     }
 }
 
@@ -232,6 +233,16 @@ fn the_calibrations_share_is_the_scatter_of_its_values_and_stands_apart() {
     let found = offset(centre, &known, &sun, CENTRE).unwrap();
     let off = (found.calibration_deg2 - expected).norm() / expected.norm();
     assert!(off < 1e-3, "{} for {expected}", found.calibration_deg2);
+    // Behind the table of Earth orientation the Sun itself is uncertain.
+    let uncertain_sun = SunPosition {
+        ut1_shift_arcsec: [3.0, -4.0],
+        ..sun
+    };
+    let uncertain = offset(centre, &known, &uncertain_sun, CENTRE).unwrap();
+    let added_deg2 = uncertain.calibration_deg2 - found.calibration_deg2;
+    let added_arcsec = added_deg2.trace().sqrt() / ARCSEC;
+    assert!((added_arcsec - 5.0).abs() < 0.05, "{added_arcsec}");
+    assert_eq!(uncertain.covariance_deg2, found.covariance_deg2);
     // A perfect calibration changes nothing of what the frame says of itself.
     known.mounting.boresight_sigma_mil = 0.0;
     known.mounting.clocking_deg.sigma = 0.0;

@@ -196,28 +196,46 @@ fn within_a_second_the_sun_moves_without_a_jump() {
 }
 
 #[test]
-fn a_date_outside_the_table_is_refused_with_its_range() {
+fn a_date_before_the_table_is_refused_with_its_beginning() {
     let place = Place::new(0.0, 0.0, 0.0).unwrap();
     let mut ephemeris = Ephemeris::default();
-    for utc in ["1972-12-31T23:59:59Z", "2099-01-01T00:00:00Z"] {
+    for utc in ["1972-12-31T23:59:59Z", "1950-01-01T00:00:00Z"] {
         let utc: Timestamp = utc.parse().unwrap();
         let error = ephemeris.sun(utc, place).unwrap_err();
         assert!(matches!(error, SkyError::Orientation { .. }), "{error}");
-        assert!(
-            error.to_string().contains("from 1973-01-02 to 20"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("from 1973-01-02 on"), "{error}");
         assert_eq!(ephemeris.moon(utc, place).unwrap_err(), error);
         let rejected = error.rejected();
         assert!(rejected.measured.is_finite() && rejected.limit.is_finite());
         assert!(sun_angular_radius(utc).is_ok());
     }
     for utc in ["1973-01-02T00:00:00Z", "2027-06-30T23:59:59Z"] {
-        assert!(ephemeris.sun(utc.parse().unwrap(), place).is_ok());
+        let sun = ephemeris.sun(utc.parse().unwrap(), place).unwrap();
+        assert_eq!(sun.ut1_shift_arcsec, [0.0; 2]);
     }
     for utc in ["1800-01-01T00:00:00Z", "2200-01-01T00:00:00Z"] {
         let utc = utc.parse().unwrap();
         assert_eq!(sun_angular_radius(utc), Err(SkyError::Date(utc)));
+    }
+}
+
+#[test]
+fn behind_the_table_the_suns_place_is_known_less_well_day_by_day() {
+    let place = Place::new(34.49, -104.2218, 38_405.0).unwrap();
+    let mut ephemeris = Ephemeris::default();
+    let mut shift_arcsec = |utc: &str| {
+        let sun = ephemeris.sun(utc.parse().unwrap(), place).unwrap();
+        let [across, up] = sun.ut1_shift_arcsec;
+        across.hypot(up)
+    };
+    // The table ends on 2027-10-29.
+    let days = ["2027-10-28", "2027-10-30", "2028-02-06", "2030-10-29"];
+    let shifts = days.map(|day| shift_arcsec(&format!("{day}T18:00:00Z")));
+    assert_eq!(shifts[0], 0.0);
+    // 15 arcsec of the hour angle a second, times the cosine of the declination, which is about -15 deg on these days.
+    for (shift, sigma_s) in shifts[1..].iter().zip([0.0214, 0.0563, 0.4047]) {
+        let expected = 15.0 * sigma_s * 15_f64.to_radians().cos();
+        assert!((shift - expected).abs() < 0.02 * expected, "{shifts:?}");
     }
 }
 
@@ -429,7 +447,15 @@ fn the_configuration_may_bring_a_newer_table() {
     let outside = solaspect(&[&SKY[..], &at, &["2013-09-21T18:00:00Z"]].concat());
     assert_eq!(outside.status.code(), Some(1));
     let text = String::from_utf8(outside.stderr).unwrap();
-    assert!(text.contains("from 2036-11-03 to 2036-11-13"), "{text}");
+    assert!(text.contains("from 2036-11-03 on"), "{text}");
+    // MJD 65110, 100 days behind the end.
+    let behind = [&SKY[..], &at, &["2037-02-21T12:00:00Z"]].concat();
+    assert!(json(&behind)["sun"]["azimuth_deg"].is_f64());
+    let said = String::from_utf8(solaspect(&behind).stderr).unwrap();
+    assert!(
+        said.contains("ends on 2036-11-13") && said.contains("1 sigma 0.056 s"),
+        "{said}"
+    );
     let missing = file("d.toml", "[sky]\nearth_orientation = \"/nowhere.csv\"\n");
     let at = ["--config", &missing, "--at", "2013-09-21T18:00:00Z"];
     assert_eq!(solaspect(&[&SKY[..], &at].concat()).status.code(), Some(1));

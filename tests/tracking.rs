@@ -1,9 +1,12 @@
 //! What a prior does to a frame's solution: it spares work, and decides nothing.
 
 use nalgebra::{Matrix2, Vector2};
-use solaspect::aspect::{Expected, Origin, Quality, Solution, Track, overlay, solve};
+use solaspect::aspect::{
+    CalibrationCheck, Expected, Origin, Quality, Quantity, Solution, Track, contradictions,
+    overlay, solve,
+};
 use solaspect::frame::Frame;
-use solaspect::instrument::{Instrument, builtin};
+use solaspect::instrument::{Instrument, Mounting, builtin};
 use solaspect::registration::{self, Pair};
 use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC, SunInView};
 use solaspect::units::{PlateMil, SensorPx};
@@ -21,6 +24,11 @@ struct Flight {
 
 /// A Sun that moves over the sensor by 20 px a frame, to and fro.
 fn flight(frames: u64) -> Flight {
+    flight_within([260.0, 190.0], frames)
+}
+
+/// The same, no farther than this from the plate's centre.
+fn flight_within(reach_px: [f64; 2], frames: u64) -> Flight {
     let instrument = builtin("demo").unwrap();
     let conditions = Conditions {
         sun: SunInView::Whole,
@@ -31,8 +39,8 @@ fn flight(frames: u64) -> Flight {
         let mut scene = scenes.scene(n).unwrap();
         let along = n as f64 * 0.07;
         let at = SensorPx::new(
-            648.0 + 260.0 * along.sin(),
-            483.0 + 190.0 * (1.7 * along).cos(),
+            648.0 + reach_px[0] * along.sin(),
+            483.0 + reach_px[1] * (1.7 * along).cos(),
         );
         let centre = scene.mapping.to_plate(at);
         scene.sun.as_mut().unwrap().centre = centre;
@@ -169,4 +177,130 @@ fn the_picture_of_a_frame_shows_its_marks_though_they_were_foretold() {
         alone.abs_diff(foretold) < alone / 5,
         "{alone} and {foretold}"
     );
+}
+
+/// What fine frames contradict of an instrument that states one thing of the demo's mounting wrongly.
+fn contradicted(flight: &Flight, wrongly: fn(&mut Mounting)) -> Vec<Vec<Quantity>> {
+    let mut wrong = flight.instrument.clone();
+    wrongly(&mut wrong.mounting);
+    let found = flight.frames.iter().map(|frame| {
+        let solution = flight.solve(frame, None);
+        assert_eq!(solution.quality, Quality::Fine);
+        let found = contradictions(&solution, &wrong);
+        found.into_iter().map(|c| c.quantity).collect()
+    });
+    found.collect()
+}
+
+#[test]
+fn fine_frames_contradict_what_is_wrong_in_a_calibration_and_nothing_else() {
+    let flight = flight_within([100.0, 60.0], 4);
+    type Case = (fn(&mut Mounting), Vec<Quantity>);
+    let cases: [Case; 5] = [
+        (|_| {}, vec![]),
+        (|m| m.rotation_deg.value += 180.0, vec![Quantity::Rotation]),
+        (|m| m.scale_mil_per_px.value *= 1.02, vec![Quantity::Scale]),
+        (|m| m.plate_centre_px.x -= 60.0, vec![Quantity::CentreX]),
+        (|m| m.plate_centre_px.y += 60.0, vec![Quantity::CentreY]),
+    ];
+    for (wrongly, expected) in cases {
+        let found = contradicted(&flight, wrongly);
+        assert!(
+            found.iter().all(|found| *found == expected),
+            "{found:?}, {expected:?}"
+        );
+    }
+}
+
+#[test]
+fn a_contradiction_names_key_and_values() {
+    let flight = flight_within([0.0, 0.0], 1);
+    let mut wrong = flight.instrument.clone();
+    wrong.mounting.rotation_deg.value = 180.0;
+    let found = contradictions(&flight.solve(&flight.frames[0], None), &wrong);
+    let said = found[0].to_string();
+    assert!(
+        said.starts_with("mounting.rotation_deg: stated 180 +- 1, measured "),
+        "{said}"
+    );
+    assert!(found[0].measured.value.abs() < 5.0 * found[0].measured.sigma);
+}
+
+#[test]
+fn no_calibration_that_is_right_within_three_sigmas_is_contradicted() {
+    let instrument = builtin("demo").unwrap();
+    let mounting = &instrument.mounting;
+    let mut fine = 0;
+    for (seed, keystone_deg) in [(1, 0.0), (2, 3.0), (3, -3.0)] {
+        let mut conditions = Conditions {
+            sun: SunInView::Whole,
+            keystone_deg,
+            mark_scatter_mil: 1.0,
+            ..Conditions::of(&instrument)
+        };
+        let way = if seed == 2 { -1.0 } else { 1.0 };
+        conditions.similarity.rotation_deg += 3.0 * way * mounting.rotation_deg.sigma;
+        conditions.similarity.scale_mil_per_px += 2.0 * way * mounting.scale_mil_per_px.sigma;
+        conditions.similarity.plate_centre.x += 2.5 * way * mounting.plate_centre_sigma_px;
+        let scenes = RandomScenes::new(&instrument, &conditions, seed).unwrap();
+        for number in 0..20 {
+            let frame = scenes.scene(number).unwrap().frame().unwrap();
+            let solution = solve(&frame, &instrument, EXPECTED, None);
+            fine += u32::from(solution.quality == Quality::Fine);
+            let found = contradictions(&solution, &instrument);
+            assert!(found.is_empty(), "seed {seed}, frame {number}: {found:?}");
+        }
+    }
+    assert!(fine > 30, "{fine}");
+}
+
+/// A frame of the flight's camera on which the marks are too faint to be found.
+fn without_marks(flight: &Flight, centre: PlateMil) -> Frame {
+    let scenes = RandomScenes::new(&flight.instrument, &Conditions::of(&flight.instrument), 5);
+    let mut scene = scenes.unwrap().scene(99).unwrap();
+    scene.mark_contrast = 0.0;
+    scene.sun.as_mut().unwrap().centre = centre;
+    scene.frame().unwrap()
+}
+
+#[test]
+fn a_frame_without_marks_borrows_what_was_measured_instead_of_what_was_disproved() {
+    let flight = flight(6);
+    let mut stated = flight.instrument.clone();
+    stated.mounting.rotation_deg.value = 180.0;
+    let mut check = CalibrationCheck::default();
+    let fine: Vec<Solution> = flight
+        .frames
+        .iter()
+        .map(|f| flight.solve(f, None))
+        .collect();
+    for (n, solution) in fine.iter().enumerate() {
+        // Two frames prove nothing; what is proven is told once.
+        let proven = check.note(solution, &stated).len();
+        assert_eq!(proven, usize::from(n == 2), "frame {n}");
+        assert_eq!(check.corrected(&stated).is_some(), n >= 2);
+    }
+    let truth = PlateMil::new(700.0, 500.0);
+    let frame = without_marks(&flight, truth);
+    let error_sigmas = |instrument: &Instrument| {
+        let solution = solve(&frame, instrument, EXPECTED, None);
+        assert_eq!(
+            solution.mapping.as_ref().unwrap().origin,
+            Origin::Calibration
+        );
+        let found = solution.aspect.unwrap().sun_plate;
+        found.position.distance(truth) / (found.covariance.trace() / 2.0).sqrt()
+    };
+    assert!(error_sigmas(&stated) > 20.0);
+    let corrected = check.corrected(&stated).unwrap();
+    assert!(
+        error_sigmas(&corrected) < 5.0,
+        "{}",
+        error_sigmas(&corrected)
+    );
+    // A file that was mended is believed again.
+    for solution in &fine[..3] {
+        assert!(check.note(solution, &flight.instrument).is_empty());
+    }
+    assert_eq!(check.corrected(&flight.instrument), None);
 }

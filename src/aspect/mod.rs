@@ -1,12 +1,14 @@
 //! The pipeline on one page: from a frame to the Sun's centre on the plate.
 
 mod conclusion;
+mod contradiction;
 mod foretold;
 mod marks;
 mod overlay;
 mod solution;
 mod stages;
 
+pub use contradiction::{CalibrationCheck, Contradiction, Quantity, contradictions};
 pub use overlay::overlay;
 pub use solution::{
     AdoptedMapping, Aspect, Mark, Origin, Quality, Solution, Stage, Stopped, Track,

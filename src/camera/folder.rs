@@ -103,4 +103,8 @@ impl FrameSource for FolderCamera {
         self.period = settings.period();
         Ok(())
     }
+
+    fn frames_wait(&self) -> bool {
+        true
+    }
 }

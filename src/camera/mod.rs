@@ -108,6 +108,12 @@ pub trait FrameSource: Send {
         Ok(())
     }
 
+    /// Whether frames wait to be taken, as a folder's and the simulator's do: a pause loses nothing then. What a camera does
+    /// not give in time is lost.
+    fn frames_wait(&self) -> bool {
+        false
+    }
+
     /// What there is to tell of the camera; the default where there is no camera.
     fn health(&self) -> CameraHealth {
         CameraHealth::default()

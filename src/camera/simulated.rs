@@ -119,6 +119,10 @@ impl FrameSource for SimulatedCamera {
         self.region = settings.region;
         Ok(())
     }
+
+    fn frames_wait(&self) -> bool {
+        true
+    }
 }
 
 fn read_out(frame: Frame, region: Region) -> Result<Frame, CameraError> {

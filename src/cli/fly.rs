@@ -54,6 +54,9 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     if let Err(error) = ephemeris.disc(Timestamp::now()) {
         tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
     }
+    if let Some(extrapolated) = ephemeris.extrapolates(Timestamp::now()) {
+        tracing::warn!("{extrapolated}: see sky.earth_orientation");
+    }
     let (camera, other_cameras) = cameras::of(&config, &args)?;
     let flight = Flight {
         target: options::target(&config, &mut ephemeris)?,

@@ -81,6 +81,10 @@ pub fn run(args: SkyArgs) -> anyhow::Result<()> {
             .refraction
             .map(|air| air.unwrap_or_else(|| Air::standard(args.place.height_m))),
     };
+    let latest = args.at.or(args.to);
+    if let Some(extrapolated) = latest.and_then(|utc| sky.ephemeris.extrapolates(utc)) {
+        tracing::warn!("{extrapolated}: see sky.earth_orientation");
+    }
     let text = match (args.at, args.from.zip(args.to)) {
         (Some(utc), _) => {
             let report = sky.report(utc).context("--at")?;

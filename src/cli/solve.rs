@@ -3,7 +3,7 @@
 use super::options;
 use super::output::{make_folder, progress_bar, say};
 use crate::archive::Record;
-use crate::aspect::{self, Expected, Solution, Track};
+use crate::aspect::{self, Contradiction, Expected, Quantity, Solution, Track};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -84,27 +84,36 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
     let mut printer = Printer::new(args.format)?;
     let progress = progress_of(args.frames.len());
     let mut failed = false;
-    let mut take = |answers: Vec<Answer>| -> anyhow::Result<()> {
-        for answer in answers {
+    let mut told = Vec::new();
+    let mut take = |solved: Vec<Solved>| -> anyhow::Result<()> {
+        for Solved {
+            answer,
+            contradictions,
+            ..
+        } in solved
+        {
             failed |= answer.is_err();
             progress.suspend(|| printer.print(&answer))?;
             progress.inc(1);
+            if let Ok(record) = &answer {
+                progress.suspend(|| batch.warn_of(&contradictions, &record.file, &mut told));
+            }
         }
         Ok(())
     };
     if args.track {
         let mut track: Option<Track> = None;
         for path in &args.frames {
-            let (answer, taught) = batch.solve_file(path, track.as_ref());
-            track = taught.or(track);
-            take(vec![answer])?;
+            let mut solved = batch.solve_file(path, track.as_ref());
+            track = solved.track.take().or(track);
+            take(vec![solved])?;
         }
     } else {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(usize::from(args.jobs))
             .build()?;
         for some in args.frames.chunks(usize::from(args.jobs)) {
-            let solve = |path: &PathBuf| batch.solve_file(path, None).0;
+            let solve = |path: &PathBuf| batch.solve_file(path, None);
             take(pool.install(|| some.par_iter().map(solve).collect()))?;
         }
     }
@@ -118,6 +127,14 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
 
 /// A frame's record, or the file and what is wrong with it.
 type Answer = Result<Record, (String, String)>;
+
+/// What came of a file.
+struct Solved {
+    answer: Answer,
+    track: Option<Track>,
+    /// What the frame contradicts of the instrument.
+    contradictions: Vec<Contradiction>,
+}
 
 /// The line of a file that could not be read.
 #[derive(Serialize)]
@@ -137,24 +154,32 @@ struct Batch {
 }
 
 impl Batch {
-    fn solve_file(&self, path: &Path, prior: Option<&Track>) -> (Answer, Option<Track>) {
+    fn solve_file(&self, path: &Path, prior: Option<&Track>) -> Solved {
         let name = path.display().to_string();
-        match self.try_solve(path, prior) {
-            Ok((record, track)) => (Ok(record), track),
-            Err(error) => {
-                // The line names the file already.
-                let text = format!("{error:#}");
-                let text = text.strip_prefix(&format!("{name}: ")).unwrap_or(&text);
-                (Err((name, text.into())), None)
+        self.try_solve(path, prior).unwrap_or_else(|error| {
+            // The line names the file already.
+            let text = format!("{error:#}");
+            let text = text.strip_prefix(&format!("{name}: ")).unwrap_or(&text);
+            Solved {
+                answer: Err((name, text.into())),
+                track: None,
+                contradictions: Vec::new(),
+            }
+        })
+    }
+
+    /// Warns of every stated quantity that a fine frame contradicts, once in a run.
+    fn warn_of(&self, found: &[Contradiction], file: &str, told: &mut Vec<Quantity>) {
+        for contradiction in found {
+            if !told.contains(&contradiction.quantity) {
+                told.push(contradiction.quantity);
+                let instrument = &self.instrument.name;
+                tracing::warn!("{file} contradicts instrument \"{instrument}\": {contradiction}");
             }
         }
     }
 
-    fn try_solve(
-        &self,
-        path: &Path,
-        prior: Option<&Track>,
-    ) -> anyhow::Result<(Record, Option<Track>)> {
+    fn try_solve(&self, path: &Path, prior: Option<&Track>) -> anyhow::Result<Solved> {
         let frame = fits::read_frame(path)?;
         let instrument = &*self.instrument.seen_by(&frame)?;
         let utc = frame.info.mid_exposure;
@@ -174,7 +199,11 @@ impl Batch {
         let name = path.display().to_string();
         self.draw(path, &frame, &solution)?;
         let record = Record::new(&name, utc, &solution, offset, Some(solve_time));
-        Ok((record, solution.track))
+        Ok(Solved {
+            answer: Ok(record),
+            contradictions: aspect::contradictions(&solution, instrument),
+            track: solution.track,
+        })
     }
 
     fn draw(&self, path: &Path, frame: &Frame, solution: &Solution) -> anyhow::Result<()> {

@@ -112,7 +112,7 @@ static BEFORE_CAMERAS: &[Parameter] = &[
         "Height above the WGS 84 ellipsoid."),
 
     row!(sky.earth_orientation, "", Text, sample Sample::Text("/data/earth_orientation.csv"),
-        "A newer table of leap seconds, UT1 - UTC and the pole, as tools/iers makes it. The program's own reaches as far as predictions did when it was built; outside it there are no offsets."),
+        "A newer table of leap seconds, UT1 - UTC and the pole, as tools/iers makes it. The program's own reaches as far as predictions did when it was built; behind its end UT1 is extrapolated, with a sigma that grows, and before its beginning there are no offsets."),
 
     row!(target.x_arcsec, "arcsec", Number(-32_767.0, 32_767.0),
         "Where the telescope should point: helioprojective x from the disc's centre, towards solar west. Aspect command 0x0412 sets both axes in flight."),

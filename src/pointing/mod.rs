@@ -57,8 +57,9 @@ pub struct Offset {
     /// What is uncertain in this frame, in true angle: across (towards larger azimuth) and in elevation. It holds the
     /// stated sigma of the mapping, where that was borrowed.
     pub covariance_deg2: Matrix2<f64>,
-    /// What the calibration leaves uncertain, the same in every frame: boresight, clocking and plate distance, by the
-    /// sigmas that the instrument states. It is not part of `covariance_deg2`.
+    /// What the calibration leaves uncertain of the pointing, the same in every frame: boresight, clocking and plate
+    /// distance, by the sigmas that the instrument states, and UT1 behind the table of Earth orientation, which moves Sun
+    /// and target alike. It is not part of `covariance_deg2`.
     pub calibration_deg2: Matrix2<f64>,
 }
 
@@ -245,11 +246,14 @@ fn covariances_rad2(
         * mounting.clocking_deg.sigma.to_radians();
     let by_distance = from_plane * on_plane * (distance.sigma / distance.value);
     let by_boresight = from_plate * mounting.boresight_sigma_mil;
+    let [across_arcsec, up_arcsec] = sun.ut1_shift_arcsec;
+    let by_ut1 = from_plane * Vector2::new(up_arcsec, across_arcsec) / ARCSEC_PER_RAD;
     [
         from_plate * sun_on_plate.covariance * from_plate.transpose(),
         by_boresight * by_boresight.transpose()
             + by_clocking * by_clocking.transpose()
-            + by_distance * by_distance.transpose(),
+            + by_distance * by_distance.transpose()
+            + by_ut1 * by_ut1.transpose(),
     ]
 }
 

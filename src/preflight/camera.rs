@@ -8,6 +8,7 @@ use crate::camera::{
 };
 use crate::config::Config;
 use crate::frame::Frame;
+use crate::instrument::Instrument;
 use crate::link::CameraRole;
 use crate::pointing;
 use std::time::{Duration, Instant};
@@ -226,10 +227,10 @@ fn solves(plan: &Plan, planned: &PlannedCamera, frame: &Frame) -> Vec<Finding> {
         let expected = frame.info.mid_exposure.and_then(Expected::at);
         let (settings, instrument) = (plan.config.solver(), &planned_too.instrument);
         let solution = aspect::solve_with(&settings, &frame, instrument, expected, None);
-        vec![
-            light(table, &solution, frame.saturation_dn()),
-            aspect(&plan, &planned_too, &frame, solution),
-        ]
+        let mut findings = vec![light(table, &solution, frame.saturation_dn())];
+        findings.extend(contradicted(table, &solution, instrument));
+        findings.push(aspect(&plan, &planned_too, &frame, solution));
+        findings
     };
     super::bounded::findings_within(
         PATIENCE,
@@ -237,6 +238,23 @@ fn solves(plan: &Plan, planned: &PlannedCamera, frame: &Frame) -> Vec<Finding> {
         "tell the program's makers",
         work,
     )
+}
+
+/// A fine frame that contradicts what the instrument's file states of the camera.
+fn contradicted(table: &str, solution: &Solution, instrument: &Instrument) -> Option<Finding> {
+    let found: Vec<String> = aspect::contradictions(solution, instrument)
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    let remedy = "is it this camera's file, and was the camera moved? see docs/calibration.md";
+    (!found.is_empty()).then(|| {
+        let found = format!("instrument {}: {}", instrument.name, found.join("; "));
+        Finding::warn(
+            format!("{table} contradicts its calibration"),
+            found,
+            remedy,
+        )
+    })
 }
 
 fn light(table: &str, solution: &Solution, saturation_dn: u16) -> Finding {

@@ -21,6 +21,9 @@ fn orientation(plan: &Plan, now: Timestamp) -> Finding {
         let found = format!("{found}, and today is {today}: there would be no offsets");
         return Finding::fail(check, found, RENEW);
     }
+    if let Some(extrapolated) = plan.orientation.extrapolates(now) {
+        return Finding::warn(check, extrapolated.to_string(), RENEW);
+    }
     match soon < last {
         true => Finding::pass(check, found),
         false => Finding::warn(check, found, RENEW),

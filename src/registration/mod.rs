@@ -112,6 +112,26 @@ impl Registration {
         let to_plate = self.mapping.plate_jacobian(self.mapping.to_sensor(at));
         to_plate * on_sensor * to_plate.transpose()
     }
+
+    /// Rotation (deg), scale (mil/px) and the picture's place (x, y, px) at the plate's centre, with the sigmas of pairs and
+    /// outline.
+    pub fn at_plate_centre(&self) -> [Measured; 4] {
+        let [_, _, a, b, ..] = *self.model.parameters();
+        let square = a * a + b * b;
+        let variance = |n: usize, k: usize| self.covariance[(n, k)];
+        let (aa, ab, bb) = (variance(2, 2), variance(2, 3), variance(3, 3));
+        let sigma = |variance: f64| variance.max(0.0).sqrt();
+        let turn = sigma(a * a * bb - 2.0 * a * b * ab + b * b * aa) / square;
+        let stretch = sigma(a * a * aa + 2.0 * a * b * ab + b * b * bb) / square;
+        let scale = 1.0 / self.model.scale_px_per_mil();
+        let centre = self.mapping.to_sensor(PlateMil::new(0.0, 0.0));
+        [
+            Measured::new(b.atan2(a).to_degrees(), turn.to_degrees()),
+            Measured::new(scale, scale * stretch),
+            Measured::new(centre.x, sigma(variance(0, 0))),
+            Measured::new(centre.y, sigma(variance(1, 1))),
+        ]
+    }
 }
 
 /// Fits the simplest mapping that the pairs and the outline support. `None` when they do not determine one.
@@ -279,6 +299,21 @@ mod tests {
         let trace = |r: &Registration, p| r.covariance_mil2(p).trace();
         assert!(trace(&noisy, at) > 9.0 * trace(&quiet, at));
         assert!(trace(&quiet, PlateMil::new(2000.0, 0.0)) > 4.0 * trace(&quiet, at));
+    }
+
+    #[test]
+    fn rotation_scale_and_centre_are_measured_as_well_as_stated() {
+        for (n, noise_px) in [0.01, 0.03].into_iter().enumerate() {
+            let found = registered(&similarity(), noise_px).at_plate_centre();
+            for (found, truth) in found.into_iter().zip([37.0, 5.75, 650.0, 480.0]) {
+                let off = (found.value - truth).abs();
+                assert!(
+                    off < 4.0 * found.sigma && found.sigma > 0.0,
+                    "{n}: {found:?}"
+                );
+                assert!(found.sigma < 1e-2 * truth, "{n}: {found:?}");
+            }
+        }
     }
 
     #[test]

@@ -42,6 +42,10 @@ impl Model {
         self
     }
 
+    pub(super) fn parameters(&self) -> &[f64; MOST] {
+        &self.parameters
+    }
+
     /// How far a step moves the picture of what lies 1000 mil from the plate's centre, px, squared.
     pub(super) fn moved_px2(&self, step: &[f64; MOST]) -> f64 {
         let unit_px = self.scale_px_per_mil() * UNIT_MIL;

@@ -130,6 +130,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     } = tally;
     told.taken = small(camera.taken);
     told.lost = small(camera.lost + camera.failed + solver.misfits);
+    told.silent_s = small(camera.silent.as_secs());
     told.incomplete = small(camera.health.incomplete);
     told.reconnects = small(camera.health.reconnects);
     told.fine = small(solver.of(Quality::Fine));
@@ -140,6 +141,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
         // The layout wants these to begin again after 65535.
         *stopped = stopped.wrapping_add(*count as u16);
     }
+    told.calibration_contradicted = solver.contradicted;
     told.stored = small(archive.stored);
     told.unstored = small(archive.unstored);
     told.rows_refused = small(archive.rows_refused + archive.rows_lost);

@@ -40,6 +40,7 @@ pub mod priority;
 mod protocol;
 mod shared;
 mod shutter;
+mod silence;
 mod solver;
 mod tally;
 mod watch;
@@ -130,6 +131,7 @@ impl Service {
         let (to_line, events) = bounded(LINK_EVENTS);
         let counts = Counts {
             cameras: Vec::new(),
+            silences: Vec::new(),
             solvers: Vec::new(),
             archive: gauges.clone(),
             line: Shared::default(),
@@ -301,6 +303,7 @@ impl Crew {
             glimpse: glimpse.clone(),
             cameras_ended: Arc::clone(&self.signals.cameras_ended),
             recent: Shared::default(),
+            calibration: Shared::default(),
             tally: Shared::default(),
         };
         self.recent.push(solver.recent.clone());
@@ -330,9 +333,11 @@ impl Crew {
             to_line: self.to_line.clone(),
             glimpse: glimpse.clone(),
             tally: Shared::default(),
+            silence: Shared::default(),
             stop: Arc::clone(&self.signals.stop),
         };
         self.counts.cameras.push(shutter.tally.clone());
+        self.counts.silences.push(shutter.silence.clone());
         let host = self.host;
         let name = format!("camera-{}", station.camera_number());
         self.cameras

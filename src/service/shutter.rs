@@ -3,6 +3,7 @@
 use super::control::{Controls, Topic};
 use super::line::LinkEvent;
 use super::shared::Shared;
+use super::silence::{self, Silence};
 use super::tally::{CameraTally, worth_a_line};
 use super::worker::Life;
 use super::{Sighting, Station};
@@ -41,22 +42,37 @@ pub(super) struct Shutter {
     pub to_line: Sender<LinkEvent>,
     pub glimpse: Glimpse,
     pub tally: Shared<CameraTally>,
+    pub silence: Shared<Silence>,
     pub stop: Arc<AtomicBool>,
 }
 
 impl Shutter {
     /// Takes frames until the source ends or the flight does. Without a source it opens one.
     pub fn run(self, source: Option<Box<dyn FrameSource>>, open: Option<Opener>, life: &Life) {
+        self.take_frames(source, open, life);
+        // A thread that was replaced leaves the silence to the one that took over.
+        if !life.is_over() {
+            self.silence.lock().end(Instant::now());
+        }
+    }
+
+    fn take_frames(&self, source: Option<Box<dyn FrameSource>>, open: Option<Opener>, life: &Life) {
+        let settings = self.controls.camera(self.station.seat).settings();
+        self.silence.lock().begin(Instant::now(), &settings);
         let Some(mut source) = source.or_else(|| self.open(open.as_ref()?, life)) else {
             return;
         };
         let mut dial = Dial::new(&self.controls, &self.station);
         let mut clock = ClockWatch::default();
+        if source.frames_wait() {
+            self.silence.lock().end(Instant::now());
+        }
         while self.goes_on(life) {
             dial.turn(
                 &self.controls,
                 &self.station,
                 &self.glimpse,
+                &self.silence,
                 source.as_mut(),
             );
             let mut announce = |start| self.announce(start);
@@ -68,6 +84,10 @@ impl Shutter {
             match taken {
                 Ok(Take::Exposure(mut exposure)) => {
                     clock.look(&mut exposure.frame.info, &self.tally);
+                    if !source.frames_wait() {
+                        let change = self.silence.lock().frame(Instant::now());
+                        silence::tell(self.station.index + 1, change);
+                    }
                     self.hand_on(*exposure);
                 }
                 Ok(Take::NotYet) => {}
@@ -168,6 +188,7 @@ impl Dial {
         controls: &Controls,
         station: &Station,
         glimpse: &Glimpse,
+        silence: &Shared<Silence>,
         source: &mut dyn FrameSource,
     ) {
         let version = controls.version(Topic::Cameras);
@@ -176,6 +197,9 @@ impl Dial {
             let camera = controls.camera(station.seat);
             self.set &= self.settings == camera.settings();
             self.settings = camera.settings();
+            if !self.set {
+                silence.lock().excuse(Instant::now());
+            }
             let wanted = camera.auto_exposure();
             if wanted != self.auto.as_ref().map(|auto| auto.0) {
                 self.auto = wanted.map(|s| (s, AutoExposure::new(s)));
@@ -190,6 +214,7 @@ impl Dial {
         }
         if !self.set {
             self.set = true;
+            silence.lock().expect(&self.settings);
             if let Err(error) = source.apply(&self.settings) {
                 tracing::error!(%error, "the camera did not take a setting");
             }

@@ -10,7 +10,7 @@ use super::tally::{SolverTally, worth_a_line};
 use super::worker::Life;
 use super::{Sighting, Station};
 use crate::archive::{Record, Row};
-use crate::aspect::{self, Expected, Solution, Stage, Track};
+use crate::aspect::{self, CalibrationCheck, Expected, Solution, Stage, Track};
 use crate::camera::{Brightness, Exposure};
 use crate::frame::FrameInfo;
 use crate::instrument::Instrument;
@@ -62,6 +62,8 @@ pub(super) struct Solver {
     pub glimpse: Glimpse,
     pub cameras_ended: Arc<AtomicBool>,
     pub recent: Shared<Recent>,
+    /// Outlives a thread that fails, as the counts do.
+    pub calibration: Shared<CalibrationCheck>,
     pub tally: Shared<SolverTally>,
 }
 
@@ -99,6 +101,7 @@ impl Solver {
                 return;
             }
             count(&mut self.tally.lock(), &answer.solution);
+            self.check_calibration(&answer.solution);
             tracing::debug!(
                 number = answer.exposure.frame.info.number,
                 quality = answer.solution.quality.name(),
@@ -152,9 +155,16 @@ impl Solver {
         let size = utc.and_then(|utc| sun.at(utc));
         let start = Instant::now();
         let frame = &exposure.frame;
-        let instrument = &self.station.instrument;
+        let prior = track.as_ref();
+        // Without a mapping of an earlier frame the calibration's is borrowed, but not what frames have disproved.
+        let stated = &self.station.instrument;
+        let corrected = match prior.is_some_and(|prior| prior.registration.is_some()) {
+            true => None,
+            false => self.calibration.lock().corrected(stated),
+        };
+        let instrument = corrected.as_ref().unwrap_or(stated);
         let mut solution = match self.station.is_solved() {
-            true => aspect::solve_with(&commanded.solver, frame, instrument, size, track.as_ref()),
+            true => aspect::solve_with(&commanded.solver, frame, instrument, size, prior),
             false => aspect::levels_only(&commanded.solver, frame, instrument),
         };
         let solve_time = start.elapsed();
@@ -180,6 +190,22 @@ impl Solver {
             target: commanded.target,
             solve_time,
             to_be_stored: self.controls.stores(self.station.seat.role()),
+        }
+    }
+
+    /// Says once what fine frames have disproved of the calibration.
+    fn check_calibration(&self, solution: &Solution) {
+        let instrument = &self.station.instrument;
+        let mut calibration = self.calibration.lock();
+        let proven = calibration.note(solution, instrument);
+        let mut tally = self.tally.lock();
+        tally.contradicted = calibration.proven().next().is_some();
+        for contradiction in proven {
+            let (camera, name) = (self.station.camera_number(), &instrument.name);
+            tracing::error!(camera, instrument = name, %contradiction, "fine frames contradict the calibration");
+            tally
+                .contradictions
+                .insert(format!("{name}: {contradiction}"));
         }
     }
 

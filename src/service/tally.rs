@@ -3,7 +3,7 @@
 use crate::aspect::{Quality, Stage};
 use crate::camera::CameraHealth;
 use crate::link::{LinkState, Rejected};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
 use std::time::Duration;
 
@@ -17,6 +17,10 @@ pub struct CameraTally {
     pub failed: u64,
     /// Exposures that the line's queue had no room for.
     pub unannounced: u64,
+    /// Times that the camera gave no frames though it should have.
+    pub silences: u64,
+    /// The time without frames in these, from the last frame on.
+    pub silent: Duration,
     /// Times that UTC made a step.
     pub utc_steps: u64,
     /// Of the camera itself.
@@ -29,6 +33,8 @@ impl CameraTally {
         self.lost += other.lost;
         self.failed += other.failed;
         self.unannounced += other.unannounced;
+        self.silences += other.silences;
+        self.silent += other.silent;
         self.utc_steps += other.utc_steps;
         let (own, other) = (&mut self.health, &other.health);
         own.incomplete += other.incomplete;
@@ -46,6 +52,15 @@ impl CameraTally {
             "frames     {} taken, {} lost, {} failed",
             self.taken, self.lost, self.failed
         )?;
+        if self.silences > 0 {
+            let times = if self.silences == 1 { "time" } else { "times" };
+            writeln!(
+                out,
+                "camera     silent {} {times}, {:.1} s without frames",
+                self.silences,
+                self.silent.as_secs_f64(),
+            )?;
+        }
         let health = &self.health;
         if *health != CameraHealth::default() {
             writeln!(
@@ -72,6 +87,10 @@ pub struct SolverTally {
     pub misfits: u64,
     /// Answers that the line's queue had no room for.
     pub unsent: u64,
+    /// What fine frames have disproved of the instruments, with stated and measured values.
+    pub contradictions: BTreeSet<String>,
+    /// Whether anything stated is disproved now.
+    pub contradicted: bool,
 }
 
 impl SolverTally {
@@ -92,6 +111,9 @@ impl SolverTally {
         }
         self.misfits += other.misfits;
         self.unsent += other.unsent;
+        self.contradictions
+            .extend(other.contradictions.iter().cloned());
+        self.contradicted |= other.contradicted;
     }
 
     fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -104,6 +126,9 @@ impl SolverTally {
         )?;
         for ((stage, reason), count) in &self.reasons {
             writeln!(out, "           {count} x {}: {reason}", stage.name())?;
+        }
+        for contradiction in &self.contradictions {
+            writeln!(out, "contradicted by fine frames: {contradiction}")?;
         }
         Ok(())
     }
@@ -230,9 +255,10 @@ pub struct FlightTally {
 }
 
 impl FlightTally {
-    /// Frames, stored files and packets that did not get where they should.
+    /// Frames, stored files and packets that did not get where they should, and silences of cameras.
     pub fn lost(&self) -> u64 {
-        let frames = self.camera.lost + self.camera.failed + self.solver.misfits;
+        let camera = self.camera.lost + self.camera.failed + self.camera.silences;
+        let frames = camera + self.solver.misfits;
         let files = self.archive.unstored + self.archive.rows_lost;
         let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
         frames + files + packets + self.restarts

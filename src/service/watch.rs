@@ -4,6 +4,7 @@ use super::archiver::{self, Archive, Gauges};
 use super::housekeeping::{Restarts, Teller};
 use super::line::LinkEvent;
 use super::shared::Shared;
+use super::silence::{self, Silence};
 use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
 use super::worker::{self, Worker};
 use crate::link::Housekeeping;
@@ -49,6 +50,7 @@ pub(super) struct Signals {
 #[derive(Clone)]
 pub(super) struct Counts {
     pub cameras: Vec<Shared<CameraTally>>,
+    pub silences: Vec<Shared<Silence>>,
     pub solvers: Vec<Shared<SolverTally>>,
     pub archive: Gauges,
     pub line: Shared<LineTally>,
@@ -64,6 +66,11 @@ impl Counts {
         };
         for camera in &self.cameras {
             tally.camera.add(&camera.lock());
+        }
+        for silence in &self.silences {
+            let (silences, silent) = silence.lock().total(Instant::now());
+            tally.camera.silences += silences;
+            tally.camera.silent += silent;
         }
         for solver in &self.solvers {
             tally.solver.add(&solver.lock());
@@ -156,6 +163,7 @@ impl Watch {
 
     /// Looks after all threads: whether the work is done and the line is to be hung up.
     fn is_over(&mut self, now: Instant) -> bool {
+        silence::look(&self.counts.silences);
         let taking = worker::look(&mut self.cameras, now);
         if !taking {
             self.signals.cameras_ended.store(true, Ordering::Relaxed);

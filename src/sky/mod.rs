@@ -16,7 +16,7 @@ mod refraction;
 pub mod sphere;
 
 pub use events::{Crossing, Rising, crossings, horizon_deg, spells};
-pub use orientation::{EarthOrientation, OrientationTable, TableError};
+pub use orientation::{EarthOrientation, Extrapolated, OrientationTable, TableError};
 pub use refraction::Air;
 
 use crate::units::{ARCSEC_PER_RAD, Place, PlaceError, Rejected};
@@ -24,8 +24,9 @@ use jiff::Timestamp;
 use jiff::civil::Date;
 use nalgebra::Vector3;
 use observer::{Earth, JulianDate, LIGHT_DAYS_PER_AU, Observer, Second};
+use orientation::ARCSEC_PER_S;
 use sofars::eph::moon98;
-use sphere::{angles_deg, bearing_rad, direction, separation_rad};
+use sphere::{angles_deg, bearing_rad, direction, separation_rad, tangents};
 use std::sync::Arc;
 
 /// The astronomical unit (IAU 2012, resolution B2).
@@ -44,13 +45,9 @@ pub enum SkyError {
     #[error("expected a date from 1900 to 2100, as the Earth's ephemeris goes, found {0}")]
     Date(Timestamp),
     #[error(
-        "expected a date from {first} to {last}, as the table of Earth orientation goes, found {utc}"
+        "expected a date from {first} on, where the table of Earth orientation begins, found {utc}"
     )]
-    Orientation {
-        utc: Timestamp,
-        first: Date,
-        last: Date,
-    },
+    Orientation { utc: Timestamp, first: Date },
     #[error(transparent)]
     Place(#[from] PlaceError),
 }
@@ -61,13 +58,8 @@ impl SkyError {
         let year = |utc: &Timestamp| 1970.0 + utc.as_second() as f64 / (365.2425 * 86_400.0);
         let (reason, measured, limit) = match self {
             Self::Date(utc) => ("date outside the Earth's ephemeris", year(utc), 2100.0),
-            Self::Orientation { utc, first, last } => {
-                let end = if year(utc) < f64::from(last.year()) {
-                    first
-                } else {
-                    last
-                };
-                let limit = f64::from(end.year()) + f64::from(end.day_of_year() - 1) / 365.25;
+            Self::Orientation { utc, first } => {
+                let limit = f64::from(first.year()) + f64::from(first.day_of_year() - 1) / 365.25;
                 (
                     "date outside the table of Earth orientation",
                     year(utc),
@@ -106,6 +98,9 @@ pub struct SunPosition {
     pub b0_deg: f64,
     /// Carrington longitude of the disc's centre as seen from the Earth's centre, 0 to 360.
     pub l0_deg: f64,
+    /// By how much 1 sigma of UT1 moves the Sun: towards larger azimuth (true angle) and up. Zero within the table of Earth
+    /// orientation.
+    pub ut1_shift_arcsec: [f64; 2],
 }
 
 /// The Moon as an observer sees it.
@@ -172,9 +167,10 @@ impl Ephemeris {
     /// The Sun from a place at an instant.
     ///
     /// # Errors
-    /// A date outside the table of Earth orientation, or a place outside its ranges.
+    /// A date before the table of Earth orientation, or a place outside its ranges.
     pub fn sun(&mut self, utc: Timestamp, place: Place) -> Result<SunPosition, SkyError> {
-        let observer = self.observer(utc, place)?;
+        let orientation = self.table.at(utc)?;
+        let observer = self.observer(utc, place, &orientation)?;
         let from_observer = sun_from(&observer);
         // Solar north: a step along the axis through the same chain. Any length serves, for the step stays in
         // the plane of the Sun's centre and its axis; a long one keeps its digits.
@@ -192,7 +188,16 @@ impl Ephemeris {
             p_deg: bearing_rad(&centre, &north).to_degrees(),
             b0_deg: disc.b0_deg,
             l0_deg: disc.l0_deg,
+            ut1_shift_arcsec: match orientation.ut1_sigma_s {
+                0.0 => [0.0; 2],
+                sigma_s => diurnal_arcsec(&observer, &centre_up, sigma_s),
+            },
         })
+    }
+
+    /// Whether the orientation of the Earth at an instant is extrapolated, behind the end of its table.
+    pub fn extrapolates(&self, utc: Timestamp) -> Option<Extrapolated> {
+        self.table.extrapolates(utc)
     }
 
     /// The Moon from a place at an instant.
@@ -200,7 +205,8 @@ impl Ephemeris {
     /// # Errors
     /// As for [`sun`](Self::sun).
     pub fn moon(&mut self, utc: Timestamp, place: Place) -> Result<MoonPosition, SkyError> {
-        let observer = self.observer(utc, place)?;
+        let orientation = self.table.at(utc)?;
+        let observer = self.observer(utc, place, &orientation)?;
         let moon = moon_from(&observer);
         let sun = sun_from(&observer);
         let [moon_apparent, sun_apparent] = [moon, sun].map(|v| observer.equatorial(&v));
@@ -222,16 +228,20 @@ impl Ephemeris {
     /// How the Sun is turned to the Earth's centre.
     ///
     /// # Errors
-    /// A date outside the table of Earth orientation.
+    /// A date before the table of Earth orientation.
     pub fn disc(&mut self, utc: Timestamp) -> Result<Disc, SkyError> {
         let orientation = self.table.at(utc)?;
         Ok(disc(&self.second(utc, &orientation)?.earth(utc)))
     }
 
-    fn observer(&mut self, utc: Timestamp, place: Place) -> Result<Observer, SkyError> {
-        let orientation = self.table.at(utc)?;
-        let second = self.second(utc, &orientation)?;
-        Observer::new(utc, place, &orientation, second)
+    fn observer(
+        &mut self,
+        utc: Timestamp,
+        place: Place,
+        orientation: &EarthOrientation,
+    ) -> Result<Observer, SkyError> {
+        let second = self.second(utc, orientation)?;
+        Observer::new(utc, place, orientation, second)
     }
 
     fn second(
@@ -277,6 +287,14 @@ fn moon_from(observer: &Observer) -> Vector3<f64> {
         light_days = moon.norm() * LIGHT_DAYS_PER_AU;
     }
     moon
+}
+
+/// How far the Earth's rotation moves a direction in a time, arcsec: towards larger azimuth, and up.
+fn diurnal_arcsec(observer: &Observer, horizontal: &Vector3<f64>, time_s: f64) -> [f64; 2] {
+    let pole = observer.horizontal(&Vector3::z());
+    let moved = horizontal.normalize().cross(&pole) * (ARCSEC_PER_S * time_s);
+    let (up, across) = tangents(horizontal);
+    [moved.dot(&across), moved.dot(&up)]
 }
 
 fn sun_radius_arcsec(earth: &Earth) -> f64 {

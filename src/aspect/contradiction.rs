@@ -1,0 +1,233 @@
+//! Whether fine frames contradict what the calibration states of the camera: the wrong file, or a camera that was moved.
+//!
+//! A fine frame measures rotation, scale and the place of the plate's centre on its own. Its sigma here holds what the
+//! registration's leaves out: a tilt of the camera that a similarity does not show near the Sun but the calibration's place,
+//! far from it, does; and marks that are printed where they should not be, which are the same in every frame.
+
+use super::{Origin, Quality, Solution};
+use crate::geometry::MappingKind;
+use crate::instrument::Instrument;
+use crate::units::Measured;
+use std::fmt;
+
+/// So many sigmas from what is stated contradict it.
+const CONTRADICTS: f64 = 5.0;
+/// So many fine frames in a row that agree prove it: a single misread one does not.
+const PROVE: u32 = 3;
+/// What a tilt of 3 deg, 1 sigma, moves a place by, over its distance squared, 1/px.
+const TILT_PER_PX: f64 = 1.0e-5;
+
+/// What an instrument's file states of the camera, and every fine frame measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    Rotation,
+    Scale,
+    CentreX,
+    CentreY,
+}
+
+impl Quantity {
+    pub const ALL: [Self; 4] = [Self::Rotation, Self::Scale, Self::CentreX, Self::CentreY];
+
+    /// Where the instrument's file states it, and its unit.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Rotation => "mounting.rotation_deg",
+            Self::Scale => "mounting.scale_mil_per_px",
+            Self::CentreX => "mounting.plate_centre_px, x",
+            Self::CentreY => "mounting.plate_centre_px, y",
+        }
+    }
+
+    fn stated(self, instrument: &Instrument) -> Measured {
+        let mounting = &instrument.mounting;
+        let centre = |value| Measured::new(value, mounting.plate_centre_sigma_px);
+        match self {
+            Self::Rotation => mounting.rotation_deg,
+            Self::Scale => mounting.scale_mil_per_px,
+            Self::CentreX => centre(mounting.plate_centre_px.x),
+            Self::CentreY => centre(mounting.plate_centre_px.y),
+        }
+    }
+
+    /// One value minus another.
+    fn difference(self, a: f64, b: f64) -> f64 {
+        match self {
+            Self::Rotation => (a - b + 180.0).rem_euclid(360.0) - 180.0,
+            _ => a - b,
+        }
+    }
+
+    fn differ(self, a: Measured, b: Measured) -> bool {
+        self.difference(a.value, b.value).abs() > CONTRADICTS * a.sigma.hypot(b.sigma)
+    }
+}
+
+/// A quantity that a fine frame contradicts by more than five sigmas, the stated one and the frame's in quadrature.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contradiction {
+    pub quantity: Quantity,
+    pub stated: Measured,
+    pub measured: Measured,
+}
+
+impl fmt::Display for Contradiction {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            quantity,
+            stated,
+            measured,
+        } = self;
+        write!(
+            out,
+            "{}: stated {} +- {}, measured {:.3} +- {:.3}",
+            quantity.key(),
+            stated.value,
+            stated.sigma,
+            measured.value,
+            measured.sigma
+        )
+    }
+}
+
+/// What a fine frame contradicts of the instrument; nothing for any other.
+pub fn contradictions(solution: &Solution, instrument: &Instrument) -> Vec<Contradiction> {
+    let found = Quantity::ALL
+        .into_iter()
+        .zip(measured(solution, instrument).into_iter().flatten());
+    let all = found.map(|(quantity, measured)| Contradiction {
+        quantity,
+        stated: quantity.stated(instrument),
+        measured,
+    });
+    all.filter(|c| c.quantity.differ(c.stated, c.measured))
+        .collect()
+}
+
+/// What a fine frame measures, in the order of [`Quantity::ALL`].
+fn measured(solution: &Solution, instrument: &Instrument) -> Option<[Measured; 4]> {
+    let adopted = solution.mapping.as_ref()?;
+    if solution.quality != Quality::Fine || adopted.origin != Origin::Frame {
+        return None;
+    }
+    let registration = solution.track.as_ref()?.registration.as_ref()?;
+    let aspect = solution.aspect?;
+    let [rotation_deg, scale, x_px, y_px] = registration.at_plate_centre();
+    let from_sun_px =
+        (x_px.value - aspect.sun_px.position.x).hypot(y_px.value - aspect.sun_px.position.y);
+    let tilt_per_px = match adopted.mapping.kind() {
+        MappingKind::Similarity | MappingKind::Affine => TILT_PER_PX,
+        MappingKind::Keystone | MappingKind::Homography => 0.0,
+    };
+    let turned = tilt_per_px * from_sun_px;
+    let printed = printed_mil(solution, instrument) / (aspect.sun_radius_px * scale.value);
+    let widened = |m: Measured, by: f64| Measured::new(m.value, m.sigma.hypot(by));
+    let open_px = (turned * from_sun_px).hypot(printed * from_sun_px.hypot(aspect.sun_radius_px));
+    Some([
+        widened(rotation_deg, turned.hypot(printed).to_degrees()),
+        // Along the tilt the scale changes twice as much as across it.
+        widened(scale, scale.value * (1.5 * turned).hypot(printed)),
+        widened(x_px, open_px),
+        widened(y_px, open_px),
+    ])
+}
+
+/// How well the marks of a frame are known on the plate, 1 sigma per axis.
+fn printed_mil(solution: &Solution, instrument: &Instrument) -> f64 {
+    let sigmas = solution
+        .marks
+        .iter()
+        .map(|mark| instrument.plate.sigma_mil(mark.id));
+    let squares: f64 = sigmas.map(|[x, y]| (x * x + y * y) / 2.0).sum();
+    (squares / solution.marks.len().max(1) as f64).sqrt()
+}
+
+/// The instrument's calibration as a flight's fine frames see it.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct CalibrationCheck {
+    /// In the order of [`Quantity::ALL`].
+    trials: [Trial; 4],
+}
+
+/// A stated quantity before the fine frames.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Trial {
+    /// The last frame's contradiction, and how many in a row agreed on it.
+    last: Option<(Contradiction, u32)>,
+    /// Fine frames in a row that do not contradict.
+    agreeing: u32,
+    proven: Option<Contradiction>,
+}
+
+impl CalibrationCheck {
+    /// Takes a frame's solution into account: what is proven by it and was not before.
+    pub fn note(&mut self, solution: &Solution, instrument: &Instrument) -> Vec<Contradiction> {
+        if measured(solution, instrument).is_none() {
+            return Vec::new();
+        }
+        let found = contradictions(solution, instrument);
+        let trials = Quantity::ALL.into_iter().zip(&mut self.trials);
+        let proven = trials.filter_map(|(quantity, trial)| {
+            trial.note(found.iter().find(|c| c.quantity == quantity).copied())
+        });
+        proven.collect()
+    }
+
+    /// What fine frames have disproved.
+    pub fn proven(&self) -> impl Iterator<Item = Contradiction> {
+        self.trials.iter().filter_map(|trial| trial.proven)
+    }
+
+    /// The instrument with what was measured in the place of what was disproved; `None` where nothing was.
+    pub fn corrected(&self, instrument: &Instrument) -> Option<Instrument> {
+        self.proven().next()?;
+        let mut corrected = instrument.clone();
+        let mounting = &mut corrected.mounting;
+        for Contradiction {
+            quantity,
+            stated,
+            measured,
+        } in self.proven()
+        {
+            // A part of the sensor that is read counts its pixels from another corner: the shift stays.
+            let shift = measured.value - stated.value;
+            match quantity {
+                Quantity::Rotation => mounting.rotation_deg = measured,
+                Quantity::Scale => mounting.scale_mil_per_px = measured,
+                Quantity::CentreX => mounting.plate_centre_px.x += shift,
+                Quantity::CentreY => mounting.plate_centre_px.y += shift,
+            }
+            if matches!(quantity, Quantity::CentreX | Quantity::CentreY) {
+                // The axis that is not disproved is known no worse than it was stated.
+                let stated_px = instrument.mounting.plate_centre_sigma_px;
+                mounting.plate_centre_sigma_px = stated_px.max(measured.sigma);
+            }
+        }
+        Some(corrected)
+    }
+}
+
+impl Trial {
+    fn note(&mut self, found: Option<Contradiction>) -> Option<Contradiction> {
+        let Some(found) = found else {
+            self.last = None;
+            self.agreeing += 1;
+            if self.agreeing >= PROVE {
+                self.proven = None;
+            }
+            return None;
+        };
+        self.agreeing = 0;
+        let in_a_row = match self.last {
+            Some((last, count)) if !found.quantity.differ(last.measured, found.measured) => {
+                count.saturating_add(1)
+            }
+            _ => 1,
+        };
+        self.last = Some((found, in_a_row));
+        if in_a_row < PROVE {
+            return None;
+        }
+        self.proven.replace(found).is_none().then_some(found)
+    }
+}
