@@ -94,6 +94,7 @@ pub struct Service {
     values: Option<JoinHandle<u64>>,
     controls: Controls,
     gauges: archiver::Gauges,
+    counts: Counts,
     signals: Arc<Signals>,
 }
 
@@ -149,6 +150,7 @@ impl Service {
         for (index, camera) in cameras.enumerate() {
             crew.join(index, camera)?;
         }
+        let counts = crew.counts.clone();
         let watch = Watch {
             cameras: crew.cameras,
             solvers: crew.solvers,
@@ -168,6 +170,7 @@ impl Service {
             values,
             controls,
             gauges,
+            counts,
             signals,
         })
     }
@@ -194,6 +197,13 @@ impl Service {
     /// Whether the last frame has been solved and stored.
     pub fn is_finished(&self) -> bool {
         self.signals.finished.load(Ordering::Acquire) || self.watch.is_finished()
+    }
+
+    /// What has happened so far.
+    pub fn tally(&self) -> FlightTally {
+        let mut tally = self.counts.tally();
+        tally.restarts = self.signals.restarts.load(Ordering::Relaxed);
+        tally
     }
 
     /// How the archive's disks are.

@@ -9,7 +9,7 @@ use super::worker::{self, Worker};
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -36,6 +36,8 @@ pub(super) struct Signals {
     pub hang_up: Arc<AtomicBool>,
     /// When what is not done by then is given up.
     pub deadline: Shared<Option<Instant>>,
+    /// Threads that were started again, as of the watch's last look.
+    pub restarts: AtomicU64,
 }
 
 /// The counts of all threads.
@@ -115,6 +117,8 @@ impl Watch {
         }
         let storing = self.disks.look();
         self.line.look();
+        let restarts = self.restarts();
+        self.signals.restarts.store(restarts, Ordering::Relaxed);
         let deadline = *self.signals.deadline.lock();
         let late = deadline.is_some_and(|deadline| Instant::now() >= deadline);
         if late && (flying || storing) && !self.signals.finished.load(Ordering::Relaxed) {
