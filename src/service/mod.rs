@@ -220,6 +220,8 @@ impl Service {
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
         self.signals.awaited.store(true, Ordering::Relaxed);
         let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));
+        // A watch that has failed has told nobody.
+        self.signals.hang_up.store(true, Ordering::Relaxed);
         if let Some(values) = self.values {
             values.join().map_err(|_| ThreadFailed("values"))?;
         }

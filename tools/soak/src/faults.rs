@@ -30,7 +30,7 @@ pub enum Fault {
     CameraPanic,
     /// A call to the camera does not return for 12 s
     CameraHangs,
-    /// A frame of another size than the instrument's each second frame
+    /// Frames of another size than the instrument's
     FrameSize,
     /// Frames without a time
     FrameTime,
@@ -112,7 +112,6 @@ impl Fault {
     fn frames(self, rate_hz: f64) -> u64 {
         match self {
             Self::CameraPanic | Self::CameraHangs => 1,
-            // Half of them, so that the line does not fall silent for long.
             _ => (self.length().as_secs_f64() * rate_hz) as u64,
         }
     }

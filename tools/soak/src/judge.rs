@@ -1,6 +1,7 @@
 //! What a fault has cost, against what it may cost.
 
 use crate::faults::Fault;
+use crate::machine::Sample;
 use crate::rig::Counts;
 use solaspect::service::FlightTally;
 use std::time::Duration;
@@ -24,6 +25,8 @@ pub struct Trial {
     pub last_second: Counts,
     /// When the time to recover was over.
     pub after: Counts,
+    /// Memory in the last second.
+    pub memory: Option<Sample>,
 }
 
 /// What is to grow all the time: its name, and how far it is.

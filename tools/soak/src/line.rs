@@ -234,7 +234,10 @@ impl End {
         if habit == Habit::Unplugged {
             self.port = None;
         }
-        let Some(mut port) = self.port.take().filter(|_| habit != Habit::Deaf) else {
+        if habit == Habit::Deaf {
+            return thread::sleep(PAUSE);
+        }
+        let Some(mut port) = self.port.take() else {
             return thread::sleep(PAUSE);
         };
         // A line that is lost comes back as a new one.

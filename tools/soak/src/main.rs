@@ -120,11 +120,10 @@ fn fly(
     })?;
     let trials = inject(&rig, schedule, start)?;
     let quiet = args.faults.is_none();
-    let mut processor = Duration::ZERO;
     while !rig.service.is_finished() {
         rig.look(quiet)?;
-        processor = machine::processor_time()?.saturating_sub(before);
     }
+    let processor = rig.processor().saturating_sub(before);
     let (frames, drawn_bytes, due) = (
         rig.ring().frames(),
         rig.ring().drawn_bytes(),

@@ -19,6 +19,9 @@ const LEAK_SHOWS: Duration = Duration::from_secs(1800);
 /// What is made once is made by then.
 const SETTLED: Duration = Duration::from_secs(300);
 
+/// One number of a sample, bytes.
+type Quantity = fn(&Sample) -> f64;
+
 /// Prints a line; a reader that has left is no failure.
 pub fn say(line: impl fmt::Display) {
     let _ = writeln!(io::stdout().lock(), "{line}");
@@ -37,7 +40,7 @@ pub struct Trials {
 impl Trials {
     pub fn head(self) {
         say(
-            "   s  fault             length  taken  not taken  stored  not  sent  received  back    verdict",
+            "   s  fault             length  taken  not taken  stored  not  sent  received  back    MB   heap  verdict",
         );
     }
 
@@ -52,8 +55,10 @@ impl Trials {
             false => format!("WRONG {}", complaints.join("; ")),
         };
         let not_taken = trial.growth(|c| c.frames.not_taken + c.frames.failed);
+        let mb = |of: fn(&Sample) -> f64| trial.memory.as_ref().map_or(0.0, of) / 1e6;
+        let (resident_mb, heap_mb) = (mb(|s| s.resident), mb(|s| s.heap.live));
         say(format_args!(
-            "{:4}  {:16} {:5.1} s  {:5}  {not_taken:9}  {:6}  {:3}  {:4}  {:8}  {back:6}  {verdict}",
+            "{:4}  {:16} {:5.1} s  {:5}  {not_taken:9}  {:6}  {:3}  {:4}  {:8}  {back:6}  {resident_mb:3.0}  {heap_mb:4.0}  {verdict}",
             at.as_secs(),
             trial.fault.name(),
             trial.length().as_secs_f64(),
@@ -154,7 +159,7 @@ impl Run {
         ));
         let since = self.settled().as_secs();
         let last = self.memory.samples().last();
-        let quantities: [(&str, fn(&Sample) -> f64); 3] = [
+        let quantities: [(&str, Quantity); 3] = [
             ("resident", |s| s.resident),
             ("heap in use", |s| s.heap.live),
             ("heap kept", |s| s.heap.kept),

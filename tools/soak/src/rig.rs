@@ -5,7 +5,7 @@ use crate::disk::FaultyDisk;
 use crate::faults::Fault;
 use crate::files::{Files, LogBytes};
 use crate::line::{Gondola, Heard};
-use crate::machine::MemoryLog;
+use crate::machine::{self, MemoryLog};
 use crate::stderr::Stderr;
 use anyhow::Context;
 use solaspect::archive::Store;
@@ -37,6 +37,7 @@ pub struct Rig {
     disks: Vec<(PathBuf, FaultyDisk)>,
     stderr: Option<Stderr>,
     looked: Cell<Instant>,
+    processor: Cell<Duration>,
     target: Cell<i16>,
 }
 
@@ -113,6 +114,7 @@ impl Rig {
             disks,
             stderr: parts.stderr,
             looked: Cell::new(Instant::now()),
+            processor: Cell::default(),
             target: Cell::new(0),
         })
     }
@@ -132,6 +134,11 @@ impl Rig {
 
     pub fn ring(&self) -> &Ring {
         &self.ring
+    }
+
+    /// Processor time that the process had used when it was last looked at.
+    pub fn processor(&self) -> Duration {
+        self.processor.get()
     }
 
     /// The next `count` frames of the camera meet a fault.
@@ -166,6 +173,7 @@ impl Rig {
         if self.looked.get().elapsed() >= Duration::from_secs(1) {
             self.looked.set(Instant::now());
             self.memory.borrow_mut().note(kept)?;
+            self.processor.set(machine::processor_time()?);
             self.files.borrow_mut().clear()?;
         }
         Ok(())
@@ -226,6 +234,7 @@ impl Rig {
             back,
             last_second,
             after: self.counts_between_packets(),
+            memory: self.memory.borrow().samples().last().copied(),
         })
     }
 }

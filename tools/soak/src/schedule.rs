@@ -8,7 +8,7 @@ const LEAD: Duration = Duration::from_secs(5);
 /// After the last fault's recovery.
 const TAIL: Duration = Duration::from_secs(2);
 /// After each fault: time to recover, and a second as before.
-pub const REST: Duration = Duration::from_millis(6500);
+pub const REST: Duration = Duration::from_millis(6300);
 
 /// Faults in their order, each at a fixed phase of a cycle that repeats as long as the run lasts.
 pub struct Schedule {
