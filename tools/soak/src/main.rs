@@ -155,7 +155,7 @@ fn inject(rig: &Rig, schedule: &Schedule, start: Instant) -> anyhow::Result<Tria
         if trials.injected == 0 {
             trials.head();
         }
-        rig.wait_until(start + at, false)?;
+        rig.wait_until(start + at)?;
         if rig.service.is_finished() {
             report::say("the service has ended");
             break;

@@ -158,16 +158,15 @@ impl Rig {
         self.target.get()
     }
 
-    /// Looks after files and memory until then, or until the flight has ended. `kept`: the samples of the memory count
-    /// for its growth.
-    pub fn wait_until(&self, then: Instant, kept: bool) -> anyhow::Result<()> {
+    /// Looks after files and memory until then, or until the flight has ended.
+    pub fn wait_until(&self, then: Instant) -> anyhow::Result<()> {
         while Instant::now() < then && !self.service.is_finished() {
-            self.look(kept)?;
+            self.look(false)?;
         }
         Ok(())
     }
 
-    /// One look, and a short sleep.
+    /// One look, and a short sleep. `kept`: the sample of the memory counts for its growth.
     pub fn look(&self, kept: bool) -> anyhow::Result<()> {
         thread::sleep(LOOK_EVERY);
         if self.looked.get().elapsed() >= Duration::from_secs(1) {
@@ -214,7 +213,7 @@ impl Rig {
         let before = self.counts_between_packets();
         let begin = Instant::now();
         fault.begin(self)?;
-        self.wait_until(begin + fault.length(), false)?;
+        self.wait_until(begin + fault.length())?;
         fault.end(self)?;
         let end = self.counts();
         let over = begin + fault.length() + rest;
@@ -224,9 +223,10 @@ impl Rig {
             let now = self.counts();
             back = now.is_back(&end, fault).then(|| now.time - end.time);
         }
-        self.wait_until(over - Duration::from_secs(1), false)?;
+        self.wait_until(over - Duration::from_secs(1))?;
         let last_second = self.counts();
-        self.wait_until(over, true)?;
+        self.wait_until(over)?;
+        self.memory.borrow_mut().note(true)?;
         Ok(crate::judge::Trial {
             fault,
             before,
