@@ -98,6 +98,7 @@ pub struct Service {
     values: Option<JoinHandle<u64>>,
     controls: Controls,
     gauges: archiver::Gauges,
+    counts: Counts,
     signals: Arc<Signals>,
 }
 
@@ -156,6 +157,7 @@ impl Service {
         for (index, camera) in cameras.enumerate() {
             crew.join(index, camera)?;
         }
+        let counts = crew.counts.clone();
         let watch = Watch {
             cameras: crew.cameras,
             solvers: crew.solvers,
@@ -173,6 +175,7 @@ impl Service {
             values,
             controls,
             gauges,
+            counts,
             signals,
         })
     }
@@ -206,6 +209,13 @@ impl Service {
         self.signals.housekeeping.copy()
     }
 
+    /// What has happened so far.
+    pub fn tally(&self) -> FlightTally {
+        let mut tally = self.counts.tally();
+        tally.restarts = self.signals.restarts.load(Ordering::Relaxed);
+        tally
+    }
+
     /// How the archive's disks are.
     pub fn disks(&self) -> Vec<DiskHealth> {
         self.gauges.disks()
@@ -220,6 +230,8 @@ impl Service {
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
         self.signals.awaited.store(true, Ordering::Relaxed);
         let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));
+        // A watch that has failed has told nobody.
+        self.signals.hang_up.store(true, Ordering::Relaxed);
         let begin = Instant::now();
         let is_saving = |values: &JoinHandle<u64>| !values.is_finished();
         while self.values.as_ref().is_some_and(is_saving) && begin.elapsed() < SAVED_VALUES {

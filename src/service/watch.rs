@@ -11,7 +11,7 @@ use crate::link::Housekeeping;
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -44,6 +44,8 @@ pub(super) struct Signals {
     pub deadline: Shared<Option<Instant>>,
     /// What the ground was told last.
     pub housekeeping: Shared<Option<Housekeeping>>,
+    /// Threads that were started again, as of the watch's last look.
+    pub restarts: AtomicU64,
 }
 
 /// The counts of all threads.
@@ -174,6 +176,8 @@ impl Watch {
         }
         let storing = self.disks.look(now);
         self.line.look(now);
+        let restarts = self.restarts();
+        self.signals.restarts.store(restarts, Ordering::Relaxed);
         let deadline = *self.signals.deadline.lock();
         let late = deadline.is_some_and(|deadline| Instant::now() >= deadline);
         if late && (flying || storing) && !self.signals.finished.load(Ordering::Relaxed) {

@@ -161,6 +161,28 @@ impl Controller {
         self.asked_at = None;
     }
 
+    /// From now on, tracking is wanted again.
+    pub fn start_tracking(&mut self) {
+        self.wish = Wish::Track;
+        self.asked_at = None;
+    }
+
+    /// The solutions that have come since they were last taken; they leave the report.
+    pub fn take_solutions(&mut self) -> Vec<Solution> {
+        std::mem::take(&mut self.report.solutions)
+    }
+
+    /// Sends a message under the controller's next number, and expects its answers.
+    pub fn send(&mut self, port: &mut dyn BytePort, message: &Message) -> Result<(), PortError> {
+        self.sequence = self.sequence.wrapping_add(1);
+        // A message with a field that no packet can hold is not sent.
+        if let Ok(packet) = message.packet(id::ASPECT, self.sequence) {
+            port.write(&packet.encode(), WRITE_TIMEOUT)?;
+        }
+        remember(&mut self.sent, self.sequence);
+        Ok(())
+    }
+
     /// One step: asks for what is wanted where it is due, waits at most [`POLL`] for bytes, checks what came and
     /// gives the messages of it. `now` is a monotonic time since any start.
     pub fn poll(
@@ -213,12 +235,7 @@ impl Controller {
             Wish::Track => Message::StartTracking,
             Wish::Rest => Message::StopTracking,
         };
-        self.sequence = self.sequence.wrapping_add(1);
-        // Neither message has a field that could be refused.
-        if let Ok(packet) = message.packet(id::ASPECT, self.sequence) {
-            port.write(&packet.encode(), WRITE_TIMEOUT)?;
-        }
-        remember(&mut self.sent, self.sequence);
+        self.send(port, &message)?;
         self.asked_at = Some(now);
         Ok(())
     }

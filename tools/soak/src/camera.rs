@@ -1,4 +1,4 @@
-//! A camera whose frames were drawn beforehand, so that drawing takes nothing from the service.
+//! A camera whose frames were drawn beforehand, so that drawing takes nothing from the service; it fails when told to.
 
 use jiff::{SignedDuration, Timestamp};
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
@@ -6,22 +6,71 @@ use solaspect::frame::{Frame, Pixels};
 use solaspect::instrument::Instrument;
 use solaspect::simulate::{Depth, EXPOSURE, FlightScenes, Trajectory};
 use solaspect::sky;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
 use std::time::{Duration, Instant};
 
 /// Frames that are drawn.
 const DRAWN: usize = 48;
 const SEED: u64 = 1;
+/// Frames that wait in the camera's buffers for a computer that is late; more than these are not taken.
+const BUFFERS: u64 = 16;
+/// How long a call hangs.
+pub const HANG: Duration = Duration::from_secs(12);
 
-/// Shows the frames there and back again, so that the Sun never jumps.
-pub struct RingCamera {
-    frames: Vec<Frame>,
-    start: Instant,
-    period: Duration,
-    number: u64,
-    end: u64,
+/// What is wrong with a frame that is due.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum CameraFault {
+    /// The camera returns an error in its place.
+    Error,
+    /// The camera says that there is no frame yet.
+    Silence,
+    /// The camera's thread panics.
+    Panic,
+    /// The call does not return for [`HANG`].
+    Hang,
+    /// The frame has another size than the instrument's.
+    WrongSize,
+    /// The frame has no time.
+    NoTime,
 }
 
-impl RingCamera {
+/// What became of the frames that were due. Their sum is the number of frames due.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Frames {
+    pub given: u64,
+    /// An error stood in their place.
+    pub failed: u64,
+    pub not_taken: u64,
+}
+
+impl Frames {
+    pub fn due(&self) -> u64 {
+        self.given + self.failed + self.not_taken
+    }
+}
+
+/// The camera itself, which outlives its thread: it shows the drawn frames there and back again, so that the Sun never
+/// jumps.
+pub struct Ring {
+    drawn: Vec<Frame>,
+    period: Duration,
+    end: u64,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    start: Option<Instant>,
+    /// Of the frame that is due next.
+    number: u64,
+    fault: Option<CameraFault>,
+    /// Frames that the fault is still to meet.
+    left: u64,
+    frames: Frames,
+}
+
+impl Ring {
     pub fn new(
         instrument: &Instrument,
         depth: Depth,
@@ -36,49 +85,134 @@ impl RingCamera {
         let period = Duration::from_secs_f64(1.0 / rate_hz);
         let draw = |n: usize| Ok(scenes.scene(n as u64, period * n as u32)?.picture()?.frame);
         Ok(Self {
-            frames: (0..DRAWN).map(draw).collect::<anyhow::Result<_>>()?,
-            start: Instant::now(),
+            drawn: (0..DRAWN).map(draw).collect::<anyhow::Result<_>>()?,
             period,
-            number: 0,
             end: (duration.as_secs_f64() * rate_hz).round() as u64,
+            state: Mutex::default(),
         })
     }
 
     /// Memory that the drawn frames take; no camera has them.
     pub fn drawn_bytes(&self) -> f64 {
-        let bytes = |frame: &Frame| match frame.pixels() {
+        self.drawn.len() as f64 * self.frame_bytes()
+    }
+
+    pub fn frame_bytes(&self) -> f64 {
+        let bytes = match self.drawn[0].pixels() {
             Pixels::U8(pixels) => size_of_val(pixels.as_slice()),
             Pixels::U16(pixels) => size_of_val(pixels.as_slice()),
         };
-        self.frames.iter().map(bytes).sum::<usize>() as f64
+        bytes as f64
+    }
+
+    /// Frames of the whole run.
+    pub fn end(&self) -> u64 {
+        self.end
+    }
+
+    pub fn frames(&self) -> Frames {
+        self.state().frames
+    }
+
+    /// The next `count` frames meet this fault.
+    pub fn fail(&self, fault: CameraFault, count: u64) {
+        let mut state = self.state();
+        (state.fault, state.left) = (Some(fault), count);
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The number of the next frame and how long to wait for it; `None` after the last.
+    fn next_due(&self) -> Option<(u64, Duration)> {
+        let mut state = self.state();
+        let elapsed = state.start.get_or_insert_with(Instant::now).elapsed();
+        let periods = (elapsed.as_secs_f64() / self.period.as_secs_f64()) as u64;
+        if periods > state.number + BUFFERS {
+            let next = periods.min(self.end);
+            state.frames.not_taken += next - state.number;
+            state.number = next;
+        }
+        if state.number == self.end {
+            return None;
+        }
+        let number = state.number;
+        state.number += 1;
+        let due = self.period.mul_f64(number as f64);
+        Some((number, due.saturating_sub(elapsed)))
+    }
+
+    /// What meets the frame that is due now; counts it.
+    fn meet(&self) -> Option<CameraFault> {
+        let mut state = self.state();
+        let fault = state.fault.filter(|_| state.left > 0);
+        state.left = state.left.saturating_sub(1);
+        let count = match fault {
+            Some(CameraFault::Error) => &mut state.frames.failed,
+            Some(CameraFault::Silence | CameraFault::Panic | CameraFault::Hang) => {
+                &mut state.frames.not_taken
+            }
+            Some(CameraFault::WrongSize | CameraFault::NoTime) | None => &mut state.frames.given,
+        };
+        *count += 1;
+        fault
     }
 
     fn frame(&self, number: u64) -> Frame {
         let lap = 2 * DRAWN as u64;
         let at = (number % lap) as usize;
-        self.frames[at.min(lap as usize - 1 - at)].clone()
+        let mut frame = self.drawn[at.min(lap as usize - 1 - at)].clone();
+        frame.info.number = Some(number);
+        frame
     }
 }
 
+/// The camera as one thread has opened it.
+pub struct RingCamera(pub Arc<Ring>);
+
 impl FrameSource for RingCamera {
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
-        let number = self.number;
-        if number == self.end {
+        let Some((number, wait)) = self.0.next_due() else {
             return Ok(Take::End);
+        };
+        thread::sleep(wait);
+        let fault = self.0.meet();
+        match fault {
+            Some(CameraFault::Error) => return Err(error("a fault of the camera")),
+            Some(CameraFault::Silence) => return Ok(Take::NotYet),
+            Some(CameraFault::Panic) => panic!("a fault of the camera"),
+            Some(CameraFault::Hang) => {
+                thread::sleep(HANG);
+                return Ok(Take::NotYet);
+            }
+            Some(CameraFault::WrongSize | CameraFault::NoTime) | None => {}
         }
-        if number == 0 {
-            self.start = Instant::now();
-        }
-        self.number += 1;
-        let due = self.period.mul_f64(number as f64);
-        std::thread::sleep(due.saturating_sub(self.start.elapsed()));
         let announced = Timestamp::now();
         starts(announced);
-        let mut frame = self.frame(number);
-        frame.info.number = Some(number);
+        let mut frame = self.0.frame(number);
         let middle = SignedDuration::try_from(EXPOSURE / 2)?;
         frame.info.mid_exposure = Some(announced.checked_add(middle)?);
-        std::thread::sleep(EXPOSURE);
+        match fault {
+            Some(CameraFault::WrongSize) => frame = small(&frame)?,
+            Some(CameraFault::NoTime) => frame.info.mid_exposure = None,
+            _ => {}
+        }
+        thread::sleep(EXPOSURE);
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
+}
+
+fn error(problem: &str) -> CameraError {
+    CameraError::Gige {
+        address: "soak".into(),
+        problem: problem.into(),
+    }
+}
+
+/// A frame of a sensor that the instrument does not have.
+fn small(frame: &Frame) -> Result<Frame, CameraError> {
+    let pixels = Pixels::U8(vec![20; 64 * 48]);
+    Frame::new(64, 48, pixels, 255, frame.info.clone())
+        .map_err(|refused| error(&refused.to_string()))
 }

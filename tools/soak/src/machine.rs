@@ -27,41 +27,92 @@ pub fn processor_time() -> anyhow::Result<Duration> {
     Ok(total)
 }
 
-/// Resident memory over a run.
+/// The heap, bytes.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Heap {
+    /// In use by the program.
+    pub live: f64,
+    /// Given back by the program, and kept by the C library for the next request. Part of it may not be resident.
+    pub kept: f64,
+}
+
+/// The heap of all threads, as the C library counts it.
+#[cfg(target_env = "gnu")]
+pub fn heap() -> Heap {
+    // SAFETY: mallinfo2 only reads the allocator's own counts, under its own locks, and takes no argument.
+    let info = unsafe { libc::mallinfo2() };
+    Heap {
+        live: (info.uordblks + info.hblkhd) as f64,
+        kept: info.fordblks as f64,
+    }
+}
+
+/// Other C libraries do not tell.
+#[cfg(not(target_env = "gnu"))]
+pub fn heap() -> Heap {
+    Heap::default()
+}
+
+/// Memory at one moment, bytes.
+#[derive(Debug, Clone, Copy)]
+pub struct Sample {
+    pub time_s: f64,
+    pub resident: f64,
+    pub heap: Heap,
+}
+
+/// Memory over a run.
 pub struct MemoryLog {
     start: Instant,
-    samples: Vec<(f64, f64)>,
+    samples: Vec<Sample>,
+    largest: f64,
 }
 
 impl MemoryLog {
-    pub fn new() -> Self {
+    /// A log with room for so many samples, so that it does not grow itself.
+    pub fn new(samples: usize) -> Self {
         Self {
             start: Instant::now(),
-            samples: Vec::new(),
+            samples: Vec::with_capacity(samples),
+            largest: 0.0,
         }
     }
 
-    pub fn note(&mut self) -> anyhow::Result<()> {
-        let seconds = self.start.elapsed().as_secs_f64();
-        self.samples.push((seconds, resident_bytes()? as f64));
+    /// Looks at the memory; the sample counts for the growth only if `kept`.
+    pub fn note(&mut self, kept: bool) -> anyhow::Result<()> {
+        let sample = Sample {
+            time_s: self.start.elapsed().as_secs_f64(),
+            resident: resident_bytes()? as f64,
+            heap: heap(),
+        };
+        self.largest = self.largest.max(sample.resident);
+        if kept {
+            self.samples.push(sample);
+        }
         Ok(())
     }
 
     pub fn largest_bytes(&self) -> f64 {
-        self.samples.iter().map(|s| s.1).fold(0.0, f64::max)
+        self.largest
     }
 
-    /// Growth by least squares over the last three quarters of the run: the first is for what is made once.
-    pub fn growth_bytes_per_s(&self) -> Option<f64> {
-        let settled = &self.samples[self.samples.len() / 4..];
-        let n = settled.len() as f64;
-        let mean_t = settled.iter().map(|s| s.0).sum::<f64>() / n;
-        let mean_b = settled.iter().map(|s| s.1).sum::<f64>() / n;
-        let tt: f64 = settled.iter().map(|s| (s.0 - mean_t).powi(2)).sum();
-        let tb: f64 = settled
+    pub fn samples(&self) -> &[Sample] {
+        &self.samples
+    }
+
+    /// Growth of a quantity by least squares, bytes/s, from `settled` on: what is made once is made before that. `None`
+    /// of fewer than ten samples.
+    pub fn growth(&self, settled: Duration, of: impl Fn(&Sample) -> f64) -> Option<f64> {
+        let late = |s: &&Sample| s.time_s >= settled.as_secs_f64();
+        let points: Vec<_> = self.samples.iter().filter(late).collect();
+        let n = points.len() as f64;
+        let mean_t = points.iter().map(|s| s.time_s).sum::<f64>() / n;
+        let mean_b = points.iter().map(|s| of(s)).sum::<f64>() / n;
+        let tt: f64 = points.iter().map(|s| (s.time_s - mean_t).powi(2)).sum();
+        let tb: f64 = points
             .iter()
-            .map(|s| (s.0 - mean_t) * (s.1 - mean_b))
+            .map(|s| (s.time_s - mean_t) * (of(s) - mean_b))
             .sum();
-        (settled.len() >= 10 && tt > 0.0).then(|| tb / tt)
+        (points.len() >= 10 && tt > 0.0).then(|| tb / tt)
     }
 }

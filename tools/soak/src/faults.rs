@@ -1,0 +1,219 @@
+//! The faults, each with what it may cost.
+
+use crate::camera::{CameraFault, HANG};
+use crate::disk::{ALL_IN_TURN, DiskFault};
+use crate::line::Habit;
+use crate::rig::Rig;
+use clap::ValueEnum;
+use std::fs;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+/// What goes wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Fault {
+    /// Disk 1 takes no byte, and says that none is free
+    DiskFull,
+    /// Each operation of disk 1 fails for half a second, one after the other
+    DiskFailing,
+    /// No call to disk 1 returns
+    DiskStuck,
+    /// The folder of disk 1 is gone, with every file that was open
+    DiskGone,
+    /// Both disks refuse
+    DisksRefuse,
+    /// The camera gives errors
+    CameraErrors,
+    /// The camera gives nothing, and says nothing
+    CameraSilent,
+    /// The camera's thread panics
+    CameraPanic,
+    /// A call to the camera does not return for 12 s
+    CameraHangs,
+    /// Frames of another size than the instrument's
+    FrameSize,
+    /// Frames without a time
+    FrameTime,
+    /// The peer stops reading
+    LineDeaf,
+    /// The line is closed, and cannot be opened until the fault ends
+    LineClosed,
+    /// Random bytes come
+    LineGarbage,
+    /// Valid commands come as fast as they are answered
+    LineCommands,
+    /// Commands with wrong checksums come
+    LineChecksums,
+    /// Every fourth packet reaches the peer with a wrong byte
+    LineGarbled,
+    /// GPS fixes come that jump to the far side of the Earth and back
+    GpsJumps,
+    /// The controller stops the tracking, and starts it again
+    TrackingStopped,
+    /// The folder of the saved values is gone while a command changes one
+    ValuesGone,
+    /// Nobody reads standard error, and it is full
+    StderrStalled,
+    /// Standard error is a pipe without a reader
+    StderrClosed,
+    /// The whole process is stopped (SIGSTOP), and goes on
+    Stopped,
+}
+
+/// What a fault may cost. What is not named here may cost nothing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cost {
+    /// Frames that were due and not taken, at least and at most.
+    pub not_taken: [u64; 2],
+    /// Frames that the camera could not give.
+    pub failed: u64,
+    /// Frames of another size.
+    pub misfits: u64,
+    /// Threads that are started again.
+    pub restarts: u64,
+    /// How often the line is opened again.
+    pub reopened: u64,
+    /// Whether packets may be lost or refused on the line.
+    pub packets: bool,
+}
+
+/// How long the process is stopped.
+const STOP: Duration = Duration::from_secs(12);
+/// How long the watch waits for a thread that hangs.
+const PATIENCE_S: f64 = 10.0;
+/// More frames than this are late by less than a camera's buffers hold.
+const BUFFERED: f64 = 18.0;
+
+impl Fault {
+    pub fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or(String::new(), |value| value.get_name().to_owned())
+    }
+
+    /// How long it lasts.
+    pub fn length(self) -> Duration {
+        use Fault::*;
+        match self {
+            DiskFailing => ALL_IN_TURN,
+            CameraHangs => HANG,
+            Stopped => STOP,
+            StderrStalled => Duration::from_secs(10),
+            DiskStuck | DiskGone | LineDeaf => Duration::from_secs(5),
+            DiskFull | ValuesGone => Duration::from_secs(3),
+            CameraPanic | FrameSize | FrameTime => Duration::from_secs(1),
+            DisksRefuse | CameraErrors | CameraSilent | LineClosed | LineGarbage | LineCommands
+            | LineChecksums | LineGarbled | GpsJumps | TrackingStopped | StderrClosed => {
+                Duration::from_secs(2)
+            }
+        }
+    }
+
+    /// Frames of the fault's length, for those of the camera.
+    fn frames(self, rate_hz: f64) -> u64 {
+        match self {
+            Self::CameraPanic | Self::CameraHangs => 1,
+            _ => (self.length().as_secs_f64() * rate_hz) as u64,
+        }
+    }
+
+    /// What it may cost at so many frames a second.
+    pub fn cost(self, rate_hz: f64) -> Cost {
+        use Fault::*;
+        let frames = self.frames(rate_hz);
+        let between = |low_s: f64, high_s: f64| {
+            let low = (low_s * rate_hz - BUFFERED).max(0.0);
+            [low as u64, (high_s * rate_hz) as u64 + 1]
+        };
+        let only = |fault: Fault| if self == fault { frames } else { 0 };
+        Cost {
+            not_taken: match self {
+                CameraSilent | CameraPanic => [frames; 2],
+                // The watch has another thread take over after ten seconds.
+                CameraHangs => between(PATIENCE_S, PATIENCE_S + 1.0),
+                Stopped => between(STOP.as_secs_f64(), STOP.as_secs_f64() + 1.0),
+                _ => [0; 2],
+            },
+            failed: only(CameraErrors),
+            misfits: only(FrameSize),
+            restarts: u64::from(matches!(self, CameraPanic | CameraHangs)),
+            reopened: u64::from(self == LineClosed),
+            packets: matches!(
+                self,
+                LineDeaf | LineClosed | LineGarbage | LineCommands | LineGarbled | GpsJumps
+            ) || self == Stopped,
+        }
+    }
+
+    /// Begins it. Where that takes the fault's whole length, it returns at its end.
+    pub fn begin(self, rig: &Rig) -> anyhow::Result<()> {
+        use Fault::*;
+        let now = Instant::now();
+        match self {
+            DiskFull => rig.disk(0).set(Some(DiskFault::Full)),
+            DiskFailing => rig.disk(0).set(Some(DiskFault::Failing(now))),
+            DiskStuck => rig.disk(0).set(Some(DiskFault::Stuck)),
+            DiskGone => {
+                rig.disk(0).drop_files();
+                fs::rename(rig.root(0), rig.root(0).with_extension("away"))?;
+            }
+            DisksRefuse => {
+                for n in 0..rig.disks() {
+                    rig.disk(n).set(Some(DiskFault::Refusing));
+                }
+            }
+            CameraErrors => rig.fail(CameraFault::Error, self.frames(rig.rate_hz)),
+            CameraSilent => rig.fail(CameraFault::Silence, self.frames(rig.rate_hz)),
+            CameraPanic => rig.fail(CameraFault::Panic, 1),
+            CameraHangs => rig.fail(CameraFault::Hang, 1),
+            FrameSize => rig.fail(CameraFault::WrongSize, self.frames(rig.rate_hz)),
+            FrameTime => rig.fail(CameraFault::NoTime, self.frames(rig.rate_hz)),
+            LineDeaf => rig.gondola.behave(Habit::Deaf),
+            LineClosed => rig.gondola.behave(Habit::Unplugged),
+            LineGarbage => rig.gondola.behave(Habit::Garbage),
+            LineCommands => rig.gondola.behave(Habit::Commands),
+            LineChecksums => rig.gondola.behave(Habit::WrongChecksums),
+            LineGarbled => rig.gondola.behave(Habit::Garbled),
+            GpsJumps => rig.gondola.behave(Habit::Jumps),
+            TrackingStopped => rig.gondola.behave(Habit::NoTracking),
+            ValuesGone => {
+                fs::rename(&rig.values, rig.values.with_extension("away"))?;
+                rig.gondola.set_target(rig.next_target(), 0);
+            }
+            StderrStalled => rig.stderr()?.stall(true),
+            StderrClosed => rig.stderr()?.close()?,
+            Stopped => stop_process(STOP)?,
+        }
+        Ok(())
+    }
+
+    pub fn end(self, rig: &Rig) -> anyhow::Result<()> {
+        use Fault::*;
+        match self {
+            DiskFull | DiskFailing | DiskStuck => rig.disk(0).set(None),
+            DisksRefuse => (0..rig.disks()).for_each(|n| rig.disk(n).set(None)),
+            DiskGone => fs::rename(rig.root(0).with_extension("away"), rig.root(0))?,
+            CameraErrors | CameraSilent | CameraPanic | CameraHangs | FrameSize | FrameTime
+            | Stopped => {}
+            LineDeaf | LineClosed | LineGarbage | LineCommands | LineChecksums | LineGarbled
+            | GpsJumps | TrackingStopped => rig.gondola.behave(Habit::Good),
+            ValuesGone => fs::rename(rig.values.with_extension("away"), &rig.values)?,
+            StderrStalled => rig.stderr()?.stall(false),
+            StderrClosed => rig.stderr()?.read()?,
+        }
+        Ok(())
+    }
+}
+
+/// Stops this whole process; a child lets it go on.
+fn stop_process(time: Duration) -> anyhow::Result<()> {
+    let script = "kill -STOP $1; sleep $2; kill -CONT $1";
+    let own = std::process::id().to_string();
+    let status = Command::new("sh")
+        .args(["-c", script, "sh", &own, &time.as_secs().to_string()])
+        .status()?;
+    anyhow::ensure!(
+        status.success(),
+        "sh: expected to stop and continue the process"
+    );
+    Ok(())
+}

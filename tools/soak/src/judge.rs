@@ -1,0 +1,205 @@
+//! What a fault has cost, against what it may cost.
+
+use crate::faults::Fault;
+use crate::machine::Sample;
+use crate::rig::Counts;
+use solaspect::service::FlightTally;
+use std::time::Duration;
+
+/// Everything must be as before within this time.
+pub const BACK_WITHIN: Duration = Duration::from_secs(5);
+/// Of the frames due in the last second before the next fault, so many must be solved and sent.
+const STEADY: f64 = 0.8;
+/// More pictures than these wait only where the disks have not caught up.
+const FEW: usize = 4;
+
+/// A fault, with the counts around it.
+pub struct Trial {
+    pub fault: Fault,
+    pub before: Counts,
+    /// When the fault ended.
+    pub end: Counts,
+    /// From then until everything was as before; `None` where it never was.
+    pub back: Option<Duration>,
+    /// A second before the end.
+    pub last_second: Counts,
+    /// When the time to recover was over.
+    pub after: Counts,
+    /// Memory in the last second.
+    pub memory: Option<Sample>,
+}
+
+/// What is to grow all the time: its name, and how far it is.
+type Flow = (String, u64);
+
+impl Counts {
+    fn flows(&self, fault: Fault) -> Vec<Flow> {
+        let mut flows = vec![
+            ("frames".into(), self.frames.given),
+            ("solutions".into(), self.tally.solver.frames()),
+            ("solutions received".into(), self.heard.solutions),
+            ("housekeeping received".into(), self.heard.housekeeping),
+        ];
+        for (n, stored) in (1..).zip(&self.stored_on) {
+            flows.push((format!("frames on disk {n}"), *stored));
+        }
+        for (n, logs) in (1..).zip(&self.logs) {
+            flows.push((format!("solution log {n}"), logs.solutions));
+            flows.push((format!("telemetry {n}"), logs.telemetry));
+            flows.push((format!("housekeeping log {n}"), logs.housekeeping));
+        }
+        if fault == Fault::ValuesGone {
+            let saved = self
+                .values_saved
+                .and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
+            flows.push((
+                "saved values".into(),
+                saved.map_or(0, |t| t.as_millis() as u64),
+            ));
+        }
+        flows
+    }
+
+    /// What has not grown since.
+    fn still(&self, since: &Self, fault: Fault) -> Vec<String> {
+        let both = self.flows(fault).into_iter().zip(since.flows(fault));
+        both.filter(|((_, now), (_, then))| now <= then)
+            .map(|((name, _), _)| name)
+            .collect()
+    }
+
+    /// Whether everything goes on since the end of a fault, and what had piled up is done.
+    pub fn is_back(&self, end: &Self, fault: Fault) -> bool {
+        self.waiting <= FEW && self.still(end, fault).is_empty()
+    }
+}
+
+impl Trial {
+    /// The length of the fault.
+    pub fn length(&self) -> Duration {
+        self.end.time - self.before.time
+    }
+
+    /// A count's growth over fault and recovery.
+    pub fn growth(&self, of: impl Fn(&Counts) -> u64) -> u64 {
+        of(&self.after).saturating_sub(of(&self.before))
+    }
+
+    /// Solutions that were sent and never arrived.
+    pub fn solutions_lost(&self) -> i64 {
+        self.after.missing() as i64 - self.before.missing() as i64
+    }
+
+    /// All that is wrong; nothing where the fault has cost what it may.
+    pub fn complaints(&self, rate_hz: f64) -> Vec<String> {
+        let mut wrong = self.slow_recovery(rate_hz);
+        wrong.extend(self.frames_lost(rate_hz));
+        wrong.extend(self.packets_lost(rate_hz));
+        wrong
+    }
+
+    fn slow_recovery(&self, rate_hz: f64) -> Vec<String> {
+        let mut wrong = Vec::new();
+        match self.back {
+            None => {
+                let still = self.after.still(&self.end, self.fault);
+                let waiting = self.after.waiting;
+                wrong.push(format!("not back: {} ({waiting} wait)", still.join(", ")));
+            }
+            Some(back) if back > BACK_WITHIN => wrong.push("back too late".into()),
+            Some(_) => {}
+        }
+        let seconds = (self.after.time - self.last_second.time).as_secs_f64();
+        let least = (STEADY * seconds * rate_hz) as u64;
+        let solved = |c: &Counts| c.tally.solver.frames();
+        let received = |c: &Counts| c.heard.solutions;
+        for (name, of) in [
+            ("solved", solved as fn(&Counts) -> u64),
+            ("received", received),
+        ] {
+            let grown = of(&self.after).saturating_sub(of(&self.last_second));
+            if grown < least {
+                wrong.push(format!("at the end only {grown} {name} in {seconds:.1} s"));
+            }
+        }
+        wrong
+    }
+
+    fn frames_lost(&self, rate_hz: f64) -> Vec<String> {
+        let cost = self.fault.cost(rate_hz);
+        let mut wrong = Vec::new();
+        let not_taken = self.growth(|c| c.frames.not_taken);
+        let [least, most] = cost.not_taken;
+        if !(least..=most).contains(&not_taken) {
+            wrong.push(format!("{not_taken} not taken, expected {least} to {most}"));
+        }
+        let of = |count: fn(&FlightTally) -> u64| self.growth(|c| count(&c.tally));
+        let exact = [
+            ("failed", of(|t| t.camera.failed), cost.failed),
+            ("of another size", of(|t| t.solver.misfits), cost.misfits),
+            ("not solved", of(|t| t.camera.lost), 0),
+            ("not stored", of(|t| t.archive.unstored), 0),
+            ("rows lost", of(|t| t.archive.rows_lost), 0),
+            ("threads restarted", of(|t| t.restarts), cost.restarts),
+        ];
+        wrong.extend(differences(&exact));
+        wrong
+    }
+
+    fn packets_lost(&self, rate_hz: f64) -> Vec<String> {
+        let cost = self.fault.cost(rate_hz);
+        let of = |count: fn(&FlightTally) -> u64| self.growth(|c| count(&c.tally));
+        let mut exact = vec![("times reopened", of(|t| t.line.reopened), cost.reopened)];
+        let commands = self.growth(|c| c.heard.commands);
+        let checksums = self.growth(|c| c.heard.wrong_checksums);
+        match self.fault {
+            Fault::LineCommands | Fault::GpsJumps => {
+                exact.push(("commands answered", of(|t| t.line.commands), commands));
+            }
+            Fault::LineChecksums => {
+                exact.push((
+                    "packets rejected",
+                    of(|t| t.line.rejected.packets),
+                    checksums,
+                ));
+            }
+            _ => {}
+        }
+        let lost = self.solutions_lost().max(0) as u64;
+        let garbled = self.growth(|c| c.garbled_solutions);
+        if self.fault == Fault::LineGarbled {
+            exact.push(("solutions lost", lost, garbled));
+        }
+        if !cost.packets {
+            exact.push(("solutions lost", lost, 0));
+            exact.push(("packets not sent", of(|t| t.line.failed), 0));
+            exact.push(("solutions unsent", of(|t| t.solver.unsent), 0));
+            exact.push(("exposures unannounced", of(|t| t.camera.unannounced), 0));
+            exact.push(("faults heard", self.growth(|c| c.heard.faults.total()), 0));
+        }
+        let mut wrong = differences(&exact);
+        // A process that was stopped has nothing to tell of that time.
+        let stopped = match self.fault {
+            Fault::Stopped => self.fault.length(),
+            _ => Duration::ZERO,
+        };
+        let at_work = (self.after.time - self.before.time).saturating_sub(stopped);
+        let told = self.growth(|c| c.heard.housekeeping);
+        if told as f64 > at_work.as_secs_f64() + 2.0 {
+            let seconds = at_work.as_secs_f64();
+            wrong.push(format!(
+                "{told} housekeeping packets in {seconds:.1} s of work"
+            ));
+        }
+        wrong
+    }
+}
+
+fn differences(exact: &[(&str, u64, u64)]) -> Vec<String> {
+    let differ = exact
+        .iter()
+        .filter(|(_, found, expected)| found != expected);
+    differ
+        .map(|(what, found, expected)| format!("{found} {what}, expected {expected}"))
+        .collect()
+}

@@ -1,0 +1,269 @@
+//! What the run came to, as a table and as a verdict.
+
+use crate::camera::Frames;
+use crate::files::LogRows;
+use crate::judge::Trial;
+use crate::line::Heard;
+use crate::machine::{MemoryLog, Sample};
+use solaspect::service::FlightTally;
+use std::fmt;
+use std::io::{self, Write};
+use std::time::Duration;
+
+/// Resident memory that the service may take, beside the frames that its camera has drawn and those that wait.
+const MOST_BYTES: f64 = 200e6;
+/// Growth of the resident memory that is taken for a leak.
+const LEAK_MB_PER_H: f64 = 1.0;
+/// Runs shorter than this do not tell a leak from the rest.
+const LEAK_SHOWS: Duration = Duration::from_secs(1800);
+/// What is made once is made by then.
+const SETTLED: Duration = Duration::from_secs(300);
+
+/// One number of a sample, bytes.
+type Quantity = fn(&Sample) -> f64;
+
+/// Prints a line; a reader that has left is no failure.
+pub fn say(line: impl fmt::Display) {
+    let _ = writeln!(io::stdout().lock(), "{line}");
+}
+
+/// What the faults of a run came to.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Trials {
+    pub injected: u64,
+    pub failed: u64,
+    /// What they were allowed to cost, and did.
+    pub not_taken: u64,
+    pub solutions_lost: i64,
+}
+
+impl Trials {
+    pub fn head(self) {
+        say(
+            "   s  fault             length  taken  not taken  stored  not  sent  received  back    MB   heap  verdict",
+        );
+    }
+
+    /// Prints a fault's row, and adds it up.
+    pub fn add(&mut self, at: Duration, trial: &Trial, rate_hz: f64) {
+        let complaints = trial.complaints(rate_hz);
+        let back = trial.back.map_or("never".into(), |back| {
+            format!("{:.1} s", back.as_secs_f64())
+        });
+        let verdict = match complaints.is_empty() {
+            true => "ok".into(),
+            false => format!("WRONG {}", complaints.join("; ")),
+        };
+        let not_taken = trial.growth(|c| c.frames.not_taken + c.frames.failed);
+        let mb = |of: fn(&Sample) -> f64| trial.memory.as_ref().map_or(0.0, of) / 1e6;
+        let (resident_mb, heap_mb) = (mb(|s| s.resident), mb(|s| s.heap.live));
+        say(format_args!(
+            "{:4}  {:16} {:5.1} s  {:5}  {not_taken:9}  {:6}  {:3}  {:4}  {:8}  {back:6}  {resident_mb:3.0}  {heap_mb:4.0}  {verdict}",
+            at.as_secs(),
+            trial.fault.name(),
+            trial.length().as_secs_f64(),
+            trial.growth(|c| c.frames.given),
+            trial.growth(|c| c.tally.archive.stored),
+            trial.growth(|c| c.tally.archive.unstored),
+            trial.growth(|c| c.tally.line.solutions),
+            trial.growth(|c| c.heard.solutions),
+        ));
+        self.injected += 1;
+        self.failed += u64::from(!complaints.is_empty());
+        self.not_taken += trial.growth(|c| c.frames.not_taken);
+        if trial.fault.cost(rate_hz).packets || trial.fault == crate::faults::Fault::LineGarbled {
+            self.solutions_lost += trial.solutions_lost();
+        }
+    }
+}
+
+/// A run that is over.
+pub struct Run {
+    pub seconds: u64,
+    /// Frames that were due.
+    pub due: u64,
+    pub frames: Frames,
+    pub tally: FlightTally,
+    pub heard: Heard,
+    pub trials: Trials,
+    pub rows: Vec<LogRows>,
+    /// Frames that are or were in a file.
+    pub in_files: u64,
+    pub memory: MemoryLog,
+    pub drawn_bytes: f64,
+    /// Of the pictures that may wait for a disk.
+    pub queue_bytes: f64,
+    pub processor: Duration,
+}
+
+impl Run {
+    /// Prints what the run came to, and returns how many things were wrong.
+    pub fn report(&self) -> u64 {
+        say(&self.tally);
+        let Heard {
+            solutions, faults, ..
+        } = self.heard;
+        let faults = faults.total();
+        say(format_args!(
+            "received   {solutions} solutions, {faults} faults"
+        ));
+        let Frames {
+            given,
+            failed,
+            not_taken,
+        } = self.frames;
+        let due = self.due;
+        say(format_args!(
+            "camera     {due} frames due: {given} given, {failed} failed, {not_taken} not taken"
+        ));
+        self.report_files();
+        let cpu_ms = 1e3 * self.processor.as_secs_f64() / given as f64;
+        say(format_args!(
+            "processor  {cpu_ms:.2} ms a frame, camera and controller included"
+        ));
+        self.report_memory();
+        let wrong: Vec<_> = self.wrong().into_iter().filter(|(_, n)| *n != 0).collect();
+        for (what, count) in &wrong {
+            say(format_args!("WRONG      {what}: {count}"));
+        }
+        wrong.len() as u64
+    }
+
+    fn report_files(&self) {
+        let rows = |of: fn(&LogRows) -> u64| {
+            let counts: Vec<_> = self.rows.iter().map(|rows| of(rows).to_string()).collect();
+            counts.join(" + ")
+        };
+        say(format_args!(
+            "read back  {} frames in files; {} rows of solution logs, {} samples of telemetry",
+            self.in_files,
+            rows(|r| r.solutions),
+            rows(|r| r.telemetry)
+        ));
+    }
+
+    fn settled(&self) -> Duration {
+        SETTLED.min(Duration::from_secs(self.seconds / 4))
+    }
+
+    fn growth_mb_per_h(&self, of: impl Fn(&Sample) -> f64) -> Option<f64> {
+        let growth = self.memory.growth(self.settled(), of);
+        growth.map(|bytes_per_s| bytes_per_s * 3600.0 / 1e6)
+    }
+
+    fn report_memory(&self) {
+        say(format_args!(
+            "memory     {:.1} MB at most, beside the {:.1} MB of drawn frames",
+            (self.memory.largest_bytes() - self.drawn_bytes) / 1e6,
+            self.drawn_bytes / 1e6
+        ));
+        let since = self.settled().as_secs();
+        let last = self.memory.samples().last();
+        let quantities: [(&str, Quantity); 3] = [
+            ("resident", |s| s.resident),
+            ("heap in use", |s| s.heap.live),
+            ("heap kept", |s| s.heap.kept),
+        ];
+        for (name, of) in quantities {
+            let (Some(growth), Some(last)) = (self.growth_mb_per_h(of), last) else {
+                continue;
+            };
+            let mb = of(last) / 1e6;
+            say(format_args!(
+                "           {name}: {mb:.1} MB at the end, {growth:+.2} MB/h after {since} s"
+            ));
+        }
+    }
+
+    /// What may be wrong, each with how often it was.
+    fn wrong(&self) -> Vec<(&'static str, i64)> {
+        let tally = &self.tally;
+        let difference = |a: u64, b: u64| a as i64 - b as i64;
+        let solved = tally.solver.frames();
+        let archive = &tally.archive;
+        let sent_and_lost = difference(tally.line.solutions, self.heard.solutions);
+        let most = MOST_BYTES + self.queue_bytes;
+        let largest = self.memory.largest_bytes() - self.drawn_bytes;
+        let leak = self.seconds >= LEAK_SHOWS.as_secs()
+            && self
+                .growth_mb_per_h(|s| s.resident)
+                .is_none_or(|growth| growth > LEAK_MB_PER_H);
+        let mut wrong = vec![
+            (
+                "faults that cost more than they may",
+                self.trials.failed as i64,
+            ),
+            (
+                "frames due, less given, failed and not taken",
+                difference(self.due, self.frames.due()),
+            ),
+            (
+                "frames not taken, without a fault",
+                difference(self.frames.not_taken, self.trials.not_taken),
+            ),
+            (
+                "frames given, less taken",
+                difference(self.frames.given, tally.camera.taken),
+            ),
+            (
+                "frames taken, less solved, of another size and lost",
+                difference(
+                    tally.camera.taken,
+                    solved + tally.solver.misfits + tally.camera.lost,
+                ),
+            ),
+            ("frames not solved", tally.camera.lost as i64),
+            (
+                "frames solved, less stored and not stored",
+                difference(solved, archive.stored + archive.unstored),
+            ),
+            ("frames not stored", archive.unstored as i64),
+            (
+                "frames stored, less those in files",
+                difference(archive.stored, self.in_files),
+            ),
+            (
+                "solutions not received, without a fault",
+                sent_and_lost - self.trials.solutions_lost,
+            ),
+            ("no solutions", i64::from(self.heard.solutions == 0)),
+            ("too much memory", i64::from(largest > most)),
+            ("a leak", i64::from(leak)),
+        ];
+        wrong.extend(self.wrong_rows(solved));
+        if self.trials.injected == 0 {
+            wrong.push(("lost", tally.lost() as i64));
+            wrong.push(("faults of the line", self.heard.faults.total() as i64));
+        }
+        wrong
+    }
+
+    /// What is wrong with the logs: every frame must be in one of them, no frame twice in the same, and no more rows may be
+    /// missing than were refused.
+    fn wrong_rows(&self, solved: u64) -> Vec<(&'static str, i64)> {
+        let archive = &self.tally.archive;
+        let expected = 2 * solved * self.rows.len() as u64;
+        let found: u64 = self.rows.iter().map(|r| r.solutions + r.telemetry).sum();
+        let excused = archive.rows_refused + 2 * archive.rows_lost;
+        let mut frames: Vec<u64> = self
+            .rows
+            .iter()
+            .flat_map(|r| r.frames.keys().copied())
+            .collect();
+        frames.sort_unstable();
+        frames.dedup();
+        let twice = self.rows.iter().flat_map(|r| r.frames.values());
+        let twice = twice.filter(|count| **count > 1).count();
+        vec![
+            (
+                "frames solved, less those in any log",
+                solved as i64 - frames.len() as i64,
+            ),
+            ("frames twice in the same log", twice as i64),
+            (
+                "rows missing that were not refused",
+                (expected as i64 - found as i64 - excused as i64).max(0),
+            ),
+        ]
+    }
+}

@@ -1,0 +1,240 @@
+//! The service between a camera, disks and a gondola that fail when told to.
+
+use crate::camera::{CameraFault, Frames, Ring, RingCamera};
+use crate::disk::FaultyDisk;
+use crate::faults::Fault;
+use crate::files::{Files, LogBytes};
+use crate::line::{Gondola, Heard};
+use crate::machine::{self, MemoryLog};
+use crate::stderr::Stderr;
+use anyhow::Context;
+use solaspect::archive::Store;
+use solaspect::camera::FrameSource;
+use solaspect::config::Config;
+use solaspect::fits::Compression;
+use solaspect::instrument::Instrument;
+use solaspect::service::{Camera, Flight, FlightTally, Service};
+use std::cell::{Cell, RefCell};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
+
+/// How often the run is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Snapshots among which the one with the fewest packets under way is taken.
+const SNAPSHOTS: usize = 20;
+
+pub struct Rig {
+    pub service: Service,
+    pub gondola: Gondola,
+    pub rate_hz: f64,
+    /// Folder of the saved values.
+    pub values: PathBuf,
+    pub memory: RefCell<MemoryLog>,
+    pub files: RefCell<Files>,
+    ring: Arc<Ring>,
+    disks: Vec<(PathBuf, FaultyDisk)>,
+    stderr: Option<Stderr>,
+    looked: Cell<Instant>,
+    processor: Cell<Duration>,
+    target: Cell<i16>,
+}
+
+/// Everything that is counted, at one moment.
+#[derive(Debug, Clone)]
+pub struct Counts {
+    pub time: Instant,
+    pub frames: Frames,
+    pub tally: FlightTally,
+    pub waiting: usize,
+    pub stored_on: Vec<u64>,
+    pub logs: Vec<LogBytes>,
+    pub heard: Heard,
+    pub garbled_solutions: u64,
+    pub values_saved: Option<SystemTime>,
+}
+
+impl Counts {
+    /// Solutions that were sent and have not arrived.
+    pub fn missing(&self) -> u64 {
+        let sent = self.tally.line.solutions;
+        sent.saturating_sub(self.heard.solutions)
+    }
+}
+
+/// What a rig is made of.
+pub struct Parts {
+    pub ring: Ring,
+    pub instrument: Instrument,
+    pub roots: Vec<PathBuf>,
+    pub values: PathBuf,
+    pub keep: bool,
+    pub rate_hz: f64,
+    pub stderr: Option<Stderr>,
+}
+
+impl Rig {
+    pub fn start(parts: Parts) -> anyhow::Result<Self> {
+        let ring = Arc::new(parts.ring);
+        let name = parts.instrument.name.clone();
+        let with_disk = |root: &PathBuf| (root.clone(), FaultyDisk::default());
+        let disks: Vec<_> = parts.roots.iter().map(with_disk).collect();
+        let store = |(root, disk): &(PathBuf, FaultyDisk)| {
+            Store::new(Arc::new(disk.clone()), root, &name, Compression::Rice)
+        };
+        let stores = disks.iter().map(store).collect();
+        let mut config = Config::default();
+        config.link.saved_values = Some(parts.values.join("values.toml"));
+        let (gondola, line) = Gondola::start();
+        let opens = Arc::clone(&ring);
+        let open = move || {
+            let camera = RingCamera(Arc::clone(&opens));
+            Ok(Box::new(camera) as Box<dyn FrameSource>)
+        };
+        let camera = Camera {
+            open: Some(Arc::new(open)),
+            ..Camera::new(parts.instrument, RingCamera(Arc::clone(&ring)))
+        };
+        let flight = Flight {
+            config,
+            line,
+            stores,
+            ..Flight::of(camera)
+        };
+        let frames = ring.end();
+        Ok(Self {
+            service: Service::start(flight)?,
+            gondola,
+            rate_hz: parts.rate_hz,
+            values: parts.values,
+            memory: RefCell::new(MemoryLog::new((frames as f64 / parts.rate_hz) as usize)),
+            files: RefCell::new(Files::new(parts.roots, parts.keep, frames)),
+            ring,
+            disks,
+            stderr: parts.stderr,
+            looked: Cell::new(Instant::now()),
+            processor: Cell::default(),
+            target: Cell::new(0),
+        })
+    }
+
+    pub fn disks(&self) -> usize {
+        self.disks.len()
+    }
+
+    /// A disk, from 0.
+    pub fn disk(&self, n: usize) -> &FaultyDisk {
+        &self.disks[n].1
+    }
+
+    pub fn root(&self, n: usize) -> &Path {
+        &self.disks[n].0
+    }
+
+    pub fn ring(&self) -> &Ring {
+        &self.ring
+    }
+
+    /// Processor time that the process had used when it was last looked at.
+    pub fn processor(&self) -> Duration {
+        self.processor.get()
+    }
+
+    /// The next `count` frames of the camera meet a fault.
+    pub fn fail(&self, fault: CameraFault, count: u64) {
+        self.ring.fail(fault, count);
+    }
+
+    pub fn stderr(&self) -> anyhow::Result<&Stderr> {
+        self.stderr
+            .as_ref()
+            .context("standard error is not captured")
+    }
+
+    /// A target, arcsec, that is not the last one.
+    pub fn next_target(&self) -> i16 {
+        self.target.set((self.target.get() + 1) % 1000);
+        self.target.get()
+    }
+
+    /// Looks after files and memory until then, or until the flight has ended.
+    pub fn wait_until(&self, then: Instant) -> anyhow::Result<()> {
+        while Instant::now() < then && !self.service.is_finished() {
+            self.look(false)?;
+        }
+        Ok(())
+    }
+
+    /// One look, and a short sleep. `kept`: the sample of the memory counts for its growth.
+    pub fn look(&self, kept: bool) -> anyhow::Result<()> {
+        thread::sleep(LOOK_EVERY);
+        if self.looked.get().elapsed() >= Duration::from_secs(1) {
+            self.looked.set(Instant::now());
+            self.memory.borrow_mut().note(kept)?;
+            self.processor.set(machine::processor_time()?);
+            self.files.borrow_mut().clear()?;
+        }
+        Ok(())
+    }
+
+    pub fn counts(&self) -> Counts {
+        let values = self.values.join("values.toml").metadata();
+        let mut tally = self.service.tally();
+        tally.line.latencies.clear();
+        Counts {
+            time: Instant::now(),
+            frames: self.ring.frames(),
+            tally,
+            waiting: self.service.waiting_pictures(),
+            stored_on: self.service.disks().iter().map(|d| d.stored).collect(),
+            logs: self.files.borrow().logs(),
+            heard: self.gondola.heard(),
+            garbled_solutions: self.gondola.garbled_solutions(),
+            values_saved: values.and_then(|file| file.modified()).ok(),
+        }
+    }
+
+    /// The counts at a moment with as few packets under way as may be.
+    pub fn counts_between_packets(&self) -> Counts {
+        let mut best = self.counts();
+        for _ in 1..SNAPSHOTS {
+            thread::sleep(Duration::from_millis(5));
+            let counts = self.counts();
+            if counts.missing() < best.missing() {
+                best = counts;
+            }
+        }
+        best
+    }
+
+    /// Injects a fault, and waits until everything is as before or `rest` has passed.
+    pub fn inject(&self, fault: Fault, rest: Duration) -> anyhow::Result<crate::judge::Trial> {
+        let before = self.counts_between_packets();
+        let begin = Instant::now();
+        fault.begin(self)?;
+        self.wait_until(begin + fault.length())?;
+        fault.end(self)?;
+        let end = self.counts();
+        let over = begin + fault.length() + rest;
+        let mut back = None;
+        while back.is_none() && Instant::now() < over && !self.service.is_finished() {
+            self.look(false)?;
+            let now = self.counts();
+            back = now.is_back(&end, fault).then(|| now.time - end.time);
+        }
+        self.wait_until(over - Duration::from_secs(1))?;
+        let last_second = self.counts();
+        self.wait_until(over)?;
+        self.memory.borrow_mut().note(true)?;
+        Ok(crate::judge::Trial {
+            fault,
+            before,
+            end,
+            back,
+            last_second,
+            after: self.counts_between_packets(),
+            memory: self.memory.borrow().samples().last().copied(),
+        })
+    }
+}

@@ -1,0 +1,47 @@
+//! When which fault is injected.
+
+use crate::faults::Fault;
+use std::time::Duration;
+
+/// Before the first fault.
+const LEAD: Duration = Duration::from_secs(5);
+/// After the last fault's recovery.
+const TAIL: Duration = Duration::from_secs(2);
+/// After each fault: time to recover, and a second as before.
+pub const REST: Duration = Duration::from_millis(6300);
+
+/// Faults in their order, each at a fixed phase of a cycle that repeats as long as the run lasts.
+pub struct Schedule {
+    faults: Vec<Fault>,
+    duration: Duration,
+}
+
+impl Schedule {
+    /// # Errors
+    /// Where the run is too short for all of them.
+    pub fn new(faults: Vec<Fault>, duration: Duration) -> anyhow::Result<Self> {
+        let schedule = Self { faults, duration };
+        let needed = (LEAD + schedule.cycle() + TAIL).as_secs() + 1;
+        anyhow::ensure!(
+            schedule.faults.is_empty() || duration.as_secs() >= needed,
+            "--seconds: expected {needed} or more for these faults, found {}",
+            duration.as_secs()
+        );
+        Ok(schedule)
+    }
+
+    fn cycle(&self) -> Duration {
+        self.faults.iter().map(|fault| fault.length() + REST).sum()
+    }
+
+    /// The faults with the time of each, from the start of the run, as many as the run has time for.
+    pub fn times(&self) -> impl Iterator<Item = (Duration, Fault)> {
+        let mut at = LEAD;
+        let timed = self.faults.iter().cycle().map(move |fault| {
+            let begin = at;
+            at += fault.length() + REST;
+            (begin, *fault)
+        });
+        timed.take_while(|(begin, fault)| *begin + fault.length() + REST + TAIL <= self.duration)
+    }
+}

@@ -1,0 +1,92 @@
+//! Standard error into a pipe, whose reader stalls or leaves when told to.
+
+use std::fs::File;
+use std::io::{self, PipeReader, PipeWriter, Read, Write};
+use std::os::fd::{AsFd, AsRawFd, OwnedFd};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+/// As small as a pipe may be: a reader that stalls is felt soon.
+const PIPE_BYTES: i32 = 4096;
+
+/// Starts the log as the program does at debug level. One line, to be changed with the program's.
+pub fn start_log() {
+    tracing_subscriber::fmt()
+        .with_env_filter("debug")
+        .with_ansi(false)
+        .with_writer(io::stderr)
+        .init();
+}
+
+/// The reader's end, and what standard error was before.
+pub struct Stderr {
+    before: OwnedFd,
+    log: Option<Arc<File>>,
+    stalled: Arc<AtomicBool>,
+}
+
+impl Stderr {
+    /// Reads standard error from now on; what comes goes to the log file, if there is one.
+    pub fn capture(log: Option<&Path>) -> io::Result<Self> {
+        let stderr = Self {
+            before: io::stderr().as_fd().try_clone_to_owned()?,
+            log: log.map(File::create).transpose()?.map(Arc::new),
+            stalled: Arc::default(),
+        };
+        stderr.read()?;
+        Ok(stderr)
+    }
+
+    /// Stops reading, or goes on.
+    pub fn stall(&self, stalled: bool) {
+        self.stalled.store(stalled, Ordering::Relaxed);
+    }
+
+    /// Standard error becomes a pipe that nobody reads.
+    pub fn close(&self) -> io::Result<()> {
+        let (_, writer) = io::pipe()?;
+        put_in_place(&writer)
+    }
+
+    /// Standard error becomes a pipe that is read.
+    pub fn read(&self) -> io::Result<()> {
+        let (reader, writer) = io::pipe()?;
+        let bytes = nix::fcntl::FcntlArg::F_SETPIPE_SZ(PIPE_BYTES);
+        nix::fcntl::fcntl(writer.as_raw_fd(), bytes)?;
+        let (log, stalled) = (self.log.clone(), Arc::clone(&self.stalled));
+        thread::spawn(move || drain(reader, log.as_deref(), &stalled));
+        put_in_place(&writer)
+    }
+}
+
+impl Drop for Stderr {
+    fn drop(&mut self) {
+        self.stall(false);
+        let _ = nix::unistd::dup2(self.before.as_raw_fd(), io::stderr().as_raw_fd());
+    }
+}
+
+fn put_in_place(writer: &PipeWriter) -> io::Result<()> {
+    nix::unistd::dup2(writer.as_raw_fd(), io::stderr().as_raw_fd())?;
+    Ok(())
+}
+
+fn drain(mut reader: PipeReader, mut log: Option<&File>, stalled: &AtomicBool) {
+    let mut bytes = [0; 4096];
+    loop {
+        while stalled.load(Ordering::Relaxed) {
+            thread::sleep(Duration::from_millis(10));
+        }
+        match reader.read(&mut bytes) {
+            Ok(0) | Err(_) => return,
+            Ok(count) => {
+                if let Some(log) = &mut log {
+                    let _ = log.write_all(&bytes[..count]);
+                }
+            }
+        }
+    }
+}
