@@ -8,6 +8,7 @@ pub mod check;
 mod coordinates;
 mod dirfile;
 pub mod disk;
+mod growing;
 mod log;
 mod name;
 mod policy;
@@ -17,9 +18,9 @@ mod store;
 pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
 pub use log::{Log, Row, SolutionLog, Upkeep};
-pub use name::{NameTime, name};
+pub use name::{NameTime, name, plain};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{
     MappingRecord, MarkRecord, OffsetRecord, Reason, Record, instrument_cards, tables,
 };
-pub use store::{ArchiveError, Encoded, MARK, Store};
+pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

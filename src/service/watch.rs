@@ -99,6 +99,7 @@ impl Watch {
             thread::sleep(LOOK_EVERY);
         }
         let mut tally = self.counts.tally();
+        tally.archive = self.counts.archive.final_tally();
         tally.restarts = self.restarts();
         tally
     }
