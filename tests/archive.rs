@@ -215,7 +215,9 @@ fn half_written_files_are_counted_and_not_bad() {
     let (root, files) = small(Compression::Rice);
     fs::write(files[0].with_file_name(".x1.part"), "half").unwrap();
     let others = [".values-1a2b3c", ".y2.fits", ".directory"].map(|name| root.path().join(name));
-    others.map(|other| fs::write(other, "no frame").unwrap());
+    for other in others {
+        fs::write(other, "no frame").unwrap();
+    }
     let report = report(root.path());
     assert_counts(&report, COUNT, 0, 0);
     assert_eq!(report["unfinished"], 1);

@@ -476,6 +476,15 @@ fn a_real_file_system_that_is_unmounted_leaves_the_rest_to_the_other() {
         SLOW / 5,
         |number| {
             if number == 20 {
+                let stored = || {
+                    roots
+                        .iter()
+                        .map(|root| frames_in(root).len())
+                        .sum::<usize>()
+                };
+                while stored() < 20 {
+                    std::thread::yield_now();
+                }
                 gone = numbers_in(roots[0]);
                 fading.unmount();
             }
