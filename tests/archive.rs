@@ -1,15 +1,20 @@
 //! The commands about an archive: what they count when files are lost, cut, changed or renamed.
 
+use common::flight::{self, frames_in};
 use jiff::{SignedDuration, Timestamp};
 use serde_json::Value;
 use solaspect::archive::{self, Record, Store};
 use solaspect::aspect::{self, Expected};
+use solaspect::config;
 use solaspect::fits::{self, Card, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::time::Duration;
 use tempfile::TempDir;
+
+mod common;
 
 const FRAMES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames");
 const COUNT: usize = 8;
@@ -67,7 +72,7 @@ fn small(compression: Compression) -> (TempDir, Vec<PathBuf>) {
 fn report(root: &Path) -> Value {
     let output = run(&["check", "--json", text(root)]);
     let report: Value = serde_json::from_str(stdout(&output)).unwrap();
-    let code = i32::from(report["bad"] != 0);
+    let code = i32::from(report["bad"] != 0 || report["missing"] != 0);
     assert_eq!(output.status.code(), Some(code), "{report}");
     assert_eq!(
         report["bad_files"].as_array().unwrap().len() as u64,
@@ -209,10 +214,88 @@ fn a_time_that_goes_back_in_the_order_of_names_is_bad() {
 fn half_written_files_are_counted_and_not_bad() {
     let (root, files) = small(Compression::Rice);
     fs::write(files[0].with_file_name(".x1.part"), "half").unwrap();
-    fs::write(root.path().join(".y2.fits"), "half").unwrap();
+    let others = [".values-1a2b3c", ".y2.fits", ".directory"].map(|name| root.path().join(name));
+    for other in others {
+        fs::write(other, "no frame").unwrap();
+    }
     let report = report(root.path());
     assert_counts(&report, COUNT, 0, 0);
-    assert_eq!(report["unfinished"], 2);
+    assert_eq!(report["unfinished"], 1);
+}
+
+/// A flight of dark frames to one disk or to two that alternate.
+fn flown(roots: &[&Path]) {
+    let open = |root: &&Path| Store::open(root, "demo", Compression::Rice).unwrap();
+    let settings = config::Archive {
+        warn_free_percent: 0.0,
+        thin_free_percent: 0.0,
+        stop_free_percent: 0.0,
+        ..config::Archive::default()
+    };
+    let stores = roots.iter().map(open).collect();
+    let tally = flight::dark(stores, settings, FLOWN as u64, Duration::ZERO, |_| {});
+    assert_eq!(tally.archive.stored, FLOWN as u64);
+}
+
+const FLOWN: usize = 12;
+
+#[test]
+fn a_file_that_the_log_names_and_that_is_not_there_is_missing_wherever_it_was() {
+    let root = tempfile::tempdir().unwrap();
+    flown(&[root.path()]);
+    let sound = report(root.path());
+    assert_counts(&sound, FLOWN, 0, 0);
+    assert_eq!(sound["missing"], 0);
+    let files = frames_in(root.path());
+    for file in [&files[FLOWN - 1], &files[FLOWN - 2]] {
+        fs::remove_file(file).unwrap();
+    }
+    let end = report(root.path());
+    assert_counts(&end, FLOWN - 2, 0, 0);
+    assert_eq!(end["missing"], 2);
+    let named = |n: usize| end["missing_files"][n]["file"].as_str().unwrap().to_owned();
+    assert_eq!(
+        [named(0), named(1)],
+        [10, 11].map(|n| text(&files[n]).to_owned())
+    );
+    fs::remove_file(&files[4]).unwrap();
+    let middle = report(root.path());
+    assert_counts(&middle, FLOWN - 3, 0, 1);
+    assert_eq!(middle["missing"], 3);
+    let said = run(&["check", text(root.path())]);
+    let said = stdout(&said);
+    assert!(
+        said.contains("9 files: 0 bad, 3 missing, 1 gap (1 frame missing by number)"),
+        "{said}"
+    );
+}
+
+#[test]
+fn one_of_two_disks_that_alternate_is_sound_alone_and_both_are_together() {
+    let disks = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let roots = [disks[0].path(), disks[1].path()];
+    flown(&roots);
+    let files = roots.map(frames_in);
+    assert!(files.iter().all(|files| files.len() > 1));
+    for (n, root) in roots.iter().enumerate() {
+        let alone = report(root);
+        assert_counts(&alone, files[n].len(), 0, 0);
+        assert_eq!(alone["missing"], 0);
+        assert_eq!(alone["on_other_disk"], files[1 - n].len());
+    }
+    let check_both = || {
+        let output = run(&["check", "--json", text(roots[0]), text(roots[1])]);
+        let report: Value = serde_json::from_str(stdout(&output)).unwrap();
+        (output.status.code(), report)
+    };
+    let (code, both) = check_both();
+    assert_eq!(code, Some(0));
+    assert_counts(&both, FLOWN, 0, 0);
+    assert_eq!([&both["missing"], &both["on_other_disk"]], [0, 0]);
+    fs::remove_file(&files[1][0]).unwrap();
+    assert_eq!(report(roots[1])["missing"], 1);
+    let (code, both) = check_both();
+    assert_eq!((code, &both["missing"]), (Some(1), &Value::from(1)));
 }
 
 #[test]
@@ -248,7 +331,7 @@ fn people_read_a_summary_with_each_bad_file_and_gap() {
     assert_eq!(output.status.code(), Some(1));
     let said = stdout(&output);
     assert!(
-        said.contains("7 files: 1 bad, 1 gaps (1 frames missing by number)"),
+        said.contains("7 files: 1 bad, 0 missing, 1 gap (1 frame missing by number)"),
         "{said}"
     );
     assert!(

@@ -258,6 +258,150 @@ fn what_a_slow_disk_gives_up_is_what_the_configuration_says() {
     }
 }
 
+/// The frames of the only solution log under a root, in its order, and the rows of its housekeeping.
+fn logged_in(root: &Path) -> (Vec<u64>, usize) {
+    let entries = fs::read_dir(root).unwrap();
+    let paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    let read = |what: &str| {
+        let name = |path: &Path| path.file_name().unwrap().to_string_lossy().into_owned();
+        let is_log = |path: &&PathBuf| name(path).starts_with(what) && name(path).ends_with(".csv");
+        let logs: Vec<&PathBuf> = paths.iter().filter(is_log).collect();
+        assert!(logs.len() < 2, "{logs:?}");
+        let rows = logs.iter().flat_map(|log| {
+            let mut log = csv::Reader::from_path(log).unwrap();
+            let rows = log.records().map(|row| row.unwrap()[0].to_owned());
+            rows.collect::<Vec<_>>()
+        });
+        rows.collect::<Vec<String>>()
+    };
+    let frames = read("solutions_").into_iter().map(|n| n.parse().unwrap());
+    (frames.collect(), read("housekeeping_").len())
+}
+
+#[test]
+fn a_disk_that_came_back_gets_its_logs_again() {
+    let root = tempfile::tempdir().unwrap();
+    let disk = FaultyDisk::new(LocalDisk);
+    let stores = vec![faulty(root.path(), &disk)];
+    let mut noted = 0;
+    let tally = flight::dark(
+        stores,
+        settings(Sharing::Alternate),
+        FRAMES,
+        SLOW,
+        |number| match number {
+            10 => disk.set(Some(Fault::Gone)),
+            20 => disk.set(None),
+            // A second and more of housekeeping, with the disk back.
+            30 => {
+                noted = logged_in(root.path()).1;
+                std::thread::sleep(Duration::from_millis(2500));
+            }
+            _ => {}
+        },
+    );
+    let (frames, notes) = logged_in(root.path());
+    assert_eq!(frames, (0..FRAMES).collect::<Vec<_>>());
+    assert!(
+        notes > noted,
+        "{notes} rows of housekeeping, {noted} before"
+    );
+    assert!(tally.archive.rows_refused > 0);
+    assert_eq!((tally.archive.rows_lost, tally.lost()), (0, 0), "{tally}");
+}
+
+/// A copy of a folder, as of a disk that is mounted anew: the same bytes in other files.
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let (from, to) = (entry.path(), to.join(entry.file_name()));
+        match entry.file_type().unwrap() {
+            kind if kind.is_dir() => copy(&from, &to),
+            kind if kind.is_file() => drop(fs::copy(from, to).unwrap()),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn the_only_disks_logs_go_on_where_it_was_mounted_anew_and_nothing_is_written_in_its_place() {
+    let parent = tempfile::tempdir().unwrap();
+    let (mounted, away) = (parent.path().join("disk"), parent.path().join("away"));
+    let tally = flight::dark(
+        vec![open(&mounted)],
+        settings(Sharing::Alternate),
+        FRAMES,
+        SLOW,
+        |number| match number {
+            10 => {
+                fs::rename(&mounted, &away).unwrap();
+                fs::create_dir(&mounted).unwrap();
+            }
+            20 => {
+                assert_eq!(fs::read_dir(&mounted).unwrap().count(), 0);
+                fs::remove_dir(&mounted).unwrap();
+                copy(&away, &parent.path().join("anew"));
+                fs::rename(parent.path().join("anew"), &mounted).unwrap();
+                fs::remove_dir_all(&away).unwrap();
+            }
+            _ => {}
+        },
+    );
+    assert_eq!(numbers_in(&mounted), (0..FRAMES).collect::<Vec<_>>());
+    assert_eq!(logged_in(&mounted).0, (0..FRAMES).collect::<Vec<_>>());
+    assert_eq!(tally.lost(), 0, "{tally}");
+}
+
+#[test]
+fn a_row_that_one_of_two_disks_refused_is_counted_and_not_lost() {
+    let disks = two();
+    let roots = [disks[0].path(), disks[1].path()];
+    let disk = FaultyDisk::new(LocalDisk);
+    let stores = vec![faulty(roots[0], &disk), open(roots[1])];
+    disk.set(Some(Fault::Step("create")));
+    let tally = fly(stores, settings(Sharing::Alternate), Duration::ZERO);
+    assert!(tally.archive.rows_refused >= FRAMES, "{tally}");
+    assert_eq!((tally.archive.rows_lost, tally.lost()), (0, 0), "{tally}");
+    assert_eq!(flight::rows_in(roots[1]) as u64, FRAMES);
+}
+
+#[test]
+fn a_row_that_no_disk_took_is_lost() {
+    let root = tempfile::tempdir().unwrap();
+    let disk = FaultyDisk::new(LocalDisk);
+    disk.set(Some(Fault::Step("write")));
+    let stores = vec![faulty(root.path(), &disk)];
+    let tally = fly(stores, settings(Sharing::Alternate), Duration::ZERO);
+    assert_eq!(tally.archive.rows_lost, FRAMES, "{tally}");
+    assert_eq!(tally.lost(), 2 * FRAMES, "frames and rows");
+}
+
+#[test]
+fn frames_and_rows_in_the_hands_of_a_disk_that_hangs_are_counted_at_the_end() {
+    let root = tempfile::tempdir().unwrap();
+    let disk = FaultyDisk::new(LocalDisk);
+    let stores = vec![faulty(root.path(), &disk)];
+    let tally = flight::dark_told_to_end(
+        stores,
+        settings(Sharing::Alternate),
+        FRAMES,
+        Duration::ZERO,
+        |number| match number {
+            10 => disk.set(Some(Fault::Stuck)),
+            20 => disk.wait_until_stuck(),
+            _ => {}
+        },
+    );
+    let archive = &tally.archive;
+    assert_eq!(tally.camera.taken, FRAMES);
+    assert_eq!(archive.stored + archive.unstored, FRAMES, "{tally}");
+    assert!(archive.unstored >= 20 && archive.unfinished > 0, "{tally}");
+    assert!(archive.rows_lost >= 20, "{tally}");
+    assert!(tally.lost() >= archive.unstored + archive.rows_lost);
+    disk.set(None);
+}
+
 #[test]
 fn a_second_program_may_not_write_to_an_archive() {
     let root = tempfile::tempdir().unwrap();
@@ -332,6 +476,15 @@ fn a_real_file_system_that_is_unmounted_leaves_the_rest_to_the_other() {
         SLOW / 5,
         |number| {
             if number == 20 {
+                let stored = || {
+                    roots
+                        .iter()
+                        .map(|root| frames_in(root).len())
+                        .sum::<usize>()
+                };
+                while stored() < 20 {
+                    std::thread::yield_now();
+                }
                 gone = numbers_in(roots[0]);
                 fading.unmount();
             }

@@ -5,8 +5,8 @@ mod common;
 use common::disk::{Fault, FaultyDisk};
 use jiff::{Timestamp, civil::Date, tz::Offset};
 use serde_json::Value;
-use solaspect::archive::SpaceLimits;
 use solaspect::archive::disk::LocalDisk;
+use solaspect::archive::{SpaceLimits, Store};
 use solaspect::clock::ClockStatus;
 use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -83,6 +83,13 @@ impl Page {
         lines.collect()
     }
 
+    /// What is to be done about what a check found.
+    fn remedy(&self, check: &str) -> &str {
+        let checks = self.page["checks"].as_array().unwrap();
+        let of_it = checks.iter().find(|finding| finding["check"] == check);
+        of_it.unwrap()["remedy"].as_str().unwrap()
+    }
+
     fn failures(&self) -> Vec<&str> {
         let checks = self.page["checks"].as_array().unwrap();
         let failed = checks.iter().filter(|finding| finding["verdict"] == "fail");
@@ -144,8 +151,9 @@ fn a_disk_that_is_a_file_fails_by_name() {
     assert_eq!(page.failures(), [check.as_str()]);
     assert!(
         page.found(&check)
-            .contains("expected to make the archive's folder")
+            .contains("archive.lock: expected to make the disk's mark")
     );
+    assert!(page.remedy(&check).contains("not a file"), "{}", page.page);
 }
 
 fn demand(limits: [f64; 3]) -> Demand {
@@ -159,6 +167,7 @@ fn demand(limits: [f64; 3]) -> Demand {
         },
         frame_bytes: 100_000,
         rate_hz: 0.001,
+        min_hours: 12.0,
     }
 }
 
@@ -182,6 +191,55 @@ fn a_disk_is_judged_by_its_room_and_by_a_frame_written_to_it() {
         Some(&Fail)
     );
     assert_eq!(verdicts(Some(Fault::Step("sync"))).last(), Some(&Fail));
+}
+
+#[test]
+fn a_disk_is_judged_by_the_time_that_its_room_is_for() {
+    let folder = folder();
+    let disk = FaultyDisk::new(LocalDisk);
+    disk.set(Some(Fault::Free(50.0)));
+    // 50 MB are free.
+    let room = |bytes_per_s: f64| {
+        let demand = Demand {
+            rate_hz: bytes_per_s / 100_000.0,
+            ..demand([10.0, 3.0, 1.0])
+        };
+        check_folder(disk.clone(), folder.path(), &demand).remove(0)
+    };
+    let finding = room(1_000.0);
+    assert_eq!(finding.verdict, Verdict::Pass, "{finding}");
+    assert!(finding.found.contains("for 13.9 h of frames"), "{finding}");
+    let finding = room(50_000.0);
+    assert_eq!(finding.verdict, Verdict::Warn, "{finding}");
+    assert!(
+        finding.found.contains("for 16.7 min of frames"),
+        "{finding}"
+    );
+    let finding = room(1_000_000.0);
+    assert_eq!(finding.verdict, Verdict::Fail, "{finding}");
+    assert!(finding.found.contains("for 0.8 min of frames"), "{finding}");
+}
+
+#[test]
+fn a_folder_of_a_disk_that_is_not_mounted_fails_and_is_not_made() {
+    let folder = folder();
+    let archive = folder.path().join("mount/archive");
+    let page = Page::of(&folder, "", &["--archive", archive.to_str().unwrap()]);
+    let check = format!("disk {}", archive.display());
+    assert_eq!(page.failures(), [check.as_str()]);
+    assert!(page.remedy(&check).contains("is the disk mounted?"));
+    assert!(!folder.path().join("mount").exists());
+}
+
+#[test]
+fn an_archive_that_another_program_writes_to_says_that_it_is_to_be_stopped() {
+    let folder = folder();
+    let archive = folder.path().join("archive");
+    let _service = Store::open(&archive, "demo", Compression::Rice).unwrap();
+    let page = Page::of(&folder, "", &[]);
+    let check = format!("disk {}", archive.display());
+    assert_eq!(page.failures(), [check.as_str()]);
+    assert!(page.remedy(&check).contains("stop the service first"));
 }
 
 #[test]
@@ -372,12 +430,26 @@ fn a_table_of_the_earths_orientation_that_has_ended_is_warned_of() {
 }
 
 #[test]
-fn a_wrong_configuration_fails_and_nothing_else_is_looked_at() {
+fn beside_a_wrong_configuration_clock_disks_and_line_are_looked_at() {
     let folder = folder();
-    let page = Page::of(&folder, "[camera]\nrate_hertz = 4\n[lnk]\n", &[]);
+    let config = "[camera]\nrate_hertz = 4\n[lnk]\n[link]\nport = \"/nowhere/tty\"\n";
+    let page = Page::of(&folder, config, &[]);
     assert!(!page.passed);
-    assert_eq!(page.failures(), ["configuration"; 2]);
-    assert!(page.found("clock").is_empty());
+    assert_eq!(page.failures(), ["configuration", "configuration", "link"]);
+    assert!(!page.found("clock").is_empty());
+    let disk = page.found(&format!("disk {}", folder.path().join("archive").display()));
+    assert!(disk.contains("GB free"), "{disk}");
+    assert!(page.found("camera").is_empty());
+}
+
+#[cfg(not(feature = "gige"))]
+#[test]
+fn a_camera_that_the_program_was_not_built_for_says_which_program_to_take() {
+    let folder = folder();
+    let page = Page::of(&folder, "[camera]\nsource = \"gige:10.0.0.7\"\n", &[]);
+    // The clock may fail, too: a real camera's frames would get their times from it.
+    assert_eq!(page.failures()[0], "configuration");
+    assert!(page.remedy("configuration").contains("--features gige"));
 }
 
 /// A flight in which the telescope goes up and to the right (`way` 1), or down and to the left (-1), all the time.

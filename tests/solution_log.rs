@@ -17,6 +17,10 @@ use std::time::Duration;
 
 mod common;
 
+use common::disk::{Fault, FaultyDisk};
+use solaspect::archive::disk::{Disk, LocalDisk};
+use std::sync::Arc;
+
 /// A row of the log by the names of its columns.
 type LogRow = BTreeMap<String, String>;
 
@@ -199,8 +203,12 @@ fn a_second_start_leaves_the_first_ones_log_and_telemetry_as_they_were() {
     let start = "2026-01-02T03:04:05.6Z".parse().unwrap();
     for n in 0..3 {
         let row = dark_row(n);
-        SolutionLog::new(root.path(), start).append(&row).unwrap();
-        Dirfile::new(root.path(), start).append(&row).unwrap();
+        SolutionLog::new(local(), root.path(), start)
+            .append(&row)
+            .unwrap();
+        Dirfile::new(local(), root.path(), start)
+            .append(&row)
+            .unwrap();
     }
     let name = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().into_owned();
     let logs = beginning_with(root.path(), "solutions_");
@@ -231,8 +239,8 @@ fn a_second_start_leaves_the_first_ones_log_and_telemetry_as_they_were() {
 fn what_a_failed_write_left_is_gone_with_the_next_row() {
     let root = tempfile::tempdir().unwrap();
     let start = "2026-01-02T03:04:05Z".parse().unwrap();
-    let mut log = SolutionLog::new(root.path(), start);
-    let mut dirfile = Dirfile::new(root.path(), start);
+    let mut log = SolutionLog::new(local(), root.path(), start);
+    let mut dirfile = Dirfile::new(local(), root.path(), start);
     log.append(&dark_row(0)).unwrap();
     dirfile.append(&dark_row(0)).unwrap();
     let telemetry = root.path().join("telemetry_20260102T030405");
@@ -261,7 +269,7 @@ fn what_a_failed_write_left_is_gone_with_the_next_row() {
 fn a_reader_that_follows_finds_every_field_of_each_time() {
     const FRAMES: u64 = 3000;
     let root = tempfile::tempdir().unwrap();
-    let mut dirfile = Dirfile::new(root.path(), Timestamp::now());
+    let mut dirfile = Dirfile::new(local(), root.path(), Timestamp::now());
     let row = dark_row(0);
     dirfile.append(&row).unwrap();
     let folder = &beginning_with(root.path(), "telemetry_")[0];
@@ -293,8 +301,8 @@ fn a_reader_that_follows_finds_every_field_of_each_time() {
 fn a_disk_that_refuses_says_so_and_is_tried_again_with_the_next_row() {
     let parent = tempfile::tempdir().unwrap();
     let root = parent.path().join("unmounted");
-    let mut log = SolutionLog::new(&root, Timestamp::now());
-    let mut dirfile = Dirfile::new(&root, Timestamp::now());
+    let mut log = SolutionLog::new(local(), &root, Timestamp::now());
+    let mut dirfile = Dirfile::new(local(), &root, Timestamp::now());
     let error = log.append(&dark_row(0)).unwrap_err().to_string();
     assert!(error.contains("solutions_"), "{error}");
     let error = dirfile.append(&dark_row(0)).unwrap_err().to_string();
@@ -343,13 +351,17 @@ fn every_row_is_on_every_disk_and_tells_the_file_wherever_it_is() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let roots = [first.path(), second.path()];
     dark_flight(roots.map(open).into(), 64);
-    let [log, other] = roots.map(log_of);
+    let [mut log, mut other] = roots.map(log_of);
     assert_eq!(log.len(), 5);
-    assert_eq!(log, other);
-    for row in &log {
-        let on = roots.map(|root| root.join(&row["file"]).is_file());
-        assert!(on[0] != on[1], "{}: {on:?}", row["file"]);
+    for (n, log) in [&mut log, &mut other].into_iter().enumerate() {
+        for row in log {
+            let on = roots.map(|root| root.join(&row["file"]).is_file());
+            assert!(on[0] != on[1], "{}: {on:?}", row["file"]);
+            let disk = row.remove("disk").unwrap();
+            assert_eq!(disk, if on[n] { "this" } else { "other" });
+        }
     }
+    assert_eq!(log, other);
     assert_eq!(telemetry_of(second.path())["STORED"], [1.0; 5]);
 }
 
@@ -373,6 +385,82 @@ fn a_flight_goes_on_where_no_disk_takes_a_row() {
     let tally = dark_flight(stores, 64);
     assert_eq!((tally.solver.frames(), tally.archive.unstored), (5, 5));
     assert!(!root.path().exists());
+}
+
+fn local() -> Arc<dyn Disk> {
+    Arc::new(LocalDisk)
+}
+
+/// Frames of the logs of a root in the order of their names, and of its dirfiles.
+fn frames_of(root: &Path) -> (Vec<String>, Vec<f64>) {
+    let logs = beginning_with(root, "solutions_");
+    let rows = logs.iter().flat_map(|log| read_log(log));
+    let folders = beginning_with(root, "telemetry_");
+    let fields = folders.iter().flat_map(|folder| read_dirfile(folder));
+    let samples = fields.filter(|(name, _)| name == "FRAME");
+    (
+        rows.map(|row| row["frame"].clone()).collect(),
+        samples.flat_map(|(_, numbers)| numbers).collect(),
+    )
+}
+
+#[test]
+fn a_log_goes_on_in_its_file_when_the_disk_is_back() {
+    let root = tempfile::tempdir().unwrap();
+    let disk = FaultyDisk::new(LocalDisk);
+    let mut log = SolutionLog::new(disk.clone(), root.path(), Timestamp::now());
+    let mut dirfile = Dirfile::new(disk.clone(), root.path(), Timestamp::now());
+    for (number, fault) in [
+        (0, None),
+        (1, Some(Fault::Gone)),
+        (2, None),
+        (3, Some(Fault::Step("write"))),
+        (4, Some(Fault::Step("cut"))),
+        (5, None),
+    ] {
+        disk.set(fault);
+        let row = dark_row(number);
+        assert_eq!(log.append(&row).is_ok(), fault.is_none(), "{number}");
+        assert_eq!(dirfile.append(&row).is_ok(), fault.is_none(), "{number}");
+    }
+    let (rows, samples) = frames_of(root.path());
+    assert_eq!(rows, ["0", "2", "5"]);
+    assert_eq!(samples, [0.0, 2.0, 5.0]);
+    assert_eq!(beginning_with(root.path(), "solutions_").len(), 1);
+    assert_eq!(beginning_with(root.path(), "telemetry_").len(), 1);
+}
+
+#[test]
+fn a_log_whose_file_lost_rows_or_is_gone_is_begun_anew() {
+    let root = tempfile::tempdir().unwrap();
+    let disk = FaultyDisk::new(LocalDisk);
+    let mut log = SolutionLog::new(disk.clone(), root.path(), Timestamp::now());
+    let mut dirfile = Dirfile::new(disk.clone(), root.path(), Timestamp::now());
+    let away_and_back = || [Some(Fault::Gone), None].map(|fault| disk.set(fault));
+    let mut append = |number| {
+        let row = dark_row(number);
+        // What was open before the disk went is refused once.
+        let _ = (log.append(&row), dirfile.append(&row));
+        log.append(&dark_row(number + 1)).unwrap();
+        dirfile.append(&dark_row(number + 1)).unwrap();
+    };
+    append(0);
+    away_and_back();
+    let first = beginning_with(root.path(), "solutions_").remove(0);
+    let length = fs::metadata(&first).unwrap().len();
+    let file = OpenOptions::new().write(true).open(&first).unwrap();
+    file.set_len(length - 10).unwrap();
+    let folder = beginning_with(root.path(), "telemetry_").remove(0);
+    fs::remove_file(folder.join("SUN_X")).unwrap();
+    append(2);
+    let logs = beginning_with(root.path(), "solutions_");
+    assert_eq!(logs.len(), 2);
+    assert_eq!(read_log(&logs[1])[0]["frame"], "3");
+    let folders = beginning_with(root.path(), "telemetry_");
+    let fields: BTreeMap<_, _> = read_dirfile(&folders[1]).into_iter().collect();
+    assert_eq!(fields["FRAME"], [3.0]);
+    let newest = fs::read_link(root.path().join("telemetry")).unwrap();
+    assert_eq!(root.path().join(newest), folders[1]);
 }
 
 fn open(root: &Path) -> Store {

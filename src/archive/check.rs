@@ -2,16 +2,19 @@
 //!
 //! A file is sound when its structure is whole, the checksums of every HDU match, the picture unpacks, the keywords are of
 //! the kind that the [table](crate::fits::keyword) states, its marks can be read, it bears the name that it was given, and its time is not
-//! before that of the file before it. A file that is missing makes a gap, which is no fault of the files that are there.
+//! before that of the file before it. A file that a solution log names must be there, on this disk or on the other. Frames that are
+//! missing by their times or numbers alone make a gap, which is no fault of the files that are there.
 
 mod files;
 mod keywords;
+mod logged;
 mod marks;
 mod picture;
 mod sequence;
 
 pub use files::{Tree, TreeError, frames_of};
 pub use keywords::{Group, Row, csv_header, csv_row, grouped};
+pub use logged::MissingFile;
 pub use marks::{Mark, marks};
 pub use picture::stretched;
 pub use sequence::Gap;
@@ -32,7 +35,11 @@ pub struct Report {
     pub bad: usize,
     /// Entries of `gap_list`.
     pub gaps: usize,
-    /// Files whose names begin with a dot: half-written when the power went.
+    /// Entries of `missing_files`.
+    pub missing: usize,
+    /// Frames that are by a log on the other disk, which is not looked at.
+    pub on_other_disk: usize,
+    /// Files whose names begin with a dot and end in `.part`: half-written when the power went.
     pub unfinished: usize,
     /// Sound files whose frames have no time.
     pub undated: usize,
@@ -46,6 +53,15 @@ pub struct Report {
     pub last_utc: Option<Timestamp>,
     pub bad_files: Vec<BadFile>,
     pub gap_list: Vec<Gap>,
+    /// Files that a log names and that are not there.
+    pub missing_files: Vec<MissingFile>,
+}
+
+impl Report {
+    /// Whether every file is sound, and every file that a log names is there.
+    pub fn is_sound(&self) -> bool {
+        self.bad == 0 && self.missing == 0
+    }
 }
 
 /// A file and what is wrong with it, in one line.
@@ -94,13 +110,18 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
             }
         }
     }
+    let absent = logged::look_for_files(&tree.logs);
+    dated.extend(absent.elsewhere.iter().filter_map(Dated::elsewhere));
     let sequence = sequence::examine(dated);
     bad_files.extend(sequence.backward);
+    bad_files.extend(absent.bad);
     bad_files.sort();
     Report {
         files: tree.files.len(),
         bad: bad_files.len(),
         gaps: sequence.gaps.len(),
+        missing: absent.missing.len(),
+        on_other_disk: absent.elsewhere.len(),
         unfinished: tree.unfinished,
         undated,
         missing_frames: sequence.gaps.iter().map(|gap| gap.missing_frames).sum(),
@@ -108,6 +129,7 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
         last_utc: sequence.last,
         bad_files,
         gap_list: sequence.gaps,
+        missing_files: absent.missing,
     }
 }
 

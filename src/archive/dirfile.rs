@@ -8,14 +8,15 @@
 //! that follows never meets a frame that is there in part. A frame that the disk took in part is written over by the
 //! next.
 
-use super::disk::{Disk, LocalDisk};
-use super::log::{Row, make_new, write_at};
+use super::disk::Disk;
+use super::growing::Growing;
+use super::log::{Row, make_new};
 use super::store::{ArchiveError, During};
 use crate::aspect::{Quality, Stage};
 use jiff::Timestamp;
-use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What a sample of a field is.
 #[derive(Clone, Copy)]
@@ -31,6 +32,14 @@ impl Sample {
         match self {
             Self::Code(_) => "UINT8",
             Self::Number(_) => "FLOAT64",
+        }
+    }
+
+    /// In bytes.
+    fn size(self) -> u64 {
+        match self {
+            Self::Code(_) => 1,
+            Self::Number(_) => 8,
         }
     }
 
@@ -153,29 +162,35 @@ fn format_text() -> String {
 }
 
 /// The dirfile of one start in one archive: `telemetry_<start>/`.
+///
+/// After a refusal its files are opened again with the next frame, and go on behind the last whole one; where they are no longer
+/// there, another folder is begun.
 #[derive(Debug)]
 pub struct Dirfile {
+    disk: Arc<dyn Disk>,
     root: PathBuf,
     start: Timestamp,
-    open: Option<Open>,
+    made: Option<Made>,
 }
 
+/// A dirfile's folder.
 #[derive(Debug)]
-struct Open {
+struct Made {
     folder: PathBuf,
-    /// In the order of `FIELDS`.
-    files: Vec<File>,
+    /// In the order of `FIELDS`; none after a refusal.
+    files: Vec<Growing>,
     /// Whole frames.
     frames: u64,
 }
 
 impl Dirfile {
     /// A dirfile under an archive's root; its folder is made with the first frame and never in place of another.
-    pub fn new(root: &Path, start: Timestamp) -> Self {
+    pub fn new(disk: Arc<dyn Disk>, root: &Path, start: Timestamp) -> Self {
         Self {
+            disk,
             root: root.into(),
             start,
-            open: None,
+            made: None,
         }
     }
 
@@ -184,33 +199,40 @@ impl Dirfile {
     /// # Errors
     /// Where the disk refuses; the frame is then not in the dirfile, and the next one may be tried.
     pub fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
-        let open = match &mut self.open {
-            Some(open) => open,
-            none => none.insert(Open::create(&self.root, self.start)?),
+        let disk = self.disk.as_ref();
+        self.made.take_if(|made| !made.reopen(disk));
+        let made = match &mut self.made {
+            Some(made) => made,
+            none => none.insert(Made::create(disk, &self.root, self.start)?),
         };
-        open.append(row)
+        let outcome = made.append(row);
+        if outcome.is_err() {
+            self.close();
+        }
+        outcome
+    }
+
+    /// Closes the files; the next frame opens them again.
+    pub fn close(&mut self) {
+        if let Some(made) = &mut self.made {
+            made.files.clear();
+        }
     }
 }
 
-/// Makes a link to a folder beside it, in place of the link that was there, in one step.
-fn point_at(link: &Path, folder: &Path) -> io::Result<()> {
-    let new = link.with_file_name(".telemetry.part");
-    let _ = fs::remove_file(&new);
-    std::os::unix::fs::symlink(folder.file_name().unwrap_or_default(), &new)?;
-    fs::rename(&new, link)
-}
-
-impl Open {
-    fn create(root: &Path, start: Timestamp) -> Result<Self, ArchiveError> {
-        let (folder, ()) = make_new(root, "telemetry", start, "", |path| fs::create_dir(path))?;
-        let made = Self::fill(&folder);
+impl Made {
+    fn create(disk: &dyn Disk, root: &Path, start: Timestamp) -> Result<Self, ArchiveError> {
+        let make = |path: &Path| disk.make_folder(path);
+        let (folder, ()) = make_new(root, "telemetry", start, "", make)?;
+        let made = Self::fill(disk, &folder);
         if made.is_err() {
             // Each try makes a folder: none may stay that nobody writes to.
-            let _ = fs::remove_dir_all(&folder);
+            let _ = disk.remove_tree(&folder);
         }
         let files = made?;
+        let name = Path::new(folder.file_name().unwrap_or_default());
         // A convenience for who follows; not every file system has links.
-        let _ = point_at(&root.join("telemetry"), &folder);
+        let _ = disk.link(&root.join("telemetry"), name);
         Ok(Self {
             folder,
             files,
@@ -219,27 +241,40 @@ impl Open {
     }
 
     /// The fields' files, empty, and then `format`: who finds that finds them all.
-    fn fill(folder: &Path) -> Result<Vec<File>, ArchiveError> {
+    fn fill(disk: &dyn Disk, folder: &Path) -> Result<Vec<Growing>, ArchiveError> {
         let make = |name: &str| {
             let path = folder.join(name);
-            File::create_new(&path).during("make a field of the telemetry", &path)
+            Growing::create(disk, &path).during("make a field of the telemetry", &path)
         };
         let files = FIELDS
             .iter()
             .map(|field| make(field.name))
             .collect::<Result<_, _>>()?;
-        let format = folder.join("format");
-        fs::write(&format, format_text()).during("write the telemetry's format", &format)?;
-        LocalDisk
-            .sync_folder(folder)
+        let mut format = make("format")?;
+        format
+            .append(format_text().as_bytes())
+            .during("write the telemetry's format", folder)?;
+        disk.sync_folder(folder)
             .during("bring the folder to the disk", folder)?;
         Ok(files)
     }
 
+    /// Opens files that were closed: whether all stand, with their whole frames.
+    fn reopen(&mut self, disk: &dyn Disk) -> bool {
+        if self.files.is_empty() {
+            let open = |field: &Field| {
+                let whole = self.frames * field.sample.size();
+                Growing::open(disk, &self.folder.join(field.name), whole)
+            };
+            let files: io::Result<Vec<Growing>> = FIELDS.iter().map(open).collect();
+            self.files = files.unwrap_or_default();
+        }
+        !self.files.is_empty()
+    }
+
     fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
         for (field, file) in FIELDS.iter().zip(&mut self.files) {
-            let bytes = field.sample.bytes(row);
-            write_at(file, self.frames * bytes.len() as u64, &bytes)
+            file.append(&field.sample.bytes(row))
                 .during("add to the telemetry", &self.folder.join(field.name))?;
         }
         self.frames += 1;

@@ -3,7 +3,8 @@
 
 use std::fmt::Debug;
 use std::fs::{self, File, TryLockError};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
+use std::os::unix::fs::{MetadataExt, symlink};
 use std::path::{Path, PathBuf};
 use tempfile::TempPath;
 
@@ -18,6 +19,9 @@ pub trait Disk: Debug + Send + Sync {
     /// Makes a new file.
     fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
 
+    /// Opens a file that is there, to write behind what it holds; [`ErrorKind::NotFound`] where there is none.
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
+
     /// Gives a file another name, in one step, and never in place of another file:
     /// [`ErrorKind::AlreadyExists`] then.
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()>;
@@ -27,6 +31,12 @@ pub trait Disk: Debug + Send + Sync {
 
     /// Removes a file.
     fn remove(&self, file: &Path) -> io::Result<()>;
+
+    /// Removes a folder with all that is in it.
+    fn remove_tree(&self, folder: &Path) -> io::Result<()>;
+
+    /// Makes a symbolic link to a name beside it, in place of the link that was there, in one step.
+    fn link(&self, link: &Path, name: &Path) -> io::Result<()>;
 
     fn exists(&self, path: &Path) -> bool;
 
@@ -41,9 +51,15 @@ pub trait Disk: Debug + Send + Sync {
 }
 
 /// A file that is being written.
-pub trait DiskFile: Write {
+pub trait DiskFile: Write + Debug + Send {
     /// Brings the file's bytes to the disk.
     fn sync(&mut self) -> io::Result<()>;
+
+    /// Bytes of the file.
+    fn length(&mut self) -> io::Result<u64>;
+
+    /// Cuts off what is behind the first `length` bytes; the next write goes there.
+    fn cut(&mut self, length: u64) -> io::Result<()>;
 }
 
 /// A name in a folder.
@@ -65,13 +81,23 @@ pub enum EntryKind {
 #[derive(Debug)]
 pub struct Lock {
     /// None on a disk that knows no locks.
-    _held: Option<File>,
+    held: Option<File>,
 }
 
 impl Lock {
     /// On a disk that knows no locks.
     pub fn unguarded() -> Self {
-        Self { _held: None }
+        Self { held: None }
+    }
+
+    /// Whether `file` is still the one that was locked. When a disk was mounted anew it is another, which nobody holds.
+    pub fn is_of(&self, file: &Path) -> bool {
+        let Some(held) = &self.held else {
+            return true;
+        };
+        let identity = |found: fs::Metadata| (found.dev(), found.ino());
+        let [held, there] = [held.metadata(), file.metadata()].map(|found| found.map(identity));
+        matches!((held, there), (Ok(held), Ok(there)) if held == there)
     }
 }
 
@@ -109,6 +135,10 @@ impl Disk for LocalDisk {
         Ok(Box::new(File::create_new(file)?))
     }
 
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        Ok(Box::new(File::options().write(true).open(file)?))
+    }
+
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
         let from = TempPath::try_from_path(from)?;
         from.persist_noclobber(to).map_err(|refused| refused.error)
@@ -120,6 +150,18 @@ impl Disk for LocalDisk {
 
     fn remove(&self, file: &Path) -> io::Result<()> {
         fs::remove_file(file)
+    }
+
+    fn remove_tree(&self, folder: &Path) -> io::Result<()> {
+        fs::remove_dir_all(folder)
+    }
+
+    fn link(&self, link: &Path, name: &Path) -> io::Result<()> {
+        let plain = link.file_name().unwrap_or_default().to_string_lossy();
+        let new = link.with_file_name(format!(".{plain}.part"));
+        let _ = fs::remove_file(&new);
+        symlink(name, &new)?;
+        fs::rename(&new, link)
     }
 
     fn exists(&self, path: &Path) -> bool {
@@ -149,10 +191,10 @@ impl Disk for LocalDisk {
             .write(true)
             .open(file)?;
         match file.try_lock() {
-            Ok(()) => Ok(Lock { _held: Some(file) }),
+            Ok(()) => Ok(Lock { held: Some(file) }),
             Err(TryLockError::WouldBlock) => Err(ErrorKind::ResourceBusy.into()),
             // Some file systems have no locks; the archive is worth more than its guard.
-            Err(TryLockError::Error(_)) => Ok(Lock::unguarded()),
+            Err(TryLockError::Error(_)) => Ok(Lock { held: Some(file) }),
         }
     }
 
@@ -169,5 +211,16 @@ impl Disk for LocalDisk {
 impl DiskFile for File {
     fn sync(&mut self) -> io::Result<()> {
         self.sync_all()
+    }
+
+    fn length(&mut self) -> io::Result<u64> {
+        Ok(self.metadata()?.len())
+    }
+
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        if self.metadata()?.len() > length {
+            self.set_len(length)?;
+        }
+        self.seek(SeekFrom::Start(length)).map(drop)
     }
 }

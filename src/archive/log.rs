@@ -1,18 +1,19 @@
 //! The solution log: one CSV row per frame, beside the frames, with the same numbers as their files.
 //!
-//! A log is one file per start of the program, made with the first row. Every row reaches the operating system before
+//! A log is one file per start of the program, made with the first row; where the disk lost it, another is begun. Every row reaches the operating system before
 //! the next frame is looked at, and the disk within a second; a row that the disk took in part is cut off again before
 //! the next is written.
 
-use super::disk::{Disk, LocalDisk};
+use super::disk::Disk;
+use super::growing::Growing;
 use super::record::Record;
 use super::store::{ArchiveError, During};
 use crate::aspect::{Quality, Solution, Stage};
 use crate::frame::Levels;
 use jiff::Timestamp;
-use std::fs::File;
-use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Logs of the same second that one folder takes.
@@ -31,6 +32,8 @@ pub struct Row {
     pub stopped: Option<Stage>,
     pub levels: Option<Levels>,
     pub record: Record,
+    /// Whether the picture is on the disk of the log itself; `None` where it is on none.
+    pub on_own_disk: Option<bool>,
     pub upkeep: Upkeep,
 }
 
@@ -54,13 +57,14 @@ impl Row {
             stopped: solution.stopped.map(|stopped| stopped.stage),
             levels: solution.levels,
             record,
+            on_own_disk: None,
             upkeep: Upkeep::default(),
         }
     }
 
     /// Names of the columns that the log has before those of [`Record::CSV_COLUMNS`] and after them.
     const BEFORE: [&'static str; 1] = ["frame"];
-    const AFTER: [&'static str; 7] = [
+    const AFTER: [&'static str; 8] = [
         "reason_measured",
         "reason_limit",
         "offset_cross_elevation_deg",
@@ -68,7 +72,12 @@ impl Row {
         "background_dn",
         "noise_dn",
         "disc_dn",
+        "disk",
     ];
+
+    /// What the column `disk` says of a picture: it is on the disk of the log itself, or on the other one.
+    pub const THIS_DISK: &'static str = "this";
+    pub const OTHER_DISK: &'static str = "other";
 
     /// Names of the log's columns, each with its unit.
     pub fn csv_columns() -> Vec<&'static str> {
@@ -93,92 +102,142 @@ impl Row {
             number(self.levels.map(|levels| levels.background_dn)),
             number(self.levels.map(|levels| levels.noise_dn)),
             number(self.levels.map(|levels| levels.disc_dn)),
+            match self.on_own_disk {
+                Some(true) => Self::THIS_DISK.into(),
+                Some(false) => Self::OTHER_DISK.into(),
+                None => String::new(),
+            },
         ]);
         fields
     }
 }
 
 /// A log of one start in one archive: `<what>_<start>.csv`, a file that is made with its first row.
+///
+/// After a refusal the file is opened again with the next row, and goes on behind its last whole row; where that is no longer
+/// there, another file is begun.
 #[derive(Debug)]
 pub struct Log {
+    disk: Arc<dyn Disk>,
     root: PathBuf,
     what: &'static str,
     columns: Vec<String>,
     start: Timestamp,
-    open: Option<Csv>,
+    csv: Option<Csv>,
 }
 
 /// The solution log of one start in one archive: `solutions_<start>.csv`.
 #[derive(Debug)]
 pub struct SolutionLog(Log);
 
+/// A log's file.
 #[derive(Debug)]
 struct Csv {
     path: PathBuf,
-    file: File,
     /// Bytes of whole rows.
-    length: u64,
+    whole: u64,
+    /// `None` after a refusal.
+    file: Option<Growing>,
     synced: Instant,
 }
 
 impl SolutionLog {
     /// A log under an archive's root; its file is made with the first row and never stands in place of another.
-    pub fn new(root: &Path, start: Timestamp) -> Self {
+    pub fn new(disk: Arc<dyn Disk>, root: &Path, start: Timestamp) -> Self {
         let columns = Row::csv_columns().into_iter().map(str::to_owned);
-        Self(Log::new(root, "solutions", columns.collect(), start))
+        Self(Log::new(disk, root, "solutions", columns.collect(), start))
     }
 
     /// Adds a row.
     ///
     /// # Errors
-    /// Where the disk refuses; the row is then not in the log, and the next one may be tried.
+    /// Where the disk refuses; the row is then not in the log, and may be tried again.
     pub fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
         self.0.append(&row.csv_fields())
+    }
+
+    /// Closes the file; the next row opens it again.
+    pub fn close(&mut self) {
+        self.0.close();
     }
 }
 
 impl Log {
     /// A log of these columns under an archive's root; its file never stands in place of another.
-    pub fn new(root: &Path, what: &'static str, columns: Vec<String>, start: Timestamp) -> Self {
+    pub fn new(
+        disk: Arc<dyn Disk>,
+        root: &Path,
+        what: &'static str,
+        columns: Vec<String>,
+        start: Timestamp,
+    ) -> Self {
         Self {
+            disk,
             root: root.into(),
             what,
             columns,
             start,
-            open: None,
+            csv: None,
         }
     }
 
     /// Adds a row with a field for each column.
     ///
     /// # Errors
-    /// Where the disk refuses; the row is then not in the log, and the next one may be tried.
+    /// Where the disk refuses; the row is then not in the log, and may be tried again.
     pub fn append(&mut self, fields: &[String]) -> Result<(), ArchiveError> {
-        let csv = match &mut self.open {
+        let outcome = self.try_append(fields);
+        if outcome.is_err() {
+            self.close();
+        }
+        outcome
+    }
+
+    /// Closes the file; the next row opens it again.
+    pub fn close(&mut self) {
+        if let Some(csv) = &mut self.csv {
+            csv.file = None;
+        }
+    }
+
+    fn try_append(&mut self, fields: &[String]) -> Result<(), ArchiveError> {
+        self.reopen();
+        let csv = match &mut self.csv {
             Some(csv) => csv,
-            none => none.insert(Csv::create(&self.root, self.what, self.start)?),
+            none => {
+                let make = |path: &Path| Growing::create(self.disk.as_ref(), path);
+                let (path, file) = make_new(&self.root, self.what, self.start, ".csv", make)?;
+                none.insert(Csv {
+                    path,
+                    whole: 0,
+                    file: Some(file),
+                    synced: Instant::now(),
+                })
+            }
         };
+        if csv.whole == 0 {
+            self.disk
+                .sync_folder(&self.root)
+                .during("bring the folder to the disk", &self.root)?;
+        }
         csv.append(&self.columns, fields)
+    }
+
+    /// Opens the file of before; forgets it where it no longer stands whole.
+    fn reopen(&mut self) {
+        if let Some(csv) = &mut self.csv
+            && csv.file.is_none()
+        {
+            csv.file = Growing::open(self.disk.as_ref(), &csv.path, csv.whole).ok();
+        }
+        self.csv.take_if(|csv| csv.file.is_none());
     }
 }
 
 impl Csv {
-    fn create(root: &Path, what: &str, start: Timestamp) -> Result<Self, ArchiveError> {
-        let (path, file) = make_new(root, what, start, ".csv", |path| File::create_new(path))?;
-        LocalDisk
-            .sync_folder(root)
-            .during("bring the folder to the disk", root)?;
-        Ok(Self {
-            path,
-            file,
-            length: 0,
-            synced: Instant::now(),
-        })
-    }
-
     fn append(&mut self, columns: &[String], fields: &[String]) -> Result<(), ArchiveError> {
         let mut lines = csv::Writer::from_writer(Vec::new());
-        let written = match self.length {
+        let written = match self.whole {
             0 => lines.write_record(columns),
             _ => Ok(()),
         };
@@ -187,24 +246,21 @@ impl Csv {
             .map_err(io::Error::other)
             .and_then(|()| lines.into_inner().map_err(io::Error::other))
             .during("make a row of the log", &self.path)?;
-        write_at(&mut self.file, self.length, &bytes).during("add to the log", &self.path)?;
-        self.length += bytes.len() as u64;
+        let Some(file) = &mut self.file else {
+            let closed = Err(ErrorKind::NotConnected.into());
+            return closed.during("add to the log", &self.path);
+        };
+        file.append(&bytes).during("add to the log", &self.path)?;
+        self.whole = file.whole();
         if self.synced.elapsed() >= SYNC_EVERY {
             self.synced = Instant::now();
             // The row is in the file: what a disk says here concerns the whole file, and shows again in the next row.
-            let _ = self.file.sync_data();
+            if file.sync().is_err() {
+                self.file = None;
+            }
         }
         Ok(())
     }
-}
-
-/// Writes behind the first `whole` bytes, in place of what an attempt that failed may have left there.
-pub(super) fn write_at(file: &mut File, whole: u64, bytes: &[u8]) -> io::Result<()> {
-    if file.metadata()?.len() > whole {
-        file.set_len(whole)?;
-    }
-    file.seek(SeekFrom::Start(whole))?;
-    file.write_all(bytes)
 }
 
 /// Makes `<what>_<start><ending>` in the folder, or, where that stands, `<what>_<start>_2<ending>` and so on. `make`

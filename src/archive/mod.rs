@@ -8,6 +8,7 @@ pub mod check;
 mod coordinates;
 mod dirfile;
 pub mod disk;
+mod growing;
 mod log;
 mod name;
 mod policy;
@@ -17,7 +18,7 @@ mod store;
 pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
 pub use log::{Log, Row, SolutionLog, Upkeep};
-pub use name::{NameTime, name};
+pub use name::{NameTime, name, plain};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{
     MappingRecord, MarkRecord, OffsetRecord, Reason, Record, instrument_cards, tables,

@@ -26,8 +26,9 @@ pub fn name(instrument: &str, time: NameTime, number: Option<u64>) -> PathBuf {
     PathBuf::from(folder).join(format!("{instrument}_{instant}{number}.fits"))
 }
 
-/// A name without what means something to a shell, a file system or the parts of a file's name.
-fn plain(instrument: &str) -> String {
+/// The name of an instrument without what means something to a shell, a file system or the parts of a file's name: what folders
+/// and files are named by.
+pub fn plain(instrument: &str) -> String {
     let kept = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
     match instrument {
         "" => "unnamed".into(),

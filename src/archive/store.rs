@@ -11,10 +11,10 @@ use crate::fits::{Card, Compression, FileError, Problem, Table, encode_frame};
 use crate::frame::Frame;
 use jiff::Timestamp;
 use std::io::{self, ErrorKind};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What ends the name of a file that is being written.
+/// What ends the name of a file that is being written; it begins with a dot.
 pub const UNFINISHED: &str = ".part";
 
 /// The file at an archive's root that tells an archive's disk from the empty folder it is mounted on.
@@ -40,6 +40,9 @@ pub enum ArchiveError {
     /// Far too many frames have the same name.
     #[error("{}: expected fewer than {MOST_NAMESAKES} frames of that name, found more", .path.display())]
     Namesakes { path: PathBuf },
+    /// A folder or file that would not be under the archive's root.
+    #[error("{}: expected a path that stays under the archive's folder, found one that leaves it", .path.display())]
+    Outside { path: PathBuf },
 }
 
 /// Says, of a failed operation, what it was and on which path.
@@ -60,7 +63,8 @@ impl<T> During<T> for io::Result<T> {
 /// An archive of one instrument's frames under one folder.
 ///
 /// A store may be opened when it is made, or with its first frame; it may be unmounted and come back. The file
-/// [`MARK`] at its root tells that the disk is there, and keeps other programs from writing to it.
+/// [`MARK`] at its root tells that the disk is there, and keeps other programs from writing to it. When the disk was mounted
+/// anew, the mark is another file: it is locked again, and what is half-written is removed.
 #[derive(Debug)]
 pub struct Store {
     disk: Arc<dyn Disk>,
@@ -76,10 +80,13 @@ struct Claim {
     /// Held while this program writes to the archive.
     lock: Option<Lock>,
     swept: usize,
+    /// How often the disk was taken.
+    visits: u64,
 }
 
 impl Store {
-    /// A store on a disk that nobody has looked at yet.
+    /// A store on a disk that nobody has looked at yet. The folder that holds the archive's must be there when it is opened:
+    /// where a disk is not mounted, its mount point must not be made.
     pub fn new(
         disk: Arc<dyn Disk>,
         root: &Path,
@@ -95,8 +102,8 @@ impl Store {
         }
     }
 
-    /// Opens the archive at `root`, makes the folder if need be, and removes files that an earlier run left
-    /// unfinished.
+    /// Opens the archive at `root`, makes the folder and those above it if need be, and removes files that an earlier run
+    /// left unfinished.
     ///
     /// # Errors
     /// Where the folder cannot be made or listed, a file in it not removed, or where another program writes to it.
@@ -106,30 +113,77 @@ impl Store {
         compression: Compression,
     ) -> Result<Self, ArchiveError> {
         let store = Self::new(Arc::new(LocalDisk), root, instrument, compression);
+        store
+            .disk
+            .make_root(root)
+            .during("make the archive's folder", root)?;
         store.prepare()?;
         Ok(store)
     }
 
-    /// Makes ready for writing, as [`open`](Self::open) does, if that has not been done; else looks whether the disk
-    /// is still there.
+    /// Makes ready for writing, as [`open`](Self::open) does but for the folders above, if that has not been done; else looks
+    /// whether the disk is still there, and takes it anew where it was mounted again.
     ///
     /// # Errors
-    /// As `open`; and where the disk has gone, or an empty folder stands in its place.
+    /// As `open`; where the folder above is not there; and where the disk has gone, or an empty folder stands in its place.
     pub fn prepare(&self) -> Result<(), ArchiveError> {
         let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
-        if claim.lock.is_some() {
-            return self.present();
+        let mark = self.root.join(MARK);
+        if claim.visits == 0 {
+            self.make_folder_in_place()?;
+        } else {
+            self.present()?;
         }
-        let (disk, root) = (&self.disk, &self.root);
-        disk.make_root(root)
-            .during("make the archive's folder", root)?;
-        let mark = root.join(MARK);
-        let lock = disk
-            .lock(&mark)
-            .during("be the only program that writes to this archive", &mark)?;
+        if claim.lock.as_ref().is_some_and(|lock| lock.is_of(&mark)) {
+            return Ok(());
+        }
+        claim.lock = None;
+        let lock = self.disk.lock(&mark).map_err(|cause| {
+            let action = match cause.kind() {
+                ErrorKind::ResourceBusy => "be the only program that writes to this archive",
+                _ => "make the disk's mark",
+            };
+            let path = mark.clone();
+            ArchiveError::Io {
+                path,
+                action,
+                cause,
+            }
+        })?;
         claim.swept += self.sweep()?;
         claim.lock = Some(lock);
+        claim.visits += 1;
         Ok(())
+    }
+
+    /// Makes the archive's folder if need be, in one that is there.
+    fn make_folder_in_place(&self) -> Result<(), ArchiveError> {
+        if self.disk.exists(&self.root) {
+            return Ok(());
+        }
+        let parent = match self.root.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        if !self.disk.exists(parent) {
+            let absent = Err(io::Error::from(ErrorKind::NotFound));
+            return absent.during("find the folder that holds the archive's", parent);
+        }
+        self.disk
+            .make_folder(&self.root)
+            .during("make the archive's folder", &self.root)?;
+        self.sync_folder(parent)
+    }
+
+    /// How often the disk was taken. Files that were opened before the last time are of no use.
+    pub fn visits(&self) -> u64 {
+        let claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
+        claim.visits
+    }
+
+    /// What the archive is on.
+    pub fn disk(&self) -> Arc<dyn Disk> {
+        Arc::clone(&self.disk)
     }
 
     /// Whether the disk is there: where it is not, nothing may be written in its place.
@@ -194,6 +248,7 @@ impl Store {
         cards: &[Card],
         tables: &[Table],
     ) -> Result<Encoded, ArchiveError> {
+        self.within(folder)?;
         self.prepare()?;
         let time = match frame.info.mid_exposure {
             Some(middle) => NameTime::MidExposure(middle),
@@ -243,8 +298,9 @@ impl Store {
     /// Makes a folder under the root if need be, when the disk is there.
     ///
     /// # Errors
-    /// As [`prepare`](Self::prepare), or where the folder cannot be made.
+    /// As [`prepare`](Self::prepare), where the folder cannot be made, or is not under the root.
     pub fn enter(&self, folder: &Path) -> Result<(), ArchiveError> {
+        self.within(folder)?;
         self.prepare()?;
         let mut above = self.root.clone();
         for name in folder {
@@ -259,6 +315,17 @@ impl Store {
             above = folder;
         }
         Ok(())
+    }
+
+    /// Whether a folder is under the root, by its path alone.
+    fn within(&self, folder: &Path) -> Result<(), ArchiveError> {
+        let is_name = |part: Component| matches!(part, Component::Normal(_));
+        match folder.components().all(is_name) {
+            true => Ok(()),
+            false => Err(ArchiveError::Outside {
+                path: self.root.join(folder),
+            }),
+        }
     }
 
     fn write_unfinished(&self, path: &Path, bytes: &[u8]) -> Result<(), ArchiveError> {
@@ -425,6 +492,56 @@ mod tests {
         );
         let left: Vec<_> = fs::read_dir(root.path()).unwrap().flatten().collect();
         assert_eq!(left.len(), 1, "the mark: {left:?}");
+    }
+
+    #[test]
+    fn nothing_is_written_outside_the_archives_folder() {
+        let parent = tempfile::tempdir().unwrap();
+        let store = store(&parent.path().join("archive"));
+        for folder in ["../escaped", "/escaped", "a/../../escaped"] {
+            let folder = Path::new(folder);
+            let frame = frame(Some("2013-09-21T18:00:00Z"));
+            let encoded = store.encode(folder, "demo", &frame, &[], &[]);
+            for error in [encoded.unwrap_err(), store.enter(folder).unwrap_err()] {
+                assert!(matches!(error, ArchiveError::Outside { .. }), "{error}");
+            }
+        }
+        let left = fs::read_dir(parent.path()).unwrap();
+        assert_eq!(left.count(), 1, "the archive");
+    }
+
+    #[test]
+    fn the_folder_that_holds_the_archives_is_not_made_for_a_flight() {
+        let parent = tempfile::tempdir().unwrap();
+        let mount = parent.path().join("mount");
+        let new = |root: &Path| Store::new(Arc::new(LocalDisk), root, "demo", Compression::Rice);
+        let store = new(&mount.join("archive"));
+        let error = store.prepare().unwrap_err().to_string();
+        assert!(
+            error.contains("mount: expected to find the folder"),
+            "{error}"
+        );
+        assert!(!mount.exists());
+        fs::create_dir(&mount).unwrap();
+        store.prepare().unwrap();
+        assert!(mount.join("archive").join(MARK).is_file());
+    }
+
+    #[test]
+    fn a_disk_that_was_mounted_anew_is_locked_and_swept_again() {
+        let parent = tempfile::tempdir().unwrap();
+        let (root, away) = (parent.path().join("disk"), parent.path().join("away"));
+        let store = store(&root);
+        assert_eq!(store.visits(), 1);
+        fs::rename(&root, &away).unwrap();
+        fs::create_dir(&root).unwrap();
+        assert!(store.prepare().is_err());
+        fs::write(root.join(MARK), "").unwrap();
+        fs::write(root.join(".half.part"), "half").unwrap();
+        store.prepare().unwrap();
+        assert_eq!((store.visits(), store.swept()), (2, 1));
+        let second = Store::open(&root, "demo", Compression::Rice);
+        assert!(second.unwrap_err().to_string().contains("the only program"));
     }
 
     #[test]

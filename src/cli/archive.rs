@@ -1,7 +1,7 @@
 //! `solaspect archive`: what is in an archive, and whether it is sound.
 
 use super::output::{make_folder, progress_bar};
-use crate::archive::check::{self, BadFile, Gap, Report, Row, Tree};
+use crate::archive::check::{self, BadFile, Gap, MissingFile, Report, Row, Tree};
 use crate::fits::{self, FitsFile};
 use crate::log;
 use anyhow::{Context, ensure};
@@ -30,13 +30,14 @@ enum Command {
 /// Check every file of an archive, and that none is missing
 ///
 /// Structure, checksums, picture and keywords of each file, its name, and that times do not go back in the order of
-/// names. Gaps are steps in time longer than 1.5 times the median step, and missing frame numbers. Exit code 1 if any
-/// file is bad; gaps, and files left half-written, are told and are no failure.
+/// names; that every file is there that a solution log names, on this disk or on the other. Gaps are steps in time longer than
+/// 1.5 times the median step, and missing frame numbers. Exit code 1 if any file is bad, or named by a log and missing; gaps,
+/// and files left half-written, are told and are no failure.
 #[derive(Debug, Args)]
 struct CheckArgs {
-    /// The archive's folder
-    #[arg(value_name = "DIR")]
-    folder: PathBuf,
+    /// The archive's folder; of an archive on two disks, both together
+    #[arg(value_name = "DIR", required = true)]
+    folders: Vec<PathBuf>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -99,7 +100,7 @@ pub fn run(args: ArchiveArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn run_check(args: &CheckArgs) -> anyhow::Result<bool> {
-    let tree = Tree::of(&args.folder)?;
+    let tree = Tree::of_all(&args.folders)?;
     let progress = progress_bar(tree.files.len(), "files");
     let report = check::check(&tree, &|| progress.inc(1));
     progress.finish_and_clear();
@@ -109,24 +110,36 @@ fn run_check(args: &CheckArgs) -> anyhow::Result<bool> {
     } else {
         print_report(&mut out, &report)?;
     }
-    Ok(report.bad == 0)
+    Ok(report.is_sound())
 }
 
 fn print_report(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
     for BadFile { file, error } in &report.bad_files {
         writeln!(out, "bad  {file}: {error}")?;
     }
+    for MissingFile { file, log } in &report.missing_files {
+        writeln!(out, "missing  {file}: named in {log}")?;
+    }
     for gap in &report.gap_list {
         writeln!(out, "gap  {}", gap_line(gap))?;
     }
     let missing = match report.missing_frames {
         0 => String::new(),
-        frames => format!(" ({frames} frames missing by number)"),
+        frames => format!(" ({} missing by number)", counted(frames, "frame")),
+    };
+    let elsewhere = match report.on_other_disk {
+        0 => String::new(),
+        frames => format!(", {frames} on the other disk"),
     };
     writeln!(
         out,
-        "{} files: {} bad, {} gaps{missing}, {} unfinished, {} without a time",
-        report.files, report.bad, report.gaps, report.unfinished, report.undated
+        "{}: {} bad, {} missing, {}{missing}, {} unfinished, {} without a time{elsewhere}",
+        counted(report.files as u64, "file"),
+        report.bad,
+        report.missing,
+        counted(report.gaps as u64, "gap"),
+        report.unfinished,
+        report.undated
     )?;
     if let (Some(first), Some(last)) = (report.first_utc, report.last_utc) {
         let minutes = last.duration_since(first).as_secs_f64() / 60.0;
@@ -135,18 +148,24 @@ fn print_report(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
     Ok(())
 }
 
+/// "1 gap", "2 gaps".
+fn counted(count: u64, what: &str) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{count} {what}{plural}")
+}
+
 fn gap_line(gap: &Gap) -> String {
     let name = |file: &str| {
         let name = Path::new(file).file_name().unwrap_or_default();
         name.to_string_lossy().into_owned()
     };
     format!(
-        "{} .. {}: {:.3} s, median {:.3} s, {} numbers missing",
+        "{} .. {}: {:.3} s, median {:.3} s, {} missing",
         name(&gap.after),
         name(&gap.before),
         gap.step_s,
         gap.median_step_s,
-        gap.missing_frames
+        counted(gap.missing_frames, "number")
     )
 }
 

@@ -200,6 +200,7 @@ impl Archive {
 pub struct Preflight {
     pub max_clock_error_ms: f64,
     pub max_calibration_age_days: f64,
+    pub min_archive_hours: f64,
 }
 
 impl Default for Preflight {
@@ -207,6 +208,7 @@ impl Default for Preflight {
         Self {
             max_clock_error_ms: 100.0,
             max_calibration_age_days: 365.0,
+            min_archive_hours: 12.0,
         }
     }
 }

@@ -147,6 +147,7 @@ struct Checker<'a> {
 
 impl Checker<'_> {
     fn instrument(&self, raw: RawInstrument) -> Result<Instrument, TomlError> {
+        self.name(&raw.name)?;
         Ok(Instrument {
             sensor: self.sensor(&raw.camera)?,
             camera: self.camera(raw.camera)?,
@@ -155,6 +156,21 @@ impl Checker<'_> {
             mounting: self.mounting(raw.mounting)?,
             name: raw.name,
         })
+    }
+
+    /// Files and folders bear the name.
+    fn name(&self, name: &str) -> Result<(), TomlError> {
+        let leads_elsewhere = |c: char| matches!(c, '/' | '\\') || c.is_control();
+        if !name.trim().is_empty() && !name.contains("..") && !name.contains(leads_elsewhere) {
+            return Ok(());
+        }
+        let expected = "a name that is not empty, without '/', '\\', '..' and control characters";
+        Err(TomlError::new(
+            self.path,
+            "name",
+            expected,
+            format!("{name:?}"),
+        ))
     }
 
     fn camera(&self, raw: RawCamera) -> Result<Camera, TomlError> {
@@ -410,6 +426,20 @@ mod tests {
         assert!(message.contains("mounting.cloking_deg"), "{message}");
         assert!(message.contains("\"mounting.clocking_deg\""), "{message}");
         assert!(!message.contains('\n'), "{message}");
+    }
+
+    #[test]
+    fn a_name_that_would_lead_out_of_a_folder_or_is_empty_is_refused() {
+        let demo = include_str!("../../calibration/demo.toml");
+        for name in ["../escaped", "a/b", "..", "", " ", "a\\\\b"] {
+            let text = demo.replacen("name = \"demo\"", &format!("name = \"{name}\""), 1);
+            assert_ne!(text, demo);
+            let error = parse(Path::new("i.toml"), &text).unwrap_err().to_string();
+            assert!(
+                error.starts_with("i.toml: name: expected a name"),
+                "{error}"
+            );
+        }
     }
 
     #[test]

@@ -3,10 +3,10 @@
 use super::bounded::findings_within;
 use super::{Finding, Plan};
 use crate::archive::disk::{Disk, LocalDisk};
-use crate::archive::{Room, Sharing, SpaceLimits, Store};
+use crate::archive::{ArchiveError, Room, Sharing, SpaceLimits, Store};
 use crate::camera::PixelFormat;
 use crate::fits::Compression;
-use std::io;
+use std::io::{self, ErrorKind};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +16,10 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// Writing is timed for so long, and over so many files at most.
 const TIMED: Duration = Duration::from_millis(500);
 const FILES: u32 = 26;
-const MOUNT: &str = "mount the disk, and let the service's user write to the folder";
+/// A disk with room for the frames of less time is of no use.
+const LEAST_S: f64 = 60.0;
+const SILENT: &str =
+    "the disk hangs: look at its cable, its power and what the kernel says of it (dmesg)";
 const FREE: &str = "free the disk, or name another folder in archive.directory";
 
 /// What is asked of one disk.
@@ -29,6 +32,8 @@ pub struct Demand {
     pub frame_bytes: usize,
     /// Frames that this disk is given.
     pub rate_hz: f64,
+    /// Frames of so much time are to find room.
+    pub min_hours: f64,
 }
 
 impl Demand {
@@ -60,6 +65,7 @@ impl Demand {
             limits: archive.space_limits(),
             frame_bytes: plan.cameras.iter().map(size).max().unwrap_or(0),
             rate_hz: rate_hz / shares,
+            min_hours: plan.config.preflight.min_archive_hours,
         }
     }
 }
@@ -75,7 +81,7 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
     for folder in &folders {
         let (demand, work_folder) = (demand.clone(), folder.clone());
         let check = format!("disk {}", folder.display());
-        findings.extend(findings_within(PATIENCE, &check, MOUNT, move || {
+        findings.extend(findings_within(PATIENCE, &check, SILENT, move || {
             check_folder(Arc::new(LocalDisk), &work_folder, &demand)
         }));
     }
@@ -83,6 +89,34 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
         findings.push(apart(first, second));
     }
     findings
+}
+
+/// What to do about a disk that refuses.
+fn remedy(error: &ArchiveError) -> &'static str {
+    match error {
+        ArchiveError::Io { cause, .. } => remedy_for(cause),
+        _ => FREE,
+    }
+}
+
+fn remedy_for(cause: &io::Error) -> &'static str {
+    match cause.kind() {
+        ErrorKind::NotFound => {
+            "is the disk mounted? mount it, or make the folder that is to hold the archive's"
+        }
+        ErrorKind::ResourceBusy => {
+            "another program writes to this archive: stop the service first (systemctl stop solaspect)"
+        }
+        ErrorKind::ReadOnlyFilesystem => {
+            "remount the disk writable; one that has turned read-only by itself is failing (dmesg)"
+        }
+        ErrorKind::PermissionDenied => "let the service's user write to the folder",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => FREE,
+        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => {
+            "name a folder in archive.directory, not a file"
+        }
+        _ => "see what the kernel says of the disk (dmesg)",
+    }
 }
 
 /// Opens one folder of the archive, as the flight does, looks at its room and times its writing. What it writes is removed again.
@@ -95,7 +129,7 @@ pub fn check_folder(disk: Arc<dyn Disk>, folder: &Path, demand: &Demand) -> Vec<
         demand.compression,
     );
     if let Err(error) = store.prepare() {
-        return vec![Finding::fail(check, error.to_string(), MOUNT)];
+        return vec![Finding::fail(check, error.to_string(), remedy(&error))];
     }
     vec![
         room(&check, &store, demand),
@@ -106,21 +140,38 @@ pub fn check_folder(disk: Arc<dyn Disk>, folder: &Path, demand: &Demand) -> Vec<
 fn room(check: &str, store: &Store, demand: &Demand) -> Finding {
     let space = match store.space() {
         Ok(space) => space,
-        Err(error) => return Finding::warn(check, error.to_string(), MOUNT),
+        Err(error) => return Finding::warn(check, error.to_string(), remedy(&error)),
     };
     let room = demand.limits.room(space.free_percent());
     let bytes_per_s = demand.frame_bytes as f64 * demand.rate_hz;
+    let seconds = space.free_bytes as f64 / bytes_per_s.max(1.0);
     let found = format!(
-        "{:.1} GB free ({:.0} %), for {:.1} h of frames before they are compressed",
+        "{:.1} GB free ({:.0} %), for {} of frames before they are compressed",
         space.free_bytes as f64 / 1e9,
         space.free_percent(),
-        space.free_bytes as f64 / bytes_per_s.max(1.0) / 3600.0
+        span(seconds)
     );
+    let wanted = span(3600.0 * demand.min_hours);
     match room {
+        _ if seconds < LEAST_S => {
+            Finding::fail(check, format!("{found}: less than a minute"), FREE)
+        }
+        Room::Plenty if seconds < 3600.0 * demand.min_hours => {
+            let found = format!("{found}: below min_archive_hours, {wanted}");
+            Finding::warn(check, found, FREE)
+        }
         Room::Plenty => Finding::pass(check, found),
         Room::Low => Finding::warn(check, format!("{found}: below warn_free_percent"), FREE),
         Room::Scarce => Finding::fail(check, format!("{found}: frames would be thinned out"), FREE),
         Room::None => Finding::fail(check, format!("{found}: no frames would be stored"), FREE),
+    }
+}
+
+/// In hours, below one in minutes.
+fn span(seconds: f64) -> String {
+    match seconds < 3600.0 {
+        true => format!("{:.1} min", seconds / 60.0),
+        false => format!("{:.1} h", seconds / 3600.0),
     }
 }
 
@@ -129,7 +180,7 @@ fn speed(check: &str, disk: &dyn Disk, folder: &Path, demand: &Demand) -> Findin
         Ok(files_per_s) => files_per_s,
         Err(error) => {
             let found = format!("expected to write a frame's bytes, found \"{error}\"");
-            return Finding::fail(check, found, MOUNT);
+            return Finding::fail(check, found, remedy_for(&error));
         }
     };
     let (megabytes, rate_hz) = (demand.frame_bytes as f64 / 1e6, demand.rate_hz);
@@ -189,7 +240,7 @@ fn apart(first: &Path, second: &Path) -> Finding {
         _ => Finding::warn(
             check,
             "the system does not say on which devices they are",
-            MOUNT,
+            "make sure by other means that they are on two disks",
         ),
     }
 }

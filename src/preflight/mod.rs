@@ -26,6 +26,7 @@ pub use plan::{NoTarget, Options, Plan, PlannedCamera, ephemeris, target};
 pub use polarity::{Axis, Motion, Operator, Trend};
 pub use remarks::{Remark, Remarks, Severity, survey};
 
+use crate::link::PortAddress;
 use std::path::Path;
 use std::time::Duration;
 
@@ -39,16 +40,30 @@ pub struct Extent<'a> {
 }
 
 /// Makes every check of a configuration (the defaults without a file), in order. `tell` hears of each finding as it is
-/// made. Where the configuration has errors there is nothing further to check.
+/// made. Where the configuration has errors, clock, disks and line are checked as far as it names them.
 pub fn run(file: Option<&Path>, options: &Options, extent: Extent, tell: &mut dyn FnMut(Finding)) {
-    let (plan, remarks) = survey(file, options);
+    let (plan, remarks) = remarks::survey_anyway(file, options);
     let news = remarks
         .list
         .iter()
         .filter(|remark| !remark.is_checked_later());
     news.map(Remark::finding).for_each(&mut *tell);
-    if let Some(plan) = plan {
+    if remarks.has_errors() {
+        check_in_part(&plan, extent.wait_for_controller, tell);
+    } else {
         check(&plan, extent, tell);
+    }
+}
+
+/// What can be checked of a configuration with errors: what it leaves out may be what is wrong.
+fn check_in_part(plan: &Plan, wait: Option<Duration>, tell: &mut dyn FnMut(Finding)) {
+    clock::check(plan).into_iter().for_each(&mut *tell);
+    if !plan.folders().is_empty() {
+        disks::check(plan).into_iter().for_each(&mut *tell);
+    }
+    let port = plan.config.link.port.as_deref();
+    if port.is_some_and(|port| port.parse::<PortAddress>().is_ok()) {
+        tell(link::check(plan, wait));
     }
 }
 

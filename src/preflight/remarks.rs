@@ -7,8 +7,9 @@ use crate::config::{self, Config};
 use crate::instrument::toml_file::read_text;
 use crate::instrument::{Instrument, TomlError};
 use crate::link::{CameraRole, PortAddress};
+use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::simulate::Pieces;
-use crate::sky::Ephemeris;
+use crate::sky::{Ephemeris, OrientationTable};
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -27,7 +28,12 @@ pub enum Severity {
 pub struct Remark {
     pub severity: Severity,
     pub what: TomlError,
+    /// What to do about it.
+    pub remedy: &'static str,
 }
+
+const PARAMETERS: &str = "see docs/parameters.md";
+const BUILD: &str = "take a program built with `--features gige`, or another camera";
 
 impl fmt::Display for Remark {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -57,8 +63,8 @@ impl Remark {
     pub(super) fn finding(&self) -> Finding {
         let what = self.what.to_string();
         match self.severity {
-            Severity::Error => Finding::fail("configuration", what, "see docs/parameters.md"),
-            Severity::Warning => Finding::warn("configuration", what, "see docs/parameters.md"),
+            Severity::Error => Finding::fail("configuration", what, self.remedy),
+            Severity::Warning => Finding::warn("configuration", what, self.remedy),
         }
     }
 }
@@ -72,7 +78,15 @@ pub struct Remarks {
 
 impl Remarks {
     fn add(&mut self, severity: Severity, what: TomlError) {
-        self.list.push(Remark { severity, what });
+        let remedy = match what.path == self.file {
+            true => PARAMETERS,
+            false => "name a file that is there and sound",
+        };
+        self.list.push(Remark {
+            severity,
+            what,
+            remedy,
+        });
     }
 
     /// An error in a key of the configuration.
@@ -100,23 +114,31 @@ impl Remarks {
 /// Reads a configuration (the defaults without a file) and every file that it names. There is a plan where there is no
 /// error.
 pub fn survey(file: Option<&Path>, options: &Options) -> (Option<Plan>, Remarks) {
+    let (plan, remarks) = survey_anyway(file, options);
+    (Some(plan).filter(|_| !remarks.has_errors()), remarks)
+}
+
+/// As [`survey`], with a plan of what could be read where there are errors: defaults for the rest, and no camera whose
+/// instrument is wrong.
+pub(super) fn survey_anyway(file: Option<&Path>, options: &Options) -> (Plan, Remarks) {
     let mut remarks = Remarks {
         file: file.unwrap_or(Path::new("defaults")).into(),
         list: Vec::new(),
     };
     let mut config = Config::default();
-    if let Some(file) = file {
-        let Some(text) = remarks.noted(read_text(file)) else {
-            return (None, remarks);
-        };
+    let text = file.map(|file| (file, remarks.noted(read_text(file))));
+    let was_read = !matches!(text, Some((_, None)));
+    if let Some((file, Some(text))) = text {
         let (read, errors) = Config::parse_all(file, &text);
         config = read;
         let errors = errors.into_iter();
         errors.for_each(|what| remarks.add(Severity::Error, what));
     }
     options.over(&mut config);
-    cross_check(&config, &mut remarks);
-    let plan = files(config, &mut remarks).filter(|_| !remarks.has_errors());
+    if was_read {
+        cross_check(&config, &mut remarks);
+    }
+    let plan = files(config, &mut remarks);
     (plan, remarks)
 }
 
@@ -299,15 +321,18 @@ fn saved_values(file: &Path, remarks: &mut Remarks) {
 }
 
 /// What the files say that the configuration names.
-fn files(config: Config, remarks: &mut Remarks) -> Option<Plan> {
-    let planned = cameras(&config, remarks);
+fn files(config: Config, remarks: &mut Remarks) -> Plan {
+    let cameras = cameras(&config, remarks);
     let orientation = plan::orientation(&config).map_err(|error| {
         let expected = "a table as tools/iers makes it";
         remarks.error("sky.earth_orientation", expected, error.to_string());
     });
-    let orientation = orientation.ok()?;
+    let known = orientation.is_ok();
+    let orientation = orientation.unwrap_or_else(|()| OrientationTable::built_in());
     let mut ephemeris = Ephemeris::new(Arc::clone(&orientation));
     let target = plan::target(&config, &mut ephemeris).map_err(|error| match error {
+        // It has been said why.
+        _ if !known => {}
         NoTarget::Epoch(error) => {
             remarks.error(
                 "target.epoch_utc",
@@ -323,16 +348,17 @@ fn files(config: Config, remarks: &mut Remarks) -> Option<Plan> {
             );
         }
     });
-    Some(Plan {
-        cameras: planned?,
+    let centre = HelioprojectiveArcsec { x: 0.0, y: 0.0 };
+    Plan {
+        cameras,
         orientation,
-        target: target.ok()?,
+        target: target.unwrap_or(Target::Fixed(centre)),
         config,
-    })
+    }
 }
 
-/// The cameras with their instruments; each file that is wrong is noted.
-fn cameras(config: &Config, remarks: &mut Remarks) -> Option<Vec<PlannedCamera>> {
+/// The cameras with their instruments; each file that is wrong is noted, and its camera left out.
+fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
     let mut planned = Vec::new();
     for (table, role, source, camera) in tables(config) {
         let Some(source) = source else { continue };
@@ -342,7 +368,7 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Option<Vec<PlannedCamera>>
             CameraRole::Roll => None,
         };
         let instrument = remarks.noted(Instrument::read_with_dates(file));
-        planned.push(instrument.map(|(instrument, dates)| PlannedCamera {
+        planned.extend(instrument.map(|(instrument, dates)| PlannedCamera {
             table,
             role,
             source,
@@ -351,7 +377,7 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Option<Vec<PlannedCamera>>
             dates,
         }));
     }
-    planned.into_iter().collect()
+    planned
 }
 
 fn check_source(table: &str, source: &Source, camera: &config::Camera, remarks: &mut Remarks) {
@@ -370,7 +396,13 @@ fn check_source(table: &str, source: &Source, camera: &config::Camera, remarks: 
         }
         Source::Gige(_) if cfg!(not(feature = "gige")) => {
             let expected = "a program built with `--features gige` for such a camera";
-            remarks.error(&key, expected, source.to_string());
+            let what = TomlError::new(&remarks.file, &key, expected, source.to_string());
+            let severity = Severity::Error;
+            remarks.list.push(Remark {
+                severity,
+                what,
+                remedy: BUILD,
+            });
         }
         Source::Gige(_) | Source::Simulated(None) => {}
     }

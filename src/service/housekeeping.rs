@@ -77,10 +77,13 @@ impl Teller {
         told.clock_stepped = tally.camera.utc_steps > self.before.camera.utc_steps;
         told.camera_c = tally.camera.health.temperature_c.map(|c| c as f32);
         told.computer_c = computer_c();
-        let used =
-            |disk: usize| Some((100.0 - counts.archive.disks().get(disk)?.free_percent?) as u8);
+        let disks = counts.archive.disks();
+        let used = |disk: usize| Some((100.0 - disks.get(disk)?.free_percent?) as u8);
         told.disks = [used(0), used(1)];
+        let refused = |disk: usize| disks.get(disk).map_or(0, |d| d.refused + d.rows_refused);
+        told.disk_refusals = [small(refused(0)), small(refused(1))];
         told.queued_pictures = small(counts.archive.waiting() as u64);
+        told.queued_rows = small(counts.archive.waiting_rows() as u64);
         let sent = tally
             .line
             .solutions
@@ -144,7 +147,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     told.calibration_contradicted = solver.contradicted;
     told.stored = small(archive.stored);
     told.unstored = small(archive.unstored);
-    told.rows_refused = small(archive.rows_refused + archive.rows_lost);
+    told.rows_refused = small(archive.rows_refused);
     told.tracking = line.conversation.tracking;
     told.sending = line.conversation.sending;
     told.announced = small(line.announced);

@@ -147,11 +147,13 @@ pub struct ArchiveTally {
     pub no_room: u64,
     /// Pictures that could not be stored for another reason.
     pub failed: u64,
+    /// Frames that were still on their way to a disk when the flight ended; only in the last tally.
+    pub unfinished: u64,
     /// Refusals by any disk; the frame may be stored all the same.
     pub refused: u64,
-    /// Rows of the log that a disk refused.
+    /// Refusals of rows by any disk, and rows that a log had no room for; the row may be in a log all the same.
     pub rows_refused: u64,
-    /// Rows that a log had no room for.
+    /// Frames' rows that are in no log.
     pub rows_lost: u64,
     /// Half-written files of an earlier run that were removed.
     pub swept: u64,
@@ -161,14 +163,16 @@ impl ArchiveTally {
     fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
-            "stored     {}, {} not: {} overflowed, {} no room, {} failed; {} refusals, {} rows refused, {} half-written removed",
+            "stored     {}, {} not: {} overflowed, {} no room, {} failed, {} unfinished; {} refusals, {} rows refused, {} rows lost, {} half-written removed",
             self.stored,
             self.unstored,
             self.overflowed,
             self.no_room,
             self.failed,
+            self.unfinished,
             self.refused,
             self.rows_refused,
+            self.rows_lost,
             self.swept,
         )
     }
@@ -255,7 +259,8 @@ pub struct FlightTally {
 }
 
 impl FlightTally {
-    /// Frames, stored files and packets that did not get where they should, and silences of cameras.
+    /// Frames, stored files, rows and packets that did not get where they should, and silences of cameras. A row that one disk
+    /// refused and another has is not lost.
     pub fn lost(&self) -> u64 {
         let camera = self.camera.lost + self.camera.failed + self.camera.silences;
         let frames = camera + self.solver.misfits;

@@ -134,6 +134,7 @@ impl Watch {
             thread::sleep(LOOK_EVERY);
         }
         let mut tally = self.counts.tally();
+        tally.archive = self.counts.archive.final_tally();
         tally.restarts = self.restarts();
         tally.takeovers = self.takeovers();
         tally.gave_up = self.gave_up;

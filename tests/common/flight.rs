@@ -1,6 +1,6 @@
 //! Flights in the dark, frame by frame, and what is found of them on a disk.
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::Store;
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
@@ -56,8 +56,35 @@ pub fn dark(
     archive: config::Archive,
     frames: u64,
     pause: Duration,
-    mut each: impl FnMut(u64),
+    each: impl FnMut(u64),
 ) -> FlightTally {
+    let (service, look) = looked(stores, archive, frames, pause, each);
+    drop(look);
+    service.join().unwrap()
+}
+
+/// As [`dark`], of a flight that is told to end after the last frame, and gives up what is not finished at once.
+pub fn dark_told_to_end(
+    stores: Vec<Store>,
+    archive: config::Archive,
+    frames: u64,
+    pause: Duration,
+    each: impl FnMut(u64),
+) -> FlightTally {
+    let (service, look) = looked(stores, archive, frames, pause, each);
+    service.stop_within(Duration::ZERO);
+    drop(look);
+    service.join().unwrap()
+}
+
+/// A flight that has solved all its frames, and the camera's end.
+fn looked(
+    stores: Vec<Store>,
+    archive: config::Archive,
+    frames: u64,
+    pause: Duration,
+    mut each: impl FnMut(u64),
+) -> (Service, Sender<u64>) {
     let instrument = instrument::builtin("demo").unwrap();
     let (look, numbers) = bounded(0);
     let camera = DarkCamera {
@@ -90,8 +117,7 @@ pub fn dark(
         answers.recv().unwrap();
     }
     each(frames);
-    drop(look);
-    service.join().unwrap()
+    (service, look)
 }
 
 /// The frames' files under a folder, by name.
@@ -126,7 +152,10 @@ pub fn rows_in(root: &Path) -> usize {
     let entries = fs::read_dir(root)
         .unwrap()
         .map(|entry| entry.unwrap().path());
-    let is_log = |path: &PathBuf| path.extension().is_some_and(|ending| ending == "csv");
+    let is_log = |path: &PathBuf| {
+        let name = path.file_name().unwrap().to_string_lossy();
+        name.starts_with("solutions_") && name.ends_with(".csv")
+    };
     let logs: Vec<PathBuf> = entries.filter(is_log).collect();
     assert_eq!(logs.len(), 1, "{logs:?}");
     let mut log = csv::Reader::from_path(&logs[0]).unwrap();

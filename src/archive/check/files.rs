@@ -1,6 +1,7 @@
 //! The files of an archive.
 
 use super::BadFile;
+use crate::archive::UNFINISHED;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -19,7 +20,9 @@ pub struct TreeError {
 pub struct Tree {
     /// Those whose names end in `.fits`, by path.
     pub files: Vec<PathBuf>,
-    /// How many names begin with a dot.
+    /// Solution logs, by path.
+    pub logs: Vec<PathBuf>,
+    /// How many names are those of half-written files.
     pub unfinished: usize,
     /// Folders within that could not be listed, and why.
     pub unlisted: Vec<BadFile>,
@@ -31,15 +34,25 @@ impl Tree {
     /// # Errors
     /// A folder that is missing, cannot be listed or has no `.fits` file.
     pub fn of(root: &Path) -> Result<Self, TreeError> {
-        let error = |expected, found| TreeError {
-            path: root.into(),
+        Self::of_all(&[root])
+    }
+
+    /// Looks through several folders, as those of an archive on two disks.
+    ///
+    /// # Errors
+    /// One that is missing or cannot be listed; where none has a `.fits` file.
+    pub fn of_all(roots: &[impl AsRef<Path>]) -> Result<Self, TreeError> {
+        let error = |path: &Path, expected, found| TreeError {
+            path: path.into(),
             expected,
             found,
         };
         let mut tree = Self::default();
         let mut folders = Vec::new();
-        tree.list(root, &mut folders)
-            .map_err(|cause| error("a folder of frames", format!("\"{cause}\"")))?;
+        for root in roots.iter().map(AsRef::as_ref) {
+            tree.list(root, &mut folders)
+                .map_err(|cause| error(root, "a folder of frames", format!("\"{cause}\"")))?;
+        }
         while let Some(folder) = folders.pop() {
             if let Err(cause) = tree.list(&folder, &mut folders) {
                 tree.unlisted.push(BadFile {
@@ -50,9 +63,13 @@ impl Tree {
         }
         if tree.files.is_empty() && tree.unlisted.is_empty() {
             let found = format!("none, and {} unfinished", tree.unfinished);
-            return Err(error("files whose names end in .fits", found));
+            let first = roots.first().map_or(Path::new(""), AsRef::as_ref);
+            return Err(error(first, "files whose names end in .fits", found));
         }
-        tree.files.sort();
+        for paths in [&mut tree.files, &mut tree.logs] {
+            paths.sort();
+            paths.dedup();
+        }
         Ok(tree)
     }
 
@@ -65,13 +82,26 @@ impl Tree {
             match (entry.file_type()?.is_dir(), hidden) {
                 (true, true) => {}
                 (true, false) => folders.push(path),
-                (false, true) => self.unfinished += 1,
+                (false, true) => self.unfinished += usize::from(is_unfinished(&path)),
                 (false, false) if is_fits(&path) => self.files.push(path),
+                (false, false) if is_log(&path) => self.logs.push(path),
                 (false, false) => {}
             }
         }
         Ok(())
     }
+}
+
+/// Of a name that begins with a dot.
+fn is_unfinished(path: &Path) -> bool {
+    path.as_os_str()
+        .as_encoded_bytes()
+        .ends_with(UNFINISHED.as_bytes())
+}
+
+fn is_log(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.starts_with("solutions_") && name.ends_with(".csv")
 }
 
 fn is_fits(path: &Path) -> bool {

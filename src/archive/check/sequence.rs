@@ -1,9 +1,10 @@
 //! Files as a sequence: times that go back, and gaps.
 //!
 //! A sequence is the files whose names begin alike, up to the time: one instrument's. A bad file still stands for the
-//! frame that it was, so it makes no gap. Frames may be numbered from the start again, as after a power cut.
+//! frame that it was, so it makes no gap; nor does a frame that is on another disk, nor a file that is there twice. Frames may be numbered from the start again, as after a power cut.
 
 use super::BadFile;
+use super::logged::Elsewhere;
 use jiff::Timestamp;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -33,6 +34,8 @@ pub(super) struct Dated {
     stem: String,
     /// Time and number of the frame; `None` for a bad file.
     taken: Option<(Timestamp, Option<u64>)>,
+    /// Whether the file was looked at, not only its row of the log.
+    is_here: bool,
 }
 
 impl Dated {
@@ -41,6 +44,15 @@ impl Dated {
             taken: Some((utc, number)),
             ..Self::bad(path)
         }
+    }
+
+    /// A frame on a disk that is not at hand.
+    pub fn elsewhere(frame: &Elsewhere) -> Option<Self> {
+        Some(Self {
+            taken: Some((frame.utc?, frame.number)),
+            is_here: false,
+            ..Self::bad(&frame.file)
+        })
     }
 
     pub fn bad(path: &Path) -> Self {
@@ -52,6 +64,7 @@ impl Dated {
                 .to_string_lossy()
                 .into(),
             taken: None,
+            is_here: true,
         }
     }
 
@@ -78,10 +91,13 @@ pub(super) fn examine(files: Vec<Dated>) -> Sequence {
     }
     let mut found = Sequence::default();
     for files in all.values_mut() {
-        files.sort_by(|a, b| a.stem.cmp(&b.stem));
+        // Of a frame that is on two disks, a sound file stands for both.
+        files.sort_by(|a, b| (&a.stem, a.taken.is_none()).cmp(&(&b.stem, b.taken.is_none())));
+        files.dedup_by(|b, a| a.stem == b.stem);
         found.backward.extend(take_backward(files));
         found.gaps.extend(gaps(files));
-        let times = || files.iter().filter_map(|file| Some(file.taken?.0));
+        let here = || files.iter().filter(|file| file.is_here);
+        let times = || here().filter_map(|file| Some(file.taken?.0));
         found.first = found.first.into_iter().chain(times()).min();
         found.last = found.last.into_iter().chain(times()).max();
     }
@@ -92,7 +108,7 @@ pub(super) fn examine(files: Vec<Dated>) -> Sequence {
 fn take_backward(files: &mut [Dated]) -> Vec<BadFile> {
     let mut backward = Vec::new();
     let mut previous: Option<(Timestamp, String)> = None;
-    for file in files {
+    for file in files.iter_mut().filter(|file| file.is_here) {
         let Some((utc, _)) = file.taken else {
             continue;
         };

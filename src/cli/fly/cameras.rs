@@ -1,6 +1,7 @@
 //! The cameras of a flight, as the configuration names them.
 
 use super::FlyArgs;
+use crate::archive;
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
@@ -29,10 +30,10 @@ pub(super) fn of(config: &Config, args: &FlyArgs) -> anyhow::Result<(Camera, Vec
     let mut others = Vec::new();
     if let Some(source) = config.second_camera.source.clone() {
         let mut second = common.camera(Seat::SecondPitchYaw, &config.second_camera, source)?;
-        if second.instrument.name == first.instrument.name {
+        if folder(&second.instrument) == folder(&first.instrument) {
             second.instrument.name += "-2";
         }
-        second.folder = PathBuf::from(&second.instrument.name);
+        second.folder = folder(&second.instrument);
         others.push(second);
     }
     if let Some(source) = config.roll_camera.source.clone() {
@@ -42,9 +43,14 @@ pub(super) fn of(config: &Config, args: &FlyArgs) -> anyhow::Result<(Camera, Vec
         others.push(roll);
     }
     if !others.is_empty() {
-        first.folder = PathBuf::from(&first.instrument.name);
+        first.folder = folder(&first.instrument);
     }
     Ok((first, others))
+}
+
+/// Where frames and logs of one of several cameras go, under the archive's root.
+fn folder(instrument: &Instrument) -> PathBuf {
+    archive::plain(&instrument.name).into()
 }
 
 /// What all cameras of a run share.

@@ -1,15 +1,24 @@
 //! A disk's log and telemetry: a thread of their own, so that no row waits for a picture's disk for long.
+//!
+//! A disk that refuses a row is tried again after a rest, and the rows behind it wait: an outage costs none of them while there
+//! is room for them. The telemetry tells the same numbers again, and is not worth waiting for.
 
+use super::picture::Told;
+use super::rest::{LONGEST_REST, SHORTEST_REST};
 use crate::archive::{ArchiveError, Dirfile, Log, Row, SolutionLog, Store};
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::service::tally::worth_a_line;
-use crossbeam_channel::Receiver;
+use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
+use std::convert::Infallible;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// How long a row waits to hear what became of its picture.
+pub(super) const FATE_KNOWN: Duration = Duration::from_secs(5);
 
 /// What the journal is told.
 pub(super) enum Entry {
@@ -22,25 +31,79 @@ pub(super) struct RowEntry {
     /// Of the camera, in the order of the flight's.
     pub station: usize,
     pub row: Box<Row>,
-    /// Tells the file that the frame is in; `None` where it is not to be stored.
-    pub file: Option<Receiver<String>>,
+    /// Tells where the frame is; `None` where it is not to be stored, or has been told.
+    pub told: Option<Receiver<Told>>,
     /// When the row is written without the file's name.
     pub deadline: Instant,
+    /// Shared with the same row on its way to the other log.
+    pub fate: Arc<RowFate>,
+}
+
+/// How many rows came to what, in whatever log.
+#[derive(Debug, Default)]
+pub(super) struct RowCounts {
+    pub offered: AtomicU64,
+    /// In one log at least.
+    pub kept: AtomicU64,
+    /// In none.
+    pub lost: AtomicU64,
+}
+
+/// Whether a row is in any log. When it is dropped without a word, the row is in none.
+pub(super) struct RowFate {
+    kept: AtomicBool,
+    counts: Arc<RowCounts>,
+}
+
+impl RowFate {
+    pub fn new(counts: &Arc<RowCounts>) -> Self {
+        counts.offered.fetch_add(1, Ordering::Relaxed);
+        Self {
+            kept: AtomicBool::new(false),
+            counts: Arc::clone(counts),
+        }
+    }
+
+    fn kept(&self) {
+        if !self.kept.swap(true, Ordering::Relaxed) {
+            self.counts.kept.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Drop for RowFate {
+    fn drop(&mut self) {
+        if self.kept.load(Ordering::Relaxed) {
+            return;
+        }
+        let lost = self.counts.lost.fetch_add(1, Ordering::Relaxed) + 1;
+        if worth_a_line(lost) {
+            tracing::error!(lost, "a row was lost: it is in no log");
+        }
+    }
 }
 
 /// What the log's thread counts.
 #[derive(Debug, Default)]
 pub(super) struct JournalTally {
-    /// Rows that the disk refused.
+    /// Times that the disk refused a row.
     pub refused: AtomicU64,
 }
 
 pub(super) struct Journal {
     store: Arc<Store>,
+    /// The disk's number on this computer, from 0.
+    number: usize,
     /// By camera.
     books: Vec<Book>,
     housekeeping: Log,
+    /// The disk's visit in which the files were opened.
+    visit: u64,
+    /// Says nothing, and is closed when the flight ends.
+    ended: Receiver<Infallible>,
     tally: Arc<JournalTally>,
+    /// Until when frames may wait for a disk that was away.
+    patience: Instant,
 }
 
 struct Book {
@@ -53,16 +116,18 @@ impl Journal {
     /// The journals of this start in a store, one in each camera's folder.
     pub fn new(
         store: Arc<Store>,
+        number: usize,
         folders: &[PathBuf],
         start: Timestamp,
+        ended: Receiver<Infallible>,
         tally: Arc<JournalTally>,
     ) -> Self {
         let book = |folder: &PathBuf| {
             let root = store.root().join(folder);
             Book {
                 folder: folder.clone(),
-                log: SolutionLog::new(&root, start),
-                dirfile: Dirfile::new(&root, start),
+                log: SolutionLog::new(store.disk(), &root, start),
+                dirfile: Dirfile::new(store.disk(), &root, start),
             }
         };
         let books = folders.iter().map(book).collect();
@@ -73,64 +138,97 @@ impl Journal {
         let columns = std::iter::once("utc".to_owned());
         let columns = columns.chain(FIELDS.iter().map(name)).collect();
         Self {
-            housekeeping: Log::new(store.root(), "housekeeping", columns, start),
+            housekeeping: Log::new(store.disk(), store.root(), "housekeeping", columns, start),
+            visit: store.visits(),
             store,
+            number,
             books,
+            ended,
             tally,
+            patience: Instant::now(),
         }
     }
 
-    /// Writes what it is told, in its order, until no more comes.
+    /// Writes what it is told, in its order, until no more comes. What the disk refuses is tried again until the flight ends.
     pub fn run(mut self, entries: &Receiver<Entry>) {
-        for entry in entries {
-            match entry {
-                Entry::Row(row) => self.write_row(row),
-                Entry::Housekeeping(told) => self.write_housekeeping(&told),
+        for mut entry in entries {
+            let mut rest = SHORTEST_REST;
+            while let Err(error) = self.write(&mut entry) {
+                self.note_refusal(&error);
+                if self.ended.recv_timeout(rest) == Err(RecvTimeoutError::Disconnected) {
+                    break;
+                }
+                rest = LONGEST_REST.min(2 * rest);
             }
         }
     }
 
-    fn write_row(&mut self, entry: RowEntry) {
-        let mut row = entry.row;
-        let told = entry
-            .file
-            .and_then(|file| file.recv_deadline(entry.deadline).ok());
-        row.record.file = told.unwrap_or_default();
-        let Some(book) = self.books.get_mut(entry.station) else {
-            return;
-        };
-        let kept = [
-            book.note(&self.store, &row, |book, row| book.log.append(row)),
-            book.note(&self.store, &row, |book, row| book.dirfile.append(row)),
-        ];
-        kept.into_iter().for_each(|kept| self.count(kept));
+    fn write(&mut self, entry: &mut Entry) -> Result<(), ArchiveError> {
+        match entry {
+            Entry::Row(entry) => self.write_row(entry),
+            Entry::Housekeeping(told) => self.write_housekeeping(told),
+        }
     }
 
-    fn write_housekeeping(&mut self, told: &Housekeeping) {
+    fn write_row(&mut self, entry: &mut RowEntry) -> Result<(), ArchiveError> {
+        if entry.station >= self.books.len() {
+            return Ok(());
+        }
+        self.enter(entry.station)?;
+        if let Some(told) = entry.told.take() {
+            let deadline = entry.deadline.max(self.patience);
+            let told = told.recv_deadline(deadline).ok();
+            entry.row.on_own_disk = told.as_ref().map(|told| told.disk == self.number);
+            entry.row.record.file = told.map_or(String::new(), |told| told.file);
+            // The disk may have gone in the meantime.
+            self.enter(entry.station)?;
+        }
+        let book = &mut self.books[entry.station];
+        book.log.append(&entry.row)?;
+        entry.fate.kept();
+        if let Err(error) = book.dirfile.append(&entry.row) {
+            self.note_refusal(&error);
+        }
+        Ok(())
+    }
+
+    fn enter(&mut self, station: usize) -> Result<(), ArchiveError> {
+        self.store.enter(&self.books[station].folder)?;
+        self.reopen_after_a_mount();
+        Ok(())
+    }
+
+    fn write_housekeeping(&mut self, told: &Housekeeping) -> Result<(), ArchiveError> {
+        self.store.prepare()?;
+        self.reopen_after_a_mount();
         let mut fields = vec![format!("{:.3}", Timestamp::now())];
         fields.extend(told.csv_row());
-        let there = self.store.prepare();
-        let kept = there.and_then(|()| self.housekeeping.append(&fields));
-        self.count(kept);
+        self.housekeeping.append(&fields)
     }
 
-    fn count(&self, kept: Result<(), ArchiveError>) {
-        let Err(error) = kept else { return };
+    /// What was open when the disk was mounted before leads nowhere.
+    fn reopen_after_a_mount(&mut self) {
+        let visit = self.store.visits();
+        if visit != self.visit {
+            self.visit = visit;
+            self.close();
+        }
+    }
+
+    fn close(&mut self) {
+        self.housekeeping.close();
+        for book in &mut self.books {
+            book.log.close();
+            book.dirfile.close();
+        }
+    }
+
+    fn note_refusal(&mut self, error: &ArchiveError) {
+        self.close();
+        self.patience = Instant::now() + FATE_KNOWN;
         let refused = self.tally.refused.fetch_add(1, Ordering::Relaxed) + 1;
         if worth_a_line(refused) {
             tracing::error!(%error, refused, "a disk refused a row of the log");
         }
-    }
-}
-
-impl Book {
-    fn note(
-        &mut self,
-        store: &Store,
-        row: &Row,
-        append: impl FnOnce(&mut Self, &Row) -> Result<(), ArchiveError>,
-    ) -> Result<(), ArchiveError> {
-        store.enter(&self.folder)?;
-        append(self, row)
     }
 }

@@ -8,12 +8,15 @@
 //!      \------ Entry (10,000) ----> log-2                                 disk 2
 //! ```
 //!
+//! Rows wait while their disk refuses them: the channel is their queue.
+//!
 //! Two disks that alternate take from one queue; two that mirror have a queue each. Every disk has a log of its own of
 //! all frames. Nothing here makes the solver wait.
 
 mod journal;
 mod picture;
 mod queue;
+mod rest;
 mod writer;
 
 pub use writer::DiskHealth;
@@ -28,25 +31,26 @@ use crate::link::Housekeeping;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
-use journal::{Entry, Journal, JournalTally, RowEntry};
-use picture::{Fate, FrameCounts, Picture};
+use journal::{Entry, FATE_KNOWN, Journal, JournalTally, RowCounts, RowEntry, RowFate};
+use picture::{Fate, FrameCounts, Picture, Told};
 use queue::{GivenUp, Queue, Rules};
+use std::convert::Infallible;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use writer::{SharedHealth, Writer, health_of};
 
 /// Rows that may wait for the log: six minutes' worth.
 const ROWS: usize = 10_000;
-/// How long a row waits to hear what became of its picture.
-const FATE_KNOWN: Duration = Duration::from_secs(5);
 
 /// The solver's end of the archive.
 #[derive(Clone)]
 pub(super) struct Archive {
     queues: Vec<Arc<Queue<Picture>>>,
     logs: Vec<Sender<Entry>>,
+    /// Closed with the last copy: then no row is tried again.
+    _flying: Sender<Infallible>,
     gauges: Gauges,
 }
 
@@ -56,9 +60,12 @@ pub(super) struct Gauges {
     queues: Vec<Arc<Queue<Picture>>>,
     disks: Vec<SharedHealth>,
     journals: Vec<Arc<JournalTally>>,
+    /// What waits for each log.
+    entries: Vec<Receiver<Entry>>,
     frames: Arc<FrameCounts>,
+    rows: Arc<RowCounts>,
     /// Rows that a log had no room for.
-    rows_lost: Arc<AtomicU64>,
+    rows_overflowed: Arc<AtomicU64>,
 }
 
 /// The archive's threads.
@@ -80,6 +87,7 @@ pub(super) fn start(
     };
     let (mut logs, mut threads) = (Vec::new(), Threads::default());
     let start = Timestamp::now();
+    let (flying, ended) = bounded(0);
     for (n, store) in stores.into_iter().enumerate() {
         let (queue, disk) = match settings.sharing {
             Sharing::Alternate => (&queues[0], n),
@@ -103,14 +111,17 @@ pub(super) fn start(
             health: Arc::clone(&health),
         };
         let (to_log, entries) = bounded(ROWS);
+        gauges.entries.push(entries.clone());
         threads.start(format!("archive-{}", n + 1), move || {
             let writer = writer.clone();
             Box::new(move |_| writer.run())
         })?;
         let (folders, counts) = (folders.to_vec(), Arc::clone(&tally));
+        let ended = ended.clone();
         threads.start(format!("log-{}", n + 1), move || {
             let store = Arc::clone(&store);
-            let journal = Journal::new(store, &folders, start, Arc::clone(&counts));
+            let (ended, counts) = (ended.clone(), Arc::clone(&counts));
+            let journal = Journal::new(store, n, &folders, start, ended, counts);
             let entries: Receiver<Entry> = entries.clone();
             Box::new(move |_| journal.run(&entries))
         })?;
@@ -121,6 +132,7 @@ pub(super) fn start(
     let archive = Archive {
         queues,
         logs,
+        _flying: flying,
         gauges,
     };
     Ok((archive, threads))
@@ -150,14 +162,19 @@ impl Archive {
         let heard = self.hand_to_disks(answer);
         let deadline = Instant::now() + FATE_KNOWN;
         let upkeep = self.gauges.upkeep();
-        for (log, file) in self.logs.iter().zip(heard) {
+        if self.logs.is_empty() {
+            return;
+        }
+        let fate = Arc::new(RowFate::new(&self.gauges.rows));
+        for (log, told) in self.logs.iter().zip(heard) {
             let mut row = answer.row();
             row.upkeep = upkeep;
             let entry = Entry::Row(RowEntry {
                 station: answer.station.index,
                 row: Box::new(row),
-                file,
+                told,
                 deadline,
+                fate: Arc::clone(&fate),
             });
             self.log(log, entry);
         }
@@ -172,15 +189,15 @@ impl Archive {
 
     fn log(&self, log: &Sender<Entry>, entry: Entry) {
         if log.try_send(entry).is_err() {
-            let lost = self.gauges.rows_lost.fetch_add(1, Ordering::Relaxed) + 1;
-            if worth_a_line(lost) {
-                tracing::error!(lost, "a log cannot follow: a row was lost");
+            let rows = self.gauges.rows_overflowed.fetch_add(1, Ordering::Relaxed) + 1;
+            if worth_a_line(rows) {
+                tracing::error!(rows, "a log cannot follow: it lacks rows");
             }
         }
     }
 
     /// Queues the picture, if this camera's are stored, and returns where each log hears of it.
-    fn hand_to_disks(&self, answer: &Answer) -> Vec<Option<Receiver<String>>> {
+    fn hand_to_disks(&self, answer: &Answer) -> Vec<Option<Receiver<Told>>> {
         if !answer.to_be_stored || self.queues.is_empty() {
             return vec![None; self.logs.len()];
         }
@@ -213,7 +230,8 @@ impl Gauges {
         let mut tally = ArchiveTally {
             stored: self.frames.stored.load(Ordering::Relaxed),
             unstored: self.frames.unstored.load(Ordering::Relaxed),
-            rows_lost: self.rows_lost.load(Ordering::Relaxed),
+            rows_refused: self.rows_overflowed.load(Ordering::Relaxed),
+            rows_lost: self.rows.lost.load(Ordering::Relaxed),
             ..ArchiveTally::default()
         };
         for queue in &self.queues {
@@ -224,11 +242,23 @@ impl Gauges {
         }
         for disk in self.disks() {
             tally.refused += disk.refused;
+            tally.rows_refused += disk.rows_refused;
             tally.swept += disk.swept as u64;
         }
-        for journal in &self.journals {
-            tally.rows_refused += journal.refused.load(Ordering::Relaxed);
-        }
+        tally
+    }
+
+    /// The counts when nobody waits any longer: what a disk that hangs has in its hands, and what still waits, is lost.
+    pub fn final_tally(&self) -> ArchiveTally {
+        let mut tally = self.tally();
+        let missing = |offered: &AtomicU64, kept: &AtomicU64| {
+            let kept = kept.load(Ordering::Relaxed);
+            offered.load(Ordering::Relaxed).saturating_sub(kept)
+        };
+        let unstored = missing(&self.frames.offered, &self.frames.stored);
+        tally.unfinished = unstored.saturating_sub(tally.unstored);
+        tally.unstored = unstored;
+        tally.rows_lost = missing(&self.rows.offered, &self.rows.kept);
         tally
     }
 
@@ -243,8 +273,16 @@ impl Gauges {
     }
 
     pub fn disks(&self) -> Vec<DiskHealth> {
-        let health = |shared| health_of(shared).clone();
-        self.disks.iter().map(health).collect()
+        let health = |(shared, journal): (&SharedHealth, &Arc<JournalTally>)| DiskHealth {
+            rows_refused: journal.refused.load(Ordering::Relaxed),
+            ..health_of(shared).clone()
+        };
+        self.disks.iter().zip(&self.journals).map(health).collect()
+    }
+
+    /// Rows that wait for the log that is furthest behind.
+    pub fn waiting_rows(&self) -> usize {
+        self.entries.iter().map(Receiver::len).max().unwrap_or(0)
     }
 
     /// Pictures that wait for a disk.

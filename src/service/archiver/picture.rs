@@ -28,20 +28,31 @@ impl Picture {
 /// How many frames came to what, on whatever disk.
 #[derive(Debug, Default)]
 pub(super) struct FrameCounts {
+    pub offered: AtomicU64,
     pub stored: AtomicU64,
     pub unstored: AtomicU64,
 }
 
-/// Tells the logs which file a frame is in. When it is dropped without a word, the frame was not stored.
+/// Where a frame is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Told {
+    /// The path under the archive's root.
+    pub file: String,
+    /// The disk's number on this computer, from 0.
+    pub disk: usize,
+}
+
+/// Tells the logs where a frame is. When it is dropped without a word, the frame was not stored.
 pub(super) struct Fate {
     stored: AtomicBool,
-    to_logs: Vec<Sender<String>>,
+    to_logs: Vec<Sender<Told>>,
     counts: Arc<FrameCounts>,
 }
 
 impl Fate {
     /// A fate, and what each of so many logs will hear of it.
-    pub fn new(logs: usize, counts: &Arc<FrameCounts>) -> (Self, Vec<Receiver<String>>) {
+    pub fn new(logs: usize, counts: &Arc<FrameCounts>) -> (Self, Vec<Receiver<Told>>) {
+        counts.offered.fetch_add(1, Ordering::Relaxed);
         let (to_logs, heard) = (0..logs).map(|_| bounded(1)).unzip();
         let fate = Self {
             stored: AtomicBool::new(false),
@@ -51,15 +62,16 @@ impl Fate {
         (fate, heard)
     }
 
-    /// The frame is in this file; of several, the first one is told.
-    pub fn stored(&self, file: &str) {
+    /// The frame is in this file on this disk; of several, the first one is told.
+    pub fn stored(&self, file: &str, disk: usize) {
         if self.stored.swap(true, Ordering::Relaxed) {
             return;
         }
         self.counts.stored.fetch_add(1, Ordering::Relaxed);
         for log in &self.to_logs {
             // A log that no longer listens has written its row without.
-            let _ = log.try_send(file.to_owned());
+            let file = file.to_owned();
+            let _ = log.try_send(Told { file, disk });
         }
     }
 }

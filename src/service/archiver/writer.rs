@@ -2,6 +2,7 @@
 
 use super::picture::Picture;
 use super::queue::{Queue, Taken, Waiting};
+use super::rest::{LONGEST_REST, SHORTEST_REST};
 use crate::archive::{
     ArchiveError, Encoded, Room, SpaceLimits, Store, instrument_cards, sky_cards, tables,
 };
@@ -16,9 +17,6 @@ use std::time::{Duration, Instant};
 
 /// How often a disk's free space is looked at.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// How long a disk rests after a refusal; twice as long after each further one.
-const SHORTEST_REST: Duration = Duration::from_millis(250);
-const LONGEST_REST: Duration = Duration::from_secs(5);
 
 /// What is known of a disk, for telemetry and the ground.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -26,8 +24,10 @@ pub struct DiskHealth {
     pub root: PathBuf,
     /// Frames it has stored.
     pub stored: u64,
-    /// Times that it refused.
+    /// Times that it refused a frame.
     pub refused: u64,
+    /// Times that it refused a row of a log.
+    pub rows_refused: u64,
     /// Half-written files of an earlier run that were removed.
     pub swept: usize,
     /// `None` where it does not say.
@@ -101,7 +101,8 @@ impl Writer {
                 tracing::debug!(file = %path.display(), "stored");
                 health_of(&self.health).stored += 1;
                 let file = path.strip_prefix(self.store.root()).unwrap_or(&path);
-                waiting.picture.fate.stored(&file.display().to_string());
+                let file = file.display().to_string();
+                waiting.picture.fate.stored(&file, self.number);
                 self.note_swept();
                 Ok(())
             }

@@ -16,13 +16,18 @@ pub enum Fault {
     Free(f64),
     /// It takes no byte and says nothing, until the fault is gone.
     Stuck,
+    /// It is not there. When it is back, what was open before leads nowhere.
+    Gone,
 }
 
 #[derive(Debug, Default)]
 struct State {
     fault: Option<Fault>,
     written: usize,
+    /// Frames that wait for the disk.
     stuck: u64,
+    /// How often the disk has gone.
+    departures: u64,
 }
 
 /// A disk with a fault that comes and goes.
@@ -47,11 +52,14 @@ impl FaultyDisk {
     }
 
     pub fn set(&self, fault: Option<Fault>) {
-        self.shared.state.lock().unwrap().fault = fault;
+        let mut state = self.shared.state.lock().unwrap();
+        state.departures += u64::from(fault == Some(Fault::Gone));
+        state.fault = fault;
+        drop(state);
         self.shared.changed.notify_all();
     }
 
-    /// Waits until somebody waits for the disk.
+    /// Waits until a frame waits for the disk.
     pub fn wait_until_stuck(&self) {
         let state = self.shared.state.lock().unwrap();
         let stuck = self
@@ -62,20 +70,36 @@ impl FaultyDisk {
     }
 }
 
+impl FaultyDisk {
+    fn file(&self, path: &Path, file: Box<dyn DiskFile>) -> Box<dyn DiskFile> {
+        Box::new(FaultyFile {
+            file,
+            is_frame: path.extension().is_some_and(|end| end == "part"),
+            departures: self.shared.state.lock().unwrap().departures,
+            shared: Arc::clone(&self.shared),
+        })
+    }
+}
+
 impl Shared {
+    fn is_gone(&self) -> bool {
+        self.state.lock().unwrap().fault == Some(Fault::Gone)
+    }
+
     fn step(&self, step: &str) -> io::Result<()> {
         match self.state.lock().unwrap().fault {
             Some(Fault::Step(failing)) if failing == step => {
                 Err(io::Error::other("a fault of the disk"))
             }
+            Some(Fault::Gone) => Err(ErrorKind::NotFound.into()),
             _ => Ok(()),
         }
     }
 
-    fn take(&self, bytes: usize) -> io::Result<()> {
+    fn take(&self, bytes: usize, is_frame: bool) -> io::Result<()> {
         let mut state = self.state.lock().unwrap();
         if state.fault == Some(Fault::Stuck) {
-            state.stuck += 1;
+            state.stuck += u64::from(is_frame);
             self.changed.notify_all();
             let stuck = |state: &mut State| state.fault == Some(Fault::Stuck);
             state = self.changed.wait_while(state, stuck).unwrap();
@@ -94,6 +118,7 @@ impl Shared {
 
 impl Disk for FaultyDisk {
     fn make_root(&self, folder: &Path) -> io::Result<()> {
+        self.shared.step("make_root")?;
         self.disk.make_root(folder)
     }
 
@@ -104,10 +129,12 @@ impl Disk for FaultyDisk {
 
     fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
         self.shared.step("create")?;
-        Ok(Box::new(FaultyFile {
-            file: self.disk.create(file)?,
-            shared: Arc::clone(&self.shared),
-        }))
+        Ok(self.file(file, self.disk.create(file)?))
+    }
+
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        self.shared.step("open")?;
+        Ok(self.file(file, self.disk.open(file)?))
     }
 
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
@@ -116,22 +143,36 @@ impl Disk for FaultyDisk {
     }
 
     fn sync_folder(&self, folder: &Path) -> io::Result<()> {
+        self.shared.step("sync_folder")?;
         self.disk.sync_folder(folder)
     }
 
     fn remove(&self, file: &Path) -> io::Result<()> {
+        self.shared.step("remove")?;
         self.disk.remove(file)
     }
 
+    fn remove_tree(&self, folder: &Path) -> io::Result<()> {
+        self.shared.step("remove_tree")?;
+        self.disk.remove_tree(folder)
+    }
+
+    fn link(&self, link: &Path, name: &Path) -> io::Result<()> {
+        self.shared.step("link")?;
+        self.disk.link(link, name)
+    }
+
     fn exists(&self, path: &Path) -> bool {
-        self.disk.exists(path)
+        !self.shared.is_gone() && self.disk.exists(path)
     }
 
     fn list(&self, folder: &Path) -> io::Result<Vec<Entry>> {
+        self.shared.step("list")?;
         self.disk.list(folder)
     }
 
     fn lock(&self, file: &Path) -> io::Result<Lock> {
+        self.shared.step("lock")?;
         self.disk.lock(file)
     }
 
@@ -141,20 +182,34 @@ impl Disk for FaultyDisk {
                 free_bytes: (percent * 1e6) as u64,
                 total_bytes: 100_000_000,
             }),
+            Some(Fault::Gone) => Err(ErrorKind::NotFound.into()),
             _ => self.disk.space(folder),
         }
     }
 }
 
+#[derive(Debug)]
 struct FaultyFile {
     file: Box<dyn DiskFile>,
+    is_frame: bool,
+    /// How often the disk had gone when the file was opened.
+    departures: u64,
     shared: Arc<Shared>,
+}
+
+impl FaultyFile {
+    fn step(&self, step: &str) -> io::Result<()> {
+        if self.departures != self.shared.state.lock().unwrap().departures {
+            return Err(io::Error::other("the file of a disk that has gone"));
+        }
+        self.shared.step(step)
+    }
 }
 
 impl Write for FaultyFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.shared.step("write")?;
-        self.shared.take(bytes.len())?;
+        self.step("write")?;
+        self.shared.take(bytes.len(), self.is_frame)?;
         self.file.write(bytes)
     }
 
@@ -165,7 +220,17 @@ impl Write for FaultyFile {
 
 impl DiskFile for FaultyFile {
     fn sync(&mut self) -> io::Result<()> {
-        self.shared.step("sync")?;
+        self.step("sync")?;
         self.file.sync()
+    }
+
+    fn length(&mut self) -> io::Result<u64> {
+        self.step("length")?;
+        self.file.length()
+    }
+
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        self.step("cut")?;
+        self.file.cut(length)
     }
 }

@@ -38,10 +38,13 @@ enum Node {
 }
 
 impl Memory {
-    /// A disk whose power goes after so many steps.
+    /// A disk, mounted at `/disk`, whose power goes after so many steps.
     pub fn cut_after(steps: u64) -> Self {
+        let mounts = BTreeMap::from([(PathBuf::from("/disk"), Node::Folder)]);
         let model = Model {
             steps_left: steps,
+            names: mounts.clone(),
+            lasting_names: mounts,
             ..Model::default()
         };
         Self {
@@ -114,6 +117,15 @@ impl Disk for Memory {
         Ok(Box::new(MemoryFile { model, number }))
     }
 
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        let number = match self.step()?.names.get(file) {
+            Some(&Node::File(number)) => number,
+            _ => return Err(ErrorKind::NotFound.into()),
+        };
+        let model = Arc::clone(&self.model);
+        Ok(Box::new(MemoryFile { model, number }))
+    }
+
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
         let mut model = self.step()?;
         let node = *model.names.get(from).ok_or(ErrorKind::NotFound)?;
@@ -142,6 +154,16 @@ impl Disk for Memory {
             .remove(file)
             .map(drop)
             .ok_or(ErrorKind::NotFound.into())
+    }
+
+    fn remove_tree(&self, folder: &Path) -> io::Result<()> {
+        let mut model = self.step()?;
+        model.names.retain(|path, _| !path.starts_with(folder));
+        Ok(())
+    }
+
+    fn link(&self, _: &Path, _: &Path) -> io::Result<()> {
+        Err(ErrorKind::Unsupported.into())
     }
 
     fn exists(&self, path: &Path) -> bool {
@@ -174,6 +196,7 @@ impl Disk for Memory {
     }
 }
 
+#[derive(Debug)]
 struct MemoryFile {
     model: Arc<Mutex<Model>>,
     number: usize,
@@ -201,6 +224,16 @@ impl DiskFile for MemoryFile {
         model.step()?;
         let file = &mut model.files[self.number];
         file.1.clone_from(&file.0);
+        Ok(())
+    }
+
+    fn length(&mut self) -> io::Result<u64> {
+        Ok(self.model.lock().unwrap().files[self.number].0.len() as u64)
+    }
+
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        let mut model = self.model.lock().unwrap();
+        model.files[self.number].0.truncate(length as usize);
         Ok(())
     }
 }

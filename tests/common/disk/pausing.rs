@@ -62,6 +62,10 @@ impl Disk for PausingDisk {
         Ok(Box::new(PausingFile { file, steps }))
     }
 
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        self.disk.open(file)
+    }
+
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
         self.steps.step();
         self.disk.rename_new(from, to)
@@ -74,6 +78,14 @@ impl Disk for PausingDisk {
 
     fn remove(&self, file: &Path) -> io::Result<()> {
         self.disk.remove(file)
+    }
+
+    fn remove_tree(&self, folder: &Path) -> io::Result<()> {
+        self.disk.remove_tree(folder)
+    }
+
+    fn link(&self, link: &Path, name: &Path) -> io::Result<()> {
+        self.disk.link(link, name)
     }
 
     fn exists(&self, path: &Path) -> bool {
@@ -93,6 +105,7 @@ impl Disk for PausingDisk {
     }
 }
 
+#[derive(Debug)]
 struct PausingFile {
     file: Box<dyn DiskFile>,
     steps: Arc<Steps>,
@@ -118,5 +131,13 @@ impl DiskFile for PausingFile {
     fn sync(&mut self) -> io::Result<()> {
         self.steps.step();
         self.file.sync()
+    }
+
+    fn length(&mut self) -> io::Result<u64> {
+        self.file.length()
+    }
+
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        self.file.cut(length)
     }
 }

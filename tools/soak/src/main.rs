@@ -22,6 +22,7 @@ use rig::{Parts, Rig};
 use schedule::{REST, Schedule};
 use solaspect::config::Config;
 use solaspect::instrument;
+use solaspect::log;
 use solaspect::simulate::Depth;
 use std::fs;
 use std::path::PathBuf;
@@ -99,13 +100,12 @@ fn fly(
     let duration = Duration::from_secs(args.seconds);
     let ring = Ring::new(&instrument, depth, args.rate, duration)?;
     let queue_bytes = Config::default().archive.queue_frames as f64 * ring.frame_bytes();
-    let stderr = match args.faults {
-        Some(_) => {
-            let stderr = Stderr::capture(args.log.as_deref())?;
-            stderr::start_log();
-            Some(stderr)
-        }
-        None => None,
+    let (stderr, _log) = match args.faults {
+        Some(_) => (
+            Some(Stderr::capture(args.log.as_deref())?),
+            Some(log::start(2, log::Format::Text)?),
+        ),
+        None => (None, None),
     };
     let before = machine::processor_time()?;
     let start = Instant::now();

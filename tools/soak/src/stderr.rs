@@ -12,15 +12,6 @@ use std::time::Duration;
 /// As small as a pipe may be: a reader that stalls is felt soon.
 const PIPE_BYTES: i32 = 4096;
 
-/// Starts the log as the program does at debug level. One line, to be changed with the program's.
-pub fn start_log() {
-    tracing_subscriber::fmt()
-        .with_env_filter("debug")
-        .with_ansi(false)
-        .with_writer(io::stderr)
-        .init();
-}
-
 /// The reader's end, and what standard error was before.
 pub struct Stderr {
     before: OwnedFd,
