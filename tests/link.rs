@@ -5,8 +5,8 @@ use solaspect::config::Config;
 use solaspect::instrument;
 use solaspect::link::code::{angle_code, angle_from_code, pair3b, position_from_pair3b};
 use solaspect::link::{
-    AspectCommand, BytePort, Computer, Direction, Exposure, ExposureStart, GpsFix, Message, Packet,
-    Parser, Responder, SerialPort, Solution, Telemetry, id,
+    AspectCommand, BytePort, Computer, Direction, Exposure, ExposureStart, GpsFix, LinkState,
+    Message, Packet, Parser, Responder, SerialPort, Solution, Telemetry, id,
 };
 use solaspect::pointing::{HelioprojectiveArcsec, Target};
 use solaspect::service::control::Controls;
@@ -215,13 +215,17 @@ struct Flight {
 
 const NO_WAIT: Duration = Duration::ZERO;
 const LONG: Duration = Duration::from_secs(10);
+const SENDING: LinkState = LinkState {
+    tracking: false,
+    sending: true,
+};
 
 impl Flight {
     fn new(port: SerialPort) -> Self {
         Self {
             port,
             parser: Parser::new(Direction::ToAspect),
-            responder: Responder::new(Computer::One, true),
+            responder: Responder::new(Computer::One, SENDING),
             controls: controls(),
             frame: 0,
         }

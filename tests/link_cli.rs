@@ -1,7 +1,9 @@
 //! `solaspect link` from a shell: it sends, reads and records.
 
 use solaspect::config::Config;
-use solaspect::link::{BytePort, Computer, Direction, Packet, Parser, Responder, SerialPort};
+use solaspect::link::{
+    BytePort, Computer, Direction, LinkState, Packet, Parser, Responder, SerialPort,
+};
 use solaspect::pointing::Target;
 use solaspect::service::control::Controls;
 use std::process::{Command, Output};
@@ -31,7 +33,7 @@ fn with_responder(computer: Computer, act: impl FnOnce(&str)) {
     let mut controls = Controls::new(Config::default(), Target::default(), mounting);
     std::thread::scope(|scope| {
         scope.spawn(|| {
-            let mut responder = Responder::new(computer, true);
+            let mut responder = Responder::new(computer, LinkState::default());
             let mut parser = Parser::new(Direction::ToAspect);
             let start = Instant::now();
             let mut buffer = [0; 512];

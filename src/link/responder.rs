@@ -26,7 +26,7 @@ use std::collections::VecDeque;
 /// How many announced exposures may wait for their solutions.
 const ANNOUNCEMENTS: usize = 64;
 
-/// What the controller and the ground have set of the conversation.
+/// What the controller and the ground have set of the conversation. At first nobody wants solutions, and nothing is sent.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LinkState {
     /// The controller wants solutions.
@@ -80,14 +80,11 @@ enum Answer {
 }
 
 impl Responder {
-    /// A computer that is not tracking yet. `sending` is whether it sends from the start.
-    pub fn new(computer: Computer, sending: bool) -> Self {
+    /// A computer that begins as controller and ground have left it.
+    pub fn new(computer: Computer, state: LinkState) -> Self {
         Self {
             computer,
-            state: LinkState {
-                tracking: false,
-                sending,
-            },
+            state,
             sequence: 0,
             announced: VecDeque::new(),
             stopping: false,

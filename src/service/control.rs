@@ -209,6 +209,16 @@ impl Controls {
         let _ = self.set(&[("link.sending", switch(on))]);
     }
 
+    /// Whether the controller wants solutions.
+    pub fn tracking(&self) -> bool {
+        self.state().own.tracking
+    }
+
+    /// Keeps what the controller has said of tracking.
+    pub fn note_tracking(&self, on: bool) {
+        let _ = self.set(&[("link.tracking", switch(on))]);
+    }
+
     /// Whether the ground wants the program to end.
     pub fn quits(&self) -> bool {
         self.0.quits.load(Ordering::Relaxed)

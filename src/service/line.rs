@@ -18,8 +18,8 @@ use super::tally::{LineTally, worth_a_line};
 use super::worker::Life;
 use crate::config;
 use crate::link::{
-    CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, MessageError, Packet,
-    Parser, Picture, PortError, Responder,
+    CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, LinkState,
+    MessageError, Packet, Parser, Picture, PortError, Responder,
 };
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
@@ -65,10 +65,13 @@ impl<'a> Line<'a> {
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
         let computer = Computer::numbered(settings.computer).unwrap_or(Computer::One);
-        let sending = controls.sending().unwrap_or(computer.sends_by_default());
+        let state = LinkState {
+            tracking: controls.tracking(),
+            sending: controls.sending().unwrap_or(computer.sends_by_default()),
+        };
         Self {
             connection,
-            responder: Responder::new(computer, sending),
+            responder: Responder::new(computer, state),
             parser: Parser::new(Direction::ToAspect),
             controls,
             settings,
@@ -300,6 +303,9 @@ impl<'a> Line<'a> {
         let default = self.computer_sends_by_default();
         if self.controls.sending().unwrap_or(default) != state.sending {
             self.controls.note_sending(state.sending);
+        }
+        if self.controls.tracking() != state.tracking {
+            self.controls.note_tracking(state.tracking);
         }
     }
 

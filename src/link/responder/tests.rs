@@ -90,8 +90,14 @@ fn aspect(key: u16, variables: &[u16]) -> Message {
     Message::Aspect(AspectCommand::new(key, variables.to_vec()).unwrap())
 }
 
+/// Nobody wants solutions yet.
+fn sending(sending: bool) -> LinkState {
+    let tracking = false;
+    LinkState { tracking, sending }
+}
+
 fn computer_one() -> Responder {
-    Responder::new(Computer::One, true)
+    Responder::new(Computer::One, sending(true))
 }
 
 #[test]
@@ -217,7 +223,7 @@ fn an_exposure_is_announced_while_sending_is_enabled_tracking_or_not() {
     );
     tell(&mut responder, &aspect(0x1040, &[]));
     assert_eq!(responder.exposure_starts(exposure(2)), Ok(None));
-    let mut second = Responder::new(Computer::Two, false);
+    let mut second = Responder::new(Computer::Two, sending(false));
     assert_eq!(second.exposure_starts(exposure(1)), Ok(None));
 }
 

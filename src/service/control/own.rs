@@ -10,6 +10,8 @@ pub(super) struct Own {
     /// By role.
     pub stores: [bool; 2],
     pub sending: Option<bool>,
+    /// Whether the controller wants solutions.
+    pub tracking: bool,
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
 }
@@ -20,6 +22,7 @@ impl Own {
             accepts_gps: true,
             stores: [true, true],
             sending: None,
+            tracking: false,
             clocking_deg: None,
             twist_deg: None,
         }
@@ -32,6 +35,7 @@ impl Own {
             "store.pitch_yaw" => self.stores[0] = switch("store.pitch_yaw", value)?,
             "store.roll" => self.stores[1] = switch("store.roll", value)?,
             "link.sending" => self.sending = Some(switch("link.sending", value)?),
+            "link.tracking" => self.tracking = switch("link.tracking", value)?,
             "mounting.clocking_deg" => {
                 self.clocking_deg = Some(angle("mounting.clocking_deg", value)?);
             }

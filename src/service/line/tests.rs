@@ -49,10 +49,13 @@ fn bench_over(
     // No test depends on how fast the machine is.
     config.link.max_solution_age_ms = 60_000;
     change(&mut config.link);
-    let computer = Computer::numbered(config.link.computer).unwrap();
     let mounting = builtin("demo").unwrap().mounting;
     let controls = Controls::new(config, Target::default(), mounting);
-    let mut connection = connection;
+    bench_of(connection, far, controls)
+}
+
+fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> Bench {
+    let computer = Computer::numbered(controls.config().link.computer).unwrap();
     let (events, receiver) = unbounded();
     let hang_up = Arc::new(AtomicBool::new(false));
     let hung_up = Arc::clone(&hang_up);
@@ -483,6 +486,31 @@ fn a_port_that_was_unplugged_is_found_again_and_the_conversation_goes_on() {
     );
     let tally = bench.finish();
     assert_eq!((tally.lost, tally.reopened), (1, 1));
+}
+
+#[test]
+fn a_line_that_begins_anew_goes_on_tracking_as_it_was_told() {
+    let mut config = Config::default();
+    config.link.max_solution_age_ms = 60_000;
+    let mounting = builtin("demo").unwrap().mounting;
+    let controls = Controls::new(config, Target::default(), mounting);
+    let next_life = || {
+        let (near, far) = SerialPort::pair().unwrap();
+        bench_of(Connection::over(near), far, controls.clone())
+    };
+    let mut bench = next_life();
+    assert_eq!(bench.far.ask("start_tracking", &[]), 0);
+    bench.finish();
+    let mut bench = next_life();
+    bench.expose(exposure(1));
+    bench.settle();
+    assert_eq!(bench.far.solutions(), times([1]));
+    assert_eq!(bench.far.ask("stop_tracking", &[]), 0);
+    bench.finish();
+    let mut bench = next_life();
+    bench.expose(exposure(2));
+    bench.settle();
+    assert!(bench.far.solutions().is_empty());
 }
 
 #[test]

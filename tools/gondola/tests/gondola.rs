@@ -1,8 +1,8 @@
 //! The program over a pseudo-terminal, with the flight side of the link at the other end.
 
 use solaspect::link::{
-    self, BytePort, CommandResult, Computer, Control, Direction, Exposure, GpsFix, Packet, Parser,
-    Responder, SerialPort, Solution,
+    self, BytePort, CommandResult, Computer, Control, Direction, Exposure, GpsFix, LinkState,
+    Packet, Parser, Responder, SerialPort, Solution,
 };
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -14,6 +14,10 @@ enum Line {
 }
 
 const TIMEOUT: Duration = Duration::from_secs(10);
+const SENDING: LinkState = LinkState {
+    tracking: false,
+    sending: true,
+};
 
 /// Runs the program against a flight side that sends an offset a step, on a noisy line with one bit of it wrong.
 fn converse(line: Line) -> Output {
@@ -23,7 +27,7 @@ fn converse(line: Line) -> Output {
         .args([far.name(), "--duration", "3s"])
         .stdout(Stdio::piped());
     let mut child = program.spawn().unwrap();
-    let mut responder = Responder::new(Computer::One, true);
+    let mut responder = Responder::new(Computer::One, SENDING);
     let mut parser = Parser::new(Direction::ToAspect);
     let (start, mut millisecond) = (Instant::now(), 1_379_786_400_000);
     while child.try_wait().unwrap().is_none() {
