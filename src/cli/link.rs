@@ -6,6 +6,7 @@ use crate::link::describe::{describe, from_hex, result_in_words};
 use crate::link::ground::{ask, order};
 use crate::link::port::BAUD;
 use crate::link::{AnyPort, Computer, Direction, PortAddress};
+use crate::units::counted;
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};
 use jiff::Timestamp;
@@ -68,7 +69,7 @@ struct SendArgs {
     values: Vec<String>,
 }
 
-/// Say what packets say
+/// Decode packets: every message, what is not understood, and why bytes were rejected
 #[derive(Debug, Args)]
 struct DecodeArgs {
     /// Bytes in hexadecimal, or a file of them, or of a byte log, or of raw bytes
@@ -217,20 +218,24 @@ fn record(
 fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result<ExitCode> {
     let likely = || byte_log::likely_direction(bursts);
     let direction = from.map_or_else(likely, Speaker::direction);
-    let (packets, rejected) = byte_log::packets(bursts, direction);
+    let found = byte_log::packets(bursts, direction);
     let mut out = io::stdout().lock();
-    for (time, packet) in &packets {
+    for (time, packet) in &found.packets {
         match timed {
             true => writeln!(out, "{time:.6} {}", describe(packet))?,
             false => writeln!(out, "{}", describe(packet))?,
         }
     }
+    for reason in &found.reasons {
+        writeln!(out, "rejected: {reason}")?;
+    }
+    let rejected = found.rejected;
     writeln!(
         out,
-        "{} packets; rejected: {} packets, {} bytes",
-        packets.len(),
-        rejected.packets,
-        rejected.bytes
+        "{}; rejected: {}, {}",
+        counted(found.packets.len() as u64, "packet"),
+        counted(rejected.packets, "packet"),
+        counted(rejected.bytes, "byte"),
     )?;
     Ok(match rejected.bytes {
         0 => ExitCode::SUCCESS,

@@ -32,7 +32,7 @@ pub use connection::{AnyPort, Connection, PortAddress};
 pub use control::{CommandResult, Control};
 pub use housekeeping::Housekeeping;
 pub use message::{
-    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Solution, Telemetry,
+    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, Solution, Telemetry,
 };
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
 pub use parser::{Parser, Rejected};

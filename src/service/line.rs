@@ -260,7 +260,7 @@ impl<'a> Line<'a> {
         let now = Timestamp::now();
         match self.responder.handle(packet, now, &mut self.controls) {
             Ok(reply) => {
-                self.tally.lock().commands += u64::from(!reply.packets.is_empty());
+                self.tally.lock().commands += reply.commands;
                 for answer in reply.packets {
                     self.send(&answer);
                 }
