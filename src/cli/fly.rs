@@ -7,7 +7,7 @@ use crate::archive::Store;
 use crate::archive::disk::LocalDisk;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
-use crate::link::{Connection, PortAddress};
+use crate::link::Connection;
 use crate::service::{Flight, Service};
 use clap::Args;
 use jiff::Timestamp;
@@ -78,13 +78,10 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
 
 /// A port that is not there is looked for in flight.
 fn line(link: &config::Link) -> anyhow::Result<Connection> {
-    let Some(port) = &link.port else {
+    let Some(address) = link.address()? else {
         return Ok(Connection::none());
     };
-    let address: PortAddress = port.parse().map_err(anyhow::Error::msg)?;
-    // The parameter table keeps it within a port's range.
-    let local_port = link.udp_local_port as u16;
-    Ok(Connection::to(address, link.baud, local_port))
+    Ok(Connection::to(address, link.baud, link.local_end()?).guarded(link.guard()?))
 }
 
 /// The archives on the configured disks. One that is not there now is tried again in flight.

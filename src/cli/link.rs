@@ -5,7 +5,7 @@ use crate::link::byte_log::{self, Burst};
 use crate::link::describe::{describe, from_hex, result_in_words};
 use crate::link::ground::{ask, order};
 use crate::link::port::BAUD;
-use crate::link::{AnyPort, Computer, Direction, PortAddress};
+use crate::link::{AnyPort, Computer, Direction, Key, LocalEnd, PortAddress, UdpPort};
 use crate::units::counted;
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};
@@ -34,7 +34,7 @@ enum LinkCommand {
 /// Where the line is.
 #[derive(Debug, Args)]
 struct Line {
-    /// A serial port, or udp:HOST:PORT[@LOCALPORT]
+    /// A serial port, or udp:HOST:PORT[@LOCALPORT] with an IP address as HOST
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
     /// Speed of a serial port
@@ -43,9 +43,21 @@ struct Line {
 }
 
 impl Line {
-    fn open(&self) -> anyhow::Result<AnyPort> {
+    /// Signs what is sent, where there is a key.
+    fn open(&self, key: Option<&Path>) -> anyhow::Result<AnyPort> {
         // Any free local port where the address names none: the peer's own may be on this machine.
-        Ok(self.port.open(self.baud, 0)?)
+        let local = LocalEnd::default();
+        match (&self.port, key) {
+            (port, None) => Ok(port.open(self.baud, local)?),
+            (PortAddress::Udp { peer, local_port }, Some(key)) => {
+                let port = local_port.unwrap_or_default();
+                let port = UdpPort::open(*peer, LocalEnd { port, ..local })?;
+                Ok(Box::new(port.signing(Key::read(key)?)))
+            }
+            (PortAddress::Serial { .. }, Some(_)) => {
+                anyhow::bail!("--key-file: expected a port udp:HOST:PORT, found a serial port")
+            }
+        }
     }
 }
 
@@ -56,6 +68,9 @@ impl Line {
 struct SendArgs {
     #[command(flatten)]
     line: Line,
+    /// Sign the command with the secret in this file, as link.key_file of the flight wants it (UDP only)
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
     /// The computer that is addressed, 1 or 2
     #[arg(long, default_value = "1", value_parser = computer)]
     computer: Computer,
@@ -85,7 +100,7 @@ struct LogArgs {
     /// A record to read
     #[arg(required_unless_present = "port", conflicts_with = "port")]
     file: Option<PathBuf>,
-    /// Record from a serial port, or udp:HOST:PORT[@LOCALPORT]
+    /// Record from a serial port, or udp:HOST:PORT[@LOCALPORT] with an IP address as HOST
     #[arg(long, value_name = "PORT")]
     port: Option<PortAddress>,
     /// Speed of a serial port
@@ -133,9 +148,10 @@ pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
 
 fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
     let message = order(&args.command, &args.values, args.computer)?;
-    let mut port = args.line.open()?;
-    // Any number will do that is unlikely to be that of a command under way.
-    let sequence = Timestamp::now().subsec_microsecond() as u16 ^ std::process::id() as u16;
+    let mut port = args.line.open(args.key_file.as_deref())?;
+    // Over UDP a sender's numbers must rise until it has been silent for 30 s. Those of two commands from one port,
+    // less than 32.7 s apart, do: the numbers begin again after 65.5 s.
+    let sequence = Timestamp::now().as_millisecond() as u16;
     let answer = ask(port.as_mut(), &message, sequence, args.timeout)?;
     println!("{}", result_in_words(answer.key, answer.value));
     Ok(match answer.is_done() {
@@ -181,7 +197,7 @@ fn log(args: &LogArgs) -> anyhow::Result<ExitCode> {
     let Some(address) = &args.port else {
         anyhow::bail!("expected a FILE or --port");
     };
-    let mut port = address.open(args.baud, 0)?;
+    let mut port = address.open(args.baud, LocalEnd::default())?;
     match &args.out {
         Some(path) => {
             let file = File::create(path).with_context(|| path.display().to_string())?;
