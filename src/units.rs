@@ -11,6 +11,12 @@ pub const MIL_MM: f64 = 0.0254;
 /// Arc seconds in one radian.
 pub const ARCSEC_PER_RAD: f64 = 180.0 * 3600.0 / std::f64::consts::PI;
 
+/// A count with its noun: "1 packet", "2 packets". The noun's plural ends in s.
+pub fn counted(count: u64, noun: &str) -> String {
+    let ending = if count == 1 { "" } else { "s" };
+    format!("{count} {noun}{ending}")
+}
+
 /// A position on the sensor, px. Pixel (0, 0) is the centre of the first pixel; y grows down the rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorPx {

@@ -124,7 +124,7 @@ fn real_packets_are_decoded_from_the_command_line_and_from_files() {
         "{said}"
     );
     assert!(
-        said.ends_with("1 packets; rejected: 0 packets, 0 bytes\n"),
+        said.ends_with("1 packet; rejected: 0 packets, 0 bytes\n"),
         "{said}"
     );
 
@@ -144,14 +144,25 @@ fn real_packets_are_decoded_from_the_command_line_and_from_files() {
             "{said}"
         );
         assert!(
-            said.ends_with("2 packets; rejected: 0 packets, 1 bytes\n"),
+            said.ends_with("2 packets; rejected: 0 packets, 1 byte\n"),
             "{said}"
         );
     }
     let raw = folder.path().join("line.bin");
     std::fs::write(&raw, [0x9A, 0xC3, 0xFF]).unwrap();
     let output = link(&["decode", raw.to_str().unwrap()]);
-    assert!(text(&output.stdout).contains("rejected: 1 packets, 3 bytes"));
+    assert!(text(&output.stdout).contains("rejected: 1 packet, 3 bytes"));
+    let wrong = link(&["decode", "9ac3300208006f340110"]);
+    assert_eq!(
+        text(&wrong.stdout),
+        "rejected: packet: expected checksum 6f33, found 6f34\n0 packets; rejected: 1 packet, 10 bytes\n"
+    );
+    let several = link(&["decode", "9ac3300e7100d498ff1012140b001600ff1081140500"]);
+    let said = text(&several.stdout);
+    assert!(
+        said.contains("set_target") && said.contains("gain 5"),
+        "{said}"
+    );
     let missing = link(&["decode", "no such file"]);
     assert_eq!(missing.status.code(), Some(1));
     assert!(text(&missing.stderr).contains("expected hexadecimal bytes or a file"));

@@ -8,10 +8,11 @@ use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{self, Instrument};
 use solaspect::link::ground::{Answered, ask, order};
 use solaspect::link::{
-    BytePort, COMMANDS, Command, Computer, Connection, Direction, Message, Packet, Parser,
-    PortAddress, SerialPort, id,
+    BytePort, COMMANDS, Command, Computer, Connection, Direction, Guard, LocalEnd, Message, Packet,
+    Parser, Peer, PortAddress, SerialPort, UdpPort, id,
 };
 use solaspect::service::{Camera, Flight, FlightTally, Service};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -159,7 +160,7 @@ fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
         // The service opens the far end by its name; ours is the near one.
         (near, far)
     };
-    let line = Connection::to(PortAddress::Serial { name }, 115_200, 0);
+    let line = Connection::to(PortAddress::Serial { name }, 115_200, LocalEnd::default());
     let service = fly(line, Config::default());
     std::thread::sleep(Duration::from_millis(100));
     let (mut ours, theirs) = plug(&device);
@@ -203,13 +204,14 @@ fn a_controller_that_reads_nothing_does_not_hold_up_the_solver() {
 
 #[test]
 fn over_udp_a_packet_is_a_datagram() {
-    let mut ours = solaspect::link::UdpPort::open("127.0.0.1:9", 0).unwrap();
-    let peer = format!("127.0.0.1:{}", ours.local_port().unwrap());
-    let near = solaspect::link::UdpPort::open(&peer, 0).unwrap();
-    let theirs = format!("127.0.0.1:{}", near.local_port().unwrap());
-    let service = fly(Connection::over(near), Config::default());
+    let to_port = |port| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+    let open = |port| UdpPort::open(to_port(port), LocalEnd::default()).unwrap();
+    let mut ours = open(9);
+    let near = open(ours.local_port().unwrap());
     // Commands come from another socket than the one that is answered, as those of the ground may.
-    let mut ground = solaspect::link::UdpPort::open(&theirs, 0).unwrap();
+    let mut ground = open(near.local_port().unwrap());
+    let guard = Guard::new(vec![Peer::any_port_of(Ipv4Addr::LOCALHOST.into())], None);
+    let service = fly(Connection::over(near).guarded(guard), Config::default());
     let packet = Message::StartTracking.packet(id::ASPECT, 7).unwrap();
     ground.write(&packet.encode(), LONG).unwrap();
     let (mut heard, mut buffer) = (Vec::new(), [0; 2048]);

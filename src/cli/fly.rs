@@ -9,7 +9,7 @@ use crate::archive::disk::LocalDisk;
 use crate::camera::Source;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
-use crate::link::{Connection, Housekeeping, PortAddress};
+use crate::link::{Connection, Housekeeping};
 use crate::log;
 use crate::service::{Flight, Service};
 use clap::Args;
@@ -148,13 +148,10 @@ fn live_line(told: &Housekeeping) -> String {
 
 /// A port that is not there is looked for in flight.
 fn line(link: &config::Link) -> anyhow::Result<Connection> {
-    let Some(port) = &link.port else {
+    let Some(address) = link.address()? else {
         return Ok(Connection::none());
     };
-    let address: PortAddress = port.parse().map_err(anyhow::Error::msg)?;
-    // The parameter table keeps it within a port's range.
-    let local_port = link.udp_local_port as u16;
-    Ok(Connection::to(address, link.baud, local_port))
+    Ok(Connection::to(address, link.baud, link.local_end()?).guarded(link.guard()?))
 }
 
 /// The archives on the configured disks. They are opened in flight: a disk that hangs keeps nothing from starting.

@@ -6,7 +6,8 @@ use crate::link::byte_log::{self, Burst};
 use crate::link::describe::{describe, from_hex, result_in_words};
 use crate::link::ground::{ask, order};
 use crate::link::port::BAUD;
-use crate::link::{AnyPort, Computer, Direction, PortAddress};
+use crate::link::{AnyPort, Computer, Direction, Key, LocalEnd, PortAddress, UdpPort};
+use crate::units::counted;
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};
 use jiff::Timestamp;
@@ -34,7 +35,7 @@ enum LinkCommand {
 /// Where the line is.
 #[derive(Debug, Args)]
 struct Line {
-    /// A serial port, or udp:HOST:PORT[@LOCALPORT]
+    /// A serial port, or udp:HOST:PORT[@LOCALPORT] with an IP address as HOST
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
     /// Speed of a serial port
@@ -43,9 +44,21 @@ struct Line {
 }
 
 impl Line {
-    fn open(&self) -> anyhow::Result<AnyPort> {
+    /// Signs what is sent, where there is a key.
+    fn open(&self, key: Option<&Path>) -> anyhow::Result<AnyPort> {
         // Any free local port where the address names none: the peer's own may be on this machine.
-        Ok(self.port.open(self.baud, 0)?)
+        let local = LocalEnd::default();
+        match (&self.port, key) {
+            (port, None) => Ok(port.open(self.baud, local)?),
+            (PortAddress::Udp { peer, local_port }, Some(key)) => {
+                let port = local_port.unwrap_or_default();
+                let port = UdpPort::open(*peer, LocalEnd { port, ..local })?;
+                Ok(Box::new(port.signing(Key::read(key)?)))
+            }
+            (PortAddress::Serial { .. }, Some(_)) => {
+                anyhow::bail!("--key-file: expected a port udp:HOST:PORT, found a serial port")
+            }
+        }
     }
 }
 
@@ -56,6 +69,9 @@ impl Line {
 struct SendArgs {
     #[command(flatten)]
     line: Line,
+    /// Sign the command with the secret in this file, as link.key_file of the flight wants it (UDP only)
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
     /// The computer that is addressed, 1 or 2
     #[arg(long, default_value = "1", value_parser = computer)]
     computer: Computer,
@@ -69,7 +85,7 @@ struct SendArgs {
     values: Vec<String>,
 }
 
-/// Say what packets say
+/// Decode packets: every message, what is not understood, and why bytes were rejected
 #[derive(Debug, Args)]
 struct DecodeArgs {
     /// Bytes in hexadecimal, or a file of them, or of a byte log, or of raw bytes
@@ -85,7 +101,7 @@ struct LogArgs {
     /// A record to read
     #[arg(required_unless_present = "port", conflicts_with = "port")]
     file: Option<PathBuf>,
-    /// Record from a serial port, or udp:HOST:PORT[@LOCALPORT]
+    /// Record from a serial port, or udp:HOST:PORT[@LOCALPORT] with an IP address as HOST
     #[arg(long, value_name = "PORT")]
     port: Option<PortAddress>,
     /// Speed of a serial port
@@ -133,9 +149,10 @@ pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
 
 fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
     let message = order(&args.command, &args.values, args.computer)?;
-    let mut port = args.line.open()?;
-    // Any number will do that is unlikely to be that of a command under way.
-    let sequence = Timestamp::now().subsec_microsecond() as u16 ^ std::process::id() as u16;
+    let mut port = args.line.open(args.key_file.as_deref())?;
+    // Over UDP a sender's numbers must rise until it has been silent for 30 s. Those of two commands from one port,
+    // less than 32.7 s apart, do: the numbers begin again after 65.5 s.
+    let sequence = Timestamp::now().as_millisecond() as u16;
     let answer = ask(port.as_mut(), &message, sequence, args.timeout)?;
     say(result_in_words(answer.key, answer.value))?;
     Ok(match answer.is_done() {
@@ -181,7 +198,7 @@ fn log(args: &LogArgs) -> anyhow::Result<ExitCode> {
     let Some(address) = &args.port else {
         anyhow::bail!("expected a FILE or --port");
     };
-    let mut port = address.open(args.baud, 0)?;
+    let mut port = address.open(args.baud, LocalEnd::default())?;
     match &args.out {
         Some(path) => {
             let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -218,20 +235,24 @@ fn record(
 fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result<ExitCode> {
     let likely = || byte_log::likely_direction(bursts);
     let direction = from.map_or_else(likely, Speaker::direction);
-    let (packets, rejected) = byte_log::packets(bursts, direction);
+    let found = byte_log::packets(bursts, direction);
     let mut out = io::stdout().lock();
-    for (time, packet) in &packets {
+    for (time, packet) in &found.packets {
         match timed {
             true => writeln!(out, "{time:.6} {}", describe(packet))?,
             false => writeln!(out, "{}", describe(packet))?,
         }
     }
+    for reason in &found.reasons {
+        writeln!(out, "rejected: {reason}")?;
+    }
+    let rejected = found.rejected;
     writeln!(
         out,
-        "{} packets; rejected: {} packets, {} bytes",
-        packets.len(),
-        rejected.packets,
-        rejected.bytes
+        "{}; rejected: {}, {}",
+        counted(found.packets.len() as u64, "packet"),
+        counted(rejected.packets, "packet"),
+        counted(rejected.bytes, "byte"),
     )?;
     Ok(match rejected.bytes {
         0 => ExitCode::SUCCESS,

@@ -25,7 +25,7 @@ pub(super) struct ConfigurationArgs {
     /// configuration's camera.source]
     #[arg(long, value_name = "SOURCE")]
     camera: Option<Source>,
-    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT]
+    /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT] with an IP address as HOST
     #[arg(long, value_name = "PORT")]
     serial: Option<String>,
     /// The archive's folder, or two of them

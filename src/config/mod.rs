@@ -10,6 +10,7 @@
 mod camera;
 mod documents;
 mod host;
+mod link;
 mod parameter;
 mod read;
 mod table;
@@ -128,6 +129,9 @@ pub struct Link {
     pub port: Option<String>,
     pub baud: u32,
     pub udp_local_port: u32,
+    pub udp_bind: Option<String>,
+    pub udp_peers: Option<String>,
+    pub key_file: Option<PathBuf>,
     pub computer: u32,
     pub sending_camera: u32,
     pub solution_divisor: u32,
@@ -142,6 +146,9 @@ impl Default for Link {
             port: None,
             baud: 115_200,
             udp_local_port: 2000,
+            udp_bind: None,
+            udp_peers: None,
+            key_file: None,
             computer: 1,
             sending_camera: 1,
             solution_divisor: 1,

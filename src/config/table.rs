@@ -127,11 +127,17 @@ static BEFORE_CAMERAS: &[Parameter] = &[
 #[rustfmt::skip]
 static TABLE: &[Parameter] = &[
     row!(link.port, "", Text, sample Sample::Text("/dev/serial/by-id/usb-controller"),
-        "Where the gondola's controller is: a serial port, best by its by-id name, or udp:HOST:PORT, or udp:HOST:PORT@LOCALPORT; unset or empty, nothing is sent. A port that is not there, or is lost, is opened again as soon as it is."),
+        "Where the gondola's controller is: a serial port, best by its by-id name, or udp:HOST:PORT, or udp:HOST:PORT@LOCALPORT with an IP address as HOST (names are not looked up); unset or empty, nothing is sent. A port that is not there, or is lost, is opened again as soon as it is."),
     row!(link.baud, "baud", Whole(300, 4_000_000),
         "Speed of the serial port."),
     row!(link.udp_local_port, "", Whole(0, 65_535),
         "The port on which packets are expected where link.port is UDP and names none. 0 takes any that is free."),
+    row!(link.udp_bind, "", Text, sample Sample::Text("192.168.2.10"),
+        "The address of this computer on which packets are expected where link.port is UDP; unset, all of them. It keeps commands off that come in by another network."),
+    row!(link.udp_peers, "", Text, sample Sample::Text("192.168.2.1, 192.168.2.2:2000"),
+        "Whose commands are taken over UDP: IP addresses (any port) or ADDRESS:PORT, separated by commas. Unset, those of link.port's address alone, from any of its ports."),
+    row!(link.key_file, "", Text, sample Sample::Text("/etc/solaspect.key"),
+        "File with a secret of 16 bytes or more that ground and controller share. Where it is set, commands over UDP must be signed with it (docs/protocol.md), as `solaspect link send --key-file` does; unset, they need not be."),
     row!(link.computer, "", Whole(1, 2),
         "Which of the aspect system's two computers this is: commands are addressed to one or both. Computer 1 sends solutions from the start, computer 2 when aspect command 0x0030 says so."),
     row!(link.sending_camera, "", Whole(1, 2), command 4,

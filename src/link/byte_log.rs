@@ -2,7 +2,7 @@
 //! decimals, a space, the bytes in hexadecimal. Lines that begin with `#` are remarks.
 
 use super::describe::{from_hex, hex};
-use super::packet::{Direction, Packet};
+use super::packet::{Direction, Packet, PacketError};
 use super::parser::{Parser, Rejected};
 use jiff::Timestamp;
 use std::time::Duration;
@@ -62,8 +62,19 @@ fn burst(line: &str) -> Option<Burst> {
     Some(Burst { time, bytes })
 }
 
-/// The packets of a log with the times at which they were complete, and what was none.
-pub fn packets(bursts: &[Burst], direction: Direction) -> (Vec<(Timestamp, Packet)>, Rejected) {
+/// What a log holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contents {
+    /// With the times at which they were complete.
+    pub packets: Vec<(Timestamp, Packet)>,
+    /// What was none.
+    pub rejected: Rejected,
+    /// Why, of the first 16 that were rejected.
+    pub reasons: Vec<PacketError>,
+}
+
+/// The packets of a log.
+pub fn packets(bursts: &[Burst], direction: Direction) -> Contents {
     let mut parser = Parser::new(direction);
     let mut found = Vec::new();
     let since_1970 = |time: Timestamp| Duration::try_from(time.as_duration()).unwrap_or_default();
@@ -74,12 +85,16 @@ pub fn packets(bursts: &[Burst], direction: Direction) -> (Vec<(Timestamp, Packe
         found.extend(packets.into_iter().map(|packet| (*time, packet)));
     }
     parser.feed(&[], last + Duration::from_secs(1));
-    (found, parser.rejected())
+    Contents {
+        packets: found,
+        rejected: parser.rejected(),
+        reasons: parser.reasons().to_vec(),
+    }
 }
 
 /// The direction in which bytes make more sense.
 pub fn likely_direction(bursts: &[Burst]) -> Direction {
-    let rejected = |direction| packets(bursts, direction).1.bytes;
+    let rejected = |direction| packets(bursts, direction).rejected.bytes;
     match rejected(Direction::ToAspect) < rejected(Direction::ToController) {
         true => Direction::ToAspect,
         false => Direction::ToController,
@@ -101,16 +116,38 @@ mod tests {
         let read = read(&text).unwrap();
         assert_eq!(read, bursts);
         assert_eq!(likely_direction(&read), Direction::ToController);
-        let (found, rejected) = packets(&read, Direction::ToController);
-        assert_eq!((found.len(), rejected), (1, Rejected::default()));
+        let found = packets(&read, Direction::ToController);
+        assert_eq!(found.packets.len(), 1);
+        assert_eq!(
+            (found.rejected, found.reasons),
+            (Rejected::default(), vec![])
+        );
     }
 
     #[test]
     fn a_pause_within_a_packet_breaks_it_as_it_did_on_the_line() {
         let text = "1.0 9ac30102\n1.2 01007e310011\n";
-        let (found, rejected) = packets(&read(text).unwrap(), Direction::ToController);
-        assert!(found.is_empty());
-        assert_eq!((rejected.bytes, rejected.packets), (10, 1));
+        let found = packets(&read(text).unwrap(), Direction::ToController);
+        assert!(found.packets.is_empty());
+        assert_eq!((found.rejected.bytes, found.rejected.packets), (10, 1));
+        let (expected, found_bytes) = (10, 4);
+        let cut = PacketError::Length {
+            expected,
+            found: found_bytes,
+        };
+        assert_eq!(found.reasons, [cut]);
+    }
+
+    #[test]
+    fn a_wrong_checksum_is_the_reason_of_a_rejected_packet() {
+        let text = "1.0 9ac3300208006f340110\n";
+        let found = packets(&read(text).unwrap(), Direction::ToAspect);
+        let (expected, found_sum) = (0x6f33, 0x6f34);
+        let wrong = PacketError::Checksum {
+            expected,
+            found: found_sum,
+        };
+        assert_eq!(found.reasons, [wrong]);
     }
 
     #[test]

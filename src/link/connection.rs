@@ -1,7 +1,9 @@
 //! A port that may go and come back: unplugged, not there yet, the network down.
 
+use super::guard::{Guard, Peer};
 use super::port::{BytePort, PortError, SerialPort};
-use super::udp::UdpPort;
+use super::udp::{LocalEnd, UdpPort};
+use std::net::SocketAddr;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -14,14 +16,18 @@ const LONGEST_WAIT: Duration = Duration::from_secs(2);
 pub type AnyPort = Box<dyn BytePort + Send>;
 type Open = Box<dyn FnMut() -> Result<AnyPort, PortError> + Send>;
 
-/// Where the other end is: a serial device by its name, or `udp:HOST:PORT[@LOCALPORT]`.
+/// What an address must be.
+pub const EXPECTED: &str = "a serial device, udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, where HOST is an IP address \
+                            (names are not looked up: that may take seconds)";
+
+/// Where the other end is: a serial device by its name, or `udp:HOST:PORT[@LOCALPORT]` with an IP address as HOST.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortAddress {
     Serial {
         name: String,
     },
     Udp {
-        peer: String,
+        peer: SocketAddr,
         local_port: Option<u16>,
     },
 }
@@ -34,32 +40,40 @@ impl FromStr for PortAddress {
             let name = text.to_owned();
             return Ok(Self::Serial { name });
         };
-        let refused =
-            || format!("port: expected udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, found \"{text}\"");
+        let refused = || format!("port: expected {EXPECTED}; found \"{text}\"");
         let (peer, local_port) = match udp.rsplit_once('@') {
             Some((peer, port)) => (peer, Some(port.parse().map_err(|_| refused())?)),
             None => (udp, None),
         };
-        match peer.rsplit_once(':') {
-            Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => {
-                let peer = peer.to_owned();
-                Ok(Self::Udp { peer, local_port })
-            }
+        match peer.parse::<SocketAddr>() {
+            Ok(peer) if peer.port() > 0 => Ok(Self::Udp { peer, local_port }),
             _ => Err(refused()),
         }
     }
 }
 
 impl PortAddress {
-    /// Opens the port: `baud` is for a serial one, `local_port` for UDP where the address names none.
-    pub fn open(&self, baud: u32, local_port: u16) -> Result<AnyPort, PortError> {
+    /// Opens the port: `baud` is for a serial one, `local` for UDP; a local port in the address goes over that.
+    pub fn open(&self, baud: u32, local: LocalEnd) -> Result<AnyPort, PortError> {
         Ok(match self {
             Self::Serial { name } => Box::new(SerialPort::open(name, baud)?),
             Self::Udp {
                 peer,
                 local_port: own,
-            } => Box::new(UdpPort::open(peer, own.unwrap_or(local_port))?),
+            } => {
+                let port = own.unwrap_or(local.port);
+                Box::new(UdpPort::open(*peer, LocalEnd { port, ..local })?)
+            }
         })
+    }
+
+    /// Takes commands of the address alone, from any of its ports; over a wire, whatever comes.
+    fn guard(&self) -> Guard {
+        let peers = match self {
+            Self::Udp { peer, .. } => vec![Peer::any_port_of(peer.ip())],
+            Self::Serial { .. } => Vec::new(),
+        };
+        Guard::new(peers, None)
     }
 }
 
@@ -67,6 +81,8 @@ impl PortAddress {
 pub struct Connection {
     port: Option<AnyPort>,
     open: Option<Open>,
+    /// It outlives a port that is lost, and a thread that panics.
+    guard: Guard,
     opened_at: Duration,
     retry_at: Duration,
     wait: Duration,
@@ -83,12 +99,18 @@ impl Connection {
         }
     }
 
-    /// To an address, at a speed; `local_port` as in [`PortAddress::open`].
-    pub fn to(address: PortAddress, baud: u32, local_port: u16) -> Self {
-        Self::new(move || address.open(baud, local_port))
+    /// To an address, at a speed; `local` as in [`PortAddress::open`]. Over UDP, commands of that address alone are taken.
+    pub fn to(address: PortAddress, baud: u32, local: LocalEnd) -> Self {
+        let guard = address.guard();
+        Self::new(move || address.open(baud, local)).guarded(guard)
     }
 
-    /// Over a port that cannot be opened again.
+    /// The same with another guard of what comes in datagrams.
+    pub fn guarded(self, guard: Guard) -> Self {
+        Self { guard, ..self }
+    }
+
+    /// Over a port that cannot be opened again. Datagrams are refused, unless a guard lets them pass.
     pub fn over(port: impl BytePort + Send + 'static) -> Self {
         Self {
             port: Some(Box::new(port)),
@@ -102,6 +124,7 @@ impl Connection {
         Self {
             port: None,
             open: None,
+            guard: Guard::new(Vec::new(), None),
             opened_at: Duration::ZERO,
             retry_at: Duration::ZERO,
             wait: SHORTEST_WAIT,
@@ -113,6 +136,11 @@ impl Connection {
     /// The port, where there is one.
     pub fn port(&mut self) -> Option<&mut AnyPort> {
         self.port.as_mut()
+    }
+
+    /// Who decides on what comes in datagrams.
+    pub fn guard(&mut self) -> &mut Guard {
+        &mut self.guard
     }
 
     /// Whether there is a line at all, be it open or not.
@@ -175,26 +203,35 @@ mod tests {
     use std::sync::atomic::{AtomicU64, Ordering};
 
     #[test]
-    fn addresses_are_serial_names_or_hosts_with_ports() {
+    fn addresses_are_serial_names_or_ip_addresses_with_ports() {
         let by_id = "/dev/serial/by-id/usb-FTDI_x-if00-port0";
         let name = by_id.to_owned();
         assert_eq!(by_id.parse(), Ok(PortAddress::Serial { name }));
         let udp = |peer: &str, local_port| {
-            let peer = peer.to_owned();
+            let peer = peer.parse().unwrap();
             Ok(PortAddress::Udp { peer, local_port })
         };
         assert_eq!("udp:10.0.0.1:2000".parse(), udp("10.0.0.1:2000", None));
-        assert_eq!("udp:ctl:2000@3000".parse(), udp("ctl:2000", Some(3000)));
+        let with_local = "udp:10.0.0.1:2000@3000".parse();
+        assert_eq!(with_local, udp("10.0.0.1:2000", Some(3000)));
         assert_eq!("udp:[::1]:2000".parse(), udp("[::1]:2000", None));
+    }
+
+    #[test]
+    fn a_peer_by_name_is_refused_and_never_looked_up() {
         for wrong in [
             "udp:",
-            "udp:host",
+            "udp:10.0.0.1",
             "udp::2000",
-            "udp:host:port",
-            "udp:host:1@x",
+            "udp:10.0.0.1:0",
+            "udp:10.0.0.1:port",
+            "udp:10.0.0.1:1@x",
+            "udp:controller:2000",
+            "udp:localhost:2000",
         ] {
             let error = wrong.parse::<PortAddress>().unwrap_err();
-            assert!(error.contains(wrong), "{error}");
+            assert!(error.contains("HOST is an IP address"), "{error}");
+            assert!(error.ends_with(&format!("found \"{wrong}\"")), "{error}");
         }
     }
 

@@ -3,9 +3,10 @@
 use super::command::{CommandRow, Kind, row_of};
 use super::control::result;
 use super::housekeeping::Housekeeping;
-use super::message::{self, AspectCommand, Message, Telemetry};
+use super::message::{self, AspectCommand, Message, Messages, Telemetry};
 use super::packet::{CommandPacket, Packet, TelemetryPacket, telemetry_type};
 use super::picture::Section;
+use crate::units::counted;
 use jiff::Timestamp;
 
 /// A packet on one line; housekeeping has a line for each field.
@@ -37,11 +38,21 @@ pub fn result_in_words(key: u16, value: u16) -> String {
 
 fn command(packet: &CommandPacket) -> String {
     let (target, sequence) = (packet.target(), packet.sequence());
-    let said = match Message::decode(packet.payload()) {
-        Ok(message) => message_in_words(&message),
-        Err(error) => format!("? {} ({error})", hex(packet.payload())),
-    };
-    format!("to {target:02x} seq {sequence}: {said}")
+    let mut messages = Messages::of(packet.payload());
+    let mut said: Vec<String> = messages
+        .by_ref()
+        .map(|(bytes, message)| match message {
+            Ok(message) => message_in_words(&message),
+            Err(error) => format!("? {} ({error})", hex(bytes)),
+        })
+        .collect();
+    let rest = counted(messages.rest().len() as u64, "byte");
+    match (messages.rest().len(), messages.not_understood()) {
+        (0, _) => {}
+        (_, 0) => said.push(format!("{rest} of padding")),
+        _ => said.push(format!("{rest} not understood: {}", hex(messages.rest()))),
+    }
+    format!("to {target:02x} seq {sequence}: {}", said.join("; "))
 }
 
 fn message_in_words(message: &Message) -> String {
@@ -180,6 +191,41 @@ mod tests {
         assert_eq!(
             said(ToController, "9ac30104050067b803110800"),
             "to 01 seq 5: no solution, error 8"
+        );
+    }
+
+    /// A packet to the aspect system with this payload.
+    fn payload_said(payload: &str) -> String {
+        let packet = CommandPacket::new(0x30, 1, from_hex(payload).unwrap()).unwrap();
+        describe(&Packet::Command(packet))
+    }
+
+    #[test]
+    fn all_messages_of_a_packet_are_told_and_what_was_not_understood() {
+        assert_eq!(
+            said(
+                Direction::ToAspect,
+                "9ac3300e7100d498ff1012140b001600ff1081140500"
+            ),
+            "to 30 seq 113: set_target (0x1412) x 11 arcsec y 22 arcsec; \
+             set_pitch_yaw_analogue_gain (0x1481) gain 5"
+        );
+        assert_eq!(
+            payload_said("001104110100000010a8778fd441"),
+            "to 30 seq 1: tracking is on; exposure of camera 1 at 2013-09-21T18:00:00.25Z"
+        );
+        assert_eq!(
+            payload_said("0010000000"),
+            "to 30 seq 1: start tracking; 3 bytes of padding"
+        );
+        assert_eq!(
+            payload_said("001005"),
+            "to 30 seq 1: start tracking; 1 byte not understood: 05"
+        );
+        assert_eq!(
+            payload_said("0010341205"),
+            "to 30 seq 1: start tracking; ? 341205 (message: expected a known key, found 0x1234); \
+             3 bytes not understood: 341205"
         );
     }
 

@@ -1,7 +1,8 @@
 //! What packets say: the messages of the control loop, the ground's commands, and our answers.
 //!
-//! A payload begins with a key (u16) that names the message; the rest is fixed by the key. Bytes beyond that are
-//! ignored, as the flight program of 2013 did, so that a sender that pads its packets is still understood.
+//! A payload holds one message or several, one after the other ([`Messages`]). A message begins with a key (u16) that
+//! names it; the rest is fixed by the key. A key of zero, or a rest too short for a key, ends the reading, so that a
+//! sender that pads its packets is understood.
 
 use super::fields::{Reader, Writer, unix_time};
 use super::packet::{CommandPacket, PacketError, TelemetryPacket, id, telemetry_type};
@@ -190,7 +191,7 @@ impl Message {
         Ok(out.finish())
     }
 
-    /// Reads the payload of a command packet.
+    /// Reads the first message of a command packet's payload.
     pub fn decode(payload: &[u8]) -> Result<Self, MessageError> {
         let mut input = Reader::new(payload)?;
         Ok(match input.key() {
@@ -218,6 +219,83 @@ impl Message {
             key => return Err(MessageError::UnknownKey { key }),
         })
     }
+}
+
+/// The messages of a payload in their order, each with its own bytes.
+///
+/// A message that cannot be read is an error in its place. Where its key does not tell its length, or the payload is too
+/// short for it, it is the last one, and its bytes stay in the [rest](Self::rest).
+#[derive(Debug, Clone)]
+pub struct Messages<'a> {
+    rest: &'a [u8],
+    begun: bool,
+    ended: bool,
+}
+
+impl<'a> Messages<'a> {
+    pub fn of(payload: &'a [u8]) -> Self {
+        Self {
+            rest: payload,
+            begun: false,
+            ended: false,
+        }
+    }
+
+    /// What has not been read; after the last message, padding or what is not understood.
+    pub fn rest(&self) -> &'a [u8] {
+        self.rest
+    }
+
+    /// How many bytes of the rest are not understood: none of padding with zeros.
+    pub fn not_understood(&self) -> usize {
+        match self.rest.iter().any(|&byte| byte != 0) {
+            true => self.rest.len(),
+            false => 0,
+        }
+    }
+}
+
+impl<'a> Iterator for Messages<'a> {
+    type Item = (&'a [u8], Result<Message, MessageError>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let key = first_word(self.rest).unwrap_or_default();
+        // A payload without any message is an error of its first one.
+        if self.ended || (self.begun && key == 0) {
+            return None;
+        }
+        self.begun = true;
+        let message = Message::decode(self.rest);
+        let length = stated_length(self.rest);
+        match length.and_then(|length| self.rest.split_at_checked(length)) {
+            Some((bytes, rest)) => {
+                self.rest = rest;
+                Some((bytes, message))
+            }
+            None => {
+                self.ended = true;
+                Some((self.rest, message))
+            }
+        }
+    }
+}
+
+/// The length of the message that begins a payload, as its key states it, bytes.
+fn stated_length(payload: &[u8]) -> Option<usize> {
+    let fields = match first_word(payload)? {
+        key::TRACKING_ON | key::TRACKING_OFF | key::START_TRACKING | key::STOP_TRACKING => 0,
+        key::SOLUTION => 4 * 8 + 4 + 2,
+        key::ERROR => 2,
+        key::EXPOSURE_START => 2 + 8,
+        key::GPS => 2 * 4,
+        key::ASPECT_COMMAND => 2 + 2 * variable_count(first_word(payload.get(2..)?)?),
+        _ => return None,
+    };
+    Some(2 + fields)
+}
+
+fn first_word(bytes: &[u8]) -> Option<u16> {
+    bytes.first_chunk().map(|word| u16::from_le_bytes(*word))
 }
 
 /// What a telemetry packet of the link says: every command is answered by a receipt and a result.
@@ -266,4 +344,80 @@ impl Telemetry {
 /// How many variables an aspect command has: the low 4 bits of its key.
 pub fn variable_count(key: u16) -> usize {
     usize::from(key & 0x000F)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn every_message() -> Vec<Message> {
+        let time = Timestamp::from_second(1_379_786_400).unwrap();
+        vec![
+            Message::TrackingOn,
+            Message::ExposureStart(ExposureStart { camera: 1, time }),
+            Message::Solution(Solution {
+                azimuth_deg: 0.1,
+                elevation_deg: 0.2,
+                roll_deg: 0.3,
+                error_deg: 1e-5,
+                time,
+            }),
+            Message::Error { code: 8 },
+            Message::Aspect(AspectCommand::new(0x1412, vec![11, 22]).unwrap()),
+            Message::Aspect(AspectCommand::new(0x1FF1, vec![7]).unwrap()),
+            Message::Gps(GpsFix {
+                latitude_deg: 34.5,
+                longitude_deg: -104.25,
+            }),
+            Message::StartTracking,
+            Message::StopTracking,
+            Message::TrackingOff,
+        ]
+    }
+
+    #[test]
+    fn all_messages_of_a_payload_are_read_in_order_and_padding_is_none() {
+        let messages = every_message();
+        let mut payload: Vec<u8> = messages.iter().flat_map(|m| m.payload().unwrap()).collect();
+        for padding in 0..5 {
+            let mut read = Messages::of(&payload);
+            let found: Vec<Message> = read.by_ref().map(|(_, m)| m.unwrap()).collect();
+            assert_eq!(found, messages);
+            assert_eq!((read.rest().len(), read.not_understood()), (padding, 0));
+            payload.push(0);
+        }
+    }
+
+    #[test]
+    fn a_message_that_cannot_be_read_leaves_those_before_it_and_says_where_the_reading_ends() {
+        let stop = Message::StopTracking.payload().unwrap();
+        let nan = [&[0x0A, 0][..], &f32::NAN.to_le_bytes(), &[0; 4]].concat();
+        for (bytes, errors, read_on, not_understood) in [
+            (&[0x34, 0x12, 5][..], 1, false, 5),
+            (&[0xFF, 0x10, 0x1F, 0x14, 1, 0], 1, false, 8),
+            (&nan, 1, true, 0),
+            (&[], 0, true, 0),
+            (&[0, 0, 7], 0, false, 5),
+        ] {
+            let payload = [&stop[..], bytes, &stop].concat();
+            let mut read = Messages::of(&payload);
+            let found: Vec<_> = read.by_ref().map(|(_, message)| message).collect();
+            assert_eq!(found[0], Ok(Message::StopTracking));
+            assert_eq!(found.iter().filter(|m| m.is_err()).count(), errors);
+            assert_eq!(
+                found.last() == Some(&Ok(Message::StopTracking)),
+                read_on || errors == 0
+            );
+            assert_eq!(read.not_understood(), not_understood, "{bytes:02x?}");
+        }
+    }
+
+    #[test]
+    fn a_payload_without_a_message_is_an_error() {
+        for payload in [&[][..], &[0], &[0, 0]] {
+            let mut read = Messages::of(payload);
+            assert!(matches!(read.next(), Some((_, Err(_)))));
+            assert!(read.next().is_none());
+        }
+    }
 }

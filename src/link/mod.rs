@@ -16,7 +16,9 @@ pub mod control;
 pub mod describe;
 mod fields;
 pub mod ground;
+pub mod guard;
 pub mod housekeeping;
+pub mod key;
 pub mod message;
 pub mod packet;
 pub mod parser;
@@ -30,13 +32,15 @@ pub use command::{
 };
 pub use connection::{AnyPort, Connection, PortAddress};
 pub use control::{CommandResult, Control};
+pub use guard::{Guard, Peer};
 pub use housekeeping::Housekeeping;
+pub use key::Key;
 pub use message::{
-    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Solution, Telemetry,
+    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, Solution, Telemetry,
 };
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
 pub use parser::{Parser, Rejected};
 pub use picture::Picture;
 pub use port::{BytePort, PortError, SerialPort};
 pub use responder::{Exposure, LinkState, Reply, Responder};
-pub use udp::UdpPort;
+pub use udp::{LocalEnd, UdpPort};

@@ -12,11 +12,14 @@
 //! A false header passes the checksum once in 65536 times. A packet whose payload holds a whole packet is taken for the
 //! inner one where that is complete first.
 
-use super::packet::{Direction, Packet, SYNC};
+use super::packet::{COMMAND_HEADER, Direction, Packet, PacketError, SYNC};
 use std::time::Duration;
 
 /// The longest silence between two bytes of one packet. At 115200 baud a byte takes 0.09 ms.
 pub const SILENCE: Duration = Duration::from_millis(100);
+
+/// Of how many rejected packets the reasons are kept.
+const REASONS: usize = 16;
 
 /// What came over the line and was no packet.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -38,20 +41,21 @@ pub struct Parser {
     searched: usize,
     last_byte: Duration,
     rejected: Rejected,
+    reasons: Vec<PacketError>,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct Candidate {
     start: usize,
     state: State,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 enum State {
     /// Not all of its bytes have come.
     Open,
     /// All of its bytes have come, and they are no packet.
-    Refuted,
+    Refuted(PacketError),
 }
 
 impl Parser {
@@ -64,12 +68,18 @@ impl Parser {
             searched: 0,
             last_byte: Duration::ZERO,
             rejected: Rejected::default(),
+            reasons: Vec::new(),
         }
     }
 
     /// What has been rejected so far. Bytes of a packet that is not complete are not counted yet.
     pub fn rejected(&self) -> Rejected {
         self.rejected
+    }
+
+    /// Why packets were rejected, the first 16 of them.
+    pub fn reasons(&self) -> &[PacketError] {
+        &self.reasons
     }
 
     /// Takes the bytes that came at `now` (a monotonic time since any start) and gives the packets complete by them.
@@ -128,7 +138,7 @@ impl Parser {
             };
             match Packet::decode(self.direction, bytes) {
                 Ok(packet) => return Some((candidate.start, length, packet)),
-                Err(_) => candidate.state = State::Refuted,
+                Err(error) => candidate.state = State::Refuted(error),
             }
         }
         None
@@ -142,9 +152,14 @@ impl Parser {
 
     /// Drops the first `count` bytes as rejected.
     fn reject_to(&mut self, count: usize) {
-        let sync_words = self.candidates.iter().take_while(|c| c.start < count);
-        self.rejected.packets += sync_words.count() as u64;
+        let rejected = self.candidates.iter().take_while(|c| c.start < count);
+        self.rejected.packets += rejected.clone().count() as u64;
         self.rejected.bytes += count as u64;
+        let room = REASONS.saturating_sub(self.reasons.len());
+        let reasons = rejected
+            .take(room)
+            .map(|c| c.reason(&self.bytes, self.direction));
+        self.reasons.extend(reasons);
         self.remove(count);
     }
 
@@ -156,6 +171,22 @@ impl Parser {
             candidate.start -= count;
         }
         self.searched = self.searched.saturating_sub(count);
+    }
+}
+
+impl Candidate {
+    /// Why it is no packet; one that is still open was cut off.
+    fn reason(&self, bytes: &[u8], direction: Direction) -> PacketError {
+        match &self.state {
+            State::Refuted(error) => error.clone(),
+            State::Open => {
+                let found = &bytes[self.start..];
+                PacketError::Length {
+                    expected: Packet::length(direction, found).unwrap_or(COMMAND_HEADER),
+                    found: found.len(),
+                }
+            }
+        }
     }
 }
 

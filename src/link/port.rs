@@ -3,6 +3,7 @@
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use serialport::{DataBits, FlowControl, Parity, StopBits, TTYPort};
 use std::io::{self, ErrorKind, Read, Write};
+use std::net::SocketAddr;
 use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
@@ -38,6 +39,11 @@ pub enum PortError {
 pub trait BytePort {
     /// Reads what has come, waiting at most `timeout` for the first byte; 0 bytes where none has.
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, PortError>;
+
+    /// Who sent what was read last, where a read is a datagram; `None` where none came, and of a wire.
+    fn sender(&self) -> Option<SocketAddr> {
+        None
+    }
 
     /// Writes all bytes, one packet at a time, or fails after `timeout`; how many went by then is in the error.
     fn write(&mut self, bytes: &[u8], timeout: Duration) -> Result<(), PortError>;

@@ -7,7 +7,8 @@
 //! # Rules (HEROES flight program, 2013)
 //!
 //! 1. Packets for other ids, and aspect commands for the other computer or for none, are ignored unanswered.
-//! 2. Every other command is answered: a receipt, then a result; start and stop of tracking by "tracking is on" or "off", too.
+//! 2. Every other packet is answered: a receipt, then a result for each of its commands, in order; start and stop of tracking by
+//!    "tracking is on" or "off", too.
 //! 3. While sending is enabled, tracking or not, the time of every exposure goes out before it starts.
 //! 4. A solution goes out only while tracking is on and sending is enabled, only if its own exposure's time went
 //!    out, once, and never after one of a later exposure; an error takes its place where there is none.
@@ -17,7 +18,7 @@
 use super::command::{Command, CommandError, Computer, row_of};
 use super::control::{CommandResult, Control};
 use super::message::{
-    AspectCommand, CAMERA, ExposureStart, Message, MessageError, Solution, Telemetry, key,
+    AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, Solution, Telemetry, key,
 };
 use super::packet::{CommandPacket, id};
 use jiff::Timestamp;
@@ -39,6 +40,8 @@ pub struct LinkState {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reply {
     pub packets: Vec<Vec<u8>>,
+    /// How many commands to this computer the packet held.
+    pub commands: u64,
     pub changed: bool,
 }
 
@@ -98,37 +101,62 @@ impl Responder {
 
     /// Answers a packet that came from the line; `now` goes into the answers.
     ///
-    /// The error is a `now` that no packet can hold; the command has been carried out all the same.
+    /// The error is a `now` that no packet can hold; the commands have been carried out all the same.
     pub fn handle(
         &mut self,
         packet: &CommandPacket,
         now: Timestamp,
         control: &mut dyn Control,
     ) -> Result<Reply, MessageError> {
-        let Some(key) = self.key_for_us(packet) else {
+        if !matches!(packet.target(), id::ASPECT | id::EVERYONE) {
             return Ok(Reply::default());
-        };
+        }
         let before = self.state;
         let sequence = packet.sequence();
-        let answer = match Message::decode(packet.payload()) {
-            Ok(message) => self.execute(&message, Stop { sequence, key }, control),
-            Err(error) => Answer::Result(malformed(&error)),
-        };
+        let mut answers = Vec::new();
+        for (bytes, message) in Messages::of(packet.payload()) {
+            let Some(key) = self.key_for_us(bytes) else {
+                continue;
+            };
+            let answer = match message {
+                Ok(message) => self.execute(&message, Stop { sequence, key }, control),
+                Err(error) => Answer::Result(malformed(&error)),
+            };
+            answers.push((key, answer));
+        }
+        if answers.is_empty() {
+            return Ok(Reply::default());
+        }
+        Ok(Reply {
+            commands: answers.len() as u64,
+            changed: self.state != before,
+            packets: self.answered(sequence, answers, now)?,
+        })
+    }
+
+    /// The receipt of a packet, and what its commands, known by their keys, are answered with.
+    fn answered(
+        &mut self,
+        sequence: u16,
+        answers: Vec<(u16, Answer)>,
+        now: Timestamp,
+    ) -> Result<Vec<Vec<u8>>, MessageError> {
         let receipt = Telemetry::Receipt { sequence };
         let mut packets = vec![receipt.packet(now)?.encode()];
-        let result = match &answer {
-            Answer::Result(result) => Some(*result),
-            Answer::Message(_) => Some(CommandResult::Done),
-            Answer::Later => None,
-        };
-        if let Some(result) = result {
-            packets.push(result_packet(sequence, key, result, now)?);
+        for (key, answer) in answers {
+            let result = match &answer {
+                Answer::Result(result) => Some(*result),
+                Answer::Message(_) => Some(CommandResult::Done),
+                Answer::Later => None,
+            };
+            if let Some(result) = result {
+                packets.push(result_packet(sequence, key, result, now)?);
+            }
+            if let Answer::Message(message) = answer {
+                packets.push(self.numbered(&message)?);
+            }
         }
-        if let Answer::Message(message) = answer {
-            packets.push(self.numbered(&message)?);
-        }
-        let changed = self.state != before;
-        Ok(Reply { packets, changed })
+        Ok(packets)
     }
 
     /// The packet that announces the exposure about to start; `None` while sending is disabled.
@@ -217,12 +245,9 @@ impl Responder {
         Ok(bytes)
     }
 
-    /// The key that names the command in our answer, or `None` where the packet is not ours to answer.
-    fn key_for_us(&self, packet: &CommandPacket) -> Option<u16> {
-        if !matches!(packet.target(), id::ASPECT | id::EVERYONE) {
-            return None;
-        }
-        let (first, rest) = packet.payload().split_first_chunk()?;
+    /// The key that names the command in our answer, or `None` where the message is not ours to answer.
+    fn key_for_us(&self, message: &[u8]) -> Option<u16> {
+        let (first, rest) = message.split_first_chunk()?;
         match u16::from_le_bytes(*first) {
             key::ASPECT_COMMAND => {
                 let key = u16::from_le_bytes(*rest.first_chunk()?);

@@ -1,35 +1,57 @@
 //! The link over UDP, as the HEROES flight program had it: one packet a datagram.
 
+use super::key::Key;
 use super::port::{BytePort, PortError, means_later};
+use jiff::Timestamp;
 use std::io::{self, ErrorKind};
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::time::Duration;
 
-/// A UDP socket that sends to one peer and takes what comes from any: controller and ground may be two hosts.
+/// The end of a UDP line on this machine.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LocalEnd {
+    /// `None`: all addresses of the machine.
+    pub address: Option<IpAddr>,
+    /// 0: any free one.
+    pub port: u16,
+}
+
+/// A UDP socket that sends to one peer and takes what comes from any: whom to believe is decided by a
+/// [`Guard`](super::Guard).
 #[derive(Debug)]
 pub struct UdpPort {
     name: String,
     socket: UdpSocket,
     peer: SocketAddr,
+    key: Option<Key>,
+    sender: Option<SocketAddr>,
 }
 
 impl UdpPort {
-    /// Listens on `local_port` (0: any free one) and sends to `peer`, a host and port.
-    pub fn open(peer: &str, local_port: u16) -> Result<Self, PortError> {
-        let name = format!("udp:{peer}");
-        let open = || -> io::Result<(UdpSocket, SocketAddr)> {
-            let found = peer.to_socket_addrs()?.next();
-            let peer = found.ok_or_else(|| io::Error::from(ErrorKind::NotFound))?;
-            let any = match peer {
-                SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, local_port)),
-                SocketAddr::V6(_) => SocketAddr::from((Ipv6Addr::UNSPECIFIED, local_port)),
-            };
-            Ok((UdpSocket::bind(any)?, peer))
+    /// Listens on the local end and sends to `peer`.
+    pub fn open(peer: SocketAddr, local: LocalEnd) -> Result<Self, PortError> {
+        let any = match peer {
+            SocketAddr::V4(_) => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
+            SocketAddr::V6(_) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
         };
-        match open() {
-            Ok((socket, peer)) => Ok(Self { name, socket, peer }),
+        let name = format!("udp:{peer}");
+        let address = SocketAddr::from((local.address.unwrap_or(any), local.port));
+        match UdpSocket::bind(address) {
+            Ok(socket) => Ok(Self {
+                name,
+                socket,
+                peer,
+                key: None,
+                sender: None,
+            }),
             Err(cause) => Err(PortError::Udp { name, cause }),
         }
+    }
+
+    /// The same, signing all that it sends.
+    pub fn signing(self, key: Key) -> Self {
+        let key = Some(key);
+        Self { key, ..self }
     }
 
     /// The port that this end listens on.
@@ -42,31 +64,47 @@ impl UdpPort {
         PortError::Lost { name, cause }
     }
 
-    fn receive(&self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+    fn receive(&self, buffer: &mut [u8], timeout: Duration) -> io::Result<(usize, SocketAddr)> {
         // A timeout of zero would mean none.
         self.socket.set_nonblocking(timeout.is_zero())?;
         if !timeout.is_zero() {
             self.socket.set_read_timeout(Some(timeout))?;
         }
-        self.socket.recv_from(buffer).map(|(count, _)| count)
+        self.socket.recv_from(buffer)
+    }
+
+    fn send(&self, packet: &[u8]) -> io::Result<usize> {
+        self.socket.set_nonblocking(true)?;
+        match &self.key {
+            Some(key) => {
+                // Until the year 2262.
+                let stamp = Timestamp::now().as_nanosecond() as i64;
+                self.socket.send_to(&key.sign(packet, stamp), self.peer)
+            }
+            None => self.socket.send_to(packet, self.peer),
+        }
     }
 }
 
 impl BytePort for UdpPort {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, PortError> {
+        self.sender = None;
         match self.receive(buffer, timeout) {
-            Ok(count) => Ok(count),
+            Ok((count, sender)) => {
+                self.sender = Some(sender);
+                Ok(count)
+            }
             Err(error) if means_later(&error) || is_of_the_peer(&error) => Ok(0),
             Err(error) => Err(self.lost(error)),
         }
     }
 
+    fn sender(&self) -> Option<SocketAddr> {
+        self.sender
+    }
+
     fn write(&mut self, bytes: &[u8], _: Duration) -> Result<(), PortError> {
-        let sent = self
-            .socket
-            .set_nonblocking(true)
-            .and_then(|()| self.socket.send_to(bytes, self.peer));
-        match sent {
+        match self.send(bytes) {
             Ok(_) => Ok(()),
             Err(error) if means_later(&error) => Err(PortError::Stalled {
                 name: self.name.clone(),
@@ -98,13 +136,20 @@ mod tests {
 
     const LONG: Duration = Duration::from_secs(10);
 
+    fn to_port(port: u16) -> SocketAddr {
+        SocketAddr::from((Ipv4Addr::LOCALHOST, port))
+    }
+
+    fn open(peer: SocketAddr) -> UdpPort {
+        UdpPort::open(peer, LocalEnd::default()).unwrap()
+    }
+
     /// Two ends that know each other.
     fn pair() -> (UdpPort, UdpPort) {
-        let near = UdpPort::open("127.0.0.1:9", 0).unwrap();
-        let peer = format!("127.0.0.1:{}", near.local_port().unwrap());
-        let far = UdpPort::open(&peer, 0).unwrap();
-        let back = SocketAddr::from((Ipv4Addr::LOCALHOST, far.local_port().unwrap()));
-        (UdpPort { peer: back, ..near }, far)
+        let near = open(to_port(9));
+        let far = open(to_port(near.local_port().unwrap()));
+        let peer = to_port(far.local_port().unwrap());
+        (UdpPort { peer, ..near }, far)
     }
 
     #[test]
@@ -114,6 +159,7 @@ mod tests {
         near.write(b"two!", LONG).unwrap();
         let mut buffer = [0; 64];
         assert_eq!(far.read(&mut buffer, LONG).unwrap(), 3);
+        assert_eq!(far.sender(), Some(to_port(near.local_port().unwrap())));
         assert_eq!(far.read(&mut buffer, LONG).unwrap(), 4);
         assert_eq!(&buffer[..4], b"two!");
         far.write(b"back", LONG).unwrap();
@@ -125,6 +171,7 @@ mod tests {
         let (mut near, far) = pair();
         let mut buffer = [0; 64];
         assert_eq!(near.read(&mut buffer, Duration::ZERO).unwrap(), 0);
+        assert_eq!(near.sender(), None);
         drop(far);
         for _ in 0..5 {
             near.write(b"anyone?", LONG).unwrap();
@@ -134,11 +181,26 @@ mod tests {
     }
 
     #[test]
-    fn a_peer_without_a_port_is_refused() {
-        let error = UdpPort::open("127.0.0.1", 0).unwrap_err().to_string();
+    fn a_local_address_that_is_not_this_machines_is_an_error() {
+        let local = LocalEnd {
+            address: Some(IpAddr::V4(Ipv4Addr::new(192, 0, 2, 1))),
+            port: 0,
+        };
+        let error = UdpPort::open(to_port(9), local).unwrap_err().to_string();
         assert!(
-            error.starts_with("udp:127.0.0.1: cannot be opened"),
+            error.starts_with("udp:127.0.0.1:9: cannot be opened"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_signing_port_signs_what_it_sends() {
+        let (near, mut far) = pair();
+        let key = Key::new(b"sixteen bytes or more").unwrap();
+        near.signing(key.clone()).write(b"packet", LONG).unwrap();
+        let mut buffer = [0; 64];
+        let count = far.read(&mut buffer, LONG).unwrap();
+        let (packet, _) = key.verified(&buffer[..count]).unwrap();
+        assert_eq!(packet, b"packet");
     }
 }

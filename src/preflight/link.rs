@@ -2,11 +2,12 @@
 
 use super::bounded::within;
 use super::{Finding, Plan};
-use crate::link::{BytePort, Direction, Parser, PortAddress, PortError};
+use crate::config::Refused;
+use crate::link::{BytePort, Direction, LocalEnd, Parser, PortAddress, PortError};
 use std::time::{Duration, Instant};
 
 const CHECK: &str = "link";
-/// For opening a port, which may mean to look up a host's name.
+/// For opening a port.
 const PATIENCE: Duration = Duration::from_secs(10);
 const PLUG: &str = "plug it in, and name it in link.port as it stands in /dev/serial/by-id; the service's user must be in the group \
                     that owns it (dialout)";
@@ -23,16 +24,23 @@ struct Heard {
 pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
     let link = plan.config.link.clone();
     let Some(port) = link.port.clone() else {
-        return Finding::warn(CHECK, "no port: nothing would be sent", "set link.port");
+        return no_port();
     };
-    let address: PortAddress = match port.parse() {
-        Ok(address) => address,
-        Err(error) => return Finding::fail(CHECK, error, "set link.port"),
+    let end = || -> Result<(Option<PortAddress>, LocalEnd), Refused> {
+        link.guard()?;
+        Ok((link.address()?, link.local_end()?))
+    };
+    let (address, local) = match end() {
+        Ok((Some(address), local)) => (address, local),
+        Ok((None, _)) => return no_port(),
+        Err(refused) => {
+            let advice = format!("set {}", refused.key);
+            return Finding::fail(CHECK, refused.to_string(), &advice);
+        }
     };
     let limit = PATIENCE + wait.unwrap_or_default();
-    let local_port = link.udp_local_port as u16;
     let tried = within(limit, move || -> Result<Option<Heard>, PortError> {
-        let mut open = address.open(link.baud, local_port)?;
+        let mut open = address.open(link.baud, local)?;
         wait.map(|wait| listen(open.as_mut(), wait)).transpose()
     });
     match (tried, wait) {
@@ -41,6 +49,10 @@ pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
         (Ok(Ok(None)), _) => Finding::pass(CHECK, format!("{port} opens; nobody was waited for")),
         (Ok(Ok(Some(heard))), wait) => judge(&port, &heard, wait.unwrap_or_default()),
     }
+}
+
+fn no_port() -> Finding {
+    Finding::warn(CHECK, "no port: nothing would be sent", "set link.port")
 }
 
 /// Listens until the first good packet, or for `wait`.

@@ -6,7 +6,7 @@ use crate::camera::{CameraError, FolderCamera, Source};
 use crate::config::{self, Config};
 use crate::instrument::toml_file::read_text;
 use crate::instrument::{Instrument, TomlError};
-use crate::link::{CameraRole, PortAddress};
+use crate::link::CameraRole;
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::simulate::Pieces;
 use crate::sky::{Ephemeris, OrientationTable};
@@ -274,18 +274,20 @@ fn archive(archive: &config::Archive, remarks: &mut Remarks) {
 }
 
 fn link(config: &Config, remarks: &mut Remarks) {
-    match config.link.port.as_deref().map(str::parse::<PortAddress>) {
-        None => remarks.warn(
+    let link = &config.link;
+    match link.address() {
+        Ok(None) => remarks.warn(
             "link.port",
             "the controller's port",
             "none: nothing is sent",
         ),
-        Some(Ok(_)) => {}
-        Some(Err(_)) => {
-            let found = config.link.port.clone().unwrap_or_default();
-            let expected = "a serial device, udp:HOST:PORT or udp:HOST:PORT@LOCALPORT";
-            remarks.error("link.port", expected, format!("\"{found}\""));
+        Ok(Some(_)) => {
+            let rest = [link.local_end().map(drop), link.guard().map(drop)];
+            for refused in rest.into_iter().filter_map(Result::err) {
+                remarks.error(refused.key, refused.expected, refused.found);
+            }
         }
+        Err(refused) => remarks.error(refused.key, refused.expected, refused.found),
     }
     if config.link.sending_camera == 2 && config.second_camera.source.is_none() {
         remarks.warn(

@@ -148,6 +148,8 @@ struct State {
     disks: Vec<Option<u8>>,
     clock_offset_us: Option<i64>,
     cameras: Vec<CameraRole>,
+    /// How often a command's value was refused, by key.
+    refusals: BTreeMap<&'static str, u64>,
 }
 
 impl Controls {
@@ -164,6 +166,7 @@ impl Controls {
             disks: Vec::new(),
             clock_offset_us: None,
             cameras: vec![CameraRole::PitchYaw],
+            refusals: BTreeMap::new(),
         };
         Self(Arc::new(Shared {
             state: Mutex::new(state),
@@ -228,6 +231,16 @@ impl Controls {
     /// Keeps what the controller has said of tracking.
     pub fn note_tracking(&self, on: bool) {
         let _ = self.set(&[("link.tracking", switch(on))]);
+    }
+
+    /// The newest stamp of a signed datagram, ns since 1970; 0 without one.
+    pub fn stamp_ns(&self) -> i64 {
+        self.state().own.stamp_ns
+    }
+
+    /// Keeps the stamp of a signed datagram.
+    pub fn note_stamp_ns(&self, stamp: i64) {
+        let _ = self.set(&[("link.stamp_ns", Value::Whole(stamp))]);
     }
 
     /// Whether the ground wants the program to end.

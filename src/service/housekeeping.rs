@@ -157,6 +157,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     told.unsent = small(line.failed + line.unannounced);
     told.reopened = small(line.reopened);
     told.rejected = small(line.rejected.packets);
+    told.datagrams_refused = small(line.datagrams_refused);
 }
 
 fn tell_frame(told: &mut Housekeeping, answer: &Answer) {

@@ -7,8 +7,11 @@
 //!    takes again. Where bytes pile up in the system, exposures are not announced: what would come late does not come.
 //! 3. Ages and waits are monotonic: a step of the clock stops nothing.
 //! 4. A port that is lost is opened again; nothing else waits for it.
+//! 5. What comes by wire is taken. What comes in datagrams passes the [guard](crate::link::guard) first.
 
 mod event;
+mod hearing;
+mod picture;
 
 pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
 
@@ -18,11 +21,12 @@ use super::tally::{LineTally, worth_a_line};
 use super::worker::Life;
 use crate::config;
 use crate::link::{
-    CommandPacket, Computer, Connection, Direction, Exposure, Housekeeping, LinkState,
-    MessageError, Packet, Parser, Picture, PortError, Responder,
+    Computer, Connection, Direction, Exposure, Housekeeping, LinkState, MessageError, Parser,
+    PortError, Responder,
 };
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
+use picture::PictureUnderWay;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -32,8 +36,7 @@ const PATIENCE: Duration = Duration::from_millis(1);
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 /// More bytes than this in the system's buffer, and the line cannot follow: 45 ms at 115200 baud.
 const BACKLOG: usize = 512;
-/// More than the longest datagram.
-const READ_BYTES: usize = 2048;
+
 pub(super) struct Line<'a> {
     connection: &'a mut Connection,
     responder: Responder,
@@ -43,17 +46,11 @@ pub(super) struct Line<'a> {
     version: u64,
     start: Instant,
     outcomes: u64,
+    unsaid: u64,
     stalled: bool,
     stopping_since: Option<Instant>,
     picture: Option<PictureUnderWay>,
     tally: Shared<LineTally>,
-}
-
-struct PictureUnderWay {
-    picture: Box<Picture>,
-    next_part: usize,
-    /// Not before this: pictures leave half of the line to everything else.
-    due: Instant,
 }
 
 impl<'a> Line<'a> {
@@ -78,6 +75,7 @@ impl<'a> Line<'a> {
             version,
             start: Instant::now(),
             outcomes: 0,
+            unsaid: 0,
             stalled: false,
             stopping_since: None,
             picture: None,
@@ -93,11 +91,14 @@ impl<'a> Line<'a> {
             match events.recv_timeout(PATIENCE) {
                 Ok(event) => self.hear(event, events),
                 Err(_) if hang_up.load(Ordering::Relaxed) => return,
-                Err(RecvTimeoutError::Timeout) => self.send_part_of_picture(),
+                Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
             }
             self.listen();
             self.finish_stopping();
+            if events.is_empty() {
+                self.send_picture();
+            }
             self.publish();
         }
     }
@@ -127,11 +128,7 @@ impl<'a> Line<'a> {
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
             LinkEvent::Housekeeping(told) => self.tell(&told),
             LinkEvent::Picture(picture) => {
-                self.picture = Some(PictureUnderWay {
-                    picture,
-                    next_part: 0,
-                    due: Instant::now(),
-                });
+                self.picture = Some(PictureUnderWay::new(picture, Instant::now()));
             }
         }
     }
@@ -144,30 +141,27 @@ impl<'a> Line<'a> {
             Ok(packet) => {
                 self.tally.lock().housekeeping += u64::from(self.send(&packet.encode()));
             }
-            Err(error) => tracing::error!(%error, "housekeeping was not sent"),
+            Err(error) => self.note_unsaid(&error, "housekeeping was not sent"),
         }
     }
 
-    /// Only when there is nothing else to say, and the system has passed on all that was said.
-    fn send_part_of_picture(&mut self) {
-        let idle = self.backlog() == 0 && !self.stalled;
-        let Some(under_way) = self.picture.as_mut() else {
-            return;
-        };
-        if !idle || Instant::now() < under_way.due {
-            return;
+    /// The parts that are due, when there is nothing else to say.
+    fn send_picture(&mut self) {
+        let baud = self.settings.baud;
+        while !self.stalled {
+            let backlog = self.backlog();
+            let Some(under_way) = self.picture.as_mut() else {
+                return;
+            };
+            let Some(part) = under_way.next_due(baud, backlog, Instant::now()) else {
+                if under_way.is_complete() {
+                    self.picture = None;
+                    self.tally.lock().pictures += 1;
+                }
+                return;
+            };
+            self.send(&part);
         }
-        let Some(packet) = under_way.picture.part(under_way.next_part) else {
-            self.picture = None;
-            self.tally.lock().pictures += 1;
-            return;
-        };
-        let bytes = packet.encode();
-        // Ten bits a byte; as long again is left free.
-        let seconds = 2.0 * 10.0 * bytes.len() as f64 / f64::from(self.settings.baud);
-        under_way.next_part += 1;
-        under_way.due = Instant::now() + Duration::from_secs_f64(seconds);
-        self.send(&bytes);
     }
 
     fn look_at_settings(&mut self) {
@@ -196,7 +190,7 @@ impl<'a> Line<'a> {
                 }
             }
             Ok(None) => {}
-            Err(error) => tracing::error!(%error, "an exposure was not announced"),
+            Err(error) => self.note_unsaid(&error, "an exposure was not announced"),
         }
     }
 
@@ -225,7 +219,7 @@ impl<'a> Line<'a> {
                 }
             }
             Ok(None) => {}
-            Err(error) => tracing::error!(%error, "a solution was not sent"),
+            Err(error) => self.note_unsaid(&error, "a solution was not sent"),
         }
     }
 
@@ -234,41 +228,6 @@ impl<'a> Line<'a> {
         match outcome.solution() {
             Some(solution) => self.responder.solution(outcome.exposure, &solution),
             None => self.responder.error(outcome.exposure, outcome.error_code()),
-        }
-    }
-
-    /// Reads what has come and answers it.
-    fn listen(&mut self) {
-        let now = self.start.elapsed();
-        let Some(port) = self.connection.port() else {
-            return;
-        };
-        let mut buffer = [0; READ_BYTES];
-        let count = match port.read(&mut buffer, Duration::ZERO) {
-            Ok(count) => count,
-            Err(error) => return self.lose(&error),
-        };
-        for packet in self.parser.feed(&buffer[..count], now) {
-            if let Packet::Command(packet) = packet {
-                self.obey(&packet);
-            }
-        }
-        self.tally.lock().rejected = self.parser.rejected();
-    }
-
-    fn obey(&mut self, packet: &CommandPacket) {
-        let now = Timestamp::now();
-        match self.responder.handle(packet, now, &mut self.controls) {
-            Ok(reply) => {
-                self.tally.lock().commands += u64::from(!reply.packets.is_empty());
-                for answer in reply.packets {
-                    self.send(&answer);
-                }
-                if reply.changed {
-                    self.note_conversation();
-                }
-            }
-            Err(error) => tracing::error!(%error, "a command was not answered"),
         }
     }
 
@@ -293,7 +252,7 @@ impl<'a> Line<'a> {
                 }
                 self.note_conversation();
             }
-            Err(error) => tracing::error!(%error, "a command was not answered"),
+            Err(error) => self.note_unsaid(&error, "a command was not answered"),
         }
     }
 
@@ -342,6 +301,14 @@ impl<'a> Line<'a> {
             self.lose(&error);
         }
         false
+    }
+
+    /// A message that no packet can hold: the clock is out of range, and every further one will be like it.
+    fn note_unsaid(&mut self, error: &MessageError, what: &'static str) {
+        self.unsaid += 1;
+        if worth_a_line(self.unsaid) {
+            tracing::error!(%error, unsaid = self.unsaid, what);
+        }
     }
 
     fn lose(&mut self, error: &PortError) {

@@ -3,6 +3,7 @@
 use crate::aspect::{Quality, Stage};
 use crate::camera::CameraHealth;
 use crate::link::{LinkState, Rejected};
+use crate::units::counted;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
 use std::time::Duration;
@@ -198,6 +199,8 @@ pub struct LineTally {
     pub reopened: u64,
     /// What came over the line and was no packet.
     pub rejected: Rejected,
+    /// What came in datagrams and was not listened to: unknown senders, replays, no signature.
+    pub datagrams_refused: u64,
     pub commands: u64,
     /// What the controller and the ground have set.
     pub conversation: LinkState,
@@ -226,6 +229,10 @@ impl LineTally {
                 "\nline       lost {} times, opened again {} times, {} exposures not announced",
                 self.lost, self.reopened, self.unannounced,
             )?;
+        }
+        if self.datagrams_refused > 0 {
+            let refused = counted(self.datagrams_refused, "datagram");
+            write!(out, "\nrefused    {refused}")?;
         }
         let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
         let mut latencies: Vec<f64> = self.latencies.iter().map(milliseconds).collect();

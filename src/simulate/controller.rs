@@ -6,8 +6,8 @@
 
 use crate::link::message::CAMERA;
 use crate::link::{
-    BytePort, CommandPacket, Direction, ExposureStart, Message, Packet, Parser, PortError,
-    Solution, Telemetry, TelemetryPacket, id,
+    BytePort, CommandPacket, Direction, ExposureStart, Message, Messages, Packet, Parser,
+    PortError, Solution, Telemetry, TelemetryPacket, id,
 };
 use jiff::{SignedDuration, Timestamp};
 use std::collections::VecDeque;
@@ -31,7 +31,7 @@ pub struct Faults {
     pub broken: u64,
     /// Breaks in the numbering: packets were lost, or the sender began anew.
     pub out_of_sequence: u64,
-    /// Unknown keys, payloads too short, numbers that are not finite.
+    /// Packets with unknown keys, payloads too short, numbers that are not finite.
     pub unreadable: u64,
     /// Messages that are not for a controller, and answers to what it never sent.
     pub unexpected: u64,
@@ -197,7 +197,7 @@ impl Controller {
         let rejected = self.parser.rejected();
         self.report.faults.broken = rejected.packets;
         self.report.stray_bytes = rejected.bytes;
-        Ok(packets.iter().filter_map(|p| self.receive(p)).collect())
+        Ok(packets.iter().flat_map(|p| self.receive(p)).collect())
     }
 
     /// Polls until `stopped` says so, then stops the tracking and waits a second at most for the answer.
@@ -240,17 +240,17 @@ impl Controller {
         Ok(())
     }
 
-    fn receive(&mut self, packet: &Packet) -> Option<Message> {
+    fn receive(&mut self, packet: &Packet) -> Vec<Message> {
         match packet {
             Packet::Command(packet) => self.receive_command(packet),
             Packet::Telemetry(packet) => {
                 self.receive_telemetry(packet);
-                None
+                Vec::new()
             }
         }
     }
 
-    fn receive_command(&mut self, packet: &CommandPacket) -> Option<Message> {
+    fn receive_command(&mut self, packet: &CommandPacket) -> Vec<Message> {
         let sequence = packet.sequence();
         if self
             .last_heard
@@ -261,18 +261,23 @@ impl Controller {
         self.last_heard = Some(sequence);
         if !matches!(packet.target(), id::CONTROLLER | id::EVERYONE) {
             self.report.faults.unexpected += 1;
-            return None;
+            return Vec::new();
         }
-        match Message::decode(packet.payload()) {
-            Ok(message) => {
-                self.take(&message);
-                Some(message)
-            }
-            Err(_) => {
-                self.report.faults.unreadable += 1;
-                None
+        let (mut read, mut readable) = (Vec::new(), true);
+        let mut messages = Messages::of(packet.payload());
+        for (_, message) in messages.by_ref() {
+            match message {
+                Ok(message) => {
+                    self.take(&message);
+                    read.push(message);
+                }
+                Err(_) => readable = false,
             }
         }
+        if !readable || messages.not_understood() > 0 {
+            self.report.faults.unreadable += 1;
+        }
+        read
     }
 
     fn take(&mut self, message: &Message) {

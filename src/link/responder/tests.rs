@@ -200,6 +200,61 @@ fn what_the_service_says_of_a_command_is_its_result() {
 }
 
 #[test]
+fn every_command_of_a_packet_is_carried_out_and_answered_in_order() {
+    let mut responder = computer_one();
+    // As the ground of HEROES writes it: the target, then the analogue gain.
+    let packet = "9ac3300e7100d498ff1012140b001600ff1081140500";
+    let bytes = crate::link::describe::from_hex(packet).unwrap();
+    let Ok(Packet::Command(packet)) = Packet::decode(Direction::ToAspect, &bytes) else {
+        panic!("no packet");
+    };
+    let reply = responder.handle(&packet, time(0), &mut Desk).unwrap();
+    let result = |key, value| {
+        let sequence = 0x71;
+        Said::Answer(Telemetry::Result {
+            sequence,
+            key,
+            value,
+        })
+    };
+    let mut expected = answers(0x71, 0x1412, result::DONE);
+    expected.push(result(0x1481, result::REFUSED));
+    let heard: Vec<Said> = reply.packets.iter().map(|p| said(p)).collect();
+    assert_eq!((heard, reply.commands), (expected, 2));
+}
+
+#[test]
+fn commands_of_the_other_computer_are_skipped_and_an_unknown_one_ends_the_packet() {
+    let mut responder = computer_one();
+    let payload = [
+        &[0xFF, 0x10, 0x40, 0x20][..],
+        &[0x00, 0x10],
+        &[0xFF, 0x10, 0xF1, 0x1F, 9, 0],
+        &[0xFF, 0x10, 0x12, 0x14, 1, 0, 2, 0],
+        &[0x34, 0x12, 1],
+    ]
+    .concat();
+    let (heard, changed) = tell_payload(&mut responder, &payload);
+    let mut expected = answers(5, 0x1000, 0);
+    expected.push(Said::Message(Message::TrackingOn));
+    for (key, value) in [(0x1FF1, 0xFFFF), (0x1412, 0), (0x1234, 0xFFFF)] {
+        expected.extend(answers(5, key, value).into_iter().skip(1));
+    }
+    assert_eq!((heard, changed), (expected, true));
+}
+
+#[test]
+fn padding_is_no_command() {
+    let mut responder = computer_one();
+    for padding in 0..6 {
+        let payload = [&[0x01, 0x10][..], &vec![0; padding]].concat();
+        let mut expected = answers(5, 0x1001, 0);
+        expected.push(Said::Message(Message::TrackingOff));
+        assert_eq!(tell_payload(&mut responder, &payload).0, expected);
+    }
+}
+
+#[test]
 fn a_place_that_is_no_number_is_refused() {
     let mut responder = computer_one();
     let mut payload = vec![0x0A, 0];

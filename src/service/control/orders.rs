@@ -98,18 +98,31 @@ impl Controls {
     }
 
     fn set_by_command(&self, settings: &[(&str, Value)]) -> CommandResult {
+        let before = self.state().commanded.clone();
         match self.set(settings) {
             Ok(()) => {
-                for (key, value) in settings {
+                // The same again changes nothing, and must not fill the log.
+                for (key, value) in settings.iter().filter(|s| before.get(s.0) != Some(&s.1)) {
                     tracing::info!(key, %value, "set by command");
                 }
                 CommandResult::Done
             }
             Err(refused) => {
-                tracing::warn!(%refused, "a command was refused");
+                let times = self.count_refusal(refused.key);
+                if worth_a_line(times) {
+                    tracing::warn!(%refused, times, "a command was refused");
+                }
                 CommandResult::Refused
             }
         }
+    }
+
+    /// How often the key has been refused by now.
+    fn count_refusal(&self, key: &'static str) -> u64 {
+        let mut state = self.state();
+        let times = state.refusals.entry(key).or_default();
+        *times += 1;
+        *times
     }
 
     /// By its number; `fits` says whether the parameter is of the command's kind.

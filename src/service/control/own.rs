@@ -18,6 +18,8 @@ pub(super) struct Own {
     pub sending: Option<bool>,
     /// Whether the controller wants solutions.
     pub tracking: bool,
+    /// The newest stamp of a signed datagram, ns since 1970; 0 without one.
+    pub stamp_ns: i64,
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
     /// The last GPS fix that was believed.
@@ -32,6 +34,7 @@ impl Own {
             stores: [true, true],
             sending: None,
             tracking: false,
+            stamp_ns: 0,
             clocking_deg: None,
             twist_deg: None,
             latitude_deg: None,
@@ -49,6 +52,11 @@ impl Own {
             TRACKING => self.tracking = switch(TRACKING, value)?,
             LATITUDE => self.latitude_deg = Some(angle(LATITUDE, value)?),
             LONGITUDE => self.longitude_deg = Some(angle(LONGITUDE, value)?),
+            "link.stamp_ns" => match value {
+                // It never goes back: a copy of an old datagram must not become new again.
+                Value::Whole(stamp) => self.stamp_ns = self.stamp_ns.max(*stamp),
+                _ => return Err(refused("link.stamp_ns", "a whole number, ns", value)),
+            },
             "mounting.clocking_deg" => {
                 self.clocking_deg = Some(angle("mounting.clocking_deg", value)?);
             }

@@ -7,11 +7,14 @@ use crate::frame::{Frame, FrameInfo, Pixels};
 use crate::instrument::builtin;
 use crate::link::ground::order;
 use crate::link::picture::Section;
-use crate::link::{BytePort, Message, SerialPort, Telemetry, id};
+use crate::link::{BytePort, Guard, Key, Message, Packet, Picture, SerialPort, Telemetry, id};
 use crate::pointing::{Offset, Target};
 use crate::units::Rejected;
 use crossbeam_channel::{Sender, unbounded};
 use nalgebra::Matrix2;
+use std::collections::VecDeque;
+use std::net::SocketAddr;
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
@@ -586,4 +589,132 @@ fn garbage_on_the_line_loses_no_command() {
     let tally = bench.finish();
     assert_eq!(tally.commands, 20);
     assert!(tally.rejected.packets >= 20);
+}
+
+/// A port of datagrams that have come, each from somebody, and of packets that were sent.
+#[derive(Default)]
+struct Datagrams {
+    to_read: VecDeque<(Vec<u8>, SocketAddr)>,
+    sender: Option<SocketAddr>,
+    written: Arc<Mutex<Vec<Vec<u8>>>>,
+}
+
+impl BytePort for Datagrams {
+    fn read(&mut self, buffer: &mut [u8], _: Duration) -> Result<usize, PortError> {
+        let next = self.to_read.pop_front();
+        self.sender = next.as_ref().map(|(_, sender)| *sender);
+        let bytes = next.map_or_else(Vec::new, |(bytes, _)| bytes);
+        buffer[..bytes.len()].copy_from_slice(&bytes);
+        Ok(bytes.len())
+    }
+
+    fn sender(&self) -> Option<SocketAddr> {
+        self.sender
+    }
+
+    fn write(&mut self, bytes: &[u8], _: Duration) -> Result<(), PortError> {
+        self.written.lock().unwrap().push(bytes.to_vec());
+        Ok(())
+    }
+}
+
+const GROUND: &str = "10.0.0.1:4711";
+const STRANGER: &str = "10.0.0.2:4711";
+
+fn command(sequence: u16, name: &str, values: &[&str]) -> Vec<u8> {
+    let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
+    let message = order(name, &values, Computer::One).unwrap();
+    message.packet(id::ASPECT, sequence).unwrap().encode()
+}
+
+fn ground_controls() -> Controls {
+    let mounting = builtin("demo").unwrap().mounting;
+    Controls::new(Config::default(), Target::default(), mounting)
+}
+
+/// What a line that listens to the ground makes of datagrams: its counts and its answers.
+fn heard(
+    controls: &Controls,
+    key: Option<Key>,
+    datagrams: impl IntoIterator<Item = (Vec<u8>, &'static str)>,
+) -> (LineTally, Vec<Vec<u8>>) {
+    let mut port = Datagrams::default();
+    let datagrams = datagrams.into_iter();
+    port.to_read = datagrams.map(|(b, s)| (b, s.parse().unwrap())).collect();
+    let (written, turns) = (Arc::clone(&port.written), port.to_read.len());
+    let guard = Guard::new(vec!["10.0.0.1".parse().unwrap()], key);
+    let mut connection = Connection::over(port).guarded(guard);
+    let tally = Shared::default();
+    let mut line = Line::new(&mut connection, controls.clone(), tally.clone());
+    (0..turns).for_each(|_| line.listen());
+    let written = written.lock().unwrap().clone();
+    (tally.copy(), written)
+}
+
+#[test]
+fn a_datagram_is_carried_out_once_and_only_if_a_peer_sent_it() {
+    let controls = ground_controls();
+    let set = |sequence, x| command(sequence, "set_target", &[x, "0"]);
+    let (tally, answers) = heard(
+        &controls,
+        None,
+        [
+            (set(5, "100"), GROUND),
+            (set(6, "200"), GROUND),
+            (set(5, "100"), GROUND),
+            (set(4, "300"), GROUND),
+            (set(7, "400"), STRANGER),
+        ],
+    );
+    assert_eq!(controls.config().target.x_arcsec, 200.0);
+    assert_eq!((tally.commands, tally.datagrams_refused), (2, 2));
+    assert_eq!(answers.len(), 6, "receipt and result, the first ones twice");
+    assert_eq!(answers[4..], answers[..2]);
+}
+
+#[test]
+fn with_a_key_a_command_is_signed_and_new_over_a_restart_too() {
+    let key = Key::new(b"sixteen bytes or more").unwrap();
+    let set = |x| command(1, "set_target", &[x, "0"]);
+    let signed = |x, stamp| (key.sign(&set(x), stamp), GROUND);
+    let controls = ground_controls();
+    let hear = |datagrams: [_; 2]| heard(&controls, Some(key.clone()), datagrams).0;
+    let tally = hear([(set("100"), GROUND), signed("200", 1000)]);
+    assert_eq!((tally.commands, tally.datagrams_refused), (1, 1));
+    let tally = hear([signed("200", 1000), signed("300", 1001)]);
+    assert_eq!((tally.commands, tally.datagrams_refused), (1, 1));
+    assert_eq!(controls.config().target.x_arcsec, 300.0);
+    assert_eq!(controls.stamp_ns(), 1001);
+}
+
+/// Counts lines of the log.
+struct Lines(Arc<AtomicU64>);
+
+impl<S: tracing::Subscriber> tracing_subscriber::Layer<S> for Lines {
+    fn on_event(&self, _: &tracing::Event<'_>, _: tracing_subscriber::layer::Context<'_, S>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
+    use tracing_subscriber::layer::SubscriberExt;
+    let lines = Arc::new(AtomicU64::new(0));
+    let subscriber = tracing_subscriber::registry().with(Lines(Arc::clone(&lines)));
+    let _guard = tracing::subscriber::set_default(subscriber);
+    let controls = ground_controls();
+    let count = |name: &'static str, values: &'static [&str], sender| {
+        lines.store(0, Ordering::Relaxed);
+        let flood = (1..5000).map(|n| (command(n, name, values), sender));
+        heard(&controls, None, flood);
+        lines.load(Ordering::Relaxed)
+    };
+    assert_eq!(count("set_target", &["1", "2"], STRANGER), 13);
+    assert_eq!(count("set_target", &["1", "2"], GROUND), 2, "x and y, once");
+    assert_eq!(count("set_twist", &["1000"], GROUND), 13);
+    assert_eq!(count("start_tracking", &[], GROUND), 1);
+    let noise = (1..5000).map(|n: u16| (n.to_le_bytes().repeat(20), GROUND));
+    lines.store(0, Ordering::Relaxed);
+    heard(&controls, None, noise);
+    assert_eq!(lines.load(Ordering::Relaxed), 0, "counted as rejected");
 }

@@ -58,6 +58,32 @@ fn report_of_packets(packets: impl Iterator<Item = Vec<u8>>) -> Report {
 }
 
 #[test]
+fn all_messages_of_a_packet_are_taken() {
+    let payload = [Message::TrackingOn, announcement(0), solution(0)]
+        .iter()
+        .flat_map(|message| {
+            message
+                .packet(id::CONTROLLER, 1)
+                .unwrap()
+                .payload()
+                .to_vec()
+        })
+        .chain([0, 0, 0])
+        .collect();
+    let packet = CommandPacket::new(id::CONTROLLER, 1, payload).unwrap();
+    let report = report_of_packets([packet.encode()].into_iter());
+    assert_eq!(report.faults, Faults::default());
+    assert_eq!(
+        (
+            report.tracking_on,
+            report.announcements,
+            report.solutions.len()
+        ),
+        (1, 1, 1)
+    );
+}
+
+#[test]
 fn a_flawless_conversation_has_no_fault() {
     let report = report_of(&[
         Message::TrackingOn,

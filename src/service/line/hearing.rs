@@ -1,0 +1,113 @@
+//! What comes over the line, and what is answered.
+
+use super::super::tally::worth_a_line;
+use super::Line;
+use crate::link::guard::Refusal;
+use crate::link::{CommandPacket, Packet};
+use jiff::Timestamp;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+/// More than the longest datagram.
+const READ_BYTES: usize = 2048;
+/// Datagrams that are looked at in a turn: a flood of them must not hold up what is to be sent.
+const DATAGRAMS: usize = 64;
+
+impl Line<'_> {
+    /// Reads what has come and answers it.
+    pub(super) fn listen(&mut self) {
+        let mut buffer = [0; READ_BYTES];
+        for _ in 0..DATAGRAMS {
+            let Some(port) = self.connection.port() else {
+                return;
+            };
+            let count = match port.read(&mut buffer, Duration::ZERO) {
+                Ok(count) => count,
+                Err(error) => return self.lose(&error),
+            };
+            let Some(sender) = port.sender() else {
+                self.hear_wire(&buffer[..count]);
+                break;
+            };
+            self.hear_datagram(&buffer[..count], sender);
+        }
+        self.tally.lock().rejected = self.parser.rejected();
+    }
+
+    fn hear_wire(&mut self, bytes: &[u8]) {
+        for packet in self.parser.feed(bytes, self.start.elapsed()) {
+            if let Packet::Command(packet) = packet {
+                self.obey(&packet);
+            }
+        }
+    }
+
+    fn hear_datagram(&mut self, datagram: &[u8], sender: SocketAddr) {
+        let guard = self.connection.guard();
+        guard.refuse_to(self.controls.stamp_ns());
+        let opened = match guard.open(datagram, sender) {
+            Ok(opened) => opened,
+            Err(refusal) => return self.refuse(refusal, sender),
+        };
+        if guard.newest_stamp() > self.controls.stamp_ns() {
+            self.controls.note_stamp_ns(guard.newest_stamp());
+        }
+        let packets = self.parser.feed(opened.bytes, self.start.elapsed());
+        // No packet goes on in the next datagram.
+        self.parser.abandon();
+        for packet in packets {
+            if let Packet::Command(packet) = packet {
+                self.obey_once(packet, sender, opened.is_new);
+            }
+        }
+    }
+
+    /// Carries a packet of a datagram out, unless it was before.
+    fn obey_once(&mut self, packet: CommandPacket, sender: SocketAddr, is_new: bool) {
+        let now = Instant::now();
+        match self.connection.guard().admit(&packet, sender, is_new, now) {
+            Ok(None) => {
+                let answers = self.obey(&packet);
+                let guard = self.connection.guard();
+                guard.remember(packet, sender, answers, now);
+            }
+            Ok(Some(answers)) => {
+                for answer in answers {
+                    self.send(&answer);
+                }
+            }
+            Err(refusal) => self.refuse(refusal, sender),
+        }
+    }
+
+    fn refuse(&mut self, refusal: Refusal, sender: SocketAddr) {
+        let mut tally = self.tally.lock();
+        tally.datagrams_refused += 1;
+        let refused = tally.datagrams_refused;
+        drop(tally);
+        if worth_a_line(refused) {
+            tracing::warn!(%sender, %refusal, refused, "a datagram was refused");
+        }
+    }
+
+    /// Carries a packet out; returns what it was answered with.
+    fn obey(&mut self, packet: &CommandPacket) -> Vec<Vec<u8>> {
+        let now = Timestamp::now();
+        match self.responder.handle(packet, now, &mut self.controls) {
+            Ok(reply) => {
+                self.tally.lock().commands += reply.commands;
+                for answer in &reply.packets {
+                    self.send(answer);
+                }
+                if reply.changed {
+                    self.note_conversation();
+                }
+                reply.packets
+            }
+            Err(error) => {
+                self.note_unsaid(&error, "a command was not answered");
+                Vec::new()
+            }
+        }
+    }
+}
