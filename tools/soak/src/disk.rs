@@ -14,7 +14,9 @@ pub const EACH: Duration = Duration::from_millis(500);
 enum Step {
     MakeFolder,
     Create,
+    Open,
     Write,
+    Cut,
     Sync,
     Rename,
     SyncFolder,
@@ -25,10 +27,12 @@ enum Step {
     Space,
 }
 
-const STEPS: [Step; 11] = [
+const STEPS: [Step; 13] = [
     Step::MakeFolder,
     Step::Create,
+    Step::Open,
     Step::Write,
+    Step::Cut,
     Step::Sync,
     Step::Rename,
     Step::SyncFolder,
@@ -80,6 +84,14 @@ impl FaultyDisk {
         self.shared.changed.notify_all();
     }
 
+    fn file(&self, file: Box<dyn DiskFile>) -> Box<dyn DiskFile> {
+        Box::new(FaultyFile {
+            file,
+            shared: Arc::clone(&self.shared),
+            dropped: self.shared.state().dropped,
+        })
+    }
+
     /// Every open file is dead from now on, as after an unmount.
     pub fn drop_files(&self) {
         self.shared.state().dropped += 1;
@@ -126,11 +138,12 @@ impl Disk for FaultyDisk {
 
     fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
         self.shared.pass(Step::Create)?;
-        Ok(Box::new(FaultyFile {
-            file: LocalDisk.create(file)?,
-            shared: Arc::clone(&self.shared),
-            dropped: self.shared.state().dropped,
-        }))
+        Ok(self.file(LocalDisk.create(file)?))
+    }
+
+    fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>> {
+        self.shared.pass(Step::Open)?;
+        Ok(self.file(LocalDisk.open(file)?))
     }
 
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
@@ -146,6 +159,16 @@ impl Disk for FaultyDisk {
     fn remove(&self, file: &Path) -> io::Result<()> {
         self.shared.pass(Step::Remove)?;
         LocalDisk.remove(file)
+    }
+
+    fn remove_tree(&self, folder: &Path) -> io::Result<()> {
+        self.shared.pass(Step::Remove)?;
+        LocalDisk.remove_tree(folder)
+    }
+
+    fn link(&self, link: &Path, name: &Path) -> io::Result<()> {
+        self.shared.pass(Step::Rename)?;
+        LocalDisk.link(link, name)
     }
 
     fn exists(&self, path: &Path) -> bool {
@@ -172,6 +195,7 @@ impl Disk for FaultyDisk {
     }
 }
 
+#[derive(Debug)]
 struct FaultyFile {
     file: Box<dyn DiskFile>,
     shared: Arc<Shared>,
@@ -204,5 +228,15 @@ impl DiskFile for FaultyFile {
     fn sync(&mut self) -> io::Result<()> {
         self.pass(Step::Sync)?;
         self.file.sync()
+    }
+
+    fn length(&mut self) -> io::Result<u64> {
+        self.pass(Step::Open)?;
+        self.file.length()
+    }
+
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        self.pass(Step::Cut)?;
+        self.file.cut(length)
     }
 }
