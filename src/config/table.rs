@@ -181,7 +181,7 @@ static TABLE: &[Parameter] = &[
         "`solaspect preflight` objects to a clock that may be off by more. A second moves the Sun by 15 arcsec."),
     row!(preflight.max_calibration_age_days, "days", Number(1.0, 36_500.0),
         "`solaspect preflight` warns of an instrument whose boresight, clocking or scale was measured longer ago."),
-    row!(preflight.min_archive_hours, "h", Number(0.0, 10_000.0),
+    row!(preflight.min_archive_hours, "hours", Number(0.0, 10_000.0),
         "`solaspect preflight` warns of a disk with room for the frames of less time, before they are compressed. One with room for less than a minute fails, whatever this says."),
 
     row!(simulation.seed, "", Whole(0, i64::MAX),
