@@ -295,7 +295,9 @@ mod tests {
             let utc = Timestamp::from_second(second).unwrap();
             (table.at(utc).unwrap(), table.extrapolates(utc))
         };
-        assert_eq!(after(0.0), (end.orientation, None));
+        let at_end = after(0.0);
+        assert_eq!((at_end.0.ut1_sigma_s, at_end.1), (0.0, None));
+        assert!((at_end.0.ut1_utc_s - end.orientation.ut1_utc_s).abs() < 1e-9);
         let (day, hundred_days, three_years, sixty_years) =
             (after(1.0), after(100.0), after(1096.0), after(22_000.0));
         let sigmas = [&day, &hundred_days, &three_years, &sixty_years].map(|a| a.0.ut1_sigma_s);
