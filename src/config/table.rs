@@ -163,7 +163,7 @@ static TABLE: &[Parameter] = &[
     row!(archive.compression, "", Name(&Compression::NAMES),
         "How pictures are compressed, always without loss. With none, programs that read plain images only can open them."),
     row!(archive.sharing, "", Name(Sharing::NAMES),
-        "What two disks do: alternate stores each frame on one of them in turn, mirror on both. One that refuses rests (0.25 s, then twice as long each time, at most 5 s) while the other takes all."),
+        "What two disks do: alternate stores each frame on one of them in turn, mirror on both. One that refuses rests (0.25 s, then twice as long each time, at most 5 s) while the other takes all; one without another rests for 0.5 s at most."),
     row!(archive.queue_frames, "", Whole(1, 10_000),
         "Frames that may wait for the disk. Raising it rides out longer pauses of the disk, at 1.3 to 2.5 MB of memory each."),
     row!(archive.overflow, "", Name(Overflow::NAMES),

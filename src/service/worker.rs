@@ -1,8 +1,8 @@
 //! A thread that is started again when it panics or hangs.
 //!
 //! A thread cannot be ended from outside. One that hangs is left alone for good: its life is over, it is told so if ever it
-//! looks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so this is done a few
-//! times at most; then only a new process helps.
+//! looks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so a few may hang at
+//! most; then only a new process helps.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 /// A thread that panics again sooner than this is not started at once.
 const SOON: Duration = Duration::from_secs(1);
-/// How often a thread that hangs is replaced.
-const MOST_TAKEOVERS: u64 = 3;
+/// Threads that hang and were replaced. While so many hang still, the next one is not replaced.
+const MOST_ABANDONED: usize = 3;
 
 /// One life of a worker: its heartbeat, and whether another has taken its place.
 #[derive(Debug)]
@@ -66,6 +66,8 @@ pub(super) struct Worker {
     due: Instant,
     panics: u64,
     takeovers: u64,
+    /// Threads that were replaced and hang still.
+    abandoned: Vec<JoinHandle<()>>,
 }
 
 struct Running {
@@ -88,6 +90,7 @@ impl Worker {
             due: Instant::now(),
             panics: 0,
             takeovers: 0,
+            abandoned: Vec::new(),
         };
         worker.live()?;
         Ok(worker)
@@ -109,10 +112,10 @@ impl Worker {
         running.is_some_and(|running| running.life.silence(now) > patience)
     }
 
-    /// Whether the thread hangs and was replaced too often to be replaced again.
+    /// Whether the thread hangs, and too many before it do, so that it is not replaced.
     pub fn is_beyond_help(&self, now: Instant) -> bool {
         let hangs = |patience| self.is_silent_for(patience, now);
-        self.takeovers >= MOST_TAKEOVERS && self.patience.is_some_and(hangs)
+        self.abandoned.len() >= MOST_ABANDONED && self.patience.is_some_and(hangs)
     }
 
     /// Counts its silence from now on: the whole program was stopped for a while.
@@ -124,11 +127,12 @@ impl Worker {
 
     /// Looks after the thread as it was at `now`: whether its work goes on.
     pub fn look(&mut self, now: Instant) -> bool {
+        self.abandoned.retain(|thread| !thread.is_finished());
         match &self.running {
             Some(running) if running.thread.is_finished() => self.conclude(),
             Some(running) => {
                 let silence = running.life.silence(now);
-                if self.takeovers < MOST_TAKEOVERS
+                if self.abandoned.len() < MOST_ABANDONED
                     && self.patience.is_some_and(|patience| silence > patience)
                 {
                     self.abandon(silence);
@@ -187,6 +191,7 @@ impl Worker {
         tracing::error!(thread = self.name, silent_ms, takeovers, "a thread hangs");
         if let Some(running) = self.running.take() {
             running.life.over.store(true, Ordering::Relaxed);
+            self.abandoned.push(running.thread);
         }
         self.due = Instant::now();
     }
@@ -270,6 +275,23 @@ mod tests {
         let mut both: Vec<bool> = heard.iter().collect();
         both.sort_unstable();
         assert_eq!(both, [false, true], "the old one learns of it");
+    }
+
+    #[test]
+    fn a_thread_that_hangs_for_a_while_is_replaced_each_time() {
+        let (open, gate) = unbounded::<()>();
+        let mut worker = Worker::start("slow", Some(Duration::from_millis(1)), move || {
+            let gate = gate.clone();
+            Box::new(move |life| {
+                while !life.is_over() {
+                    thread::yield_now();
+                }
+                drop(gate);
+            })
+        })
+        .unwrap();
+        look_until(&mut worker, |worker, _| worker.takeovers() > 10);
+        drop(open);
     }
 
     #[test]

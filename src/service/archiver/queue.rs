@@ -177,10 +177,7 @@ impl<P> Queue<P> {
         waiting.refusals += 1;
         let mut state = self.lock();
         state.disks[disk].activity = Activity::Resting;
-        let other_works = state
-            .disks
-            .iter()
-            .any(|disk| matches!(disk.activity, Activity::Waiting | Activity::Writing));
+        let other_works = state.other_works(disk);
         if waiting.refusals >= MOST_REFUSALS {
             state.tally.failed += 1;
         } else if other_works {
@@ -191,6 +188,11 @@ impl<P> Queue<P> {
         }
         drop(state);
         self.changed.notify_all();
+    }
+
+    /// Whether another disk takes pictures from this queue now.
+    pub fn other_works(&self, disk: usize) -> bool {
+        self.lock().other_works(disk)
     }
 
     /// Waits until `deadline`, or until the queue is closed: whether it is.
@@ -233,6 +235,12 @@ impl<P> Queue<P> {
 }
 
 impl<P> State<P> {
+    fn other_works(&self, disk: usize) -> bool {
+        let others = self.disks.iter().enumerate().filter(|(n, _)| *n != disk);
+        let mut activities = others.map(|(_, other)| other.activity);
+        activities.any(|activity| matches!(activity, Activity::Waiting | Activity::Writing))
+    }
+
     fn offer(&mut self, waiting: Waiting<P>) -> GivenUp {
         let rules = self.rules;
         let nth = self.offered.is_multiple_of(rules.every);

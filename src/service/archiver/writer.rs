@@ -2,7 +2,7 @@
 
 use super::picture::Picture;
 use super::queue::{Queue, Taken, Waiting};
-use super::rest::{LONGEST_REST, SHORTEST_REST};
+use super::rest::{LONGEST_REST, LONGEST_REST_ALONE, SHORTEST_REST};
 use crate::archive::{
     ArchiveError, Encoded, Room, SpaceLimits, Store, instrument_cards, sky_cards, tables,
 };
@@ -69,6 +69,9 @@ impl Writer {
         loop {
             if let Err(error) = outcome {
                 self.note_refusal(&error);
+                if !self.queue.other_works(self.disk) {
+                    rest = rest.min(LONGEST_REST_ALONE);
+                }
                 if self.queue.rest(self.disk, Instant::now() + rest) {
                     break;
                 }
