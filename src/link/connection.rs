@@ -148,6 +148,11 @@ impl Connection {
         self.open.is_some() || self.opened > 0
     }
 
+    /// Whether there is a line and it has never been open.
+    pub fn was_never_open(&self) -> bool {
+        self.is_wanted() && self.opened == 0
+    }
+
     /// How often the port was opened, the first time not counted.
     pub fn reopened(&self) -> u64 {
         self.opened.saturating_sub(1)

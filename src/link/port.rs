@@ -20,6 +20,8 @@ pub enum PortError {
         name: String,
         cause: serialport::Error,
     },
+    #[error("serial port {name}: another program has it open")]
+    InUse { name: String },
     #[error("{name}: cannot be opened: {cause}")]
     Udp { name: String, cause: io::Error },
     #[error("serial port {name}: lost: {cause}")]
@@ -72,9 +74,13 @@ impl SerialPort {
             .parity(Parity::None)
             .stop_bits(StopBits::One)
             .flow_control(FlowControl::None);
-        let port = builder.open_native().map_err(|cause| PortError::Open {
-            name: name.into(),
-            cause,
+        let port = builder.open_native().map_err(|cause| {
+            let name = name.into();
+            // What the crate says where another program holds the lock.
+            match cause.description.contains("exclusive lock") {
+                true => PortError::InUse { name },
+                false => PortError::Open { name, cause },
+            }
         })?;
         Self::non_blocking(name.into(), port)
     }
@@ -237,6 +243,16 @@ mod tests {
             near.write(b"bytes", LONG),
             Err(PortError::Lost { .. })
         ));
+    }
+
+    #[test]
+    fn a_port_that_another_program_holds_is_said_to_be_in_use() {
+        let (_near, far) = SerialPort::pair().unwrap();
+        let held = SerialPort::open(far.name(), BAUD).unwrap();
+        let error = SerialPort::open(far.name(), BAUD).unwrap_err();
+        assert!(matches!(error, PortError::InUse { .. }), "{error}");
+        drop(held);
+        SerialPort::open(far.name(), BAUD).unwrap();
     }
 
     #[test]

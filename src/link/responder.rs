@@ -95,6 +95,11 @@ impl Responder {
         }
     }
 
+    /// Tracks as before a restart, unasked.
+    pub fn go_on_tracking(&mut self) {
+        self.state.tracking = true;
+    }
+
     pub fn state(&self) -> &LinkState {
         &self.state
     }

@@ -106,6 +106,7 @@ impl<'a> Line<'a> {
     fn publish(&mut self) {
         let mut tally = self.tally.lock();
         tally.reopened = self.connection.reopened();
+        tally.never_open = self.connection.was_never_open();
         tally.conversation = *self.responder.state();
     }
 
@@ -169,6 +170,10 @@ impl<'a> Line<'a> {
         if version != self.version {
             self.version = version;
             self.settings = self.controls.config().link;
+            if self.controls.tracking() {
+                // Saved values that came after the start: a disk hung.
+                self.responder.go_on_tracking();
+            }
         }
     }
 

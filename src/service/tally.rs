@@ -197,6 +197,8 @@ pub struct LineTally {
     /// How often the port was lost, and opened again.
     pub lost: u64,
     pub reopened: u64,
+    /// Whether there is a port that could never be opened.
+    pub never_open: bool,
     /// What came over the line and was no packet.
     pub rejected: Rejected,
     /// What came in datagrams and was not listened to: unknown senders, replays, no signature.
@@ -223,6 +225,9 @@ impl LineTally {
             "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
             self.solutions, self.errors, self.announced, self.commands, self.outdated,
         )?;
+        if self.never_open {
+            write!(out, "\nline       never open: nothing was sent")?;
+        }
         if (self.lost, self.unannounced) != (0, 0) {
             write!(
                 out,
@@ -273,7 +278,8 @@ impl FlightTally {
         let frames = camera + self.solver.misfits;
         let files = self.archive.unstored + self.archive.rows_lost;
         let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
-        frames + files + packets + self.restarts
+        let line = u64::from(self.line.never_open);
+        frames + files + packets + line + self.restarts
     }
 }
 

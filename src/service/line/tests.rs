@@ -719,7 +719,9 @@ fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
     ];
     // Threads of other tests have no log: one that writes a line first would have it thought that nobody wants it.
     let warm_up = ground_controls();
-    floods.map(|flood| count(&warm_up, 2, flood));
+    for flood in floods {
+        count(&warm_up, 2, flood);
+    }
     tracing::callsite::rebuild_interest_cache();
     let controls = ground_controls();
     let counts = floods.map(|flood| count(&controls, 5000, flood));
