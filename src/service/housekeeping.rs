@@ -11,6 +11,7 @@ use crate::geometry::MappingKind;
 use crate::link::housekeeping::MarkIds;
 use crate::link::{CameraRole, Housekeeping};
 use crate::log;
+use crossbeam_channel::Receiver;
 use std::time::{Duration, Instant};
 
 /// Where Linux tells how warm the computer is, in thousandths of a degree.
@@ -62,7 +63,13 @@ impl Teller {
         }
     }
 
-    pub fn tell(&mut self, counts: &Counts, restarts: Restarts) -> Box<Housekeeping> {
+    /// `events` wait for the line.
+    pub fn tell(
+        &mut self,
+        counts: &Counts,
+        restarts: Restarts,
+        events: usize,
+    ) -> Box<Housekeeping> {
         let tally = counts.tally();
         let mut told = Box::<Housekeeping>::default();
         let clock = ClockStatus::read().ok();
@@ -82,6 +89,9 @@ impl Teller {
         told.disks = [used(0), used(1)];
         let refused = |disk: usize| disks.get(disk).map_or(0, |d| d.refused + d.rows_refused);
         told.disk_refusals = [small(refused(0)), small(refused(1))];
+        let frames: usize = counts.sightings.iter().map(Receiver::len).sum();
+        told.queued_frames = small(frames as u64);
+        told.queued_events = small(events as u64);
         told.queued_pictures = small(counts.archive.waiting() as u64);
         told.queued_rows = small(counts.archive.waiting_rows() as u64);
         let sent = tally

@@ -134,6 +134,7 @@ impl Service {
             cameras: Vec::new(),
             silences: Vec::new(),
             solvers: Vec::new(),
+            sightings: Vec::new(),
             archive: gauges.clone(),
             line: Shared::default(),
         };
@@ -320,6 +321,7 @@ impl Crew {
         };
         self.recent.push(solver.recent.clone());
         self.counts.solvers.push(solver.tally.clone());
+        self.counts.sightings.push(sightings.clone());
         let host = self.host;
         let name = format!("solver-{}", station.camera_number());
         self.solvers

@@ -1,5 +1,6 @@
 //! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
 
+use super::Sighting;
 use super::archiver::{self, Archive, Gauges};
 use super::housekeeping::{Restarts, Teller};
 use super::line::LinkEvent;
@@ -8,7 +9,7 @@ use super::silence::{self, Silence};
 use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
 use super::worker::{self, Worker};
 use crate::link::Housekeeping;
-use crossbeam_channel::Sender;
+use crossbeam_channel::{Receiver, Sender};
 use sd_notify::NotifyState;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -54,6 +55,8 @@ pub(super) struct Counts {
     pub cameras: Vec<Shared<CameraTally>>,
     pub silences: Vec<Shared<Silence>>,
     pub solvers: Vec<Shared<SolverTally>>,
+    /// Frames that wait for each solver: only their number is of interest here.
+    pub sightings: Vec<Receiver<Sighting>>,
     pub archive: Gauges,
     pub line: Shared<LineTally>,
 }
@@ -196,7 +199,8 @@ impl Watch {
             all: self.restarts(),
             takeovers: self.takeovers(),
         };
-        let told = self.teller.tell(&self.counts, restarts);
+        let events = self.to_line.len();
+        let told = self.teller.tell(&self.counts, restarts, events);
         if let Some(archive) = &self.archive {
             archive.note(&told);
         }
