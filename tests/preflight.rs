@@ -39,6 +39,17 @@ fn solaspect(arguments: &[&str], answers: &str) -> Output {
     program.wait_with_output().unwrap()
 }
 
+const SIMULATED: &str = "[camera]\nsource = \"simulated\"\n";
+
+/// The configuration with the simulator for a camera where it names none.
+fn with_camera(config: &str) -> String {
+    match config.contains("source =") {
+        true => config.into(),
+        false if config.contains("[camera]\n") => config.replacen("[camera]\n", SIMULATED, 1),
+        false => format!("{config}{SIMULATED}"),
+    }
+}
+
 /// The page of a preflight, as JSON, and whether nothing failed.
 struct Page {
     passed: bool,
@@ -46,12 +57,13 @@ struct Page {
 }
 
 impl Page {
-    /// Of a configuration, over which an archive in `folder` and full disks are laid, and of options.
+    /// Of a configuration, over which the simulated camera, an archive in `folder` and full disks are laid, and of options.
     fn of(folder: &TempDir, config: &str, options: &[&str]) -> Self {
         Self::with_answers(folder, config, options, "")
     }
 
     fn with_answers(folder: &TempDir, config: &str, options: &[&str], answers: &str) -> Self {
+        let config = with_camera(config);
         let text = format!(
             "[archive]\nwarn_free_percent = 0\nthin_free_percent = 0\nstop_free_percent = 0\n\
              directory = {:?}\n{config}",
@@ -129,7 +141,7 @@ fn the_simulated_camera_with_an_archive_passes_and_leaves_nothing_behind() {
 fn a_page_for_people_has_a_line_for_each_check_and_one_for_all() {
     let folder = folder();
     let file = folder.path().join("flight.toml");
-    fs::write(&file, any_day(folder.path())).unwrap();
+    fs::write(&file, with_camera(&any_day(folder.path()))).unwrap();
     let output = solaspect(&["preflight", "--config", file.to_str().unwrap()], "");
     let page = String::from_utf8(output.stdout).unwrap();
     let lines: Vec<&str> = page.lines().collect();
@@ -617,7 +629,7 @@ fn two_cameras_with_one_source_are_an_error_if_the_source_is_a_device() {
 fn a_configuration_without_errors_is_ok_and_says_what_would_fly() {
     let folder = folder();
     let file = folder.path().join("good.toml");
-    fs::write(&file, "[camera]\nsource = \"simulated\"\n").unwrap();
+    fs::write(&file, SIMULATED).unwrap();
     let output = solaspect(&["config", "check", file.to_str().unwrap()], "");
     let said = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{said}");

@@ -2,10 +2,11 @@
 
 use super::options;
 use super::output::say;
+use crate::log;
 use crate::service::demo::{self, Demo, Glimpse};
 use anyhow::Context;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -31,6 +32,7 @@ pub struct DemoArgs {
 }
 
 pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
+    let is_temporary = args.archive.is_none();
     let archive = match args.archive {
         Some(folder) => folder,
         None => tempfile::Builder::new()
@@ -46,17 +48,22 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
         seed: args.seed,
     };
     let interrupted = options::interrupted()?;
-    let display = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{elapsed:>4} {msg}") {
-        display.set_style(style);
-    }
+    let on_terminal = std::io::stderr().is_terminal();
+    let show = |text: String| {
+        if on_terminal {
+            log::show(text);
+        }
+    };
     let summary = demo::run(
         &demo,
-        |glimpse| display.set_message(line(glimpse)),
+        |glimpse| show(line(glimpse)),
         || interrupted.load(std::sync::atomic::Ordering::Relaxed),
     )?;
-    display.finish_and_clear();
+    show(String::new());
     say(&summary)?;
+    if is_temporary {
+        say("the archive is kept: remove its folder when it has served")?;
+    }
     Ok(match summary.lost() {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,

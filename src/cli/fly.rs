@@ -98,7 +98,9 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     }
     let told_to_end = told_to_end();
     let tally = service.join()?;
-    log::show(String::new());
+    if on_terminal {
+        log::show(String::new());
+    }
     say(&tally)?;
     Ok(match tally.lost() {
         // It did as it was told; what was lost in flight is in the log.

@@ -34,6 +34,10 @@ impl FrameSource for DarkCamera {
         let frame = dark_frame(&self.instrument, number);
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
+
+    fn frames_wait(&self) -> bool {
+        true
+    }
 }
 
 /// A frame of the n-th quarter second that shows nothing.
