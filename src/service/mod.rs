@@ -27,8 +27,12 @@
 //! the last of its work. The link goes on answering commands until the service is joined.
 //!
 //! A thread that panics is started again. So is a camera or a solver that shows no sign of life for a while, with the same
-//! channels; the one that hangs is left alone. A thread that waits for a disk is waited for: the other disk's goes on. Where
-//! watch or link hang, systemd's watchdog is not fed, and it starts the program again.
+//! channels; the one that hangs is left alone. While three of them hang, the next is not replaced; where no camera is solved
+//! any more, the program ends in order, and systemd starts it again. A stop of the whole program counts against no thread. A
+//! thread blocked on a disk is not restarted: the other disk's goes on. Where watch or link hang, systemd's watchdog is not
+//! fed, and it starts the program again.
+//!
+//! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error.
 
 mod archiver;
 pub mod control;
