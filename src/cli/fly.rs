@@ -1,6 +1,7 @@
 //! `solaspect fly`: the flight service.
 
 mod cameras;
+mod live;
 
 use super::options::{self, ConfigurationArgs};
 use super::output::say;
@@ -9,13 +10,12 @@ use crate::archive::disk::LocalDisk;
 use crate::camera::Source;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
-use crate::link::{Connection, Housekeeping};
-use crate::log;
+use crate::link::Connection;
 use crate::service::{Flight, Service};
 use clap::Args;
 use jiff::Timestamp;
-use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use live::LiveLine;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -36,19 +36,14 @@ pub struct FlyArgs {
 
 /// A program that is told to end has ended after this, and a little for the line.
 const ENDING: Duration = Duration::from_millis(1500);
-/// How often the live line of a terminal is renewed.
-const SHOW_EVERY: Duration = Duration::from_millis(500);
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     let mut config = options::config(args.over.config.as_deref())?;
     args.over.options().over(&mut config);
     if let Some(missing) = config.missing().into_iter().next() {
-        let file = args
-            .over
-            .config
-            .as_deref()
-            .unwrap_or(Path::new("--camera, --instrument"));
-        anyhow::bail!("{}: {missing}", file.display());
+        let file = args.over.config.as_deref();
+        let place = file.map_or("the command line".into(), |file| file.display().to_string());
+        anyhow::bail!("{place}: {missing}");
     }
     let mut ephemeris = options::ephemeris(&config)?;
     if let Err(error) = ephemeris.disc(Timestamp::now()) {
@@ -72,21 +67,12 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         tracing::warn!("the frames are the simulator's, and so is what is sent of them");
     }
     let service = Service::start(flight)?;
-    let on_terminal = std::io::stderr().is_terminal();
-    let mut shown = Instant::now();
+    let mut live = LiveLine::new();
     let start = Instant::now();
     let told_to_end = || interrupted.load(Ordering::Relaxed) || service.controls().quits();
     while !service.is_finished() {
         std::thread::sleep(Duration::from_millis(20));
-        if on_terminal && shown.elapsed() >= SHOW_EVERY {
-            shown = Instant::now();
-            log::show(
-                service
-                    .housekeeping()
-                    .as_ref()
-                    .map_or_else(String::new, live_line),
-            );
-        }
+        live.renew(&service);
         if told_to_end() {
             service.stop_within(ENDING);
         } else if args
@@ -98,9 +84,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     }
     let told_to_end = told_to_end();
     let tally = service.join()?;
-    if on_terminal {
-        log::show(String::new());
-    }
+    live.end();
     say(&tally)?;
     Ok(match tally.lost() {
         // It did as it was told; what was lost in flight is in the log.
@@ -109,43 +93,6 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,
     })
-}
-
-/// What the ground is told, on one line.
-fn live_line(told: &Housekeeping) -> String {
-    let offset = match told.azimuth_deg.zip(told.elevation_deg) {
-        Some((azimuth, elevation)) => {
-            format!("azimuth {azimuth:+.4} elevation {elevation:+.4} deg")
-        }
-        None => "no offset".into(),
-    };
-    let disks: Vec<String> = told
-        .disks
-        .iter()
-        .flatten()
-        .map(|used| format!("{used} %"))
-        .collect();
-    let link = match (told.tracking, told.sending) {
-        (true, true) => "tracking",
-        (false, true) => "not tracking",
-        (_, false) => "not sending",
-    };
-    format!(
-        "{}{} frames: {} fine, {} coarse, {} none | {offset} | {} stored, {} not; disks {} | {link}, {} sent",
-        if told.simulated { "SIMULATED " } else { "" },
-        told.taken,
-        told.fine,
-        told.coarse,
-        told.none,
-        told.stored,
-        told.unstored,
-        if disks.is_empty() {
-            "none".into()
-        } else {
-            disks.join(", ")
-        },
-        told.solutions,
-    )
 }
 
 /// A port that is not there is looked for in flight.
