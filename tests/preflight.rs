@@ -458,7 +458,11 @@ fn beside_a_wrong_configuration_clock_disks_and_line_are_looked_at() {
 #[test]
 fn a_camera_that_the_program_was_not_built_for_says_which_program_to_take() {
     let folder = folder();
-    let page = Page::of(&folder, "[camera]\nsource = \"gige:10.0.0.7\"\n", &[]);
+    let page = Page::of(
+        &folder,
+        "[camera]\nsource = \"gige:10.0.0.7\"\ninstrument = \"calibration/demo.toml\"\n",
+        &[],
+    );
     // The clock may fail, too: a real camera's frames would get their times from it.
     assert_eq!(page.failures()[0], "configuration");
     assert!(page.remedy("configuration").contains("--features gige"));
@@ -574,7 +578,7 @@ fn a_motion_is_one_beyond_the_noise_in_three_frames_running() {
 fn a_configuration_is_checked_with_all_its_errors_at_once() {
     let folder = folder();
     let file = folder.path().join("bad.toml");
-    let text = "[camera]\nexposure_us = 400000\ninstrument = \"/nowhere/i.toml\"\nauto_exposure = \"on\"\n\
+    let text = "[camera]\nsource = \"simulated\"\nexposure_us = 400000\ninstrument = \"/nowhere/i.toml\"\nauto_exposure = \"on\"\n\
                 auto_exposure_min_us = 500\nauto_exposure_max_us = 300\n\
                 [second_camera]\nsource = \"folder:/nowhere\"\n\
                 [roll_camera]\nsource = \"simulated:/nowhere/p.toml\"\nrate_hertz = 3\n\

