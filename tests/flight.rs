@@ -731,10 +731,10 @@ fn flown_with(settings: &[(u16, f64)]) -> String {
         given: Arc::clone(&given),
     };
     let (near, _far) = SerialPort::pair().unwrap();
-    let mut flight = flight(
-        Camera::new(instrument::builtin("demo").unwrap(), camera),
-        vec![store],
-    );
+    let mut instrument = instrument::builtin("demo").unwrap();
+    // As if the plate's centre had been measured a little wrong.
+    instrument.mounting.plate_centre_px.x += 8.0;
+    let mut flight = flight(Camera::new(instrument, camera), vec![store]);
     flight.line = Connection::over(near);
     // A machine that has other things to do makes no solution too old.
     flight.config.link.max_solution_age_ms = 30_000;
