@@ -8,6 +8,7 @@
 //! where its queue is full at the end.
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use std::any::Any;
 use std::io::{self, IsTerminal, Write};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -63,10 +64,19 @@ pub fn start(verbose: u8, format: Format) -> io::Result<Guard> {
     };
     std::panic::set_hook(Box::new(|panic| {
         let place = panic.location().map(ToString::to_string);
-        let said = panic.payload_as_str().unwrap_or_default();
+        let said = panic_message(panic.payload());
         tracing::error!(place, said, "panic");
     }));
     Ok(Guard(queue))
+}
+
+/// What a panic says.
+pub(crate) fn panic_message(payload: &(dyn Any + Send)) -> String {
+    let text = payload
+        .downcast_ref::<&str>()
+        .map(|text| (*text).to_owned());
+    let text = text.or_else(|| payload.downcast_ref::<String>().cloned());
+    text.unwrap_or_else(|| "not a text".into())
 }
 
 /// Says something to whoever reads standard error, in order with the log and whatever its level.

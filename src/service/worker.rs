@@ -4,6 +4,7 @@
 //! looks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so a few may hang at
 //! most; then only a new process helps.
 
+use crate::log;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -172,7 +173,7 @@ impl Worker {
             Err(panic) => {
                 self.panics += 1;
                 // What a panic carries may itself panic when it is dropped.
-                let said = message(&*panic);
+                let said = log::panic_message(&*panic);
                 let _ = std::panic::catch_unwind(AssertUnwindSafe(|| drop(panic)));
                 let restarts = self.restarts();
                 tracing::error!(thread = self.name, said, restarts, "a thread panicked");
@@ -203,12 +204,6 @@ pub(super) fn look(workers: &mut [Worker], now: Instant) -> bool {
         .iter_mut()
         .filter_map(|worker| worker.look(now).then_some(()));
     at_work.count() > 0
-}
-
-fn message(panic: &(dyn std::any::Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
-    let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
-    text.unwrap_or_else(|| "not a text".into())
 }
 
 #[cfg(test)]
