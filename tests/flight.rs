@@ -262,6 +262,21 @@ fn a_flight_with_the_wrong_cameras_file_says_so_and_borrows_what_it_measured() {
     assert!(tally.to_string().contains(said), "{tally}");
 }
 
+/// Only systemd can begin anew: the test needs `NOTIFY_SOCKET`, by which the program knows of it.
+#[test]
+#[ignore = "takes 42 s, and NOTIFY_SOCKET must be set"]
+fn a_camera_that_hangs_again_and_again_ends_the_flight_for_systemd_to_begin_anew() {
+    let camera = scripted(|_| {
+        loop {
+            std::thread::park();
+        }
+    });
+    let service = Service::start(flight(camera, vec![])).unwrap();
+    wait_until("the flight's end", || service.is_finished());
+    let tally = service.join().unwrap();
+    assert_eq!((tally.takeovers, tally.gave_up), (3, true));
+}
+
 #[test]
 fn a_camera_that_is_not_there_is_waited_for() {
     let root = tempfile::tempdir().unwrap();
