@@ -29,7 +29,7 @@ pub struct FlyArgs {
     /// Replay a folder so many times faster than it was taken
     #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = options::speed)]
     speed: f64,
-    /// End after this time [default: fly until SIGTERM or SIGINT]
+    /// End after this time [default: fly until SIGTERM, SIGINT or SIGHUP]
     #[arg(long, value_name = "TIME", value_parser = options::duration)]
     duration: Option<Duration>,
 }

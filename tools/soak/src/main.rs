@@ -73,6 +73,8 @@ fn main() -> anyhow::Result<ExitCode> {
             .map(|n| temporary.path().join(format!("disk-{n}")))
             .collect();
     }
+    // A flight makes no folder above its archive: that would be on the wrong disk.
+    roots.iter().try_for_each(fs::create_dir_all)?;
     let roots = roots
         .iter()
         .map(|root| root.join(start.to_string()))
