@@ -4,6 +4,7 @@ use super::output::{make_folder, progress_bar};
 use crate::archive::check::{self, BadFile, Gap, MissingFile, Report, Row, Tree};
 use crate::fits::{self, FitsFile};
 use crate::log;
+use crate::units::counted;
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use rayon::prelude::*;
@@ -146,12 +147,6 @@ fn print_report(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
         writeln!(out, "{first:.3} to {last:.3}, {minutes:.1} min")?;
     }
     Ok(())
-}
-
-/// "1 gap", "2 gaps".
-fn counted(count: u64, what: &str) -> String {
-    let plural = if count == 1 { "" } else { "s" };
-    format!("{count} {what}{plural}")
 }
 
 fn gap_line(gap: &Gap) -> String {
