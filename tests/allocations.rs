@@ -4,18 +4,25 @@ use solaspect::aspect::{Expected, solve};
 use solaspect::instrument::builtin;
 use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC};
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::cell::Cell;
 
+/// Counts for each thread by itself: other tests run beside this one.
 struct Counting;
 
-static CALLS: AtomicUsize = AtomicUsize::new(0);
-static BYTES: AtomicUsize = AtomicUsize::new(0);
+thread_local! {
+    static CALLS: Cell<usize> = const { Cell::new(0) };
+    static BYTES: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count(bytes: usize) {
+    CALLS.set(CALLS.get() + 1);
+    BYTES.set(BYTES.get() + bytes);
+}
 
 // SAFETY: every call is handed on to the system's allocator as it is.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        CALLS.fetch_add(1, Relaxed);
-        BYTES.fetch_add(layout.size(), Relaxed);
+        count(layout.size());
         unsafe { System.alloc(layout) }
     }
 
@@ -24,8 +31,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        CALLS.fetch_add(1, Relaxed);
-        BYTES.fetch_add(size.saturating_sub(layout.size()), Relaxed);
+        count(size.saturating_sub(layout.size()));
         unsafe { System.realloc(memory, layout, size) }
     }
 }
@@ -35,9 +41,9 @@ static ALLOCATOR: Counting = Counting;
 
 /// Calls of the allocator, and bytes asked for.
 fn counted<T>(work: impl FnOnce() -> T) -> (T, [usize; 2]) {
-    let before = [CALLS.load(Relaxed), BYTES.load(Relaxed)];
+    let before = [CALLS.get(), BYTES.get()];
     let result = work();
-    let after = [CALLS.load(Relaxed), BYTES.load(Relaxed)];
+    let after = [CALLS.get(), BYTES.get()];
     (result, [after[0] - before[0], after[1] - before[1]])
 }
 

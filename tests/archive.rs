@@ -1,6 +1,6 @@
 //! The commands about an archive: what they count when files are lost, cut, changed or renamed.
 
-use common::flight::{self, frames_in};
+use crate::common::flight::{self, frames_in};
 use jiff::{SignedDuration, Timestamp};
 use serde_json::Value;
 use solaspect::archive::{self, Record, Store};
@@ -13,8 +13,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::Duration;
 use tempfile::TempDir;
-
-mod common;
 
 const FRAMES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames");
 const COUNT: usize = 8;

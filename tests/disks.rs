@@ -1,8 +1,8 @@
 //! The archive on one disk and on two, that share the work, fill up, fail, go and come back: no frame is lost while one
 //! of them works, and solving goes on when none does.
 
-use common::disk::{Fault, FaultyDisk};
-use common::flight::{self, frames_in, numbers_in};
+use crate::common::disk::{Fault, FaultyDisk};
+use crate::common::flight::{self, frames_in, numbers_in};
 use solaspect::archive::disk::LocalDisk;
 use solaspect::archive::{Overflow, Sharing, Store};
 use solaspect::config;
@@ -14,8 +14,6 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
-
-mod common;
 
 const FRAMES: u64 = 40;
 /// Longer than a disk rests after its first refusals.

@@ -1,8 +1,8 @@
 //! A flight survives what happens to it: a camera that panics, hangs or cannot be opened, a program that is told to end, a
 //! clock that makes a step.
 
-use common::disk::{Fault, FaultyDisk};
-use common::flight::{dark_frame, frames_in};
+use crate::common::disk::{Fault, FaultyDisk};
+use crate::common::flight::{dark_frame, frames_in};
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded, unbounded};
 use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::disk::LocalDisk;
@@ -28,8 +28,6 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-
-mod common;
 
 /// Far more than anything here should take.
 const LONG: Duration = Duration::from_secs(60);
@@ -455,7 +453,7 @@ fn each_camera_has_its_folder_and_a_roll_camera_is_stored_with_its_levels() {
             let keywords = fits::read_keywords(&file).unwrap();
             assert_eq!(keywords.get("QUALITY"), Some(&Value::Text("none".into())));
         }
-        assert_eq!(common::flight::rows_in(&folder), count);
+        assert_eq!(crate::common::flight::rows_in(&folder), count);
     }
 }
 

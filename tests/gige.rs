@@ -1,6 +1,5 @@
 //! The GigE Vision camera, against a fake one on loopback that carries the simulator's frames over the real protocol.
 //! UDP port 3956 belongs to one fake at a time: the tests take turns.
-#![cfg(feature = "gige")]
 
 use jiff::Timestamp;
 use solaspect::camera::gige::GigeCamera;

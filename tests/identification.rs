@@ -457,7 +457,7 @@ fn lists_with_nothing_missing_and_nothing_false_are_read() {
 }
 
 #[test]
-#[ignore = "a minute; cargo test --release --test identification -- --ignored --nocapture"]
+#[ignore = "a minute; cargo test --release --test promises identification -- --ignored --nocapture"]
 fn no_list_of_many_seeds_is_ever_misread() {
     for seed in 1..=5 {
         assert_eq!(Tally::of(60_000, seed, HARSH).misread, 0);

@@ -3,8 +3,8 @@
 //! Twice over: on a model of a disk that forgets what was not brought to it, cut after every single step; and with a
 //! process that is killed, at step boundaries and at random moments, while it writes to a real disk.
 
-use common::disk::{Memory, PausingDisk, Persisted};
-use common::flight::{dark_frame, frames_in};
+use crate::common::disk::{Memory, PausingDisk, Persisted};
+use crate::common::flight::{dark_frame, frames_in};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::archive::disk::LocalDisk;
@@ -19,8 +19,6 @@ use std::path::Path;
 use std::process::{ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
-
-mod common;
 
 fn frame(number: u64) -> Frame {
     dark_frame(&instrument::builtin("demo").unwrap(), number)
@@ -111,7 +109,7 @@ fn killed(root: &Path, first: u64, moment: Moment) -> Killed {
     command
         .args([
             "--exact",
-            "writer",
+            "power_cut::writer",
             "--ignored",
             "--nocapture",
             "--test-threads=1",

@@ -1,8 +1,6 @@
 //! What `solaspect preflight` and `solaspect config check` say before a flight.
 
-mod common;
-
-use common::disk::{Fault, FaultyDisk};
+use crate::common::disk::{Fault, FaultyDisk};
 use jiff::{Timestamp, civil::Date, tz::Offset};
 use serde_json::Value;
 use solaspect::archive::disk::LocalDisk;

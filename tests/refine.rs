@@ -755,7 +755,7 @@ fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record> {
 }
 
 /// Seven hours of a flight, from the records of its first half minute there and back. Alone in its process:
-/// `cargo test --test refine -- --ignored a_hundred_thousand --nocapture`.
+/// `cargo test --test promises -- --ignored a_hundred_thousand --nocapture`.
 #[test]
 #[ignore = "a minute long, and it measures the process's memory"]
 fn a_hundred_thousand_frames_take_less_than_400_mb() {
@@ -806,7 +806,7 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
 }
 
 /// An hour at 4 Hz, or as many frames as SOLASPECT_FLIGHT_FRAMES says, made once and kept, as is the journal:
-/// `cargo test --test refine -- --ignored an_hour --nocapture`.
+/// `cargo test --test promises -- --ignored an_hour --nocapture`.
 #[test]
 #[ignore = "an hour of flight takes many minutes to simulate"]
 fn an_hour_of_flight_is_refined_to_its_truth() {

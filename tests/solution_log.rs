@@ -1,6 +1,6 @@
 //! The log and the telemetry beside the archive's frames: every frame is in both, with the numbers of its file.
 
-use common::flight::{self, dark_frame};
+use crate::common::flight::{self, dark_frame};
 use jiff::Timestamp;
 use solaspect::archive::{Dirfile, Record, Row, SolutionLog, Store};
 use solaspect::aspect::{self, Expected, Settings};
@@ -15,9 +15,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-mod common;
-
-use common::disk::{Fault, FaultyDisk};
+use crate::common::disk::{Fault, FaultyDisk};
 use solaspect::archive::disk::{Disk, LocalDisk};
 use std::sync::Arc;
 

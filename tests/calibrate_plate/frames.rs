@@ -1,7 +1,7 @@
 //! From frames to plate, lens and poses.
 
-use crate::judged::{errors, lens_difference, seen_often};
-use crate::scenes::{K1, calibrate, generator, near, pose_folder, similarity, truth};
+use super::judged::{errors, lens_difference, seen_often};
+use super::scenes::{K1, calibrate, generator, near, pose_folder, similarity, truth};
 use solaspect::calibrate::plate;
 use solaspect::calibrate::revision::Revision;
 use solaspect::fits::{self, Compression};

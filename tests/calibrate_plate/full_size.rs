@@ -1,7 +1,7 @@
 //! The numbers that the documentation states, in full size.
 
-use crate::judged::{errors, lens_difference, seen_often};
-use crate::scenes::{K1, calibrate, pose_folder, truth};
+use super::judged::{errors, lens_difference, seen_often};
+use super::scenes::{K1, calibrate, pose_folder, truth};
 use solaspect::instrument::builtin;
 use solaspect::simulate::Conditions;
 use std::path::PathBuf;
@@ -16,7 +16,7 @@ struct Set {
     keystone_deg: f64,
 }
 
-/// `cargo test --release --test calibrate_plate -- --ignored --nocapture` prints the table of docs/calibration.md.
+/// `cargo test --release --test promises calibrate_plate -- --ignored --nocapture` prints the table of docs/calibration.md.
 #[test]
 #[ignore = "400 frames a set: minutes"]
 fn full_size_sets_meet_the_numbers_that_the_documentation_states() {

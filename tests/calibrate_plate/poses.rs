@@ -1,6 +1,6 @@
 //! Poses that nobody named: all frames in one folder.
 
-use crate::scenes::{K1, calibrate, near, pose_folder, truth};
+use super::scenes::{K1, calibrate, near, pose_folder, truth};
 use solaspect::calibrate::plate;
 use solaspect::instrument::builtin;
 use std::path::PathBuf;

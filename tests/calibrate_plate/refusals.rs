@@ -1,6 +1,6 @@
 //! Sets of frames that give no calibration.
 
-use crate::scenes::calibrate;
+use super::scenes::calibrate;
 use solaspect::fits::{self, Compression};
 use solaspect::instrument::builtin;
 use solaspect::simulate::{Conditions, Depth, RandomScenes, Scene};

@@ -1,7 +1,7 @@
 //! The adjustment alone, from generated sightings.
 
-use crate::judged::{errors, lens_difference};
-use crate::scenes::{K1, generator, sighted, similarity, sun_frames, truth};
+use super::judged::{errors, lens_difference};
+use super::scenes::{K1, generator, sighted, similarity, sun_frames, truth};
 use solaspect::calibrate::plate::{self, FrameSightings, MeasuredMark, PlateFit};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{Instrument, builtin};
@@ -84,7 +84,7 @@ fn sigmas_are_honest_on_the_mean_of_a_few_plates() {
     assert!((0.85..1.15).contains(&mean), "{mean}");
 }
 
-/// `cargo test --test calibrate_plate honest -- --ignored --nocapture` prints the table of docs/calibration.md.
+/// `cargo test --test promises honest -- --ignored --nocapture` prints the table of docs/calibration.md.
 #[test]
 #[ignore = "hundreds of adjustments: minutes"]
 fn sigmas_are_honest_over_many_seeds() {

@@ -1,0 +1,35 @@
+//! The promises that solaspect keeps, one file for each, linked as one program.
+
+mod common;
+
+mod accuracy;
+mod allocations;
+mod archive;
+mod calibrate_camera;
+mod calibrate_mounting;
+mod calibrate_plate;
+mod camera;
+mod cli;
+mod coordinates;
+mod disc_search;
+mod disks;
+mod fits;
+mod flight;
+#[cfg(feature = "gige")]
+mod gige;
+mod identification;
+mod limb;
+mod link;
+mod link_cli;
+mod link_service;
+mod marks;
+mod pointing;
+mod power_cut;
+mod preflight;
+mod refine;
+mod service;
+mod simulated_flight;
+mod simulation;
+mod sky;
+mod solution_log;
+mod tracking;
