@@ -15,6 +15,7 @@ mod disc_search;
 mod disks;
 mod fits;
 mod flight;
+mod fuzz_seeds;
 #[cfg(feature = "gige")]
 mod gige;
 mod identification;
