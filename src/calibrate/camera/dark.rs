@@ -1,11 +1,11 @@
 //! Pixels without light: their level, their noise, and which of them are hot.
 
-use super::Finding;
 use super::shots::{Shot, Shots};
+use crate::calibrate::quantity::CalibratedQuantity;
 use crate::units::Measured;
 use crate::with_view;
 
-/// Fewest frames of which a pixel's median tells a hot pixel from a noisy moment.
+/// Fewest frames of which a pixel's median separates a hot pixel from noise.
 const LEAST_FRAMES: usize = 3;
 /// A pixel is hot that stands above the level by more than so many sigmas of the noise of one frame.
 const HOT_SIGMAS: f64 = 5.0;
@@ -19,8 +19,7 @@ const STRIDE: usize = 3;
 const ONE_SIGMA: f64 = 0.841_345;
 /// Systematic error of level and noise by rounding and the sample, DN.
 const FLOOR_DN: f64 = 0.01;
-
-/// The same of what whole values tell of the upper half of a distribution.
+/// The same of what whole values show of the upper half of a distribution.
 const COARSE_DN: f64 = 0.05;
 
 /// What the unlit pixels show.
@@ -65,24 +64,14 @@ impl Dark {
         self.noise.as_ref().map_or(1.0, |noise| noise.value)
     }
 
-    pub fn level_finding(&self) -> Finding {
-        Finding {
-            name: "dark level",
-            key: "camera.noise.dark_dn",
-            unit: "DN",
-            found: self.level.clone(),
-            remark: "median of the unlit pixels".into(),
-        }
+    pub fn level_quantity(&self) -> CalibratedQuantity {
+        let name = ("dark level", "camera.noise.dark_dn", "DN");
+        CalibratedQuantity::measured(name, self.level.clone(), "median of the unlit pixels")
     }
 
-    pub fn noise_finding(&self) -> Finding {
-        Finding {
-            name: "read noise",
-            key: "camera.noise.read_noise_dn",
-            unit: "DN",
-            found: self.noise.clone(),
-            remark: self.noise_remark.into(),
-        }
+    pub fn noise_quantity(&self) -> CalibratedQuantity {
+        let name = ("read noise", "camera.noise.read_noise_dn", "DN");
+        CalibratedQuantity::measured(name, self.noise.clone(), self.noise_remark)
     }
 }
 

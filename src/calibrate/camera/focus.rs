@@ -2,9 +2,9 @@
 
 use super::shots::SunShot;
 use super::straight::solve;
-use super::{Figure, Finding};
 use crate::calibrate::numbers::median;
-use crate::report::plot::Dots;
+use crate::calibrate::quantity::CalibratedQuantity;
+use crate::report::plot::{Figure, Labels, Series};
 use crate::statistics::SIGMA_PER_MEDIAN;
 use crate::units::Measured;
 use nalgebra::Vector2;
@@ -16,7 +16,7 @@ const LEAST_RANGE_C: f64 = 3.0;
 const BLUR_SYSTEMATIC_PX: f64 = 0.02;
 
 pub(super) struct Focus {
-    pub findings: Vec<Finding>,
+    pub quantities: Vec<CalibratedQuantity>,
     pub reference_c: Option<f64>,
     pub figures: Vec<Figure>,
 }
@@ -40,27 +40,22 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
     let scale_slope =
         slope(&scales).map(|(mean, slope)| Measured::new(slope.value / mean, slope.sigma / mean));
     let told = blur_slope.is_ok() || scale_slope.is_ok();
-    let mut findings = vec![blur(suns, refused.is_none().then_some(&blurs))];
-    findings.push(finding(
+    let mut quantities = vec![blur(suns, refused.is_none().then_some(&blurs))];
+    quantities.push(quantity(
         "blur with temperature",
         "optics.temperature.blur_px_per_c",
         "px/deg C",
         blur_slope,
     ));
-    findings.push(finding(
+    quantities.push(quantity(
         "scale with temperature",
         "optics.temperature.scale_per_c",
         "1/deg C",
         scale_slope,
     ));
     let figure = |title, y, points: &[(f64, f64)]| Figure {
-        title,
-        x: "deg C from the mean temperature",
-        y,
-        series: vec![Dots {
-            name: "frames".into(),
-            points: points.to_vec(),
-        }],
+        labels: Labels::new(title, "deg C from the mean temperature", y),
+        series: vec![Series::dots("frames", points.iter().copied())],
     };
     let figures = told.then(|| {
         vec![
@@ -69,7 +64,7 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
         ]
     });
     Focus {
-        findings,
+        quantities,
         reference_c: told.then_some(reference_c),
         figures: figures.unwrap_or_default(),
     }
@@ -95,23 +90,18 @@ fn refusal(temperatures: &[f64]) -> Option<String> {
     }
 }
 
-fn finding(
+fn quantity(
     name: &'static str,
     key: &'static str,
     unit: &'static str,
     found: Result<Measured, String>,
-) -> Finding {
-    Finding {
-        name,
-        key,
-        unit,
-        found,
-        remark: "from frames of the Sun; a slope within its sigma is none".into(),
-    }
+) -> CalibratedQuantity {
+    let remark = "from frames of the Sun; a slope within its sigma is none";
+    CalibratedQuantity::measured((name, key, unit), found, remark)
 }
 
 /// The blur: where it goes with temperature, at the mean temperature.
-fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding {
+fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> CalibratedQuantity {
     let values: Vec<f64> = suns.iter().filter_map(|s| s.blur_px).collect();
     let at_reference = with_temperature
         .and_then(|points| line(points))
@@ -128,13 +118,8 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding
             Ok(Measured::new(middle, scatter.hypot(BLUR_SYSTEMATIC_PX)))
         }
     };
-    Finding {
-        name: "blur",
-        key: "optics.blur_px",
-        unit: "px",
-        found,
-        remark: "of the Sun's limb, the pixel's own size taken off".into(),
-    }
+    let remark = "of the Sun's limb, the pixel's own size taken off";
+    CalibratedQuantity::measured(("blur", "optics.blur_px", "px"), found, remark)
 }
 
 /// Value at 0 and slope of a straight line through points.

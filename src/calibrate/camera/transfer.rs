@@ -3,10 +3,10 @@
 use super::dark::{Dark, clipped_variance, dn};
 use super::shots::{Shot, Shots};
 use super::straight::solve;
-use super::{Figure, Finding};
 use crate::calibrate::numbers::median;
+use crate::calibrate::quantity::CalibratedQuantity;
 use crate::instrument::Instrument;
-use crate::report::plot::Dots;
+use crate::report::plot::{Figure, Labels, Series};
 use crate::units::{Measured, SensorPx};
 use nalgebra::Vector2;
 
@@ -25,7 +25,7 @@ struct Point {
 }
 
 /// Gain from pairs of evenly lit frames.
-pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (Finding, Option<Figure>) {
+pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (CalibratedQuantity, Option<Figure>) {
     let pairs = flats.pairs();
     let mut points: Vec<Point> = pairs.iter().flat_map(|(a, b)| tiles(a, b, dark)).collect();
     if let Ok(noise) = &dark.noise {
@@ -75,7 +75,11 @@ fn tiles(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
 }
 
 /// Gain from the grain of the Sun's disc between the marks.
-pub(super) fn by_suns(suns: &Shots, stated: &Instrument, dark: &Dark) -> (Finding, Option<Figure>) {
+pub(super) fn by_suns(
+    suns: &Shots,
+    stated: &Instrument,
+    dark: &Dark,
+) -> (CalibratedQuantity, Option<Figure>) {
     let none = "not determined: no frames of the Sun; take pairs of evenly lit frames (--flat)";
     let reach =
         stated.plate.cross.arm_length_mil / 2.0 / stated.mounting.scale_mil_per_px.value + 4.0;
@@ -152,26 +156,21 @@ fn conclude(
     none: &str,
     how: &str,
     systematic: f64,
-) -> (Finding, Option<Figure>) {
+) -> (CalibratedQuantity, Option<Figure>) {
+    let measured = points.iter().map(|p| (p.light, p.variance));
     let figure = Figure {
-        title: "Photon transfer",
-        x: "light above the dark level, DN",
-        y: "variance of a pixel, DN^2",
-        series: vec![Dots {
-            name: "measured".into(),
-            points: points.iter().map(|p| (p.light, p.variance)).collect(),
-        }],
+        labels: Labels::new(
+            "Photon transfer",
+            "light above the dark level, DN",
+            "variance of a pixel, DN^2",
+        ),
+        series: vec![Series::dots("measured", measured)],
     };
     let found = slope(&points, dark, none)
         .map(|gain| Measured::new(gain.value, gain.sigma.hypot(systematic * gain.value)));
-    let finding = Finding {
-        name: "gain",
-        key: "camera.noise.gain_dn_per_electron",
-        unit: "DN/electron",
-        found,
-        remark: how.into(),
-    };
-    (finding, (points.len() > 1).then_some(figure))
+    let key = "camera.noise.gain_dn_per_electron";
+    let gain = CalibratedQuantity::measured(("gain", key, "DN/electron"), found, how);
+    (gain, (points.len() > 1).then_some(figure))
 }
 
 fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> {

@@ -1,10 +1,10 @@
 //! The least squares: which mounting, and in a drift scan which pointing, puts the Sun where it was seen.
 
 use super::chain::{Chain, Side};
+use super::observation::{MountingError, SunObservation};
 use super::scatter::{TOLD, advantage, correlation, extra_variance, plain, sizes, tukey};
 use super::start::{Start, start};
-use super::{MountingError, Sight};
-use crate::calibrate::frames::LeftOut;
+use crate::calibrate::frames::RejectedFrame;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal};
 use crate::sky::SunPosition;
@@ -50,7 +50,7 @@ const LAST_STEPS: usize = 10;
 /// A sight's part in a fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Residual {
-    pub name: String,
+    pub file: std::path::PathBuf,
     pub utc: jiff::Timestamp,
     /// Where the Sun was seen.
     pub at: PlateMil,
@@ -92,16 +92,14 @@ impl Fit {
         self.residuals.iter().filter(|r| r.accepted).count()
     }
 
-    /// The sights that did not take part.
-    pub(super) fn spoiled(&self) -> Vec<LeftOut> {
+    /// The frames whose observation does not take part.
+    pub(super) fn rejected(&self) -> Vec<RejectedFrame> {
         let far = self.residuals.iter().filter(|r| !r.accepted);
-        far.map(|r| LeftOut {
-            name: r.name.clone(),
-            reason: format!(
-                "the Sun is {:.2} mil ({:.1} sigma) from where the others put it",
-                r.off.norm(),
-                r.off.norm() / r.sigma_mil
-            ),
+        far.map(|r| {
+            let (off, sigmas) = (r.off.norm(), r.off.norm() / r.sigma_mil);
+            let reason =
+                format!("the Sun is {off:.2} mil ({sigmas:.1} sigma) from where the others put it");
+            RejectedFrame::new(&r.file, reason)
         })
         .collect()
     }
@@ -110,7 +108,7 @@ impl Fit {
 /// Fits the mounting of an instrument to sights by the chain of the pointing; by the other where the sights tell it apart and
 /// suit that better.
 pub(super) fn fit(
-    sights: &[Sight],
+    sights: &[SunObservation],
     pointings: Pointings,
     stated: &Instrument,
     side: Side,
@@ -134,7 +132,7 @@ pub(super) fn fit(
 
 /// The chain of the pointing with the sights that it has to explain.
 struct Model<'a> {
-    sights: &'a [Sight],
+    sights: &'a [SunObservation],
     pointings: Pointings,
     stated: &'a Instrument,
     side: Side,
@@ -179,7 +177,7 @@ impl Model<'_> {
     fn first(&self) -> Option<DVector<f64>> {
         let model = (self.chain, self.side);
         if self.pointings == Pointings::Known {
-            let known = |sight: &Sight| sight.pointing.unwrap_or(at_sun(&sight.sun));
+            let known = |sight: &SunObservation| sight.pointing.unwrap_or(at_sun(&sight.sun));
             let start = start(self.sights, known, self.stated, model)?;
             let [clocking, distance] = self.turned(&start);
             let shift = start.shift;
@@ -239,7 +237,7 @@ impl Model<'_> {
             azimuth_deg: values[4],
             elevation_deg: values[5],
         });
-        let expected = |sight: &Sight| {
+        let expected = |sight: &SunObservation| {
             let towards = fixed.or(sight.pointing)?;
             let shift = self.chain.shift(towards, &instrument, &sight.sun)?;
             Some(centre + self.side.seen(shift))
@@ -349,7 +347,7 @@ impl Model<'_> {
         let (residuals, variances) = self.weighed(&values, Some(accepted));
         let mut residuals: Vec<Residual> = (0..self.sights.len())
             .map(|n| Residual {
-                name: self.sights[n].name.clone(),
+                file: self.sights[n].file.clone(),
                 utc: self.sights[n].utc,
                 at: self.sights[n].sun_plate.position,
                 off: residuals[n],

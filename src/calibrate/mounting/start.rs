@@ -3,8 +3,8 @@
 //! Were the sky flat about the Sun, the plate would be a picture of it turned by the clocking and stretched with the distance: a
 //! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of sights gives one.
 
-use super::Sight;
 use super::chain::{Chain, Side};
+use super::observation::SunObservation;
 use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::pointing::Horizontal;
@@ -30,8 +30,8 @@ pub(super) struct Start {
 ///
 /// `telescope` says where the telescope is taken to point at each sight.
 pub(super) fn start(
-    sights: &[Sight],
-    telescope: impl Fn(&Sight) -> Horizontal,
+    sights: &[SunObservation],
+    telescope: impl Fn(&SunObservation) -> Horizontal,
     stated: &Instrument,
     (chain, side): (Chain, Side),
 ) -> Option<Start> {

@@ -1,7 +1,7 @@
 //! One adjustment of all marks, the lens and every view: Gauss-Newton on normal equations, the views eliminated first.
 //!
-//! Within a pose camera and plate are one rigid body, so every sighting of a mark in a pose is of the same place: the
-//! sightings of a mark in a pose are one [`Cell`], their weighted mean, and the work does not grow with the frames.
+//! Within a pose camera and plate are one rigid body, so every observation of a mark in a pose is of the same place: the
+//! observations of a mark in a pose are one [`Cell`], their weighted mean, and the work does not grow with the frames.
 //!
 //! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
 //! measured marks from the drawing have none in common.
@@ -10,7 +10,7 @@ use super::camera::{LENS, Lens, Prediction, VIEW, View, predict};
 use crate::units::PlateMil;
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2};
 
-/// The sightings of a mark in a pose.
+/// The observations of a mark in a pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cell {
     pub mark: usize,
@@ -25,7 +25,7 @@ pub(super) struct Cell {
 pub(super) struct MarkPrior {
     pub printed: PlateMil,
     pub sigma_mil: f64,
-    /// Whether any sighting counts; the others take no part in the gauge.
+    /// Whether any observation counts; the others take no part in the gauge.
     pub measured: bool,
 }
 
@@ -72,7 +72,7 @@ pub(super) struct Settled {
     pub views: Vec<SMatrix<f64, VIEW, VIEW>>,
     /// Squared deviations from what was known beforehand, over its variance.
     pub chi2_prior: f64,
-    /// How many parameters the sightings, not the priors, determine.
+    /// How many parameters the observations, not the priors, determine.
     pub determined: f64,
 }
 
@@ -90,11 +90,11 @@ impl Settled {
 const STEPS: usize = 15;
 /// A shorter step changes nothing: px, mil and parts of a view alike.
 const SETTLED_STEP: f64 = 1e-6;
-/// Holds what the gauge forbids, against any information from sightings, mil^-2.
+/// Holds what the gauge forbids, against any information from observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
 
 impl Problem<'_> {
-    /// Adjusts from a start. `None` where sightings and priors together do not determine the unknowns.
+    /// Adjusts from a start. `None` where observations and priors together do not determine the unknowns.
     pub(super) fn settle(&self, start: &State) -> Option<Settled> {
         let mut state = start.clone();
         for view in &mut state.views {
@@ -189,16 +189,16 @@ impl Problem<'_> {
         let mut coupling = DMatrix::zeros(VIEW, common.ncols());
         for cell in &self.cells[pose] {
             let p = state.predict(pose, cell.mark);
-            let miss = cell.seen - p.seen;
+            let residual = cell.seen - p.seen;
             let n = LENS + 2 * cell.mark;
             let to_view = p.view.transpose() * cell.weight;
             let to_lens = p.lens.transpose() * cell.weight;
             own += to_view * p.view;
-            own_gradient += to_view * miss;
+            own_gradient += to_view * residual;
             add(common, (0, 0), to_lens * p.lens);
             add(&mut coupling, (0, 0), to_view * p.lens);
             let mut part = gradient.fixed_rows_mut::<LENS>(0);
-            part += to_lens * miss;
+            part += to_lens * residual;
             if self.freedoms.marks {
                 let to_place = p.place.transpose() * cell.weight;
                 add(common, (0, n), to_lens * p.place);
@@ -206,7 +206,7 @@ impl Problem<'_> {
                 add(common, (n, n), to_place * p.place);
                 add(&mut coupling, (0, n), to_view * p.place);
                 let mut part = gradient.fixed_rows_mut::<2>(n);
-                part += to_place * miss;
+                part += to_place * residual;
             }
         }
         let view = &state.views[pose];
@@ -311,7 +311,7 @@ impl Problem<'_> {
         marks.sum::<f64>() + views.sum::<f64>() + lens
     }
 
-    /// Each parameter counts by the part of its prior variance that the sightings took away.
+    /// Each parameter counts by the part of its prior variance that the observations took away.
     fn determined(&self, state: &State, covariance: &DMatrix<f64>) -> f64 {
         let left = |n: usize, sigma: f64| 1.0 - (covariance[(n, n)] / sigma.powi(2)).min(1.0);
         let lens = (0..LENS).filter(|n| self.freedoms.lens[*n]);

@@ -5,9 +5,11 @@ mod compare;
 mod mounting;
 mod plate;
 
-use super::output::make_folder;
+use super::output::{make_folder, say};
+use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::revision::Revision;
 use crate::instrument::{Instrument, builtin_text, toml_file};
+use crate::report::plot::PlotError;
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
@@ -46,6 +48,9 @@ struct Edition {
     /// The new instrument file
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// Write a page with figures to this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
 }
 
 impl Edition {
@@ -73,10 +78,23 @@ impl Edition {
         Instrument::read(&part)?;
         std::fs::rename(&part, &self.out).with_context(cannot_write)
     }
+
+    /// Writes the page of the report if one is wanted.
+    fn write_page(
+        &self,
+        name: &str,
+        page: impl FnOnce() -> Result<String, PlotError>,
+    ) -> anyhow::Result<()> {
+        let Some(folder) = &self.report else {
+            return Ok(());
+        };
+        make_folder(folder)?;
+        let file = folder.join(name);
+        std::fs::write(&file, page()?).with_context(|| format!("{}: cannot write", file.display()))
+    }
 }
 
-fn write_page(folder: &Path, name: &str, html: &str) -> anyhow::Result<()> {
-    make_folder(folder)?;
-    let file = folder.join(name);
-    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
+fn print_rejected(rejected: &[RejectedFrame]) -> anyhow::Result<()> {
+    let mut frames = rejected.iter();
+    frames.try_for_each(|frame| say(format_args!("rejected: {frame}")))
 }
