@@ -86,6 +86,9 @@ fn sources(root: &Path) -> Vec<(Module, PathBuf)> {
                 folders.push(path);
                 continue;
             }
+            if path.extension().is_none_or(|ending| ending != "rs") {
+                continue;
+            }
             let inside = path.strip_prefix(root).unwrap().with_extension("");
             let mut module: Module = inside
                 .iter()
