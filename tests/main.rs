@@ -19,6 +19,7 @@ mod fuzz_seeds;
 #[cfg(feature = "gige")]
 mod gige;
 mod identification;
+mod imports;
 mod limb;
 mod link;
 mod link_cli;
