@@ -7,9 +7,6 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use std::ops::{Range, RangeInclusive};
 
-/// How a frame departs from the standard one: it changes a recipe by numbers drawn at random.
-pub type Vary = fn(&mut Recipe, &Instrument, &mut Generator);
-
 /// Noise of so many DN.
 pub fn noise(recipe: &mut Recipe, read_dn: f64) {
     recipe.conditions.noise = Noise::read(read_dn);

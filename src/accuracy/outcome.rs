@@ -135,7 +135,7 @@ pub fn has_wrong_id(outcome: &Outcome) -> bool {
 
 /// A frame that says it is fine, and is off by more than 5 of its sigma and by more than 2 arcsec; or that has no Sun.
 pub fn is_wrong_fine(outcome: &Outcome) -> bool {
-    let wrong = |e: &AspectError| e.surprise() > 5.0 && e.radial_arcsec > 2.0;
+    let wrong = |e: &AspectError| e.sigmas() > 5.0 && e.radial_arcsec > 2.0;
     outcome.quality == Quality::Fine && outcome.aspect.as_ref().is_none_or(wrong)
 }
 
