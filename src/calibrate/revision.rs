@@ -110,18 +110,6 @@ impl Revision {
         }
     }
 
-    /// Takes an entry out.
-    pub fn remove(&mut self, key: &str) {
-        let (tables, last) = key.rsplit_once('.').unwrap_or(("", key));
-        let mut table = Some(self.document.as_table_mut());
-        for name in tables.split('.').filter(|name| !name.is_empty()) {
-            table = table.and_then(|t| t.get_mut(name)?.as_table_mut());
-        }
-        if let Some(table) = table {
-            table.remove(last);
-        }
-    }
-
     /// The new text and the instrument that it describes.
     ///
     /// # Errors

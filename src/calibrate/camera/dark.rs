@@ -2,6 +2,7 @@
 
 use super::shots::{Shot, Shots};
 use crate::calibrate::quantity::CalibratedQuantity;
+use crate::frame::Frame;
 use crate::units::Measured;
 use crate::with_view;
 
@@ -75,16 +76,17 @@ impl Dark {
     }
 }
 
+/// A sample of a frame's pixels: columns and rows.
+fn sample(frame: &Frame) -> impl Iterator<Item = (usize, usize)> + use<> {
+    let width = frame.width();
+    let every = (0..width * frame.height()).step_by(STRIDE);
+    every.map(move |n| (n % width, n / width))
+}
+
 /// A sample of a frame's unlit pixels.
 fn unlit(shot: &Shot) -> Vec<f64> {
-    with_view!(&shot.frame, view => {
-        let every = (0..view.width * view.height).step_by(STRIDE);
-        every
-            .map(|n| (n % view.width, n / view.width))
-            .filter(|(x, y)| shot.is_unlit(*x, *y))
-            .map(|(x, y)| f64::from(view.dn(x, y)))
-            .collect()
-    })
+    let unlit = sample(&shot.frame).filter(|(x, y)| shot.is_unlit(*x, *y));
+    with_view!(&shot.frame, view => unlit.map(|(x, y)| f64::from(view.dn(x, y))).collect())
 }
 
 /// Noise from differences of frames that follow each other, which fixed patterns leave; where it is cut off at zero, from
@@ -120,11 +122,7 @@ fn noise(shots: &Shots, histogram: &Histogram, level: f64) -> (Measured, &'stati
 
 /// A sample of the differences of two frames, where both are unlit.
 fn difference(a: &Shot, b: &Shot) -> Vec<f64> {
-    let width = a.frame.width();
-    let unlit = (0..width * a.frame.height())
-        .step_by(STRIDE)
-        .map(|n| (n % width, n / width))
-        .filter(|(x, y)| a.is_unlit(*x, *y) && b.is_unlit(*x, *y));
+    let unlit = sample(&a.frame).filter(|(x, y)| a.is_unlit(*x, *y) && b.is_unlit(*x, *y));
     unlit.map(|(x, y)| dn(a, x, y) - dn(b, x, y)).collect()
 }
 

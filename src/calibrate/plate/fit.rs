@@ -233,35 +233,24 @@ fn marks(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<MeasuredMark
 
 fn lens_sigmas(settled: &Settled) -> [f64; LENS] {
     let (covariance, units) = (settled.lens_covariance(), settled.state.lens.units());
-    let free = settled.state.lens.terms;
-    std::array::from_fn(|n| match free[n] == 0.0 {
-        true => 0.0,
-        false => covariance[(n, n)].max(0.0).sqrt() * units[n],
-    })
+    std::array::from_fn(|n| covariance[(n, n)].max(0.0).sqrt() * units[n])
 }
 
 /// 1 sigma of the lens's displacement at a corner of the sensor, px, the mean of its axes.
-fn corner_sigma_px(settled: &Settled, freedoms: Freedoms) -> f64 {
-    let lens = &settled.state.lens;
-    let mut covariance = settled.lens_covariance();
-    for n in (0..LENS).filter(|n| !freedoms.lens[*n]) {
-        covariance.row_mut(n).fill(0.0);
-        covariance.column_mut(n).fill(0.0);
-    }
-    let slopes = lens.slopes(Vector2::zeros());
-    let spread = slopes * covariance * slopes.transpose();
+fn corner_sigma_px(settled: &Settled) -> f64 {
+    let slopes = settled.state.lens.slopes(Vector2::zeros());
+    let spread = slopes * settled.lens_covariance() * slopes.transpose();
     (spread.trace() / 2.0).max(0.0).sqrt()
 }
 
 /// Compares the lens's sigma with what it were if the marks might be anywhere near their place. A lens that needs no
 /// terms still is one that might have them: the first is always free here.
-fn separation(bundle: &Bundle, settled: &Settled, freedoms: Freedoms) -> Separation {
+fn separation(bundle: &Bundle, settled: &Settled, mut freedoms: Freedoms) -> Separation {
     const LOOSER: f64 = 10.0;
-    let mut freedoms = freedoms;
     freedoms.lens[0] = true;
     let sigma_px = |bundle: &Bundle| {
         let settled = bundle.settle(&settled.state, freedoms);
-        settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s, freedoms))
+        settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s))
     };
     let mut loose = bundle.clone();
     loose.marks.iter_mut().for_each(|m| m.sigma_mil *= LOOSER);
@@ -279,10 +268,10 @@ fn pose_fits(bundle: &Bundle, settled: &Settled, choice: Choice) -> Option<Vec<P
     }
     let distortion = settled.state.lens.distortion();
     let fit = |pose: usize| {
-        let (view, covariance) = (&settled.state.views[pose], &settled.views[pose]);
+        let (view, covariance) = (&settled.state.views[pose], settled.view_covariance(pose));
         let (scale, rotation) = view.scale_and_rotation();
         let centre = covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let relative = relative_sigma(view, covariance);
+        let relative = relative_sigma(view, &covariance);
         Some(PoseFit {
             mapping: view.mapping(choice.kind, distortion)?,
             plate_centre_px: view.ideal(Vector2::zeros()).into(),
