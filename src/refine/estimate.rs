@@ -150,7 +150,7 @@ impl Work {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
         for sight in self.sightings.at(moment) {
-            let (seen, slopes) = self.reference.picture(sight.printed);
+            let (seen, slopes) = self.reference.project(sight.printed);
             information += sight.information();
             sum += sight.information() * (sight.seen - seen - slopes * state);
         }
@@ -318,22 +318,22 @@ impl Work {
         self.time_jumps()?;
         let estimates = self.drift().smoothed()?.estimates;
         self.put_aside(Some(&estimates), 2);
-        self.move_reference(&estimates);
-        Some(())
+        self.move_reference(&estimates)
     }
 
     /// Tells states from the middle of the flight, where the slopes are then true.
-    fn move_reference(&mut self, estimates: &[Estimate]) {
+    fn move_reference(&mut self, estimates: &[Estimate]) -> Option<()> {
         let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]));
         let state = State::from_fn(|n, _| middle(n).unwrap_or(0.0));
-        self.reference = self.reference.moved(&state);
+        self.reference = self.reference.moved(&state)?;
+        Some(())
     }
 
     /// Weighs single marks, and raises their sigmas to what scatter they show.
     fn weigh(&mut self, estimates: &[Estimate]) {
         let reference = self.reference;
         let chi2 = |sight: &Sight, state: &State| {
-            let (seen, slopes) = reference.picture(sight.printed);
+            let (seen, slopes) = reference.project(sight.printed);
             let miss = sight.seen - seen - slopes * state;
             miss.dot(&(sight.information() * miss))
         };
