@@ -16,7 +16,7 @@ pub struct Direction {
 }
 
 impl Direction {
-    /// A direction with the same error in all ways across it, 1 sigma per axis.
+    /// A direction with the same error along both axes across it, 1 sigma per axis.
     pub fn new(unit: UnitVector3<f64>, sigma_rad: f64) -> Self {
         Self {
             unit,
@@ -76,8 +76,8 @@ impl Attitude {
 }
 
 /// The attitude of two directions by TRIAD (Shuster and Oh 1981, "Three-Axis Attitude Determination from Vector
-/// Observations", section III): the first is met exactly, the second gives the rotation about it. `None` when the two are
-/// parallel in either frame.
+/// Observations"): the first is met exactly, the second gives the rotation about it. `None` when the two are parallel in
+/// either frame.
 pub fn triad(first: &Observation, second: &Observation) -> Option<Attitude> {
     let frame = |first: &Direction, second: &Direction| {
         let (a, b) = (first.unit.into_inner(), second.unit.into_inner());
@@ -101,11 +101,11 @@ pub fn triad(first: &Observation, second: &Observation) -> Option<Attitude> {
     })
 }
 
-/// The attitude of two and more directions that makes the sum of w |b - R r|^2 least (Wahba 1965), by Davenport's q method
-/// (Shuster and Oh 1981, section IV), the weight w one over the mean variance of a direction per axis.
+/// The attitude of two and more directions that minimises the sum of w |b - R r|^2 (Wahba 1965), by Davenport's q method
+/// (Shuster and Oh 1981, "The QUEST Algorithm"). The weight w is the inverse of a direction's mean variance per axis.
 ///
-/// The covariance takes each direction's as it is; where errors are the same in all ways across the direction it is that of
-/// QUEST, (sum of w (1 - b b^T))^-1. `None` when the directions do not determine the attitude, all being parallel.
+/// The covariance is propagated from each direction's own, so it also holds where that is uneven; where it is even it is
+/// that of QUEST, (sum of w (1 - b b^T))^-1. `None` when all directions are parallel, or one has no error.
 pub fn attitude(observations: &[Observation]) -> Option<Attitude> {
     let mut profile = Matrix3::zeros();
     for observation in observations {
@@ -178,7 +178,7 @@ mod tests {
         UnitVector3::new_normalize(Vector3::new(x, y, z))
     }
 
-    /// A direction with different errors in two ways across it.
+    /// A direction with different errors along two axes across it.
     fn uneven(unit: UnitVector3<f64>, sigmas_rad: [f64; 2]) -> Direction {
         let first = unit.cross(&Vector3::new(0.3, 0.5, -0.2)).normalize();
         let second = unit.cross(&first);

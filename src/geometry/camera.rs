@@ -99,7 +99,8 @@ impl Camera {
     pub fn pixel(&self, ray: &UnitVector3<f64>) -> Option<SensorPx> {
         let (theta, outward) = polar(ray);
         let (r, _) = self.seen(theta)?;
-        Some(self.from_plane(outward * r))
+        let from_centre = outward.component_mul(&self.focal_px) * r;
+        Some((self.principal_point.vector() + from_centre).into())
     }
 
     /// The ray that a pixel sees: the inverse of [`pixel`](Self::pixel). `None` beyond the limit of the lens.
@@ -151,10 +152,6 @@ impl Camera {
         (theta < self.limit_rad).then(|| self.lens.radius(theta))
     }
 
-    fn from_plane(&self, at: Vector2<f64>) -> SensorPx {
-        (self.principal_point.vector() + at.component_mul(&self.focal_px)).into()
-    }
-
     /// Angle from the axis (rad), and the unit vector outwards in the image, of a pixel.
     fn angles(&self, pixel: SensorPx) -> Option<(f64, Vector2<f64>)> {
         let from_centre = pixel.vector() - self.principal_point.vector();
@@ -168,7 +165,8 @@ impl Camera {
             return radius.is_finite().then(|| radius.atan());
         }
         let (mut low, mut high) = (0.0, self.limit_rad);
-        if !(radius < self.lens.radius(high).0) {
+        let (at_limit, _) = self.lens.radius(high);
+        if !(0.0..at_limit).contains(&radius) {
             return None;
         }
         let mut theta = (radius / self.lens.radius(0.0).1).min(high);

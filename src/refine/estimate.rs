@@ -150,7 +150,7 @@ impl Work {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
         for sight in self.sightings.at(moment) {
-            let (seen, slopes) = self.reference.project(sight.printed);
+            let (seen, slopes) = self.reference.picture(sight.printed);
             information += sight.information();
             sum += sight.information() * (sight.seen - seen - slopes * state);
         }
@@ -333,7 +333,7 @@ impl Work {
     fn weigh(&mut self, estimates: &[Estimate]) {
         let reference = self.reference;
         let chi2 = |sight: &Sight, state: &State| {
-            let (seen, slopes) = reference.project(sight.printed);
+            let (seen, slopes) = reference.picture(sight.printed);
             let miss = sight.seen - seen - slopes * state;
             miss.dot(&(sight.information() * miss))
         };
@@ -359,7 +359,7 @@ impl Work {
         let Smoothed {
             estimates, warmth, ..
         } = smoothed;
-        let scale = self.reference.scale_px();
+        let scale = self.reference.view.unit_px();
         let marked = |n: &usize| self.sightings.counts(*n);
         let jump = |after: &usize| {
             let before = (0..*after).rev().find(marked);

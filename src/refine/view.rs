@@ -31,7 +31,7 @@ pub(super) fn unpacked(upper: &UpperTriangle) -> Covariance {
 /// state's next four parameters are stretch, rotation and shear on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reference {
-    view: View,
+    pub view: View,
     distortion: Distortion,
 }
 
@@ -72,13 +72,8 @@ impl Reference {
         Self::of(&self.view.advanced(state).to_sensor(), self.distortion)
     }
 
-    /// Length of [`UNIT_MIL`] on the sensor.
-    pub fn scale_px(&self) -> f64 {
-        self.view.unit_px()
-    }
-
     /// Where the reference sees a plate position on the ideal sensor, and the derivative of that by the state.
-    pub fn project(&self, at: PlateMil) -> (Vector2<f64>, ParameterJacobian) {
+    pub fn picture(&self, at: PlateMil) -> (Vector2<f64>, ParameterJacobian) {
         (self.view.project(at), self.view.parameter_jacobian(at))
     }
 
@@ -87,17 +82,8 @@ impl Reference {
         let view = self.view.advanced(state);
         view.mapping(MappingKind::Homography, self.distortion)
     }
-
-    /// Covariance of a plate position got through the mapping of a state, mil^2.
-    pub fn covariance_mil2(
-        &self,
-        at: PlateMil,
-        mapping: &Mapping,
-        covariance: &Covariance,
-    ) -> Matrix2<f64> {
-        self.view.covariance_mil2(at, mapping, covariance)
-    }
 }
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -118,7 +104,7 @@ mod tests {
         let tilted = State::from_column_slice(&[0.5, -0.3, 0.2, 0.4, 0.1, -0.2, 2e-3, -1e-3]);
         let reference = reference().moved(&tilted).unwrap();
         let at = PlateMil::new(700.0, -900.0);
-        let (seen, slopes) = reference.project(at);
+        let (seen, slopes) = reference.picture(at);
         let straight = reference.mapping(&State::zeros()).unwrap().to_sensor(at);
         assert!((straight.vector() - seen).norm() < 1e-9);
         for n in 0..STATES {
@@ -138,7 +124,7 @@ mod tests {
         let reference = reference();
         let state = State::from_column_slice(&[30.0, -20.0, 3.0, 9.0, 0.0, 0.0, 0.0, 0.0]);
         let at = PlateMil::new(-1500.0, 400.0);
-        let (seen, slopes) = reference.project(at);
+        let (seen, slopes) = reference.picture(at);
         let moved = reference.mapping(&state).unwrap().to_sensor(at).vector();
         assert!((moved - seen - slopes * state).norm() < 1e-9);
     }

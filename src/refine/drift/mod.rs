@@ -157,7 +157,7 @@ impl Drift<'_> {
             .iter()
             .filter(|sight| sight.weight > 0.0)
         {
-            let (seen, slopes) = self.reference.project(sight.printed);
+            let (seen, slopes) = self.reference.picture(sight.printed);
             let miss = sight.seen - seen - slopes * state;
             let weight = sight.information() * f64::from(sight.weight);
             let weighted = slopes.transpose() * weight;
@@ -238,7 +238,7 @@ mod tests {
             let marks = (0..9).filter(|_| seen(n)).map(|k| {
                 let at = |k: i32| 300.0 * f64::from(k % 3 - 1);
                 let printed = PlateMil::new(at(k), at(k / 3));
-                let (view, slopes) = reference.project(printed);
+                let (view, slopes) = reference.picture(printed);
                 let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
                 let information = MARK_SIGMA_PX.powi(-2) as f32;
                 Sight {
