@@ -60,6 +60,7 @@ fn scripted(deed: Deed) -> Camera {
     Camera {
         seat: Seat::PitchYaw,
         instrument: instrument::builtin("demo").unwrap(),
+        instrument_toml: None,
         folder: PathBuf::new(),
         source: None,
         open: Some(Arc::new(move || {

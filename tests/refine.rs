@@ -786,6 +786,8 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
     let recipe = Recipe {
         instrument: plan.instrument.clone(),
         settings: Default::default(),
+        flown: Default::default(),
+        archived: Default::default(),
     };
     let told = |stage: &str| {
         let [now, most] = ["VmRSS", "VmHWM"].map(|what| memory_kb(what) / 1000);

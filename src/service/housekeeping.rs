@@ -8,9 +8,10 @@ use super::watch::Counts;
 use crate::aspect::{Origin, Quality};
 use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
-use crate::link::housekeeping::MarkIds;
+use crate::link::housekeeping::{Digits, MarkIds};
 use crate::link::{CameraRole, Housekeeping};
 use crate::log;
+use crate::provenance::COMMIT;
 use crossbeam_channel::Receiver;
 use std::time::{Duration, Instant};
 
@@ -49,15 +50,22 @@ pub(super) struct Teller {
     controls: Controls,
     /// Of each pitch-yaw camera.
     recent: Vec<Shared<Recent>>,
+    /// SHA-256 of the flight's configuration.
+    configuration: Digits,
     start: Instant,
     before: FlightTally,
 }
 
 impl Teller {
-    pub fn new(controls: Controls, recent: Vec<Shared<Recent>>) -> Self {
+    pub fn new(
+        controls: Controls,
+        recent: Vec<Shared<Recent>>,
+        configuration_sha256: &str,
+    ) -> Self {
         Self {
             controls,
             recent,
+            configuration: Digits::of(configuration_sha256),
             start: Instant::now(),
             before: FlightTally::default(),
         }
@@ -79,6 +87,9 @@ impl Teller {
         told.restarts = small(restarts.all);
         told.takeovers = small(restarts.takeovers);
         told.log_lines_lost = small(log::lost_lines());
+        told.commit = Digits::of(COMMIT.unwrap_or_default());
+        told.modified = COMMIT.is_some_and(|commit| commit.ends_with("-dirty"));
+        told.configuration = self.configuration;
         self.tell_settings(&mut told);
         tell_counts(&mut told, &tally);
         told.clock_stepped = tally.camera.utc_steps > self.before.camera.utc_steps;

@@ -61,6 +61,7 @@ pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 use crate::camera::{Exposure, FrameSource};
 use crate::config::Host;
 use crate::link::{Connection, Housekeeping};
+use crate::provenance::sha256;
 use crate::sky::Ephemeris;
 use control::{Controls, Keeper, SavedValues};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
@@ -69,7 +70,6 @@ use line::{Line, LinkEvent};
 use shared::Shared;
 use shutter::{Glimpse, Shutter};
 use solver::Solver;
-use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -129,9 +129,10 @@ impl Service {
         let values = SavedValues::of(&flight.config)
             .map(|file| keep_values(file, &controls, &signals))
             .transpose()?;
-        let folders: Vec<PathBuf> = flight.cameras().map(|c| c.folder.clone()).collect();
+        let configuration = flight.configuration_toml();
+        let stations: Vec<Arc<Station>> = flight.stations(&configuration).map(Arc::new).collect();
         let (archive, disks) =
-            archiver::start(flight.stores, &folders, &controls, &flight.ephemeris)?;
+            archiver::start(flight.stores, &stations, &controls, &flight.ephemeris)?;
         let gauges = archive.gauges();
         let (to_line, events) = bounded(LINK_EVENTS);
         let counts = Counts {
@@ -159,8 +160,8 @@ impl Service {
             solvers: Vec::new(),
         };
         let cameras = std::iter::once(flight.camera).chain(flight.other_cameras);
-        for (index, camera) in cameras.enumerate() {
-            crew.join(index, camera)?;
+        for (station, camera) in stations.iter().zip(cameras) {
+            crew.join(station, camera)?;
         }
         let counts = crew.counts.clone();
         let watch = Watch {
@@ -170,7 +171,7 @@ impl Service {
             line,
             archive: Some(archive),
             to_line,
-            teller: Teller::new(controls.clone(), crew.recent),
+            teller: Teller::new(controls.clone(), crew.recent, &sha256(&configuration)),
             counts: crew.counts,
             signals: Arc::clone(&signals),
             gave_up: false,
@@ -291,17 +292,11 @@ struct Crew {
 }
 
 impl Crew {
-    fn join(&mut self, index: usize, camera: Camera) -> std::io::Result<()> {
-        let station = Arc::new(Station {
-            index,
-            seat: camera.seat,
-            instrument: camera.instrument,
-            folder: camera.folder,
-        });
+    fn join(&mut self, station: &Arc<Station>, camera: Camera) -> std::io::Result<()> {
         let (to_solver, sightings) = bounded(SIGHTINGS);
         let glimpse = Glimpse::default();
-        self.join_solver(&station, &glimpse, sightings)?;
-        self.join_camera(&station, &glimpse, to_solver, camera.source, camera.open)
+        self.join_solver(station, &glimpse, sightings)?;
+        self.join_camera(station, &glimpse, to_solver, camera.source, camera.open)
     }
 
     fn join_solver(

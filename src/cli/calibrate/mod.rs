@@ -5,9 +5,10 @@ mod compare;
 mod mounting;
 mod plate;
 
+use super::options;
 use super::output::make_folder;
 use crate::calibrate::revision::Revision;
-use crate::instrument::{Instrument, builtin_text, toml_file};
+use crate::instrument::Instrument;
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
@@ -51,15 +52,12 @@ struct Edition {
 impl Edition {
     /// The instrument so far, and its file open for new entries.
     fn open(&self) -> anyhow::Result<(Revision, Instrument)> {
-        let (path, text) = match &self.instrument {
-            Some(path) => (path.as_path(), toml_file::read_text(path)?),
-            None => {
-                let text = builtin_text("demo").unwrap_or_default();
-                (Path::new("demo"), text.into())
-            }
-        };
-        let instrument = Instrument::parse(path, &text)?;
-        Ok((Revision::of(path, &text)?, instrument))
+        let path = self.instrument.as_deref();
+        let (instrument, text) = options::instrument_with_text(path)?;
+        Ok((
+            Revision::of(path.unwrap_or(Path::new("demo")), &text)?,
+            instrument,
+        ))
     }
 
     /// Writes the new instrument if it is one that everything else can read; else what stood there stays.

@@ -22,6 +22,7 @@ mod writer;
 pub use writer::DiskHealth;
 
 use super::control::Controls;
+use super::flight::Station;
 use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
 use super::worker::{self, Job, Worker};
@@ -72,10 +73,10 @@ pub(super) struct Gauges {
 #[derive(Default)]
 pub(super) struct Threads(Vec<Worker>);
 
-/// Starts the threads of every disk; `folders` are the cameras' under each root.
+/// Starts the threads of every disk.
 pub(super) fn start(
     stores: Vec<Store>,
-    folders: &[PathBuf],
+    stations: &[Arc<Station>],
     controls: &Controls,
     ephemeris: &Ephemeris,
 ) -> std::io::Result<(Archive, Threads)> {
@@ -87,12 +88,16 @@ pub(super) fn start(
     };
     let (mut logs, mut threads) = (Vec::new(), Threads::default());
     let start = Timestamp::now();
+    let folders: Vec<PathBuf> = stations.iter().map(|s| s.folder.clone()).collect();
     let (flying, ended) = bounded(0);
     for (n, store) in stores.into_iter().enumerate() {
         let (queue, disk) = match settings.sharing {
             Sharing::Alternate => (&queues[0], n),
             Sharing::Mirror => (&queues[n], 0),
         };
+        for station in stations {
+            store.add_flight_files(station.flown.files(&station.folder, start));
+        }
         let store = Arc::new(store);
         let health = Arc::new(Mutex::new(DiskHealth {
             root: store.root().into(),
@@ -116,7 +121,7 @@ pub(super) fn start(
             let writer = writer.clone();
             Box::new(move |_| writer.run())
         })?;
-        let (folders, counts) = (folders.to_vec(), Arc::clone(&tally));
+        let (folders, counts) = (folders.clone(), Arc::clone(&tally));
         let ended = ended.clone();
         threads.start(format!("log-{}", n + 1), move || {
             let store = Arc::clone(&store);

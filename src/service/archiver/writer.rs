@@ -141,6 +141,7 @@ impl Writer {
         let (frame, solution) = (&answer.exposure.frame, &answer.solution);
         let instrument = &answer.station.instrument;
         let mut cards = answer.row().record.cards();
+        cards.extend(answer.station.flown.cards());
         if answer.station.is_solved() {
             cards.extend(instrument_cards(instrument));
             cards.extend(self.clock.iter().flat_map(clock_cards));
