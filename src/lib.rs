@@ -14,6 +14,7 @@
 //! | rooms | what they know |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
+//! | `backoff` | waits between attempts |
 //! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | `statistics` | the middle and the scatter of many values |
 //! | [`log`] | the log on standard error, for which nothing waits |
@@ -39,6 +40,7 @@
 pub mod accuracy;
 pub mod archive;
 pub mod aspect;
+mod backoff;
 pub mod calibrate;
 pub mod camera;
 pub mod cli;

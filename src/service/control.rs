@@ -11,6 +11,8 @@ mod saved;
 
 pub use saved::{Keeper, SavedValues, restore};
 
+use super::command_log::CommandNote;
+use super::tally::worth_a_line;
 use crate::aspect;
 use crate::config::{self, Config, Value, by_command, by_key};
 use crate::instrument::Mounting;
@@ -24,6 +26,9 @@ use own::{LATITUDE, LONGITUDE, Own};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Rows that may wait for the command log.
+const NOTES: usize = 1024;
 
 /// A camera's place in a flight, each with a table of parameters of its own. Commands to the pitch-yaw camera go to the
 /// first.
@@ -132,6 +137,9 @@ struct Shared {
     pictures: [AtomicBool; 2],
     /// Tells the keeper that something has changed; one such word is enough.
     changed: (Sender<()>, Receiver<()>),
+    /// Rows for the command log.
+    notes: (Sender<CommandNote>, Receiver<CommandNote>),
+    notes_lost: AtomicU64,
 }
 
 #[derive(Debug, Clone)]
@@ -150,6 +158,8 @@ struct State {
     cameras: Vec<CameraRole>,
     /// How often a command's value was refused, by key.
     refusals: BTreeMap<&'static str, u64>,
+    /// Why the last command was refused.
+    reason: Option<String>,
 }
 
 impl Controls {
@@ -167,6 +177,7 @@ impl Controls {
             clock_offset_us: None,
             cameras: vec![CameraRole::PitchYaw],
             refusals: BTreeMap::new(),
+            reason: None,
         };
         Self(Arc::new(Shared {
             state: Mutex::new(state),
@@ -174,6 +185,8 @@ impl Controls {
             quits: AtomicBool::new(false),
             pictures: Default::default(),
             changed: bounded(1),
+            notes: bounded(NOTES),
+            notes_lost: AtomicU64::new(0),
         }))
     }
 
@@ -298,6 +311,21 @@ impl Controls {
             self.0.versions[Topic::of(key) as usize].fetch_add(1, Ordering::Release);
         }
         Ok(if changed { Changed::Yes } else { Changed::No })
+    }
+
+    /// Gives a row to the command log; it waits for nothing.
+    pub fn note_command(&self, note: CommandNote) {
+        if self.0.notes.0.try_send(note).is_err() {
+            let lost = self.0.notes_lost.fetch_add(1, Ordering::Relaxed) + 1;
+            if worth_a_line(lost) {
+                tracing::error!(lost, "the command log cannot follow: it lacks rows");
+            }
+        }
+    }
+
+    /// The rows that the command log has not been given yet.
+    pub fn command_notes(&self) -> impl Iterator<Item = CommandNote> {
+        self.0.notes.1.try_iter()
     }
 
     /// GPS fixes that were not believed.

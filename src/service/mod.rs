@@ -21,6 +21,7 @@
 //! | Glimpse | brightness of the last frame | the newer takes the place of the older |
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
+//! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
 //! | LinkEvent | exposures about to start, solutions, housekeeping | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
@@ -35,6 +36,7 @@
 //! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error.
 
 mod archiver;
+mod command_log;
 pub mod control;
 pub mod demo;
 mod flight;
@@ -51,6 +53,7 @@ mod watch;
 mod worker;
 
 pub use archiver::DiskHealth;
+pub use command_log::CommandNote;
 pub use control::Seat;
 pub use flight::{Camera, Flight, Station};
 pub use protocol::protocol_page;
@@ -171,6 +174,7 @@ impl Service {
             line,
             archive: Some(archive),
             to_line,
+            controls: controls.clone(),
             teller: Teller::new(controls.clone(), crew.recent, &sha256(&configuration)),
             counts: crew.counts,
             signals: Arc::clone(&signals),

@@ -7,6 +7,7 @@ use super::silence::{self, Silence};
 use super::tally::{CameraTally, worth_a_line};
 use super::worker::Life;
 use super::{Sighting, Station};
+use crate::backoff::Backoff;
 use crate::camera::{
     AutoExposure, AutoExposureSettings, Brightness, CameraError, Exposure, FrameSource, Settings,
     Take,
@@ -22,8 +23,6 @@ use std::time::{Duration, Instant};
 
 /// After a failure the camera is not asked again at once.
 const PAUSE: Duration = Duration::from_millis(10);
-/// A camera that cannot be opened is tried again after this.
-const OPEN_AGAIN: Duration = Duration::from_secs(1);
 /// UTC may differ by this much from one frame to the next against the monotonic clock: more is a step. A clock that is
 /// being slewed gains half a millisecond a second.
 const STEP: SignedDuration = SignedDuration::from_millis(20);
@@ -106,13 +105,14 @@ impl Shutter {
     }
 
     fn open(&self, open: &Opener, life: &Life) -> Option<Box<dyn FrameSource>> {
+        let mut waits = Backoff::DEVICE;
         while self.goes_on(life) {
             match open() {
                 Ok(source) => return Some(source),
                 Err(error) => self.note_failure(&error),
             }
-            let tried = Instant::now();
-            while tried.elapsed() < OPEN_AGAIN && self.goes_on(life) {
+            let next = Instant::now() + waits.wait();
+            while Instant::now() < next && self.goes_on(life) {
                 thread::sleep(PAUSE);
             }
         }

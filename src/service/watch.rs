@@ -2,6 +2,7 @@
 
 use super::Sighting;
 use super::archiver::{self, Archive, Gauges};
+use super::control::Controls;
 use super::housekeeping::{Restarts, Teller};
 use super::line::LinkEvent;
 use super::shared::Shared;
@@ -92,6 +93,7 @@ pub(super) struct Watch {
     /// Held until the last solver has ended.
     pub archive: Option<Archive>,
     pub to_line: Sender<LinkEvent>,
+    pub controls: Controls,
     pub teller: Teller,
     pub counts: Counts,
     pub signals: Arc<Signals>,
@@ -111,6 +113,7 @@ impl Watch {
                 self.excuse(now - looked);
             }
             looked = now;
+            self.note_commands();
             if self.is_over(now) {
                 break;
             }
@@ -142,6 +145,14 @@ impl Watch {
         tally.takeovers = self.takeovers();
         tally.gave_up = self.gave_up;
         tally
+    }
+
+    fn note_commands(&self) {
+        for note in self.controls.command_notes() {
+            if let Some(archive) = &self.archive {
+                archive.note_command(&note);
+            }
+        }
     }
 
     /// The threads were stopped like everything else: nobody is to be blamed for it.

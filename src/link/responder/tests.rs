@@ -220,7 +220,7 @@ fn every_command_of_a_packet_is_carried_out_and_answered_in_order() {
     let mut expected = answers(0x71, 0x1412, result::DONE);
     expected.push(result(0x1481, result::REFUSED));
     let heard: Vec<Said> = reply.packets.iter().map(|p| said(p)).collect();
-    assert_eq!((heard, reply.commands), (expected, 2));
+    assert_eq!((heard, reply.commands.len()), (expected, 2));
 }
 
 #[test]

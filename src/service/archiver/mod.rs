@@ -16,11 +16,11 @@
 mod journal;
 mod picture;
 mod queue;
-mod rest;
 mod writer;
 
 pub use writer::DiskHealth;
 
+use super::command_log::CommandNote;
 use super::control::Controls;
 use super::flight::Station;
 use super::solver::Answer;
@@ -108,7 +108,6 @@ pub(super) fn start(
             disk,
             store: Arc::clone(&store),
             queue: Arc::clone(queue),
-            limits: settings.space_limits(),
             number: n,
             controls: controls.clone(),
             clock: None,
@@ -189,6 +188,13 @@ impl Archive {
     pub fn note(&self, told: &Housekeeping) {
         for log in &self.logs {
             self.log(log, Entry::Housekeeping(Box::new(told.clone())));
+        }
+    }
+
+    /// Keeps a command.
+    pub fn note_command(&self, note: &CommandNote) {
+        for log in &self.logs {
+            self.log(log, Entry::Command(Box::new(note.clone())));
         }
     }
 

@@ -63,9 +63,18 @@ impl Control for Controls {
         }
     }
 
+    fn take_reason(&mut self) -> Option<String> {
+        self.state().reason.take()
+    }
+
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult {
         let accepted = self.state().own.accepts_gps;
-        if !(accepted && self.believes(fix)) {
+        let reason = match accepted {
+            false => Some("GPS is not accepted"),
+            true => (!self.believes(fix)).then_some("not believed"),
+        };
+        if let Some(reason) = reason {
+            self.state().reason = Some(reason.into());
             return CommandResult::Refused;
         }
         // Kept with the next values that are saved: a fix a second is no reason to write a file a second.
@@ -109,6 +118,7 @@ impl Controls {
             }
             Err(refused) => {
                 let times = self.count_refusal(refused.key);
+                self.state().reason = Some(refused.to_string());
                 if worth_a_line(times) {
                     tracing::warn!(%refused, times, "a command was refused");
                 }
@@ -131,7 +141,10 @@ impl Controls {
             Some(parameter) if fits(parameter.allowed) => {
                 self.set_by_command(&[(parameter.key, value)])
             }
-            _ => CommandResult::Refused,
+            _ => {
+                self.state().reason = Some(format!("no parameter {number} of this type"));
+                CommandResult::Refused
+            }
         }
     }
 
