@@ -841,13 +841,13 @@ fn flown_with(settings: &[(u16, f64)]) -> String {
     let mut controls = service.controls().clone();
     controls.note_tracking(true);
     for &(number, value) in settings {
-        let parameter = number;
-        let command = match by_command(number).unwrap().allowed {
-            Allowed::Whole(..) => link::Command::SetInteger {
-                parameter,
-                value: value as i16,
-            },
-            _ => link::Command::SetFloat { parameter, value },
+        let name = match by_command(number).unwrap().allowed {
+            Allowed::Whole(..) => "set_integer",
+            _ => "set_float",
+        };
+        let command = link::Command {
+            row: link::command::row_named(name).unwrap(),
+            numbers: vec![number.into(), value],
         };
         assert_eq!(
             controls.carry_out(&command),

@@ -15,7 +15,7 @@
 //! 5. Sending changes between exposures: a command that disables it is done, and its result sent, when the announced
 //!    exposure has been concluded, so that a hand-over to the other computer leaves neither a gap nor a double.
 
-use super::command::{Command, CommandError, Computer, row_of};
+use super::command::{Action, Command, CommandError, Computer, row_of};
 use super::control::{CommandResult, Control};
 use super::describe::{CommandInWords, result_in_words};
 use super::message::{
@@ -314,14 +314,16 @@ impl Responder {
         control: &mut dyn Control,
     ) -> Answer {
         let result = match Command::try_from(command) {
-            Ok(Command::NoOp) => CommandResult::Done,
-            Ok(Command::StartSending) => {
-                self.state.sending = true;
-                self.stopping = false;
-                CommandResult::Done
-            }
-            Ok(Command::StopSending) => return self.stop_sending(stop),
-            Ok(command) => control.carry_out(&command),
+            Ok(command) => match command.row.action {
+                Action::NoOp => CommandResult::Done,
+                Action::StartSending => {
+                    self.state.sending = true;
+                    self.stopping = false;
+                    CommandResult::Done
+                }
+                Action::StopSending => return self.stop_sending(stop),
+                _ => control.carry_out(&command),
+            },
             Err(CommandError::Switch { .. }) => CommandResult::Refused,
             Err(CommandError::Unknown { .. }) => CommandResult::Unknown,
         };

@@ -14,10 +14,9 @@ pub use saved::{Keeper, SavedValues, restore};
 use super::command_log::CommandNote;
 use super::tally::worth_a_line;
 use crate::aspect;
-use crate::config::{self, Config, Value, by_command, by_key};
+use crate::config::{self, Config, Value, by_key};
 use crate::instrument::Mounting;
-use crate::link::code::angle_code;
-use crate::link::{CameraRole, GpsFix, Reading};
+use crate::link::{CameraRole, GpsFix};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -44,15 +43,6 @@ impl Seat {
         match self {
             Self::PitchYaw | Self::SecondPitchYaw => CameraRole::PitchYaw,
             Self::Roll => CameraRole::Roll,
-        }
-    }
-}
-
-impl From<CameraRole> for Seat {
-    fn from(role: CameraRole) -> Self {
-        match role {
-            CameraRole::PitchYaw => Self::PitchYaw,
-            CameraRole::Roll => Self::Roll,
         }
     }
 }
@@ -340,8 +330,8 @@ impl Controls {
 }
 
 impl State {
-    fn camera(&self, seat: impl Into<Seat>) -> &config::Camera {
-        match seat.into() {
+    fn camera(&self, seat: Seat) -> &config::Camera {
+        match seat {
             Seat::PitchYaw => &self.config.camera,
             Seat::SecondPitchYaw => &self.config.second_camera,
             Seat::Roll => &self.config.roll_camera,
@@ -392,39 +382,6 @@ impl State {
         self.commanded.remove(LATITUDE);
         self.commanded.remove(LONGITUDE);
         self.gps.forget();
-    }
-
-    /// A value as it travels; `None` where it is not known.
-    fn read(&self, reading: Reading) -> Option<u16> {
-        let signed = |value: f64| Some((value.round() as i16).cast_unsigned());
-        let unsigned = |value: f64| Some(value.round() as u16);
-        match reading {
-            Reading::Exposure(role) => unsigned(self.camera(role).exposure_us.into()),
-            Reading::AnalogueGain(role) => unsigned(self.camera(role).analogue_gain?),
-            Reading::PreampGain(role) => signed(self.camera(role).preamp_gain?),
-            Reading::DiskUse(disk) => {
-                let at = usize::from(disk).checked_sub(1)?;
-                (*self.disks.get(at)?).map(u16::from)
-            }
-            Reading::TargetX => signed(self.config.target.x_arcsec),
-            Reading::TargetY => signed(self.config.target.y_arcsec),
-            Reading::Integer(number) => match by_command(number)?.get(&self.config)? {
-                Value::Whole(value) => signed(value as f64),
-                _ => None,
-            },
-            Reading::Float(number) => match by_command(number)?.get(&self.config)? {
-                Value::Number(value) => angle_code(value),
-                _ => None,
-            },
-            Reading::Twist => angle_code(self.own.twist_deg.unwrap_or(self.stated.twist_deg)),
-            Reading::Clocking => {
-                let stated = self.stated.clocking_deg.value;
-                angle_code(self.own.clocking_deg.unwrap_or(stated))
-            }
-            Reading::Latitude => angle_code(self.place?.latitude_deg),
-            Reading::Longitude => angle_code(self.place?.longitude_deg),
-            Reading::ClockOffset => signed(self.clock_offset_us? as f64),
-        }
     }
 }
 

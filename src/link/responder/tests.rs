@@ -33,10 +33,12 @@ struct Desk;
 
 impl Control for Desk {
     fn carry_out(&mut self, command: &Command) -> CommandResult {
-        match command {
-            Command::SetTarget { .. } => CommandResult::Done,
-            Command::SetCamera(..) => CommandResult::Refused,
-            Command::Read(_) => CommandResult::Value(4711),
+        match command.row.action {
+            Action::Set(["target.x_arcsec", ..]) => CommandResult::Done,
+            Action::Set(["camera.exposure_us" | "camera.analogue_gain" | "camera.preamp_gain"]) => {
+                CommandResult::Refused
+            }
+            Action::Read(_) => CommandResult::Value(4711),
             _ => CommandResult::NotImplemented,
         }
     }
