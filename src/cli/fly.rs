@@ -46,7 +46,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         let place = file.map_or("the command line".into(), |file| file.display().to_string());
         anyhow::bail!("{place}: {missing}");
     }
-    let (camera, other_cameras) = cameras::of(&config, &args)?;
+    let (camera, other_cameras) = cameras::of(&config, args.duration, args.speed)?;
     let mut flight = Flight {
         config,
         other_cameras,

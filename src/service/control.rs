@@ -9,7 +9,7 @@ mod orders;
 mod own;
 mod saved;
 
-pub use saved::{Keeper, SavedValues, restore};
+pub use saved::{SavedValues, ValueSaver, restore};
 
 use super::command_log::CommandNote;
 use super::tally::worth_a_line;
@@ -125,7 +125,7 @@ struct Shared {
     versions: [AtomicU64; Topic::COUNT],
     quits: AtomicBool,
     pictures: [AtomicBool; 2],
-    /// Tells the keeper that something has changed; one such word is enough.
+    /// Tells the thread that saves values that something has changed; one such word is enough.
     changed: (Sender<()>, Receiver<()>),
     /// Rows for the command log.
     notes: (Sender<CommandNote>, Receiver<CommandNote>),
@@ -281,7 +281,7 @@ impl Controls {
     /// Which key was refused, and why.
     pub fn set(&self, settings: &[(&str, Value)]) -> Result<(), config::Refused> {
         if self.apply(settings)? == Changed::Yes {
-            // The keeper has not taken the last word yet: it will see this change, too.
+            // The last word has not been taken yet: whoever takes it will see this change, too.
             let _ = self.0.changed.0.try_send(());
         }
         Ok(())

@@ -1,9 +1,8 @@
 //! What a flight is made of.
 
 use super::control::Seat;
-use super::shutter::Opener;
 use crate::archive::{Flown, Store};
-use crate::camera::{CameraError, FrameSource};
+use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::Config;
 use crate::instrument::Instrument;
 use crate::link::Connection;
@@ -13,6 +12,7 @@ use crate::sky::Ephemeris;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// What a flight is made of.
 pub struct Flight {
@@ -105,7 +105,7 @@ pub struct Camera {
     /// Where its frames come from, if it is open already.
     pub source: Option<Box<dyn FrameSource>>,
     /// Opens it, and opens it again when its thread has failed.
-    pub open: Option<Opener>,
+    pub open: Option<CameraFactory>,
 }
 
 impl Camera {
@@ -120,6 +120,15 @@ impl Camera {
             open: None,
         }
     }
+}
+
+/// Opens a camera.
+pub type CameraFactory = Arc<dyn Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync>;
+
+/// A frame on its way from the camera to the solver, with the moment it arrived.
+pub(super) struct UnsolvedFrame {
+    pub exposure: Exposure,
+    pub arrived: Instant,
 }
 
 /// A camera's place in the flight.

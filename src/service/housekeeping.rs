@@ -1,10 +1,10 @@
 //! What the ground is told each second, put together from the counts and the latest answer.
 
+use super::answer::{Answer, Recent};
 use super::control::Controls;
+use super::counts::Counts;
 use super::shared::Shared;
-use super::solver::Answer;
 use super::tally::{FlightTally, quantile};
-use super::watch::Counts;
 use crate::aspect::{Origin, Quality};
 use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
@@ -18,25 +18,6 @@ use std::time::{Duration, Instant};
 /// Where Linux tells how warm the computer is, in thousandths of a degree.
 const COMPUTER_TEMPERATURE: &str = "/sys/class/thermal/thermal_zone0/temp";
 
-/// What the solver of the sending camera leaves for the next packet.
-#[derive(Debug, Default)]
-pub(super) struct Recent {
-    pub answer: Option<Answer>,
-    /// Of the frames since the last packet.
-    pub solve_times: Vec<Duration>,
-}
-
-impl Recent {
-    pub fn note(&mut self, answer: &Answer) {
-        /// More than any camera takes between two packets.
-        const MOST: usize = 1000;
-        self.answer = Some(answer.clone());
-        if self.solve_times.len() < MOST {
-            self.solve_times.push(answer.solve_time);
-        }
-    }
-}
-
 /// How often threads were started again.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Restarts {
@@ -45,8 +26,8 @@ pub(super) struct Restarts {
     pub takeovers: u64,
 }
 
-/// Makes the packets.
-pub(super) struct Teller {
+/// Makes the second's housekeeping.
+pub(super) struct HousekeepingSource {
     controls: Controls,
     /// Of each pitch-yaw camera.
     recent: Vec<Shared<Recent>>,
@@ -56,7 +37,7 @@ pub(super) struct Teller {
     before: FlightTally,
 }
 
-impl Teller {
+impl HousekeepingSource {
     pub fn new(
         controls: Controls,
         recent: Vec<Shared<Recent>>,
@@ -72,7 +53,7 @@ impl Teller {
     }
 
     /// `events` wait for the line.
-    pub fn tell(
+    pub fn next(
         &mut self,
         counts: &Counts,
         restarts: Restarts,
@@ -100,7 +81,7 @@ impl Teller {
         told.disks = [used(0), used(1)];
         let refused = |disk: usize| disks.get(disk).map_or(0, |d| d.refused + d.rows_refused);
         told.disk_refusals = [small(refused(0)), small(refused(1))];
-        let frames: usize = counts.sightings.iter().map(Receiver::len).sum();
+        let frames: usize = counts.unsolved.iter().map(Receiver::len).sum();
         told.queued_frames = small(frames as u64);
         told.queued_events = small(events as u64);
         told.queued_pictures = small(counts.archive.waiting() as u64);

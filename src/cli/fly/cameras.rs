@@ -1,12 +1,11 @@
 //! The cameras of a flight, as the configuration names them.
 
-use super::FlyArgs;
 use crate::archive;
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
-use crate::service::{Camera, Opener, Seat};
+use crate::service::{Camera, CameraFactory, Seat};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,15 +15,20 @@ const ROLL_FOLDER: &str = "roll";
 
 /// The first pitch-yaw camera, and the others that are configured; none is open yet.
 ///
-/// With one camera its frames go to the archive's root; with several each has a folder of its own.
-pub(super) fn of(config: &Config, args: &FlyArgs) -> anyhow::Result<(Camera, Vec<Camera>)> {
+/// With one camera its frames go to the archive's root; with several each has a folder of its own. The simulator ends after
+/// `duration`; a folder is replayed `speed` times faster than it was taken.
+pub(super) fn of(
+    config: &Config,
+    duration: Option<Duration>,
+    speed: f64,
+) -> anyhow::Result<(Camera, Vec<Camera>)> {
     let Some(source) = config.camera.source.clone() else {
         anyhow::bail!("camera.source: expected a camera, found none");
     };
     let common = Common {
         seed: config.simulation.seed,
-        duration: args.duration,
-        speed: args.speed,
+        duration,
+        speed,
     };
     let mut first = common.camera(Seat::PitchYaw, &config.camera, source)?;
     let mut others = Vec::new();
@@ -71,7 +75,7 @@ impl Common {
         let (instrument, text) = options::instrument_with_text(file)?;
         let settings = table.settings();
         let again = instrument.clone();
-        let open: Opener = Arc::new(move || self.open(&source, &settings, &again));
+        let open: CameraFactory = Arc::new(move || self.open(&source, &settings, &again));
         Ok(Camera {
             seat,
             instrument,

@@ -20,10 +20,10 @@ mod writer;
 
 pub use writer::DiskHealth;
 
+use super::answer::Answer;
 use super::command_log::CommandNote;
 use super::control::Controls;
 use super::flight::Station;
-use super::solver::Answer;
 use super::tally::{ArchiveTally, worth_a_line};
 use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, Upkeep};

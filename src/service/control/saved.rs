@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 
 const HEADER: &str = "# solaspect: values set by command. crc32 ";
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-/// How long the keeper waits for a change before it looks whether it is to end.
+/// How long the thread waits for a change before it looks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(100);
 /// How often the file is written anew while it holds a value that is for a short time only.
 const REFRESH: Duration = Duration::from_secs(60);
@@ -293,12 +293,12 @@ fn folder_of(path: &Path) -> &Path {
 }
 
 /// Saves what commands set, on a thread of its own: a disk that hangs does not hold up an answer.
-pub struct Keeper {
+pub struct ValueSaver {
     controls: Controls,
     file: SavedValues,
 }
 
-impl Keeper {
+impl ValueSaver {
     pub fn new(controls: Controls, file: SavedValues) -> Self {
         Self { controls, file }
     }
@@ -402,7 +402,7 @@ mod tests {
         write(path, &encode(values, &Written::now())).unwrap();
     }
 
-    /// Runs a keeper that is told to end, with what `set` has set after the start: how often it failed.
+    /// Runs a thread that is told to end, with what `set` has set after the start: how often it failed.
     fn run(controls: &Controls, path: &Path, set: impl Fn(&Controls)) -> u64 {
         let path = path.to_path_buf();
         let file = SavedValues {
@@ -411,7 +411,7 @@ mod tests {
         };
         let (restored, _) = bounded(1);
         set(controls);
-        Keeper::new(controls.clone(), file).run(&restored, &AtomicBool::new(true))
+        ValueSaver::new(controls.clone(), file).run(&restored, &AtomicBool::new(true))
     }
 
     fn names(folder: &Path) -> Vec<String> {
