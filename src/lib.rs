@@ -14,6 +14,8 @@
 //! | rooms | what they know |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
+//! | `backoff` | waits between attempts |
+//! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | `statistics` | the middle and the scatter of many values |
 //! | [`log`] | the log on standard error, for which nothing waits |
 //! | `lanes` | what makes loops over pixels quick |
@@ -38,6 +40,7 @@
 pub mod accuracy;
 pub mod archive;
 pub mod aspect;
+mod backoff;
 pub mod calibrate;
 pub mod camera;
 pub mod cli;
@@ -55,6 +58,7 @@ pub mod log;
 pub mod plate;
 pub mod pointing;
 pub mod preflight;
+pub mod provenance;
 pub mod refine;
 pub mod registration;
 pub mod report;
