@@ -2,6 +2,7 @@
 
 use crate::fits::{self, FRAME_ENDINGS, Unlisted};
 use crate::frame::Frame;
+use crate::provenance;
 use crate::report::html::Page;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -116,8 +117,7 @@ pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
     let one = |file: &F| Some(Sha256::digest(std::fs::read(file).ok()?));
     let mut hashes: Vec<_> = files.par_iter().filter_map(one).collect();
     hashes.sort_unstable();
-    let all = Sha256::digest(hashes.concat());
-    all.iter().map(|byte| format!("{byte:02x}")).collect()
+    provenance::sha256(hashes.concat())
 }
 
 /// What all frames of one calibration must have in common.

@@ -6,7 +6,9 @@
 //! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
 //! measured marks from the drawing have none in common.
 
-use super::camera::{LENS, Lens, Prediction, VIEW, View, predict};
+use super::camera::{LENS, Lens, Prediction, predict, prior_sigmas};
+use crate::geometry::MappingKind;
+use crate::geometry::view::{PARAMETERS, ParameterCovariance, View, parameters_of};
 use crate::units::PlateMil;
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, Vector2};
 
@@ -32,8 +34,7 @@ pub(super) struct MarkPrior {
 /// What is adjusted; the rest is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Freedoms {
-    /// Parameters of each view.
-    pub view: usize,
+    pub view: MappingKind,
     pub lens: [bool; LENS],
     pub marks: bool,
 }
@@ -58,7 +59,7 @@ impl State {
 
     /// Index of a view's first parameter among the unknowns.
     fn view_index(&self, pose: usize) -> usize {
-        mark_index(self.places.len()) + VIEW * pose
+        mark_index(self.places.len()) + PARAMETERS * pose
     }
 
     fn advance(&mut self, step: &DVector<f64>) {
@@ -68,7 +69,8 @@ impl State {
         }
         let first = self.view_index(0);
         for (pose, view) in self.views.iter_mut().enumerate() {
-            view.advance(&step.fixed_rows::<VIEW>(first + VIEW * pose).into_owned());
+            let step = step.fixed_rows::<PARAMETERS>(first + PARAMETERS * pose);
+            *view = view.advanced(&step.into_owned());
         }
     }
 }
@@ -109,7 +111,7 @@ impl Settled {
         self.block(0)
     }
 
-    pub(super) fn view_covariance(&self, pose: usize) -> SMatrix<f64, VIEW, VIEW> {
+    pub(super) fn view_covariance(&self, pose: usize) -> ParameterCovariance {
         self.block(self.state.view_index(pose))
     }
 }
@@ -177,8 +179,8 @@ impl Problem<'_> {
         let marks = (LENS..state.view_index(0)).filter(|_| self.freedoms.marks);
         let poses = (0..self.cells.len()).filter(|pose| !self.cells[*pose].is_empty());
         let views = poses.flat_map(|pose| {
-            let first = state.view_index(pose);
-            first..first + self.freedoms.view
+            let free = (state.view_index(pose)..).zip(parameters_of(self.freedoms.view));
+            free.filter(|(_, free)| *free).map(|(n, _)| n)
         });
         lens.chain(marks).chain(views).collect()
     }
@@ -238,10 +240,13 @@ impl Problem<'_> {
             })
         });
         let views = state.views.iter().enumerate().flat_map(|(pose, view)| {
-            view.prior_sigmas().map(|(n, sigma)| Prior {
-                unknown: state.view_index(pose) + n,
-                off: view.parameters()[n],
-                sigma,
+            let sigmas = prior_sigmas(view).into_iter().enumerate();
+            sigmas.filter_map(move |(n, sigma)| {
+                Some(Prior {
+                    unknown: state.view_index(pose) + n,
+                    off: view.parameters[n],
+                    sigma: sigma?,
+                })
             })
         });
         lens.chain(marks).chain(views).collect()
@@ -277,7 +282,7 @@ impl Problem<'_> {
 
     /// Each parameter counts by the part of its prior variance that the observations took away, those of a view in full.
     fn determined(&self, state: &State, priors: &[Prior], covariance: &DMatrix<f64>) -> f64 {
-        let views = (self.freedoms.view * state.views.len()) as f64;
+        let views = (self.freedoms.view.parameters() * state.views.len()) as f64;
         let is_free = |n: usize| match n < LENS {
             true => self.freedoms.lens[n],
             false => self.freedoms.marks && n < state.view_index(0),

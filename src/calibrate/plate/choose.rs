@@ -1,13 +1,13 @@
 //! The simplest lens and views that the observations support.
 
 use super::adjust::{Freedoms, Settled, State};
-use super::camera::{LENS, view_parameters};
+use super::camera::LENS;
 use super::robust::Bundle;
 use crate::geometry::MappingKind;
 
 /// Everything free.
 pub(super) const RICHEST: Freedoms = Freedoms {
-    view: 8,
+    view: MappingKind::Homography,
     lens: [true; LENS],
     marks: true,
 };
@@ -27,7 +27,7 @@ pub struct Choice {
 impl Choice {
     pub(super) fn freedoms(self) -> Freedoms {
         Freedoms {
-            view: view_parameters(self.kind),
+            view: self.kind,
             lens: self.lens,
             marks: true,
         }
@@ -47,7 +47,7 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
     };
     let parameters = |choice: Choice| {
         let terms = choice.lens.iter().filter(|free| **free).count();
-        view_parameters(choice.kind) * bundle.poses + terms
+        choice.kind.parameters() * bundle.poses + terms
     };
     let mut best = fit(Choice {
         kind: MappingKind::Similarity,

@@ -1,6 +1,6 @@
 //! `solaspect calibrate camera`: noise, gain, hot pixels, vignetting, blur.
 
-use super::{Edition, print_rejected};
+use super::edition::{Edition, print_rejected};
 use crate::calibrate::camera::{self, Inputs};
 use crate::calibrate::frames::{Depth, InputError, RejectedFrame, list, sha256};
 use crate::calibrate::revision::Provenance;

@@ -2,20 +2,14 @@
 
 mod camera;
 mod compare;
+mod edition;
 mod mounting;
 mod plate;
 
-use super::output::{make_folder, say};
-use crate::calibrate::frames::RejectedFrame;
-use crate::calibrate::revision::Revision;
-use crate::instrument::{Instrument, builtin_text, toml_file};
-use crate::report::plot::PlotError;
-use anyhow::Context;
 use clap::{Args, Subcommand};
-use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Measure the instrument from frames and write its new TOML file; tell what changed between two calibrations
+/// Measure the instrument from frames and write its new TOML file; report what changed between two calibrations
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
     #[command(subcommand)]
@@ -37,64 +31,4 @@ pub fn run(args: CalibrateArgs) -> anyhow::Result<ExitCode> {
         Part::Mounting(args) => mounting::run(args),
         Part::Plate(args) => plate::run(&args),
     }
-}
-
-/// The instrument before and after.
-#[derive(Debug, Args)]
-struct Edition {
-    /// The instrument as it is known so far, a TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// The new instrument file
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Write a page with figures to this folder
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
-}
-
-impl Edition {
-    /// The instrument so far, and its file open for new entries.
-    fn open(&self) -> anyhow::Result<(Revision, Instrument)> {
-        let (path, text) = match &self.instrument {
-            Some(path) => (path.as_path(), toml_file::read_text(path)?),
-            None => {
-                let text = builtin_text("demo").unwrap_or_default();
-                (Path::new("demo"), text.into())
-            }
-        };
-        let instrument = Instrument::parse(path, &text)?;
-        Ok((Revision::of(path, &text)?, instrument))
-    }
-
-    /// Writes the new instrument if it is one that everything else can read; else what stood there stays.
-    fn write(&self, revision: &Revision) -> anyhow::Result<()> {
-        let (text, _) = revision.finish()?;
-        let cannot_write = || format!("{}: cannot write the instrument", self.out.display());
-        let mut name = self.out.as_os_str().to_owned();
-        name.push(".part");
-        let part = PathBuf::from(name);
-        std::fs::write(&part, text).with_context(cannot_write)?;
-        Instrument::read(&part)?;
-        std::fs::rename(&part, &self.out).with_context(cannot_write)
-    }
-
-    /// Writes the page of the report if one is wanted.
-    fn write_page(
-        &self,
-        name: &str,
-        page: impl FnOnce() -> Result<String, PlotError>,
-    ) -> anyhow::Result<()> {
-        let Some(folder) = &self.report else {
-            return Ok(());
-        };
-        make_folder(folder)?;
-        let file = folder.join(name);
-        std::fs::write(&file, page()?).with_context(|| format!("{}: cannot write", file.display()))
-    }
-}
-
-fn print_rejected(rejected: &[RejectedFrame]) -> anyhow::Result<()> {
-    let mut frames = rejected.iter();
-    frames.try_for_each(|frame| say(format_args!("rejected: {frame}")))
 }

@@ -1,6 +1,6 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance and mirror.
 
-use super::{Edition, print_rejected};
+use super::edition::{Edition, print_rejected};
 use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings};
 use crate::calibrate::revision::Provenance;

@@ -1,6 +1,6 @@
 //! `solaspect calibrate plate`: the plate as it is.
 
-use super::Edition;
+use super::edition::Edition;
 use crate::calibrate::plate;
 use crate::cli::output::{progress_bar, say};
 use clap::Args;
