@@ -10,7 +10,7 @@
 //! [`registration`](crate::registration) does: its tilts are about that point.
 //!
 //! # Not included
-//! Blemishes and sunspots: they do not belong to the frame's information, they take from it. Misprint: the marks are taken
+//! Blemishes and sunspots: they only take from the frame's information. Misprint: the marks are taken
 //! to be known where they are.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
@@ -231,7 +231,7 @@ mod tests {
 
     #[test]
     fn the_bound_is_that_of_independent_arithmetic() {
-        // Per axis, of a typical scene, with other code and another renderer; scenes differ by a fifth.
+        // Per axis, of a median scene, with other code and another renderer; scenes differ by a fifth.
         for (noise_dn, known) in [(1.0, 0.0155), (5.0, 0.074), (15.0, 0.22)] {
             let found = medians_arcsec(noise_dn);
             assert!((found / known - 1.0).abs() < 0.2, "{noise_dn} DN: {found}");

@@ -10,11 +10,11 @@
 //!    a recipe a scene. Rows share their seeds: the same seed puts the Sun at the same place wherever the conditions
 //!    allow it.
 //! 2. A [`Trial`] renders the scene, solves the frame without a prior and compares with the truth: an [`Outcome`].
-//! 3. A [`Summary`] tells quantiles of the radial error (the Sun's centre on the plate, arcsec), the rms of error over
+//! 3. A [`Summary`] has quantiles of the radial error (the Sun's centre on the plate, arcsec), the rms of error over
 //!    stated sigma, and what is wrong; a [`Demand`] judges it.
 //! 4. For some frames of a row, the Cramer-Rao bound says how small the error could be ([`bound`]).
 //!
-//! Beside the rows: the errors and the sub-pixel bias of single marks ([`marks`]), and one mixed run that looks for
+//! Beside the rows: the errors and the sub-pixel bias of single marks ([`marks`]), and one mixed run that searches for
 //! wrong ids and for fine frames that are not ([`mixed`]). [`figures`] draws what a table cannot show.
 //!
 //! ```text

@@ -139,7 +139,7 @@ pub fn is_wrong_fine(outcome: &Outcome) -> bool {
     outcome.quality == Quality::Fine && outcome.aspect.as_ref().is_none_or(wrong)
 }
 
-/// Part of the limb on the sensor that a fine solution may be asked of.
+/// Part of the limb on the sensor from which on a fine solution is expected.
 pub const ENOUGH_LIMB: f64 = 0.4;
 
 fn missed(outcome: &Outcome) -> Option<Missed> {
@@ -208,7 +208,7 @@ pub enum Demand {
     /// Every frame that shows enough of the limb and three marks fully lit is fine.
     NoneMissed,
     /// Every such frame is fine, but for this share at most whose marks leave two readings open: three in a row where the
-    /// sensor's edge hides the neighbours that would tell the quarter turn.
+    /// sensor's edge hides the neighbours that determine the quarter turn.
     FewUndecided(f64),
     /// Least share of frames that are at least coarse.
     SolvedShare(f64),

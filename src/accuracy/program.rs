@@ -162,7 +162,7 @@ impl Program {
     }
 }
 
-/// One frame of a row or of the mixed run, to be looked at.
+/// One frame of a row or of the mixed run, for inspection.
 #[derive(Debug, Clone)]
 pub struct Case {
     pub recipe: Recipe,

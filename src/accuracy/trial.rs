@@ -29,7 +29,7 @@ pub struct Outcome {
     /// Fully lit marks that have the right id.
     pub marks: Vec<MarkError>,
     pub wrong_ids: Vec<MarkId>,
-    /// The least covariance of the Sun's place on the plate that the frame allows, mil^2; where it was asked for.
+    /// The least covariance of the Sun's place on the plate that the frame allows, mil^2; where it is wanted.
     pub bound_mil2: Option<Matrix2<f64>>,
 }
 

@@ -129,7 +129,7 @@ impl Revision {
     }
 }
 
-/// A number to two digits of a sigma; all of them where the sigma tells nothing.
+/// A number to two digits of a sigma; all of them where the sigma is zero or infinite.
 pub fn number(value: f64, sigma: f64) -> Value {
     let text = value_text(Measured::new(value, sigma));
     text.parse().unwrap_or_else(|_| value.into())

@@ -63,7 +63,7 @@ impl Page {
         let _ = writeln!(self.body, "<div>{svg}</div>");
     }
 
-    /// A small picture with a caption; a picture that cannot be encoded is left out.
+    /// A small picture with a caption; a picture that cannot be encoded is skipped.
     pub fn picture(&mut self, picture: &GrayImage, caption: &str) {
         let mut png = Cursor::new(Vec::new());
         if picture.write_to(&mut png, ImageFormat::Png).is_ok() {

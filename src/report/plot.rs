@@ -1,5 +1,5 @@
-//! Figures as SVG: curves over logarithmic axes, series over linear ones, histograms, maps of small vectors. It knows numbers
-//! and labels, nothing else.
+//! Figures as SVG: curves over logarithmic axes, series over linear ones, histograms, maps of small vectors. Input is numbers
+//! and labels.
 
 use plotters::chart::MeshStyle;
 use plotters::coord::ranged1d::ValueFormatter;
@@ -119,7 +119,7 @@ pub struct Figure {
     pub series: Vec<Series>,
 }
 
-/// More points than this no reader tells apart: of more, every so many is drawn.
+/// Most points of a series that are drawn: of more, every so many.
 const MOST_POINTS: usize = 3000;
 const WIDE: (u32, u32) = (1000, 380);
 
@@ -268,7 +268,7 @@ fn figure(
 
 type DrawingError = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
 
-/// Room for title and labels.
+/// Space for title and labels.
 fn frame<'a, 'b>(area: &'a Area<'b>, labels: &Labels) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
     let mut builder = ChartBuilder::on(area);
     builder
@@ -338,7 +338,7 @@ fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// Colours that people who see few colours tell apart (Okabe and Ito 2008).
+/// Colours that are distinct for the colour-blind (Okabe and Ito 2008).
 fn colour(n: usize) -> RGBColor {
     const COLOURS: [RGBColor; 5] = [
         RGBColor(0, 114, 178),

@@ -1,7 +1,7 @@
 //! How the light falls off from the middle of the picture.
 
 use super::dark::{Dark, dn};
-use super::shots::{Shots, SunShot};
+use super::shots::{Shots, SunShot, TILE_PX, inside, tiles};
 use super::straight::{Solved, solve};
 use crate::calibrate::numbers::median;
 use crate::calibrate::quantity::CalibratedQuantity;
@@ -10,7 +10,6 @@ use crate::report::plot::{Figure, Labels, Series};
 use crate::units::Measured;
 use nalgebra::{SVector, Vector5};
 
-const TILE_PX: usize = 32;
 /// Every so many pixels of a square, in both axes, give its light.
 const STRIDE_PX: usize = 3;
 /// A fourth-order term below so many sigmas is not fitted.
@@ -43,14 +42,9 @@ pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<CalibratedQuantity>, 
         .flat_map(|shot| {
             let (width, height) = (shot.frame.width(), shot.frame.height());
             let saturation = f64::from(shot.frame.saturation_dn());
-            let (columns, rows) = (width / TILE_PX, height / TILE_PX);
-            let corners = (0..rows).flat_map(move |row| (0..columns).map(move |c| (c, row)));
-            let tile = move |(column, row): (usize, usize)| {
-                let (x0, y0) = (column * TILE_PX, row * TILE_PX);
-                let ys = (y0..y0 + TILE_PX).step_by(STRIDE_PX);
-                let inside =
-                    ys.flat_map(|y| (x0..x0 + TILE_PX).step_by(STRIDE_PX).map(move |x| (x, y)));
-                let values: Vec<f64> = inside.map(|(x, y)| dn(shot, x, y)).collect();
+            let tile = |(x0, y0): (usize, usize)| {
+                let pixels = inside((x0, y0), STRIDE_PX);
+                let values: Vec<f64> = pixels.map(|(x, y)| dn(shot, x, y)).collect();
                 let from_middle = |low: usize, pixels: usize| {
                     low as f64 + (TILE_PX as f64 - 1.0) / 2.0 - (pixels as f64 - 1.0) / 2.0
                 };
@@ -61,7 +55,7 @@ pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<CalibratedQuantity>, 
                     dn: level - dark.level_dn(),
                 })
             };
-            relative(corners.filter_map(tile).collect())
+            relative(tiles(&shot.frame).filter_map(tile).collect())
         })
         .filter(|l| l.dn.is_finite())
         .collect();

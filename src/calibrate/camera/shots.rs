@@ -51,6 +51,26 @@ impl Shot {
     }
 }
 
+/// Side of the squares in which light and noise are measured, px.
+pub(super) const TILE_PX: usize = 32;
+
+/// The squares of a frame: column and row of their first pixel.
+pub(super) fn tiles(frame: &Frame) -> impl Iterator<Item = (usize, usize)> + use<> {
+    let last = |pixels: usize| pixels - pixels % TILE_PX;
+    let (right, bottom) = (last(frame.width()), last(frame.height()));
+    let rows = (0..bottom).step_by(TILE_PX);
+    rows.flat_map(move |y| (0..right).step_by(TILE_PX).map(move |x| (x, y)))
+}
+
+/// Columns and rows of a square, every so many pixels in both axes.
+pub(super) fn inside(
+    (x0, y0): (usize, usize),
+    step: usize,
+) -> impl Iterator<Item = (usize, usize)> {
+    let rows = (y0..y0 + TILE_PX).step_by(step);
+    rows.flat_map(move |y| (x0..x0 + TILE_PX).step_by(step).map(move |x| (x, y)))
+}
+
 /// Frames of one kind.
 #[derive(Debug, Clone, Default)]
 pub struct Shots {

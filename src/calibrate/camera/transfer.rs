@@ -1,7 +1,7 @@
 //! Photon transfer: how the noise grows with the light.
 
 use super::dark::{Dark, clipped_variance, dn};
-use super::shots::{Shot, Shots};
+use super::shots::{Shot, Shots, inside, tiles};
 use super::straight::solve;
 use crate::calibrate::numbers::median;
 use crate::calibrate::quantity::CalibratedQuantity;
@@ -10,8 +10,6 @@ use crate::report::plot::{Figure, Labels, Series};
 use crate::units::{Measured, SensorPx};
 use nalgebra::Vector2;
 
-/// Side of the squares whose light and noise make a point, px.
-const TILE_PX: usize = 32;
 /// Light must span so many times the read noise, or it tells no slope.
 const LEAST_SPAN: f64 = 3.0;
 /// What the plate's grain and the marks' feet may add to the noise between neighbours.
@@ -27,7 +25,10 @@ struct Point {
 /// Gain from pairs of evenly lit frames.
 pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (CalibratedQuantity, Option<Figure>) {
     let pairs = flats.pairs();
-    let mut points: Vec<Point> = pairs.iter().flat_map(|(a, b)| tiles(a, b, dark)).collect();
+    let mut points: Vec<Point> = pairs
+        .iter()
+        .flat_map(|(a, b)| of_pair(a, b, dark))
+        .collect();
     if let Ok(noise) = &dark.noise {
         // Worth ten squares of a pair.
         points.push(Point {
@@ -41,17 +42,11 @@ pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (CalibratedQuantity, Optio
 }
 
 /// The squares of a pair: the light of one differs from the other's by a common factor at most.
-fn tiles(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
-    let (width, height) = (a.frame.width(), a.frame.height());
+fn of_pair(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
     let level = dark.level_dn();
     let saturation = f64::from(a.frame.saturation_dn());
-    let corners = (0..height / TILE_PX).flat_map(|row| (0..width / TILE_PX).map(move |c| (c, row)));
-    let point = |(column, row): (usize, usize)| {
-        let inside = || {
-            let (x0, y0) = (column * TILE_PX, row * TILE_PX);
-            (y0..y0 + TILE_PX).flat_map(move |y| (x0..x0 + TILE_PX).map(move |x| (x, y)))
-        };
-        let values: Vec<(f64, f64)> = inside()
+    let point = |corner: (usize, usize)| {
+        let values: Vec<(f64, f64)> = inside(corner, 1)
             .map(|(x, y)| (dn(a, x, y) - level, dn(b, x, y) - level))
             .collect();
         let count = values.len() as f64;
@@ -71,7 +66,7 @@ fn tiles(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
             pixels: count,
         })
     };
-    corners.filter_map(point).collect()
+    tiles(&a.frame).filter_map(point).collect()
 }
 
 /// Gain from the grain of the Sun's disc between the marks.

@@ -43,7 +43,7 @@ pub fn calibrate(
     begin: &dyn Fn(usize),
     each: &(dyn Fn() + Sync),
 ) -> Result<Calibration, Refusal> {
-    /// Later passes over the rejected frames: each knows the plate better than the one before.
+    /// Later passes over the rejected frames: each uses the plate as the one before measured it.
     const LATER_PASSES: usize = 3;
     let folders = measure::folders(list(given, Depth::Nearest)?);
     begin(folders.iter().map(|folder| folder.files.len()).sum());

@@ -146,9 +146,9 @@ impl LitPlate<'_> {
         let mut found = fiducial::detect(&flat, &shape, &self.settings.fiducial);
         // The window's edge is no edge of the illumination.
         found.marks.retain(|mark| mark.lighting == Lighting::Full);
-        let sight = self.sight(outline, &found, &shape);
+        let prior = self.prior(outline, &found, &shape);
         let fiducial = &self.settings.fiducial;
-        let identified = fiducial::identify(&found.marks, &sight, plate, fiducial).ok()?;
+        let identified = fiducial::identify(&found.marks, &prior, plate, fiducial).ok()?;
         let pair = |(n, id): &(usize, _)| Pair {
             seen: found.marks[*n].at,
             printed: plate.position(*id),
@@ -181,7 +181,7 @@ impl LitPlate<'_> {
         })
     }
 
-    fn sight(
+    fn prior(
         &self,
         outline: Ellipse,
         found: &Detections,

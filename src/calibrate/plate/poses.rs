@@ -36,7 +36,7 @@ impl fmt::Display for Pose {
     }
 }
 
-/// Frames by pose, and those that belong to none.
+/// Frames by pose, and those of none.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Posed {
     pub poses: Vec<Pose>,
@@ -228,10 +228,10 @@ impl Posed {
             }
         }
         let place = |pose: usize| kept.iter().position(|n| *n == pose);
-        let odd = self.frames.extract_if(.., |f| place(f.pose).is_none());
+        let others = self.frames.extract_if(.., |f| place(f.pose).is_none());
         let reason = "its marks do not agree with those of the other frames";
         self.rejected
-            .extend(odd.map(|frame| RejectedFrame::new(frame.file, reason)));
+            .extend(others.map(|frame| RejectedFrame::new(frame.file, reason)));
         for frame in &mut self.frames {
             frame.pose = place(frame.pose).unwrap_or_default();
         }

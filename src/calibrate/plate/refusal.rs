@@ -24,7 +24,7 @@ pub enum Refusal {
     #[error("{}: {wrong}; give --instrument of the camera that took the frames", .file.display())]
     WrongSize { file: PathBuf, wrong: WrongSize },
     #[error(
-        "none of the {frames} frames tells its time; take frames with DATE-OBS or DATE-AVG (UTC), which says how large the Sun is and when the camera was in which pose"
+        "none of the {frames} frames states its time; take frames with DATE-OBS or DATE-AVG (UTC), which says how large the Sun is and when the camera was in which pose"
     )]
     NoTime { frames: usize },
     #[error(
