@@ -14,10 +14,9 @@
 //! | rooms | what they know |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
-//! | `statistics` | the middle and the scatter of many values |
-//! | [`log`] | the log on standard error, for which nothing waits |
+//! //! | [`log`] | the log on standard error, for which nothing waits |
 //! | `lanes` | what makes loops over pixels quick |
-//! | [`geometry`], [`frame`], [`clock`] | mappings between sensor and plate; a picture and what is known of it; how well the clock is held |
+//! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate; robust scale, least squares and Kalman filter; a picture and what is known of it; how well the clock is held |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
@@ -43,6 +42,7 @@ pub mod camera;
 pub mod cli;
 pub mod clock;
 pub mod config;
+pub mod estimation;
 pub mod fiducial;
 pub mod fits;
 pub mod frame;
@@ -61,5 +61,4 @@ pub mod report;
 pub mod service;
 pub mod simulate;
 pub mod sky;
-mod statistics;
 pub mod units;

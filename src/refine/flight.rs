@@ -5,7 +5,7 @@
 //! Frames that were refused or coarse get a [second look](super::look): mapping and path are known now.
 
 use super::disc::{self, PlateDisc};
-use super::drift::Sight;
+use super::drift::MarkObservation;
 use super::first_pass::{Done, Recipe, Span};
 use super::follow::Followed;
 use super::journal::JournalError;
@@ -16,9 +16,9 @@ use super::motion;
 use super::oddities::note;
 use super::record::{Grade, Input};
 use super::row::{Oddity, Row};
+use crate::estimation::median_and_scatter;
 use crate::fits::read_frame;
 use crate::geometry::Mapping;
-use crate::statistics::median_and_scatter;
 use crate::units::{Estimate, Measured, Place, PlateMil, SensorPx};
 use rayon::prelude::*;
 use std::path::Path;
@@ -69,7 +69,7 @@ pub fn second_pass(
 ) -> Result<Flight, JournalError> {
     let loaded = load(done, inputs, &recipe.instrument, span)?;
     let unread = loaded.unread;
-    let mut work = Work::new(done, recipe, loaded.entries, loaded.sights);
+    let mut work = Work::new(done, recipe, loaded.entries, loaded.marks);
     let ratio = work.place_discs()?;
     work.look_for_oddities(|_| true);
     let mut followed = work.follow_path();
@@ -110,9 +110,14 @@ pub(super) struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    fn new(done: &'a Done, recipe: &'a Recipe, entries: Vec<Entry>, sights: Vec<Sight>) -> Self {
+    fn new(
+        done: &'a Done,
+        recipe: &'a Recipe,
+        entries: Vec<Entry>,
+        marks: Vec<MarkObservation>,
+    ) -> Self {
         let dated = entries.partition_point(|entry| entry.row.utc_ns.is_some());
-        let mapping = FlightMapping::estimate(&entries[..dated], sights, &recipe.instrument);
+        let mapping = FlightMapping::estimate(&entries[..dated], marks, &recipe.instrument);
         if mapping.is_none() {
             tracing::warn!("the marks tell no mapping of the flight: each frame stands by itself");
         }

@@ -5,7 +5,7 @@ use super::flight::Work;
 use super::mapping::Standing;
 use super::record::Grade;
 use super::row::{Oddity, Row};
-use crate::statistics::median;
+use crate::estimation::median;
 use crate::units::Measured;
 use rayon::prelude::*;
 
