@@ -6,7 +6,9 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::fiducial::{Detection, Identification, Lighting, Settings, Sight, identify};
+use solaspect::fiducial::{
+    Detection, Identification, IdentificationPrior, Lighting, Settings, identify,
+};
 use solaspect::geometry::{Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::builtin;
 use solaspect::plate::{MarkId, Plate};
@@ -44,9 +46,9 @@ struct Look {
 }
 
 impl Look {
-    fn sight(&self) -> Sight {
+    fn sight(&self) -> IdentificationPrior {
         let radius = SUN_RADIUS_MIL * self.radius_error;
-        Sight {
+        IdentificationPrior {
             outline: self.outline,
             radius_mil: Measured::new(radius, 0.006 * radius),
             quarter_rotation_deg: (self.rotation_deg() + self.rotation_error_deg).rem_euclid(90.0),

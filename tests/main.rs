@@ -15,9 +15,11 @@ mod disc_search;
 mod disks;
 mod fits;
 mod flight;
+mod fuzz_seeds;
 #[cfg(feature = "gige")]
 mod gige;
 mod identification;
+mod imports;
 mod limb;
 mod link;
 mod link_cli;

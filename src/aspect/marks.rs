@@ -4,7 +4,8 @@ use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
 use super::{Mark, Stage, Stopped};
 use crate::estimation::median;
 use crate::fiducial::{
-    self, CrossShape, Detections, FlatDisc, Light, Lighting, RefinedMark, Refiner, Sight,
+    self, CrossShape, Detections, FlatDisc, IdentificationPrior, Light, Lighting, RefinedMark,
+    Refiner,
 };
 use crate::frame::Levels;
 use crate::geometry::{Ellipse, Mapping};
@@ -113,7 +114,7 @@ impl Work<'_> {
         let mounting = &self.instrument.mounting;
         let radius = self.radius_mil.value;
         let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
-        let sight = Sight {
+        let sight = IdentificationPrior {
             outline: limb.outline.ellipse,
             radius_mil: Measured::new(radius, radius * relative),
             quarter_rotation_deg: detections.quarter_rotation_deg,

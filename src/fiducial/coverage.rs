@@ -4,9 +4,35 @@
 //! profile is a difference of two tails of the normal distribution, which is quicker than any table: eight places go through
 //! it at once.
 
-use super::CrossShape;
+use crate::frame::PIXEL_VARIANCE_PX2;
 use crate::lanes::{Scratch, normal_tail};
+use crate::plate::Cross;
 use multiversion::multiversion;
+
+/// The cross as the camera sees it, px.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CrossShape {
+    pub half_length_px: f64,
+    pub half_width_px: f64,
+    /// Gaussian blur of lens and pixel together, 1 sigma.
+    pub blur_px: f64,
+}
+
+impl CrossShape {
+    /// A cross of the plate at a scale, seen through a lens's blur by pixels of finite size.
+    pub fn new(cross: &Cross, scale_mil_per_px: f64, lens_blur_px: f64) -> Self {
+        Self {
+            half_length_px: cross.arm_length_mil / 2.0 / scale_mil_per_px,
+            half_width_px: cross.arm_width_mil / 2.0 / scale_mil_per_px,
+            blur_px: (lens_blur_px.powi(2) + PIXEL_VARIANCE_PX2).sqrt(),
+        }
+    }
+
+    /// How far from its middle the cross changes the picture, px.
+    pub(super) fn reach_px(&self) -> f64 {
+        self.half_length_px + 2.0 * self.blur_px
+    }
+}
 
 /// A blurred cross of full contrast.
 #[derive(Debug, Clone, Copy)]

@@ -35,7 +35,7 @@ pub(super) struct Darkening {
     pub tilt: Vector2<f32>,
     /// 1 sigma of the darkness by ring.
     pub noise: [f32; RINGS],
-    profile: Profile,
+    profile: CentreToLimb,
     /// Pixels of a smaller mu^2 are not judged.
     least_mu2: f32,
     /// Most that a pixel is let to outshine the light, DN.
@@ -57,7 +57,7 @@ impl Darkening {
             background_dn,
             tilt: Vector2::zeros(),
             noise: [0.0; RINGS],
-            profile: Profile::through(&lights),
+            profile: CentreToLimb::through(&lights),
             least_mu2: larger((1.0 - usable * usable) as f32, EDGES[0] * EDGES[0]),
             most_excess_dn: f32::INFINITY,
         };
@@ -104,14 +104,14 @@ impl Darkening {
 
 /// The light between the rings' middles, DN above background: a straight line in mu that bends at those within.
 #[derive(Debug, Clone, PartialEq)]
-struct Profile {
+struct CentreToLimb {
     start_dn: f32,
     slope_dn: f32,
     /// Where in mu, and by how much, DN.
     bends: [(f32, f32); RINGS - 2],
 }
 
-impl Profile {
+impl CentreToLimb {
     fn through(lights: &[f32; RINGS]) -> Self {
         // Half the ring's area lies on either side, so half its light is brighter.
         let mu = |n: usize| ((EDGES[n].powi(2) + EDGES[n + 1].powi(2)) / 2.0).sqrt();

@@ -1,6 +1,6 @@
 //! The fit of a reading: from what the outline and the arms tell to what the marks say.
 
-use super::identify::Sight;
+use super::prior::IdentificationPrior;
 use crate::lanes::{LANES, Scratch};
 use crate::plate::MarkId;
 use crate::units::PlateMil;
@@ -18,7 +18,7 @@ const GATE: f64 = GATE_SIGMAS * GATE_SIGMAS;
 /// From offsets to the plate: shift, and small changes of scale and rotation, from the marks so far. Least squares with
 /// what is known of scale and rotation beforehand, in sums that grow by a mark at a time.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fit {
+pub(super) struct LocalSimilarity {
     weight: f64,
     /// Weighted means of the offsets and of what leads from them to the printed places, mil.
     offset: Vector2<f64>,
@@ -33,8 +33,8 @@ pub(super) struct Fit {
     rotation: f64,
 }
 
-impl Fit {
-    pub(super) fn new(sight: &Sight) -> Self {
+impl LocalSimilarity {
+    pub(super) fn new(sight: &IdentificationPrior) -> Self {
         let scale_sigma = sight.radius_mil.sigma / sight.radius_mil.value;
         Self {
             weight: 0.0,
@@ -182,7 +182,7 @@ impl Printed {
     pub(super) fn explain<'s>(
         &self,
         mut spots: &'s [Spot],
-        fit: &Fit,
+        fit: &LocalSimilarity,
         variance: impl Fn(&Spot, PlateMil) -> f64,
     ) -> Option<(Explained, &'s [Spot])> {
         loop {
@@ -205,7 +205,11 @@ impl Printed {
 /// The first spot that a fit puts near one of many places, and the nearest of these. In single precision, whose rounding the
 /// gate allows for: what is passed over is near none, what is found may be a little too far.
 #[multiversion(targets("x86_64+avx2"))]
-fn first_near(groups: &[[f32; 2 * LANES]], spots: &[Spot], fit: &Fit) -> Option<(usize, usize)> {
+fn first_near(
+    groups: &[[f32; 2 * LANES]],
+    spots: &[Spot],
+    fit: &LocalSimilarity,
+) -> Option<(usize, usize)> {
     for (n, spot) in spots.iter().enumerate() {
         let place = fit.place(spot.offset);
         let at = [place.x as f32, place.y as f32];

@@ -12,63 +12,13 @@
 //! must beat all that contradict it, and chance, decisively; else all are refused.
 
 use super::fit::Spot;
-use super::reading::{Begun, Id, Reading, Seen, Turned};
+use super::prior::IdentificationPrior;
+use super::reading::{Begun, Evidence, Id, Reading, Turned};
 use super::{Detection, Lighting, Settings};
-use crate::geometry::{Ellipse, Handedness};
 use crate::plate::{MarkId, Plate};
-use crate::units::{Measured, Rejected, SensorPx};
-use nalgebra::{Matrix2, Rotation2};
+use crate::units::Rejected;
 
-/// What is known of the picture before any mark is read.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
-    /// The disc's outline on the sensor.
-    pub outline: Ellipse,
-    /// Radius of the outline on the plate; its sigma tells how well that fixes the scale.
-    pub radius_mil: Measured,
-    /// Rotation of the picture modulo a quarter turn, from the arms of the crosses, in the outline's own coordinates
-    /// ([`Ellipse::to_disc`]).
-    pub quarter_rotation_deg: f64,
-    pub handedness: Handedness,
-    /// Where the instrument says the plate's centre is seen, and 1 sigma of that per axis.
-    pub plate_centre: SensorPx,
-    pub plate_centre_sigma_px: f64,
-    /// Depth inside the limb from which a mark must have been found, px.
-    pub sure_depth_px: f64,
-    /// Distance from the sensor's edge from which a mark must have been found, px.
-    pub sure_margin_px: f64,
-    /// Width and height of the sensor, px.
-    pub sensor_px: [f64; 2],
-    /// Share of the marks that must have been found and are not.
-    pub missed_share: f64,
-}
-
-impl Sight {
-    pub(super) fn found_share(&self) -> f64 {
-        1.0 - self.missed_share
-    }
-
-    /// From the unit disc to offsets from the Sun's centre on the plate (mil), at every quarter turn.
-    fn turns(&self) -> impl Iterator<Item = Matrix2<f64>> {
-        let axes = self.handedness.axes() * self.radius_mil.value;
-        [0.0, 90.0, 180.0, 270.0].into_iter().map(move |quarter| {
-            let rotation = Rotation2::new((self.quarter_rotation_deg + quarter).to_radians());
-            axes * rotation.matrix().transpose()
-        })
-    }
-
-    /// Mean scale on the disc.
-    pub(super) fn mil_per_px(&self) -> f64 {
-        self.radius_mil.value / self.outline.mean_radius()
-    }
-
-    /// Whether a mark at this position lies far enough from the sensor's edge.
-    pub(super) fn on_sensor(&self, at: SensorPx) -> bool {
-        let margin = self.sure_margin_px;
-        let inside = |v: f64, size: f64| v > margin && v < size - 1.0 - margin;
-        inside(at.x, self.sensor_px[0]) && inside(at.y, self.sensor_px[1])
-    }
-
+impl IdentificationPrior {
     /// Logarithm of the odds of the place where a reading puts the plate's centre against the stated place: normally
     /// distributed about it, but for the cameras that were moved, whose plate may be anywhere within the largest shift.
     fn centre_odds(&self, reading: &Reading, settings: &Settings) -> f64 {
@@ -121,7 +71,7 @@ const KEYSTONE_PER_PX: f64 = 1.0e-5;
 /// Names the detections. Rejected when they allow no reading, or more than one.
 pub fn identify(
     detections: &[Detection],
-    sight: &Sight,
+    sight: &IdentificationPrior,
     plate: &Plate,
     settings: &Settings,
 ) -> Result<Identification, Rejected> {
@@ -148,7 +98,7 @@ pub fn identify(
 fn decide(
     readings: &[Reading],
     full: usize,
-    sight: &Sight,
+    sight: &IdentificationPrior,
     settings: &Settings,
 ) -> Result<Identification, Rejected> {
     let reject = |reason, measured, limit| {
@@ -208,7 +158,7 @@ fn decide(
 /// Every reading that some fully lit mark, some id for it and some quarter turn lead to.
 fn readings(
     detections: &[Detection],
-    sight: &Sight,
+    sight: &IdentificationPrior,
     plate: &Plate,
     settings: &Settings,
 ) -> Vec<Reading> {
@@ -220,7 +170,7 @@ fn readings(
     let open_px = GUESS_ERROR * (from_sun + sight.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + open_px) * sight.mil_per_px();
     let in_view_mil = reach_mil + 1.1 * sight.radius_mil.value;
-    let seen = Seen::new(sight, detections, &plate.cross);
+    let seen = Evidence::new(sight, detections, &plate.cross);
     let mut marks = Vec::new();
     // Quicker than to collect them one by one.
     plate.marks().for_each(|mark| marks.push(mark));

@@ -2,36 +2,9 @@
 
 use super::FlatDisc;
 use super::coverage::{BlurredCross, Pose};
-use crate::frame::PIXEL_VARIANCE_PX2;
 use crate::lanes::{LANES, groups, smaller, split};
-use crate::plate::Cross;
 use multiversion::multiversion;
 use std::f32::consts::FRAC_PI_4;
-
-/// The cross as the camera sees it, px.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CrossShape {
-    pub half_length_px: f64,
-    pub half_width_px: f64,
-    /// Gaussian blur of lens and pixel together, 1 sigma.
-    pub blur_px: f64,
-}
-
-impl CrossShape {
-    /// A cross of the plate at a scale, seen through a lens's blur by pixels of finite size.
-    pub fn new(cross: &Cross, scale_mil_per_px: f64, lens_blur_px: f64) -> Self {
-        Self {
-            half_length_px: cross.arm_length_mil / 2.0 / scale_mil_per_px,
-            half_width_px: cross.arm_width_mil / 2.0 / scale_mil_per_px,
-            blur_px: (lens_blur_px.powi(2) + PIXEL_VARIANCE_PX2).sqrt(),
-        }
-    }
-
-    /// How far from its middle the cross changes the picture, px.
-    pub(super) fn reach_px(&self) -> f64 {
-        self.half_length_px + 2.0 * self.blur_px
-    }
-}
 
 /// The pixels within a radius of one of them: a square about it, row by row, each row filled up to whole lanes. Weights for
 /// them are nothing outside the radius.
@@ -243,6 +216,7 @@ fn squares(weights: &[f32], stride: usize, values: &[f32], side: usize) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::coverage::CrossShape;
     use super::*;
 
     const SHAPE: CrossShape = CrossShape {

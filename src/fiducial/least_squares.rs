@@ -40,7 +40,7 @@ const EXPECTED: [f64; UNKNOWNS] = [0.0, 0.0, 0.5, 1.0, 0.0, 0.0];
 const EXPECTED_INVERSE_SIGMA: [f64; UNKNOWNS] = [0.0, 0.0, 2.0, 2.0, 5.0, 5.0];
 
 /// One mark's fit.
-pub(super) struct Fit<'a> {
+pub(super) struct MarkFit<'a> {
     pub patch: &'a Patch,
     pub cross: BlurredCross,
     /// From an offset on the sensor to one along the arms, both px, by rows.
@@ -69,7 +69,7 @@ impl Ended {
     }
 }
 
-impl Fit<'_> {
+impl MarkFit<'_> {
     /// Steps until the place settles or is too far for the patch, `before` telling where the fit on another patch ended, in
     /// the middle of this one. `None` when the pixels are too few.
     pub(super) fn run(&self, before: Option<&Ended>) -> Option<Ended> {

@@ -21,15 +21,17 @@ mod identify;
 mod kernel;
 mod least_squares;
 mod patch;
+mod prior;
 mod reading;
 mod refine;
 mod spots;
 
+pub use coverage::CrossShape;
 pub use detect::{Detection, Detections, Lighting, detect};
 pub use flatten::FlatDisc;
-pub use identify::{Identification, Sight, identify};
-pub use kernel::CrossShape;
+pub use identify::{Identification, identify};
 pub use patch::Light;
+pub use prior::IdentificationPrior;
 pub use refine::{RefinedMark, Refiner};
 
 /// What can be tuned in finding and reading marks.

@@ -8,8 +8,8 @@
 //! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
 //! against the place that the marks before it foretell, the nearest to the first mark first.
 
-use super::fit::{Explained, Fit, GATE_SIGMAS, Printed, Spot};
-use super::identify::Sight;
+use super::fit::{Explained, GATE_SIGMAS, LocalSimilarity, Printed, Spot};
+use super::prior::IdentificationPrior;
 use super::{Detection, Lighting};
 use crate::plate::{Cross, MarkId};
 use crate::units::{PlateMil, SensorPx};
@@ -76,7 +76,7 @@ pub(super) struct Reading {
 /// A reading of the fully lit marks alone; its score counts these as they are placed and no more.
 pub(super) struct Begun {
     pub reading: Reading,
-    fit: Fit,
+    fit: LocalSimilarity,
     /// Where it puts the Sun's centre on the plate, mil.
     sun: Vector2<f64>,
 }
@@ -103,11 +103,11 @@ impl Reading {
 }
 
 /// What all readings share.
-pub(super) struct Seen<'a> {
-    sight: &'a Sight,
+pub(super) struct Evidence<'a> {
+    sight: &'a IdentificationPrior,
     detections: &'a [Detection],
     /// What is known of scale and rotation before any mark is read.
-    fit: Fit,
+    fit: LocalSimilarity,
     /// Of the detections' positions, were they fully lit marks, mil^2.
     variances: Vec<f64>,
     /// Logarithms of the detections' contrasts.
@@ -127,8 +127,12 @@ pub(super) struct Seen<'a> {
     false_density: f64,
 }
 
-impl<'a> Seen<'a> {
-    pub(super) fn new(sight: &'a Sight, detections: &'a [Detection], cross: &Cross) -> Self {
+impl<'a> Evidence<'a> {
+    pub(super) fn new(
+        sight: &'a IdentificationPrior,
+        detections: &'a [Detection],
+        cross: &Cross,
+    ) -> Self {
         let radius_mil = sight.radius_mil.value;
         let variance =
             |seen: &Detection| SCATTER_MIL.powi(2) + (seen.sigma_px * sight.mil_per_px()).powi(2);
@@ -143,7 +147,7 @@ impl<'a> Seen<'a> {
         Self {
             sight,
             detections,
-            fit: Fit::new(sight),
+            fit: LocalSimilarity::new(sight),
             variances: detections.iter().map(variance).collect(),
             contrasts,
             by_contrast,
@@ -212,7 +216,7 @@ fn gain(off: f64) -> f64 {
 
 /// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
 pub(super) struct Turned<'a> {
-    seen: &'a Seen<'a>,
+    seen: &'a Evidence<'a>,
     /// From offsets on the plate, mil, to the unit disc.
     from_plate: Matrix2<f64>,
     /// Of the detections, mil.
@@ -228,7 +232,7 @@ pub(super) struct Turned<'a> {
 impl<'a> Turned<'a> {
     /// With those of some marks that lie about the place where the Sun should be; `None` when the outline has no size.
     pub(super) fn new(
-        seen: &'a Seen<'a>,
+        seen: &'a Evidence<'a>,
         to_plate: Matrix2<f64>,
         marks: &[(MarkId, PlateMil)],
         in_view_mil: f64,
@@ -337,7 +341,7 @@ impl<'a> Turned<'a> {
     }
 
     /// Adds to a reading what it explains of the detections that the limb cuts.
-    fn add_cut(&self, reading: &mut Reading, fit: &Fit, sun: Vector2<f64>) {
+    fn add_cut(&self, reading: &mut Reading, fit: &LocalSimilarity, sun: Vector2<f64>) {
         let seen = self.seen;
         let variance = |spot: &Spot, at| {
             seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2)
@@ -359,7 +363,7 @@ impl<'a> Turned<'a> {
     }
 
     /// Tells of a mark at a place whether it lies deep enough in the disc and far enough from the sensor's edge to be found.
-    fn must_be_found(&self, fit: &Fit) -> impl Fn(PlateMil) -> bool {
+    fn must_be_found(&self, fit: &LocalSimilarity) -> impl Fn(PlateMil) -> bool {
         let seen = self.seen;
         let sun = fit.place(Vector2::zeros()).vector();
         let reach2 = seen.sure_reach_mil.powi(2) * fit.stretch2();
@@ -371,7 +375,7 @@ impl<'a> Turned<'a> {
     }
 
     /// What the marks that must have been found and are not take from the score.
-    fn absences(&self, fit: &Fit, ids: &[Id]) -> f64 {
+    fn absences(&self, fit: &LocalSimilarity, ids: &[Id]) -> f64 {
         let must_be_found = self.must_be_found(fit);
         let expected = self
             .printed

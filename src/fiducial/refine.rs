@@ -15,7 +15,7 @@
 
 use super::CrossShape;
 use super::coverage::BlurredCross;
-use super::least_squares::{CONTRAST, Ended, Fit, LEVEL, NEAR_PX, X, Y};
+use super::least_squares::{CONTRAST, Ended, LEVEL, MarkFit, NEAR_PX, X, Y};
 use super::patch::{Counting, Light, LightMap, Patch};
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
 use crate::plate::Cross;
@@ -115,7 +115,7 @@ impl Refiner {
         let left_out_per_bend = LEFT_OUT * self.blur_variance() / noise_dn as f32;
         let map = LightMap::about(middle, reach, left_out_per_bend, light);
         let patch = with_view!(frame, view => Patch::cut(&view, counting, &map, middle, reach));
-        let fit = Fit {
+        let fit = MarkFit {
             patch: &patch,
             cross: BlurredCross::new(&self.shape),
             to_arms,

@@ -71,6 +71,22 @@ pub struct Header {
     cards: Vec<(String, Content)>,
 }
 
+/// A keyword of the table in [`keyword`](super::keyword) with its value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Card {
+    pub keyword: &'static str,
+    pub value: Value,
+}
+
+impl Card {
+    pub fn new(keyword: &'static str, value: impl Into<Value>) -> Self {
+        Self {
+            keyword,
+            value: value.into(),
+        }
+    }
+}
+
 impl Header {
     /// Reads cards up to END. `None` where the bytes end before it.
     pub(super) fn parse(bytes: &[u8]) -> Option<(Self, usize)> {

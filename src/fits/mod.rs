@@ -31,13 +31,11 @@ mod write;
 pub use checksum::Checksums;
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
-pub use header::{Header, Value};
+pub use header::{Card, Header, Value};
 pub use info::clock_cards;
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use raw::Compression;
-pub use write::{
-    Card, Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame,
-};
+pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame};
 
 use crate::frame::Frame;
 use flate2::read::MultiGzDecoder;

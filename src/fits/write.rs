@@ -3,7 +3,7 @@
 //! The primary HDU is without data; the pixels stand in an image extension, with every keyword beside them, and
 //! tables follow. Uncompressed pixels too, so that a reader finds the same layout in every file.
 
-use super::header::{CARD, Value};
+use super::header::{CARD, Card, Value};
 use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
 use super::raw::{Compression, MemoryFile};
@@ -18,22 +18,6 @@ pub const FRAME_EXTENSION: &str = "FRAME";
 
 /// The name of the primary HDU, which is without data.
 const PRIMARY_NAME: &str = "PRIMARY";
-
-/// A keyword of the table in [`keyword`] with its value.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Card {
-    pub keyword: &'static str,
-    pub value: Value,
-}
-
-impl Card {
-    pub fn new(keyword: &'static str, value: impl Into<Value>) -> Self {
-        Self {
-            keyword,
-            value: value.into(),
-        }
-    }
-}
 
 /// A binary table, written after the pixels.
 #[derive(Debug, Clone, PartialEq)]

@@ -122,9 +122,9 @@ impl Group {
     }
 
     #[inline(always)]
-    fn seen_from(&self, circle: &Circle) -> Seen {
+    fn seen_from(&self, circle: &Circle) -> CircleResiduals {
         let [x, y, radius] = [circle.centre.x, circle.centre.y, circle.radius].map(|v| v as f32);
-        let mut seen = Seen::default();
+        let mut seen = CircleResiduals::default();
         for k in 0..LANES {
             let (dx, dy) = (self.at[0][k] - x, self.at[1][k] - y);
             let length = larger((dx * dx + dy * dy).sqrt(), f32::EPSILON);
@@ -141,7 +141,7 @@ impl Group {
 
 /// Crossings as a circle sees them.
 #[derive(Default)]
-struct Seen {
+struct CircleResiduals {
     /// Distance from the circle.
     distance: [f32; LANES],
     /// The same outwards and clipped; whoever has its bright side outwards disagrees.
@@ -155,7 +155,7 @@ fn agreement(groups: &[Group], circle: &Circle) -> Agreement {
     let [mut costs, mut ons, mut nears] = [[0.0; LANES]; 3];
     let near_px = NEAR * circle.radius as f32;
     for group in groups {
-        let Seen {
+        let CircleResiduals {
             excess, distance, ..
         } = group.seen_from(circle);
         for k in 0..LANES {

@@ -47,20 +47,20 @@ const MAX_SIGMA_PX: f64 = 0.7;
 const MAX_SHIFT_PX: f64 = 3.0;
 
 /// Points of the limb, and how it appears.
-pub(super) struct Look {
+pub(super) struct EdgeFit {
     pub points: Vec<LimbPoint>,
     pub appearance: Appearance,
 }
 
 /// Where to look.
-pub(super) struct Sight<'a> {
+pub(super) struct EdgeSearch<'a> {
     pub frame: &'a Frame,
     pub outline: &'a Ellipse,
     pub hidden: &'a Hidden,
     pub sectors: usize,
 }
 
-impl Sight<'_> {
+impl EdgeSearch<'_> {
     fn band(&self, blur_px: f64) -> Band {
         let reach = |(blurs, least): (f64, f64)| (blurs * blur_px).max(least);
         let reach = Reach {
@@ -75,7 +75,7 @@ impl Sight<'_> {
     }
 
     /// The limb where only levels and a typical profile are known. `None` when the pixels determine no profile.
-    pub(super) fn first_look(&self, start: &Profile, levels: &Levels) -> Option<Look> {
+    pub(super) fn first_look(&self, start: &Profile, levels: &Levels) -> Option<EdgeFit> {
         let band = self.band(start.blur_px);
         let typical = medians(&band, self.saturation_dn());
         let (profile, shift_px) = start.fitted(&typical, levels.noise_dn)?;
@@ -92,7 +92,7 @@ impl Sight<'_> {
     }
 
     /// The limb about an outline that is nearly right, as it appeared before.
-    pub(super) fn look_again(&self, before: &Appearance) -> Look {
+    pub(super) fn look_again(&self, before: &Appearance) -> EdgeFit {
         let band = self.band(before.profile.blur_px);
         let slack = Slack {
             light: UNEVEN,
@@ -112,7 +112,7 @@ impl Sight<'_> {
 
     /// Fits every sector: first for the light's tilt across the disc, from what was expected of it with some information that
     /// it is so, then for the limb with that tilt.
-    fn look(&self, edge: &Edge<'_>, expected: Tilt, information: f64) -> Look {
+    fn look(&self, edge: &Edge<'_>, expected: Tilt, information: f64) -> EdgeFit {
         let directions: Vec<Vector2<f64>> = (0..self.sectors)
             .map(|n| middle_of_sector(n, self.sectors))
             .collect();
@@ -137,7 +137,7 @@ impl Sight<'_> {
             .iter()
             .map(|w| (light.at(*w) - expected.at(*w)) as f32)
             .collect();
-        Look {
+        EdgeFit {
             points: found.iter().map(point).collect(),
             appearance: Appearance {
                 profile: edge.profile,

@@ -1,7 +1,7 @@
 //! The outline of the disc from the whole limb: points and ellipse in turn, until neither moves.
 
 use super::appearance::Appearance;
-use super::edge::{LimbPoint, Look, Sight};
+use super::edge::{EdgeFit, EdgeSearch, LimbPoint};
 use super::hidden::Hidden;
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
@@ -24,7 +24,7 @@ pub struct Limb {
 }
 
 impl Limb {
-    fn new(look: Look, fit: OutlineFit, moved_px: f64) -> Self {
+    fn new(look: EdgeFit, fit: OutlineFit, moved_px: f64) -> Self {
         let on_it = look.points.iter().zip(&fit.accepted).filter(|(_, a)| **a);
         let raised = on_it.map(|(point, _)| LimbPoint {
             sigma_px: point.sigma_px * fit.scatter,
@@ -150,8 +150,8 @@ impl LimbFit<'_> {
         outline: &Ellipse,
         appearance: Option<&Appearance>,
         hidden: &Hidden,
-    ) -> Result<Look, Rejected> {
-        let sight = Sight {
+    ) -> Result<EdgeFit, Rejected> {
+        let sight = EdgeSearch {
             frame: self.frame,
             outline,
             hidden,

@@ -86,7 +86,7 @@ pub fn fit_outline(
 ) -> Option<OutlineFit> {
     let mut ellipse = *start;
     let places = Places::from(points, start);
-    let mut seen = Seen::from(&places, &ellipse);
+    let mut seen = Residuals::from(&places, &ellipse);
     let crude = seen.scatter > CRUDE_SIGMAS;
     let mut information = SMatrix::<f64, 5, 5>::zeros();
     for step in 0..STEPS {
@@ -97,7 +97,7 @@ pub fn fit_outline(
         let grown = Matrix2::new(moved[2] + moved[3], moved[4], moved[4], moved[2] - moved[3]);
         let root = ellipse.root() + grown;
         ellipse = Ellipse::new(ellipse.centre + moved.fixed_rows::<2>(0), root)?;
-        seen = Seen::from(&places, &ellipse);
+        seen = Residuals::from(&places, &ellipse);
         if !round && moved.norm() < SETTLED_STEP_PX {
             break;
         }
@@ -147,7 +147,7 @@ impl Places {
 }
 
 /// The points as an ellipse sees them.
-struct Seen<'a> {
+struct Residuals<'a> {
     places: &'a Places,
     /// Distance outwards from the outline.
     excess_px: Scratch<f32>,
@@ -158,7 +158,7 @@ struct Seen<'a> {
     scatter: f64,
 }
 
-impl<'a> Seen<'a> {
+impl<'a> Residuals<'a> {
     fn from(places: &'a Places, ellipse: &Ellipse) -> Self {
         let list = || Scratch::of_length(places.x.len());
         let mut seen = Self {
@@ -239,7 +239,7 @@ fn see(
 
 /// Weighted sums of the products of the slopes with one another and, last, with the excess; from the diagonal on.
 #[multiversion(targets("x86_64+avx2"))]
-fn sum_products(seen: &Seen<'_>) -> [[f64; 6]; 5] {
+fn sum_products(seen: &Residuals<'_>) -> [[f64; 6]; 5] {
     let per_limit = (1.0 / (TUKEY_SIGMAS * seen.scatter)) as f32;
     let per_scatter = (1.0 / seen.scatter) as f32;
     let per_sigma = groups(&seen.places.per_sigma);

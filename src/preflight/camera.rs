@@ -27,7 +27,7 @@ const PLUG: &str =
     "is it powered and plugged in, on this network, and nobody else's? see docs/camera.md";
 
 /// What taking frames gave.
-struct Sight {
+struct TrialFrames {
     last: Option<Frame>,
     taken: u32,
     failed: Option<String>,
@@ -91,9 +91,9 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     findings
 }
 
-fn look(camera: &mut dyn FrameSource, rate_hz: f64) -> Sight {
+fn look(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
     let wanted = (LOOK_S * rate_hz).clamp(5.0, 60.0) as u32;
-    let mut sight = Sight {
+    let mut sight = TrialFrames {
         last: None,
         taken: 0,
         failed: None,
@@ -126,7 +126,7 @@ fn look(camera: &mut dyn FrameSource, rate_hz: f64) -> Sight {
     sight
 }
 
-fn rate(planned: &PlannedCamera, sight: &Sight) -> Finding {
+fn rate(planned: &PlannedCamera, sight: &TrialFrames) -> Finding {
     let (source, taken) = (&planned.source, sight.taken);
     let wanted_hz = planned.config.rate_hz;
     let lasted_s = sight.lasted.as_secs_f64();
@@ -199,7 +199,7 @@ fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Fi
     }
 }
 
-fn health(check: &str, sight: &Sight) -> Option<Finding> {
+fn health(check: &str, sight: &TrialFrames) -> Option<Finding> {
     let health = &sight.health;
     let counts = [
         ("incomplete frames", health.incomplete),

@@ -1,9 +1,8 @@
 //! The Sun's path as the rows tell it, and the frames that lie off it.
 
-use super::flight::Work;
 use super::motion::{self, Path};
-use super::oddities::note;
 use super::row::{Oddity, Row};
+use super::work::Work;
 use crate::units::PlateMil;
 
 /// Off the path, chi^2 of two.
@@ -46,7 +45,7 @@ impl Work<'_> {
                 break;
             }
             for n in off {
-                note(&mut self.rows[n], Oddity::Path);
+                self.rows[n].note(Oddity::Path);
             }
             (moments, at) = self.moments(first);
             path = motion::path(&moments);

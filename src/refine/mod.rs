@@ -31,6 +31,7 @@ mod sky;
 pub mod spectrum;
 mod temperature;
 mod view;
+mod work;
 
 pub use disc::PlateDisc;
 pub use first_pass::{Done, Recipe, Shard, Span, inputs};

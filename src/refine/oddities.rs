@@ -1,10 +1,9 @@
 //! What is odd about a frame beside the others.
 
 use super::disc::PlateDisc;
-use super::flight::Work;
 use super::mapping::Standing;
-use super::record::Grade;
 use super::row::{Oddity, Row};
+use super::work::Work;
 use crate::estimation::median;
 use crate::units::Measured;
 use rayon::prelude::*;
@@ -51,7 +50,7 @@ impl Work<'_> {
             .filter(|(_, odd)| !odd.is_empty())
             .collect();
         for (n, odd) in found {
-            odd.into_iter().for_each(|odd| note(&mut self.rows[n], odd));
+            odd.into_iter().for_each(|odd| self.rows[n].note(odd));
         }
     }
 
@@ -103,23 +102,6 @@ impl Work<'_> {
             .marks()
             .filter(|(_, at)| at.distance(disc.centre.position) < reach);
         lit.count() as f64
-    }
-}
-
-/// Notes an oddity; one that spoils the frame takes its place away.
-pub(super) fn note(row: &mut Row, odd: Oddity) {
-    if row.oddities.contains(&odd) {
-        return;
-    }
-    row.oddities.push(odd);
-    let text = format!("refine: {odd}");
-    row.reason = match row.reason.as_str() {
-        "" => text,
-        before => format!("{before}; {text}"),
-    };
-    if odd.spoils() {
-        row.quality = Grade::None;
-        row.sun = None;
     }
 }
 

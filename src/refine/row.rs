@@ -114,6 +114,23 @@ pub struct Row {
 }
 
 impl Row {
+    /// Notes an oddity; one that spoils the frame takes its place away.
+    pub(super) fn note(&mut self, odd: Oddity) {
+        if self.oddities.contains(&odd) {
+            return;
+        }
+        self.oddities.push(odd);
+        let text = format!("refine: {odd}");
+        self.reason = match self.reason.as_str() {
+            "" => text,
+            before => format!("{before}; {text}"),
+        };
+        if odd.spoils() {
+            self.quality = Grade::None;
+            self.sun = None;
+        }
+    }
+
     /// A file that could not be read.
     pub(super) fn unread(input: Input, error: String) -> Self {
         Self {

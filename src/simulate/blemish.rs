@@ -1,62 +1,12 @@
 //! What spoils a picture: scratches on the plate, light past the baffles, dust and hot pixels of the camera.
 
-use super::noise::Depth;
-use super::scene::Scene;
+use super::scene::{Blemishes, Depth, Dust, HotPixel, Leak, Scene, Scratch};
 use super::{Purpose, generator};
 use crate::frame::Pixels;
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
-
-/// Everything that spoils a picture.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Blemishes {
-    pub hot_pixels: Vec<HotPixel>,
-    pub scratches: Vec<Scratch>,
-    pub leaks: Vec<Leak>,
-    pub dust: Vec<Dust>,
-    /// Share of the light that is lost in the corners of the sensor; it falls with the square of the distance from
-    /// the middle.
-    pub vignetting: f64,
-}
-
-/// A pixel that is saturated whatever it sees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HotPixel {
-    pub x: usize,
-    pub y: usize,
-}
-
-/// A straight scratch on the plate. It shows only where the Sun lights it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scratch {
-    pub start: PlateMil,
-    pub end: PlateMil,
-    pub width_mil: f64,
-    /// Its light relative to the plate's around it.
-    pub brightness: f64,
-}
-
-/// Light that comes past the baffles: a soft spot near the plate's edge.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Leak {
-    pub centre: PlateMil,
-    /// Gaussian, 1 sigma.
-    pub sigma_px: f64,
-    /// Light at its middle.
-    pub peak_dn: f64,
-}
-
-/// A speck of dust before the sensor: a soft shadow.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Dust {
-    pub centre: SensorPx,
-    /// Gaussian, 1 sigma.
-    pub sigma_px: f64,
-    /// What it takes from the light at its middle, 0 to 1.
-    pub depth: f64,
-}
 
 /// How many blemishes to draw at random.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

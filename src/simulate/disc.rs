@@ -1,7 +1,7 @@
 //! The Sun's disc, sub-sample by sub-sample: limb darkening, spots, motion.
 
 use super::coverage::{Edge, Footprint};
-use super::render::Grid;
+use super::grid::Grid;
 use super::scene::{Sun, Sunspot};
 use nalgebra::Vector2;
 use std::ops::Range;

@@ -1,9 +1,8 @@
 //! The scenes of a flight: one instrument whose mapping drifts, and the Sun on its path.
 
-use super::blemish::{Blemishes, Counts};
-use super::noise::Noise;
+use super::blemish::Counts;
 use super::pieces::Pieces;
-use super::scene::{Scene, SceneError, Sun};
+use super::scene::{Blemishes, Noise, Scene, SceneError, Sun};
 use super::trajectory::{Swing, Trajectory};
 use super::{EXPOSURE, Purpose, derived_seed, frame_info, generator};
 use crate::frame::FrameInfo;

@@ -21,6 +21,7 @@ mod coverage;
 mod disc;
 mod drift;
 mod flight;
+mod grid;
 mod noise;
 mod pieces;
 mod prints;
@@ -29,15 +30,15 @@ mod render;
 mod scene;
 mod trajectory;
 
-pub use blemish::{Blemishes, Counts, Dust, HotPixel, Leak, Scratch};
+pub use blemish::Counts;
 pub use drift::{DriftError, DriftScenes};
 pub use flight::{Course, FlightScenes};
-pub use noise::{Depth, Noise};
 pub use pieces::{Piece, Pieces};
 pub use random::{Conditions, RandomScenes, SunInView};
 pub use render::{SAMPLES_PER_PX, render_exact, render_oversampled};
 pub use scene::{
-    LitMark, Picture, Scene, SceneError, Sun, Sunspot, Truth, TruthOfSun, keystoned, scattered,
+    Blemishes, Depth, Dust, HotPixel, Leak, LitMark, Noise, Picture, Scene, SceneError, Scratch,
+    Sun, Sunspot, Truth, TruthOfSun, keystoned, scattered,
 };
 pub use trajectory::{MAX_SLEW_DEG_PER_S, Trajectory};
 

@@ -1,58 +1,10 @@
 //! From light to digital numbers: noise and depth.
 
-use super::scene::Scene;
+use super::scene::{Depth, Scene};
 use super::{Purpose, generator};
 use crate::frame::Pixels;
 use rand::RngExt;
 use rand_distr::StandardNormal;
-
-/// Noise of a pixel.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Noise {
-    /// Additive Gaussian noise, 1 sigma.
-    pub read_dn: f64,
-    /// Photo-electrons of one DN; with it, photons add noise of variance signal / gain, drawn from a Gaussian.
-    pub electrons_per_dn: Option<f64>,
-}
-
-impl Noise {
-    pub const NONE: Self = Self::read(0.0);
-
-    /// Additive noise alone.
-    pub const fn read(read_dn: f64) -> Self {
-        Self {
-            read_dn,
-            electrons_per_dn: None,
-        }
-    }
-}
-
-/// How finely the camera digitises.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Depth {
-    /// 8 bits, saturating at 255.
-    Eight,
-    /// 12 bits in 16, saturating at 4095; 16 of its steps make one of the 8-bit camera's.
-    Twelve,
-}
-
-impl Depth {
-    /// Where a pixel saturates, in the camera's own DN.
-    pub fn saturation_dn(self) -> u16 {
-        match self {
-            Self::Eight => 255,
-            Self::Twelve => 4095,
-        }
-    }
-
-    /// The camera's own DN in one 8-bit DN.
-    fn steps_per_dn(self) -> f32 {
-        match self {
-            Self::Eight => 1.0,
-            Self::Twelve => 16.0,
-        }
-    }
-}
 
 /// Adds the scene's noise to the light (8-bit DN, row by row) and digitises it.
 pub(super) fn read_out(light: &[f32], scene: &Scene) -> Pixels {

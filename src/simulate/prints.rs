@@ -1,9 +1,8 @@
 //! What is on the plate, sub-sample by sub-sample: marks and scratches.
 
-use super::blemish::Scratch;
 use super::coverage::Edge;
-use super::render::Grid;
-use super::scene::Scene;
+use super::grid::Grid;
+use super::scene::{Scene, Scratch};
 use crate::units::PlateMil;
 use nalgebra::Vector2;
 use std::ops::Range;

@@ -1,8 +1,9 @@
 //! Random scenes by condition: the same instrument throughout, the Sun elsewhere in every frame.
 
-use super::blemish::{Blemishes, Counts};
-use super::noise::{Depth, Noise};
-use super::scene::{Scene, SceneError, Sun, Sunspot, keystoned, scattered};
+use super::blemish::Counts;
+use super::scene::{
+    Blemishes, Depth, Noise, Scene, SceneError, Sun, Sunspot, keystoned, scattered,
+};
 use super::{EXPOSURE, Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
 use crate::geometry::{Mapping, SimilarityParameters};
 use crate::instrument::Instrument;

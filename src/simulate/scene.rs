@@ -1,8 +1,6 @@
 //! A scene, the frame it gives, and the truth about it.
 
-use super::blemish::Blemishes;
-use super::noise::{self, Depth, Noise};
-use super::{Purpose, generator, render};
+use super::{Purpose, generator};
 use crate::frame::{Frame, FrameError, FrameInfo};
 use crate::geometry::{Distortion, Mapping, MappingKind, SimilarityParameters};
 use crate::instrument::Instrument;
@@ -102,6 +100,103 @@ impl Sun {
     }
 }
 
+/// Defects of plate, baffles and camera.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Blemishes {
+    pub hot_pixels: Vec<HotPixel>,
+    pub scratches: Vec<Scratch>,
+    pub leaks: Vec<Leak>,
+    pub dust: Vec<Dust>,
+    /// Share of the light that is lost in the corners of the sensor; it falls with the square of the distance from
+    /// the middle.
+    pub vignetting: f64,
+}
+
+/// A pixel that is saturated whatever it sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HotPixel {
+    pub x: usize,
+    pub y: usize,
+}
+
+/// A straight scratch on the plate. It shows only where the Sun lights it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scratch {
+    pub start: PlateMil,
+    pub end: PlateMil,
+    pub width_mil: f64,
+    /// Its light relative to the plate's around it.
+    pub brightness: f64,
+}
+
+/// Light that comes past the baffles: a soft spot near the plate's edge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Leak {
+    pub centre: PlateMil,
+    /// Gaussian, 1 sigma.
+    pub sigma_px: f64,
+    /// Light at its middle.
+    pub peak_dn: f64,
+}
+
+/// A speck of dust before the sensor: a soft shadow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Dust {
+    pub centre: SensorPx,
+    /// Gaussian, 1 sigma.
+    pub sigma_px: f64,
+    /// What it takes from the light at its middle, 0 to 1.
+    pub depth: f64,
+}
+
+/// Noise of a pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Noise {
+    /// Additive Gaussian noise, 1 sigma.
+    pub read_dn: f64,
+    /// Photo-electrons of one DN; with it, photons add noise of variance signal / gain, drawn from a Gaussian.
+    pub electrons_per_dn: Option<f64>,
+}
+
+impl Noise {
+    pub const NONE: Self = Self::read(0.0);
+
+    /// Additive noise alone.
+    pub const fn read(read_dn: f64) -> Self {
+        Self {
+            read_dn,
+            electrons_per_dn: None,
+        }
+    }
+}
+
+/// How finely the camera digitises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Depth {
+    /// 8 bits, saturating at 255.
+    Eight,
+    /// 12 bits in 16, saturating at 4095; 16 of its steps make one of the 8-bit camera's.
+    Twelve,
+}
+
+impl Depth {
+    /// Where a pixel saturates, in the camera's own DN.
+    pub fn saturation_dn(self) -> u16 {
+        match self {
+            Self::Eight => 255,
+            Self::Twelve => 4095,
+        }
+    }
+
+    /// The camera's own DN in one 8-bit DN.
+    pub(super) fn steps_per_dn(self) -> f32 {
+        match self {
+            Self::Eight => 1.0,
+            Self::Twelve => 16.0,
+        }
+    }
+}
+
 /// A rendered scene and the truth about it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
@@ -157,29 +252,6 @@ impl Scene {
             seed: 0,
             info: FrameInfo::default(),
         }
-    }
-
-    /// The frame and the truth about it.
-    pub fn picture(&self) -> Result<Picture, SceneError> {
-        Ok(Picture {
-            frame: self.frame()?,
-            truth: self.truth(),
-        })
-    }
-
-    /// The frame: rendered, with noise, digitised.
-    pub fn frame(&self) -> Result<Frame, SceneError> {
-        let light = render::render_exact(self);
-        let mut pixels = noise::read_out(&light, self);
-        self.blemishes
-            .saturate(self.width_px, &mut pixels, self.depth);
-        Ok(Frame::new(
-            self.width_px,
-            self.height_px,
-            pixels,
-            self.depth.saturation_dn(),
-            self.info.clone(),
-        )?)
     }
 
     /// The truth about the picture.

@@ -1,23 +1,9 @@
-//! From the sky to the plate: the Sun as it is observed, at which end directions count, and from which side the plate is seen.
+//! From the sky to the plate: at which end directions count, and from which side the plate is seen.
 
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal};
 use crate::sky::SunPosition;
-use crate::units::{Estimate, PlateMil};
-use jiff::Timestamp;
 use nalgebra::Vector2;
-
-/// The Sun on the plate and in the sky at the middle of one frame's exposure. Directions are apparent, through the air.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SunObservation {
-    /// The frame's file.
-    pub name: String,
-    pub utc: Timestamp,
-    pub sun_plate: Estimate<PlateMil>,
-    pub sun: SunPosition,
-    /// Where the telescope pointed, where that is known.
-    pub pointing: Option<Horizontal>,
-}
 
 /// Where the directions on the plate count from the zenith. At the boresight the two are one; beside it the zenith's direction turns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

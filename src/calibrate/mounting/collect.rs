@@ -1,7 +1,7 @@
 //! From frames to sights.
 
-use super::PointingLog;
-use super::chain::SunObservation;
+use super::log::PointingLog;
+use super::observation::SunObservation;
 use crate::aspect::{self, Expected, Quality, Solution};
 use crate::calibrate::frames::LeftOut;
 use crate::fits;

@@ -1,6 +1,7 @@
 //! The least squares: which mounting, and in a drift scan which pointing, puts the Sun where it was observed.
 
-use super::chain::{Chain, Side, SunObservation};
+use super::chain::{Chain, Side};
+use super::observation::SunObservation;
 use super::scatter::{Residual, correlation, extra_variance};
 use super::start::{Start, start};
 use crate::calibrate::frames::LeftOut;

@@ -20,58 +20,24 @@ mod chain;
 mod collect;
 mod fit;
 mod log;
+mod observation;
 mod report;
 mod scatter;
 mod start;
 mod verdict;
 
-pub use chain::{Chain, SunObservation};
+pub use chain::Chain;
 pub use collect::{Frames, collect};
 pub use fit::{MountingFit, Pointings, Unknown};
 pub use log::{LogError, PointingLog};
+pub use observation::{MountingError, SunObservation};
 pub use report::page;
 pub use verdict::{Finding, Verdict};
 
 use super::frames::LeftOut;
 use super::revision::{Provenance, Revision};
-use crate::estimation::FitError;
 use crate::geometry::Handedness;
 use crate::instrument::Instrument;
-
-/// Why the sights give no mounting; each says what to take instead.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MountingError {
-    #[error(
-        "too few frames: expected at least {limit} with the whole Sun, a time and a place{with}, found {found}; take more, the Sun all over the plate"
-    )]
-    TooFew {
-        found: usize,
-        limit: usize,
-        with: &'static str,
-    },
-    #[error(
-        "all frames in one place: expected the Sun to move over at least {limit_mil} mil of the plate, found {found_mil:.0} mil; {instead}"
-    )]
-    OnePlace {
-        found_mil: f64,
-        limit_mil: f64,
-        instead: &'static str,
-    },
-    #[error(
-        "the sights agree with no mounting: expected most of them within {limit_mil} mil of one, found them {found_mil:.0} mil off; {instead}"
-    )]
-    NoAgreement {
-        found_mil: f64,
-        limit_mil: f64,
-        instead: &'static str,
-    },
-    #[error("no mounting fits the frames: {0}; check times, place and pointings")]
-    NoFit(#[from] FitError),
-    #[error(
-        "the Sun moves over the plate as in a mirror ({against} against {for_it} mil rms): check the times, the place and from which side the marks were numbered"
-    )]
-    Mirrored { for_it: String, against: String },
-}
 
 /// What came of a calibration.
 #[derive(Debug, Clone)]

@@ -3,7 +3,8 @@
 //! Were the sky flat about the Sun, the plate would be a picture of it turned by the clocking and stretched with the distance: a
 //! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of observations gives one.
 
-use super::chain::{Chain, Side, SunObservation};
+use super::chain::{Chain, Side};
+use super::observation::SunObservation;
 use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::pointing::Horizontal;

@@ -1,8 +1,8 @@
 //! What the sights determine, and what they do not.
 
-use super::MountingError;
 use super::chain::Chain;
 use super::fit::{DISTINGUISHED, MountingFit, Pointings, Unknown};
+use super::observation::MountingError;
 use crate::calibrate::numbers::sigma_text;
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::instrument::Instrument;

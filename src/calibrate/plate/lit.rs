@@ -8,7 +8,9 @@ use super::sighting::{FrameSightings, Sighting};
 use crate::aspect;
 use crate::calibrate::numbers::median;
 use crate::estimation::QUARTILE_SIGMAS;
-use crate::fiducial::{self, CrossShape, Detections, FlatDisc, Lighting, Refiner, Sight};
+use crate::fiducial::{
+    self, CrossShape, Detections, FlatDisc, IdentificationPrior, Lighting, Refiner,
+};
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Sample, View};
 use crate::geometry::{Circle, Ellipse};
 use crate::instrument::Instrument;
@@ -180,14 +182,19 @@ impl Looks<'_> {
         })
     }
 
-    fn sight(&self, outline: Ellipse, found: &Detections, shape: &CrossShape) -> Sight {
+    fn sight(
+        &self,
+        outline: Ellipse,
+        found: &Detections,
+        shape: &CrossShape,
+    ) -> IdentificationPrior {
         /// A window's radius on the plate is as uncertain as the scale, and the lens's distortion.
         const SCALE_SIGMA: f64 = 0.006;
         /// Marks that go unseen on a plate in plain light.
         const MISSED: f64 = 0.02;
         let mounting = &self.instrument.mounting;
         let radius = outline.mean_radius() * mounting.scale_mil_per_px.value;
-        Sight {
+        IdentificationPrior {
             outline,
             radius_mil: Measured::new(radius, SCALE_SIGMA * radius),
             quarter_rotation_deg: found.quarter_rotation_deg,

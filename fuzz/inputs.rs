@@ -1,0 +1,140 @@
+//! What comes from outside, each kind as one function of its bytes: for the fuzz targets, and for the test that replays the kept
+//! seeds. A function panics where the library does, or where a promise is broken that holds for any bytes.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use solaspect::config::Config;
+use solaspect::fits;
+use solaspect::instrument::{Instrument, Mounting, builtin};
+use solaspect::link::describe::describe;
+use solaspect::link::{Direction, Parser};
+use solaspect::pointing::Target;
+use solaspect::refine::Journal;
+use solaspect::service::control::{Controls, restore};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+use std::time::Duration;
+use tempfile::TempDir;
+
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+static MOUNTING: LazyLock<Mounting> =
+    LazyLock::new(|| builtin("demo").expect("the demo instrument").mounting);
+
+/// A kind of input: its name, which is that of its target and its folder of seeds, and what reads it.
+pub type Kind = (&'static str, fn(&[u8]));
+
+pub const KINDS: [Kind; 6] = [
+    ("packets", packets),
+    ("fits", fits),
+    ("instrument", instrument),
+    ("configuration", configuration),
+    ("values", values),
+    ("journal", journal),
+];
+
+/// Bytes of a serial line, in both directions: no byte is lost, and every packet has a description.
+pub fn packets(bytes: &[u8]) {
+    for direction in [Direction::ToAspect, Direction::ToController] {
+        let mut parser = Parser::new(direction);
+        let mut taken = 0;
+        for (n, piece) in bytes.chunks(7).enumerate() {
+            for packet in parser.feed(piece, Duration::from_millis(n as u64)) {
+                assert!(!describe(&packet).is_empty());
+                taken += packet.encode().len();
+            }
+        }
+        parser.abandon();
+        let rejected = parser.rejected().bytes as usize;
+        assert_eq!(taken + rejected, bytes.len(), "bytes of {direction:?}");
+    }
+}
+
+/// A FITS, PNG or TIFF file: a frame, keywords, tables and checksums, or an error that names the file.
+pub fn fits(bytes: &[u8]) {
+    let (_folder, path) = file("frame.fits", bytes);
+    let named = |error: fits::FileError| assert!(error.to_string().contains("frame.fits"));
+    if let Err(error) = fits::read_frame(&path) {
+        named(error);
+    }
+    if let Err(error) = fits::read_keywords(&path) {
+        named(error);
+    }
+    if let Err(error) = fits::check_sums(&path) {
+        named(error);
+    }
+    if let Err(error) = fits::read_table(&path, "SOLUTION") {
+        named(error);
+    }
+}
+
+/// An instrument's TOML file: what is taken has a mapping and a scale that are numbers.
+pub fn instrument(bytes: &[u8]) {
+    let Ok(text) = str::from_utf8(bytes) else {
+        return;
+    };
+    match Instrument::parse(Path::new("fuzz.toml"), text) {
+        Ok(instrument) => {
+            assert!(instrument.optics.arcsec_per_mil().is_finite());
+            assert!(instrument.nominal_mapping().is_some());
+        }
+        Err(error) => assert!(error.to_string().contains("fuzz.toml")),
+    }
+}
+
+/// A configuration's TOML file.
+pub fn configuration(bytes: &[u8]) {
+    let Ok(text) = str::from_utf8(bytes) else {
+        return;
+    };
+    let (config, errors) = Config::parse_all(Path::new("fuzz.toml"), text);
+    for error in errors {
+        assert!(error.to_string().contains("fuzz.toml"));
+    }
+    let _ = (config.missing(), config.solver(), config.site.place());
+}
+
+/// Saved values: as the file's bytes, and as its lines below a header whose checksum is right.
+pub fn values(bytes: &[u8]) {
+    let header = "# solaspect: values set by command. crc32 ";
+    let headed = [
+        format!("{header}{:08x}\n", CRC.checksum(bytes)).as_bytes(),
+        bytes,
+    ]
+    .concat();
+    for bytes in [bytes, &headed] {
+        let (_folder, path) = file("values.toml", bytes);
+        let controls = Controls::new(Config::default(), Target::default(), MOUNTING.clone());
+        restore(&controls, &path);
+    }
+}
+
+/// A journal of refine: as the file's bytes, and as one record whose length and checksum are right.
+pub fn journal(bytes: &[u8]) {
+    let magic = b"solasp1\n".as_slice();
+    let length = (bytes.len() as u32).to_le_bytes();
+    let record = [magic, &length, &CRC.checksum(bytes).to_le_bytes(), bytes].concat();
+    for bytes in [bytes, &record] {
+        let (_folder, path) = file("journal", bytes);
+        let mut places = Vec::new();
+        if let Ok(journal) = Journal::read(&path, |_, place| places.push(place)) {
+            for place in places {
+                let again = journal.record(place);
+                assert!(again.is_ok(), "a record that was read once");
+            }
+        }
+    }
+}
+
+fn file(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
+    // In memory where there is such a folder: a fuzzer writes thousands a second.
+    let memory = Path::new("/dev/shm");
+    let folder = match memory.is_dir() {
+        true => TempDir::new_in(memory),
+        false => TempDir::new(),
+    };
+    let folder = folder.expect("a temporary folder");
+    let path = folder.path().join(name);
+    fs::write(&path, bytes).expect("a temporary file");
+    (folder, path)
+}
