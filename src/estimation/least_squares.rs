@@ -1,8 +1,7 @@
-//! Least squares for a few parameters: reweighted Gauss-Newton steps with Levenberg and Marquardt's control.
+//! Least squares for a few parameters: reweighted Gauss-Newton steps, halved until they lower the cost.
 //!
 //! Residuals come in units of their stated sigmas. The loss weights them by their size over the scale; scale and weights are
-//! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977). A step that does not lower the
-//! cost is shortened and turned towards the gradient (Marquardt, 1963).
+//! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
 use super::robust::{Loss, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median};
 use crate::units::Measured;
@@ -52,6 +51,8 @@ pub struct LeastSquares<const N: usize> {
     pub prior: Prior<N>,
     pub loss: Loss,
     pub scale: Scale,
+    /// A shorter step ends the fit, in sigmas of the parameters.
+    pub tolerance_sigmas: f64,
 }
 
 /// Parameters where the cost is least.
@@ -83,10 +84,10 @@ pub enum FitError {
 const MOST_STEPS: usize = 100;
 /// The scale is held from this step on, so that the weights that depend on it settle.
 const SCALE_STEPS: usize = 25;
-/// A step shorter than this is none, in sigmas of the parameters; nor is a change of the scale by this part.
-const SETTLED: f64 = 1e-6;
-/// Levenberg and Marquardt's damping: the first, the factor between trials, and the most, where rounding hides any gain.
-const DAMPING: [f64; 3] = [1e-3, 10.0, 1e9];
+/// A change of the scale by this part is none.
+const SETTLED_SCALE: f64 = 1e-6;
+/// A step halved so often is lost in rounding: there is no lower cost.
+const MOST_HALVINGS: i32 = 40;
 
 impl<const N: usize> LeastSquares<N> {
     /// Fits. `linearise` gives all observations near some parameters, always as many and in the same order; `None` where the
@@ -111,22 +112,23 @@ impl<const N: usize> LeastSquares<N> {
             weights = rows.iter().map(|row| loss.weight(row)).collect();
             let (information, gradient) = self.normal_equations(&parameters, &rows, &weights);
             let root = information.cholesky().ok_or(FitError::Undetermined)?;
-            let gain = gradient.dot(&root.solve(&gradient));
+            let full = root.solve(&gradient);
+            let gain = gradient.dot(&full);
             if !gain.is_finite() {
                 return Err(FitError::Undetermined);
             }
-            let better = (gain > (SETTLED * scale).powi(2)).then(|| {
+            let better = (gain > (self.tolerance_sigmas * scale).powi(2)).then(|| {
                 let cost = |at: &_, rows: &_| loss.cost(rows) + self.prior.cost(at);
                 let limit = cost(&parameters, &rows);
-                steps(&information, &gradient).find_map(|step| {
-                    let moved = parameters + step;
+                (0..MOST_HALVINGS).find_map(|halvings| {
+                    let moved = parameters + full * 0.5_f64.powi(halvings);
                     let rows = linearise(&moved)?;
                     (cost(&moved, &rows) < limit).then_some((moved, rows))
                 })
             });
             match better.flatten() {
                 Some(better) => (parameters, rows) = better,
-                None if (scale - previous).abs() > SETTLED * scale => {}
+                None if (scale - previous).abs() > SETTLED_SCALE * scale => {}
                 None => {
                     return Ok(Fitted {
                         parameters,
@@ -179,21 +181,6 @@ impl<const N: usize> Prior<N> {
         let off = parameters - self.mean;
         self.information.dot(&off.component_mul(&off))
     }
-}
-
-/// The full step, then shorter ones, ever nearer the direction of the gradient.
-fn steps<const N: usize>(
-    information: &SMatrix<f64, N, N>,
-    gradient: &SVector<f64, N>,
-) -> impl Iterator<Item = SVector<f64, N>> {
-    let [first, factor, most] = DAMPING;
-    let more = move |damping: &f64| Some(damping * factor).filter(|damping| *damping < most);
-    let dampings = std::iter::once(0.0).chain(std::iter::successors(Some(first), more));
-    dampings.filter_map(move |damping| {
-        let diagonal = information.diagonal() * damping;
-        let damped = information + SMatrix::from_diagonal(&diagonal);
-        Some(damped.cholesky()?.solve(gradient))
-    })
 }
 
 /// A loss of residuals over their scale; all count alike where they have none.
@@ -268,6 +255,7 @@ pub fn regression<const N: usize>(
         prior: Prior::none(),
         loss: Loss::Tukey(TUKEY_SIGMAS),
         scale: Scale::Median,
+        tolerance_sigmas: 1e-6,
     };
     robust.fit_after_plain(linearise)
 }
@@ -338,6 +326,7 @@ mod tests {
             prior,
             loss: Loss::Squares,
             scale: Scale::Stated,
+            tolerance_sigmas: 1e-6,
         };
         fit.fit(|p| {
             let row = |n: i32| {

@@ -1,7 +1,7 @@
 //! The disc on the plate, from a frame's limb and a mapping that is known: the circle through its points.
 
 use super::record::PackedPoint;
-use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
+use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
 use crate::geometry::Mapping;
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector1, Vector2, Vector3};
@@ -16,6 +16,7 @@ pub struct PlateDisc {
     pub points: usize,
 }
 
+const LOSS: Loss = Loss::Tukey(5.0);
 /// Fewer points make no circle.
 const LEAST_POINTS: usize = 6;
 
@@ -52,8 +53,9 @@ pub fn on_plate(
             mean: start,
             information: Vector3::new(0.0, 0.0, radius_mil.sigma.powi(-2)),
         },
-        loss: Loss::Tukey(TUKEY_SIGMAS),
+        loss: LOSS,
         scale: Scale::Inflated,
+        tolerance_sigmas: 1e-6,
     };
     let fitted = circle
         .fit_after_plain(|circle| Some(linearised(&points, circle)))

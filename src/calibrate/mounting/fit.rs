@@ -5,9 +5,7 @@ use super::observation::SunObservation;
 use super::scatter::{Residual, correlation, extra_variance};
 use super::start::{Start, start};
 use crate::calibrate::frames::LeftOut;
-use crate::estimation::{
-    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS_2D,
-};
+use crate::estimation::{FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale};
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal};
 use crate::sky::SunPosition;
@@ -50,8 +48,12 @@ const MOST_SIGMAS: f64 = 3.66;
 const START_PASSES: usize = 4;
 /// Fits in turn with estimates of the scatter; at most so many, since a median may alternate between two neighbours.
 const SCATTER_PASSES: usize = 15;
-/// A change of the scatter's variance by this part is none.
-const SETTLED: f64 = 1e-9;
+/// A change of the scatter by this part is none.
+const SETTLED: f64 = 1e-6;
+/// Where fits end, in sigmas of the unknowns: the first, which only tells the outliers, and the last.
+const LOSS: Loss = Loss::Tukey(6.0);
+const ROUGH_SIGMAS: f64 = 0.05;
+const FINE_SIGMAS: f64 = 1e-6;
 
 /// A mounting fitted to observations of the Sun.
 #[derive(Debug, Clone)]
@@ -163,15 +165,17 @@ struct Model<'a> {
 
 impl Model<'_> {
     fn fit<const N: usize>(&self, first: Option<SVector<f64, N>>) -> Result<MountingFit, FitError> {
+        let start = first.ok_or(FitError::Undetermined)?;
         let all = vec![true; self.observations.len()];
         let mut fit = LeastSquares {
-            start: first.ok_or(FitError::Undetermined)?,
-            prior: self.prior(&first.ok_or(FitError::Undetermined)?),
-            loss: Loss::Tukey(TUKEY_SIGMAS_2D),
+            start,
+            prior: self.prior(&start),
+            loss: LOSS,
             scale: Scale::Stated,
+            tolerance_sigmas: ROUGH_SIGMAS,
         };
         fit.start = self.settled(fit, &all)?.parameters;
-        fit.loss = Loss::Squares;
+        (fit.loss, fit.tolerance_sigmas) = (Loss::Squares, FINE_SIGMAS);
         let residuals = self.residuals(&fit.start, &all);
         let accepted: Vec<bool> = residuals
             .iter()
