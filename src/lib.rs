@@ -14,9 +14,11 @@
 //! | rooms | what they know |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
-//! //! | [`log`] | the log on standard error, for which nothing waits |
+//! | `backoff` | waits between attempts |
+//! | [`provenance`] | which program made a file: version, commit, hashes |
+//! | [`log`] | the log on standard error, for which nothing waits |
 //! | `lanes` | what makes loops over pixels quick |
-//! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate; robust scale, least squares and Kalman filter; a picture and what is known of it; how well the clock is held |
+//! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate, cameras that see directions, attitudes; robust scale, least squares and Kalman filter; a picture and what is known of it; how well the clock is held |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
@@ -37,6 +39,7 @@
 pub mod accuracy;
 pub mod archive;
 pub mod aspect;
+mod backoff;
 pub mod calibrate;
 pub mod camera;
 pub mod cli;
@@ -55,6 +58,7 @@ pub mod log;
 pub mod plate;
 pub mod pointing;
 pub mod preflight;
+pub mod provenance;
 pub mod refine;
 pub mod registration;
 pub mod report;

@@ -1,7 +1,7 @@
 //! The program: one command per file of `cli`.
 
 use clap::{Parser, Subcommand, ValueEnum};
-use solaspect::{cli, log};
+use solaspect::{cli, log, provenance};
 use std::io::ErrorKind;
 use std::process::ExitCode;
 
@@ -9,7 +9,7 @@ use std::process::ExitCode;
 ///
 /// Exit codes: 0 all went well, 1 something in the input or the run failed, 2 wrong usage.
 #[derive(Parser)]
-#[command(name = "solaspect", version, max_term_width = 100)]
+#[command(name = "solaspect", version, long_version = provenance::LONG_VERSION, max_term_width = 100)]
 struct Program {
     #[command(subcommand)]
     command: Command,

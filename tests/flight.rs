@@ -13,10 +13,12 @@ use solaspect::config::{Allowed, Config, by_command, parameters};
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
+use solaspect::link::housekeeping::Digits;
 use solaspect::link::{
     self, BytePort, CommandResult, Connection, Control, Direction, Housekeeping, Packet, Parser,
     SerialPort,
 };
+use solaspect::provenance;
 use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
 use solaspect::simulate::{Conditions, RandomScenes};
 use solaspect::units::PlateMil;
@@ -60,6 +62,7 @@ fn scripted(deed: Deed) -> Camera {
     Camera {
         seat: Seat::PitchYaw,
         instrument: instrument::builtin("demo").unwrap(),
+        instrument_toml: None,
         folder: PathBuf::new(),
         source: None,
         open: Some(Arc::new(move || {
@@ -93,6 +96,86 @@ fn fly(camera: Camera, root: &Path) -> FlightTally {
     let service = Service::start(flight(camera, vec![open(root)])).unwrap();
     wait_until("the flight's end", || service.is_finished());
     service.join().unwrap()
+}
+
+/// The text of a frame's keyword.
+fn text_of(frame: &Path, keyword: &str) -> String {
+    let header = fits::FitsFile::open(frame).unwrap().keywords().unwrap();
+    match header.get(keyword) {
+        Some(Value::Text(text)) => text.clone(),
+        other => panic!("{keyword}: {other:?}"),
+    }
+}
+
+#[test]
+fn an_archive_holds_what_it_was_flown_with_and_every_frame_and_the_ground_name_it() {
+    let root = tempfile::tempdir().unwrap();
+    let secret = "a secret of the ground and the flight";
+    let key_file = root.path().with_extension("key");
+    std::fs::write(&key_file, secret).unwrap();
+    let instrument_toml = instrument::builtin_text("demo").unwrap();
+    let mut told = Vec::new();
+    for exposure_us in [9_000, 12_000] {
+        let camera = Camera {
+            instrument_toml: Some(instrument_toml.into()),
+            ..scripted(|call| match call {
+                4 => {
+                    // Until the second's housekeeping.
+                    std::thread::sleep(Duration::from_millis(1500));
+                    Ok(Take::End)
+                }
+                number => taken(number),
+            })
+        };
+        let mut flight = flight(camera, vec![open(root.path())]);
+        flight.config.camera.exposure_us = exposure_us;
+        flight.config.link.key_file = Some(key_file.clone());
+        let service = Service::start(flight).unwrap();
+        wait_until("the flight's end", || service.is_finished());
+        let housekeeping = service.housekeeping().unwrap();
+        told.push((housekeeping.commit, housekeeping.configuration));
+        service.join().unwrap();
+    }
+    let files = |what: &str| -> Vec<String> {
+        let entries = std::fs::read_dir(root.path()).unwrap();
+        let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+        paths.retain(|path| {
+            path.file_name()
+                .unwrap()
+                .to_string_lossy()
+                .starts_with(what)
+        });
+        paths.sort();
+        let text = |path: &PathBuf| std::fs::read_to_string(path).unwrap();
+        paths.iter().map(text).collect()
+    };
+    let configurations = files("configuration_");
+    let flown = |text: &String| {
+        Config::parse(Path::new("flown"), text)
+            .unwrap()
+            .camera
+            .exposure_us
+    };
+    assert_eq!(
+        configurations.iter().map(flown).collect::<Vec<_>>(),
+        [9_000, 12_000]
+    );
+    assert!(configurations.iter().all(|text| !text.contains(secret)));
+    assert_eq!(files("instrument_"), [instrument_toml, instrument_toml]);
+    let hashes: Vec<String> = configurations.iter().map(provenance::sha256).collect();
+    for frame in frames_in(root.path()) {
+        assert!(hashes.contains(&text_of(&frame, "CONFSHA")));
+        assert_eq!(
+            text_of(&frame, "INSTSHA"),
+            provenance::sha256(instrument_toml)
+        );
+        if let Some(commit) = provenance::COMMIT {
+            assert_eq!(text_of(&frame, "SWCOMMIT"), commit);
+        }
+    }
+    let commit = Digits::of(provenance::COMMIT.unwrap_or_default());
+    let expected = hashes.iter().map(|hash| (commit, Digits::of(hash)));
+    assert_eq!(told, expected.collect::<Vec<_>>());
 }
 
 #[test]
@@ -758,13 +841,13 @@ fn flown_with(settings: &[(u16, f64)]) -> String {
     let mut controls = service.controls().clone();
     controls.note_tracking(true);
     for &(number, value) in settings {
-        let parameter = number;
-        let command = match by_command(number).unwrap().allowed {
-            Allowed::Whole(..) => link::Command::SetInteger {
-                parameter,
-                value: value as i16,
-            },
-            _ => link::Command::SetFloat { parameter, value },
+        let name = match by_command(number).unwrap().allowed {
+            Allowed::Whole(..) => "set_integer",
+            _ => "set_float",
+        };
+        let command = link::Command {
+            row: link::command::row_named(name).unwrap(),
+            numbers: vec![number.into(), value],
         };
         assert_eq!(
             controls.carry_out(&command),

@@ -2,18 +2,20 @@
 //! darkness, so that every frame has an error and costs little.
 
 use jiff::Timestamp;
+use solaspect::archive::Store;
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
 use solaspect::config::Config;
+use solaspect::fits::Compression;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{self, Instrument};
 use solaspect::link::ground::{Answered, ask, order};
 use solaspect::link::{
-    BytePort, COMMANDS, Command, Computer, Connection, Direction, Guard, LocalEnd, Message, Packet,
-    Parser, Peer, PortAddress, SerialPort, UdpPort, id,
+    Action, AspectCommand, BytePort, COMMANDS, Computer, Connection, Direction, Guard, Key,
+    LocalEnd, Message, Packet, Parser, Peer, PortAddress, SerialPort, UdpPort, id,
 };
 use solaspect::service::{Camera, Flight, FlightTally, Service};
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 const LONG: Duration = Duration::from_secs(30);
@@ -46,6 +48,10 @@ impl FrameSource for Dark {
 }
 
 fn fly(line: Connection, config: Config) -> Service {
+    fly_with(line, config, Vec::new())
+}
+
+fn fly_with(line: Connection, config: Config, stores: Vec<Store>) -> Service {
     let instrument = instrument::builtin("demo").unwrap();
     let camera = Dark {
         instrument: instrument.clone(),
@@ -54,6 +60,7 @@ fn fly(line: Connection, config: Config) -> Service {
     let flight = Flight {
         config,
         line,
+        stores,
         ..Flight::of(Camera::new(instrument, camera))
     };
     Service::start(flight).unwrap()
@@ -80,8 +87,7 @@ fn every_command_of_the_table_is_answered_and_none_ends_the_flight_but_quit() {
         let command = row
             .command(Computer::One, &vec![0; row.variables.len()])
             .unwrap();
-        let is_quit = Command::try_from(&command) == Ok(Command::Quit);
-        if is_quit {
+        if row.action == Action::Quit {
             continue;
         }
         let answer = ask(&mut far, &Message::Aspect(command), sequence, LONG).unwrap();
@@ -233,4 +239,124 @@ fn over_udp_a_packet_is_a_datagram() {
     }
     assert!(heard.contains(&Some(Message::TrackingOn)));
     end(service);
+}
+
+/// The rows of the command logs in an archive, by the name of the log, without their times.
+fn command_rows(root: &Path) -> Vec<Vec<String>> {
+    let entries = std::fs::read_dir(root).unwrap();
+    let mut logs: Vec<PathBuf> = entries
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.to_string_lossy().contains("/commands_"))
+        .collect();
+    logs.sort();
+    let mut rows = Vec::new();
+    for log in logs {
+        let mut log = csv::Reader::from_path(log).unwrap();
+        let columns: Vec<String> = log.headers().unwrap().iter().map(Into::into).collect();
+        let stated = ["utc", "sender", "key", "name", "values", "result"];
+        assert_eq!(columns, stated);
+        for row in log.records() {
+            let row = row.unwrap();
+            assert!(row[0].parse::<Timestamp>().is_ok(), "{row:?}");
+            rows.push(row.iter().skip(1).map(Into::into).collect());
+        }
+    }
+    rows
+}
+
+#[test]
+fn every_command_and_every_restored_value_is_in_the_archive_with_sender_and_result() {
+    let root = tempfile::tempdir().unwrap();
+    let values = root.path().join("values.toml");
+    let mut config = Config::default();
+    config.link.port = Some("/dev/ttyUSB7".into());
+    config.link.saved_values = Some(values.clone());
+    let start = || {
+        let (near, far) = SerialPort::pair().unwrap();
+        let store = Store::open(root.path(), "demo", Compression::Rice).unwrap();
+        let line = Connection::over(near);
+        (fly_with(line, config.clone(), vec![store]), far)
+    };
+    let (service, mut far) = start();
+    assert!(tell(&mut far, 1, "set_target", &["-300", "450"]).is_done());
+    assert!(!tell(&mut far, 2, "set_twist", &["1000"]).is_done());
+    tell(&mut far, 3, "get_target_x", &[]);
+    assert!(tell(&mut far, 4, "gps", &["34.5", "-104.25"]).is_done());
+    let unknown = AspectCommand::new(0x1FF0, vec![]).unwrap();
+    ask(&mut far, &Message::Aspect(unknown), 5, LONG).unwrap();
+    end(service);
+    let (service, far) = start();
+    end(service);
+    drop(far);
+    let from = |sender: &str, rest: [&str; 4]| -> Vec<String> {
+        std::iter::once(sender)
+            .chain(rest)
+            .map(Into::into)
+            .collect()
+    };
+    let line = |rest| from("/dev/ttyUSB7", rest);
+    let rows = command_rows(root.path());
+    assert_eq!(rows[0], line(["0x1412", "set_target", "-300 450", "done"]));
+    let twist = "refused: mounting.twist_deg: expected an angle from -360 to 360 deg, found 1000";
+    assert_eq!(rows[1], line(["0x1731", "set_twist", "1000", twist]));
+    let read = line(["0x1a10", "get_target_x", "", "x -300 arcsec"]);
+    assert_eq!(rows[2], read);
+    assert_eq!(rows[3][1..3], ["0x1104", "gps"]);
+    assert_eq!(rows[3][4], "done");
+    assert_eq!(rows[4], line(["0x1ff0", "", "", "unknown"]));
+    let saved = values.display().to_string();
+    let restored: Vec<_> = rows[5..]
+        .iter()
+        .map(|row| (&row[2][..], &row[3][..]))
+        .collect();
+    assert!(
+        rows[5..]
+            .iter()
+            .all(|row| row[0] == saved && row[4] == "restored")
+    );
+    assert!(
+        restored.contains(&("target.x_arcsec", "-300")),
+        "{restored:?}"
+    );
+}
+
+#[test]
+fn commands_that_are_refused_or_come_again_over_udp_are_in_the_archive_too() {
+    let root = tempfile::tempdir().unwrap();
+    let open = |port| {
+        let to = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+        UdpPort::open(to, LocalEnd::default()).unwrap()
+    };
+    let near = open(9);
+    let mut ground = open(near.local_port().unwrap());
+    let secret = Key::new(b"sixteen bytes or more").unwrap();
+    let peers = vec![Peer::any_port_of(Ipv4Addr::LOCALHOST.into())];
+    let guard = Guard::new(peers, Some(Key::new(b"sixteen bytes or more").unwrap()));
+    let store = Store::open(root.path(), "demo", Compression::Rice).unwrap();
+    let line = Connection::over(near).guarded(guard);
+    let service = fly_with(line, Config::default(), vec![store]);
+    let packet = order("no_op", &[], Computer::One).unwrap();
+    let packet = packet.packet(id::ASPECT, 7).unwrap().encode();
+    let stamp = 1_379_786_400_000_000_000;
+    let signed = secret.sign(&packet, stamp);
+    for datagram in [&packet, &signed, &signed] {
+        ground.write(datagram, LONG).unwrap();
+    }
+    let finish = Instant::now() + LONG;
+    while service.tally().line.commands == 0 {
+        assert!(Instant::now() < finish, "no command came");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::thread::sleep(Duration::from_millis(200));
+    end(service);
+    let rows = command_rows(root.path());
+    let results: Vec<_> = rows.iter().map(|row| (&row[2][..], &row[4][..])).collect();
+    let expected = [
+        ("", "refused (1): signature: expected one by link.key_file"),
+        ("no_op", "done"),
+        ("no_op", "came again (1): answered again"),
+    ];
+    assert_eq!(results, expected);
+    let sender = format!("127.0.0.1:{}", ground.local_port().unwrap());
+    assert!(rows.iter().all(|row| row[0] == sender), "{rows:?}");
 }

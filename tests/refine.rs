@@ -3,10 +3,13 @@
 use rand::RngExt;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use solaspect::archive::check::Tree;
+use solaspect::archive::{Flown, Store};
 use solaspect::fits::{self, Compression, Table, Values};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{self, Instrument};
+use solaspect::provenance;
 use solaspect::simulate::{FORT_SUMNER, Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
 use solaspect::units::PlateMil;
 use std::f64::consts::TAU;
@@ -786,6 +789,8 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
     let recipe = Recipe {
         instrument: plan.instrument.clone(),
         settings: Default::default(),
+        flown: Default::default(),
+        archived: Default::default(),
     };
     let told = |stage: &str| {
         let [now, most] = ["VmRSS", "VmHWM"].map(|what| memory_kb(what) / 1000);
@@ -826,4 +831,94 @@ fn an_hour_of_flight_is_refined_to_its_truth() {
     assert!(quantile(&compared.lit_errors, 0.997) < 0.35);
     assert!((0.8..1.25).contains(&rms(&compared.pulls)));
     assert!(compared.unflagged.is_empty());
+}
+
+/// An archive of a few frames of the demo, as flown with the instrument and configuration of these texts.
+fn flown_archive(instrument_toml: &str, configuration: &str) -> tempfile::TempDir {
+    let root = tempfile::tempdir().unwrap();
+    add_flight(root.path(), instrument_toml, configuration, 0);
+    root
+}
+
+fn add_flight(root: &Path, instrument_toml: &str, configuration: &str, first: usize) {
+    let store = Store::open(root, "demo", Compression::Rice).unwrap();
+    let flown = Flown::new(configuration.into(), Some(instrument_toml.into()));
+    store.add_flight_files(flown.files(Path::new(""), time(first)));
+    let plan = Plan::new(8, 5);
+    let cards: Vec<_> = flown.cards().collect();
+    for n in first..first + 4 {
+        store.write(&plan.frame(n), &cards, &[]).unwrap();
+    }
+}
+
+fn summary(out: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(out.join("summary.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn an_archive_is_refined_with_the_instrument_and_the_configuration_it_was_flown_with() {
+    let demo = instrument::builtin_text("demo").unwrap();
+    let renamed = demo.replacen("name = \"demo\"", "name = \"as-flown\"", 1);
+    let root = flown_archive(
+        &renamed,
+        "[target]\nx_arcsec = 250.0\n[link]\nbaud = 9600\n",
+    );
+    let out = tempfile::tempdir().unwrap();
+    refine(root.path(), out.path(), &[]);
+    let told = summary(out.path());
+    assert_eq!(told["instrument"], "as-flown");
+    assert_eq!(told["instrument_sha256"], provenance::sha256(&renamed));
+    assert_eq!(told["fine"], 4);
+    let out = tempfile::tempdir().unwrap();
+    let file = out.path().join("demo.toml");
+    fs::write(&file, demo).unwrap();
+    refine(
+        root.path(),
+        out.path(),
+        &["--instrument", file.to_str().unwrap()],
+    );
+    assert_eq!(summary(out.path())["instrument"], "demo");
+
+    // Another sensor is no calibration of this one.
+    fs::write(&file, demo.replacen("value = 1296", "value = 1295", 1)).unwrap();
+    let told = ["--instrument", file.to_str().unwrap()];
+    let refused = command(root.path(), out.path(), &told).output().unwrap();
+    let error = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(
+        !refused.status.success() && error.contains("sensor"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_frame_that_contradicts_its_archive_is_refused_and_flights_that_differ_want_to_be_told() {
+    let demo = instrument::builtin_text("demo").unwrap();
+    let root = flown_archive(demo, "[target]\nx_arcsec = 250.0\n");
+    let stranger = flown_archive(demo, "[target]\nx_arcsec = -250.0\n");
+    let tree = |root: &Path| Tree::of(root).unwrap().files;
+    let name = "stranger.fits";
+    fs::copy(&tree(stranger.path())[0], root.path().join(name)).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    refine(root.path(), out.path(), &[]);
+    let told = summary(out.path());
+    assert_eq!((&told["files"], &told["fine"]), (&5.into(), &4.into()));
+    let csv = fs::read_to_string(out.path().join("aspect.csv")).unwrap();
+    let row = csv.lines().find(|row| row.contains(name)).unwrap();
+    assert!(row.contains("CONFSHA"), "{row}");
+
+    add_flight(root.path(), demo, "[target]\nx_arcsec = -250.0\n", 4);
+    let refused = command(root.path(), out.path(), &[]).output().unwrap();
+    let error = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(
+        !refused.status.success() && error.contains("--config"),
+        "{error}"
+    );
+    let config = out.path().join("c.toml");
+    fs::write(&config, "").unwrap();
+    refine(
+        root.path(),
+        out.path(),
+        &["--config", config.to_str().unwrap()],
+    );
+    assert_eq!(summary(out.path())["fine"], 9);
 }

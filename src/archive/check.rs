@@ -2,7 +2,7 @@
 //!
 //! A file is sound when its structure is whole, the checksums of every HDU match, the picture unpacks, the keywords are of
 //! the kind that the [table](crate::fits::keyword) states, its marks can be read, it bears the name that it was given, and its time is not
-//! before that of the file before it. A file that a solution log names must be there, on this disk or on the other. Frames that are
+//! before that of the file before it, and the configuration and the instrument that it names are those of the archive, if it holds any. A file that a solution log names must be there, on this disk or on the other. Frames that are
 //! missing by their times or numbers alone make a gap, which is no fault of the files that are there.
 
 mod files;
@@ -19,6 +19,7 @@ pub use marks::{Mark, marks};
 pub use picture::stretched;
 pub use sequence::Gap;
 
+use super::flown::FlownFiles;
 use crate::fits::{FileError, FitsFile, Problem, Value};
 use jiff::Timestamp;
 use rayon::prelude::*;
@@ -88,8 +89,12 @@ struct Sound {
 
 /// Checks every file of a tree, several at a time; `checked` is called after each.
 pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
+    let (flown, unread) = match FlownFiles::read(&tree.flown) {
+        Ok(flown) => (flown, None),
+        Err(error) => (FlownFiles::default(), Some(error)),
+    };
     let check_one = |path: &std::path::PathBuf| {
-        let outcome = check_file(path);
+        let outcome = check_file(path, &flown);
         checked();
         outcome
     };
@@ -113,6 +118,10 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
     let absent = logged::look_for_files(&tree.logs);
     dated.extend(absent.elsewhere.iter().filter_map(Dated::elsewhere));
     let sequence = sequence::examine(dated);
+    bad_files.extend(unread.map(|error| BadFile {
+        file: error.path.display().to_string(),
+        error: format!("expected {}, found {}", error.expected, error.found),
+    }));
     bad_files.extend(sequence.backward);
     bad_files.extend(absent.bad);
     bad_files.sort();
@@ -134,7 +143,7 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
 }
 
 /// Checks one file by itself.
-fn check_file(path: &Path) -> Result<Sound, FileError> {
+fn check_file(path: &Path, flown: &FlownFiles) -> Result<Sound, FileError> {
     let file = FitsFile::open(path)?;
     let sums = file.checksums()?;
     if sums.guarded < sums.hdus {
@@ -145,6 +154,9 @@ fn check_file(path: &Path) -> Result<Sound, FileError> {
     let frame = file.frame()?;
     let header = keywords::checked(&file)?;
     marks(&file)?;
+    flown
+        .check(&header)
+        .map_err(|problem| problem.in_file(path))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     match header.get("FILENAME") {
         Some(Value::Text(given)) if *given != *name => {

@@ -8,6 +8,7 @@ pub mod check;
 mod coordinates;
 mod dirfile;
 pub mod disk;
+mod flown;
 mod growing;
 mod log;
 mod name;
@@ -17,6 +18,7 @@ mod store;
 
 pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
+pub use flown::{CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT};
 pub use log::{Log, Row, SolutionLog, Upkeep};
 pub use name::{NameTime, name, plain};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};

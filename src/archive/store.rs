@@ -82,6 +82,17 @@ struct Claim {
     swept: usize,
     /// How often the disk was taken.
     visits: u64,
+    flight_files: Vec<FlightFile>,
+}
+
+/// A file that the archive must have while this program writes to it.
+#[derive(Debug)]
+struct FlightFile {
+    file: Encoded,
+    /// Whether the name is this file's own, and no other's.
+    is_named: bool,
+    /// Whether it was put there since the disk was taken.
+    is_there: bool,
 }
 
 impl Store {
@@ -121,6 +132,19 @@ impl Store {
         Ok(store)
     }
 
+    /// Gives the archive files that stand in it before any frame is written, whatever becomes of the disk. Where another
+    /// file bears the name already, they get `_2` and so on.
+    pub fn add_flight_files(&self, files: impl IntoIterator<Item = Encoded>) {
+        let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
+        claim
+            .flight_files
+            .extend(files.into_iter().map(|file| FlightFile {
+                file,
+                is_named: false,
+                is_there: false,
+            }));
+    }
+
     /// Makes ready for writing, as [`open`](Self::open) does but for the folders above, if that has not been done; else looks
     /// whether the disk is still there, and takes it anew where it was mounted again.
     ///
@@ -128,6 +152,27 @@ impl Store {
     /// As `open`; where the folder above is not there; and where the disk has gone, or an empty folder stands in its place.
     pub fn prepare(&self) -> Result<(), ArchiveError> {
         let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
+        self.take(&mut claim)?;
+        let missing = claim.flight_files.iter_mut().filter(|own| !own.is_there);
+        missing
+            .into_iter()
+            .try_for_each(|own| self.put_flight_file(own))
+    }
+
+    fn put_flight_file(&self, own: &mut FlightFile) -> Result<(), ArchiveError> {
+        let named = own.is_named;
+        if !named {
+            own.file.name = self.free_name(&own.file.name)?;
+        }
+        if !named || !self.has(&own.file.name) {
+            self.place(&own.file)?;
+        }
+        (own.is_named, own.is_there) = (true, true);
+        Ok(())
+    }
+
+    /// Takes the disk, where that has not been done or it was mounted anew.
+    fn take(&self, claim: &mut Claim) -> Result<(), ArchiveError> {
         let mark = self.root.join(MARK);
         if claim.visits == 0 {
             self.make_folder_in_place()?;
@@ -153,6 +198,9 @@ impl Store {
         claim.swept += self.sweep()?;
         claim.lock = Some(lock);
         claim.visits += 1;
+        for own in &mut claim.flight_files {
+            own.is_there = false;
+        }
         Ok(())
     }
 
@@ -270,9 +318,15 @@ impl Store {
     /// # Errors
     /// Where the disk refuses; then no file is left.
     pub fn put(&self, encoded: &Encoded) -> Result<PathBuf, ArchiveError> {
+        self.prepare()?;
+        self.place(encoded)
+    }
+
+    /// As [`put`](Self::put), on a disk that is taken.
+    fn place(&self, encoded: &Encoded) -> Result<PathBuf, ArchiveError> {
         let path = self.root.join(&encoded.name);
         let folder = path.parent().unwrap_or(&self.root);
-        self.enter(encoded.name.parent().unwrap_or(Path::new("")))?;
+        self.make_folders(encoded.name.parent().unwrap_or(Path::new("")))?;
         let unfinished = unfinished(&path);
         let named = self
             .write_unfinished(&unfinished, &encoded.bytes)
@@ -300,8 +354,12 @@ impl Store {
     /// # Errors
     /// As [`prepare`](Self::prepare), where the folder cannot be made, or is not under the root.
     pub fn enter(&self, folder: &Path) -> Result<(), ArchiveError> {
-        self.within(folder)?;
         self.prepare()?;
+        self.make_folders(folder)
+    }
+
+    fn make_folders(&self, folder: &Path) -> Result<(), ArchiveError> {
+        self.within(folder)?;
         let mut above = self.root.clone();
         for name in folder {
             let folder = above.join(name);
@@ -374,7 +432,7 @@ impl Store {
     }
 }
 
-/// A frame as the bytes of its file, and the file's place under the root.
+/// A file's bytes, and its place under the root.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Encoded {
     pub name: PathBuf,
@@ -387,7 +445,8 @@ fn namesake(path: &Path, n: u32) -> PathBuf {
         return path.into();
     }
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    path.with_file_name(format!("{stem}_{n}.fits"))
+    let ending = path.extension().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!("{stem}_{n}.{ending}"))
 }
 
 /// The name of a file while it is being written.

@@ -1,6 +1,7 @@
 //! The frames that a calibration is given: their files, their hash, what is wrong with some of them.
 
 use crate::fits::{self, FRAME_ENDINGS, Unlisted};
+use crate::provenance;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -80,6 +81,5 @@ pub fn sha256_of(bytes: &[u8]) -> [u8; 32] {
 /// SHA-256 over those of the files, sorted; hexadecimal.
 pub fn sha256_of_all(mut files: Vec<[u8; 32]>) -> String {
     files.sort_unstable();
-    let all = sha256_of(&files.concat());
-    all.iter().map(|byte| format!("{byte:02x}")).collect()
+    provenance::sha256(files.concat())
 }

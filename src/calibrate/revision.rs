@@ -2,6 +2,7 @@
 
 use crate::calibrate::numbers::value_text;
 use crate::instrument::{Instrument, TomlError};
+use crate::provenance::{self, COMMIT, PROGRAM};
 use crate::units::Measured;
 use jiff::civil::Date;
 use std::path::{Path, PathBuf};
@@ -25,6 +26,8 @@ pub struct Provenance {
 #[derive(Debug, Clone)]
 pub struct Revision {
     path: PathBuf,
+    /// Of the text before.
+    sha256: String,
     document: DocumentMut,
 }
 
@@ -36,6 +39,7 @@ impl Revision {
         })?;
         Ok(Self {
             path: path.into(),
+            sha256: provenance::sha256(text),
             document,
         })
     }
@@ -75,7 +79,11 @@ impl Revision {
         if let Ok(date) = provenance.date.to_string().parse::<Value>() {
             table["date"] = value(date);
         }
-        table["program"] = value(concat!("solaspect ", env!("CARGO_PKG_VERSION")));
+        table["program"] = value(PROGRAM);
+        if let Some(commit) = COMMIT {
+            table["commit"] = value(commit);
+        }
+        table["instrument_sha256"] = value(&self.sha256);
         table["note"] = value(&provenance.source);
         self.put(
             &format!("calibration.{}", provenance.name),

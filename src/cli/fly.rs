@@ -11,6 +11,7 @@ use crate::camera::Source;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
 use crate::link::Connection;
+use crate::provenance;
 use crate::service::{Flight, Service};
 use clap::Args;
 use jiff::Timestamp;
@@ -45,23 +46,25 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         let place = file.map_or("the command line".into(), |file| file.display().to_string());
         anyhow::bail!("{place}: {missing}");
     }
-    let mut ephemeris = options::ephemeris(&config)?;
+    let (camera, other_cameras) = cameras::of(&config, args.duration, args.speed)?;
+    let mut flight = Flight {
+        config,
+        other_cameras,
+        ..Flight::of(camera)
+    };
+    say_who_flies(&flight);
+    let mut ephemeris = options::ephemeris(&flight.config)?;
     if let Err(error) = ephemeris.disc(Timestamp::now()) {
         tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
     }
     if let Some(extrapolated) = ephemeris.extrapolates(Timestamp::now()) {
         tracing::warn!("{extrapolated}: see sky.earth_orientation");
     }
-    let (camera, other_cameras) = cameras::of(&config, &args)?;
-    let flight = Flight {
-        target: options::target(&config, &mut ephemeris)?,
-        ephemeris,
-        line: line(&config.link)?,
-        stores: stores(&config, &camera.instrument),
-        camera,
-        other_cameras,
-        config,
-    };
+    flight.target = options::target(&flight.config, &mut ephemeris)?;
+    flight.ephemeris = ephemeris;
+    flight.line = line(&flight.config.link)?;
+    flight.stores = stores(&flight.config, &flight.camera.instrument);
+    flight.open_cameras()?;
     let interrupted = options::interrupted()?;
     if matches!(flight.config.camera.source, Some(Source::Simulated(_))) {
         tracing::warn!("the frames are the simulator's, and so is what is sent of them");
@@ -93,6 +96,13 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,
     })
+}
+
+/// The first line of the log: which program flies what.
+fn say_who_flies(flight: &Flight) {
+    let (version, commit) = (provenance::VERSION, provenance::COMMIT);
+    let configuration_sha256 = provenance::sha256(flight.configuration_toml());
+    tracing::info!(version, commit, configuration_sha256, "solaspect flies");
 }
 
 /// A port that is not there is looked for in flight.

@@ -2,7 +2,8 @@
 
 use crate::camera::Source;
 use crate::config::Config;
-use crate::instrument::{self, Instrument};
+use crate::instrument::toml_file::read_text;
+use crate::instrument::{Instrument, builtin_text};
 use crate::pointing::Target;
 use crate::preflight::{self, Options};
 use crate::sky::Ephemeris;
@@ -47,10 +48,19 @@ impl ConfigurationArgs {
 
 /// The instrument of `--instrument`, else the built-in demo.
 pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
-    Ok(match path {
-        Some(path) => Instrument::read(path)?,
-        None => instrument::builtin("demo")?,
-    })
+    Ok(instrument_with_text(path)?.0)
+}
+
+/// The same with the text of its file.
+pub(super) fn instrument_with_text(path: Option<&Path>) -> anyhow::Result<(Instrument, String)> {
+    let (path, text) = match path {
+        Some(path) => (path, read_text(path)?),
+        None => (
+            Path::new("demo"),
+            builtin_text("demo").unwrap_or_default().into(),
+        ),
+    };
+    Ok((Instrument::parse(path, &text)?, text))
 }
 
 /// The configuration of `--config`, else the defaults.

@@ -2,9 +2,13 @@
 
 use super::options;
 use super::output::{make_folder, progress_bar, say};
+use crate::archive::check::Tree;
+use crate::archive::{CONFIGURATION, Flown, FlownFile, FlownFiles, INSTRUMENT};
+use crate::config::Config;
+use crate::instrument::Instrument;
 use crate::refine::{self, Done, Flight, Input, Recipe, Shard, Sky, Span, Summary};
 use crate::units::Place;
-use anyhow::ensure;
+use anyhow::{Context, bail, ensure};
 use clap::Args;
 use jiff::Timestamp;
 use std::path::PathBuf;
@@ -25,10 +29,10 @@ pub struct RefineArgs {
     /// Where journal and results go; made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The instrument's TOML file [default: the built-in instrument "demo"]
+    /// The instrument's TOML file [default: the archive's, else the built-in instrument "demo"]
     #[arg(long, value_name = "FILE")]
     instrument: Option<PathBuf>,
-    /// The configuration's TOML file
+    /// The configuration's TOML file [default: the archive's solver, place and target, if it holds a configuration]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Frames at a time [default: as many as there are cores]
@@ -52,27 +56,113 @@ pub struct RefineArgs {
 }
 
 pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
-    let config = options::config(args.config.as_deref())?;
+    let tree = Tree::of(&args.archive)?;
+    let archived = FlownFiles::read(&tree.flown)?;
+    let config = args.configuration(&archived)?;
+    let (instrument, text) = args.instrument(&archived)?;
     let mut ephemeris = options::ephemeris(&config)?;
     let recipe = Recipe {
-        instrument: options::instrument(args.instrument.as_deref())?,
+        instrument,
         settings: config.solver(),
+        flown: Flown::new(config.to_toml(), Some(text)),
+        archived: args.authority(archived),
     };
     let sky = Sky {
         instrument: recipe.instrument.clone(),
         target: options::target(&config, &mut ephemeris)?,
-        place: args.place.or(config.site.place()),
+        place: config.site.place(),
         ephemeris,
     };
     make_folder(&args.out)?;
     let jobs = args.jobs.map_or(0, usize::from);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
-    pool.install(|| args.refine(&recipe, &sky))
+    pool.install(|| args.refine(&tree, &recipe, &sky))
 }
 
 impl RefineArgs {
-    fn refine(&self, recipe: &Recipe, sky: &Sky) -> anyhow::Result<ExitCode> {
-        let inputs = self.inputs()?;
+    /// The configuration of `--config`, else what the archive's say of solver, place and target, else the defaults.
+    fn configuration(&self, archived: &FlownFiles) -> anyhow::Result<Config> {
+        let mut config = match &self.config {
+            Some(path) => Config::read(path)?,
+            None => self.archived_configuration(archived)?,
+        };
+        if let Some(place) = self.place {
+            config.site = place.into();
+        }
+        Ok(config)
+    }
+
+    fn archived_configuration(&self, archived: &FlownFiles) -> anyhow::Result<Config> {
+        let mut found: Vec<Config> = Vec::new();
+        for file in archived.of(CONFIGURATION) {
+            let flown = Config::parse(&file.path, &file.text)
+                .context("the archive's configuration cannot be used: name one with --config")?;
+            // The rest is of the flight's computer alone.
+            let config = Config {
+                site: flown.site,
+                target: flown.target,
+                limb: flown.limb,
+                fiducial: flown.fiducial,
+                registration: flown.registration,
+                ..Config::default()
+            };
+            if !found.contains(&config) {
+                found.push(config);
+            }
+        }
+        ensure!(
+            found.len() <= 1,
+            "{}: expected one [site], [target], [limb], [fiducial] and [registration], found {} in its configuration_*.toml: \
+             name a configuration with --config",
+            self.archive.display(),
+            found.len()
+        );
+        Ok(found.pop().unwrap_or_default())
+    }
+
+    /// The instrument of `--instrument`, else the archive's, else the built-in demo; with its text.
+    fn instrument(&self, archived: &FlownFiles) -> anyhow::Result<(Instrument, String)> {
+        let flown = |file: &FlownFile| -> anyhow::Result<_> {
+            let instrument = Instrument::parse(&file.path, &file.text)
+                .context("the archive's instrument cannot be used: name one with --instrument")?;
+            Ok((instrument, file.text.clone()))
+        };
+        let mut texts: Vec<&FlownFile> = Vec::new();
+        for file in archived.of(INSTRUMENT) {
+            if !texts.iter().any(|other| other.text == file.text) {
+                texts.push(file);
+            }
+        }
+        match (&self.instrument, texts.as_slice()) {
+            (None, [one]) => flown(one),
+            (None, [_, _, ..]) => bail!(
+                "{}: expected one instrument, found {} that differ in its instrument_*.toml: name one with --instrument",
+                self.archive.display(),
+                texts.len()
+            ),
+            (told, flown) => {
+                let (instrument, text) = options::instrument_with_text(told.as_deref())?;
+                refuse_other_sensor(&instrument, flown)?;
+                Ok((instrument, text))
+            }
+        }
+    }
+
+    /// What frames may name: of what was told instead, anything.
+    fn authority(&self, mut archived: FlownFiles) -> FlownFiles {
+        for (told, kind) in [
+            (&self.config, CONFIGURATION),
+            (&self.instrument, INSTRUMENT),
+        ] {
+            if told.is_some() {
+                archived = archived.without(kind);
+            }
+        }
+        archived
+    }
+
+    fn refine(&self, tree: &Tree, recipe: &Recipe, sky: &Sky) -> anyhow::Result<ExitCode> {
+        let inputs = self.inputs(tree);
         let mut done = self.first_pass(recipe, &inputs)?;
         if self.shard.is_some() {
             return Ok(ExitCode::SUCCESS);
@@ -90,13 +180,13 @@ impl RefineArgs {
         Ok(ExitCode::SUCCESS)
     }
 
-    fn inputs(&self) -> anyhow::Result<Vec<Input>> {
-        let inputs = refine::inputs(&self.archive, &self.out)?;
+    fn inputs(&self, tree: &Tree) -> Vec<Input> {
+        let inputs = refine::inputs(tree, &self.archive, &self.out);
         let Some(shard) = self.shard else {
-            return Ok(inputs);
+            return inputs;
         };
         let (skip, every) = (shard.number as usize - 1, shard.of as usize);
-        Ok(inputs.into_iter().skip(skip).step_by(every).collect())
+        inputs.into_iter().skip(skip).step_by(every).collect()
     }
 
     fn span(&self) -> Span {
@@ -134,6 +224,27 @@ impl RefineArgs {
         sky.fill(&mut flight.rows, &flight.places);
         Ok(flight)
     }
+}
+
+/// Refuses an instrument of another camera than those that the archive was flown with.
+fn refuse_other_sensor(told: &Instrument, flown: &[&FlownFile]) -> anyhow::Result<()> {
+    let size = |instrument: &Instrument| (instrument.camera.width_px, instrument.camera.height_px);
+    let flown = flown
+        .iter()
+        .map(|file| Instrument::parse(&file.path, &file.text));
+    // One that only a newer program can read contradicts nothing.
+    let sizes: Vec<_> = flown
+        .flatten()
+        .map(|instrument| size(&instrument))
+        .collect();
+    ensure!(
+        sizes.is_empty() || sizes.contains(&size(told)),
+        "instrument \"{}\": expected a sensor of the archive's instrument, {:?} px, found {:?} px",
+        told.name,
+        sizes[0],
+        size(told)
+    );
+    Ok(())
 }
 
 /// The journals of other runs: one in each folder, of the same name, for it tells instrument and settings.

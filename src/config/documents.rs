@@ -2,6 +2,7 @@
 
 use super::parameter::Parameter;
 use super::table::parameters;
+use super::{Config, Value};
 use std::fmt::Write;
 
 const WIDTH: usize = 100;
@@ -19,6 +20,26 @@ pub fn example() -> String {
         }
     }
     text
+}
+
+impl Config {
+    /// The configuration as a file that gives it again: every parameter that is set.
+    pub fn to_toml(&self) -> String {
+        let mut text = String::new();
+        for (table, rows) in tables() {
+            text += &format!("\n[{table}]\n");
+            let set = |row: &Parameter| {
+                let value = match row.get(self)? {
+                    // Rust shows some letters otherwise than TOML reads them.
+                    Value::Text(text) => toml::Value::from(text).to_string(),
+                    number => number.to_string(),
+                };
+                Some(format!("{} = {value}\n", row.name()))
+            };
+            text.extend(rows.iter().filter_map(set));
+        }
+        text
+    }
 }
 
 /// The page of parameters, in Markdown.
@@ -96,7 +117,6 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
     use std::path::Path;
 
     const EXAMPLE: &str = include_str!("../../docs/solaspect.example.toml");
@@ -112,6 +132,26 @@ mod tests {
     fn the_page_of_parameters_is_up_to_date() {
         let remedy = "run `solaspect config parameters > docs/parameters.md`";
         assert!(PAGE == parameters_page(), "{remedy}");
+    }
+
+    #[test]
+    fn a_configuration_as_a_file_gives_the_same_configuration_again() {
+        let mut config = Config::default();
+        config.site.latitude_deg = Some(-77.85);
+        config.site.longitude_deg = Some(1e-7);
+        config.site.height_m = Some(38_405.0);
+        config.camera.source = "gige:192.168.1.20".parse().ok();
+        config.camera.region_px = "100,50,640,480".parse().ok();
+        config.target.epoch_utc = "2013-09-21T18:00:00.25Z".parse().ok();
+        config.link.port = Some("/dev/serial/a \"quoted\" name\\ \u{7f}".into());
+        for config in [Config::default(), config] {
+            let text = config.to_toml();
+            assert_eq!(
+                Config::parse(Path::new("again"), &text),
+                Ok(config),
+                "{text}"
+            );
+        }
     }
 
     #[test]

@@ -97,6 +97,16 @@ pub struct Site {
     pub height_m: Option<f64>,
 }
 
+impl From<Place> for Site {
+    fn from(place: Place) -> Self {
+        Self {
+            latitude_deg: Some(place.latitude_deg),
+            longitude_deg: Some(place.longitude_deg),
+            height_m: Some(place.height_m),
+        }
+    }
+}
+
 impl Site {
     /// The place, where all of it is known.
     pub fn place(&self) -> Option<Place> {

@@ -9,6 +9,7 @@ use super::keyword::{self, Kind};
 use super::raw::{Compression, MemoryFile};
 use super::{FileError, Problem};
 use crate::frame::Frame;
+use crate::provenance::{COMMIT, PROGRAM};
 use jiff::Timestamp;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -141,7 +142,7 @@ pub fn encode_frame(
     file.into_bytes()
 }
 
-/// The bytes of a file of binary tables alone, behind a primary HDU without data. Nothing in it tells when it was made:
+/// The bytes of a file of binary tables alone, behind a primary HDU without data but with these cards. Nothing in it tells when it was made:
 /// the same tables give the same bytes. Each is asked for when its turn comes, and dropped. Where the tables need no more than
 /// `expected_bytes`, memory is never moved.
 ///
@@ -149,18 +150,14 @@ pub fn encode_frame(
 /// Columns of unequal length.
 pub fn encode_tables(
     expected_bytes: usize,
+    cards: &[Card],
     tables: impl IntoIterator<Item = Table>,
 ) -> Result<Vec<u8>, Problem> {
     let file = MemoryFile::create(OTHER_BYTES + expected_bytes)?;
     file.create_primary()?;
     put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
-    put_cards(
-        &file,
-        &[
-            Card::new("ORIGIN", "solaspect"),
-            Card::new("CREATOR", PROGRAM),
-        ],
-    )?;
+    put_cards(&file, &program())?;
+    put_cards(&file, cards)?;
     file.put_datasum()?;
     for table in tables {
         put_table(&file, &table)?;
@@ -169,9 +166,6 @@ pub fn encode_tables(
     }
     file.into_bytes()
 }
-
-/// Name and version of the program.
-const PROGRAM: &str = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
 
 /// Room for headers and tables.
 const OTHER_BYTES: usize = 1 << 17;
@@ -194,16 +188,24 @@ fn name_cards(name: &str, holds: Holds) -> [Card; 2] {
 /// The extension's name, its checksums, and what cfitsio adds of its own.
 const OTHER_CARDS: usize = 16;
 
+/// The program that writes the file.
+fn program() -> Vec<Card> {
+    let mut cards = vec![
+        Card::new("ORIGIN", "solaspect"),
+        Card::new("CREATOR", PROGRAM),
+    ];
+    cards.extend(COMMIT.map(|commit| Card::new("SWCOMMIT", commit)));
+    cards
+}
+
 /// Where the file comes from.
 fn provenance() -> Vec<Card> {
     let now = Timestamp::from_second(Timestamp::now().as_second()).unwrap_or_default();
-    vec![
-        Card::new("ORIGIN", "solaspect"),
-        Card::new("CREATOR", PROGRAM),
-        Card::new("DATE", format_time(now)),
-        // In part: SOLARNET wants WAVEUNIT as a power of ten, where FITS and sunpy want a unit.
-        Card::new("SOLARNET", 0.5),
-    ]
+    let mut cards = program();
+    cards.push(Card::new("DATE", format_time(now)));
+    // In part: SOLARNET wants WAVEUNIT as a power of ten, where FITS and sunpy want a unit.
+    cards.push(Card::new("SOLARNET", 0.5));
+    cards
 }
 
 /// A keyword stands once in a header; one from above may not contradict the frame's own.

@@ -56,6 +56,11 @@ struct RawCalibration {
     _date: toml::value::Datetime,
     #[serde(rename = "program")]
     _program: String,
+    #[serde(default, rename = "commit")]
+    _commit: Option<String>,
+    /// Of the file that the calibration began with.
+    #[serde(default, rename = "instrument_sha256")]
+    _instrument_sha256: Option<String>,
     #[serde(default, rename = "note")]
     _note: Option<String>,
 }

@@ -3,14 +3,13 @@
 use super::guard::{Guard, Peer};
 use super::port::{BytePort, PortError, SerialPort};
 use super::udp::{LocalEnd, UdpPort};
+use crate::backoff::Backoff;
 use std::net::SocketAddr;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// The first wait after a failure; each further one is twice as long.
-const SHORTEST_WAIT: Duration = Duration::from_millis(250);
-/// The longest: a port that is there again is found soon.
-const LONGEST_WAIT: Duration = Duration::from_secs(2);
+/// A port that stays up so long is a good one: its next loss is a new fault.
+const GOOD: Duration = Duration::from_secs(2);
 
 /// A port that carries bytes, whatever it is.
 pub type AnyPort = Box<dyn BytePort + Send>;
@@ -85,7 +84,7 @@ pub struct Connection {
     guard: Guard,
     opened_at: Duration,
     retry_at: Duration,
-    wait: Duration,
+    backoff: Backoff,
     opened: u64,
     failed: u64,
 }
@@ -127,7 +126,7 @@ impl Connection {
             guard: Guard::new(Vec::new(), None),
             opened_at: Duration::ZERO,
             retry_at: Duration::ZERO,
-            wait: SHORTEST_WAIT,
+            backoff: Backoff::DEVICE,
             opened: 0,
             failed: 0,
         }
@@ -179,7 +178,7 @@ impl Connection {
                 if self.failed.is_power_of_two() {
                     tracing::error!(%error, failed = self.failed, "the line cannot be opened");
                 }
-                self.back_off(now);
+                self.retry_at = now + self.backoff.wait();
                 false
             }
         }
@@ -188,16 +187,10 @@ impl Connection {
     /// Gives the port up.
     pub fn lose(&mut self, now: Duration) {
         self.port = None;
-        // One that stays up for a while is a good one: the next loss is a new fault.
-        if now.saturating_sub(self.opened_at) > LONGEST_WAIT {
-            self.wait = SHORTEST_WAIT;
+        if now.saturating_sub(self.opened_at) > GOOD {
+            self.backoff.reset();
         }
-        self.back_off(now);
-    }
-
-    fn back_off(&mut self, now: Duration) {
-        self.retry_at = now + self.wait;
-        self.wait = (2 * self.wait).min(LONGEST_WAIT);
+        self.retry_at = now + self.backoff.wait();
     }
 }
 

@@ -44,6 +44,11 @@ impl CommandResult {
 pub trait Control {
     fn carry_out(&mut self, command: &Command) -> CommandResult;
 
+    /// Why the last command was refused, where that is known; asking takes it away.
+    fn take_reason(&mut self) -> Option<String> {
+        None
+    }
+
     /// A place from GPS.
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult;
 }

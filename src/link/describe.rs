@@ -17,6 +17,45 @@ pub fn describe(packet: &Packet) -> String {
     }
 }
 
+/// A command as people write it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CommandInWords {
+    /// With the computers' bits; `None` where nothing of the command was read.
+    pub key: Option<u16>,
+    /// Empty for a key that is not known.
+    pub name: String,
+    /// In natural units, with blanks between them.
+    pub values: String,
+}
+
+impl CommandInWords {
+    /// The command of a key; `message` is its message, where that could be read.
+    pub fn of(key: u16, message: Option<&Message>) -> Self {
+        let values: Vec<f64> = match message {
+            Some(Message::Aspect(command)) => row_of(key).map_or(Vec::new(), |row| {
+                let codes = row.variables.iter().zip(command.variables());
+                codes
+                    .map(|(variable, code)| variable.kind.value(*code))
+                    .collect()
+            }),
+            Some(Message::Gps(fix)) => vec![fix.latitude_deg.into(), fix.longitude_deg.into()],
+            _ => Vec::new(),
+        };
+        let name = match message {
+            Some(Message::StartTracking) => "start_tracking",
+            Some(Message::StopTracking) => "stop_tracking",
+            Some(Message::Gps(_)) => "gps",
+            _ => row_of(key).map_or("", |row| row.name),
+        };
+        let values: Vec<String> = values.iter().map(f64::to_string).collect();
+        Self {
+            key: Some(key),
+            name: name.into(),
+            values: values.join(" "),
+        }
+    }
+}
+
 /// The result of a command in words; `value` is what has come.
 pub fn result_in_words(key: u16, value: u16) -> String {
     let reads = row_of(key).and_then(|row| row.reads);

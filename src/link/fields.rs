@@ -1,7 +1,40 @@
 //! The fields of a payload, read and written one by one; each error names its message and what was expected.
 
-use super::message::MessageError;
+use super::packet::PacketError;
 use jiff::{SignedDuration, Timestamp};
+
+/// Why a message cannot be read or written.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum MessageError {
+    #[error("message: expected a key of 2 bytes, found {found} bytes")]
+    NoKey { found: usize },
+    #[error("message: expected a known key, found {key:#06x}")]
+    UnknownKey { key: u16 },
+    #[error("message {key:#06x}: expected {expected} bytes, found {found}")]
+    Short {
+        key: u16,
+        expected: usize,
+        found: usize,
+    },
+    #[error("message {key:#06x}, {field}: expected a finite number, found {found}")]
+    NotFinite {
+        key: u16,
+        field: &'static str,
+        found: f64,
+    },
+    #[error("message {key:#06x}, time: expected a time from 1970 to 2106, found {found}")]
+    Time { key: u16, found: String },
+    #[error("aspect command {key:#06x}: expected {expected} variables, found {found}")]
+    Variables {
+        key: u16,
+        expected: usize,
+        found: usize,
+    },
+    #[error("telemetry: expected type 01 (receipt) or e1 (result), found {kind:02x}")]
+    UnknownTelemetry { kind: u8 },
+    #[error(transparent)]
+    Packet(#[from] PacketError),
+}
 
 /// Seconds and nanoseconds since 1970, where they fit 32 bits.
 pub fn unix_time(key: u16, time: Timestamp) -> Result<(u32, u32), MessageError> {

@@ -6,9 +6,13 @@
 use super::message::MessageError;
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
+use std::fmt;
 
-/// The layout that this program writes. Layout 1, which ended with `restarts`, is read too.
-pub const LAYOUT: u8 = 2;
+/// The layout that this program writes. Those before are read, too.
+pub const LAYOUT: u8 = 3;
+
+/// The earlier layouts, and the field that the next one began its additions with.
+const EARLIER: [(u8, &str); 2] = [(1, "takeovers"), (2, "commit")];
 
 /// A field as the page on the protocol shows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,9 +49,10 @@ macro_rules! housekeeping {
             }
 
             fn from_payload(payload: &[u8]) -> Option<Self> {
-                let payload = match payload.first()? {
-                    1 => completed(payload)?,
-                    _ => payload.to_vec(),
+                let earlier = EARLIER.iter().find(|(layout, _)| payload.first() == Some(layout));
+                let payload = match earlier {
+                    Some((_, added)) => completed(payload, added)?,
+                    None => payload.to_vec(),
                 };
                 let mut rest = payload.strip_prefix(&[LAYOUT])?;
                 Some(Self { $($field: Wire::read(&mut rest)?,)* })
@@ -135,6 +140,9 @@ housekeeping! {
     gps_refused: u16, "", "GPS fixes that were not believed";
     datagrams_refused: u32, "", "datagrams refused: unknown sender, replayed, or not authentic";
     log_lines_lost: u32, "", "log lines that standard error did not take in time";
+    commit: Digits, "", "commit that the program was built from, its first 8 hexadecimal digits";
+    modified: bool, "", "the sources of the program were modified after that commit";
+    configuration: Digits, "", "SHA-256 of the flight's configuration (`CONFSHA` of the frames), its first 8 hexadecimal digits";
 }
 
 /// The ids of up to sixteen marks: i and j, each from -7 to 7.
@@ -156,9 +164,30 @@ impl MarkIds {
     }
 }
 
-/// A payload of layout 1 as one of layout 2: what layout 1 did not have is zero.
-fn completed(payload: &[u8]) -> Option<Vec<u8>> {
-    let added = FIELDS.iter().skip_while(|field| field.name != "takeovers");
+/// The first 8 of a number's hexadecimal digits; `None` where it is not known.
+#[derive(Clone, Copy, PartialEq, Eq, Default)]
+pub struct Digits(Option<u32>);
+
+impl Digits {
+    /// Those that a text begins with.
+    pub fn of(text: &str) -> Self {
+        let first = text.get(..8);
+        Self(first.and_then(|digits| u32::from_str_radix(digits, 16).ok()))
+    }
+}
+
+impl fmt::Debug for Digits {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(digits) => write!(out, "{digits:08x}"),
+            None => out.write_str("unknown"),
+        }
+    }
+}
+
+/// A payload of an earlier layout as one of this: what was added since, from a field on, is zero.
+fn completed(payload: &[u8], added: &str) -> Option<Vec<u8>> {
+    let added = FIELDS.iter().skip_while(|field| field.name != added);
     let added: usize = added.map(|field| field.bytes).sum();
     let mut completed = Housekeeping::default().payload();
     let known = completed.len() - added;
@@ -312,16 +341,16 @@ impl Wire for [u16; 7] {
     }
 }
 
-impl Wire for [u32; 2] {
-    const KIND: &'static str = "2 x u32";
-    const BYTES: usize = 8;
+impl<T: Pair> Wire for [T; 2] {
+    const KIND: &'static str = T::PAIR;
+    const BYTES: usize = 2 * T::BYTES;
 
     fn write(&self, bytes: &mut Vec<u8>) {
         self.iter().for_each(|value| value.write(bytes));
     }
 
     fn read(rest: &mut &[u8]) -> Option<Self> {
-        Some([Wire::read(rest)?, Wire::read(rest)?])
+        Some([T::read(rest)?, T::read(rest)?])
     }
 
     fn text(&self) -> String {
@@ -329,20 +358,35 @@ impl Wire for [u32; 2] {
     }
 }
 
-impl Wire for [Option<u8>; 2] {
-    const KIND: &'static str = "2 x u8, 255 where not known";
-    const BYTES: usize = 2;
+/// A field of which there are two.
+trait Pair: Wire {
+    const PAIR: &'static str;
+}
+
+impl Pair for u32 {
+    const PAIR: &'static str = "2 x u32";
+}
+
+impl Pair for Option<u8> {
+    const PAIR: &'static str = "2 x u8, 255 where not known";
+}
+
+impl Wire for Digits {
+    const KIND: &'static str = "u32, 0 where not known";
+    const BYTES: usize = 4;
 
     fn write(&self, bytes: &mut Vec<u8>) {
-        self.iter().for_each(|value| value.write(bytes));
+        self.0.unwrap_or(0).write(bytes);
     }
 
     fn read(rest: &mut &[u8]) -> Option<Self> {
-        Some([Wire::read(rest)?, Wire::read(rest)?])
+        let digits = u32::read(rest)?;
+        Some(Self((digits != 0).then_some(digits)))
     }
 
     fn text(&self) -> String {
-        texts(self)
+        self.0
+            .map_or(String::new(), |digits| format!("{digits:08x}"))
     }
 }
 
@@ -389,6 +433,9 @@ mod tests {
             restarts: 1,
             disk_refusals: [0, 70_000],
             simulated: true,
+            commit: Digits::of("0123456789ab-dirty"),
+            modified: true,
+            configuration: Digits::of("fedcba98"),
             ..Housekeeping::default()
         }
     }
@@ -421,20 +468,33 @@ mod tests {
     }
 
     #[test]
-    fn a_packet_of_layout_1_is_read_without_what_it_did_not_have() {
-        let restarts = FIELDS.iter().take_while(|field| field.name != "takeovers");
-        let length = 1 + restarts.map(|field| field.bytes).sum::<usize>();
-        assert_eq!(length, 207, "layout 1 does not change any more");
-        let mut payload = full().payload();
-        payload[0] = 1;
-        let told = Housekeeping {
-            disk_refusals: [0, 0],
-            simulated: false,
+    fn a_packet_of_an_earlier_layout_is_read_without_what_it_did_not_have() {
+        let layout_2 = Housekeeping {
+            commit: Digits::default(),
+            modified: false,
+            configuration: Digits::default(),
             ..full()
         };
-        assert_eq!(Housekeeping::from_payload(&payload[..length]), Some(told));
-        for shorter in 0..length {
-            assert_eq!(Housekeeping::from_payload(&payload[..shorter]), None);
+        let layout_1 = Housekeeping {
+            disk_refusals: [0, 0],
+            simulated: false,
+            ..layout_2.clone()
+        };
+        for (layout, stated_length, told) in [(1, 207, layout_1), (2, 245, layout_2)] {
+            let added = EARLIER.iter().find(|(number, _)| *number == layout);
+            let (_, added) = added.unwrap();
+            let known = FIELDS.iter().take_while(|field| field.name != *added);
+            let length = 1 + known.map(|field| field.bytes).sum::<usize>();
+            assert_eq!(
+                length, stated_length,
+                "layout {layout} does not change any more"
+            );
+            let mut payload = full().payload();
+            payload[0] = layout;
+            assert_eq!(Housekeeping::from_payload(&payload[..length]), Some(told));
+            for shorter in 0..length {
+                assert_eq!(Housekeeping::from_payload(&payload[..shorter]), None);
+            }
         }
     }
 }

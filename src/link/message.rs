@@ -4,8 +4,10 @@
 //! names it; the rest is fixed by the key. A key of zero, or a rest too short for a key, ends the reading, so that a
 //! sender that pads its packets is understood.
 
+pub use super::fields::MessageError;
+
 use super::fields::{Reader, Writer, unix_time};
-use super::packet::{CommandPacket, PacketError, TelemetryPacket, id, telemetry_type};
+use super::packet::{CommandPacket, TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 
 /// The keys of messages.
@@ -23,39 +25,6 @@ pub mod key {
 
 /// The camera's number in an exposure packet: 1, whichever computer sends it.
 pub const CAMERA: u16 = 1;
-
-/// Why a message cannot be read or written.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MessageError {
-    #[error("message: expected a key of 2 bytes, found {found} bytes")]
-    NoKey { found: usize },
-    #[error("message: expected a known key, found {key:#06x}")]
-    UnknownKey { key: u16 },
-    #[error("message {key:#06x}: expected {expected} bytes, found {found}")]
-    Short {
-        key: u16,
-        expected: usize,
-        found: usize,
-    },
-    #[error("message {key:#06x}, {field}: expected a finite number, found {found}")]
-    NotFinite {
-        key: u16,
-        field: &'static str,
-        found: f64,
-    },
-    #[error("message {key:#06x}, time: expected a time from 1970 to 2106, found {found}")]
-    Time { key: u16, found: String },
-    #[error("aspect command {key:#06x}: expected {expected} variables, found {found}")]
-    Variables {
-        key: u16,
-        expected: usize,
-        found: usize,
-    },
-    #[error("telemetry: expected type 01 (receipt) or e1 (result), found {kind:02x}")]
-    UnknownTelemetry { kind: u8 },
-    #[error(transparent)]
-    Packet(#[from] PacketError),
-}
 
 /// Where the telescope points, minus the target, at the start of an exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]

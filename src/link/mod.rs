@@ -27,9 +27,7 @@ pub mod port;
 pub mod responder;
 pub mod udp;
 
-pub use command::{
-    COMMANDS, CameraRole, CameraSetting, Command, CommandError, CommandRow, Computer, Reading,
-};
+pub use command::{Action, COMMANDS, CameraRole, Command, CommandError, CommandRow, Computer};
 pub use connection::{AnyPort, Connection, PortAddress};
 pub use control::{CommandResult, Control};
 pub use guard::{Guard, Peer};

@@ -15,8 +15,9 @@
 //! 5. Sending changes between exposures: a command that disables it is done, and its result sent, when the announced
 //!    exposure has been concluded, so that a hand-over to the other computer leaves neither a gap nor a double.
 
-use super::command::{Command, CommandError, Computer, row_of};
+use super::command::{Action, Command, CommandError, Computer, row_of};
 use super::control::{CommandResult, Control};
+use super::describe::{CommandInWords, result_in_words};
 use super::message::{
     AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, Solution, Telemetry, key,
 };
@@ -40,8 +41,8 @@ pub struct LinkState {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reply {
     pub packets: Vec<Vec<u8>>,
-    /// How many commands to this computer the packet held.
-    pub commands: u64,
+    /// The commands to this computer that the packet held, and what came of each.
+    pub commands: Vec<(CommandInWords, String)>,
     pub changed: bool,
 }
 
@@ -82,6 +83,21 @@ enum Answer {
     Later,
 }
 
+impl Answer {
+    fn in_words(&self, key: u16, control: &mut dyn Control) -> String {
+        match self {
+            Self::Result(CommandResult::Refused) => match control.take_reason() {
+                Some(reason) => format!("refused: {reason}"),
+                None => "refused".into(),
+            },
+            Self::Result(CommandResult::Unknown) => "unknown".into(),
+            Self::Result(result) => result_in_words(key, result.code()),
+            Self::Message(_) => "done".into(),
+            Self::Later => "waits for the announced exposure".into(),
+        }
+    }
+}
+
 impl Responder {
     /// A computer that begins as controller and ground have left it.
     pub fn new(computer: Computer, state: LinkState) -> Self {
@@ -118,25 +134,36 @@ impl Responder {
         }
         let before = self.state;
         let sequence = packet.sequence();
-        let mut answers = Vec::new();
+        let (mut answers, mut commands) = (Vec::new(), Vec::new());
         for (bytes, message) in Messages::of(packet.payload()) {
             let Some(key) = self.key_for_us(bytes) else {
                 continue;
             };
-            let answer = match message {
-                Ok(message) => self.execute(&message, Stop { sequence, key }, control),
-                Err(error) => Answer::Result(malformed(&error)),
+            let answer = match &message {
+                Ok(message) => self.execute(message, Stop { sequence, key }, control),
+                Err(error) => Answer::Result(malformed(error)),
             };
+            let words = CommandInWords::of(key, message.as_ref().ok());
+            commands.push((words, answer.in_words(key, control)));
             answers.push((key, answer));
         }
         if answers.is_empty() {
             return Ok(Reply::default());
         }
         Ok(Reply {
-            commands: answers.len() as u64,
+            commands,
             changed: self.state != before,
             packets: self.answered(sequence, answers, now)?,
         })
+    }
+
+    /// The commands to this computer that a packet holds.
+    pub fn commands_in(&self, packet: &CommandPacket) -> Vec<CommandInWords> {
+        let commands = Messages::of(packet.payload()).filter_map(|(bytes, message)| {
+            let key = self.key_for_us(bytes)?;
+            Some(CommandInWords::of(key, message.as_ref().ok()))
+        });
+        commands.collect()
     }
 
     /// The receipt of a packet, and what its commands, known by their keys, are answered with.
@@ -287,14 +314,16 @@ impl Responder {
         control: &mut dyn Control,
     ) -> Answer {
         let result = match Command::try_from(command) {
-            Ok(Command::NoOp) => CommandResult::Done,
-            Ok(Command::StartSending) => {
-                self.state.sending = true;
-                self.stopping = false;
-                CommandResult::Done
-            }
-            Ok(Command::StopSending) => return self.stop_sending(stop),
-            Ok(command) => control.carry_out(&command),
+            Ok(command) => match command.row.action {
+                Action::NoOp => CommandResult::Done,
+                Action::StartSending => {
+                    self.state.sending = true;
+                    self.stopping = false;
+                    CommandResult::Done
+                }
+                Action::StopSending => return self.stop_sending(stop),
+                _ => control.carry_out(&command),
+            },
             Err(CommandError::Switch { .. }) => CommandResult::Refused,
             Err(CommandError::Unknown { .. }) => CommandResult::Unknown,
         };

@@ -323,15 +323,15 @@ impl Work {
         self.time_jumps()?;
         let estimates = self.drift().smoothed()?.estimates;
         self.put_aside(Some(&estimates), 2);
-        self.move_reference(&estimates);
-        Some(())
+        self.move_reference(&estimates)
     }
 
     /// Tells states from the middle of the flight, where the slopes are then true.
-    fn move_reference(&mut self, estimates: &[Estimate]) {
+    fn move_reference(&mut self, estimates: &[Estimate]) -> Option<()> {
         let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]));
         let state = State::from_fn(|n, _| middle(n).unwrap_or(0.0));
-        self.reference = self.reference.moved(&state);
+        self.reference = self.reference.moved(&state)?;
+        Some(())
     }
 
     /// Weights single marks, and inflates their sigmas to the scatter they show.
@@ -363,7 +363,7 @@ impl Work {
         let Smoothed {
             estimates, thermal, ..
         } = smoothed;
-        let scale = self.reference.scale_px();
+        let scale = self.reference.view.unit_px();
         let marked = |n: &usize| self.observations.counts(*n);
         let jump = |after: &usize| {
             let before = (0..*after).rev().find(marked);

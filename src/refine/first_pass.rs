@@ -2,10 +2,12 @@
 
 use super::journal::{Journal, JournalError, Place};
 use super::record::{FrameRecord, Input, Record};
-use crate::archive::check::{Tree, TreeError};
+use crate::archive::check::Tree;
+use crate::archive::{Flown, FlownFiles};
 use crate::aspect::{self, Expected};
 use crate::fits::{FileError, FitsFile};
 use crate::instrument::Instrument;
+use crate::provenance;
 use jiff::Timestamp;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -18,6 +20,10 @@ use std::time::UNIX_EPOCH;
 pub struct Recipe {
     pub instrument: Instrument,
     pub settings: aspect::Settings,
+    /// The effective configuration and the instrument's file.
+    pub flown: Flown,
+    /// What frames may name, where instrument and configuration are the archive's.
+    pub archived: FlownFiles,
 }
 
 impl Recipe {
@@ -25,7 +31,7 @@ impl Recipe {
     pub fn hash(&self) -> u64 {
         let text = format!(
             "{} {JOURNAL_VERSION} {:?} {:?}",
-            env!("CARGO_PKG_VERSION"),
+            provenance::VERSION,
             self.instrument,
             self.settings
         );
@@ -83,11 +89,7 @@ impl Span {
 }
 
 /// The frames of an archive, by path; what lies under `out` is not of it.
-///
-/// # Errors
-/// A folder that is missing, cannot be listed or holds no frames.
-pub fn inputs(archive: &Path, out: &Path) -> Result<Vec<Input>, TreeError> {
-    let tree = Tree::of(archive)?;
+pub fn inputs(tree: &Tree, archive: &Path, out: &Path) -> Vec<Input> {
     let out = out.canonicalize().ok();
     let own = |path: &Path| {
         let full = path.canonicalize().ok();
@@ -101,7 +103,7 @@ pub fn inputs(archive: &Path, out: &Path) -> Result<Vec<Input>, TreeError> {
         .zip(out.as_ref())
         .is_some_and(|(archive, out)| out.starts_with(archive));
     let files = tree.files.iter().filter(|path| !(nested && own(path)));
-    Ok(files.map(|path| input(archive, path)).collect())
+    files.map(|path| input(archive, path)).collect()
 }
 
 fn input(archive: &Path, path: &Path) -> Input {
@@ -238,6 +240,8 @@ fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord
     let frame = file.frame().map_err(told)?;
     let header = file.keywords().map_err(told)?;
     drop(file);
+    let named = recipe.archived.check(&header);
+    named.map_err(|problem| problem.to_string())?;
     let instrument = &recipe.instrument;
     instrument
         .check_size(&frame)

@@ -82,7 +82,10 @@ impl FlightMapping {
     /// Covariance of a plate position got through the mapping of a frame, mil^2.
     pub fn covariance_mil2(&self, frame: usize, at: PlateMil, mapping: &Mapping) -> Matrix2<f64> {
         let covariance = unpacked(&self.estimates[frame].covariance);
-        let own = self.reference.covariance_mil2(at, mapping, &covariance);
+        let own = self
+            .reference
+            .view
+            .covariance_mil2(at, mapping, &covariance);
         match self.own_jump(frame) {
             Some(size_px) => {
                 let scale = mapping.scale_mil_per_px(mapping.to_sensor(at));

@@ -7,8 +7,10 @@ use super::flight::Flight;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
 use super::record::Grade;
 use super::row::{Oddity, Row};
+use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::estimation::median;
-use crate::fits;
+use crate::fits::{self, Card};
+use crate::provenance::{COMMIT, PROGRAM};
 use crate::units::Measured;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -29,12 +31,17 @@ pub struct OutputError {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     pub program: &'static str,
+    /// That the program was built from, where it is known.
+    pub commit: Option<&'static str>,
     pub times: &'static str,
     pub instrument: String,
     /// Of version, instrument and settings, hexadecimal.
     pub recipe_hash: String,
     pub instrument_hash: String,
     pub settings_hash: String,
+    /// SHA-256 of the effective configuration and of the instrument's file.
+    pub configuration_sha256: Option<String>,
+    pub instrument_sha256: Option<String>,
     /// Of `aspect.fits`.
     pub table_hash: String,
     pub files: usize,
@@ -103,7 +110,8 @@ pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary,
     let path_table =
         iter::once_with(|| columns::table(SMOOTHED, SMOOTHED_COLUMNS, &flight.smoothed_rows()));
     let expected_bytes = flight.rows.len() * ROW_BYTES + flight.path_times_s.len() * MOMENT_BYTES;
-    let bytes = fits::encode_tables(expected_bytes, aspect.chain(path_table));
+    let cards: Vec<Card> = recipe.flown.cards().collect();
+    let bytes = fits::encode_tables(expected_bytes, &cards, aspect.chain(path_table));
     let bytes = bytes.map_err(|problem| OutputError {
         path: path.clone(),
         cause: io::Error::other(problem.to_string()),
@@ -164,12 +172,15 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
     let sigmas = fine.filter_map(|row| Some(row.sun?.sigma()));
     let hash = |text: String| hex(super::first_pass::hash_of(text.as_bytes()));
     Summary {
-        program: concat!("solaspect ", env!("CARGO_PKG_VERSION")),
+        program: PROGRAM,
+        commit: COMMIT,
         times: "UTC at mid-exposure",
         instrument: recipe.instrument.name.clone(),
         recipe_hash: hex(recipe.hash()),
         instrument_hash: hash(format!("{:?}", recipe.instrument)),
         settings_hash: hash(format!("{:?}", recipe.settings)),
+        configuration_sha256: recipe.flown.sha256(CONFIGURATION),
+        instrument_sha256: recipe.flown.sha256(INSTRUMENT),
         table_hash,
         files: rows.len(),
         fine: count(Grade::Fine),

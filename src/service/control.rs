@@ -9,13 +9,14 @@ mod orders;
 mod own;
 mod saved;
 
-pub use saved::{Keeper, SavedValues, restore};
+pub use saved::{SavedValues, ValueSaver, restore};
 
+use super::command_log::CommandNote;
+use super::tally::worth_a_line;
 use crate::aspect;
-use crate::config::{self, Config, Value, by_command, by_key};
+use crate::config::{self, Config, Value, by_key};
 use crate::instrument::Mounting;
-use crate::link::code::angle_code;
-use crate::link::{CameraRole, GpsFix, Reading};
+use crate::link::{CameraRole, GpsFix};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -24,6 +25,9 @@ use own::{LATITUDE, LONGITUDE, Own};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Rows that may wait for the command log.
+const NOTES: usize = 1024;
 
 /// A camera's place in a flight, each with a table of parameters of its own. Commands to the pitch-yaw camera go to the
 /// first.
@@ -39,15 +43,6 @@ impl Seat {
         match self {
             Self::PitchYaw | Self::SecondPitchYaw => CameraRole::PitchYaw,
             Self::Roll => CameraRole::Roll,
-        }
-    }
-}
-
-impl From<CameraRole> for Seat {
-    fn from(role: CameraRole) -> Self {
-        match role {
-            CameraRole::PitchYaw => Self::PitchYaw,
-            CameraRole::Roll => Self::Roll,
         }
     }
 }
@@ -130,8 +125,11 @@ struct Shared {
     versions: [AtomicU64; Topic::COUNT],
     quits: AtomicBool,
     pictures: [AtomicBool; 2],
-    /// Tells the keeper that something has changed; one such word is enough.
+    /// Tells the thread that saves values that something has changed; one such word is enough.
     changed: (Sender<()>, Receiver<()>),
+    /// Rows for the command log.
+    notes: (Sender<CommandNote>, Receiver<CommandNote>),
+    notes_lost: AtomicU64,
 }
 
 #[derive(Debug, Clone)]
@@ -150,6 +148,8 @@ struct State {
     cameras: Vec<CameraRole>,
     /// How often a command's value was refused, by key.
     refusals: BTreeMap<&'static str, u64>,
+    /// Why the last command was refused.
+    reason: Option<String>,
 }
 
 impl Controls {
@@ -167,6 +167,7 @@ impl Controls {
             clock_offset_us: None,
             cameras: vec![CameraRole::PitchYaw],
             refusals: BTreeMap::new(),
+            reason: None,
         };
         Self(Arc::new(Shared {
             state: Mutex::new(state),
@@ -174,6 +175,8 @@ impl Controls {
             quits: AtomicBool::new(false),
             pictures: Default::default(),
             changed: bounded(1),
+            notes: bounded(NOTES),
+            notes_lost: AtomicU64::new(0),
         }))
     }
 
@@ -278,7 +281,7 @@ impl Controls {
     /// Which key was refused, and why.
     pub fn set(&self, settings: &[(&str, Value)]) -> Result<(), config::Refused> {
         if self.apply(settings)? == Changed::Yes {
-            // The keeper has not taken the last word yet: it will see this change, too.
+            // The last word has not been taken yet: whoever takes it will see this change, too.
             let _ = self.0.changed.0.try_send(());
         }
         Ok(())
@@ -300,6 +303,21 @@ impl Controls {
         Ok(if changed { Changed::Yes } else { Changed::No })
     }
 
+    /// Gives a row to the command log; it waits for nothing.
+    pub fn note_command(&self, note: CommandNote) {
+        if self.0.notes.0.try_send(note).is_err() {
+            let lost = self.0.notes_lost.fetch_add(1, Ordering::Relaxed) + 1;
+            if worth_a_line(lost) {
+                tracing::error!(lost, "the command log cannot follow: it lacks rows");
+            }
+        }
+    }
+
+    /// The rows that the command log has not been given yet.
+    pub fn command_notes(&self) -> impl Iterator<Item = CommandNote> {
+        self.0.notes.1.try_iter()
+    }
+
     /// GPS fixes that were not believed.
     pub fn gps_refused(&self) -> u64 {
         self.state().gps.refused()
@@ -312,8 +330,8 @@ impl Controls {
 }
 
 impl State {
-    fn camera(&self, seat: impl Into<Seat>) -> &config::Camera {
-        match seat.into() {
+    fn camera(&self, seat: Seat) -> &config::Camera {
+        match seat {
             Seat::PitchYaw => &self.config.camera,
             Seat::SecondPitchYaw => &self.config.second_camera,
             Seat::Roll => &self.config.roll_camera,
@@ -364,39 +382,6 @@ impl State {
         self.commanded.remove(LATITUDE);
         self.commanded.remove(LONGITUDE);
         self.gps.forget();
-    }
-
-    /// A value as it travels; `None` where it is not known.
-    fn read(&self, reading: Reading) -> Option<u16> {
-        let signed = |value: f64| Some((value.round() as i16).cast_unsigned());
-        let unsigned = |value: f64| Some(value.round() as u16);
-        match reading {
-            Reading::Exposure(role) => unsigned(self.camera(role).exposure_us.into()),
-            Reading::AnalogueGain(role) => unsigned(self.camera(role).analogue_gain?),
-            Reading::PreampGain(role) => signed(self.camera(role).preamp_gain?),
-            Reading::DiskUse(disk) => {
-                let at = usize::from(disk).checked_sub(1)?;
-                (*self.disks.get(at)?).map(u16::from)
-            }
-            Reading::TargetX => signed(self.config.target.x_arcsec),
-            Reading::TargetY => signed(self.config.target.y_arcsec),
-            Reading::Integer(number) => match by_command(number)?.get(&self.config)? {
-                Value::Whole(value) => signed(value as f64),
-                _ => None,
-            },
-            Reading::Float(number) => match by_command(number)?.get(&self.config)? {
-                Value::Number(value) => angle_code(value),
-                _ => None,
-            },
-            Reading::Twist => angle_code(self.own.twist_deg.unwrap_or(self.stated.twist_deg)),
-            Reading::Clocking => {
-                let stated = self.stated.clocking_deg.value;
-                angle_code(self.own.clocking_deg.unwrap_or(stated))
-            }
-            Reading::Latitude => angle_code(self.place?.latitude_deg),
-            Reading::Longitude => angle_code(self.place?.longitude_deg),
-            Reading::ClockOffset => signed(self.clock_offset_us? as f64),
-        }
     }
 }
 

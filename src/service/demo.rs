@@ -8,7 +8,7 @@ use crate::aspect::Quality;
 use crate::camera::{SimulatedCamera, TruthLog};
 use crate::config::Config;
 use crate::fits::Compression;
-use crate::instrument::{self, Instrument};
+use crate::instrument::{self, Instrument, builtin_text};
 use crate::link::{Connection, Message, SerialPort};
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::{FlightScenes, Trajectory};
@@ -72,7 +72,10 @@ pub fn run(
         config,
         line: Connection::over(near),
         stores: vec![store],
-        ..Flight::of(Camera::new(instrument, camera))
+        ..Flight::of(Camera {
+            instrument_toml: builtin_text("demo").map(str::to_owned),
+            ..Camera::new(instrument, camera)
+        })
     };
     let received = Arc::new(Mutex::new(None));
     let over = Arc::new(AtomicBool::new(false));

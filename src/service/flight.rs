@@ -1,15 +1,18 @@
 //! What a flight is made of.
 
 use super::control::Seat;
-use super::shutter::Opener;
-use crate::archive::Store;
-use crate::camera::FrameSource;
+use crate::archive::{Flown, Store};
+use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::Config;
 use crate::instrument::Instrument;
 use crate::link::Connection;
 use crate::pointing::Target;
+use crate::provenance::sha256;
 use crate::sky::Ephemeris;
+use std::fmt::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
 
 /// What a flight is made of.
 pub struct Flight {
@@ -40,6 +43,52 @@ impl Flight {
         }
     }
 
+    /// The effective configuration as a file that gives it again. Comments at its head name the cameras' instruments with their
+    /// hashes, so that the hash of this text is of the instruments, too.
+    pub fn configuration_toml(&self) -> String {
+        let mut text = String::new();
+        for (number, camera) in (1..).zip(self.cameras()) {
+            let sha256 = camera.instrument_toml.as_ref().map(sha256);
+            let sha256 = sha256.map_or("without a file".into(), |sha256| {
+                format!("SHA-256 {sha256}")
+            });
+            // Writing to a String cannot fail.
+            let _ = writeln!(
+                text,
+                "# camera {number}: instrument {:?}, {sha256}",
+                camera.instrument.name
+            );
+        }
+        text + &self.config.to_toml()
+    }
+
+    /// The cameras' places, `configuration` being [that of the flight](Self::configuration_toml).
+    pub(super) fn stations(&self, configuration: &str) -> impl Iterator<Item = Station> {
+        self.cameras().enumerate().map(|(index, camera)| Station {
+            index,
+            seat: camera.seat,
+            instrument: camera.instrument.clone(),
+            folder: camera.folder.clone(),
+            flown: Arc::new(Flown::new(
+                configuration.into(),
+                camera.instrument_toml.clone(),
+            )),
+        })
+    }
+
+    /// Opens the cameras that are not open.
+    ///
+    /// # Errors
+    /// That of the first which cannot be opened.
+    pub fn open_cameras(&mut self) -> Result<(), CameraError> {
+        for camera in std::iter::once(&mut self.camera).chain(&mut self.other_cameras) {
+            if let (None, Some(open)) = (&camera.source, &camera.open) {
+                camera.source = Some(open()?);
+            }
+        }
+        Ok(())
+    }
+
     pub(super) fn cameras(&self) -> impl Iterator<Item = &Camera> {
         std::iter::once(&self.camera).chain(&self.other_cameras)
     }
@@ -49,12 +98,14 @@ impl Flight {
 pub struct Camera {
     pub seat: Seat,
     pub instrument: Instrument,
+    /// The instrument's file, letter by letter, for the archive; `None` where no file describes it.
+    pub instrument_toml: Option<String>,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
     /// Where its frames come from, if it is open already.
     pub source: Option<Box<dyn FrameSource>>,
     /// Opens it, and opens it again when its thread has failed.
-    pub open: Option<Opener>,
+    pub open: Option<CameraFactory>,
 }
 
 impl Camera {
@@ -63,11 +114,21 @@ impl Camera {
         Self {
             seat: Seat::PitchYaw,
             instrument,
+            instrument_toml: None,
             folder: PathBuf::new(),
             source: Some(Box::new(source)),
             open: None,
         }
     }
+}
+
+/// Opens a camera.
+pub type CameraFactory = Arc<dyn Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync>;
+
+/// A frame on its way from the camera to the solver, with the moment it arrived.
+pub(super) struct UnsolvedFrame {
+    pub exposure: Exposure,
+    pub arrived: Instant,
 }
 
 /// A camera's place in the flight.
@@ -79,6 +140,8 @@ pub struct Station {
     pub instrument: Instrument,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
+    /// What its frames are taken and solved with.
+    pub flown: Arc<Flown>,
 }
 
 impl Station {

@@ -1,40 +1,22 @@
 //! What the ground is told each second, put together from the counts and the latest answer.
 
+use super::answer::{Answer, Recent};
 use super::control::Controls;
+use super::counts::Counts;
 use super::shared::Shared;
-use super::solver::Answer;
 use super::tally::{FlightTally, quantile};
-use super::watch::Counts;
 use crate::aspect::{Origin, Quality};
 use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
-use crate::link::housekeeping::MarkIds;
+use crate::link::housekeeping::{Digits, MarkIds};
 use crate::link::{CameraRole, Housekeeping};
 use crate::log;
+use crate::provenance::COMMIT;
 use crossbeam_channel::Receiver;
 use std::time::{Duration, Instant};
 
 /// Where Linux tells how warm the computer is, in thousandths of a degree.
 const COMPUTER_TEMPERATURE: &str = "/sys/class/thermal/thermal_zone0/temp";
-
-/// What the solver of the sending camera leaves for the next packet.
-#[derive(Debug, Default)]
-pub(super) struct Recent {
-    pub answer: Option<Answer>,
-    /// Of the frames since the last packet.
-    pub solve_times: Vec<Duration>,
-}
-
-impl Recent {
-    pub fn note(&mut self, answer: &Answer) {
-        /// More than any camera takes between two packets.
-        const MOST: usize = 1000;
-        self.answer = Some(answer.clone());
-        if self.solve_times.len() < MOST {
-            self.solve_times.push(answer.solve_time);
-        }
-    }
-}
 
 /// How often threads were started again.
 #[derive(Debug, Clone, Copy)]
@@ -44,27 +26,34 @@ pub(super) struct Restarts {
     pub takeovers: u64,
 }
 
-/// Makes the packets.
-pub(super) struct Teller {
+/// Makes the second's housekeeping.
+pub(super) struct HousekeepingSource {
     controls: Controls,
     /// Of each pitch-yaw camera.
     recent: Vec<Shared<Recent>>,
+    /// SHA-256 of the flight's configuration.
+    configuration: Digits,
     start: Instant,
     before: FlightTally,
 }
 
-impl Teller {
-    pub fn new(controls: Controls, recent: Vec<Shared<Recent>>) -> Self {
+impl HousekeepingSource {
+    pub fn new(
+        controls: Controls,
+        recent: Vec<Shared<Recent>>,
+        configuration_sha256: &str,
+    ) -> Self {
         Self {
             controls,
             recent,
+            configuration: Digits::of(configuration_sha256),
             start: Instant::now(),
             before: FlightTally::default(),
         }
     }
 
     /// `events` wait for the line.
-    pub fn tell(
+    pub fn next(
         &mut self,
         counts: &Counts,
         restarts: Restarts,
@@ -79,6 +68,9 @@ impl Teller {
         told.restarts = small(restarts.all);
         told.takeovers = small(restarts.takeovers);
         told.log_lines_lost = small(log::lost_lines());
+        told.commit = Digits::of(COMMIT.unwrap_or_default());
+        told.modified = COMMIT.is_some_and(|commit| commit.ends_with("-dirty"));
+        told.configuration = self.configuration;
         self.tell_settings(&mut told);
         tell_counts(&mut told, &tally);
         told.clock_stepped = tally.camera.utc_steps > self.before.camera.utc_steps;
@@ -89,7 +81,7 @@ impl Teller {
         told.disks = [used(0), used(1)];
         let refused = |disk: usize| disks.get(disk).map_or(0, |d| d.refused + d.rows_refused);
         told.disk_refusals = [small(refused(0)), small(refused(1))];
-        let frames: usize = counts.sightings.iter().map(Receiver::len).sum();
+        let frames: usize = counts.unsolved.iter().map(Receiver::len).sum();
         told.queued_frames = small(frames as u64);
         told.queued_events = small(events as u64);
         told.queued_pictures = small(counts.archive.waiting() as u64);

@@ -47,6 +47,8 @@ pub(super) struct Line<'a> {
     start: Instant,
     outcomes: u64,
     unsaid: u64,
+    /// Packets that came again.
+    repeated: u64,
     stalled: bool,
     stopping_since: Option<Instant>,
     picture: Option<PictureUnderWay>,
@@ -76,6 +78,7 @@ impl<'a> Line<'a> {
             start: Instant::now(),
             outcomes: 0,
             unsaid: 0,
+            repeated: 0,
             stalled: false,
             stopping_since: None,
             picture: None,

@@ -1,7 +1,7 @@
 //! The flight service: every long-lived thread, channel, bound and overflow rule on one page.
 //!
 //! ```text
-//!             Sighting (8)             pictures (queue_frames)
+//!             frames (8)               pictures (queue_frames)
 //!  camera-1 ---------------> solver-1 ------------------------> archive-1, archive-2    frames
 //!     |  ^                     |  | \______ rows (10,000) ______> log-1, log-2            log, telemetry, housekeeping
 //!     |  \__ Glimpse __________/  |
@@ -17,10 +17,11 @@
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
-//! | Sighting | frames to solve | the frame is lost and counted: a camera does not wait |
+//! | frames | frames to solve | the frame is lost and counted: a camera does not wait |
 //! | Glimpse | brightness of the last frame | the newer takes the place of the older |
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
+//! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
 //! | LinkEvent | exposures about to start, solutions, housekeeping | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
@@ -34,8 +35,11 @@
 //!
 //! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error.
 
+mod answer;
 mod archiver;
+mod command_log;
 pub mod control;
+mod counts;
 pub mod demo;
 mod flight;
 mod housekeeping;
@@ -50,35 +54,38 @@ mod tally;
 mod watch;
 mod worker;
 
+pub use answer::Answer;
 pub use archiver::DiskHealth;
+pub use command_log::CommandNote;
 pub use control::Seat;
-pub use flight::{Camera, Flight, Station};
+pub use flight::{Camera, CameraFactory, Flight, Station};
 pub use protocol::protocol_page;
-pub use shutter::Opener;
-pub use solver::Answer;
 pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
 
-use crate::camera::{Exposure, FrameSource};
+use crate::camera::FrameSource;
 use crate::config::Host;
 use crate::link::{Connection, Housekeeping};
+use crate::provenance::sha256;
 use crate::sky::Ephemeris;
-use control::{Controls, Keeper, SavedValues};
+use answer::Recent;
+use control::{Controls, SavedValues, ValueSaver};
+use counts::Counts;
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
-use housekeeping::{Recent, Teller};
+use flight::UnsolvedFrame;
+use housekeeping::HousekeepingSource;
 use line::{Line, LinkEvent};
 use shared::Shared;
 use shutter::{Glimpse, Shutter};
 use solver::Solver;
-use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
-use watch::{Counts, Signals, Watch};
+use watch::{Signals, Watch};
 use worker::Worker;
 
 /// Frames that may wait for the solver: a third of a second at 26 frames/s.
-const SIGHTINGS: usize = 8;
+const UNSOLVED: usize = 8;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
 /// A camera that gives no word for so long hangs. It gives one each second, and may take two to be set.
@@ -88,12 +95,6 @@ const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
 
 /// How long the start waits for the saved values, and the end for the last of them to be saved.
 const SAVED_VALUES: Duration = Duration::from_millis(500);
-
-/// A frame on its way from the camera, with the moment it arrived.
-struct Sighting {
-    exposure: Exposure,
-    arrived: Instant,
-}
 
 /// A running service.
 pub struct Service {
@@ -129,23 +130,24 @@ impl Service {
         let values = SavedValues::of(&flight.config)
             .map(|file| keep_values(file, &controls, &signals))
             .transpose()?;
-        let folders: Vec<PathBuf> = flight.cameras().map(|c| c.folder.clone()).collect();
+        let configuration = flight.configuration_toml();
+        let stations: Vec<Arc<Station>> = flight.stations(&configuration).map(Arc::new).collect();
         let (archive, disks) =
-            archiver::start(flight.stores, &folders, &controls, &flight.ephemeris)?;
+            archiver::start(flight.stores, &stations, &controls, &flight.ephemeris)?;
         let gauges = archive.gauges();
         let (to_line, events) = bounded(LINK_EVENTS);
         let counts = Counts {
             cameras: Vec::new(),
             silences: Vec::new(),
             solvers: Vec::new(),
-            sightings: Vec::new(),
+            unsolved: Vec::new(),
             archive: gauges.clone(),
             line: Shared::default(),
         };
         let host = flight.config.host;
         host.hold();
         let line = start_line(flight.line, host, &controls, &counts.line, events, &signals)?;
-        let mut crew = Crew {
+        let mut workers = Workers {
             host,
             controls: controls.clone(),
             ephemeris: flight.ephemeris,
@@ -159,19 +161,24 @@ impl Service {
             solvers: Vec::new(),
         };
         let cameras = std::iter::once(flight.camera).chain(flight.other_cameras);
-        for (index, camera) in cameras.enumerate() {
-            crew.join(index, camera)?;
+        for (station, camera) in stations.iter().zip(cameras) {
+            workers.add(station, camera)?;
         }
-        let counts = crew.counts.clone();
+        let counts = workers.counts.clone();
         let watch = Watch {
-            cameras: crew.cameras,
-            solvers: crew.solvers,
+            cameras: workers.cameras,
+            solvers: workers.solvers,
             disks,
             line,
             archive: Some(archive),
             to_line,
-            teller: Teller::new(controls.clone(), crew.recent),
-            counts: crew.counts,
+            controls: controls.clone(),
+            housekeeping: HousekeepingSource::new(
+                controls.clone(),
+                workers.recent,
+                &sha256(&configuration),
+            ),
+            counts: workers.counts,
             signals: Arc::clone(&signals),
             gave_up: false,
         };
@@ -262,10 +269,10 @@ fn keep_values(
     signals: &Signals,
 ) -> std::io::Result<JoinHandle<u64>> {
     let name = file.path().display().to_string();
-    let keeper = Keeper::new(controls.clone(), file);
+    let saver = ValueSaver::new(controls.clone(), file);
     let ends = Arc::clone(&signals.hang_up);
     let (restored, wait) = bounded(1);
-    let values = spawn("values", move || keeper.run(&restored, &ends))?;
+    let values = spawn("values", move || saver.run(&restored, &ends))?;
     if wait.recv_timeout(SAVED_VALUES).is_err() {
         tracing::error!(
             file = name,
@@ -275,8 +282,8 @@ fn keep_values(
     Ok(values)
 }
 
-/// Cameras and solvers as they join the flight, and what they share.
-struct Crew {
+/// The threads of cameras and solvers, and what they share.
+struct Workers {
     host: Host,
     controls: Controls,
     ephemeris: Ephemeris,
@@ -290,25 +297,19 @@ struct Crew {
     solvers: Vec<Worker>,
 }
 
-impl Crew {
-    fn join(&mut self, index: usize, camera: Camera) -> std::io::Result<()> {
-        let station = Arc::new(Station {
-            index,
-            seat: camera.seat,
-            instrument: camera.instrument,
-            folder: camera.folder,
-        });
-        let (to_solver, sightings) = bounded(SIGHTINGS);
+impl Workers {
+    fn add(&mut self, station: &Arc<Station>, camera: Camera) -> std::io::Result<()> {
+        let (to_solver, unsolved) = bounded(UNSOLVED);
         let glimpse = Glimpse::default();
-        self.join_solver(&station, &glimpse, sightings)?;
-        self.join_camera(&station, &glimpse, to_solver, camera.source, camera.open)
+        self.add_solver(station, &glimpse, unsolved)?;
+        self.add_camera(station, &glimpse, to_solver, camera.source, camera.open)
     }
 
-    fn join_solver(
+    fn add_solver(
         &mut self,
         station: &Arc<Station>,
         glimpse: &Glimpse,
-        sightings: Receiver<Sighting>,
+        unsolved: Receiver<UnsolvedFrame>,
     ) -> std::io::Result<()> {
         let solver = Solver {
             station: Arc::clone(station),
@@ -325,24 +326,24 @@ impl Crew {
         };
         self.recent.push(solver.recent.clone());
         self.counts.solvers.push(solver.tally.clone());
-        self.counts.sightings.push(sightings.clone());
+        self.counts.unsolved.push(unsolved.clone());
         let host = self.host;
         let name = format!("solver-{}", station.camera_number());
         self.solvers
             .push(Worker::start(name, Some(SOLVER_PATIENCE), move || {
-                let (solver, sightings) = (solver.clone(), sightings.clone());
-                host.hurried(move |life| solver.run(&sightings, life))
+                let (solver, unsolved) = (solver.clone(), unsolved.clone());
+                host.hurried(move |life| solver.run(&unsolved, life))
             })?);
         Ok(())
     }
 
-    fn join_camera(
+    fn add_camera(
         &mut self,
         station: &Arc<Station>,
         glimpse: &Glimpse,
-        to_solver: Sender<Sighting>,
+        to_solver: Sender<UnsolvedFrame>,
         mut source: Option<Box<dyn FrameSource>>,
-        open: Option<Opener>,
+        open: Option<CameraFactory>,
     ) -> std::io::Result<()> {
         let shutter = Shutter {
             station: Arc::clone(station),

@@ -1,12 +1,13 @@
 //! A camera's thread: it sets the camera, announces each exposure on the line, and hands the frame to the solver.
 
 use super::control::{Controls, Topic};
+use super::flight::{CameraFactory, Station, UnsolvedFrame};
 use super::line::LinkEvent;
 use super::shared::Shared;
 use super::silence::{self, Silence};
 use super::tally::{CameraTally, worth_a_line};
 use super::worker::Life;
-use super::{Sighting, Station};
+use crate::backoff::Backoff;
 use crate::camera::{
     AutoExposure, AutoExposureSettings, Brightness, CameraError, Exposure, FrameSource, Settings,
     Take,
@@ -22,14 +23,9 @@ use std::time::{Duration, Instant};
 
 /// After a failure the camera is not asked again at once.
 const PAUSE: Duration = Duration::from_millis(10);
-/// A camera that cannot be opened is tried again after this.
-const OPEN_AGAIN: Duration = Duration::from_secs(1);
 /// UTC may differ by this much from one frame to the next against the monotonic clock: more is a step. A clock that is
 /// being slewed gains half a millisecond a second.
 const STEP: SignedDuration = SignedDuration::from_millis(20);
-
-/// Opens a camera.
-pub type Opener = Arc<dyn Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync>;
 
 /// A frame's brightness and its exposure, us: what the solver tells the shutter.
 pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
@@ -38,7 +34,7 @@ pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
 pub(super) struct Shutter {
     pub station: Arc<Station>,
     pub controls: Controls,
-    pub to_solver: Sender<Sighting>,
+    pub to_solver: Sender<UnsolvedFrame>,
     pub to_line: Sender<LinkEvent>,
     pub glimpse: Glimpse,
     pub tally: Shared<CameraTally>,
@@ -48,7 +44,12 @@ pub(super) struct Shutter {
 
 impl Shutter {
     /// Takes frames until the source ends or the flight does. Without a source it opens one.
-    pub fn run(self, source: Option<Box<dyn FrameSource>>, open: Option<Opener>, life: &Life) {
+    pub fn run(
+        self,
+        source: Option<Box<dyn FrameSource>>,
+        open: Option<CameraFactory>,
+        life: &Life,
+    ) {
         self.take_frames(source, open, life);
         // A thread that was replaced leaves the silence to the one that took over.
         if !life.is_over() {
@@ -56,7 +57,12 @@ impl Shutter {
         }
     }
 
-    fn take_frames(&self, source: Option<Box<dyn FrameSource>>, open: Option<Opener>, life: &Life) {
+    fn take_frames(
+        &self,
+        source: Option<Box<dyn FrameSource>>,
+        open: Option<CameraFactory>,
+        life: &Life,
+    ) {
         let settings = self.controls.camera(self.station.seat).settings();
         self.silence.lock().begin(Instant::now(), &settings);
         let Some(mut source) = source.or_else(|| self.open(open.as_ref()?, life)) else {
@@ -105,14 +111,15 @@ impl Shutter {
         !(self.stop.load(Ordering::Relaxed) || life.is_over())
     }
 
-    fn open(&self, open: &Opener, life: &Life) -> Option<Box<dyn FrameSource>> {
+    fn open(&self, open: &CameraFactory, life: &Life) -> Option<Box<dyn FrameSource>> {
+        let mut waits = Backoff::DEVICE;
         while self.goes_on(life) {
             match open() {
                 Ok(source) => return Some(source),
                 Err(error) => self.note_failure(&error),
             }
-            let tried = Instant::now();
-            while tried.elapsed() < OPEN_AGAIN && self.goes_on(life) {
+            let next = Instant::now() + waits.wait();
+            while Instant::now() < next && self.goes_on(life) {
                 thread::sleep(PAUSE);
             }
         }
@@ -136,11 +143,8 @@ impl Shutter {
 
     fn hand_on(&self, exposure: Exposure) {
         let arrived = Instant::now();
-        let sighting = Sighting { exposure, arrived };
-        let full = matches!(
-            self.to_solver.try_send(sighting),
-            Err(TrySendError::Full(_))
-        );
+        let frame = UnsolvedFrame { exposure, arrived };
+        let full = matches!(self.to_solver.try_send(frame), Err(TrySendError::Full(_)));
         let mut tally = self.tally.lock();
         tally.taken += 1;
         if full {

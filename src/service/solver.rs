@@ -1,54 +1,27 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
+use super::answer::{Answer, Recent};
 use super::archiver::Archive;
 use super::control::{Controls, Seat, Snapshot, Topic};
-use super::housekeeping::Recent;
+use super::flight::{Station, UnsolvedFrame};
 use super::line::{LinkEvent, Outcome};
 use super::shared::Shared;
 use super::shutter::Glimpse;
 use super::tally::{SolverTally, worth_a_line};
 use super::worker::Life;
-use super::{Sighting, Station};
-use crate::archive::{Record, Row};
 use crate::aspect::{self, CalibrationCheck, Expected, Solution, Stage, Track};
 use crate::camera::{Brightness, Exposure};
 use crate::frame::FrameInfo;
 use crate::instrument::Instrument;
 use crate::link::picture::{Tag, TagValue};
 use crate::link::{self, Picture};
-use crate::pointing::{self, Offset, Target};
+use crate::pointing;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-
-/// A solved frame.
-#[derive(Debug, Clone)]
-pub struct Answer {
-    /// Of the camera that took the frame.
-    pub station: Arc<Station>,
-    pub exposure: Arc<Exposure>,
-    pub solution: Arc<Solution>,
-    /// From `target`.
-    pub offset: Option<Offset>,
-    pub target: Target,
-    pub solve_time: Duration,
-    /// Whether the picture goes to the archive; the row always does.
-    pub to_be_stored: bool,
-}
-
-impl Answer {
-    /// What the logs tell of it, before its picture is stored.
-    pub(super) fn row(&self) -> Row {
-        let info = &self.exposure.frame.info;
-        let solution = &self.solution;
-        let solve_time = Some(self.solve_time);
-        let record = Record::new("", info.mid_exposure, solution, self.offset, solve_time);
-        Row::new(info.number, solution, record)
-    }
-}
 
 #[derive(Clone)]
 pub(super) struct Solver {
@@ -72,7 +45,7 @@ const PATIENCE: Duration = Duration::from_millis(200);
 
 impl Solver {
     /// Solves until the camera ends, or another thread has taken over.
-    pub fn run(mut self, sightings: &Receiver<Sighting>, life: &Life) {
+    pub fn run(mut self, frames: &Receiver<UnsolvedFrame>, life: &Life) {
         let mut track = None;
         let stated = self.station.instrument.clone();
         let mut mounted = stated.clone();
@@ -80,8 +53,8 @@ impl Solver {
         let mut sun = SunSize::default();
         while !life.is_over() {
             life.beat();
-            let Sighting { exposure, arrived } = match sightings.recv_timeout(PATIENCE) {
-                Ok(sighting) => sighting,
+            let UnsolvedFrame { exposure, arrived } = match frames.recv_timeout(PATIENCE) {
+                Ok(frame) => frame,
                 Err(_) if self.cameras_ended.load(Ordering::Relaxed) => return,
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return,

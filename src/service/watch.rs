@@ -1,15 +1,16 @@
 //! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
 
-use super::Sighting;
-use super::archiver::{self, Archive, Gauges};
-use super::housekeeping::{Restarts, Teller};
+use super::archiver::{self, Archive};
+use super::control::Controls;
+use super::counts::Counts;
+use super::housekeeping::{HousekeepingSource, Restarts};
 use super::line::LinkEvent;
 use super::shared::Shared;
-use super::silence::{self, Silence};
-use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
+use super::silence;
+use super::tally::FlightTally;
 use super::worker::{self, Worker};
 use crate::link::Housekeeping;
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -49,41 +50,6 @@ pub(super) struct Signals {
     pub restarts: AtomicU64,
 }
 
-/// The counts of all threads.
-#[derive(Clone)]
-pub(super) struct Counts {
-    pub cameras: Vec<Shared<CameraTally>>,
-    pub silences: Vec<Shared<Silence>>,
-    pub solvers: Vec<Shared<SolverTally>>,
-    /// Frames that wait for each solver: only their number is of interest here.
-    pub sightings: Vec<Receiver<Sighting>>,
-    pub archive: Gauges,
-    pub line: Shared<LineTally>,
-}
-
-impl Counts {
-    pub fn tally(&self) -> FlightTally {
-        let mut tally = FlightTally {
-            archive: self.archive.tally(),
-            line: self.line.copy(),
-            log_lines_lost: crate::log::lost_lines(),
-            ..FlightTally::default()
-        };
-        for camera in &self.cameras {
-            tally.camera.add(&camera.lock());
-        }
-        for silence in &self.silences {
-            let (silences, silent) = silence.lock().total(Instant::now());
-            tally.camera.silences += silences;
-            tally.camera.silent += silent;
-        }
-        for solver in &self.solvers {
-            tally.solver.add(&solver.lock());
-        }
-        tally
-    }
-}
-
 pub(super) struct Watch {
     pub cameras: Vec<Worker>,
     pub solvers: Vec<Worker>,
@@ -92,7 +58,8 @@ pub(super) struct Watch {
     /// Held until the last solver has ended.
     pub archive: Option<Archive>,
     pub to_line: Sender<LinkEvent>,
-    pub teller: Teller,
+    pub controls: Controls,
+    pub housekeeping: HousekeepingSource,
     pub counts: Counts,
     pub signals: Arc<Signals>,
     /// Whether the flight was ended because threads could not be helped any more.
@@ -111,6 +78,7 @@ impl Watch {
                 self.excuse(now - looked);
             }
             looked = now;
+            self.note_commands();
             if self.is_over(now) {
                 break;
             }
@@ -142,6 +110,14 @@ impl Watch {
         tally.takeovers = self.takeovers();
         tally.gave_up = self.gave_up;
         tally
+    }
+
+    fn note_commands(&self) {
+        for note in self.controls.command_notes() {
+            if let Some(archive) = &self.archive {
+                archive.note_command(&note);
+            }
+        }
     }
 
     /// The threads were stopped like everything else: nobody is to be blamed for it.
@@ -200,7 +176,7 @@ impl Watch {
             takeovers: self.takeovers(),
         };
         let events = self.to_line.len();
-        let told = self.teller.tell(&self.counts, restarts, events);
+        let told = self.housekeeping.next(&self.counts, restarts, events);
         if let Some(archive) = &self.archive {
             archive.note(&told);
         }

@@ -4,6 +4,7 @@
 //! looks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so a few may hang at
 //! most; then only a new process helps.
 
+use crate::backoff::Backoff;
 use crate::log;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// A thread that panics again sooner than this is not started at once.
+/// A thread that panics sooner than this after its start is not started again at once.
 const SOON: Duration = Duration::from_secs(1);
 /// Threads that hang and were replaced. While so many hang still, the next one is not replaced.
 const MOST_ABANDONED: usize = 3;
@@ -65,6 +66,7 @@ pub(super) struct Worker {
     make: Option<Make>,
     running: Option<Running>,
     due: Instant,
+    backoff: Backoff,
     panics: u64,
     takeovers: u64,
     /// Threads that were replaced and hang still.
@@ -89,6 +91,7 @@ impl Worker {
             make: Some(Box::new(make)),
             running: None,
             due: Instant::now(),
+            backoff: Backoff::DEVICE,
             panics: 0,
             takeovers: 0,
             abandoned: Vec::new(),
@@ -142,7 +145,7 @@ impl Worker {
             None if self.make.is_some() && now >= self.due => {
                 if let Err(error) = self.live() {
                     tracing::error!(thread = self.name, %error, "a thread cannot be started");
-                    self.due = now + SOON;
+                    self.due = now + self.backoff.wait();
                 }
             }
             None => {}
@@ -177,11 +180,11 @@ impl Worker {
                 let _ = std::panic::catch_unwind(AssertUnwindSafe(|| drop(panic)));
                 let restarts = self.restarts();
                 tracing::error!(thread = self.name, said, restarts, "a thread panicked");
-                let short_lived = life.begin.elapsed() < SOON;
-                self.due = match short_lived {
-                    true => life.begin + SOON,
-                    false => Instant::now(),
-                };
+                self.due = Instant::now();
+                match life.begin.elapsed() < SOON {
+                    true => self.due += self.backoff.wait(),
+                    false => self.backoff.reset(),
+                }
             }
         }
     }

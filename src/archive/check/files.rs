@@ -1,7 +1,7 @@
 //! The files of an archive.
 
 use super::BadFile;
-use crate::archive::UNFINISHED;
+use crate::archive::{CONFIGURATION, INSTRUMENT, UNFINISHED};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -22,6 +22,8 @@ pub struct Tree {
     pub files: Vec<PathBuf>,
     /// Solution logs, by path.
     pub logs: Vec<PathBuf>,
+    /// Configurations and instruments, by path.
+    pub flown: Vec<PathBuf>,
     /// How many names are those of half-written files.
     pub unfinished: usize,
     /// Folders within that could not be listed, and why.
@@ -66,7 +68,7 @@ impl Tree {
             let first = roots.first().map_or(Path::new(""), AsRef::as_ref);
             return Err(error(first, "files whose names end in .fits", found));
         }
-        for paths in [&mut tree.files, &mut tree.logs] {
+        for paths in [&mut tree.files, &mut tree.logs, &mut tree.flown] {
             paths.sort();
             paths.dedup();
         }
@@ -85,6 +87,7 @@ impl Tree {
                 (false, true) => self.unfinished += usize::from(is_unfinished(&path)),
                 (false, false) if is_fits(&path) => self.files.push(path),
                 (false, false) if is_log(&path) => self.logs.push(path),
+                (false, false) if is_flown(&path) => self.flown.push(path),
                 (false, false) => {}
             }
         }
@@ -102,6 +105,10 @@ fn is_unfinished(path: &Path) -> bool {
 fn is_log(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name.starts_with("solutions_") && name.ends_with(".csv")
+}
+
+fn is_flown(path: &Path) -> bool {
+    CONFIGURATION.names(path) || INSTRUMENT.names(path)
 }
 
 fn is_fits(path: &Path) -> bool {

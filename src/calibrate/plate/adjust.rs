@@ -6,9 +6,11 @@
 //! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
 //! measured marks from the drawing have none in common.
 
-use super::camera::{LENS, Lens, Prediction, VIEW, View, predict};
+use super::camera::{LENS, Lens, Prediction, predict, prior_sigmas};
+use crate::geometry::MappingKind;
+use crate::geometry::view::{PARAMETERS, ParameterCovariance, Parameters, View, parameters_of};
 use crate::units::PlateMil;
-use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, Vector2};
 
 /// The sightings of a mark in a pose.
 #[derive(Debug, Clone, Copy)]
@@ -32,8 +34,7 @@ pub(super) struct MarkPrior {
 /// What is adjusted; the rest is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Freedoms {
-    /// Parameters of each view.
-    pub view: usize,
+    pub view: MappingKind,
     pub lens: [bool; LENS],
     pub marks: bool,
 }
@@ -69,7 +70,7 @@ pub(super) struct Settled {
     /// Lens terms, then x and y of every mark.
     pub covariance: DMatrix<f64>,
     /// Of each view.
-    pub views: Vec<SMatrix<f64, VIEW, VIEW>>,
+    pub views: Vec<ParameterCovariance>,
     /// Squared deviations from what was known beforehand, over its variance.
     pub chi2_prior: f64,
     /// How many parameters the sightings, not the priors, determine.
@@ -116,7 +117,7 @@ impl Problem<'_> {
             for (view, part) in state.views.iter_mut().zip(&normal.views) {
                 let step = part.own_step(&common);
                 size += step.norm_squared();
-                view.advance(&step);
+                *view = view.advanced(&step);
             }
             if !size.is_finite() {
                 return None;
@@ -184,9 +185,9 @@ impl Problem<'_> {
         common: &mut DMatrix<f64>,
         gradient: &mut DVector<f64>,
     ) -> Option<ViewPart> {
-        let mut own = SMatrix::<f64, VIEW, VIEW>::zeros();
-        let mut own_gradient = SVector::<f64, VIEW>::zeros();
-        let mut coupling = DMatrix::zeros(VIEW, common.ncols());
+        let mut own = ParameterCovariance::zeros();
+        let mut own_gradient = Parameters::zeros();
+        let mut coupling = DMatrix::zeros(PARAMETERS, common.ncols());
         for cell in &self.cells[pose] {
             let p = state.predict(pose, cell.mark);
             let miss = cell.seen - p.seen;
@@ -210,16 +211,17 @@ impl Problem<'_> {
             }
         }
         let view = &state.views[pose];
-        for (n, sigma) in view.prior_sigmas() {
-            own[(n, n)] += sigma.powi(-2);
-            own_gradient[n] -= view.parameters()[n] / sigma.powi(2);
+        for (n, sigma) in prior_sigmas(view).into_iter().enumerate() {
+            let information = sigma.map_or(0.0, |sigma| sigma.powi(-2));
+            own[(n, n)] += information;
+            own_gradient[n] -= view.parameters[n] * information;
         }
         // A view that nothing is seen in stays as it is.
         let free = match self.cells[pose].is_empty() {
-            true => 0,
-            false => self.freedoms.view,
+            true => [false; PARAMETERS],
+            false => parameters_of(self.freedoms.view),
         };
-        for n in free..VIEW {
+        for n in (0..PARAMETERS).filter(|n| !free[*n]) {
             own.row_mut(n).fill(0.0);
             own.column_mut(n).fill(0.0);
             own[(n, n)] = 1.0;
@@ -303,9 +305,8 @@ impl Problem<'_> {
             (place.vector() - prior.printed.vector()).norm_squared() / prior.sigma_mil.powi(2)
         });
         let views = state.views.iter().flat_map(|view| {
-            let parameters = *view.parameters();
-            let priors = view.prior_sigmas().into_iter();
-            priors.map(move |(n, sigma)| (parameters[n] / sigma).powi(2))
+            let priors = view.parameters.into_iter().zip(prior_sigmas(view));
+            priors.filter_map(|(value, sigma)| Some((value / sigma?).powi(2)))
         });
         let lens = state.lens.terms.norm_squared() / self.lens_sigma_px.powi(2);
         marks.sum::<f64>() + views.sum::<f64>() + lens
@@ -324,7 +325,7 @@ impl Problem<'_> {
             true => marks.sum::<f64>() - 4.0,
             false => 0.0,
         };
-        lens + marks + (self.freedoms.view * state.views.len()) as f64
+        lens + marks + (self.freedoms.view.parameters() * state.views.len()) as f64
     }
 }
 
@@ -346,23 +347,23 @@ struct Normal {
 }
 
 struct ViewPart {
-    inverse: SMatrix<f64, VIEW, VIEW>,
-    gradient: SVector<f64, VIEW>,
+    inverse: ParameterCovariance,
+    gradient: Parameters,
     /// With the common unknowns.
     coupling: DMatrix<f64>,
 }
 
 impl ViewPart {
     /// The view's step once the common unknowns made theirs.
-    fn own_step(&self, common: &DVector<f64>) -> SVector<f64, VIEW> {
+    fn own_step(&self, common: &DVector<f64>) -> Parameters {
         let mut gradient = self.gradient;
         gradient -= &self.coupling * common;
         self.inverse * gradient
     }
 
-    fn covariance(&self, common: &DMatrix<f64>) -> SMatrix<f64, VIEW, VIEW> {
+    fn covariance(&self, common: &DMatrix<f64>) -> ParameterCovariance {
         let follow = &self.coupling * common * self.coupling.transpose();
-        let mut fixed = SMatrix::<f64, VIEW, VIEW>::zeros();
+        let mut fixed = ParameterCovariance::zeros();
         fixed.copy_from(&follow);
         self.inverse + self.inverse * fixed * self.inverse
     }

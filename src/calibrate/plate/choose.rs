@@ -1,13 +1,13 @@
 //! The simplest lens and views that the sightings support.
 
 use super::adjust::{Freedoms, Settled, State};
-use super::camera::{LENS, view_parameters};
+use super::camera::LENS;
 use super::robust::Bundle;
 use crate::geometry::MappingKind;
 
 /// Everything free.
 pub(super) const RICHEST: Freedoms = Freedoms {
-    view: 8,
+    view: MappingKind::Homography,
     lens: [true; LENS],
     marks: true,
 };
@@ -41,22 +41,21 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
         Some((settled, cost))
     };
     let mut freedoms = Freedoms {
-        view: view_parameters(MappingKind::Similarity),
+        view: MappingKind::Similarity,
         ..RICHEST
     };
-    let mut kind = MappingKind::Similarity;
     let mut best = fit(freedoms)?;
     for richer in [MappingKind::Keystone, MappingKind::Homography] {
         let free = Freedoms {
-            view: view_parameters(richer),
+            view: richer,
             ..freedoms
         };
         let Some(candidate) = fit(free) else { continue };
-        let added = (free.view - freedoms.view) * bundle.poses;
+        let added = (richer.parameters() - freedoms.view.parameters()) * bundle.poses;
         let gain = (best.1 - candidate.1) / added as f64;
         tried.push((richer.name(), gain));
         if gain > asked {
-            (freedoms, kind, best) = (free, richer, candidate);
+            (freedoms, best) = (free, candidate);
         }
     }
     freedoms.lens = [false; LENS];
@@ -77,7 +76,7 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
         }
     }
     let choice = Choice {
-        kind,
+        kind: freedoms.view,
         lens: freedoms.lens,
         asked,
         tried,

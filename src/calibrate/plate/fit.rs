@@ -1,16 +1,17 @@
 //! From sightings to the plate: the steps in order.
 
 use super::adjust::{Freedoms, MarkPrior, Settled, State};
-use super::camera::{LENS, Lens, View, view_parameters};
+use super::camera::{LENS, Lens};
 use super::choose::{Choice, RICHEST, choose};
 use super::consensus::consensus;
 use super::robust::{Bundle, Observation};
 use super::sighting::{FrameSightings, Spoiled};
-use crate::geometry::{Distortion, Mapping};
+use crate::geometry::view::{ParameterCovariance, UNIT_MIL, View};
+use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::instrument::Instrument;
 use crate::plate::{MarkId, drawn_position};
 use crate::units::{Measured, PlateMil, SensorPx};
-use nalgebra::{SMatrix, Vector2};
+use nalgebra::Vector2;
 use std::collections::BTreeMap;
 
 /// A mark as it was measured.
@@ -96,7 +97,7 @@ pub const LENS_PRIOR_PX: f64 = 5.0;
 
 /// Nothing of the plate or the lens measured.
 const AS_DRAWN: Freedoms = Freedoms {
-    view: 4,
+    view: MappingKind::Similarity,
     lens: [false; LENS],
     marks: false,
 };
@@ -109,7 +110,7 @@ pub fn fit(frames: &[FrameSightings], poses: usize, start: &Instrument) -> Optio
     let drawing_factor = bundle.raise_drawing_sigma(&rich);
     let (choice, chosen) = choose(&bundle, &rich.state)?;
     let freedoms = Freedoms {
-        view: view_parameters(choice.kind),
+        view: choice.kind,
         lens: choice.lens,
         marks: true,
     };
@@ -143,7 +144,7 @@ fn gather(
         let of_pose = frames.iter().enumerate().filter(|(_, f)| f.pose == pose);
         let of_pose: Vec<usize> = of_pose.map(|(n, _)| n).collect();
         let agreed = consensus(frames, &of_pose, &start.plate)?;
-        views.push(View::of(&agreed.mapping)?);
+        views.push(View::of(&agreed.mapping)?.simplified(MappingKind::Similarity));
         let left_out = of_pose.iter().filter(|n| !agreed.frames.contains(n));
         spoiled.extend(left_out.map(|n| Spoiled {
             file: frames[*n].file.clone(),
@@ -284,15 +285,15 @@ fn pose_fits(bundle: &Bundle, settled: &Settled, choice: &Choice) -> Option<Vec<
     let distortion = settled.state.lens.distortion();
     let fit = |pose: usize| {
         let (view, covariance) = (&settled.state.views[pose], &settled.views[pose]);
-        let (scale, rotation) = view.scale_and_rotation();
+        let scale = UNIT_MIL / view.unit_px();
         let centre = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let relative = relative_sigma(view, covariance);
         Some(PoseFit {
             mapping: view.mapping(choice.kind, distortion)?,
-            plate_centre_px: view.ideal(Vector2::zeros()).into(),
+            plate_centre_px: view.project(PlateMil::new(0.0, 0.0)).into(),
             plate_centre_sigma_px: (centre.trace() / 2.0).max(0.0).sqrt(),
             scale_mil_per_px: Measured::new(scale, scale * relative),
-            rotation_deg: Measured::new(rotation, relative.to_degrees()),
+            rotation_deg: Measured::new(view.rotation_deg(), relative.to_degrees()),
             frames: frames[pose].len(),
         })
     };
@@ -300,10 +301,9 @@ fn pose_fits(bundle: &Bundle, settled: &Settled, choice: &Choice) -> Option<Vec<
 }
 
 /// 1 sigma of a view's scale, as a part of it, and of its rotation, rad: both alike.
-fn relative_sigma(view: &View, covariance: &SMatrix<f64, 8, 8>) -> f64 {
-    let size = view.parameters()[2].hypot(view.parameters()[3]);
+fn relative_sigma(view: &View, covariance: &ParameterCovariance) -> f64 {
     let spread = covariance.fixed_view::<2, 2>(2, 2).trace() / 2.0;
-    spread.max(0.0).sqrt() / size
+    spread.max(0.0).sqrt() / view.unit_px()
 }
 
 fn residuals(bundle: &Bundle, settled: &Settled, before: &State, ids: &[MarkId]) -> Vec<Residual> {

@@ -2,15 +2,13 @@
 
 use super::configure::{Actual, adjust, configure, has};
 use super::numbers::Numbers;
-use super::worker::Opening;
-use super::{SharedHealth, count};
-use crate::camera::{CameraError, Settings};
+use crate::camera::{CameraError, CameraHealth, Settings};
 use crate::frame::{Frame, FrameInfo, Pixels};
 use aravis::prelude::*;
 use aravis::{Aravis, Buffer, BufferStatus, Camera, PixelFormat, Stream};
 use jiff::{SignedDuration, Timestamp};
 use std::net::IpAddr;
-use std::sync::{LazyLock, Mutex, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Buffers of a stream: frames that may arrive before they are fetched.
@@ -25,6 +23,24 @@ const TEMPERATURE_PERIOD: Duration = Duration::from_secs(1);
 /// The library's list of cameras belongs to one thread at a time.
 static LIBRARY: LazyLock<Option<Mutex<Aravis>>> =
     LazyLock::new(|| Aravis::initialize().ok().map(Mutex::new));
+
+/// Counters that the camera's thread and its owner share.
+pub(super) type SharedHealth = Arc<Mutex<CameraHealth>>;
+
+pub(super) fn count(health: &SharedHealth, note: impl FnOnce(&mut CameraHealth)) {
+    note(&mut health.lock().unwrap_or_else(PoisonError::into_inner));
+}
+
+/// How a camera is opened.
+pub(super) struct Opening {
+    pub address: String,
+    pub settings: Settings,
+    /// Zero of the monotonic times.
+    pub zero: Instant,
+    /// Number of the first frame.
+    pub next_number: u64,
+    pub health: SharedHealth,
+}
 
 /// Why there is no frame.
 pub(super) enum Fault {

@@ -9,14 +9,14 @@
 mod configure;
 mod device;
 mod numbers;
-mod retry;
 mod worker;
 
 use super::pace::{PATIENCE, Pace};
 use super::{CameraError, CameraHealth, Exposure, FrameSource, Settings, Take};
+use crate::backoff::Backoff;
+use device::{Opening, SharedHealth, count};
 use jiff::Timestamp;
-use retry::Retry;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use worker::{Link, Report};
 
@@ -24,13 +24,6 @@ use worker::{Link, Report};
 const HANGS: Duration = Duration::from_secs(15);
 /// How long applying settings waits for the camera's answer.
 const APPLY: Duration = Duration::from_secs(2);
-
-/// Counters that the worker keeps, too.
-type SharedHealth = Arc<Mutex<CameraHealth>>;
-
-fn count(health: &SharedHealth, note: impl FnOnce(&mut CameraHealth)) {
-    note(&mut health.lock().unwrap_or_else(PoisonError::into_inner));
-}
 
 /// What the camera is doing, as far as this side knows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,7 +43,9 @@ pub struct GigeCamera {
     /// Since when the camera owes an answer.
     waiting: Instant,
     pace: Pace,
-    retry: Retry,
+    /// An attempt to open it takes 2.5 s itself.
+    backoff: Backoff,
+    due: Instant,
     /// Zero of the monotonic times.
     zero: Instant,
     next_number: u64,
@@ -70,7 +65,8 @@ impl GigeCamera {
             phase: Phase::Opening,
             waiting: Instant::now(),
             pace: Pace::default(),
-            retry: Retry::default(),
+            backoff: Backoff::DEVICE,
+            due: Instant::now(),
             zero: Instant::now(),
             next_number: 0,
             was_there: false,
@@ -81,11 +77,12 @@ impl GigeCamera {
 
     /// Opens the camera in its thread, if it is time to try.
     fn open(&mut self) -> Result<Take, CameraError> {
-        if let Some(wait) = self.retry.wait(Instant::now()) {
+        let wait = self.due.saturating_duration_since(Instant::now());
+        if !wait.is_zero() {
             std::thread::sleep(wait.min(PATIENCE));
             return Ok(Take::NotYet);
         }
-        let opening = worker::Opening {
+        let opening = Opening {
             address: self.address.clone(),
             settings: self.settings.clone(),
             zero: self.zero,
@@ -130,7 +127,7 @@ impl GigeCamera {
                 if std::mem::replace(&mut self.was_there, true) {
                     count(&self.health, |health| health.reconnects += 1);
                 }
-                self.retry = Retry::default();
+                self.backoff.reset();
                 self.pace = Pace::default();
                 self.phase = Phase::Idle;
                 Ok(Take::NotYet)
@@ -156,7 +153,7 @@ impl GigeCamera {
     /// Drops the camera with all that belongs to it, to be opened anew later.
     fn give_up(&mut self) {
         self.link = None;
-        self.retry.failed(Instant::now());
+        self.due = Instant::now() + self.backoff.wait();
     }
 }
 

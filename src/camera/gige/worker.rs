@@ -1,22 +1,10 @@
 //! The thread that the camera belongs to: it does as it is ordered, one order after the other.
 
-use super::SharedHealth;
-use super::device::{Device, Fault};
+use super::device::{Device, Fault, Opening};
 use crate::camera::{CameraError, Settings};
 use crate::frame::Frame;
 use crossbeam_channel::{Receiver, Sender, unbounded};
 use std::time::{Duration, Instant};
-
-/// How a camera is opened.
-pub(super) struct Opening {
-    pub address: String,
-    pub settings: Settings,
-    /// Zero of the monotonic times.
-    pub zero: Instant,
-    /// Number of the first frame.
-    pub next_number: u64,
-    pub health: SharedHealth,
-}
 
 enum Order {
     Take,

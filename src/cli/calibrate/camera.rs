@@ -1,6 +1,6 @@
 //! `solaspect calibrate camera`: noise, gain, hot pixels, vignetting, blur.
 
-use super::{Edition, write_page};
+use super::edition::{Edition, write_page};
 use crate::calibrate::camera::{self, CameraCalibration, Inputs};
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::numbers::{sigma_text, value_text};

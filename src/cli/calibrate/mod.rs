@@ -2,15 +2,11 @@
 
 mod camera;
 mod compare;
+mod edition;
 mod mounting;
 mod plate;
 
-use super::output::make_folder;
-use crate::calibrate::revision::Revision;
-use crate::instrument::{Instrument, builtin_text, toml_file};
-use anyhow::Context;
 use clap::{Args, Subcommand};
-use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Measure the instrument from frames and write its new TOML file; tell what changed between two calibrations
@@ -35,48 +31,4 @@ pub fn run(args: CalibrateArgs) -> anyhow::Result<ExitCode> {
         Part::Mounting(args) => mounting::run(args),
         Part::Plate(args) => plate::run(&args),
     }
-}
-
-/// The instrument before and after.
-#[derive(Debug, Args)]
-struct Edition {
-    /// The instrument as it is known so far, a TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
-    /// The new instrument file
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-}
-
-impl Edition {
-    /// The instrument so far, and its file open for new entries.
-    fn open(&self) -> anyhow::Result<(Revision, Instrument)> {
-        let (path, text) = match &self.instrument {
-            Some(path) => (path.as_path(), toml_file::read_text(path)?),
-            None => {
-                let text = builtin_text("demo").unwrap_or_default();
-                (Path::new("demo"), text.into())
-            }
-        };
-        let instrument = Instrument::parse(path, &text)?;
-        Ok((Revision::of(path, &text)?, instrument))
-    }
-
-    /// Writes the new instrument if it is one that everything else can read; else what stood there stays.
-    fn write(&self, revision: &Revision) -> anyhow::Result<()> {
-        let (text, _) = revision.finish()?;
-        let cannot_write = || format!("{}: cannot write the instrument", self.out.display());
-        let mut name = self.out.as_os_str().to_owned();
-        name.push(".part");
-        let part = PathBuf::from(name);
-        std::fs::write(&part, text).with_context(cannot_write)?;
-        Instrument::read(&part)?;
-        std::fs::rename(&part, &self.out).with_context(cannot_write)
-    }
-}
-
-fn write_page(folder: &Path, name: &str, html: &str) -> anyhow::Result<()> {
-    make_folder(folder)?;
-    let file = folder.join(name);
-    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
 }

@@ -1,6 +1,6 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance and mirror.
 
-use super::{Edition, write_page};
+use super::edition::{Edition, write_page};
 use crate::calibrate::frames::{self, LeftOut};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings, Verdict};
 use crate::calibrate::numbers::sigma_text;

@@ -1,6 +1,6 @@
 //! `solaspect calibrate plate`: the plate as it is.
 
-use super::{Edition, write_page};
+use super::edition::{Edition, write_page};
 use crate::calibrate::plate;
 use crate::cli::output::progress_bar;
 use crate::cli::output::say;

@@ -1,12 +1,11 @@
 //! The cameras of a flight, as the configuration names them.
 
-use super::FlyArgs;
 use crate::archive;
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
-use crate::instrument::{self, Instrument};
-use crate::service::{Camera, Opener, Seat};
+use crate::instrument::Instrument;
+use crate::service::{Camera, CameraFactory, Seat};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,17 +13,22 @@ use std::time::Duration;
 /// Frames and logs of the roll camera go here, under the archive's root.
 const ROLL_FOLDER: &str = "roll";
 
-/// The first pitch-yaw camera, and the others that are configured.
+/// The first pitch-yaw camera, and the others that are configured; none is open yet.
 ///
-/// With one camera its frames go to the archive's root; with several each has a folder of its own.
-pub(super) fn of(config: &Config, args: &FlyArgs) -> anyhow::Result<(Camera, Vec<Camera>)> {
+/// With one camera its frames go to the archive's root; with several each has a folder of its own. The simulator ends after
+/// `duration`; a folder is replayed `speed` times faster than it was taken.
+pub(super) fn of(
+    config: &Config,
+    duration: Option<Duration>,
+    speed: f64,
+) -> anyhow::Result<(Camera, Vec<Camera>)> {
     let Some(source) = config.camera.source.clone() else {
         anyhow::bail!("camera.source: expected a camera, found none");
     };
     let common = Common {
         seed: config.simulation.seed,
-        duration: args.duration,
-        speed: args.speed,
+        duration,
+        speed,
     };
     let mut first = common.camera(Seat::PitchYaw, &config.camera, source)?;
     let mut others = Vec::new();
@@ -63,20 +67,21 @@ struct Common {
 
 impl Common {
     fn camera(self, seat: Seat, table: &config::Camera, source: Source) -> anyhow::Result<Camera> {
-        let instrument = match seat {
+        let file = match seat {
             // It looks at the horizon: no instrument describes it yet.
-            Seat::Roll => instrument::builtin("demo")?,
-            _ => options::instrument(table.instrument.as_deref())?,
+            Seat::Roll => None,
+            _ => table.instrument.as_deref(),
         };
+        let (instrument, text) = options::instrument_with_text(file)?;
         let settings = table.settings();
-        let first = self.open(&source, &settings, &instrument)?;
         let again = instrument.clone();
-        let open: Opener = Arc::new(move || self.open(&source, &settings, &again));
+        let open: CameraFactory = Arc::new(move || self.open(&source, &settings, &again));
         Ok(Camera {
             seat,
             instrument,
+            instrument_toml: (seat != Seat::Roll).then_some(text),
             folder: PathBuf::new(),
-            source: Some(first),
+            source: None,
             open: Some(open),
         })
     }

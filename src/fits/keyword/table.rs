@@ -24,6 +24,9 @@ const FILE: Group = Group {
     keywords: &[
         row("ORIGIN", Text, "", Written, "where the file was made"),
         row("CREATOR", Text, "", Written, "program that wrote the file"),
+        row("SWCOMMIT", Text, "", Written, "commit the program was built from"),
+        row("CONFSHA", Text, "", Both, "SHA-256 of the flight's configuration"),
+        row("INSTSHA", Text, "", Both, "SHA-256 of the instrument's file"),
         row("DATE", Time, "", Written, "when the file was written, UTC"),
         row("FILENAME", Text, "", Written, "this file's name"),
         row("EXTNAME", Text, "", Written, "name of this extension"),

@@ -33,10 +33,12 @@ struct Desk;
 
 impl Control for Desk {
     fn carry_out(&mut self, command: &Command) -> CommandResult {
-        match command {
-            Command::SetTarget { .. } => CommandResult::Done,
-            Command::SetCamera(..) => CommandResult::Refused,
-            Command::Read(_) => CommandResult::Value(4711),
+        match command.row.action {
+            Action::Set(["target.x_arcsec", ..]) => CommandResult::Done,
+            Action::Set(["camera.exposure_us" | "camera.analogue_gain" | "camera.preamp_gain"]) => {
+                CommandResult::Refused
+            }
+            Action::Read(_) => CommandResult::Value(4711),
             _ => CommandResult::NotImplemented,
         }
     }
@@ -220,7 +222,7 @@ fn every_command_of_a_packet_is_carried_out_and_answered_in_order() {
     let mut expected = answers(0x71, 0x1412, result::DONE);
     expected.push(result(0x1481, result::REFUSED));
     let heard: Vec<Said> = reply.packets.iter().map(|p| said(p)).collect();
-    assert_eq!((heard, reply.commands), (expected, 2));
+    assert_eq!((heard, reply.commands.len()), (expected, 2));
 }
 
 #[test]

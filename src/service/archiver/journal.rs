@@ -4,10 +4,11 @@
 //! is room for them. The telemetry tells the same numbers again, and is not worth waiting for.
 
 use super::picture::Told;
-use super::rest::{LONGEST_REST, SHORTEST_REST};
 use crate::archive::{ArchiveError, Dirfile, Log, Row, SolutionLog, Store};
+use crate::backoff::Backoff;
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
+use crate::service::command_log::CommandNote;
 use crate::service::tally::worth_a_line;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
@@ -24,6 +25,7 @@ pub(super) const FATE_KNOWN: Duration = Duration::from_secs(5);
 pub(super) enum Entry {
     Row(RowEntry),
     Housekeeping(Box<Housekeeping>),
+    Command(Box<CommandNote>),
 }
 
 /// A row on its way to the log.
@@ -97,6 +99,7 @@ pub(super) struct Journal {
     /// By camera.
     books: Vec<Book>,
     housekeeping: Log,
+    commands: Log,
     /// The disk's visit in which the files were opened.
     visit: u64,
     /// Says nothing, and is closed when the flight ends.
@@ -139,6 +142,13 @@ impl Journal {
         let columns = columns.chain(FIELDS.iter().map(name)).collect();
         Self {
             housekeeping: Log::new(store.disk(), store.root(), "housekeeping", columns, start),
+            commands: Log::new(
+                store.disk(),
+                store.root(),
+                "commands",
+                CommandNote::COLUMNS.map(str::to_owned).to_vec(),
+                start,
+            ),
             visit: store.visits(),
             store,
             number,
@@ -152,13 +162,12 @@ impl Journal {
     /// Writes what it is told, in its order, until no more comes. What the disk refuses is tried again until the flight ends.
     pub fn run(mut self, entries: &Receiver<Entry>) {
         for mut entry in entries {
-            let mut rest = SHORTEST_REST;
+            let mut rests = Backoff::DISK;
             while let Err(error) = self.write(&mut entry) {
                 self.note_refusal(&error);
-                if self.ended.recv_timeout(rest) == Err(RecvTimeoutError::Disconnected) {
+                if self.ended.recv_timeout(rests.wait()) == Err(RecvTimeoutError::Disconnected) {
                     break;
                 }
-                rest = LONGEST_REST.min(2 * rest);
             }
         }
     }
@@ -167,6 +176,7 @@ impl Journal {
         match entry {
             Entry::Row(entry) => self.write_row(entry),
             Entry::Housekeeping(told) => self.write_housekeeping(told),
+            Entry::Command(note) => self.write_command(note),
         }
     }
 
@@ -206,6 +216,12 @@ impl Journal {
         self.housekeeping.append(&fields)
     }
 
+    fn write_command(&mut self, note: &CommandNote) -> Result<(), ArchiveError> {
+        self.store.prepare()?;
+        self.reopen_after_a_mount();
+        self.commands.append(&note.fields())
+    }
+
     /// What was open when the disk was mounted before leads nowhere.
     fn reopen_after_a_mount(&mut self) {
         let visit = self.store.visits();
@@ -217,6 +233,7 @@ impl Journal {
 
     fn close(&mut self) {
         self.housekeeping.close();
+        self.commands.close();
         for book in &mut self.books {
             book.log.close();
             book.dirfile.close();

@@ -16,13 +16,14 @@
 mod journal;
 mod picture;
 mod queue;
-mod rest;
 mod writer;
 
 pub use writer::DiskHealth;
 
+use super::answer::Answer;
+use super::command_log::CommandNote;
 use super::control::Controls;
-use super::solver::Answer;
+use super::flight::Station;
 use super::tally::{ArchiveTally, worth_a_line};
 use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, Upkeep};
@@ -72,10 +73,10 @@ pub(super) struct Gauges {
 #[derive(Default)]
 pub(super) struct Threads(Vec<Worker>);
 
-/// Starts the threads of every disk; `folders` are the cameras' under each root.
+/// Starts the threads of every disk.
 pub(super) fn start(
     stores: Vec<Store>,
-    folders: &[PathBuf],
+    stations: &[Arc<Station>],
     controls: &Controls,
     ephemeris: &Ephemeris,
 ) -> std::io::Result<(Archive, Threads)> {
@@ -87,12 +88,16 @@ pub(super) fn start(
     };
     let (mut logs, mut threads) = (Vec::new(), Threads::default());
     let start = Timestamp::now();
+    let folders: Vec<PathBuf> = stations.iter().map(|s| s.folder.clone()).collect();
     let (flying, ended) = bounded(0);
     for (n, store) in stores.into_iter().enumerate() {
         let (queue, disk) = match settings.sharing {
             Sharing::Alternate => (&queues[0], n),
             Sharing::Mirror => (&queues[n], 0),
         };
+        for station in stations {
+            store.add_flight_files(station.flown.files(&station.folder, start));
+        }
         let store = Arc::new(store);
         let health = Arc::new(Mutex::new(DiskHealth {
             root: store.root().into(),
@@ -103,7 +108,6 @@ pub(super) fn start(
             disk,
             store: Arc::clone(&store),
             queue: Arc::clone(queue),
-            limits: settings.space_limits(),
             number: n,
             controls: controls.clone(),
             clock: None,
@@ -116,7 +120,7 @@ pub(super) fn start(
             let writer = writer.clone();
             Box::new(move |_| writer.run())
         })?;
-        let (folders, counts) = (folders.to_vec(), Arc::clone(&tally));
+        let (folders, counts) = (folders.clone(), Arc::clone(&tally));
         let ended = ended.clone();
         threads.start(format!("log-{}", n + 1), move || {
             let store = Arc::clone(&store);
@@ -184,6 +188,13 @@ impl Archive {
     pub fn note(&self, told: &Housekeeping) {
         for log in &self.logs {
             self.log(log, Entry::Housekeeping(Box::new(told.clone())));
+        }
+    }
+
+    /// Keeps a command.
+    pub fn note_command(&self, note: &CommandNote) {
+        for log in &self.logs {
+            self.log(log, Entry::Command(Box::new(note.clone())));
         }
     }
 

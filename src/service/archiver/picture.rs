@@ -1,7 +1,7 @@
 //! A solved frame on its way to the disks, and the word of what became of it.
 
 use crate::archive::Encoded;
-use crate::service::Answer;
+use crate::service::answer::Answer;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};

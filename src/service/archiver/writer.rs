@@ -2,10 +2,8 @@
 
 use super::picture::Picture;
 use super::queue::{Queue, Taken, Waiting};
-use super::rest::{LONGEST_REST, LONGEST_REST_ALONE, SHORTEST_REST};
-use crate::archive::{
-    ArchiveError, Encoded, Room, SpaceLimits, Store, instrument_cards, sky_cards, tables,
-};
+use crate::archive::{ArchiveError, Encoded, Room, Store, instrument_cards, sky_cards, tables};
+use crate::backoff::Backoff;
 use crate::clock::ClockStatus;
 use crate::fits::clock_cards;
 use crate::service::control::Controls;
@@ -15,6 +13,9 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+/// The longest rest of a disk without another that takes its frames meanwhile: they wait in memory, which holds some seconds of
+/// them.
+const LONGEST_REST_ALONE: Duration = Duration::from_millis(500);
 /// How often a disk's free space is looked at.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
@@ -50,7 +51,6 @@ pub(super) struct Writer {
     pub disk: usize,
     pub store: Arc<Store>,
     pub queue: Arc<Queue<Picture>>,
-    pub limits: SpaceLimits,
     /// Its number on this computer, from 0.
     pub number: usize,
     pub controls: Controls,
@@ -63,21 +63,21 @@ pub(super) struct Writer {
 impl Writer {
     /// Stores until the queue is closed and empty, or the disk refuses after that.
     pub fn run(mut self) {
-        let mut rest = SHORTEST_REST;
+        let mut rests = Backoff::DISK;
         let mut looked = None;
         let mut outcome = self.store.prepare().map(|()| self.note_swept());
         loop {
             if let Err(error) = outcome {
                 self.note_refusal(&error);
-                if !self.queue.other_works(self.disk) {
-                    rest = rest.min(LONGEST_REST_ALONE);
-                }
+                let rest = match self.queue.other_works(self.disk) {
+                    true => rests.wait(),
+                    false => rests.wait_at_most(LONGEST_REST_ALONE),
+                };
                 if self.queue.rest(self.disk, Instant::now() + rest) {
                     break;
                 }
-                rest = LONGEST_REST.min(2 * rest);
             } else {
-                rest = SHORTEST_REST;
+                rests.reset();
             }
             if looked.is_none_or(|then: Instant| then.elapsed() >= LOOK_EVERY) {
                 looked = Some(Instant::now());
@@ -141,6 +141,7 @@ impl Writer {
         let (frame, solution) = (&answer.exposure.frame, &answer.solution);
         let instrument = &answer.station.instrument;
         let mut cards = answer.row().record.cards();
+        cards.extend(answer.station.flown.cards());
         if answer.station.is_solved() {
             cards.extend(instrument_cards(instrument));
             cards.extend(self.clock.iter().flat_map(clock_cards));
@@ -164,15 +165,14 @@ impl Writer {
     /// Measures the disk's free space, and says when its room has changed; looks at the clock and the settings, too.
     fn look(&mut self) {
         let settings = self.controls.config().archive;
-        self.limits = settings.space_limits();
+        let limits = settings.space_limits();
         self.queue.set_every(settings.store_every);
         self.clock = ClockStatus::read().ok();
         let free_percent = self.store.space().ok().map(|space| space.free_percent());
         let used = free_percent.map(|free| (100.0 - free).round() as u8);
         self.controls.note_disk_use(self.number, used);
         if let Some(free_percent) = free_percent {
-            self.queue
-                .set_room(self.disk, self.limits.room(free_percent));
+            self.queue.set_room(self.disk, limits.room(free_percent));
         }
         let mut health = health_of(&self.health);
         health.free_percent = free_percent;
@@ -180,7 +180,7 @@ impl Writer {
         let Some(free_percent) = free_percent else {
             return;
         };
-        let room = self.limits.room(free_percent);
+        let room = limits.room(free_percent);
         if room == health.room {
             return;
         }

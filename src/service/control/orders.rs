@@ -1,71 +1,53 @@
 //! Commands become keys and values.
 
 use super::own::{LATITUDE, LONGITUDE};
-use super::{Controls, switch};
-use crate::config::{Allowed, Value, by_command};
-use crate::link::{CameraRole, CameraSetting, Command, CommandResult, Control, GpsFix};
+use super::{Controls, State};
+use crate::config::{Allowed, Parameter, Value, by_command, by_key};
+use crate::link::command::Kind;
+use crate::link::{Action, CameraRole, Command, CommandResult, Control, GpsFix};
 use crate::service::tally::worth_a_line;
 use std::sync::atomic::Ordering;
 
 impl Control for Controls {
     fn carry_out(&mut self, command: &Command) -> CommandResult {
-        let whole = |value: i64| Value::Whole(value);
-        match *command {
-            Command::NoOp => CommandResult::Done,
+        match command.row.action {
+            Action::NoOp => CommandResult::Done,
             // The responder's own.
-            Command::StartSending | Command::StopSending => CommandResult::NotImplemented,
-            Command::Quit => {
+            Action::StartSending | Action::StopSending => CommandResult::NotImplemented,
+            Action::Quit => {
                 self.0.quits.store(true, Ordering::Relaxed);
                 CommandResult::Done
             }
-            Command::SendPicture(role) => self.want_picture(role),
-            Command::SetTarget { x_arcsec, y_arcsec } => self.set_by_command(&[
-                ("target.x_arcsec", Value::Number(x_arcsec.into())),
-                ("target.y_arcsec", Value::Number(y_arcsec.into())),
-            ]),
-            Command::StoreFrames { cameras, on } => {
-                let settings: Vec<_> = cameras
-                    .iter()
-                    .map(|role| (store_key(*role), switch(on)))
+            Action::SendPicture(role) => self.want_picture(role),
+            Action::Set(keys) => {
+                let settings = command.settings(keys);
+                let settings: Vec<_> = settings
+                    .map(|(key, kind, number)| (key, value(kind, number)))
                     .collect();
                 self.set_by_command(&settings)
             }
-            Command::AcceptGps { on } => self.set_by_command(&[("gps.accept", switch(on))]),
-            Command::SetCamera(role, setting) => {
-                let (key, value) = camera_setting(role, setting);
-                self.set_by_command(&[(&key, value)])
-            }
-            Command::SetClocking { angle_deg } => {
-                self.set_by_command(&[("mounting.clocking_deg", Value::Number(angle_deg))])
-            }
-            Command::SetTwist { angle_deg } => {
-                self.set_by_command(&[("mounting.twist_deg", Value::Number(angle_deg))])
-            }
-            Command::SetPlace {
-                latitude_deg,
-                longitude_deg,
-            } => self.set_by_command(&[
-                ("site.latitude_deg", Value::Number(latitude_deg)),
-                ("site.longitude_deg", Value::Number(longitude_deg)),
-            ]),
-            Command::SetInteger { parameter, value } => {
-                let fits = |allowed| matches!(allowed, Allowed::Whole(..));
-                self.set_numbered(parameter, fits, whole(value.into()))
-            }
-            Command::SetFloat { parameter, value } => {
-                let fits = |allowed| matches!(allowed, Allowed::Number(..));
-                self.set_numbered(parameter, fits, Value::Number(value))
-            }
-            Command::Read(reading) => {
-                let value = self.state().read(reading);
-                value.map_or(CommandResult::Unknown, CommandResult::Value)
+            Action::SetNumbered => self.set_numbered(command),
+            Action::Read(_) | Action::ReadNumbered | Action::ReadDisk => {
+                let read = self.state().read(command);
+                let code = command.row.reads.zip(read);
+                code.and_then(|(reads, number)| reads.kind.nearest_code(number))
+                    .map_or(CommandResult::Unknown, CommandResult::Value)
             }
         }
     }
 
+    fn take_reason(&mut self) -> Option<String> {
+        self.state().reason.take()
+    }
+
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult {
         let accepted = self.state().own.accepts_gps;
-        if !(accepted && self.believes(fix)) {
+        let reason = match accepted {
+            false => Some("GPS is not accepted"),
+            true => (!self.believes(fix)).then_some("not believed"),
+        };
+        if let Some(reason) = reason {
+            self.state().reason = Some(reason.into());
             return CommandResult::Refused;
         }
         // Kept with the next values that are saved: a fix a second is no reason to write a file a second.
@@ -109,6 +91,7 @@ impl Controls {
             }
             Err(refused) => {
                 let times = self.count_refusal(refused.key);
+                self.state().reason = Some(refused.to_string());
                 if worth_a_line(times) {
                     tracing::warn!(%refused, times, "a command was refused");
                 }
@@ -125,14 +108,16 @@ impl Controls {
         *times
     }
 
-    /// By its number; `fits` says whether the parameter is of the command's kind.
-    fn set_numbered(&self, number: u16, fits: fn(Allowed) -> bool, value: Value) -> CommandResult {
-        match by_command(number) {
-            Some(parameter) if fits(parameter.allowed) => {
-                self.set_by_command(&[(parameter.key, value)])
-            }
-            _ => CommandResult::Refused,
+    /// By its number, where the parameter is of the command's kind.
+    fn set_numbered(&self, command: &Command) -> CommandResult {
+        if let [number, set] = command.numbers[..]
+            && let [_, variable] = command.row.variables
+            && let Some(parameter) = numbered(number, variable.kind)
+        {
+            return self.set_by_command(&[(parameter.key, value(variable.kind, set))]);
         }
+        self.state().reason = Some("no parameter of this number and type".into());
+        CommandResult::Refused
     }
 
     fn want_picture(&self, role: CameraRole) -> CommandResult {
@@ -144,22 +129,59 @@ impl Controls {
     }
 }
 
-fn store_key(role: CameraRole) -> &'static str {
-    match role {
-        CameraRole::PitchYaw => "store.pitch_yaw",
-        CameraRole::Roll => "store.roll",
+/// A number as a setting takes it.
+fn value(kind: Kind, number: f64) -> Value {
+    match kind {
+        Kind::Angle => Value::Number(number),
+        Kind::Unsigned | Kind::Signed | Kind::Switch => Value::Whole(number as i64),
     }
 }
 
-fn camera_setting(role: CameraRole, setting: CameraSetting) -> (String, Value) {
-    let table = match role {
-        CameraRole::PitchYaw => "camera",
-        CameraRole::Roll => "roll_camera",
+/// The parameter of a number, where its values travel so.
+fn numbered(number: f64, kind: Kind) -> Option<&'static Parameter> {
+    let parameter = by_command(number as u16)?;
+    let fits = match kind {
+        Kind::Angle => matches!(parameter.allowed, Allowed::Number(..)),
+        _ => matches!(parameter.allowed, Allowed::Whole(..)),
     };
-    let (name, value) = match setting {
-        CameraSetting::ExposureUs(value) => ("exposure_us", Value::Whole(value.into())),
-        CameraSetting::AnalogueGain(value) => ("analogue_gain", Value::Number(value.into())),
-        CameraSetting::PreampGain(value) => ("preamp_gain", Value::Number(value.into())),
-    };
-    (format!("{table}.{name}"), value)
+    fits.then_some(parameter)
+}
+
+impl State {
+    /// What a command reads, in natural units; `None` where it is not known.
+    fn read(&self, command: &Command) -> Option<f64> {
+        let number = command.numbers.first().copied();
+        match command.row.action {
+            Action::Read(key) => self.value(key),
+            Action::ReadNumbered => {
+                let kind = command.row.reads?.kind;
+                self.value(numbered(number?, kind)?.key)
+            }
+            Action::ReadDisk => {
+                let at = (number? as usize).checked_sub(1)?;
+                (*self.disks.get(at)?).map(f64::from)
+            }
+            _ => None,
+        }
+    }
+
+    /// The number of a key that may be read.
+    fn value(&self, key: &str) -> Option<f64> {
+        match key {
+            "mounting.twist_deg" => Some(self.own.twist_deg.unwrap_or(self.stated.twist_deg)),
+            "mounting.clocking_deg" => {
+                let stated = self.stated.clocking_deg.value;
+                Some(self.own.clocking_deg.unwrap_or(stated))
+            }
+            // As GPS may know it.
+            "site.latitude_deg" => Some(self.place?.latitude_deg),
+            "site.longitude_deg" => Some(self.place?.longitude_deg),
+            "clock.offset_us" => self.clock_offset_us.map(|us| us as f64),
+            _ => match by_key(key)?.get(&self.config)? {
+                Value::Whole(value) => Some(value as f64),
+                Value::Number(value) => Some(value),
+                Value::Text(_) => None,
+            },
+        }
+    }
 }

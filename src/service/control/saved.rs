@@ -11,7 +11,10 @@
 use super::Controls;
 use super::own::{LATITUDE, LONGITUDE, TRACKING};
 use crate::archive::{MARK, UNFINISHED};
+use crate::backoff::Backoff;
 use crate::config::{Config, Value};
+use crate::link::describe::CommandInWords;
+use crate::service::command_log::CommandNote;
 use crate::service::tally::worth_a_line;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use crossbeam_channel::Sender;
@@ -24,10 +27,8 @@ use std::time::{Duration, Instant};
 
 const HEADER: &str = "# solaspect: values set by command. crc32 ";
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-/// How long the keeper waits for a change before it looks whether it is to end.
+/// How long the thread waits for a change before it looks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(100);
-/// After a failure, the next attempt.
-const RETRY: Duration = Duration::from_secs(5);
 /// How often the file is written anew while it holds a value that is for a short time only.
 const REFRESH: Duration = Duration::from_secs(60);
 /// The keys whose values are for a short time only.
@@ -158,11 +159,26 @@ fn restore_at(controls: &Controls, path: &Path, now: &Written) -> usize {
         .collect();
     // The fix last: where there is one, it is newer than a place set by command.
     settings.sort_by_key(|(key, _)| SHORT_LIVED.contains(key));
+    let note = |(name, value): &(&str, Value), result: &str| {
+        let command = CommandInWords {
+            key: None,
+            name: (*name).into(),
+            values: value.to_string(),
+        };
+        controls.note_command(CommandNote::now(path.display(), command, result));
+    };
     if controls.set(&settings).is_ok() {
+        settings
+            .iter()
+            .for_each(|setting| note(setting, "restored"));
         return settings.len();
     }
     let set = settings.iter().filter(|setting| {
         let result = controls.set(std::slice::from_ref(setting));
+        match &result {
+            Ok(()) => note(setting, "restored"),
+            Err(refused) => note(setting, &format!("refused: {refused}")),
+        }
         if let Err(refused) = &result {
             tracing::error!(file = %path.display(), %refused, "a saved value was left out");
         }
@@ -277,12 +293,12 @@ fn folder_of(path: &Path) -> &Path {
 }
 
 /// Saves what commands set, on a thread of its own: a disk that hangs does not hold up an answer.
-pub struct Keeper {
+pub struct ValueSaver {
     controls: Controls,
     file: SavedValues,
 }
 
-impl Keeper {
+impl ValueSaver {
     pub fn new(controls: Controls, file: SavedValues) -> Self {
         Self { controls, file }
     }
@@ -295,21 +311,26 @@ impl Keeper {
         let _ = restored.send(());
         let changes = self.controls.0.changed.1.clone();
         let mut failed: u64 = 0;
-        let mut due_at = None;
+        let (mut due_at, mut retry) = (None, Backoff::DISK);
         loop {
             let last = ends.load(Ordering::Relaxed);
             let changed = changes.recv_timeout(PATIENCE).is_ok();
             let due = due_at.is_some_and(|at| Instant::now() >= at || last);
             if changed || due {
                 due_at = match self.save() {
-                    Ok(ShortLived::Some) => Some(Instant::now() + REFRESH),
-                    Ok(ShortLived::None) => None,
+                    Ok(kept) => {
+                        retry.reset();
+                        match kept {
+                            ShortLived::Some => Some(Instant::now() + REFRESH),
+                            ShortLived::None => None,
+                        }
+                    }
                     Err(error) => {
                         failed += 1;
                         if worth_a_line(failed) {
                             tracing::error!(%error, failed, "values set by command were not saved");
                         }
-                        Some(Instant::now() + RETRY)
+                        Some(Instant::now() + retry.wait())
                     }
                 };
             }
@@ -381,7 +402,7 @@ mod tests {
         write(path, &encode(values, &Written::now())).unwrap();
     }
 
-    /// Runs a keeper that is told to end, with what `set` has set after the start: how often it failed.
+    /// Runs a thread that is told to end, with what `set` has set after the start: how often it failed.
     fn run(controls: &Controls, path: &Path, set: impl Fn(&Controls)) -> u64 {
         let path = path.to_path_buf();
         let file = SavedValues {
@@ -390,7 +411,7 @@ mod tests {
         };
         let (restored, _) = bounded(1);
         set(controls);
-        Keeper::new(controls.clone(), file).run(&restored, &AtomicBool::new(true))
+        ValueSaver::new(controls.clone(), file).run(&restored, &AtomicBool::new(true))
     }
 
     fn names(folder: &Path) -> Vec<String> {

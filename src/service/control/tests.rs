@@ -1,6 +1,7 @@
 use super::*;
 use crate::instrument::builtin;
-use crate::link::{COMMANDS, Command, CommandResult, Computer, Control, GpsFix};
+use crate::link::code::angle_code;
+use crate::link::{Action, COMMANDS, Command, CommandResult, Computer, Control, GpsFix};
 
 fn controls() -> Controls {
     let mounting = builtin("demo").unwrap().mounting;
@@ -26,6 +27,22 @@ fn angle(value: f64) -> u16 {
 const DONE: CommandResult = CommandResult::Done;
 const REFUSED: CommandResult = CommandResult::Refused;
 const UNKNOWN: CommandResult = CommandResult::Unknown;
+
+#[test]
+fn every_key_of_the_command_table_is_a_setting() {
+    for row in COMMANDS {
+        let keys: &[&str] = match &row.action {
+            Action::Set(keys) => keys,
+            Action::Read(key) if *key != "clock.offset_us" => std::slice::from_ref(key),
+            _ => continue,
+        };
+        for key in keys {
+            let own = [Value::Whole(1), Value::Number(1.0)];
+            let known = by_key(key).is_some() || own.iter().any(|v| Own::new().set(key, v).is_ok());
+            assert!(known, "{}: {key}", row.name);
+        }
+    }
+}
 
 #[test]
 fn what_a_command_sets_a_command_reads() {

@@ -1,7 +1,9 @@
 //! What comes over the line, and what is answered.
 
+use super::super::command_log::CommandNote;
 use super::super::tally::worth_a_line;
 use super::Line;
+use crate::link::describe::CommandInWords;
 use crate::link::guard::Refusal;
 use crate::link::{CommandPacket, Packet};
 use jiff::Timestamp;
@@ -37,7 +39,8 @@ impl Line<'_> {
     fn hear_wire(&mut self, bytes: &[u8]) {
         for packet in self.parser.feed(bytes, self.start.elapsed()) {
             if let Packet::Command(packet) = packet {
-                self.obey(&packet);
+                let sender = self.settings.port.clone();
+                self.obey(&packet, &sender.unwrap_or_default());
             }
         }
     }
@@ -47,7 +50,7 @@ impl Line<'_> {
         guard.refuse_to(self.controls.stamp_ns());
         let opened = match guard.open(datagram, sender) {
             Ok(opened) => opened,
-            Err(refusal) => return self.refuse(refusal, sender),
+            Err(refusal) => return self.refuse(refusal, None, sender),
         };
         if guard.newest_stamp() > self.controls.stamp_ns() {
             self.controls.note_stamp_ns(guard.newest_stamp());
@@ -67,35 +70,62 @@ impl Line<'_> {
         let now = Instant::now();
         match self.connection.guard().admit(&packet, sender, is_new, now) {
             Ok(None) => {
-                let answers = self.obey(&packet);
+                let answers = self.obey(&packet, &sender.to_string());
                 let guard = self.connection.guard();
                 guard.remember(packet, sender, answers, now);
             }
             Ok(Some(answers)) => {
+                self.repeated += 1;
+                if worth_a_line(self.repeated) {
+                    let result = format!("came again ({}): answered again", self.repeated);
+                    self.note_commands(&packet, sender, &result);
+                }
                 for answer in answers {
                     self.send(&answer);
                 }
             }
-            Err(refusal) => self.refuse(refusal, sender),
+            Err(refusal) => self.refuse(refusal, Some(&packet), sender),
         }
     }
 
-    fn refuse(&mut self, refusal: Refusal, sender: SocketAddr) {
+    /// `packet` is what was refused, where it was looked at so far.
+    fn refuse(&mut self, refusal: Refusal, packet: Option<&CommandPacket>, sender: SocketAddr) {
         let mut tally = self.tally.lock();
         tally.datagrams_refused += 1;
         let refused = tally.datagrams_refused;
         drop(tally);
         if worth_a_line(refused) {
             tracing::warn!(%sender, %refusal, refused, "a datagram was refused");
+            let result = format!("refused ({refused}): {refusal}");
+            match packet {
+                Some(packet) => self.note_commands(packet, sender, &result),
+                None => {
+                    let unread = CommandInWords::default();
+                    let note = CommandNote::now(sender, unread, result);
+                    self.controls.note_command(note);
+                }
+            }
+        }
+    }
+
+    /// Tells the command log what came of a packet that was not carried out.
+    fn note_commands(&self, packet: &CommandPacket, sender: SocketAddr, result: &str) {
+        for command in self.responder.commands_in(packet) {
+            let note = CommandNote::now(sender, command, result);
+            self.controls.note_command(note);
         }
     }
 
     /// Carries a packet out; returns what it was answered with.
-    fn obey(&mut self, packet: &CommandPacket) -> Vec<Vec<u8>> {
+    fn obey(&mut self, packet: &CommandPacket, sender: &str) -> Vec<Vec<u8>> {
         let now = Timestamp::now();
         match self.responder.handle(packet, now, &mut self.controls) {
             Ok(reply) => {
-                self.tally.lock().commands += reply.commands;
+                self.tally.lock().commands += reply.commands.len() as u64;
+                for (command, result) in reply.commands {
+                    let note = CommandNote::now(sender, command, result);
+                    self.controls.note_command(note);
+                }
                 for answer in &reply.packets {
                     self.send(answer);
                 }

@@ -1,0 +1,65 @@
+//! When to try again.
+
+use std::time::Duration;
+
+/// Waits between attempts, each twice as long as the one before, up to a limit.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Backoff {
+    shortest: Duration,
+    longest: Duration,
+    next: Duration,
+}
+
+impl Backoff {
+    /// For what an attempt costs little, and what should be found within seconds when it is back: a port, a camera, a thread.
+    pub const DEVICE: Self = Self::new(Duration::from_millis(250), Duration::from_secs(2));
+    /// For a disk.
+    pub const DISK: Self = Self::new(Duration::from_millis(250), Duration::from_secs(5));
+
+    const fn new(shortest: Duration, longest: Duration) -> Self {
+        Self {
+            shortest,
+            longest,
+            next: shortest,
+        }
+    }
+
+    /// The wait after one more failure.
+    pub fn wait(&mut self) -> Duration {
+        self.wait_at_most(self.longest)
+    }
+
+    /// The same with another limit, from which later waits go on.
+    pub fn wait_at_most(&mut self, longest: Duration) -> Duration {
+        let wait = self.next.min(longest);
+        self.next = self.longest.min(2 * wait);
+        wait
+    }
+
+    /// An attempt has succeeded: the next failure is a new one.
+    pub fn reset(&mut self) {
+        self.next = self.shortest;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waits_double_up_to_a_limit_and_begin_anew_after_a_success() {
+        let ms = Duration::from_millis;
+        let mut backoff = Backoff::new(ms(250), ms(2000));
+        assert_eq!(
+            [(); 5].map(|()| backoff.wait()),
+            [250, 500, 1000, 2000, 2000].map(ms)
+        );
+        assert_eq!(
+            [(); 2].map(|()| backoff.wait_at_most(ms(300))),
+            [300, 300].map(ms)
+        );
+        assert_eq!(backoff.wait(), ms(600), "on from the limit");
+        backoff.reset();
+        assert_eq!(backoff.wait(), ms(250));
+    }
+}

@@ -1,0 +1,50 @@
+//! The instrument's file before a calibration and after it.
+
+use crate::calibrate::revision::Revision;
+use crate::cli::options;
+use crate::cli::output::make_folder;
+use crate::instrument::Instrument;
+use anyhow::Context;
+use clap::Args;
+use std::path::{Path, PathBuf};
+
+/// The instrument before and after.
+#[derive(Debug, Args)]
+pub(super) struct Edition {
+    /// The instrument as it is known so far, a TOML file [default: the built-in instrument "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// The new instrument file
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
+impl Edition {
+    /// The instrument so far, and its file open for new entries.
+    pub fn open(&self) -> anyhow::Result<(Revision, Instrument)> {
+        let path = self.instrument.as_deref();
+        let (instrument, text) = options::instrument_with_text(path)?;
+        Ok((
+            Revision::of(path.unwrap_or(Path::new("demo")), &text)?,
+            instrument,
+        ))
+    }
+
+    /// Writes the new instrument if it is one that everything else can read; else what stood there stays.
+    pub fn write(&self, revision: &Revision) -> anyhow::Result<()> {
+        let (text, _) = revision.finish()?;
+        let cannot_write = || format!("{}: cannot write the instrument", self.out.display());
+        let mut name = self.out.as_os_str().to_owned();
+        name.push(".part");
+        let part = PathBuf::from(name);
+        std::fs::write(&part, text).with_context(cannot_write)?;
+        Instrument::read(&part)?;
+        std::fs::rename(&part, &self.out).with_context(cannot_write)
+    }
+}
+
+pub(super) fn write_page(folder: &Path, name: &str, html: &str) -> anyhow::Result<()> {
+    make_folder(folder)?;
+    let file = folder.join(name);
+    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
+}

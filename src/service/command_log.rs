@@ -1,0 +1,44 @@
+//! What the command log tells: every command with its time, its sender and what came of it.
+
+use crate::link::describe::CommandInWords;
+use jiff::Timestamp;
+
+/// A row of the command log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CommandNote {
+    pub utc: Timestamp,
+    /// The port that it came from, or the file.
+    pub sender: String,
+    pub command: CommandInWords,
+    /// What came of it.
+    pub result: String,
+}
+
+impl CommandNote {
+    pub const COLUMNS: [&'static str; 6] = ["utc", "sender", "key", "name", "values", "result"];
+
+    /// A row of this moment.
+    pub fn now(sender: impl ToString, command: CommandInWords, result: impl ToString) -> Self {
+        Self {
+            utc: Timestamp::now(),
+            sender: sender.to_string(),
+            command,
+            result: result.to_string(),
+        }
+    }
+
+    /// The fields of the columns; what is not known is empty.
+    pub fn fields(&self) -> [String; 6] {
+        let command = &self.command;
+        [
+            format!("{:.3}", self.utc),
+            self.sender.clone(),
+            command
+                .key
+                .map_or(String::new(), |key| format!("{key:#06x}")),
+            command.name.clone(),
+            command.values.clone(),
+            self.result.clone(),
+        ]
+    }
+}

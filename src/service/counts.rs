@@ -1,0 +1,44 @@
+//! The counts of all threads, where every thread may see them.
+
+use super::archiver::Gauges;
+use super::flight::UnsolvedFrame;
+use super::shared::Shared;
+use super::silence::Silence;
+use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
+use crossbeam_channel::Receiver;
+use std::time::Instant;
+
+/// The counts of all threads.
+#[derive(Clone)]
+pub(super) struct Counts {
+    pub cameras: Vec<Shared<CameraTally>>,
+    pub silences: Vec<Shared<Silence>>,
+    pub solvers: Vec<Shared<SolverTally>>,
+    /// Frames that wait for each solver: only their number is of interest here.
+    pub unsolved: Vec<Receiver<UnsolvedFrame>>,
+    pub archive: Gauges,
+    pub line: Shared<LineTally>,
+}
+
+impl Counts {
+    pub fn tally(&self) -> FlightTally {
+        let mut tally = FlightTally {
+            archive: self.archive.tally(),
+            line: self.line.copy(),
+            log_lines_lost: crate::log::lost_lines(),
+            ..FlightTally::default()
+        };
+        for camera in &self.cameras {
+            tally.camera.add(&camera.lock());
+        }
+        for silence in &self.silences {
+            let (silences, silent) = silence.lock().total(Instant::now());
+            tally.camera.silences += silences;
+            tally.camera.silent += silent;
+        }
+        for solver in &self.solvers {
+            tally.solver.add(&solver.lock());
+        }
+        tally
+    }
+}
