@@ -1,7 +1,7 @@
 //! The disc on the plate, from a frame's limb and a mapping that is known: the circle through its points.
 
 use super::record::PackedPoint;
-use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
+use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::geometry::Mapping;
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector1, Vector2, Vector3};
@@ -16,7 +16,6 @@ pub struct PlateDisc {
     pub points: usize,
 }
 
-const LOSS: Loss = Loss::Tukey(5.0);
 /// Fewer points make no circle.
 const LEAST_POINTS: usize = 6;
 
@@ -53,7 +52,7 @@ pub fn on_plate(
             mean: start,
             information: Vector3::new(0.0, 0.0, radius_mil.sigma.powi(-2)),
         },
-        loss: LOSS,
+        loss: Loss::Tukey(TUKEY_SIGMAS),
         scale: Scale::Inflated,
         tolerance_sigmas: 1e-6,
     };

@@ -15,7 +15,7 @@ use super::load::Entry;
 use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, TemperatureDependence};
 use super::temperature;
 use super::view::{Reference, State};
-use crate::estimation::{Loss, MEDIAN_CHI2_2D, median};
+use crate::estimation::{Loss, MEDIAN_CHI2_2D, TUKEY_SIGMAS_2D, median};
 use crate::geometry::Distortion;
 use crate::instrument::Instrument;
 use crate::units::{Measured, PlateMil};
@@ -37,7 +37,7 @@ const LEAST_JUMP_PX: f64 = 0.1;
 const MOST_JUMPS: usize = 64;
 /// The temperature counts where it makes the marks so much more likely, natural logarithm: 150 to 1.
 const LEAST_TEMPERATURE_GAIN: f64 = 5.0;
-const LOSS: Loss = Loss::Tukey(5.0);
+const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
 /// The process noise before it is estimated.
 const FIRST_NOISE: ProcessNoise = ProcessNoise {
     shift_px: 0.01,

@@ -5,7 +5,9 @@ use super::observation::SunObservation;
 use super::scatter::{Residual, correlation, extra_variance};
 use super::start::{Start, start};
 use crate::calibrate::frames::LeftOut;
-use crate::estimation::{FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale};
+use crate::estimation::{
+    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS_2D,
+};
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal};
 use crate::sky::SunPosition;
@@ -51,7 +53,6 @@ const SCATTER_PASSES: usize = 15;
 /// A change of the scatter by this part is none.
 const SETTLED: f64 = 1e-6;
 /// Where fits end, in sigmas of the unknowns: the first, which only tells the outliers, and the last.
-const LOSS: Loss = Loss::Tukey(6.0);
 const ROUGH_SIGMAS: f64 = 0.05;
 const FINE_SIGMAS: f64 = 1e-6;
 
@@ -170,7 +171,7 @@ impl Model<'_> {
         let mut fit = LeastSquares {
             start,
             prior: self.prior(&start),
-            loss: LOSS,
+            loss: Loss::Tukey(TUKEY_SIGMAS_2D),
             scale: Scale::Stated,
             tolerance_sigmas: ROUGH_SIGMAS,
         };
