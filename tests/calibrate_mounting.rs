@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::calibrate::mounting::{
-    Chain, Mounting, MountingError, Pointings, Sight, Unknown, Verdict, calibrate,
+    Chain, Mounting, MountingError, Pointings, SunObservation, Unknown, Verdict, calibrate,
 };
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
@@ -57,7 +57,7 @@ impl Scan {
     }
 
     /// Sights by the true instrument, the telescope at each instant where `towards` says.
-    fn sights(&self, towards: impl Fn(usize, &SunPosition) -> Horizontal) -> Vec<Sight> {
+    fn sights(&self, towards: impl Fn(usize, &SunPosition) -> Horizontal) -> Vec<SunObservation> {
         let instrument = true_instrument();
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(self.seed);
         let suns = self.suns();
@@ -66,7 +66,7 @@ impl Scan {
             let at = pointing::sun_on_plate(pointing, &instrument, sun).unwrap();
             let [dx, dy]: [f64; 2] = std::array::from_fn(|_| rng.sample(StandardNormal));
             let seen = at.vector() + Vector2::new(dx, dy) * self.noise_mil;
-            Sight {
+            SunObservation {
                 name: format!("frame_{n:05}.fits"),
                 utc: *utc,
                 sun_plate: Estimate {
@@ -81,14 +81,14 @@ impl Scan {
     }
 
     /// The telescope where the Sun stands in the middle of the scan.
-    fn drift(&self) -> Vec<Sight> {
+    fn drift(&self) -> Vec<SunObservation> {
         let suns = self.suns();
         let middle = suns[self.count / 2].1;
         self.sights(|_, _| at_sun(&middle))
     }
 
     /// The telescope on a grid about the Sun.
-    fn grid(&self) -> Vec<Sight> {
+    fn grid(&self) -> Vec<SunObservation> {
         self.sights(|n, sun| {
             let step = |k: usize| (k % 5) as f64 * 0.4 - 0.8;
             Horizontal {
@@ -218,15 +218,18 @@ fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
     let suns = TEN_MINUTES.suns();
     let telescope = suns[300].1;
     // The gnomonic picture of the sky about the telescope, turned by the clocking.
-    let rigid = |sights: Vec<Sight>, about: &dyn Fn(&Sight) -> SunPosition| -> Vec<Sight> {
-        let seen = |mut sight: Sight, clean: Vector2<f64>| {
+    let rigid = |sights: Vec<SunObservation>,
+                 about: &dyn Fn(&SunObservation) -> SunPosition|
+     -> Vec<SunObservation> {
+        let seen = |mut sight: SunObservation, clean: Vector2<f64>| {
             let at = pointing::sun_on_plate(at_sun(&sight.sun), &truth, &about(&sight)).unwrap();
             let noise = sight.sun_plate.position.vector() - clean;
             sight.sun_plate.position = (centre * 2.0 - at.vector() + noise).into();
             sight
         };
-        let clean =
-            |s: &Sight| pointing::sun_on_plate(s.pointing.unwrap(), &truth, &s.sun).unwrap();
+        let clean = |s: &SunObservation| {
+            pointing::sun_on_plate(s.pointing.unwrap(), &truth, &s.sun).unwrap()
+        };
         sights
             .into_iter()
             .map(|s| {
@@ -259,7 +262,7 @@ fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
         ..TEN_MINUTES
     }
     .grid();
-    let towards = |s: &Sight| SunPosition {
+    let towards = |s: &SunObservation| SunPosition {
         azimuth_deg: s.pointing.unwrap().azimuth_deg,
         elevation_deg: s.pointing.unwrap().elevation_deg,
         ..s.sun
@@ -275,7 +278,7 @@ fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
 fn sigmas_are_honest_over_many_scans() {
     let demo = builtin("demo").unwrap();
     const RUNS: u64 = 50;
-    type Way = fn(&Scan) -> Vec<Sight>;
+    type Way = fn(&Scan) -> Vec<SunObservation>;
     let ways: [(Pointings, Way); 2] = [
         (Pointings::Fixed, Scan::drift),
         (Pointings::Known, Scan::grid),

@@ -1,11 +1,10 @@
 //! The blur of the limb, and how blur and scale go with the camera's temperature.
 
 use super::shots::SunShot;
-use super::straight::solve;
 use super::{Figure, Finding};
 use crate::calibrate::numbers::median;
+use crate::estimation::{MEDIAN_SIGMA, SIGMA_PER_MEDIAN, regression};
 use crate::report::plot::Dots;
-use crate::statistics::SIGMA_PER_MEDIAN;
 use crate::units::Measured;
 use nalgebra::Vector2;
 
@@ -124,7 +123,7 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding
         count => {
             let middle = at_reference.unwrap_or_else(|| median(&values));
             let off: Vec<f64> = values.iter().map(|v| (v - median(&values)).abs()).collect();
-            let scatter = SIGMA_PER_MEDIAN * median(&off) * 1.25 / (count as f64).sqrt();
+            let scatter = SIGMA_PER_MEDIAN * median(&off) * MEDIAN_SIGMA / (count as f64).sqrt();
             Ok(Measured::new(middle, scatter.hypot(BLUR_SYSTEMATIC_PX)))
         }
     };
@@ -141,9 +140,6 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding
 fn line(points: &[(f64, f64)]) -> Option<(f64, Measured)> {
     let terms: Vec<_> = points.iter().map(|p| Vector2::new(1.0, p.0)).collect();
     let values: Vec<f64> = points.iter().map(|p| p.1).collect();
-    let solved = solve(&terms, &values, &vec![1.0; points.len()])?;
-    Some((
-        solved.coefficients[0],
-        Measured::new(solved.coefficients[1], solved.sigma(1)),
-    ))
+    let fitted = regression(&terms, &values, &vec![1.0; points.len()]).ok()?;
+    Some((fitted.parameters[0], fitted.measured(1)))
 }

@@ -16,7 +16,6 @@ mod flat;
 mod focus;
 mod report;
 mod shots;
-mod straight;
 mod transfer;
 
 pub use report::page;

@@ -2,9 +2,9 @@
 
 use super::dark::{Dark, clipped_variance, dn};
 use super::shots::{Shot, Shots};
-use super::straight::solve;
 use super::{Figure, Finding};
 use crate::calibrate::numbers::median;
+use crate::estimation::regression;
 use crate::instrument::Instrument;
 use crate::report::plot::Dots;
 use crate::units::{Measured, SensorPx};
@@ -197,8 +197,8 @@ fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> 
         .iter()
         .map(|p| p.variance.max(1e-3) * (2.0 / p.pixels).sqrt())
         .collect();
-    let solved = solve(&terms, &variances, &sigmas).ok_or(none.to_owned())?;
-    let gain = Measured::new(solved.coefficients[1], solved.sigma(1));
+    let fitted = regression(&terms, &variances, &sigmas).map_err(|_| none)?;
+    let gain = fitted.measured(1);
     if gain.value < 3.0 * gain.sigma {
         return Err(format!(
             "not determined: the noise does not grow with the light ({:.2e} +- {:.1e} DN/electron)",

@@ -1,6 +1,7 @@
 //! From frames to sights.
 
-use super::{PointingLog, Sight};
+use super::log::PointingLog;
+use super::observation::SunObservation;
 use crate::aspect::{self, Expected, Quality, Solution};
 use crate::calibrate::frames::LeftOut;
 use crate::fits;
@@ -38,7 +39,7 @@ pub struct Frames<'a> {
 
 /// A frame's sight, or why it gives none.
 enum Outcome {
-    Sight(Box<Sight>),
+    Sun(Box<SunObservation>),
     LeftOut(Lack, String),
 }
 
@@ -67,7 +68,7 @@ enum Lack {
 pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
-) -> anyhow::Result<(Vec<Sight>, Vec<LeftOut>, Handedness)> {
+) -> anyhow::Result<(Vec<SunObservation>, Vec<LeftOut>, Handedness)> {
     let handedness = told_handedness(files, frames.instrument);
     let mut instrument = frames.instrument.clone();
     instrument.mounting.handedness = handedness;
@@ -85,7 +86,7 @@ pub fn collect(
     let (mut sights, mut left_out, mut lacks) = (Vec::new(), Vec::new(), Vec::new());
     for (file, (_, outcome)) in files.iter().zip(outcomes) {
         match outcome {
-            Outcome::Sight(sight) => sights.push(*sight),
+            Outcome::Sun(sight) => sights.push(*sight),
             Outcome::LeftOut(lack, reason) => {
                 lacks.push(lack);
                 let name = file.display().to_string();
@@ -200,7 +201,7 @@ impl Frames<'_> {
             .seen_by(&frame)
             .with_context(|| format!("mixed instruments: {}", file.display()))?;
         let outcome = match self.sight(file, (&frame, &seen), ephemeris) {
-            Ok(sight) => Outcome::Sight(Box::new(sight)),
+            Ok(sight) => Outcome::Sun(Box::new(sight)),
             Err((lack, reason)) => Outcome::LeftOut(lack, reason),
         };
         let maker = Maker {
@@ -215,7 +216,7 @@ impl Frames<'_> {
         file: &Path,
         (frame, seen): (&Frame, &Instrument),
         ephemeris: &mut Ephemeris,
-    ) -> Result<Sight, (Lack, String)> {
+    ) -> Result<SunObservation, (Lack, String)> {
         let utc = frame
             .info
             .mid_exposure
@@ -244,7 +245,7 @@ impl Frames<'_> {
                 .map_or("no Sun".into(), |stopped| stopped.to_string());
             (Lack::Other, why)
         })?;
-        Ok(Sight {
+        Ok(SunObservation {
             name: file.display().to_string(),
             utc,
             sun_plate: aspect.sun_plate,

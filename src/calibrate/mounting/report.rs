@@ -1,6 +1,6 @@
 //! The calibration as one page of HTML that needs nothing else.
 
-use super::fit::Residual;
+use super::scatter::Residual;
 use super::verdict::{Finding, Verdict};
 use super::{Mounting, Pointings};
 use crate::calibrate::frames::LeftOut;

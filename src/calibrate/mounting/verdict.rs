@@ -1,9 +1,8 @@
 //! What the sights determine, and what they do not.
 
-use super::MountingError;
 use super::chain::Chain;
-use super::fit::{Fit, Pointings, Unknown, centre_covariance};
-use super::scatter::{TOLD, advantage};
+use super::fit::{DISTINGUISHED, MountingFit, Pointings, Unknown};
+use super::observation::MountingError;
 use crate::calibrate::numbers::sigma_text;
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::instrument::Instrument;
@@ -61,20 +60,23 @@ pub(super) enum Mirror {
 }
 
 /// Whether the sights know the plate from its mirror image.
-pub(super) fn mirror(straight: &Fit, mirrored: Option<&Fit>) -> Result<Mirror, MountingError> {
+pub(super) fn mirror(
+    straight: &MountingFit,
+    mirrored: Option<&MountingFit>,
+) -> Result<Mirror, MountingError> {
     let Some(mirrored) = mirrored else {
         return Ok(Mirror::Told {
             times: f64::INFINITY,
         });
     };
-    let difference = advantage(straight, mirrored);
-    if difference < -TOLD {
+    let difference = straight.advantage(mirrored);
+    if difference < -DISTINGUISHED {
         return Err(MountingError::Mirrored {
             for_it: format!("{:.2}", mirrored.scatter_mil),
             against: format!("{:.2}", straight.scatter_mil),
         });
     }
-    if difference < TOLD {
+    if difference < DISTINGUISHED {
         return Ok(Mirror::NotTold);
     }
     let times = mirrored.scatter_mil / straight.scatter_mil;
@@ -82,7 +84,7 @@ pub(super) fn mirror(straight: &Fit, mirrored: Option<&Fit>) -> Result<Mirror, M
 }
 
 /// Every quantity's finding.
-pub(super) fn findings(fit: &Fit, mirror: Mirror, stated: &Instrument) -> Vec<Finding> {
+pub(super) fn findings(fit: &MountingFit, mirror: Mirror, stated: &Instrument) -> Vec<Finding> {
     let mut findings = vec![
         centre(fit, stated),
         clocking(fit, stated),
@@ -94,10 +96,10 @@ pub(super) fn findings(fit: &Fit, mirror: Mirror, stated: &Instrument) -> Vec<Fi
     findings
 }
 
-fn centre(fit: &Fit, stated: &Instrument) -> Finding {
+fn centre(fit: &MountingFit, stated: &Instrument) -> Finding {
     let mounting = &stated.mounting;
     let at = mounting.boresight_mil;
-    let sigma = (centre_covariance(fit).trace() / 2.0).max(0.0).sqrt();
+    let sigma = (fit.centre_covariance().trace() / 2.0).max(0.0).sqrt();
     let found = vec![fit.values[0], fit.values[1]];
     let apart = (found[0] - at.x).hypot(found[1] - at.y);
     let arcsec = |mil: f64| mil * stated.optics.arcsec_per_mil();
@@ -128,7 +130,7 @@ fn centre(fit: &Fit, stated: &Instrument) -> Finding {
 }
 
 /// Why a scan does not tell the centre.
-fn scan_remark(fit: &Fit, apart_mil: f64, sigma_mil: f64) -> String {
+fn scan_remark(fit: &MountingFit, apart_mil: f64, sigma_mil: f64) -> String {
     let why = "not determined: with the pointing unknown, moving the centre and turning the telescope look alike; keeps the \
                instrument's value. Take frames with known pointing to measure it";
     match fit.chain {
@@ -141,7 +143,7 @@ fn scan_remark(fit: &Fit, apart_mil: f64, sigma_mil: f64) -> String {
 }
 
 /// Where the sights contradict the chain that the pointing uses.
-fn chain(fit: &Fit) -> Option<Finding> {
+fn chain(fit: &MountingFit) -> Option<Finding> {
     let remark = match fit.chain {
         Chain::AtSun => return None,
         Chain::AtTelescope => {
@@ -163,7 +165,7 @@ fn chain(fit: &Fit) -> Option<Finding> {
     })
 }
 
-fn clocking(fit: &Fit, stated: &Instrument) -> Finding {
+fn clocking(fit: &MountingFit, stated: &Instrument) -> Finding {
     let of = stated.mounting.clocking_deg;
     single(
         fit,
@@ -174,7 +176,7 @@ fn clocking(fit: &Fit, stated: &Instrument) -> Finding {
     )
 }
 
-fn distance(fit: &Fit, stated: &Instrument) -> Finding {
+fn distance(fit: &MountingFit, stated: &Instrument) -> Finding {
     let of = stated.optics.plate_distance_mm;
     let limit = MOST_DISTANCE * of.value;
     let key = "optics.plate_distance_mm";
@@ -193,7 +195,7 @@ fn distance(fit: &Fit, stated: &Instrument) -> Finding {
 }
 
 fn single(
-    fit: &Fit,
+    fit: &MountingFit,
     unknown: Unknown,
     (name, key, unit): (&'static str, &'static str, &'static str),
     stated: Measured,
@@ -269,7 +271,7 @@ fn mirror_finding(mirror: Mirror) -> Finding {
 }
 
 /// A fixed telescope's direction goes with the centre that was fitted; it is told, and stands in no file.
-fn pointing(fit: &Fit) -> Option<Finding> {
+fn pointing(fit: &MountingFit) -> Option<Finding> {
     let azimuth = fit.measured(Unknown::Azimuth)?;
     let elevation = fit.measured(Unknown::Elevation)?;
     Some(Finding {
