@@ -210,8 +210,8 @@ mod tests {
     use super::*;
     use crate::accuracy::conditions::noise;
     use crate::accuracy::recipe::{ENOUGH_MARKS, Recipe, View};
+    use crate::estimation::median;
     use crate::instrument::builtin;
-    use crate::statistics::median;
 
     fn medians_arcsec(noise_dn: f64) -> f64 {
         let demo = builtin("demo").unwrap();

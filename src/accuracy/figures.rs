@@ -8,6 +8,7 @@ use super::recipe::{ENOUGH_MARKS, Recipe, View};
 use super::rows::Size;
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::{Quality, Settings};
+use crate::estimation::MEDIAN_LENGTH_2D;
 use crate::report::plot::{self, Arrow, Curve, Labels, PlotError, Stroke};
 use crate::simulate::SceneError;
 
@@ -93,15 +94,12 @@ fn curve(name: &str, sweep: &Sweep, stroke: Stroke, of: fn(&Summary) -> Option<f
     }
 }
 
-/// The median distance of a Gaussian error in two axes, over its sigma per axis: the Rayleigh distribution's.
-const MEDIAN_OVER_SIGMA: f64 = 1.177_41;
-
 fn curves_of(sweep: &Sweep) -> [Curve; 3] {
     [
         curve("99.7 %", sweep, Stroke::Measured, |s| s.most_arcsec),
         curve("median", sweep, Stroke::Measured, |s| s.median_arcsec),
         curve("median at the bound", sweep, Stroke::Known, |s| {
-            s.bound.map(|b| b.median_arcsec * MEDIAN_OVER_SIGMA)
+            s.bound.map(|b| b.median_arcsec * MEDIAN_LENGTH_2D)
         }),
     ]
 }

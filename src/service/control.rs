@@ -12,7 +12,6 @@ mod saved;
 pub use saved::{SavedValues, ValueSaver, restore};
 
 use super::command_log::CommandNote;
-use super::tally::worth_a_line;
 use crate::aspect;
 use crate::config::{self, Config, Value, by_key};
 use crate::instrument::Mounting;
@@ -306,11 +305,13 @@ impl Controls {
     /// Gives a row to the command log; it waits for nothing.
     pub fn note_command(&self, note: CommandNote) {
         if self.0.notes.0.try_send(note).is_err() {
-            let lost = self.0.notes_lost.fetch_add(1, Ordering::Relaxed) + 1;
-            if worth_a_line(lost) {
-                tracing::error!(lost, "the command log cannot follow: it lacks rows");
-            }
+            self.0.notes_lost.fetch_add(1, Ordering::Relaxed);
         }
+    }
+
+    /// How many rows found no room since this was asked last.
+    pub fn take_lost_notes(&self) -> u64 {
+        self.0.notes_lost.swap(0, Ordering::Relaxed)
     }
 
     /// The rows that the command log has not been given yet.

@@ -113,11 +113,13 @@ impl Watch {
     }
 
     fn note_commands(&self) {
+        let lost = self.controls.take_lost_notes();
         for note in self.controls.command_notes() {
             if let Some(archive) = &self.archive {
                 archive.note_command(&note);
             }
         }
+        self.counts.archive.note_lost_commands(lost);
     }
 
     /// The threads were stopped like everything else: nobody is to be blamed for it.

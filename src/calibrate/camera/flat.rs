@@ -2,9 +2,9 @@
 
 use super::dark::{Dark, dn};
 use super::shots::{Shots, SunShot, TILE_PX, inside, tiles};
-use super::straight::{Solved, solve};
 use crate::calibrate::numbers::median;
 use crate::calibrate::quantity::CalibratedQuantity;
+use crate::estimation::{Fitted, regression};
 use crate::instrument::Instrument;
 use crate::report::plot::{Figure, Labels, Series};
 use crate::units::Measured;
@@ -162,12 +162,12 @@ fn fit(lights: &[Light]) -> Option<Falloff> {
     let values: Vec<f64> = lights.iter().map(|l| l.dn).collect();
     let even = vec![1.0; lights.len()];
     let terms: Vec<_> = lights.iter().map(all).collect();
-    let solved = solve(&terms, &values, &even)?;
-    let fourth = share(&solved, 4, UNIT_PX.powi(4));
+    let fitted = regression(&terms, &values, &even).ok()?;
+    let fourth = share(&fitted, 4, UNIT_PX.powi(4));
     if fourth.value.abs() > SIGNIFICANT * fourth.sigma {
         return Some(Falloff {
-            middle: solved.coefficients[0],
-            square: share(&solved, 3, UNIT_PX.powi(2)),
+            middle: fitted.parameters[0],
+            square: share(&fitted, 3, UNIT_PX.powi(2)),
             fourth: Some(fourth),
         });
     }
@@ -175,19 +175,17 @@ fn fit(lights: &[Light]) -> Option<Falloff> {
         .iter()
         .map(|t| SVector::from([t[0], t[1], t[2], t[3]]))
         .collect();
-    let solved = solve(&fewer, &values, &even)?;
+    let fitted = regression(&fewer, &values, &even).ok()?;
     Some(Falloff {
-        middle: solved.coefficients[0],
-        square: share(&solved, 3, UNIT_PX.powi(2)),
+        middle: fitted.parameters[0],
+        square: share(&fitted, 3, UNIT_PX.powi(2)),
         fourth: None,
     })
 }
 
 /// A coefficient as a part of the light in the middle.
-fn share<const N: usize>(solved: &Solved<N>, n: usize, unit: f64) -> Measured {
-    let whole = solved.coefficients[0] * unit;
-    Measured::new(
-        solved.coefficients[n] / whole,
-        solved.sigma(n) / whole.abs(),
-    )
+fn share<const N: usize>(fitted: &Fitted<N>, n: usize, unit: f64) -> Measured {
+    let whole = fitted.parameters[0] * unit;
+    let Measured { value, sigma } = fitted.measured(n);
+    Measured::new(value / whole, sigma / whole.abs())
 }

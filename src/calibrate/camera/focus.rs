@@ -1,15 +1,14 @@
-//! The blur of the limb, and how blur and scale go with the camera's temperature.
+//! The blur of the limb, and how blur and scale depend on the camera's temperature.
 
 use super::shots::SunShot;
-use super::straight::solve;
 use crate::calibrate::numbers::median;
 use crate::calibrate::quantity::CalibratedQuantity;
+use crate::estimation::{MEDIAN_SIGMA, SIGMA_PER_MEDIAN, regression};
 use crate::report::plot::{Figure, Labels, Series};
-use crate::statistics::SIGMA_PER_MEDIAN;
 use crate::units::Measured;
 use nalgebra::Vector2;
 
-/// Fewest frames, and the least range of temperature, that tell a dependence.
+/// Fewest frames, and the least range of temperature, that determine a dependence.
 const LEAST_FRAMES: usize = 8;
 const LEAST_RANGE_C: f64 = 3.0;
 /// What the limb's fit may be off by, whatever the number of frames.
@@ -39,7 +38,7 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
     let blur_slope = slope(&blurs).map(|l| l.1);
     let scale_slope =
         slope(&scales).map(|(mean, slope)| Measured::new(slope.value / mean, slope.sigma / mean));
-    let told = blur_slope.is_ok() || scale_slope.is_ok();
+    let determined = blur_slope.is_ok() || scale_slope.is_ok();
     let mut quantities = vec![blur(suns, refused.is_none().then_some(&blurs))];
     quantities.push(quantity(
         "blur with temperature",
@@ -57,7 +56,7 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
         labels: Labels::new(title, "deg C from the mean temperature", y),
         series: vec![Series::dots("frames", points.iter().copied())],
     };
-    let figures = told.then(|| {
+    let figures = determined.then(|| {
         vec![
             figure("Blur of the limb with temperature", "px, 1 sigma", &blurs),
             figure("Scale with temperature", "mil/px", &scales),
@@ -65,12 +64,12 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
     });
     Focus {
         quantities,
-        reference_c: told.then_some(reference_c),
+        reference_c: determined.then_some(reference_c),
         figures: figures.unwrap_or_default(),
     }
 }
 
-/// Why such temperatures tell no dependence.
+/// Why such temperatures determine no dependence.
 fn refusal(temperatures: &[f64]) -> Option<String> {
     let most = temperatures
         .iter()
@@ -100,7 +99,7 @@ fn quantity(
     CalibratedQuantity::measured((name, key, unit), found, remark)
 }
 
-/// The blur: where it goes with temperature, at the mean temperature.
+/// The blur: where it depends on temperature, at the mean temperature.
 fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> CalibratedQuantity {
     let values: Vec<f64> = suns.iter().filter_map(|s| s.blur_px).collect();
     let at_reference = with_temperature
@@ -114,7 +113,7 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Calibra
         count => {
             let middle = at_reference.unwrap_or_else(|| median(&values));
             let off: Vec<f64> = values.iter().map(|v| (v - median(&values)).abs()).collect();
-            let scatter = SIGMA_PER_MEDIAN * median(&off) * 1.25 / (count as f64).sqrt();
+            let scatter = SIGMA_PER_MEDIAN * median(&off) * MEDIAN_SIGMA / (count as f64).sqrt();
             Ok(Measured::new(middle, scatter.hypot(BLUR_SYSTEMATIC_PX)))
         }
     };
@@ -126,9 +125,6 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Calibra
 fn line(points: &[(f64, f64)]) -> Option<(f64, Measured)> {
     let terms: Vec<_> = points.iter().map(|p| Vector2::new(1.0, p.0)).collect();
     let values: Vec<f64> = points.iter().map(|p| p.1).collect();
-    let solved = solve(&terms, &values, &vec![1.0; points.len()])?;
-    Some((
-        solved.coefficients[0],
-        Measured::new(solved.coefficients[1], solved.sigma(1)),
-    ))
+    let fitted = regression(&terms, &values, &vec![1.0; points.len()]).ok()?;
+    Some((fitted.parameters[0], fitted.measured(1)))
 }

@@ -21,7 +21,6 @@ mod flat;
 mod focus;
 mod report;
 mod shots;
-mod straight;
 mod transfer;
 
 pub use calibration::{CameraCalibration, CameraError, Inputs, calibrate};

@@ -2,15 +2,15 @@
 
 use super::dark::{Dark, clipped_variance, dn};
 use super::shots::{Shot, Shots, inside, tiles};
-use super::straight::solve;
 use crate::calibrate::numbers::median;
 use crate::calibrate::quantity::CalibratedQuantity;
+use crate::estimation::regression;
 use crate::instrument::Instrument;
 use crate::report::plot::{Figure, Labels, Series};
 use crate::units::{Measured, SensorPx};
 use nalgebra::Vector2;
 
-/// Light must span so many times the read noise, or it tells no slope.
+/// Light must span so many times the read noise, or it determines no slope.
 const LEAST_SPAN: f64 = 3.0;
 /// What the plate's grain and the marks' feet may add to the noise between neighbours.
 const GRAIN: f64 = 0.03;
@@ -186,13 +186,13 @@ fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> 
     }
     let terms: Vec<_> = points.iter().map(|p| Vector2::new(1.0, p.light)).collect();
     let variances: Vec<f64> = points.iter().map(|p| p.variance).collect();
-    // A variance of n values is uncertain by itself times the root of 2 / n.
+    // A variance of n values is uncertain by itself times the square root of 2 / n.
     let sigmas: Vec<f64> = points
         .iter()
         .map(|p| p.variance.max(1e-3) * (2.0 / p.pixels).sqrt())
         .collect();
-    let solved = solve(&terms, &variances, &sigmas).ok_or(none.to_owned())?;
-    let gain = Measured::new(solved.coefficients[1], solved.sigma(1));
+    let fitted = regression(&terms, &variances, &sigmas).map_err(|_| none)?;
+    let gain = fitted.measured(1);
     if gain.value < 3.0 * gain.sigma {
         return Err(format!(
             "not determined: the noise does not grow with the light ({:.2e} +- {:.1e} DN/electron)",

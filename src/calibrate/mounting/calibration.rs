@@ -1,7 +1,7 @@
 //! From observations to a mounting.
 
 use super::chain::Side;
-use super::fit::{self, Fit, Pointings};
+use super::fit::{self, MountingFit, Pointings};
 use super::observation::{MountingError, SunObservation};
 use super::verdict;
 use crate::calibrate::frames::RejectedFrame;
@@ -13,7 +13,7 @@ use crate::instrument::Instrument;
 /// The result of a calibration.
 #[derive(Debug, Clone)]
 pub struct Mounting {
-    pub fit: Fit,
+    pub fit: MountingFit,
     pub quantities: Vec<CalibratedQuantity>,
     /// How the camera sees the plate, as the marks say.
     pub handedness: Handedness,
@@ -90,7 +90,7 @@ fn check_spread(
 }
 
 /// A telescope that moved, or pointings of another night, fit nothing.
-fn check_agreement(fit: &Fit, pointings: Pointings) -> Result<(), MountingError> {
+fn check_agreement(fit: &MountingFit, pointings: Pointings) -> Result<(), MountingError> {
     let (limit_mil, instead) = match pointings {
         Pointings::Known => (200.0, "check the clock and the place of the pointings"),
         Pointings::Fixed => (

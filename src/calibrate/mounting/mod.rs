@@ -8,7 +8,7 @@
 //!
 //! 1. `start`: to a part in fifty the chain is a similarity in the plane; the one of least median distance, over many
 //!    pairs of observations, is right while more than half of the observations are.
-//! 2. `fit`: Gauss and Newton's steps on the whole chain, first with Tukey's weights, then on the observations
+//! 2. `fit`: least squares on the whole chain, first with Tukey's loss, then on the observations
 //!    that agree. What they scatter beyond their own sigmas is added to the noise of every observation; where successive
 //!    residuals are correlated the covariance is inflated.
 //!    All this twice: directions on the plate count from the zenith at the Sun, as the pointing has it, or at the telescope, as on a
@@ -17,7 +17,7 @@
 //! 4. `verdict`: each quantity is determined, with a sigma, or keeps the instrument's value.
 //!
 //! ```text
-//! observation <- collect; observation, chain <- start, fit <- verdict <- calibration <- report
+//! observation <- collect; observation, chain, scatter <- start <- fit <- verdict <- calibration <- report
 //! ```
 
 mod calibration;
@@ -34,7 +34,7 @@ mod verdict;
 pub use calibration::{Mounting, calibrate};
 pub use chain::Chain;
 pub use collect::{Frames, collect};
-pub use fit::{Fit, Pointings, Unknown};
+pub use fit::{MountingFit, Pointings, Unknown};
 pub use log::{LogError, PointingLog};
 pub use observation::{MountingError, SunObservation};
 pub use report::page;

@@ -1,5 +1,6 @@
 //! What one frame shows, and why observations may give no mounting.
 
+use crate::estimation::FitError;
 use crate::pointing::Horizontal;
 use crate::sky::SunPosition;
 use crate::units::{Estimate, PlateMil};
@@ -45,6 +46,8 @@ pub enum MountingError {
         limit_mil: f64,
         instead: &'static str,
     },
+    #[error("no mounting fits the frames: {0}; check times, place and pointings")]
+    NoFit(#[from] FitError),
     #[error(
         "the Sun moves over the plate as in a mirror ({against} against {for_it} mil rms): check the times, the place and from which side the marks were numbered"
     )]

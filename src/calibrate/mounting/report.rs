@@ -1,7 +1,8 @@
 //! The calibration as one page of HTML that needs nothing else.
 
 use super::calibration::Mounting;
-use super::fit::{Fit, Pointings, Residual};
+use super::fit::{MountingFit, Pointings};
+use super::scatter::Residual;
 use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::quantity::CalibratedQuantity;
 use crate::instrument::Instrument;
@@ -53,11 +54,11 @@ pub fn page(
     Ok(page.finish(&format!("Mounting of {}", stated.name)))
 }
 
-fn accepted(fit: &Fit) -> Vec<&Residual> {
+fn accepted(fit: &MountingFit) -> Vec<&Residual> {
     fit.residuals.iter().filter(|r| r.accepted).collect()
 }
 
-fn over_time(fit: &Fit) -> Result<String, PlotError> {
+fn over_time(fit: &MountingFit) -> Result<String, PlotError> {
     let first = fit.residuals.first().map(|r| r.utc);
     let minutes =
         |r: &Residual| first.map_or(0.0, |f| r.utc.duration_since(f).as_secs_f64() / 60.0);
@@ -70,7 +71,7 @@ fn over_time(fit: &Fit) -> Result<String, PlotError> {
     plot::series(&labels, &[along("X", 0), along("Y", 1)])
 }
 
-fn on_plate(fit: &Fit) -> Result<String, PlotError> {
+fn on_plate(fit: &MountingFit) -> Result<String, PlotError> {
     const MOST_ARROWS: usize = 150;
     let accepted = accepted(fit);
     let reaches = accepted.iter().map(|r| r.at.x.abs().max(r.at.y.abs()));

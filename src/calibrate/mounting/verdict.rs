@@ -1,9 +1,8 @@
 //! Which quantities the observations determine, and which they do not.
 
 use super::chain::Chain;
-use super::fit::{Fit, Pointings, Unknown, centre_covariance};
+use super::fit::{DISTINGUISHED, MountingFit, Pointings, Unknown};
 use super::observation::MountingError;
-use super::scatter::{TOLD, advantage};
 use crate::calibrate::numbers::sigma_text;
 use crate::calibrate::quantity::{CalibratedQuantity, Verdict};
 use crate::instrument::Instrument;
@@ -21,8 +20,8 @@ const CONTRADICTED_SIGMAS: f64 = 4.0;
 /// # Errors
 /// They agree with the mirror image only.
 pub(super) fn mirror(
-    straight: &Fit,
-    mirrored: Option<&Fit>,
+    straight: &MountingFit,
+    mirrored: Option<&MountingFit>,
 ) -> Result<CalibratedQuantity, MountingError> {
     const NAME: &str = "mirror (side of the plate)";
     let determined = |why: String| {
@@ -32,14 +31,14 @@ pub(super) fn mirror(
     let Some(mirrored) = mirrored else {
         return Ok(determined("the observations agree with no mounting".into()));
     };
-    let difference = advantage(straight, mirrored);
-    if difference < -TOLD {
+    let difference = straight.advantage(mirrored);
+    if difference < -DISTINGUISHED {
         return Err(MountingError::Mirrored {
             for_it: format!("{:.2}", mirrored.scatter_mil),
             against: format!("{:.2}", straight.scatter_mil),
         });
     }
-    if difference < TOLD {
+    if difference < DISTINGUISHED {
         let remark = "not determined: the Sun's path is too straight to distinguish it from its mirror image; keeps the \
                       instrument's. Scan at another hour or in another season, or take frames with known pointing all over \
                       the plate";
@@ -57,7 +56,7 @@ pub(super) fn mirror(
 
 /// Every quantity with its verdict.
 pub(super) fn quantities(
-    fit: &Fit,
+    fit: &MountingFit,
     mirror: CalibratedQuantity,
     stated: &Instrument,
 ) -> Vec<CalibratedQuantity> {
@@ -74,10 +73,10 @@ pub(super) fn quantities(
         .collect()
 }
 
-fn centre(fit: &Fit, stated: &Instrument) -> CalibratedQuantity {
+fn centre(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     let mounting = &stated.mounting;
     let at = mounting.boresight_mil;
-    let sigma = (centre_covariance(fit).trace() / 2.0).max(0.0).sqrt();
+    let sigma = (fit.centre_covariance().trace() / 2.0).max(0.0).sqrt();
     let found = vec![fit.values[0], fit.values[1]];
     let apart = (found[0] - at.x).hypot(found[1] - at.y);
     let (verdict, remark) = match fit.pointings {
@@ -100,7 +99,7 @@ fn centre(fit: &Fit, stated: &Instrument) -> CalibratedQuantity {
 }
 
 /// Why a scan does not determine the centre.
-fn scan_remark(fit: &Fit, apart_mil: f64, sigma_mil: f64) -> String {
+fn scan_remark(fit: &MountingFit, apart_mil: f64, sigma_mil: f64) -> String {
     let why = "not determined: with the pointing unknown, a shift of the centre and a turn of the telescope are degenerate; keeps \
                the instrument's value. Take frames with known pointing to measure it";
     match fit.chain {
@@ -113,7 +112,7 @@ fn scan_remark(fit: &Fit, apart_mil: f64, sigma_mil: f64) -> String {
 }
 
 /// Where the observations contradict the chain that the pointing uses.
-fn chain(fit: &Fit) -> Option<CalibratedQuantity> {
+fn chain(fit: &MountingFit) -> Option<CalibratedQuantity> {
     let remark = "the observations are those of a plate rigid in the gondola: directions count from the zenith at the telescope. \
                   The pointing counts them at the Sun; the two agree at the boresight, and at an angle a beside it differ by \
                   about a^2 tan(elevation). The quantities above hold for both";
@@ -123,13 +122,13 @@ fn chain(fit: &Fit) -> Option<CalibratedQuantity> {
     })
 }
 
-fn clocking(fit: &Fit, stated: &Instrument) -> CalibratedQuantity {
+fn clocking(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     let name = ("clocking", "mounting.clocking_deg", "deg");
     let stated = stated.mounting.clocking_deg;
     single(fit, Unknown::Clocking, name, stated, MOST_CLOCKING_DEG)
 }
 
-fn distance(fit: &Fit, stated: &Instrument) -> CalibratedQuantity {
+fn distance(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     let key = "optics.plate_distance_mm";
     let name = ("plate's distance from the lens", key, "mm");
     let stated = stated.optics.plate_distance_mm;
@@ -141,7 +140,7 @@ fn distance(fit: &Fit, stated: &Instrument) -> CalibratedQuantity {
 }
 
 fn single(
-    fit: &Fit,
+    fit: &MountingFit,
     unknown: Unknown,
     (name, key, unit): (&'static str, &'static str, &'static str),
     stated: Measured,
@@ -179,7 +178,7 @@ fn judge(sigma: f64, limit: f64, apart: Measured, to: &str) -> (Verdict, String)
 }
 
 /// A fixed telescope's direction goes with the centre that was fitted; it stands in no file.
-fn pointing(fit: &Fit) -> Option<CalibratedQuantity> {
+fn pointing(fit: &MountingFit) -> Option<CalibratedQuantity> {
     let azimuth = fit.measured(Unknown::Azimuth)?;
     let elevation = fit.measured(Unknown::Elevation)?;
     let remark = "fitted beside the centre, with which it moves";

@@ -6,6 +6,7 @@
 use super::observation::{FrameObservation, MarkObservation, consensus};
 use crate::aspect;
 use crate::calibrate::numbers::median;
+use crate::estimation::QUARTILE_SIGMAS;
 use crate::fiducial::{
     self, CrossShape, Detections, FlatDisc, IdentificationPrior, Lighting, Refiner,
 };
@@ -57,7 +58,7 @@ fn noise<T: Sample>(view: &View<'_, T>) -> f64 {
     let pairs = view.pixels.windows(2).step_by(EVERY);
     let differences = pairs.map(|pair| f64::from((pair[1].dn() - pair[0].dn()).abs()));
     // Median of the absolute difference of two normal values.
-    let sigma = median(differences) / (0.6745 * 2.0_f64.sqrt());
+    let sigma = median(differences) / (QUARTILE_SIGMAS * 2.0_f64.sqrt());
     sigma.max(ROUNDING_NOISE_DN)
 }
 

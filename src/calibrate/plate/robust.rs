@@ -12,6 +12,7 @@
 
 use super::adjust::{Cell, Freedoms, MarkPrior, Problem, Settled, State};
 use crate::calibrate::numbers::median;
+use crate::estimation::{MEDIAN_LENGTH_2D, QUARTILE_SIGMAS};
 use nalgebra::{Matrix2, Vector2};
 
 /// An observation of a mark in the adjustment.
@@ -45,8 +46,6 @@ const NONE: f64 = 6.0;
 const ROUNDS: usize = 12;
 /// Weights that all change by less than this have converged.
 const CONVERGED: f64 = 1e-3;
-/// Median length of a two-dimensional deviation of 1 sigma per axis.
-const MEDIAN_SIZE: f64 = 1.177;
 /// An observation counts for the scale if the others leave it this part of its variance: the only one of a mark has no residual.
 const CHECKED: f64 = 0.2;
 /// Fewest residuals that determine the scale.
@@ -135,7 +134,7 @@ impl Bundle {
             let own = self.medians(&off);
             let pairs = self.observations.iter().zip(&off);
             let sizes: Vec<f64> = pairs.map(|(o, off)| (off - own[o.mark]).norm()).collect();
-            let sigma = (median(sizes.iter().copied()) / MEDIAN_SIZE).max(1e-6);
+            let sigma = (median(sizes.iter().copied()) / MEDIAN_LENGTH_2D).max(1e-6);
             if self.reweigh(|n| sizes[n] / sigma) < CONVERGED {
                 break;
             }
@@ -207,8 +206,6 @@ impl Bundle {
 
     /// Inflates the marks' prior sigma to how far the observations show them from the drawing; gives the factor.
     pub(super) fn inflate_drawing_sigma(&mut self, settled: &Settled) -> f64 {
-        /// Median of the absolute value of normal errors.
-        const MEDIAN_OFF: f64 = 0.6745;
         let off = |(mark, prior): (usize, &MarkPrior)| {
             let covariance = settled.place_covariance(mark);
             let off = settled.state.places[mark].vector() - prior.printed.vector();
@@ -216,7 +213,7 @@ impl Bundle {
             [0, 1].map(|n| off[n].abs() / (variance - covariance[(n, n)]).max(0.0).sqrt())
         };
         let measured = self.marks.iter().enumerate().filter(|(_, m)| m.measured);
-        let factor = (median(measured.flat_map(off)) / MEDIAN_OFF).max(1.0);
+        let factor = (median(measured.flat_map(off)) / QUARTILE_SIGMAS).max(1.0);
         self.marks.iter_mut().for_each(|m| m.sigma_mil *= factor);
         factor
     }
@@ -228,7 +225,7 @@ impl Bundle {
         let sizes: Vec<f64> = checked.map(|(_, residual)| residual.size).collect();
         match sizes.len() < LEAST_CHECKED {
             true => 1.0,
-            false => (median(sizes) / MEDIAN_SIZE).clamp(0.1, 10.0),
+            false => (median(sizes) / MEDIAN_LENGTH_2D).clamp(0.1, 10.0),
         }
     }
 

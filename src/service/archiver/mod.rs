@@ -237,6 +237,11 @@ impl Archive {
 }
 
 impl Gauges {
+    /// Counts commands that found no room on their way here.
+    pub fn note_lost_commands(&self, lost: u64) {
+        self.rows_overflowed.fetch_add(lost, Ordering::Relaxed);
+    }
+
     pub fn tally(&self) -> ArchiveTally {
         let mut tally = ArchiveTally {
             stored: self.frames.stored.load(Ordering::Relaxed),
