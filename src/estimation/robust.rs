@@ -9,7 +9,7 @@ pub const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// The upper quartile of a normal distribution, in sigmas, which is the median of the absolute deviations.
 pub const QUARTILE_SIGMAS: f64 = 0.6745;
 /// The median length of a normal deviation in two axes, in sigmas per axis (Rayleigh): the square root of 2 ln 2.
-pub const MEDIAN_LENGTH_2D: f64 = 1.177_410_022_515_474_7;
+pub const MEDIAN_LENGTH_2D: f64 = 1.177;
 /// Its square: the median of chi^2 with two degrees of freedom.
 pub const MEDIAN_CHI2_2D: f64 = 2.0 * std::f64::consts::LN_2;
 /// 1 sigma of the median of many normal values over that of their mean: the square root of pi / 2.
