@@ -104,7 +104,7 @@ pub fn values(bytes: &[u8]) {
     .concat();
     for bytes in [bytes, &headed] {
         let (_folder, path) = file("values.toml", bytes);
-        let controls = Controls::new(Config::default(), Target::default(), MOUNTING.clone());
+        let controls = Controls::new(Config::default(), Target::default(), *MOUNTING);
         restore(&controls, &path);
     }
 }

@@ -16,10 +16,9 @@
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
 //! | `backoff` | waits between attempts |
 //! | [`provenance`] | which program made a file: version, commit, hashes |
-//! | `statistics` | the middle and the scatter of many values |
 //! | [`log`] | the log on standard error, for which nothing waits |
 //! | `lanes` | what makes loops over pixels quick |
-//! | [`geometry`], [`frame`], [`clock`] | mappings between sensor and plate; a picture and what is known of it; how well the clock is held |
+//! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate, cameras that see directions, attitudes; robust scale, least squares and Kalman filter; a picture and what is known of it; how well the clock is held |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
@@ -46,6 +45,7 @@ pub mod camera;
 pub mod cli;
 pub mod clock;
 pub mod config;
+pub mod estimation;
 pub mod fiducial;
 pub mod fits;
 pub mod frame;
@@ -65,5 +65,4 @@ pub mod report;
 pub mod service;
 pub mod simulate;
 pub mod sky;
-mod statistics;
 pub mod units;

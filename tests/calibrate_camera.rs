@@ -82,7 +82,7 @@ fn corner_loss(instrument: &Instrument) -> f64 {
 }
 
 #[test]
-fn dark_and_flat_frames_tell_noise_gain_hot_pixels_and_vignetting() {
+fn dark_and_flat_frames_determine_noise_gain_hot_pixels_and_vignetting() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     for n in 0..6 {
@@ -120,8 +120,11 @@ fn dark_and_flat_frames_tell_noise_gain_hot_pixels_and_vignetting() {
         "{said}"
     );
     let gain = noise.gain_dn_per_electron.unwrap();
-    let pull = (gain.value - 16.0 / ELECTRONS_PER_DN) / gain.sigma;
-    assert!(pull.abs() < 4.0 && gain.sigma < 0.02 * gain.value, "{said}");
+    let normalised = (gain.value - 16.0 / ELECTRONS_PER_DN) / gain.sigma;
+    assert!(
+        normalised.abs() < 4.0 && gain.sigma < 0.02 * gain.value,
+        "{said}"
+    );
     let mut wanted: Vec<_> = hot_pixels().iter().map(|hot| (hot.x, hot.y)).collect();
     let mut listed = found.sensor.hot_pixels.clone();
     wanted.sort_unstable();
@@ -171,7 +174,7 @@ fn conditions() -> Conditions {
 }
 
 #[test]
-fn frames_of_the_sun_alone_tell_most_of_it_and_the_dependence_on_temperature() {
+fn frames_of_the_sun_alone_determine_most_of_it_and_the_dependence_on_temperature() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     sun_frames(&at("sun"), 24, &conditions());
@@ -208,7 +211,7 @@ fn frames_of_the_sun_alone_tell_most_of_it_and_the_dependence_on_temperature() {
 }
 
 #[test]
-fn frames_that_tell_nothing_or_do_not_belong_together_are_refused() {
+fn frames_that_determine_nothing_or_do_not_belong_together_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let mut scene = covered(1);
@@ -291,10 +294,10 @@ fn sigmas_stay_honest_under_the_noise_of_photons() {
         squares += off.dot(&(inverse * off));
         count += 2.0;
     }
-    let pull = f64::sqrt(squares / count);
+    let normalised = f64::sqrt(squares / count);
     assert!(
-        count > 140.0 && (0.75..1.25).contains(&pull),
-        "{pull} of {count}"
+        count > 140.0 && (0.75..1.25).contains(&normalised),
+        "{normalised} of {count}"
     );
 }
 
@@ -330,12 +333,12 @@ fn stated_pixels_change_only_the_frames_they_speak_of() {
     }
     let info = picture.frame.info.clone();
     let pixels = solaspect::frame::Pixels::U8(pixels);
-    let spoiled = Frame::new(1296, 966, pixels, 255, info).unwrap();
+    let blemished = Frame::new(1296, 966, pixels, 255, info).unwrap();
     let mut listing = demo.clone();
     listing.sensor.hot_pixels = hot;
     let place = |solution: &aspect::Solution| solution.aspect.unwrap().sun_px.position;
     let clean = place(&plain);
-    let (unlisted, listed) = (solve(&spoiled, &demo), solve(&spoiled, &listing));
+    let (unlisted, listed) = (solve(&blemished, &demo), solve(&blemished, &listing));
     assert!(place(&listed).distance(clean) < 0.02);
     assert!(place(&listed).distance(clean) <= place(&unlisted).distance(clean));
     assert_ne!(listed, unlisted);

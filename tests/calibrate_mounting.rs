@@ -6,8 +6,9 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::calibrate::mounting::{
-    Chain, Mounting, MountingError, Pointings, Sight, Unknown, Verdict, calibrate,
+    Chain, Mounting, MountingError, Pointings, SunObservation, Unknown, calibrate,
 };
+use solaspect::calibrate::quantity::Verdict;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
 use solaspect::pointing::{self, Horizontal};
@@ -56,18 +57,21 @@ impl Scan {
             .collect()
     }
 
-    /// Sights by the true instrument, the telescope at each instant where `towards` says.
-    fn sights(&self, towards: impl Fn(usize, &SunPosition) -> Horizontal) -> Vec<Sight> {
+    /// Observations by the true instrument, the telescope at each instant where `towards` says.
+    fn observations(
+        &self,
+        towards: impl Fn(usize, &SunPosition) -> Horizontal,
+    ) -> Vec<SunObservation> {
         let instrument = true_instrument();
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(self.seed);
         let suns = self.suns();
-        let sight = |(n, (utc, sun)): (usize, &(Timestamp, SunPosition))| {
+        let observation = |(n, (utc, sun)): (usize, &(Timestamp, SunPosition))| {
             let pointing = towards(n, sun);
             let at = pointing::sun_on_plate(pointing, &instrument, sun).unwrap();
             let [dx, dy]: [f64; 2] = std::array::from_fn(|_| rng.sample(StandardNormal));
             let seen = at.vector() + Vector2::new(dx, dy) * self.noise_mil;
-            Sight {
-                name: format!("frame_{n:05}.fits"),
+            SunObservation {
+                file: format!("frame_{n:05}.fits").into(),
                 utc: *utc,
                 sun_plate: Estimate {
                     position: seen.into(),
@@ -77,19 +81,19 @@ impl Scan {
                 pointing: Some(pointing),
             }
         };
-        suns.iter().enumerate().map(sight).collect()
+        suns.iter().enumerate().map(observation).collect()
     }
 
     /// The telescope where the Sun stands in the middle of the scan.
-    fn drift(&self) -> Vec<Sight> {
+    fn drift(&self) -> Vec<SunObservation> {
         let suns = self.suns();
         let middle = suns[self.count / 2].1;
-        self.sights(|_, _| at_sun(&middle))
+        self.observations(|_, _| at_sun(&middle))
     }
 
     /// The telescope on a grid about the Sun.
-    fn grid(&self) -> Vec<Sight> {
-        self.sights(|n, sun| {
+    fn grid(&self) -> Vec<SunObservation> {
+        self.observations(|n, sun| {
             let step = |k: usize| (k % 5) as f64 * 0.4 - 0.8;
             Horizontal {
                 azimuth_deg: sun.azimuth_deg + step(n) / sun.elevation_deg.to_radians().cos(),
@@ -107,14 +111,15 @@ fn at_sun(sun: &SunPosition) -> Horizontal {
 }
 
 fn verdict(mounting: &Mounting, name: &str) -> Verdict {
-    let finding = mounting.findings.iter().find(|f| f.name.starts_with(name));
-    finding
-        .unwrap_or_else(|| panic!("no finding {name}"))
+    let mut quantities = mounting.quantities.iter();
+    let quantity = quantities.find(|q| q.name.starts_with(name));
+    quantity
+        .unwrap_or_else(|| panic!("no quantity {name}"))
         .verdict
 }
 
 /// Found minus true over the stated sigma.
-fn pull(mounting: &Mounting, unknown: Unknown) -> f64 {
+fn normalised_error(mounting: &Mounting, unknown: Unknown) -> f64 {
     let truth = true_instrument();
     let wanted = match unknown {
         Unknown::CentreX => truth.mounting.boresight_mil.x,
@@ -135,7 +140,7 @@ const MOUNTING: [Unknown; 4] = [
 ];
 
 #[test]
-fn a_drift_scan_of_ten_minutes_tells_the_clocking_and_not_the_centre() {
+fn a_drift_scan_of_ten_minutes_determines_the_clocking_and_not_the_centre() {
     let demo = builtin("demo").unwrap();
     for start in [
         "2013-09-21T15:00:00Z",
@@ -172,24 +177,24 @@ fn a_scan_near_the_zenith_where_azimuth_races_is_as_good() {
             },
             ..TEN_MINUTES
         };
-        let sights = scan.drift();
-        let highest = sights
+        let observations = scan.drift();
+        let highest = observations
             .iter()
             .map(|s| s.sun.elevation_deg)
             .fold(0.0, f64::max);
         assert!(highest > 78.0, "{highest}");
-        let mounting = calibrate(&sights, Pointings::Fixed, &demo).unwrap();
+        let mounting = calibrate(&observations, Pointings::Fixed, &demo).unwrap();
         let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
         assert!(
             (clocking.value + 51.3).abs() < 0.02,
             "{highest}: {clocking:?}"
         );
-        assert!(mounting.left_out.len() < 10);
+        assert!(mounting.rejected.len() < 10);
     }
 }
 
 #[test]
-fn a_grid_of_known_pointings_tells_everything() {
+fn a_grid_of_known_pointings_determines_everything() {
     let scan = Scan {
         count: 50,
         every_s: 10.0,
@@ -204,7 +209,10 @@ fn a_grid_of_known_pointings_tells_everything() {
         "{centre:?}"
     );
     for unknown in MOUNTING {
-        assert!(pull(&mounting, unknown).abs() < 4.0, "{unknown:?}");
+        assert!(
+            normalised_error(&mounting, unknown).abs() < 4.0,
+            "{unknown:?}"
+        );
     }
     for name in ["centre", "clocking", "plate's distance", "mirror"] {
         assert_eq!(verdict(&mounting, name), Verdict::Determined, "{name}");
@@ -212,22 +220,26 @@ fn a_grid_of_known_pointings_tells_everything() {
 }
 
 #[test]
-fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
+fn a_plate_rigid_in_the_gondola_is_recognised_and_has_the_same_clocking() {
     let (demo, truth) = (builtin("demo").unwrap(), true_instrument());
     let centre = truth.mounting.boresight_mil.vector();
     let suns = TEN_MINUTES.suns();
     let telescope = suns[300].1;
     // The gnomonic picture of the sky about the telescope, turned by the clocking.
-    let rigid = |sights: Vec<Sight>, about: &dyn Fn(&Sight) -> SunPosition| -> Vec<Sight> {
-        let seen = |mut sight: Sight, clean: Vector2<f64>| {
-            let at = pointing::sun_on_plate(at_sun(&sight.sun), &truth, &about(&sight)).unwrap();
-            let noise = sight.sun_plate.position.vector() - clean;
-            sight.sun_plate.position = (centre * 2.0 - at.vector() + noise).into();
-            sight
+    let rigid = |observations: Vec<SunObservation>,
+                 about: &dyn Fn(&SunObservation) -> SunPosition|
+     -> Vec<SunObservation> {
+        let seen = |mut observation: SunObservation, clean: Vector2<f64>| {
+            let at = pointing::sun_on_plate(at_sun(&observation.sun), &truth, &about(&observation))
+                .unwrap();
+            let noise = observation.sun_plate.position.vector() - clean;
+            observation.sun_plate.position = (centre * 2.0 - at.vector() + noise).into();
+            observation
         };
-        let clean =
-            |s: &Sight| pointing::sun_on_plate(s.pointing.unwrap(), &truth, &s.sun).unwrap();
-        sights
+        let clean = |s: &SunObservation| {
+            pointing::sun_on_plate(s.pointing.unwrap(), &truth, &s.sun).unwrap()
+        };
+        observations
             .into_iter()
             .map(|s| {
                 let c = clean(&s).vector();
@@ -247,9 +259,9 @@ fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
     );
     assert!(
         mounting
-            .findings
+            .quantities
             .iter()
-            .any(|f| f.remark.contains("rigid in the gondola"))
+            .any(|q| q.remark.contains("rigid in the gondola"))
     );
     assert_eq!(verdict(&mounting, "centre"), Verdict::Kept);
 
@@ -259,7 +271,7 @@ fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
         ..TEN_MINUTES
     }
     .grid();
-    let towards = |s: &Sight| SunPosition {
+    let towards = |s: &SunObservation| SunPosition {
         azimuth_deg: s.pointing.unwrap().azimuth_deg,
         elevation_deg: s.pointing.unwrap().elevation_deg,
         ..s.sun
@@ -267,7 +279,10 @@ fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
     let mounting = calibrate(&rigid(grid, &towards), Pointings::Known, &demo).unwrap();
     assert_eq!(mounting.fit.chain, Chain::AtTelescope);
     for unknown in MOUNTING {
-        assert!(pull(&mounting, unknown).abs() < 4.0, "{unknown:?}");
+        assert!(
+            normalised_error(&mounting, unknown).abs() < 4.0,
+            "{unknown:?}"
+        );
     }
 }
 
@@ -275,12 +290,12 @@ fn a_plate_rigid_in_the_gondola_is_told_and_has_the_same_clocking() {
 fn sigmas_are_honest_over_many_scans() {
     let demo = builtin("demo").unwrap();
     const RUNS: u64 = 50;
-    type Way = fn(&Scan) -> Vec<Sight>;
+    type Way = fn(&Scan) -> Vec<SunObservation>;
     let ways: [(Pointings, Way); 2] = [
         (Pointings::Fixed, Scan::drift),
         (Pointings::Known, Scan::grid),
     ];
-    for (pointings, sights) in ways {
+    for (pointings, observations) in ways {
         let mut squares = [0.0; 4];
         for seed in 0..RUNS {
             let scan = Scan {
@@ -289,9 +304,9 @@ fn sigmas_are_honest_over_many_scans() {
                 seed,
                 ..TEN_MINUTES
             };
-            let mounting = calibrate(&sights(&scan), pointings, &demo).unwrap();
+            let mounting = calibrate(&observations(&scan), pointings, &demo).unwrap();
             for (sum, unknown) in squares.iter_mut().zip(MOUNTING) {
-                *sum += pull(&mounting, unknown).powi(2);
+                *sum += normalised_error(&mounting, unknown).powi(2);
             }
         }
         for (unknown, sum) in MOUNTING.iter().zip(squares) {
@@ -305,7 +320,7 @@ fn sigmas_are_honest_over_many_scans() {
 }
 
 #[test]
-fn a_third_of_the_sights_spoiled_changes_nothing_and_they_are_listed() {
+fn a_third_of_the_observations_bad_changes_nothing_and_they_are_rejected() {
     let demo = builtin("demo").unwrap();
     let scan = Scan {
         count: 150,
@@ -317,17 +332,17 @@ fn a_third_of_the_sights_spoiled_changes_nothing_and_they_are_listed() {
         (Pointings::Known, scan.grid()),
     ] {
         let whole = calibrate(&clean, pointings, &demo).unwrap();
-        let mut spoiled = clean.clone();
-        for (n, sight) in spoiled.iter_mut().enumerate().filter(|(n, _)| n % 3 == 1) {
-            let at = sight.sun_plate.position;
-            sight.sun_plate.position = match n % 4 {
+        let mut bad = clean.clone();
+        for (n, observation) in bad.iter_mut().enumerate().filter(|(n, _)| n % 3 == 1) {
+            let at = observation.sun_plate.position;
+            observation.sun_plate.position = match n % 4 {
                 0 => PlateMil::new(at.x + 342.0, at.y + 90.0), // ids one step off
                 1 => PlateMil::new(1500.0, -700.0),            // another Sun
                 2 => PlateMil::new(at.x + 0.8, at.y - 1.1),    // blurred
                 _ => PlateMil::new(-at.x, at.y),
             };
         }
-        let mounting = calibrate(&spoiled, pointings, &demo).unwrap();
+        let mounting = calibrate(&bad, pointings, &demo).unwrap();
         for unknown in MOUNTING {
             let [a, b] = [&whole, &mounting].map(|m| m.fit.measured(unknown).unwrap());
             assert!(
@@ -335,42 +350,42 @@ fn a_third_of_the_sights_spoiled_changes_nothing_and_they_are_listed() {
                 "{pointings:?} {unknown:?}: {a:?} {b:?}"
             );
         }
-        let listed = |n: usize| mounting.left_out.iter().any(|l| l.name == spoiled[n].name);
+        let listed = |n: usize| mounting.rejected.iter().any(|r| r.file == bad[n].file);
         assert!((0..150).filter(|n| n % 3 == 1).all(listed), "{pointings:?}");
-        assert!(mounting.left_out.len() < 53, "{}", mounting.left_out.len());
+        assert!(mounting.rejected.len() < 53, "{}", mounting.rejected.len());
     }
 }
 
 #[test]
-fn errors_that_neighbours_share_raise_the_sigma() {
+fn errors_that_neighbours_share_inflate_the_sigma() {
     let demo = builtin("demo").unwrap();
-    let mut sights = TEN_MINUTES.drift();
-    for (n, sight) in sights.iter_mut().enumerate() {
-        sight.sun_plate.position.x += 0.2 * (n as f64 / 8.0).sin();
+    let mut observations = TEN_MINUTES.drift();
+    for (n, observation) in observations.iter_mut().enumerate() {
+        observation.sun_plate.position.x += 0.2 * (n as f64 / 8.0).sin();
     }
     let alone = calibrate(&TEN_MINUTES.drift(), Pointings::Fixed, &demo).unwrap();
-    let shared = calibrate(&sights, Pointings::Fixed, &demo).unwrap();
+    let shared = calibrate(&observations, Pointings::Fixed, &demo).unwrap();
     assert!(alone.fit.correlation < 1.3, "{}", alone.fit.correlation);
     assert!(shared.fit.correlation > 5.0, "{}", shared.fit.correlation);
 }
 
 #[test]
-fn a_mirrored_plate_is_told() {
+fn a_mirrored_plate_is_refused() {
     let demo = builtin("demo").unwrap();
-    let mut sights = Scan {
+    let mut observations = Scan {
         count: 50,
         ..TEN_MINUTES
     }
     .grid();
-    for sight in &mut sights {
-        sight.sun_plate.position.x *= -1.0;
+    for observation in &mut observations {
+        observation.sun_plate.position.x *= -1.0;
     }
-    let error = calibrate(&sights, Pointings::Known, &demo).unwrap_err();
+    let error = calibrate(&observations, Pointings::Known, &demo).unwrap_err();
     assert!(matches!(error, MountingError::Mirrored { .. }), "{error}");
 }
 
 #[test]
-fn too_few_sights_or_all_in_one_place_are_refused_with_what_to_take() {
+fn too_few_observations_or_all_in_one_place_are_refused_with_what_to_take() {
     let demo = builtin("demo").unwrap();
     let few = Scan {
         count: 4,
@@ -395,7 +410,7 @@ fn too_few_sights_or_all_in_one_place_are_refused_with_what_to_take() {
         .to_string();
     assert!(error.contains("all frames in one place"), "{error}");
     assert!(error.contains("10 minutes"), "{error}");
-    let swaying = TEN_MINUTES.sights(|n, sun| Horizontal {
+    let swaying = TEN_MINUTES.observations(|n, sun| Horizontal {
         azimuth_deg: 165.0 + 0.3 * (n as f64).sin(),
         elevation_deg: sun.elevation_deg,
     });

@@ -3,14 +3,14 @@
 //! # Method
 //! The noise-free picture is differentiated numerically with respect to everything that a solver does not know: the
 //! Sun's place on the plate, its radius, peak and limb darkening, background and blur, and how the camera sees the
-//! plate (shift, scale, rotation; for a tilted camera its two leans, too). The Fisher matrix is the sum over the pixels
+//! plate (shift, scale, rotation; for a tilted camera its two tilts, too). The Fisher matrix is the sum over the pixels
 //! of products of slopes over the noise's variance; its inverse is the least covariance of any estimate without bias.
-//! To move the Sun on the plate and to move the plate below the camera look the same on the limb: the marks alone
-//! tell them apart, and the inverse knows. A tilted camera is taken for true to angles at the plate's centre, as
-//! [`registration`](crate::registration) does: its leans are about that point.
+//! A shift of the Sun on the plate and a shift of the plate below the camera are degenerate on the limb: the marks alone
+//! separate them, which the inverse holds. A tilted camera's mapping is taken for conformal at the plate's centre, as
+//! [`registration`](crate::registration) does: its tilts are about that point.
 //!
-//! # What it leaves out
-//! Blemishes and sunspots: they do not belong to the frame's information, they take from it. Misprint: the marks are taken
+//! # Not included
+//! Blemishes and sunspots: they only take from the frame's information. Misprint: the marks are taken
 //! to be known where they are.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
@@ -18,8 +18,7 @@ use crate::simulate::{Blemishes, Depth, Scene, Sun, render_exact};
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::{DMatrix, Matrix2, Matrix3};
 
-/// What a solver does not know of a frame, each with the step that its slope is taken over: small beside the blur, large
-/// beside the rounding of the rendered picture.
+/// What a solver does not know of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Unknown {
     SunX,
@@ -33,28 +32,11 @@ enum Unknown {
     ShiftY,
     Scale,
     Rotation,
-    LeanX,
-    LeanY,
+    TiltX,
+    TiltY,
 }
 
 use Unknown::*;
-
-/// Of every frame; the Sun's place first.
-const ALWAYS: [Unknown; 11] = [
-    SunX,
-    SunY,
-    Radius,
-    Peak,
-    LimbDarkening,
-    Background,
-    Blur,
-    ShiftX,
-    ShiftY,
-    Scale,
-    Rotation,
-];
-/// Of a tilted camera, besides.
-const TILTED: [Unknown; 2] = [LeanX, LeanY];
 
 /// A tenth of a pixel, on a plate of about 6 mil/px.
 const STEP_MIL: f64 = 0.6;
@@ -62,21 +44,29 @@ const STEP_PX: f64 = 0.1;
 /// Moves the limb by a tenth of a pixel.
 const STEP_RELATIVE: f64 = 1e-3;
 /// Per pixel; moves a Sun at the sensor's edge by half a pixel.
-const STEP_LEAN: f64 = 1e-6;
+const STEP_TILT: f64 = 1e-6;
+
+/// The unknowns, the Sun's place first, those of a tilted camera last. Each with the step that its slope is taken over: small
+/// beside the blur, large beside the rounding of the rendered picture.
+const UNKNOWNS: [(Unknown, f64); 13] = [
+    (SunX, STEP_MIL),
+    (SunY, STEP_MIL),
+    (Radius, STEP_MIL),
+    (Peak, 1.0),
+    (LimbDarkening, 0.02),
+    (Background, 1.0),
+    (Blur, 0.03),
+    (ShiftX, STEP_PX),
+    (ShiftY, STEP_PX),
+    (Scale, STEP_RELATIVE),
+    (Rotation, STEP_RELATIVE),
+    (TiltX, STEP_TILT),
+    (TiltY, STEP_TILT),
+];
+/// Unknowns of a tilted camera.
+const TILTS: usize = 2;
 
 impl Unknown {
-    fn step(self) -> f64 {
-        match self {
-            SunX | SunY | Radius => STEP_MIL,
-            Peak | Background => 1.0,
-            LimbDarkening => 0.02,
-            Blur => 0.03,
-            ShiftX | ShiftY => STEP_PX,
-            Scale | Rotation => STEP_RELATIVE,
-            LeanX | LeanY => STEP_LEAN,
-        }
-    }
-
     /// The scene with this changed by an amount.
     fn changed(self, scene: &Scene, sun: &Sun, by: f64) -> Option<Scene> {
         let mut changed = scene.clone();
@@ -95,13 +85,13 @@ impl Unknown {
             ShiftY => seen_by[(1, 2)] = by,
             Scale => seen_by *= Matrix3::new_scaling(1.0 + by),
             Rotation => seen_by = nalgebra::Rotation2::new(by).to_homogeneous(),
-            LeanX => seen_by[(2, 0)] = by,
-            LeanY => seen_by[(2, 1)] = by,
+            TiltX => seen_by[(2, 0)] = by,
+            TiltY => seen_by[(2, 1)] = by,
         }
         if seen_by != one() {
-            // A camera that looks askew is true to angles at the plate's centre: that is what a lean is about.
+            // A tilted camera's mapping is conformal at the plate's centre: the tilt is about that point.
             let about = match self {
-                LeanX | LeanY => PlateMil::new(0.0, 0.0),
+                TiltX | TiltY => PlateMil::new(0.0, 0.0),
                 _ => sun.centre,
             };
             let about = scene.mapping.to_sensor(about);
@@ -129,17 +119,18 @@ fn seen_through(mapping: &Mapping, change: Matrix3<f64>, about: SensorPx) -> Opt
 pub fn covariance_mil2(scene: &Scene) -> Option<Matrix2<f64>> {
     let scene = surroundings(scene)?;
     let sun = scene.sun.as_ref()?;
-    let tilted = scene.mapping.kind() != MappingKind::Similarity;
-    let leans = TILTED.into_iter().filter(|_| tilted);
-    let unknowns: Vec<Unknown> = ALWAYS.into_iter().chain(leans).collect();
+    let count = match scene.mapping.kind() {
+        MappingKind::Similarity => UNKNOWNS.len() - TILTS,
+        _ => UNKNOWNS.len(),
+    };
     let weights = weights(&scene);
-    let slopes: Option<Vec<Vec<f32>>> = unknowns
+    let slopes: Option<Vec<Vec<f32>>> = UNKNOWNS[..count]
         .iter()
-        .map(|unknown| difference(*unknown, &scene, sun))
+        .map(|(unknown, step)| difference(*unknown, *step, &scene, sun))
         .collect();
     let slopes = slopes?;
     // Per step, so that no entry dwarfs another.
-    let fisher = DMatrix::from_fn(unknowns.len(), unknowns.len(), |a, b| {
+    let fisher = DMatrix::from_fn(count, count, |a, b| {
         let products = slopes[a].iter().zip(&slopes[b]).zip(&weights);
         products
             .map(|((a, b), w)| f64::from(a * b) * w)
@@ -151,19 +142,14 @@ pub fn covariance_mil2(scene: &Scene) -> Option<Matrix2<f64>> {
 }
 
 /// How the picture changes per step of an unknown.
-fn difference(unknown: Unknown, scene: &Scene, sun: &Sun) -> Option<Vec<f32>> {
-    let half = unknown.step() / 2.0;
-    let more = render_exact(&unknown.changed(scene, sun, half)?);
-    let less = render_exact(&unknown.changed(scene, sun, -half)?);
-    Some(
-        more.iter()
-            .zip(&less)
-            .map(|(more, less)| more - less)
-            .collect(),
-    )
+fn difference(unknown: Unknown, step: f64, scene: &Scene, sun: &Sun) -> Option<Vec<f32>> {
+    let more = render_exact(&unknown.changed(scene, sun, step / 2.0)?);
+    let less = render_exact(&unknown.changed(scene, sun, -step / 2.0)?);
+    let pairs = more.iter().zip(&less);
+    Some(pairs.map(|(more, less)| more - less).collect())
 }
 
-/// One over the variance of each pixel, 1/DN^2: its noise and its rounding. What saturates tells nothing.
+/// One over the variance of each pixel, 1/DN^2: its noise and its rounding. Saturated pixels count for nothing.
 fn weights(scene: &Scene) -> Vec<f64> {
     let (rounding, saturation_dn) = match scene.depth {
         Depth::Eight => (1.0 / 12.0, 255.0),
@@ -174,10 +160,9 @@ fn weights(scene: &Scene) -> Vec<f64> {
     let weight = |light: f32| {
         let light = f64::from(light);
         let variance = read + light.max(0.0) * photons + rounding;
-        if light < saturation_dn {
-            1.0 / variance
-        } else {
-            0.0
+        match light < saturation_dn {
+            true => 1.0 / variance,
+            false => 0.0,
         }
     };
     render_exact(scene).into_iter().map(weight).collect()
@@ -225,8 +210,8 @@ mod tests {
     use super::*;
     use crate::accuracy::conditions::noise;
     use crate::accuracy::recipe::{ENOUGH_MARKS, Recipe, View};
+    use crate::estimation::median;
     use crate::instrument::builtin;
-    use crate::statistics::median;
 
     fn medians_arcsec(noise_dn: f64) -> f64 {
         let demo = builtin("demo").unwrap();
@@ -246,7 +231,7 @@ mod tests {
 
     #[test]
     fn the_bound_is_that_of_independent_arithmetic() {
-        // Per axis, of a typical scene, with other code and another renderer; scenes differ by a fifth.
+        // Per axis, of a median scene, with other code and another renderer; scenes differ by a fifth.
         for (noise_dn, known) in [(1.0, 0.0155), (5.0, 0.074), (15.0, 0.22)] {
             let found = medians_arcsec(noise_dn);
             assert!((found / known - 1.0).abs() < 0.2, "{noise_dn} DN: {found}");
@@ -254,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plate_without_marks_tells_nothing_of_the_suns_place_on_it() {
+    fn a_plate_without_marks_does_not_determine_the_suns_place_on_it() {
         let demo = builtin("demo").unwrap();
         let mut recipe = Recipe::standard(&demo);
         recipe.conditions.mark_contrast = 0.0;

@@ -7,9 +7,6 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use std::ops::{Range, RangeInclusive};
 
-/// How a frame departs from the standard one: it changes a recipe by numbers drawn at random.
-pub type Vary = fn(&mut Recipe, &Instrument, &mut Generator);
-
 /// Noise of so many DN.
 pub fn noise(recipe: &mut Recipe, read_dn: f64) {
     recipe.conditions.noise = Noise::read(read_dn);
@@ -64,7 +61,7 @@ pub fn cut(
 
 /// Everything at once, each more or less; every fourth frame without a usable Sun. The plate is as the instrument states
 /// it: three misprinted marks that happen to agree leave no trace of their error, which is a property of the plate and not
-/// of the frame. The row about misprinted marks tells how often.
+/// of the frame. The row about misprinted marks shows how often.
 pub fn mixed(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
     tilted(recipe, rng);
     let stretch = rng.random_range(0.9..1.1);

@@ -1,14 +1,14 @@
 //! The figures: the error against the noise and against the points of the limb, its histogram, a mark's bias over the
 //! sub-pixel phases.
 
-use super::Size;
 use super::conditions::noise;
 use super::marks::{BIAS_PX, BiasMap, PHASES};
 use super::outcome::{About, MOST, Summary};
-use super::program::outcomes;
 use super::recipe::{ENOUGH_MARKS, Recipe, View};
-use super::trial::{Bounded, Outcome, Trial};
+use super::rows::Size;
+use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::{Quality, Settings};
+use crate::estimation::MEDIAN_LENGTH_2D;
 use crate::report::plot::{self, Arrow, Curve, Labels, PlotError, Stroke};
 use crate::simulate::SceneError;
 
@@ -78,12 +78,8 @@ fn at(
         lit_marks: ENOUGH_MARKS,
     };
     noise(&mut recipe, noise_dn);
-    let bounded = |seed| match seed < size.of(BOUNDED_FRAMES) {
-        true => Bounded::Yes,
-        false => Bounded::No,
-    };
     let outcomes = outcomes(size.of(FRAMES), done, |seed| {
-        trial.outcome(&recipe, seed, bounded(seed))
+        trial.outcome(&recipe, seed, Bounded::up_to(size.of(BOUNDED_FRAMES), seed))
     })?;
     let arcsec_per_mil = trial.instrument.optics.arcsec_per_mil();
     Ok(Summary::of(&outcomes, About::Fine, arcsec_per_mil))
@@ -98,15 +94,12 @@ fn curve(name: &str, sweep: &Sweep, stroke: Stroke, of: fn(&Summary) -> Option<f
     }
 }
 
-/// The median distance of a Gaussian error in two axes, over its sigma per axis: the Rayleigh distribution's.
-const MEDIAN_OVER_SIGMA: f64 = 1.177_41;
-
 fn curves_of(sweep: &Sweep) -> [Curve; 3] {
     [
         curve("99.7 %", sweep, Stroke::Measured, |s| s.most_arcsec),
         curve("median", sweep, Stroke::Measured, |s| s.median_arcsec),
         curve("median at the bound", sweep, Stroke::Known, |s| {
-            s.bound.map(|b| b.median_arcsec * MEDIAN_OVER_SIGMA)
+            s.bound.map(|b| b.median_arcsec * MEDIAN_LENGTH_2D)
         }),
     ]
 }
@@ -115,21 +108,15 @@ const ERROR: &str = "radial error of the aspect, arcsec";
 
 /// The error against the noise.
 pub fn noise_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
-    let labels = Labels {
-        title: "Error of the aspect against noise, and the Cramer-Rao bound".into(),
-        x: "noise of a pixel, DN".into(),
-        y: ERROR.into(),
-    };
+    let title = "Error of the aspect against noise, and the Cramer-Rao bound";
+    let labels = Labels::new(title, "noise of a pixel, DN", ERROR);
     plot::curves(&labels, &curves_of(&sweeps.noise))
 }
 
 /// The error against the points of the limb.
 pub fn limb_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
-    let labels = Labels {
-        title: format!("Error of the aspect against points of the limb, noise {STANDARD_DN} DN"),
-        x: "points of the limb".into(),
-        y: ERROR.into(),
-    };
+    let title = format!("Error of the aspect against points of the limb, noise {STANDARD_DN} DN");
+    let labels = Labels::new(title, "points of the limb", ERROR);
     plot::curves(&labels, &curves_of(&sweeps.limb_points))
 }
 
@@ -139,11 +126,8 @@ pub fn histogram(outcomes: &[Outcome], title: &str) -> Result<String, PlotError>
     let errors: Vec<f64> = fine
         .filter_map(|o| o.aspect.map(|e| e.radial_arcsec))
         .collect();
-    let labels = Labels {
-        title: format!("Errors of {} fine frames, {title}", errors.len()),
-        x: ERROR.into(),
-        y: "frames".into(),
-    };
+    let title = format!("Errors of {} fine frames, {title}", errors.len());
+    let labels = Labels::new(title, ERROR, "frames");
     let lines = [("median", 0.5), ("99.7 %", MOST)]
         .map(|(name, part)| Some((name, super::outcome::quantile(errors.clone(), part)?)));
     let lines: Vec<_> = lines.into_iter().flatten().collect();
@@ -165,11 +149,9 @@ pub fn bias_figure(map: &BiasMap) -> Result<String, PlotError> {
             })
         })
         .collect();
-    let labels = Labels {
-        title: format!("Bias of a mark; full shade, and an arrow as long as a cell: {BIAS_PX} px"),
-        x: "place of the mark from the middle of a pixel, x, px".into(),
-        y: "y, px".into(),
-    };
+    let title = format!("Bias of a mark; full shade, and an arrow as long as a cell: {BIAS_PX} px");
+    let x = "place of the mark from the middle of a pixel, x, px";
+    let labels = Labels::new(title, x, "y, px");
     let cell = 1.0 / PHASES as f64;
     plot::vector_map(&labels, -0.5..0.5, cell, &arrows, MAGNIFIED, BIAS_PX)
 }

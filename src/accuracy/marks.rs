@@ -41,7 +41,7 @@ impl MarkSummary {
         let errors: Vec<MarkError> = errors(outcomes).collect();
         let radial = || errors.iter().map(|e| e.px.norm()).collect();
         let (median_px, most_px) = (quantile(radial(), 0.5)?, quantile(radial(), MOST)?);
-        let pulls = errors
+        let normalised = errors
             .iter()
             .flat_map(|e| [e.px.x / e.sigma_px, e.px.y / e.sigma_px]);
         Some(Self {
@@ -50,7 +50,7 @@ impl MarkSummary {
             most_px,
             median_arcsec: median_px * arcsec_per_px,
             most_arcsec: most_px * arcsec_per_px,
-            over_sigma: rms(pulls)?,
+            over_sigma: rms(normalised)?,
         })
     }
 }

@@ -1,4 +1,4 @@
-//! The mixed run: frames of every kind in one series, a quarter of them without a usable Sun. It looks for what must
+//! The mixed run: frames of every kind in one series, a quarter of them without a usable Sun. It searches for what must
 //! never happen, not for small errors.
 
 use super::conditions::LEAST_USABLE_LIMB;

@@ -135,11 +135,11 @@ pub fn has_wrong_id(outcome: &Outcome) -> bool {
 
 /// A frame that says it is fine, and is off by more than 5 of its sigma and by more than 2 arcsec; or that has no Sun.
 pub fn is_wrong_fine(outcome: &Outcome) -> bool {
-    let wrong = |e: &AspectError| e.surprise() > 5.0 && e.radial_arcsec > 2.0;
+    let wrong = |e: &AspectError| e.sigmas() > 5.0 && e.radial_arcsec > 2.0;
     outcome.quality == Quality::Fine && outcome.aspect.as_ref().is_none_or(wrong)
 }
 
-/// Part of the limb on the sensor that a fine solution may be asked of.
+/// Part of the limb on the sensor from which on a fine solution is expected.
 pub const ENOUGH_LIMB: f64 = 0.4;
 
 fn missed(outcome: &Outcome) -> Option<Missed> {
@@ -208,7 +208,7 @@ pub enum Demand {
     /// Every frame that shows enough of the limb and three marks fully lit is fine.
     NoneMissed,
     /// Every such frame is fine, but for this share at most whose marks leave two readings open: three in a row where the
-    /// sensor's edge hides the neighbours that would tell the quarter turn.
+    /// sensor's edge hides the neighbours that determine the quarter turn.
     FewUndecided(f64),
     /// Least share of frames that are at least coarse.
     SolvedShare(f64),

@@ -1,18 +1,17 @@
 //! The program: which parts are run, with how many frames, on all cores.
 
-use super::conditions::{Vary, mixed as everything};
+use super::conditions::mixed as everything;
 use super::figures::{self, Sweeps};
 use super::marks::{self, MarkSummary};
 use super::mixed::MixedSummary;
 use super::outcome::{About, Summary};
-use super::recipe::Recipe;
+use super::recipe::{Recipe, Vary};
 use super::report::{MarksReport, MixedReport, Report, RowReport};
-use super::trial::{Bounded, Outcome, Trial};
-use super::{AccuracyError, MARKS, MARKS_ROW, MIXED, Row, Size, names, rows};
+use super::rows::{MARKS, MARKS_ROW, MIXED, Row, Size, names, rows};
+use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::Settings;
-use crate::instrument::builtin;
+use crate::instrument::{TomlError, builtin};
 use crate::simulate::{Scene, SceneError};
-use rayon::prelude::*;
 
 /// Frames of the mixed run.
 const MIXED_FRAMES: [u64; 2] = [300, 20_000];
@@ -20,6 +19,20 @@ const MIXED_FRAMES: [u64; 2] = [300, 20_000];
 const FRAMES_PER_PHASE: [u64; 2] = [16, 100];
 /// Frames of a row whose bound is computed.
 const BOUNDED_FRAMES: [u64; 2] = [12, 200];
+
+/// Why the program cannot run.
+#[derive(Debug, thiserror::Error)]
+pub enum AccuracyError {
+    #[error("expected one of {}, found \"{found}\"", known.join(", "))]
+    Name {
+        found: String,
+        known: Vec<&'static str>,
+    },
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    #[error(transparent)]
+    Instrument(#[from] TomlError),
+}
 
 /// What is to be run.
 #[derive(Debug, Clone)]
@@ -91,17 +104,14 @@ impl Program {
 
     fn row(&self, row: &Row, done: &(dyn Fn() + Sync)) -> Result<RowReport, SceneError> {
         // What a frame without marks allows is no more than what it borrows.
-        let bounded = match row.about {
+        let with_bound = match row.about {
             About::Fine => self.size.of(BOUNDED_FRAMES),
             About::Coarse | About::Solved => 0,
         };
         let outcomes = outcomes(self.size.of(row.frames), done, |seed| {
             let recipe = Recipe::drawn(row.vary, &self.trial.instrument, seed);
-            let with_bound = match seed < bounded {
-                true => Bounded::Yes,
-                false => Bounded::No,
-            };
-            self.trial.outcome(&recipe, seed, with_bound)
+            self.trial
+                .outcome(&recipe, seed, Bounded::up_to(with_bound, seed))
         })?;
         let arcsec_per_mil = self.trial.instrument.optics.arcsec_per_mil();
         let summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
@@ -152,7 +162,7 @@ impl Program {
     }
 }
 
-/// One frame of a row or of the mixed run, to be looked at.
+/// One frame of a row or of the mixed run, for inspection.
 #[derive(Debug, Clone)]
 pub struct Case {
     pub recipe: Recipe,
@@ -190,16 +200,6 @@ fn unknown(name: &str) -> AccuracyError {
 
 fn rows_named(name: &str) -> impl Iterator<Item = Row> + '_ {
     rows().into_iter().filter(move |row| row.name == name)
-}
-
-/// Outcomes by seed, from 0, on all cores.
-pub(super) fn outcomes(
-    frames: u64,
-    done: &(dyn Fn() + Sync),
-    outcome: impl Fn(u64) -> Result<Outcome, SceneError> + Sync,
-) -> Result<Vec<Outcome>, SceneError> {
-    let counted = |seed| outcome(seed).inspect(|_| done());
-    (0..frames).into_par_iter().map(counted).collect()
 }
 
 #[cfg(test)]

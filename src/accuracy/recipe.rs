@@ -1,6 +1,5 @@
 //! From a recipe and a seed to a scene.
 
-use super::conditions::Vary;
 use crate::instrument::Instrument;
 use crate::plate::MarkId;
 use crate::simulate::{Conditions, LitMark, RandomScenes, Scene, SceneError, SunInView, Sunspot};
@@ -13,6 +12,9 @@ use std::ops::{Range, RangeInclusive};
 
 /// The generator behind what is drawn for a frame beyond what the simulator draws itself.
 pub type Generator = Xoshiro256PlusPlus;
+
+/// How a frame departs from the standard one: it changes a recipe by numbers drawn at random.
+pub type Vary = fn(&mut Recipe, &Instrument, &mut Generator);
 
 /// Where the Sun stands in the frames of a row.
 #[derive(Debug, Clone, PartialEq)]

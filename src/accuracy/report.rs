@@ -4,8 +4,8 @@ use super::figures::{self, Sweeps};
 use super::marks::{BiasMap, MarkSummary};
 use super::mixed::MixedSummary;
 use super::outcome::Summary;
+use super::rows::{MARKS, MARKS_ROW, MIXED, Row, Size};
 use super::trial::Outcome;
-use super::{MARKS, MARKS_ROW, MIXED, Row, Size};
 use crate::report::plot::PlotError;
 
 /// What came of a row.

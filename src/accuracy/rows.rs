@@ -1,9 +1,6 @@
 //! The rows of the table: conditions and what is demanded under them.
 
-use super::Row;
-use super::conditions::{
-    LEAST_USABLE_LIMB, Vary, blemished, cut, displaced, noise, tilted, turned,
-};
+use super::conditions::{LEAST_USABLE_LIMB, blemished, cut, displaced, noise, tilted, turned};
 use super::outcome::{
     About,
     Demand::{
@@ -12,15 +9,55 @@ use super::outcome::{
     },
     ENOUGH_LIMB,
 };
-use super::recipe::{ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, View};
+use super::recipe::{ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, Vary, View};
 use crate::simulate::Depth;
+
+/// How many frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Size {
+    /// For the tests: a minute.
+    Small,
+    /// For the documentation: an hour of one core.
+    Full,
+}
+
+impl Size {
+    /// Of a number for the small size and one for the full.
+    pub(super) fn of<T: Copy>(self, [small, full]: [T; 2]) -> T {
+        match self {
+            Self::Small => small,
+            Self::Full => full,
+        }
+    }
+}
+
+/// The row whose marks are judged one by one.
+pub(super) const MARKS_ROW: &str = "standard";
+/// The name of the part about single marks.
+pub const MARKS: &str = "marks";
+/// The name of the mixed run.
+pub const MIXED: &str = "mixed";
+
+/// A row of the table.
+#[derive(Debug, Clone)]
+pub struct Row {
+    pub name: &'static str,
+    pub title: &'static str,
+    /// The frames that the errors are of.
+    pub about: About,
+    /// How many frames: in the small size, in the full.
+    pub frames: [u64; 2],
+    /// How the row's frames depart from the standard one.
+    pub vary: Vary,
+    pub demands: Vec<Demand>,
+}
 
 /// Frames of rows of which much is demanded: in the small size, in the full.
 const MANY: [u64; 2] = [150, 3000];
-/// Frames of rows whose errors are told only.
+/// Frames of rows whose errors are reported only.
 const FEW: [u64; 2] = [60, 1000];
 
-/// A row about fine frames whose errors are told only.
+/// A row about fine frames whose errors are reported only.
 fn row(name: &'static str, title: &'static str, vary: Vary) -> Row {
     Row {
         name,
@@ -61,7 +98,13 @@ impl Row {
 
 /// Every row, in the order of the table.
 pub fn rows() -> Vec<Row> {
-    [bounded(), borrowing(), told()].concat()
+    [bounded(), borrowing(), reported()].concat()
+}
+
+/// The name of every part of the program: the rows, the marks, the mixed run.
+pub fn names() -> Vec<&'static str> {
+    let rows = rows().into_iter().map(|row| row.name);
+    rows.chain([MARKS, MIXED]).collect()
 }
 
 /// Rows whose errors are bounded.
@@ -148,8 +191,8 @@ fn borrowing() -> Vec<Row> {
     ]
 }
 
-/// Rows whose errors are told only.
-fn told() -> Vec<Row> {
+/// Rows whose errors are reported only.
+fn reported() -> Vec<Row> {
     vec![
         row("vignetting", "vignetting 20 %", |r, _, _| {
             r.conditions.blemishes.vignetting = 0.2;

@@ -1,9 +1,9 @@
 //! The report as text: one table for the terminal, one in Markdown.
 
-use super::Size;
 use super::outcome::{HONEST, Summary};
 use super::program::Case;
 use super::report::{MarksReport, MixedReport, Report, RowReport};
+use super::rows::Size;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 

@@ -2,12 +2,13 @@
 
 use super::bound;
 use super::recipe::{Recipe, fully_lit, limb_share};
-use crate::aspect::{Expected, Mark, Quality, Settings, Solution, solve_with};
+use crate::aspect::{Expected, Quality, Settings, Solution, solve_with};
 use crate::instrument::Instrument;
 use crate::plate::MarkId;
 use crate::simulate::{SUN_RADIUS_ARCSEC, Scene, SceneError};
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
+use rayon::prelude::*;
 
 /// A mark this far from where its id stands in truth has the wrong id, px.
 const WRONG_ID_PX: f64 = 3.0;
@@ -28,7 +29,7 @@ pub struct Outcome {
     /// Fully lit marks that have the right id.
     pub marks: Vec<MarkError>,
     pub wrong_ids: Vec<MarkId>,
-    /// The least covariance of the Sun's place on the plate that the frame allows, mil^2; where it was asked for.
+    /// The least covariance of the Sun's place on the plate that the frame allows, mil^2; where it is wanted.
     pub bound_mil2: Option<Matrix2<f64>>,
 }
 
@@ -52,7 +53,7 @@ impl AspectError {
     }
 
     /// How many sigma the error is, along its own direction.
-    pub fn surprise(&self) -> f64 {
+    pub fn sigmas(&self) -> f64 {
         let weight = self.covariance_mil2.try_inverse();
         weight.map_or(f64::INFINITY, |weight| {
             self.plate_mil.dot(&(weight * self.plate_mil)).sqrt()
@@ -84,6 +85,16 @@ pub enum Bounded {
     No,
 }
 
+impl Bounded {
+    /// Of the first so many seeds.
+    pub(super) fn up_to(count: u64, seed: u64) -> Self {
+        match seed < count {
+            true => Self::Yes,
+            false => Self::No,
+        }
+    }
+}
+
 impl Trial {
     /// Makes the frame of a recipe and a seed, solves it on its own and compares. The same seed always gives the same
     /// outcome.
@@ -111,13 +122,10 @@ impl Trial {
 
     fn compare(&self, scene: &Scene, solution: &Solution, seed: u64) -> Outcome {
         let lit: Vec<_> = fully_lit(scene).collect();
-        let miss = |mark: &Mark| {
-            let true_px = scene.mapping.to_sensor(scene.plate.position(mark.id));
-            (true_px, mark.at.vector() - true_px.vector())
-        };
         let (mut marks, mut wrong_ids) = (Vec::new(), Vec::new());
         for mark in &solution.marks {
-            let (true_px, px) = miss(mark);
+            let true_px = scene.mapping.to_sensor(scene.plate.position(mark.id));
+            let px = mark.at.vector() - true_px.vector();
             if px.norm() > WRONG_ID_PX {
                 wrong_ids.push(mark.id);
             } else if lit.iter().any(|l| l.id == mark.id) {
@@ -152,4 +160,14 @@ impl Trial {
             sensor_px: found.sun_px.position.distance(truth.px),
         })
     }
+}
+
+/// Outcomes by seed, from 0, on all cores.
+pub(super) fn outcomes(
+    frames: u64,
+    done: &(dyn Fn() + Sync),
+    outcome: impl Fn(u64) -> Result<Outcome, SceneError> + Sync,
+) -> Result<Vec<Outcome>, SceneError> {
+    let counted = |seed| outcome(seed).inspect(|_| done());
+    (0..frames).into_par_iter().map(counted).collect()
 }

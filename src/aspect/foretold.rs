@@ -8,11 +8,11 @@
 use super::marks::MarkSight;
 use super::stages::{DISC_ROOM, Work};
 use super::{Mark, Sighting};
+use crate::estimation::median;
 use crate::fiducial::{Lighting, RefinedMark};
 use crate::frame::{Levels, ROUNDING_NOISE_DN};
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::Limb;
-use crate::statistics::median;
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
 

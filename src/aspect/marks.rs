@@ -2,6 +2,7 @@
 
 use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
 use super::{Mark, Stage, Stopped};
+use crate::estimation::median;
 use crate::fiducial::{
     self, CrossShape, Detections, FlatDisc, IdentificationPrior, Light, Lighting, RefinedMark,
     Refiner,
@@ -11,7 +12,6 @@ use crate::geometry::{Ellipse, Mapping};
 use crate::limb::{DiscLight, Limb};
 use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
-use crate::statistics::median;
 use crate::units::{Measured, Rejected, SensorPx};
 use nalgebra::Matrix2;
 

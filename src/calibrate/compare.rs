@@ -1,10 +1,10 @@
-//! What changed from one instrument to another, in units that a person understands: arcsec on the sky, at the plate's edge
-//! where a turn or a scale is meant.
+//! What changed from one instrument to another, in arcsec on the sky, of a turn or a scale in arcsec at the plate's edge.
 
 use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::plate::{MarkId, drawn_position};
 use crate::units::{PlateMil, SensorPx};
+use nalgebra::Vector2;
 use serde::Serialize;
 use std::fmt;
 
@@ -100,15 +100,10 @@ pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
             edge_arcsec: 2.0 * (turn.to_radians() / 2.0).sin().abs() * edge_arcsec,
         }
     };
-    let shifted = |before: [f64; 2], after: [f64; 2], arcsec: f64| {
-        let by = [after[0] - before[0], after[1] - before[1]];
-        Shift {
-            by,
-            arcsec: by[0].hypot(by[1]) * arcsec,
-        }
+    let shifted = |by: Vector2<f64>, arcsec: f64| Shift {
+        by: by.into(),
+        arcsec: by.norm() * arcsec,
     };
-    let px = |at: SensorPx| [at.x, at.y];
-    let mil = |at: PlateMil| [at.x, at.y];
     Comparison {
         from: a.name.clone(),
         to: b.name.clone(),
@@ -116,13 +111,15 @@ pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
         marks: marks_moved(a, b, arcsec_per_mil),
         lens: lens_change(a, b, arcsec_per_px),
         plate_centre_px: shifted(
-            px(ma.plate_centre_px),
-            px(mb.plate_centre_px),
+            mb.plate_centre_px.vector() - ma.plate_centre_px.vector(),
             arcsec_per_px,
         ),
         scale_mil_per_px: stretched(ma.scale_mil_per_px.value, mb.scale_mil_per_px.value),
         rotation_deg: turned(ma.rotation_deg.value, mb.rotation_deg.value),
-        boresight_mil: shifted(mil(ma.boresight_mil), mil(mb.boresight_mil), arcsec_per_mil),
+        boresight_mil: shifted(
+            mb.boresight_mil.vector() - ma.boresight_mil.vector(),
+            arcsec_per_mil,
+        ),
         clocking_deg: turned(ma.clocking_deg.value, mb.clocking_deg.value),
         plate_distance_mm: stretched(
             a.optics.plate_distance_mm.value,
@@ -190,61 +187,58 @@ fn lens_change(a: &Instrument, b: &Instrument, arcsec_per_px: f64) -> LensChange
     }
 }
 
+/// As lines of text.
 impl fmt::Display for Comparison {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (marks, lens) = (&self.marks, &self.lens);
-        writeln!(out, "from \"{}\" to \"{}\"", self.from, self.to)?;
-        writeln!(
-            out,
-            "marks         {} moved, {:.3} mil rms per axis ({:.2} arcsec); off the drawing: {} before, {} after",
-            marks.moved,
-            marks.rms_mil,
-            marks.rms_arcsec,
-            marks.measured_before,
-            marks.measured_after
-        )?;
-        if let Some(largest) = marks.largest {
-            let [i, j] = largest.id;
-            let (mil, arcsec) = (largest.mil, largest.arcsec);
-            writeln!(
-                out,
-                "              most ({i}, {j}): {mil:.3} mil ({arcsec:.2} arcsec)"
-            )?;
-        }
-        writeln!(
-            out,
+        let rms = format!(
+            "{:.3} mil rms per axis ({:.2} arcsec)",
+            marks.rms_mil, marks.rms_arcsec
+        );
+        let measured = [marks.measured_before, marks.measured_after];
+        let mut lines = vec![
+            format!("from \"{}\" to \"{}\"", self.from, self.to),
+            format!(
+                "marks         {} moved, {rms}; off the drawing: {} before, {} after",
+                marks.moved, measured[0], measured[1]
+            ),
+        ];
+        lines.extend(marks.largest.map(
+            |LargestMove {
+                 id: [i, j],
+                 mil,
+                 arcsec,
+             }| {
+                format!("              most ({i}, {j}): {mil:.3} mil ({arcsec:.2} arcsec)")
+            },
+        ));
+        lines.push(format!(
             "              known to {:.3} mil before, {:.3} mil after",
             marks.sigma_before_mil, marks.sigma_after_mil
-        )?;
-        writeln!(
-            out,
+        ));
+        lines.push(format!(
             "lens          {:.3} px at the sensor's corner ({:.2} arcsec), {:.3} px rms per axis",
             lens.corner_px, lens.corner_arcsec, lens.rms_px
-        )?;
-        let mut shift = |name: &str, unit: &str, shift: &Shift| {
-            let [x, y] = shift.by;
-            writeln!(
-                out,
-                "{name:<13} ({x:+.3}, {y:+.3}) {unit}, {:.2} arcsec",
-                shift.arcsec
-            )
-        };
-        shift("plate centre", "px", &self.plate_centre_px)?;
-        shift("boresight", "mil", &self.boresight_mil)?;
-        let mut turn = |name: &str, unit: &str, turn: &Turn| {
-            let Turn { before, after, .. } = turn;
-            writeln!(
-                out,
-                "{name:<13} {before} -> {after} {unit}, {:.2} arcsec at the plate's edge",
-                turn.edge_arcsec
-            )
-        };
-        turn("scale", "mil/px", &self.scale_mil_per_px)?;
-        turn("rotation", "deg", &self.rotation_deg)?;
-        turn("clocking", "deg", &self.clocking_deg)?;
-        turn("distance", "mm", &self.plate_distance_mm)?;
+        ));
+        let shifts = [
+            ("plate centre", "px", self.plate_centre_px),
+            ("boresight", "mil", self.boresight_mil),
+        ];
+        lines.extend(shifts.map(|(name, unit, Shift { by: [x, y], arcsec })| {
+            format!("{name:<13} ({x:+.3}, {y:+.3}) {unit}, {arcsec:.2} arcsec")
+        }));
+        let turns = [
+            ("scale", "mil/px", self.scale_mil_per_px),
+            ("rotation", "deg", self.rotation_deg),
+            ("clocking", "deg", self.clocking_deg),
+            ("distance", "mm", self.plate_distance_mm),
+        ];
+        lines.extend(turns.map(|(name, unit, Turn { before, after, edge_arcsec })| {
+            format!("{name:<13} {before} -> {after} {unit}, {edge_arcsec:.2} arcsec at the plate's edge")
+        }));
         let [before, after] = self.blur_px;
-        writeln!(out, "blur          {before} -> {after} px")
+        lines.push(format!("blur          {before} -> {after} px"));
+        out.write_str(&lines.join("\n"))
     }
 }
 
@@ -269,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn changes_are_told_in_arcsec_at_the_plates_edge() {
+    fn changes_are_stated_in_arcsec_at_the_plates_edge() {
         let a = builtin("demo").unwrap();
         let mut b = a.clone();
         let id = MarkId { i: 2, j: -3 };

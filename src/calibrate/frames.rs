@@ -1,85 +1,200 @@
-//! The frames that a calibration is given: their files, their hash, what is wrong with some of them.
+//! The frames that a calibration is given: their files, their hash, whether one camera took them, and those rejected.
 
 use crate::fits::{self, FRAME_ENDINGS, Unlisted};
+use crate::frame::Frame;
 use crate::provenance;
+use crate::report::html::Page;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
 
-/// A frame that does not take part, and why.
+/// A frame that a calibration does not use, and why.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LeftOut {
-    pub name: String,
-    /// Without the name, which stands beside.
+pub struct RejectedFrame {
+    pub file: PathBuf,
     pub reason: String,
 }
 
-/// How many frames are left out and why the first is, for an error that may come of it.
-pub fn first_of(left_out: &[LeftOut]) -> String {
-    match left_out.first() {
-        Some(first) => format!(
-            "{} frames left out, the first {}: {}",
-            left_out.len(),
-            first.name,
-            first.reason
-        ),
-        None => "no calibration".into(),
+impl RejectedFrame {
+    pub fn new(file: impl Into<PathBuf>, reason: impl Into<String>) -> Self {
+        Self {
+            file: file.into(),
+            reason: reason.into(),
+        }
+    }
+
+    /// How many frames are rejected, and why the first is: the context of an error that may come of it.
+    pub fn count_and_first(rejected: &[Self]) -> String {
+        match rejected.first() {
+            Some(first) => format!("{} frames rejected, the first {first}", rejected.len()),
+            None => "no calibration".into(),
+        }
+    }
+
+    /// All of them as a section of a page.
+    pub fn section(page: &mut Page, rejected: &[Self]) {
+        page.heading(&format!("Rejected frames: {}", rejected.len()));
+        let row = |frame: &Self| vec![frame.file.display().to_string(), frame.reason.clone()];
+        let rows: Vec<_> = rejected.iter().map(row).collect();
+        page.table(&["frame", "reason"], &rows);
+    }
+}
+
+impl fmt::Display for RejectedFrame {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}: {}", self.file.display(), self.reason)
     }
 }
 
 /// Why the frames cannot be listed.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum ListError {
-    #[error("{}: cannot read: {cause}", .path.display())]
-    Unreadable { path: PathBuf, cause: String },
-    #[error("{}: expected a folder with frames ({}), found none", .0.display(), FRAME_ENDINGS.join(", "))]
+#[derive(Debug, thiserror::Error)]
+pub enum InputError {
+    #[error("{path}: cannot read: {cause}", path = .path.display())]
+    Unreadable {
+        path: PathBuf,
+        cause: std::io::Error,
+    },
+    #[error("{}: expected frames (files that end in {}), found none", .0.display(), FRAME_ENDINGS.join(", "))]
     NoFrames(PathBuf),
 }
 
-/// The files of frames and of folders of them, folders in the order of their names and with the folders in them.
-pub fn list(paths: &[PathBuf]) -> Result<Vec<PathBuf>, ListError> {
-    let mut files = Vec::new();
-    for path in paths {
-        if !path.is_dir() {
-            let exists = path.try_exists().map_err(|error| error.to_string());
-            if exists != Ok(true) {
-                let cause = exists
-                    .err()
-                    .unwrap_or_else(|| "there is no such file".into());
-                return Err(ListError::Unreadable {
-                    path: path.clone(),
-                    cause,
-                });
-            }
-            files.push(path.clone());
-            continue;
+impl From<Unlisted> for InputError {
+    fn from(Unlisted { folder, cause }: Unlisted) -> Self {
+        Self::Unreadable {
+            path: folder,
+            cause,
         }
-        let mut found =
-            fits::list_tree(path).map_err(|Unlisted { folder, cause }| ListError::Unreadable {
-                path: folder,
-                cause: cause.to_string(),
-            })?;
+    }
+}
+
+/// Which of the frames below a given folder are meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Depth {
+    /// Those in it; where it holds none, those in the folders in it.
+    Nearest,
+    /// Those in it and in all folders below it.
+    All,
+}
+
+/// The files of frames and of folders of them, folders in the order of their names.
+///
+/// # Errors
+/// A path that cannot be read, a folder without frames.
+pub fn list(given: &[PathBuf], depth: Depth) -> Result<Vec<PathBuf>, InputError> {
+    let mut files = Vec::new();
+    for path in given {
+        let kind = std::fs::metadata(path).map_err(|cause| InputError::Unreadable {
+            path: path.clone(),
+            cause,
+        })?;
+        let mut found = match (kind.is_dir(), depth) {
+            (false, _) => vec![path.clone()],
+            (true, Depth::Nearest) => nearest(path)?,
+            (true, Depth::All) => fits::list_tree(path)?,
+        };
         if found.is_empty() {
-            return Err(ListError::NoFrames(path.clone()));
+            return Err(InputError::NoFrames(path.clone()));
         }
         files.append(&mut found);
     }
     Ok(files)
 }
 
+fn nearest(folder: &Path) -> Result<Vec<PathBuf>, Unlisted> {
+    let mut listing = fits::list_folder(folder)?;
+    if listing.files.is_empty() {
+        for folder in &listing.folders {
+            listing.files.append(&mut fits::list_folder(folder)?.files);
+        }
+    }
+    Ok(listing.files)
+}
+
 /// SHA-256 over the sorted SHA-256 of the files that can be read, hexadecimal: whatever their names and order.
-pub fn sha256(files: &[PathBuf]) -> String {
-    let one = |file: &PathBuf| Some(sha256_of(&std::fs::read(file).ok()?));
-    sha256_of_all(files.par_iter().filter_map(one).collect())
+pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
+    let one = |file: &F| Some(Sha256::digest(std::fs::read(file).ok()?));
+    let mut hashes: Vec<_> = files.par_iter().filter_map(one).collect();
+    hashes.sort_unstable();
+    provenance::sha256(hashes.concat())
 }
 
-/// SHA-256 of a file's bytes.
-pub fn sha256_of(bytes: &[u8]) -> [u8; 32] {
-    Sha256::digest(bytes).into()
+/// What all frames of one calibration must have in common.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setting {
+    file: PathBuf,
+    /// Name and value of each property that the frame states.
+    properties: Vec<(&'static str, String)>,
 }
 
-/// SHA-256 over those of the files, sorted; hexadecimal.
-pub fn sha256_of_all(mut files: Vec<[u8; 32]>) -> String {
-    files.sort_unstable();
-    provenance::sha256(files.concat())
+impl Setting {
+    /// The camera and the depth of a frame.
+    pub fn of(file: &Path, frame: &Frame) -> Self {
+        let depth = format!("pixels that saturate at {} DN", frame.saturation_dn());
+        let camera = frame.info.camera.as_ref();
+        let camera = camera.map(|name| ("camera", format!("camera \"{name}\"")));
+        Self {
+            file: file.into(),
+            properties: camera.into_iter().chain([("depth", depth)]).collect(),
+        }
+    }
+
+    /// Its size as well.
+    pub fn with_size(mut self, frame: &Frame) -> Self {
+        let size = format!("{} x {} px", frame.width(), frame.height());
+        self.properties.push(("size", size));
+        self
+    }
+
+    /// Its gains as well.
+    pub fn with_gains(mut self, frame: &Frame) -> Self {
+        let gains = [
+            ("analogue gain", frame.info.analogue_gain),
+            ("pre-amplifier gain", frame.info.preamp_gain),
+        ];
+        let stated = gains
+            .into_iter()
+            .filter_map(|(name, gain)| Some((name, gain?)));
+        let stated = stated.map(|(name, gain)| (name, format!("{name} {gain}")));
+        self.properties.extend(stated);
+        self
+    }
+}
+
+/// Two frames that differ in what all must have in common.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "mixed instruments: expected frames of one {what}, found {found} in {} and {other} in {}; give the frames of one camera and setting only",
+    .file.display(), .other_file.display()
+)]
+pub struct Mixed {
+    pub what: &'static str,
+    pub file: PathBuf,
+    pub found: String,
+    pub other_file: PathBuf,
+    pub other: String,
+}
+
+/// Whether one camera took all frames, at one setting.
+///
+/// # Errors
+/// The first two that differ.
+pub fn check_one_setting<'a>(settings: impl IntoIterator<Item = &'a Setting>) -> Result<(), Mixed> {
+    let mut known: BTreeMap<&str, (&Path, &str)> = BTreeMap::new();
+    for Setting { file, properties } in settings {
+        for (what, value) in properties {
+            let (first, found) = known.entry(what).or_insert((file, value));
+            if *found != value {
+                return Err(Mixed {
+                    what,
+                    file: first.to_path_buf(),
+                    found: (*found).into(),
+                    other_file: file.clone(),
+                    other: value.clone(),
+                });
+            }
+        }
+    }
+    Ok(())
 }

@@ -1,11 +1,15 @@
 //! The instrument as it is: from frames to a new instrument file. Each part measures some of its numbers, says what the
 //! frames do not determine, and leaves the rest of the file as it was.
+//!
+//! ```text
+//! numbers <- revision <- quantity, frames <- camera, mounting, plate; compare
+//! ```
 
 pub mod camera;
 pub mod compare;
 pub mod frames;
-mod html;
 pub mod mounting;
 pub mod numbers;
 pub mod plate;
+pub mod quantity;
 pub mod revision;

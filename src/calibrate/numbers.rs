@@ -1,6 +1,6 @@
 //! Numbers: the middle of some, and measured ones for people, to two digits of the sigma.
 
-use crate::statistics;
+use crate::estimation;
 use crate::units::Measured;
 use std::borrow::Borrow;
 
@@ -29,7 +29,7 @@ pub fn value_text(measured: Measured) -> String {
 /// The median of those of some values that are finite; 0 where there are none.
 pub fn median<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
     let values = values.into_iter().map(|v| *v.borrow());
-    statistics::median(values.filter(|v| v.is_finite())).unwrap_or_default()
+    estimation::median(values.filter(|v| v.is_finite())).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -118,18 +118,6 @@ impl Revision {
         }
     }
 
-    /// Takes an entry out.
-    pub fn remove(&mut self, key: &str) {
-        let (tables, last) = key.rsplit_once('.').unwrap_or(("", key));
-        let mut table = Some(self.document.as_table_mut());
-        for name in tables.split('.').filter(|name| !name.is_empty()) {
-            table = table.and_then(|t| t.get_mut(name)?.as_table_mut());
-        }
-        if let Some(table) = table {
-            table.remove(last);
-        }
-    }
-
     /// The new text and the instrument that it describes.
     ///
     /// # Errors
@@ -141,7 +129,7 @@ impl Revision {
     }
 }
 
-/// A number to two digits of a sigma; all of them where the sigma tells nothing.
+/// A number to two digits of a sigma; all of them where the sigma is zero or infinite.
 pub fn number(value: f64, sigma: f64) -> Value {
     let text = value_text(Measured::new(value, sigma));
     text.parse().unwrap_or_else(|_| value.into())

@@ -4,10 +4,10 @@
 //! too small to move, give it; towards the limb, where its blur bends the light, the rings are narrow. Between them run
 //! straight lines.
 
+use crate::estimation::{SIGMA_PER_MEDIAN, median_size};
 use crate::frame::{Levels, Region, Sample, View};
 use crate::geometry::Ellipse;
 use crate::lanes::{LANES, Scratch, groups, larger, smaller};
-use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use multiversion::multiversion;
 use nalgebra::Vector2;
 use std::ops::Range;

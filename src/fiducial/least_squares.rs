@@ -5,9 +5,9 @@
 
 use super::coverage::{BlurredCross, Coverage, Pose};
 use super::patch::Patch;
+use crate::estimation::clipped_sigma;
 use crate::frame::ROUNDING_NOISE_DN;
 use crate::lanes::{LANES, Scratch, groups, groups_mut, larger, smaller};
-use crate::statistics::clipped_sigma;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector6};
 
@@ -174,7 +174,7 @@ impl Linear {
     /// one, and by what the model itself may be off: all within a limit, nothing beyond twice that.
     fn reject(&mut self, patch: &Patch, expected_dn: f32, allowed_dn: f32) {
         let residuals = &self.residuals[..patch.pixels];
-        if let Some(noise_dn) = clipped_sigma(residuals, expected_dn) {
+        if let Some(noise_dn) = clipped_sigma(residuals, expected_dn, ROUNDING_NOISE_DN) {
             let limit = DOUBTED_SIGMA * noise_dn as f32 + allowed_dn;
             let left_out = keep_within(limit, &self.residuals, &mut self.kept);
             self.pixels = patch.pixels - total(&left_out) as usize;

@@ -1,9 +1,10 @@
-//! The outline of a disc seen askew.
+//! The outline of a disc seen by a tilted camera.
 
-use super::Circle;
+use super::circle::Circle;
 use nalgebra::{Matrix2, Vector2};
 
-/// An ellipse as the picture of the unit circle: x = centre + root w, |w| = 1, with `root` symmetric and positive.
+/// An ellipse as the image of the unit circle: x = centre + root w, |w| = 1, with `root` symmetric and positive: the square
+/// root of the matrix of its squared half axes.
 ///
 /// A disc that is round on the plate is such an ellipse on the sensor, and `root` then is, but for a rotation, the local
 /// mapping from plate to sensor in units of the disc's radius.
@@ -51,7 +52,7 @@ impl Ellipse {
         self.centre + self.root * w
     }
 
-    /// Outward unit normal of the outline where it is the picture of `w`.
+    /// Outward unit normal of the outline where it is the image of `w`.
     pub fn normal(&self, w: Vector2<f64>) -> Vector2<f64> {
         (self.inverse * w).normalize()
     }

@@ -1,16 +1,16 @@
 //! The mapping from sensor to plate: a plane homography, of which affine and similarity are the simple kinds,
 //! behind the lens's distortion.
 
-use super::Distortion;
+use super::distortion::Distortion;
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-/// How many freedoms a mapping has.
+/// Which parameters of a [`View`](super::view::View) a mapping has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MappingKind {
     /// Shift, rotation and one scale: 4 parameters.
     Similarity,
-    /// A similarity seen askew, true to angles at the plate's centre: 6 parameters.
+    /// A similarity with tilt, true to angles at the plate's centre: 6 parameters.
     Keystone,
     /// Shift and any linear map: 6 parameters.
     Affine,
@@ -47,7 +47,7 @@ pub enum Handedness {
 }
 
 impl Handedness {
-    /// The picture of the plate's axes at rotation 0, apart from scale.
+    /// The plate's axes projected at rotation 0, apart from scale.
     pub fn axes(self) -> Matrix2<f64> {
         match self {
             Self::Mirrored => Matrix2::new(-1.0, 0.0, 0.0, 1.0),
@@ -63,7 +63,7 @@ pub struct SimilarityParameters {
     pub plate_centre: SensorPx,
     /// Plate length per pixel.
     pub scale_mil_per_px: f64,
-    /// From the unrotated picture, positive from +x towards +y.
+    /// Of the plate's [`axes`](Handedness::axes), positive from +x towards +y.
     pub rotation_deg: f64,
     pub handedness: Handedness,
 }
@@ -166,11 +166,11 @@ impl Mapping {
         }
     }
 
-    /// Rotation of the picture at a sensor position, positive from +x towards +y, -180 to 180 deg.
+    /// Rotation of the projected plate at a sensor position, positive from +x towards +y, -180 to 180 deg.
     pub fn rotation_deg(&self, seen: SensorPx) -> f64 {
-        let picture = self.sensor_jacobian(self.to_plate(seen)) * self.handedness().axes();
-        (picture.m21 - picture.m12)
-            .atan2(picture.m11 + picture.m22)
+        let local = self.sensor_jacobian(self.to_plate(seen)) * self.handedness().axes();
+        (local.m21 - local.m12)
+            .atan2(local.m11 + local.m22)
             .to_degrees()
     }
 }
@@ -182,7 +182,7 @@ fn project(homography: &Matrix3<f64>, p: Vector2<f64>) -> Vector2<f64> {
 }
 
 /// Derivative of a projection by a plane homography.
-pub(crate) fn projection_jacobian(homography: &Matrix3<f64>, p: Vector2<f64>) -> Matrix2<f64> {
+fn projection_jacobian(homography: &Matrix3<f64>, p: Vector2<f64>) -> Matrix2<f64> {
     let h = homography * Vector3::new(p.x, p.y, 1.0);
     let image = Vector2::new(h.x / h.z, h.y / h.z);
     let numerator = homography.fixed_view::<2, 2>(0, 0).into_owned();
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn jacobians_are_the_slopes_of_the_mapping() {
+    fn jacobians_are_the_derivatives_of_the_mapping() {
         let mapping = tilted();
         let (seen, h) = (SensorPx::new(200.0, 700.0), 1e-3);
         let slope = |dx: f64, dy: f64| {

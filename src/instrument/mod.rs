@@ -45,6 +45,14 @@ pub struct Camera {
     pub distortion: Distortion,
 }
 
+impl Camera {
+    /// The middle of the sensor.
+    pub fn middle_px(&self) -> SensorPx {
+        let middle = |pixels: usize| (pixels as f64 - 1.0) / 2.0;
+        SensorPx::new(middle(self.width_px), middle(self.height_px))
+    }
+}
+
 /// The telescope that throws the Sun's image on the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optics {

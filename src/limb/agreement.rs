@@ -1,7 +1,7 @@
 //! How well crossings agree with a circle, and the circle that suits them best; eight of them side by side.
 
 use super::chords::Crossing;
-use super::outline::TUKEY_SIGMAS;
+use crate::estimation::TUKEY_SIGMAS;
 use crate::geometry::Circle;
 use crate::lanes::{LANES, larger, smaller};
 use crate::units::Measured;

@@ -13,13 +13,12 @@
 use super::appearance::{Appearance, Noise, TILT, Tilt};
 use super::band::{Band, Reach, middle_of_sector};
 use super::hidden::{HIDDEN_DN, Hidden};
-use super::outline::TUKEY_SIGMAS;
 use super::profile::{Profile, lay_light};
 use super::typical::medians;
-use crate::frame::{Frame, Levels};
+use crate::estimation::{TUKEY_SIGMAS, clipped_sigma};
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
 use crate::lanes::{LANES, Scratch, groups, groups_mut, larger};
-use crate::statistics::clipped_sigma;
 use crate::units::SensorPx;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Vector2};
@@ -214,7 +213,9 @@ impl<'a> Edge<'a> {
     fn noise(&self, unexplained: &[f32], more: &[f32]) -> Noise {
         let [mut outside, mut inside] = [(); 2].map(|()| Scratch::empty(unexplained.len()));
         tell_noise(self, unexplained, more, &mut outside, &mut inside);
-        let sigma = |left: &[f32], start: f64| clipped_sigma(left, start as f32).unwrap_or(start);
+        let sigma = |left: &[f32], start: f64| {
+            clipped_sigma(left, start as f32, ROUNDING_NOISE_DN).unwrap_or(start)
+        };
         Noise {
             outside_dn: sigma(&outside, self.noise.outside_dn),
             inside_dn: sigma(&inside, self.noise.inside_dn),

@@ -8,6 +8,7 @@
 
 use super::Settings;
 use super::bright::{Whole, first_bright};
+use crate::estimation::QUARTILE_SIGMAS;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, View};
 use crate::lanes::Scratch;
 use crate::units::Rejected;
@@ -39,8 +40,6 @@ const MIN_BRIGHT_PAIRS: u32 = 32;
 /// A dark ground and a bright disc leave less than this part of the values in the middle third between them; noise alone
 /// has half of its own there.
 const MOST_BETWEEN: f64 = 0.1;
-/// The upper quartile of a normal distribution, sigma.
-const QUARTILE_SIGMAS: f64 = 0.6745;
 
 /// The levels of a frame; rejected when nothing outshines the background.
 pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
@@ -223,6 +222,7 @@ impl Distribution {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimation::QUARTILE_SIGMAS;
     use crate::frame::{FrameInfo, Pixels};
 
     fn frame(value: impl Fn(usize, usize) -> u8) -> Frame {

@@ -2,9 +2,9 @@
 
 use super::LimbPoint;
 use super::band::outwards;
+use crate::estimation::{SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median_size};
 use crate::geometry::{Ellipse, turns};
 use crate::lanes::{LANES, Scratch, groups, larger};
-use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 use crate::units::Measured;
 use multiversion::multiversion;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
@@ -66,8 +66,6 @@ impl OutlineFit {
     }
 }
 
-/// Tukey's biweight gives no weight beyond this many sigma; 95 % efficient for normal errors.
-pub(super) const TUKEY_SIGMAS: f64 = 4.685;
 const STEPS: usize = 16;
 const ROUND_STEPS: usize = 6;
 /// Points that scatter by more sigmas than this about the start may lead an ellipse astray; a circle is harder to lead.

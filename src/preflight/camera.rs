@@ -53,15 +53,16 @@ pub(super) fn open(
 pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     let check = planned.table;
     let (config, camera) = (plan.config.clone(), planned.clone());
-    let look =
-        move || open(&config, &camera).map(|mut open| look(open.as_mut(), camera.config.rate_hz));
-    let sight = match within(PATIENCE + LONGEST, look) {
-        Ok(Ok(sight)) => sight,
+    let take = move || {
+        open(&config, &camera).map(|mut open| take_frames(open.as_mut(), camera.config.rate_hz))
+    };
+    let trial = match within(PATIENCE + LONGEST, take) {
+        Ok(Ok(trial)) => trial,
         Ok(Err(error)) => return vec![Finding::fail(check, error.to_string(), PLUG)],
         Err(no_answer) => return vec![Finding::fail(check, no_answer.to_string(), PLUG)],
     };
-    let Some(frame) = &sight.last else {
-        let reason = sight.failed.unwrap_or("no frame came".into());
+    let Some(frame) = &trial.last else {
+        let reason = trial.failed.unwrap_or("no frame came".into());
         return vec![Finding::fail(
             check,
             format!("{}: {reason}", planned.source),
@@ -69,10 +70,10 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
         )];
     };
     let mut findings = vec![
-        rate(planned, &sight),
-        settings(planned, frame, &sight.health),
+        rate(planned, &trial),
+        settings(planned, frame, &trial.health),
     ];
-    findings.extend(health(check, &sight));
+    findings.extend(health(check, &trial));
     match (planned.role, planned.instrument.seen_by(frame)) {
         (CameraRole::Roll, _) => {}
         (_, Ok(instrument)) => {
@@ -91,9 +92,9 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     findings
 }
 
-fn look(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
+fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
     let wanted = (LOOK_S * rate_hz).clamp(5.0, 60.0) as u32;
-    let mut sight = TrialFrames {
+    let mut trial = TrialFrames {
         last: None,
         taken: 0,
         failed: None,
@@ -102,34 +103,34 @@ fn look(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
     };
     let start = Instant::now();
     let mut first = None;
-    while sight.taken < wanted {
-        let limit = if sight.taken == 0 { PATIENCE } else { LONGEST };
+    while trial.taken < wanted {
+        let limit = if trial.taken == 0 { PATIENCE } else { LONGEST };
         if start.elapsed() > limit {
             break;
         }
         match camera.next(&mut |_| {}) {
             Ok(Take::Exposure(exposure)) => {
-                sight.taken += 1;
-                sight.lasted = first.get_or_insert_with(Instant::now).elapsed();
-                sight.last = Some(exposure.frame);
+                trial.taken += 1;
+                trial.lasted = first.get_or_insert_with(Instant::now).elapsed();
+                trial.last = Some(exposure.frame);
             }
             Ok(Take::NotYet) => {}
             Ok(Take::End) => break,
             Err(error) => {
-                sight.failed = Some(error.to_string());
+                trial.failed = Some(error.to_string());
                 // A camera that refuses at once must not be asked without a pause.
                 std::thread::sleep(Duration::from_millis(20));
             }
         }
     }
-    sight.health = camera.health();
-    sight
+    trial.health = camera.health();
+    trial
 }
 
-fn rate(planned: &PlannedCamera, sight: &TrialFrames) -> Finding {
-    let (source, taken) = (&planned.source, sight.taken);
+fn rate(planned: &PlannedCamera, trial: &TrialFrames) -> Finding {
+    let (source, taken) = (&planned.source, trial.taken);
     let wanted_hz = planned.config.rate_hz;
-    let lasted_s = sight.lasted.as_secs_f64();
+    let lasted_s = trial.lasted.as_secs_f64();
     let is_own_pace = matches!(source, Source::Folder(_));
     if taken < 3 || is_own_pace || lasted_s <= 0.0 {
         return Finding::pass(
@@ -199,8 +200,8 @@ fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Fi
     }
 }
 
-fn health(check: &str, sight: &TrialFrames) -> Option<Finding> {
-    let health = &sight.health;
+fn health(check: &str, trial: &TrialFrames) -> Option<Finding> {
+    let health = &trial.health;
     let counts = [
         ("incomplete frames", health.incomplete),
         ("missing frames", health.missing),
@@ -213,13 +214,13 @@ fn health(check: &str, sight: &TrialFrames) -> Option<Finding> {
         .filter(|(_, count)| *count > 0)
         .map(|(name, count)| format!("{name}: {count}"))
         .collect();
-    faults.extend(sight.failed.clone());
+    faults.extend(trial.failed.clone());
     let remedy = "look at cable, network buffers and packet size: see docs/camera.md";
     (!faults.is_empty())
         .then(|| Finding::warn(format!("{check} health"), faults.join("; "), remedy))
 }
 
-/// Solves a frame of the right size, and looks at its light.
+/// Solves a frame of the right size, and judges its light.
 fn solves(plan: &Plan, planned: &PlannedCamera, frame: &Frame) -> Vec<Finding> {
     let (plan, planned_too, frame) = (plan.clone(), planned.clone(), frame.clone());
     let table = planned.table;

@@ -1,6 +1,6 @@
 //! The report's part on the mapping: its drift over time and with the camera's temperature.
 
-use super::output::{MappingSummary, Summary, WarmthSummary};
+use super::output::{MappingSummary, Summary, ThermalSummary};
 use super::report::{Report, TIME, labels};
 use super::row::Row;
 use crate::report::plot::{self, Mark, Series};
@@ -12,7 +12,7 @@ impl Report<'_> {
             return self.page.note("No marks were read.");
         };
         self.page.note(&format!(
-            "It wanders by {:.4} px after a second, and the marks' sigmas were raised {:.2} times.",
+            "Its process noise is {:.4} px after a second, and the marks' sigmas were inflated {:.2} times.",
             mapping.wander_shift_px, mapping.sigmas_raised
         ));
         let centre = |axis: usize| move |row: &Row| Some(row.mapping?.centre_px[axis].value);
@@ -35,9 +35,9 @@ impl Report<'_> {
                 .note("The headers hold no temperature of the camera, or only one.");
         };
         match (&mapping.by_temperature, mapping.temperature_gain) {
-            (Some(warmth), _) => self.degrees(warmth),
+            (Some(thermal), _) => self.degrees(thermal),
             (None, Some(_)) => self.page.note(
-                "The camera's temperature does not explain the marks any better than wandering does, so it does not count.",
+                "The camera's temperature does not explain the marks any better than process noise does, so it does not count.",
             ),
             (None, None) => self.page.note(
                 "Too few headers hold the camera's temperature, so it does not count.",
@@ -51,21 +51,21 @@ impl Report<'_> {
         self.figure(plot::series(&labels, &series));
     }
 
-    /// What a degree does, as it was estimated together with wandering and jumps.
-    fn degrees(&mut self, warmth: &WarmthSummary) {
+    /// What a degree does, as it was estimated together with process noise and jumps.
+    fn degrees(&mut self, thermal: &ThermalSummary) {
         let line = |name: &str, [value, sigma]: [f64; 2]| {
             vec![name.to_owned(), format!("{value:.4} \u{b1} {sigma:.4}")]
         };
         let lines = [
-            line("shift in x", warmth.shift_x_px_per_degc),
-            line("shift in y", warmth.shift_y_px_per_degc),
+            line("shift in x", thermal.shift_x_px_per_degc),
+            line("shift in y", thermal.shift_y_px_per_degc),
             line(
                 "stretch, 1000 mil from the plate's centre",
-                warmth.stretch_px_per_degc,
+                thermal.stretch_px_per_degc,
             ),
             line(
                 "turn, 1000 mil from the plate's centre",
-                warmth.turn_px_per_degc,
+                thermal.turn_px_per_degc,
             ),
         ];
         self.page

@@ -3,19 +3,21 @@
 //! 1. A reference: the median of what the fine frames' own mappings say.
 //! 2. Frames that are far from their neighbours are put aside: a median over a few frames keeps a jump's edge and shows
 //!    what stands alone.
-//! 3. The view as a random walk; how fast it wanders is what makes the marks most likely.
-//! 4. Jumps, one after the other, where one explains more than wandering can.
-//! 5. What the camera's temperature does, where that explains more than wandering and jumps can; then jumps again.
-//! 6. Single marks that disagree lose their weight (Tukey), and what scatter is left raises the sigmas of all.
+//! 3. The view as a random walk; its process noise is that of greatest likelihood.
+//! 4. Jumps, one after the other, where one explains more than process noise can.
+//! 5. What the camera's temperature does, where that explains more than process noise and jumps can; then jumps again.
+//! 6. Single marks that disagree lose their weight (Tukey), and the scatter that is left inflates the sigmas of all.
 
-use super::drift::{Drift, Estimate, Sight, Sightings, Smoothed, Wander, Warmth};
+use super::drift::{
+    Drift, Estimate, MarkObservation, Observations, ProcessNoise, Smoothed, ThermalCoefficients,
+};
 use super::load::Entry;
-use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, WarmthFacts};
+use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, TemperatureDependence};
 use super::temperature;
 use super::view::{Reference, State};
+use crate::estimation::{Loss, MEDIAN_CHI2_2D, TUKEY_SIGMAS_2D, median};
 use crate::geometry::Distortion;
 use crate::instrument::Instrument;
-use crate::statistics::median;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{Matrix2, Matrix3, Vector2};
 use rayon::prelude::*;
@@ -28,48 +30,48 @@ const ALONE_SIGMAS: f64 = 6.0;
 const MISREAD_PX: f64 = 10.0;
 /// Neighbours to each side whose median it is held against.
 const NEIGHBOURS: [usize; 3] = [10, 4, 4];
-/// A jump explains so much more than wandering: chi^2 of four.
+/// A jump explains so much more than process noise: chi^2 of four.
 const JUMP_CHI2: f64 = 60.0;
-/// Smaller jumps are wandering, px.
+/// Smaller jumps are process noise, px.
 const LEAST_JUMP_PX: f64 = 0.1;
 const MOST_JUMPS: usize = 64;
 /// The temperature counts where it makes the marks so much more likely, natural logarithm: 150 to 1.
-const LEAST_WARMTH_GAIN: f64 = 5.0;
-const TUKEY_SIGMAS: f64 = 5.0;
-/// How fast views wander at first.
-const FIRST_WANDER: Wander = Wander {
+const LEAST_TEMPERATURE_GAIN: f64 = 5.0;
+const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
+/// The process noise before it is estimated.
+const FIRST_NOISE: ProcessNoise = ProcessNoise {
     shift_px: 0.01,
     turn_px: 0.01,
 };
-/// The least that views wander, px after a second.
-const LEAST_WANDER_PX: f64 = 1e-4;
-/// Factor between values of wander that are tried.
-const WANDER_STEP: f64 = 2.0;
-const MOST_WANDER_TRIALS: usize = 24;
+/// The least process noise, px after a second.
+const LEAST_NOISE_PX: f64 = 1e-4;
+/// Factor between values of process noise that are tried.
+const NOISE_STEP: f64 = 2.0;
+const MOST_NOISE_TRIALS: usize = 24;
 
 impl FlightMapping {
     /// The mapping at each of the frames, which are in the order of time, from their marks. `None` where no frame has any.
     pub(super) fn estimate(
         entries: &[Entry],
-        sights: Vec<Sight>,
+        marks: Vec<MarkObservation>,
         instrument: &Instrument,
     ) -> Option<Self> {
         let reference = reference(entries, instrument.camera.distortion)?;
-        let sightings = sightings(entries, sights);
+        let observations = observations(entries, marks);
         let readings: Vec<Option<f64>> = entries.iter().map(|e| e.row.temperature_c).collect();
-        let warmth_c = temperature::from_the_middle(&sightings.times_s(), &readings);
-        let mut work = Work::new(reference, sightings);
+        let temperature_c = temperature::from_the_middle(&observations.times_s(), &readings);
+        let mut work = Work::new(reference, observations);
         work.put_aside_at_first()?;
-        work.settle_wander();
+        work.settle_process_noise();
         work.find_jumps()?;
-        if let Some(warmth_c) = warmth_c {
-            work.take_temperature(warmth_c)?;
+        if let Some(temperature_c) = temperature_c {
+            work.take_temperature(temperature_c)?;
         }
         work.settle_reference()?;
         for _ in 0..2 {
             let estimates = work.drift().smoothed()?.estimates;
             work.weigh(&estimates);
-            work.settle_wander();
+            work.settle_process_noise();
         }
         let smoothed = work.drift().smoothed()?;
         Some(work.finished(smoothed))
@@ -97,62 +99,62 @@ fn reference(entries: &[Entry], distortion: Distortion) -> Option<Reference> {
 }
 
 /// The frames' marks, by time.
-fn sightings(entries: &[Entry], sights: Vec<Sight>) -> Sightings {
+fn observations(entries: &[Entry], marks: Vec<MarkObservation>) -> Observations {
     let first = entries.first().and_then(|entry| entry.row.utc_ns);
     let since = |utc: i64| (utc - first.unwrap_or(utc)) as f64 / 1e9;
     let moments = entries.iter().map(|entry| {
         let time_s = entry.row.utc_ns.map_or(0.0, since);
         (time_s, entry.marks.clone())
     });
-    Sightings::new(sights, moments)
+    Observations::new(marks, moments)
 }
 
 /// The mapping in the making.
 struct Work {
     reference: Reference,
-    sightings: Sightings,
-    wander: Wander,
+    observations: Observations,
+    process_noise: ProcessNoise,
     jumps: Vec<usize>,
-    raised: f64,
+    inflated: f64,
     /// How far each moment's marks are from their neighbours', px.
     away_px: Vec<f64>,
-    /// The temperature at each moment, where it counts, and how much more likely it makes the marks, where it is told.
-    warmth_c: Option<Vec<f64>>,
-    warmth_gain: Option<f64>,
+    /// The temperature at each moment, where it counts, and how much more likely it makes the marks, where the headers tell it.
+    temperature_c: Option<Vec<f64>>,
+    temperature_gain: Option<f64>,
 }
 
 impl Work {
-    fn new(reference: Reference, sightings: Sightings) -> Self {
+    fn new(reference: Reference, observations: Observations) -> Self {
         Self {
             reference,
-            wander: FIRST_WANDER,
+            process_noise: FIRST_NOISE,
             jumps: Vec::new(),
-            raised: 1.0,
-            away_px: vec![0.0; sightings.len()],
-            sightings,
-            warmth_c: None,
-            warmth_gain: None,
+            inflated: 1.0,
+            away_px: vec![0.0; observations.len()],
+            observations,
+            temperature_c: None,
+            temperature_gain: None,
         }
     }
 
     fn drift(&self) -> Drift<'_> {
         Drift {
             reference: &self.reference,
-            sightings: &self.sightings,
-            wander: self.wander,
+            observations: &self.observations,
+            process_noise: self.process_noise,
             jumps: &self.jumps,
-            warmth_c: self.warmth_c.as_deref(),
+            temperature_c: self.temperature_c.as_deref(),
         }
     }
 
-    /// A moment's mean miss from a state, px, and its 1 sigma.
-    fn mean_miss(&self, moment: usize, state: &State) -> Option<(Vector2<f64>, f64)> {
+    /// A moment's mean residual from a state, px, and its 1 sigma.
+    fn mean_residual(&self, moment: usize, state: &State) -> Option<(Vector2<f64>, f64)> {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
-        for sight in self.sightings.at(moment) {
-            let (seen, slopes) = self.reference.picture(sight.printed);
-            information += sight.information();
-            sum += sight.information() * (sight.seen - seen - slopes * state);
+        for mark in self.observations.at(moment) {
+            let (picture, slopes) = self.reference.picture(mark.printed);
+            information += mark.information();
+            sum += mark.information() * (mark.seen - picture - slopes * state);
         }
         let covariance = information.try_inverse()?;
         Some((covariance * sum, covariance.trace().max(0.0).sqrt()))
@@ -171,138 +173,141 @@ impl Work {
     /// Takes the weight of frames that stand alone, and gives it back to those that no longer do.
     fn put_aside(&mut self, estimates: Option<&[Estimate]>, stage: usize) {
         let state = |n: usize| estimates.map_or(State::zeros(), |estimates| estimates[n].state);
-        let misses: Vec<(usize, Vector2<f64>, f64)> = (0..self.sightings.len())
+        let residuals: Vec<(usize, Vector2<f64>, f64)> = (0..self.observations.len())
             .filter_map(|n| {
-                let (miss, sigma) = self.mean_miss(n, &state(n))?;
-                Some((n, miss, sigma))
+                let (residual, sigma) = self.mean_residual(n, &state(n))?;
+                Some((n, residual, sigma))
             })
             .collect();
         let reach = NEIGHBOURS[stage];
-        let alone: Vec<(usize, f64, bool)> = misses
+        let alone: Vec<(usize, f64, bool)> = residuals
             .par_iter()
             .enumerate()
-            .map(|(k, (n, miss, sigma))| {
-                let near = &misses[k.saturating_sub(reach)..misses.len().min(k + reach + 1)];
-                let middle = |axis: usize| median(near.iter().map(|(_, m, _)| m[axis]));
+            .map(|(k, (n, residual, sigma))| {
+                let near = &residuals[k.saturating_sub(reach)..residuals.len().min(k + reach + 1)];
+                let middle = |axis: usize| median(near.iter().map(|(_, r, _)| r[axis]));
                 let middle = Vector2::new(middle(0).unwrap_or(0.0), middle(1).unwrap_or(0.0));
-                let away = (miss - middle).norm();
-                let limit = ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.raised);
+                let away = (residual - middle).norm();
+                let limit = ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.inflated);
                 (*n, away, away > limit)
             })
             .collect();
         for (n, away, alone) in alone {
             self.away_px[n] = away;
             let weight = if alone { 0.0 } else { 1.0 };
-            let sights = self.sightings.at_mut(n).iter_mut();
-            sights.for_each(|sight| sight.weight = weight);
+            let marks = self.observations.at_mut(n).iter_mut();
+            marks.for_each(|mark| mark.weight = weight);
         }
     }
 
-    /// The wander that makes the marks most likely.
-    fn settle_wander(&mut self) {
-        let likelihood = |wander: &Wander| {
+    /// The process noise of greatest likelihood.
+    fn settle_process_noise(&mut self) {
+        let likelihood = |noise: &ProcessNoise| {
             Drift {
-                wander: *wander,
+                process_noise: *noise,
                 ..self.drift()
             }
             .likelihood()
         };
-        let Some(mut best) = likelihood(&self.wander) else {
+        let Some(mut best) = likelihood(&self.process_noise) else {
             return;
         };
-        let mut wander = self.wander;
-        for _ in 0..MOST_WANDER_TRIALS {
-            let Wander { shift_px, turn_px } = wander;
+        let mut noise = self.process_noise;
+        for _ in 0..MOST_NOISE_TRIALS {
+            let ProcessNoise { shift_px, turn_px } = noise;
             let tried = [
-                (shift_px * WANDER_STEP, turn_px),
-                (shift_px / WANDER_STEP, turn_px),
-                (shift_px, turn_px * WANDER_STEP),
-                (shift_px, turn_px / WANDER_STEP),
+                (shift_px * NOISE_STEP, turn_px),
+                (shift_px / NOISE_STEP, turn_px),
+                (shift_px, turn_px * NOISE_STEP),
+                (shift_px, turn_px / NOISE_STEP),
             ];
-            let tried = tried.map(|(shift_px, turn_px)| Wander {
-                shift_px: shift_px.max(LEAST_WANDER_PX),
-                turn_px: turn_px.max(LEAST_WANDER_PX),
+            let tried = tried.map(|(shift_px, turn_px)| ProcessNoise {
+                shift_px: shift_px.max(LEAST_NOISE_PX),
+                turn_px: turn_px.max(LEAST_NOISE_PX),
             });
             let found: Vec<Option<f64>> = tried.par_iter().map(likelihood).collect();
             let better = found
                 .iter()
                 .zip(tried)
-                .filter_map(|(l, w)| Some(((*l)?, w)));
+                .filter_map(|(l, noise)| Some(((*l)?, noise)));
             match better.max_by(|a, b| a.0.total_cmp(&b.0)) {
-                Some((found, better)) if found > best => (best, wander) = (found, better),
+                Some((found, better)) if found > best => (best, noise) = (found, better),
                 _ => break,
             }
         }
-        self.wander = wander;
+        self.process_noise = noise;
     }
 
     fn find_jumps(&mut self) -> Option<()> {
         for _ in 0..MOST_JUMPS {
-            let sharpest = self.drift().smoothed()?.sharpest;
-            let Some(sharpest) = sharpest.filter(|s| s.chi2 > JUMP_CHI2) else {
+            let candidate = self.drift().smoothed()?.jump;
+            let Some(candidate) = candidate.filter(|c| c.chi2 > JUMP_CHI2) else {
                 break;
             };
-            let at = self.jumps.partition_point(|jump| *jump < sharpest.moment);
-            self.jumps.insert(at, sharpest.moment);
+            let at = self.jumps.partition_point(|jump| *jump < candidate.moment);
+            self.jumps.insert(at, candidate.moment);
             let estimates = self.drift().smoothed()?.estimates;
-            let [before, after] = [sharpest.moment - 1, sharpest.moment]
+            let [before, after] = [candidate.moment - 1, candidate.moment]
                 .map(|n| estimates[n].state.fixed_rows::<4>(0).into_owned());
             if (after - before).norm() < LEAST_JUMP_PX {
                 self.jumps.remove(at);
                 break;
             }
-            self.settle_wander();
+            self.settle_process_noise();
         }
         Some(())
     }
 
-    /// The temperature counts where it explains the marks far better than wandering alone; what then wanders less shows
-    /// smaller jumps.
-    fn take_temperature(&mut self, warmth_c: Vec<f64>) -> Option<()> {
-        let (wander, without) = (self.wander, self.drift().likelihood()?);
-        self.warmth_c = Some(warmth_c);
-        self.settle_wander();
+    /// The temperature counts where it explains the marks far better than process noise alone; with less process noise smaller jumps
+    /// show.
+    fn take_temperature(&mut self, temperature_c: Vec<f64>) -> Option<()> {
+        let (noise, without) = (self.process_noise, self.drift().likelihood()?);
+        self.temperature_c = Some(temperature_c);
+        self.settle_process_noise();
         let gain = self.drift().likelihood()? - without;
-        self.warmth_gain = Some(gain);
-        if gain < LEAST_WARMTH_GAIN {
-            self.warmth_c = None;
-            self.wander = wander;
+        self.temperature_gain = Some(gain);
+        if gain < LEAST_TEMPERATURE_GAIN {
+            self.temperature_c = None;
+            self.process_noise = noise;
             return Some(());
         }
         self.find_jumps()
     }
 
-    fn warmth_facts(&self, warmth: &Warmth) -> WarmthFacts {
-        match (self.warmth_gain, &self.warmth_c) {
-            (None, _) => WarmthFacts::Untold,
-            (Some(gain), None) => WarmthFacts::Idle { gain },
-            (Some(gain), Some(_)) => WarmthFacts::Follows {
+    fn temperature_dependence(
+        &self,
+        thermal: Option<ThermalCoefficients>,
+    ) -> TemperatureDependence {
+        match (self.temperature_gain, thermal) {
+            (None, _) => TemperatureDependence::NotObservable,
+            (Some(gain), None) => TemperatureDependence::Insignificant { gain },
+            (Some(gain), Some(thermal)) => TemperatureDependence::Linear {
                 gain,
                 px_per_degc: std::array::from_fn(|n| {
-                    let sigma = warmth.covariance[(n, n)].max(0.0).sqrt();
-                    Measured::new(warmth.px_per_degc[n], sigma)
+                    let sigma = thermal.covariance[(n, n)].max(0.0).sqrt();
+                    Measured::new(thermal.px_per_degc[n], sigma)
                 }),
             },
         }
     }
 
-    /// Frames about a jump that were put aside tell better than wandering does when it happened.
+    /// Frames about a jump that were put aside tell better than the walk does when it happened.
     fn time_jumps(&mut self) -> Option<()> {
         let estimates = self.drift().smoothed()?.estimates;
-        let miss = |n: usize, side: usize| {
-            let miss = self.mean_miss(n, &estimates[side].state);
-            miss.map_or(0.0, |(miss, _)| miss.norm())
+        let residual = |n: usize, side: usize| {
+            let mean = self.mean_residual(n, &estimates[side].state);
+            mean.map_or(0.0, |(residual, _)| residual.norm())
         };
-        let marked = |n: &usize| self.sightings.counts(*n);
+        let marked = |n: &usize| self.observations.counts(*n);
         let timed = |jump: &usize| {
             let sides = (0..*jump).rev().find(marked);
-            let Some((before, after)) = sides.zip((*jump..self.sightings.len()).find(marked))
+            let Some((before, after)) = sides.zip((*jump..self.observations.len()).find(marked))
             else {
                 return *jump;
             };
             let (mut best, mut least, mut cost) = (before + 1, 0.0, 0.0);
             for n in before + 1..after {
-                cost += miss(n, before) - miss(n, after);
+                cost += residual(n, before) - residual(n, after);
                 if cost <= least {
                     (best, least) = (n + 1, cost);
                 }
@@ -318,49 +323,48 @@ impl Work {
         self.time_jumps()?;
         let estimates = self.drift().smoothed()?.estimates;
         self.put_aside(Some(&estimates), 2);
-        self.move_reference(&estimates);
-        Some(())
+        self.move_reference(&estimates)
     }
 
     /// Tells states from the middle of the flight, where the slopes are then true.
-    fn move_reference(&mut self, estimates: &[Estimate]) {
+    fn move_reference(&mut self, estimates: &[Estimate]) -> Option<()> {
         let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]));
         let state = State::from_fn(|n, _| middle(n).unwrap_or(0.0));
-        self.reference = self.reference.moved(&state);
+        self.reference = self.reference.moved(&state)?;
+        Some(())
     }
 
-    /// Weighs single marks, and raises their sigmas to what scatter they show.
+    /// Weights single marks, and inflates their sigmas to the scatter they show.
     fn weigh(&mut self, estimates: &[Estimate]) {
         let reference = self.reference;
-        let chi2 = |sight: &Sight, state: &State| {
-            let (seen, slopes) = reference.picture(sight.printed);
-            let miss = sight.seen - seen - slopes * state;
-            miss.dot(&(sight.information() * miss))
+        let chi2 = |mark: &MarkObservation, state: &State| {
+            let (picture, slopes) = reference.picture(mark.printed);
+            let residual = mark.seen - picture - slopes * state;
+            residual.dot(&(mark.information() * residual))
         };
         let all = estimates.iter().enumerate().flat_map(|(n, estimate)| {
-            let counted = self.sightings.at(n).iter().filter(|s| s.weight > 0.0);
-            counted.map(|sight| chi2(sight, &estimate.state))
+            let counted = self.observations.at(n).iter().filter(|s| s.weight > 0.0);
+            counted.map(|mark| chi2(mark, &estimate.state))
         });
-        // Half of chi^2 of two lie below 1.386.
-        let scatter = median(all).unwrap_or(0.0) / 1.386;
-        let raise = scatter.max(1.0 / self.raised.powi(2));
-        self.raised *= raise.sqrt();
+        let scatter = median(all).unwrap_or(0.0) / MEDIAN_CHI2_2D;
+        let inflation = scatter.max(1.0 / self.inflated.powi(2));
+        self.inflated *= inflation.sqrt();
         for (n, estimate) in estimates.iter().enumerate() {
-            let counted = self.sightings.at_mut(n).iter_mut();
-            for sight in counted.filter(|sight| sight.weight > 0.0) {
-                sight.information = sight.information.map(|part| part / raise as f32);
-                let pull2 = chi2(sight, &estimate.state) / TUKEY_SIGMAS.powi(2);
-                sight.weight = (1.0 - pull2.min(1.0)).powi(2).max(1e-6) as f32;
+            let counted = self.observations.at_mut(n).iter_mut();
+            for mark in counted.filter(|mark| mark.weight > 0.0) {
+                mark.information = mark.information.map(|part| part / inflation as f32);
+                let residual = chi2(mark, &estimate.state).sqrt();
+                mark.weight = LOSS.weight(residual).max(1e-6) as f32;
             }
         }
     }
 
     fn finished(self, smoothed: Smoothed) -> FlightMapping {
         let Smoothed {
-            estimates, warmth, ..
+            estimates, thermal, ..
         } = smoothed;
-        let scale = self.reference.scale_px();
-        let marked = |n: &usize| self.sightings.counts(*n);
+        let scale = self.reference.view.unit_px();
+        let marked = |n: &usize| self.observations.counts(*n);
         let jump = |after: &usize| {
             let before = (0..*after).rev().find(marked);
             let before = before.unwrap_or(after - 1);
@@ -376,9 +380,9 @@ impl Work {
         FlightMapping {
             facts: MappingFacts {
                 jumps: self.jumps.iter().map(jump).collect(),
-                wander_px: [self.wander.shift_px, self.wander.turn_px],
-                raised: self.raised,
-                warmth: self.warmth_facts(&warmth),
+                process_noise_px: [self.process_noise.shift_px, self.process_noise.turn_px],
+                inflation: self.inflated,
+                temperature: self.temperature_dependence(thermal),
             },
             standing: (0..estimates.len()).map(|n| self.standing(n)).collect(),
             reference: self.reference,
@@ -387,7 +391,10 @@ impl Work {
     }
 
     fn standing(&self, n: usize) -> Standing {
-        match (self.sightings.at(n).is_empty(), self.sightings.counts(n)) {
+        match (
+            self.observations.at(n).is_empty(),
+            self.observations.counts(n),
+        ) {
             (true, _) => Standing::Unmarked,
             (false, true) => Standing::Agrees,
             (false, false) if self.away_px[n] > MISREAD_PX => Standing::Misread,

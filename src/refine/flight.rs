@@ -57,7 +57,7 @@ pub fn second_pass(
 ) -> Result<Flight, JournalError> {
     let loaded = load(done, inputs, &recipe.instrument, span)?;
     let unread = loaded.unread;
-    let mut work = Work::new(done, recipe, loaded.entries, loaded.sights);
+    let mut work = Work::new(done, recipe, loaded.entries, loaded.marks);
     let ratio = work.place_discs()?;
     work.look_for_oddities(|_| true);
     let mut followed = work.follow_path();

@@ -81,17 +81,17 @@ impl Work<'_> {
 
 /// The rows that lie off a path, and farther than their neighbours.
 fn off(path: &Path, moments: &[motion::Moment], at: &[usize]) -> Vec<usize> {
-    let pull = |moment: &usize| {
+    let chi2 = |moment: &usize| {
         let measured = moments[*moment].measured;
-        measured.map_or(0.0, |m| motion::pull_chi2(&path.points[*moment], &m))
+        measured.map_or(0.0, |m| motion::residual_chi2(&path.points[*moment], &m))
     };
-    let pulls: Vec<f64> = at.iter().map(pull).collect();
+    let chi2: Vec<f64> = at.iter().map(chi2).collect();
     let worst = |n: usize| {
-        let near = &pulls[n.saturating_sub(PULLED)..pulls.len().min(n + PULLED + 1)];
-        near.iter().all(|pull| *pull <= pulls[n])
+        let near = &chi2[n.saturating_sub(PULLED)..chi2.len().min(n + PULLED + 1)];
+        near.iter().all(|other| *other <= chi2[n])
     };
-    (0..pulls.len())
-        .filter(|n| pulls[*n] > ODD_PATH_CHI2 && worst(*n))
+    (0..chi2.len())
+        .filter(|n| chi2[*n] > ODD_PATH_CHI2 && worst(*n))
         .collect()
 }
 
@@ -110,6 +110,6 @@ mod tests {
         let at: Vec<usize> = (0..60).collect();
         assert_eq!(off(&path, &moments, &at), [30]);
         let neighbour = moments[31].measured.unwrap();
-        assert!(motion::pull_chi2(&path.points[31], &neighbour) > ODD_PATH_CHI2);
+        assert!(motion::residual_chi2(&path.points[31], &neighbour) > ODD_PATH_CHI2);
     }
 }

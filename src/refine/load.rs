@@ -1,6 +1,6 @@
 //! The records of the first pass, without what the second pass does not hold for all frames at once.
 
-use super::drift::Sight;
+use super::drift::MarkObservation;
 use super::first_pass::{Done, Span, key};
 use super::journal::JournalError;
 use super::record::{FrameRecord, Grade, Input, MarkRecord, Record, upper};
@@ -30,7 +30,7 @@ pub(super) struct Entry {
 pub(super) struct Loaded {
     /// In the order of time; those without a time come last, by name.
     pub entries: Vec<Entry>,
-    pub sights: Vec<Sight>,
+    pub marks: Vec<MarkObservation>,
     /// Files that could not be read.
     pub unread: Vec<Row>,
 }
@@ -45,7 +45,7 @@ pub(super) fn load(
     instrument: &Instrument,
     span: &Span,
 ) -> Result<Loaded, JournalError> {
-    let (mut entries, mut sights, mut unread) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut entries, mut marks, mut unread) = (Vec::new(), Vec::new(), Vec::new());
     for some in inputs.chunks(TOGETHER) {
         let loaded = some.par_iter().map(|input| {
             let record = done.record(input)?;
@@ -54,9 +54,9 @@ pub(super) fn load(
         let loaded: Vec<Option<One>> = loaded.collect::<Result<_, JournalError>>()?;
         for one in loaded.into_iter().flatten() {
             match one {
-                Ok((mut entry, marks)) => {
-                    entry.marks = sights.len()..sights.len() + marks.len();
-                    sights.extend(marks);
+                Ok((mut entry, own)) => {
+                    entry.marks = marks.len()..marks.len() + own.len();
+                    marks.extend(own);
                     entries.push(entry);
                 }
                 Err(row) => unread.push(row),
@@ -71,13 +71,13 @@ pub(super) fn load(
     });
     Ok(Loaded {
         entries,
-        sights,
+        marks,
         unread,
     })
 }
 
 /// A frame with its marks, or the row of a file that could not be read.
-type One = Result<(Entry, Vec<Sight>), Row>;
+type One = Result<(Entry, Vec<MarkObservation>), Row>;
 
 /// What a record gives; none where it lies outside the span.
 fn one(record: Record, instrument: &Instrument, span: &Span) -> Option<One> {
@@ -89,7 +89,11 @@ fn one(record: Record, instrument: &Instrument, span: &Span) -> Option<One> {
     }
 }
 
-fn entry(input: Input, frame: &FrameRecord, instrument: &Instrument) -> (Entry, Vec<Sight>) {
+fn entry(
+    input: Input,
+    frame: &FrameRecord,
+    instrument: &Instrument,
+) -> (Entry, Vec<MarkObservation>) {
     let key = key(&input);
     let mut row = Row::of(input, frame);
     let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
@@ -106,13 +110,15 @@ fn entry(input: Input, frame: &FrameRecord, instrument: &Instrument) -> (Entry, 
     };
     (
         entry,
-        marks.filter_map(|mark| sight(mark, instrument)).collect(),
+        marks
+            .filter_map(|mark| observation(mark, instrument))
+            .collect(),
     )
 }
 
-fn sight(mark: &MarkRecord, instrument: &Instrument) -> Option<Sight> {
+fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObservation> {
     let information = mark.covariance().try_inverse()?;
-    Some(Sight {
+    Some(MarkObservation {
         seen: instrument.camera.distortion.correct(mark.at()).vector(),
         printed: instrument.plate.position(mark.id()),
         information: upper(&information).map(|part| part as f32),

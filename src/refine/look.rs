@@ -8,12 +8,12 @@
 
 use super::record::PackedPoint;
 use crate::aspect::{self, Settings};
+use crate::estimation::{median, median_and_scatter};
 use crate::fiducial::CrossShape;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::instrument::Instrument;
 use crate::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
-use crate::statistics::{median, median_and_scatter};
 use crate::units::{Measured, PlateMil};
 use crate::with_view;
 use nalgebra::{Matrix2, Vector2};

@@ -35,22 +35,22 @@ pub struct Jump {
 #[derive(Debug, Clone, PartialEq)]
 pub struct MappingFacts {
     pub jumps: Vec<Jump>,
-    /// How fast the view wanders, px after a second: shift; turn at 1000 mil from the plate's centre.
-    pub wander_px: [f64; 2],
-    /// By how much the marks' sigmas were raised.
-    pub raised: f64,
-    pub warmth: WarmthFacts,
+    /// Process noise of the view, px after a second: shift; turn at 1000 mil from the plate's centre.
+    pub process_noise_px: [f64; 2],
+    /// By how much the marks' sigmas were inflated.
+    pub inflation: f64,
+    pub temperature: TemperatureDependence,
 }
 
 /// What the mapping has to do with the camera's temperature.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum WarmthFacts {
-    /// The headers do not tell a temperature that changes.
-    Untold,
+pub enum TemperatureDependence {
+    /// The headers hold no temperature that changes.
+    NotObservable,
     /// The marks are not enough more likely with it: so much, natural logarithm.
-    Idle { gain: f64 },
+    Insignificant { gain: f64 },
     /// The mapping follows it.
-    Follows {
+    Linear {
         gain: f64,
         /// Shift x and y, stretch and turn at 1000 mil from the plate's centre.
         px_per_degc: [Measured; 4],
@@ -82,7 +82,10 @@ impl FlightMapping {
     /// Covariance of a plate position got through the mapping of a frame, mil^2.
     pub fn covariance_mil2(&self, frame: usize, at: PlateMil, mapping: &Mapping) -> Matrix2<f64> {
         let covariance = unpacked(&self.estimates[frame].covariance);
-        let own = self.reference.covariance_mil2(at, mapping, &covariance);
+        let own = self
+            .reference
+            .view
+            .covariance_mil2(at, mapping, &covariance);
         match self.own_jump(frame) {
             Some(size_px) => {
                 let scale = mapping.scale_mil_per_px(mapping.to_sensor(at));

@@ -37,7 +37,9 @@ pub use disc::PlateDisc;
 pub use first_pass::{Done, Recipe, Shard, Span, inputs};
 pub use flight::{Flight, second_pass};
 pub use journal::{Journal, JournalError};
-pub use mapping::{FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, WarmthFacts};
+pub use mapping::{
+    FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, TemperatureDependence,
+};
 pub use output::{OutputError, Summary, write};
 pub use record::{
     DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,

@@ -1,7 +1,8 @@
-//! The Sun's path over the plate between frames: position, speed and acceleration, the last a random walk (Kalman; Rauch,
-//! Tung and Striebel), each axis on its own. How restless the gondola is, the frames tell.
+//! The Sun's path over the plate between frames: position, speed and acceleration, each axis on its own. The acceleration is a random
+//! walk, whose process noise is that of greatest likelihood.
 
-use nalgebra::{Matrix3, Vector3};
+use crate::estimation::{Gaussian, Process, Step, log_likelihood, smooth};
+use nalgebra::{Matrix1, Matrix3, RowVector3, Vector1, Vector3};
 use rayon::prelude::*;
 
 /// A moment of the path, with what was measured then, if anything was: place and variance in each axis, mil and mil^2.
@@ -23,45 +24,37 @@ pub struct PathPoint {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
     pub points: Vec<PathPoint>,
-    /// Random walk of the acceleration, mil/s^2 after a second.
-    pub restless: f64,
+    /// Process noise: square root of its density, mil/s^2.5. The acceleration walks by so many mil/s^2 in a second.
+    pub process_noise: f64,
 }
 
-/// How restless gondolas may be: from, to, and the factor between values that are tried.
-const RESTLESS: [f64; 3] = [0.1, 1e5, 3.0];
-/// A surprise counts no more than this, chi^2: a spoiled frame does not make a gondola restless.
-const MOST_SURPRISE: f64 = 16.0;
-/// What is known of speed and acceleration before the first frame.
+/// The process noise that gondolas may have, mil/s^2.5: from, to, and the factor between values that are tried.
+const PROCESS_NOISE: [f64; 3] = [0.1, 1e5, 3.0];
+/// An innovation counts no more than this, chi^2, so that no outlier raises the process noise.
+const MOST_CHI2: f64 = 16.0;
+/// What is known of place (mil), speed (mil/s) and acceleration (mil/s^2) before the first frame.
 const FIRST_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
 /// Over longer gaps nothing is said about the path.
 const LONGEST_GAP_S: f64 = 10.0;
 
-#[derive(Clone, Copy)]
-struct Estimate {
-    state: Vector3<f64>,
-    covariance: Matrix3<f64>,
-}
-
 /// The smoothed path through moments in the order of time. `None` where nothing was measured.
 pub fn path(moments: &[Moment]) -> Option<Path> {
     moments.iter().find(|moment| moment.measured.is_some())?;
-    let restless = restless(moments)?;
-    let axes = [0, 1].map(|axis| smoothed(moments, axis, restless));
-    let [x, y] = axes;
-    let (x, y) = (x?, y?);
-    let points = x.iter().zip(&y).map(|(x, y)| PathPoint {
-        place_mil: [x.state.x, y.state.x],
+    let process_noise = process_noise(moments)?;
+    let [x, y] = Axis::both(moments, process_noise).map(|axis| axis.smoothed());
+    let points = x?.into_iter().zip(y?).map(|(x, y)| PathPoint {
+        place_mil: [x.mean.x, y.mean.x],
         variance_mil2: [x.covariance.m11.max(0.0), y.covariance.m11.max(0.0)],
-        speed_mil_per_s: [x.state.y, y.state.y],
+        speed_mil_per_s: [x.mean.y, y.mean.y],
     });
     Some(Path {
         points: points.collect(),
-        restless,
+        process_noise,
     })
 }
 
 /// How far a measurement is from what all others say, chi^2 of two.
-pub fn pull_chi2(point: &PathPoint, measured: &[(f64, f64); 2]) -> f64 {
+pub fn residual_chi2(point: &PathPoint, measured: &[(f64, f64); 2]) -> f64 {
     let axis = |n: usize| {
         let (place, variance) = measured[n];
         // The smoothed place holds this measurement: without it, it would lie farther off.
@@ -71,120 +64,88 @@ pub fn pull_chi2(point: &PathPoint, measured: &[(f64, f64); 2]) -> f64 {
     axis(0) + axis(1)
 }
 
-fn restless(moments: &[Moment]) -> Option<f64> {
-    let [from, to, factor] = RESTLESS;
+/// The process noise of greatest likelihood.
+fn process_noise(moments: &[Moment]) -> Option<f64> {
+    let [from, to, factor] = PROCESS_NOISE;
     let count = ((to / from).ln() / factor.ln()).ceil() as i32;
     let tried: Vec<f64> = (0..=count).map(|n| from * factor.powi(n)).collect();
-    let likelihood = |restless: &f64| {
-        let axes = [0, 1].map(|axis| forwards(moments, axis, *restless, |_| {}));
-        Some((axes[0]? + axes[1]?, *restless))
+    let likelihood = |noise: &f64| {
+        let [x, y] = Axis::both(moments, *noise).map(|axis| log_likelihood(&axis));
+        Some((x? + y?, *noise))
     };
     let found: Vec<_> = tried.par_iter().filter_map(likelihood).collect();
     let best = found.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(best.1)
 }
 
-fn transition(step_s: f64) -> Matrix3<f64> {
-    Matrix3::new(
-        1.0,
-        step_s,
-        step_s.powi(2) / 2.0, //
-        0.0,
-        1.0,
-        step_s, //
-        0.0,
-        0.0,
-        1.0,
-    )
-}
-
-/// Covariance that a random walk of the acceleration leaves after a time.
-fn wandered(step_s: f64, restless: f64) -> Matrix3<f64> {
-    let [t, t2, t3, t4, t5] = [1, 2, 3, 4, 5].map(|n| step_s.powi(n));
-    Matrix3::new(
-        t5 / 20.0,
-        t4 / 8.0,
-        t3 / 6.0, //
-        t4 / 8.0,
-        t3 / 3.0,
-        t2 / 2.0, //
-        t3 / 6.0,
-        t2 / 2.0,
-        t,
-    ) * restless.powi(2)
-}
-
-fn first() -> Estimate {
-    let [place, speed, acceleration] = FIRST_SIGMA.map(|sigma| sigma.powi(2));
-    Estimate {
-        state: Vector3::zeros(),
-        covariance: Matrix3::from_diagonal(&Vector3::new(place, speed, acceleration)),
-    }
-}
-
-/// Seconds since the moment before; after a gap the path begins anew.
-fn step_s(moments: &[Moment], n: usize) -> Option<f64> {
-    let step_s = moments[n].time_s - moments[n.checked_sub(1)?].time_s;
-    (step_s <= LONGEST_GAP_S).then_some(step_s.max(0.0))
-}
-
-fn predicted(before: &Estimate, step_s: f64, restless: f64) -> Estimate {
-    let by = transition(step_s);
-    Estimate {
-        state: by * before.state,
-        covariance: by * before.covariance * by.transpose() + wandered(step_s, restless),
-    }
-}
-
-fn forwards(
-    moments: &[Moment],
+/// The path along one axis: place, speed and acceleration.
+struct Axis<'a> {
+    moments: &'a [Moment],
     axis: usize,
-    restless: f64,
-    mut each: impl FnMut(Estimate),
-) -> Option<f64> {
-    let mut now = first();
-    let mut likelihood = 0.0;
-    for (n, moment) in moments.iter().enumerate() {
-        now = match step_s(moments, n) {
-            Some(step_s) => predicted(&now, step_s, restless),
-            None => first(),
-        };
-        if let Some(measured) = moment.measured {
-            let (place, variance) = measured[axis];
-            let spread = now.covariance.m11 + variance;
-            let surprise = place - now.state.x;
-            likelihood -= (surprise.powi(2) / spread).min(MOST_SURPRISE) / 2.0 + spread.ln() / 2.0;
-            let gain = now.covariance.column(0) / spread;
-            now.state += gain * surprise;
-            now.covariance -= gain * now.covariance.row(0);
-            now.covariance = (now.covariance + now.covariance.transpose()) / 2.0;
-        }
-        each(now);
-    }
-    likelihood.is_finite().then_some(likelihood)
+    process_noise: f64,
 }
 
-fn smoothed(moments: &[Moment], axis: usize, restless: f64) -> Option<Vec<Estimate>> {
-    let mut estimates = Vec::with_capacity(moments.len());
-    forwards(moments, axis, restless, |estimate| estimates.push(estimate))?;
-    for n in (0..estimates.len().saturating_sub(1)).rev() {
-        let Some(step_s) = step_s(moments, n + 1) else {
-            continue;
-        };
-        let (now, next) = (estimates[n], estimates[n + 1]);
-        let ahead = predicted(&now, step_s, restless);
-        let Some(root) = ahead.covariance.cholesky() else {
-            continue;
-        };
-        let gain = now.covariance * transition(step_s).transpose() * root.inverse();
-        let covariance =
-            now.covariance + gain * (next.covariance - ahead.covariance) * gain.transpose();
-        estimates[n] = Estimate {
-            state: now.state + gain * (next.state - ahead.state),
-            covariance: (covariance + covariance.transpose()) / 2.0,
-        };
+impl<'a> Axis<'a> {
+    fn both(moments: &'a [Moment], process_noise: f64) -> [Self; 2] {
+        [0, 1].map(|axis| Self {
+            moments,
+            axis,
+            process_noise,
+        })
     }
-    Some(estimates)
+
+    fn smoothed(&self) -> Option<Vec<Gaussian<3>>> {
+        let mut states = Vec::with_capacity(self.moments.len());
+        smooth(self, |_, state, _| states.push(*state))?;
+        states.reverse();
+        Some(states)
+    }
+}
+
+impl Process<3> for Axis<'_> {
+    fn moments(&self) -> usize {
+        self.moments.len()
+    }
+
+    fn initial(&self) -> Gaussian<3> {
+        let variances = FIRST_SIGMA.map(|sigma| sigma.powi(2));
+        Gaussian::new(Vector3::zeros(), &variances.into())
+    }
+
+    fn step(&self, moment: usize) -> Option<Step<3>> {
+        let step_s = self.moments[moment].time_s - self.moments[moment - 1].time_s;
+        let [t, t2, t3, t4, t5] = [1, 2, 3, 4, 5].map(|n| step_s.max(0.0).powi(n));
+        // What a random walk of the acceleration leaves.
+        let walked = Matrix3::new(
+            t5 / 20.0,
+            t4 / 8.0,
+            t3 / 6.0, //
+            t4 / 8.0,
+            t3 / 3.0,
+            t2 / 2.0, //
+            t3 / 6.0,
+            t2 / 2.0,
+            t,
+        );
+        (step_s <= LONGEST_GAP_S).then(|| Step {
+            transition: Matrix3::new(1.0, t, t2 / 2.0, 0.0, 1.0, t, 0.0, 0.0, 1.0),
+            noise: walked * self.process_noise.powi(2),
+        })
+    }
+
+    fn observe(&self, moment: usize, state: &mut Gaussian<3>) -> Option<f64> {
+        let Some(measured) = self.moments[moment].measured else {
+            return Some(0.0);
+        };
+        let (place, variance) = measured[self.axis];
+        let residual = Vector1::new(place - state.mean.x);
+        let innovation = state.update(
+            &residual,
+            &RowVector3::new(1.0, 0.0, 0.0),
+            &Matrix1::new(variance),
+        )?;
+        Some(innovation.likelihood.log(MOST_CHI2))
+    }
 }
 
 #[cfg(test)]
@@ -209,10 +170,13 @@ mod tests {
         let path = path(&moments).unwrap();
         let (mut at_frames, mut sigmas) = (0.0, 0.0);
         for ((point, moment), truth) in path.points.iter().zip(&moments).zip(truth) {
-            let miss = point.place_mil[0] - truth;
+            let residual = point.place_mil[0] - truth;
             match moment.measured {
-                Some(_) => at_frames += miss.powi(2),
-                None => assert!(miss.abs() < 4.0 * point.variance_mil2[0].sqrt(), "{miss}"),
+                Some(_) => at_frames += residual.powi(2),
+                None => assert!(
+                    residual.abs() < 4.0 * point.variance_mil2[0].sqrt(),
+                    "{residual}"
+                ),
             }
             sigmas += point.variance_mil2[0];
         }
@@ -225,9 +189,12 @@ mod tests {
         let (mut moments, _): (Vec<_>, Vec<_>) = swing().into_iter().unzip();
         moments[100].measured = moments[100].measured.map(|[x, y]| [(x.0 + 5.0, x.1), y]);
         let path = path(&moments).unwrap();
-        let pulls = path.points.iter().zip(&moments);
-        let pulls = pulls.map(|(p, m)| m.measured.map_or(0.0, |measured| pull_chi2(p, &measured)));
-        let worst = pulls.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+        let chi2 = path.points.iter().zip(&moments);
+        let chi2 = chi2.map(|(p, m)| {
+            m.measured
+                .map_or(0.0, |measured| residual_chi2(p, &measured))
+        });
+        let worst = chi2.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
         assert_eq!(worst.map(|(n, _)| n), Some(100));
     }
 }

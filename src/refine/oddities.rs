@@ -4,7 +4,7 @@ use super::disc::PlateDisc;
 use super::mapping::Standing;
 use super::row::{Oddity, Row};
 use super::work::Work;
-use crate::statistics::median;
+use crate::estimation::median;
 use crate::units::Measured;
 use rayon::prelude::*;
 

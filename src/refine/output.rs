@@ -4,13 +4,13 @@
 use super::columns::{self, ASPECT, ASPECT_COLUMNS, SMOOTHED, SMOOTHED_COLUMNS};
 use super::first_pass::Recipe;
 use super::flight::Flight;
-use super::mapping::{Jump, MappingFacts, WarmthFacts};
+use super::mapping::{Jump, MappingFacts, TemperatureDependence};
 use super::record::Grade;
 use super::row::{Oddity, Row};
 use crate::archive::{CONFIGURATION, INSTRUMENT};
+use crate::estimation::median;
 use crate::fits::{self, Card};
 use crate::provenance::{COMMIT, PROGRAM};
-use crate::statistics::median;
 use crate::units::Measured;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -67,18 +67,18 @@ pub struct Summary {
 pub struct MappingSummary {
     pub wander_shift_px: f64,
     pub wander_turn_px: f64,
-    /// By how much the marks' sigmas were raised.
+    /// By how much the marks' sigmas were inflated.
     pub sigmas_raised: f64,
     /// How much more likely the camera's temperature makes the marks, natural logarithm; none where no temperature is told.
     pub temperature_gain: Option<f64>,
     /// What a degree does, where the mapping follows the temperature.
-    pub by_temperature: Option<WarmthSummary>,
+    pub by_temperature: Option<ThermalSummary>,
     pub jumps: Vec<JumpSummary>,
 }
 
 /// What a degree of the camera's temperature does: value and 1 sigma.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct WarmthSummary {
+pub struct ThermalSummary {
     pub shift_x_px_per_degc: [f64; 2],
     pub shift_y_px_per_degc: [f64; 2],
     /// At 1000 mil from the plate's centre.
@@ -200,7 +200,7 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         median_sigma_mil: median(sigmas.flatten()),
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
-        restless_mil_per_s2: flight.path.as_ref().map(|path| path.restless),
+        restless_mil_per_s2: flight.path.as_ref().map(|path| path.process_noise),
     }
 }
 
@@ -211,24 +211,26 @@ fn mapping(facts: &MappingFacts, rows: &[Row]) -> MappingSummary {
         shift_px: jump.shift_px.into(),
         turn_deg: jump.turn_deg,
     };
-    let (temperature_gain, by_temperature) = match facts.warmth {
-        WarmthFacts::Untold => (None, None),
-        WarmthFacts::Idle { gain } => (Some(gain), None),
-        WarmthFacts::Follows { gain, px_per_degc } => (Some(gain), Some(warmth(&px_per_degc))),
+    let (temperature_gain, by_temperature) = match facts.temperature {
+        TemperatureDependence::NotObservable => (None, None),
+        TemperatureDependence::Insignificant { gain } => (Some(gain), None),
+        TemperatureDependence::Linear { gain, px_per_degc } => {
+            (Some(gain), Some(thermal(&px_per_degc)))
+        }
     };
     MappingSummary {
-        wander_shift_px: facts.wander_px[0],
-        wander_turn_px: facts.wander_px[1],
-        sigmas_raised: facts.raised,
+        wander_shift_px: facts.process_noise_px[0],
+        wander_turn_px: facts.process_noise_px[1],
+        sigmas_raised: facts.inflation,
         temperature_gain,
         by_temperature,
         jumps: facts.jumps.iter().map(jump).collect(),
     }
 }
 
-fn warmth(px_per_degc: &[Measured; 4]) -> WarmthSummary {
+fn thermal(px_per_degc: &[Measured; 4]) -> ThermalSummary {
     let [x, y, stretch, turn] = px_per_degc.map(|measured| [measured.value, measured.sigma]);
-    WarmthSummary {
+    ThermalSummary {
         shift_x_px_per_degc: x,
         shift_y_px_per_degc: y,
         stretch_px_per_degc: stretch,

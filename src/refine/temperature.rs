@@ -1,6 +1,6 @@
 //! The camera's temperature as the flight tells it: headers hold it in steps, and with slips.
 
-use crate::statistics::median;
+use crate::estimation::median;
 
 /// Part of the frames that must tell a temperature.
 const LEAST_TOLD: f64 = 0.9;

@@ -1,14 +1,14 @@
 //! Each frame's disc through the flight's mapping: the second pass's first step.
 
 use super::disc::{self, PlateDisc};
-use super::drift::Sight;
+use super::drift::MarkObservation;
 use super::first_pass::{Done, Recipe};
 use super::journal::JournalError;
 use super::load::Entry;
 use super::mapping::FlightMapping;
 use super::record::Grade;
 use super::row::Row;
-use crate::statistics::median_and_scatter;
+use crate::estimation::median_and_scatter;
 use crate::units::{Estimate, Measured, Place};
 use rayon::prelude::*;
 
@@ -41,10 +41,10 @@ impl<'a> Work<'a> {
         done: &'a Done,
         recipe: &'a Recipe,
         entries: Vec<Entry>,
-        sights: Vec<Sight>,
+        marks: Vec<MarkObservation>,
     ) -> Self {
         let dated = entries.partition_point(|entry| entry.row.utc_ns.is_some());
-        let mapping = FlightMapping::estimate(&entries[..dated], sights, &recipe.instrument);
+        let mapping = FlightMapping::estimate(&entries[..dated], marks, &recipe.instrument);
         if mapping.is_none() {
             tracing::warn!("the marks tell no mapping of the flight: each frame stands by itself");
         }

@@ -1,82 +1,44 @@
-//! Fits mappings to pairs of sensor and plate positions. It knows no marks: who made the pairs is not its business.
+//! Fits mappings to pairs of sensor and plate positions, whatever they are positions of.
 //!
 //! # Method
-//! Errors lie on the sensor, so the picture of the plate on the sensor is fitted, p = H(P), by weighted least
-//! squares; lens distortion is taken off the sensor positions first.
+//! Errors lie on the sensor, so the projection of the plate onto the sensor is fitted, a [`View`], by weighted least
+//! squares; lens distortion is removed from the sensor positions first.
 //!
 //! Beside the pairs there may be the outline of a disc: points of the sensor that lie on one circle of the plate. Its centre
-//! and radius are adjusted together with the mapping. Its roundness is worth more than it seems: seen at all azimuths it
-//! fixes the mapping's stretch and shear three times as well as half a dozen marks do.
+//! and radius are adjusted together with the mapping. Seen at all azimuths, its roundness determines the mapping's
+//! stretch and shear three times as well as half a dozen marks do.
 //!
 //! # Which kind of mapping
 //! The simplest that the data support: similarity, keystone, affine, homography. A richer kind is taken when it lowers
-//! chi^2 by more than [`Settings::min_gain`] for every parameter it adds. What the outline gains counts in full. What the
-//! pairs gain counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test);
-//! too few say nothing, else one bad pair bends the mapping to itself.
+//! chi^2 by more than [`Settings::min_gain`] for every parameter it adds. The outline's gain counts in full. The pairs' gain
+//! counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test); with too few
+//! residuals it does not count, else one bad pair bends the mapping to itself.
 //!
-//! Where the pairs, a similarity of which explains them, contradict the outline, it is the outline that is doubted: its
-//! sigmas are raised until both agree. A Sun that moves fast during the exposure shows no circle's picture.
+//! Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: the image of
+//! a Sun that moves fast during the exposure is not that of a circle.
 //!
-//! A camera that looks askew shows a keystone, x = t + L P / (1 + g . P), L a similarity. Its tilt shows most in what it
-//! does to angles far from the plate's centre, and from there follows what a few marks do not show: how far the centre
-//! of the disc's ellipse lies from the picture of the disc's centre, 0.1 px at 3 deg.
+//! The tilt of a camera shows most in the angles far from the plate's centre. It then also gives what a few marks do not
+//! show: how far the centre of the disc's ellipse lies from the image of the disc's centre, 0.1 px at 3 deg.
 //!
 //! # Uncertainty
 //! The covariance follows from the sigmas of pairs and outline. Where the pairs' residuals are larger than their sigmas
-//! allow, these are raised to fit (variance components after Förstner); with few redundant coordinates the residuals say
-//! little, and are weighed against the stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
+//! allow, these are inflated to fit (variance components after Förstner). Few redundant coordinates say little: they are
+//! weighed against the stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
 
 mod adjust;
 mod choice;
-mod model;
+mod input;
 mod normal_points;
 mod sums;
 
-use crate::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, MappingKind};
+use crate::geometry::view::{PARAMETERS, ParameterCovariance, UNIT_MIL, View};
+use crate::geometry::{Circle, Distortion, Handedness, Mapping, MappingKind};
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use adjust::{Adjusted, CIRCLE, Problem};
-use choice::{agreed, outlier, settle};
-use model::{MOST, Model};
+use choice::{choose, fit_kind, outlier};
+pub use input::{Outline, Pair, Settings};
 use nalgebra::{Matrix2, SMatrix};
 use sums::{Solved, UNKNOWNS};
-
-/// The same point, seen and printed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pair {
-    pub seen: SensorPx,
-    pub printed: PlateMil,
-    /// Covariance of the seen position, px^2.
-    pub covariance_px2: Matrix2<f64>,
-}
-
-/// Points of the sensor that lie on one circle of the plate.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Outline<'a> {
-    /// The ellipse that it is, nearly.
-    pub ellipse: Ellipse,
-    /// Points, and 1 sigma across the outline, px.
-    pub points: &'a [(SensorPx, f64)],
-    /// What is known of its radius.
-    pub radius_mil: Measured,
-}
-
-/// What can be tuned in choosing a mapping.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
-    /// Least gain in chi^2, per added parameter.
-    pub min_gain: f64,
-    /// Weight of the stated sigmas against the residuals, in degrees of freedom.
-    pub prior_freedom: f64,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            min_gain: 9.0,
-            prior_freedom: 6.0,
-        }
-    }
-}
 
 /// The disc that an outline belongs to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,35 +60,31 @@ pub struct Registration {
     pub pairs: usize,
     /// The disc, where an outline was fitted.
     pub disc: Option<Disc>,
-    model: Model,
-    /// Covariance of the model's parameters.
-    covariance: SMatrix<f64, MOST, MOST>,
+    view: View,
+    covariance: ParameterCovariance,
 }
 
 impl Registration {
     /// Covariance, from the mapping alone, of a plate position got through it; mil^2.
     pub fn covariance_mil2(&self, at: PlateMil) -> Matrix2<f64> {
-        let [x, y] = self.model.parameter_slopes(at);
-        let slopes = SMatrix::<f64, 2, MOST>::from_fn(|n, k| [x, y][n][k]);
-        let on_sensor = slopes * self.covariance * slopes.transpose();
-        let to_plate = self.mapping.plate_jacobian(self.mapping.to_sensor(at));
-        to_plate * on_sensor * to_plate.transpose()
+        self.view
+            .covariance_mil2(at, &self.mapping, &self.covariance)
     }
 
-    /// Rotation (deg), scale (mil/px) and the picture's place (x, y, px) at the plate's centre, with the sigmas of pairs and
+    /// Rotation (deg), scale (mil/px) and position (x, y, px) of the plate's centre on the sensor, with the sigmas of pairs and
     /// outline.
     pub fn at_plate_centre(&self) -> [Measured; 4] {
-        let [_, _, a, b, ..] = *self.model.parameters();
+        let (a, b) = (self.view.parameters[2], self.view.parameters[3]);
         let square = a * a + b * b;
         let variance = |n: usize, k: usize| self.covariance[(n, k)];
         let (aa, ab, bb) = (variance(2, 2), variance(2, 3), variance(3, 3));
         let sigma = |variance: f64| variance.max(0.0).sqrt();
         let turn = sigma(a * a * bb - 2.0 * a * b * ab + b * b * aa) / square;
         let stretch = sigma(a * a * aa + 2.0 * a * b * ab + b * b * bb) / square;
-        let scale = 1.0 / self.model.scale_px_per_mil();
+        let scale = UNIT_MIL / self.view.unit_px();
         let centre = self.mapping.to_sensor(PlateMil::new(0.0, 0.0));
         [
-            Measured::new(b.atan2(a).to_degrees(), turn.to_degrees()),
+            Measured::new(self.view.rotation_deg(), turn.to_degrees()),
             Measured::new(scale, scale * stretch),
             Measured::new(centre.x, sigma(variance(0, 0))),
             Measured::new(centre.y, sigma(variance(1, 1))),
@@ -143,10 +101,10 @@ pub fn register(
     settings: &Settings,
 ) -> Option<Registration> {
     let mut problem = Problem::new(pairs, outline, handedness, distortion)?;
-    let mut best = agreed(&mut problem, settings)?;
+    let mut best = choose(&mut problem, settings)?;
     while let Some(worst) = outlier(&problem, &best) {
-        problem.leave_out(worst);
-        best = agreed(&mut problem, settings)?;
+        problem.reject(worst);
+        best = choose(&mut problem, settings)?;
     }
     registration(&problem, &best, distortion)
 }
@@ -160,10 +118,10 @@ pub fn fit(
     settings: &Settings,
 ) -> Option<Registration> {
     let problem = Problem::new(pairs, None, handedness, distortion)?;
-    let mut near = problem.near_first_similarity()?;
-    let mut adjusted = settle(&problem, &mut near, MappingKind::Similarity, settings)?;
+    let mut near = problem.near_similarity()?;
+    let mut adjusted = fit_kind(&problem, &mut near, MappingKind::Similarity, settings)?;
     if kind != MappingKind::Similarity {
-        adjusted = settle(&problem, &mut near, kind, settings)?;
+        adjusted = fit_kind(&problem, &mut near, kind, settings)?;
     }
     registration(&problem, &adjusted, distortion)
 }
@@ -173,33 +131,32 @@ fn registration(
     adjusted: &Adjusted,
     distortion: Distortion,
 ) -> Option<Registration> {
-    let model = adjusted.model;
-    let to_plate = model.homography().try_inverse()?;
-    let mapping = Mapping::new(adjusted.kind, to_plate, distortion)?;
-    let residuals = problem.residuals(&model);
-    let squares: f64 = residuals.map(|(_, miss)| miss.norm_squared()).sum();
+    let view = adjusted.view;
+    let mapping = view.mapping(adjusted.kind, distortion)?;
+    let residuals = problem.residuals(&view);
+    let squares: f64 = residuals.map(|(_, px)| px.norm_squared()).sum();
     Some(Registration {
         mapping,
         residual_px: (squares / (2 * problem.pairs()) as f64).sqrt(),
         pairs: problem.pairs(),
         disc: adjusted
             .circle
-            .map(|circle| disc(circle, &model, &adjusted.solved, &mapping)),
-        model,
+            .map(|circle| disc(circle, &view, &adjusted.solved, &mapping)),
+        view,
         covariance: SMatrix::from_fn(|n, k| adjusted.solved.covariance(n, k)),
     })
 }
 
-fn disc(circle: Circle, model: &Model, solved: &Solved, mapping: &Mapping) -> Disc {
+fn disc(circle: Circle, view: &View, solved: &Solved, mapping: &Mapping) -> Disc {
     let centre = PlateMil::from(circle.centre);
     let covariance = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(|n, k| solved.covariance(n, k));
-    let slopes = model.parameter_slopes(centre);
-    let jacobian = model.jacobian(centre);
-    let to_sensor = SMatrix::<f64, 2, UNKNOWNS>::from_fn(|n, k| match k {
-        ..CIRCLE => slopes[n][k],
-        _ if k < CIRCLE + 2 => jacobian[(n, k - CIRCLE)],
-        _ => 0.0,
-    });
+    let mut to_sensor = SMatrix::<f64, 2, UNKNOWNS>::zeros();
+    to_sensor
+        .fixed_columns_mut::<PARAMETERS>(0)
+        .copy_from(&view.parameter_jacobian(centre));
+    to_sensor
+        .fixed_columns_mut::<2>(CIRCLE)
+        .copy_from(&view.jacobian(centre));
     let radius_variance = covariance[(CIRCLE + 2, CIRCLE + 2)];
     Disc {
         on_plate: Estimate {
@@ -217,7 +174,7 @@ fn disc(circle: Circle, model: &Model, solved: &Solved, mapping: &Mapping) -> Di
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::SimilarityParameters;
+    use crate::geometry::{Ellipse, SimilarityParameters};
     use crate::plate::{MarkId, drawn_position};
     use nalgebra::Matrix3;
 
@@ -317,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn lens_distortion_is_taken_off() {
+    fn lens_distortion_is_removed() {
         let lens = Distortion {
             centre: SensorPx::new(647.5, 482.5),
             radial: [5e-9, 0.0],
@@ -329,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn an_outline_that_contradicts_pairs_which_agree_is_doubted() {
+    fn an_outline_that_contradicts_pairs_which_agree_loses_weight() {
         let truth = similarity();
         let pairs = pairs(&truth, 0.02);
         let centre = truth.to_sensor(PlateMil::new(120.0, 60.0)).vector();

@@ -1,16 +1,16 @@
-//! Normal points: many points of an outline as few that say the same.
+//! Normal points: many points of an outline condensed to few of the same information.
 //!
 //! Whatever a mapping does to the outline is smooth along it: it moves and stretches an ellipse. So the mean distance of
-//! neighbouring points from an ellipse near them, at their mean direction, tells as much as the points themselves.
+//! neighbouring points from an ellipse near them, at their mean direction, holds as much information as the points themselves.
 
 use crate::geometry::{Ellipse, turns};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 
-/// Normal points all round: an ellipse needs five, and a point of these sees the stretch to one part in a hundred.
+/// Normal points all round: an ellipse needs five, and one of these averages the stretch to one part in a hundred.
 pub(super) const ARCS: usize = 24;
 
-/// Points with 1 sigma across the outline, px, made few. The ellipse is the outline, nearly.
+/// The normal points of points with 1 sigma across the outline, px. The ellipse is close to the outline.
 pub(super) fn normal_points(
     points: &[(SensorPx, f64)],
     ellipse: &Ellipse,

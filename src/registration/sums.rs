@@ -2,14 +2,14 @@
 
 use multiversion::multiversion;
 
-/// The unknowns' slopes and, last, the miss of one observation, in units of its sigma.
+/// Derivatives by the unknowns and, last, the residual of one observation, in units of its sigma.
 pub(super) type Row = [f64; COLUMNS];
 const COLUMNS: usize = UNKNOWNS + 1;
 pub(super) const UNKNOWNS: usize = 11;
-/// The misses' place.
-pub(super) const MISS: usize = UNKNOWNS;
+/// Column of the residuals.
+pub(super) const RESIDUAL: usize = UNKNOWNS;
 
-/// An unknown that so nearly is a combination of those before it is not told from them.
+/// An unknown with less than this part of its information independent of those before it is not determined.
 const LEAST_OWN_PART: f64 = 1e-10;
 
 /// Sums over observations of the products of every two columns of their rows.
@@ -21,14 +21,14 @@ pub(super) struct Sums([Row; COLUMNS]);
 pub(super) struct Solved(Sums);
 
 impl Solved {
-    /// By how much the unknowns change; those that are held, by nothing.
+    /// Changes of the unknowns; zero for those that are held.
     pub(super) fn step(&self) -> [f64; UNKNOWNS] {
-        std::array::from_fn(|n| self.covariance(n, MISS))
+        std::array::from_fn(|n| self.covariance(n, RESIDUAL))
     }
 
-    /// What the observations leave.
+    /// Of all observations at the solution.
     pub(super) fn chi2(&self) -> f64 {
-        self.covariance(MISS, MISS)
+        self.covariance(RESIDUAL, RESIDUAL)
     }
 
     /// Zero for unknowns that are held.
@@ -44,7 +44,7 @@ impl Sums {
         Self(sums)
     }
 
-    /// With other sums, of which every observation counts so much.
+    /// With other sums, their observations multiplied by a weight.
     pub(super) fn with(&self, others: &Self, weight: f64) -> Self {
         let mut sums = *self;
         for (sums, others) in sums.0.iter_mut().zip(&others.0) {
@@ -63,8 +63,8 @@ impl Sums {
         self.0.iter().zip(&left).map(|(row, v)| v * dot(row)).sum()
     }
 
-    /// What the unknowns explain of these observations' scatter about the truth, in sigma^2: trace of covariance times sums.
-    pub(super) fn explained(&self, solved: &Solved) -> f64 {
+    /// How many of these observations' degrees of freedom the unknowns take: trace of covariance times sums.
+    pub(super) fn absorbed(&self, solved: &Solved) -> f64 {
         let of_row = |n: usize| -> f64 {
             let pairs = self.0[n].iter().zip(&solved.0.0[n]);
             pairs.take(UNKNOWNS).map(|(a, b)| a * b).sum()
@@ -72,15 +72,15 @@ impl Sums {
         (0..UNKNOWNS).map(of_row).sum()
     }
 
-    /// The unknowns that are free, the others held at zero; `None` where the observations do not tell them apart.
+    /// The unknowns that are free, the others held at zero; `None` where the observations do not determine them.
     pub(super) fn solved(&self, free: &[bool; UNKNOWNS]) -> Option<Solved> {
         let mut swept = self.0;
         sweep_out(&mut swept, free).then_some(Solved(Self(swept)))
     }
 }
 
-/// Sweeps the free unknowns out of the sums, one by one (Goodnight 1979), which leaves their covariance and, in the misses'
-/// column, their values. Whether each was told from those before it.
+/// Sweeps the free unknowns out of the sums, one by one (Goodnight 1979), which leaves their covariance and, in the
+/// residuals' column, their values. Whether each was determined.
 #[multiversion(targets("x86_64+avx2"))]
 fn sweep_out(sums: &mut [Row; COLUMNS], free: &[bool; UNKNOWNS]) -> bool {
     let mut all = [0.0; UNKNOWNS];
@@ -109,7 +109,7 @@ fn sweep_out(sums: &mut [Row; COLUMNS], free: &[bool; UNKNOWNS]) -> bool {
         }
         sums[n] = pivot;
     }
-    sums.iter().all(|row| row[MISS].is_finite())
+    sums.iter().all(|row| row[RESIDUAL].is_finite())
 }
 
 #[multiversion(targets("x86_64+avx2"))]
@@ -132,7 +132,7 @@ mod tests {
         let row = |n: i32| {
             let (x, noise) = (f64::from(n), f64::from((n * 37).rem_euclid(11) - 5) * 0.1);
             let mut row = [0.0; COLUMNS];
-            (row[0], row[4], row[MISS]) = (1.0, x, 2.0 + 3.0 * x + noise);
+            (row[0], row[4], row[RESIDUAL]) = (1.0, x, 2.0 + 3.0 * x + noise);
             row
         };
         Sums::of(&(-10..=10).map(row).collect::<Vec<_>>())
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_found_with_its_covariance_and_what_it_leaves() {
+    fn a_line_is_found_with_its_covariance_and_chi2() {
         let sums = line();
         let solved = sums.solved(&free(&[0, 4])).unwrap();
         let step = solved.step();
@@ -151,11 +151,11 @@ mod tests {
         assert!((solved.covariance(0, 0) - 1.0 / 21.0).abs() < 1e-12);
         assert!((solved.covariance(4, 4) - 1.0 / 770.0).abs() < 1e-12);
         assert!((solved.chi2() - sums.chi2(&step)).abs() < 1e-9);
-        assert!((sums.explained(&solved) - 2.0).abs() < 1e-12);
+        assert!((sums.absorbed(&solved) - 2.0).abs() < 1e-12);
     }
 
     #[test]
-    fn what_is_held_stays_and_what_is_not_seen_is_refused() {
+    fn held_unknowns_stay_and_undetermined_ones_are_refused() {
         let sums = line();
         let solved = sums.solved(&free(&[4])).unwrap();
         assert_eq!((solved.step()[0], solved.covariance(0, 4)), (0.0, 0.0));

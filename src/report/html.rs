@@ -14,10 +14,11 @@ pub struct Page {
 const STYLE: &str = "body{font-family:system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
 table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #ccc;padding:.3em .7em;text-align:left;vertical-align:top}\
 svg,img{max-width:100%;height:auto}figure{display:inline-block;margin:.5em;vertical-align:top}figcaption{font-size:.8em;\
-color:#555;max-width:200px;overflow-wrap:anywhere}.note{color:#555}";
+color:#555;max-width:200px;overflow-wrap:anywhere}.note{color:#555}\
+pre{background:#f5f5f5;padding:1em;white-space:pre-wrap}";
 
 /// A text as it may stand in a page.
-pub fn escaped(text: &str) -> String {
+fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
@@ -31,6 +32,11 @@ impl Page {
 
     pub fn note(&mut self, text: &str) {
         self.body += &format!("<p class=\"note\">{}</p>\n", escaped(text));
+    }
+
+    /// Lines of text as they are.
+    pub fn preformatted(&mut self, text: &str) {
+        self.body += &format!("<pre>{}</pre>\n", escaped(text));
     }
 
     /// A table: the heads of its columns, none for a table of names and values, and its rows.
@@ -57,7 +63,7 @@ impl Page {
         let _ = writeln!(self.body, "<div>{svg}</div>");
     }
 
-    /// A small picture with a caption; a picture that cannot be encoded is left out.
+    /// A small picture with a caption; a picture that cannot be encoded is skipped.
     pub fn picture(&mut self, picture: &GrayImage, caption: &str) {
         let mut png = Cursor::new(Vec::new());
         if picture.write_to(&mut png, ImageFormat::Png).is_ok() {

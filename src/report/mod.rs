@@ -1,5 +1,5 @@
-//! Drawing: pictures of a frame with shapes and text laid over it, and figures of numbers. It knows pixels, numbers and
-//! colours, nothing else.
+//! Drawing: pictures of a frame with shapes and text laid over it, and figures of numbers. Input is pixels, numbers and
+//! colours.
 
 mod canvas;
 pub mod html;

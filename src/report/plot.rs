@@ -1,4 +1,5 @@
-//! Figures as SVG: curves over logarithmic axes, histograms, maps of small vectors. It knows numbers and labels, nothing else.
+//! Figures as SVG: curves over logarithmic axes, series over linear ones, histograms, maps of small vectors. Input is numbers
+//! and labels.
 
 use plotters::chart::MeshStyle;
 use plotters::coord::ranged1d::ValueFormatter;
@@ -23,6 +24,16 @@ pub struct Labels {
     pub title: String,
     pub x: String,
     pub y: String,
+}
+
+impl Labels {
+    pub fn new(title: impl Into<String>, x: impl Into<String>, y: impl Into<String>) -> Self {
+        Self {
+            title: title.into(),
+            x: x.into(),
+            y: y.into(),
+        }
+    }
 }
 
 /// How a curve is drawn.
@@ -91,11 +102,28 @@ pub struct Series {
     pub mark: Mark,
 }
 
-/// More points than this no reader tells apart: of more, every so many is drawn.
+impl Series {
+    pub fn dots(name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        Self {
+            name: name.into(),
+            points: points.into_iter().collect(),
+            mark: Mark::Dots,
+        }
+    }
+}
+
+/// Series with their labels, to be drawn by [`series`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Figure {
+    pub labels: Labels,
+    pub series: Vec<Series>,
+}
+
+/// Most points of a series that are drawn: of more, every so many.
 const MOST_POINTS: usize = 3000;
 const WIDE: (u32, u32) = (1000, 380);
 
-/// Series over linear axes.
+/// Series over linear axes, with a line at y = 0 where it lies among them.
 pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
     let points = series.iter().flat_map(|series| &series.points);
     let [x, y] = ranges(labels, points, |low, high| {
@@ -103,15 +131,19 @@ pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
         low - room..high + room
     })?;
     figure(WIDE, |area| {
-        let mut chart = frame(area, labels).build_cartesian_2d(x, y)?;
+        let mut chart = frame(area, labels).build_cartesian_2d(x.clone(), y.clone())?;
         mesh(&mut chart, labels).draw()?;
+        if y.contains(&0.0) {
+            let zero = [(x.start, 0.0), (x.end, 0.0)];
+            chart.draw_series(LineSeries::new(zero, BLACK.mix(0.5).stroke_width(1)))?;
+        }
         for (n, series) in series.iter().enumerate() {
             let colour = colour(n);
             let every = series.points.len().div_ceil(MOST_POINTS).max(1);
             let points = series.points.iter().step_by(every).copied();
             match series.mark {
                 Mark::Dots => {
-                    chart.draw_series(points.map(|p| Circle::new(p, 1, colour.filled())))?
+                    chart.draw_series(points.map(|p| Circle::new(p, 2, colour.filled())))?
                 }
                 Mark::Line => chart.draw_series(LineSeries::new(points, colour.stroke_width(1)))?,
             }
@@ -218,42 +250,6 @@ pub fn vector_map(
     })
 }
 
-/// Named points (x, y) over two linear axes.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Dots {
-    pub name: String,
-    pub points: Vec<(f64, f64)>,
-}
-
-/// Points over two linear axes, a line at y = 0 where it lies among them.
-pub fn scatter(labels: &Labels, series: &[Dots]) -> Result<String, PlotError> {
-    let points = series.iter().flat_map(|series| &series.points);
-    let [x, y] = ranges(labels, points, |low, high| {
-        let room = (0.05 * (high - low)).max(1e-9 * high.abs()).max(1e-12);
-        low - room..high + room
-    })?;
-    figure(SIZE, |area| {
-        let mut chart = frame(area, labels).build_cartesian_2d(x.clone(), y.clone())?;
-        mesh(&mut chart, labels).draw()?;
-        if y.contains(&0.0) {
-            let zero = [(x.start, 0.0), (x.end, 0.0)];
-            chart.draw_series(LineSeries::new(zero, BLACK.mix(0.5).stroke_width(1)))?;
-        }
-        for (n, series) in series.iter().enumerate() {
-            let colour = colour(n);
-            let points = series
-                .points
-                .iter()
-                .map(|p| Circle::new(*p, 2, colour.filled()));
-            chart
-                .draw_series(points)?
-                .label(series.name.as_str())
-                .legend(move |(x, y)| Circle::new((x + 9, y), 3, colour.filled()));
-        }
-        legend(&mut chart, SeriesLabelPosition::UpperRight)
-    })
-}
-
 /// Draws on white and gives the SVG.
 fn figure(
     size: (u32, u32),
@@ -272,7 +268,7 @@ fn figure(
 
 type DrawingError = DrawingAreaErrorKind<<SVGBackend<'static> as DrawingBackend>::ErrorType>;
 
-/// Room for title and labels.
+/// Space for title and labels.
 fn frame<'a, 'b>(area: &'a Area<'b>, labels: &Labels) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
     let mut builder = ChartBuilder::on(area);
     builder
@@ -342,7 +338,7 @@ fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// Colours that people who see few colours tell apart (Okabe and Ito 2008).
+/// Colours that are distinct for the colour-blind (Okabe and Ito 2008).
 fn colour(n: usize) -> RGBColor {
     const COLOURS: [RGBColor; 5] = [
         RGBColor(0, 114, 178),
@@ -359,11 +355,7 @@ mod tests {
     use super::*;
 
     fn labels() -> Labels {
-        Labels {
-            title: "A title".into(),
-            x: "noise, DN".into(),
-            y: "error, arcsec".into(),
-        }
+        Labels::new("A title", "noise, DN", "error, arcsec")
     }
 
     #[test]
@@ -381,13 +373,9 @@ mod tests {
 
     #[test]
     fn every_dot_is_drawn() {
-        let dots = Dots {
-            name: "residuals".into(),
-            points: vec![(-1.0, 0.5), (2.0, -0.5), (3.0, 0.1)],
-        };
-        let svg = scatter(&labels(), &[dots]).unwrap();
-        // Three dots and the one of the legend.
-        assert_eq!(svg.matches("<circle").count(), 4);
+        let dots = Series::dots("residuals", [(-1.0, 0.5), (2.0, -0.5), (3.0, 0.1)]);
+        let svg = series(&labels(), &[dots]).unwrap();
+        assert_eq!(svg.matches("<circle").count(), 3);
         assert!(svg.contains("residuals"));
     }
 
@@ -400,12 +388,7 @@ mod tests {
 
     #[test]
     fn a_series_of_one_value_and_a_long_one_are_drawn() {
-        let points = (0..100_000).map(|n| (f64::from(n), 3.0)).collect();
-        let flat = Series {
-            name: "flat".into(),
-            points,
-            mark: Mark::Dots,
-        };
+        let flat = Series::dots("flat", (0..100_000).map(|n| (f64::from(n), 3.0)));
         let svg = series(&labels(), &[flat]).unwrap();
         assert!(svg.contains("flat") && svg.len() < 1_000_000);
         assert!(series(&labels(), &[]).is_err());

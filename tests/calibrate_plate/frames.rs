@@ -67,7 +67,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
 }
 
 #[test]
-fn a_third_of_spoiled_frames_is_listed_and_changes_nothing() {
+fn a_third_of_bad_frames_is_rejected_and_changes_nothing() {
     let (folder, truth) = (tempfile::tempdir().unwrap(), truth(1.0, K1, 1));
     // Two fifths of each pose: blurred, far too small a Sun, no Sun, and marks that read as others.
     let corrupt = {
@@ -81,7 +81,7 @@ fn a_third_of_spoiled_frames_is_listed_and_changes_nothing() {
         corrupt
     };
     let (clean, mixed) = (folder.path().join("clean"), folder.path().join("mixed"));
-    let mut spoiled_names = Vec::new();
+    let mut bad_frames = Vec::new();
     for pose in 0..4 {
         pose_folder(&clean, pose, 12, &truth, near, |_, _| ());
         let good = pose_folder(&mixed, pose, 12, &truth, near, |_, _| ());
@@ -98,7 +98,7 @@ fn a_third_of_spoiled_frames_is_listed_and_changes_nothing() {
                 let entry = entry.unwrap();
                 let name = format!("{kind}_{}", entry.file_name().to_string_lossy());
                 std::fs::copy(entry.path(), good.join(&name)).unwrap();
-                spoiled_names.push(good.join(name));
+                bad_frames.push(good.join(name));
             }
         }
     }
@@ -110,8 +110,8 @@ fn a_third_of_spoiled_frames_is_listed_and_changes_nothing() {
     };
     let clean = calibrate(&poses(&clean), &start).unwrap();
     let mixed = calibrate(&poses(&mixed), &start).unwrap();
-    for name in &spoiled_names {
-        let listed = mixed.spoiled.iter().any(|spoiled| spoiled.file == *name);
+    for name in &bad_frames {
+        let listed = mixed.rejected.iter().any(|rejected| rejected.file == *name);
         assert!(listed, "{} is not listed", name.display());
     }
     for mark in &clean.fit.marks {
@@ -124,7 +124,7 @@ fn a_third_of_spoiled_frames_is_listed_and_changes_nothing() {
 }
 
 #[test]
-fn frames_of_a_displaced_plate_are_read_at_the_second_look() {
+fn frames_of_a_displaced_plate_are_identified_in_a_later_pass() {
     let (folder, truth) = (tempfile::tempdir().unwrap(), truth(4.0, K1, 12));
     let given: Vec<PathBuf> = (0..4)
         .map(|pose| pose_folder(folder.path(), pose, 15, &truth, near, |_, _| ()))
@@ -138,14 +138,14 @@ fn frames_of_a_displaced_plate_are_read_at_the_second_look() {
 }
 
 #[test]
-fn a_camera_that_never_moved_is_said_not_to_tell_plate_from_lens() {
+fn a_camera_that_never_moved_is_said_not_to_separate_plate_and_lens() {
     let (folder, truth) = (tempfile::tempdir().unwrap(), truth(1.0, K1, 2));
     let given = pose_folder(folder.path(), 0, 40, &truth, |_| true, |_, _| ());
     let calibration = calibrate(&[given], &builtin("demo").unwrap()).unwrap();
     assert!(!calibration.fit.separation.by_data());
     let text = plate::summary(&calibration);
     assert!(
-        text.contains("do not tell the plate's errors from"),
+        text.contains("do not separate the plate's errors from"),
         "{text}"
     );
     assert!(text.contains("Shift and turn the camera"), "{text}");

@@ -59,7 +59,7 @@ fn full_size_sets_meet_the_numbers_that_the_documentation_states() {
         STANDARD,
     ];
     println!(
-        "| set | frames used | marks seen | of 10 sightings: rms, mil | error / sigma | all: rms, mil | error / sigma | lens rms, px | mapping | apart |"
+        "| set | frames used | marks seen | of 10 observations: rms, mil | error / sigma | all: rms, mil | error / sigma | lens rms, px | mapping | apart |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     for set in &sets {

@@ -24,20 +24,23 @@ pub fn errors(marks: &[&MeasuredMark], truth: &Instrument) -> (f64, f64) {
         turn += from.x * e.y - from.y * e.x;
     }
     let (scale, turn) = (scale / size, turn / size);
-    let (mut squares, mut pulls) = (0.0, 0.0);
+    let (mut squares, mut normalised) = (0.0, 0.0);
     for mark in marks {
         let from = mark.position.vector() - middle;
         let across = Vector2::new(-from.y, from.x);
         let left = error(mark) - shift - from * scale - across * turn;
         squares += left.norm_squared();
-        pulls += (left.x / mark.sigma_mil[0]).powi(2) + (left.y / mark.sigma_mil[1]).powi(2);
+        normalised += (left.x / mark.sigma_mil[0]).powi(2) + (left.y / mark.sigma_mil[1]).powi(2);
     }
-    ((squares / (2.0 * n)).sqrt(), (pulls / (2.0 * n)).sqrt())
+    (
+        (squares / (2.0 * n)).sqrt(),
+        (normalised / (2.0 * n)).sqrt(),
+    )
 }
 
 pub fn seen_often(calibration: &Calibration, least: usize) -> Vec<&MeasuredMark> {
     let marks = calibration.fit.marks.iter();
-    marks.filter(|mark| mark.seen >= least).collect()
+    marks.filter(|mark| mark.observations >= least).collect()
 }
 
 /// Root mean square difference of two lenses within 500 px of the sensor's middle, px per axis.

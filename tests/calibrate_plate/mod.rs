@@ -3,7 +3,7 @@
 mod frames;
 mod full_size;
 mod judged;
+mod observations;
 mod poses;
 mod refusals;
 mod scenes;
-mod sightings;

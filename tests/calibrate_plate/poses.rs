@@ -39,7 +39,12 @@ fn poses_in_one_folder_are_found_and_give_the_same_marks() {
     let text = plate::summary(&found);
     let line = format!("found      {}: 4 poses", together.display());
     assert!(text.contains(&line), "{text}");
-    assert!(found.spoiled.iter().any(|spoiled| spoiled.file == lonely));
+    assert!(
+        found
+            .rejected
+            .iter()
+            .any(|rejected| rejected.file == lonely)
+    );
     for mark in &by_folder.fit.marks {
         let same = found.fit.marks.iter().find(|m| m.id == mark.id).unwrap();
         let off = same.position.distance(mark.position);

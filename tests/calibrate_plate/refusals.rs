@@ -76,7 +76,7 @@ fn a_set_that_gives_no_calibration_is_refused_with_what_to_take_instead() {
     frames(&mixed, 4, |_| true, names);
     let text = refused(&[mixed]);
     assert!(
-        text.contains("\"camera 0\"") && text.contains("one camera only"),
+        text.contains("\"camera 0\"") && text.contains("one camera and setting"),
         "{text}"
     );
 

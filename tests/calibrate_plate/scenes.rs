@@ -1,10 +1,10 @@
-//! Simulated frames and sightings of a plate that is known.
+//! Simulated frames and observations of a plate that is known.
 
 use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::calibrate::plate::{self, Calibration, FrameSightings, Refusal, Sighting};
+use solaspect::calibrate::plate::{self, Calibration, FrameObservation, MarkObservation, Refusal};
 use solaspect::fits::{self, Compression};
 use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::{Instrument, builtin};
@@ -98,32 +98,32 @@ pub fn calibrate(given: &[PathBuf], start: &Instrument) -> Result<Calibration, R
     plate::calibrate(given, start, &|_| (), &|| ())
 }
 
-/// 1 sigma of a generated sighting, px.
+/// 1 sigma of a generated observation, px.
 pub const NOISE_PX: f64 = 0.02;
 
 /// A generated frame: the marks that are lit, each seen with noise.
-pub fn sighted(
+pub fn observed(
     (number, pose): (usize, usize),
     (truth, mapping): (&Instrument, Mapping),
     lit: impl Fn(SensorPx) -> bool,
     normal: &mut impl FnMut() -> f64,
-) -> FrameSightings {
+) -> FrameObservation {
     let seen = truth
         .plate
         .marks()
         .map(|(id, at)| (id, mapping.to_sensor(at)));
-    let sighting = |(id, seen): (MarkId, SensorPx)| Sighting {
+    let observation = |(id, seen): (MarkId, SensorPx)| MarkObservation {
         id,
         at: SensorPx::new(seen.x + NOISE_PX * normal(), seen.y + NOISE_PX * normal()),
         covariance_px2: Matrix2::identity() * NOISE_PX.powi(2),
     };
-    FrameSightings {
+    FrameObservation {
         file: format!("{number}").into(),
         pose,
         utc: None,
         mapping,
         sun: Some(PlateMil::new(0.0, 0.0)),
-        sightings: seen.filter(|(_, at)| lit(*at)).map(sighting).collect(),
+        marks: seen.filter(|(_, at)| lit(*at)).map(observation).collect(),
     }
 }
 
@@ -133,7 +133,7 @@ pub fn sun_frames(
     (frames, poses): (usize, usize),
     keystone_deg: f64,
     seed: u64,
-) -> Vec<FrameSightings> {
+) -> Vec<FrameObservation> {
     /// Marks of which the whole cross is lit.
     const LIT_PX: f64 = 87.0;
     let mut normal = generator(seed);
@@ -145,8 +145,8 @@ pub fn sun_frames(
         let (x, y) = (0.618_034 * n as f64 % 1.0, 0.754_878 * n as f64 % 1.0);
         let sun = SensorPx::new(96.0 + 1103.0 * x, 96.0 + 773.0 * y);
         let lit = |at: SensorPx| at.distance(sun) < LIT_PX;
-        sighted((n, pose), (truth, mapping), lit, &mut normal)
+        observed((n, pose), (truth, mapping), lit, &mut normal)
     };
     let frames = (0..frames).map(frame);
-    frames.filter(|frame| frame.sightings.len() > 2).collect()
+    frames.filter(|frame| frame.marks.len() > 2).collect()
 }

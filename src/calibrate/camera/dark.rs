@@ -1,11 +1,12 @@
 //! Pixels without light: their level, their noise, and which of them are hot.
 
-use super::Finding;
 use super::shots::{Shot, Shots};
+use crate::calibrate::quantity::CalibratedQuantity;
+use crate::frame::Frame;
 use crate::units::Measured;
 use crate::with_view;
 
-/// Fewest frames of which a pixel's median tells a hot pixel from a noisy moment.
+/// Fewest frames of which a pixel's median separates a hot pixel from noise.
 const LEAST_FRAMES: usize = 3;
 /// A pixel is hot that stands above the level by more than so many sigmas of the noise of one frame.
 const HOT_SIGMAS: f64 = 5.0;
@@ -19,8 +20,7 @@ const STRIDE: usize = 3;
 const ONE_SIGMA: f64 = 0.841_345;
 /// Systematic error of level and noise by rounding and the sample, DN.
 const FLOOR_DN: f64 = 0.01;
-
-/// The same of what whole values tell of the upper half of a distribution.
+/// The same of what whole values show of the upper half of a distribution.
 const COARSE_DN: f64 = 0.05;
 
 /// What the unlit pixels show.
@@ -65,37 +65,28 @@ impl Dark {
         self.noise.as_ref().map_or(1.0, |noise| noise.value)
     }
 
-    pub fn level_finding(&self) -> Finding {
-        Finding {
-            name: "dark level",
-            key: "camera.noise.dark_dn",
-            unit: "DN",
-            found: self.level.clone(),
-            remark: "median of the unlit pixels".into(),
-        }
+    pub fn level_quantity(&self) -> CalibratedQuantity {
+        let name = ("dark level", "camera.noise.dark_dn", "DN");
+        CalibratedQuantity::measured(name, self.level.clone(), "median of the unlit pixels")
     }
 
-    pub fn noise_finding(&self) -> Finding {
-        Finding {
-            name: "read noise",
-            key: "camera.noise.read_noise_dn",
-            unit: "DN",
-            found: self.noise.clone(),
-            remark: self.noise_remark.into(),
-        }
+    pub fn noise_quantity(&self) -> CalibratedQuantity {
+        let name = ("read noise", "camera.noise.read_noise_dn", "DN");
+        CalibratedQuantity::measured(name, self.noise.clone(), self.noise_remark)
     }
+}
+
+/// A sample of a frame's pixels: columns and rows.
+fn sample(frame: &Frame) -> impl Iterator<Item = (usize, usize)> + use<> {
+    let width = frame.width();
+    let every = (0..width * frame.height()).step_by(STRIDE);
+    every.map(move |n| (n % width, n / width))
 }
 
 /// A sample of a frame's unlit pixels.
 fn unlit(shot: &Shot) -> Vec<f64> {
-    with_view!(&shot.frame, view => {
-        let every = (0..view.width * view.height).step_by(STRIDE);
-        every
-            .map(|n| (n % view.width, n / view.width))
-            .filter(|(x, y)| shot.is_unlit(*x, *y))
-            .map(|(x, y)| f64::from(view.dn(x, y)))
-            .collect()
-    })
+    let unlit = sample(&shot.frame).filter(|(x, y)| shot.is_unlit(*x, *y));
+    with_view!(&shot.frame, view => unlit.map(|(x, y)| f64::from(view.dn(x, y))).collect())
 }
 
 /// Noise from differences of frames that follow each other, which fixed patterns leave; where it is cut off at zero, from
@@ -131,11 +122,7 @@ fn noise(shots: &Shots, histogram: &Histogram, level: f64) -> (Measured, &'stati
 
 /// A sample of the differences of two frames, where both are unlit.
 fn difference(a: &Shot, b: &Shot) -> Vec<f64> {
-    let width = a.frame.width();
-    let unlit = (0..width * a.frame.height())
-        .step_by(STRIDE)
-        .map(|n| (n % width, n / width))
-        .filter(|(x, y)| a.is_unlit(*x, *y) && b.is_unlit(*x, *y));
+    let unlit = sample(&a.frame).filter(|(x, y)| a.is_unlit(*x, *y) && b.is_unlit(*x, *y));
     unlit.map(|(x, y)| dn(a, x, y) - dn(b, x, y)).collect()
 }
 

@@ -1,24 +1,22 @@
 //! How the light falls off from the middle of the picture.
 
 use super::dark::{Dark, dn};
-use super::shots::{Shots, SunShot};
-use super::straight::{Solved, solve};
-use super::{Figure, Finding};
+use super::shots::{Shots, SunShot, TILE_PX, inside, tiles};
 use crate::calibrate::numbers::median;
+use crate::calibrate::quantity::CalibratedQuantity;
+use crate::estimation::{Fitted, regression};
 use crate::instrument::Instrument;
-use crate::report::plot::Dots;
+use crate::report::plot::{Figure, Labels, Series};
 use crate::units::Measured;
 use nalgebra::{SVector, Vector5};
 
-const TILE_PX: usize = 32;
-/// Every so many pixels of a square, in both axes, tell its light.
+/// Every so many pixels of a square, in both axes, give its light.
 const STRIDE_PX: usize = 3;
-/// A fourth-order term below so many sigmas is left out.
+/// A fourth-order term below so many sigmas is not fitted.
 const SIGNIFICANT: f64 = 5.0;
 /// Fewest frames of the Sun, and the part of the way to the corner that they must reach.
 const LEAST_SUNS: usize = 12;
 const LEAST_REACH: f64 = 0.4;
-
 /// What the disc's brightness may be off by at the corner.
 const SUNS_SYSTEMATIC: f64 = 0.005;
 
@@ -37,38 +35,27 @@ struct Light {
 }
 
 /// The vignetting of evenly lit frames.
-pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<Finding>, Option<Figure>) {
+pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<CalibratedQuantity>, Option<Figure>) {
     let lights: Vec<Light> = flats
         .frames
         .iter()
         .flat_map(|shot| {
             let (width, height) = (shot.frame.width(), shot.frame.height());
-            let (columns, rows) = (width / TILE_PX, height / TILE_PX);
-            let tile = move |n: usize| {
-                let (x0, y0) = (n % columns * TILE_PX, n / columns * TILE_PX);
-                let ys = (y0..y0 + TILE_PX).step_by(STRIDE_PX);
-                let inside =
-                    ys.flat_map(|y| (x0..x0 + TILE_PX).step_by(STRIDE_PX).map(move |x| (x, y)));
-                let values: Vec<f64> = inside.map(|(x, y)| dn(shot, x, y)).collect();
-                let middle = |low: usize, pixels: usize| {
+            let saturation = f64::from(shot.frame.saturation_dn());
+            let tile = |(x0, y0): (usize, usize)| {
+                let pixels = inside((x0, y0), STRIDE_PX);
+                let values: Vec<f64> = pixels.map(|(x, y)| dn(shot, x, y)).collect();
+                let from_middle = |low: usize, pixels: usize| {
                     low as f64 + (TILE_PX as f64 - 1.0) / 2.0 - (pixels as f64 - 1.0) / 2.0
                 };
-                let light = mean_near(&values, median(&values)) - dark.level_dn();
-                (light + dark.level_dn() < 0.95 * f64::from(shot.frame.saturation_dn())).then_some(
-                    Light {
-                        x: middle(x0, width),
-                        y: middle(y0, height),
-                        dn: light,
-                    },
-                )
+                let level = mean_near(&values, median(&values));
+                (level < 0.95 * saturation).then_some(Light {
+                    x: from_middle(x0, width),
+                    y: from_middle(y0, height),
+                    dn: level - dark.level_dn(),
+                })
             };
-            let lights: Vec<Light> = (0..columns * rows).filter_map(tile).collect();
-            let typical = median(lights.iter().map(|l| l.dn));
-            // Frames of any exposure, each by its own light.
-            lights.into_iter().map(move |l| Light {
-                dn: l.dn / typical,
-                ..l
-            })
+            relative(tiles(&shot.frame).filter_map(tile).collect())
         })
         .filter(|l| l.dn.is_finite())
         .collect();
@@ -77,6 +64,13 @@ pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<Finding>, Option<Figu
         0.0,
         "from evenly lit frames, a tilt of the lamp's light taken out",
     )
+}
+
+/// Frames of any exposure, each in units of its own median light.
+fn relative(mut lights: Vec<Light>) -> Vec<Light> {
+    let median = median(lights.iter().map(|l| l.dn));
+    lights.iter_mut().for_each(|l| l.dn /= median);
+    lights
 }
 
 /// The mean of the values that are not far from their median: hot pixels do not count.
@@ -88,35 +82,36 @@ fn mean_near(values: &[f64], middle: f64) -> f64 {
 }
 
 /// The vignetting from the brightness of the Sun's disc, all over the sensor.
-pub(super) fn by_suns(suns: &[SunShot], stated: &Instrument) -> (Vec<Finding>, Option<Figure>) {
-    let middle = |pixels: usize| (pixels as f64 - 1.0) / 2.0;
-    let (x0, y0) = (
-        middle(stated.camera.width_px),
-        middle(stated.camera.height_px),
-    );
-    let typical = median(suns.iter().map(|s| s.light_dn));
-    let lights: Vec<Light> = suns
-        .iter()
-        .map(|s| Light {
-            x: s.sun_px.x - x0,
-            y: s.sun_px.y - y0,
-            dn: s.light_dn / typical,
-        })
-        .collect();
+pub(super) fn by_suns(
+    suns: &[SunShot],
+    stated: &Instrument,
+) -> (Vec<CalibratedQuantity>, Option<Figure>) {
+    let middle = stated.camera.middle_px();
+    let light = |s: &SunShot| Light {
+        x: s.sun_px.x - middle.x,
+        y: s.sun_px.y - middle.y,
+        dn: s.light_dn,
+    };
+    let lights = relative(suns.iter().map(light).collect());
+    let corner2 = middle.vector().norm_squared();
     let reach = lights.iter().map(|l| l.x.hypot(l.y)).fold(0.0, f64::max);
-    if suns.len() < LEAST_SUNS || reach < LEAST_REACH * x0.hypot(y0) {
+    if suns.len() < LEAST_SUNS || reach < LEAST_REACH * corner2.sqrt() {
         let why = "not determined: take evenly lit frames (--flat), or frames with the Sun all over the sensor";
-        return (vec![square_finding(Err(why.into()), "")], None);
+        return (vec![square_quantity(Err(why.into()), "")], None);
     }
     conclude(
         &lights,
-        SUNS_SYSTEMATIC / (x0 * x0 + y0 * y0),
-        "from the brightness of the Sun's disc over the sensor, a tilt taken out; clouds or a low Sun would spoil it",
+        SUNS_SYSTEMATIC / corner2,
+        "from the brightness of the Sun's disc over the sensor, a tilt taken out; clouds or a low Sun would falsify it",
     )
 }
 
 /// `systematic` is what the second order may be off by, whatever the scatter.
-fn conclude(lights: &[Light], systematic: f64, how: &str) -> (Vec<Finding>, Option<Figure>) {
+fn conclude(
+    lights: &[Light],
+    systematic: f64,
+    how: &str,
+) -> (Vec<CalibratedQuantity>, Option<Figure>) {
     let Some(Falloff {
         middle,
         mut square,
@@ -124,52 +119,37 @@ fn conclude(lights: &[Light], systematic: f64, how: &str) -> (Vec<Finding>, Opti
     }) = fit(lights)
     else {
         let why = "not determined: no evenly lit frames (--flat) that are not saturated";
-        return (vec![square_finding(Err(why.into()), "")], None);
+        return (vec![square_quantity(Err(why.into()), "")], None);
     };
     square.sigma = square.sigma.hypot(systematic);
-    let mut findings = vec![square_finding(Ok(square), how)];
-    findings.extend(fourth.map(|fourth| Finding {
-        name: "vignetting, fourth order",
-        key: "camera.vignetting.radial_per_px4",
-        unit: "px^-4",
-        found: Ok(fourth),
-        remark: how.into(),
+    let mut quantities = vec![square_quantity(Ok(square), how)];
+    quantities.extend(fourth.map(|fourth| {
+        let key = "camera.vignetting.radial_per_px4";
+        let name = ("vignetting, fourth order", key, "px^-4");
+        CalibratedQuantity::measured(name, Ok(fourth), how)
     }));
     let b = fourth.map_or(0.0, |f| f.value);
     let model = |r2: f64| 1.0 + r2 * (square.value + r2 * b);
-    // Radii apart, so that the figure stays small.
-    let step = lights.len().div_ceil(1500).max(1);
-    let points: Vec<(f64, f64)> = lights
-        .iter()
-        .step_by(step)
-        .map(|l| (l.x.hypot(l.y), l.dn / middle))
-        .collect();
+    let radius = |l: &Light| l.x.hypot(l.y);
+    let fitted = lights.iter().map(|l| (radius(l), model(radius(l).powi(2))));
+    let measured = lights.iter().map(|l| (radius(l), l.dn / middle));
     let figure = Figure {
-        title: "Light over the distance from the middle",
-        x: "px",
-        y: "light over that in the middle",
+        labels: Labels::new(
+            "Light over the distance from the middle",
+            "px",
+            "light over that in the middle",
+        ),
         series: vec![
-            Dots {
-                name: "fitted share".into(),
-                points: points.iter().map(|(r, _)| (*r, model(r * r))).collect(),
-            },
-            Dots {
-                name: "measured".into(),
-                points,
-            },
+            Series::dots("fitted share", fitted),
+            Series::dots("measured", measured),
         ],
     };
-    (findings, Some(figure))
+    (quantities, Some(figure))
 }
 
-fn square_finding(found: Result<Measured, String>, how: &str) -> Finding {
-    Finding {
-        name: "vignetting",
-        key: "camera.vignetting.radial_per_px2",
-        unit: "px^-2",
-        found,
-        remark: how.into(),
-    }
+fn square_quantity(found: Result<Measured, String>, how: &str) -> CalibratedQuantity {
+    let key = "camera.vignetting.radial_per_px2";
+    CalibratedQuantity::measured(("vignetting", key, "px^-2"), found, how)
 }
 
 fn fit(lights: &[Light]) -> Option<Falloff> {
@@ -182,12 +162,12 @@ fn fit(lights: &[Light]) -> Option<Falloff> {
     let values: Vec<f64> = lights.iter().map(|l| l.dn).collect();
     let even = vec![1.0; lights.len()];
     let terms: Vec<_> = lights.iter().map(all).collect();
-    let solved = solve(&terms, &values, &even)?;
-    let fourth = share(&solved, 4, UNIT_PX.powi(4));
+    let fitted = regression(&terms, &values, &even).ok()?;
+    let fourth = share(&fitted, 4, UNIT_PX.powi(4));
     if fourth.value.abs() > SIGNIFICANT * fourth.sigma {
         return Some(Falloff {
-            middle: solved.coefficients[0],
-            square: share(&solved, 3, UNIT_PX.powi(2)),
+            middle: fitted.parameters[0],
+            square: share(&fitted, 3, UNIT_PX.powi(2)),
             fourth: Some(fourth),
         });
     }
@@ -195,19 +175,17 @@ fn fit(lights: &[Light]) -> Option<Falloff> {
         .iter()
         .map(|t| SVector::from([t[0], t[1], t[2], t[3]]))
         .collect();
-    let solved = solve(&fewer, &values, &even)?;
+    let fitted = regression(&fewer, &values, &even).ok()?;
     Some(Falloff {
-        middle: solved.coefficients[0],
-        square: share(&solved, 3, UNIT_PX.powi(2)),
+        middle: fitted.parameters[0],
+        square: share(&fitted, 3, UNIT_PX.powi(2)),
         fourth: None,
     })
 }
 
 /// A coefficient as a part of the light in the middle.
-fn share<const N: usize>(solved: &Solved<N>, n: usize, unit: f64) -> Measured {
-    let whole = solved.coefficients[0] * unit;
-    Measured::new(
-        solved.coefficients[n] / whole,
-        solved.sigma(n) / whole.abs(),
-    )
+fn share<const N: usize>(fitted: &Fitted<N>, n: usize, unit: f64) -> Measured {
+    let whole = fitted.parameters[0] * unit;
+    let Measured { value, sigma } = fitted.measured(n);
+    Measured::new(value / whole, sigma / whole.abs())
 }

@@ -1,22 +1,21 @@
-//! The blur of the limb, and how blur and scale go with the camera's temperature.
+//! The blur of the limb, and how blur and scale depend on the camera's temperature.
 
 use super::shots::SunShot;
-use super::straight::solve;
-use super::{Figure, Finding};
 use crate::calibrate::numbers::median;
-use crate::report::plot::Dots;
-use crate::statistics::SIGMA_PER_MEDIAN;
+use crate::calibrate::quantity::CalibratedQuantity;
+use crate::estimation::{MEDIAN_SIGMA, SIGMA_PER_MEDIAN, regression};
+use crate::report::plot::{Figure, Labels, Series};
 use crate::units::Measured;
 use nalgebra::Vector2;
 
-/// Fewest frames, and the least range of temperature, that tell a dependence.
+/// Fewest frames, and the least range of temperature, that determine a dependence.
 const LEAST_FRAMES: usize = 8;
 const LEAST_RANGE_C: f64 = 3.0;
 /// What the limb's fit may be off by, whatever the number of frames.
 const BLUR_SYSTEMATIC_PX: f64 = 0.02;
 
 pub(super) struct Focus {
-    pub findings: Vec<Finding>,
+    pub quantities: Vec<CalibratedQuantity>,
     pub reference_c: Option<f64>,
     pub figures: Vec<Figure>,
 }
@@ -39,43 +38,38 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
     let blur_slope = slope(&blurs).map(|l| l.1);
     let scale_slope =
         slope(&scales).map(|(mean, slope)| Measured::new(slope.value / mean, slope.sigma / mean));
-    let told = blur_slope.is_ok() || scale_slope.is_ok();
-    let mut findings = vec![blur(suns, refused.is_none().then_some(&blurs))];
-    findings.push(finding(
+    let determined = blur_slope.is_ok() || scale_slope.is_ok();
+    let mut quantities = vec![blur(suns, refused.is_none().then_some(&blurs))];
+    quantities.push(quantity(
         "blur with temperature",
         "optics.temperature.blur_px_per_c",
         "px/deg C",
         blur_slope,
     ));
-    findings.push(finding(
+    quantities.push(quantity(
         "scale with temperature",
         "optics.temperature.scale_per_c",
         "1/deg C",
         scale_slope,
     ));
     let figure = |title, y, points: &[(f64, f64)]| Figure {
-        title,
-        x: "deg C from the mean temperature",
-        y,
-        series: vec![Dots {
-            name: "frames".into(),
-            points: points.to_vec(),
-        }],
+        labels: Labels::new(title, "deg C from the mean temperature", y),
+        series: vec![Series::dots("frames", points.iter().copied())],
     };
-    let figures = told.then(|| {
+    let figures = determined.then(|| {
         vec![
             figure("Blur of the limb with temperature", "px, 1 sigma", &blurs),
             figure("Scale with temperature", "mil/px", &scales),
         ]
     });
     Focus {
-        findings,
-        reference_c: told.then_some(reference_c),
+        quantities,
+        reference_c: determined.then_some(reference_c),
         figures: figures.unwrap_or_default(),
     }
 }
 
-/// Why such temperatures tell no dependence.
+/// Why such temperatures determine no dependence.
 fn refusal(temperatures: &[f64]) -> Option<String> {
     let most = temperatures
         .iter()
@@ -95,23 +89,18 @@ fn refusal(temperatures: &[f64]) -> Option<String> {
     }
 }
 
-fn finding(
+fn quantity(
     name: &'static str,
     key: &'static str,
     unit: &'static str,
     found: Result<Measured, String>,
-) -> Finding {
-    Finding {
-        name,
-        key,
-        unit,
-        found,
-        remark: "from frames of the Sun; a slope within its sigma is none".into(),
-    }
+) -> CalibratedQuantity {
+    let remark = "from frames of the Sun; a slope within its sigma is none";
+    CalibratedQuantity::measured((name, key, unit), found, remark)
 }
 
-/// The blur: where it goes with temperature, at the mean temperature.
-fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding {
+/// The blur: where it depends on temperature, at the mean temperature.
+fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> CalibratedQuantity {
     let values: Vec<f64> = suns.iter().filter_map(|s| s.blur_px).collect();
     let at_reference = with_temperature
         .and_then(|points| line(points))
@@ -124,26 +113,18 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Finding
         count => {
             let middle = at_reference.unwrap_or_else(|| median(&values));
             let off: Vec<f64> = values.iter().map(|v| (v - median(&values)).abs()).collect();
-            let scatter = SIGMA_PER_MEDIAN * median(&off) * 1.25 / (count as f64).sqrt();
+            let scatter = SIGMA_PER_MEDIAN * median(&off) * MEDIAN_SIGMA / (count as f64).sqrt();
             Ok(Measured::new(middle, scatter.hypot(BLUR_SYSTEMATIC_PX)))
         }
     };
-    Finding {
-        name: "blur",
-        key: "optics.blur_px",
-        unit: "px",
-        found,
-        remark: "of the Sun's limb, the pixel's own size taken off".into(),
-    }
+    let remark = "of the Sun's limb, the pixel's own size taken off";
+    CalibratedQuantity::measured(("blur", "optics.blur_px", "px"), found, remark)
 }
 
 /// Value at 0 and slope of a straight line through points.
 fn line(points: &[(f64, f64)]) -> Option<(f64, Measured)> {
     let terms: Vec<_> = points.iter().map(|p| Vector2::new(1.0, p.0)).collect();
     let values: Vec<f64> = points.iter().map(|p| p.1).collect();
-    let solved = solve(&terms, &values, &vec![1.0; points.len()])?;
-    Some((
-        solved.coefficients[0],
-        Measured::new(solved.coefficients[1], solved.sigma(1)),
-    ))
+    let fitted = regression(&terms, &values, &vec![1.0; points.len()]).ok()?;
+    Some((fitted.parameters[0], fitted.measured(1)))
 }

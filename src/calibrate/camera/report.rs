@@ -1,14 +1,27 @@
 //! The calibration as one page of HTML that needs nothing else.
 
-use super::CameraCalibration;
-use crate::calibrate::frames::LeftOut;
-use crate::calibrate::html;
-use crate::calibrate::numbers::{sigma_text, value_text};
-use crate::report::html::escaped;
-use crate::report::plot::{self, Labels, PlotError};
-use std::fmt::Write;
+use super::calibration::CameraCalibration;
+use crate::calibrate::frames::RejectedFrame;
+use crate::calibrate::quantity::CalibratedQuantity;
+use crate::report::html::Page;
+use crate::report::plot::{self, PlotError};
 
-/// The page: what was found, the figures behind it, and what was left out.
+impl CameraCalibration {
+    /// Every quantity, and the hot pixels, a line each.
+    pub fn summary(&self) -> String {
+        let quantities = self.quantities.iter().map(ToString::to_string);
+        let hot = match &self.hot_pixels {
+            Some(hot) => hot.len().to_string(),
+            None => {
+                "not determined: at least 3 frames are needed; keeps the instrument's list".into()
+            }
+        };
+        let lines = quantities.chain([format!("hot pixels: {hot}")]);
+        lines.collect::<Vec<_>>().join("\n")
+    }
+}
+
+/// The page: what was found, the figures behind it, and the rejected frames.
 ///
 /// # Errors
 /// Where a figure cannot be drawn.
@@ -16,44 +29,18 @@ pub fn page(
     calibration: &CameraCalibration,
     name: &str,
     source: &str,
-    left_out: &[LeftOut],
+    rejected: &[RejectedFrame],
 ) -> Result<String, PlotError> {
-    let mut text = html::head(&format!("Camera of {name}"), source);
-    text += "<table><tr><th>quantity</th><th>found</th><th>1 sigma</th><th></th></tr>\n";
-    for finding in &calibration.findings {
-        let (class, value, sigma, remark) = match &finding.found {
-            Ok(found) => (
-                "determined",
-                format!("{} {}", value_text(*found), finding.unit),
-                sigma_text(found.sigma),
-                &finding.remark,
-            ),
-            Err(why) => ("kept", String::new(), String::new(), why),
-        };
-        let _ = writeln!(
-            text,
-            "<tr><td>{}</td><td>{value}</td><td>{sigma}</td><td class=\"{class}\">{}</td></tr>",
-            finding.name,
-            escaped(remark)
-        );
-    }
-    let hot = match &calibration.hot_pixels {
-        Some(hot) => format!("{} pixels", hot.len()),
-        None => "not determined: at least 3 frames are needed".into(),
-    };
-    let _ = writeln!(
-        text,
-        "<tr><td>hot pixels</td><td>{hot}</td><td></td><td></td></tr></table>"
-    );
+    let mut page = Page::default();
+    page.note(source);
+    CalibratedQuantity::table(&mut page, &calibration.quantities);
+    page.note(&match &calibration.hot_pixels {
+        Some(hot) => format!("Hot pixels: {}", hot.len()),
+        None => "Hot pixels: not determined, at least 3 frames are needed".into(),
+    });
     for figure in &calibration.figures {
-        let labels = Labels {
-            title: figure.title.into(),
-            x: figure.x.into(),
-            y: figure.y.into(),
-        };
-        text += &plot::scatter(&labels, &figure.series)?;
+        page.figure(&plot::series(&figure.labels, &figure.series)?);
     }
-    text += &html::left_out(left_out);
-    text += "</html>\n";
-    Ok(text)
+    RejectedFrame::section(&mut page, rejected);
+    Ok(page.finish(&format!("Camera of {name}")))
 }

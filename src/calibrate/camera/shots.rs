@@ -1,8 +1,7 @@
 //! Frames in memory, and what lights them.
 
-use super::CameraError;
 use crate::aspect::{self, Expected, Origin, Quality};
-use crate::calibrate::frames::LeftOut;
+use crate::calibrate::frames::{RejectedFrame, Setting};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -11,15 +10,13 @@ use anyhow::Context;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// So many frames of a kind are kept in memory, evenly chosen by pairs.
-const MOST_KEPT: usize = 32;
 /// Light scattered about the disc reaches so far beyond its limb, in its radii.
 const GLOW_RADII: f64 = 1.5;
 
 /// A frame and the part of it that the Sun lights.
 #[derive(Debug, Clone)]
 pub struct Shot {
-    pub name: String,
+    pub file: PathBuf,
     pub frame: Frame,
     /// The disc: centre and radius, px; none in a frame without Sun.
     pub disc: Option<(SensorPx, f64)>,
@@ -28,6 +25,20 @@ pub struct Shot {
 }
 
 impl Shot {
+    fn without_sun(file: &Path, frame: Frame) -> Self {
+        Self {
+            file: file.into(),
+            frame,
+            disc: None,
+            marks: Vec::new(),
+        }
+    }
+
+    /// Frames of different gain count light in different DN.
+    pub(super) fn setting(&self) -> Setting {
+        Setting::of(&self.file, &self.frame).with_gains(&self.frame)
+    }
+
     /// How far from the disc's centre, in its radii; none without a disc.
     pub fn radii(&self, x: usize, y: usize) -> Option<f64> {
         let (centre, radius) = self.disc?;
@@ -38,6 +49,26 @@ impl Shot {
     pub fn is_unlit(&self, x: usize, y: usize) -> bool {
         self.radii(x, y).is_none_or(|radii| radii > GLOW_RADII)
     }
+}
+
+/// Side of the squares in which light and noise are measured, px.
+pub(super) const TILE_PX: usize = 32;
+
+/// The squares of a frame: column and row of their first pixel.
+pub(super) fn tiles(frame: &Frame) -> impl Iterator<Item = (usize, usize)> + use<> {
+    let last = |pixels: usize| pixels - pixels % TILE_PX;
+    let (right, bottom) = (last(frame.width()), last(frame.height()));
+    let rows = (0..bottom).step_by(TILE_PX);
+    rows.flat_map(move |y| (0..right).step_by(TILE_PX).map(move |x| (x, y)))
+}
+
+/// Columns and rows of a square, every so many pixels in both axes.
+pub(super) fn inside(
+    (x0, y0): (usize, usize),
+    step: usize,
+) -> impl Iterator<Item = (usize, usize)> {
+    let rows = (y0..y0 + TILE_PX).step_by(step);
+    rows.flat_map(move |y| (x0..x0 + TILE_PX).step_by(step).map(move |x| (x, y)))
 }
 
 /// Frames of one kind.
@@ -67,11 +98,9 @@ impl Shots {
 /// What one frame of the Sun gave.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SunShot {
-    pub name: String,
     pub sun_px: SensorPx,
     /// The disc's bright part above the background.
     pub light_dn: f64,
-    pub exposure_s: Option<f64>,
     /// Blur of the limb, 1 sigma.
     pub blur_px: Option<f64>,
     /// Of the frame's own marks.
@@ -79,35 +108,30 @@ pub struct SunShot {
     pub temperature_c: Option<f64>,
 }
 
-/// Reads frames that show no Sun; those that cannot be read are listed.
+/// Reads frames that show no Sun, some of them; those that cannot be read are rejected.
 ///
 /// # Errors
 /// A frame of another size than the instrument's.
-pub fn load(files: &[PathBuf], instrument: &Instrument) -> anyhow::Result<(Shots, Vec<LeftOut>)> {
-    let (mut frames, mut left_out) = (Vec::new(), Vec::new());
+pub fn load(
+    files: &[PathBuf],
+    instrument: &Instrument,
+) -> anyhow::Result<(Shots, Vec<RejectedFrame>)> {
+    let (mut frames, mut rejected) = (Vec::new(), Vec::new());
     for file in kept(files) {
-        let name = file.display().to_string();
         match fits::read_frame(file) {
             Ok(frame) => {
-                check_size(&frame, instrument, &name)?;
-                frames.push(Shot {
-                    name,
-                    frame,
-                    disc: None,
-                    marks: Vec::new(),
-                });
+                check_size(&frame, instrument, file)?;
+                frames.push(Shot::without_sun(file, frame));
             }
-            Err(error) => left_out.push(LeftOut {
-                name,
-                reason: error.problem.to_string(),
-            }),
+            Err(error) => rejected.push(RejectedFrame::new(file, error.problem.to_string())),
         }
     }
-    Ok((Shots { frames }, left_out))
+    Ok((Shots { frames }, rejected))
 }
 
-/// Pixels are told by their place on the whole sensor: a part of it does not do.
-fn check_size(frame: &Frame, instrument: &Instrument, name: &str) -> anyhow::Result<()> {
+/// Pixels are identified by their place on the whole sensor: a part of it does not do.
+fn check_size(frame: &Frame, instrument: &Instrument, file: &Path) -> anyhow::Result<()> {
+    let name = file.display();
     let seen = instrument.seen_by(frame);
     let seen = seen.with_context(|| format!("mixed instruments: {name}"))?;
     let (width, height) = (instrument.camera.width_px, instrument.camera.height_px);
@@ -118,63 +142,53 @@ fn check_size(frame: &Frame, instrument: &Instrument, name: &str) -> anyhow::Res
     Ok(())
 }
 
-/// Some of the files, two and two that follow each other.
+/// The files whose frames are kept in memory: evenly chosen pairs that follow each other.
 fn kept(files: &[PathBuf]) -> Vec<&PathBuf> {
-    let pairs: Vec<&[PathBuf]> = files.chunks(2).collect();
+    const MOST_KEPT: usize = 32;
     let step = files.len().div_ceil(MOST_KEPT).max(1);
-    pairs.into_iter().step_by(step).flatten().collect()
+    files.chunks(2).step_by(step).flatten().collect()
 }
 
 /// Solves frames of the Sun, and keeps some of them whole.
 ///
 /// # Errors
 /// A frame of another size than the instrument's.
-pub fn look(
+pub fn solve(
     files: &[PathBuf],
     instrument: &Instrument,
-) -> anyhow::Result<(Shots, Vec<SunShot>, Vec<LeftOut>)> {
+) -> anyhow::Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>)> {
     let keep: Vec<&PathBuf> = kept(files);
-    let looked: Vec<_> = files
+    let solved: Vec<_> = files
         .par_iter()
-        .map(|file| look_at(file, instrument, keep.contains(&file)))
+        .map(|file| solve_one(file, instrument, keep.contains(&file)))
         .collect::<anyhow::Result<_>>()?;
-    let (mut shots, mut suns, mut left_out) = (Shots::default(), Vec::new(), Vec::new());
-    for (file, outcome) in files.iter().zip(looked) {
+    let (mut shots, mut suns, mut rejected) = (Shots::default(), Vec::new(), Vec::new());
+    for (file, outcome) in files.iter().zip(solved) {
         match outcome {
             Ok((shot, sun)) => {
                 shots.frames.extend(shot);
                 suns.extend(sun);
             }
-            Err(reason) => {
-                let name = file.display().to_string();
-                left_out.push(LeftOut { name, reason });
-            }
+            Err(reason) => rejected.push(RejectedFrame::new(file, reason)),
         }
     }
-    Ok((shots, suns, left_out))
+    Ok((shots, suns, rejected))
 }
 
-type Looked = Result<(Option<Shot>, Option<SunShot>), String>;
+/// A frame of the Sun, whole if it is to be kept, and what it gave; else why it is rejected.
+type Solved = Result<(Option<Shot>, Option<SunShot>), String>;
 
-fn look_at(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result<Looked> {
-    let name = file.display().to_string();
+fn solve_one(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result<Solved> {
     let frame = match fits::read_frame(file) {
         Ok(frame) => frame,
         Err(error) => return Ok(Err(error.problem.to_string())),
     };
-    check_size(&frame, instrument, &name)?;
+    check_size(&frame, instrument, file)?;
     let expected = frame.info.mid_exposure.and_then(Expected::at);
     let solution = aspect::solve(&frame, instrument, expected, None);
     let Some(levels) = solution.levels else {
         // Nothing bright: a dark frame among the others.
-        let (disc, marks) = (None, Vec::new());
-        let shot = Shot {
-            name,
-            frame,
-            disc,
-            marks,
-        };
-        return Ok(Ok((keep.then_some(shot), None)));
+        return Ok(Ok((keep.then(|| Shot::without_sun(file, frame)), None)));
     };
     let (Some(aspect), Some(adopted)) = (solution.aspect, solution.mapping) else {
         let why = solution.stopped.map_or("no Sun".into(), |s| s.to_string());
@@ -184,64 +198,17 @@ fn look_at(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result<L
     let fine = solution.quality == Quality::Fine;
     let sun_px = aspect.sun_px.position;
     let sun = SunShot {
-        name: name.clone(),
         sun_px,
         light_dn: levels.disc_dn - levels.background_dn,
-        exposure_s: frame.info.exposure.map(|e| e.as_secs_f64()),
         blur_px: solution.limb_blur_px.filter(|_| fine),
         scale_mil_per_px: own.then(|| adopted.mapping.scale_mil_per_px(sun_px)),
         temperature_c: frame.info.camera_temperature_c,
     };
-    let marks = instrument
-        .plate
-        .marks()
-        .map(|(_, at)| adopted.mapping.to_sensor(at));
+    let marks = instrument.plate.marks();
     let shot = keep.then(|| Shot {
-        name,
-        marks: marks.collect(),
+        marks: marks.map(|(_, at)| adopted.mapping.to_sensor(at)).collect(),
         disc: Some((sun_px, aspect.sun_radius_px)),
-        frame,
+        ..Shot::without_sun(file, frame)
     });
     Ok(Ok((shot, fine.then_some(sun))))
-}
-
-/// All frames must count in the same DN: of one camera, depth and gain.
-pub(super) fn one_setting<'a>(shots: impl Iterator<Item = &'a Shot>) -> Result<(), CameraError> {
-    let mut shots = shots.peekable();
-    let Some(first) = shots.peek().map(|shot| (*shot).clone()) else {
-        return Ok(());
-    };
-    for shot in shots {
-        let (a, b) = (&first.frame, &shot.frame);
-        if a.saturation_dn() != b.saturation_dn() {
-            return Err(CameraError::MixedDepth {
-                name: shot.name.clone(),
-                expected_dn: a.saturation_dn(),
-                found_dn: b.saturation_dn(),
-            });
-        }
-        let different =
-            |what, a: &dyn std::fmt::Debug, b: &dyn std::fmt::Debug| CameraError::Mixed {
-                what,
-                a: format!("{a:?}"),
-                b: format!("{b:?}"),
-            };
-        let (a, b) = (&a.info, &b.info);
-        if let (Some(a), Some(b)) = (&a.camera, &b.camera)
-            && a != b
-        {
-            return Err(different("camera", a, b));
-        }
-        for (what, a, b) in [
-            ("analogue gain", a.analogue_gain, b.analogue_gain),
-            ("pre-amplifier gain", a.preamp_gain, b.preamp_gain),
-        ] {
-            if let (Some(a), Some(b)) = (a, b)
-                && a != b
-            {
-                return Err(different(what, &a, &b));
-            }
-        }
-    }
-    Ok(())
 }

@@ -1,18 +1,16 @@
 //! Photon transfer: how the noise grows with the light.
 
 use super::dark::{Dark, clipped_variance, dn};
-use super::shots::{Shot, Shots};
-use super::straight::solve;
-use super::{Figure, Finding};
+use super::shots::{Shot, Shots, inside, tiles};
 use crate::calibrate::numbers::median;
+use crate::calibrate::quantity::CalibratedQuantity;
+use crate::estimation::regression;
 use crate::instrument::Instrument;
-use crate::report::plot::Dots;
+use crate::report::plot::{Figure, Labels, Series};
 use crate::units::{Measured, SensorPx};
 use nalgebra::Vector2;
 
-/// Side of the squares whose light and noise make a point, px.
-const TILE_PX: usize = 32;
-/// Light must span so many times the read noise, or it tells no slope.
+/// Light must span so many times the read noise, or it determines no slope.
 const LEAST_SPAN: f64 = 3.0;
 /// What the plate's grain and the marks' feet may add to the noise between neighbours.
 const GRAIN: f64 = 0.03;
@@ -25,9 +23,12 @@ struct Point {
 }
 
 /// Gain from pairs of evenly lit frames.
-pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (Finding, Option<Figure>) {
+pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (CalibratedQuantity, Option<Figure>) {
     let pairs = flats.pairs();
-    let mut points: Vec<Point> = pairs.iter().flat_map(|(a, b)| tiles(a, b, dark)).collect();
+    let mut points: Vec<Point> = pairs
+        .iter()
+        .flat_map(|(a, b)| of_pair(a, b, dark))
+        .collect();
     if let Ok(noise) = &dark.noise {
         // Worth ten squares of a pair.
         points.push(Point {
@@ -41,17 +42,11 @@ pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (Finding, Option<Figure>) 
 }
 
 /// The squares of a pair: the light of one differs from the other's by a common factor at most.
-fn tiles(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
-    let (width, height) = (a.frame.width(), a.frame.height());
+fn of_pair(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
     let level = dark.level_dn();
     let saturation = f64::from(a.frame.saturation_dn());
-    let corners = (0..height / TILE_PX).flat_map(|row| (0..width / TILE_PX).map(move |c| (c, row)));
-    let point = |(column, row): (usize, usize)| {
-        let inside = || {
-            let (x0, y0) = (column * TILE_PX, row * TILE_PX);
-            (y0..y0 + TILE_PX).flat_map(move |y| (x0..x0 + TILE_PX).map(move |x| (x, y)))
-        };
-        let values: Vec<(f64, f64)> = inside()
+    let point = |corner: (usize, usize)| {
+        let values: Vec<(f64, f64)> = inside(corner, 1)
             .map(|(x, y)| (dn(a, x, y) - level, dn(b, x, y) - level))
             .collect();
         let count = values.len() as f64;
@@ -71,11 +66,15 @@ fn tiles(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
             pixels: count,
         })
     };
-    corners.filter_map(point).collect()
+    tiles(&a.frame).filter_map(point).collect()
 }
 
 /// Gain from the grain of the Sun's disc between the marks.
-pub(super) fn by_suns(suns: &Shots, stated: &Instrument, dark: &Dark) -> (Finding, Option<Figure>) {
+pub(super) fn by_suns(
+    suns: &Shots,
+    stated: &Instrument,
+    dark: &Dark,
+) -> (CalibratedQuantity, Option<Figure>) {
     let none = "not determined: no frames of the Sun; take pairs of evenly lit frames (--flat)";
     let reach =
         stated.plate.cross.arm_length_mil / 2.0 / stated.mounting.scale_mil_per_px.value + 4.0;
@@ -152,26 +151,21 @@ fn conclude(
     none: &str,
     how: &str,
     systematic: f64,
-) -> (Finding, Option<Figure>) {
+) -> (CalibratedQuantity, Option<Figure>) {
+    let measured = points.iter().map(|p| (p.light, p.variance));
     let figure = Figure {
-        title: "Photon transfer",
-        x: "light above the dark level, DN",
-        y: "variance of a pixel, DN^2",
-        series: vec![Dots {
-            name: "measured".into(),
-            points: points.iter().map(|p| (p.light, p.variance)).collect(),
-        }],
+        labels: Labels::new(
+            "Photon transfer",
+            "light above the dark level, DN",
+            "variance of a pixel, DN^2",
+        ),
+        series: vec![Series::dots("measured", measured)],
     };
     let found = slope(&points, dark, none)
         .map(|gain| Measured::new(gain.value, gain.sigma.hypot(systematic * gain.value)));
-    let finding = Finding {
-        name: "gain",
-        key: "camera.noise.gain_dn_per_electron",
-        unit: "DN/electron",
-        found,
-        remark: how.into(),
-    };
-    (finding, (points.len() > 1).then_some(figure))
+    let key = "camera.noise.gain_dn_per_electron";
+    let gain = CalibratedQuantity::measured(("gain", key, "DN/electron"), found, how);
+    (gain, (points.len() > 1).then_some(figure))
 }
 
 fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> {
@@ -192,13 +186,13 @@ fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> 
     }
     let terms: Vec<_> = points.iter().map(|p| Vector2::new(1.0, p.light)).collect();
     let variances: Vec<f64> = points.iter().map(|p| p.variance).collect();
-    // A variance of n values is uncertain by itself times the root of 2 / n.
+    // A variance of n values is uncertain by itself times the square root of 2 / n.
     let sigmas: Vec<f64> = points
         .iter()
         .map(|p| p.variance.max(1e-3) * (2.0 / p.pixels).sqrt())
         .collect();
-    let solved = solve(&terms, &variances, &sigmas).ok_or(none.to_owned())?;
-    let gain = Measured::new(solved.coefficients[1], solved.sigma(1));
+    let fitted = regression(&terms, &variances, &sigmas).map_err(|_| none)?;
+    let gain = fitted.measured(1);
     if gain.value < 3.0 * gain.sigma {
         return Err(format!(
             "not determined: the noise does not grow with the light ({:.2e} +- {:.1e} DN/electron)",

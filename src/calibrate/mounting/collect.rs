@@ -1,8 +1,9 @@
-//! From frames to sights.
+//! From frames to observations of the Sun.
 
-use super::{PointingLog, Sight};
+use super::log::PointingLog;
+use super::observation::SunObservation;
 use crate::aspect::{self, Expected, Quality, Solution};
-use crate::calibrate::frames::LeftOut;
+use crate::calibrate::frames::{RejectedFrame, Setting, check_one_setting};
 use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
@@ -10,18 +11,11 @@ use crate::instrument::Instrument;
 use crate::pointing::Horizontal;
 use crate::sky::{Air, Ephemeris, SkyError, SunPosition};
 use crate::units::Place;
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use rayon::prelude::*;
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Frames from which the plate's handedness is told, where the stated one reads none.
-const SAMPLE: usize = 24;
-
-/// Fewer sights than this want an explanation.
-const FEW: usize = 5;
-
-/// What the frames are looked at with.
+/// With which instrument, place and pointings the frames are solved.
 #[derive(Debug, Clone)]
 pub struct Frames<'a> {
     pub instrument: &'a Instrument,
@@ -36,20 +30,6 @@ pub struct Frames<'a> {
     pub ephemeris: Ephemeris,
 }
 
-/// A frame's sight, or why it gives none.
-enum Outcome {
-    Sight(Box<Sight>),
-    LeftOut(Lack, String),
-}
-
-/// What made a frame, as far as it says.
-#[derive(Debug, Clone, Default)]
-struct Maker {
-    camera: Option<String>,
-    /// The value at which its pixels saturate: that of 8 or of 12 bits.
-    saturation_dn: Option<u16>,
-}
-
 /// What a frame lacks; where all of them lack the same, that is why there is no calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Lack {
@@ -59,16 +39,19 @@ enum Lack {
     Other,
 }
 
-/// Solves the frames and gathers their sights, in the order of the files, and tells which frames give none. The plate's
-/// handedness is the instrument's, unless only the other reads the marks.
+/// Why a frame gives no observation.
+type Rejection = (Lack, String);
+
+/// Solves the frames; gives their observations in the order of the files, the rejected frames, and how the camera sees the
+/// plate: as the instrument states, unless the marks can be identified only in the other handedness.
 ///
 /// # Errors
 /// Frames of several cameras, of another size than the instrument's, or all without what every one needs.
 pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
-) -> anyhow::Result<(Vec<Sight>, Vec<LeftOut>, Handedness)> {
-    let handedness = told_handedness(files, frames.instrument);
+) -> anyhow::Result<(Vec<SunObservation>, Vec<RejectedFrame>, Handedness)> {
+    let handedness = determined_handedness(files, frames.instrument);
     let mut instrument = frames.instrument.clone();
     instrument.mounting.handedness = handedness;
     let frames = Frames {
@@ -78,79 +61,52 @@ pub fn collect(
     let outcomes: Vec<_> = files
         .par_iter()
         .map_with(frames.ephemeris.clone(), |ephemeris, file| {
-            frames.look(file, ephemeris)
+            frames.observe(file, ephemeris)
         })
         .collect::<anyhow::Result<_>>()?;
-    one_instrument(&outcomes)?;
-    let (mut sights, mut left_out, mut lacks) = (Vec::new(), Vec::new(), Vec::new());
+    check_one_setting(outcomes.iter().filter_map(|(setting, _)| setting.as_ref()))?;
+    let (mut observations, mut rejected, mut lacks) = (Vec::new(), Vec::new(), Vec::new());
     for (file, (_, outcome)) in files.iter().zip(outcomes) {
         match outcome {
-            Outcome::Sight(sight) => sights.push(*sight),
-            Outcome::LeftOut(lack, reason) => {
+            Ok(observation) => observations.push(observation),
+            Err((lack, reason)) => {
                 lacks.push(lack);
-                let name = file.display().to_string();
-                left_out.push(LeftOut { name, reason });
+                rejected.push(RejectedFrame::new(file, reason));
             }
         }
     }
-    if sights.len() < FEW {
-        explain(&lacks, &left_out, sights.len())?;
-    }
-    Ok((sights, left_out, handedness))
+    explain(&lacks, &rejected, observations.len())?;
+    Ok((observations, rejected, handedness))
 }
 
-/// Why hardly a frame gave a sight, where most of them lack the same.
-fn explain(lacks: &[Lack], left_out: &[LeftOut], sights: usize) -> anyhow::Result<()> {
-    let all = lacks.len() + sights;
+/// Why hardly a frame gave an observation, where most of them lack the same.
+fn explain(lacks: &[Lack], rejected: &[RejectedFrame], observations: usize) -> anyhow::Result<()> {
+    /// Fewer observations than this want an explanation.
+    const FEW: usize = 5;
+    let all = lacks.len() + observations;
     let most = |lack: Lack| 2 * lacks.iter().filter(|l| **l == lack).count() > all;
-    if most(Lack::Time) {
-        bail!(
+    match rejected.first() {
+        _ if observations >= FEW => Ok(()),
+        _ if most(Lack::Time) => bail!(
             "frames without time: expected DATE-AVG or DATE-OBS in every frame, found none; take FITS frames with their UTC"
-        );
-    }
-    if most(Lack::Place) {
-        bail!(
+        ),
+        _ if most(Lack::Place) => bail!(
             "frames without place: expected OBSGEO-L, -B, -H in every frame, or --place LAT,LON,HEIGHT_M"
-        );
-    }
-    if most(Lack::Pointing) {
-        let first = left_out.first().map_or("", |l| &l.reason);
-        bail!(
-            "frames without pointing: expected pointings at the frames' times, found every frame outside them (the first is {first})"
-        );
-    }
-    match left_out.first() {
-        _ if sights > 0 => Ok(()),
-        Some(first) => bail!(
-            "no frame shows the Sun on the plate; the first, {}: {}",
-            first.name,
+        ),
+        Some(first) if most(Lack::Pointing) => bail!(
+            "frames without pointing: expected pointings at the frames' times, found every frame outside them (the first is {})",
             first.reason
         ),
+        _ if observations > 0 => Ok(()),
+        Some(first) => bail!("no frame shows the Sun on the plate; the first, {first}"),
         None => bail!("expected frames, found none"),
     }
 }
 
-fn one_instrument(outcomes: &[(Maker, Outcome)]) -> anyhow::Result<()> {
-    let cameras: BTreeSet<_> = outcomes
-        .iter()
-        .filter_map(|o| o.0.camera.as_ref())
-        .collect();
-    let names: Vec<&str> = cameras.iter().map(|c| c.as_str()).collect();
-    let full: BTreeSet<_> = outcomes.iter().filter_map(|o| o.0.saturation_dn).collect();
-    ensure!(
-        full.len() < 2,
-        "mixed instruments: expected frames that all saturate at one value, found {full:?} DN; give the frames of one camera and setting only"
-    );
-    ensure!(
-        names.len() < 2,
-        "mixed instruments: expected the frames of one camera, found those of \"{}\"; give each camera's frames with its own instrument",
-        names.join("\" and \"")
-    );
-    Ok(())
-}
-
-/// How the camera sees the plate: the coded marks read one way only.
-fn told_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedness {
+/// How the camera sees the plate: the coded marks can be identified in one handedness only.
+fn determined_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedness {
+    /// Frames that are tried.
+    const SAMPLE: usize = 24;
     let stated = instrument.mounting.handedness;
     let other = match stated {
         Handedness::Mirrored => Handedness::Direct,
@@ -158,23 +114,22 @@ fn told_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedness {
     };
     let step = files.len().div_ceil(SAMPLE).max(1);
     let sample: Vec<_> = files.iter().step_by(step).collect();
-    let read = |handedness: Handedness| {
+    let solved = |handedness: Handedness| {
         let mut instrument = instrument.clone();
         instrument.mounting.handedness = handedness;
-        let fine = |file: &&&PathBuf| {
-            let solved = fits::read_frame(file).ok().and_then(|frame| {
+        let is_fine = |file: &&&PathBuf| {
+            let solution = fits::read_frame(file).ok().and_then(|frame| {
                 let seen = instrument.seen_by(&frame).ok()?;
                 Some(solve(&frame, &seen))
             });
-            solved.is_some_and(|solution| solution.quality == Quality::Fine)
+            solution.is_some_and(|solution| solution.quality == Quality::Fine)
         };
-        sample.par_iter().filter(fine).count()
+        sample.par_iter().filter(is_fine).count()
     };
-    let as_stated = read(stated);
-    if 4 * as_stated < sample.len() && read(other) > 2 * as_stated {
-        other
-    } else {
-        stated
+    let as_stated = solved(stated);
+    match 4 * as_stated < sample.len() && solved(other) > 2 * as_stated {
+        true => other,
+        false => stated,
     }
 }
 
@@ -184,68 +139,48 @@ fn solve(frame: &Frame, instrument: &Instrument) -> Solution {
 }
 
 impl Frames<'_> {
-    /// A frame's maker and sight. A frame of another size ends it all: it is another instrument's.
-    fn look(&self, file: &Path, ephemeris: &mut Ephemeris) -> anyhow::Result<(Maker, Outcome)> {
+    /// A frame's setting and observation. A frame of another size ends it all: it is another instrument's.
+    fn observe(
+        &self,
+        file: &Path,
+        ephemeris: &mut Ephemeris,
+    ) -> anyhow::Result<(Option<Setting>, Result<SunObservation, Rejection>)> {
         let frame = match fits::read_frame(file) {
             Ok(frame) => frame,
-            Err(error) => {
-                return Ok((
-                    Maker::default(),
-                    Outcome::LeftOut(Lack::Other, error.problem.to_string()),
-                ));
-            }
+            Err(error) => return Ok((None, Err((Lack::Other, error.problem.to_string())))),
         };
         let seen = self
             .instrument
             .seen_by(&frame)
             .with_context(|| format!("mixed instruments: {}", file.display()))?;
-        let outcome = match self.sight(file, (&frame, &seen), ephemeris) {
-            Ok(sight) => Outcome::Sight(Box::new(sight)),
-            Err((lack, reason)) => Outcome::LeftOut(lack, reason),
-        };
-        let maker = Maker {
-            saturation_dn: Some(frame.saturation_dn()),
-            camera: frame.info.camera,
-        };
-        Ok((maker, outcome))
+        let observation = self.sun(file, (&frame, &seen), ephemeris);
+        Ok((Some(Setting::of(file, &frame)), observation))
     }
 
-    fn sight(
+    fn sun(
         &self,
         file: &Path,
         (frame, seen): (&Frame, &Instrument),
         ephemeris: &mut Ephemeris,
-    ) -> Result<Sight, (Lack, String)> {
-        let utc = frame
-            .info
-            .mid_exposure
-            .ok_or((Lack::Time, "no time".into()))?;
-        let place = frame
-            .info
-            .place
-            .or(self.place)
-            .ok_or((Lack::Place, "no place".into()))?;
+    ) -> Result<SunObservation, Rejection> {
+        let info = &frame.info;
+        let utc = info.mid_exposure.ok_or((Lack::Time, "no time".into()))?;
+        let place = info.place.or(self.place);
+        let place = place.ok_or((Lack::Place, "no place".into()))?;
         let air = self.air.unwrap_or(Air::standard(place.height_m));
-        let pointing = self
-            .log
-            .map(|log| log.at(utc))
-            .transpose()
-            .map_err(|reason| (Lack::Pointing, reason))?;
-        let pointing = pointing.map(|p| if self.apparent { p } else { lifted(p, &air) });
-        let sun = seen_sun(ephemeris, utc, place, &air)
+        let pointing = self.log.map(|log| log.at(utc)).transpose();
+        let pointing = pointing.map_err(|reason| (Lack::Pointing, reason))?;
+        let pointing = pointing.map(|p| if self.apparent { p } else { apparent(p, &air) });
+        let sun = apparent_sun(ephemeris, utc, place, &air)
             .map_err(|error| (Lack::Other, error.to_string()))?;
         let solution = solve(frame, seen);
-        let aspect = solution
-            .aspect
-            .filter(|_| solution.quality == Quality::Fine);
-        let aspect = aspect.ok_or_else(|| {
-            let why = solution
-                .stopped
-                .map_or("no Sun".into(), |stopped| stopped.to_string());
-            (Lack::Other, why)
+        let fine = solution.quality == Quality::Fine;
+        let aspect = solution.aspect.filter(|_| fine).ok_or_else(|| {
+            let why = solution.stopped.map(|stopped| stopped.to_string());
+            (Lack::Other, why.unwrap_or("no Sun".into()))
         })?;
-        Ok(Sight {
-            name: file.display().to_string(),
+        Ok(SunObservation {
+            file: file.into(),
             utc,
             sun_plate: aspect.sun_plate,
             sun,
@@ -255,7 +190,7 @@ impl Frames<'_> {
 }
 
 /// A direction as seen through the air.
-fn lifted(direction: Horizontal, air: &Air) -> Horizontal {
+fn apparent(direction: Horizontal, air: &Air) -> Horizontal {
     Horizontal {
         elevation_deg: direction.elevation_deg + air.lift_deg(direction.elevation_deg),
         ..direction
@@ -263,7 +198,7 @@ fn lifted(direction: Horizontal, air: &Air) -> Horizontal {
 }
 
 /// The Sun as seen through the air.
-pub(super) fn seen_sun(
+fn apparent_sun(
     ephemeris: &mut Ephemeris,
     utc: jiff::Timestamp,
     place: Place,

@@ -1,20 +1,23 @@
-//! The least squares: which mounting, and in a drift scan which pointing, puts the Sun where it was seen.
+//! The least squares: which mounting, and in a drift scan which pointing, puts the Sun where it was observed.
 
 use super::chain::{Chain, Side};
-use super::scatter::{TOLD, advantage, correlation, extra_variance, plain, sizes, tukey};
+use super::observation::SunObservation;
+use super::scatter::{Residual, correlation, extra_variance};
 use super::start::{Start, start};
-use super::{MountingError, Sight};
-use crate::calibrate::frames::LeftOut;
+use crate::calibrate::frames::RejectedFrame;
+use crate::estimation::{
+    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS_2D,
+};
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal};
 use crate::sky::SunPosition;
 use crate::units::{Measured, PlateMil};
-use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2, Vector4, Vector6};
 
 /// What is known of where the telescope pointed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pointings {
-    /// Every sight has its own.
+    /// Every observation has its own.
     Known,
     /// One direction for all, unknown: a drift scan.
     Fixed,
@@ -35,49 +38,44 @@ pub enum Unknown {
     Elevation,
 }
 
-/// So little is known beforehand, 1 sigma about the start: it only keeps apart what the sights do not.
+/// So little is known beforehand, 1 sigma about the start: it only keeps apart what the observations do not.
 const CENTRE_PRIOR_MIL: f64 = 500.0;
 const LEAST_CENTRE_PRIOR_MIL: f64 = 0.1;
 const CLOCKING_PRIOR_DEG: f64 = 180.0;
 const DISTANCE_PRIOR: f64 = 0.1;
 const POINTING_PRIOR_DEG: f64 = 10.0;
 
-/// Sights farther off than this do not take part: of good ones, one in 800.
+/// Observations with larger residuals do not take part: of good ones, one in 800.
 const MOST_SIGMAS: f64 = 3.66;
-const START_ROUNDS: usize = 4;
-const ROBUST_STEPS: usize = 15;
-const LAST_STEPS: usize = 10;
-/// A sight's part in a fit.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Residual {
-    pub name: String,
-    pub utc: jiff::Timestamp,
-    /// Where the Sun was seen.
-    pub at: PlateMil,
-    /// Seen minus fitted, mil.
-    pub off: Vector2<f64>,
-    /// 1 sigma per axis that was taken, mil.
-    pub sigma_mil: f64,
-    /// Whether it took part.
-    pub accepted: bool,
-}
+const START_PASSES: usize = 4;
+/// Fits in turn with estimates of the scatter; at most so many, since a median may alternate between two neighbours.
+const SCATTER_PASSES: usize = 15;
+/// A change of the scatter by this part is none.
+const SETTLED: f64 = 1e-6;
+/// Where fits end, in sigmas of the unknowns: the first, which only tells the outliers, and the last.
+const ROUGH_SIGMAS: f64 = 0.05;
+const FINE_SIGMAS: f64 = 1e-6;
 
-/// A mounting fitted to sights.
+/// A mounting fitted to observations of the Sun.
 #[derive(Debug, Clone)]
-pub struct Fit {
+pub struct MountingFit {
     pub pointings: Pointings,
     pub chain: Chain,
     /// The fitted unknowns in the order of [`Unknown`]; those of the pointing only in a drift scan.
     pub values: DVector<f64>,
     pub covariance: DMatrix<f64>,
+    /// In the order of time.
     pub residuals: Vec<Residual>,
-    /// Scatter of the accepted sights per axis, rms.
+    /// Scatter of the accepted observations per axis, rms.
     pub scatter_mil: f64,
-    /// By how much the variances grew because neighbouring sights scatter alike; 1 where they do not.
+    /// By how much the variances grew because the residuals of neighbours are correlated; 1 where they are not.
     pub correlation: f64,
 }
 
-impl Fit {
+/// Two fits are distinguished where their sums of squares differ by more than this.
+pub(super) const DISTINGUISHED: f64 = 25.0;
+
+impl MountingFit {
     /// An unknown with its sigma; `None` for a pointing that was not fitted.
     pub fn measured(&self, unknown: Unknown) -> Option<Measured> {
         let n = unknown as usize;
@@ -92,49 +90,73 @@ impl Fit {
         self.residuals.iter().filter(|r| r.accepted).count()
     }
 
-    /// The sights that did not take part.
-    pub(super) fn spoiled(&self) -> Vec<LeftOut> {
+    /// Covariance of the boresight alone.
+    pub(super) fn centre_covariance(&self) -> Matrix2<f64> {
+        self.covariance.fixed_view::<2, 2>(0, 0).into_owned()
+    }
+
+    /// The frames whose observation does not take part.
+    pub(super) fn rejected(&self) -> Vec<RejectedFrame> {
         let far = self.residuals.iter().filter(|r| !r.accepted);
-        far.map(|r| LeftOut {
-            name: r.name.clone(),
-            reason: format!(
-                "the Sun is {:.2} mil ({:.1} sigma) from where the others put it",
-                r.off.norm(),
-                r.off.norm() / r.sigma_mil
-            ),
+        far.map(|r| {
+            let (off_mil, sigmas) = (r.off.norm(), r.normalised());
+            let reason = format!(
+                "the Sun is {off_mil:.2} mil ({sigmas:.1} sigma) from where the others put it"
+            );
+            RejectedFrame::new(&r.file, reason)
         })
         .collect()
     }
+
+    /// By how much the sum of squares is below another fit's, with the better one's sigmas. No observation counts for much, and
+    /// correlated neighbours count once.
+    pub(super) fn advantage(&self, over: &Self) -> f64 {
+        const MOST_SQUARE: f64 = 12.25;
+        let better = match self.scatter_mil <= over.scatter_mil {
+            true => self,
+            false => over,
+        };
+        let cost = |fit: &Self| -> f64 {
+            let sigmas = better.residuals.iter().map(|r| r.sigma_mil);
+            let pairs = fit.residuals.iter().zip(sigmas);
+            let squares = pairs.map(|(r, sigma)| (r.off.norm() / sigma).powi(2));
+            squares.map(|square| square.min(MOST_SQUARE)).sum()
+        };
+        (cost(over) - cost(self)) / better.correlation
+    }
 }
 
-/// Fits the mounting of an instrument to sights by the chain of the pointing; by the other where the sights tell it apart and
+/// Fits the mounting of an instrument by the chain of the pointing; by the other where the observations distinguish the two and
 /// suit that better.
 pub(super) fn fit(
-    sights: &[Sight],
+    observations: &[SunObservation],
     pointings: Pointings,
     stated: &Instrument,
     side: Side,
-) -> Result<Fit, MountingError> {
+) -> Result<MountingFit, FitError> {
     let by = |chain| {
         let model = Model {
-            sights,
+            observations,
             pointings,
             stated,
             side,
             chain,
         };
-        model.fit()
+        match pointings {
+            Pointings::Known => model.fit(model.first()),
+            Pointings::Fixed => model.fit(model.first_with_pointing()),
+        }
     };
     match (by(Chain::AtSun), by(Chain::AtTelescope)) {
-        (Ok(at_sun), Ok(rigid)) if advantage(&rigid, &at_sun) > TOLD => Ok(rigid),
+        (Ok(at_sun), Ok(rigid)) if rigid.advantage(&at_sun) > DISTINGUISHED => Ok(rigid),
         (Err(_), Ok(rigid)) => Ok(rigid),
         (at_sun, _) => at_sun,
     }
 }
 
-/// The chain of the pointing with the sights that it has to explain.
+/// The chain of the pointing with the observations that it has to explain.
 struct Model<'a> {
-    sights: &'a [Sight],
+    observations: &'a [SunObservation],
     pointings: Pointings,
     stated: &'a Instrument,
     side: Side,
@@ -142,69 +164,88 @@ struct Model<'a> {
 }
 
 impl Model<'_> {
-    fn fit(&self) -> Result<Fit, MountingError> {
-        let undetermined = || MountingError::NoAgreement {
-            found_mil: f64::INFINITY,
-            limit_mil: 200.0,
-            instead: "check times, place and pointings",
+    fn fit<const N: usize>(&self, first: Option<SVector<f64, N>>) -> Result<MountingFit, FitError> {
+        let start = first.ok_or(FitError::Undetermined)?;
+        let all = vec![true; self.observations.len()];
+        let mut fit = LeastSquares {
+            start,
+            prior: self.prior(&start),
+            loss: Loss::Tukey(TUKEY_SIGMAS_2D),
+            scale: Scale::Stated,
+            tolerance_sigmas: ROUGH_SIGMAS,
         };
-        let first = self.first().ok_or_else(undetermined)?;
-        let mut values = first.clone();
-        for _ in 0..ROBUST_STEPS {
-            let (residuals, variances) = self.weighed(&values, None);
-            let weights = tukey(&residuals, &variances);
-            values += self
-                .step(&values, &first, &residuals, &weights)
-                .ok_or_else(undetermined)?
-                .0;
-        }
-        let (residuals, variances) = self.weighed(&values, None);
-        let accepted: Vec<bool> = sizes(&residuals, &variances)
-            .map(|u| u < MOST_SIGMAS)
+        fit.start = self.settled(fit, &all)?.parameters;
+        (fit.loss, fit.tolerance_sigmas) = (Loss::Squares, FINE_SIGMAS);
+        let residuals = self.residuals(&fit.start, &all);
+        let accepted: Vec<bool> = residuals
+            .iter()
+            .map(|r| r.normalised() < MOST_SIGMAS)
             .collect();
-        let mut covariance = DMatrix::zeros(values.len(), values.len());
-        for _ in 0..LAST_STEPS {
-            let (residuals, variances) = self.weighed(&values, Some(&accepted));
-            let weights = plain(&variances, &accepted);
-            let (step, inverse) = self
-                .step(&values, &first, &residuals, &weights)
-                .ok_or_else(undetermined)?;
-            values += step;
-            covariance = inverse;
-        }
-        Ok(self.conclude(values, covariance, &accepted))
+        let fitted = self.settled(fit, &accepted)?;
+        Ok(self.conclude(&fitted, &accepted))
     }
 
-    /// A first mounting, and in a drift scan the pointing that goes with the stated centre.
-    fn first(&self) -> Option<DVector<f64>> {
-        let model = (self.chain, self.side);
-        if self.pointings == Pointings::Known {
-            let known = |sight: &Sight| sight.pointing.unwrap_or(at_sun(&sight.sun));
-            let start = start(self.sights, known, self.stated, model)?;
-            let [clocking, distance] = self.turned(&start);
-            let shift = start.shift;
-            return Some(DVector::from_vec(vec![
-                shift.x, shift.y, clocking, distance,
-            ]));
+    /// Fits the accepted observations. Their sigmas hold what they scatter beyond their own, which depends on the fit.
+    fn settled<const N: usize>(
+        &self,
+        mut fit: LeastSquares<N>,
+        accepted: &[bool],
+    ) -> Result<Fitted<N>, FitError> {
+        let mut pass = 0;
+        let mut residuals = self.residuals(&fit.start, accepted);
+        loop {
+            let sigmas: Vec<f64> = residuals.iter().map(|r| r.sigma_mil).collect();
+            let fitted = fit.fit(|values| Some(self.linearised(values, &sigmas, accepted)))?;
+            residuals = self.residuals(&fitted.parameters, accepted);
+            let mut changes = residuals.iter().zip(&sigmas);
+            let rests = changes.all(|(r, sigma)| (r.sigma_mil / sigma - 1.0).abs() < SETTLED);
+            pass += 1;
+            if rests || pass == SCATTER_PASSES {
+                return Ok(fitted);
+            }
+            fit.start = fitted.parameters;
         }
+    }
+
+    /// A first mounting.
+    fn first(&self) -> Option<Vector4<f64>> {
+        let known = |sun: &SunObservation| sun.pointing.unwrap_or(at_sun(&sun.sun));
+        let start = self.start(known)?;
+        let [clocking, distance] = self.turned(&start);
+        Some(Vector4::new(
+            start.shift.x,
+            start.shift.y,
+            clocking,
+            distance,
+        ))
+    }
+
+    /// A first mounting with the stated centre, and the pointing that goes with it.
+    fn first_with_pointing(&self) -> Option<Vector6<f64>> {
         let centre = self.stated.mounting.boresight_mil;
-        let mut towards = at_sun(&self.sights.get(self.sights.len() / 2)?.sun);
-        let mut values = DVector::zeros(6);
+        let mut towards = at_sun(&self.observations.get(self.observations.len() / 2)?.sun);
+        let mut mounting = Vector4::zeros();
         // The nearer the assumed direction, the more the chain is a similarity.
-        for _ in 0..START_ROUNDS {
-            let start = start(self.sights, |_| towards, self.stated, model)?;
+        for _ in 0..START_PASSES {
+            let start = self.start(|_| towards)?;
             let [clocking, distance] = self.turned(&start);
-            values = DVector::from_vec(vec![centre.x, centre.y, clocking, distance]);
-            let best = &self.sights[start.best];
+            mounting = Vector4::new(centre.x, centre.y, clocking, distance);
+            let best = &self.observations[start.best];
             let seen = best.sun_plate.position.vector() - centre.vector();
             let front = centre.vector() + self.side.seen(seen);
-            towards = pointing::pointing(front.into(), &self.instrument(&values), &best.sun);
+            let instrument = self.instrument(mounting.as_slice());
+            towards = pointing::pointing(front.into(), &instrument, &best.sun);
         }
-        let pointing = [towards.azimuth_deg, towards.elevation_deg];
-        Some(DVector::from_iterator(
-            6,
-            values.iter().copied().chain(pointing),
-        ))
+        Some(
+            mounting
+                .push(towards.azimuth_deg)
+                .push(towards.elevation_deg),
+        )
+    }
+
+    fn start(&self, telescope: impl Fn(&SunObservation) -> Horizontal) -> Option<Start> {
+        let model = (self.chain, self.side);
+        start(self.observations, telescope, self.stated, model)
     }
 
     /// Clocking, within half a turn of the stated one, and distance of a start.
@@ -222,7 +263,7 @@ impl Model<'_> {
     }
 
     /// The stated instrument with the fitted mounting.
-    fn instrument(&self, values: &DVector<f64>) -> Instrument {
+    fn instrument(&self, values: &[f64]) -> Instrument {
         let mut instrument = self.stated.clone();
         instrument.mounting.boresight_mil = PlateMil::new(values[0], values[1]);
         instrument.mounting.clocking_deg.value = values[2];
@@ -230,8 +271,8 @@ impl Model<'_> {
         instrument
     }
 
-    /// Where every sight's Sun should stand, mil; far away where the chain gives no answer.
-    fn expected(&self, values: &DVector<f64>) -> Vec<Vector2<f64>> {
+    /// Where each observation's Sun should be, mil; so far away that it is rejected where the chain gives no answer.
+    fn expected(&self, values: &[f64]) -> Vec<Vector2<f64>> {
         const NOWHERE_MIL: f64 = 1e6;
         let instrument = self.instrument(values);
         let centre = instrument.mounting.boresight_mil.vector();
@@ -239,90 +280,72 @@ impl Model<'_> {
             azimuth_deg: values[4],
             elevation_deg: values[5],
         });
-        let expected = |sight: &Sight| {
-            let towards = fixed.or(sight.pointing)?;
-            let shift = self.chain.shift(towards, &instrument, &sight.sun)?;
+        let expected = |sun: &SunObservation| {
+            let towards = fixed.or(sun.pointing)?;
+            let shift = self.chain.shift(towards, &instrument, &sun.sun)?;
             Some(centre + self.side.seen(shift))
         };
         let nowhere = Vector2::new(NOWHERE_MIL, NOWHERE_MIL);
-        self.sights
-            .iter()
-            .map(|s| expected(s).unwrap_or(nowhere))
-            .collect()
+        let suns = self.observations.iter();
+        suns.map(|sun| expected(sun).unwrap_or(nowhere)).collect()
     }
 
-    /// Residuals (seen minus expected, mil) and the variance per axis of each sight, mil^2: its own, and what those that
-    /// take part scatter beyond it.
-    fn weighed(
+    /// The residual of each observation. The variance per axis is its own, and what the accepted ones scatter beyond theirs.
+    fn residuals<const N: usize>(
         &self,
-        values: &DVector<f64>,
-        accepted: Option<&[bool]>,
-    ) -> (Vec<Vector2<f64>>, Vec<f64>) {
-        let expected = self.expected(values);
-        let seen = self.sights.iter().map(|s| s.sun_plate.position.vector());
-        let residuals: Vec<_> = seen.zip(&expected).map(|(seen, e)| seen - e).collect();
-        let own: Vec<f64> = self
-            .sights
-            .iter()
-            .map(|s| s.sun_plate.covariance.trace() / 2.0)
-            .collect();
-        let extra = extra_variance(&residuals, &own, accepted);
-        (residuals, own.iter().map(|v| v + extra).collect())
-    }
-
-    /// The step to better values by weighted least squares, and the covariance there.
-    fn step(
-        &self,
-        values: &DVector<f64>,
-        first: &DVector<f64>,
-        residuals: &[Vector2<f64>],
-        weights: &[f64],
-    ) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        let slopes = self.slopes(values);
-        let known = self.known(first);
-        let mut information = DMatrix::from_diagonal(&known);
-        let mut right = known.component_mul(&(first - values));
-        for (n, residual) in residuals
-            .iter()
-            .enumerate()
-            .filter(|(n, _)| weights[*n] > 0.0)
-        {
-            let weight = weights[n];
-            for (a, by_a) in slopes.iter().enumerate() {
-                right[a] += weight * by_a[n].dot(residual);
-                for (b, by_b) in slopes.iter().enumerate() {
-                    information[(a, b)] += weight * by_a[n].dot(&by_b[n]);
-                }
-            }
+        values: &SVector<f64, N>,
+        accepted: &[bool],
+    ) -> Vec<Residual> {
+        let expected = self.expected(values.as_slice());
+        let pairs = self.observations.iter().zip(&expected).zip(accepted);
+        let own = pairs.map(|((sun, expected), accepted)| Residual {
+            file: sun.file.clone(),
+            utc: sun.utc,
+            at: sun.sun_plate.position,
+            off: sun.sun_plate.position.vector() - expected,
+            sigma_mil: (sun.sun_plate.covariance.trace() / 2.0).sqrt(),
+            accepted: *accepted,
+        });
+        let mut residuals: Vec<Residual> = own.collect();
+        let extra_mil = extra_variance(&residuals).sqrt();
+        for residual in &mut residuals {
+            residual.sigma_mil = residual.sigma_mil.hypot(extra_mil);
         }
-        let cholesky = information.cholesky()?;
-        let step = cholesky.solve(&right);
-        step.iter()
-            .all(|v| v.is_finite())
-            .then(|| (step, cholesky.inverse()))
+        residuals
     }
 
-    /// How the expected places change with each unknown.
-    fn slopes(&self, values: &DVector<f64>) -> Vec<Vec<Vector2<f64>>> {
+    /// The accepted observations near some values, by differences.
+    fn linearised<const N: usize>(
+        &self,
+        values: &SVector<f64, N>,
+        sigmas_mil: &[f64],
+        accepted: &[bool],
+    ) -> Vec<Linearised<2, N>> {
         const STEPS: [f64; 6] = [0.1, 0.1, 1e-3, 0.1, 1e-4, 1e-4];
-        let slope = |n: usize| {
-            let moved = |by: f64| {
-                let mut moved = values.clone();
-                moved[n] += by;
-                self.expected(&moved)
-            };
-            let (plus, minus) = (moved(STEPS[n]), moved(-STEPS[n]));
-            let difference = plus.iter().zip(&minus);
-            difference
-                .map(|(p, m)| (p - m) / (2.0 * STEPS[n]))
-                .collect()
+        let expected = self.expected(values.as_slice());
+        let by: [_; N] = std::array::from_fn(|n| {
+            let [plus, minus] = [STEPS[n], -STEPS[n]].map(|step| {
+                let mut moved = *values;
+                moved[n] += step;
+                self.expected(moved.as_slice())
+            });
+            (plus, minus)
+        });
+        let linearised = |k: usize| {
+            let seen = self.observations[k].sun_plate.position.vector();
+            let slope = |n: usize| (by[n].0[k] - by[n].1[k]) / (2.0 * STEPS[n]);
+            Linearised {
+                residual: (seen - expected[k]) / sigmas_mil[k],
+                jacobian: SMatrix::from_fn(|axis, n| slope(n)[axis] / sigmas_mil[k]),
+            }
         };
-        (0..values.len()).map(slope).collect()
+        let accepted = (0..expected.len()).filter(|k| accepted[*k]);
+        accepted.map(linearised).collect()
     }
 
-    /// What is known beforehand of each unknown, 1 / variance.
-    fn known(&self, first: &DVector<f64>) -> DVector<f64> {
-        // A rigid plate's scan tells nothing of the centre, which the clocking leans on.
+    /// What is known beforehand of each unknown, about its start.
+    fn prior<const N: usize>(&self, first: &SVector<f64, N>) -> Prior<N> {
+        // A rigid plate's scan does not determine the centre, with which the clocking is correlated.
         let centre_mil = match (self.pointings, self.chain) {
             (Pointings::Fixed, Chain::AtTelescope) => self
                 .stated
@@ -331,52 +354,39 @@ impl Model<'_> {
                 .max(LEAST_CENTRE_PRIOR_MIL),
             _ => CENTRE_PRIOR_MIL,
         };
+        let cos_elevation = first.get(5).map_or(1.0, |el| el.to_radians().cos());
         let sigmas = [
             centre_mil,
             centre_mil,
             CLOCKING_PRIOR_DEG,
             DISTANCE_PRIOR * first[3],
-            POINTING_PRIOR_DEG
-                / first
-                    .get(5)
-                    .map_or(1.0, |el| el.to_radians().cos().max(1e-3)),
+            POINTING_PRIOR_DEG / cos_elevation.max(1e-3),
             POINTING_PRIOR_DEG,
         ];
-        DVector::from_fn(first.len(), |n, _| sigmas[n].powi(-2))
+        Prior {
+            mean: *first,
+            information: SVector::from_fn(|n, _| sigmas[n].powi(-2)),
+        }
     }
 
-    fn conclude(&self, values: DVector<f64>, covariance: DMatrix<f64>, accepted: &[bool]) -> Fit {
-        let (residuals, variances) = self.weighed(&values, Some(accepted));
-        let mut residuals: Vec<Residual> = (0..self.sights.len())
-            .map(|n| Residual {
-                name: self.sights[n].name.clone(),
-                utc: self.sights[n].utc,
-                at: self.sights[n].sun_plate.position,
-                off: residuals[n],
-                sigma_mil: variances[n].sqrt(),
-                accepted: accepted[n],
-            })
-            .collect();
+    fn conclude<const N: usize>(&self, fitted: &Fitted<N>, accepted: &[bool]) -> MountingFit {
+        let mut residuals = self.residuals(&fitted.parameters, accepted);
         residuals.sort_by_key(|r| r.utc);
         let taken: Vec<&Residual> = residuals.iter().filter(|r| r.accepted).collect();
         let squares: f64 = taken.iter().map(|r| r.off.norm_squared()).sum();
         let scatter_mil = (squares / (2 * taken.len()).max(1) as f64).sqrt();
         let correlation = correlation(&taken);
-        Fit {
+        let covariance = fitted.covariance * correlation;
+        MountingFit {
             pointings: self.pointings,
             chain: self.chain,
-            values,
-            covariance: covariance * correlation,
+            values: DVector::from_column_slice(fitted.parameters.as_slice()),
+            covariance: DMatrix::from_column_slice(N, N, covariance.as_slice()),
             residuals,
             scatter_mil,
             correlation,
         }
     }
-}
-
-/// Covariance of the boresight alone.
-pub(super) fn centre_covariance(fit: &Fit) -> Matrix2<f64> {
-    fit.covariance.fixed_view::<2, 2>(0, 0).into_owned()
 }
 
 fn at_sun(sun: &SunPosition) -> Horizontal {

@@ -1,4 +1,4 @@
-//! Where the telescope pointed, by the hour: a CSV file of UTC, azimuth and elevation.
+//! Where the telescope pointed: a CSV file of UTC, azimuth and elevation.
 
 use crate::calibrate::numbers::median;
 use crate::pointing::Horizontal;
@@ -76,7 +76,7 @@ impl PointingLog {
         })
     }
 
-    /// The pointing at an instant, along the great circle between the rows about it; else why it is not known.
+    /// The pointing at an instant, along the great circle between the rows about it; else the reason why it is not known.
     pub fn at(&self, utc: Timestamp) -> Result<Horizontal, String> {
         let after = self.rows.partition_point(|row| row.0 < utc);
         let before = after.checked_sub(1).and_then(|n| self.rows.get(n));
@@ -121,12 +121,10 @@ fn between(a: &Horizontal, b: &Horizontal, part: f64) -> Horizontal {
 /// The columns of UTC, azimuth and elevation by their headings; `None` where one has none.
 fn named(heading: &csv::StringRecord) -> Option<[usize; 3]> {
     let column = |names: &[&str]| {
-        let is = |text: &str| {
-            names
-                .iter()
-                .any(|name| text.to_lowercase().starts_with(name))
-        };
-        heading.iter().position(is)
+        heading.iter().position(|text| {
+            let text = text.to_lowercase();
+            names.iter().any(|name| text.starts_with(name))
+        })
     };
     Some([
         column(&["utc", "time", "date"])?,
@@ -138,27 +136,25 @@ fn named(heading: &csv::StringRecord) -> Option<[usize; 3]> {
 fn row(
     path: &Path,
     record: &csv::StringRecord,
-    [utc, azimuth, elevation]: [usize; 3],
+    columns: [usize; 3],
 ) -> Result<(Timestamp, Horizontal), LogError> {
-    let line = record.position().map_or(0, csv::Position::line);
-    let field = |n: usize| record.get(n).unwrap_or_default();
-    let wrong = |field, expected, found: &str| LogError::Row {
+    const FIELDS: [(&str, &str); 3] = [
+        ("UTC", "a time such as 2013-09-21T18:00:00.250Z"),
+        ("azimuth", "a number from -360 to 360 deg"),
+        ("elevation", "a number from -90 to 90 deg"),
+    ];
+    let texts = columns.map(|n| record.get(n).unwrap_or_default());
+    let wrong = |n: usize| LogError::Row {
         path: path.into(),
-        line,
-        field,
-        expected,
-        found: found.into(),
+        line: record.position().map_or(0, csv::Position::line),
+        field: FIELDS[n].0,
+        expected: FIELDS[n].1,
+        found: texts[n].into(),
     };
-    let [utc, azimuth, elevation] = [utc, azimuth, elevation].map(field);
-    let utc =
-        time(utc).ok_or_else(|| wrong("UTC", "a time such as 2013-09-21T18:00:00.250Z", utc))?;
-    let azimuth_deg = angle(azimuth, 360.0)
-        .ok_or_else(|| wrong("azimuth", "a number from -360 to 360 deg", azimuth))?;
-    let elevation_deg = angle(elevation, 90.0)
-        .ok_or_else(|| wrong("elevation", "a number from -90 to 90 deg", elevation))?;
+    let utc = time(texts[0]).ok_or_else(|| wrong(0))?;
     let pointing = Horizontal {
-        azimuth_deg,
-        elevation_deg,
+        azimuth_deg: angle(texts[1], 360.0).ok_or_else(|| wrong(1))?,
+        elevation_deg: angle(texts[2], 90.0).ok_or_else(|| wrong(2))?,
     };
     Ok((utc, pointing))
 }
@@ -218,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_and_ends_are_said() {
+    fn gaps_and_ends_are_reported() {
         let log = log(&[
             ("2013-09-21T18:00:00Z", 180.0, 40.0),
             ("2013-09-21T18:00:01Z", 180.0, 40.0),

@@ -1,75 +1,45 @@
-//! How sights scatter: weights, noise beyond their own sigmas, likeness of neighbours, and which of two fits is better.
+//! How residuals scatter: the noise beyond their own sigmas, and the correlation of neighbours.
 
-use super::fit::{Fit, Residual};
 use crate::calibrate::numbers::median;
+use crate::estimation::MEDIAN_CHI2_2D;
+use crate::units::PlateMil;
 use nalgebra::Vector2;
+use std::path::PathBuf;
 
-/// Tukey's limit for residuals in two axes, in sigmas.
-const TUKEY_SIGMAS: f64 = 6.0;
-/// Half of all residuals in two axes are smaller than the root of this many variances.
-const MEDIAN_SQUARE: f64 = 1.386;
-
-/// By how much one fit's sum of squares is below another's, with the better one's sigmas. No sight counts for much, and neighbours
-/// that scatter alike count once.
-pub(super) fn advantage(fit: &Fit, over: &Fit) -> f64 {
-    const MOST_SQUARE: f64 = 12.25;
-    let better = if fit.scatter_mil <= over.scatter_mil {
-        fit
-    } else {
-        over
-    };
-    let cost = |fit: &Fit| -> f64 {
-        let sigmas = better.residuals.iter().map(|r| r.sigma_mil);
-        let pairs = fit.residuals.iter().zip(sigmas);
-        let square = |(r, s): (&Residual, f64)| (r.off.norm_squared() / (s * s)).min(MOST_SQUARE);
-        pairs.map(square).sum()
-    };
-    (cost(over) - cost(fit)) / better.correlation
+/// An observation's part in a fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Residual {
+    pub file: PathBuf,
+    pub utc: jiff::Timestamp,
+    /// Where the Sun was observed.
+    pub at: PlateMil,
+    /// Observed minus fitted, mil.
+    pub off: Vector2<f64>,
+    /// 1 sigma per axis that was taken, mil.
+    pub sigma_mil: f64,
+    /// Whether it took part.
+    pub accepted: bool,
 }
 
-/// Two models are told apart where the sum of squares differs by more than this.
-pub(super) const TOLD: f64 = 25.0;
-
-/// Residuals in units of their sigmas.
-pub(super) fn sizes(residuals: &[Vector2<f64>], variances: &[f64]) -> impl Iterator<Item = f64> {
-    residuals
-        .iter()
-        .zip(variances)
-        .map(|(r, v)| r.norm() / v.sqrt())
+impl Residual {
+    /// Its length in units of its sigma.
+    pub fn normalised(&self) -> f64 {
+        self.off.norm() / self.sigma_mil
+    }
 }
 
-pub(super) fn tukey(residuals: &[Vector2<f64>], variances: &[f64]) -> Vec<f64> {
-    let part = |u: f64| (1.0 - (u / TUKEY_SIGMAS).powi(2)).max(0.0).powi(2);
-    let parts = sizes(residuals, variances).map(part);
-    parts.zip(variances).map(|(part, v)| part / v).collect()
-}
-
-pub(super) fn plain(variances: &[f64], accepted: &[bool]) -> Vec<f64> {
-    let taken = variances.iter().zip(accepted);
-    taken
-        .map(|(v, accepted)| if *accepted { 1.0 / v } else { 0.0 })
-        .collect()
-}
-
-/// The variance per axis beyond their own that gives the residuals the median they have; 0 where their own suffices.
-pub(super) fn extra_variance(
-    residuals: &[Vector2<f64>],
-    own: &[f64],
-    accepted: Option<&[bool]>,
-) -> f64 {
-    let taken: Vec<(f64, f64)> = residuals
-        .iter()
-        .zip(own)
-        .enumerate()
-        .filter(|(n, _)| accepted.is_none_or(|accepted| accepted[*n]))
-        .map(|(_, (r, own))| (r.norm_squared(), *own))
+/// The variance per axis beyond their own that gives the accepted residuals the median they have; 0 where their own suffices.
+pub(super) fn extra_variance(residuals: &[Residual]) -> f64 {
+    let accepted = residuals.iter().filter(|r| r.accepted);
+    let squares: Vec<(f64, f64)> = accepted
+        .map(|r| (r.off.norm_squared(), r.sigma_mil.powi(2)))
         .collect();
     let excess =
-        |extra: f64| median(taken.iter().map(|(r2, own)| r2 / (own + extra))) - MEDIAN_SQUARE;
-    if taken.is_empty() || excess(0.0) <= 0.0 {
+        |extra: f64| median(squares.iter().map(|(r2, own)| r2 / (own + extra))) - MEDIAN_CHI2_2D;
+    if squares.is_empty() || excess(0.0) <= 0.0 {
         return 0.0;
     }
-    let (mut low, mut high) = (0.0, taken.iter().map(|t| t.0).fold(0.0, f64::max));
+    let (mut low, mut high) = (0.0, squares.iter().map(|s| s.0).fold(0.0, f64::max));
     for _ in 0..60 {
         let middle = (low + high) / 2.0;
         if excess(middle) > 0.0 {

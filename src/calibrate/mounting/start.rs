@@ -1,19 +1,19 @@
-//! A first mounting, which no minority of wrong sights can spoil.
+//! A first mounting, which no minority of wrong observations can spoil.
 //!
 //! Were the sky flat about the Sun, the plate would be a picture of it turned by the clocking and stretched with the distance: a
-//! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of sights gives one.
+//! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of observations gives one.
 
-use super::Sight;
 use super::chain::{Chain, Side};
+use super::observation::SunObservation;
 use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::pointing::Horizontal;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{Rotation2, Vector2};
 
-/// Pairs of sights that are tried: of so many, with a third of the sights wrong, one right pair is as good as sure.
+/// Pairs of observations that are tried: of so many, with a third of them wrong, one right pair is as good as sure.
 const MOST_PAIRS: usize = 400;
-/// A pair nearer than this part of the sights' spread tells no angle.
+/// A pair nearer than this part of the observations' spread determines no angle.
 const LEAST_SPREAD: f64 = 0.3;
 
 /// A similarity on the plate: turned by an angle, stretched, shifted.
@@ -22,28 +22,28 @@ pub(super) struct Start {
     pub turn_deg: f64,
     pub stretch: f64,
     pub shift: Vector2<f64>,
-    /// The sight that it suits best.
+    /// The observation that it suits best.
     pub best: usize,
 }
 
-/// The similarity of least median distance; `None` when no two sights tell an angle.
+/// The similarity of least median distance; `None` when no two observations determine an angle.
 ///
-/// `telescope` says where the telescope is taken to point at each sight.
+/// `telescope` says where the telescope is taken to point at each observation.
 pub(super) fn start(
-    sights: &[Sight],
-    telescope: impl Fn(&Sight) -> Horizontal,
+    observations: &[SunObservation],
+    telescope: impl Fn(&SunObservation) -> Horizontal,
     stated: &Instrument,
     (chain, side): (Chain, Side),
 ) -> Option<Start> {
     let mut unturned = stated.clone();
     unturned.mounting.clocking_deg = Measured::new(0.0, 0.0);
     unturned.mounting.boresight_mil = PlateMil::new(0.0, 0.0);
-    let (places, pairs): (Vec<usize>, Vec<Pair>) = sights
+    let (places, pairs): (Vec<usize>, Vec<Pair>) = observations
         .iter()
         .enumerate()
-        .filter_map(|(n, sight)| {
-            let expected = chain.shift(telescope(sight), &unturned, &sight.sun)?;
-            let seen = sight.sun_plate.position.vector();
+        .filter_map(|(n, sun)| {
+            let expected = chain.shift(telescope(sun), &unturned, &sun.sun)?;
+            let seen = sun.sun_plate.position.vector();
             Some((n, (side.seen(expected), seen)))
         })
         .unzip();

@@ -1,11 +1,10 @@
-//! What the sights determine, and what they do not.
+//! Which quantities the observations determine, and which they do not.
 
-use super::MountingError;
 use super::chain::Chain;
-use super::fit::{Fit, Pointings, Unknown, centre_covariance};
-use super::scatter::{TOLD, advantage};
+use super::fit::{DISTINGUISHED, MountingFit, Pointings, Unknown};
+use super::observation::MountingError;
 use crate::calibrate::numbers::sigma_text;
-use crate::calibrate::revision::{Provenance, Revision};
+use crate::calibrate::quantity::{CalibratedQuantity, Verdict};
 use crate::instrument::Instrument;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured};
 
@@ -16,209 +15,149 @@ const MOST_DISTANCE: f64 = 0.005;
 /// A stated value that is so many sigmas away from the found one is wrong, however small its sigma.
 const CONTRADICTED_SIGMAS: f64 = 4.0;
 
-/// Whether a quantity is determined.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// The new instrument takes the found value.
-    Determined,
-    /// The new instrument keeps the stated value.
-    Kept,
-}
-
-/// One quantity: what was stated, what was found, what holds from now on.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Finding {
-    pub name: &'static str,
-    /// Dotted key of the instrument's file; none for what is no value there.
-    pub key: Option<&'static str>,
-    pub unit: &'static str,
-    pub stated: Vec<f64>,
-    pub stated_sigma: f64,
-    pub found: Vec<f64>,
-    pub sigma: f64,
-    pub verdict: Verdict,
-    /// For people, in one sentence.
-    pub remark: String,
-}
-
-impl Finding {
-    pub(super) fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
-        let (Some(key), Verdict::Determined) = (self.key, self.verdict) else {
-            return;
-        };
-        match self.found[..] {
-            [value] => revision.set_measured(key, Measured::new(value, self.sigma), provenance),
-            [x, y] => revision.set_pair(key, [x, y], self.sigma, provenance),
-            _ => {}
-        }
-    }
-}
-
-/// What the comparison with the mirrored plate says.
-pub(super) enum Mirror {
-    Told { times: f64 },
-    NotTold,
-}
-
-/// Whether the sights know the plate from its mirror image.
-pub(super) fn mirror(straight: &Fit, mirrored: Option<&Fit>) -> Result<Mirror, MountingError> {
-    let Some(mirrored) = mirrored else {
-        return Ok(Mirror::Told {
-            times: f64::INFINITY,
-        });
+/// Whether the observations distinguish the plate from its mirror image.
+///
+/// # Errors
+/// They agree with the mirror image only.
+pub(super) fn mirror(
+    straight: &MountingFit,
+    mirrored: Option<&MountingFit>,
+) -> Result<CalibratedQuantity, MountingError> {
+    const NAME: &str = "mirror (side of the plate)";
+    let determined = |why: String| {
+        let remark = format!("determined: as stated; mirrored, {why}");
+        CalibratedQuantity::without_value(NAME, Verdict::Determined, remark)
     };
-    let difference = advantage(straight, mirrored);
-    if difference < -TOLD {
+    let Some(mirrored) = mirrored else {
+        return Ok(determined("the observations agree with no mounting".into()));
+    };
+    let difference = straight.advantage(mirrored);
+    if difference < -DISTINGUISHED {
         return Err(MountingError::Mirrored {
             for_it: format!("{:.2}", mirrored.scatter_mil),
             against: format!("{:.2}", straight.scatter_mil),
         });
     }
-    if difference < TOLD {
-        return Ok(Mirror::NotTold);
+    if difference < DISTINGUISHED {
+        let remark = "not determined: the Sun's path is too straight to distinguish it from its mirror image; keeps the \
+                      instrument's. Scan at another hour or in another season, or take frames with known pointing all over \
+                      the plate";
+        return Ok(CalibratedQuantity::without_value(
+            NAME,
+            Verdict::Kept,
+            remark,
+        ));
     }
     let times = mirrored.scatter_mil / straight.scatter_mil;
-    Ok(Mirror::Told { times })
+    Ok(determined(format!(
+        "the observations would scatter {times:.1} times as much"
+    )))
 }
 
-/// Every quantity's finding.
-pub(super) fn findings(fit: &Fit, mirror: Mirror, stated: &Instrument) -> Vec<Finding> {
-    let mut findings = vec![
+/// Every quantity with its verdict.
+pub(super) fn quantities(
+    fit: &MountingFit,
+    mirror: CalibratedQuantity,
+    stated: &Instrument,
+) -> Vec<CalibratedQuantity> {
+    let found = [
         centre(fit, stated),
         clocking(fit, stated),
         distance(fit, stated),
+        mirror,
     ];
-    findings.push(mirror_finding(mirror));
-    findings.extend(pointing(fit));
-    findings.extend(chain(fit));
-    findings
+    let beside = [pointing(fit), chain(fit)];
+    found
+        .into_iter()
+        .chain(beside.into_iter().flatten())
+        .collect()
 }
 
-fn centre(fit: &Fit, stated: &Instrument) -> Finding {
+fn centre(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     let mounting = &stated.mounting;
     let at = mounting.boresight_mil;
-    let sigma = (centre_covariance(fit).trace() / 2.0).max(0.0).sqrt();
+    let sigma = (fit.centre_covariance().trace() / 2.0).max(0.0).sqrt();
     let found = vec![fit.values[0], fit.values[1]];
     let apart = (found[0] - at.x).hypot(found[1] - at.y);
-    let arcsec = |mil: f64| mil * stated.optics.arcsec_per_mil();
     let (verdict, remark) = match fit.pointings {
         Pointings::Fixed => (Verdict::Kept, scan_remark(fit, apart, sigma)),
-        Pointings::Known => judge(
-            sigma,
-            MOST_CENTRE_MIL,
-            Measured::new(apart, mounting.boresight_sigma_mil),
-            &format!(
-                "{} mil ({} arcsec)",
-                sigma_text(sigma),
-                sigma_text(arcsec(sigma))
-            ),
-        ),
+        Pointings::Known => {
+            let arcsec = sigma * stated.optics.arcsec_per_mil();
+            let to = format!("{} mil ({} arcsec)", sigma_text(sigma), sigma_text(arcsec));
+            let apart = Measured::new(apart, mounting.boresight_sigma_mil);
+            judge(sigma, MOST_CENTRE_MIL, apart, &to)
+        }
     };
-    Finding {
-        name: "centre (boresight on the plate)",
+    CalibratedQuantity {
         key: Some("mounting.boresight_mil"),
         unit: "mil",
         stated: vec![at.x, at.y],
-        stated_sigma: mounting.boresight_sigma_mil,
         found,
         sigma,
-        verdict,
-        remark,
+        ..CalibratedQuantity::without_value("centre (boresight on the plate)", verdict, remark)
     }
 }
 
-/// Why a scan does not tell the centre.
-fn scan_remark(fit: &Fit, apart_mil: f64, sigma_mil: f64) -> String {
-    let why = "not determined: with the pointing unknown, moving the centre and turning the telescope look alike; keeps the \
-               instrument's value. Take frames with known pointing to measure it";
+/// Why a scan does not determine the centre.
+fn scan_remark(fit: &MountingFit, apart_mil: f64, sigma_mil: f64) -> String {
+    let why = "not determined: with the pointing unknown, a shift of the centre and a turn of the telescope are degenerate; keeps \
+               the instrument's value. Take frames with known pointing to measure it";
     match fit.chain {
         Chain::AtTelescope => why.into(),
         Chain::AtSun => format!(
-            "{why}. (Only how the zenith's direction turns along the scan tells them apart, and that puts the centre \
+            "{why}. (Only how the zenith's direction turns along the scan distinguishes them, and that puts the centre \
              {apart_mil:.1} mil from the stated one, with a sigma of {sigma_mil:.1} mil)"
         ),
     }
 }
 
-/// Where the sights contradict the chain that the pointing uses.
-fn chain(fit: &Fit) -> Option<Finding> {
-    let remark = match fit.chain {
-        Chain::AtSun => return None,
-        Chain::AtTelescope => {
-            "the sights are those of a plate rigid in the gondola: directions count from the zenith at the telescope. The \
-             pointing counts them at the Sun; the two agree at the boresight, and at an angle a beside it differ by about \
-             a^2 tan(elevation). The quantities above hold for both"
-        }
-    };
-    Some(Finding {
-        name: "directions on the plate",
-        key: None,
-        unit: "",
-        stated: Vec::new(),
-        stated_sigma: 0.0,
-        found: Vec::new(),
-        sigma: 0.0,
-        verdict: Verdict::Kept,
-        remark: remark.into(),
+/// Where the observations contradict the chain that the pointing uses.
+fn chain(fit: &MountingFit) -> Option<CalibratedQuantity> {
+    let remark = "the observations are those of a plate rigid in the gondola: directions count from the zenith at the telescope. \
+                  The pointing counts them at the Sun; the two agree at the boresight, and at an angle a beside it differ by \
+                  about a^2 tan(elevation). The quantities above hold for both";
+    let rigid = fit.chain == Chain::AtTelescope;
+    rigid.then(|| {
+        CalibratedQuantity::without_value("directions on the plate", Verdict::Kept, remark)
     })
 }
 
-fn clocking(fit: &Fit, stated: &Instrument) -> Finding {
-    let of = stated.mounting.clocking_deg;
-    single(
-        fit,
-        Unknown::Clocking,
-        ("clocking", "mounting.clocking_deg", "deg"),
-        of,
-        MOST_CLOCKING_DEG,
-    )
+fn clocking(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
+    let name = ("clocking", "mounting.clocking_deg", "deg");
+    let stated = stated.mounting.clocking_deg;
+    single(fit, Unknown::Clocking, name, stated, MOST_CLOCKING_DEG)
 }
 
-fn distance(fit: &Fit, stated: &Instrument) -> Finding {
-    let of = stated.optics.plate_distance_mm;
-    let limit = MOST_DISTANCE * of.value;
+fn distance(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     let key = "optics.plate_distance_mm";
-    let mut finding = single(
-        fit,
-        Unknown::Distance,
-        ("plate's distance from the lens", key, "mm"),
-        of,
-        limit,
-    );
-    if let Some(found) = finding.found.first() {
-        let scale = MIL_MM / found * ARCSEC_PER_RAD;
-        finding.remark += &format!(" ({scale:.5} arcsec per mil)");
-    }
-    finding
+    let name = ("plate's distance from the lens", key, "mm");
+    let stated = stated.optics.plate_distance_mm;
+    let limit = MOST_DISTANCE * stated.value;
+    let mut distance = single(fit, Unknown::Distance, name, stated, limit);
+    let scale = MIL_MM / distance.found[0] * ARCSEC_PER_RAD;
+    distance.remark += &format!(" ({scale:.5} arcsec per mil)");
+    distance
 }
 
 fn single(
-    fit: &Fit,
+    fit: &MountingFit,
     unknown: Unknown,
     (name, key, unit): (&'static str, &'static str, &'static str),
     stated: Measured,
     limit: f64,
-) -> Finding {
-    let found = fit
-        .measured(unknown)
-        .unwrap_or(Measured::new(stated.value, f64::INFINITY));
+) -> CalibratedQuantity {
+    let found = fit.measured(unknown);
+    let found = found.unwrap_or(Measured::new(stated.value, f64::INFINITY));
     let apart = Measured::new((found.value - stated.value).abs(), stated.sigma);
-    let (verdict, remark) = judge(
-        found.sigma,
-        limit,
-        apart,
-        &format!("{} {unit}", sigma_text(found.sigma)),
-    );
-    Finding {
-        name,
+    let to = format!("{} {unit}", sigma_text(found.sigma));
+    let (verdict, remark) = judge(found.sigma, limit, apart, &to);
+    CalibratedQuantity {
         key: Some(key),
         unit,
         stated: vec![stated.value],
-        stated_sigma: stated.sigma,
         found: vec![found.value],
         sigma: found.sigma,
-        verdict,
-        remark,
+        ..CalibratedQuantity::without_value(name, verdict, remark)
     }
 }
 
@@ -238,49 +177,19 @@ fn judge(sigma: f64, limit: f64, apart: Measured, to: &str) -> (Verdict, String)
     (Verdict::Determined, format!("determined to {to}"))
 }
 
-fn mirror_finding(mirror: Mirror) -> Finding {
-    let (verdict, remark) = match mirror {
-        Mirror::Told { times } if times.is_finite() => (
-            Verdict::Determined,
-            format!("determined: as stated; mirrored, the sights would scatter {times:.1} times as much"),
-        ),
-        Mirror::Told { .. } => (
-            Verdict::Determined,
-            "determined: as stated; mirrored, the sights fit nothing".into(),
-        ),
-        Mirror::NotTold => (
-            Verdict::Kept,
-            "not determined: the Sun's path is too straight to know it from its mirror image; keeps the instrument's. \
-             Scan at another hour or in another season, or take frames with known pointing all over the plate"
-                .into(),
-        ),
-    };
-    Finding {
-        name: "mirror (side of the plate)",
-        key: None,
-        unit: "",
-        stated: Vec::new(),
-        stated_sigma: 0.0,
-        found: Vec::new(),
-        sigma: 0.0,
-        verdict,
-        remark,
-    }
-}
-
-/// A fixed telescope's direction goes with the centre that was fitted; it is told, and stands in no file.
-fn pointing(fit: &Fit) -> Option<Finding> {
+/// A fixed telescope's direction goes with the centre that was fitted; it stands in no file.
+fn pointing(fit: &MountingFit) -> Option<CalibratedQuantity> {
     let azimuth = fit.measured(Unknown::Azimuth)?;
     let elevation = fit.measured(Unknown::Elevation)?;
-    Some(Finding {
-        name: "telescope's azimuth and elevation",
-        key: None,
+    let remark = "fitted beside the centre, with which it moves";
+    Some(CalibratedQuantity {
         unit: "deg",
-        stated: Vec::new(),
-        stated_sigma: 0.0,
         found: vec![azimuth.value, elevation.value],
         sigma: azimuth.sigma.max(elevation.sigma),
-        verdict: Verdict::Kept,
-        remark: "fitted beside the centre, with which it moves".into(),
+        ..CalibratedQuantity::without_value(
+            "telescope's azimuth and elevation",
+            Verdict::Kept,
+            remark,
+        )
     })
 }

@@ -1,16 +1,18 @@
-//! One adjustment of all marks, the lens and every view: Gauss-Newton on normal equations, the views eliminated first.
+//! One adjustment of all marks, the lens and every view: Gauss-Newton on normal equations.
 //!
-//! Within a pose camera and plate are one rigid body, so every sighting of a mark in a pose is of the same place: the
-//! sightings of a mark in a pose are one [`Cell`], their weighted mean, and the work does not grow with the frames.
+//! Within a pose camera and plate are one rigid body, so every observation of a mark in a pose is of the same place: the
+//! observations of a mark in a pose are one [`Cell`], their weighted mean, and the work does not grow with the frames.
 //!
 //! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
 //! measured marks from the drawing have none in common.
 
-use super::camera::{LENS, Lens, Prediction, VIEW, View, predict};
+use super::camera::{LENS, Lens, Prediction, predict, prior_sigmas};
+use crate::geometry::MappingKind;
+use crate::geometry::view::{PARAMETERS, ParameterCovariance, View, parameters_of};
 use crate::units::PlateMil;
-use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, Vector2};
 
-/// The sightings of a mark in a pose.
+/// The observations of a mark in a pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cell {
     pub mark: usize,
@@ -25,20 +27,19 @@ pub(super) struct Cell {
 pub(super) struct MarkPrior {
     pub printed: PlateMil,
     pub sigma_mil: f64,
-    /// Whether any sighting counts; the others take no part in the gauge.
+    /// Whether any observation counts; the others take no part in the gauge.
     pub measured: bool,
 }
 
 /// What is adjusted; the rest is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Freedoms {
-    /// Parameters of each view.
-    pub view: usize,
+    pub view: MappingKind,
     pub lens: [bool; LENS],
     pub marks: bool,
 }
 
-/// The unknowns.
+/// The unknowns. In vectors and matrices: the lens terms, x and y of every mark, the parameters of every view.
 #[derive(Debug, Clone)]
 pub(super) struct State {
     pub views: Vec<View>,
@@ -46,9 +47,31 @@ pub(super) struct State {
     pub places: Vec<PlateMil>,
 }
 
+/// Index of a mark's x among the unknowns.
+fn mark_index(mark: usize) -> usize {
+    LENS + 2 * mark
+}
+
 impl State {
     pub(super) fn predict(&self, pose: usize, mark: usize) -> Prediction {
         predict(&self.views[pose], &self.lens, self.places[mark])
+    }
+
+    /// Index of a view's first parameter among the unknowns.
+    fn view_index(&self, pose: usize) -> usize {
+        mark_index(self.places.len()) + PARAMETERS * pose
+    }
+
+    fn advance(&mut self, step: &DVector<f64>) {
+        self.lens.terms += step.fixed_rows::<LENS>(0);
+        for (mark, place) in self.places.iter_mut().enumerate() {
+            *place = (place.vector() + step.fixed_rows::<2>(mark_index(mark))).into();
+        }
+        let first = self.view_index(0);
+        for (pose, view) in self.views.iter_mut().enumerate() {
+            let step = step.fixed_rows::<PARAMETERS>(first + PARAMETERS * pose);
+            *view = view.advanced(&step.into_owned());
+        }
     }
 }
 
@@ -62,39 +85,52 @@ pub(super) struct Problem<'a> {
     pub freedoms: Freedoms,
 }
 
-/// The unknowns' covariance where they settled.
+/// The unknowns where they converged.
 #[derive(Debug, Clone)]
 pub(super) struct Settled {
     pub state: State,
-    /// Lens terms, then x and y of every mark.
-    pub covariance: DMatrix<f64>,
-    /// Of each view.
-    pub views: Vec<SMatrix<f64, VIEW, VIEW>>,
-    /// Squared deviations from what was known beforehand, over its variance.
+    /// Of all unknowns; zero for those that are held.
+    covariance: DMatrix<f64>,
+    /// Squared deviations from the priors over their variance.
     pub chi2_prior: f64,
-    /// How many parameters the sightings, not the priors, determine.
+    /// How many parameters the observations, not the priors, determine.
     pub determined: f64,
 }
 
 impl Settled {
+    fn block<const N: usize>(&self, first: usize) -> SMatrix<f64, N, N> {
+        let block = self.covariance.fixed_view::<N, N>(first, first);
+        block.into_owned()
+    }
+
     pub(super) fn place_covariance(&self, mark: usize) -> Matrix2<f64> {
-        let n = LENS + 2 * mark;
-        self.covariance.fixed_view::<2, 2>(n, n).into_owned()
+        self.block(mark_index(mark))
     }
 
     pub(super) fn lens_covariance(&self) -> SMatrix<f64, LENS, LENS> {
-        self.covariance.fixed_view::<LENS, LENS>(0, 0).into_owned()
+        self.block(0)
     }
+
+    pub(super) fn view_covariance(&self, pose: usize) -> ParameterCovariance {
+        self.block(self.state.view_index(pose))
+    }
+}
+
+/// A prior of one unknown: how far it is from its expectation, with 1 sigma.
+struct Prior {
+    unknown: usize,
+    off: f64,
+    sigma: f64,
 }
 
 const STEPS: usize = 15;
 /// A shorter step changes nothing: px, mil and parts of a view alike.
 const SETTLED_STEP: f64 = 1e-6;
-/// Holds what the gauge forbids, against any information from sightings, mil^-2.
+/// Holds what the gauge forbids, against any information from observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
 
 impl Problem<'_> {
-    /// Adjusts from a start. `None` where sightings and priors together do not determine the unknowns.
+    /// Adjusts from a start. `None` where observations and priors together do not determine the unknowns.
     pub(super) fn settle(&self, start: &State) -> Option<Settled> {
         let mut state = start.clone();
         for view in &mut state.views {
@@ -103,177 +139,122 @@ impl Problem<'_> {
         for n in (0..LENS).filter(|n| !self.freedoms.lens[*n]) {
             state.lens.terms[n] = 0.0;
         }
+        let free = self.free(&state);
+        let unknowns = state.view_index(state.views.len());
         for _ in 0..STEPS {
-            let normal = self.normal(&state)?;
-            let common = normal.reduced.clone().cholesky()?.solve(&normal.gradient);
-            let mut size = common.norm_squared();
-            state.lens.terms += common.fixed_rows::<LENS>(0);
-            let adjusted = self.adjusted_marks();
-            for (mark, place) in state.places.iter_mut().enumerate().take(adjusted) {
-                let step = common.fixed_rows::<2>(LENS + 2 * mark);
-                *place = (place.vector() + step).into();
-            }
-            for (view, part) in state.views.iter_mut().zip(&normal.views) {
-                let step = part.own_step(&common);
-                size += step.norm_squared();
-                view.advance(&step);
-            }
+            let (information, gradient) = self.normal(&state, &free);
+            let of_free = information.cholesky()?.solve(&gradient);
+            let mut step = DVector::zeros(unknowns);
+            free.iter()
+                .zip(&of_free)
+                .for_each(|(n, value)| step[*n] = *value);
+            let size = step.norm_squared();
             if !size.is_finite() {
                 return None;
             }
+            state.advance(&step);
             if size < SETTLED_STEP.powi(2) {
                 break;
             }
         }
-        let normal = self.normal(&state)?;
-        let covariance = normal.reduced.cholesky()?.inverse();
-        let views = normal.views.iter().map(|v| v.covariance(&covariance));
+        let inverse = self.normal(&state, &free).0.cholesky()?.inverse();
+        let mut covariance = DMatrix::zeros(unknowns, unknowns);
+        for (column, m) in free.iter().enumerate() {
+            for (row, n) in free.iter().enumerate() {
+                covariance[(*n, *m)] = inverse[(row, column)];
+            }
+        }
+        let priors = self.priors(&state);
         Some(Settled {
-            views: views.collect(),
-            chi2_prior: self.chi2_prior(&state),
-            determined: self.determined(&state, &covariance),
+            chi2_prior: priors.iter().map(|p| (p.off / p.sigma).powi(2)).sum(),
+            determined: self.determined(&state, &priors, &covariance),
             covariance,
             state,
         })
     }
 
-    fn adjusted_marks(&self) -> usize {
-        match self.freedoms.marks {
-            true => self.marks.len(),
-            false => 0,
-        }
+    /// The unknowns that are adjusted. A view without observations stays as it is.
+    fn free(&self, state: &State) -> Vec<usize> {
+        let lens = (0..LENS).filter(|n| self.freedoms.lens[*n]);
+        let marks = (LENS..state.view_index(0)).filter(|_| self.freedoms.marks);
+        let poses = (0..self.cells.len()).filter(|pose| !self.cells[*pose].is_empty());
+        let views = poses.flat_map(|pose| {
+            let free = (state.view_index(pose)..).zip(parameters_of(self.freedoms.view));
+            free.filter(|(_, free)| *free).map(|(n, _)| n)
+        });
+        lens.chain(marks).chain(views).collect()
     }
 
-    fn normal(&self, state: &State) -> Option<Normal> {
-        let size = LENS + 2 * self.adjusted_marks();
-        let mut reduced = DMatrix::zeros(size, size);
-        let mut gradient = DVector::zeros(size);
-        self.add_priors(state, &mut reduced, &mut gradient);
-        let mut views = Vec::with_capacity(self.cells.len());
-        for pose in 0..self.cells.len() {
-            let part = self.view_part(pose, state, &mut reduced, &mut gradient)?;
-            views.push(part);
-        }
-        for n in (0..LENS).filter(|n| !self.freedoms.lens[*n]) {
-            reduced.row_mut(n).fill(0.0);
-            reduced.column_mut(n).fill(0.0);
-            reduced[(n, n)] = 1.0;
-            gradient[n] = 0.0;
-            for part in &mut views {
-                part.coupling.column_mut(n).fill(0.0);
-            }
-        }
-        for part in &views {
-            // What is left once the view follows the common unknowns.
-            let follow = part.inverse * &part.coupling;
-            reduced.gemm_tr(-1.0, &part.coupling, &follow, 1.0);
-            gradient.gemv_tr(-1.0, &follow, &part.gradient, 1.0);
-        }
-        Some(Normal {
-            reduced,
-            gradient,
-            views,
-        })
-    }
-
-    /// Adds a pose's cells to the common part, and gives the view's own.
-    fn view_part(
-        &self,
-        pose: usize,
-        state: &State,
-        common: &mut DMatrix<f64>,
-        gradient: &mut DVector<f64>,
-    ) -> Option<ViewPart> {
-        let mut own = SMatrix::<f64, VIEW, VIEW>::zeros();
-        let mut own_gradient = SVector::<f64, VIEW>::zeros();
-        let mut coupling = DMatrix::zeros(VIEW, common.ncols());
-        for cell in &self.cells[pose] {
-            let p = state.predict(pose, cell.mark);
-            let miss = cell.seen - p.seen;
-            let n = LENS + 2 * cell.mark;
-            let to_view = p.view.transpose() * cell.weight;
-            let to_lens = p.lens.transpose() * cell.weight;
-            own += to_view * p.view;
-            own_gradient += to_view * miss;
-            add(common, (0, 0), to_lens * p.lens);
-            add(&mut coupling, (0, 0), to_view * p.lens);
-            let mut part = gradient.fixed_rows_mut::<LENS>(0);
-            part += to_lens * miss;
-            if self.freedoms.marks {
-                let to_place = p.place.transpose() * cell.weight;
-                add(common, (0, n), to_lens * p.place);
-                add(common, (n, 0), to_place * p.lens);
-                add(common, (n, n), to_place * p.place);
-                add(&mut coupling, (0, n), to_view * p.place);
-                let mut part = gradient.fixed_rows_mut::<2>(n);
-                part += to_place * miss;
-            }
-        }
-        let view = &state.views[pose];
-        for (n, sigma) in view.prior_sigmas() {
-            own[(n, n)] += sigma.powi(-2);
-            own_gradient[n] -= view.parameters()[n] / sigma.powi(2);
-        }
-        // A view that nothing is seen in stays as it is.
-        let free = match self.cells[pose].is_empty() {
-            true => 0,
-            false => self.freedoms.view,
-        };
-        for n in free..VIEW {
-            own.row_mut(n).fill(0.0);
-            own.column_mut(n).fill(0.0);
-            own[(n, n)] = 1.0;
-            own_gradient[n] = 0.0;
-            coupling.row_mut(n).fill(0.0);
-        }
-        Some(ViewPart {
-            inverse: own.cholesky()?.inverse(),
-            gradient: own_gradient,
-            coupling,
-        })
-    }
-
-    fn add_priors(&self, state: &State, common: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
-        let lens = self.lens_sigma_px.powi(-2);
-        for n in 0..LENS {
-            common[(n, n)] += lens;
-            gradient[n] -= lens * state.lens.terms[n];
-        }
-        if !self.freedoms.marks {
-            return;
-        }
-        for (mark, prior) in self.marks.iter().enumerate() {
-            let weight = prior.sigma_mil.powi(-2);
-            let off = state.places[mark].vector() - prior.printed.vector();
-            for axis in 0..2 {
-                let n = LENS + 2 * mark + axis;
-                common[(n, n)] += weight;
-                gradient[n] -= weight * off[axis];
-            }
-        }
-        for row in self.gauge() {
-            let off: f64 = row
-                .iter()
-                .map(|(n, slope)| slope * self.off(state, *n))
-                .sum();
-            for (a, slope_a) in &row {
-                gradient[*a] -= GAUGE_WEIGHT * slope_a * off;
-                for (b, slope_b) in &row {
-                    common[(*a, *b)] += GAUGE_WEIGHT * slope_a * slope_b;
+    /// The normal equations of the free unknowns: information and gradient.
+    fn normal(&self, state: &State, free: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
+        let unknowns = state.view_index(state.views.len());
+        let mut information = DMatrix::zeros(unknowns, unknowns);
+        let mut gradient = DVector::zeros(unknowns);
+        for (pose, cells) in self.cells.iter().enumerate() {
+            for cell in cells {
+                let p = state.predict(pose, cell.mark);
+                let residual = cell.seen - p.seen;
+                let lens = p.lens.column_iter().enumerate();
+                let place = (mark_index(cell.mark)..).zip(p.place.column_iter());
+                let view = (state.view_index(pose)..).zip(p.view.column_iter());
+                let slopes: Vec<_> = lens.chain(place).chain(view).collect();
+                for (a, slope) in &slopes {
+                    let weighted = cell.weight * slope;
+                    gradient[*a] += weighted.dot(&residual);
+                    for (b, slope) in &slopes {
+                        information[(*b, *a)] += weighted.dot(slope);
+                    }
                 }
             }
         }
+        for prior in self.priors(state) {
+            let n = prior.unknown;
+            information[(n, n)] += prior.sigma.powi(-2);
+            gradient[n] -= prior.off / prior.sigma.powi(2);
+        }
+        for (row, off) in self.gauge(state) {
+            for (a, slope_a) in &row {
+                gradient[*a] -= GAUGE_WEIGHT * slope_a * off;
+                for (b, slope_b) in &row {
+                    information[(*b, *a)] += GAUGE_WEIGHT * slope_a * slope_b;
+                }
+            }
+        }
+        let of_free = information.select_rows(free).select_columns(free);
+        (of_free, gradient.select_rows(free))
     }
 
-    /// Displacement of a mark from the drawing along the axis of a common unknown.
-    fn off(&self, state: &State, unknown: usize) -> f64 {
-        let (mark, axis) = ((unknown - LENS) / 2, (unknown - LENS) % 2);
-        state.places[mark].vector()[axis] - self.marks[mark].printed.vector()[axis]
+    /// Of the lens terms, the marks and the views, in this order.
+    fn priors(&self, state: &State) -> Vec<Prior> {
+        let lens = (0..LENS).map(|n| Prior {
+            unknown: n,
+            off: state.lens.terms[n],
+            sigma: self.lens_sigma_px,
+        });
+        let marks = self.marks.iter().enumerate().flat_map(|(mark, prior)| {
+            let off = state.places[mark].vector() - prior.printed.vector();
+            [0, 1].map(|axis| Prior {
+                unknown: mark_index(mark) + axis,
+                off: off[axis],
+                sigma: prior.sigma_mil,
+            })
+        });
+        let views = state.views.iter().enumerate().flat_map(|(pose, view)| {
+            let sigmas = prior_sigmas(view).into_iter().enumerate();
+            sigmas.filter_map(move |(n, sigma)| {
+                Some(Prior {
+                    unknown: state.view_index(pose) + n,
+                    off: view.parameters[n],
+                    sigma: sigma?,
+                })
+            })
+        });
+        lens.chain(marks).chain(views).collect()
     }
 
     /// What the displacements of the measured marks must not have in common: shift in x and y, rotation, scale. Each is a
-    /// unit vector over the common unknowns.
-    fn gauge(&self) -> Vec<Vec<(usize, f64)>> {
+    /// unit vector over the unknowns, with how much of it the displacements have.
+    fn gauge(&self, state: &State) -> Vec<(Vec<(usize, f64)>, f64)> {
         let measured = || self.marks.iter().enumerate().filter(|(_, m)| m.measured);
         let count = measured().count().max(1) as f64;
         let sum: Vector2<f64> = measured().map(|(_, m)| m.printed.vector()).sum();
@@ -285,85 +266,34 @@ impl Problem<'_> {
             |from_middle| from_middle,
         ];
         let row = |motion: fn(Vector2<f64>) -> Vector2<f64>| {
-            let mut row: Vec<(usize, f64)> = measured()
-                .flat_map(|(mark, m)| {
-                    let along = motion(m.printed.vector() - middle);
-                    [(LENS + 2 * mark, along.x), (LENS + 2 * mark + 1, along.y)]
-                })
-                .collect();
-            let norm = row.iter().map(|(_, v)| v * v).sum::<f64>().sqrt();
-            row.iter_mut().for_each(|(_, v)| *v /= norm.max(1e-12));
-            row
+            let along = measured().map(|(n, m)| (n, m, motion(m.printed.vector() - middle)));
+            let norm = along.clone().map(|(.., v)| v.norm_squared()).sum::<f64>();
+            let unit = along.map(|(n, m, v)| (n, m, v / norm.sqrt().max(1e-12)));
+            let off = unit.clone().map(|(n, m, v)| {
+                let displacement = state.places[n].vector() - m.printed.vector();
+                v.dot(&displacement)
+            });
+            let off: f64 = off.sum();
+            let row = unit.flat_map(|(n, _, v)| [0, 1].map(|axis| (mark_index(n) + axis, v[axis])));
+            (row.collect(), off)
         };
         moves.into_iter().map(row).collect()
     }
 
-    fn chi2_prior(&self, state: &State) -> f64 {
-        let marks = self.marks.iter().zip(&state.places).map(|(prior, place)| {
-            (place.vector() - prior.printed.vector()).norm_squared() / prior.sigma_mil.powi(2)
-        });
-        let views = state.views.iter().flat_map(|view| {
-            let parameters = *view.parameters();
-            let priors = view.prior_sigmas().into_iter();
-            priors.map(move |(n, sigma)| (parameters[n] / sigma).powi(2))
-        });
-        let lens = state.lens.terms.norm_squared() / self.lens_sigma_px.powi(2);
-        marks.sum::<f64>() + views.sum::<f64>() + lens
-    }
-
-    /// Each parameter counts by the part of its prior variance that the sightings took away.
-    fn determined(&self, state: &State, covariance: &DMatrix<f64>) -> f64 {
-        let left = |n: usize, sigma: f64| 1.0 - (covariance[(n, n)] / sigma.powi(2)).min(1.0);
-        let lens = (0..LENS).filter(|n| self.freedoms.lens[*n]);
-        let lens: f64 = lens.map(|n| left(n, self.lens_sigma_px)).sum();
-        let marks = self.marks.iter().enumerate().flat_map(|(mark, prior)| {
-            [0, 1].map(|axis| left(LENS + 2 * mark + axis, prior.sigma_mil))
-        });
-        // The gauge takes four of the marks' freedoms.
-        let marks = match self.freedoms.marks {
-            true => marks.sum::<f64>() - 4.0,
-            false => 0.0,
+    /// Each parameter counts by the part of its prior variance that the observations took away, those of a view in full.
+    fn determined(&self, state: &State, priors: &[Prior], covariance: &DMatrix<f64>) -> f64 {
+        let views = (self.freedoms.view.parameters() * state.views.len()) as f64;
+        let is_free = |n: usize| match n < LENS {
+            true => self.freedoms.lens[n],
+            false => self.freedoms.marks && n < state.view_index(0),
         };
-        lens + marks + (self.freedoms.view * state.views.len()) as f64
-    }
-}
-
-/// Adds a block to a matrix.
-fn add<const R: usize, const C: usize>(
-    to: &mut DMatrix<f64>,
-    (row, column): (usize, usize),
-    block: SMatrix<f64, R, C>,
-) {
-    let mut part = to.fixed_view_mut::<R, C>(row, column);
-    part += block;
-}
-
-/// Normal equations: the common unknowns', reduced by the views, and the views' own.
-struct Normal {
-    reduced: DMatrix<f64>,
-    gradient: DVector<f64>,
-    views: Vec<ViewPart>,
-}
-
-struct ViewPart {
-    inverse: SMatrix<f64, VIEW, VIEW>,
-    gradient: SVector<f64, VIEW>,
-    /// With the common unknowns.
-    coupling: DMatrix<f64>,
-}
-
-impl ViewPart {
-    /// The view's step once the common unknowns made theirs.
-    fn own_step(&self, common: &DVector<f64>) -> SVector<f64, VIEW> {
-        let mut gradient = self.gradient;
-        gradient -= &self.coupling * common;
-        self.inverse * gradient
-    }
-
-    fn covariance(&self, common: &DMatrix<f64>) -> SMatrix<f64, VIEW, VIEW> {
-        let follow = &self.coupling * common * self.coupling.transpose();
-        let mut fixed = SMatrix::<f64, VIEW, VIEW>::zeros();
-        fixed.copy_from(&follow);
-        self.inverse + self.inverse * fixed * self.inverse
+        let common = priors.iter().filter(|prior| is_free(prior.unknown));
+        let part = |prior: &Prior| {
+            let left = covariance[(prior.unknown, prior.unknown)] / prior.sigma.powi(2);
+            1.0 - left.min(1.0)
+        };
+        // The gauge takes four of the marks' freedoms.
+        let gauge = if self.freedoms.marks { 4.0 } else { 0.0 };
+        common.map(part).sum::<f64>() - gauge + views
     }
 }

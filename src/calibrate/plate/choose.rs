@@ -1,31 +1,37 @@
-//! The simplest lens and views that the sightings support.
+//! The simplest lens and views that the observations support.
 
 use super::adjust::{Freedoms, Settled, State};
-use super::camera::{LENS, view_parameters};
+use super::camera::LENS;
 use super::robust::Bundle;
 use crate::geometry::MappingKind;
 
 /// Everything free.
 pub(super) const RICHEST: Freedoms = Freedoms {
-    view: 8,
+    view: MappingKind::Homography,
     lens: [true; LENS],
     marks: true,
 };
-/// Groups of lens terms, each with what it adds.
-const LENS_STEPS: [[usize; 2]; 3] = [[0, 0], [2, 3], [1, 1]];
-/// Least gain in chi^2 for each added parameter, whatever the number of sightings.
+/// Groups of lens terms in the order in which they are tried: radial r^2, decentring, radial r^4.
+const LENS_STEPS: [&[usize]; 3] = [&[0], &[2, 3], &[1]];
+/// Least gain in chi^2 for each added parameter, whatever the number of observations.
 const LEAST_GAIN: f64 = 9.0;
 
-/// What was chosen, and what each richer choice would have gained.
-#[derive(Debug, Clone, PartialEq)]
+/// Which views and lens terms were chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Choice {
     pub kind: MappingKind,
     /// Radial r^2, radial r^4, decentring.
     pub lens: [bool; LENS],
-    /// Gain in chi^2 per parameter that a step must have.
-    pub asked: f64,
-    /// Each step that was tried: its name, its gain in chi^2 per parameter.
-    pub tried: Vec<(&'static str, f64)>,
+}
+
+impl Choice {
+    pub(super) fn freedoms(self) -> Freedoms {
+        Freedoms {
+            view: self.kind,
+            lens: self.lens,
+            marks: true,
+        }
+    }
 }
 
 /// Chooses kind and lens terms with the bundle's weights; gives the fit that the choice leads to.
@@ -33,54 +39,51 @@ pub struct Choice {
 /// A step is taken when chi^2, with the variances that the richest fit shows, falls by more than ln n for each parameter
 /// that it adds, n the number of coordinates (Schwarz's criterion, which is the F test at that level).
 pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settled)> {
-    let asked = bundle.coordinates().max(1.0).ln().max(LEAST_GAIN);
-    let mut tried = Vec::new();
-    let fit = |freedoms| {
-        let settled = bundle.settle(richest, freedoms)?;
-        let cost = bundle.chi2(&settled.state) + settled.chi2_prior;
-        Some((settled, cost))
+    let least_gain = bundle.coordinates().max(1.0).ln().max(LEAST_GAIN);
+    let fit = |choice: Choice| {
+        let settled = bundle.settle(richest, choice.freedoms())?;
+        let chi2 = bundle.chi2(&settled.state) + settled.chi2_prior;
+        Some((choice, settled, chi2))
     };
-    let mut freedoms = Freedoms {
-        view: view_parameters(MappingKind::Similarity),
-        ..RICHEST
+    let parameters = |choice: Choice| {
+        let terms = choice.lens.iter().filter(|free| **free).count();
+        choice.kind.parameters() * bundle.poses + terms
     };
-    let mut kind = MappingKind::Similarity;
-    let mut best = fit(freedoms)?;
-    for richer in [MappingKind::Keystone, MappingKind::Homography] {
-        let free = Freedoms {
-            view: view_parameters(richer),
-            ..freedoms
-        };
-        let Some(candidate) = fit(free) else { continue };
-        let added = (free.view - freedoms.view) * bundle.poses;
-        let gain = (best.1 - candidate.1) / added as f64;
-        tried.push((richer.name(), gain));
-        if gain > asked {
-            (freedoms, kind, best) = (free, richer, candidate);
-        }
+    let mut best = fit(Choice {
+        kind: MappingKind::Similarity,
+        lens: RICHEST.lens,
+    })?;
+    for kind in [MappingKind::Keystone, MappingKind::Homography] {
+        let richer = fit(Choice { kind, ..best.0 });
+        best = better(best, richer, least_gain, parameters);
     }
-    freedoms.lens = [false; LENS];
-    best = fit(freedoms)?;
-    for (terms, name) in LENS_STEPS
-        .into_iter()
-        .zip(["radial r^2", "decentring", "radial r^4"])
-    {
-        let mut free = freedoms;
-        terms.iter().for_each(|n| free.lens[*n] = true);
-        let added =
-            free.lens.iter().filter(|f| **f).count() - freedoms.lens.iter().filter(|f| **f).count();
-        let Some(candidate) = fit(free) else { continue };
-        let gain = (best.1 - candidate.1) / added.max(1) as f64;
-        tried.push((name, gain));
-        if gain > asked {
-            (freedoms, best) = (free, candidate);
-        }
+    best = fit(Choice {
+        lens: [false; LENS],
+        ..best.0
+    })?;
+    for terms in LENS_STEPS {
+        let mut choice = best.0;
+        terms.iter().for_each(|n| choice.lens[*n] = true);
+        best = better(best, fit(choice), least_gain, parameters);
     }
-    let choice = Choice {
-        kind,
-        lens: freedoms.lens,
-        asked,
-        tried,
+    Some((best.0, best.1))
+}
+
+type Fitted = (Choice, Settled, f64);
+
+/// The richer fit where its chi^2 is lower by enough for each parameter that it adds.
+fn better(
+    simple: Fitted,
+    richer: Option<Fitted>,
+    least_gain: f64,
+    parameters: impl Fn(Choice) -> usize,
+) -> Fitted {
+    let gains = |richer: &Fitted| {
+        let added = parameters(richer.0) - parameters(simple.0);
+        (simple.2 - richer.2) / added as f64 > least_gain
     };
-    Some((choice, best.0))
+    match richer.filter(gains) {
+        Some(richer) => richer,
+        None => simple,
+    }
 }

@@ -1,17 +1,18 @@
-//! From sightings to the plate: the steps in order.
+//! From observations to the plate: the steps in order.
 
 use super::adjust::{Freedoms, MarkPrior, Settled, State};
-use super::camera::{LENS, Lens, View, view_parameters};
+use super::camera::{LENS, Lens};
 use super::choose::{Choice, RICHEST, choose};
-use super::consensus::consensus;
+use super::observation::{FrameObservation, consensus};
 use super::robust::{Bundle, Observation};
-use super::sighting::{FrameSightings, Spoiled};
-use crate::geometry::{Distortion, Mapping};
+use crate::calibrate::frames::RejectedFrame;
+use crate::geometry::view::{ParameterCovariance, UNIT_MIL, View};
+use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::instrument::Instrument;
 use crate::plate::{MarkId, drawn_position};
 use crate::units::{Measured, PlateMil, SensorPx};
-use nalgebra::{SMatrix, Vector2};
-use std::collections::BTreeMap;
+use nalgebra::Vector2;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A mark as it was measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,8 +21,8 @@ pub struct MeasuredMark {
     /// The shift, rotation and scale common to the measured marks removed.
     pub position: PlateMil,
     pub sigma_mil: [f64; 2],
-    /// Sightings that count.
-    pub seen: usize,
+    /// How many observations of it count.
+    pub observations: usize,
 }
 
 /// The camera in one pose.
@@ -36,40 +37,40 @@ pub struct PoseFit {
     pub frames: usize,
 }
 
-/// What is left of a sighting.
+/// The residual of an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Residual {
     pub frame: usize,
     pub pose: usize,
     pub id: MarkId,
     pub at: SensorPx,
-    /// Seen less predicted, px.
-    pub miss: Vector2<f64>,
+    /// Observed less predicted.
+    pub residual_px: Vector2<f64>,
     /// The same with the marks where they were drawn, no distortion and similarities alone.
-    pub before: Vector2<f64>,
-    /// 1 sigma of it as stated by the frame, px per axis.
+    pub before_px: Vector2<f64>,
+    /// 1 sigma of it as stated by the frame, per axis.
     pub stated_px: f64,
-    /// Whether it counts.
-    pub kept: bool,
+    /// 0 (rejected) to 1.
+    pub weight: f64,
 }
 
-/// What the frames cannot tell apart.
+/// How well the frames separate the plate's errors from the lens's distortion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Separation {
     /// 1 sigma of the lens's displacement at the sensor's corner, px.
     pub lens_sigma_px: f64,
-    /// The same were nothing known of the marks beforehand.
+    /// The same with priors ten times as wide.
     pub without_priors_px: f64,
 }
 
 impl Separation {
-    /// Whether the frames themselves, not what was known beforehand, tell the plate's errors from the lens's distortion.
+    /// Whether the frames themselves, not the priors, separate the plate's errors from the lens's distortion.
     pub fn by_data(&self) -> bool {
         self.without_priors_px < 2.0 * self.lens_sigma_px
     }
 }
 
-/// The plate, the lens and the poses that the sightings show.
+/// The plate, the lens and the poses that the observations give.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlateFit {
     /// By id.
@@ -81,14 +82,14 @@ pub struct PlateFit {
     pub separation: Separation,
     pub poses: Vec<PoseFit>,
     pub residuals: Vec<Residual>,
-    /// By how much the sightings' stated sigmas were raised.
+    /// Inflation of the observations' stated sigmas.
     pub sigma_factor: f64,
     /// Root mean square of the kept residuals, px per axis.
     pub residual_px: f64,
-    /// By how much the drawing's sigma was raised to how far the marks were found from the drawing.
+    /// Inflation of the drawing's sigma to how far the marks were found from the drawing.
     pub drawing_factor: f64,
     /// Frames that do not agree with the others.
-    pub spoiled: Vec<Spoiled>,
+    pub rejected: Vec<RejectedFrame>,
 }
 
 /// What the lens may do at its reach, 1 sigma of each term, px: a stated prior, wide enough for any lens in use.
@@ -96,75 +97,76 @@ pub const LENS_PRIOR_PX: f64 = 5.0;
 
 /// Nothing of the plate or the lens measured.
 const AS_DRAWN: Freedoms = Freedoms {
-    view: 4,
+    view: MappingKind::Similarity,
     lens: [false; LENS],
     marks: false,
 };
 
-/// Fits plate, lens and poses to the frames' sightings. `None` where they do not determine them.
-pub fn fit(frames: &[FrameSightings], poses: usize, start: &Instrument) -> Option<PlateFit> {
-    let (mut bundle, ids, mut spoiled, first) = gather(frames, poses, start)?;
+impl PlateFit {
+    /// The residuals of the observations that count.
+    pub fn kept(&self) -> impl Iterator<Item = &Residual> {
+        self.residuals.iter().filter(|r| r.weight > 0.0)
+    }
+}
+
+/// Fits plate, lens and poses to the frames' observations. `None` where they do not determine them.
+pub fn fit(frames: &[FrameObservation], poses: usize, start: &Instrument) -> Option<PlateFit> {
+    let (mut bundle, ids, mut rejected, first) = gather(frames, poses, start)?;
     let by_drawing = bundle.by_drawing(&first, RICHEST)?;
     let rich = bundle.in_full(&by_drawing, RICHEST)?;
-    let drawing_factor = bundle.raise_drawing_sigma(&rich);
+    let drawing_factor = bundle.inflate_drawing_sigma(&rich);
     let (choice, chosen) = choose(&bundle, &rich.state)?;
-    let freedoms = Freedoms {
-        view: view_parameters(choice.kind),
-        lens: choice.lens,
-        marks: true,
-    };
-    let settled = bundle.in_full(&chosen.state, freedoms)?;
-    spoiled.extend(disagreeing(frames, &bundle));
+    let settled = bundle.in_full(&chosen.state, choice.freedoms())?;
+    rejected.extend(disagreeing(frames, &bundle));
     let before = bundle.settle(&first, AS_DRAWN)?.state;
+    let residuals = residuals(&bundle, &settled, &before, &ids);
     Some(PlateFit {
         marks: marks(&bundle, &settled, &ids),
         distortion: settled.state.lens.distortion(),
         distortion_sigma: lens_sigmas(&settled),
-        separation: separation(&bundle, &settled, freedoms),
-        poses: pose_fits(&bundle, &settled, &choice)?,
-        residuals: residuals(&bundle, &settled, &before, &ids),
+        separation: separation(&bundle, &settled, choice.freedoms()),
+        poses: pose_fits(&bundle, &settled, choice)?,
         sigma_factor: bundle.variance_factor.sqrt(),
-        residual_px: residual_px(&bundle, &settled),
+        residual_px: rms_px(&residuals),
+        residuals,
         drawing_factor,
         choice,
-        spoiled,
+        rejected,
     })
 }
 
-/// The bundle of all frames that agree within their pose, its marks' ids, the frames left out, and the start.
+/// The bundle of all frames that agree within their pose, its marks' ids, the rejected frames, and the start.
 fn gather(
-    frames: &[FrameSightings],
+    frames: &[FrameObservation],
     poses: usize,
     start: &Instrument,
-) -> Option<(Bundle, Vec<MarkId>, Vec<Spoiled>, State)> {
-    let mut spoiled = Vec::new();
+) -> Option<(Bundle, Vec<MarkId>, Vec<RejectedFrame>, State)> {
+    let mut rejected = Vec::new();
     let (mut views, mut agreeing) = (Vec::new(), Vec::new());
     for pose in 0..poses {
         let of_pose = frames.iter().enumerate().filter(|(_, f)| f.pose == pose);
         let of_pose: Vec<usize> = of_pose.map(|(n, _)| n).collect();
         let agreed = consensus(frames, &of_pose, &start.plate)?;
-        views.push(View::of(&agreed.mapping)?);
-        let left_out = of_pose.iter().filter(|n| !agreed.frames.contains(n));
-        spoiled.extend(left_out.map(|n| Spoiled {
-            file: frames[*n].file.clone(),
-            reason: "its marks lie elsewhere than those of the other frames of its pose".into(),
-        }));
+        views.push(View::of(&agreed.mapping)?.simplified(MappingKind::Similarity));
+        let others = of_pose.iter().filter(|n| !agreed.frames.contains(n));
+        let reason = "its marks lie elsewhere than those of the other frames of its pose";
+        rejected.extend(others.map(|n| RejectedFrame::new(&frames[*n].file, reason)));
         agreeing.extend(agreed.frames);
     }
-    let seen = agreeing.iter().flat_map(|n| &frames[*n].sightings);
-    let mut index: BTreeMap<MarkId, usize> = seen.map(|s| (s.id, 0)).collect();
+    let marks = agreeing.iter().flat_map(|n| &frames[*n].marks);
+    let mut index: BTreeMap<MarkId, usize> = marks.map(|mark| (mark.id, 0)).collect();
     index
         .values_mut()
         .enumerate()
         .for_each(|(n, slot)| *slot = n);
     let observe = |n: usize| {
         let (pose, index) = (frames[n].pose, &index);
-        frames[n].sightings.iter().map(move |s| Observation {
+        frames[n].marks.iter().map(move |mark| Observation {
             frame: n,
             pose,
-            mark: index[&s.id],
-            seen: s.at.vector(),
-            covariance_px2: s.covariance_px2,
+            mark: index[&mark.id],
+            seen: mark.at.vector(),
+            covariance_px2: mark.covariance_px2,
             weight: 1.0,
         })
     };
@@ -186,16 +188,13 @@ fn gather(
         lens: start_lens(start),
         places: bundle.marks.iter().map(|m| m.printed).collect(),
     };
-    Some((bundle, index.into_keys().collect(), spoiled, state))
+    Some((bundle, index.into_keys().collect(), rejected, state))
 }
 
 /// The start's lens about its own centre, else about the sensor's.
 fn start_lens(start: &Instrument) -> Lens {
     let camera = &start.camera;
-    let middle = SensorPx::new(
-        (camera.width_px as f64 - 1.0) / 2.0,
-        (camera.height_px as f64 - 1.0) / 2.0,
-    );
+    let middle = camera.middle_px();
     let reach_px = middle.distance(SensorPx::new(0.0, 0.0));
     let centre = match camera.distortion == Distortion::NONE {
         true => middle,
@@ -205,23 +204,21 @@ fn start_lens(start: &Instrument) -> Lens {
 }
 
 /// Frames of which nothing counts.
-fn disagreeing(frames: &[FrameSightings], bundle: &Bundle) -> Vec<Spoiled> {
+fn disagreeing(frames: &[FrameObservation], bundle: &Bundle) -> Vec<RejectedFrame> {
     let mut kept: BTreeMap<usize, f64> = BTreeMap::new();
     for o in &bundle.observations {
         *kept.entry(o.frame).or_default() += o.weight;
     }
     let lost = kept.into_iter().filter(|(_, weight)| *weight == 0.0);
-    lost.map(|(n, _)| Spoiled {
-        file: frames[n].file.clone(),
-        reason: "its marks do not agree with those of the other frames".into(),
-    })
-    .collect()
+    let reason = "its marks do not agree with those of the other frames";
+    lost.map(|(n, _)| RejectedFrame::new(&frames[n].file, reason))
+        .collect()
 }
 
 fn marks(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<MeasuredMark> {
-    let seen = |mark: usize| {
-        let counts = bundle.observations.iter().filter(|o| o.mark == mark);
-        counts.filter(|o| o.weight > 0.0).count()
+    let count = |mark: usize| {
+        let counting = |o: &&Observation| o.mark == mark && o.weight > 0.0;
+        bundle.observations.iter().filter(counting).count()
     };
     let measured = |(mark, id): (usize, &MarkId)| {
         let covariance = settled.place_covariance(mark);
@@ -229,7 +226,7 @@ fn marks(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<MeasuredMark
             id: *id,
             position: settled.state.places[mark],
             sigma_mil: [0, 1].map(|n| covariance[(n, n)].max(0.0).sqrt()),
-            seen: seen(mark),
+            observations: count(mark),
         })
     };
     ids.iter().enumerate().filter_map(measured).collect()
@@ -237,35 +234,24 @@ fn marks(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<MeasuredMark
 
 fn lens_sigmas(settled: &Settled) -> [f64; LENS] {
     let (covariance, units) = (settled.lens_covariance(), settled.state.lens.units());
-    let free = settled.state.lens.terms;
-    std::array::from_fn(|n| match free[n] == 0.0 {
-        true => 0.0,
-        false => covariance[(n, n)].max(0.0).sqrt() * units[n],
-    })
+    std::array::from_fn(|n| covariance[(n, n)].max(0.0).sqrt() * units[n])
 }
 
 /// 1 sigma of the lens's displacement at a corner of the sensor, px, the mean of its axes.
-fn corner_sigma_px(settled: &Settled, freedoms: Freedoms) -> f64 {
-    let lens = &settled.state.lens;
-    let mut covariance = settled.lens_covariance();
-    for n in (0..LENS).filter(|n| !freedoms.lens[*n]) {
-        covariance.row_mut(n).fill(0.0);
-        covariance.column_mut(n).fill(0.0);
-    }
-    let slopes = lens.slopes(Vector2::zeros());
-    let spread = slopes * covariance * slopes.transpose();
+fn corner_sigma_px(settled: &Settled) -> f64 {
+    let slopes = settled.state.lens.slopes(Vector2::zeros());
+    let spread = slopes * settled.lens_covariance() * slopes.transpose();
     (spread.trace() / 2.0).max(0.0).sqrt()
 }
 
 /// Compares the lens's sigma with what it were if the marks might be anywhere near their place. A lens that needs no
 /// terms still is one that might have them: the first is always free here.
-fn separation(bundle: &Bundle, settled: &Settled, freedoms: Freedoms) -> Separation {
+fn separation(bundle: &Bundle, settled: &Settled, mut freedoms: Freedoms) -> Separation {
     const LOOSER: f64 = 10.0;
-    let mut freedoms = freedoms;
     freedoms.lens[0] = true;
     let sigma_px = |bundle: &Bundle| {
         let settled = bundle.settle(&settled.state, freedoms);
-        settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s, freedoms))
+        settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s))
     };
     let mut loose = bundle.clone();
     loose.marks.iter_mut().for_each(|m| m.sigma_mil *= LOOSER);
@@ -276,23 +262,23 @@ fn separation(bundle: &Bundle, settled: &Settled, freedoms: Freedoms) -> Separat
     }
 }
 
-fn pose_fits(bundle: &Bundle, settled: &Settled, choice: &Choice) -> Option<Vec<PoseFit>> {
-    let mut frames = vec![std::collections::BTreeSet::new(); bundle.poses];
+fn pose_fits(bundle: &Bundle, settled: &Settled, choice: Choice) -> Option<Vec<PoseFit>> {
+    let mut frames = vec![BTreeSet::new(); bundle.poses];
     for o in bundle.observations.iter().filter(|o| o.weight > 0.0) {
         frames[o.pose].insert(o.frame);
     }
     let distortion = settled.state.lens.distortion();
     let fit = |pose: usize| {
-        let (view, covariance) = (&settled.state.views[pose], &settled.views[pose]);
-        let (scale, rotation) = view.scale_and_rotation();
+        let (view, covariance) = (&settled.state.views[pose], settled.view_covariance(pose));
+        let scale = UNIT_MIL / view.unit_px();
         let centre = covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let relative = relative_sigma(view, covariance);
+        let relative = relative_sigma(view, &covariance);
         Some(PoseFit {
             mapping: view.mapping(choice.kind, distortion)?,
-            plate_centre_px: view.ideal(Vector2::zeros()).into(),
+            plate_centre_px: view.project(PlateMil::new(0.0, 0.0)).into(),
             plate_centre_sigma_px: (centre.trace() / 2.0).max(0.0).sqrt(),
             scale_mil_per_px: Measured::new(scale, scale * relative),
-            rotation_deg: Measured::new(rotation, relative.to_degrees()),
+            rotation_deg: Measured::new(view.rotation_deg(), relative.to_degrees()),
             frames: frames[pose].len(),
         })
     };
@@ -300,32 +286,30 @@ fn pose_fits(bundle: &Bundle, settled: &Settled, choice: &Choice) -> Option<Vec<
 }
 
 /// 1 sigma of a view's scale, as a part of it, and of its rotation, rad: both alike.
-fn relative_sigma(view: &View, covariance: &SMatrix<f64, 8, 8>) -> f64 {
-    let size = view.parameters()[2].hypot(view.parameters()[3]);
+fn relative_sigma(view: &View, covariance: &ParameterCovariance) -> f64 {
     let spread = covariance.fixed_view::<2, 2>(2, 2).trace() / 2.0;
-    spread.max(0.0).sqrt() / size
+    spread.max(0.0).sqrt() / view.unit_px()
 }
 
 fn residuals(bundle: &Bundle, settled: &Settled, before: &State, ids: &[MarkId]) -> Vec<Residual> {
     let one = |o: &Observation| Residual {
         pose: o.pose,
-        before: o.seen - before.predict(o.pose, o.mark).seen,
+        before_px: o.seen - before.predict(o.pose, o.mark).seen,
         frame: o.frame,
         id: ids[o.mark],
         at: o.seen.into(),
-        miss: o.seen - settled.state.predict(o.pose, o.mark).seen,
+        residual_px: o.seen - settled.state.predict(o.pose, o.mark).seen,
         stated_px: (o.covariance_px2.trace() / 2.0).max(0.0).sqrt(),
-        kept: o.weight > 0.0,
+        weight: o.weight,
     };
     bundle.observations.iter().map(one).collect()
 }
 
-fn residual_px(bundle: &Bundle, settled: &Settled) -> f64 {
-    let (mut squares, mut weights) = (0.0, 0.0);
-    for o in bundle.observations.iter().filter(|o| o.weight > 0.0) {
-        let miss: Vector2<f64> = o.seen - settled.state.predict(o.pose, o.mark).seen;
-        squares += o.weight * miss.norm_squared();
-        weights += 2.0 * o.weight;
-    }
-    (squares / weights.max(1.0)).sqrt()
+/// Root mean square of weighted residuals, per axis.
+fn rms_px(residuals: &[Residual]) -> f64 {
+    let squares = residuals
+        .iter()
+        .map(|r| r.weight * r.residual_px.norm_squared());
+    let weights = residuals.iter().map(|r| 2.0 * r.weight);
+    (squares.sum::<f64>() / weights.sum::<f64>().max(1.0)).sqrt()
 }

@@ -1,12 +1,12 @@
 //! A measuring frame: the whole plate lit evenly, no Sun.
 //!
-//! Such a frame is looked at through round windows of the Sun's size, all over the sensor. In each the marks are found and
-//! read as if the Sun lit them; windows that read alike tell all marks.
+//! Such a frame is divided into round windows of the Sun's size, all over the sensor. In each the marks are detected and
+//! identified as if the Sun lit them; the windows that agree give all marks.
 
-use super::consensus::consensus;
-use super::sighting::{FrameSightings, Sighting};
+use super::observation::{FrameObservation, MarkObservation, consensus};
 use crate::aspect;
 use crate::calibrate::numbers::median;
+use crate::estimation::QUARTILE_SIGMAS;
 use crate::fiducial::{
     self, CrossShape, Detections, FlatDisc, IdentificationPrior, Lighting, Refiner,
 };
@@ -28,7 +28,7 @@ const LEAST_LIT: f64 = 0.25;
 const LEAST_LIGHT_SIGMA: f64 = 20.0;
 /// Fewest marks of a measuring frame.
 const LEAST_MARKS: usize = 12;
-/// Two readings of a mark in one frame must agree so closely.
+/// The places of a mark in two windows of a frame must agree so closely.
 const SAME_PLACE_PX: f64 = 0.5;
 
 /// Levels of a frame of the lit plate; `None` where the frame is none.
@@ -58,7 +58,7 @@ fn noise<T: Sample>(view: &View<'_, T>) -> f64 {
     let pairs = view.pixels.windows(2).step_by(EVERY);
     let differences = pairs.map(|pair| f64::from((pair[1].dn() - pair[0].dn()).abs()));
     // Median of the absolute difference of two normal values.
-    let sigma = median(differences) / (0.6745 * 2.0_f64.sqrt());
+    let sigma = median(differences) / (QUARTILE_SIGMAS * 2.0_f64.sqrt());
     sigma.max(ROUNDING_NOISE_DN)
 }
 
@@ -69,25 +69,26 @@ pub(super) fn by_lamp(
     frame: &Frame,
     levels: &Levels,
     instrument: &Instrument,
-) -> Result<FrameSightings, String> {
-    let looks = Looks {
+) -> Result<FrameObservation, String> {
+    let lit = LitPlate {
         frame,
         levels,
         instrument,
         settings: aspect::Settings::default(),
     };
-    let windows: Vec<FrameSightings> = looks
+    let windows: Vec<FrameObservation> = lit
         .windows()
-        .filter_map(|outline| looks.read(outline, pose, file))
+        .filter_map(|outline| lit.identify(outline, pose, file))
         .collect();
     let all: Vec<usize> = (0..windows.len()).collect();
-    let agreed = consensus(&windows, &all, &instrument.plate).ok_or("no marks could be read")?;
-    let mut marks: BTreeMap<_, Sighting> = BTreeMap::new();
+    let agreed =
+        consensus(&windows, &all, &instrument.plate).ok_or("no marks could be identified")?;
+    let mut marks: BTreeMap<_, MarkObservation> = BTreeMap::new();
     for window in agreed.frames.iter().map(|n| &windows[*n]) {
-        for sighting in &window.sightings {
-            let known = marks.entry(sighting.id).or_insert(*sighting);
-            if known.at.distance(sighting.at) > SAME_PLACE_PX {
-                return Err(format!("mark {} is seen in two places", sighting.id));
+        for mark in &window.marks {
+            let known = marks.entry(mark.id).or_insert(*mark);
+            if known.at.distance(mark.at) > SAME_PLACE_PX {
+                return Err(format!("mark {} is seen in two places", mark.id));
             }
         }
     }
@@ -97,24 +98,24 @@ pub(super) fn by_lamp(
             "{count} marks on the lit plate, expected {LEAST_MARKS}"
         ));
     }
-    Ok(FrameSightings {
+    Ok(FrameObservation {
         file: file.into(),
         pose,
         utc: frame.info.mid_exposure,
         mapping: agreed.mapping,
         sun: None,
-        sightings: marks.into_values().collect(),
+        marks: marks.into_values().collect(),
     })
 }
 
-struct Looks<'a> {
+struct LitPlate<'a> {
     frame: &'a Frame,
     levels: &'a Levels,
     instrument: &'a Instrument,
     settings: aspect::Settings,
 }
 
-impl Looks<'_> {
+impl LitPlate<'_> {
     /// Windows so close that each mark lies well inside one of them.
     fn windows(&self) -> impl Iterator<Item = Ellipse> {
         let radius = self.instrument.radius_px(WINDOW_ARCSEC);
@@ -133,8 +134,8 @@ impl Looks<'_> {
         })
     }
 
-    /// The marks in a window, read and refined; `None` where they cannot be read.
-    fn read(&self, outline: Ellipse, pose: usize, file: &Path) -> Option<FrameSightings> {
+    /// The marks in a window, identified and refined; `None` where they cannot be identified.
+    fn identify(&self, outline: Ellipse, pose: usize, file: &Path) -> Option<FrameObservation> {
         let instrument = self.instrument;
         let (plate, mounting) = (&instrument.plate, &instrument.mounting);
         let (scale, blur_px) = (
@@ -144,44 +145,44 @@ impl Looks<'_> {
         let shape = CrossShape::new(&plate.cross, scale, blur_px);
         let flat = FlatDisc::new(self.frame, outline, self.levels, 2.0 * shape.half_length_px)?;
         let mut found = fiducial::detect(&flat, &shape, &self.settings.fiducial);
-        // The window's edge is none of the light's.
+        // The window's edge is no edge of the illumination.
         found.marks.retain(|mark| mark.lighting == Lighting::Full);
-        let sight = self.sight(outline, &found, &shape);
+        let prior = self.prior(outline, &found, &shape);
         let fiducial = &self.settings.fiducial;
-        let read = fiducial::identify(&found.marks, &sight, plate, fiducial).ok()?;
+        let identified = fiducial::identify(&found.marks, &prior, plate, fiducial).ok()?;
         let pair = |(n, id): &(usize, _)| Pair {
             seen: found.marks[*n].at,
             printed: plate.position(*id),
             covariance_px2: nalgebra::Matrix2::identity() * found.marks[*n].sigma_px.powi(2),
         };
-        let pairs: Vec<Pair> = read.ids.iter().map(pair).collect();
+        let pairs: Vec<Pair> = identified.ids.iter().map(pair).collect();
         let distortion = instrument.camera.distortion;
         let settings = &self.settings.registration;
         let fitted =
             registration::register(&pairs, None, mounting.handedness, distortion, settings)?;
         let refiner = Refiner::new(&plate.cross, scale, blur_px);
-        let light = |_: f64, _: f64| self.levels.disc_dn;
+        let illumination = |_: f64, _: f64| self.levels.disc_dn;
         let refined = |(n, id): &(usize, _)| {
             let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id));
             let start = found.marks[*n].at;
-            let mark = refiner.refine(self.frame, self.levels, &light, &jacobian, start)?;
-            Some(Sighting {
+            let mark = refiner.refine(self.frame, self.levels, &illumination, &jacobian, start)?;
+            Some(MarkObservation {
                 id: *id,
                 at: mark.place.position,
                 covariance_px2: mark.place.covariance,
             })
         };
-        Some(FrameSightings {
+        Some(FrameObservation {
             file: file.into(),
             pose,
             utc: self.frame.info.mid_exposure,
             mapping: fitted.mapping,
             sun: None,
-            sightings: read.ids.iter().filter_map(refined).collect(),
+            marks: identified.ids.iter().filter_map(refined).collect(),
         })
     }
 
-    fn sight(
+    fn prior(
         &self,
         outline: Ellipse,
         found: &Detections,
@@ -234,23 +235,21 @@ mod tests {
         let picture = scene.picture().unwrap();
         let levels = lit_levels(&picture.frame).unwrap();
         let seen = by_lamp(0, Path::new("lit"), &picture.frame, &levels, &demo).unwrap();
-        let mut misses = 0.0;
-        for sighting in &seen.sightings {
-            let truth = picture
-                .truth
-                .mapping
-                .to_sensor(demo.plate.position(sighting.id));
-            assert!(truth.distance(sighting.at) < 0.15, "{}", sighting.id);
-            misses += truth.distance(sighting.at).powi(2);
+        let mut squares = 0.0;
+        for mark in &seen.marks {
+            let place = demo.plate.position(mark.id);
+            let error = picture.truth.mapping.to_sensor(place).distance(mark.at);
+            assert!(error < 0.15, "{}", mark.id);
+            squares += error.powi(2);
         }
         let whole = |at: &SensorPx| at.x > 12.0 && at.y > 12.0 && at.x < 1283.0 && at.y < 953.0;
         let on_sensor = demo.plate.marks().filter(|(_, at)| {
             let seen = picture.truth.mapping.to_sensor(*at);
             whole(&seen)
         });
-        let (found, there) = (seen.sightings.len(), on_sensor.count());
+        let (found, there) = (seen.marks.len(), on_sensor.count());
         assert!(found * 100 >= there * 98, "{found} of {there}");
-        assert!((misses / found as f64).sqrt() < 0.04);
+        assert!((squares / found as f64).sqrt() < 0.04);
     }
 
     #[test]

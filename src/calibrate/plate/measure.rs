@@ -1,144 +1,209 @@
-//! From files to sightings: each frame is read, solved and forgotten but for its marks.
+//! From files to observations: each frame is read and solved; only its marks are kept.
 
-use super::input::Folder;
 use super::lit::{by_lamp, lit_levels};
-use super::sighting::{FrameSightings, Sighting, Spoiled};
-use crate::aspect::{self, Expected, Origin, Solution};
-use crate::calibrate::frames::sha256_of;
+use super::observation::{FrameObservation, MarkObservation};
+use super::refusal::Refusal;
+use crate::aspect::{self, Expected, Origin};
+use crate::calibrate::frames::{RejectedFrame, Setting, check_one_setting};
 use crate::fits;
 use crate::frame::Frame;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, WrongSize};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// The frames of a folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Folder {
+    pub path: PathBuf,
+    pub files: Vec<PathBuf>,
+}
+
+/// Files by the folder that they lie in, in the order given, each once.
+pub(super) fn folders(files: Vec<PathBuf>) -> Vec<Folder> {
+    let mut folders: Vec<Folder> = Vec::new();
+    for file in files {
+        let path = file.parent().unwrap_or(Path::new(""));
+        match folders.iter_mut().find(|folder| folder.path == path) {
+            Some(folder) if folder.files.contains(&file) => {}
+            Some(folder) => folder.files.push(file),
+            None => folders.push(Folder {
+                path: path.into(),
+                files: vec![file],
+            }),
+        }
+    }
+    folders
+}
 
 /// What all frames gave.
 #[derive(Debug, Clone, Default)]
-pub struct Sightings {
-    pub frames: Vec<FrameSightings>,
-    pub spoiled: Vec<Spoiled>,
-    /// Of every file that could be read: its SHA-256, the camera that it names, its size and depth.
+pub(super) struct Observations {
+    /// They come with the index of their folder in the place of the pose.
+    pub frames: Vec<FrameObservation>,
+    pub rejected: Vec<RejectedFrame>,
+    /// Of every file that could be read.
     pub files: Vec<FileFacts>,
 }
 
 /// What a file is, whatever its frame shows.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FileFacts {
+#[derive(Debug, Clone)]
+pub(super) struct FileFacts {
     pub file: PathBuf,
-    pub sha256: [u8; 32],
-    pub camera: Option<String>,
-    pub size_px: (usize, usize),
-    /// The value at which its pixels saturate: that of 8 or of 12 bits.
-    pub saturation_dn: u16,
-    pub timed: bool,
+    setting: Setting,
+    wrong_size: Option<WrongSize>,
+    has_time: bool,
 }
 
-/// Fewest marks of a frame that is used.
-const LEAST_MARKS: usize = 3;
-
 /// Reads and solves all frames of all folders, several at a time; `each` is called after every one.
-pub fn measure(folders: &[Folder], instrument: &Instrument, each: &(dyn Fn() + Sync)) -> Sightings {
+pub(super) fn measure(
+    folders: &[Folder],
+    instrument: &Instrument,
+    each: &(dyn Fn() + Sync),
+) -> Observations {
+    let folders = folders.iter().enumerate();
     let files: Vec<(usize, &PathBuf)> = folders
-        .iter()
-        .enumerate()
         .flat_map(|(n, folder)| folder.files.iter().map(move |file| (n, file)))
         .collect();
     let one = |(folder, file): &(usize, &PathBuf)| {
-        let facts_and_frame = one(*folder, file, instrument);
+        let (facts, marks) = read(*folder, file, instrument);
         each();
-        facts_and_frame
+        (
+            facts,
+            marks.map_err(|reason| RejectedFrame::new(*file, reason)),
+        )
     };
     let all: Vec<_> = files.par_iter().map(one).collect();
-    let mut sightings = Sightings::default();
+    let mut observations = Observations::default();
     for (facts, frame) in all {
-        sightings.files.extend(facts);
+        observations.files.extend(facts);
         match frame {
-            Ok(frame) => sightings.frames.push(frame),
-            Err(spoiled) => sightings.spoiled.push(spoiled),
+            Ok(frame) => observations.frames.push(frame),
+            Err(rejected) => observations.rejected.push(rejected),
         }
     }
-    sightings
+    observations
 }
 
-/// Solves a frame as one of a pose, with an instrument that states the pose.
-pub(super) fn measure_one(pose: usize, file: &Path, posed: &Instrument) -> Option<FrameSightings> {
-    one(pose, file, posed).1.ok()
-}
-
-type One = (Option<FileFacts>, Result<FrameSightings, Spoiled>);
-
-fn one(pose: usize, file: &Path, instrument: &Instrument) -> One {
-    let spoiled = |reason: String| Spoiled {
-        file: file.into(),
-        reason,
-    };
+/// What a file is, and its marks or why there are none.
+pub(super) fn read(
+    pose: usize,
+    file: &Path,
+    instrument: &Instrument,
+) -> (Option<FileFacts>, Result<FrameObservation, String>) {
     let frame = match fits::read_frame(file) {
         Ok(frame) => frame,
-        Err(error) => return (None, Err(spoiled(error.problem.to_string()))),
+        Err(error) => return (None, Err(error.problem.to_string())),
     };
-    let facts = match std::fs::read(file) {
-        Ok(bytes) => FileFacts {
-            file: file.into(),
-            sha256: sha256_of(&bytes),
-            camera: frame.info.camera.clone(),
-            size_px: (frame.width(), frame.height()),
-            saturation_dn: frame.saturation_dn(),
-            timed: frame.info.mid_exposure.is_some(),
-        },
-        Err(error) => return (None, Err(spoiled(format!("cannot read: {error}")))),
+    let wrong_size = instrument.check_size(&frame).err();
+    let marks = match (&wrong_size, lit_levels(&frame)) {
+        (Some(wrong), _) => Err(wrong.to_string()),
+        (None, Some(levels)) => by_lamp(pose, file, &frame, &levels, instrument),
+        (None, None) => by_sun(pose, file, &frame, instrument),
     };
-    let sightings = instrument
-        .check_size(&frame)
-        .map_err(|wrong| wrong.to_string())
-        .and_then(|()| match lit_levels(&frame) {
-            Some(levels) => by_lamp(pose, file, &frame, &levels, instrument),
-            None => by_sun(pose, file, &frame, instrument),
-        });
-    (Some(facts), sightings.map_err(spoiled))
+    let facts = FileFacts {
+        file: file.into(),
+        setting: Setting::of(file, &frame).with_size(&frame),
+        wrong_size,
+        has_time: frame.info.mid_exposure.is_some(),
+    };
+    (Some(facts), marks)
 }
 
-/// The marks of a frame of the Sun.
+/// The marks of a frame of the Sun, those that the limb cuts too: their own pixels placed them, in the limb's illumination.
 fn by_sun(
     pose: usize,
     file: &Path,
     frame: &Frame,
     instrument: &Instrument,
-) -> Result<FrameSightings, String> {
+) -> Result<FrameObservation, String> {
+    /// Fewest marks of a frame that is used.
+    const LEAST_MARKS: usize = 3;
     let Some(utc) = frame.info.mid_exposure else {
         return Err("no time: expected DATE-OBS or DATE-AVG in a frame of the Sun".into());
     };
     let solution = aspect::solve(frame, instrument, Expected::at(utc), None);
-    let stopped = || match &solution.stopped {
-        Some(stopped) => stopped.to_string(),
-        None => "no mapping of its own".into(),
-    };
     let own = solution.mapping.as_ref();
     let own = own.filter(|adopted| adopted.origin == Origin::Frame);
     let (Some(own), Some(aspect)) = (own, &solution.aspect) else {
-        return Err(stopped());
+        let stopped = solution.stopped.as_ref().map(ToString::to_string);
+        return Err(stopped.unwrap_or("no mapping of its own".into()));
     };
-    let sightings = sightings(&solution);
-    if sightings.len() < LEAST_MARKS {
-        let count = sightings.len();
+    let count = solution.marks.len();
+    if count < LEAST_MARKS {
         return Err(format!("{count} marks, expected {LEAST_MARKS}"));
     }
-    Ok(FrameSightings {
+    let mark = |mark: &aspect::Mark| MarkObservation {
+        id: mark.id,
+        at: mark.at,
+        covariance_px2: mark.covariance_px2,
+    };
+    Ok(FrameObservation {
         file: file.into(),
         pose,
         utc: Some(utc),
         mapping: own.mapping,
         sun: Some(aspect.sun_plate.position),
-        sightings,
+        marks: solution.marks.iter().map(mark).collect(),
     })
 }
 
-/// Marks that the limb cuts too: their own pixels placed them, in the light that the limb tells.
-fn sightings(solution: &Solution) -> Vec<Sighting> {
-    let marks = solution.marks.iter();
-    marks
-        .map(|mark| Sighting {
-            id: mark.id,
-            at: mark.at,
-            covariance_px2: mark.covariance_px2,
-        })
-        .collect()
+impl Observations {
+    /// Refuses files of several cameras, sizes or depths, of another instrument's size, or without any time.
+    pub(super) fn check_files(&self) -> Result<(), Refusal> {
+        check_one_setting(self.files.iter().map(|facts| &facts.setting))?;
+        for FileFacts {
+            file, wrong_size, ..
+        } in &self.files
+        {
+            if let Some(wrong) = wrong_size.clone() {
+                let file = file.clone();
+                return Err(Refusal::WrongSize { file, wrong });
+            }
+        }
+        let frames = self.files.len();
+        let timeless = frames > 0 && self.files.iter().all(|facts| !facts.has_time);
+        match self.frames.is_empty() && timeless {
+            true => Err(Refusal::NoTime { frames }),
+            false => Ok(()),
+        }
+    }
+
+    /// Refuses frames that show too little of the plate.
+    pub(super) fn check_coverage(&self, instrument: &Instrument) -> Result<(), Refusal> {
+        /// Fewest marks observed more than once that a calibration rests on.
+        const LEAST_MARKS: usize = 12;
+        let frames = self.frames.len();
+        let Some(first) = self.frames.first() else {
+            let first = self.rejected.first().map(ToString::to_string);
+            return Err(Refusal::NothingRead {
+                frames: self.rejected.len(),
+                first: first.unwrap_or_default(),
+            });
+        };
+        let suns: Option<Vec<_>> = self.frames.iter().map(|frame| frame.sun).collect();
+        // A frame of the lit plate shows all marks at once.
+        let (Some(suns), Some(first)) = (suns, first.sun) else {
+            return Ok(());
+        };
+        let from_first = suns.iter().map(|sun| sun.distance(first));
+        let reach_mil = from_first.fold(0.0, f64::max);
+        if frames > 1 && reach_mil < instrument.optics.radius_mil(960.0) {
+            return Err(Refusal::OnePlace { frames, reach_mil });
+        }
+        let mut times: BTreeMap<_, usize> = BTreeMap::new();
+        for mark in self.frames.iter().flat_map(|frame| &frame.marks) {
+            *times.entry(mark.id).or_default() += 1;
+        }
+        let again = times.values().filter(|times| **times > 1).count();
+        match again < LEAST_MARKS {
+            true => Err(Refusal::TooFewMarks {
+                frames,
+                marks: times.len(),
+                again,
+                limit: LEAST_MARKS,
+            }),
+            false => Ok(()),
+        }
+    }
 }

@@ -2,18 +2,18 @@
 //!
 //! # Algorithm
 //! 1. The mapping that most frames of the folder agree with gathers its frames ([`consensus`]); of those left, again the one
-//!    that most agree with, and so on. This tells poses apart that differ by some 15 px and more anywhere on the plate.
-//! 2. Within a pose a mark that two frames share is seen in the same place, whatever the lens and wherever the mark is.
+//!    that most agree with, and so on. This separates poses that differ by some 15 px and more anywhere on the plate.
+//! 2. Within a pose a mark that two frames share is in the same place, whatever the lens and wherever the mark is.
 //!    Frames that share marks are linked where these agree; frames so linked that contradict the others are another pose.
 //!    Neighbours need to agree, not all frames: a slow drift by less than a pixel is no move.
 //!
-//! Fewer than three frames are no pose but odd ones out, unless one is of the lit plate, which shows all marks.
+//! Fewer than three frames are no pose but outliers, unless one is of the lit plate, which shows all marks.
 
-use super::consensus::consensus;
 use super::fit::PlateFit;
-use super::input::Folder;
+use super::measure::Folder;
+use super::observation::{FrameObservation, consensus};
 use super::refusal::Refusal;
-use super::sighting::{FrameSightings, Spoiled};
+use crate::calibrate::frames::RejectedFrame;
 use crate::plate::{MarkId, Plate};
 use crate::units::SensorPx;
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,30 +36,30 @@ impl fmt::Display for Pose {
     }
 }
 
-/// Frames by pose, and those that belong to none.
+/// Frames by pose, and those of none.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Posed {
     pub poses: Vec<Pose>,
-    pub frames: Vec<FrameSightings>,
-    pub spoiled: Vec<Spoiled>,
+    pub frames: Vec<FrameObservation>,
+    pub rejected: Vec<RejectedFrame>,
 }
 
 /// Fewest frames of a pose that is not its folder's only one.
 const LEAST_FRAMES: usize = 3;
-/// A mark is seen in the same place by two frames of a pose, within this.
+/// A mark is in the same place in two frames of a pose, within this.
 const SAME_PLACE_PX: f64 = 0.5;
 /// Two frames that share so many marks in their places are linked: one may agree by chance.
 const LINKING_MARKS: usize = 2;
-/// Each sighting of a mark is held against so many others of it.
+/// Each observation of a mark is compared with so many others of it.
 const COMPARED: usize = 40;
 
-/// Tells the poses of each folder apart. The frames come with the index of their folder in the place of the pose.
+/// Finds the poses of each folder. The frames come with the index of their folder in the place of the pose.
 ///
 /// # Errors
 /// A folder of which half of the frames or more agree with no other.
 pub(super) fn find(
     folders: &[Folder],
-    frames: &[FrameSightings],
+    frames: &[FrameObservation],
     plate: &Plate,
 ) -> Result<Posed, Refusal> {
     let mut posed = Posed::default();
@@ -90,22 +90,21 @@ pub(super) fn find(
     posed.number();
     for (frame, pose) in frames.iter().zip(pose_of) {
         match pose {
-            Some(pose) => posed.frames.push(FrameSightings {
+            Some(pose) => posed.frames.push(FrameObservation {
                 pose,
                 ..frame.clone()
             }),
-            None => posed.spoiled.push(Spoiled {
-                file: frame.file.clone(),
-                reason: "its marks lie elsewhere than those of the other frames of its folder"
-                    .into(),
-            }),
+            None => posed.rejected.push(RejectedFrame::new(
+                &frame.file,
+                "its marks lie elsewhere than those of the other frames of its folder",
+            )),
         }
     }
     Ok(posed)
 }
 
 /// The poses among the frames of a folder, in the order in which they were first taken.
-fn groups(frames: &[FrameSightings], of_folder: &[usize], plate: &Plate) -> Vec<Vec<usize>> {
+fn groups(frames: &[FrameObservation], of_folder: &[usize], plate: &Plate) -> Vec<Vec<usize>> {
     let enough = |group: &[usize]| {
         let lit = group.iter().any(|n| frames[*n].sun.is_none());
         lit || group.len() >= LEAST_FRAMES || 2 * group.len() > of_folder.len()
@@ -125,15 +124,15 @@ fn groups(frames: &[FrameSightings], of_folder: &[usize], plate: &Plate) -> Vec<
     groups
 }
 
-/// How two frames see the marks that they share.
+/// How many of the marks that two frames share are in the same place in both, and how many are not.
 #[derive(Debug, Clone, Copy, Default)]
 struct Shared {
     same: usize,
     other: usize,
 }
 
-/// Parts of some frames of nearly one mapping that the marks they share tell apart.
-fn apart(frames: &[FrameSightings], group: &[usize]) -> Vec<Vec<usize>> {
+/// Parts of some frames of nearly one mapping that contradict each other in the marks that they share.
+fn apart(frames: &[FrameObservation], group: &[usize]) -> Vec<Vec<usize>> {
     let shared = shared(frames, group);
     let mut parts: Vec<Vec<usize>> = Vec::new();
     for run in linked(group, &shared) {
@@ -142,7 +141,7 @@ fn apart(frames: &[FrameSightings], group: &[usize]) -> Vec<Vec<usize>> {
             .position(|part| !contradict(&run, part, &shared));
         match free {
             None if parts.is_empty() || run.len() >= LEAST_FRAMES => parts.push(run),
-            // An odd frame is for the adjustment to judge.
+            // The adjustment judges an outlier.
             free => parts[free.unwrap_or(0)].extend(run),
         }
     }
@@ -150,18 +149,17 @@ fn apart(frames: &[FrameSightings], group: &[usize]) -> Vec<Vec<usize>> {
 }
 
 /// Pairs of frames, by index, that share marks.
-fn shared(frames: &[FrameSightings], group: &[usize]) -> BTreeMap<(usize, usize), Shared> {
+fn shared(frames: &[FrameObservation], group: &[usize]) -> BTreeMap<(usize, usize), Shared> {
     let mut by_mark: BTreeMap<MarkId, Vec<(usize, SensorPx)>> = BTreeMap::new();
     for n in group {
-        for sighting in &frames[*n].sightings {
-            let seen = by_mark.entry(sighting.id).or_default();
-            seen.push((*n, sighting.at));
+        for mark in &frames[*n].marks {
+            by_mark.entry(mark.id).or_default().push((*n, mark.at));
         }
     }
     let mut shared: BTreeMap<(usize, usize), Shared> = BTreeMap::new();
-    for seen in by_mark.values() {
-        for (k, (a, at)) in seen.iter().enumerate() {
-            for (b, there) in seen[k + 1..].iter().take(COMPARED) {
+    for places in by_mark.values() {
+        for (k, (a, at)) in places.iter().enumerate() {
+            for (b, there) in places[k + 1..].iter().take(COMPARED) {
                 let pair = shared.entry((*a, *b)).or_default();
                 match at.distance(*there) < SAME_PLACE_PX {
                     true => pair.same += 1,
@@ -198,7 +196,7 @@ fn linked(group: &[usize], shared: &BTreeMap<(usize, usize), Shared>) -> Vec<Vec
     runs
 }
 
-/// Whether more pairs of frames across two parts see their marks in other places than in the same.
+/// Whether more pairs of frames across two parts have their marks in different places than in the same.
 fn contradict(a: &[usize], b: &[usize], shared: &BTreeMap<(usize, usize), Shared>) -> bool {
     let (mut same, mut other) = (0, 0);
     for (n, m) in a.iter().flat_map(|n| b.iter().map(move |m| (n, m))) {
@@ -211,11 +209,11 @@ fn contradict(a: &[usize], b: &[usize], shared: &BTreeMap<(usize, usize), Shared
 }
 
 impl Posed {
-    /// Leaves out the poses of which half of the frames or more do not agree with the other frames. Gives how many.
+    /// Rejects the poses of which half of the frames or more do not agree with the other frames. Gives how many.
     ///
     /// # Errors
     /// A folder that would lose all its poses.
-    pub(super) fn leave_out(&mut self, fit: &PlateFit) -> Result<usize, Refusal> {
+    pub(super) fn reject(&mut self, fit: &PlateFit) -> Result<usize, Refusal> {
         let frames_of = |n: usize| self.frames.iter().filter(|f| f.pose == n).count();
         let holds = |n: usize| 2 * fit.poses[n].frames > frames_of(n);
         let (kept, lost): (Vec<usize>, Vec<usize>) = (0..self.poses.len()).partition(|n| holds(*n));
@@ -230,11 +228,10 @@ impl Posed {
             }
         }
         let place = |pose: usize| kept.iter().position(|n| *n == pose);
-        let odd = self.frames.extract_if(.., |f| place(f.pose).is_none());
-        self.spoiled.extend(odd.map(|frame| Spoiled {
-            file: frame.file,
-            reason: "its marks do not agree with those of the other frames".into(),
-        }));
+        let others = self.frames.extract_if(.., |f| place(f.pose).is_none());
+        let reason = "its marks do not agree with those of the other frames";
+        self.rejected
+            .extend(others.map(|frame| RejectedFrame::new(frame.file, reason)));
         for frame in &mut self.frames {
             frame.pose = place(frame.pose).unwrap_or_default();
         }
@@ -257,14 +254,14 @@ impl Posed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibrate::plate::Sighting;
+    use crate::calibrate::plate::observation::MarkObservation;
     use crate::geometry::{Distortion, Mapping, SimilarityParameters};
     use crate::instrument::{Instrument, builtin};
     use crate::units::PlateMil;
     use nalgebra::Matrix2;
 
     /// Marks near a Sun in the middle of the plate, in a picture moved along x.
-    fn frame(n: usize, demo: &Instrument, moved_px: f64) -> FrameSightings {
+    fn frame(n: usize, demo: &Instrument, moved_px: f64) -> FrameObservation {
         let stated = demo.mounting.similarity();
         let at = stated.plate_centre;
         let mapping = Mapping::similarity(
@@ -281,20 +278,20 @@ mod tests {
             .plate
             .marks()
             .map(|(id, at)| (id, mapping.to_sensor(at)));
-        let sighting = |(id, at): (MarkId, SensorPx)| Sighting {
+        let observation = |(id, at): (MarkId, SensorPx)| MarkObservation {
             id,
             at,
             covariance_px2: Matrix2::identity() * 4e-4,
         };
-        FrameSightings {
+        FrameObservation {
             file: format!("folder/{n:03}").into(),
             pose: 0,
             utc: None,
             mapping,
             sun: Some(PlateMil::new(0.0, 0.0)),
-            sightings: seen
+            marks: seen
                 .filter(|s| s.1.distance(sun) < 87.0)
-                .map(sighting)
+                .map(observation)
                 .collect(),
         }
     }
@@ -326,13 +323,13 @@ mod tests {
         let posed = found(|n| 0.01 * n as f64).unwrap();
         assert_eq!(posed.poses.len(), 1);
         assert_eq!(posed.poses[0].number, None);
-        assert!(posed.spoiled.is_empty());
+        assert!(posed.rejected.is_empty());
     }
 
     #[test]
-    fn an_odd_frame_or_two_are_no_pose() {
+    fn an_outlier_or_two_are_no_pose() {
         let posed = found(|n| if n % 30 == 7 { 100.0 } else { 0.0 }).unwrap();
-        assert_eq!((posed.poses.len(), posed.spoiled.len()), (1, 2));
+        assert_eq!((posed.poses.len(), posed.rejected.len()), (1, 2));
         let refused = found(|n| 40.0 * n as f64).unwrap_err().to_string();
         assert!(refused.starts_with("folder: 0 of 60 frames"), "{refused}");
     }

@@ -1,20 +1,21 @@
-//! The adjustment that a third of spoiled frames does not disturb.
+//! The adjustment that a third of bad frames does not disturb.
 //!
 //! # Algorithm
-//! 1. In each pose, the mapping of the frame that most other frames agree with; frames that do not are left out
-//!    ([`consensus`](super::consensus)).
-//! 2. Views and lens with every mark where it was drawn, sightings weighed down the farther off they are. A mark's own
+//! 1. In each pose, the mapping of the frame that most other frames agree with; frames that do not are rejected
+//!    ([`consensus`](super::observation::consensus)).
+//! 2. Views and lens with every mark where it was drawn, observations weighed down the farther off they are. A mark's own
 //!    displacement is the median of its residuals, so that errors show even before marks are adjusted.
-//! 3. All unknowns, the weights from residuals over their own sigma, until the weights rest. A frame that loses half of its
-//!    sightings is left out as a whole.
+//! 3. All unknowns, the weights from normalised residuals, until the weights converge. A frame that loses half of its
+//!    observations is rejected as a whole.
 //!
 //! The scale of the residuals is their median: their own, not what the frames state.
 
 use super::adjust::{Cell, Freedoms, MarkPrior, Problem, Settled, State};
 use crate::calibrate::numbers::median;
+use crate::estimation::{MEDIAN_LENGTH_2D, QUARTILE_SIGMAS};
 use nalgebra::{Matrix2, Vector2};
 
-/// A sighting in the adjustment.
+/// An observation of a mark in the adjustment.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Observation {
     pub frame: usize,
@@ -23,7 +24,7 @@ pub(super) struct Observation {
     pub mark: usize,
     pub seen: Vector2<f64>,
     pub covariance_px2: Matrix2<f64>,
-    /// 0 (left out) to 1.
+    /// 0 (rejected) to 1.
     pub weight: f64,
 }
 
@@ -35,7 +36,7 @@ pub(super) struct Bundle {
     pub frames: usize,
     pub marks: Vec<MarkPrior>,
     pub lens_sigma_px: f64,
-    /// By how much the stated variances of the sightings are raised.
+    /// Inflation of the stated variances of the observations.
     pub variance_factor: f64,
 }
 
@@ -43,29 +44,27 @@ pub(super) struct Bundle {
 const FULL: f64 = 3.5;
 const NONE: f64 = 6.0;
 const ROUNDS: usize = 12;
-/// Weights that change by less than this on the whole rest.
-const RESTING: f64 = 1e-3;
-/// Median length of a two-dimensional deviation of 1 sigma per axis.
-const MEDIAN_SIZE: f64 = 1.177;
-/// A sighting tells the scale if the others leave it this part of its variance: the only one of a mark has no residual.
+/// Weights that all change by less than this have converged.
+const CONVERGED: f64 = 1e-3;
+/// An observation counts for the scale if the others leave it this part of its variance: the only one of a mark has no residual.
 const CHECKED: f64 = 0.2;
-/// Fewer residuals than this tell no scale.
-const TELLING: usize = 20;
+/// Fewest residuals that determine the scale.
+const LEAST_CHECKED: usize = 20;
 /// Weight of the stated sigmas against the residuals, in degrees of freedom.
 const STATED_FREEDOM: f64 = 6.0;
-/// Enough sightings for the median of a mark's residuals to speak.
+/// Enough observations for the median of a mark's residuals.
 const ENOUGH: usize = 5;
 
-/// Residual of a sighting over its own sigma.
+/// Residual of an observation over its own sigma.
 #[derive(Debug, Clone, Copy)]
-struct Pull {
+struct NormalisedResidual {
     size: f64,
-    /// Whether other sightings check it.
-    telling: bool,
+    /// Whether other observations check it.
+    checked: bool,
 }
 
 impl Bundle {
-    /// The sightings of every mark in every pose, with their common mean.
+    /// The observations of every mark in every pose, with their common mean.
     pub(super) fn cells(&self) -> Vec<Vec<Cell>> {
         let mut sums = self.everywhere(|_, _| (Matrix2::zeros(), Vector2::zeros()));
         for o in self.observations.iter().filter(|o| o.weight > 0.0) {
@@ -102,7 +101,7 @@ impl Bundle {
         o.pose * self.marks.len() + o.mark
     }
 
-    /// Notes which marks any sighting speaks for.
+    /// Notes which marks have an observation that counts.
     fn note_measured(&mut self) {
         self.marks.iter_mut().for_each(|m| m.measured = false);
         for o in self.observations.iter().filter(|o| o.weight > 0.0) {
@@ -135,15 +134,15 @@ impl Bundle {
             let own = self.medians(&off);
             let pairs = self.observations.iter().zip(&off);
             let sizes: Vec<f64> = pairs.map(|(o, off)| (off - own[o.mark]).norm()).collect();
-            let sigma = (median(sizes.iter().copied()) / MEDIAN_SIZE).max(1e-6);
-            if self.reweigh(|n| sizes[n] / sigma) < RESTING {
+            let sigma = (median(sizes.iter().copied()) / MEDIAN_LENGTH_2D).max(1e-6);
+            if self.reweigh(|n| sizes[n] / sigma) < CONVERGED {
                 break;
             }
         }
         Some(state)
     }
 
-    /// How far from its place the state puts each sighting, on the plate.
+    /// How far from its place the state puts each observation, on the plate.
     fn off_mil(&self, state: &State) -> Vec<Vector2<f64>> {
         let back = self.everywhere(|pose, mark| {
             let p = state.predict(pose, mark);
@@ -172,7 +171,7 @@ impl Bundle {
         by_mark.iter().map(middle).collect()
     }
 
-    /// New weights from the size of each sighting's residual in sigma; gives the largest change.
+    /// New weights from the size of each normalised residual; gives the largest change.
     fn reweigh(&mut self, size: impl Fn(usize) -> f64) -> f64 {
         let mut changed: f64 = 0.0;
         for (n, o) in self.observations.iter_mut().enumerate() {
@@ -183,19 +182,19 @@ impl Bundle {
         changed
     }
 
-    /// Step 3: everything, until the weights rest.
+    /// Step 3: everything, until the weights converge.
     pub(super) fn in_full(&mut self, start: &State, freedoms: Freedoms) -> Option<Settled> {
         let mut state = start.clone();
         for _ in 0..ROUNDS {
             self.note_measured();
             let settled = self.settle(&state, freedoms)?;
             state = settled.state.clone();
-            let pulls = self.pulls(&settled);
-            let scale = self.scale(&pulls);
+            let residuals = self.normalised_residuals(&settled);
+            let scale = self.scale(&residuals);
             self.variance_factor *= scale.powi(2);
-            let changed = self.reweigh(|n| pulls[n].size / scale);
-            self.leave_out_frames();
-            if changed < RESTING && (scale - 1.0).abs() < 0.01 {
+            let changed = self.reweigh(|n| residuals[n].size / scale);
+            self.reject_frames();
+            if changed < CONVERGED && (scale - 1.0).abs() < 0.01 {
                 break;
             }
         }
@@ -205,10 +204,8 @@ impl Bundle {
         self.settle(&settled.state, freedoms)
     }
 
-    /// Raises what is known of the marks beforehand to how far the sightings show them from the drawing; gives by how much.
-    pub(super) fn raise_drawing_sigma(&mut self, settled: &Settled) -> f64 {
-        /// Median of the absolute value of normal errors.
-        const MEDIAN_OFF: f64 = 0.6745;
+    /// Inflates the marks' prior sigma to how far the observations show them from the drawing; gives the factor.
+    pub(super) fn inflate_drawing_sigma(&mut self, settled: &Settled) -> f64 {
         let off = |(mark, prior): (usize, &MarkPrior)| {
             let covariance = settled.place_covariance(mark);
             let off = settled.state.places[mark].vector() - prior.printed.vector();
@@ -216,54 +213,54 @@ impl Bundle {
             [0, 1].map(|n| off[n].abs() / (variance - covariance[(n, n)]).max(0.0).sqrt())
         };
         let measured = self.marks.iter().enumerate().filter(|(_, m)| m.measured);
-        let factor = (median(measured.flat_map(off)) / MEDIAN_OFF).max(1.0);
+        let factor = (median(measured.flat_map(off)) / QUARTILE_SIGMAS).max(1.0);
         self.marks.iter_mut().for_each(|m| m.sigma_mil *= factor);
         factor
     }
 
-    /// By how much the residuals exceed their sigmas; 1 where too few tell.
-    fn scale(&self, pulls: &[Pull]) -> f64 {
-        let pairs = self.observations.iter().zip(pulls);
-        let telling = pairs.filter(|(o, pull)| o.weight > 0.0 && pull.telling);
-        let sizes: Vec<f64> = telling.map(|(_, pull)| pull.size).collect();
-        match sizes.len() < TELLING {
+    /// By how much the residuals exceed their sigmas; 1 where too few are checked.
+    fn scale(&self, residuals: &[NormalisedResidual]) -> f64 {
+        let pairs = self.observations.iter().zip(residuals);
+        let checked = pairs.filter(|(o, residual)| o.weight > 0.0 && residual.checked);
+        let sizes: Vec<f64> = checked.map(|(_, residual)| residual.size).collect();
+        match sizes.len() < LEAST_CHECKED {
             true => 1.0,
-            false => (median(sizes) / MEDIAN_SIZE).clamp(0.1, 10.0),
+            false => (median(sizes) / MEDIAN_LENGTH_2D).clamp(0.1, 10.0),
         }
     }
 
-    /// Residual of each sighting over its own sigma: the part of it that the sighting itself takes up is not held against
-    /// it.
-    fn pulls(&self, settled: &Settled) -> Vec<Pull> {
+    /// The residual of each observation over its own sigma: the part of it that the observation itself absorbs does not
+    /// count.
+    fn normalised_residuals(&self, settled: &Settled) -> Vec<NormalisedResidual> {
         let of_mark = self.everywhere(|pose, mark| {
             let p = settled.state.predict(pose, mark);
             let spread = p.place * settled.place_covariance(mark) * p.place.transpose();
             (p.seen, spread)
         });
-        let pull = |o: &Observation| {
+        let normalised = |o: &Observation| {
             let (seen, spread) = of_mark[self.place(o)];
             let stated = o.covariance_px2 * self.variance_factor;
-            // A sighting that counts has drawn the mark towards itself; one that does not, has not.
+            // An observation that counts has drawn the mark towards itself; one that does not, has not.
             let variance = stated - spread * (2.0 * o.weight - 1.0);
             let least = variance.symmetric_eigenvalues().min() / (stated.trace() / 2.0);
             let variance = match least > 2e-3 {
                 true => variance,
                 false => stated * 0.05,
             };
-            let miss = o.seen - seen;
-            let square = |inverse| miss.dot(&(inverse * miss)).max(0.0);
-            Pull {
+            let residual = o.seen - seen;
+            let square = |inverse| residual.dot(&(inverse * residual)).max(0.0);
+            NormalisedResidual {
                 size: variance
                     .try_inverse()
                     .map_or(f64::INFINITY, |inverse| square(inverse).sqrt()),
-                telling: least > CHECKED,
+                checked: least > CHECKED,
             }
         };
-        self.observations.iter().map(pull).collect()
+        self.observations.iter().map(normalised).collect()
     }
 
-    /// A frame that has lost half of its sightings or more loses the others too.
-    fn leave_out_frames(&mut self) {
+    /// A frame that has lost half of its observations or more loses the others too.
+    fn reject_frames(&mut self) {
         let mut counts = vec![(0_usize, 0.0_f64); self.frames];
         for o in &self.observations {
             counts[o.frame].0 += 1;
@@ -281,12 +278,12 @@ impl Bundle {
     pub(super) fn chi2(&self, state: &State) -> f64 {
         let predicted = self.everywhere(|pose, mark| state.predict(pose, mark).seen);
         let one = |o: &Observation| {
-            let miss = o.seen - predicted[self.place(o)];
+            let residual = o.seen - predicted[self.place(o)];
             let inverse = o
                 .covariance_px2
                 .try_inverse()
                 .unwrap_or_else(Matrix2::zeros);
-            o.weight * miss.dot(&(inverse * miss)) / self.variance_factor
+            o.weight * residual.dot(&(inverse * residual)) / self.variance_factor
         };
         self.observations.iter().map(one).sum()
     }
@@ -296,7 +293,7 @@ impl Bundle {
         2.0 * self.observations.iter().map(|o| o.weight).sum::<f64>()
     }
 
-    /// What the residuals say of the variances, and where they are few, what is stated.
+    /// Chi-square over its degrees of freedom; where these are few, towards 1.
     fn reduced_chi2(&self, settled: &Settled) -> f64 {
         let freedom = (self.coordinates() - settled.determined).max(0.0);
         (self.chi2(&settled.state) + STATED_FREEDOM) / (freedom + STATED_FREEDOM)

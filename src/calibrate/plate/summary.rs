@@ -1,62 +1,58 @@
-//! What came of a calibration, in words.
+//! The result of a calibration as lines of text.
 
-use super::{Calibration, LENS_PRIOR_PX, PlateFit};
+use super::calibration::Calibration;
+use super::fit::{LENS_PRIOR_PX, PlateFit};
 use crate::plate::{MarkId, drawn_position};
 use crate::units::SensorPx;
 use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::path::Path;
 
-/// A drawing's sigma that is off by so much is worth a line.
-const NOTABLE: f64 = 1.5;
-
-/// Marks, lens, poses and the frames that were not used, as lines of text.
+/// Marks, lens, poses and the rejected frames, a line each.
 pub fn summary(calibration: &Calibration) -> String {
-    let mut text = String::new();
-    // Writing to a string cannot fail.
-    let _ = write(calibration, &mut text);
-    text
+    let mut lines = used(calibration);
+    let rejected = calibration.rejected.iter();
+    lines.extend(rejected.map(|frame| format!("rejected   {frame}")));
+    lines.join("\n")
 }
 
-fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
+/// The lines of [`summary`] without the rejected frames.
+pub(super) fn used(calibration: &Calibration) -> Vec<String> {
+    /// A drawing's sigma that is off by so much is worth a line.
+    const NOTABLE: f64 = 1.5;
     let fit = &calibration.fit;
     let used: usize = fit.poses.iter().map(|pose| pose.frames).sum();
-    let kept = fit.residuals.iter().filter(|r| r.kept).count();
-    writeln!(
-        out,
-        "frames     {used} used, {} of them read at a second look; {} not used; {} poses",
+    let mut lines = vec![format!(
+        "frames     {used} used, {} of them in a later pass; {} rejected; {} poses",
         calibration.read_later,
-        calibration.spoiled.len(),
+        calibration.rejected.len(),
         calibration.poses.len()
-    )?;
-    for (folder, poses) in found(calibration) {
-        writeln!(out, "found      {}: {poses} poses", folder.display())?;
-    }
-    writeln!(
-        out,
-        "sightings  {kept} of {} marks, {} left out; residual {:.4} px rms, {:.2} of what the frames state",
+    )];
+    let found = poses_of_folders(calibration).into_iter();
+    lines
+        .extend(found.map(|(path, poses)| format!("found      {}: {poses} poses", path.display())));
+    lines.push(format!(
+        "observed   {} positions of {} marks, {} rejected; residual {:.4} px rms, {:.2} of what the frames state",
+        fit.kept().count(),
         fit.marks.len(),
-        fit.residuals.len() - kept,
+        fit.residuals.len() - fit.kept().count(),
         fit.residual_px,
         fit.sigma_factor
-    )?;
+    ));
     let (moved, sigma) = displacement_mil(fit);
-    writeln!(
-        out,
+    lines.push(format!(
         "marks      {moved:.3} mil rms off the drawing, known to {sigma:.3} mil rms; {} never seen keep the drawing's place",
         MarkId::all().count() - fit.marks.len()
-    )?;
+    ));
     if fit.drawing_factor > NOTABLE {
-        writeln!(
-            out,
-            "drawing    the marks lie {:.1} times as far from it as its sigma states; so much of it is believed",
+        lines.push(format!(
+            "drawing    the marks lie {:.1} times as far from it as its sigma states: its sigma is inflated by so much",
             fit.drawing_factor
-        )?;
+        ));
     }
-    writeln!(out, "lens       {}", lens(fit))?;
-    for (pose, name) in fit.poses.iter().zip(&calibration.poses) {
-        writeln!(
-            out,
+    lines.push(format!("lens       {}", lens(fit)));
+    let poses = fit.poses.iter().zip(&calibration.poses);
+    lines.extend(poses.map(|(pose, name)| {
+        format!(
             "pose       {name}: {} frames, {}, plate's centre ({:.3}, {:.3}) px, {:.5} mil/px, {:.4} deg",
             pose.frames,
             fit.choice.kind.name(),
@@ -64,22 +60,14 @@ fn write(calibration: &Calibration, out: &mut String) -> std::fmt::Result {
             pose.plate_centre_px.y,
             pose.scale_mil_per_px.value,
             pose.rotation_deg.value
-        )?;
-    }
-    writeln!(out, "apart      {}", separation(fit))?;
-    for spoiled in &calibration.spoiled {
-        writeln!(
-            out,
-            "not used   {}: {}",
-            spoiled.file.display(),
-            spoiled.reason
-        )?;
-    }
-    Ok(())
+        )
+    }));
+    lines.push(format!("separation {}", separation(fit)));
+    lines
 }
 
 /// The folders that hold several poses, and how many.
-fn found(calibration: &Calibration) -> BTreeMap<&Path, usize> {
+fn poses_of_folders(calibration: &Calibration) -> BTreeMap<&Path, usize> {
     let numbered = calibration.poses.iter().filter_map(|pose| {
         let folder = pose.folder.as_path();
         pose.number.map(|number| (folder, number))
@@ -89,51 +77,44 @@ fn found(calibration: &Calibration) -> BTreeMap<&Path, usize> {
 }
 
 /// Root mean square per axis of the marks' displacements, and of their sigmas.
-pub(super) fn displacement_mil(fit: &PlateFit) -> (f64, f64) {
+fn displacement_mil(fit: &PlateFit) -> (f64, f64) {
     let axes = (2 * fit.marks.len()).max(1) as f64;
     let moved = fit.marks.iter().map(|mark| {
         let off = mark.position.vector() - drawn_position(mark.id).vector();
         off.norm_squared()
     });
-    let sigma = fit
-        .marks
-        .iter()
-        .flat_map(|mark| mark.sigma_mil.map(|s| s * s));
+    let sigmas = fit.marks.iter().flat_map(|mark| mark.sigma_mil);
+    let variances = sigmas.map(|sigma| sigma * sigma);
     (
         (moved.sum::<f64>() / axes).sqrt(),
-        (sigma.sum::<f64>() / axes).sqrt(),
+        (variances.sum::<f64>() / axes).sqrt(),
     )
 }
 
 fn lens(fit: &PlateFit) -> String {
-    let names = ["radial r^2", "radial r^4", "decentring", ""];
-    let terms: Vec<_> = (0..3)
-        .filter(|n| fit.choice.lens[*n])
-        .map(|n| names[n])
-        .collect();
+    let names = ["radial r^2", "radial r^4", "decentring"];
+    let terms = names.into_iter().zip(fit.choice.lens);
+    let terms: Vec<_> = terms.filter(|t| t.1).map(|t| t.0).collect();
+    let sigma = fit.separation.lens_sigma_px;
     if terms.is_empty() {
-        let sigma = fit.separation.lens_sigma_px;
         return format!("no distortion called for; known to {sigma:.3} px at the corner");
     }
     let corner = SensorPx::new(0.0, 0.0);
     let moved = fit.distortion.distort(corner).distance(corner);
-    format!(
-        "{}: {moved:.3} px at the corner, known to {:.3} px",
-        terms.join(", "),
-        fit.separation.lens_sigma_px
-    )
+    let terms = terms.join(", ");
+    format!("{terms}: {moved:.3} px at the corner, known to {sigma:.3} px")
 }
 
-/// Whether the frames tell the plate's errors from the lens's, in words.
-pub(super) fn separation(fit: &PlateFit) -> String {
+/// Whether the frames separate the plate's errors from the lens's distortion, in words.
+fn separation(fit: &PlateFit) -> String {
     let with = fit.separation.lens_sigma_px;
     let without = fit.separation.without_priors_px;
     if fit.separation.by_data() {
-        return "the frames themselves tell the plate's errors from the lens's distortion".into();
+        return "the frames separate the plate's errors from the lens's distortion".into();
     }
     format!(
-        "the frames do not tell the plate's errors from the lens's distortion (the camera was not moved enough between poses): \
-         the split rests on what was stated beforehand, marks within the drawing's sigma and each lens term within \
+        "the frames do not separate the plate's errors from the lens's distortion (the camera was not moved enough between \
+         poses): the split rests on the priors, marks within the drawing's sigma and each lens term within \
          {LENS_PRIOR_PX} px at the corner; the lens is known to {with:.3} px there, and to {without:.3} px without these. \
          Shift and turn the camera, and take frames in each pose"
     )

@@ -1,6 +1,6 @@
 //! The calibrated instrument as TOML: what was measured put in its place in the start's file.
 
-use super::Calibration;
+use super::calibration::Calibration;
 use super::fit::PoseFit;
 use crate::calibrate::revision::{Provenance, Revision, number};
 use crate::geometry::Distortion;

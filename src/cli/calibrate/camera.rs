@@ -1,9 +1,8 @@
 //! `solaspect calibrate camera`: noise, gain, hot pixels, vignetting, blur.
 
-use super::edition::{Edition, write_page};
-use crate::calibrate::camera::{self, CameraCalibration, Inputs};
-use crate::calibrate::frames::{self, LeftOut};
-use crate::calibrate::numbers::{sigma_text, value_text};
+use super::edition::{Edition, print_rejected};
+use crate::calibrate::camera::{self, Inputs};
+use crate::calibrate::frames::{Depth, InputError, RejectedFrame, list, sha256};
 use crate::calibrate::revision::Provenance;
 use crate::cli::output::say;
 use anyhow::Context;
@@ -24,9 +23,6 @@ pub struct CameraArgs {
     frames: Vec<PathBuf>,
     #[command(flatten)]
     edition: Edition,
-    /// Write a page with figures to this folder, camera.html
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
     /// Frames without light, at equal exposure
     #[arg(long, value_name = "DIR")]
     dark: Option<PathBuf>,
@@ -37,33 +33,30 @@ pub struct CameraArgs {
 
 pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
     let (mut revision, stated) = args.edition.open()?;
-    let listed = |folder: &Option<PathBuf>| frames::list(folder.as_slice());
-    let (dark, flat, sun) = (
-        listed(&args.dark)?,
-        listed(&args.flat)?,
-        frames::list(&args.frames)?,
-    );
-    let mut inputs = Inputs::default();
-    let (mut left_out, mut more);
-    (inputs.dark, left_out) = camera::load(&dark, &stated)?;
-    (inputs.flat, more) = camera::load(&flat, &stated)?;
-    left_out.append(&mut more);
-    (inputs.sun, inputs.suns, more) = camera::look(&sun, &stated)?;
-    left_out.append(&mut more);
-    let calibration =
-        camera::calibrate(&inputs, &stated).with_context(|| frames::first_of(&left_out))?;
-    let files: Vec<PathBuf> = [dark, flat, sun].concat();
-    let provenance = provenance(&inputs, &files);
+    let frames = |given: &[PathBuf]| -> Result<_, InputError> { list(given, Depth::All) };
+    let dark = frames(args.dark.as_slice())?;
+    let flat = frames(args.flat.as_slice())?;
+    let sun = frames(&args.frames)?;
+    let (dark_shots, dark_rejected) = camera::load(&dark, &stated)?;
+    let (flat_shots, flat_rejected) = camera::load(&flat, &stated)?;
+    let (sun_shots, suns, sun_rejected) = camera::solve(&sun, &stated)?;
+    let rejected = [dark_rejected, flat_rejected, sun_rejected].concat();
+    let inputs = Inputs {
+        dark: dark_shots,
+        flat: flat_shots,
+        sun: sun_shots,
+        suns,
+    };
+    let calibration = camera::calibrate(&inputs, &stated)
+        .with_context(|| RejectedFrame::count_and_first(&rejected))?;
+    let provenance = provenance(&inputs, &[dark, flat, sun].concat());
     calibration.revise(&mut revision, &provenance);
     args.edition.write(&revision)?;
-    print(&calibration, &left_out)?;
-    if let Some(folder) = &args.report {
-        write_page(
-            folder,
-            "camera.html",
-            &camera::page(&calibration, &stated.name, &provenance.source, &left_out)?,
-        )?;
-    }
+    say(calibration.summary())?;
+    print_rejected(&rejected)?;
+    args.edition.write_page("camera.html", || {
+        camera::page(&calibration, &stated.name, &provenance.source, &rejected)
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -83,35 +76,6 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
         ),
         date: TimeZone::UTC.to_datetime(last).date(),
         frames: files.len(),
-        frames_sha256: frames::sha256(files),
+        frames_sha256: sha256(files),
     }
-}
-
-fn print(calibration: &CameraCalibration, left_out: &[LeftOut]) -> anyhow::Result<()> {
-    for finding in &calibration.findings {
-        match &finding.found {
-            Ok(found) => say(format_args!(
-                "{}: {} +- {} {}; {}",
-                finding.name,
-                value_text(*found),
-                sigma_text(found.sigma),
-                finding.unit,
-                finding.remark
-            ))?,
-            Err(why) => say(format_args!(
-                "{}: {why}; keeps the instrument's value",
-                finding.name
-            ))?,
-        }
-    }
-    match &calibration.hot_pixels {
-        Some(hot) => say(format_args!("hot pixels: {}", hot.len()))?,
-        None => say(
-            "hot pixels: not determined: at least 3 frames are needed; keeps the instrument's list",
-        )?,
-    }
-    for LeftOut { name, reason } in left_out {
-        say(format_args!("left out: {name}: {reason}"))?;
-    }
-    Ok(())
 }

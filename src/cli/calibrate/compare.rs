@@ -25,7 +25,7 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         say(serde_json::to_string(&comparison)?)?;
     } else {
-        say(comparison.to_string().trim_end())?;
+        say(comparison)?;
     }
     Ok(ExitCode::SUCCESS)
 }

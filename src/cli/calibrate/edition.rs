@@ -1,9 +1,11 @@
 //! The instrument's file before a calibration and after it.
 
+use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::revision::Revision;
 use crate::cli::options;
-use crate::cli::output::make_folder;
+use crate::cli::output::{make_folder, say};
 use crate::instrument::Instrument;
+use crate::report::plot::PlotError;
 use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -17,6 +19,9 @@ pub(super) struct Edition {
     /// The new instrument file
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
+    /// Write a page with figures to this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
 }
 
 impl Edition {
@@ -41,10 +46,23 @@ impl Edition {
         Instrument::read(&part)?;
         std::fs::rename(&part, &self.out).with_context(cannot_write)
     }
+
+    /// Writes the page of the report if one is wanted.
+    pub fn write_page(
+        &self,
+        name: &str,
+        page: impl FnOnce() -> Result<String, PlotError>,
+    ) -> anyhow::Result<()> {
+        let Some(folder) = &self.report else {
+            return Ok(());
+        };
+        make_folder(folder)?;
+        let file = folder.join(name);
+        std::fs::write(&file, page()?).with_context(|| format!("{}: cannot write", file.display()))
+    }
 }
 
-pub(super) fn write_page(folder: &Path, name: &str, html: &str) -> anyhow::Result<()> {
-    make_folder(folder)?;
-    let file = folder.join(name);
-    std::fs::write(&file, html).with_context(|| format!("{}: cannot write", file.display()))
+pub(super) fn print_rejected(rejected: &[RejectedFrame]) -> anyhow::Result<()> {
+    let mut frames = rejected.iter();
+    frames.try_for_each(|frame| say(format_args!("rejected: {frame}")))
 }

@@ -9,7 +9,7 @@ mod plate;
 use clap::{Args, Subcommand};
 use std::process::ExitCode;
 
-/// Measure the instrument from frames and write its new TOML file; tell what changed between two calibrations
+/// Measure the instrument from frames and write its new TOML file; report what changed between two calibrations
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
     #[command(subcommand)]

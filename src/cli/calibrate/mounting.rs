@@ -1,14 +1,12 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance and mirror.
 
-use super::edition::{Edition, write_page};
-use crate::calibrate::frames::{self, LeftOut};
-use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings, Verdict};
-use crate::calibrate::numbers::sigma_text;
+use super::edition::{Edition, print_rejected};
+use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
+use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings};
 use crate::calibrate::revision::Provenance;
 use crate::cli::options;
 use crate::cli::output::say;
 use crate::geometry::Handedness;
-use crate::instrument::Instrument;
 use crate::sky::Air;
 use crate::units::Place;
 use anyhow::Context;
@@ -29,9 +27,6 @@ pub struct MountingArgs {
     frames: Vec<PathBuf>,
     #[command(flatten)]
     edition: Edition,
-    /// Write a page with residuals to this folder, mounting.html
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
     /// CSV file of where the telescope pointed: UTC, azimuth, elevation in deg, elevation without refraction
     #[arg(
         long,
@@ -65,8 +60,8 @@ pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
         .as_deref()
         .map(PointingLog::read)
         .transpose()?;
-    let files = frames::list(&args.frames)?;
-    let looked = Frames {
+    let files = list(&args.frames, Depth::All)?;
+    let frames = Frames {
         instrument: &stated,
         place: args.place.or(config.site.place()),
         log: log.as_ref(),
@@ -74,37 +69,33 @@ pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
         air: args.air,
         ephemeris: options::ephemeris(&config)?,
     };
-    let (sights, mut left_out, handedness) = mounting::collect(&files, &looked)?;
+    let (observations, mut rejected, handedness) = mounting::collect(&files, &frames)?;
     let pointings = match log {
         Some(_) => Pointings::Known,
         None => Pointings::Fixed,
     };
-    let seen = with_handedness(&stated, handedness);
-    let mounting = mounting::calibrate(&sights, pointings, &seen)
-        .with_context(|| frames::first_of(&left_out))?;
-    left_out.extend(mounting.left_out.iter().cloned());
+    let mut seen = stated.clone();
+    seen.mounting.handedness = handedness;
+    let mounting = mounting::calibrate(&observations, pointings, &seen)
+        .with_context(|| RejectedFrame::count_and_first(&rejected))?;
+    rejected.extend(mounting.rejected.iter().cloned());
     let provenance = provenance(&mounting, &files);
     mounting.revise(&mut revision, &provenance);
-    if handedness != stated.mounting.handedness {
-        let name = handedness_name(handedness);
+    let found = (handedness != stated.mounting.handedness).then(|| handedness_name(handedness));
+    if let Some(name) = found {
         revision.set("mounting.handedness", name.into(), None, &provenance);
     }
     args.edition.write(&revision)?;
-    print(&mounting, &stated, &left_out)?;
-    if let Some(folder) = &args.report {
-        write_page(
-            folder,
-            "mounting.html",
-            &mounting::page(&mounting, &seen, &provenance.source, &left_out)?,
-        )?;
+    say(mounting.agreement(&stated))?;
+    mounting.quantities.iter().try_for_each(say)?;
+    if let Some(name) = found {
+        say(format_args!("handedness: determined by the marks: {name}"))?;
     }
+    print_rejected(&rejected)?;
+    args.edition.write_page("mounting.html", || {
+        mounting::page(&mounting, &seen, &provenance.source, &rejected)
+    })?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn with_handedness(stated: &Instrument, handedness: Handedness) -> Instrument {
-    let mut seen = stated.clone();
-    seen.mounting.handedness = handedness;
-    seen
 }
 
 fn handedness_name(handedness: Handedness) -> &'static str {
@@ -130,46 +121,6 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
         source: format!("mounting calibration, {way}, {taken} frames from {first:.0} to {last:.0}"),
         date: TimeZone::UTC.to_datetime(last).date(),
         frames: taken,
-        frames_sha256: frames::sha256(files),
+        frames_sha256: sha256(files),
     }
-}
-
-fn print(mounting: &Mounting, stated: &Instrument, left_out: &[LeftOut]) -> anyhow::Result<()> {
-    let fit = &mounting.fit;
-    say(format_args!(
-        "{} of {} sights agree, scattering by {:.3} mil ({:.2} arcsec) rms per axis",
-        fit.accepted(),
-        fit.residuals.len(),
-        fit.scatter_mil,
-        fit.scatter_mil * stated.optics.arcsec_per_mil(),
-    ))?;
-    for finding in &mounting.findings {
-        let numbers = |values: &[f64]| {
-            let texts: Vec<String> = values.iter().map(|v| format!("{v:.4}")).collect();
-            texts.join(", ")
-        };
-        let change = match (&finding.found[..], finding.verdict) {
-            ([], _) => String::new(),
-            (found, Verdict::Determined) => format!(
-                "{} -> {} {} +- {}; ",
-                numbers(&finding.stated),
-                numbers(found),
-                finding.unit,
-                sigma_text(finding.sigma)
-            ),
-            (found, Verdict::Kept) if finding.stated.is_empty() => {
-                format!("{} {}; ", numbers(found), finding.unit)
-            }
-            (_, Verdict::Kept) => format!("{} {}; ", numbers(&finding.stated), finding.unit),
-        };
-        say(format_args!("{}: {change}{}", finding.name, finding.remark))?;
-    }
-    if mounting.handedness != stated.mounting.handedness {
-        let name = handedness_name(mounting.handedness);
-        say(format_args!("handedness: determined by the marks: {name}"))?;
-    }
-    for LeftOut { name, reason } in left_out {
-        say(format_args!("left out: {name}: {reason}"))?;
-    }
-    Ok(())
 }

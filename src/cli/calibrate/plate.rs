@@ -1,9 +1,8 @@
 //! `solaspect calibrate plate`: the plate as it is.
 
-use super::edition::{Edition, write_page};
+use super::edition::Edition;
 use crate::calibrate::plate;
-use crate::cli::output::progress_bar;
-use crate::cli::output::say;
+use crate::cli::output::{progress_bar, say};
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -11,18 +10,15 @@ use std::process::ExitCode;
 /// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
 ///
 /// Takes frames with the Sun all over the plate, in several poses of the camera (shifted, turned), so that errors of the
-/// plate and of the lens show apart. Names and times may repeat across folders. Frames that cannot be used are listed and
-/// the rest go on; a set of frames that gives no calibration is refused with what to take instead.
+/// plate and of the lens can be separated. Names and times may repeat across folders. Rejected frames are listed and the
+/// rest go on; a set of frames that gives no calibration is refused with what to take instead.
 #[derive(Debug, Args)]
 pub struct PlateArgs {
-    /// Frames, or folders of frames; the poses of the camera are told apart within each folder
+    /// Frames, or folders of frames; the poses of the camera are found within each folder
     #[arg(required = true, value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
     #[command(flatten)]
     edition: Edition,
-    /// Write a report, index.html, into this folder
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
 }
 
 pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
@@ -34,10 +30,9 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     let calibration = calibration?;
     calibration.revise(&mut revision, &start);
     args.edition.write(&revision)?;
-    if let Some(folder) = &args.report {
-        write_page(folder, "index.html", &plate::html(&calibration)?)?;
-    }
-    say(plate::summary(&calibration).trim_end())?;
+    args.edition
+        .write_page("index.html", || plate::html(&calibration))?;
+    say(plate::summary(&calibration))?;
     say(format_args!("written to {}", args.edition.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }

@@ -1,46 +1,44 @@
-//! How the view drifts: with the camera's temperature, and beside it as a random walk, estimated forwards and backwards in
-//! time (Kalman; Rauch, Tung and Striebel).
+//! How the view drifts: as a random walk, and beside it with the camera's temperature.
 //!
-//! What a degree does is estimated together with the walk: along with the walk's state goes how this answers to each
-//! coefficient, and the coefficients follow from what all frames leave unexplained (de Jong, 1991).
+//! The state is the view and, where the temperature counts, what a degree changes of it: constants that all marks of the flight
+//! determine together with the walk.
 
-mod backwards;
-mod sightings;
-mod warmth;
+mod observations;
 
-pub(super) use sightings::{Sight, Sightings};
-pub(super) use warmth::Warmth;
+pub(super) use observations::{MarkObservation, Observations};
 
-use super::view::{Covariance, Reference, State, UpperTriangle};
-use backwards::Backwards;
-use warmth::{Answer, Evidence, log_root, warmed};
+use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed};
+use crate::estimation::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
+use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
-/// How fast the view wanders, 1 sigma after a second.
+/// The random walk of the view, 1 sigma after a second: square roots of the process noise's density.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Wander {
+pub(super) struct ProcessNoise {
     pub shift_px: f64,
     /// Turn and stretch, px at a unit of the plate from its centre.
     pub turn_px: f64,
 }
 
-/// The view's shape wanders so much less than its turn.
-const SHAPE_PART: f64 = 0.1;
+/// The process noise of the view's shear over that of its turn.
+const SHEAR_PART: f64 = 0.1;
 /// What a jump leaves uncertain, px.
 const JUMP_PX: [f64; 2] = [10.0, 3.0];
-/// What is known of the view before the first mark: from the reference, by group of states.
+/// What is known of the view before the first mark, 1 sigma from the reference: shift, turn and shear, px; tilt.
 const FIRST_SIGMA: [f64; 4] = [50.0, 50.0, 2.0, 0.01];
 
-impl Wander {
-    /// Variances after a time.
-    fn variance(&self, step_s: f64) -> Covariance {
-        let [shift, turn] = [self.shift_px, self.turn_px].map(|v| v.powi(2) * step_s);
-        diagonal([shift, turn, turn * SHAPE_PART.powi(2), 0.0])
-    }
-}
+/// The numbers of the view that a degree changes, the first ones: shift x and y, stretch and turn.
+const THERMAL: usize = 4;
+/// What is known beforehand of what a degree does, 1 sigma, px: cameras on balloons shift by a tenth of a pixel, and aluminium
+/// stretches by 23e-6, 0.004 px.
+const THERMAL_SIGMA_PX: [f64; THERMAL] = [0.2, 0.2, 0.02, 0.02];
+/// The view's numbers and the thermal coefficients.
+const WITH_THERMAL: usize = STATES + THERMAL;
 
-/// A diagonal matrix from the variances of shift, turn, shape and lean.
-fn diagonal(variances: [f64; 4]) -> Covariance {
-    Covariance::from_diagonal(&State::from_fn(|n, _| variances[n / 2]))
+/// What a degree of the camera's temperature does to shift x and y, stretch and turn, px.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct ThermalCoefficients {
+    pub px_per_degc: Vector4<f64>,
+    pub covariance: Matrix4<f64>,
 }
 
 /// The view at a moment with its covariance.
@@ -50,11 +48,11 @@ pub(super) struct Estimate {
     pub covariance: UpperTriangle,
 }
 
-/// A jump lies between a moment and the one before it.
+/// A jump may lie between a moment and the one before it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Break {
+pub(super) struct JumpCandidate {
     pub moment: usize,
-    /// How unlikely it is that the view merely wandered: chi^2 of four.
+    /// How unlikely it is that this is mere process noise: chi^2 of four.
     pub chi2: f64,
 }
 
@@ -62,146 +60,173 @@ pub(super) struct Break {
 pub(super) struct Smoothed {
     pub estimates: Vec<Estimate>,
     /// Where a jump would explain most.
-    pub sharpest: Option<Break>,
-    pub warmth: Warmth,
+    pub jump: Option<JumpCandidate>,
+    /// None where the temperature does not count.
+    pub thermal: Option<ThermalCoefficients>,
 }
 
 /// All that estimating the drift takes.
 pub(super) struct Drift<'a> {
     pub reference: &'a Reference,
-    pub sightings: &'a Sightings,
-    pub wander: Wander,
+    pub observations: &'a Observations,
+    pub process_noise: ProcessNoise,
     /// Moments before which the view jumped, in order.
     pub jumps: &'a [usize],
     /// The camera's temperature at each moment, from the flight's middle, degC; none where it is not to count.
-    pub warmth_c: Option<&'a [f64]>,
+    pub temperature_c: Option<&'a [f64]>,
 }
-
-/// The view in the middle of the way, all coefficients of the temperature being zero.
-#[derive(Debug, Clone, Copy)]
-struct Passing {
-    state: State,
-    covariance: Covariance,
-    answer: Answer,
-}
-
-/// Moments between two places from which the way forwards is gone again, which costs less memory than to keep it.
-const BLOCK: usize = 256;
 
 impl Drift<'_> {
-    /// Process noise between a moment and the one before it.
-    fn step(&self, moment: usize) -> Covariance {
-        let wandered = self.wander.variance(self.sightings.step_s(moment));
-        match self.jumps.binary_search(&moment) {
-            Ok(_) => wandered + diagonal([JUMP_PX[0].powi(2), JUMP_PX[1].powi(2), 0.0, 0.0]),
-            Err(_) => wandered,
-        }
-    }
-
-    fn degrees(&self, moment: usize) -> f64 {
-        self.warmth_c.map_or(0.0, |degrees| degrees[moment])
-    }
-
-    /// The view before the first mark.
-    fn first(&self) -> Passing {
-        Passing {
-            state: State::zeros(),
-            covariance: diagonal(FIRST_SIGMA.map(|sigma| sigma.powi(2))),
-            answer: warmed(self.degrees(0)),
-        }
-    }
-
-    /// From the moment before to a moment, and what its marks say. `None` where a covariance cannot be inverted.
-    fn advance(&self, n: usize, now: &mut Passing, evidence: &mut Evidence) -> Option<()> {
-        if n > 0 {
-            now.covariance += self.step(n);
-            now.answer += warmed(self.degrees(n) - self.degrees(n - 1));
-        }
-        if !self.sightings.counts(n) {
-            return Some(());
-        }
-        let (information, gradient, chi2) = self.sums(n, &now.state);
-        let before = now.covariance.cholesky()?;
-        let root = (before.inverse() + information).cholesky()?;
-        let moved = root.solve(&gradient);
-        evidence.likelihood -= (chi2 - gradient.dot(&moved)) / 2.0;
-        evidence.likelihood -= log_root(&root) + log_root(&before);
-        now.state += moved;
-        now.covariance = root.inverse();
-        if self.warmth_c.is_some() {
-            let seen = information * now.answer;
-            let answered = now.covariance * seen;
-            evidence.information += now.answer.transpose() * seen - seen.transpose() * answered;
-            evidence.gradient += now.answer.transpose() * gradient - seen.transpose() * moved;
-            now.answer -= answered;
-        }
-        Some(())
-    }
-
-    /// All the way forwards.
-    fn forwards(&self, mut each: impl FnMut(usize, &Passing)) -> Option<Evidence> {
-        let (mut now, mut evidence) = (self.first(), Evidence::none());
-        for n in 0..self.sightings.len() {
-            self.advance(n, &mut now, &mut evidence)?;
-            each(n, &now);
-        }
-        Some(evidence)
-    }
-
-    /// What a moment's marks say: information, gradient and chi^2 at a state.
-    fn sums(&self, moment: usize, state: &State) -> (Covariance, State, f64) {
-        let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
-        for sight in self
-            .sightings
-            .at(moment)
-            .iter()
-            .filter(|sight| sight.weight > 0.0)
-        {
-            let (seen, slopes) = self.reference.picture(sight.printed);
-            let miss = sight.seen - seen - slopes * state;
-            let weight = sight.information() * f64::from(sight.weight);
-            let weighted = slopes.transpose() * weight;
-            information += weighted * slopes;
-            gradient += weighted * miss;
-            chi2 += miss.dot(&(weight * miss));
-        }
-        (information, gradient, chi2)
-    }
-
     /// Logarithm of the likelihood but for a constant. `None` where a covariance cannot be inverted.
     pub fn likelihood(&self) -> Option<f64> {
-        self.forwards(|_, _| {})?.total()
+        match self.temperature_c {
+            Some(_) => log_likelihood::<WITH_THERMAL>(self),
+            None => log_likelihood::<STATES>(self),
+        }
     }
 
     /// The estimates from all the flight.
     pub fn smoothed(&self) -> Option<Smoothed> {
-        let mut starts = Vec::new();
-        let evidence = self.forwards(|n, now| {
-            if n % BLOCK == 0 {
-                starts.push(*now);
-            }
-        })?;
-        let mut back = Backwards::new(self, evidence.warmth()?);
-        for (block, start) in starts.iter().enumerate().rev() {
-            let first = block * BLOCK;
-            let last = (first + BLOCK).min(self.sightings.len());
-            let mut way = vec![*start];
-            let mut now = *start;
-            for n in first + 1..last {
-                self.advance(n, &mut now, &mut Evidence::none())?;
-                way.push(now);
-            }
-            for (n, now) in (first..last).zip(&way).rev() {
-                back.take(n, now)?;
-            }
+        match self.temperature_c {
+            Some(_) => self.smoothed_as::<WITH_THERMAL>(),
+            None => self.smoothed_as::<STATES>(),
         }
-        Some(back.arrived())
+    }
+
+    fn smoothed_as<const N: usize>(&self) -> Option<Smoothed> {
+        let mut smoothed = Smoothed {
+            estimates: Vec::with_capacity(self.observations.len()),
+            jump: None,
+            thermal: None,
+        };
+        smooth::<N>(self, |moment, state, disturbance| {
+            let covariance = state.covariance.fixed_view::<STATES, STATES>(0, 0);
+            smoothed.estimates.push(Estimate {
+                state: state.mean.fixed_rows::<STATES>(0).into_owned(),
+                covariance: packed(&covariance.into_owned()),
+            });
+            smoothed.thermal = thermal(state);
+            let most = smoothed.jump.map_or(0.0, |jump| jump.chi2);
+            let jump = disturbance.and_then(|d| self.jump_candidate(moment + 1, d));
+            smoothed.jump = jump.filter(|jump| jump.chi2 > most).or(smoothed.jump);
+        })?;
+        smoothed.estimates.reverse();
+        Some(smoothed)
+    }
+
+    /// How far the disturbance of shift, stretch and turn before a moment is beyond what the process noise explains.
+    fn jump_candidate<const N: usize>(
+        &self,
+        moment: usize,
+        disturbance: &Disturbance<N>,
+    ) -> Option<JumpCandidate> {
+        if self.jumps.binary_search(&moment).is_ok() {
+            return None;
+        }
+        let residual = disturbance.residual.fixed_rows::<4>(0).into_owned();
+        let covariance = disturbance.covariance.fixed_view::<4, 4>(0, 0).into_owned();
+        let chi2 = residual.dot(&covariance.cholesky()?.solve(&residual));
+        chi2.is_finite().then_some(JumpCandidate { moment, chi2 })
+    }
+
+    fn degrees(&self, moment: usize) -> f64 {
+        self.temperature_c.map_or(0.0, |degrees| degrees[moment])
+    }
+
+    /// What a moment's marks say: information, gradient and chi^2 at a view.
+    fn sums(&self, moment: usize, view: &State) -> (Covariance, State, f64) {
+        let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
+        let marks = self.observations.at(moment).iter();
+        for mark in marks.filter(|mark| mark.weight > 0.0) {
+            let (picture, slopes) = self.reference.picture(mark.printed);
+            let residual = mark.seen - picture - slopes * view;
+            let weight = mark.information() * f64::from(mark.weight);
+            let weighted = slopes.transpose() * weight;
+            information += weighted * slopes;
+            gradient += weighted * residual;
+            chi2 += residual.dot(&(weight * residual));
+        }
+        (information, gradient, chi2)
+    }
+}
+
+/// The view, which so many degrees move by the coefficients.
+fn warmed<const N: usize>(degrees: f64) -> SMatrix<f64, N, N> {
+    let mut transition = SMatrix::identity();
+    for n in STATES..N {
+        transition[(n - STATES, n)] = degrees;
+    }
+    transition
+}
+
+/// Variances of shift, turn, shear and tilt as those of a view, and none of the coefficients.
+fn of_view<const N: usize>(variances: [f64; 4]) -> SVector<f64, N> {
+    SVector::from_fn(|n, _| variances.get(n / 2).copied().unwrap_or(0.0))
+}
+
+fn thermal<const N: usize>(state: &Gaussian<N>) -> Option<ThermalCoefficients> {
+    (N == WITH_THERMAL).then(|| ThermalCoefficients {
+        px_per_degc: state.mean.fixed_rows::<THERMAL>(STATES).into_owned(),
+        covariance: state
+            .covariance
+            .fixed_view::<THERMAL, THERMAL>(STATES, STATES)
+            .into_owned(),
+    })
+}
+
+/// With or without the thermal coefficients.
+impl<const N: usize> Process<N> for Drift<'_> {
+    fn moments(&self) -> usize {
+        self.observations.len()
+    }
+
+    fn initial(&self) -> Gaussian<N> {
+        let mut variances = of_view(FIRST_SIGMA.map(|sigma| sigma.powi(2)));
+        for n in STATES..N {
+            variances[n] = THERMAL_SIGMA_PX[n - STATES].powi(2);
+        }
+        Gaussian::new(SVector::zeros(), &variances).predicted(&Step {
+            transition: warmed(self.degrees(0)),
+            noise: SMatrix::zeros(),
+        })
+    }
+
+    fn step(&self, moment: usize) -> Option<Step<N>> {
+        let ProcessNoise { shift_px, turn_px } = self.process_noise;
+        let step_s = self.observations.step_s(moment);
+        let [mut shift, mut turn] = [shift_px, turn_px].map(|noise| noise.powi(2) * step_s);
+        let shear = turn * SHEAR_PART.powi(2);
+        if self.jumps.binary_search(&moment).is_ok() {
+            shift += JUMP_PX[0].powi(2);
+            turn += JUMP_PX[1].powi(2);
+        }
+        Some(Step {
+            transition: warmed(self.degrees(moment) - self.degrees(moment - 1)),
+            noise: SMatrix::from_diagonal(&of_view([shift, turn, shear, 0.0])),
+        })
+    }
+
+    fn observe(&self, moment: usize, state: &mut Gaussian<N>) -> Option<f64> {
+        if !self.observations.counts(moment) {
+            return Some(0.0);
+        }
+        let view = state.mean.fixed_rows::<STATES>(0).into_owned();
+        let (of_view, gradient_of_view, chi2) = self.sums(moment, &view);
+        let mut information = SMatrix::<f64, N, N>::zeros();
+        let mut gradient = SVector::<f64, N>::zeros();
+        information
+            .fixed_view_mut::<STATES, STATES>(0, 0)
+            .copy_from(&of_view);
+        gradient
+            .fixed_rows_mut::<STATES>(0)
+            .copy_from(&gradient_of_view);
+        let likelihood = state.update_by_information(&information, &gradient, chi2)?;
+        Some(likelihood.log(f64::INFINITY))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::warmth::WARMED;
     use super::*;
     use crate::geometry::Distortion;
     use crate::units::PlateMil;
@@ -224,70 +249,73 @@ mod tests {
 
     /// The first moments of a flight whose view goes with the temperature by so many px per degree, beside a slow walk; nobody sees marks for a
     /// sixth of it. And the view in truth.
-    fn flight(moments: usize, px_per_degc: [f64; WARMED]) -> (Sightings, Vec<State>) {
+    fn flight(moments: usize, px_per_degc: [f64; THERMAL]) -> (Observations, Vec<State>) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
         let mut noise = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
         let reference = reference();
         let mut walk = State::zeros();
         let seen = |n: usize| !(250..350).contains(&n);
-        let mut sights = Vec::new();
+        let mut marks = Vec::new();
         let mut moment = |(n, degrees): (usize, f64)| {
             walk[0] += noise(0.002);
             walk[1] += noise(0.002);
-            let state = walk + warmed(degrees) * Vector4::from(px_per_degc);
-            let marks = (0..9).filter(|_| seen(n)).map(|k| {
+            let mut state = walk;
+            let mut warmed = state.fixed_rows_mut::<THERMAL>(0);
+            warmed += Vector4::from(px_per_degc) * degrees;
+            let observed = (0..9).filter(|_| seen(n)).map(|k| {
                 let at = |k: i32| 300.0 * f64::from(k % 3 - 1);
                 let printed = PlateMil::new(at(k), at(k / 3));
                 let (view, slopes) = reference.picture(printed);
                 let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
                 let information = MARK_SIGMA_PX.powi(-2) as f32;
-                Sight {
+                MarkObservation {
                     seen: view + slopes * state + error,
                     printed,
                     information: [information, 0.0, information],
                     weight: 1.0,
                 }
             });
-            let first = sights.len();
-            sights.extend(marks);
-            ((n as f64 / 4.0, first..sights.len()), state)
+            let first = marks.len();
+            marks.extend(observed);
+            ((n as f64 / 4.0, first..marks.len()), state)
         };
         let degrees = temperature_c().into_iter().take(moments).enumerate();
         let (moments, truth): (Vec<_>, Vec<_>) = degrees.map(&mut moment).unzip();
-        (Sightings::new(sights, moments.into_iter()), truth)
+        (Observations::new(marks, moments.into_iter()), truth)
     }
 
     fn drift<'a>(
         reference: &'a Reference,
-        sightings: &'a Sightings,
-        warmth_c: Option<&'a [f64]>,
+        observations: &'a Observations,
+        temperature_c: Option<&'a [f64]>,
     ) -> Drift<'a> {
         // Without the temperature the walk must follow it.
-        let shift_px = if warmth_c.is_some() { 0.004 } else { 0.1 };
+        let shift_px = if temperature_c.is_some() { 0.004 } else { 0.1 };
         Drift {
             reference,
-            sightings,
-            wander: Wander {
+            observations,
+            process_noise: ProcessNoise {
                 shift_px,
                 turn_px: 0.001,
             },
             jumps: &[],
-            warmth_c,
+            temperature_c,
         }
     }
 
     #[test]
     fn what_a_degree_does_is_told_and_bridges_the_time_without_marks() {
         let truth_per_degc = [0.13, -0.08, 0.004, -0.01];
-        let (sightings, truth) = flight(COUNT, truth_per_degc);
+        let (observations, truth) = flight(COUNT, truth_per_degc);
         let (reference, degrees) = (reference(), temperature_c());
-        let with = drift(&reference, &sightings, Some(&degrees));
-        let without = drift(&reference, &sightings, None);
+        let with = drift(&reference, &observations, Some(&degrees));
+        let without = drift(&reference, &observations, None);
         assert!(with.likelihood().unwrap() > without.likelihood().unwrap() + 100.0);
         let (with, without) = (with.smoothed().unwrap(), without.smoothed().unwrap());
+        let thermal = with.thermal.unwrap();
         for (n, truth) in truth_per_degc.iter().enumerate() {
-            let sigma = with.warmth.covariance[(n, n)].sqrt();
-            assert!((with.warmth.px_per_degc[n] - truth).abs() < 4.0 * sigma);
+            let sigma = thermal.covariance[(n, n)].sqrt();
+            assert!((thermal.px_per_degc[n] - truth).abs() < 4.0 * sigma);
             assert!(sigma < 0.01);
         }
         let off =
@@ -302,36 +330,18 @@ mod tests {
 
     #[test]
     fn a_temperature_that_does_nothing_is_told_to_do_nothing() {
-        let (sightings, _) = flight(COUNT, [0.0; WARMED]);
+        let (observations, _) = flight(COUNT, [0.0; THERMAL]);
         let (reference, degrees) = (reference(), temperature_c());
-        let with = drift(&reference, &sightings, Some(&degrees));
+        let with = drift(&reference, &observations, Some(&degrees));
         let still = Drift {
-            warmth_c: None,
-            ..drift(&reference, &sightings, Some(&degrees))
+            temperature_c: None,
+            ..drift(&reference, &observations, Some(&degrees))
         };
         assert!(with.likelihood().unwrap() < still.likelihood().unwrap());
-        let warmth = with.smoothed().unwrap().warmth;
-        for n in 0..WARMED {
-            let sigma = warmth.covariance[(n, n)].sqrt();
-            assert!(warmth.px_per_degc[n].abs() < 4.0 * sigma);
+        let thermal = with.smoothed().unwrap().thermal.unwrap();
+        for n in 0..THERMAL {
+            let sigma = thermal.covariance[(n, n)].sqrt();
+            assert!(thermal.px_per_degc[n].abs() < 4.0 * sigma);
         }
-    }
-
-    #[test]
-    fn the_way_back_is_the_same_in_one_block_and_in_several() {
-        let (reference, degrees) = (reference(), temperature_c());
-        let smoothed = |count: usize| {
-            let (sightings, _) = flight(count, [0.1; WARMED]);
-            let drift = drift(&reference, &sightings, Some(&degrees));
-            drift.smoothed().unwrap()
-        };
-        assert_eq!(smoothed(COUNT).estimates.len(), COUNT);
-        let [some, one] = [BLOCK + 1, BLOCK].map(smoothed);
-        let step = some.estimates[BLOCK - 1].state - one.estimates[BLOCK - 1].state;
-        assert!(step.norm() < 0.02);
-        assert_eq!(
-            (some.estimates.len(), one.estimates.len()),
-            (BLOCK + 1, BLOCK)
-        );
     }
 }

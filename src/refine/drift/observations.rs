@@ -1,32 +1,32 @@
-//! The moments of a flight and the marks that were read then.
+//! The moments of a flight and the marks observed then.
 
 use crate::refine::record::symmetric;
 use crate::units::PlateMil;
 use nalgebra::{Matrix2, Vector2};
 use std::ops::Range;
 
-/// A mark as the flight's mapping takes it.
+/// A mark observed in a frame, for the flight's mapping.
 #[derive(Debug, Clone, Copy)]
-pub struct Sight {
-    /// On the ideal sensor.
+pub struct MarkObservation {
+    /// Position on the ideal sensor, px.
     pub seen: Vector2<f64>,
     pub printed: PlateMil,
     /// Inverse covariance, px^-2: xx, xy, yy. There are many of these.
     pub information: [f32; 3],
-    /// What it counts, 0 to 1.
+    /// 0 to 1.
     pub weight: f32,
 }
 
-impl Sight {
+impl MarkObservation {
     pub fn information(&self) -> Matrix2<f64> {
         symmetric(self.information.map(f64::from))
     }
 }
 
-/// The moments of the flight, and the marks that were read then. All marks lie in one piece, which is given back in one.
+/// The moments of the flight, and the marks observed then. All marks lie in one allocation, so that their memory is given back.
 #[derive(Debug, Clone, Default)]
-pub struct Sightings {
-    sights: Vec<Sight>,
+pub struct Observations {
+    marks: Vec<MarkObservation>,
     moments: Vec<Moment>,
 }
 
@@ -37,12 +37,15 @@ struct Moment {
     marks: Range<usize>,
 }
 
-impl Sightings {
-    /// `marks` are which of the sights belong to each of the moments, which are in order.
-    pub fn new(sights: Vec<Sight>, moments: impl Iterator<Item = (f64, Range<usize>)>) -> Self {
+impl Observations {
+    /// Each moment, in order, with its time in s and the range of its marks.
+    pub fn new(
+        marks: Vec<MarkObservation>,
+        moments: impl Iterator<Item = (f64, Range<usize>)>,
+    ) -> Self {
         let moment = |(time_s, marks)| Moment { time_s, marks };
         Self {
-            sights,
+            marks,
             moments: moments.map(moment).collect(),
         }
     }
@@ -62,16 +65,16 @@ impl Sightings {
     }
 
     /// The marks of a moment.
-    pub fn at(&self, moment: usize) -> &[Sight] {
-        &self.sights[self.moments[moment].marks.clone()]
+    pub fn at(&self, moment: usize) -> &[MarkObservation] {
+        &self.marks[self.moments[moment].marks.clone()]
     }
 
-    pub fn at_mut(&mut self, moment: usize) -> &mut [Sight] {
-        &mut self.sights[self.moments[moment].marks.clone()]
+    pub fn at_mut(&mut self, moment: usize) -> &mut [MarkObservation] {
+        &mut self.marks[self.moments[moment].marks.clone()]
     }
 
     /// Whether any mark of a moment counts.
     pub fn counts(&self, moment: usize) -> bool {
-        self.at(moment).iter().any(|sight| sight.weight > 0.0)
+        self.at(moment).iter().any(|mark| mark.weight > 0.0)
     }
 }

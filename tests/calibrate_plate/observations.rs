@@ -1,13 +1,13 @@
-//! The adjustment alone, from generated sightings.
+//! The adjustment alone, from generated observations.
 
 use super::judged::{errors, lens_difference};
-use super::scenes::{K1, generator, sighted, similarity, sun_frames, truth};
-use solaspect::calibrate::plate::{self, FrameSightings, MeasuredMark, PlateFit};
+use super::scenes::{K1, generator, observed, similarity, sun_frames, truth};
+use solaspect::calibrate::plate::{self, FrameObservation, MeasuredMark, PlateFit};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{Instrument, builtin};
 use std::time::Instant;
 
-fn fit(frames: &[FrameSightings], poses: usize) -> PlateFit {
+fn fit(frames: &[FrameObservation], poses: usize) -> PlateFit {
     plate::fit(frames, poses, &builtin("demo").unwrap()).unwrap()
 }
 
@@ -16,12 +16,12 @@ fn judged(fit: &PlateFit, truth: &Instrument) -> (f64, f64) {
 }
 
 /// Frames that show every mark, four poses in turn.
-fn full_frames(truth: &Instrument, count: usize, seed: u64) -> Vec<FrameSightings> {
+fn full_frames(truth: &Instrument, count: usize, seed: u64) -> Vec<FrameObservation> {
     let mut normal = generator(seed);
     let frame = |n: usize| {
         let pose = n % 4;
         let mapping = Mapping::similarity(similarity(pose), truth.camera.distortion).unwrap();
-        sighted((n, pose), (truth, mapping), |_| true, &mut normal)
+        observed((n, pose), (truth, mapping), |_| true, &mut normal)
     };
     (0..count).map(frame).collect()
 }
@@ -31,7 +31,7 @@ fn generated_measurements_of_every_mark_in_many_frames_are_solved() {
     let truth = truth(1.0, K1, 5);
     let fit = fit(&full_frames(&truth, 200, 6), 4);
     let (rms, honest) = judged(&fit, &truth);
-    // 0.02 px at 200 sightings.
+    // 0.02 px at 200 observations.
     assert!(rms < 0.012, "{rms}");
     assert!((0.8..1.25).contains(&honest), "{honest}");
     assert!(lens_difference(&fit.distortion, &truth.camera.distortion) < 0.005);
@@ -108,7 +108,7 @@ fn sigmas_are_honest_over_many_seeds() {
 
 /// The solver alone in full size: 225 marks in 5,000 frames.
 #[test]
-#[ignore = "a million sightings: half a minute"]
+#[ignore = "a million observations: half a minute"]
 fn every_mark_in_five_thousand_frames_is_solved() {
     let truth = truth(1.0, K1, 5);
     let frames = full_frames(&truth, 5000, 6);
@@ -116,7 +116,7 @@ fn every_mark_in_five_thousand_frames_is_solved() {
     let fit = fit(&frames, 4);
     let (rms, honest) = judged(&fit, &truth);
     println!(
-        "5000 frames, {} sightings: {:.1} s, {rms:.4} mil rms, error / sigma {honest:.2}",
+        "5000 frames, {} observations: {:.1} s, {rms:.4} mil rms, error / sigma {honest:.2}",
         fit.residuals.len(),
         begun.elapsed().as_secs_f64()
     );

@@ -1,0 +1,119 @@
+//! From observations to a mounting.
+
+use super::chain::Side;
+use super::fit::{self, MountingFit, Pointings};
+use super::observation::{MountingError, SunObservation};
+use super::verdict;
+use crate::calibrate::frames::RejectedFrame;
+use crate::calibrate::quantity::CalibratedQuantity;
+use crate::calibrate::revision::{Provenance, Revision};
+use crate::geometry::Handedness;
+use crate::instrument::Instrument;
+
+/// The result of a calibration.
+#[derive(Debug, Clone)]
+pub struct Mounting {
+    pub fit: MountingFit,
+    pub quantities: Vec<CalibratedQuantity>,
+    /// How the camera sees the plate, as the marks say.
+    pub handedness: Handedness,
+    /// Frames whose observation does not take part.
+    pub rejected: Vec<RejectedFrame>,
+}
+
+/// Calibrates the mounting of an instrument from observations of the Sun.
+///
+/// # Errors
+/// Observations that do not determine a mounting at all; see [`MountingError`].
+pub fn calibrate(
+    observations: &[SunObservation],
+    pointings: Pointings,
+    stated: &Instrument,
+) -> Result<Mounting, MountingError> {
+    let usable = |o: &&SunObservation| pointings == Pointings::Fixed || o.pointing.is_some();
+    let observations: Vec<_> = observations.iter().filter(usable).cloned().collect();
+    check_enough(&observations, pointings)?;
+    check_spread(&observations, pointings)?;
+    let fit = fit::fit(&observations, pointings, stated, Side::Front)?;
+    let mirrored = fit::fit(&observations, pointings, stated, Side::Back);
+    let mirror = verdict::mirror(&fit, mirrored.as_ref().ok())?;
+    check_agreement(&fit, pointings)?;
+    Ok(Mounting {
+        quantities: verdict::quantities(&fit, mirror, stated),
+        handedness: stated.mounting.handedness,
+        rejected: fit.rejected(),
+        fit,
+    })
+}
+
+/// Fewest observations: with fewer, outliers cannot be found.
+fn check_enough(
+    observations: &[SunObservation],
+    pointings: Pointings,
+) -> Result<(), MountingError> {
+    let (limit, with) = match pointings {
+        Pointings::Known => (5, " and a known pointing"),
+        Pointings::Fixed => (10, ""),
+    };
+    let found = observations.len();
+    if found < limit {
+        return Err(MountingError::TooFew { found, limit, with });
+    }
+    Ok(())
+}
+
+/// The Sun must move enough for an angle to mean something.
+fn check_spread(
+    observations: &[SunObservation],
+    pointings: Pointings,
+) -> Result<(), MountingError> {
+    const LEAST_MIL: f64 = 100.0;
+    let extent = |coordinate: fn(&SunObservation) -> f64| {
+        // Without the tenth at each end, which bad frames may make up.
+        let mut values: Vec<f64> = observations.iter().map(coordinate).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() - 1 - values.len() / 10] - values[values.len() / 10]
+    };
+    let found_mil = extent(|s| s.sun_plate.position.x).hypot(extent(|s| s.sun_plate.position.y));
+    if found_mil >= LEAST_MIL {
+        return Ok(());
+    }
+    let instead = match pointings {
+        Pointings::Known => "point at the Sun and half a degree to each side of it",
+        Pointings::Fixed => "fix the gondola ahead of the Sun and take frames for 10 minutes",
+    };
+    Err(MountingError::OnePlace {
+        found_mil,
+        limit_mil: LEAST_MIL,
+        instead,
+    })
+}
+
+/// A telescope that moved, or pointings of another night, fit nothing.
+fn check_agreement(fit: &MountingFit, pointings: Pointings) -> Result<(), MountingError> {
+    let (limit_mil, instead) = match pointings {
+        Pointings::Known => (200.0, "check the clock and the place of the pointings"),
+        Pointings::Fixed => (
+            30.0,
+            "the gondola must stand still; one that moves needs --pointing",
+        ),
+    };
+    if fit.scatter_mil <= limit_mil {
+        return Ok(());
+    }
+    Err(MountingError::NoAgreement {
+        found_mil: fit.scatter_mil,
+        limit_mil,
+        instead,
+    })
+}
+
+impl Mounting {
+    /// Writes what was determined into an instrument's file; what was not stays as it is.
+    pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
+        for quantity in &self.quantities {
+            quantity.revise(revision, provenance);
+        }
+        revision.sign(provenance);
+    }
+}

@@ -1,0 +1,110 @@
+//! What the frames show: positions of identified marks, by frame and pose.
+
+use crate::calibrate::frames::RejectedFrame;
+use crate::calibrate::numbers::median;
+use crate::geometry::Mapping;
+use crate::plate::{MarkId, Plate};
+use crate::units::{PlateMil, SensorPx};
+use jiff::Timestamp;
+use nalgebra::Matrix2;
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+/// A mark observed in a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MarkObservation {
+    pub id: MarkId,
+    pub at: SensorPx,
+    pub covariance_px2: Matrix2<f64>,
+}
+
+/// The marks observed in a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameObservation {
+    pub file: PathBuf,
+    /// Index of the pose that the frame belongs to; of the folder, until poses are found.
+    pub pose: usize,
+    pub utc: Option<Timestamp>,
+    /// The frame's own mapping, from its own marks.
+    pub mapping: Mapping,
+    /// Where the Sun stood on the plate; none in a frame of the lit plate.
+    pub sun: Option<PlateMil>,
+    pub marks: Vec<MarkObservation>,
+}
+
+impl FrameObservation {
+    /// How many marks lie within a distance of where they are expected.
+    pub(super) fn count_near(
+        &self,
+        limit_px: f64,
+        expected: impl Fn(MarkId) -> Option<SensorPx>,
+    ) -> usize {
+        let near = |mark: &&MarkObservation| {
+            expected(mark.id).is_some_and(|at| at.distance(mark.at) < limit_px)
+        };
+        self.marks.iter().filter(near).count()
+    }
+
+    /// 1 sigma of the frame's best mark, px per axis.
+    fn best_px(&self) -> f64 {
+        let variances = self.marks.iter().map(|m| m.covariance_px2.trace() / 2.0);
+        variances.fold(f64::INFINITY, f64::min).max(0.0).sqrt()
+    }
+}
+
+/// Takes out the frames of which even the best mark is far less certain than in most frames: blur, haze, smear.
+pub(super) fn take_blurred(frames: &mut Vec<FrameObservation>) -> Vec<RejectedFrame> {
+    /// The best mark of a sharp frame is as certain as those of the other frames, within this factor.
+    const SHARP: f64 = 2.0;
+    let middle = median(frames.iter().map(FrameObservation::best_px));
+    let rejected = |frame: FrameObservation| {
+        let reason = format!(
+            "not sharp: its best mark is known to {:.3} px, those of most frames to {middle:.3} px",
+            frame.best_px()
+        );
+        RejectedFrame::new(frame.file, reason)
+    };
+    let blurred = frames.extract_if(.., |frame| frame.best_px() > SHARP * middle);
+    blurred.map(rejected).collect()
+}
+
+/// What the frames of a pose agree upon before anything is adjusted.
+pub(super) struct Consensus {
+    pub mapping: Mapping,
+    /// The frames that agree, as indices into all frames.
+    pub frames: Vec<usize>,
+}
+
+/// The mapping that most of some frames agree with; `None` without frames.
+pub(super) fn consensus(
+    frames: &[FrameObservation],
+    of_pose: &[usize],
+    plate: &Plate,
+) -> Option<Consensus> {
+    /// A frame's mapping rests on a few marks: elsewhere on the sensor it is off by pixels, and the lens adds some more.
+    /// Wrong ids are off by 47 px at least.
+    const AGREEING_PX: f64 = 15.0;
+    /// Most frames whose mappings are tried.
+    const TRIED: usize = 50;
+    let agreeing = |mapping: Mapping| {
+        let expected: HashMap<MarkId, SensorPx> = plate
+            .marks()
+            .map(|(id, at)| (id, mapping.to_sensor(at)))
+            .collect();
+        let agrees = |n: &&usize| {
+            let frame = &frames[**n];
+            let near = frame.count_near(AGREEING_PX, |id| expected.get(&id).copied());
+            2 * near > frame.marks.len()
+        };
+        Consensus {
+            mapping,
+            frames: of_pose.iter().filter(agrees).copied().collect(),
+        }
+    };
+    let every = of_pose.len().div_ceil(TRIED).max(1);
+    let tried = of_pose.iter().step_by(every).rev();
+    // From the back: of equals the last is taken, here the first frame's.
+    tried
+        .map(|n| agreeing(frames[*n].mapping))
+        .max_by_key(|c| c.frames.len())
+}

@@ -1,0 +1,17 @@
+//! Estimation: robust scale and loss, least squares for a few parameters, and the Kalman filter with its smoother.
+//!
+//! - `robust`: medians, scatter from medians, Tukey's loss, and the constants of the normal distribution that go with them.
+//! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter. Fits of
+//!   many pixels or marks per frame (limb, fiducial, registration) and the bundle adjustment of the plate have solvers of their own.
+//! - `kalman`: prediction, update and smoothing of a Gaussian state of any fixed size.
+
+mod kalman;
+mod least_squares;
+mod robust;
+
+pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
+pub use least_squares::{FitError, Fitted, LeastSquares, Linearised, Prior, Scale, regression};
+pub use robust::{
+    Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS, SIGMA_PER_MEDIAN,
+    TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_and_scatter, median_size,
+};

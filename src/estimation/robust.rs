@@ -1,0 +1,165 @@
+//! Location, scale and loss that a minority of outliers hardly changes.
+
+use crate::lanes::{LANES, Scratch};
+use multiversion::multiversion;
+use std::borrow::Borrow;
+
+/// 1 sigma of a normal distribution over the median of the absolute deviations from its middle.
+pub const SIGMA_PER_MEDIAN: f64 = 1.4826;
+/// The upper quartile of a normal distribution, in sigmas, which is the median of the absolute deviations.
+pub const QUARTILE_SIGMAS: f64 = 0.6745;
+/// The median length of a normal deviation in two axes, in sigmas per axis (Rayleigh): the square root of 2 ln 2.
+pub const MEDIAN_LENGTH_2D: f64 = 1.177_410_022_515_474_7;
+/// Its square: the median of chi^2 with two degrees of freedom.
+pub const MEDIAN_CHI2_2D: f64 = 2.0 * std::f64::consts::LN_2;
+/// 1 sigma of the median of many normal values over that of their mean: the square root of pi / 2.
+pub const MEDIAN_SIGMA: f64 = 1.253_314_137_315_500_3;
+
+/// Tukey's limit for residuals in one axis: 95 % of the efficiency of least squares where errors are normal.
+pub const TUKEY_SIGMAS: f64 = 4.685;
+/// The same for the length of residuals in two axes, in sigmas per axis. It is larger since such lengths are.
+pub const TUKEY_SIGMAS_2D: f64 = 5.123;
+
+/// What residuals cost, and so how they are weighted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Loss {
+    /// Least squares: all alike.
+    Squares,
+    /// Tukey's biweight: the weight falls to zero at this many sigmas.
+    Tukey(f64),
+}
+
+impl Loss {
+    /// Weight of a residual in sigmas, 0 to 1.
+    pub fn weight(self, residual: f64) -> f64 {
+        match self {
+            Self::Squares => 1.0,
+            Self::Tukey(limit) => (1.0 - (residual / limit).powi(2)).max(0.0).powi(2),
+        }
+    }
+
+    /// Cost of a residual in sigmas, near its square where it is small: twice the integral of residual times weight.
+    pub fn cost(self, residual: f64) -> f64 {
+        match self {
+            Self::Squares => residual.powi(2),
+            Self::Tukey(limit) => {
+                let inside = (1.0 - (residual / limit).powi(2)).max(0.0);
+                limit.powi(2) / 3.0 * (1.0 - inside.powi(3))
+            }
+        }
+    }
+}
+
+/// The median of some values, of an even number the larger of the two in the middle; `None` of none.
+pub fn median<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> Option<f64> {
+    let mut values: Vec<f64> = values.into_iter().map(|v| *v.borrow()).collect();
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The [`median`] of some values, and 1 sigma of their scatter about it; `None` of none.
+pub fn median_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
+    let middle = median(values)?;
+    let away = median(values.iter().map(|value| (value - middle).abs()))?;
+    Some((middle, SIGMA_PER_MEDIAN * away))
+}
+
+/// The median of some sizes, which are not negative; `None` of none.
+pub fn median_size(sizes: impl Iterator<Item = f32>) -> Option<f32> {
+    // The bits of such numbers are ordered as the numbers are, and compared more quickly.
+    let mut bits = Scratch::<u32>::empty(sizes.size_hint().0);
+    bits.extend(sizes.map(f32::to_bits));
+    let middle = bits.len() / 2;
+    (!bits.is_empty()).then(|| f32::from_bits(*bits.select_nth_unstable(middle).1))
+}
+
+/// 1 sigma of residuals, at least `least`, from those within three sigmas: in rounds, since the limit depends on the result.
+/// `None` of too few.
+pub fn clipped_sigma(residuals: &[f32], start: f32, least: f64) -> Option<f64> {
+    /// Fewest values that tell a sigma.
+    const MIN_VALUES: f32 = 10.0;
+    /// What the normal distribution keeps of its sigma within three of it.
+    const KEPT: f32 = 0.9866;
+    const ROUNDS: usize = 4;
+    /// The start may be of another part of the picture.
+    const FIRST_LIMIT: f32 = 5.0;
+    let mut limit = FIRST_LIMIT * start;
+    let mut sigma = None;
+    for _ in 0..ROUNDS {
+        let [count, squares] = sums_within(residuals, limit).map(|lanes| lanes.iter().sum::<f32>());
+        if count < MIN_VALUES {
+            return None;
+        }
+        let found = ((squares / count).sqrt() / KEPT).max(least as f32);
+        sigma = Some(f64::from(found));
+        if limit == 3.0 * found {
+            break;
+        }
+        limit = 3.0 * found;
+    }
+    sigma
+}
+
+/// How many values are within a limit, and their squares, summed by lanes.
+#[multiversion(targets("x86_64+avx2"))]
+fn sums_within(residuals: &[f32], limit: f32) -> [[f32; LANES]; 2] {
+    let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    for residuals in residuals.as_chunks::<LANES>().0 {
+        for k in 0..LANES {
+            let square = residuals[k] * residuals[k];
+            let within = square < limit * limit;
+            counts[k] += if within { 1.0 } else { 0.0 };
+            squares[k] += if within { square } else { 0.0 };
+        }
+    }
+    [counts, squares]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_one_is_one_of_the_values_and_not_swayed_by_the_largest() {
+        assert_eq!(median([3.0, 1.0, 1e9]), Some(3.0));
+        assert_eq!(median([4.0, 1.0, 3.0, 2.0]), Some(3.0));
+        assert_eq!(median::<f64>([]), None);
+    }
+
+    #[test]
+    fn the_median_of_sizes_is_one_of_them() {
+        assert_eq!(median_size([3.0, 0.5, 1e9].into_iter()), Some(3.0));
+        assert_eq!(median_size([4.0, 1.0, 3.0, 0.0].into_iter()), Some(3.0));
+        assert_eq!(median_size([].into_iter()), None);
+    }
+
+    #[test]
+    fn a_tenth_that_is_far_off_hardly_sways_a_clipped_sigma() {
+        let even = |n: usize| (n * 7919 % 401) as f32 / 40.0 - 5.0;
+        let mut values: Vec<f32> = (0..400).map(even).collect();
+        let clean = clipped_sigma(&values, 2.0, 0.3).unwrap();
+        values[..40].fill(60.0);
+        let swayed = clipped_sigma(&values, 2.0, 0.3).unwrap();
+        assert!((swayed / clean - 1.0).abs() < 0.03, "{clean} and {swayed}");
+        assert_eq!(clipped_sigma(&values[..8], 2.0, 0.3), None);
+    }
+
+    #[test]
+    fn a_loss_grows_as_its_weight_says_and_not_beyond_its_limit() {
+        for loss in [Loss::Squares, Loss::Tukey(TUKEY_SIGMAS)] {
+            for residual in [0.0, 0.5, 2.0, 4.0, 6.0] {
+                let slope = (loss.cost(residual + 1e-4) - loss.cost(residual - 1e-4)) / 2e-4;
+                assert!((slope - 2.0 * residual * loss.weight(residual)).abs() < 1e-6);
+            }
+        }
+        let [near, far] = [5.0, 1e9].map(|residual| Loss::Tukey(TUKEY_SIGMAS).cost(residual));
+        assert_eq!(near, far);
+    }
+
+    #[test]
+    fn the_scatter_of_an_even_spread_is_told_in_spite_of_a_far_one() {
+        let values = [-2.0, -1.0, 0.0, 1.0, 1e9];
+        assert_eq!(median_and_scatter(&values), Some((0.0, SIGMA_PER_MEDIAN)));
+        assert_eq!(median_and_scatter(&[]), None);
+    }
+}
