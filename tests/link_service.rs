@@ -301,7 +301,7 @@ fn every_command_and_every_restored_value_is_in_the_archive_with_sender_and_resu
     assert_eq!(rows[1], line(["0x1731", "set_twist", "1000", twist]));
     let read = line(["0x1a10", "get_target_x", "", "x -300 arcsec"]);
     assert_eq!(rows[2], read);
-    assert_eq!(rows[3][1..3], ["0x1104", "gps"]);
+    assert_eq!(rows[3][1..4], ["0x000a", "gps", "34.5 -104.25"]);
     assert_eq!(rows[3][4], "done");
     assert_eq!(rows[4], line(["0x1ff0", "", "", "unknown"]));
     let saved = values.display().to_string();

@@ -844,7 +844,7 @@ fn add_flight(root: &Path, instrument_toml: &str, configuration: &str, first: us
     let store = Store::open(root, "demo", Compression::Rice).unwrap();
     let flown = Flown::new(configuration.into(), Some(instrument_toml.into()));
     store.add_flight_files(flown.files(Path::new(""), time(first)));
-    let plan = Plan::new(8, 5);
+    let plan = &flight().0;
     let cards: Vec<_> = flown.cards().collect();
     for n in first..first + 4 {
         store.write(&plan.frame(n), &cards, &[]).unwrap();

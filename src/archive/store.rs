@@ -12,7 +12,8 @@ use crate::frame::Frame;
 use jiff::Timestamp;
 use std::io::{self, ErrorKind};
 use std::path::{Component, Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// What ends the name of a file that is being written; it begins with a dot.
 pub const UNFINISHED: &str = ".part";
@@ -71,28 +72,20 @@ pub struct Store {
     root: PathBuf,
     instrument: String,
     compression: Compression,
-    claim: Mutex<Claim>,
-}
-
-/// How far a store was opened.
-#[derive(Debug, Default)]
-struct Claim {
     /// Held while this program writes to the archive.
-    lock: Option<Lock>,
-    swept: usize,
-    /// How often the disk was taken.
-    visits: u64,
-    flight_files: Vec<FlightFile>,
+    claim: Mutex<Option<Lock>>,
+    /// How often the disk was taken, and unfinished files that were removed: read while the claim waits for the disk.
+    visits: AtomicU64,
+    swept: AtomicUsize,
+    flight_files: Mutex<Vec<FlightFile>>,
 }
 
 /// A file that the archive must have while this program writes to it.
 #[derive(Debug)]
 struct FlightFile {
     file: Encoded,
-    /// Whether the name is this file's own, and no other's.
-    is_named: bool,
-    /// Whether it was put there since the disk was taken.
-    is_there: bool,
+    /// The disk's visit in which it was put there; none where the name may be another file's.
+    visit: Option<u64>,
 }
 
 impl Store {
@@ -110,6 +103,9 @@ impl Store {
             instrument: instrument.into(),
             compression,
             claim: Mutex::default(),
+            visits: AtomicU64::new(0),
+            swept: AtomicUsize::new(0),
+            flight_files: Mutex::default(),
         }
     }
 
@@ -132,17 +128,35 @@ impl Store {
         Ok(store)
     }
 
-    /// Gives the archive files that stand in it before any frame is written, whatever becomes of the disk. Where another
-    /// file bears the name already, they get `_2` and so on.
+    /// Gives the archive files that stand in it before any frame does, again where the disk has lost them. Where another file
+    /// bears the name already, they get `_2` and so on.
     pub fn add_flight_files(&self, files: impl IntoIterator<Item = Encoded>) {
-        let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
-        claim
-            .flight_files
-            .extend(files.into_iter().map(|file| FlightFile {
-                file,
-                is_named: false,
-                is_there: false,
-            }));
+        let file = |file| FlightFile { file, visit: None };
+        self.flight_files().extend(files.into_iter().map(file));
+    }
+
+    /// Brings to the disk what it lacks of the files that were added.
+    ///
+    /// # Errors
+    /// Where the disk refuses.
+    pub fn put_flight_files(&self) -> Result<(), ArchiveError> {
+        let visit = Some(self.visits());
+        let mut files = self.flight_files();
+        for own in files.iter_mut().filter(|own| own.visit != visit) {
+            if own.visit.is_none() {
+                own.file.name = self.free_name(&own.file.name)?;
+            }
+            if own.visit.is_none() || !self.has(&own.file.name) {
+                self.place(&own.file)?;
+            }
+            own.visit = visit;
+        }
+        Ok(())
+    }
+
+    fn flight_files(&self) -> MutexGuard<'_, Vec<FlightFile>> {
+        let files = self.flight_files.lock();
+        files.unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Makes ready for writing, as [`open`](Self::open) does but for the folders above, if that has not been done; else looks
@@ -152,37 +166,16 @@ impl Store {
     /// As `open`; where the folder above is not there; and where the disk has gone, or an empty folder stands in its place.
     pub fn prepare(&self) -> Result<(), ArchiveError> {
         let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
-        self.take(&mut claim)?;
-        let missing = claim.flight_files.iter_mut().filter(|own| !own.is_there);
-        missing
-            .into_iter()
-            .try_for_each(|own| self.put_flight_file(own))
-    }
-
-    fn put_flight_file(&self, own: &mut FlightFile) -> Result<(), ArchiveError> {
-        let named = own.is_named;
-        if !named {
-            own.file.name = self.free_name(&own.file.name)?;
-        }
-        if !named || !self.has(&own.file.name) {
-            self.place(&own.file)?;
-        }
-        (own.is_named, own.is_there) = (true, true);
-        Ok(())
-    }
-
-    /// Takes the disk, where that has not been done or it was mounted anew.
-    fn take(&self, claim: &mut Claim) -> Result<(), ArchiveError> {
         let mark = self.root.join(MARK);
-        if claim.visits == 0 {
+        if self.visits() == 0 {
             self.make_folder_in_place()?;
         } else {
             self.present()?;
         }
-        if claim.lock.as_ref().is_some_and(|lock| lock.is_of(&mark)) {
+        if claim.as_ref().is_some_and(|lock| lock.is_of(&mark)) {
             return Ok(());
         }
-        claim.lock = None;
+        *claim = None;
         let lock = self.disk.lock(&mark).map_err(|cause| {
             let action = match cause.kind() {
                 ErrorKind::ResourceBusy => "be the only program that writes to this archive",
@@ -195,12 +188,9 @@ impl Store {
                 cause,
             }
         })?;
-        claim.swept += self.sweep()?;
-        claim.lock = Some(lock);
-        claim.visits += 1;
-        for own in &mut claim.flight_files {
-            own.is_there = false;
-        }
+        self.swept.fetch_add(self.sweep()?, Ordering::Relaxed);
+        *claim = Some(lock);
+        self.visits.fetch_add(1, Ordering::Release);
         Ok(())
     }
 
@@ -225,8 +215,7 @@ impl Store {
 
     /// How often the disk was taken. Files that were opened before the last time are of no use.
     pub fn visits(&self) -> u64 {
-        let claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
-        claim.visits
+        self.visits.load(Ordering::Acquire)
     }
 
     /// What the archive is on.
@@ -250,8 +239,7 @@ impl Store {
 
     /// How many unfinished files of an earlier run were removed.
     pub fn swept(&self) -> usize {
-        let claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
-        claim.swept
+        self.swept.load(Ordering::Relaxed)
     }
 
     pub fn root(&self) -> &Path {
@@ -319,6 +307,7 @@ impl Store {
     /// Where the disk refuses; then no file is left.
     pub fn put(&self, encoded: &Encoded) -> Result<PathBuf, ArchiveError> {
         self.prepare()?;
+        self.put_flight_files()?;
         self.place(encoded)
     }
 

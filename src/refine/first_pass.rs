@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::UNIX_EPOCH;
 
 /// What a run works with; everything that a frame's own record depends on.
@@ -128,6 +129,8 @@ pub struct Done {
     journals: Vec<Journal>,
     /// The journal's number and the place in it.
     places: HashMap<u64, (usize, Place)>,
+    /// Frames that contradict their archive: in no journal, for another run may be told to use them.
+    contradicting: HashMap<u64, Record>,
 }
 
 /// An input's key: what the record must match.
@@ -168,7 +171,11 @@ impl Done {
             places.insert(key(&record.input), (0, place));
         })?;
         journals.insert(0, own);
-        Ok(Self { journals, places })
+        Ok(Self {
+            journals,
+            places,
+            contradicting: HashMap::new(),
+        })
     }
 
     pub fn holds(&self, input: &Input) -> bool {
@@ -186,7 +193,7 @@ impl Done {
     /// The same by the input's key.
     pub(super) fn record_of(&self, key: u64) -> Result<Option<Record>, JournalError> {
         let Some((journal, place)) = self.places.get(&key) else {
-            return Ok(None);
+            return Ok(self.contradicting.get(&key).cloned());
         };
         self.journals[*journal].record(*place).map(Some)
     }
@@ -205,34 +212,56 @@ impl Done {
         each: &(dyn Fn() + Sync),
     ) -> Result<(), JournalError> {
         let journal = &self.journals[0];
+        let contradicting = Mutex::new(HashMap::new());
         let new: Vec<(u64, (usize, Place))> = inputs
             .par_iter()
             .filter(|input| !self.places.contains_key(&key(input)))
             .filter_map(|input| {
                 let outcome = solve(&archive.join(&input.file), recipe, span).transpose()?;
+                each();
+                let (outcome, is_lasting) = match outcome {
+                    Ok(frame) => (Ok(frame), true),
+                    Err(Unsolved::Unreadable(error)) => (Err(error), true),
+                    Err(Unsolved::Contradicting(error)) => (Err(error), false),
+                };
+                let input_key = key(input);
                 let record = Record {
                     input: input.clone(),
                     outcome,
                 };
+                if !is_lasting {
+                    let contradicting = contradicting.lock();
+                    let mut contradicting = contradicting.unwrap_or_else(PoisonError::into_inner);
+                    contradicting.insert(input_key, record);
+                    return None;
+                }
                 let place = journal.append(&record);
-                each();
-                Some(place.map(|place| (key(input), (0, place))))
+                Some(place.map(|place| (input_key, (0, place))))
             })
             .collect::<Result<_, JournalError>>()?;
         self.places.extend(new);
+        let contradicting = contradicting.into_inner();
+        self.contradicting = contradicting.unwrap_or_else(PoisonError::into_inner);
         Ok(())
     }
 }
 
+/// Why a frame has no record of its own, in words.
+enum Unsolved {
+    Unreadable(String),
+    /// It names another instrument or configuration than its archive's.
+    Contradicting(String),
+}
+
 /// A frame's record, none where its time lies outside the span.
-fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord>, String> {
+fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord>, Unsolved> {
     let read = || -> Result<_, FileError> {
         let file = FitsFile::open(path)?;
         let info = file.info()?;
         Ok((file, info))
     };
     // The row names the file already.
-    let told = |error: FileError| error.problem.to_string();
+    let told = |error: FileError| Unsolved::Unreadable(error.problem.to_string());
     let (file, info) = read().map_err(told)?;
     if !span.holds(info.mid_exposure) {
         return Ok(None);
@@ -241,11 +270,11 @@ fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord
     let header = file.keywords().map_err(told)?;
     drop(file);
     let named = recipe.archived.check(&header);
-    named.map_err(|problem| problem.to_string())?;
+    named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))?;
     let instrument = &recipe.instrument;
     instrument
         .check_size(&frame)
-        .map_err(|error| error.to_string())?;
+        .map_err(|error| Unsolved::Unreadable(error.to_string()))?;
     let expected = info.mid_exposure.and_then(Expected::at);
     let solution = aspect::solve_with(&recipe.settings, &frame, instrument, expected, None);
     Ok(Some(FrameRecord::new(&frame.info, &header, &solution)))

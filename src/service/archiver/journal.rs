@@ -193,6 +193,8 @@ impl Journal {
             // The disk may have gone in the meantime.
             self.enter(entry.station)?;
         }
+        // Also where no picture is stored.
+        self.store.put_flight_files()?;
         let book = &mut self.books[entry.station];
         book.log.append(&entry.row)?;
         entry.fate.kept();
