@@ -1,17 +1,17 @@
 //! Three-axis aspect of a balloon gondola from its cameras, above all from the Sun on a fiducial plate.
 //!
-//! # The rooms
+//! # The modules
 //!
-//! A frame walks through the rooms in one direction:
+//! A frame goes through the modules in one direction:
 //!
 //! ```text
 //! camera -> Frame -> aspect::solve -> Solution -> pointing::offset -> Offset -> link (bytes to the controller)
 //!                 \________________________\_________________\____-> archive (a FITS file)
 //! ```
 //!
-//! Imports point one way, down this list, and never between the rooms of one line:
+//! Dependencies are acyclic: a module imports from those above it in this list only, and never from one in its own line:
 //!
-//! | rooms | what they know |
+//! | modules | what they hold |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
 //! | `backoff` | waits between attempts |

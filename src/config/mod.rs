@@ -2,7 +2,7 @@
 //!
 //! The table in `table` declares each parameter once: key, unit, allowed values, command number and
 //! documentation. Reading TOML, the shipped example, the page of parameters and the commands that set
-//! parameters in flight all come from it. Defaults live in the structs' `Default`, where rooms that are used
+//! parameters in flight all come from it. Defaults live in the structs' `Default`, where modules that are used
 //! without a configuration find them too.
 //!
 //! To add a parameter: a field in a struct that [`Config`] holds, its default, and one row in the table.
