@@ -37,6 +37,7 @@ const LEAST_JUMP_PX: f64 = 0.1;
 const MOST_JUMPS: usize = 64;
 /// The temperature counts where it makes the marks so much more likely, natural logarithm: 150 to 1.
 const LEAST_TEMPERATURE_GAIN: f64 = 5.0;
+/// Of the residuals of marks, which are lengths in two axes.
 const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
 /// The process noise before it is estimated.
 const FIRST_NOISE: ProcessNoise = ProcessNoise {
