@@ -58,6 +58,7 @@ pub struct RefineArgs {
 pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
     let tree = Tree::of(&args.archive)?;
     let archived = FlownFiles::read(&tree.flown)?;
+    let inputs = args.inputs(tree);
     let config = args.configuration(&archived)?;
     let (instrument, text) = args.instrument(&archived)?;
     let mut ephemeris = options::ephemeris(&config)?;
@@ -76,7 +77,7 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
     make_folder(&args.out)?;
     let jobs = args.jobs.map_or(0, usize::from);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
-    pool.install(|| args.refine(&tree, &recipe, &sky))
+    pool.install(|| args.refine(&inputs, &recipe, &sky))
 }
 
 impl RefineArgs {
@@ -161,13 +162,12 @@ impl RefineArgs {
         archived
     }
 
-    fn refine(&self, tree: &Tree, recipe: &Recipe, sky: &Sky) -> anyhow::Result<ExitCode> {
-        let inputs = self.inputs(tree);
-        let mut done = self.first_pass(recipe, &inputs)?;
+    fn refine(&self, inputs: &[Input], recipe: &Recipe, sky: &Sky) -> anyhow::Result<ExitCode> {
+        let mut done = self.first_pass(recipe, inputs)?;
         if self.shard.is_some() {
             return Ok(ExitCode::SUCCESS);
         }
-        let flight = self.second_pass(&mut done, &inputs, recipe, sky)?;
+        let flight = self.second_pass(&mut done, inputs, recipe, sky)?;
         let summary = refine::write(&self.out, &flight, recipe)?;
         refine::write_report(
             &self.out,
@@ -180,8 +180,8 @@ impl RefineArgs {
         Ok(ExitCode::SUCCESS)
     }
 
-    fn inputs(&self, tree: &Tree) -> Vec<Input> {
-        let inputs = refine::inputs(tree, &self.archive, &self.out);
+    fn inputs(&self, tree: Tree) -> Vec<Input> {
+        let inputs = refine::inputs(&tree, &self.archive, &self.out);
         let Some(shard) = self.shard else {
             return inputs;
         };
