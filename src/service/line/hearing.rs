@@ -40,7 +40,7 @@ impl Line<'_> {
         for packet in self.parser.feed(bytes, self.start.elapsed()) {
             if let Packet::Command(packet) = packet {
                 let sender = self.settings.port.clone();
-                self.obey(&packet, &sender.unwrap_or_default());
+                self.obey(&packet, &sender.unwrap_or_else(|| "line".to_owned()));
             }
         }
     }

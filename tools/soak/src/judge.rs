@@ -2,9 +2,9 @@
 
 use crate::faults::Fault;
 use crate::machine::Sample;
-use crate::rig::Counts;
+use crate::rig::{Counts, Rig};
 use solaspect::service::FlightTally;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Everything must be as before within this time.
 pub const BACK_WITHIN: Duration = Duration::from_secs(5);
@@ -78,6 +78,36 @@ impl Counts {
 }
 
 impl Trial {
+    /// Injects a fault, and waits until everything is as before or `rest` has passed.
+    pub fn run(rig: &Rig, fault: Fault, rest: Duration) -> anyhow::Result<Self> {
+        let before = rig.counts_between_packets();
+        let begin = Instant::now();
+        fault.begin(rig)?;
+        rig.wait_until(begin + fault.length())?;
+        fault.end(rig)?;
+        let end = rig.counts();
+        let over = begin + fault.length() + rest;
+        let mut back = None;
+        while back.is_none() && Instant::now() < over && !rig.service.is_finished() {
+            rig.look(false)?;
+            let now = rig.counts();
+            back = now.is_back(&end, fault).then(|| now.time - end.time);
+        }
+        rig.wait_until(over - Duration::from_secs(1))?;
+        let last_second = rig.counts();
+        rig.wait_until(over)?;
+        rig.memory.borrow_mut().note(true)?;
+        Ok(Self {
+            fault,
+            before,
+            end,
+            back,
+            last_second,
+            after: rig.counts_between_packets(),
+            memory: rig.memory.borrow().samples().last().copied(),
+        })
+    }
+
     /// The length of the fault.
     pub fn length(&self) -> Duration {
         self.end.time - self.before.time

@@ -17,6 +17,7 @@ mod stderr;
 use camera::Ring;
 use clap::{Parser, ValueEnum};
 use faults::Fault;
+use judge::Trial;
 use report::{Run, Trials};
 use rig::{Parts, Rig};
 use schedule::{REST, Schedule};
@@ -162,7 +163,7 @@ fn inject(rig: &Rig, schedule: &Schedule, start: Instant) -> anyhow::Result<Tria
             report::say("the service has ended");
             break;
         }
-        let trial = rig.inject(fault, REST)?;
+        let trial = Trial::run(rig, fault, REST)?;
         trials.add(at, &trial, rig.rate_hz);
     }
     Ok(trials)

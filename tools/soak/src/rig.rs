@@ -2,7 +2,6 @@
 
 use crate::camera::{CameraFault, Frames, Ring, RingCamera};
 use crate::disk::FaultyDisk;
-use crate::faults::Fault;
 use crate::files::{Files, LogBytes};
 use crate::line::{Gondola, Heard};
 use crate::machine::{self, MemoryLog};
@@ -206,35 +205,5 @@ impl Rig {
             }
         }
         best
-    }
-
-    /// Injects a fault, and waits until everything is as before or `rest` has passed.
-    pub fn inject(&self, fault: Fault, rest: Duration) -> anyhow::Result<crate::judge::Trial> {
-        let before = self.counts_between_packets();
-        let begin = Instant::now();
-        fault.begin(self)?;
-        self.wait_until(begin + fault.length())?;
-        fault.end(self)?;
-        let end = self.counts();
-        let over = begin + fault.length() + rest;
-        let mut back = None;
-        while back.is_none() && Instant::now() < over && !self.service.is_finished() {
-            self.look(false)?;
-            let now = self.counts();
-            back = now.is_back(&end, fault).then(|| now.time - end.time);
-        }
-        self.wait_until(over - Duration::from_secs(1))?;
-        let last_second = self.counts();
-        self.wait_until(over)?;
-        self.memory.borrow_mut().note(true)?;
-        Ok(crate::judge::Trial {
-            fault,
-            before,
-            end,
-            back,
-            last_second,
-            after: self.counts_between_packets(),
-            memory: self.memory.borrow().samples().last().copied(),
-        })
     }
 }
