@@ -1,6 +1,9 @@
 //! A picture and what is known of how it was taken.
 
+mod cutout;
+
 use crate::units::{Place, SensorPx};
+pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
 use std::fmt;
 use std::str::FromStr;

@@ -1,0 +1,177 @@
+//! A part of a frame as every stage after the disc search reads it: light above the background, and pixels that do not count.
+
+use super::{Frame, Region, Sample, View};
+use crate::with_view;
+
+/// Variance of a pixel's value, DN^2: read noise and rounding, and photon noise in proportion to the light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelNoise {
+    /// Without light, DN^2.
+    pub dark_dn2: f64,
+    /// For each DN of light, DN.
+    pub per_light_dn: f64,
+}
+
+impl PixelNoise {
+    /// The same whatever the light, 1 sigma.
+    pub fn even(sigma_dn: f64) -> Self {
+        Self {
+            dark_dn2: sigma_dn.powi(2),
+            per_light_dn: 0.0,
+        }
+    }
+
+    /// Of a pixel with so much light above the background, DN^2.
+    pub fn variance(&self, light_dn: f64) -> f64 {
+        self.dark_dn2 + self.per_light_dn * light_dn.max(0.0)
+    }
+
+    /// 1 sigma, DN.
+    pub fn sigma_dn(&self, light_dn: f64) -> f64 {
+        self.variance(light_dn).sqrt()
+    }
+}
+
+/// What the pixels of a region hold beside the light of the disc: the sum of a value of the column and one of the row, DN.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Background {
+    pub columns_dn: Vec<f32>,
+    pub rows_dn: Vec<f32>,
+}
+
+impl Background {
+    /// The same all over a region.
+    pub fn even(region: Region, dn: f64) -> Self {
+        Self {
+            columns_dn: vec![dn as f32; region.width()],
+            rows_dn: vec![0.0; region.height()],
+        }
+    }
+}
+
+/// A rectangle of a frame: light above the background, DN, in single precision; places are those of the frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cutout {
+    region: Region,
+    light_dn: Vec<f32>,
+    pub noise: PixelNoise,
+    /// Pixels that do not count: saturated, or hot.
+    pub mask: Mask,
+}
+
+impl Cutout {
+    /// The region must lie within the frame, and the background be that of the region. Saturated pixels are masked.
+    pub fn new(frame: &Frame, region: Region, background: &Background, noise: PixelNoise) -> Self {
+        let mut cutout = Self {
+            region,
+            light_dn: Vec::with_capacity(region.width() * region.height()),
+            noise,
+            mask: Mask::none(region),
+        };
+        let saturation_dn = f32::from(frame.saturation_dn());
+        with_view!(frame, view => cutout.fill(&view, background, saturation_dn));
+        cutout
+    }
+
+    fn fill<T: Sample>(&mut self, view: &View<'_, T>, background: &Background, saturation_dn: f32) {
+        for (y, row_dn) in (self.region.y0..self.region.y1).zip(&background.rows_dn) {
+            let row = &view.pixels[y * view.width..][self.region.x0..self.region.x1];
+            let pairs = row.iter().zip(&background.columns_dn);
+            self.light_dn
+                .extend(pairs.map(|(pixel, column_dn)| pixel.dn() - column_dn - row_dn));
+            let brightest = row
+                .iter()
+                .fold(0.0, |most: f32, pixel| most.max(pixel.dn()));
+            if brightest >= saturation_dn {
+                let saturated = row.iter().map(|pixel| pixel.dn() >= saturation_dn);
+                for (masked, saturated) in self.mask.row_mut(y).iter_mut().zip(saturated) {
+                    *masked |= saturated;
+                }
+            }
+        }
+    }
+
+    pub fn region(&self) -> Region {
+        self.region
+    }
+
+    /// The light of a row of the frame from column `region().x0` on, DN. The row must be one of the region.
+    pub fn row(&self, y: usize) -> &[f32] {
+        let width = self.region.width();
+        &self.light_dn[(y - self.region.y0) * width..][..width]
+    }
+}
+
+/// Pixels of a region that do not count.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mask {
+    region: Region,
+    masked: Vec<bool>,
+}
+
+impl Mask {
+    /// All pixels count.
+    pub fn none(region: Region) -> Self {
+        Self {
+            region,
+            masked: vec![false; region.width() * region.height()],
+        }
+    }
+
+    pub fn region(&self) -> Region {
+        self.region
+    }
+
+    /// A row of the frame from column `region().x0` on. The row must be one of the region.
+    pub fn row(&self, y: usize) -> &[bool] {
+        let width = self.region.width();
+        &self.masked[(y - self.region.y0) * width..][..width]
+    }
+
+    pub fn row_mut(&mut self, y: usize) -> &mut [bool] {
+        let width = self.region.width();
+        &mut self.masked[(y - self.region.y0) * width..][..width]
+    }
+
+    /// Masks a pixel; nothing happens to one outside the region.
+    pub fn hide(&mut self, x: usize, y: usize) {
+        let region = self.region;
+        if (region.x0..region.x1).contains(&x) && (region.y0..region.y1).contains(&y) {
+            self.row_mut(y)[x - region.x0] = true;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FrameInfo, Pixels};
+    use super::*;
+
+    #[test]
+    fn a_cutout_holds_the_light_above_the_background_and_masks_what_saturates() {
+        let pixels = Pixels::U8((0..20).map(|n| if n == 13 { 255 } else { n }).collect());
+        let frame = Frame::new(5, 4, pixels, 255, FrameInfo::default()).unwrap();
+        let region = Region::sized(1, 1, 3, 2);
+        let background = Background {
+            columns_dn: vec![0.0, 1.0, 2.0],
+            rows_dn: vec![0.0, 5.0],
+        };
+        let cutout = Cutout::new(&frame, region, &background, PixelNoise::even(1.0));
+        assert_eq!(cutout.row(1), [6.0, 6.0, 6.0]);
+        assert_eq!(cutout.row(2)[..2], [6.0, 6.0]);
+        assert_eq!(cutout.mask.row(1), [false, false, false]);
+        assert_eq!(cutout.mask.row(2), [false, false, true]);
+    }
+
+    #[test]
+    fn photon_noise_grows_with_the_light_and_not_below_the_background() {
+        let noise = PixelNoise {
+            dark_dn2: 4.0,
+            per_light_dn: 0.5,
+        };
+        assert_eq!(
+            [-10.0, 0.0, 10.0].map(|dn| noise.variance(dn)),
+            [4.0, 4.0, 9.0]
+        );
+    }
+}
