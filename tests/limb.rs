@@ -2,7 +2,8 @@
 
 use solaspect::fits;
 use solaspect::geometry::Ellipse;
-use solaspect::limb::{self, DiscSearch, Hidden, KnownOutline, LimbFit, OutlinePrior, Settings};
+use solaspect::frame::{Background, Cutout, Mask, PixelNoise};
+use solaspect::limb::{self, DiscSearch, KnownOutline, LimbFit, OutlinePrior, Settings};
 use solaspect::units::Measured;
 use std::path::Path;
 
@@ -34,21 +35,24 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
         possible: anything,
         stated: anything,
     };
+    let background = Background::even(frame.region(), levels.background_dn);
+    let noise = PixelNoise::even(levels.noise_dn);
+    let cutout = Cutout::new(&frame, frame.region(), &background, noise);
     let fit = LimbFit {
-        frame: &frame,
-        levels: &levels,
+        cutout: &cutout,
+        disc_dn: levels.disc_dn - levels.background_dn,
         blur_px: 0.95,
         known,
         settings: &settings,
     };
-    let limb = fit.near(&start, &Hidden::nothing(frame.region())).unwrap();
+    let limb = fit.near(&start, &Mask::none(frame.region())).unwrap();
     let disc = limb.outline.ellipse;
     let (dx, dy) = (disc.centre.x - CENTRE_PX.0, disc.centre.y - CENTRE_PX.1);
     println!(
         "centre off by ({dx:.4}, {dy:.4}) px, radius {:.3} px, root {:?}, blur {:.2} px, scatter {:.2}, {} points, sigma {:.4} px",
         disc.mean_radius(),
         disc.root(),
-        limb.profile.blur_px,
+        limb.blur_px(),
         limb.outline.scatter,
         limb.points.len(),
         limb.outline.centre_covariance().m11.sqrt(),

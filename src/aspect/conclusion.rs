@@ -14,6 +14,9 @@ const PRIOR_DRIFT_PX: f64 = 0.5;
 const MAX_SCATTER_PX: f64 = 1.0;
 /// Least part of the limb's points that must lie on its outline: marks and scratches hide a tenth of them.
 const LEAST_ON_OUTLINE: f64 = 0.6;
+/// The limb's fit holds for an image that moves by so many px during the exposure, four times what the fastest slew does
+/// (0.25 deg/s for 15 ms); one that moves farther is no picture of a circle any more.
+const MOST_MOTION_PX: f64 = 5.0;
 /// The limb's part that makes a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
 
@@ -56,10 +59,7 @@ impl<'a> Work<'a> {
         own: Option<&Registration>,
     ) -> Result<Aspect, Stopped> {
         check_round(limb)?;
-        let limb_fraction = limb::arc_fraction(
-            limb.points.iter().map(|point| point.at.vector()),
-            limb.outline.ellipse.centre,
-        );
+        let limb_fraction = limb_fraction(limb);
         let aspect = match own.and_then(|own| own.disc) {
             Some(disc) => Aspect {
                 sun_px: disc.on_sensor,
@@ -84,6 +84,23 @@ impl<'a> Work<'a> {
         Ok(aspect)
     }
 
+    /// Marks do not serve where the Sun moved so far that its size and light mislead who reads them.
+    pub(super) fn check_motion(&self, limb: &Limb) -> Result<(), Stopped> {
+        let motion_px = self.motion_px(limb);
+        if motion_px < MOST_MOTION_PX {
+            return Ok(());
+        }
+        Err(at(Stage::Limb)(Rejected {
+            reason: "the Sun moved too far during the exposure",
+            measured: motion_px,
+            limit: MOST_MOTION_PX,
+        }))
+    }
+
+    fn motion_px(&self, limb: &Limb) -> f64 {
+        limb.most_motion_px(self.instrument.optics.blur_px.value, limb_fraction(limb))
+    }
+
     /// The outline's centre through a mapping that is not this frame's.
     fn borrowed_aspect(&self, limb: &Limb, adopted: &AdoptedMapping, limb_fraction: f64) -> Aspect {
         let mapping = &adopted.mapping;
@@ -95,7 +112,12 @@ impl<'a> Work<'a> {
         );
         let on_plate = mapping.to_plate(on_sensor);
         let to_plate = mapping.plate_jacobian(on_sensor);
-        let centre = outline.centre_covariance();
+        // An outline that moved is uncertain by its motion.
+        let moved = match self.check_motion(limb) {
+            Ok(()) => 0.0,
+            Err(_) => self.motion_px(limb).powi(2) / 12.0,
+        };
+        let centre = outline.centre_covariance() + Matrix2::identity() * moved;
         Aspect {
             sun_px: Estimate {
                 position: on_sensor,
@@ -159,6 +181,12 @@ impl<'a> Work<'a> {
             registration: own.or_else(|| self.prior_registration().cloned()),
         }
     }
+}
+
+/// Part of the limb that is seen, 0 to 1.
+fn limb_fraction(limb: &Limb) -> f64 {
+    let points = limb.points.iter().map(|point| point.at.vector());
+    limb::arc_fraction(points, limb.outline.ellipse.centre)
 }
 
 fn check_round(limb: &Limb) -> Result<(), Stopped> {

@@ -10,7 +10,7 @@ use super::stages::{DISC_ROOM, Work};
 use super::{Mark, Sighting};
 use crate::estimation::median;
 use crate::fiducial::{Lighting, RefinedMark};
-use crate::frame::{Levels, ROUNDING_NOISE_DN};
+use crate::frame::{Cutout, Levels, ROUNDING_NOISE_DN};
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::Limb;
 use crate::units::SensorPx;
@@ -36,15 +36,20 @@ const MOST_CUT_SIGMA_PX: f64 = 0.3;
 impl Work<'_> {
     /// Limb and marks as the prior's mapping foretells them. `None` where there is no such mapping or not all is as it
     /// foretells.
-    pub(super) fn foretold(&self, levels: &Levels, found: SensorPx) -> Option<Sighting> {
+    pub(super) fn foretold(
+        &self,
+        levels: &Levels,
+        cutout: &Cutout,
+        found: SensorPx,
+    ) -> Option<Sighting> {
         let prior = self.prior?;
         if prior.foretold >= MOST_IN_SUCCESSION {
             return None;
         }
         let mapping = &prior.registration.as_ref()?.mapping;
         let start = self.foretold_outline(mapping, found)?;
-        let hidden = self.marks_hidden(&start, mapping);
-        let limb = self.limb_fit(levels).near(&start, &hidden).ok()?;
+        let mask = self.marks_mask(cutout.region(), &start, mapping);
+        let limb = self.limb_fit(levels, cutout).near(&start, &mask).ok()?;
         let foretold = self.foretold_marks(&limb, mapping);
         let full = |mark: &Mark| mark.lighting == Lighting::Full;
         let enough = self.settings.fiducial.min_marks + MORE_MARKS;
@@ -131,7 +136,11 @@ impl Work<'_> {
         let least = self.settings.fiducial.min_contrast;
         // The refiner counts in the background's noise.
         let background_dn = sight.levels.noise_dn.max(ROUNDING_NOISE_DN);
-        let per_noise = (background_dn / sight.limb.disc_noise_dn()).powi(2);
+        let per_noise = background_dn.powi(2)
+            / sight
+                .limb
+                .noise()
+                .variance(sight.levels.disc_dn - sight.levels.background_dn);
         let is_mark = |mark: &Mark, found: &RefinedMark| {
             found.contrast > least
                 && COMMON_CONTRAST.contains(&(found.contrast / usual))

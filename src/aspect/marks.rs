@@ -13,7 +13,7 @@ use crate::limb::{DiscLight, Limb};
 use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector2};
 
 /// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
 /// may differ by half a pixel.
@@ -27,6 +27,8 @@ const UNREFINED_CHI2: f64 = 10.0;
 /// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
 /// which haze may widen the disc. In simulated frames all are found from 0.5 on.
 const SURE_DEPTH: f64 = 0.75;
+/// Part of a shift by coma that is uncertain: it depends on how the arms lie to the coma.
+const COMA_OPEN: f64 = 0.3;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 
@@ -96,8 +98,9 @@ impl Work<'_> {
     /// sigma that gives it little weight.
     pub(super) fn place(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Mark> {
         let refined = self.refine(sight, marks);
+        let coma = self.shape.coma_shift(sight.limb.coma_px3());
         let placed = marks.iter().zip(&refined).map(|(mark, found)| match found {
-            Some(found) => mark.placed(found),
+            Some(found) => mark.placed(found).without_coma(coma),
             None => Mark {
                 covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
                 ..*mark
@@ -225,6 +228,16 @@ fn left_unexplained(refined: &[Option<RefinedMark>]) -> f64 {
 }
 
 impl Mark {
+    /// The mark without what coma shifts it by, and with what is open of that.
+    fn without_coma(self, shift: Vector2<f64>) -> Self {
+        Self {
+            at: (self.at.vector() - shift).into(),
+            covariance_px2: self.covariance_px2
+                + Matrix2::identity() * (COMA_OPEN * shift.norm()).powi(2),
+            ..self
+        }
+    }
+
     /// The mark where its pixels show it.
     pub(super) fn placed(&self, found: &RefinedMark) -> Self {
         Self {

@@ -14,15 +14,15 @@ pub use solution::{
     AdoptedMapping, Aspect, Mark, Origin, Quality, Solution, Stage, Stopped, Track,
 };
 
-use crate::frame::{Frame, Levels};
+use crate::frame::{Cutout, Frame, Levels, Mask};
 use crate::geometry::Ellipse;
 use crate::instrument::Instrument;
 use crate::limb::{CoarseDisc, Limb};
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
 use marks::MarkSight;
-pub(crate) use stages::marks_hidden;
 use stages::{Work, at};
+pub(crate) use stages::{cutout, marks_mask};
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -109,16 +109,18 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
     let found = work.find_disc(&levels)?; // 2
+    let cutout = work.cutout(&levels, &found.circle());
     let Sighting {
         limb,
         marks,
         foretold,
-    } = match work.foretold(&levels, found.centre) {
+    } = match work.foretold(&levels, &cutout, found.centre) {
         Some(sighting) => sighting, // 3 to 8, the short way
-        None => look_for_marks(work, &levels, &found, solution)?,
+        None => look_for_marks(work, &levels, &cutout, &found, solution)?,
     };
     solution.limb.clone_from(&limb.points);
-    solution.limb_blur_px = Some(limb.lens_blur_px());
+    solution.limb_blur_px = Some(limb.blur_px());
+    let marks = work.check_motion(&limb).and(marks);
     let registration = marks.and_then(|marks| {
         solution.marks = marks;
         work.register(&solution.marks, Some(&limb)) // 9
@@ -147,27 +149,29 @@ struct Sighting {
 fn look_for_marks(
     work: &Work<'_>,
     levels: &Levels,
+    cutout: &Cutout,
     found: &CoarseDisc,
     solution: &mut Solution,
 ) -> Result<Sighting, Stopped> {
     let found = Ellipse::from(found.circle());
-    let limb_fit = work.limb_fit(levels);
+    let limb_fit = work.limb_fit(levels, cutout);
+    let nothing = Mask::none(cutout.region());
     let mut limb = limb_fit
-        .roughly_near(&found, &work.nothing_hidden(&found))
+        .roughly_near(&found, &nothing)
         .map_err(at(Stage::Limb))?; // 3
     let disc = limb.outline.ellipse;
     solution.detections = work.detect(levels, &limb); // 4
     let read = work
         .identify(&solution.detections, &limb) // 5
         .and_then(|marks| Ok((work.register(&marks, None)?, marks))); // 6
-    let hidden = match &read {
-        Ok((first, _)) => work.marks_hidden(&disc, &first.mapping),
-        Err(_) => work.detections_hidden(&disc, &solution.detections),
+    let mask = match &read {
+        Ok((first, _)) => work.marks_mask(cutout.region(), &disc, &first.mapping),
+        Err(_) => work.detections_mask(cutout.region(), &solution.detections),
     };
-    // 7; with too much hidden, what the marks do to the limb is the lesser evil.
+    // 7; with too much masked, what the marks do to the limb is the lesser evil.
     limb = limb_fit
-        .again(&limb, &hidden)
-        .or_else(|_| limb_fit.again(&limb, &work.nothing_hidden(&disc)))
+        .again(&limb, &mask)
+        .or_else(|_| limb_fit.again(&limb, &nothing))
         .map_err(at(Stage::Limb))?;
     let marks = read.map(|(first, marks)| {
         let sight = MarkSight {

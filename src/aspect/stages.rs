@@ -3,12 +3,10 @@
 
 use super::{Expected, Settings, Stage, Stopped, Track};
 use crate::fiducial::{CrossShape, Detections};
-use crate::frame::{Frame, Levels, Region};
-use crate::geometry::{Ellipse, Mapping};
+use crate::frame::{Cutout, Frame, Levels, Mask, PixelNoise, Region};
+use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{
-    self, Bars, CoarseDisc, DiscSearch, Hidden, KnownOutline, LimbFit, OutlinePrior,
-};
+use crate::limb::{self, CoarseDisc, DiscSearch, KnownOutline, LimbFit, OutlinePrior};
 use crate::units::{Measured, Rejected, SensorPx};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
@@ -21,8 +19,10 @@ const TILTED_FLATNESS: f64 = 0.002;
 const STATED_FLATNESS: f64 = 0.0003;
 /// Distance from a mark's arm within which the limb is not trusted, px.
 const MARK_MARGIN_PX: f64 = 3.0;
-/// The limb's fit looks at pixels so far inside the limb; outside it marks hide no light.
-const HIDING_DEPTH_PX: f64 = 14.0;
+/// The limb's fit reads pixels so far inside the limb; outside it marks take no light.
+const MASKED_DEPTH_PX: f64 = 14.0;
+/// The cutout reaches so many radii from the disc's centre: the limb's band and the marks' patches lie within.
+const CUTOUT_RADII: f64 = 1.3;
 /// The marks near a disc are looked for within so many times its radius: a camera that looks askew shows it flattened.
 pub(super) const DISC_ROOM: f64 = 1.2;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
@@ -106,12 +106,12 @@ impl<'a> Work<'a> {
     }
 
     /// What fits the outline of the disc.
-    pub(super) fn limb_fit<'b>(&'b self, levels: &'b Levels) -> LimbFit<'b> {
+    pub(super) fn limb_fit<'b>(&'b self, levels: &Levels, cutout: &'b Cutout) -> LimbFit<'b> {
         let settings = &self.settings.limb;
         let spread = settings.max_radius_deviation / 4.0;
         LimbFit {
-            frame: self.frame,
-            levels,
+            cutout,
+            disc_dn: levels.disc_dn - levels.background_dn,
             blur_px: self.shape.blur_px,
             known: KnownOutline {
                 possible: OutlinePrior {
@@ -136,52 +136,60 @@ impl<'a> Work<'a> {
         Measured::new(self.radius_px, sigma)
     }
 
-    /// Before the marks are known nothing is hidden but the hot pixels that the instrument states.
-    pub(super) fn nothing_hidden(&self, disc: &Ellipse) -> Hidden {
-        hot_pixels_hidden(self.frame, self.instrument, disc)
+    /// The disc's surroundings as all further stages read them: the background taken off, hot pixels masked.
+    pub(super) fn cutout(&self, levels: &Levels, disc: &Circle) -> Cutout {
+        cutout(self.frame, self.instrument, levels, disc)
     }
 
-    /// Hides every mark of the plate that a mapping puts near the limb, seen or not.
-    pub(super) fn marks_hidden(&self, disc: &Ellipse, mapping: &Mapping) -> Hidden {
-        marks_hidden(self.frame, self.instrument, disc, mapping)
+    /// Every mark of the plate that a mapping puts near the limb, seen or not.
+    pub(super) fn marks_mask(&self, region: Region, disc: &Ellipse, mapping: &Mapping) -> Mask {
+        marks_mask(region, self.instrument, disc, mapping)
     }
 
-    /// Hides what was found near the limb, where no mapping tells which marks lie there.
-    pub(super) fn detections_hidden(&self, disc: &Ellipse, detections: &Detections) -> Hidden {
-        let mut hidden = self.nothing_hidden(disc);
+    /// What was found near the limb, where no mapping tells which marks lie there.
+    pub(super) fn detections_mask(&self, region: Region, detections: &Detections) -> Mask {
+        let mut mask = Mask::none(region);
         let reach_px = self.shape.half_length_px + MARK_MARGIN_PX;
         for detection in &detections.marks {
-            hidden.hide(detection.at, reach_px, |at| {
+            mask.hide_where(detection.at, reach_px, |at| {
                 at.distance(detection.at) < reach_px
             });
         }
-        hidden
+        mask
     }
 }
 
-/// The instrument's hot pixels hidden, in the square about the disc that the limb's fit looks at.
-fn hot_pixels_hidden(frame: &Frame, instrument: &Instrument, disc: &Ellipse) -> Hidden {
-    let reach = 1.3 * disc.mean_radius();
-    let about = Region::around(disc.centre.into(), reach, frame.width(), frame.height());
-    let mut hidden = Hidden::nothing(about.unwrap_or(frame.region()));
-    for (x, y) in &instrument.sensor.hot_pixels {
-        hidden.hide(SensorPx::new(*x as f64, *y as f64), 0.0, |_| true);
-    }
-    hidden
-}
-
-/// Hides the instrument's hot pixels and every mark of the plate that a mapping puts near the limb, seen or not.
-pub(crate) fn marks_hidden(
+/// The disc's surroundings as limb and marks are read from them: the background taken off, the instrument's hot pixels masked.
+pub(crate) fn cutout(
     frame: &Frame,
+    instrument: &Instrument,
+    levels: &Levels,
+    disc: &Circle,
+) -> Cutout {
+    let reach = CUTOUT_RADII * disc.radius;
+    let about = Region::around(disc.centre.into(), reach, frame.width(), frame.height());
+    let region = about.unwrap_or(frame.region());
+    let background = limb::background(frame, region, disc, levels);
+    let noise = PixelNoise::even(levels.noise_dn);
+    let mut cutout = Cutout::new(frame, region, &background, noise);
+    for (x, y) in &instrument.sensor.hot_pixels {
+        cutout.mask.hide(*x, *y);
+    }
+    cutout
+}
+
+/// Masks every mark of the plate that a mapping puts near the limb, seen or not.
+pub(crate) fn marks_mask(
+    region: Region,
     instrument: &Instrument,
     disc: &Ellipse,
     mapping: &Mapping,
-) -> Hidden {
-    let mut hidden = hot_pixels_hidden(frame, instrument, disc);
+) -> Mask {
+    let mut mask = Mask::none(region);
     let cross = &instrument.plate.cross;
     let scale = mapping.scale_mil_per_px(disc.centre.into());
     let reach_px = 1.1 * cross.arm_length_mil / 2.0 / scale + MARK_MARGIN_PX;
-    let near = -HIDING_DEPTH_PX - reach_px..reach_px;
+    let near = -MASKED_DEPTH_PX - reach_px..reach_px;
     let centre = mapping.to_plate(disc.centre.into());
     let about_mil = DISC_ROOM * (disc.mean_radius() + reach_px) * scale;
     for (_, printed) in instrument.plate.marks_about(centre, about_mil) {
@@ -189,17 +197,18 @@ pub(crate) fn marks_hidden(
         if !near.contains(&disc.excess(seen.vector())) {
             continue;
         }
-        let Some(back) = mapping.sensor_jacobian(printed).try_inverse() else {
+        let Some(to_arms) = mapping.sensor_jacobian(printed).try_inverse() else {
             continue;
         };
         let margin_mil = MARK_MARGIN_PX * mapping.scale_mil_per_px(seen);
-        let bars = Bars {
-            half_length: cross.arm_length_mil / 2.0 + margin_mil,
-            half_width: cross.arm_width_mil / 2.0 + margin_mil,
-        };
-        hidden.hide_cross(seen, reach_px, &back, bars);
+        let half_length = cross.arm_length_mil / 2.0 + margin_mil;
+        let half_width = cross.arm_width_mil / 2.0 + margin_mil;
+        mask.hide_where(seen, reach_px, |at| {
+            let along = (to_arms * (at.vector() - seen.vector())).abs();
+            along.max() < half_length && along.min() < half_width
+        });
     }
-    hidden
+    mask
 }
 
 pub(super) fn at(stage: Stage) -> impl Fn(Rejected) -> Stopped {

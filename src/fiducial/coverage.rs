@@ -8,6 +8,7 @@ use crate::frame::PIXEL_VARIANCE_PX2;
 use crate::lanes::{Scratch, normal_tail};
 use crate::plate::Cross;
 use multiversion::multiversion;
+use nalgebra::Vector2;
 
 /// The cross as the camera sees it, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +27,18 @@ impl CrossShape {
             half_width_px: cross.arm_width_mil / 2.0 / scale_mil_per_px,
             blur_px: (lens_blur_px.powi(2) + PIXEL_VARIANCE_PX2).sqrt(),
         }
+    }
+
+    /// How far the fit of a symmetric cross is shifted by a point spread function whose third moment is six times `coma_px3`,
+    /// px.
+    ///
+    /// With f the profile across an arm, coma adds -coma f''', which a fit of the place takes for a shift by minus coma
+    /// times the ratio of the integrals of f''^2 and f'^2; for a bar of half width h behind a blur s these are Gaussian integrals.
+    pub fn coma_shift(&self, coma_px3: Vector2<f64>) -> Vector2<f64> {
+        let h2 = (self.half_width_px / self.blur_px).powi(2);
+        let overlap = (-h2).exp();
+        let ratio = (1.0 - (1.0 - 2.0 * h2) * overlap) / (2.0 * (1.0 - overlap));
+        -coma_px3 * (ratio / self.blur_px.powi(2))
     }
 
     /// How far from its middle the cross changes the picture, px.

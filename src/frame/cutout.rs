@@ -1,6 +1,7 @@
 //! A part of a frame as every stage after the disc search reads it: light above the background, and pixels that do not count.
 
 use super::{Frame, Region, Sample, View};
+use crate::units::SensorPx;
 use crate::with_view;
 
 /// Variance of a pixel's value, DN^2: read noise and rounding, and photon noise in proportion to the light.
@@ -55,6 +56,8 @@ pub struct Cutout {
     region: Region,
     light_dn: Vec<f32>,
     pub noise: PixelNoise,
+    /// Light at which no pixel saturates yet, DN.
+    pub unsaturated_dn: f64,
     /// Pixels that do not count: saturated, or hot.
     pub mask: Mask,
 }
@@ -62,10 +65,13 @@ pub struct Cutout {
 impl Cutout {
     /// The region must lie within the frame, and the background be that of the region. Saturated pixels are masked.
     pub fn new(frame: &Frame, region: Region, background: &Background, noise: PixelNoise) -> Self {
+        let most = |list: &[f32]| list.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let most_dn = most(&background.columns_dn) + most(&background.rows_dn);
         let mut cutout = Self {
             region,
             light_dn: Vec::with_capacity(region.width() * region.height()),
             noise,
+            unsaturated_dn: f64::from(frame.saturation_dn()) - f64::from(most_dn),
             mask: Mask::none(region),
         };
         let saturation_dn = f32::from(frame.saturation_dn());
@@ -131,6 +137,20 @@ impl Mask {
     pub fn row_mut(&mut self, y: usize) -> &mut [bool] {
         let width = self.region.width();
         &mut self.masked[(y - self.region.y0) * width..][..width]
+    }
+
+    /// Masks those of the pixels within `reach` px of a position in both axes for which something holds.
+    pub fn hide_where(&mut self, at: SensorPx, reach: f64, holds: impl Fn(SensorPx) -> bool) {
+        let Some(near) = Region::around(at, reach, self.region.x1, self.region.y1) else {
+            return;
+        };
+        let x0 = self.region.x0;
+        for y in near.y0.max(self.region.y0)..near.y1 {
+            let row = self.row_mut(y);
+            for x in near.x0.max(x0)..near.x1 {
+                row[x - x0] |= holds(SensorPx::new(x as f64, y as f64));
+            }
+        }
     }
 
     /// Masks a pixel; nothing happens to one outside the region.

@@ -42,6 +42,11 @@ impl Ellipse {
         self.root.trace() / 2.0
     }
 
+    /// Both half axes longer by so many px; `None` where nothing is left.
+    pub fn grown(&self, px: f64) -> Option<Self> {
+        Self::new(self.centre, self.root + Matrix2::identity() * px)
+    }
+
     /// A position in units of the disc's radius, from its centre: 1 on the outline.
     pub fn to_disc(&self, point: Vector2<f64>) -> Vector2<f64> {
         self.inverse * (point - self.centre)

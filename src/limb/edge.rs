@@ -1,394 +1,431 @@
-//! Points of the limb: at every azimuth the edge's profile is fitted to the pixels about it.
+//! Points of the limb: in every sector of azimuth the profile is fitted to the pixels of its edge.
 //!
 //! # Method
-//! The pixels within a band about a first outline, but for those that marks hide, are taken in strips that cross the limb.
-//! The medians at each distance, taken all round, give the [`Profile`]. In each sector of azimuth the profile is then
-//! shifted and scaled to the pixels by linear least squares, with Tukey's weights against hot pixels and scratches: the
-//! shift is the limb's distance from the first outline, the scale takes up what tilts the light across the disc, which
-//! is nearly alike in neighbouring sectors. Once all sectors have told that tilt, each is solved again with it.
+//! In a sector the light is taken to be, to first order about the profile P of the whole limb,
 //!
-//! All pixels of the limb serve, so a point is as good as their noise allows (Cramer-Rao) but for what the scale costs.
-//! What one look teaches (profile, noise, the light's tilt) serves the next one about a better outline.
+//! > (1 + l) P(d - s) + b + q/2 P'' - k P'''
+//!
+//! with d the distance from the ellipse: s is the limb's shift, l an excess of the illumination, b a background that the
+//! frame's own model did not remove, q an excess of the blur's variance, and k a sixth of the third moment of the point
+//! spread function. The shift is free in every sector. The others are smooth round the disc ([`Shape`]): they come from
+//! vignetting, stray light and ghosts, the Sun's motion during the exposure, and coma. All sectors together tell them; an
+//! effect that is not significant is held at nothing, for each costs some certainty of the limb. What illumination and
+//! background are in one sector may then depart from the smooth course as far as all sectors show that they do
+//! (DerSimonian and Laird 1986).
+//!
+//! Residuals are weighted by Tukey's biweight, against hot pixels and scratches.
 
-use super::appearance::{Appearance, Noise, TILT, Tilt};
-use super::band::{Band, Reach, middle_of_sector};
-use super::hidden::{HIDDEN_DN, Hidden};
-use super::profile::{Profile, lay_light};
-use super::typical::medians;
-use crate::estimation::{TUKEY_SIGMAS, clipped_sigma};
-use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
+use super::band::{Band, SectorPixels, middle_of_sector};
+use super::profile::Profile;
+use super::sums::{COLUMNS, Weighing, sector_sums};
+use crate::estimation::clipped_sigma;
+use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
-use crate::lanes::{LANES, Scratch, groups, groups_mut, larger};
 use crate::units::SensorPx;
-use multiversion::multiversion;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{SMatrix, SVector, Vector2};
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LimbPoint {
     pub at: SensorPx,
-    /// 1 sigma across the limb, from the pixels' noise.
+    /// 1 sigma across the limb.
     pub sigma_px: f64,
 }
 
-/// The band about the first outline that is looked at, in blurs and at least so many px.
-const BAND_INSIDE: (f64, f64) = (5.0, 7.0);
-const BAND_OUTSIDE: (f64, f64) = (3.5, 3.5);
-/// How far the light in a sector may be from what was expected once its tilt across the disc is known, 1 sigma.
-const UNEVEN: f64 = 0.02;
-/// How far the limb may be from an outline before and after a first look, px.
-const FIRST_SHIFT_PX: f64 = 0.7;
-const LATER_SHIFT_PX: f64 = 0.05;
-/// Where less than this of what tells the shift is its own, a few pixels tell light and shift together.
-const LEAST_OWN_PART: f64 = 1e-3;
-/// A point so uncertain tells nothing.
-const MAX_SIGMA_PX: f64 = 0.7;
-/// A shift so large is no shift of the limb.
-const MAX_SHIFT_PX: f64 = 3.0;
+/// What differs from sector to sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
+/// background (DN), excess of the blur's variance (px^2), a sixth of the point spread function's third moment (px^3).
+pub(super) const SECTOR: usize = 5;
+pub(super) const SHIFT: usize = 0;
+pub(super) const ILLUMINATION: usize = 1;
+pub(super) const BACKGROUND: usize = 2;
+pub(super) const BLUR: usize = 3;
+pub(super) const SKEW: usize = 4;
+/// Those that a sector has of its own, beside the smooth course: shift, illumination, background.
+const OWN: usize = 3;
 
-/// Points of the limb, and how it appears.
+/// Coefficients of the smooth courses: illumination 1, x, y; background 1, x, y, cos 2 phi, sin 2 phi; variance of the blur 1,
+/// cos 2 phi, sin 2 phi; skew x, y.
+const SMOOTH: usize = 13;
+const UNEVEN_BACKGROUND: std::ops::Range<usize> = 4..8;
+const MOTION: std::ops::Range<usize> = 9..11;
+const COMA: std::ops::Range<usize> = 11..13;
+/// 1 sigma of each before the pixels are looked at: illumination and background in parts of the plateau, px^2, px^3. They hold
+/// what a short arc does not tell.
+const PRIOR: [f64; SMOOTH] = [
+    0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.1, 0.1,
+];
+/// Effects that are this unlikely by chance, in each, are taken to be there: chi^2 per degree of freedom.
+const SIGNIFICANT_CHI2: f64 = 6.0;
+/// The least that the illumination of a sector departs from the smooth course, 1 sigma: ink and texture.
+const UNEVEN_ILLUMINATION: f64 = 0.02;
+/// One sector of a blemish says nothing of the others: it counts as so many sigma.
+const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
+
+/// Where less than this part of what tells the shift is its own, a few pixels tell illumination and shift together.
+const LEAST_OWN_PART: f64 = 1e-3;
+/// A point so uncertain, or so far from the ellipse, tells nothing; in blurs.
+const MOST_SIGMA_BLURS: f64 = 0.7;
+const MOST_SHIFT_BLURS: f64 = 3.0;
+
+/// How the limb departs round the disc from one and the same profile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Shape {
+    coefficients: SVector<f64, SMOOTH>,
+}
+
+impl Shape {
+    pub(super) const NONE: Self = Self {
+        coefficients: SVector::<f64, SMOOTH>::from_array_storage(nalgebra::ArrayStorage([
+            [0.0; SMOOTH]
+        ])),
+    };
+
+    /// What a sector in a direction has of it.
+    pub(super) fn at(&self, w: Vector2<f64>) -> SVector<f64, SECTOR> {
+        smooth(w) * self.coefficients
+    }
+
+    /// The harmonics of the blur's variance at twice the azimuth, px^2: along x and along the diagonal.
+    pub(super) fn motion_px2(&self) -> Vector2<f64> {
+        self.coefficients.fixed_rows::<2>(MOTION.start).into_owned()
+    }
+
+    /// A sixth of the point spread function's third moment, px^3.
+    pub(super) fn coma_px3(&self) -> Vector2<f64> {
+        self.coefficients.fixed_rows::<2>(COMA.start).into_owned()
+    }
+
+    /// Excess of the blur's variance all round, px^2.
+    pub(super) fn blur_px2(&self) -> f64 {
+        self.coefficients[MOTION.start - 1]
+    }
+}
+
+/// How a sector in a direction follows from the smooth courses.
+fn smooth(w: Vector2<f64>) -> SMatrix<f64, SECTOR, SMOOTH> {
+    let w = w.normalize();
+    let (c2, s2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
+    let mut matrix = SMatrix::zeros();
+    for (row, first, terms) in [
+        (ILLUMINATION, 0, &[1.0, w.x, w.y][..]),
+        (BACKGROUND, 3, &[1.0, w.x, w.y, c2, s2]),
+        (BLUR, 8, &[1.0, c2, s2]),
+        (SKEW, 11, &[w.x, w.y]),
+    ] {
+        for (n, term) in terms.iter().enumerate() {
+            matrix[(row, first + n)] = *term;
+        }
+    }
+    matrix
+}
+
+/// How the limb of a frame looks, all round.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct EdgeModel {
+    pub profile: Profile,
+    pub shape: Shape,
+    /// Covariance of the shape's coefficients; zero where they are held.
+    pub covariance: SMatrix<f64, SMOOTH, SMOOTH>,
+    pub noise: PixelNoise,
+    /// How far the limb may be from the ellipse that the band lies about, px.
+    pub shift_sigma_px: f64,
+    /// Pixels whose expected light is above this saturate too often to tell anything, DN.
+    pub saturated_dn: f64,
+}
+
+impl EdgeModel {
+    /// The profile of a sector.
+    fn profile_at(&self, course: &SVector<f64, SECTOR>) -> Profile {
+        let variance = self.profile.blur_px.powi(2) + course[BLUR];
+        self.profile.with_blur(variance.max(0.0).sqrt())
+    }
+
+    /// Light well inside the limb, DN.
+    fn plateau_dn(&self) -> f64 {
+        self.profile.at(-4.0 * self.profile.blur_px) - self.profile.background_dn
+    }
+}
+
+/// Points of the limb about an ellipse, and how it looks.
 pub(super) struct EdgeFit {
     pub points: Vec<LimbPoint>,
-    pub appearance: Appearance,
+    pub model: EdgeModel,
 }
 
-/// Where to look.
-pub(super) struct EdgeSearch<'a> {
-    pub frame: &'a Frame,
-    pub outline: &'a Ellipse,
-    pub hidden: &'a Hidden,
-    pub sectors: usize,
-}
-
-impl EdgeSearch<'_> {
-    fn band(&self, blur_px: f64) -> Band {
-        let reach = |(blurs, least): (f64, f64)| (blurs * blur_px).max(least);
-        let reach = Reach {
-            inside_px: reach(BAND_INSIDE),
-            outside_px: reach(BAND_OUTSIDE),
-        };
-        Band::about(self.frame, self.outline, reach, self.hidden, self.sectors)
+/// Fits every sector of a band about an ellipse.
+pub(super) fn fit_edge(
+    band: &Band,
+    ellipse: &Ellipse,
+    model: &EdgeModel,
+    sectors: usize,
+) -> EdgeFit {
+    let sectors: Vec<Sector> = band
+        .sectors()
+        .enumerate()
+        .filter(|(_, pixels)| !pixels.light_dn.is_empty())
+        .map(|(n, pixels)| Sector::new(middle_of_sector(n, sectors), pixels, model))
+        .collect();
+    let mut departure = Departure {
+        illumination: UNEVEN_ILLUMINATION,
+        background_dn: 0.0,
+    };
+    let mut courses = Courses::fitted(&sectors, &departure, model);
+    let shown = departure.shown_by(&sectors, &courses.step);
+    if shown != departure {
+        departure = shown;
+        courses = Courses::fitted(&sectors, &departure, model);
     }
-
-    fn saturation_dn(&self) -> f64 {
-        f64::from(self.frame.saturation_dn())
-    }
-
-    /// The limb where only levels and a typical profile are known. `None` when the pixels determine no profile.
-    pub(super) fn first_look(&self, start: &Profile, levels: &Levels) -> Option<EdgeFit> {
-        let band = self.band(start.blur_px);
-        let typical = medians(&band, self.saturation_dn());
-        let (profile, shift_px) = start.fitted(&typical, levels.noise_dn)?;
-        let noise = Noise {
-            outside_dn: levels.noise_dn,
-            inside_dn: levels.noise_dn,
-        };
-        let slack = Slack {
-            light: TILT,
-            shift_px: FIRST_SHIFT_PX,
-        };
-        let edge = Edge::new(&band, profile, shift_px, self.saturation_dn(), noise, slack);
-        Some(self.look(&edge, Tilt::NONE, 0.0))
-    }
-
-    /// The limb about an outline that is nearly right, as it appeared before.
-    pub(super) fn look_again(&self, before: &Appearance) -> EdgeFit {
-        let band = self.band(before.profile.blur_px);
-        let slack = Slack {
-            light: UNEVEN,
-            shift_px: LATER_SHIFT_PX,
-        };
-        let saturation_dn = self.saturation_dn();
-        let edge = Edge::new(
-            &band,
-            before.profile,
-            0.0,
-            saturation_dn,
-            before.noise,
-            slack,
-        );
-        self.look(&edge, before.light, UNEVEN.powi(-2))
-    }
-
-    /// Fits every sector: first for the light's tilt across the disc, from what was expected of it with some information that
-    /// it is so, then for the limb with that tilt.
-    fn look(&self, edge: &Edge<'_>, expected: Tilt, information: f64) -> EdgeFit {
-        let directions: Vec<Vector2<f64>> = (0..self.sectors)
-            .map(|n| middle_of_sector(n, self.sectors))
-            .collect();
-        let expecting = |w: &Vector2<f64>| Sector::expecting(expected.at(*w));
-        let mut sectors: Vec<Sector> = directions.iter().map(expecting).collect();
-        let unexplained = edge.sum(&mut sectors);
-        let solved = |light: Tilt, information: f64| -> Vec<(Vector2<f64>, Shift)> {
-            let all = directions.iter().zip(&sectors);
-            all.filter_map(|(w, sector)| Some((*w, sector.solve(light.at(*w), information)?)))
-                .collect()
-        };
-        let free = solved(expected, information);
-        let light = Tilt::of(free.iter().map(|(w, shift)| (*w, shift.excess_light)));
-        let found = solved(light, UNEVEN.powi(-2));
-        let point = |(w, shift): &(Vector2<f64>, Shift)| LimbPoint {
-            at: (self.outline.from_disc(*w) + self.outline.normal(*w) * (shift.px + edge.shift_px))
-                .into(),
-            sigma_px: shift.sigma_px,
-        };
-        // What is left of a sector's pixels holds what its light exceeds the expected one by.
-        let more: Vec<f32> = directions
-            .iter()
-            .map(|w| (light.at(*w) - expected.at(*w)) as f32)
-            .collect();
-        EdgeFit {
-            points: found.iter().map(point).collect(),
-            appearance: Appearance {
-                profile: edge.profile,
-                noise: edge.noise(&unexplained, &more),
-                light,
-            },
-        }
+    let found = sectors
+        .iter()
+        .filter_map(|s| Some((s.w, s.shift(&courses, &departure, model)?)));
+    let point = |(w, (shift_px, sigma_px)): (Vector2<f64>, (f64, f64))| LimbPoint {
+        at: (ellipse.from_disc(w) + ellipse.normal(w) * shift_px).into(),
+        sigma_px,
+    };
+    let shape = Shape {
+        coefficients: model.shape.coefficients + courses.step,
+    };
+    let points = found.map(point).collect();
+    let model = EdgeModel {
+        shape,
+        covariance: courses.covariance,
+        ..*model
+    };
+    EdgeFit {
+        points,
+        model: EdgeModel {
+            noise: noise(band, &model),
+            ..model
+        },
     }
 }
 
-/// What may differ from the expectation before a sector is fitted, 1 sigma.
-struct Slack {
-    /// Part of the light.
-    light: f64,
-    shift_px: f64,
-}
-
-/// The profile laid about the first outline.
-struct Edge<'a> {
-    band: &'a Band,
-    profile: Profile,
-    shift_px: f64,
-    noise: Noise,
-    slack: Slack,
-    /// Where the disc saturates, light above the background.
-    saturated_dn: f64,
-    /// Light above the background that is expected of every entry of the band, and its change per px outwards.
-    light: Scratch<f32>,
-    slope: Scratch<f32>,
-}
-
-impl<'a> Edge<'a> {
-    fn new(
-        band: &'a Band,
-        profile: Profile,
-        shift_px: f64,
-        saturation_dn: f64,
-        noise: Noise,
-        slack: Slack,
-    ) -> Self {
-        let count = band.dn.len();
-        let [mut light, mut slope] = [(); 2].map(|()| Scratch::of_length(count));
-        let shift = shift_px as f32;
-        lay_light(&profile, shift, &band.distance_px, &mut light, &mut slope);
-        Self {
-            band,
-            profile,
-            shift_px,
-            noise,
-            slack,
-            saturated_dn: saturation_dn - 2.0 * noise.outside_dn - profile.background_dn,
-            light,
-            slope,
-        }
-    }
-
-    /// The light at the band's inner edge, where it hardly changes any more.
-    fn plateau_dn(&self) -> f32 {
-        let inner = -self.band.reach.inside_px - self.shift_px;
-        (self.profile.at(inner) - self.profile.background_dn) as f32
-    }
-
-    /// Adds every pixel to its sector's normal equations; what the sectors' expectations do not explain, pixel by pixel.
-    fn sum(&self, sectors: &mut [Sector]) -> Scratch<f32> {
-        let mut unexplained = Scratch::of_length(self.band.dn.len());
-        let weighing = Weighing::new(self);
-        add_pixels(self, &weighing, sectors, &mut unexplained);
-        unexplained
-    }
-
-    /// The pixels' noise from what is left unexplained well away from the limb, once every sector has so much `more`
-    /// light than was expected.
-    fn noise(&self, unexplained: &[f32], more: &[f32]) -> Noise {
-        let [mut outside, mut inside] = [(); 2].map(|()| Scratch::empty(unexplained.len()));
-        tell_noise(self, unexplained, more, &mut outside, &mut inside);
-        let sigma = |left: &[f32], start: f64| {
-            clipped_sigma(left, start as f32, ROUNDING_NOISE_DN).unwrap_or(start)
-        };
-        Noise {
-            outside_dn: sigma(&outside, self.noise.outside_dn),
-            inside_dn: sigma(&inside, self.noise.inside_dn),
-        }
-    }
-}
-
-/// What is left unexplained well outside the limb and well inside it, every sector having so much `more` light than was
-/// expected.
-#[multiversion(targets("x86_64+avx2"))]
-fn tell_noise(
-    edge: &Edge<'_>,
-    unexplained: &[f32],
-    more: &[f32],
-    outside: &mut Vec<f32>,
-    inside: &mut Vec<f32>,
-) {
-    let (limb, clear) = (edge.shift_px as f32, (3.0 * edge.profile.blur_px) as f32);
-    let (plateau, saturated) = (edge.plateau_dn(), edge.saturated_dn as f32);
-    for strip in edge.band.sample() {
-        let distance = groups(&edge.band.distance_px[strip.entries.clone()]);
-        let light = groups(&edge.light[strip.entries.clone()]);
-        let left = groups(&unexplained[strip.entries.clone()]);
-        let more = strip
-            .sectors
-            .map(|sector| more[usize::from(sector)] * plateau);
-        for ((distance, light), left) in distance.iter().zip(light).zip(left) {
-            // What is of no use is told from noise by its size; where the disc saturates its noise does not show.
-            let (mut far, mut deep) = ([0.0; LANES], [0.0; LANES]);
-            for k in 0..LANES {
-                let (out, own) = (distance[k] - limb, left[k] - more[k]);
-                let shows = (out < -clear) & (light[k] < saturated);
-                far[k] = left[k] + if out > clear { 0.0 } else { HIDDEN_DN };
-                deep[k] = own + if shows { 0.0 } else { HIDDEN_DN };
-            }
-            outside.extend_from_slice(&far);
-            inside.extend_from_slice(&deep);
-        }
-    }
-}
-
-/// How pixels are weighed by the light that is expected of them.
-struct Weighing {
-    background_dn: f32,
-    saturated_dn: f32,
-    /// Variance of the pixels' noise outside, and how it changes with the light.
-    outside: f32,
-    by_light: f32,
-    /// Variance of what the light, in units of it squared, and the slope may differ by.
-    light: f32,
-    slope: f32,
-}
-
-impl Weighing {
-    fn new(edge: &Edge<'_>) -> Self {
-        let [outside, inside] = [0.0, 1.0].map(|share| edge.noise.variance(share));
-        Self {
-            background_dn: edge.profile.background_dn as f32,
-            saturated_dn: edge.saturated_dn as f32,
-            outside,
-            by_light: (inside - outside) / edge.plateau_dn().max(1.0),
-            light: edge.slack.light.powi(2) as f32,
-            slope: edge.slack.shift_px.powi(2) as f32,
-        }
-    }
-
-    /// The weight of a pixel that is `left` from what was expected.
-    #[inline(always)]
-    fn weight(&self, light: f32, slope: f32, left: f32) -> f32 {
-        const TUKEY2: f32 = (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32;
-        let variance = self.outside + self.by_light * light;
-        let spread2 = variance + self.light * light * light + self.slope * slope * slope;
-        let within = larger(1.0 - left * left / (TUKEY2 * spread2), 0.0);
-        let weight = within * within / variance;
-        if light > self.saturated_dn {
-            0.0
-        } else {
-            weight
-        }
-    }
-}
-
-/// Adds every pixel to its sector; what that does not explain.
-#[multiversion(targets("x86_64+avx2"))]
-fn add_pixels(
-    edge: &Edge<'_>,
-    weighing: &Weighing,
-    sectors: &mut [Sector],
-    unexplained: &mut [f32],
-) {
-    for strip in &edge.band.strips {
-        let light = groups(&edge.light[strip.entries.clone()]);
-        let slope = groups(&edge.slope[strip.entries.clone()]);
-        let dn = groups(&edge.band.dn[strip.entries.clone()]);
-        let unexplained = groups_mut(&mut unexplained[strip.entries.clone()]);
-        let expected = strip
-            .sectors
-            .map(|sector| sectors[usize::from(sector)].light);
-        let mut sums = [[0.0; LANES]; 5];
-        for (((light, slope), dn), unexplained) in light.iter().zip(slope).zip(dn).zip(unexplained)
-        {
-            for k in 0..LANES {
-                let residual = dn[k] - weighing.background_dn - light[k];
-                let left = residual - expected[k] * light[k];
-                unexplained[k] = left;
-                let weight = weighing.weight(light[k], slope[k], left);
-                let (by_slope, by_light) = (weight * slope[k], weight * light[k]);
-                sums[0][k] += by_slope * slope[k];
-                sums[1][k] += by_slope * light[k];
-                sums[2][k] += by_light * light[k];
-                sums[3][k] += by_slope * residual;
-                sums[4][k] += by_light * residual;
-            }
-        }
-        for (k, sector) in strip.sectors.iter().enumerate() {
-            sectors[usize::from(*sector)].add(sums.map(|sum| sum[k]));
-        }
-    }
-}
-
-/// How the limb stands in one sector.
-#[derive(Clone, Copy)]
-struct Shift {
-    /// Outwards from the shifted profile.
-    px: f64,
-    sigma_px: f64,
-    /// Light over the profile's, less 1.
-    excess_light: f64,
-}
-
-/// One sector: the light that is expected of it, and its normal equations for shift and excess light.
-#[derive(Clone, Copy, Default)]
+/// The normal equations of a sector in steps from the model.
 struct Sector {
-    light: f32,
-    slope2: f32,
-    slope_light: f32,
-    light2: f32,
-    slope_residual: f32,
-    light_residual: f32,
+    w: Vector2<f64>,
+    smooth: SMatrix<f64, SECTOR, SMOOTH>,
+    information: SMatrix<f64, SECTOR, SECTOR>,
+    gradient: SVector<f64, SECTOR>,
 }
 
 impl Sector {
-    fn expecting(light: f64) -> Self {
+    fn new(w: Vector2<f64>, pixels: SectorPixels<'_>, model: &EdgeModel) -> Self {
+        let course = model.shape.at(w);
+        let profile = model.profile_at(&course);
+        let weighing = Weighing {
+            profile: &profile,
+            course: course.cast::<f32>().into(),
+            noise: model.noise,
+            illumination_sigma: UNEVEN_ILLUMINATION,
+            shift_sigma_px: model.shift_sigma_px,
+            saturated_dn: model.saturated_dn,
+        };
+        let sums = sector_sums(&weighing, pixels.distance_px, pixels.light_dn);
         Self {
-            light: light as f32,
-            ..Self::default()
+            w,
+            smooth: smooth(w),
+            information: SMatrix::from_fn(|m, n| sums[m][n]),
+            gradient: SVector::from_fn(|m, _| sums[m][COLUMNS - 1]),
         }
     }
 
-    fn add(&mut self, [slope2, slope_light, light2, slope_residual, light_residual]: [f32; 5]) {
-        self.slope2 += slope2;
-        self.slope_light += slope_light;
-        self.light2 += light2;
-        self.slope_residual += slope_residual;
-        self.light_residual += light_residual;
+    /// Information and gradient without the sector's own departures, which take what they may.
+    fn reduced(
+        &self,
+        departure: &Departure,
+    ) -> Option<(SMatrix<f64, SECTOR, SECTOR>, SVector<f64, SECTOR>)> {
+        let own = self.own_information(departure).try_inverse()?;
+        let coupling = self.information.fixed_columns::<OWN>(0);
+        let taken = coupling * own;
+        Some((
+            self.information - taken * coupling.transpose(),
+            self.gradient - taken * self.gradient.fixed_rows::<OWN>(0),
+        ))
     }
 
-    /// The fit, with some information that the light is the expected one.
-    fn solve(&self, light: f64, information: f64) -> Option<Shift> {
-        let cross = -f64::from(self.slope_light);
-        let light2 = f64::from(self.light2) + information;
-        let normal = Matrix2::new(f64::from(self.slope2), cross, cross, light2);
-        if normal.determinant() < LEAST_OWN_PART * normal.m11 * normal.m22 {
+    fn own_information(&self, departure: &Departure) -> SMatrix<f64, OWN, OWN> {
+        let mut own = self.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
+        own[(ILLUMINATION, ILLUMINATION)] += departure.illumination.powi(-2);
+        own[(BACKGROUND, BACKGROUND)] += departure.background_dn.max(1e-6).powi(-2);
+        own
+    }
+
+    /// The limb's shift and its sigma, px; `None` where the pixels do not tell it.
+    fn shift(
+        &self,
+        courses: &Courses,
+        departure: &Departure,
+        model: &EdgeModel,
+    ) -> Option<(f64, f64)> {
+        let blur_px = model.profile.blur_px;
+        let own = self.own_information(departure);
+        let pair = own.fixed_view::<2, 2>(0, 0).into_owned();
+        if pair.determinant() < LEAST_OWN_PART * pair.m11 * pair.m22 {
             return None;
         }
-        let inverse = normal.try_inverse()?;
-        let light_residual = f64::from(self.light_residual) + information * light;
-        let fit = inverse * Vector2::new(-f64::from(self.slope_residual), light_residual);
-        let sigma_px = inverse.m11.max(0.0).sqrt();
-        (sigma_px < MAX_SIGMA_PX && fit.x.abs() < MAX_SHIFT_PX).then_some(Shift {
-            px: fit.x,
-            sigma_px,
-            excess_light: fit.y,
+        let inverse = own.try_inverse()?;
+        let coupling = self.information.fixed_rows::<OWN>(0) * self.smooth;
+        let gradient = self.gradient.fixed_rows::<OWN>(0) - coupling * courses.step;
+        let shift_px = (inverse * gradient)[SHIFT];
+        let by_courses = (inverse * coupling).row(SHIFT).into_owned();
+        // What the courses leave open moves whole parts of the limb: so many points must not average it away.
+        let common = (by_courses * courses.covariance * by_courses.transpose())[0];
+        let variance = inverse.m11 + 0.5 * courses.sectors as f64 * common;
+        let sigma_px = variance.max(0.0).sqrt();
+        let told =
+            sigma_px < MOST_SIGMA_BLURS * blur_px && shift_px.abs() < MOST_SHIFT_BLURS * blur_px;
+        told.then_some((shift_px, sigma_px))
+    }
+}
+
+/// How far single sectors depart from the smooth courses, 1 sigma.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Departure {
+    illumination: f64,
+    background_dn: f64,
+}
+
+impl Departure {
+    /// As far as the sectors show it: the variance between them by DerSimonian and Laird's moments, never less than `self`.
+    fn shown_by(&self, sectors: &[Sector], step: &SVector<f64, SMOOTH>) -> Self {
+        let between = |index: usize| {
+            let departures = sectors.iter().filter_map(|s| s.departure(index, step));
+            let (mut excess, mut count, mut weights) = (0.0, 0.0, 0.0);
+            for (value, variance) in departures {
+                let squared = (value * value / variance).min(MOST_DEPARTURE_SIGMAS.powi(2));
+                (excess, count, weights) =
+                    (excess + squared, count + 1.0, weights + 1.0 / variance);
+            }
+            let significant = excess > count + 3.0 * f64::sqrt(2.0 * count);
+            if significant {
+                ((excess - count) / weights).sqrt()
+            } else {
+                0.0
+            }
+        };
+        Self {
+            illumination: between(ILLUMINATION).max(self.illumination),
+            background_dn: between(BACKGROUND).max(self.background_dn),
+        }
+    }
+}
+
+impl Sector {
+    /// What one quantity departs from its course, and the variance of that, the shift being free.
+    fn departure(&self, index: usize, step: &SVector<f64, SMOOTH>) -> Option<(f64, f64)> {
+        let gradient = self.gradient - self.information * self.smooth * step;
+        let (ss, si, ii) = (
+            self.information.m11,
+            self.information[(SHIFT, index)],
+            self.information[(index, index)],
+        );
+        let own = ii - si * si / ss;
+        let told = ss > 0.0 && own > LEAST_OWN_PART * ii;
+        told.then(|| {
+            (
+                (gradient[index] - gradient[SHIFT] * si / ss) / own,
+                1.0 / own,
+            )
         })
+    }
+}
+
+/// The smooth courses: their steps from the model and the covariance of these.
+struct Courses {
+    step: SVector<f64, SMOOTH>,
+    covariance: SMatrix<f64, SMOOTH, SMOOTH>,
+    sectors: usize,
+}
+
+impl Courses {
+    fn fitted(sectors: &[Sector], departure: &Departure, model: &EdgeModel) -> Self {
+        let mut information = SMatrix::<f64, SMOOTH, SMOOTH>::zeros();
+        let mut gradient = SVector::<f64, SMOOTH>::zeros();
+        for sector in sectors {
+            if let Some((own, own_gradient)) = sector.reduced(departure) {
+                information += sector.smooth.tr_mul(&own) * sector.smooth;
+                gradient += sector.smooth.tr_mul(&own_gradient);
+            }
+        }
+        let now = &model.shape.coefficients;
+        let plateau = model.plateau_dn().max(1.0);
+        let solve = |held: &[usize]| {
+            let tightness = |n: usize| {
+                let sigma = match n {
+                    _ if held.contains(&n) => 1e-6,
+                    3..8 => PRIOR[n] * plateau,
+                    _ => PRIOR[n],
+                };
+                sigma.powi(-2)
+            };
+            let prior = SVector::<f64, SMOOTH>::from_fn(|n, _| tightness(n));
+            let known = information + SMatrix::from_diagonal(&prior);
+            let cholesky = known.cholesky()?;
+            let step = cholesky.solve(&(gradient - prior.component_mul(now)));
+            Some((step, cholesky.inverse()))
+        };
+        let held: Vec<usize> = match solve(&[]) {
+            Some((step, covariance)) => [UNEVEN_BACKGROUND, MOTION, COMA]
+                .into_iter()
+                .filter(|effect| !is_significant(effect, &(now + step), &covariance))
+                .flatten()
+                .collect(),
+            None => (UNEVEN_BACKGROUND.start..SMOOTH).collect(),
+        };
+        let (step, covariance) = solve(&held).unwrap_or((SVector::zeros(), SMatrix::zeros()));
+        Self {
+            step,
+            covariance,
+            sectors: sectors.len(),
+        }
+    }
+}
+
+/// Whether some coefficients are far from zero by their covariance.
+fn is_significant(
+    effect: &std::ops::Range<usize>,
+    coefficients: &SVector<f64, SMOOTH>,
+    covariance: &SMatrix<f64, SMOOTH, SMOOTH>,
+) -> bool {
+    let own = covariance.view((effect.start, effect.start), (effect.len(), effect.len()));
+    let value = coefficients.rows(effect.start, effect.len());
+    let solved = own.clone_owned().cholesky().map(|root| root.solve(&value));
+    solved.is_some_and(|solved| value.dot(&solved) > SIGNIFICANT_CHI2 * effect.len() as f64)
+}
+
+/// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
+fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
+    /// Every so many sectors tell enough.
+    const EVERY: usize = 4;
+    let clear = (3.0 * model.profile.blur_px) as f32;
+    let (mut outside, mut inside, mut inside_dn) = (Vec::new(), Vec::new(), 0.0);
+    let sectors = band.sectors().count();
+    for n in (0..sectors).step_by(EVERY) {
+        let course = model.shape.at(middle_of_sector(n, sectors));
+        let profile = model.profile_at(&course);
+        let pixels = band.sector(n);
+        for (distance_px, light_dn) in pixels.distance_px.iter().zip(pixels.light_dn) {
+            let (light, _) = profile.light(*distance_px);
+            let expected = light * (1.0 + course[ILLUMINATION] as f32);
+            let residual =
+                light_dn - expected - (profile.background_dn + course[BACKGROUND]) as f32;
+            if *distance_px > clear {
+                outside.push(residual);
+            } else if *distance_px < -clear && f64::from(light) < model.saturated_dn {
+                inside.push(residual);
+                inside_dn += f64::from(expected);
+            }
+        }
+    }
+    let sigma = |residuals: &[f32], start: f64| {
+        clipped_sigma(residuals, start as f32, ROUNDING_NOISE_DN).unwrap_or(start)
+    };
+    let dark_dn = sigma(&outside, model.noise.dark_dn2.sqrt());
+    let light_dn = inside_dn / inside.len().max(1) as f64;
+    let bright_dn = sigma(&inside, model.noise.sigma_dn(light_dn));
+    let per_light_dn = (bright_dn.powi(2) - dark_dn.powi(2)) / light_dn.max(1.0);
+    PixelNoise {
+        dark_dn2: dark_dn.powi(2),
+        per_light_dn: per_light_dn.max(0.0),
     }
 }

@@ -13,30 +13,32 @@
 //! than [`Settings::min_limb_points`] points on an outline.
 
 mod agreement;
-mod appearance;
+mod background;
 mod band;
 mod bright;
 mod chords;
 mod consensus;
 mod edge;
-mod fine;
-mod hidden;
+mod fit;
 mod levels;
 mod light;
 mod outline;
 mod patches;
 mod profile;
 mod search;
-mod typical;
+mod sums;
 
+pub use background::background;
 pub use edge::LimbPoint;
-pub use fine::{KnownOutline, Limb, LimbFit};
-pub use hidden::{Bars, Hidden};
+pub use fit::{KnownOutline, Limb, LimbFit};
 pub use levels::levels;
 pub use light::DiscLight;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
 pub use search::{CoarseDisc, DiscSearch};
+
+/// Linear limb darkening at 630 nm (Neckel and Labs 1994): light falls as 1 - u (1 - cos theta) towards the limb.
+const LIMB_DARKENING: f64 = 0.56;
 
 /// What can be tuned in finding the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]

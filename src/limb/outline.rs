@@ -1,15 +1,15 @@
 //! The ellipse through points of the limb, on the sensor.
 
 use super::LimbPoint;
-use super::band::outwards;
-use crate::estimation::{SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median_size};
+use crate::estimation::{
+    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, SIGMA_PER_MEDIAN, Scale, TUKEY_SIGMAS,
+    median,
+};
 use crate::geometry::{Ellipse, turns};
-use crate::lanes::{LANES, Scratch, groups, larger};
 use crate::units::Measured;
-use multiversion::multiversion;
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, RowSVector, SMatrix, SVector, Vector1, Vector2};
 
-/// What is known of the outline before the limb is looked at.
+/// What is known of the outline before the limb is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OutlinePrior {
     /// Mean radius, px.
@@ -23,14 +23,25 @@ pub struct OutlinePrior {
 pub struct OutlineFit {
     pub ellipse: Ellipse,
     /// Covariance of centre x, y, mean radius and the two parts of the flatness (along x, along the diagonal), px^2.
-    pub covariance: SMatrix<f64, 5, 5>,
-    /// Scatter of the accepted points over their sigmas.
+    pub covariance: SMatrix<f64, PARAMETERS, PARAMETERS>,
+    /// By how much the points' sigmas were inflated: their scatter, and how far neighbours depart together.
     pub scatter: f64,
-    /// Typical distance of all points from the outline, 1 sigma.
+    /// Distance of all points from the outline, 1 sigma from the median.
     pub scatter_px: f64,
     /// Which points lie on the outline.
     pub accepted: Vec<bool>,
 }
+
+/// Centre x, y, mean radius, half the difference of the half axes along x and y, and along the diagonals; px.
+const PARAMETERS: usize = 5;
+/// Two values so many sigma apart are not of the same thing.
+const CONTRADICTION_SIGMAS: f64 = 5.0;
+/// Fewer points make no outline.
+const MIN_POINTS: usize = 6;
+/// Neighbouring points are averaged over arcs of so many sectors.
+const ARC_POINTS: usize = 8;
+/// The stated sigmas count against the scatter of the arcs as so many arcs.
+const STATED_ARCS: f64 = 10.0;
 
 impl OutlineFit {
     /// Covariance of the centre, px^2.
@@ -44,235 +55,156 @@ impl OutlineFit {
         accepted as f64 / self.accepted.len().max(1) as f64
     }
 
-    /// Whether radius or flatness differ from what a prior states by more than both their sigmas allow.
-    pub fn contradicts(&self, prior: &OutlinePrior) -> bool {
-        let root = self.ellipse.root();
-        let flat = prior.flatness * prior.radius_px.value;
-        let found = [
-            self.ellipse.mean_radius() - prior.radius_px.value,
-            (root.m11 - root.m22) / 2.0,
-            root.m12,
-        ];
-        let stated = [prior.radius_px.sigma, flat, flat];
-        (0..3).any(|n| {
-            let variance = self.covariance[(n + 2, n + 2)] + stated[n].powi(2);
-            found[n].powi(2) > CONTRADICTION_SIGMAS.powi(2) * variance
-        })
-    }
-
     /// 1 sigma of the mean radius.
     pub fn radius_sigma_px(&self) -> f64 {
         self.covariance[(2, 2)].max(0.0).sqrt()
     }
+
+    /// Whether radius or flatness differ from what a prior states by more than both their sigmas allow.
+    pub fn contradicts(&self, prior: &OutlinePrior) -> bool {
+        let found = shape_of(&self.ellipse);
+        let known = prior.known();
+        (2..PARAMETERS).any(|n| {
+            let variance = self.covariance[(n, n)] + known.information[n].recip();
+            (found[n] - known.mean[n]).powi(2) > CONTRADICTION_SIGMAS.powi(2) * variance
+        })
+    }
+
+    /// The outline with what a prior states taken into account: the maximum of the product of two normal distributions.
+    pub fn with(&self, prior: &OutlinePrior) -> Option<Self> {
+        let known = prior.known();
+        let own = self.covariance.cholesky()?.inverse();
+        let covariance = (own + SMatrix::from_diagonal(&known.information))
+            .cholesky()?
+            .inverse();
+        let found = shape_of(&self.ellipse);
+        let off = known.information.component_mul(&(known.mean - found));
+        Some(Self {
+            ellipse: moved(&self.ellipse, &(covariance * off))?,
+            covariance,
+            ..self.clone()
+        })
+    }
 }
 
-const STEPS: usize = 16;
-const ROUND_STEPS: usize = 6;
-/// Points that scatter by more sigmas than this about the start may lead an ellipse astray; a circle is harder to lead.
-const CRUDE_SIGMAS: f64 = 6.0;
-/// A shorter step changes nothing, px.
-const SETTLED_STEP_PX: f64 = 1e-3;
-/// Two values so many sigma apart are not of the same thing.
-const CONTRADICTION_SIGMAS: f64 = 5.0;
-/// Fewer points make no outline.
-const MIN_POINTS: usize = 6;
+impl OutlinePrior {
+    fn known(&self) -> Prior<PARAMETERS> {
+        let flat = self.flatness * self.radius_px.value;
+        Prior {
+            mean: SVector::from([0.0, 0.0, self.radius_px.value, 0.0, 0.0]),
+            information: SVector::from([
+                0.0,
+                0.0,
+                self.radius_px.sigma.powi(-2),
+                flat.powi(-2),
+                flat.powi(-2),
+            ]),
+        }
+    }
+}
 
-/// Least-squares ellipse through points of the limb, with Tukey's weights against marks, scratches and leaks. Scatter
-/// beyond the points' own sigmas raises the covariance. `None` when too few points agree.
+/// Least-squares ellipse through points of the limb, with Tukey's weights against marks, scratches and leaks.
+///
+/// # Errors
+/// Too few points that agree, or points that determine no ellipse.
 pub fn fit_outline(
     points: &[LimbPoint],
     start: &Ellipse,
     prior: &OutlinePrior,
-) -> Option<OutlineFit> {
-    let mut ellipse = *start;
-    let places = Places::from(points, start);
-    let mut seen = Residuals::from(&places, &ellipse);
-    let crude = seen.scatter > CRUDE_SIGMAS;
-    let mut information = SMatrix::<f64, 5, 5>::zeros();
-    for step in 0..STEPS {
-        let round = crude && step < ROUND_STEPS;
-        let (matrix, gradient) = seen.normal_equations(&ellipse, prior, round);
-        information = matrix;
-        let moved = information.cholesky()?.solve(&gradient);
-        let grown = Matrix2::new(moved[2] + moved[3], moved[4], moved[4], moved[2] - moved[3]);
-        let root = ellipse.root() + grown;
-        ellipse = Ellipse::new(ellipse.centre + moved.fixed_rows::<2>(0), root)?;
-        seen = Residuals::from(&places, &ellipse);
-        if !round && moved.norm() < SETTLED_STEP_PX {
-            break;
-        }
-    }
-    let limit = (TUKEY_SIGMAS * seen.scatter) as f32;
-    let accepted: Vec<bool> = seen.pulls().map(|pull| pull.abs() < limit).collect();
+) -> Result<OutlineFit, FitError> {
+    let known = prior.known();
+    let fit = LeastSquares {
+        start: shape_of(start),
+        prior: known,
+        loss: Loss::Tukey(TUKEY_SIGMAS),
+        scale: Scale::Median,
+        tolerance_sigmas: 0.02,
+    };
+    let fitted = fit.fit(|parameters| {
+        let ellipse = ellipse_of(parameters)?;
+        Some(
+            points
+                .iter()
+                .map(|point| linearised(point, &ellipse))
+                .collect(),
+        )
+    })?;
+    let ellipse = ellipse_of(&fitted.parameters).ok_or(FitError::Undetermined)?;
+    let accepted: Vec<bool> = fitted.weights.iter().map(|weight| *weight > 0.0).collect();
     let count = accepted.iter().filter(|a| **a).count();
-    let excess = seen.excess_px.iter().take(places.count);
-    (count >= MIN_POINTS).then_some(OutlineFit {
+    if count < MIN_POINTS {
+        return Err(FitError::Undetermined);
+    }
+    let scatter = fitted.scatter.max(1.0) * common_departure(points, &ellipse, &fitted);
+    let away = points.iter().map(|p| ellipse.excess(p.at.vector()).abs());
+    Ok(OutlineFit {
         ellipse,
-        covariance: information.cholesky()?.inverse(),
-        scatter: seen.scatter,
-        scatter_px: robust_sigma(excess.copied()),
+        covariance: fitted.covariance * (scatter / fitted.scatter.max(f64::MIN_POSITIVE)).powi(2),
+        scatter,
+        scatter_px: SIGMA_PER_MEDIAN * median(away).unwrap_or_default(),
         accepted,
     })
 }
 
-/// The points, in whole groups of lanes; what fills up the last one has no weight.
-struct Places {
-    count: usize,
-    origin: Vector2<f64>,
-    /// From the origin, px.
-    x: Scratch<f32>,
-    y: Scratch<f32>,
-    /// One over the points' sigmas.
-    per_sigma: Scratch<f32>,
-}
-
-impl Places {
-    fn from(points: &[LimbPoint], start: &Ellipse) -> Self {
-        let origin = start.centre;
-        let room = points.len().next_multiple_of(LANES);
-        let list = |value: &dyn Fn(&LimbPoint) -> f64, filling: f64| {
-            let mut list = Scratch::empty(room);
-            list.extend(points.iter().map(|point| value(point) as f32));
-            list.resize(room, filling as f32);
-            list
-        };
-        Self {
-            count: points.len(),
-            origin,
-            x: list(&|point| point.at.x - origin.x, start.mean_radius()),
-            y: list(&|point| point.at.y - origin.y, 0.0),
-            per_sigma: list(&|point| 1.0 / point.sigma_px, 0.0),
+/// By how much the points' sigmas must be inflated for what neighbouring points have in common: light that nothing models
+/// moves whole arcs of the limb. Never below 1.
+fn common_departure(points: &[LimbPoint], ellipse: &Ellipse, fitted: &Fitted<PARAMETERS>) -> f64 {
+    let scatter = fitted.scatter.max(1.0);
+    let (mut chi2, mut arcs) = (0.0, 0.0);
+    let all: Vec<_> = points.iter().zip(&fitted.weights).collect();
+    for arc in all.chunks_exact(ARC_POINTS) {
+        let (mut sum, mut information) = (0.0, 0.0);
+        for (point, weight) in arc {
+            let own = *weight / (point.sigma_px * scatter).powi(2);
+            sum += own * ellipse.excess(point.at.vector());
+            information += own;
+        }
+        if information > 0.0 {
+            chi2 += sum * sum / information;
+            arcs += 1.0;
         }
     }
+    let freedom: f64 = arcs - PARAMETERS as f64;
+    if freedom < 1.0 {
+        return 1.0;
+    }
+    ((STATED_ARCS + chi2) / (STATED_ARCS + freedom))
+        .max(1.0)
+        .sqrt()
 }
 
-/// The points as an ellipse sees them.
-struct Residuals<'a> {
-    places: &'a Places,
-    /// Distance outwards from the outline.
-    excess_px: Scratch<f32>,
-    /// How the outline moves outwards there with centre x and y and the two parts of the flatness; with its mean radius it
-    /// moves as that does.
-    slopes: [Scratch<f32>; 4],
-    /// Robust 1 sigma of excess over stated sigma; not below 1, since less is luck.
-    scatter: f64,
+/// The parameters of an ellipse.
+fn shape_of(ellipse: &Ellipse) -> SVector<f64, PARAMETERS> {
+    let root = ellipse.root();
+    SVector::from([
+        ellipse.centre.x,
+        ellipse.centre.y,
+        ellipse.mean_radius(),
+        (root.m11 - root.m22) / 2.0,
+        root.m12,
+    ])
 }
 
-impl<'a> Residuals<'a> {
-    fn from(places: &'a Places, ellipse: &Ellipse) -> Self {
-        let list = || Scratch::of_length(places.x.len());
-        let mut seen = Self {
-            places,
-            excess_px: list(),
-            slopes: std::array::from_fn(|_| list()),
-            scatter: 1.0,
-        };
-        let [x, y] = (ellipse.centre - places.origin).into();
-        let inverse = ellipse.inverse().cast();
-        let inverse = [inverse.m11, inverse.m12, inverse.m22];
-        see(
-            places,
-            [x as f32, y as f32],
-            inverse,
-            &mut seen.excess_px,
-            &mut seen.slopes,
-        );
-        seen.scatter = robust_sigma(seen.pulls()).max(1.0);
-        seen
-    }
-
-    fn pulls(&self) -> impl Iterator<Item = f32> {
-        let excess = self.excess_px.iter().take(self.places.count);
-        excess
-            .zip(self.places.per_sigma.iter())
-            .map(|(excess, per_sigma)| excess * per_sigma)
-    }
-
-    /// Information and gradient at an ellipse, that of the prior included; while it is to stay round, held to that.
-    fn normal_equations(
-        &self,
-        ellipse: &Ellipse,
-        prior: &OutlinePrior,
-        round: bool,
-    ) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>) {
-        let root = ellipse.root();
-        let hold = if round { 0.1 } else { 1.0 };
-        let flat = hold * prior.flatness * prior.radius_px.value;
-        let tightness = [0.0, 0.0, prior.radius_px.sigma, flat, flat]
-            .map(|sigma: f64| if sigma > 0.0 { sigma.powi(-2) } else { 0.0 });
-        let (stretch, diagonal) = ((root.m11 - root.m22) / 2.0, root.m12);
-        let short = prior.radius_px.value - ellipse.mean_radius();
-        let off = [0.0, 0.0, short, -stretch, -diagonal];
-        let sums = sum_products(self);
-        let information = SMatrix::from_fn(|m, n| {
-            let known = if m == n { tightness[m] } else { 0.0 };
-            sums[m.min(n)][m.max(n)] + known
-        });
-        let gradient = SVector::from_fn(|m, _| sums[m][5] + tightness[m] * off[m]);
-        (information, gradient)
-    }
+fn ellipse_of(parameters: &SVector<f64, PARAMETERS>) -> Option<Ellipse> {
+    let [x, y, radius, along_x, diagonal]: [f64; PARAMETERS] = (*parameters).into();
+    let root = Matrix2::new(radius + along_x, diagonal, diagonal, radius - along_x);
+    Ellipse::new(Vector2::new(x, y), root)
 }
 
-/// The points as an ellipse sees them, its centre given from the points' origin and `inverse` as for [`outwards`].
-#[multiversion(targets("x86_64+avx2"))]
-fn see(
-    places: &Places,
-    centre: [f32; 2],
-    inverse: [f32; 3],
-    excess_px: &mut [f32],
-    slopes: &mut [Scratch<f32>; 4],
-) {
-    let count = excess_px.len();
-    let (x, y) = (&places.x[..count], &places.y[..count]);
-    let [a, b, c] = inverse;
-    let [by_x, by_y, by_stretch, by_diagonal] = slopes.each_mut().map(|list| &mut list[..count]);
-    for n in 0..count {
-        let ([wx, wy], distance) = outwards(inverse, x[n] - centre[0], y[n] - centre[1]);
-        let (nx, ny) = (a * wx + b * wy, b * wx + c * wy);
-        let (per_normal, per_r2) = (1.0 / (nx * nx + ny * ny).sqrt(), 1.0 / (wx * wx + wy * wy));
-        excess_px[n] = distance;
-        (by_x[n], by_y[n]) = (nx * per_normal, ny * per_normal);
-        by_stretch[n] = (wx * wx - wy * wy) * per_r2;
-        by_diagonal[n] = 2.0 * wx * wy * per_r2;
-    }
+fn moved(ellipse: &Ellipse, step: &SVector<f64, PARAMETERS>) -> Option<Ellipse> {
+    ellipse_of(&(shape_of(ellipse) + step))
 }
 
-/// Weighted sums of the products of the slopes with one another and, last, with the excess; from the diagonal on.
-#[multiversion(targets("x86_64+avx2"))]
-fn sum_products(seen: &Residuals<'_>) -> [[f64; 6]; 5] {
-    let per_limit = (1.0 / (TUKEY_SIGMAS * seen.scatter)) as f32;
-    let per_scatter = (1.0 / seen.scatter) as f32;
-    let per_sigma = groups(&seen.places.per_sigma);
-    let excess = groups(&seen.excess_px);
-    let [x, y, stretch, diagonal] = seen
-        .slopes
-        .each_ref()
-        .map(|list| list.as_chunks::<LANES>().0);
-    let mut sums = [[[0.0_f32; LANES]; 6]; 5];
-    for n in 0..excess.len() {
-        let factors = [x[n], y[n], [1.0; LANES], stretch[n], diagonal[n], excess[n]];
-        let mut weight = [0.0; LANES];
-        for k in 0..LANES {
-            let u = excess[n][k] * per_sigma[n][k] * per_limit;
-            let within = larger(1.0 - u * u, 0.0);
-            let per_spread = per_sigma[n][k] * per_scatter;
-            weight[k] = within * within * per_spread * per_spread;
-        }
-        for p in 0..5 {
-            for q in p..6 {
-                for k in 0..LANES {
-                    sums[p][q][k] += weight[k] * factors[p][k] * factors[q][k];
-                }
-            }
-        }
+/// A point's distance outwards from an ellipse and how it changes with the parameters, in sigmas.
+fn linearised(point: &LimbPoint, ellipse: &Ellipse) -> Linearised<1, PARAMETERS> {
+    let w = ellipse.to_disc(point.at.vector());
+    let (normal, r2) = (ellipse.normal(w), w.norm_squared());
+    let along_x = (w.x * w.x - w.y * w.y) / r2;
+    let diagonal = 2.0 * w.x * w.y / r2;
+    Linearised {
+        residual: Vector1::new(ellipse.excess_at(w) / point.sigma_px),
+        jacobian: RowSVector::from([normal.x, normal.y, 1.0, along_x, diagonal]) / point.sigma_px,
     }
-    sums.map(|row| row.map(|lanes| f64::from(lanes.iter().sum::<f32>())))
-}
-
-/// 1 sigma from the median of the absolute residuals; 0 of none.
-fn robust_sigma(residuals: impl Iterator<Item = f32>) -> f64 {
-    let sizes = residuals.map(f32::abs);
-    SIGMA_PER_MEDIAN * f64::from(median_size(sizes).unwrap_or(0.0))
 }
 
 /// Which part of the outline has points on it, 0 to 1, in steps of 10 deg.
@@ -284,7 +216,6 @@ pub fn arc_fraction(points: impl Iterator<Item = Vector2<f64>>, centre: Vector2<
     }
     seen.iter().filter(|s| **s).count() as f64 / BINS as f64
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -367,7 +298,7 @@ mod tests {
     #[test]
     fn too_few_points_make_no_outline() {
         let points = limb(&truth(), 0..10, 0.0);
-        assert_eq!(fit_outline(&points, &start(), &LOOSE), None);
+        assert!(fit_outline(&points, &start(), &LOOSE).is_err());
     }
 
     #[test]

@@ -6,11 +6,11 @@
 //! F(z) = <sqrt(max(0, x - z))> over normally distributed x. The limb is so nearly straight over the blur's width that
 //! what its curve adds, b / 2R of a blur, moves the edge by 0.005 px, the same all round.
 //!
-//! Both are formulas, which eight pixels go through at once.
+//! Both are formulas, so that many pixels go through them side by side.
 
+use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
 use crate::lanes::{larger, normal_tail, smaller};
-use multiversion::multiversion;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{RowSVector, SVector, Vector1};
 
 /// Brightness across the limb, DN, by the distance outwards from it, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,7 +27,7 @@ pub struct Profile {
     pub radius_px: f64,
 }
 
-/// A brightness that is typical for a distance from the limb, and how much it counts.
+/// The median brightness at a distance from the limb, and how many pixels' mean it is worth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Brightness {
     pub distance_px: f64,
@@ -35,28 +35,20 @@ pub struct Brightness {
     pub weight: f64,
 }
 
-const STEPS: usize = 8;
-const MIN_BLUR_PX: f64 = 0.35;
-const MAX_BLUR_PX: f64 = 8.0;
+/// The blur is kept within these bounds, px: the fit is not led astray by a picture without a limb.
+const BLUR_PX: [f64; 2] = [0.35, 8.0];
+/// How well background, the two parts of the light (relative to the peak), the blur (its logarithm) and the place of the limb
+/// (px) are known before the fit, 1 sigma. A window about the limb shows little of the limb darkening.
+const PRIOR: [f64; 5] = [f64::INFINITY, 0.5, 0.5, 1.0, 2.0];
 
 impl Profile {
     /// Brightness at a distance outwards from the limb.
     pub fn at(&self, distance_px: f64) -> f64 {
-        self.both(distance_px).0
+        let (light, _) = self.light(distance_px as f32);
+        self.background_dn + f64::from(light)
     }
 
-    /// Change of the brightness per px outwards.
-    pub fn slope(&self, distance_px: f64) -> f64 {
-        self.both(distance_px).1
-    }
-
-    /// Brightness at a distance outwards from the limb, and its change per px.
-    pub(super) fn both(&self, distance_px: f64) -> (f64, f64) {
-        let (light, slope) = self.light(distance_px as f32);
-        (self.background_dn + f64::from(light), f64::from(slope))
-    }
-
-    /// Light above the background at a distance outwards from the limb, and its change per px.
+    /// Light above the background at a distance outwards from the limb, DN, and its change per px.
     #[inline(always)]
     pub(super) fn light(&self, distance_px: f32) -> (f32, f32) {
         let (even, darkened) = (self.even_dn as f32, self.darkened_dn as f32);
@@ -83,71 +75,65 @@ impl Profile {
         self.even_dn + self.darkened_dn
     }
 
-    /// Fits the profile, and how far outwards the limb lies from distance 0, to typical brightnesses; the start is this
-    /// profile. `None` when they do not determine one.
-    ///
-    /// The share of the limb darkening is held loosely to the start's: a window about the limb shows little of it.
-    pub fn fitted(&self, typical: &[Brightness], noise_dn: f64) -> Option<(Self, f64)> {
-        let (mut profile, mut shift) = (*self, 0.0);
-        let loose = 0.5 * self.peak_dn();
-        let priors: [f64; 5] = [0.0, loose.powi(-2), loose.powi(-2), 0.25, 0.25];
-        for _ in 0..STEPS {
-            let mut information = SMatrix::<f64, 5, 5>::from_diagonal(&SVector::from(priors));
-            let off = [
-                0.0,
-                self.even_dn - profile.even_dn,
-                self.darkened_dn - profile.darkened_dn,
-                self.blur_px - profile.blur_px,
-                -shift,
-            ];
-            let mut gradient = SVector::<f64, 5>::from_fn(|n, _| priors[n] * off[n]);
-            for b in typical {
-                let (dn, row) = profile.linear(b.distance_px - shift);
-                let weight = b.weight / noise_dn.powi(2);
-                information.ger(weight, &row, &row, 1.0);
-                gradient += row * ((b.dn - dn) * weight);
-            }
-            let step = information.cholesky()?.solve(&gradient);
-            if !step.iter().all(|v| v.is_finite()) {
-                return None;
-            }
-            profile.background_dn += step[0];
-            profile.even_dn += step[1];
-            profile.darkened_dn += step[2];
-            profile.blur_px =
-                (profile.blur_px + step[3].clamp(-0.5, 0.5)).clamp(MIN_BLUR_PX, MAX_BLUR_PX);
-            shift += step[4].clamp(-1.0, 1.0);
-            if step[3].abs().max(step[4].abs()) < 1e-3 {
-                break;
-            }
+    /// The same limb behind another blur.
+    pub(super) fn with_blur(&self, blur_px: f64) -> Self {
+        Self {
+            blur_px: blur_px.clamp(BLUR_PX[0], BLUR_PX[1]),
+            ..*self
         }
-        (profile.peak_dn() > 0.0).then_some((profile, shift))
     }
 
-    /// Brightness, and its slopes in background, even light, darkened light, blur and place of the limb.
-    fn linear(&self, distance_px: f64) -> (f64, SVector<f64, 5>) {
+    /// Fits the profile, and how far outwards the limb lies from distance 0, to radial medians; the start is this profile.
+    /// `None` when they do not determine one.
+    pub fn fitted(&self, medians: &[Brightness], noise_dn: f64) -> Option<(Self, f64)> {
+        let start = SVector::from([
+            self.background_dn,
+            self.even_dn,
+            self.darkened_dn,
+            self.blur_px.ln(),
+            0.0,
+        ]);
+        let peak = self.peak_dn();
+        let units = [1.0, peak, peak, 1.0, 1.0];
+        let fit = LeastSquares {
+            start,
+            prior: Prior {
+                mean: start,
+                information: SVector::from_fn(|n, _| (PRIOR[n] * units[n]).powi(-2)),
+            },
+            loss: Loss::Squares,
+            scale: Scale::Stated,
+            tolerance_sigmas: 0.01,
+        };
+        let with = |p: &SVector<f64, 5>| Self {
+            background_dn: p[0],
+            even_dn: p[1],
+            darkened_dn: p[2],
+            ..self.with_blur(p[3].exp())
+        };
+        let linearise = |p: &SVector<f64, 5>| {
+            let profile = with(p);
+            let row = |b: &Brightness| profile.linearised(b, p[4], b.weight.sqrt() / noise_dn);
+            Some(medians.iter().map(row).collect())
+        };
+        let found = fit.fit(linearise).ok()?.parameters;
+        let profile = with(&found);
+        (profile.peak_dn() > 0.0).then_some((profile, found[4]))
+    }
+
+    /// A median's residual, and the slopes of the model in background, even light, darkened light, logarithm of the blur and
+    /// place of the limb.
+    fn linearised(&self, median: &Brightness, limb_px: f64, weight: f64) -> Linearised<1, 5> {
+        let distance_px = median.distance_px - limb_px;
         let parts = self.parts(distance_px as f32);
-        let (dn, outwards) = self.both(distance_px);
-        let [tail, root] = [parts.tail, parts.root].map(f64::from);
-        let by_blur = (self.darkened_dn * root / 2.0 - distance_px * outwards) / self.blur_px;
-        (dn, SVector::from([1.0, tail, root, by_blur, -outwards]))
-    }
-}
-
-/// Light above the background and its change per px at many distances outwards from an outline, from which the limb lies
-/// `shift_px` outwards.
-#[multiversion(targets("x86_64+avx2"))]
-pub(super) fn lay_light(
-    profile: &Profile,
-    shift_px: f32,
-    distance_px: &[f32],
-    light: &mut [f32],
-    slope: &mut [f32],
-) {
-    let count = distance_px.len();
-    let (light, slope) = (&mut light[..count], &mut slope[..count]);
-    for n in 0..count {
-        (light[n], slope[n]) = profile.light(distance_px[n] - shift_px);
+        let (light, slope) = self.light(distance_px as f32);
+        let [tail, root, slope] = [parts.tail, parts.root, slope].map(f64::from);
+        let by_log_blur = self.darkened_dn * root / 2.0 - distance_px * slope;
+        let residual = median.dn - self.background_dn - f64::from(light);
+        Linearised {
+            residual: Vector1::new(residual * weight),
+            jacobian: RowSVector::from([1.0, tail, root, by_log_blur, -slope]) * weight,
+        }
     }
 }
 
@@ -251,22 +237,23 @@ mod tests {
             let d = f64::from(n) * 0.25 + 0.01;
             let step = 1e-3;
             let numeric = (PROFILE.at(d + step) - PROFILE.at(d - step)) / (2.0 * step);
-            assert!((numeric - PROFILE.slope(d)).abs() < 0.6, "{d}: {numeric}");
-            let blurred = |by: f64| {
-                Profile {
-                    blur_px: PROFILE.blur_px + by,
-                    ..PROFILE
-                }
-                .at(d)
-            };
+            let slope = f64::from(PROFILE.light(d as f32).1);
+            assert!((numeric - slope).abs() < 0.6, "{d}: {numeric}");
+            let blurred = |by: f64| PROFILE.with_blur(PROFILE.blur_px * by.exp()).at(d);
             let numeric = (blurred(step) - blurred(-step)) / (2.0 * step);
-            assert!((numeric - PROFILE.linear(d).1[3]).abs() < 0.6, "{d}");
+            let median = Brightness {
+                distance_px: d,
+                dn: 0.0,
+                weight: 1.0,
+            };
+            let by_log_blur = PROFILE.linearised(&median, 0.0, 1.0).jacobian[3];
+            assert!((numeric - by_log_blur).abs() < 0.6, "{d}: {numeric}");
         }
     }
 
     #[test]
-    fn a_profile_is_found_from_brightnesses() {
-        let typical: Vec<Brightness> = (-40..24)
+    fn a_profile_is_found_from_medians() {
+        let medians: Vec<Brightness> = (-40..24)
             .map(|n| Brightness {
                 distance_px: f64::from(n) / 4.0,
                 dn: PROFILE.at(f64::from(n) / 4.0 - 0.2),
@@ -280,7 +267,7 @@ mod tests {
             blur_px: 1.3,
             ..PROFILE
         };
-        let (found, shift) = start.fitted(&typical, 1.0).unwrap();
+        let (found, shift) = start.fitted(&medians, 1.0).unwrap();
         assert!((shift - 0.2).abs() < 0.01, "{shift}");
         assert!((found.blur_px - PROFILE.blur_px).abs() < 0.02);
         assert!((found.even_dn - PROFILE.even_dn).abs() < 3.0);

@@ -1,11 +1,11 @@
 //! Finding the disc: sparse rows over the whole frame, chords where it is bright, and a circle that most crossings
 //! agree on.
 
-use super::Settings;
 use super::bright::Whole;
 use super::chords::{Axis, Crossing, Scan};
 use super::consensus::agreed_circle;
 use super::patches::{Patch, bright_patches};
+use super::{LIMB_DARKENING, Settings};
 use crate::frame::{Frame, Levels, Region, View};
 use crate::geometry::Circle;
 use crate::units::{Rejected, SensorPx};
@@ -45,8 +45,6 @@ const LINES_ACROSS: usize = 24;
 const LEAST_SPACING_PX: usize = 2;
 /// A patch this much wider than high is crossed by columns: rows would hardly cross its limb.
 const WIDE: usize = 2;
-/// Linear limb darkening at 630 nm: light falls as 1 - u (1 - cos theta) towards the limb.
-const LIMB_DARKENING: f64 = 0.56;
 
 /// A search for the disc, whole or in part.
 ///

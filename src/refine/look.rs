@@ -11,7 +11,7 @@ use crate::aspect::{self, Settings};
 use crate::estimation::{median, median_and_scatter};
 use crate::fiducial::CrossShape;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
-use crate::geometry::{Ellipse, Mapping};
+use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
 use crate::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
 use crate::units::{Measured, PlateMil};
@@ -135,19 +135,24 @@ impl Known<'_> {
             possible: prior(POSSIBLE),
             stated: prior(STATED),
         };
-        let hidden = aspect::marks_hidden(frame, self.instrument, start, &self.mapping);
+        let disc = Circle {
+            centre: start.centre,
+            radius: radius_px,
+        };
+        let cutout = aspect::cutout(frame, self.instrument, levels, &disc);
+        let mask = aspect::marks_mask(cutout.region(), self.instrument, start, &self.mapping);
         let settings = limb::Settings {
             limb_points: self.points(levels),
             ..self.settings.limb
         };
         let fit = LimbFit {
-            frame,
-            levels,
+            cutout: &cutout,
+            disc_dn: levels.disc_dn - levels.background_dn,
             blur_px: self.shape(start).blur_px,
             known,
             settings: &settings,
         };
-        let limb = fit.near(start, &hidden).ok()?;
+        let limb = fit.near(start, &mask).ok()?;
         let round = limb.outline.accepted_share() >= LEAST_ON_OUTLINE
             && limb.outline.scatter_px <= MAX_SCATTER_PX;
         round.then_some(limb)

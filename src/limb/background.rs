@@ -1,0 +1,253 @@
+//! What lies under and about the disc beside its own light.
+//!
+//! Stray light changes slowly over the frame; the halves of a sensor that are read through two amplifiers differ by a step; in
+//! a frame-transfer CCD every pixel of a column receives the same small part of the column's light while the charge is shifted
+//! (Powell, Chmielewski and others call it smear). So the background is a plane, a step at the middle column and at the middle
+//! row, and a multiple of each column's sum. All are fitted to the pixels about the disc, which tell them far better than a
+//! single point of the limb tells itself.
+
+use crate::estimation::{Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
+use crate::frame::{Background, Frame, Levels, Region, Sample, View};
+use crate::geometry::Circle;
+use crate::with_view;
+use nalgebra::{RowSVector, SVector, Vector1};
+
+/// The background is told by pixels between these distances from the disc's centre, in radii: beyond the blur and the halo.
+const ABOUT: [f64; 2] = [1.15, 2.2];
+/// Pixels are averaged over squares of this side, by every so many columns and rows.
+const CELL_PX: usize = 32;
+const STRIDE_PX: usize = 2;
+/// Pixels farther than this from the frame's background belong to something else: leaks, hot pixels. In sigma.
+const SAME_SIGMAS: f64 = 5.0;
+/// A term smaller than this many sigma is none.
+const SIGNIFICANT_SIGMAS: f64 = 4.0;
+
+/// Constant, slopes along x and y, steps at the middle column and row, column smear.
+const TERMS: usize = 6;
+const PLANE: usize = 3;
+
+/// The background of a region about a disc. Where too little of the frame is dark about it, the frame's level.
+pub fn background(frame: &Frame, region: Region, disc: &Circle, levels: &Levels) -> Background {
+    let even = Background::even(region, levels.background_dn);
+    let about = Region::around(
+        disc.centre.into(),
+        ABOUT[1] * disc.radius,
+        frame.width(),
+        frame.height(),
+    );
+    let Some(about) = about else {
+        return even;
+    };
+    let scene = with_view!(frame, view => Scene::of(&view, about, disc, levels));
+    match scene.fit() {
+        Some(coefficients) => scene.background(region, &coefficients, levels.background_dn),
+        None => even,
+    }
+}
+
+/// A square of dark pixels: its terms, its mean above the frame's level (DN) and how many pixels it has.
+struct Cell {
+    terms: SVector<f64, TERMS>,
+    mean_dn: f64,
+    pixels: f64,
+}
+
+/// The dark pixels about a disc, and what the columns hold.
+struct Scene {
+    about: Region,
+    middle: [f64; 2],
+    cells: Vec<Cell>,
+    /// Light of each column of `about`, relative to the largest.
+    column_sums: Vec<f64>,
+}
+
+impl Scene {
+    fn of<T: Sample>(view: &View<'_, T>, about: Region, disc: &Circle, levels: &Levels) -> Self {
+        let mut scene = Self {
+            about,
+            middle: [
+                view.width as f64 / 2.0 - 0.5,
+                view.height as f64 / 2.0 - 0.5,
+            ],
+            cells: Vec::new(),
+            column_sums: column_sums(view, about, disc, levels.background_dn),
+        };
+        for y in (about.y0..about.y1).step_by(CELL_PX) {
+            for x in (about.x0..about.x1).step_by(CELL_PX) {
+                let cell = Region {
+                    x0: x,
+                    y0: y,
+                    x1: (x + CELL_PX).min(about.x1),
+                    y1: (y + CELL_PX).min(about.y1),
+                };
+                scene.cells.extend(scene.cell(view, cell, disc, levels));
+            }
+        }
+        scene
+    }
+
+    /// `None` where the disc or its halo is near.
+    fn cell<T: Sample>(
+        &self,
+        view: &View<'_, T>,
+        cell: Region,
+        disc: &Circle,
+        levels: &Levels,
+    ) -> Option<Cell> {
+        let x = (cell.x0 + cell.x1 - 1) as f64 / 2.0;
+        let y = (cell.y0 + cell.y1 - 1) as f64 / 2.0;
+        let half_diagonal = CELL_PX as f64 * std::f64::consts::FRAC_1_SQRT_2;
+        let distance = (x - disc.centre.x).hypot(y - disc.centre.y);
+        if distance - half_diagonal < ABOUT[0] * disc.radius {
+            return None;
+        }
+        let limit = (SAME_SIGMAS * levels.noise_dn).max(1.0) as f32;
+        let background = levels.background_dn as f32;
+        let (mut sum, mut pixels) = (0.0_f32, 0.0_f32);
+        for row in (cell.y0..cell.y1).step_by(STRIDE_PX) {
+            let row = &view.pixels[row * view.width..][cell.x0..cell.x1];
+            for pixel in row.iter().step_by(STRIDE_PX) {
+                let above = pixel.dn() - background;
+                let same = if above.abs() < limit { 1.0 } else { 0.0 };
+                sum += same * above;
+                pixels += same;
+            }
+        }
+        let columns = &self.column_sums[cell.x0 - self.about.x0..cell.x1 - self.about.x0];
+        let column_sum = columns.iter().sum::<f64>() / columns.len() as f64;
+        (pixels > 0.0).then(|| Cell {
+            terms: self.terms(x, y, column_sum),
+            mean_dn: f64::from(sum / pixels),
+            pixels: f64::from(pixels),
+        })
+    }
+
+    fn terms(&self, x: f64, y: f64, column_sum: f64) -> SVector<f64, TERMS> {
+        let half = |at: f64, middle: f64| if at > middle { 0.5 } else { -0.5 };
+        let [u, v] = self.from_centre(x, y);
+        SVector::from([
+            1.0,
+            u,
+            v,
+            half(x, self.middle[0]),
+            half(y, self.middle[1]),
+            column_sum,
+        ])
+    }
+
+    /// -1 to 1 from edge to edge of what is looked at.
+    fn from_centre(&self, x: f64, y: f64) -> [f64; 2] {
+        let along =
+            |at: f64, from: usize, to: usize| 2.0 * (at - from as f64) / (to - from) as f64 - 1.0;
+        [
+            along(x, self.about.x0, self.about.x1),
+            along(y, self.about.y0, self.about.y1),
+        ]
+    }
+
+    /// The coefficients of the terms: the plane's always, of the others those that are significant.
+    fn fit(&self) -> Option<SVector<f64, TERMS>> {
+        let all = self.regression(&[true; TERMS])?;
+        let significant = |n: usize| {
+            let term = all.measured(n);
+            term.value.abs() > SIGNIFICANT_SIGMAS * term.sigma
+        };
+        let used = std::array::from_fn(|n| n < PLANE || significant(n));
+        let fit = match used == [true; TERMS] {
+            true => all,
+            false => self.regression(&used)?,
+        };
+        Some(fit.parameters)
+    }
+
+    /// Fits the terms that are used, the others held at 0; so is one that is the same in all cells.
+    fn regression(&self, used: &[bool; TERMS]) -> Option<Fitted<TERMS>> {
+        const HELD: f64 = 1e12;
+        let held = |n: usize| !used[n] || (n >= PLANE && !self.varies(n));
+        let fit = LeastSquares {
+            start: SVector::zeros(),
+            prior: Prior {
+                mean: SVector::zeros(),
+                information: SVector::from_fn(|n, _| if held(n) { HELD } else { 0.0 }),
+            },
+            loss: Loss::Tukey(TUKEY_SIGMAS),
+            scale: Scale::Median,
+            tolerance_sigmas: 0.01,
+        };
+        let row = |cell: &Cell, coefficients: &SVector<f64, TERMS>| {
+            let weight = cell.pixels.sqrt();
+            Linearised {
+                residual: Vector1::new((cell.mean_dn - cell.terms.dot(coefficients)) * weight),
+                jacobian: RowSVector::from_fn(|_, n| cell.terms[n] * weight),
+            }
+        };
+        let rows = |at: &SVector<f64, TERMS>| Some(self.cells.iter().map(|c| row(c, at)).collect());
+        (self.cells.len() > 2 * TERMS).then(|| fit.fit(rows).ok())?
+    }
+
+    /// Whether enough cells differ in a term from the first.
+    fn varies(&self, n: usize) -> bool {
+        const DIFFERENT: f64 = 0.2;
+        let first = self.cells.first().map_or(0.0, |cell| cell.terms[n]);
+        let differs = |cell: &&Cell| (cell.terms[n] - first).abs() > DIFFERENT;
+        self.cells.iter().filter(differs).count() > PLANE
+    }
+
+    fn background(
+        &self,
+        region: Region,
+        coefficients: &SVector<f64, TERMS>,
+        level_dn: f64,
+    ) -> Background {
+        let [constant, along_x, along_y, step_x, step_y, smear]: [f64; TERMS] =
+            (*coefficients).into();
+        let centre = [
+            (self.about.x0 + self.about.x1) as f64 / 2.0,
+            (self.about.y0 + self.about.y1) as f64 / 2.0,
+        ];
+        let column = |x: usize| {
+            let sum = x
+                .checked_sub(self.about.x0)
+                .and_then(|n| self.column_sums.get(n))
+                .copied()
+                .unwrap_or(0.0);
+            let terms = self.terms(x as f64, centre[1], sum);
+            (level_dn + constant + along_x * terms[1] + step_x * terms[3] + smear * sum) as f32
+        };
+        let row = |y: usize| {
+            let terms = self.terms(centre[0], y as f64, 0.0);
+            (along_y * terms[2] + step_y * terms[4]) as f32
+        };
+        Background {
+            columns_dn: (region.x0..region.x1).map(column).collect(),
+            rows_dn: (region.y0..region.y1).map(row).collect(),
+        }
+    }
+}
+
+/// The light that each column of a region receives from the disc, relative to the largest.
+fn column_sums<T: Sample>(
+    view: &View<'_, T>,
+    about: Region,
+    disc: &Circle,
+    background_dn: f64,
+) -> Vec<f64> {
+    let mut sums = vec![0.0_f32; about.width()];
+    let reach = ABOUT[0] * disc.radius;
+    let square = Region::around(disc.centre.into(), reach, view.width, view.height);
+    let square = square.unwrap_or(about);
+    for y in square.y0..square.y1 {
+        let row = &view.pixels[y * view.width..][square.x0..square.x1];
+        let sums = &mut sums[square.x0.saturating_sub(about.x0)..];
+        for (sum, pixel) in sums.iter_mut().zip(row) {
+            *sum += pixel.dn();
+        }
+    }
+    let dark = background_dn as f32 * square.height() as f32;
+    let inside = square.x0.saturating_sub(about.x0)..square.x1.saturating_sub(about.x0);
+    sums[inside].iter_mut().for_each(|sum| *sum -= dark);
+    let most = sums.iter().copied().fold(1.0, f32::max);
+    sums.iter()
+        .map(|sum| f64::from(sum / most).max(0.0))
+        .collect()
+}

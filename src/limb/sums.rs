@@ -1,0 +1,150 @@
+//! The kernel of the limb's fit: sums over the pixels of a sector, eight of them side by side.
+
+use super::edge::{BACKGROUND, ILLUMINATION, SECTOR};
+use super::profile::Profile;
+use crate::estimation::TUKEY_SIGMAS;
+use crate::frame::PixelNoise;
+use crate::lanes::LANES;
+use multiversion::multiversion;
+
+/// Derivatives of the model by a sector's quantities and, last, the residual.
+pub(super) const COLUMNS: usize = SECTOR + 1;
+
+/// The model of a sector, and what decides how much a pixel counts.
+#[derive(Clone, Copy)]
+pub(super) struct Weighing<'a> {
+    pub profile: &'a Profile,
+    pub course: [f32; SECTOR],
+    pub noise: PixelNoise,
+    /// How far illumination and limb may be from the model, 1 sigma: residuals as large are no outliers.
+    pub illumination_sigma: f64,
+    pub shift_sigma_px: f64,
+    pub saturated_dn: f64,
+}
+
+/// The derivatives and the residual of a pixel, and how much it counts (1 / DN^2).
+#[inline(always)]
+fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], f32) {
+    // Differences over half a blur stand for the higher derivatives.
+    let half = 0.5 * model.profile.blur_px as f32;
+    let (_, slope_inside) = model.profile.light(distance_px - half);
+    let (light, slope) = model.profile.light(distance_px);
+    let (_, slope_outside) = model.profile.light(distance_px + half);
+    let second = (slope_outside - slope_inside) / (2.0 * half);
+    let third = (slope_outside - 2.0 * slope + slope_inside) / (half * half);
+    let [_, illumination, background, _, skew] = model.course;
+    let expected = (1.0 + illumination) * light - skew * third;
+    let residual = light_dn - model.profile.background_dn as f32 - background - expected;
+    let variance = model.noise.dark_dn2 as f32 + model.noise.per_light_dn as f32 * light.max(0.0);
+    let by_illumination = model.illumination_sigma as f32 * light;
+    let by_shift = model.shift_sigma_px as f32 * slope;
+    let spread2 = variance + by_illumination * by_illumination + by_shift * by_shift;
+    const TUKEY2: f32 = (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32;
+    let within = (1.0 - residual * residual / (TUKEY2 * spread2)).max(0.0);
+    let weight = if light < model.saturated_dn as f32 {
+        within * within / variance
+    } else {
+        0.0
+    };
+    ([-slope, light, 1.0, 0.5 * second, -third, residual], weight)
+}
+
+/// Weighted sums over a sector's pixels of the products of every two columns, from the diagonal on; the rest is mirrored.
+pub(super) fn sector_sums(
+    model: &Weighing<'_>,
+    distance_px: &[f32],
+    light_dn: &[f32],
+) -> [[f64; COLUMNS]; COLUMNS] {
+    let mut sums = [[[0.0; LANES]; COLUMNS]; COLUMNS];
+    add(model, distance_px, light_dn, &mut sums);
+    let mut totals = sums.map(|row| row.map(|lanes| f64::from(lanes.iter().sum::<f32>())));
+    for m in 0..COLUMNS {
+        for n in 0..m {
+            totals[m][n] = totals[n][m];
+        }
+    }
+    totals
+}
+
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn add(
+    model: &Weighing<'_>,
+    distance_px: &[f32],
+    light_dn: &[f32],
+    sums: &mut [[[f32; LANES]; COLUMNS]; COLUMNS],
+) {
+    let count = distance_px.len();
+    let mut local = *sums;
+    for first in (0..count).step_by(LANES) {
+        // The last group is filled up with pixels that do not count.
+        let lanes = LANES.min(count - first);
+        let (mut distance, mut light, mut counts) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        distance[..lanes].copy_from_slice(&distance_px[first..first + lanes]);
+        light[..lanes].copy_from_slice(&light_dn[first..first + lanes]);
+        counts[..lanes].fill(1.0);
+        let mut columns = [[0.0; LANES]; COLUMNS];
+        let mut weights = [0.0; LANES];
+        for k in 0..LANES {
+            let (values, weight) = terms(model, distance[k], light[k]);
+            for (column, value) in columns.iter_mut().zip(values) {
+                column[k] = value;
+            }
+            weights[k] = weight * counts[k];
+        }
+        for m in 0..COLUMNS {
+            for n in m..COLUMNS {
+                for k in 0..LANES {
+                    local[m][n][k] += weights[k] * columns[m][k] * columns[n][k];
+                }
+            }
+        }
+    }
+    *sums = local;
+}
+
+const _: () = assert!(ILLUMINATION == 1 && BACKGROUND == 2);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_are_those_of_plain_arithmetic() {
+        let profile = Profile {
+            background_dn: 0.3,
+            even_dn: 90.0,
+            darkened_dn: 115.0,
+            blur_px: 0.95,
+            radius_px: 95.0,
+        };
+        let model = Weighing {
+            profile: &profile,
+            course: [0.0, 0.01, 0.5, 0.0, 0.02],
+            noise: PixelNoise {
+                dark_dn2: 20.0,
+                per_light_dn: 0.1,
+            },
+            illumination_sigma: 0.02,
+            shift_sigma_px: 0.1,
+            saturated_dn: 240.0,
+        };
+        let distance: Vec<f32> = (0..77).map(|n| n as f32 * 0.2 - 8.0).collect();
+        let light: Vec<f32> = distance
+            .iter()
+            .enumerate()
+            .map(|(n, d)| profile.light(*d).0 + (n * 7919 % 13) as f32 - 6.0)
+            .collect();
+        let found = sector_sums(&model, &distance, &light);
+        for m in 0..COLUMNS {
+            for n in 0..COLUMNS {
+                let product = |(d, l): (&f32, &f32)| {
+                    let (columns, weight) = terms(&model, *d, *l);
+                    f64::from(weight) * f64::from(columns[m]) * f64::from(columns[n])
+                };
+                let plain: f64 = distance.iter().zip(&light).map(product).sum();
+                let size = (found[m][m] * found[n][n]).sqrt();
+                assert!((found[m][n] - plain).abs() < 1e-5 * size, "{m}, {n}");
+            }
+        }
+    }
+}
