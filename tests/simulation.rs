@@ -7,8 +7,9 @@ use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters}
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::plate::{MarkId, drawn_position};
 use solaspect::simulate::{
-    Blemishes, Conditions, Counts, Depth, Dust, HotPixel, Leak, Noise, RandomScenes, Scene,
-    Scratch, Sun, SunInView, Sunspot, keystoned, render_exact, render_oversampled, scattered,
+    Blemishes, Coma, Conditions, Counts, Depth, Dust, Extent, Ghost, Gradient, HotPixel, Leak,
+    Noise, RandomScenes, Readout, Scene, Scratch, StrayLight, Sun, SunInView, Sunspot, Surface,
+    keystoned, render_exact, render_oversampled, scattered,
 };
 use solaspect::units::{PlateMil, SensorPx};
 
@@ -452,4 +453,215 @@ fn random_suns_stand_where_the_conditions_want_them() {
             }
         }
     }
+}
+
+/// The askew camera's Sun, whole, on a sensor of 1296 x 966 px.
+fn with_stray(stray: StrayLight) -> Scene {
+    Scene { stray, ..askew() }
+}
+
+#[test]
+fn a_ghost_holds_its_share_of_the_light_where_it_is_shifted_to() {
+    let plain = askew();
+    let offset_px = Vector2::new(300.0, -200.0);
+    let ghost = Ghost {
+        share: 0.02,
+        offset_px,
+        blur_px: 5.0,
+    };
+    let scene = with_stray(StrayLight {
+        ghost: Some(ghost),
+        ..StrayLight::default()
+    });
+    assert_eq!(scene.truth(), plain.truth());
+    let (centre, total) = centroid(1296, light(&plain));
+    let added = light(&scene)
+        .zip(light(&plain))
+        .map(|(with, without)| with - without);
+    let (at, ghost_total) = centroid(1296, added);
+    assert!(
+        (ghost_total / total - 0.02).abs() < 2e-5,
+        "{}",
+        ghost_total / total
+    );
+    // Pixels are single floats: differences of 1e-5 DN over a million pixels.
+    let miss = (at.vector() - centre.vector() - offset_px).norm();
+    assert!(miss < 0.1, "{miss} px");
+}
+
+#[test]
+fn a_ghost_from_beyond_the_sensor_reaches_it() {
+    let mut scene = small_scene(100, view(SensorPx::new(300.0, 50.0), 0.0));
+    scene.mark_contrast = 0.0;
+    scene.sun = Some(Sun {
+        limb_darkening: 0.0,
+        ..Sun::new(PlateMil::new(0.0, 0.0), 575.0)
+    });
+    scene.stray.ghost = Some(Ghost {
+        share: 0.02,
+        offset_px: Vector2::new(-250.0, 0.0),
+        blur_px: 2.0,
+    });
+    assert!((render_exact(&scene)[50 * 100 + 50] - (4.0 + 0.02 * 205.0)).abs() < 1e-3);
+}
+
+#[test]
+fn coma_displaces_its_share_and_keeps_the_centroid_and_the_light() {
+    let plain = askew();
+    let scene = with_stray(StrayLight {
+        coma: Some(Coma {
+            share: 0.1,
+            offset_px: Vector2::new(1.5, 0.0),
+            blur_px: 2.5,
+        }),
+        ..StrayLight::default()
+    });
+    assert_eq!(scene.truth(), plain.truth());
+    let moments = |scene: &Scene| {
+        let (centre, total) = centroid(1296, light(scene));
+        let third: f64 = light(scene)
+            .enumerate()
+            .map(|(n, l)| l * ((n % 1296) as f64 - centre.x).powi(3))
+            .sum();
+        (centre, total, third / total)
+    };
+    let ((at, total, third), (before, plain_total, plain_third)) =
+        (moments(&scene), moments(&plain));
+    assert!(at.distance(before) < 1e-3, "{}", at.distance(before));
+    assert!((total / plain_total - 1.0).abs() < 1e-5);
+    // Third moment of 0.9 at -0.15 and 0.1 at 1.35 with variance 2.5^2 more: sum of w (d^3 + 3 d s^2).
+    let expected = 0.9 * (-0.15_f64).powi(3) + 0.1 * (1.35_f64.powi(3) + 3.0 * 1.35 * 6.25);
+    assert!(
+        (third - plain_third - expected).abs() < 0.1,
+        "{} {expected}",
+        third - plain_third
+    );
+}
+
+#[test]
+fn gradients_rise_as_far_as_they_say() {
+    for (direction_rad, dark, bright) in [
+        (0.3_f64, (0, 0), (1295, 965)),
+        (2.5, (1295, 0), (0, 965)),
+        (-2.0, (1295, 965), (0, 0)),
+    ] {
+        let sensor = Gradient {
+            rise_dn: 13.0,
+            direction_rad,
+            across: Extent::Sensor,
+        };
+        let scene = Scene {
+            sun: None,
+            ..with_stray(StrayLight {
+                gradients: vec![sensor],
+                ..StrayLight::default()
+            })
+        };
+        let pixels = render_exact(&scene);
+        let at = |(x, y): (usize, usize)| f64::from(pixels[y * 1296 + x]);
+        assert!((at(dark) - 4.0).abs() < 1e-3, "{}", at(dark));
+        assert!((at(bright) - 17.0).abs() < 1e-3, "{}", at(bright));
+    }
+    let disc = Gradient {
+        rise_dn: 5.0,
+        direction_rad: 0.7,
+        across: Extent::Disc,
+    };
+    let scene = with_stray(StrayLight {
+        gradients: vec![disc],
+        ..StrayLight::default()
+    });
+    let sun = scene.truth().sun.unwrap();
+    let (with, without) = (render_exact(&scene), render_exact(&askew()));
+    for reach in [-3.0, -1.0, 0.0, 1.0] {
+        let along = Vector2::new(0.7_f64.cos(), 0.7_f64.sin()) * reach * sun.radius_px;
+        let (x, y) = ((sun.px.x + along.x).round(), (sun.px.y + along.y).round());
+        let n = y as usize * 1296 + x as usize;
+        let added = f64::from(with[n] - without[n]);
+        let expected = (5.0 + 2.5 * reach).max(0.0);
+        // The nearest pixel is up to 0.7 px away.
+        assert!((added - expected).abs() < 0.02, "{reach}: {added}");
+    }
+}
+
+#[test]
+fn smear_adds_the_share_of_the_columns_light_and_the_tap_step_half_of_the_sensor() {
+    let plain = askew();
+    let scene = Scene {
+        readout: Readout {
+            column_smear: 2e-4,
+            tap_step_dn: 2.0,
+        },
+        ..askew()
+    };
+    assert_eq!(scene.truth(), plain.truth());
+    let clean: Vec<f64> = light(&plain).collect();
+    let found: Vec<f64> = light(&scene).collect();
+    for x in 0..1296 {
+        let total: f64 = (0..966).map(|y| clean[y * 1296 + x]).sum();
+        let step = if x >= 648 { 2.0 } else { 0.0 };
+        for y in [0, 500, 965] {
+            let added = found[y * 1296 + x] - clean[y * 1296 + x];
+            assert!(
+                (added - step - 2e-4 * total).abs() < 1e-3,
+                "{x}, {y}: {added}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_noise_of_photons_has_the_variance_of_signal_over_gain() {
+    for light_dn in [20.0, 100.0, 200.0] {
+        let mut scene = small_scene(300, view(SensorPx::new(150.0, 150.0), 0.0));
+        scene.background_dn = light_dn;
+        scene.noise = Noise {
+            read_dn: 1.0,
+            electrons_per_dn: Some(4.0),
+        };
+        let (_, variance) = mean_and_variance(&values(&scene.frame().unwrap()));
+        // Read noise, photons, and the rounding of a step of 1 DN; 90 000 pixels: good to 0.5 %.
+        let expected = 1.0 + light_dn / 4.0 + 1.0 / 12.0;
+        assert!((variance / expected - 1.0).abs() < 0.02, "{variance}");
+    }
+}
+
+#[test]
+fn the_surface_of_hmi_leaves_the_limb_and_shows_spots() {
+    let mut scene = small_scene(260, view(SensorPx::new(130.3, 129.6), 0.0));
+    scene.mark_contrast = 0.0;
+    scene.sun = Some(Sun::new(PlateMil::new(0.0, 0.0), RADIUS_MIL));
+    let plain = scene.clone();
+    for (turn_rad, mirrored) in [(0.0, false), (1.0, false), (1.0, true)] {
+        if let Some(sun) = &mut scene.sun {
+            sun.surface = Surface::Hmi { turn_rad, mirrored };
+        }
+        assert_eq!(scene.truth(), plain.truth());
+        let (bare, found) = (render_exact(&plain), render_exact(&scene));
+        let place = |n: usize| {
+            let (x, y) = ((n % 260) as f64 - 130.3, (n / 260) as f64 - 129.6);
+            x.hypot(y) / (RADIUS_MIL / 5.75)
+        };
+        let ratios = |from: f64, to: f64| -> Vec<f32> {
+            let within = (0..found.len()).filter(|n| (from..to).contains(&place(*n)));
+            let mut ratios: Vec<f32> = within.map(|n| found[n] / bare[n]).collect();
+            ratios.sort_by(f32::total_cmp);
+            ratios
+        };
+        let (middle, rim, beyond) = (ratios(0.0, 0.3), ratios(0.9, 0.97), ratios(1.05, 1.2));
+        let median = |of: &[f32]| of[of.len() / 2];
+        assert!((median(&middle) - 1.0).abs() < 0.02, "{}", median(&middle));
+        // The real limb darkening at 617 nm is stronger than 0.56 by a few per cent of the light.
+        assert!((0.85..1.02).contains(&median(&rim)), "{}", median(&rim));
+        assert!(beyond.iter().all(|r| (r - 1.0).abs() < 1e-3));
+        assert!(ratios(0.0, 0.97)[0] < 0.75, "no spot");
+    }
+    let turned = |turn_rad: f64, mirrored: bool| {
+        let mut scene = plain.clone();
+        if let Some(sun) = &mut scene.sun {
+            sun.surface = Surface::Hmi { turn_rad, mirrored };
+        }
+        render_exact(&scene)
+    };
+    assert_ne!(turned(0.3, false), turned(0.3, true));
 }

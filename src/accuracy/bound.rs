@@ -10,11 +10,11 @@
 //! [`registration`](crate::registration) does: its tilts are about that point.
 //!
 //! # Not included
-//! Blemishes and sunspots: they only take from the frame's information. Misprint: the marks are taken
-//! to be known where they are.
+//! Blemishes, stray light, what the readout adds, the Sun's surface and its spots: they only take from the frame's information. Misprint:
+//! the marks are taken to be known where they are.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
-use crate::simulate::{Blemishes, Depth, Scene, Sun, render_exact};
+use crate::simulate::{Blemishes, Depth, Readout, Scene, StrayLight, Sun, Surface, render_exact};
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::{DMatrix, Matrix2, Matrix3};
 
@@ -197,7 +197,10 @@ fn surroundings(scene: &Scene) -> Option<Scene> {
         height_px,
         mapping,
         blemishes: Blemishes::default(),
+        stray: StrayLight::default(),
+        readout: Readout::default(),
         sun: Some(Sun {
+            surface: Surface::Plain,
             spots: Vec::new(),
             ..sun.clone()
         }),

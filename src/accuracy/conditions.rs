@@ -2,7 +2,7 @@
 
 use super::recipe::{ANY_MARKS, Generator, Recipe, View};
 use crate::instrument::Instrument;
-use crate::simulate::{Depth, Noise};
+use crate::simulate::{Depth, Noise, Readout, Strengths};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use std::ops::{Range, RangeInclusive};
@@ -59,7 +59,86 @@ pub fn cut(
     displaced(recipe, instrument, rng);
 }
 
-/// Everything at once, each more or less; every fourth frame without a usable Sun. The plate is as the instrument states
+/// Share of the light of its column that smear adds to every pixel in the rows about it: 6 DN above and below the Sun.
+pub const COLUMN_SMEAR: f64 = 2e-4;
+/// Step between the halves of the sensor in the rows about it, DN.
+pub const TAP_STEP_DN: f64 = 2.0;
+
+/// The noise of photons beside a read noise of 1 DN.
+pub fn photons(recipe: &mut Recipe, electrons_per_dn: f64) {
+    recipe.conditions.noise = Noise {
+        read_dn: 1.0,
+        electrons_per_dn: Some(electrons_per_dn),
+    };
+}
+
+/// The noise of the centre of the disc everywhere: what photons add there and a read noise of 1 DN.
+pub fn as_noisy_everywhere(recipe: &mut Recipe, electrons_per_dn: f64) {
+    let light_dn = recipe.conditions.peak_dn + recipe.conditions.background_dn;
+    noise(recipe, (1.0 + light_dn / electrons_per_dn).sqrt());
+}
+
+/// Stray light, readout, vignetting and the surface of the Sun, all together.
+pub fn all_effects(recipe: &mut Recipe) {
+    let conditions = &mut recipe.conditions;
+    conditions.stray = Strengths {
+        gradient_dn: 13.0,
+        disc_gradient_dn: 0.0,
+        ghost: 0.02,
+        coma: 0.1,
+    };
+    conditions.readout = Readout {
+        column_smear: COLUMN_SMEAR,
+        tap_step_dn: TAP_STEP_DN,
+    };
+    conditions.blemishes.vignetting = 0.1;
+    conditions.hmi = true;
+}
+
+/// Each effect of optics, readout and light in a third of the frames, more or less of it.
+fn some_effects(recipe: &mut Recipe, rng: &mut Generator) {
+    // Everything is drawn whether it is wanted or not: one effect changes no other.
+    let mut up_to = |most: f64| {
+        let (strength, wanted) = (rng.random_range(0.0..most), rng.random_bool(1.0 / 3.0));
+        if wanted { strength } else { 0.0 }
+    };
+    let stray = Strengths {
+        gradient_dn: up_to(15.0),
+        disc_gradient_dn: up_to(5.0),
+        ghost: up_to(0.03),
+        coma: up_to(0.1),
+    };
+    let readout = Readout {
+        column_smear: up_to(2.0 * COLUMN_SMEAR),
+        tap_step_dn: up_to(2.0 * TAP_STEP_DN),
+    };
+    let photons = up_to(1.0);
+    let hmi = up_to(1.0) > 0.0;
+    let softer_px = up_to(2.6);
+    let conditions = &mut recipe.conditions;
+    (conditions.stray, conditions.readout, conditions.hmi) = (stray, readout, hmi);
+    conditions.blur_px = conditions.blur_px.max(0.9 + softer_px);
+    if photons > 0.0 {
+        conditions.noise.electrons_per_dn = Some(5.0 / photons);
+    }
+}
+
+/// A Sun that moves by up to 30 px during the exposure in any direction, a third of the discs cut by the sensor's edge, in a picture
+/// whose mapping is off as far as its sigmas say.
+pub fn moving(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
+    const MOST_PX: f64 = 30.0;
+    displaced(recipe, instrument, rng);
+    if rng.random_bool(1.0 / 3.0) {
+        recipe.view = View::Partial {
+            limb_share: LEAST_USABLE_LIMB..1.0,
+            lit_marks: ANY_MARKS,
+        };
+    }
+    recipe.conditions.smear_px = rng.random_range(0.0..MOST_PX);
+}
+
+/// Everything at once, each more or less, in half of the frames effects of optics and readout, too; every fourth frame without a
+/// usable Sun. The plate is as the instrument states
 /// it: three misprinted marks that happen to agree leave no trace of their error, which is a property of the plate and not
 /// of the frame. The row about misprinted marks shows how often.
 pub fn mixed(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
@@ -88,6 +167,10 @@ pub fn mixed(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
     counts.leaks = some(rng, 4);
     counts.dust_per_disc = rng.random_range(0.0..2.0);
     counts.vignetting = rng.random_range(0.0..0.2);
+    // Last, so that the frames without these effects are those of earlier versions.
+    if rng.random_bool(0.5) {
+        some_effects(recipe, rng);
+    }
 }
 
 /// None in half of the frames, else up to so many.

@@ -129,7 +129,7 @@ pub fn histogram(outcomes: &[Outcome], title: &str) -> Result<String, PlotError>
     let title = format!("Errors of {} fine frames, {title}", errors.len());
     let labels = Labels::new(title, ERROR, "frames");
     let lines = [("median", 0.5), ("99.7 %", MOST)]
-        .map(|(name, part)| Some((name, super::outcome::quantile(errors.clone(), part)?)));
+        .map(|(name, part)| Some((name, super::chance::quantile(errors.clone(), part)?)));
     let lines: Vec<_> = lines.into_iter().flatten().collect();
     plot::histogram(&labels, &errors, 40, &lines)
 }

@@ -1,7 +1,8 @@
 //! How well one mark is located: its error over many frames, and its bias over the sub-pixel phases.
 
+use super::chance::{quantile, rms};
 use super::conditions::noise;
-use super::outcome::{MOST, quantile, rms};
+use super::outcome::MOST;
 use super::recipe::{Recipe, View};
 use super::trial::{Bounded, MarkError, Outcome, Trial};
 use crate::aspect::Quality;

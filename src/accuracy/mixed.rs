@@ -1,12 +1,12 @@
-//! The mixed run: frames of every kind in one series, a quarter of them without a usable Sun. It searches for what must
-//! never happen, not for small errors.
+//! Runs of many kinds of frames in one series: they search for what must never happen, not for small errors.
 
+use super::chance::{quantile, rms};
 use super::conditions::LEAST_USABLE_LIMB;
-use super::outcome::{has_wrong_id, is_wrong_fine, quantile, rms};
+use super::outcome::{has_wrong_id, is_wrong_fine};
 use super::trial::Outcome;
 use crate::aspect::Quality;
 
-/// What came of the mixed run.
+/// What came of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MixedSummary {
     pub frames: usize,

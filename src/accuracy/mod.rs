@@ -11,18 +11,21 @@
 //!    allow it.
 //! 2. A [`Trial`] renders the scene, solves the frame without a prior and compares with the truth: an [`Outcome`].
 //! 3. A [`Summary`] has quantiles of the radial error (the Sun's centre on the plate, arcsec), the rms of error over
-//!    stated sigma, and what is wrong; a [`Demand`] judges it.
+//!    stated sigma, and what is wrong; a [`Demand`] judges it. Rows about one effect are compared with ideal frames of the same seeds.
 //! 4. For some frames of a row, the Cramer-Rao bound says how small the error could be ([`bound`]).
 //!
-//! Beside the rows: the errors and the sub-pixel bias of single marks ([`marks`]), and one mixed run that searches for
-//! wrong ids and for fine frames that are not ([`mixed`]). [`figures`] draws what a table cannot show.
+//! Beside the rows: the errors and the sub-pixel bias of single marks ([`marks`]), and runs of mixed frames and of frames whose Sun moves,
+//! which search for wrong ids and for fine frames that are not ([`mixed`]). [`figures`] draws what a table cannot show.
 //!
 //! ```text
-//! recipe <- conditions; bound, recipe <- trial <- outcome <- rows; all <- marks, mixed, figures <- report <- program <- table
+//! recipe <- conditions; bound, recipe <- trial; chance, trial <- outcome <- demand; conditions, demand <- rows
+//! all of these <- marks, mixed, figures <- report <- program <- table
 //! ```
 
 pub mod bound;
+pub mod chance;
 pub mod conditions;
+pub mod demand;
 pub mod figures;
 pub mod marks;
 pub mod mixed;
@@ -34,10 +37,11 @@ mod rows;
 mod table;
 mod trial;
 
-pub use outcome::{About, Demand, Summary};
+pub use demand::{Demand, Precision};
+pub use outcome::{About, Summary};
 pub use program::{AccuracyError, Case, Figures, Program};
 pub use recipe::{Recipe, View};
-pub use report::{MarksReport, MixedReport, Report, RowReport};
-pub use rows::{MARKS, MIXED, Row, Size, names, rows};
+pub use report::{MarksReport, Report, RowReport, RunReport};
+pub use rows::{Ideal, MARKS, MIXED, MOTION, Row, Run, Size, names, rows, runs};
 pub use table::{case_text, markdown, text};
 pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};

@@ -1,9 +1,8 @@
-//! What many outcomes say together, and what is demanded of them.
+//! What many outcomes say together.
 
+use super::chance::{self, quantile, rms};
 use super::trial::{AspectError, Outcome};
 use crate::aspect::Quality;
-use std::fmt;
-use std::ops::Range;
 
 /// Nearly all: a Gaussian's 3 sigma.
 pub const MOST: f64 = 0.997;
@@ -52,6 +51,8 @@ pub struct Summary {
     /// Fine frames that are off by more than they can be, by seed.
     pub wrong_fine: Vec<u64>,
     pub bound: Option<AgainstBound>,
+    /// Where the row has ideal frames to be compared with.
+    pub ideal: Option<AgainstIdeal>,
 }
 
 /// How near the Sun on the sensor has to be for pointing to find it, px.
@@ -87,6 +88,40 @@ pub struct AgainstBound {
     pub error_over_bound: f64,
 }
 
+/// Errors beside those of ideal frames of the same seeds, of the seeds that are counted under both conditions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgainstIdeal {
+    pub frames: usize,
+    /// Median of the radial errors of the ideal frames.
+    pub median_arcsec: f64,
+    /// The median under the row's conditions over that of the ideal frames.
+    pub ratio: f64,
+    /// 1 sigma of the ratio, from the scatter of the frames.
+    pub ratio_sigma: f64,
+}
+
+impl AgainstIdeal {
+    /// Compares outcomes with those of ideal frames. `None` where no seed is counted under both conditions.
+    pub fn of(outcomes: &[Outcome], ideal: &[Outcome], about: About) -> Option<Self> {
+        let error = |o: &Outcome| {
+            let counted = about.holds(o.quality);
+            o.aspect.filter(|_| counted).map(|e| e.radial_arcsec)
+        };
+        let pairs: Vec<(f64, f64)> = outcomes
+            .iter()
+            .zip(ideal)
+            .filter_map(|(one, ideal)| Some((error(one)?, error(ideal)?)))
+            .collect();
+        let (ratio, median_arcsec) = chance::ratio_of_medians(&pairs)?;
+        Some(Self {
+            frames: pairs.len(),
+            median_arcsec,
+            ratio,
+            ratio_sigma: chance::sigma_of_ratio(&pairs)?,
+        })
+    }
+}
+
 impl Summary {
     pub fn of(outcomes: &[Outcome], about: About, arcsec_per_mil: f64) -> Self {
         let of_quality = |quality| outcomes.iter().filter(|o| o.quality == quality).count();
@@ -114,6 +149,7 @@ impl Summary {
             wrong_ids: seeds(has_wrong_id),
             wrong_fine: seeds(is_wrong_fine),
             bound: against_bound(&counted, arcsec_per_mil),
+            ideal: None,
         }
     }
 
@@ -155,19 +191,6 @@ fn share(part: usize, whole: usize) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
 }
 
-/// The smallest value that at least `part` of them do not exceed.
-pub fn quantile(mut values: Vec<f64>, part: f64) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let rank = (part * values.len() as f64).ceil() as usize;
-    values.get(rank.max(1) - 1).copied()
-}
-
-/// Root mean square.
-pub fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (count, squares) = values.fold((0, 0.0), |(n, sum), v| (n + 1, sum + v * v));
-    (count > 0).then(|| (squares / f64::from(count)).sqrt())
-}
-
 fn over_sigma(errors: &[&AspectError]) -> Option<[f64; 2]> {
     let along = |axis: usize| rms(errors.iter().map(|e| e.over_sigma()[axis]));
     Some([along(0)?, along(1)?])
@@ -198,106 +221,6 @@ fn against_bound(counted: &[&Outcome], arcsec_per_mil: f64) -> Option<AgainstBou
     })
 }
 
-/// Something that a row has to keep.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Demand {
-    /// Largest median of the radial errors.
-    MedianArcsec(f64),
-    /// Largest error of 99.7 % of the frames.
-    MostArcsec(f64),
-    /// Every frame that shows enough of the limb and three marks fully lit is fine.
-    NoneMissed,
-    /// Every such frame is fine, but for this share at most whose marks leave two readings open: three in a row where the
-    /// sensor's edge hides the neighbours that determine the quarter turn.
-    FewUndecided(f64),
-    /// Least share of frames that are at least coarse.
-    SolvedShare(f64),
-    /// Least share of solved frames whose Sun is within [`NEAR_PX`] of the truth on the sensor.
-    NearShare(f64),
-    /// No frame says it is fine.
-    NoneFine,
-    /// Error over stated sigma is neither much more nor much less than 1.
-    HonestSigma,
-    /// No solved frame with a wrong id.
-    NoWrongId,
-    /// No fine frame that is off by 5 sigma and 2 arcsec.
-    NoWrongFine,
-}
-
-/// What error over stated sigma may be, rms per axis.
-pub const HONEST: Range<f64> = 0.8..1.25;
-
-impl Demand {
-    /// Why the demand is not met; `None` where it is. What nothing was measured for is not met.
-    pub fn unmet(self, found: &Summary) -> Option<String> {
-        let at_most = |name: &str, value: Option<f64>, limit: f64| {
-            let met = value.is_some_and(|v| v <= limit);
-            (!met).then(|| format!("{name} {} over {limit}", text(value)))
-        };
-        let at_least = |name: &str, value: Option<f64>, limit: f64| {
-            let met = value.is_some_and(|v| v >= limit);
-            (!met).then(|| format!("{name} {} under {limit}", text(value)))
-        };
-        let none = |name: &str, seeds: &[u64]| {
-            (!seeds.is_empty()).then(|| format!("{name} in seeds {seeds:?}"))
-        };
-        match self {
-            Self::MedianArcsec(limit) => at_most("median", found.median_arcsec, limit),
-            Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
-            Self::NoneMissed => (!found.missed.is_empty())
-                .then(|| format!("{} frames ought to be fine", found.missed.len())),
-            Self::FewUndecided(most) => {
-                let undecided = found.missed.iter().filter(|m| m.is_undecided()).count();
-                let others = found.missed.len() - undecided;
-                let share = undecided as f64 / found.frames.max(1) as f64;
-                (others > 0 || share > most).then(|| {
-                    format!(
-                        "{others} frames ought to be fine, {:.1} % undecided over {most}",
-                        100.0 * share
-                    )
-                })
-            }
-            Self::SolvedShare(limit) => at_least("solved share", found.solved_share(), limit),
-            Self::NearShare(limit) => at_least("share within 0.5 px", found.near_share, limit),
-            Self::NoneFine => (found.fine > 0).then(|| format!("{} frames are fine", found.fine)),
-            Self::HonestSigma => {
-                let honest = |axes: [f64; 2]| axes.iter().all(|v| HONEST.contains(v));
-                let [x, y] = [0, 1].map(|axis| text(found.over_sigma.map(|axes| axes[axis])));
-                (!found.over_sigma.is_some_and(honest)).then(|| format!("error/sigma {x}, {y}"))
-            }
-            Self::NoWrongId => none("wrong ids", &found.wrong_ids),
-            Self::NoWrongFine => none("wrong fine frames", &found.wrong_fine),
-        }
-    }
-}
-
-impl fmt::Display for Demand {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::MedianArcsec(limit) => write!(out, "median {limit}"),
-            Self::MostArcsec(limit) => write!(out, "99.7 % {limit}"),
-            Self::NoneMissed => write!(out, "all marked frames fine"),
-            Self::FewUndecided(most) => {
-                write!(
-                    out,
-                    "marked frames fine but {:.0} % undecided",
-                    100.0 * most
-                )
-            }
-            Self::SolvedShare(limit) => write!(out, "{:.0} % solved", 100.0 * limit),
-            Self::NearShare(limit) => write!(out, "{:.0} % within {NEAR_PX} px", 100.0 * limit),
-            Self::NoneFine => write!(out, "none fine"),
-            Self::HonestSigma => write!(out, "error/sigma {} to {}", HONEST.start, HONEST.end),
-            Self::NoWrongId => write!(out, "no wrong id"),
-            Self::NoWrongFine => write!(out, "no wrong fine frame"),
-        }
-    }
-}
-
-fn text(value: Option<f64>) -> String {
-    value.map_or("unknown".into(), |v| format!("{v:.3}"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -324,36 +247,26 @@ mod tests {
     }
 
     #[test]
-    fn a_quantile_leaves_its_part_at_or_below_it() {
-        let values = || (1..=1000).map(f64::from).collect();
-        assert_eq!(quantile(values(), 0.5), Some(500.0));
-        assert_eq!(quantile(values(), MOST), Some(997.0));
-        assert_eq!(quantile(values(), 1.0), Some(1000.0));
-        assert_eq!(quantile(Vec::new(), 0.5), None);
-    }
-
-    #[test]
     fn errors_are_held_against_sigma_and_bound() {
         let outcomes = [off_by(1.0), off_by(-1.0)];
         let summary = Summary::of(&outcomes, About::Fine, 2.0);
         assert_eq!(summary.over_sigma, Some([1.0, 1.0]));
         let bound = summary.bound.unwrap();
         assert_eq!((bound.median_arcsec, bound.error_over_bound), (1.0, 2.0));
-        assert_eq!(Demand::HonestSigma.unmet(&summary), None);
-        assert!(Demand::MedianArcsec(2.8).unmet(&summary).is_some());
-        assert_eq!(Demand::MedianArcsec(2.9).unmet(&summary), None);
+        assert_eq!(summary.median_arcsec, Some(2.0 * 2.0_f64.sqrt()));
     }
 
     #[test]
-    fn a_demand_on_frames_that_were_not_found_is_not_met() {
-        let summary = Summary::of(&[], About::Coarse, 2.0);
-        for demand in [
-            Demand::MedianArcsec(9.0),
-            Demand::HonestSigma,
-            Demand::SolvedShare(0.1),
-        ] {
-            assert!(demand.unmet(&summary).is_some(), "{demand}");
-        }
+    fn only_seeds_that_are_counted_under_both_conditions_are_compared() {
+        let ideal = [off_by(1.0), off_by(1.0), off_by(3.0)];
+        let coarse = Outcome {
+            quality: Quality::Coarse,
+            ..off_by(9.0)
+        };
+        let found = [off_by(2.0), off_by(2.0), coarse];
+        let beside = AgainstIdeal::of(&found, &ideal, About::Fine).unwrap();
+        assert_eq!((beside.frames, beside.ratio), (2, 2.0));
+        assert_eq!(AgainstIdeal::of(&[], &ideal, About::Fine), None);
     }
 
     #[test]

@@ -1,20 +1,18 @@
 //! The program: which parts are run, with how many frames, on all cores.
 
-use super::conditions::mixed as everything;
+use super::demand::Precision;
 use super::figures::{self, Sweeps};
 use super::marks::{self, MarkSummary};
 use super::mixed::MixedSummary;
-use super::outcome::{About, Summary};
+use super::outcome::{About, AgainstIdeal, Summary};
 use super::recipe::{Recipe, Vary};
-use super::report::{MarksReport, MixedReport, Report, RowReport};
-use super::rows::{MARKS, MARKS_ROW, MIXED, Row, Size, names, rows};
+use super::report::{MarksReport, Report, RowReport, RunReport};
+use super::rows::{Ideal, MARKS, MARKS_ROW, Row, Run, Size, names, rows, runs};
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::Settings;
 use crate::instrument::{TomlError, builtin};
 use crate::simulate::{Scene, SceneError};
 
-/// Frames of the mixed run.
-const MIXED_FRAMES: [u64; 2] = [300, 20_000];
 /// Frames for each phase of the bias map.
 const FRAMES_PER_PHASE: [u64; 2] = [16, 100];
 /// Frames of a row whose bound is computed.
@@ -41,7 +39,7 @@ pub struct Program {
     trial: Trial,
     rows: Vec<Row>,
     marks: bool,
-    mixed: bool,
+    runs: Vec<Run>,
     sweeps: bool,
 }
 
@@ -67,55 +65,105 @@ impl Program {
             },
             rows: rows().into_iter().filter(|r| wanted(r.name)).collect(),
             marks: wanted(MARKS),
-            mixed: wanted(MIXED),
+            runs: runs().into_iter().filter(|r| wanted(r.name)).collect(),
             sweeps: figures == Figures::Drawn && only.is_empty(),
         })
     }
 
     /// How many frames there are to solve.
     pub fn frames(&self) -> u64 {
-        let of_row = |row: &Row| self.size.of(row.frames);
+        let of_row = |row: &Row| match row.ideal {
+            Some(Ideal::Of(_)) => 2 * self.size.of(row.frames),
+            Some(Ideal::Standard) | None => self.size.of(row.frames),
+        };
         let rows: u64 = self.rows.iter().map(of_row).sum();
         let borrowed = self.rows.iter().any(|row| row.name == MARKS_ROW);
         let marks_row = rows_named(MARKS_ROW).filter(|_| !borrowed);
         let phases = (marks::PHASES * marks::PHASES) as u64;
         let marks =
             self.size.of(FRAMES_PER_PHASE) * phases + marks_row.map(|r| of_row(&r)).sum::<u64>();
+        let of_run = |run: &Run| self.size.of(run.frames);
+        let runs: u64 = self.runs.iter().map(of_run).sum();
         rows + u64::from(self.marks) * marks
-            + u64::from(self.mixed) * self.size.of(MIXED_FRAMES)
+            + runs
+            + self.standard_frames()
             + u64::from(self.sweeps) * figures::frames(self.size)
+    }
+
+    /// How many standard frames the rows are compared with.
+    fn standard_frames(&self) -> u64 {
+        let compared = |row: &&Row| matches!(row.ideal, Some(Ideal::Standard));
+        let frames = self
+            .rows
+            .iter()
+            .filter(compared)
+            .map(|r| self.size.of(r.frames));
+        frames.max().unwrap_or(0)
     }
 
     /// Runs it on all cores; `done` is called after every frame.
     pub fn run(&self, done: &(dyn Fn() + Sync)) -> Result<Report, AccuracyError> {
-        let rows: Result<Vec<_>, _> = self.rows.iter().map(|row| self.row(row, done)).collect();
-        let rows = rows?;
+        let standard = self.outcomes(|_, _, _| (), self.standard_frames(), done)?;
+        let rows = self.rows.iter().map(|row| self.row(row, &standard, done));
+        let rows = rows.collect::<Result<Vec<_>, _>>()?;
         let marks = self.marks.then(|| self.marks(&rows, done)).transpose()?;
-        let mixed = self.mixed.then(|| self.mixed(done)).transpose()?;
+        let runs = self.runs.iter().map(|run| self.search(run, done));
         let sweeps = || Sweeps::run(&self.trial, self.size, done);
         Ok(Report {
             size: self.size,
             rows,
             marks,
-            mixed,
+            runs: runs.collect::<Result<_, _>>()?,
             sweeps: self.sweeps.then(sweeps).transpose()?,
         })
     }
 
-    fn row(&self, row: &Row, done: &(dyn Fn() + Sync)) -> Result<RowReport, SceneError> {
+    /// Outcomes of so many frames, without their bounds.
+    fn outcomes(
+        &self,
+        vary: Vary,
+        frames: u64,
+        done: &(dyn Fn() + Sync),
+    ) -> Result<Vec<Outcome>, SceneError> {
+        outcomes(frames, done, |seed| {
+            let recipe = Recipe::drawn(vary, &self.trial.instrument, seed);
+            self.trial.outcome(&recipe, seed, Bounded::No)
+        })
+    }
+
+    fn row(
+        &self,
+        row: &Row,
+        standard: &[Outcome],
+        done: &(dyn Fn() + Sync),
+    ) -> Result<RowReport, SceneError> {
         // What a frame without marks allows is no more than what it borrows.
         let with_bound = match row.about {
             About::Fine => self.size.of(BOUNDED_FRAMES),
             About::Coarse | About::Solved => 0,
         };
-        let outcomes = outcomes(self.size.of(row.frames), done, |seed| {
+        let frames = self.size.of(row.frames);
+        let outcomes = outcomes(frames, done, |seed| {
             let recipe = Recipe::drawn(row.vary, &self.trial.instrument, seed);
             self.trial
                 .outcome(&recipe, seed, Bounded::up_to(with_bound, seed))
         })?;
         let arcsec_per_mil = self.trial.instrument.optics.arcsec_per_mil();
-        let summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
-        let unmet = row.demands.iter().filter_map(|d| d.unmet(&summary));
+        let mut summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
+        summary.ideal = match row.ideal {
+            None => None,
+            Some(Ideal::Standard) => AgainstIdeal::of(&outcomes, standard, row.about),
+            Some(Ideal::Of(vary)) => {
+                let ideal = self.outcomes(vary, frames, done)?;
+                AgainstIdeal::of(&outcomes, &ideal, row.about)
+            }
+        };
+        let precision = match self.size {
+            Size::Small => Precision::OfCount,
+            Size::Full => Precision::Measured,
+        };
+        let demands = row.demands.iter();
+        let unmet = demands.filter_map(|d| d.unmet(&summary, precision));
         Ok(RowReport {
             unmet: unmet.collect(),
             row: row.clone(),
@@ -135,7 +183,7 @@ impl Program {
             let at_hand = rows.iter().find(|report| report.row.name == row.name);
             let outcomes = match at_hand {
                 Some(report) => report.outcomes.clone(),
-                None => self.row(&row, done)?.outcomes,
+                None => self.row(&row, &[], done)?.outcomes,
             };
             let instrument = &self.trial.instrument;
             let scale = instrument.mounting.scale_mil_per_px.value;
@@ -149,20 +197,18 @@ impl Program {
         })
     }
 
-    fn mixed(&self, done: &(dyn Fn() + Sync)) -> Result<MixedReport, SceneError> {
-        let outcomes = outcomes(self.size.of(MIXED_FRAMES), done, |seed| {
-            let recipe = Recipe::drawn(everything, &self.trial.instrument, seed);
-            self.trial.outcome(&recipe, seed, Bounded::No)
-        })?;
+    fn search(&self, run: &Run, done: &(dyn Fn() + Sync)) -> Result<RunReport, SceneError> {
+        let outcomes = self.outcomes(run.vary, self.size.of(run.frames), done)?;
         let summary = MixedSummary::of(&outcomes);
-        Ok(MixedReport {
+        Ok(RunReport {
+            run: run.clone(),
             unmet: summary.unmet(),
             summary,
         })
     }
 }
 
-/// One frame of a row or of the mixed run, for inspection.
+/// One frame of a row or of a run, for inspection.
 #[derive(Debug, Clone)]
 pub struct Case {
     pub recipe: Recipe,
@@ -171,12 +217,12 @@ pub struct Case {
 }
 
 impl Case {
-    /// The frame of a seed; `part` is a row's name or "mixed".
+    /// The frame of a seed; `part` is the name of a row or of a run.
     pub fn new(part: &str, seed: u64) -> Result<Self, AccuracyError> {
-        let vary: Option<Vary> = match part {
-            MIXED => Some(everything),
-            _ => rows_named(part).map(|row| row.vary).next(),
-        };
+        let of_rows = rows().into_iter().map(|row| (row.name, row.vary));
+        let of_runs = runs().into_iter().map(|run| (run.name, run.vary));
+        let mut parts = of_rows.chain(of_runs);
+        let vary = parts.find(|(name, _)| *name == part).map(|(_, vary)| vary);
         let trial = Trial {
             instrument: builtin("demo")?,
             settings: Settings::default(),
@@ -205,6 +251,7 @@ fn rows_named(name: &str) -> impl Iterator<Item = Row> + '_ {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::accuracy::rows::{MIXED, MOTION};
 
     #[test]
     fn every_part_has_a_name_of_its_own() {
@@ -226,5 +273,6 @@ mod tests {
     fn only_what_has_frames_by_seed_gives_a_frame() {
         assert!(Case::new(MARKS, 1).is_err());
         assert!(Case::new("standard", 1).is_ok());
+        assert!(Case::new(MOTION, 1).is_ok());
     }
 }

@@ -28,6 +28,8 @@ pub enum View {
     },
     /// Anywhere with this mark and two others, or more, fully lit.
     Around(MarkId),
+    /// The whole disc, across the boundary between the sensor's halves: within 0.8 radii of the centre.
+    AcrossMiddle,
     /// Nowhere.
     Absent,
 }
@@ -130,9 +132,17 @@ impl Recipe {
                     && ENOUGH_MARKS.contains(&lit())
                     && fully_lit(scene).any(|mark| mark.id == *id)
             }
+            View::AcrossMiddle => limb_share(scene) == 1.0 && reaches_middle(scene),
             View::Absent => true,
         }
     }
+}
+
+/// Whether the boundary between the sensor's left and right half crosses the disc well inside its limb.
+fn reaches_middle(scene: &Scene) -> bool {
+    let middle = (scene.width_px as f64 - 1.0) / 2.0;
+    let sun = scene.truth().sun;
+    sun.is_some_and(|sun| (sun.px.x - middle).abs() < 0.8 * sun.radius_px)
 }
 
 /// The marks that show and of which the Sun lights all four tips and what blurs into them, wholly on the sensor.

@@ -4,7 +4,7 @@ use super::figures::{self, Sweeps};
 use super::marks::{BiasMap, MarkSummary};
 use super::mixed::MixedSummary;
 use super::outcome::Summary;
-use super::rows::{MARKS, MARKS_ROW, MIXED, Row, Size};
+use super::rows::{MARKS, MARKS_ROW, Row, Run, Size};
 use super::trial::Outcome;
 use crate::report::plot::PlotError;
 
@@ -26,9 +26,10 @@ pub struct MarksReport {
     pub unmet: Vec<String>,
 }
 
-/// What came of the mixed run.
+/// What came of a run.
 #[derive(Debug, Clone)]
-pub struct MixedReport {
+pub struct RunReport {
+    pub run: Run,
     pub summary: MixedSummary,
     pub unmet: Option<String>,
 }
@@ -39,7 +40,7 @@ pub struct Report {
     pub size: Size,
     pub rows: Vec<RowReport>,
     pub marks: Option<MarksReport>,
-    pub mixed: Option<MixedReport>,
+    pub runs: Vec<RunReport>,
     /// What the figures need beyond the rows.
     pub sweeps: Option<Sweeps>,
 }
@@ -50,9 +51,10 @@ impl Report {
         let rows = self.rows.iter().map(|r| (r.row.name, &r.unmet));
         let rows = rows.flat_map(|(name, unmet)| unmet.iter().map(move |u| (name, u.as_str())));
         let marks = self.marks.iter().flat_map(|m| &m.unmet);
-        let mixed = self.mixed.iter().filter_map(|m| m.unmet.as_deref());
+        let runs = self.runs.iter();
+        let runs = runs.filter_map(|r| Some((r.run.name, r.unmet.as_deref()?)));
         rows.chain(marks.map(|u| (MARKS, u.as_str())))
-            .chain(mixed.map(|u| (MIXED, u)))
+            .chain(runs)
             .collect()
     }
 

@@ -1,14 +1,15 @@
 //! The rows of the table: conditions and what is demanded under them.
 
-use super::conditions::{LEAST_USABLE_LIMB, blemished, cut, displaced, noise, tilted, turned};
-use super::outcome::{
-    About,
-    Demand::{
-        self, FewUndecided, HonestSigma, MedianArcsec, MostArcsec, NearShare, NoWrongFine,
-        NoWrongId, NoneFine, NoneMissed, SolvedShare,
-    },
-    ENOUGH_LIMB,
+use super::conditions::{
+    COLUMN_SMEAR, LEAST_USABLE_LIMB, TAP_STEP_DN, all_effects, as_noisy_everywhere, blemished, cut,
+    displaced, mixed, moving, noise, photons, tilted, turned,
 };
+use super::demand::Demand::{
+    self, FewUndecided, HonestSigma, HonestSigmaTo, MedianArcsec, MostArcsec, NearShare,
+    NoWrongFine, NoWrongId, NoneFine, NoneMissed, SolvedShare, TimesIdeal,
+};
+use super::demand::HONEST;
+use super::outcome::{About, ENOUGH_LIMB};
 use super::recipe::{ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, Vary, View};
 use crate::simulate::Depth;
 
@@ -37,6 +38,8 @@ pub(super) const MARKS_ROW: &str = "standard";
 pub const MARKS: &str = "marks";
 /// The name of the mixed run.
 pub const MIXED: &str = "mixed";
+/// The name of the run of frames whose Sun moves during the exposure.
+pub const MOTION: &str = "motion";
 
 /// A row of the table.
 #[derive(Debug, Clone)]
@@ -49,13 +52,54 @@ pub struct Row {
     pub frames: [u64; 2],
     /// How the row's frames depart from the standard one.
     pub vary: Vary,
+    /// The frames that the errors are compared with, of the same seeds.
+    pub ideal: Option<Ideal>,
     pub demands: Vec<Demand>,
+}
+
+/// Frames without the effect that a row is about.
+#[derive(Debug, Clone, Copy)]
+pub enum Ideal {
+    /// Standard frames.
+    Standard,
+    /// Frames that depart from the standard one in something else.
+    Of(Vary),
+}
+
+/// A series of frames that is searched for what must never happen.
+#[derive(Debug, Clone)]
+pub struct Run {
+    pub name: &'static str,
+    pub title: &'static str,
+    /// How many frames: in the small size, in the full.
+    pub frames: [u64; 2],
+    pub vary: Vary,
+}
+
+/// Every run, in the order of the report.
+pub fn runs() -> Vec<Run> {
+    vec![
+        Run {
+            name: MIXED,
+            title: "Mixed run",
+            frames: [300, 20_000],
+            vary: mixed,
+        },
+        Run {
+            name: MOTION,
+            title: "Motion of 0 to 30 px in the exposure",
+            frames: [300, 100_000],
+            vary: moving,
+        },
+    ]
 }
 
 /// Frames of rows of which much is demanded: in the small size, in the full.
 const MANY: [u64; 2] = [150, 3000];
 /// Frames of rows whose errors are reported only.
 const FEW: [u64; 2] = [60, 1000];
+/// Frames of rows about one effect beside ideal frames.
+const BESIDE_IDEAL: [u64; 2] = [24, 300];
 
 /// A row about fine frames whose errors are reported only.
 fn row(name: &'static str, title: &'static str, vary: Vary) -> Row {
@@ -65,6 +109,7 @@ fn row(name: &'static str, title: &'static str, vary: Vary) -> Row {
         about: About::Fine,
         frames: FEW,
         vary,
+        ideal: None,
         demands: vec![NoWrongId],
     }
 }
@@ -88,6 +133,20 @@ impl Row {
         ])
     }
 
+    /// Bounds the median by that of standard frames.
+    fn beside_standard(self, most_times: f64) -> Self {
+        self.beside(Ideal::Standard, most_times)
+    }
+
+    /// Bounds the median by that of ideal frames.
+    fn beside(self, ideal: Ideal, most_times: f64) -> Self {
+        Self {
+            frames: BESIDE_IDEAL,
+            ideal: Some(ideal),
+            ..self.demanding(&[TimesIdeal(most_times), HonestSigmaTo(HONEST.end)])
+        }
+    }
+
     fn coarse(self) -> Self {
         Self {
             about: About::Coarse,
@@ -98,13 +157,14 @@ impl Row {
 
 /// Every row, in the order of the table.
 pub fn rows() -> Vec<Row> {
-    [bounded(), borrowing(), reported()].concat()
+    [bounded(), borrowing(), reported(), effects()].concat()
 }
 
-/// The name of every part of the program: the rows, the marks, the mixed run.
+/// The name of every part of the program: the rows, the marks, the runs.
 pub fn names() -> Vec<&'static str> {
     let rows = rows().into_iter().map(|row| row.name);
-    rows.chain([MARKS, MIXED]).collect()
+    let runs = runs().into_iter().map(|run| run.name);
+    rows.chain([MARKS]).chain(runs).collect()
 }
 
 /// Rows whose errors are bounded.
@@ -220,5 +280,86 @@ fn reported() -> Vec<Row> {
         row("saturated", "saturated core (peak 320 DN)", |r, _, _| {
             r.conditions.peak_dn = 320.0;
         }),
+    ]
+}
+
+/// Rows about stray light, readout, photons, the real Sun and strong blur, beside ideal frames.
+fn effects() -> Vec<Row> {
+    let ghost = "a ghost of 2 % of the light";
+    vec![
+        row("ghost", ghost, |r, _, _| r.conditions.stray.ghost = 0.02).beside_standard(2.0),
+        row("ghost-3", "a ghost of 3 % of the light", |r, _, _| {
+            r.conditions.stray.ghost = 0.03;
+        })
+        .beside_standard(2.0),
+        row(
+            "column-smear",
+            "smear along the columns, 6 DN",
+            |r, _, _| {
+                r.conditions.readout.column_smear = COLUMN_SMEAR;
+            },
+        )
+        .beside_standard(2.0),
+        row(
+            "gradient",
+            "stray light rising by 13 DN, vignetting 10 %",
+            |r, _, _| {
+                r.conditions.stray.gradient_dn = 13.0;
+                r.conditions.blemishes.vignetting = 0.1;
+            },
+        )
+        .beside_standard(1.3),
+        row(
+            "disc-gradient",
+            "stray light rising by 5 DN across the disc",
+            |r, _, _| r.conditions.stray.disc_gradient_dn = 5.0,
+        )
+        .beside_standard(1.3),
+        row(
+            "tap-step",
+            "2 DN between the sensor's halves, the disc across both",
+            |r, _, _| {
+                r.view = View::AcrossMiddle;
+                r.conditions.readout.tap_step_dn = TAP_STEP_DN;
+            },
+        )
+        .beside(Ideal::Of(|r, _, _| r.view = View::AcrossMiddle), 1.3),
+        row("coma", "coma of 10 % of the light", |r, _, _| {
+            r.conditions.stray.coma = 0.1;
+        })
+        .beside_standard(2.0),
+        row(
+            "photons",
+            "photon noise, 39 electrons/DN, read noise 1 DN",
+            |r, _, _| photons(r, 39.0),
+        )
+        .beside(Ideal::Of(|r, _, _| as_noisy_everywhere(r, 39.0)), 1.3),
+        row(
+            "photons-few",
+            "photon noise, 4 electrons/DN, read noise 1 DN",
+            |r, _, _| photons(r, 4.0),
+        )
+        .beside(Ideal::Of(|r, _, _| as_noisy_everywhere(r, 4.0)), 1.3),
+        row("hmi", "the Sun's surface as HMI saw it", |r, _, _| {
+            r.conditions.hmi = true;
+        })
+        .beside_standard(1.3),
+        Row {
+            frames: BESIDE_IDEAL,
+            ..row("blur", "strong blur (3.5 px)", |r, _, _| {
+                r.conditions.blur_px = 3.5;
+            })
+            .demanding(&[NoneMissed, HonestSigmaTo(HONEST.end)])
+        },
+        Row {
+            frames: BESIDE_IDEAL,
+            ideal: Some(Ideal::Standard),
+            ..row(
+                "all-effects",
+                "ghost 2 %, column smear, gradient, vignetting, tap step, coma, HMI's surface",
+                |r, _, _| all_effects(r),
+            )
+            .demanding(&[TimesIdeal(3.0), HonestSigmaTo(1.3)])
+        },
     ]
 }

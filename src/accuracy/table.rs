@@ -1,13 +1,15 @@
 //! The report as text: one table for the terminal, one in Markdown.
 
-use super::outcome::{HONEST, Summary};
+use super::demand::HONEST;
+use super::outcome::Summary;
 use super::program::Case;
-use super::report::{MarksReport, MixedReport, Report, RowReport};
+use super::report::{MarksReport, Report, RowReport, RunReport};
 use super::rows::Size;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-const HEAD: [&str; 11] = [
+const COLUMNS: usize = 13;
+const HEAD: [&str; COLUMNS] = [
     "row",
     "condition",
     "frames",
@@ -17,12 +19,14 @@ const HEAD: [&str; 11] = [
     "99.7 %",
     "largest",
     "error/sigma",
+    "ideal",
+    "x ideal",
     "bound",
     "error/bound",
 ];
 
 /// The cells of a row; `*` marks an error over sigma that is not honest.
-fn cells(report: &RowReport) -> [String; 11] {
+fn cells(report: &RowReport) -> [String; COLUMNS] {
     let found = &report.summary;
     let bound = found.bound.as_ref();
     [
@@ -35,6 +39,8 @@ fn cells(report: &RowReport) -> [String; 11] {
         number(found.most_arcsec),
         number(found.largest_arcsec),
         over_sigma(found),
+        number(found.ideal.map(|i| i.median_arcsec)),
+        times_ideal(found),
         number(bound.map(|b| b.median_arcsec)),
         bound.map_or("-".into(), |b| format!("{:.2}", b.error_over_bound)),
     ]
@@ -60,17 +66,23 @@ fn over_sigma(found: &Summary) -> String {
     })
 }
 
+fn times_ideal(found: &Summary) -> String {
+    found.ideal.map_or("-".into(), |ideal| {
+        format!("{:.2} +- {:.2}", ideal.ratio, ideal.ratio_sigma)
+    })
+}
+
 /// The report for a terminal.
 pub fn text(report: &Report) -> String {
-    let rows: Vec<[String; 11]> = report.rows.iter().map(cells).collect();
+    let rows: Vec<[String; COLUMNS]> = report.rows.iter().map(cells).collect();
     let mut out = String::new();
     if !rows.is_empty() {
         let width = |c: usize| {
             let cells = rows.iter().map(|row| row[c].chars().count());
             cells.chain([HEAD[c].len()]).max().unwrap_or_default()
         };
-        let mut line = |cells: [&str; 11]| {
-            let padded = (0..11).map(|c| match c {
+        let mut line = |cells: [&str; COLUMNS]| {
+            let padded = (0..COLUMNS).map(|c| match c {
                 0 | 1 => format!("{:<1$}", cells[c], width(c)),
                 _ => format!("{:>1$}", cells[c], width(c)),
             });
@@ -98,9 +110,9 @@ pub fn markdown(report: &Report, commit: Option<&str>) -> String {
          counted frames; the bound per axis.\nSeeds of a row: 0 to one less than its frames.\n\n"
     );
     if !report.rows.is_empty() {
-        let line = |cells: [&str; 11]| format!("| {} |\n", cells.join(" | "));
+        let line = |cells: [&str; COLUMNS]| format!("| {} |\n", cells.join(" | "));
         out += &line(HEAD);
-        out += &line(["---"; 11]);
+        out += &line(["---"; COLUMNS]);
         for row in &report.rows {
             out += &line(cells(row).each_ref().map(String::as_str));
         }
@@ -114,8 +126,8 @@ fn beside(report: &Report) -> String {
     if let Some(marks) = &report.marks {
         out += &marks_text(marks);
     }
-    if let Some(mixed) = &report.mixed {
-        out += &mixed_text(mixed);
+    for run in &report.runs {
+        out += &run_text(run);
     }
     out += &missed_text(report);
     out += &demands_text(report);
@@ -151,12 +163,13 @@ fn marks_text(report: &MarksReport) -> String {
     out
 }
 
-fn mixed_text(report: &MixedReport) -> String {
+fn run_text(report: &RunReport) -> String {
     let found = &report.summary;
     let [x, y] = found.over_sigma.map(number);
     format!(
-        "\nMixed run: {} frames, {} with a usable Sun, of these {} fine and {} coarse; {} of the others solved. Fine: median \
+        "\n{}: {} frames, {} with a usable Sun, of these {} fine and {} coarse; {} of the others solved. Fine: median \
          {} arcsec, error/sigma {x}, {y}.\nWrong ids in {} frames, wrong fine frames {}.\n",
+        report.run.title,
         found.frames,
         found.usable,
         found.fine,
@@ -216,6 +229,13 @@ pub fn case_text(case: &Case) -> String {
         "limb on the sensor {:.2}, marks fully lit {}",
         outcome.limb_share, outcome.lit_marks
     );
+    if let Some(sun) = case.scene.truth().sun {
+        let _ = writeln!(
+            out,
+            "Sun in truth at {:.6}, {:.6} px, on the plate at {:.6}, {:.6} mil, radius {:.6} px",
+            sun.px.x, sun.px.y, sun.plate.x, sun.plate.y, sun.radius_px
+        );
+    }
     let reason = outcome.reason.as_deref().unwrap_or("no complaint");
     let _ = writeln!(out, "{}: {reason}", outcome.quality.name());
     if let Some(error) = &outcome.aspect {

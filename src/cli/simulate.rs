@@ -5,8 +5,8 @@ use super::output::{make_folder, progress_bar};
 use crate::fits::{self, Compression};
 use crate::instrument::Instrument;
 use crate::simulate::{
-    Conditions, Counts, Depth, DriftScenes, FORT_SUMNER, Noise, Picture, RandomScenes, SunInView,
-    Truth,
+    Conditions, Counts, Depth, DriftScenes, FORT_SUMNER, Noise, Picture, RandomScenes, Readout,
+    Strengths, SunInView, Truth,
 };
 use crate::sky;
 use crate::units::{Place, SensorPx};
@@ -71,9 +71,9 @@ pub struct SunArgs {
     /// Light at the disc's centre, above the background, 8-bit DN
     #[arg(long, value_name = "DN", default_value_t = 205.0, value_parser = Within(0.0, 4000.0, "DN"))]
     pub peak: f64,
-    /// Sunspots on the disc
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
-    pub sunspots: u16,
+    /// Sunspots on the disc, or "hmi": spots, granulation and limb darkening of SDO/HMI's picture of 2023-01-31, turned at random
+    #[arg(long, visible_alias = "spots", value_name = "N|hmi", default_value = "0", value_parser = sunspots)]
+    pub sunspots: Sunspots,
     /// How far the Sun moves during the exposure, each frame in another direction
     #[arg(long, value_name = "PX", default_value_t = 0.0, value_parser = Within(0.0, 50.0, "px"))]
     pub smear: f64,
@@ -118,6 +118,18 @@ pub struct OpticsArgs {
     /// Share of the light lost in the corners, 0 to 1
     #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = Within(0.0, 1.0, ""))]
     pub vignetting: f64,
+    /// Stray light that rises across the sensor, in a direction drawn at random, 8-bit DN from corner to corner
+    #[arg(long, value_name = "DN", default_value_t = 0.0, value_parser = Within(0.0, 255.0, "DN"))]
+    pub gradient: f64,
+    /// Stray light that rises across the disc, in a direction drawn at random, 8-bit DN from limb to limb
+    #[arg(long, value_name = "DN", default_value_t = 0.0, value_parser = Within(0.0, 255.0, "DN"))]
+    pub disc_gradient: f64,
+    /// A second image of the Sun, shifted and out of focus: its light relative to the first, 0 to 1
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = Within(0.0, 1.0, ""))]
+    pub ghost: f64,
+    /// Share of the light that coma displaces by 1.5 px, 0 to 1
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = Within(0.0, 1.0, ""))]
+    pub coma: f64,
 }
 
 #[derive(Debug, Clone, Args)]
@@ -130,17 +142,40 @@ pub struct CameraArgs {
     #[arg(long, value_name = "DN", default_value_t = 5.0, value_parser = Within(0.0, 255.0, "DN"))]
     pub noise: f64,
     /// Adds the noise of photons: photo-electrons of one 8-bit DN
-    #[arg(long, value_name = "E_PER_DN", value_parser = Within(0.1, 1e6, "electrons/DN"))]
+    #[arg(long, visible_alias = "photons", value_name = "E_PER_DN", value_parser = Within(0.1, 1e6, "electrons/DN"))]
     pub electrons: Option<f64>,
     /// What every pixel holds without light, 8-bit DN
     #[arg(long, value_name = "DN", default_value_t = 4.0, value_parser = Within(-50.0, 250.0, "DN"))]
     pub background: f64,
+    /// Frame transfer: share of the light of its column that every pixel receives in addition
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = Within(0.0, 0.01, ""))]
+    pub column_smear: f64,
+    /// By how much the right half of the sensor lies above the left, 8-bit DN
+    #[arg(long, value_name = "DN", default_value_t = 0.0, value_parser = Within(-50.0, 50.0, "DN"))]
+    pub tap_step: f64,
     /// Saturated pixels
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
     pub hot_pixels: u16,
     /// Specks of dust before the disc, on average
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = count())]
     pub dust: u16,
+}
+
+/// What the Sun's surface shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sunspots {
+    /// So many spots, drawn at random.
+    Drawn(u16),
+    /// HMI's picture.
+    Hmi,
+}
+
+fn sunspots(text: &str) -> Result<Sunspots, String> {
+    match text.parse() {
+        Ok(number @ 0..=MOST) => Ok(Sunspots::Drawn(number)),
+        _ if text == "hmi" => Ok(Sunspots::Hmi),
+        _ => Err(format!("expected a number from 0 to {MOST}, or hmi")),
+    }
 }
 
 /// Depth of a pixel as the option names it.
@@ -174,8 +209,11 @@ impl clap::builder::IntoResettable<clap::builder::ValueParser> for Within {
     }
 }
 
+/// The most of anything that is counted.
+const MOST: u16 = 10_000;
+
 fn count() -> clap::builder::RangedI64ValueParser<u16> {
-    clap::value_parser!(u16).range(0..=10_000)
+    clap::value_parser!(u16).range(0..=i64::from(MOST))
 }
 
 fn position(text: &str) -> Result<SensorPx, String> {
@@ -290,13 +328,27 @@ impl SimulateArgs {
             mark_scatter_mil: optics.mark_scatter,
             blur_px: optics.blur.unwrap_or(stated.blur_px),
             smear_px: sun.smear,
-            sunspots: sun.sunspots.into(),
+            sunspots: match sun.sunspots {
+                Sunspots::Drawn(number) => number.into(),
+                Sunspots::Hmi => 0,
+            },
+            hmi: sun.sunspots == Sunspots::Hmi,
             blemishes: Counts {
                 hot_pixels: camera.hot_pixels.into(),
                 scratches_per_disc: optics.scratches.into(),
                 leaks: optics.leaks.into(),
                 dust_per_disc: camera.dust.into(),
                 vignetting: optics.vignetting,
+            },
+            stray: Strengths {
+                gradient_dn: optics.gradient,
+                disc_gradient_dn: optics.disc_gradient,
+                ghost: optics.ghost,
+                coma: optics.coma,
+            },
+            readout: Readout {
+                column_smear: camera.column_smear,
+                tap_step_dn: camera.tap_step,
             },
             noise: Noise {
                 read_dn: camera.noise,
@@ -357,6 +409,8 @@ mod tests {
             ("--frames 0", ["--frames", "1..=100000"]),
             ("--plate-centre 3", ["--plate-centre", "expected X,Y"]),
             ("--bits 10", ["--bits", "10"]),
+            ("--sunspots many", ["--sunspots", "or hmi"]),
+            ("--ghost 2", ["--ghost", "from 0 to 1"]),
         ] {
             let message = parse(&format!("--out a {options}")).unwrap_err();
             for part in wanted {

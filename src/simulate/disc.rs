@@ -1,8 +1,9 @@
-//! The Sun's disc, sub-sample by sub-sample: limb darkening, spots, motion.
+//! The Sun's disc, sub-sample by sub-sample: limb darkening, surface, spots, motion.
 
 use super::coverage::{Edge, Footprint};
 use super::grid::Grid;
 use super::scene::{Sun, Sunspot};
+use super::surface::Texture;
 use nalgebra::Vector2;
 use std::ops::Range;
 
@@ -12,6 +13,7 @@ pub(super) struct Disc {
     radius: f32,
     peak: f32,
     darkening: f32,
+    texture: Option<Texture>,
     spots: Vec<(Vector2<f32>, f32, f32)>,
     footprint: Footprint,
 }
@@ -34,6 +36,7 @@ pub(super) fn exposures(sun: &Sun, grid: &Grid) -> Vec<Disc> {
                 radius: sun.radius_mil as f32,
                 peak: (sun.peak_dn / moments) as f32,
                 darkening: sun.limb_darkening as f32,
+                texture: Texture::of(&sun.surface),
                 spots: sun.spots.iter().map(|s| spot(centre, s)).collect(),
                 footprint: grid.footprint,
             }
@@ -53,6 +56,14 @@ impl Disc {
             *light = if cosine2 > 0.0 { shade } else { 0.0 };
         }
         self.round_off(xs, ys, light);
+        if let Some(texture) = &self.texture {
+            for ((light, x), y) in light.iter_mut().zip(xs).zip(ys) {
+                if *light > 0.0 {
+                    let from_centre = Vector2::new(x - self.centre.x, y - self.centre.y);
+                    *light *= texture.at(from_centre / self.radius);
+                }
+            }
+        }
         for &(place, radius, contrast) in &self.spots {
             let reach = radius + self.footprint.reach() as f32;
             near_circle(xs, ys, place, 0.0..reach, |n, from_centre, r| {

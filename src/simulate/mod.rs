@@ -9,8 +9,10 @@
 //! 1. The part of the sensor that the Sun reaches is sampled S x S times per pixel (S = 3). Each sub-sample looks up
 //!    its place on the plate, takes the disc's light there and what the plate returns of it; edges count by the
 //!    share of the sub-sample behind them, so that sampling moves nothing.
-//! 2. One separable kernel blurs and integrates over the pixel.
-//! 3. On the sensor: leaks, vignetting, dust, background; then noise, digitising, hot pixels.
+//! 2. One separable kernel blurs and integrates over the pixel. Coma and a ghost are further images of the same plate, each with its
+//!    shift and blur.
+//! 3. On the sensor: leaks, vignetting, dust, gradients of stray light; smear along the columns, background, the step between the
+//!    halves; then noise, digitising, hot pixels.
 //!
 //! Positions are true to 0.001 px: `tests/simulation.rs` holds the proof.
 
@@ -23,22 +25,26 @@ mod drift;
 mod flight;
 mod grid;
 mod noise;
+mod optics;
 mod pieces;
 mod prints;
 mod random;
 mod render;
 mod scene;
+mod surface;
 mod trajectory;
 
 pub use blemish::Counts;
 pub use drift::{DriftError, DriftScenes};
 pub use flight::{Course, FlightScenes};
+pub use optics::Strengths;
 pub use pieces::{Piece, Pieces};
 pub use random::{Conditions, RandomScenes, SunInView};
 pub use render::{SAMPLES_PER_PX, render_exact, render_oversampled};
 pub use scene::{
-    Blemishes, Depth, Dust, HotPixel, Leak, LitMark, Noise, Picture, Scene, SceneError, Scratch,
-    Sun, Sunspot, Truth, TruthOfSun, keystoned, scattered,
+    Blemishes, Coma, Depth, Dust, Extent, Ghost, Gradient, HotPixel, Leak, LitMark, Noise, Picture,
+    Readout, Scene, SceneError, Scratch, StrayLight, Sun, Sunspot, Surface, Truth, TruthOfSun,
+    keystoned, scattered,
 };
 pub use trajectory::{MAX_SLEW_DEG_PER_S, Trajectory};
 
@@ -84,6 +90,7 @@ enum Purpose {
     Noise,
     Path,
     Drift,
+    Optics,
 }
 
 /// A seed for one purpose and one frame of a run.

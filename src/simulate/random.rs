@@ -1,8 +1,10 @@
 //! Random scenes by condition: the same instrument throughout, the Sun elsewhere in every frame.
 
 use super::blemish::Counts;
+use super::optics::Strengths;
 use super::scene::{
-    Blemishes, Depth, Noise, Scene, SceneError, Sun, Sunspot, keystoned, scattered,
+    Blemishes, Depth, Noise, Readout, Scene, SceneError, StrayLight, Sun, Sunspot, Surface,
+    keystoned, scattered,
 };
 use super::{EXPOSURE, Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
 use crate::geometry::{Mapping, SimilarityParameters};
@@ -43,7 +45,11 @@ pub struct Conditions {
     /// How far the Sun moves during the exposure, in a direction that is drawn for every frame.
     pub smear_px: f64,
     pub sunspots: usize,
+    /// Whether the Sun has the surface of HMI's picture, turned and mirrored at random; see [`Surface::Hmi`].
+    pub hmi: bool,
     pub blemishes: Counts,
+    pub stray: Strengths,
+    pub readout: Readout,
     pub noise: Noise,
     pub depth: Depth,
 }
@@ -63,14 +69,18 @@ impl Conditions {
             blur_px: instrument.optics.blur_px.value,
             smear_px: 0.0,
             sunspots: 0,
+            hmi: false,
             blemishes: Counts::default(),
+            stray: Strengths::default(),
+            readout: Readout::default(),
             noise: Noise::read(5.0),
             depth: Depth::Eight,
         }
     }
 }
 
-/// Random scenes: plate, mapping, blemishes and sunspots belong to the seed, place, smear and noise to the frame.
+/// Random scenes: plate, mapping, blemishes, stray light and the Sun's surface belong to the seed, place, smear and noise to
+/// the frame.
 #[derive(Debug, Clone)]
 pub struct RandomScenes {
     template: Scene,
@@ -100,13 +110,17 @@ impl RandomScenes {
             mark_contrast: conditions.mark_contrast,
             background_dn: conditions.background_dn,
             blur_px: conditions.blur_px,
+            readout: conditions.readout,
             noise: conditions.noise,
             depth: conditions.depth,
             ..Scene::new(instrument, mapping)
         };
         template.blemishes = Blemishes::random(&conditions.blemishes, &template, radius_mil, seed);
+        let radius_px = radius_mil / mapping.scale_mil_per_px(middle(&template));
+        template.stray = StrayLight::random(&conditions.stray, radius_px, seed);
         let sun = Sun {
             peak_dn: conditions.peak_dn,
+            surface: surface(conditions.hmi, seed),
             spots: sunspots(conditions.sunspots, radius_mil, seed),
             ..Sun::new(mapping.to_plate(middle(&template)), radius_mil)
         };
@@ -222,6 +236,16 @@ fn middle(scene: &Scene) -> SensorPx {
         (scene.width_px as f64 - 1.0) / 2.0,
         (scene.height_px as f64 - 1.0) / 2.0,
     )
+}
+
+/// HMI's picture as the seed turns and mirrors it, or none.
+fn surface(hmi: bool, seed: u64) -> Surface {
+    let mut rng = generator(seed, Purpose::Optics, 1);
+    let turned = Surface::Hmi {
+        turn_rad: rng.random_range(0.0..TAU),
+        mirrored: rng.random_bool(0.5),
+    };
+    if hmi { turned } else { Surface::Plain }
 }
 
 /// Spots within the Sun's activity belts, as far as a picture in one colour tells: nearer its centre than its limb.

@@ -4,6 +4,7 @@ use super::blur::Kernel;
 use super::disc::exposures;
 use super::grid::{Grid, Window};
 use super::noise::read_out;
+use super::optics::{Image, images};
 use super::prints::prints;
 use super::scene::{Picture, Scene, SceneError, Sun};
 use crate::frame::Frame;
@@ -45,22 +46,32 @@ pub fn render_exact(scene: &Scene) -> Vec<f32> {
 /// As [`render_exact`], with `samples_per_px` sub-samples of a pixel in each axis.
 pub fn render_oversampled(scene: &Scene, samples_per_px: usize) -> Vec<f32> {
     let mut light = vec![0.0; scene.width_px * scene.height_px];
-    let kernel = Kernel::new(scene.blur_px, samples_per_px.max(1));
-    if let Some(sun) = &scene.sun
-        && let Some(window) = Window::around(sun, scene, kernel.margin_px())
-    {
-        let grid = Grid::new(scene, sun, &window, kernel.margin_px(), samples_per_px);
-        let field = lit_plate(scene, sun, &grid);
-        let pixels = kernel.apply(&field, grid.columns, window.width, window.height);
-        for (row, values) in pixels.chunks_exact(window.width).enumerate() {
-            let start = (window.y + row) * scene.width_px + window.x;
-            light[start..start + window.width].copy_from_slice(values);
-        }
+    for image in images(scene) {
+        add_image(&image, samples_per_px.max(1), &mut light);
     }
     scene.blemishes.shade(scene, &mut light);
-    let background = scene.background_dn as f32;
-    light.iter_mut().for_each(|l| *l += background);
+    scene.stray.add_gradients(scene, &mut light);
+    scene.readout.add(scene, &mut light);
     light
+}
+
+/// Adds the light of one image of the plate to that on the sensor.
+fn add_image(image: &Image, samples_per_px: usize, light: &mut [f32]) {
+    let scene = &image.scene;
+    let kernel = Kernel::new(scene.blur_px, samples_per_px);
+    let Some(sun) = &scene.sun else { return };
+    let Some(window) = Window::around(sun, scene, kernel.margin_px()) else {
+        return;
+    };
+    let grid = Grid::new(scene, sun, &window, kernel.margin_px(), samples_per_px);
+    let field = lit_plate(scene, sun, &grid);
+    let pixels = kernel.apply(&field, grid.columns, window.width, window.height);
+    for (row, values) in pixels.chunks_exact(window.width).enumerate() {
+        let start = (window.y + row) * scene.width_px + window.x;
+        for (sum, value) in light[start..start + window.width].iter_mut().zip(values) {
+            *sum += image.share * value;
+        }
+    }
 }
 
 /// Light that the plate sends to the camera from every sub-sample, above the background.

@@ -43,6 +43,8 @@ pub struct Scene {
     /// Gaussian blur of the picture, 1 sigma, before the pixel integrates.
     pub blur_px: f64,
     pub blemishes: Blemishes,
+    pub stray: StrayLight,
+    pub readout: Readout,
     pub noise: Noise,
     pub depth: Depth,
     /// Seed of the noise.
@@ -61,9 +63,25 @@ pub struct Sun {
     pub peak_dn: f64,
     /// Linear limb darkening: light falls as 1 - u (1 - cos theta) towards the limb.
     pub limb_darkening: f64,
+    pub surface: Surface,
     pub spots: Vec<Sunspot>,
     /// How far the image moves during the exposure.
     pub smear_mil: Vector2<f64>,
+}
+
+/// What the disc shows beside its linear limb darkening.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub enum Surface {
+    /// Nothing.
+    #[default]
+    Plain,
+    /// Spots, granulation and the limb darkening of the continuum picture that SDO/HMI took on 2023-01-31, relative to a linear
+    /// limb darkening of 0.56.
+    Hmi {
+        /// How far the picture is turned, rad.
+        turn_rad: f64,
+        mirrored: bool,
+    },
 }
 
 /// A dark disc on the Sun.
@@ -84,6 +102,7 @@ impl Sun {
             radius_mil,
             peak_dn: 205.0,
             limb_darkening: 0.56,
+            surface: Surface::Plain,
             spots: Vec::new(),
             smear_mil: Vector2::zeros(),
         }
@@ -147,6 +166,62 @@ pub struct Dust {
     pub sigma_px: f64,
     /// What it takes from the light at its middle, 0 to 1.
     pub depth: f64,
+}
+
+/// Light that the optics put where it does not belong. None of it moves the truth.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct StrayLight {
+    pub gradients: Vec<Gradient>,
+    pub ghost: Option<Ghost>,
+    pub coma: Option<Coma>,
+}
+
+/// Additive light that rises linearly in one direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gradient {
+    pub rise_dn: f64,
+    /// Where it rises to, from +x towards +y, rad.
+    pub direction_rad: f64,
+    pub across: Extent,
+}
+
+/// What a gradient rises across.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// The sensor, from nothing in its darkest corner.
+    Sensor,
+    /// The Sun's disc, from half the rise at its darkest limb; nothing without a Sun, and never below nothing.
+    Disc,
+}
+
+/// A second image of Sun and marks, shifted and out of focus.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ghost {
+    /// Its light relative to that of the image.
+    pub share: f64,
+    pub offset_px: Vector2<f64>,
+    /// Gaussian, 1 sigma, beyond the blur of the image.
+    pub blur_px: f64,
+}
+
+/// A share of the light displaced to one side. The rest moves the other way as far as keeps the centroid, so that the
+/// centre of the image stays where the truth says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Coma {
+    pub share: f64,
+    /// From the middle of the rest.
+    pub offset_px: Vector2<f64>,
+    /// Gaussian, 1 sigma, beyond the blur of the image.
+    pub blur_px: f64,
+}
+
+/// What the readout of the sensor adds.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Readout {
+    /// Frame transfer: every pixel receives this share of all the light of its column in addition.
+    pub column_smear: f64,
+    /// By how much the right half of the sensor, with an amplifier of its own, lies above the left.
+    pub tap_step_dn: f64,
 }
 
 /// Noise of a pixel.
@@ -247,6 +322,8 @@ impl Scene {
             background_dn: 4.0,
             blur_px: instrument.optics.blur_px.value,
             blemishes: Blemishes::default(),
+            stray: StrayLight::default(),
+            readout: Readout::default(),
             noise: Noise::NONE,
             depth: Depth::Eight,
             seed: 0,
@@ -267,7 +344,7 @@ impl Scene {
         }
     }
 
-    fn truth_of(&self, sun: &Sun) -> TruthOfSun {
+    pub(super) fn truth_of(&self, sun: &Sun) -> TruthOfSun {
         let px = self.mapping.to_sensor(sun.centre);
         TruthOfSun {
             plate: sun.centre,

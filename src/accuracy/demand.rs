@@ -1,0 +1,228 @@
+//! What is demanded of a row.
+
+use super::chance;
+use super::outcome::{NEAR_PX, Summary};
+use std::fmt;
+use std::ops::Range;
+
+/// Something that a row has to keep.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Demand {
+    /// Largest median of the radial errors.
+    MedianArcsec(f64),
+    /// Largest error of 99.7 % of the frames.
+    MostArcsec(f64),
+    /// Every frame that shows enough of the limb and three marks fully lit is fine.
+    NoneMissed,
+    /// Every such frame is fine, but for this share at most whose marks leave two readings open: three in a row where the
+    /// sensor's edge hides the neighbours that determine the quarter turn.
+    FewUndecided(f64),
+    /// Least share of frames that are at least coarse.
+    SolvedShare(f64),
+    /// Least share of solved frames whose Sun is within [`NEAR_PX`] of the truth on the sensor.
+    NearShare(f64),
+    /// No frame says it is fine.
+    NoneFine,
+    /// Error over stated sigma is neither much more nor much less than 1.
+    HonestSigma,
+    /// As [`HonestSigma`](Self::HonestSigma), with this as the most, for rows of few frames; see [`Precision`].
+    HonestSigmaTo(f64),
+    /// Largest median of the radial errors, in that of ideal frames of the same seeds; see [`Precision`].
+    TimesIdeal(f64),
+    /// No solved frame with a wrong id.
+    NoWrongId,
+    /// No fine frame that is off by 5 sigma and 2 arcsec.
+    NoWrongFine,
+}
+
+/// What error over stated sigma may be, rms per axis.
+pub const HONEST: Range<f64> = 0.8..1.25;
+
+/// How the statistics of few frames are held against a limit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Precision {
+    /// As they are.
+    Measured,
+    /// A limit counts as kept unless the statistics exceed it by 3 sigma of what so many frames scatter.
+    OfCount,
+}
+
+impl Precision {
+    /// How many sigma of a statistic are allowed beyond a limit.
+    fn allowed_sigmas(self) -> f64 {
+        match self {
+            Self::Measured => 0.0,
+            Self::OfCount => 3.0,
+        }
+    }
+}
+
+impl Demand {
+    /// Why the demand is not met; `None` where it is. What nothing was measured for is not met.
+    pub fn unmet(self, found: &Summary, precision: Precision) -> Option<String> {
+        let at_most = |name: &str, value: Option<f64>, limit: f64| {
+            let met = value.is_some_and(|v| v <= limit);
+            (!met).then(|| format!("{name} {} over {limit}", text(value)))
+        };
+        let at_least = |name: &str, value: Option<f64>, limit: f64| {
+            let met = value.is_some_and(|v| v >= limit);
+            (!met).then(|| format!("{name} {} under {limit}", text(value)))
+        };
+        let none = |name: &str, seeds: &[u64]| {
+            (!seeds.is_empty()).then(|| format!("{name} in seeds {seeds:?}"))
+        };
+        match self {
+            Self::MedianArcsec(limit) => at_most("median", found.median_arcsec, limit),
+            Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
+            Self::NoneMissed => (!found.missed.is_empty())
+                .then(|| format!("{} frames ought to be fine", found.missed.len())),
+            Self::FewUndecided(most) => {
+                let undecided = found.missed.iter().filter(|m| m.is_undecided()).count();
+                let others = found.missed.len() - undecided;
+                let share = undecided as f64 / found.frames.max(1) as f64;
+                (others > 0 || share > most).then(|| {
+                    format!(
+                        "{others} frames ought to be fine, {:.1} % undecided over {most}",
+                        100.0 * share
+                    )
+                })
+            }
+            Self::SolvedShare(limit) => at_least("solved share", found.solved_share(), limit),
+            Self::NearShare(limit) => at_least("share within 0.5 px", found.near_share, limit),
+            Self::NoneFine => (found.fine > 0).then(|| format!("{} frames are fine", found.fine)),
+            Self::HonestSigma => {
+                let honest = |axes: [f64; 2]| axes.iter().all(|v| HONEST.contains(v));
+                let [x, y] = [0, 1].map(|axis| text(found.over_sigma.map(|axes| axes[axis])));
+                (!found.over_sigma.is_some_and(honest)).then(|| format!("error/sigma {x}, {y}"))
+            }
+            Self::HonestSigmaTo(most) => dishonest(found, most, precision),
+            Self::TimesIdeal(most) => {
+                let ideal = found.ideal.as_ref();
+                let least = ideal.map(|i| i.ratio - precision.allowed_sigmas() * i.ratio_sigma);
+                let met = least.is_some_and(|ratio| ratio <= most);
+                (!met).then(|| {
+                    format!(
+                        "{} x the ideal median over {most}",
+                        text(ideal.map(|i| i.ratio))
+                    )
+                })
+            }
+            Self::NoWrongId => none("wrong ids", &found.wrong_ids),
+            Self::NoWrongFine => none("wrong fine frames", &found.wrong_fine),
+        }
+    }
+}
+
+/// Why the error over sigma is not between the least that is honest and a most; `None` where it is.
+fn dishonest(found: &Summary, most: f64, precision: Precision) -> Option<String> {
+    let sigmas = precision.allowed_sigmas();
+    let honest = |rms: f64| {
+        let range = chance::range_of_rms(rms, found.counted, sigmas);
+        *range.start() <= most && *range.end() >= HONEST.start
+    };
+    let met = found
+        .over_sigma
+        .is_some_and(|axes| axes.into_iter().all(honest));
+    let [x, y] = [0, 1].map(|axis| text(found.over_sigma.map(|axes| axes[axis])));
+    (!met).then(|| format!("error/sigma {x}, {y} of {} frames", found.counted))
+}
+
+impl fmt::Display for Demand {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::MedianArcsec(limit) => write!(out, "median {limit}"),
+            Self::MostArcsec(limit) => write!(out, "99.7 % {limit}"),
+            Self::NoneMissed => write!(out, "all marked frames fine"),
+            Self::FewUndecided(most) => {
+                write!(
+                    out,
+                    "marked frames fine but {:.0} % undecided",
+                    100.0 * most
+                )
+            }
+            Self::SolvedShare(limit) => write!(out, "{:.0} % solved", 100.0 * limit),
+            Self::NearShare(limit) => write!(out, "{:.0} % within {NEAR_PX} px", 100.0 * limit),
+            Self::NoneFine => write!(out, "none fine"),
+            Self::HonestSigma => write!(out, "error/sigma {} to {}", HONEST.start, HONEST.end),
+            Self::HonestSigmaTo(most) => write!(out, "error/sigma {} to {most}", HONEST.start),
+            Self::TimesIdeal(most) => write!(out, "median {most} x the ideal"),
+            Self::NoWrongId => write!(out, "no wrong id"),
+            Self::NoWrongFine => write!(out, "no wrong fine frame"),
+        }
+    }
+}
+
+fn text(value: Option<f64>) -> String {
+    value.map_or("unknown".into(), |v| format!("{v:.3}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accuracy::outcome::{About, AgainstIdeal};
+
+    fn summary(counted: usize, over_sigma: f64, ratio: f64) -> Summary {
+        Summary {
+            counted,
+            median_arcsec: Some(2.85),
+            over_sigma: Some([1.0, over_sigma]),
+            ideal: Some(AgainstIdeal {
+                frames: counted,
+                median_arcsec: 1.0,
+                ratio,
+                ratio_sigma: 0.2,
+            }),
+            ..Summary::of(&[], About::Fine, 2.0)
+        }
+    }
+
+    #[test]
+    fn a_limit_is_kept_up_to_itself() {
+        let found = summary(300, 1.2, 1.3);
+        for (demand, met) in [
+            (Demand::HonestSigma, true),
+            (Demand::HonestSigmaTo(1.25), true),
+            (Demand::HonestSigmaTo(1.1), false),
+            (Demand::MedianArcsec(2.8), false),
+            (Demand::MedianArcsec(2.9), true),
+            (Demand::TimesIdeal(1.3), true),
+            (Demand::TimesIdeal(1.29), false),
+        ] {
+            let unmet = demand.unmet(&found, Precision::Measured);
+            assert_eq!(unmet.is_none(), met, "{demand}");
+        }
+    }
+
+    #[test]
+    fn few_frames_fail_a_demand_only_where_their_scatter_does_not_explain_it() {
+        let few = |over_sigma, ratio| summary(24, over_sigma, ratio);
+        for (found, sigma_met, ideal_met) in [
+            (few(1.5, 1.8), true, true),
+            // 24 values of a Gaussian have an rms over 1.44 once in a thousand.
+            (few(2.0, 2.0), false, false),
+            (few(0.6, 1.0), true, true),
+            (few(0.4, 1.0), false, true),
+        ] {
+            let unmet = |demand: Demand| demand.unmet(&found, Precision::OfCount);
+            assert_eq!(unmet(Demand::HonestSigmaTo(1.25)).is_none(), sigma_met);
+            assert_eq!(unmet(Demand::TimesIdeal(1.3)).is_none(), ideal_met);
+        }
+    }
+
+    #[test]
+    fn a_demand_on_frames_that_were_not_found_is_not_met() {
+        let summary = Summary::of(&[], About::Coarse, 2.0);
+        for demand in [
+            Demand::MedianArcsec(9.0),
+            Demand::HonestSigma,
+            Demand::HonestSigmaTo(1.3),
+            Demand::TimesIdeal(2.0),
+            Demand::SolvedShare(0.1),
+        ] {
+            assert!(
+                demand.unmet(&summary, Precision::OfCount).is_some(),
+                "{demand}"
+            );
+        }
+    }
+}
