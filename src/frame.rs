@@ -6,6 +6,7 @@ use crate::units::{Place, SensorPx};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -181,6 +182,29 @@ impl Frame {
 
     pub fn pixels(&self) -> &Pixels {
         &self.pixels
+    }
+
+    /// The value of column `x`, row `y`, DN.
+    pub fn dn(&self, x: usize, y: usize) -> f32 {
+        crate::with_view!(self, view => view.dn(x, y))
+    }
+
+    /// The values of some columns of a row, DN.
+    pub fn row_dn(&self, y: usize, columns: Range<usize>) -> Vec<f32> {
+        crate::with_view!(self, view => {
+            let row = &view.pixels[y * view.width..][columns];
+            row.iter().map(|pixel| pixel.dn()).collect()
+        })
+    }
+
+    /// The values of some rows of a column, DN.
+    pub fn column_dn(&self, x: usize, rows: Range<usize>) -> Vec<f32> {
+        crate::with_view!(self, view => rows.map(|y| view.dn(x, y)).collect())
+    }
+
+    /// The pixels within `reach` px of a position in both axes; `None` when none is on the sensor.
+    pub fn around(&self, centre: SensorPx, reach: f64) -> Option<Region> {
+        Region::around(centre, reach, self.width, self.height)
     }
 
     /// The frame's part within a region; `None` where the region is empty or reaches over the frame's edge.

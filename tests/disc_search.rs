@@ -5,9 +5,9 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use solaspect::frame::{Frame, FrameInfo, Levels, Pixels, Region};
-use solaspect::geometry::Mapping;
+use solaspect::geometry::{Circle, Mapping};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::limb::{self, CoarseDisc, DiscSearch, Settings};
+use solaspect::limb::{self, DiscSearch, Settings};
 use solaspect::simulate::{
     Conditions, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC, Scene, Sun, SunInView,
 };
@@ -27,7 +27,7 @@ fn frames(in_ci: u64) -> u64 {
     asked.map_or(in_ci, |n| n.parse().unwrap())
 }
 
-fn find(frame: &Frame, radius_px: f64) -> Option<CoarseDisc> {
+fn find(frame: &Frame, radius_px: f64) -> Option<Circle> {
     let settings = Settings::default();
     let levels = limb::levels(frame, &settings).ok()?;
     let search = search(frame, &levels, radius_px, &settings);
@@ -157,7 +157,7 @@ impl Search {
             }
             let truth = scene.truth().sun.unwrap();
             let disc = find(&scene.frame().unwrap(), radius_px)?;
-            Some(disc.centre.distance(truth.px))
+            Some(SensorPx::from(disc.centre).distance(truth.px))
         };
         let mut errors_px: Vec<f64> = (0..frames).into_par_iter().filter_map(error).collect();
         errors_px.sort_by(f64::total_cmp);
@@ -307,7 +307,7 @@ fn a_disc_near_where_it_was_is_found_though_more_crossings_are_asked_for() {
         let levels = limb::levels(&frame, &settings).unwrap();
         let search = search(&frame, &levels, 95.2, &settings);
         for disc in [search.near(region), search.anywhere(frame.region())] {
-            let centre = disc.unwrap().centre;
+            let centre = SensorPx::from(disc.unwrap().centre);
             assert!(centre.distance(SensorPx::new(612.0, 431.0)) < 0.3);
         }
     }

@@ -1,8 +1,8 @@
 //! The limb of a real Sun is found where its own header says it is.
 
 use solaspect::fits;
-use solaspect::geometry::Ellipse;
 use solaspect::frame::{Background, Cutout, Mask, PixelNoise};
+use solaspect::geometry::Ellipse;
 use solaspect::limb::{self, DiscSearch, KnownOutline, LimbFit, OutlinePrior, Settings};
 use solaspect::units::Measured;
 use std::path::Path;
@@ -25,7 +25,7 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
         settings: &settings,
     };
     let found = search.anywhere(frame.region()).unwrap();
-    let start = Ellipse::from(found.circle());
+    let start = Ellipse::from(found);
     // Neither radius nor roundness is given: 3 % and 0.3 % decide nothing here.
     let anything = OutlinePrior {
         radius_px: Measured::new(RADIUS_PX, 0.03 * RADIUS_PX),

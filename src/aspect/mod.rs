@@ -15,9 +15,9 @@ pub use solution::{
 };
 
 use crate::frame::{Cutout, Frame, Levels, Mask};
-use crate::geometry::Ellipse;
+use crate::geometry::{Circle, Ellipse};
 use crate::instrument::Instrument;
-use crate::limb::{CoarseDisc, Limb};
+use crate::limb::Limb;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
 use marks::MarkSight;
@@ -109,12 +109,12 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
     let found = work.find_disc(&levels)?; // 2
-    let cutout = work.cutout(&levels, &found.circle());
+    let cutout = work.cutout(&levels, &found);
     let Sighting {
         limb,
         marks,
         foretold,
-    } = match work.foretold(&levels, &cutout, found.centre) {
+    } = match work.foretold(&levels, &cutout, found.centre.into()) {
         Some(sighting) => sighting, // 3 to 8, the short way
         None => look_for_marks(work, &levels, &cutout, &found, solution)?,
     };
@@ -150,10 +150,10 @@ fn look_for_marks(
     work: &Work<'_>,
     levels: &Levels,
     cutout: &Cutout,
-    found: &CoarseDisc,
+    found: &Circle,
     solution: &mut Solution,
 ) -> Result<Sighting, Stopped> {
-    let found = Ellipse::from(found.circle());
+    let found = Ellipse::from(*found);
     let limb_fit = work.limb_fit(levels, cutout);
     let nothing = Mask::none(cutout.region());
     let mut limb = limb_fit

@@ -6,7 +6,7 @@ use crate::fiducial::{CrossShape, Detections};
 use crate::frame::{Cutout, Frame, Levels, Mask, PixelNoise, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, CoarseDisc, DiscSearch, KnownOutline, LimbFit, OutlinePrior};
+use crate::limb::{self, DiscSearch, KnownOutline, LimbFit, OutlinePrior};
 use crate::units::{Measured, Rejected, SensorPx};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
@@ -87,7 +87,7 @@ impl<'a> Work<'a> {
         })
     }
 
-    pub(super) fn find_disc(&self, levels: &Levels) -> Result<CoarseDisc, Stopped> {
+    pub(super) fn find_disc(&self, levels: &Levels) -> Result<Circle, Stopped> {
         let search = DiscSearch {
             frame: self.frame,
             levels,

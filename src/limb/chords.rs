@@ -1,13 +1,12 @@
-//! Chords: rows and columns of the sensor, and where they cross the limb.
+//! Chords: rows and columns of the sensor, where they are bright, and where they cross the limb.
 //!
 //! A chord is what is left of a bright run when hot pixels and marks are taken out (Cramer 2014, table 8); one that
 //! runs into the sensor's edge keeps the crossing that is seen.
 
 use super::Settings;
-use super::bright::{Runs, Whole};
-use crate::frame::{Region, View};
-use crate::units::SensorPx;
+use crate::frame::{Frame, Region};
 use nalgebra::Vector2;
+use std::ops::Range;
 
 /// The direction of a chord.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,34 +15,29 @@ pub(super) enum Axis {
     Column,
 }
 
-/// Which end of a chord a crossing is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Edge {
-    /// Brightness rises along the chord: it enters the disc.
-    Entering,
-    /// Brightness falls along the chord: it leaves the disc.
-    Leaving,
-}
-
-/// A sub-pixel place where a chord crosses the limb.
+/// A place where a chord crosses the limb, with the unit vector along the chord into the disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crossing {
-    pub at: SensorPx,
-    pub axis: Axis,
-    pub edge: Edge,
+    pub at: Vector2<f64>,
+    pub inward: Vector2<f64>,
 }
 
-impl Crossing {
-    /// Unit vector along the chord, into the disc.
-    pub(super) fn inward(&self) -> Vector2<f64> {
-        let sign = match self.edge {
-            Edge::Entering => 1.0,
-            Edge::Leaving => -1.0,
+/// The pixels of a row or a column within a region.
+pub(super) struct Line {
+    axis: Axis,
+    /// Row or column of the frame, and the first pixel along it.
+    at: usize,
+    from: usize,
+    dn: Vec<f32>,
+}
+
+impl Line {
+    pub(super) fn new(frame: &Frame, region: Region, axis: Axis, at: usize) -> Self {
+        let (from, dn) = match axis {
+            Axis::Row => (region.x0, frame.row_dn(at, region.x0..region.x1)),
+            Axis::Column => (region.y0, frame.column_dn(at, region.y0..region.y1)),
         };
-        match self.axis {
-            Axis::Row => Vector2::new(sign, 0.0),
-            Axis::Column => Vector2::new(0.0, sign),
-        }
+        Self { axis, at, from, dn }
     }
 }
 
@@ -55,14 +49,16 @@ pub(super) struct Scan {
     pub min_run_px: usize,
     /// Shorter dark gaps are marks.
     pub max_gap_px: usize,
-    /// Shorter runs that are left are no disc, unless the sensor cuts them.
+    /// Shorter runs that are left are no disc, unless the line's end cuts them.
     pub min_chord_px: usize,
 }
 
 impl Scan {
     /// A scan for a threshold and a mark's length from tip to tip, px.
     pub(super) fn new(threshold_dn: f64, mark_length_px: f64, settings: &Settings) -> Self {
-        let gap = (1.3 * mark_length_px).ceil() as usize;
+        /// A mark that is turned by an eighth is as much longer, and its blur with it.
+        const LONGEST: f64 = 1.3;
+        let gap = (LONGEST * mark_length_px).ceil() as usize;
         Self {
             threshold_dn,
             min_run_px: settings.min_run_px,
@@ -71,130 +67,83 @@ impl Scan {
         }
     }
 
-    pub(super) fn runs(&self) -> Runs {
-        Runs::new(self.min_run_px, self.max_gap_px)
+    /// Bright runs of a line, counted from its first pixel: long enough to be no hot pixel, marks filled in.
+    pub(super) fn runs(&self, line: &Line) -> Vec<Range<usize>> {
+        let bright = |dn: &f32| f64::from(*dn) > self.threshold_dn;
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        let mut at = 0;
+        while let Some(start) = first(&line.dn, at, bright) {
+            at = first(&line.dn, start, |dn| !bright(dn)).unwrap_or(line.dn.len());
+            if at - start < self.min_run_px {
+                continue;
+            }
+            match runs.last_mut() {
+                Some(last) if start - last.end <= self.max_gap_px => last.end = at,
+                _ => runs.push(start..at),
+            }
+        }
+        runs
     }
 
-    /// The crossings of the given rows or columns, within a region.
-    pub(super) fn run<T: Whole>(
-        &self,
-        view: &View<'_, T>,
-        region: Region,
-        axis: Axis,
-        lines: impl Iterator<Item = usize>,
-    ) -> Vec<Crossing> {
-        let floor = T::floor(self.threshold_dn);
+    /// The crossings of a line's chords.
+    pub(super) fn crossings(&self, line: &Line) -> Vec<Crossing> {
         let mut crossings = Vec::new();
-        let mut runs = self.runs();
-        let mut column = Vec::new();
-        for at in lines {
-            let line = Line { view, axis, at };
-            match axis {
-                Axis::Row => {
-                    let row = &view.pixels[at * view.width..][..region.x1];
-                    runs.find(&row[region.x0..], region.x0, floor);
-                }
-                Axis::Column => {
-                    let rows = view.pixels.chunks_exact(view.width);
-                    let rows = rows.skip(region.y0).take(region.height());
-                    column.clear();
-                    column.extend(rows.map(|row| row[at]));
-                    runs.find(&column, region.y0, floor);
-                }
+        for run in self.runs(line) {
+            let cut = run.start == 0 || run.end == line.dn.len();
+            if cut || run.len() >= self.min_chord_px {
+                crossings.extend(self.crossing(line, run.start, 1.0));
+                crossings.extend(self.crossing(line, run.end, -1.0));
             }
-            self.add_crossings(&line, &runs.found, &mut crossings);
         }
         crossings
     }
 
-    /// The crossings of those runs of a line that are chords.
-    fn add_crossings<T: Whole>(
-        &self,
-        line: &Line<'_, T>,
-        runs: &[(usize, usize)],
-        crossings: &mut Vec<Crossing>,
-    ) {
-        // A run that the sensor cuts may be short and yet a chord of the disc.
-        let chord = |(first, end): &(usize, usize)| {
-            *first == 0 || *end == line.end() || end - first >= self.min_chord_px
-        };
-        for (start, end) in runs.iter().copied().filter(chord) {
-            for (edge, first_after) in [(Edge::Entering, start), (Edge::Leaving, end)] {
-                if let Some(along) = self.cross(line, edge, first_after) {
-                    crossings.push(line.crossing(along, edge));
-                }
-            }
-        }
-    }
-
-    /// Where a straight line through the four pixels about a threshold crossing meets the threshold; the window is
-    /// centred anew once, since noise may have moved the first guess. `None` where the sensor ends.
-    fn cross<T: Whole>(&self, line: &Line<'_, T>, edge: Edge, first_after: usize) -> Option<f64> {
+    /// Where the straight line through the four pixels about a place meets the threshold, `first_after` being the first pixel
+    /// beyond; the window is centred anew once, since noise may have moved the first guess. `inward` is 1 where light rises
+    /// along the line and -1 where it falls. `None` where the line ends.
+    fn crossing(&self, line: &Line, first_after: usize, inward: f64) -> Option<Crossing> {
         let mut first_after = first_after;
-        let mut refined = None;
+        let mut along = None;
         for _ in 0..2 {
-            if first_after < 2 || first_after + 2 > line.end() {
+            let window = line.dn.get(first_after.checked_sub(2)?..first_after + 2)?;
+            let mean = window.iter().sum::<f32>() / 4.0;
+            let slope = 0.3 * (window[3] - window[0]) + 0.1 * (window[2] - window[1]);
+            let from_middle = (self.threshold_dn - f64::from(mean)) / f64::from(slope);
+            let rises_inward = f64::from(slope) * inward > 0.0;
+            if !rises_inward || from_middle.abs() > 2.0 {
                 return None;
             }
-            let window: [f64; 4] = std::array::from_fn(|k| line.dn(first_after - 2 + k));
-            let mean = window.iter().sum::<f64>() / 4.0;
-            let slope =
-                (-1.5 * window[0] - 0.5 * window[1] + 0.5 * window[2] + 1.5 * window[3]) / 5.0;
-            let rises = slope > 0.0;
-            if rises != (edge == Edge::Entering) {
-                return None;
-            }
-            let from_middle = (self.threshold_dn - mean) / slope;
-            if from_middle.abs() > 2.0 {
-                return None;
-            }
-            let along = first_after as f64 - 0.5 + from_middle;
-            refined = Some(along);
-            first_after = (along + 1.0).max(0.0) as usize;
+            let place = first_after as f64 - 0.5 + from_middle;
+            first_after = (place + 1.0).max(0.0) as usize;
+            along = Some(place);
         }
-        refined
-    }
-}
-
-/// A row or a column of the sensor.
-struct Line<'a, T> {
-    view: &'a View<'a, T>,
-    axis: Axis,
-    at: usize,
-}
-
-impl<T: Whole> Line<'_, T> {
-    /// The pixel after its last.
-    fn end(&self) -> usize {
-        match self.axis {
-            Axis::Row => self.view.width,
-            Axis::Column => self.view.height,
-        }
-    }
-
-    fn dn(&self, along: usize) -> f64 {
-        f64::from(match self.axis {
-            Axis::Row => self.view.dn(along, self.at),
-            Axis::Column => self.view.dn(self.at, along),
+        let (along, across) = (along? + line.from as f64, line.at as f64);
+        Some(match line.axis {
+            Axis::Row => Crossing {
+                at: Vector2::new(along, across),
+                inward: Vector2::new(inward, 0.0),
+            },
+            Axis::Column => Crossing {
+                at: Vector2::new(across, along),
+                inward: Vector2::new(0.0, inward),
+            },
         })
     }
+}
 
-    fn crossing(&self, along: f64, edge: Edge) -> Crossing {
-        let at = match self.axis {
-            Axis::Row => SensorPx::new(along, self.at as f64),
-            Axis::Column => SensorPx::new(self.at as f64, along),
-        };
-        Crossing {
-            at,
-            axis: self.axis,
-            edge,
-        }
-    }
+/// The first pixel from one on that is as wanted. Most of a line is dark: groups without any are passed over.
+fn first(dn: &[f32], from: usize, wanted: impl Fn(&f32) -> bool) -> Option<usize> {
+    const GROUP: usize = 16;
+    let any = |group: &[f32]| group.iter().fold(false, |any, dn| any | wanted(dn));
+    let passed = dn[from..].chunks(GROUP).position(any)? * GROUP;
+    let within = dn[from + passed..].iter().position(&wanted)?;
+    Some(from + passed + within)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::{FrameInfo, Pixels};
 
     const SCAN: Scan = Scan {
         threshold_dn: 50.0,
@@ -203,20 +152,14 @@ mod tests {
         min_chord_px: 20,
     };
 
+    fn line(row: &[u8]) -> Line {
+        let pixels = Pixels::U8(row.to_vec());
+        let frame = Frame::new(row.len(), 1, pixels, 255, FrameInfo::default()).unwrap();
+        Line::new(&frame, frame.region(), Axis::Row, 0)
+    }
+
     fn crossings(row: &[u8]) -> Vec<f64> {
-        let view = View {
-            width: row.len(),
-            height: 1,
-            pixels: row,
-        };
-        let region = Region {
-            x0: 0,
-            y0: 0,
-            x1: row.len(),
-            y1: 1,
-        };
-        let crossings = SCAN.run(&view, region, Axis::Row, 0..1);
-        crossings.iter().map(|c| c.at.x).collect()
+        SCAN.crossings(&line(row)).iter().map(|c| c.at.x).collect()
     }
 
     fn disc_row() -> Vec<u8> {
@@ -232,7 +175,7 @@ mod tests {
     fn a_chord_crosses_where_the_straight_edge_meets_the_threshold() {
         let found = crossings(&disc_row());
         assert_eq!(found.len(), 2);
-        assert!((found[0] - 40.5).abs() < 1e-9 && (found[1] - 102.5).abs() < 1e-9);
+        assert!((found[0] - 40.5).abs() < 1e-6 && (found[1] - 102.5).abs() < 1e-6);
     }
 
     #[test]
@@ -265,5 +208,17 @@ mod tests {
         assert_eq!(crossings(&row).len(), 1);
         row.insert(0, 0);
         assert!(crossings(&row).is_empty());
+    }
+
+    #[test]
+    fn runs_are_those_that_are_long_enough_with_their_short_gaps_filled() {
+        let lit = [3..30, 50..56, 120..123, 125..135, 190..320, 331..333];
+        let bright = |n: &usize| lit.iter().any(|run| run.contains(n));
+        let row: Vec<u8> = (0..333).map(|n| if bright(&n) { 90 } else { 40 }).collect();
+        let scan = Scan {
+            max_gap_px: 5,
+            ..SCAN
+        };
+        assert_eq!(scan.runs(&line(&row)), [3..30, 50..56, 125..135, 190..320]);
     }
 }

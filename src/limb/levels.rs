@@ -1,221 +1,179 @@
 //! Robust brightness levels of a frame (Cramer 2014, section 4.2.5, steps 2 to 4).
 //!
-//! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the distribution,
-//! taken over every eighth row and some twenty thousand pixels; where noise is cut off at zero the median and what lies above it do not
-//! mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has only some
-//! hundred pixels: they are looked for by pairs in every fourth row, stretches without any being passed over; hot pixels
-//! stand alone and do not count.
+//! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the
+//! distribution of some twenty thousand pixels from all over the frame; where noise is cut off at zero the median and what
+//! lies above it do not mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has
+//! only some hundred pixels: every fourth row is searched for them. Hot pixels stand alone and do not count.
 
 use super::Settings;
-use super::bright::{Whole, first_bright};
 use crate::estimation::QUARTILE_SIGMAS;
-use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, View};
-use crate::lanes::Scratch;
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
 use crate::units::Rejected;
-use crate::with_view;
-use multiversion::multiversion;
 
-/// Distance of the rows that tell the background.
-const SAMPLED_ROWS_PX: usize = 8;
-/// Neighbours that are sampled together.
+/// Background and noise come from about so many pixels, which determine them to a hundredth of the noise, ...
+const SAMPLED_PIXELS: usize = 20_000;
+/// ... in groups of so many neighbours, in every so many rows.
 const GROUP_PX: usize = 16;
-/// Least distance of such groups in a row: one pixel of 64 is sampled.
-const STRIDE_PX: usize = 8 * GROUP_PX;
-/// So many tell background and noise to a hundredth of the noise; larger frames have groups to spare.
-const ENOUGH_PIXELS: usize = 20_000;
-/// Distance of the rows that are looked through for bright pixels, ...
+const SAMPLED_ROWS_PX: usize = 8;
+/// Distance of the rows that are searched for bright pixels, ...
 const BRIGHT_ROWS_PX: usize = 4;
 /// ... in rounds, every fourth of them in each, ...
 const ROUNDS: usize = 4;
 /// ... until so many bright pairs are found: a cap's are all wanted, the whole disc's are not.
 const ENOUGH_PAIRS: f64 = 500.0;
-/// Pixels from a bright one on that are looked at pair by pair.
-const STRETCH_PX: usize = 64;
 /// Pixels this many sigma above the background are bright: of a dark frame's fewer than one in 30 000.
 const BRIGHT_SIGMAS: f64 = 4.0;
 /// Which part of the bright pixels is darker than the disc's level.
 const DISC_QUANTILE: f64 = 0.9;
 /// Fewest bright pairs in those rows that can be a disc: 32 stand for 256 pixels, 1 % of the Sun.
-const MIN_BRIGHT_PAIRS: u32 = 32;
-/// A dark ground and a bright disc leave less than this part of the values in the middle third between them; noise alone
+const MIN_BRIGHT_PAIRS: f64 = 32.0;
+/// A dark background and a bright disc leave less than this part of the values in the middle third between them; noise alone
 /// has half of its own there.
 const MOST_BETWEEN: f64 = 0.1;
 
 /// The levels of a frame; rejected when nothing outshines the background.
 pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
-    let saturation_dn = frame.saturation_dn();
-    with_view!(frame, view => {
-        let (background_dn, noise_dn) = sampled(&view, saturation_dn).ground();
-        let bright_dn = background_dn + BRIGHT_SIGMAS * noise_dn;
-        let disc_dn = brighter(&view, saturation_dn, bright_dn).disc_dn()?;
-        let contrast_sigmas = (disc_dn - background_dn) / noise_dn;
-        if contrast_sigmas < settings.min_contrast_sigma {
-            return Err(Rejected {
-                reason: "nothing outshines the background by enough",
-                measured: contrast_sigmas,
-                limit: settings.min_contrast_sigma,
-            });
-        }
-        Ok(Levels { background_dn, noise_dn, disc_dn })
+    let (background_dn, noise_dn) = sampled(frame).background();
+    let disc_dn = brighter(frame, background_dn + BRIGHT_SIGMAS * noise_dn).disc_dn()?;
+    let contrast_sigmas = (disc_dn - background_dn) / noise_dn;
+    if contrast_sigmas < settings.min_contrast_sigma {
+        return Err(Rejected {
+            reason: "nothing outshines the background by enough",
+            measured: contrast_sigmas,
+            limit: settings.min_contrast_sigma,
+        });
+    }
+    Ok(Levels {
+        background_dn,
+        noise_dn,
+        disc_dn,
     })
 }
 
 /// A regular sample of the frame. Its groups shift from row to row, lest they meet a column of the sensor's pattern
 /// always or never.
-fn sampled<T: Whole>(view: &View<'_, T>, saturation_dn: u16) -> Distribution {
-    let in_rows = view.pixels.len() / SAMPLED_ROWS_PX;
-    let stride = (in_rows * GROUP_PX / ENOUGH_PIXELS).max(STRIDE_PX);
-    let mut counts = Counts::new::<T>(saturation_dn);
-    let rows = view.pixels.chunks_exact(view.width);
-    for (n, row) in rows
-        .skip(SAMPLED_ROWS_PX / 2)
-        .step_by(SAMPLED_ROWS_PX)
-        .enumerate()
-    {
+fn sampled(frame: &Frame) -> Histogram {
+    let width = frame.width();
+    let rows = (SAMPLED_ROWS_PX / 2..frame.height()).step_by(SAMPLED_ROWS_PX);
+    let pixels_per_row = (SAMPLED_PIXELS / rows.len().max(1)).max(GROUP_PX);
+    let stride = (width * GROUP_PX / pixels_per_row).max(GROUP_PX);
+    let mut histogram = Histogram::new(frame);
+    for (n, y) in rows.enumerate() {
         let shift = 3 * n * GROUP_PX % stride;
-        for stretch in row.get(shift..).unwrap_or_default().chunks(stride) {
-            if let Some(group) = stretch.first_chunk::<GROUP_PX>() {
-                counts.add(group.iter().copied());
-            }
+        for x in (shift..width).step_by(stride) {
+            histogram.add(&frame.row_dn(y, x..(x + GROUP_PX).min(width)));
         }
     }
-    counts.summed()
+    histogram
 }
 
-/// The pixels above a value, in some of the rows, one of each pair of them. One without a bright neighbour is hot: of a cap's hundred
-/// pixels in these rows, hot ones from all over the sensor would be the brightest tenth.
-fn brighter<T: Whole>(view: &View<'_, T>, saturation_dn: u16, dn: f64) -> Distribution {
-    let mut counts = Counts::new::<T>(saturation_dn);
+/// The pixels above a value, in some of the rows, one of each pair of them. One without a bright neighbour is hot: of a cap's
+/// hundred pixels in these rows, hot ones from all over the sensor would be the brightest tenth.
+fn brighter(frame: &Frame, dn: f64) -> Histogram {
+    let bright = |pixel: &f32| f64::from(*pixel) > dn;
+    let mut histogram = Histogram::new(frame);
     for round in 0..ROUNDS {
         let first = BRIGHT_ROWS_PX / 2 + round * BRIGHT_ROWS_PX;
-        let rows = view.pixels.chunks_exact(view.width).skip(first);
-        for row in rows.step_by(ROUNDS * BRIGHT_ROWS_PX) {
-            count_bright(row, T::floor(dn), &mut counts);
+        for y in (first..frame.height()).step_by(ROUNDS * BRIGHT_ROWS_PX) {
+            let row = frame.row_dn(y, 0..frame.width());
+            // Most of a row is dark.
+            let lit = row
+                .chunks(2 * GROUP_PX)
+                .filter(|group| group.iter().any(bright));
+            for pair in lit.flat_map(|group| group.as_chunks::<2>().0) {
+                if pair.iter().all(bright) {
+                    histogram.add(&pair[1..]);
+                }
+            }
         }
-        if f64::from(counts.total()) >= ENOUGH_PAIRS {
+        if histogram.total() >= ENOUGH_PAIRS {
             break;
         }
     }
-    counts.summed()
-}
-
-#[multiversion(targets("x86_64+avx2"))]
-fn count_bright<T: Whole>(row: &[T], floor: T, counts: &mut Counts) {
-    let mut left = row;
-    while let Some(dark) = first_bright(left, floor) {
-        left = &left[dark & !1..];
-        let (stretch, rest) = left.split_at(STRETCH_PX.min(left.len()));
-        let bright = |pair: &&[T]| pair[0] > floor && pair[1] > floor;
-        let pairs = stretch.chunks_exact(2).filter(bright);
-        counts.add(pairs.map(|pair| pair[1]));
-        left = rest;
-    }
+    histogram
 }
 
 /// How many pixels have each value; all that saturate count as saturation.
-struct Counts {
-    counts: Scratch<u32>,
-    saturation_dn: u16,
+struct Histogram {
+    counts: Vec<u32>,
 }
 
-impl Counts {
-    fn new<T: Whole>(saturation_dn: u16) -> Self {
+impl Histogram {
+    fn new(frame: &Frame) -> Self {
         Self {
-            counts: Scratch::zeros(T::values(saturation_dn)),
-            saturation_dn,
+            counts: vec![0; usize::from(frame.saturation_dn()) + 1],
         }
     }
 
-    #[inline(always)]
-    fn add<T: Whole>(&mut self, pixels: impl Iterator<Item = T>) {
-        let values = T::values(self.saturation_dn);
-        let counts = &mut self.counts[..values];
-        for pixel in pixels {
-            counts[pixel.index().min(values - 1)] += 1;
+    fn add(&mut self, pixels: &[f32]) {
+        let last = self.counts.len() - 1;
+        for dn in pixels {
+            self.counts[(*dn as usize).min(last)] += 1;
         }
     }
 
-    fn total(&self) -> u32 {
-        self.counts.iter().sum()
-    }
-
-    fn summed(self) -> Distribution {
-        let mut upto = self.counts;
-        let mut sum = 0;
-        for count in upto.iter_mut() {
-            sum += *count;
-            *count = sum;
-        }
-        Distribution { upto }
-    }
-}
-
-/// How many pixels have at most each value.
-struct Distribution {
-    upto: Scratch<u32>,
-}
-
-impl Distribution {
     fn total(&self) -> f64 {
-        self.upto.last().copied().map_or(0.0, f64::from)
+        f64::from(self.counts.iter().sum::<u32>())
     }
 
     /// How many have at most a value.
-    fn upto(&self, dn: f64) -> f64 {
-        let last = self.upto.len() - 1;
-        f64::from(self.upto[(dn.max(0.0) as usize).min(last)])
+    fn up_to(&self, dn: f64) -> f64 {
+        let values = (dn.max(0.0) as usize + 1).min(self.counts.len());
+        f64::from(self.counts[..values].iter().sum::<u32>())
     }
 
     /// The value below which `wanted` pixels lie, interpolated within a value.
-    fn value_above(&self, wanted: f64) -> f64 {
-        let dn = self.upto.partition_point(|n| f64::from(*n) < wanted);
-        let below = dn.checked_sub(1).map_or(0.0, |dn| self.upto(dn as f64));
-        let count = self.upto(dn as f64) - below;
-        dn as f64 - 0.5 + (wanted - below) / count.max(1.0)
+    fn quantile(&self, wanted: f64) -> f64 {
+        let mut below = 0.0;
+        for (dn, count) in self
+            .counts
+            .iter()
+            .map(|count| f64::from(*count))
+            .enumerate()
+        {
+            if below + count >= wanted {
+                return dn as f64 - 0.5 + (wanted - below) / count.max(1.0);
+            }
+            below += count;
+        }
+        self.counts.len() as f64 - 0.5
     }
 
     /// How many values are no disc's, where a disc may cover half of a small picture: those below the middle of the range,
     /// if hardly any lie about it.
     fn dark_total(&self) -> f64 {
         let total = self.total();
-        let (low, high) = (
-            self.value_above(0.01 * total),
-            self.value_above(0.99 * total),
-        );
+        let (low, high) = (self.quantile(0.01 * total), self.quantile(0.99 * total));
         let third = (high - low) / 3.0;
-        let between = self.upto(high - third) - self.upto(low + third);
-        if between < MOST_BETWEEN * total {
-            self.upto((low + high) / 2.0)
-        } else {
-            total
+        let between = self.up_to(high - third) - self.up_to(low + third);
+        match between < MOST_BETWEEN * total {
+            true => self.up_to((low + high) / 2.0),
+            false => total,
         }
     }
 
     /// Background and its noise, 1 sigma, DN; the second time without what outshines it, which would shift both.
-    fn ground(&self) -> (f64, f64) {
+    fn background(&self) -> (f64, f64) {
         let estimate = |total: f64| {
-            let background_dn = self.value_above(0.5 * total);
-            let upper_quartile = self.value_above(0.75 * total);
-            let noise_dn = (upper_quartile - background_dn) / QUARTILE_SIGMAS;
+            let background_dn = self.quantile(0.5 * total);
+            let noise_dn = (self.quantile(0.75 * total) - background_dn) / QUARTILE_SIGMAS;
             (background_dn, noise_dn.max(ROUNDING_NOISE_DN))
         };
         let dark = self.dark_total();
         let (background_dn, noise_dn) = estimate(dark);
-        let bright_dn = background_dn + BRIGHT_SIGMAS * noise_dn;
-        estimate(dark.min(self.upto(bright_dn)))
+        estimate(dark.min(self.up_to(background_dn + BRIGHT_SIGMAS * noise_dn)))
     }
 
     fn disc_dn(&self) -> Result<f64, Rejected> {
         let bright = self.total();
-        let limit = f64::from(MIN_BRIGHT_PAIRS);
-        if bright < limit {
+        if bright < MIN_BRIGHT_PAIRS {
             return Err(Rejected {
                 reason: "too few pixels are brighter than the background",
                 measured: bright,
-                limit,
+                limit: MIN_BRIGHT_PAIRS,
             });
         }
-        Ok(self.value_above(DISC_QUANTILE * bright))
+        Ok(self.quantile(DISC_QUANTILE * bright))
     }
 }
 

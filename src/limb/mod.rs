@@ -12,18 +12,15 @@
 //! Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
 //! than [`Settings::min_limb_points`] points on an outline.
 
-mod agreement;
 mod background;
 mod band;
-mod bright;
 mod chords;
-mod consensus;
+mod circle;
 mod edge;
 mod fit;
 mod levels;
 mod light;
 mod outline;
-mod patches;
 mod profile;
 mod search;
 mod sums;
@@ -35,7 +32,7 @@ pub use levels::levels;
 pub use light::DiscLight;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
-pub use search::{CoarseDisc, DiscSearch};
+pub use search::DiscSearch;
 
 /// Linear limb darkening at 630 nm (Neckel and Labs 1994): light falls as 1 - u (1 - cos theta) towards the limb.
 const LIMB_DARKENING: f64 = 0.56;

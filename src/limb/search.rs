@@ -1,56 +1,32 @@
 //! Finding the disc: sparse rows over the whole frame, chords where it is bright, and a circle that most crossings
 //! agree on.
 
-use super::bright::Whole;
-use super::chords::{Axis, Crossing, Scan};
-use super::consensus::agreed_circle;
-use super::patches::{Patch, bright_patches};
+use super::chords::{Axis, Line, Scan};
+use super::circle::agreed_circle;
 use super::{LIMB_DARKENING, Settings};
-use crate::frame::{Frame, Levels, Region, View};
+use crate::frame::{Frame, Levels, Region};
 use crate::geometry::Circle;
-use crate::units::{Rejected, SensorPx};
-use crate::with_view;
+use crate::units::Rejected;
 use nalgebra::Vector2;
 
-/// The disc as the sparse chords see it, to a pixel or so.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CoarseDisc {
-    pub centre: SensorPx,
-    pub radius_px: f64,
-}
-
-impl CoarseDisc {
-    pub fn circle(&self) -> Circle {
-        Circle {
-            centre: self.centre.vector(),
-            radius: self.radius_px,
-        }
-    }
-}
-
-impl From<Circle> for CoarseDisc {
-    fn from(circle: Circle) -> Self {
-        Self {
-            centre: circle.centre.into(),
-            radius_px: circle.radius,
-        }
-    }
-}
-
-/// Patches that are looked at.
+/// Patches that are tried.
 const MOST_PATCHES: usize = 6;
+/// More bright runs than this, on average over the rows, are no Sun on a dark sky: it has one in every fifth row.
+const MOST_RUNS_PER_ROW: usize = 4;
 /// Lines across a disc, or across the shorter side of a patch.
 const LINES_ACROSS: usize = 24;
 /// Lines are no nearer to each other than this: what is between is the same noise twice.
 const LEAST_SPACING_PX: usize = 2;
 /// A patch this much wider than high is crossed by columns: rows would hardly cross its limb.
 const WIDE: usize = 2;
+/// A part of the disc this bright, relative to its middle, has the whole disc's level.
+const HARDLY_DARKER: f64 = 0.95;
 
 /// A search for the disc, whole or in part.
 ///
 /// # Algorithm
-/// 1. Rows far apart tell where the frame is bright.
-/// 2. Each bright patch, the largest first, is crossed by rows or columns: the smaller it is, the nearer they lie.
+/// 1. Rows far apart tell where the frame is bright: bright runs that touch each other make patches.
+/// 2. Each patch, the largest first, is crossed by rows or columns: the smaller it is, the nearer they lie.
 /// 3. The circle that most of their crossings agree on is the disc if it is bright within and dark about.
 /// 4. Where the sensor shows only the darker outside of the disc, 2 and 3 again with the threshold that the whole
 ///    disc would have had.
@@ -66,37 +42,60 @@ pub struct DiscSearch<'a> {
 }
 
 impl DiscSearch<'_> {
-    /// Looks for the disc everywhere in a region of the frame.
-    pub fn anywhere(&self, region: Region) -> Result<CoarseDisc, Rejected> {
-        Ok(with_view!(self.frame, view => self.in_patches(&view, region))?.into())
-    }
-
-    /// Looks for the disc in a region about the place where it was: steps 2 to 4, the region for a patch.
-    pub fn near(&self, region: Region) -> Result<CoarseDisc, Rejected> {
-        let grid = Grid {
-            region,
-            spacing_px: (2.0 * self.radius_px) as usize / self.lines_across(),
-            axis: Axis::Row,
-        };
-        Ok(with_view!(self.frame, view => self.disc_on(&view, &grid))?.into())
-    }
-
-    fn in_patches<T: Whole>(&self, view: &View<'_, T>, region: Region) -> Result<Circle, Rejected> {
-        let scan = self.scan(self.levels);
-        let patches = bright_patches(view, region, &scan, self.spacing_px())?; // 1
+    /// Looks for the disc, to a pixel or so, everywhere in a region of the frame.
+    pub fn anywhere(&self, region: Region) -> Result<Circle, Rejected> {
         let mut reason = Rejected {
             reason: "nothing is as bright and as wide as a disc",
             measured: 0.0,
             limit: 1.0,
         };
+        let patches = self.bright_patches(region)?; // 1
         for (n, patch) in patches.iter().take(MOST_PATCHES).enumerate() {
-            match self.disc_on(view, &self.grid_over(view, patch)) {
+            match self.disc_on(&self.grid_over(patch)) {
                 Ok(circle) => return Ok(circle),
                 Err(rejected) if n == 0 => reason = rejected,
                 Err(_) => {}
             }
         }
         Err(reason)
+    }
+
+    /// Looks for the disc in a region about the place where it was: steps 2 to 4, the region for a patch.
+    pub fn near(&self, region: Region) -> Result<Circle, Rejected> {
+        self.disc_on(&Grid {
+            region,
+            spacing_px: (2.0 * self.radius_px) as usize / self.lines_across(),
+            axis: Axis::Row,
+        })
+    }
+
+    /// The bright patches of a region, the largest first.
+    fn bright_patches(&self, region: Region) -> Result<Vec<Patch>, Rejected> {
+        let scan = self.scan(self.levels);
+        let spacing_px = self.spacing_px();
+        let rows = (region.y0 + spacing_px / 2..region.y1).step_by(spacing_px);
+        let most_runs = MOST_RUNS_PER_ROW * rows.len();
+        let (mut patches, mut count) = (Vec::new(), 0);
+        for y in rows {
+            let runs = scan.runs(&Line::new(self.frame, region, Axis::Row, y));
+            count += runs.len();
+            if count > most_runs {
+                return Err(Rejected {
+                    reason: "the frame is bright in too many places",
+                    measured: count as f64,
+                    limit: most_runs as f64,
+                });
+            }
+            for run in runs {
+                let run = Patch {
+                    region: Region::sized(region.x0 + run.start, y, run.len(), 1),
+                    bright_px: run.len(),
+                };
+                run.join(&mut patches, scan.max_gap_px, 2 * spacing_px);
+            }
+        }
+        patches.sort_by_key(|patch| std::cmp::Reverse(patch.bright_px));
+        Ok(patches)
     }
 
     fn scan(&self, levels: &Levels) -> Scan {
@@ -114,10 +113,10 @@ impl DiscSearch<'_> {
     }
 
     /// The rows or columns that cross a patch.
-    fn grid_over<T: Whole>(&self, view: &View<'_, T>, patch: &Patch) -> Grid {
+    fn grid_over(&self, patch: &Patch) -> Grid {
         // The patch may end anywhere before the next row, and its chords need dark pixels at their ends.
         let margin_px = self.spacing_px() + self.settings.min_run_px;
-        let region = patch.grown(margin_px, view.width, view.height);
+        let region = patch.grown(margin_px, self.frame);
         let (width, height) = (region.width(), region.height());
         let diameter_px = (2.0 * self.radius_px) as usize;
         Grid {
@@ -130,52 +129,86 @@ impl DiscSearch<'_> {
         }
     }
 
-    fn disc_in<T: Whole>(
-        &self,
-        view: &View<'_, T>,
-        grid: &Grid,
-        scan: &Scan,
-    ) -> Result<Circle, Rejected> {
-        let crossings = grid.crossings(view, scan); // 2
-        let circle = agreed_circle(&crossings, self.radius_px, self.settings)?; // 3
-        check_filled(view, &circle, scan.threshold_dn)?;
-        Ok(circle)
-    }
-
-    /// The disc that a grid crosses.
-    fn disc_on<T: Whole>(&self, view: &View<'_, T>, grid: &Grid) -> Result<Circle, Rejected> {
-        let circle = self.disc_in(view, grid, &self.scan(self.levels))?;
-        Ok(self.with_whole_levels(view, grid, circle))
-    }
-
-    /// The disc by the threshold of the whole disc, where the levels are those of a darker part; else as it was. 4
-    fn with_whole_levels<T: Whole>(
-        &self,
-        view: &View<'_, T>,
-        grid: &Grid,
-        circle: Circle,
-    ) -> Circle {
-        const HARDLY_DARKER: f64 = 0.95;
-        let brightest = brightest_seen(&circle, view.width, view.height);
+    /// The disc that a grid crosses; by the threshold of the whole disc where the levels are those of a darker part.
+    fn disc_on(&self, grid: &Grid) -> Result<Circle, Rejected> {
+        let circle = self.disc_above(grid, self.levels)?;
+        let brightest = brightest_seen(&circle, self.frame);
         if brightest > HARDLY_DARKER {
-            return circle;
+            return Ok(circle);
         }
         let background_dn = self.levels.background_dn;
-        let levels = Levels {
+        let whole = Levels {
             disc_dn: background_dn + (self.levels.disc_dn - background_dn) / brightest,
             ..*self.levels
         };
-        self.disc_in(view, grid, &self.scan(&levels))
-            .unwrap_or(circle)
+        Ok(self.disc_above(grid, &whole).unwrap_or(circle)) // 4
+    }
+
+    fn disc_above(&self, grid: &Grid, levels: &Levels) -> Result<Circle, Rejected> {
+        let scan = self.scan(levels);
+        let lines = grid.lines(self.frame);
+        let crossings: Vec<_> = lines.flat_map(|line| scan.crossings(&line)).collect(); // 2
+        let circle = agreed_circle(&crossings, self.radius_px, self.settings)?; // 3
+        check_filled(self.frame, &circle, scan.threshold_dn)?;
+        Ok(circle)
     }
 }
 
-/// Light of the brightest part of a disc that a sensor of `width` x `height` shows, relative to that of its middle.
-fn brightest_seen(circle: &Circle, width: usize, height: usize) -> f64 {
+/// Bright runs that touch each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Patch {
+    /// The smallest region that holds them.
+    region: Region,
+    /// Their pixels.
+    bright_px: usize,
+}
+
+impl Patch {
+    /// Adds a run to the patches, and makes one of all those that it touches.
+    fn join(self, patches: &mut Vec<Self>, gap_px: usize, rows_px: usize) {
+        let mut joined = self;
+        patches.retain(|patch| {
+            let (a, b) = (&patch.region, &self.region);
+            let touches = a.x0 <= b.x1 + gap_px && b.x0 <= a.x1 + gap_px && b.y0 < a.y1 + rows_px;
+            if touches {
+                joined = joined.with(patch);
+            }
+            !touches
+        });
+        patches.push(joined);
+    }
+
+    fn with(self, other: &Self) -> Self {
+        let (a, b) = (self.region, other.region);
+        Self {
+            region: Region {
+                x0: a.x0.min(b.x0),
+                y0: a.y0.min(b.y0),
+                x1: a.x1.max(b.x1),
+                y1: a.y1.max(b.y1),
+            },
+            bright_px: self.bright_px + other.bright_px,
+        }
+    }
+
+    /// The patch with a margin about it, as far as the frame goes.
+    fn grown(&self, margin_px: usize, frame: &Frame) -> Region {
+        let region = self.region;
+        Region {
+            x0: region.x0.saturating_sub(margin_px),
+            y0: region.y0.saturating_sub(margin_px),
+            x1: (region.x1 + margin_px).min(frame.width()),
+            y1: (region.y1 + margin_px).min(frame.height()),
+        }
+    }
+}
+
+/// Light of the brightest part of a disc that the frame shows, relative to that of its middle.
+fn brightest_seen(circle: &Circle, frame: &Frame) -> f64 {
     let centre = circle.centre;
     let nearest = Vector2::new(
-        centre.x.clamp(0.0, width as f64 - 1.0),
-        centre.y.clamp(0.0, height as f64 - 1.0),
+        centre.x.clamp(0.0, frame.width() as f64 - 1.0),
+        centre.y.clamp(0.0, frame.height() as f64 - 1.0),
     );
     let sine = (nearest - centre).norm() / circle.radius;
     let cosine = (1.0 - sine.powi(2)).max(0.0).sqrt();
@@ -190,76 +223,52 @@ struct Grid {
 }
 
 impl Grid {
-    /// Their crossings with the edge of what is bright.
-    fn crossings<T: Whole>(&self, view: &View<'_, T>, scan: &Scan) -> Vec<Crossing> {
+    fn lines(&self, frame: &Frame) -> impl Iterator<Item = Line> {
         let (spacing, region) = (self.spacing_px.max(LEAST_SPACING_PX), self.region);
         let across = match self.axis {
             Axis::Row => region.y0..region.y1,
             Axis::Column => region.x0..region.x1,
         };
         let lines = across.skip(spacing / 2).step_by(spacing);
-        scan.run(view, region, self.axis, lines)
+        lines.map(move |at| Line::new(frame, region, self.axis, at))
     }
 }
 
 /// A disc is bright within and dark about: a circle of noise, or one drawn through anything else, is not.
-fn check_filled<T: Whole>(
-    view: &View<'_, T>,
-    circle: &Circle,
-    threshold_dn: f64,
-) -> Result<(), Rejected> {
+fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f64) -> Result<(), Rejected> {
+    /// Pixels that are looked at.
     const PIXELS: usize = 400;
     const LEAST_RIGHT: f64 = 0.8;
-    let floor = T::floor(threshold_dn);
-    let [inside, rim, outside] = [0.95, 1.05, 1.25].map(|part| (part * circle.radius).powi(2));
-    let (mut within, mut about) = (Share::default(), Share::default());
-    let reach = 1.25 * circle.radius;
-    if let Some(region) = Region::around(circle.centre.into(), reach, view.width, view.height) {
+    const INSIDE: f64 = 0.95;
+    const OUTSIDE: std::ops::Range<f64> = 1.05..1.25;
+    let (mut within, mut about) = (Vec::new(), Vec::new());
+    let reach = OUTSIDE.end * circle.radius;
+    if let Some(region) = frame.around(circle.centre.into(), reach) {
         let step = (region.width() * region.height() / PIXELS).isqrt().max(1);
         for y in (region.y0..region.y1).step_by(step) {
-            let row = &view.pixels[y * view.width..][..region.x1];
-            let dy2 = (y as f64 - circle.centre.y).powi(2);
-            for (n, pixel) in row[region.x0..].iter().step_by(step).enumerate() {
-                let x = (region.x0 + n * step) as f64;
-                let out2 = (x - circle.centre.x).powi(2) + dy2;
-                if out2 < inside {
-                    within.count(*pixel > floor);
-                } else if (rim..outside).contains(&out2) {
-                    about.count(*pixel <= floor);
+            for x in (region.x0..region.x1).step_by(step) {
+                let out = (Vector2::new(x as f64, y as f64) - circle.centre).norm() / circle.radius;
+                let bright = f64::from(frame.dn(x, y)) > threshold_dn;
+                if out < INSIDE {
+                    within.push(bright);
+                } else if OUTSIDE.contains(&out) {
+                    about.push(!bright);
                 }
             }
         }
     }
-    for (share, reason) in [
+    for (right, reason) in [
         (within, "the disc is not bright within"),
         (about, "the disc is not dark about"),
     ] {
-        if share.right() < LEAST_RIGHT {
+        let share = right.iter().filter(|r| **r).count() as f64 / right.len().max(1) as f64;
+        if share < LEAST_RIGHT {
             return Err(Rejected {
                 reason,
-                measured: share.right(),
+                measured: share,
                 limit: LEAST_RIGHT,
             });
         }
     }
     Ok(())
-}
-
-/// How many pixels were looked at, and how many are as they should be.
-#[derive(Default)]
-struct Share {
-    seen: usize,
-    right: usize,
-}
-
-impl Share {
-    fn count(&mut self, right: bool) {
-        self.seen += 1;
-        self.right += usize::from(right);
-    }
-
-    /// The part that is right; of nothing, nothing is.
-    fn right(&self) -> f64 {
-        self.right as f64 / self.seen.max(1) as f64
-    }
 }

@@ -116,7 +116,7 @@ impl Known<'_> {
             settings,
         };
         let disc = search.anywhere(region).ok()?;
-        self.outline(self.mapping.to_plate(disc.centre))
+        self.outline(self.mapping.to_plate(disc.centre.into()))
     }
 
     fn shape(&self, outline: &Ellipse) -> CrossShape {
