@@ -4,10 +4,10 @@ use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
 use super::{Mark, Stage, Stopped};
 use crate::estimation::median;
 use crate::fiducial::{
-    self, CrossShape, Detections, FlatDisc, IdentificationPrior, Light, Lighting, RefinedMark,
-    Refiner,
+    self, CrossShape, Detections, FlatDisc, IdentificationPrior, Illumination, Lighting,
+    RefinedMark, Refiner,
 };
-use crate::frame::Levels;
+use crate::frame::{Background, Cutout, Levels, PixelNoise, ROUNDING_NOISE_DN, Region};
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::{DiscLight, Limb};
 use crate::plate::MarkId;
@@ -18,21 +18,20 @@ use nalgebra::Matrix2;
 /// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
 /// may differ by half a pixel.
 const DISC_SCALE_SIGMA: f64 = 0.006;
-/// A limb so many times softer than the instrument's blur is hazy or smeared.
+/// A limb so many times softer than the stated blur shows the blur of haze or of a lens out of focus, which softens the marks
+/// too. The Sun's motion, which does not, softens the limb by less.
 const SOFT: f64 = 1.3;
 /// 1 sigma of a mark whose pixels do not agree with a cross.
 const UNREFINED_SIGMA_PX: f64 = 0.2;
-/// What such a mark counts for when two blurs are compared.
-const UNREFINED_CHI2: f64 = 10.0;
 /// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
 /// which haze may widen the disc. In simulated frames all are found from 0.5 on.
 const SURE_DEPTH: f64 = 0.75;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 
-/// What is known about the marks before their pixels are looked at.
-pub(super) struct MarkSight<'a> {
-    pub(super) levels: &'a Levels,
+/// What the marks' fits start from.
+pub(super) struct MarkScene<'a> {
+    pub(super) cutout: &'a Cutout,
     pub(super) limb: &'a Limb,
     pub(super) mapping: &'a Mapping,
 }
@@ -43,59 +42,66 @@ impl Work<'_> {
         self.radius_mil.value / disc.mean_radius()
     }
 
-    pub(super) fn detect(&self, levels: &Levels, limb: &Limb) -> Detections {
-        let disc = limb.outline.ellipse;
-        let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
-        let shape = CrossShape::new(&plate.cross, self.disc_scale(&disc), optics.blur_px.value);
-        let margin = 2.0 * shape.half_length_px;
-        match FlatDisc::new(self.frame, disc, levels, margin) {
+    /// Blur of the marks, 1 sigma, without the pixel's own size.
+    fn mark_blur_px(&self, limb: &Limb) -> f64 {
+        let stated_px = self.instrument.optics.blur_px.value;
+        let limb_px = limb.lens_blur_px();
+        if limb_px > SOFT * stated_px {
+            limb_px
+        } else {
+            stated_px
+        }
+    }
+
+    /// The cross at the scale of the disc and the blur of the frame.
+    fn disc_shape(&self, limb: &Limb) -> CrossShape {
+        let scale = self.disc_scale(&limb.outline.ellipse);
+        CrossShape::new(&self.instrument.plate.cross, scale, self.mark_blur_px(limb))
+    }
+
+    /// The pixels of the disc, and of every mark on it.
+    pub(super) fn disc_cutout(&self, levels: &Levels, limb: &Limb) -> Cutout {
+        let disc = &limb.outline.ellipse;
+        let reach = disc.mean_radius() + 2.0 * self.disc_shape(limb).reach_px();
+        let (width, height) = (self.frame.width(), self.frame.height());
+        let about = Region::around(disc.centre.into(), reach, width, height);
+        let region = about.unwrap_or(self.frame.region());
+        let background = Background::even(region, levels.background_dn);
+        let dark_dn2 = levels.noise_dn.max(ROUNDING_NOISE_DN).powi(2);
+        let photons_dn2 = (limb.disc_noise_dn().powi(2) - dark_dn2).max(0.0);
+        let noise = PixelNoise {
+            dark_dn2,
+            per_light_dn: photons_dn2 / (levels.disc_dn - levels.background_dn),
+        };
+        Cutout::new(self.frame, region, &background, noise)
+    }
+
+    pub(super) fn detect(&self, cutout: &Cutout, limb: &Limb) -> Detections {
+        let shape = self.disc_shape(limb);
+        match FlatDisc::new(cutout, limb.outline.ellipse, &limb.light(), &shape) {
             Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
             None => Detections::default(),
         }
     }
 
     /// Marks by their own pixels; none where these do not agree with a cross.
-    ///
-    /// A limb softer than the instrument's blur may come of haze, which softens the marks too, or of the Sun's motion,
-    /// which does not: the marks' own pixels decide.
-    pub(super) fn refine(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Option<RefinedMark>> {
-        let stated_px = self.instrument.optics.blur_px.value;
-        let sharp = self.refine_at(stated_px, sight, marks);
-        let limb_px = sight.limb.lens_blur_px();
-        if limb_px < SOFT * stated_px {
-            return sharp;
-        }
-        let soft = self.refine_at(limb_px, sight, marks);
-        if left_unexplained(&soft) < left_unexplained(&sharp) {
-            soft
-        } else {
-            sharp
-        }
-    }
-
-    /// Marks refined at a lens's blur.
-    fn refine_at(
-        &self,
-        blur_px: f64,
-        sight: &MarkSight<'_>,
-        marks: &[Mark],
-    ) -> Vec<Option<RefinedMark>> {
-        let limb = sight.limb;
+    pub(super) fn refine(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Option<RefinedMark>> {
+        let limb = scene.limb;
         let scale = self.disc_scale(&limb.outline.ellipse);
         let plate = &self.instrument.plate;
-        let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let refiner = Refiner::new(&plate.cross, scale, self.mark_blur_px(limb));
         let light = limb.light();
         let refined = |mark: &Mark| {
-            let jacobian = sight.mapping.sensor_jacobian(plate.position(mark.id));
-            refiner.refine(self.frame, sight.levels, &light, &jacobian, mark.at)
+            let jacobian = scene.mapping.sensor_jacobian(plate.position(mark.id));
+            refiner.refine(scene.cutout, &light, &jacobian, mark.at)
         };
         marks.iter().map(refined).collect()
     }
 
     /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
     /// sigma that gives it little weight.
-    pub(super) fn place(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Mark> {
-        let refined = self.refine(sight, marks);
+    pub(super) fn place(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Mark> {
+        let refined = self.refine(scene, marks);
         let placed = marks.iter().zip(&refined).map(|(mark, found)| match found {
             Some(found) => mark.placed(found),
             None => Mark {
@@ -212,16 +218,10 @@ impl Work<'_> {
 }
 
 /// The limb tells the light that falls on the marks.
-impl Light for DiscLight {
+impl Illumination for DiscLight {
     fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
         self.fill(x, y, light);
     }
-}
-
-/// What refined marks leave unexplained together, beside others of the same marks.
-fn left_unexplained(refined: &[Option<RefinedMark>]) -> f64 {
-    let chi2 = |found: &Option<RefinedMark>| found.map_or(UNREFINED_CHI2, |f| f.reduced_chi2);
-    refined.iter().map(chi2).sum()
 }
 
 impl Mark {

@@ -20,7 +20,7 @@ use crate::instrument::Instrument;
 use crate::limb::{CoarseDisc, Limb};
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
-use marks::MarkSight;
+use marks::MarkScene;
 pub(crate) use stages::marks_hidden;
 use stages::{Work, at};
 
@@ -156,7 +156,8 @@ fn look_for_marks(
         .roughly_near(&found, &work.nothing_hidden(&found))
         .map_err(at(Stage::Limb))?; // 3
     let disc = limb.outline.ellipse;
-    solution.detections = work.detect(levels, &limb); // 4
+    let cutout = work.disc_cutout(levels, &limb);
+    solution.detections = work.detect(&cutout, &limb); // 4
     let read = work
         .identify(&solution.detections, &limb) // 5
         .and_then(|marks| Ok((work.register(&marks, None)?, marks))); // 6
@@ -170,12 +171,12 @@ fn look_for_marks(
         .or_else(|_| limb_fit.again(&limb, &work.nothing_hidden(&disc)))
         .map_err(at(Stage::Limb))?;
     let marks = read.map(|(first, marks)| {
-        let sight = MarkSight {
-            levels,
+        let scene = MarkScene {
+            cutout: &cutout,
             limb: &limb,
             mapping: &first.mapping,
         };
-        work.place(&sight, &marks) // 8
+        work.place(&scene, &marks) // 8
     });
     Ok(Sighting {
         limb,
