@@ -303,6 +303,17 @@ impl Region {
         }
     }
 
+    /// The pixels that two regions share; `None` when there are none.
+    pub fn intersection(&self, other: &Self) -> Option<Self> {
+        let common = Self {
+            x0: self.x0.max(other.x0),
+            y0: self.y0.max(other.y0),
+            x1: self.x1.min(other.x1),
+            y1: self.y1.min(other.y1),
+        };
+        (common.x0 < common.x1 && common.y0 < common.y1).then_some(common)
+    }
+
     pub fn width(&self) -> usize {
         self.x1 - self.x0
     }

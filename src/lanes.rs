@@ -1,6 +1,7 @@
 //! What makes loops over pixels quick: numbers that the compiler can work on side by side, and lists that are used again.
 
 use crate::frame::Sample;
+use multiversion::multiversion;
 use std::cell::RefCell;
 use std::ops::{Deref, DerefMut};
 use std::thread::LocalKey;
@@ -98,6 +99,99 @@ fn normal_density(z: f32) -> f32 {
             .to_bits()
             .wrapping_add(shifted.to_bits() << EXPONENT_BITS),
     )
+}
+
+/// Sum of the products of two lists of the same length.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let (a, b) = (&a[..b.len()], b);
+    let mut lanes = [0.0_f32; LANES];
+    for (a, b) in groups(a).iter().zip(groups(b)) {
+        for k in 0..LANES {
+            lanes[k] += a[k] * b[k];
+        }
+    }
+    let rest = a.len() / LANES * LANES;
+    let products = a[rest..].iter().zip(&b[rest..]).map(|(a, b)| a * b);
+    lanes.iter().sum::<f32>() + products.sum::<f32>()
+}
+
+/// Sum of the products of weights, in rows of `width` (whole lanes), with values, of which a row begins `stride` after the
+/// one before.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn correlate(weights: &[f32], width: usize, values: &[f32], stride: usize) -> f32 {
+    let mut lanes = [0.0_f32; LANES];
+    for (weights, values) in weights.chunks_exact(width).zip(values.chunks(stride)) {
+        for (weights, values) in groups(weights).iter().zip(groups(&values[..width])) {
+            for k in 0..LANES {
+                lanes[k] += weights[k] * values[k];
+            }
+        }
+    }
+    lanes.iter().sum()
+}
+
+/// Two bars that cross at right angles, behind a Gaussian blur.
+#[derive(Debug, Clone, Copy)]
+pub struct Bars {
+    pub half_length: f32,
+    pub half_width: f32,
+    /// 1 / sigma of the blur.
+    pub per_blur: f32,
+}
+
+/// Shares of the light that a cross takes at some places, and their slopes along x and y.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Coverage {
+    pub share: Vec<f32>,
+    pub slope_x: Vec<f32>,
+    pub slope_y: Vec<f32>,
+}
+
+impl Coverage {
+    pub fn of_length(count: usize) -> Self {
+        let [share, slope_x, slope_y] = std::array::from_fn(|_| vec![0.0; count]);
+        Self {
+            share,
+            slope_x,
+            slope_y,
+        }
+    }
+}
+
+/// What a cross takes of the light at offsets from its centre; `to_arms` leads, by rows, from an offset to one along the
+/// arms.
+///
+/// A blurred bar is its profile along times its profile across, each a difference of two tails of the normal distribution;
+/// the cross is two bars less their common middle.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn cover(bars: &Bars, to_arms: [f32; 4], x: &[f32], y: &[f32], coverage: &mut Coverage) {
+    let count = x.len();
+    let y = &y[..count];
+    let share = &mut coverage.share[..count];
+    let slope_x = &mut coverage.slope_x[..count];
+    let slope_y = &mut coverage.slope_y[..count];
+    let [ux, uy, vx, vy] = to_arms;
+    for n in 0..count {
+        let (u, v) = (ux * x[n] + uy * y[n], vx * x[n] + vy * y[n]);
+        let (long_u, long_slope_u) = blurred_bar(u, bars.half_length, bars.per_blur);
+        let (long_v, long_slope_v) = blurred_bar(v, bars.half_length, bars.per_blur);
+        let (wide_u, wide_slope_u) = blurred_bar(u, bars.half_width, bars.per_blur);
+        let (wide_v, wide_slope_v) = blurred_bar(v, bars.half_width, bars.per_blur);
+        share[n] = long_u * wide_v + wide_u * (long_v - wide_v);
+        let slope_u = long_slope_u * wide_v + wide_slope_u * (long_v - wide_v);
+        let slope_v = long_slope_v * wide_u + wide_slope_v * (long_u - wide_u);
+        slope_x[n] = ux * slope_u + vx * slope_v;
+        slope_y[n] = uy * slope_u + vy * slope_v;
+    }
+}
+
+/// The share that a blurred bar of some half length covers at an offset from its middle, and its slope.
+#[inline(always)]
+fn blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
+    let (near, near_density) = normal_tail((at - half) * per_blur);
+    let (far, far_density) = normal_tail((at + half) * per_blur);
+    (near - far, (far_density - near_density) * per_blur)
 }
 
 /// A list whose memory comes from the thread's earlier lists and goes to its later ones: a frame needs dozens, and getting
@@ -211,6 +305,67 @@ impl<T: Reused> DerefMut for Scratch<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn wave(count: usize, step: f32) -> Vec<f32> {
+        (0..count).map(|n| (n as f32 * step).sin()).collect()
+    }
+
+    #[test]
+    fn a_dot_product_is_the_sum_of_products_whatever_the_length() {
+        for count in [0, 1, 7, 8, 9, 100] {
+            let (a, b) = (wave(count, 0.3), wave(count, 0.7));
+            let plain: f32 = a.iter().zip(&b).map(|(a, b)| a * b).sum();
+            assert!((dot(&a, &b) - plain).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_correlation_is_the_sum_of_products_of_its_rows() {
+        let (weights, values) = (wave(3 * 16, 0.3), wave(3 * 21, 0.7));
+        let plain: f32 = (0..3)
+            .flat_map(|row| (0..16).map(move |column| (row, column)))
+            .map(|(row, column)| weights[row * 16 + column] * values[row * 21 + column])
+            .sum();
+        assert!((correlate(&weights, 16, &values, 21) - plain).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_coverage_is_that_of_the_blurred_cross_and_its_slopes() {
+        const BARS: Bars = Bars {
+            half_length: 7.8,
+            half_width: 1.05,
+            per_blur: 1.0 / 0.95,
+        };
+        // The blurred cross straight from its definition, turned by 0.3 rad.
+        let share = |x: f64, y: f64| {
+            let (sin, cos) = 0.3_f64.sin_cos();
+            let (u, v) = (cos * x + sin * y, cos * y - sin * x);
+            let below = |at: f64| {
+                0.5 * libm::erfc(-at * f64::from(BARS.per_blur) / std::f64::consts::SQRT_2)
+            };
+            let bar =
+                |at: f64, half: f32| below(at + f64::from(half)) - below(at - f64::from(half));
+            let (long_u, long_v) = (bar(u, BARS.half_length), bar(v, BARS.half_length));
+            let (wide_u, wide_v) = (bar(u, BARS.half_width), bar(v, BARS.half_width));
+            long_u * wide_v + wide_u * long_v - wide_u * wide_v
+        };
+        let places = |n: i32| (f64::from(n) * 0.41 - 12.0, f64::from(n) * 0.17 - 5.0);
+        let (x, y): (Vec<f32>, Vec<f32>) = (0..60)
+            .map(places)
+            .map(|(x, y)| (x as f32, y as f32))
+            .unzip();
+        let (sin, cos) = 0.3_f32.sin_cos();
+        let mut found = Coverage::of_length(60);
+        cover(&BARS, [cos, sin, -sin, cos], &x, &y, &mut found);
+        for (n, (x, y)) in (0..60).map(places).enumerate() {
+            assert!((f64::from(found.share[n]) - share(x, y)).abs() < 3e-5);
+            const H: f64 = 1e-4;
+            let slope_x = (share(x + H, y) - share(x - H, y)) / (2.0 * H);
+            let slope_y = (share(x, y + H) - share(x, y - H)) / (2.0 * H);
+            assert!((f64::from(found.slope_x[n]) - slope_x).abs() < 3e-5);
+            assert!((f64::from(found.slope_y[n]) - slope_y).abs() < 3e-5);
+        }
+    }
 
     #[test]
     fn a_number_is_its_whole_part_and_what_is_left() {

@@ -7,7 +7,7 @@ use solaspect::accuracy::Case;
 use solaspect::fiducial::{
     CrossShape, Detections, FlatDisc, Lighting, RefinedMark, Refiner, Settings, detect,
 };
-use solaspect::frame::{Frame, Levels};
+use solaspect::frame::{Background, Cutout, Frame, PixelNoise, ROUNDING_NOISE_DN};
 use solaspect::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::limb;
@@ -109,11 +109,8 @@ impl Close {
         steps_per_dn: f64,
         blur_error: f64,
     ) -> Option<RefinedMark> {
-        let levels = Levels {
-            background_dn: self.scene.background_dn * steps_per_dn,
-            noise_dn: noise_dn * steps_per_dn,
-            disc_dn: 205.0 * steps_per_dn,
-        };
+        let background_dn = self.scene.background_dn * steps_per_dn;
+        let cutout = whole(frame, background_dn, noise_dn * steps_per_dn);
         let light = |x: f64, y: f64| {
             let inside = |v: f64| v.max(0.0).min(Self::SIDE as f64 - 1.0) as usize;
             steps_per_dn * f64::from(self.light[inside(y) * Self::SIDE + inside(x)])
@@ -121,12 +118,20 @@ impl Close {
         let blur = self.scene.blur_px * blur_error;
         let refiner = Refiner::new(&demo().plate.cross, SCALE_MIL_PER_PX, blur);
         let start = SensorPx::new(self.mark.x + 0.24, self.mark.y - 0.18);
-        refiner.refine(frame, &levels, &light, &self.jacobian, start)
+        refiner.refine(&cutout, &light, &self.jacobian, start)
     }
 
     fn error(&self, mark: &RefinedMark) -> Vector2<f64> {
         mark.place.position.vector() - self.mark.vector()
     }
+}
+
+/// The whole frame.
+fn whole(frame: &Frame, background_dn: f64, noise_dn: f64) -> Cutout {
+    let region = frame.region();
+    let background = Background::even(region, background_dn);
+    let noise = PixelNoise::even(noise_dn.max(ROUNDING_NOISE_DN));
+    Cutout::new(frame, region, &background, noise)
 }
 
 fn light_without_marks(scene: &Scene) -> Vec<f32> {
@@ -337,9 +342,16 @@ fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
 fn found(picture: &Picture, instrument: &Instrument) -> Detections {
     let sun = picture.truth.sun.unwrap();
     let levels = limb::levels(&picture.frame, &limb::Settings::default()).unwrap();
+    let cutout = whole(&picture.frame, levels.background_dn, levels.noise_dn);
     let circle = Circle {
         centre: sun.px.vector() + Vector2::new(0.1, -0.1),
         radius: sun.radius_px + 0.1,
+    };
+    let light = |x: f64, y: f64| {
+        let radius2 = (Vector2::new(x, y) - circle.centre).norm_squared() / circle.radius.powi(2);
+        let peak_dn = levels.disc_dn - levels.background_dn;
+        peak_dn
+            * (0.44 * f64::from(u8::from(radius2 < 1.0)) + 0.56 * (1.0 - radius2).max(0.0).sqrt())
     };
     let scale = picture.truth.mapping.scale_mil_per_px(sun.px);
     let shape = CrossShape::new(
@@ -347,8 +359,7 @@ fn found(picture: &Picture, instrument: &Instrument) -> Detections {
         scale,
         instrument.optics.blur_px.value,
     );
-    let margin = 2.0 * shape.half_length_px;
-    let flat = FlatDisc::new(&picture.frame, Ellipse::from(circle), &levels, margin).unwrap();
+    let flat = FlatDisc::new(&cutout, Ellipse::from(circle), &light, &shape).unwrap();
     detect(&flat, &shape, &Settings::default())
 }
 

@@ -5,7 +5,7 @@ use crate::stages::Stages;
 use anyhow::{Context, bail};
 use solaspect::aspect::{self, Solution};
 use solaspect::fiducial::{Detections, FlatDisc};
-use solaspect::frame::Levels;
+use solaspect::frame::{Cutout, Levels};
 use solaspect::geometry::Ellipse;
 use solaspect::limb::{self, CoarseDisc, Limb};
 use std::fmt;
@@ -57,8 +57,8 @@ fn counted_limb(stages: &Stages<'_>, start: &Ellipse) -> Option<Limb> {
 }
 
 #[inline(never)]
-fn counted_flattening(stages: &Stages<'_>, limb: &Limb) -> Option<FlatDisc> {
-    stages.flat(limb)
+fn counted_flattening(stages: &Stages<'_>, cutout: &Cutout, limb: &Limb) -> Option<FlatDisc> {
+    stages.flat(cutout, limb)
 }
 
 #[inline(never)]
@@ -67,8 +67,13 @@ fn counted_detection(stages: &Stages<'_>, flat: &FlatDisc) -> Detections {
 }
 
 #[inline(never)]
-fn counted_refinement(stages: &Stages<'_>, limb: &Limb, solution: &Solution) -> usize {
-    stages.refined(limb, solution)
+fn counted_refinement(
+    stages: &Stages<'_>,
+    cutout: &Cutout,
+    limb: &Limb,
+    solution: &Solution,
+) -> usize {
+    stages.refined(cutout, limb, solution)
 }
 
 #[inline(never)]
@@ -108,9 +113,10 @@ fn by_stages(exposure: &Exposure, flight: &Flight, acquired: &Solution) -> Optio
     let disc = black_box(counted_disc_search(&stages))?;
     let start = Ellipse::from(disc.circle());
     let limb = black_box(counted_limb(&stages, &start))?;
-    let flat = black_box(counted_flattening(&stages, &limb))?;
+    let cutout = stages.cutout(&limb)?;
+    let flat = black_box(counted_flattening(&stages, &cutout, &limb))?;
     black_box(counted_detection(&stages, &flat));
-    black_box(counted_refinement(&stages, &limb, acquired));
+    black_box(counted_refinement(&stages, &cutout, &limb, acquired));
     Some(())
 }
 

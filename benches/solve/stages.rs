@@ -3,7 +3,7 @@
 use crate::flight::Flight;
 use solaspect::aspect::Solution;
 use solaspect::fiducial::{self, CrossShape, Detections, FlatDisc, Refiner};
-use solaspect::frame::{Frame, Levels};
+use solaspect::frame::{Background, Cutout, Frame, Levels, PixelNoise, Region};
 use solaspect::geometry::Ellipse;
 use solaspect::limb::{
     self, CoarseDisc, DiscSearch, Hidden, KnownOutline, Limb, LimbFit, OutlinePrior,
@@ -61,10 +61,20 @@ impl Stages<'_> {
         fit.near(start, &Hidden::nothing(self.frame.region())).ok()
     }
 
-    pub fn flat(&self, limb: &Limb) -> Option<FlatDisc> {
+    /// The pixels of the disc, and of every mark on it.
+    pub fn cutout(&self, limb: &Limb) -> Option<Cutout> {
         let disc = limb.outline.ellipse;
-        let margin_px = 2.0 * self.disc_shape(limb).half_length_px;
-        FlatDisc::new(self.frame, disc, &self.levels, margin_px)
+        let reach = disc.mean_radius() + 2.0 * self.disc_shape(limb).reach_px();
+        let (width, height) = (self.frame.width(), self.frame.height());
+        let region = Region::around(disc.centre.into(), reach, width, height)?;
+        let background = Background::even(region, self.levels.background_dn);
+        let noise = PixelNoise::even(self.levels.noise_dn);
+        Some(Cutout::new(self.frame, region, &background, noise))
+    }
+
+    pub fn flat(&self, cutout: &Cutout, limb: &Limb) -> Option<FlatDisc> {
+        let (disc, shape) = (limb.outline.ellipse, self.disc_shape(limb));
+        FlatDisc::new(cutout, disc, &limb.light(), &shape)
     }
 
     fn disc_shape(&self, limb: &Limb) -> CrossShape {
@@ -77,7 +87,7 @@ impl Stages<'_> {
     }
 
     /// How many of a solution's marks their own pixels place.
-    pub fn refined(&self, limb: &Limb, solution: &Solution) -> usize {
+    pub fn refined(&self, cutout: &Cutout, limb: &Limb, solution: &Solution) -> usize {
         let Some(adopted) = &solution.mapping else {
             return 0;
         };
@@ -88,7 +98,7 @@ impl Stages<'_> {
         let light = limb.light();
         let refined = solution.marks.iter().filter_map(|mark| {
             let jacobian = adopted.mapping.sensor_jacobian(plate.position(mark.id));
-            refiner.refine(self.frame, &self.levels, &light, &jacobian, mark.at)
+            refiner.refine(cutout, &light, &jacobian, mark.at)
         });
         refined.count()
     }

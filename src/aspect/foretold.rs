@@ -5,12 +5,12 @@
 //! for by its own pixels. All of them must be there, each near its foretold place: a mapping whose ids were wrong would
 //! foretell marks where the pattern has none. Nothing else of the prior enters the solution but the place where the fits start.
 
-use super::marks::MarkSight;
+use super::marks::MarkScene;
 use super::stages::{DISC_ROOM, Work};
 use super::{Mark, Sighting};
 use crate::estimation::median;
 use crate::fiducial::{Lighting, RefinedMark};
-use crate::frame::{Cutout, Levels, ROUNDING_NOISE_DN};
+use crate::frame::{Cutout, Levels};
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::Limb;
 use crate::units::SensorPx;
@@ -22,7 +22,7 @@ const MAX_DRIFT_PX: f64 = 1.0;
 const SURE_MARGIN_PX: f64 = 1.0;
 /// What of a mark must lie inside the limb for it to be looked for, in half lengths from its middle.
 const WORTH_LOOKING: f64 = 0.3;
-/// A patch that the model leaves so much unexplained, in units of the disc's noise, shows no mark, or not only one.
+/// A mark whose residuals exceed the pixels' stated variance by so much is none, or not only one.
 const MAX_CHI2: f64 = 4.0;
 /// So many marks beyond those that make a reading must be foretold: a wrong mapping that fits a few by chance does not fit these.
 const MORE_MARKS: usize = 2;
@@ -39,7 +39,7 @@ impl Work<'_> {
     pub(super) fn foretold(
         &self,
         levels: &Levels,
-        cutout: &Cutout,
+        cutout: &mut Cutout,
         found: SensorPx,
     ) -> Option<Sighting> {
         let prior = self.prior?;
@@ -50,18 +50,19 @@ impl Work<'_> {
         let start = self.foretold_outline(mapping, found)?;
         let mask = self.marks_mask(cutout.region(), &start, mapping);
         let limb = self.limb_fit(levels, cutout).near(&start, &mask).ok()?;
+        cutout.noise = limb.noise();
         let foretold = self.foretold_marks(&limb, mapping);
         let full = |mark: &Mark| mark.lighting == Lighting::Full;
         let enough = self.settings.fiducial.min_marks + MORE_MARKS;
         if foretold.iter().filter(|m| full(m)).count() < enough {
             return None;
         }
-        let sight = MarkSight {
-            levels,
+        let scene = MarkScene {
+            cutout,
             limb: &limb,
             mapping,
         };
-        let marks = self.seen_where_foretold(&sight, &foretold)?;
+        let marks = self.seen_where_foretold(&scene, &foretold)?;
         Some(Sighting {
             limb,
             marks: Ok(marks),
@@ -126,25 +127,18 @@ impl Work<'_> {
     }
 
     /// The marks by their own pixels. `None` where one that must be seen is not; one that the limb cuts may be missing.
-    fn seen_where_foretold(&self, sight: &MarkSight<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
-        let refined = self.refine(sight, foretold);
+    fn seen_where_foretold(&self, scene: &MarkScene<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
+        let refined = self.refine(scene, foretold);
         let full = |(mark, found): (&Mark, &Option<RefinedMark>)| {
             let found = found.filter(|_| mark.lighting == Lighting::Full);
             found.map(|found| found.contrast)
         };
         let usual = median(foretold.iter().zip(&refined).filter_map(full))?;
         let least = self.settings.fiducial.min_contrast;
-        // The refiner counts in the background's noise.
-        let background_dn = sight.levels.noise_dn.max(ROUNDING_NOISE_DN);
-        let per_noise = background_dn.powi(2)
-            / sight
-                .limb
-                .noise()
-                .variance(sight.levels.disc_dn - sight.levels.background_dn);
         let is_mark = |mark: &Mark, found: &RefinedMark| {
             found.contrast > least
                 && COMMON_CONTRAST.contains(&(found.contrast / usual))
-                && found.reduced_chi2 * per_noise < MAX_CHI2
+                && found.reduced_chi2 < MAX_CHI2
                 && found.place.position.distance(mark.at) < MAX_DRIFT_PX
                 && (mark.lighting == Lighting::Full
                     || largest_variance(&found.place.covariance) < MOST_CUT_SIGMA_PX.powi(2))

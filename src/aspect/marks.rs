@@ -4,37 +4,35 @@ use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
 use super::{Mark, Stage, Stopped};
 use crate::estimation::median;
 use crate::fiducial::{
-    self, CrossShape, Detections, FlatDisc, IdentificationPrior, Light, Lighting, RefinedMark,
-    Refiner,
+    self, CrossShape, Detections, FlatDisc, IdentificationPrior, Illumination, Lighting,
+    RefinedMark, Refiner,
 };
-use crate::frame::Levels;
+use crate::frame::Cutout;
 use crate::geometry::{Ellipse, Mapping};
 use crate::limb::{DiscLight, Limb};
 use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
 
 /// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
 /// may differ by half a pixel.
 const DISC_SCALE_SIGMA: f64 = 0.006;
-/// A limb so many times softer than the instrument's blur is hazy or smeared.
+/// A lens so many times softer than it is stated is out of focus, or looks through haze.
 const SOFT: f64 = 1.3;
 /// 1 sigma of a mark whose pixels do not agree with a cross.
 const UNREFINED_SIGMA_PX: f64 = 0.2;
-/// What such a mark counts for when two blurs are compared.
-const UNREFINED_CHI2: f64 = 10.0;
 /// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
 /// which haze may widen the disc. In simulated frames all are found from 0.5 on.
 const SURE_DEPTH: f64 = 0.75;
-/// Part of a shift by coma that is uncertain: it depends on how the arms lie to the coma.
-const COMA_OPEN: f64 = 0.3;
+/// Part of a shift by coma that is uncertain: the point spread function's higher moments.
+const COMA_OPEN: f64 = 0.2;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
 
-/// What is known about the marks before their pixels are looked at.
-pub(super) struct MarkSight<'a> {
-    pub(super) levels: &'a Levels,
+/// What the marks' fits start from.
+pub(super) struct MarkScene<'a> {
+    pub(super) cutout: &'a Cutout,
     pub(super) limb: &'a Limb,
     pub(super) mapping: &'a Mapping,
 }
@@ -45,68 +43,75 @@ impl Work<'_> {
         self.radius_mil.value / disc.mean_radius()
     }
 
-    pub(super) fn detect(&self, levels: &Levels, limb: &Limb) -> Detections {
-        let disc = limb.outline.ellipse;
-        let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
-        let shape = CrossShape::new(&plate.cross, self.disc_scale(&disc), optics.blur_px.value);
-        let margin = 2.0 * shape.half_length_px;
-        match FlatDisc::new(self.frame, disc, levels, margin) {
+    /// Blur of the marks, 1 sigma, without the pixel's own size.
+    fn mark_blur_px(&self, limb: &Limb) -> f64 {
+        let stated_px = self.instrument.optics.blur_px.value;
+        let limb_px = limb.lens_blur_px();
+        if limb_px > SOFT * stated_px {
+            limb_px
+        } else {
+            stated_px
+        }
+    }
+
+    /// The cross at the scale of the disc and the blur of the frame.
+    fn disc_shape(&self, limb: &Limb) -> CrossShape {
+        let scale = self.disc_scale(&limb.outline.ellipse);
+        CrossShape::new(&self.instrument.plate.cross, scale, self.mark_blur_px(limb))
+    }
+
+    pub(super) fn detect(&self, cutout: &Cutout, limb: &Limb) -> Detections {
+        let shape = self.disc_shape(limb);
+        match FlatDisc::new(cutout, limb.outline.ellipse, &limb.light(), &shape) {
             Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
             None => Detections::default(),
         }
     }
 
     /// Marks by their own pixels; none where these do not agree with a cross.
-    ///
-    /// A limb softer than the instrument's blur may come of haze, which softens the marks too, or of the Sun's motion,
-    /// which does not: the marks' own pixels decide.
-    pub(super) fn refine(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Option<RefinedMark>> {
-        let stated_px = self.instrument.optics.blur_px.value;
-        let sharp = self.refine_at(stated_px, sight, marks);
-        let limb_px = sight.limb.lens_blur_px();
-        if limb_px < SOFT * stated_px {
-            return sharp;
-        }
-        let soft = self.refine_at(limb_px, sight, marks);
-        if left_unexplained(&soft) < left_unexplained(&sharp) {
-            soft
-        } else {
-            sharp
-        }
-    }
-
-    /// Marks refined at a lens's blur.
-    fn refine_at(
-        &self,
-        blur_px: f64,
-        sight: &MarkSight<'_>,
-        marks: &[Mark],
-    ) -> Vec<Option<RefinedMark>> {
-        let limb = sight.limb;
+    pub(super) fn refine(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Option<RefinedMark>> {
+        let limb = scene.limb;
         let scale = self.disc_scale(&limb.outline.ellipse);
         let plate = &self.instrument.plate;
-        let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let refiner = Refiner::new(&plate.cross, scale, self.mark_blur_px(limb));
         let light = limb.light();
         let refined = |mark: &Mark| {
-            let jacobian = sight.mapping.sensor_jacobian(plate.position(mark.id));
-            refiner.refine(self.frame, sight.levels, &light, &jacobian, mark.at)
+            let jacobian = scene.mapping.sensor_jacobian(plate.position(mark.id));
+            refiner.refine(scene.cutout, &light, &jacobian, mark.at)
         };
         marks.iter().map(refined).collect()
     }
 
     /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
     /// sigma that gives it little weight.
-    pub(super) fn place(&self, sight: &MarkSight<'_>, marks: &[Mark]) -> Vec<Mark> {
-        let refined = self.refine(sight, marks);
-        let coma = self.shape.coma_shift(sight.limb.coma_px3());
+    pub(super) fn place(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Mark> {
+        let refined = self.refine(scene, marks);
         let placed = marks.iter().zip(&refined).map(|(mark, found)| match found {
-            Some(found) => mark.placed(found).without_coma(coma),
+            Some(found) => self.without_coma(mark.placed(found), scene, marks.len()),
             None => Mark {
                 covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
                 ..*mark
             },
         });
         placed.collect()
+    }
+
+    /// A mark without what coma shifts it by across each arm. What is open of that moves all marks alike: so many must not
+    /// average it away.
+    fn without_coma(&self, mark: Mark, scene: &MarkScene<'_>, marks: usize) -> Mark {
+        let jacobian = scene
+            .mapping
+            .sensor_jacobian(self.instrument.plate.position(mark.id));
+        let per_skew = self.disc_shape(scene.limb).shift_per_skew();
+        let mut placed = mark;
+        for arm in jacobian.column_iter() {
+            let across = arm.normalize();
+            let skew = scene.limb.skew_px3(across);
+            let open = (per_skew * skew.value * COMA_OPEN).hypot(per_skew * skew.sigma);
+            placed.at = (placed.at.vector() - across * (per_skew * skew.value)).into();
+            placed.covariance_px2 += across * across.transpose() * (marks as f64 * open.powi(2));
+        }
+        placed
     }
 
     pub(super) fn identify(
@@ -215,29 +220,13 @@ impl Work<'_> {
 }
 
 /// The limb tells the light that falls on the marks.
-impl Light for DiscLight {
+impl Illumination for DiscLight {
     fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
         self.fill(x, y, light);
     }
 }
 
-/// What refined marks leave unexplained together, beside others of the same marks.
-fn left_unexplained(refined: &[Option<RefinedMark>]) -> f64 {
-    let chi2 = |found: &Option<RefinedMark>| found.map_or(UNREFINED_CHI2, |f| f.reduced_chi2);
-    refined.iter().map(chi2).sum()
-}
-
 impl Mark {
-    /// The mark without what coma shifts it by, and with what is open of that.
-    fn without_coma(self, shift: Vector2<f64>) -> Self {
-        Self {
-            at: (self.at.vector() - shift).into(),
-            covariance_px2: self.covariance_px2
-                + Matrix2::identity() * (COMA_OPEN * shift.norm()).powi(2),
-            ..self
-        }
-    }
-
     /// The mark where its pixels show it.
     pub(super) fn placed(&self, found: &RefinedMark) -> Self {
         Self {

@@ -20,7 +20,7 @@ use crate::instrument::Instrument;
 use crate::limb::Limb;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
-use marks::MarkSight;
+use marks::MarkScene;
 use stages::{Work, at};
 pub(crate) use stages::{cutout, marks_mask};
 
@@ -109,14 +109,14 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
     let found = work.find_disc(&levels)?; // 2
-    let cutout = work.cutout(&levels, &found);
+    let mut cutout = work.cutout(&levels, &found);
     let Sighting {
         limb,
         marks,
         foretold,
-    } = match work.foretold(&levels, &cutout, found.centre.into()) {
+    } = match work.foretold(&levels, &mut cutout, found.centre.into()) {
         Some(sighting) => sighting, // 3 to 8, the short way
-        None => look_for_marks(work, &levels, &cutout, &found, solution)?,
+        None => look_for_marks(work, &levels, &mut cutout, &found, solution)?,
     };
     solution.limb.clone_from(&limb.points);
     solution.limb_blur_px = Some(limb.blur_px());
@@ -149,18 +149,19 @@ struct Sighting {
 fn look_for_marks(
     work: &Work<'_>,
     levels: &Levels,
-    cutout: &Cutout,
+    cutout: &mut Cutout,
     found: &Circle,
     solution: &mut Solution,
 ) -> Result<Sighting, Stopped> {
     let found = Ellipse::from(*found);
-    let limb_fit = work.limb_fit(levels, cutout);
     let nothing = Mask::none(cutout.region());
-    let mut limb = limb_fit
+    let mut limb = work
+        .limb_fit(levels, cutout)
         .roughly_near(&found, &nothing)
         .map_err(at(Stage::Limb))?; // 3
+    cutout.noise = limb.noise();
     let disc = limb.outline.ellipse;
-    solution.detections = work.detect(levels, &limb); // 4
+    solution.detections = work.detect(cutout, &limb); // 4
     let read = work
         .identify(&solution.detections, &limb) // 5
         .and_then(|marks| Ok((work.register(&marks, None)?, marks))); // 6
@@ -168,18 +169,19 @@ fn look_for_marks(
         Ok((first, _)) => work.marks_mask(cutout.region(), &disc, &first.mapping),
         Err(_) => work.detections_mask(cutout.region(), &solution.detections),
     };
+    let limb_fit = work.limb_fit(levels, cutout);
     // 7; with too much masked, what the marks do to the limb is the lesser evil.
     limb = limb_fit
         .again(&limb, &mask)
         .or_else(|_| limb_fit.again(&limb, &nothing))
         .map_err(at(Stage::Limb))?;
     let marks = read.map(|(first, marks)| {
-        let sight = MarkSight {
-            levels,
+        let scene = MarkScene {
+            cutout,
             limb: &limb,
             mapping: &first.mapping,
         };
-        work.place(&sight, &marks) // 8
+        work.place(&scene, &marks) // 8
     });
     Ok(Sighting {
         limb,

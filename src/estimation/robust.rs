@@ -1,6 +1,6 @@
 //! Location, scale and loss that a minority of outliers hardly changes.
 
-use crate::lanes::{LANES, Scratch};
+use crate::lanes::LANES;
 use multiversion::multiversion;
 use std::borrow::Borrow;
 
@@ -67,8 +67,7 @@ pub fn median_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
 /// The median of some sizes, which are not negative; `None` of none.
 pub fn median_size(sizes: impl Iterator<Item = f32>) -> Option<f32> {
     // The bits of such numbers are ordered as the numbers are, and compared more quickly.
-    let mut bits = Scratch::<u32>::empty(sizes.size_hint().0);
-    bits.extend(sizes.map(f32::to_bits));
+    let mut bits: Vec<u32> = sizes.map(f32::to_bits).collect();
     let middle = bits.len() / 2;
     (!bits.is_empty()).then(|| f32::from_bits(*bits.select_nth_unstable(middle).1))
 }

@@ -1,36 +1,36 @@
-//! The marks: dark places that are as fourfold as a cross are found on the disc, the code in their spacings names them,
-//! least squares on their pixels measures them.
+//! The plate's fiducial marks: dark crosses are found on the disc, the code in their spacings identifies them, and least
+//! squares on their pixels measures them.
 //!
-//! # Method (Cramer 2014, sections 4.3 and 4.4, with what its author wished for)
-//! 1. The disc is flattened: its own limb darkening is divided out, so that a mark is a dark cross on an even
-//!    ground and the limb leaves no edge ([`FlatDisc`]).
-//! 2. Sums over boxes find dark spots whatever the camera's rotation; their arms tell the rotation to a quarter turn; a
-//!    filter of the blurred cross at that rotation then gives position and contrast, and its fourfold part tells crosses
+//! # Method (Cramer 2014, sections 4.3 and 4.4, with the improvements its author lists)
+//! 1. The disc is flattened: its own light is divided out, so that a mark is a dark cross on even ground and the limb
+//!    leaves no edge ([`FlatDisc`]).
+//! 2. Sums over boxes give candidates whatever the camera's rotation; the arms there show the rotation to a quarter turn; a
+//!    matched filter of the blurred cross at that rotation gives position and contrast, and its fourfold part separates crosses
 //!    from what is round ([`detect`]).
 //! 3. Ids come from pairs of neighbours: one spacing is fixed, the other is the code. Every reading that a pair
 //!    allows is held against all marks in view, and one that is not clearly the best is refused.
 //! 4. A fit of the blurred cross to the pixels about it gives a mark's place without the bias that a paraboloid has over the
-//!    sub-pixel phase, with a covariance of its own ([`Refiner`]).
+//!    sub-pixel phase, with a covariance of its own: [`Refiner::refine`] cuts the pixels out (`patch`) and takes Gauss-Newton
+//!    steps on them (`mark_fit`).
 
-mod coverage;
-mod darkening;
+mod candidates;
+mod cross;
 mod detect;
 mod fit;
 mod flatten;
 mod identify;
-mod kernel;
-mod least_squares;
+mod mark_fit;
 mod patch;
 mod prior;
 mod reading;
 mod refine;
-mod spots;
+mod template;
 
-pub use coverage::CrossShape;
+pub use cross::CrossShape;
 pub use detect::{Detection, Detections, Lighting, detect};
 pub use flatten::FlatDisc;
 pub use identify::{Identification, identify};
-pub use patch::Light;
+pub use patch::Illumination;
 pub use prior::IdentificationPrior;
 pub use refine::{RefinedMark, Refiner};
 

@@ -21,7 +21,7 @@ use super::sums::{COLUMNS, Weighing, sector_sums};
 use crate::estimation::clipped_sigma;
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
-use crate::units::SensorPx;
+use crate::units::{Measured, SensorPx};
 use nalgebra::{SMatrix, SVector, Vector2};
 
 /// A point of the limb.
@@ -44,15 +44,15 @@ pub(super) const SKEW: usize = 4;
 const OWN: usize = 3;
 
 /// Coefficients of the smooth courses: illumination 1, x, y; background 1, x, y, cos 2 phi, sin 2 phi; variance of the blur 1,
-/// cos 2 phi, sin 2 phi; skew x, y.
-const SMOOTH: usize = 13;
+/// cos 2 phi, sin 2 phi; skew x, y, cos 3 phi, sin 3 phi, as the third moment along a direction changes with it.
+const SMOOTH: usize = 15;
 const UNEVEN_BACKGROUND: std::ops::Range<usize> = 4..8;
 const MOTION: std::ops::Range<usize> = 9..11;
-const COMA: std::ops::Range<usize> = 11..13;
+const COMA: std::ops::Range<usize> = 11..15;
 /// 1 sigma of each before the pixels are looked at: illumination and background in parts of the plateau, px^2, px^3. They hold
 /// what a short arc does not tell.
 const PRIOR: [f64; SMOOTH] = [
-    0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.1, 0.1,
+    0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1,
 ];
 /// Effects that are this unlikely by chance, in each, are taken to be there: chi^2 per degree of freedom.
 const SIGNIFICANT_CHI2: f64 = 6.0;
@@ -90,11 +90,6 @@ impl Shape {
         self.coefficients.fixed_rows::<2>(MOTION.start).into_owned()
     }
 
-    /// A sixth of the point spread function's third moment, px^3.
-    pub(super) fn coma_px3(&self) -> Vector2<f64> {
-        self.coefficients.fixed_rows::<2>(COMA.start).into_owned()
-    }
-
     /// Excess of the blur's variance all round, px^2.
     pub(super) fn blur_px2(&self) -> f64 {
         self.coefficients[MOTION.start - 1]
@@ -105,12 +100,13 @@ impl Shape {
 fn smooth(w: Vector2<f64>) -> SMatrix<f64, SECTOR, SMOOTH> {
     let w = w.normalize();
     let (c2, s2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
+    let (c3, s3) = (c2 * w.x - s2 * w.y, s2 * w.x + c2 * w.y);
     let mut matrix = SMatrix::zeros();
     for (row, first, terms) in [
         (ILLUMINATION, 0, &[1.0, w.x, w.y][..]),
         (BACKGROUND, 3, &[1.0, w.x, w.y, c2, s2]),
         (BLUR, 8, &[1.0, c2, s2]),
-        (SKEW, 11, &[w.x, w.y]),
+        (SKEW, 11, &[w.x, w.y, c3, s3]),
     ] {
         for (n, term) in terms.iter().enumerate() {
             matrix[(row, first + n)] = *term;
@@ -138,6 +134,13 @@ impl EdgeModel {
     fn profile_at(&self, course: &SVector<f64, SECTOR>) -> Profile {
         let variance = self.profile.blur_px.powi(2) + course[BLUR];
         self.profile.with_blur(variance.max(0.0).sqrt())
+    }
+
+    /// A sixth of the point spread function's third moment along a direction, px^3.
+    pub(super) fn skew_px3(&self, direction: Vector2<f64>) -> Measured {
+        let row = smooth(direction).row(SKEW).into_owned();
+        let variance = (row * self.covariance * row.transpose())[0];
+        Measured::new(self.shape.at(direction)[SKEW], variance.max(0.0).sqrt())
     }
 
     /// Light well inside the limb, DN.

@@ -10,7 +10,9 @@ use crate::estimation::QUARTILE_SIGMAS;
 use crate::fiducial::{
     self, CrossShape, Detections, FlatDisc, IdentificationPrior, Lighting, Refiner,
 };
-use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Sample, View};
+use crate::frame::{
+    Background, Cutout, Frame, Levels, PixelNoise, ROUNDING_NOISE_DN, Sample, View,
+};
 use crate::geometry::{Circle, Ellipse};
 use crate::instrument::Instrument;
 use crate::registration::{self, Pair};
@@ -70,9 +72,13 @@ pub(super) fn by_lamp(
     levels: &Levels,
     instrument: &Instrument,
 ) -> Result<FrameObservation, String> {
+    let region = frame.region();
+    let background = Background::even(region, levels.background_dn);
+    let noise = PixelNoise::even(levels.noise_dn);
     let lit = LitPlate {
         frame,
-        levels,
+        cutout: Cutout::new(frame, region, &background, noise),
+        light_dn: levels.disc_dn - levels.background_dn,
         instrument,
         settings: aspect::Settings::default(),
     };
@@ -110,7 +116,10 @@ pub(super) fn by_lamp(
 
 struct LitPlate<'a> {
     frame: &'a Frame,
-    levels: &'a Levels,
+    /// The whole frame.
+    cutout: Cutout,
+    /// Of the lamp, above the background.
+    light_dn: f64,
     instrument: &'a Instrument,
     settings: aspect::Settings,
 }
@@ -143,7 +152,11 @@ impl LitPlate<'_> {
             instrument.optics.blur_px.value,
         );
         let shape = CrossShape::new(&plate.cross, scale, blur_px);
-        let flat = FlatDisc::new(self.frame, outline, self.levels, 2.0 * shape.half_length_px)?;
+        let window = |x: f64, y: f64| {
+            let inside = outline.excess(Vector2::new(x, y)) < 0.0;
+            if inside { self.light_dn } else { 0.0 }
+        };
+        let flat = FlatDisc::new(&self.cutout, outline, &window, &shape)?;
         let mut found = fiducial::detect(&flat, &shape, &self.settings.fiducial);
         // The window's edge is no edge of the illumination.
         found.marks.retain(|mark| mark.lighting == Lighting::Full);
@@ -161,11 +174,11 @@ impl LitPlate<'_> {
         let fitted =
             registration::register(&pairs, None, mounting.handedness, distortion, settings)?;
         let refiner = Refiner::new(&plate.cross, scale, blur_px);
-        let illumination = |_: f64, _: f64| self.levels.disc_dn;
+        let lamp = |_: f64, _: f64| self.light_dn;
         let refined = |(n, id): &(usize, _)| {
             let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id));
             let start = found.marks[*n].at;
-            let mark = refiner.refine(self.frame, self.levels, &illumination, &jacobian, start)?;
+            let mark = refiner.refine(&self.cutout, &lamp, &jacobian, start)?;
             Some(MarkObservation {
                 id: *id,
                 at: mark.place.position,

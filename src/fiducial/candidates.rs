@@ -1,0 +1,100 @@
+//! Where the disc is dark over about the size of a mark, whatever the camera's rotation.
+
+use super::{CrossShape, FlatDisc, Settings};
+use crate::units::SensorPx;
+
+/// Bins along a mark's length; the disc is summed over such bins first.
+const BINS_PER_LENGTH: f64 = 5.0;
+/// Bins along the side of a box: the cross's middle, where its arms are dense, fills it.
+const BOX: usize = 3;
+/// A cross of contrast 1 darkens a box about its centre by 0.4, one that is between bins or cut by the limb by less.
+const BOX_SHARE: f64 = 0.2;
+/// A box must be darker than the noise by so many sigma.
+const BOX_SIGMA: f64 = 4.0;
+/// So many candidates are tried for each mark that may be found.
+const CANDIDATES_PER_DETECTION: usize = 2;
+
+/// Indices into the flattened disc's values of its darkest places, darkest first, half a mark apart at least.
+pub(super) fn candidates(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Vec<usize> {
+    let boxes = Boxes::of(flat, shape);
+    let pixels = (boxes.side_px * boxes.side_px) as f64;
+    let mut dark: Vec<(usize, f32)> = boxes
+        .peaks((settings.min_contrast * BOX_SHARE * pixels) as f32)
+        .filter(|(index, sum)| f64::from(*sum) > BOX_SIGMA * flat.noise(*index) * pixels.sqrt())
+        .collect();
+    dark.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut kept: Vec<(usize, SensorPx)> = Vec::new();
+    for (index, _) in dark {
+        let here = flat.position(index);
+        let far = |(_, other): &(usize, SensorPx)| other.distance(here) > shape.half_length_px;
+        if kept.len() < CANDIDATES_PER_DETECTION * settings.max_detections && kept.iter().all(far) {
+            kept.push((index, here));
+        }
+    }
+    kept.into_iter().map(|(index, _)| index).collect()
+}
+
+/// Sums of the darkness over boxes, each a bin from the next.
+struct Boxes {
+    bin_px: usize,
+    side_px: usize,
+    flat_side: usize,
+    /// Boxes in a row, and rows.
+    count: usize,
+    sums: Vec<f32>,
+}
+
+impl Boxes {
+    fn of(flat: &FlatDisc, shape: &CrossShape) -> Self {
+        let bin_px = (2.0 * shape.half_length_px / BINS_PER_LENGTH)
+            .round()
+            .max(1.0) as usize;
+        let bins = flat.side() / bin_px;
+        let mut binned = vec![0.0_f32; bins * bins];
+        for (y, row) in flat
+            .values()
+            .chunks_exact(flat.side())
+            .enumerate()
+            .take(bins * bin_px)
+        {
+            let sums = &mut binned[y / bin_px * bins..][..bins];
+            for (sum, pixels) in sums.iter_mut().zip(row.chunks_exact(bin_px)) {
+                *sum += pixels.iter().sum::<f32>();
+            }
+        }
+        let count = (bins + 1).saturating_sub(BOX);
+        let mut sums = Vec::with_capacity(count * count);
+        for y in 0..count {
+            let rows: [&[f32]; BOX] = std::array::from_fn(|n| &binned[(y + n) * bins..][..bins]);
+            sums.extend((0..count).map(|x| -> f32 {
+                rows.iter()
+                    .map(|row| row[x..x + BOX].iter().sum::<f32>())
+                    .sum()
+            }));
+        }
+        Self {
+            bin_px,
+            side_px: BOX * bin_px,
+            flat_side: flat.side(),
+            count,
+            sums,
+        }
+    }
+
+    /// Boxes darker than a least sum that no neighbour exceeds: the flattened disc's index of the middle, and the sum.
+    fn peaks(&self, least: f32) -> impl Iterator<Item = (usize, f32)> {
+        let inner = 1..self.count.saturating_sub(1);
+        let places = inner
+            .clone()
+            .flat_map(move |y| inner.clone().map(move |x| (x, y)));
+        places.filter_map(move |(x, y)| {
+            let sum = self.sums[y * self.count + x];
+            let is_peak = || {
+                let rows = (y - 1..=y + 1).map(|y| &self.sums[y * self.count + x - 1..][..3]);
+                rows.flatten().all(|neighbour| *neighbour <= sum)
+            };
+            let middle = |n: usize| n * self.bin_px + self.side_px / 2;
+            (sum > least && is_peak()).then(|| (middle(y) * self.flat_side + middle(x), sum))
+        })
+    }
+}

@@ -1,0 +1,243 @@
+//! Matched filters: weights for the pixels about a place of the flattened disc.
+
+use super::FlatDisc;
+use crate::lanes::{LANES, correlate};
+
+/// The pixels within a radius of one of them: a square about it, row by row, each row filled up to whole lanes.
+#[derive(Debug, Clone)]
+pub(super) struct Window {
+    /// Pixels from the middle to the edge, in both axes.
+    reach: usize,
+    /// Pixels of a row, those that fill it up included.
+    width: usize,
+    /// Offsets from the middle, px.
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    /// The ring about the middle, a pixel wide, that a pixel lies in; `None` outside the radius.
+    ring: Vec<Option<usize>>,
+}
+
+impl Window {
+    pub(super) fn within(radius_px: f64) -> Self {
+        let reach = radius_px as usize;
+        let width = (2 * reach + 1).next_multiple_of(LANES);
+        let offset = |n: usize| n as f32 - reach as f32;
+        let places = (0..=2 * reach).flat_map(|row| (0..width).map(move |column| (column, row)));
+        let (x, y): (Vec<f32>, Vec<f32>) = places.map(|(x, y)| (offset(x), offset(y))).unzip();
+        let ring = |(x, y): (&f32, &f32)| {
+            let distance = x.hypot(*y);
+            (f64::from(distance) <= radius_px).then_some(distance as usize)
+        };
+        Self {
+            reach,
+            width,
+            ring: x.iter().zip(&y).map(ring).collect(),
+            x,
+            y,
+        }
+    }
+
+    /// Pixels within the radius.
+    pub(super) fn pixels(&self) -> usize {
+        self.ring.iter().flatten().count()
+    }
+
+    /// The values within the radius; 0 outside.
+    fn inside(&self, values: &[f32]) -> Vec<f32> {
+        let pairs = values.iter().zip(&self.ring);
+        pairs
+            .map(|(value, ring)| ring.map_or(0.0, |_| *value))
+            .collect()
+    }
+
+    /// Values less their mean over the ring that each lies in: nothing is left of what is round about the middle. 0 outside
+    /// the radius.
+    pub(super) fn without_round_part(&self, values: &[f32]) -> Vec<f32> {
+        let mut sums = vec![(0.0_f32, 0.0_f32); self.reach + 1];
+        for (value, ring) in values.iter().zip(&self.ring) {
+            if let Some(ring) = ring {
+                sums[*ring].0 += value;
+                sums[*ring].1 += 1.0;
+            }
+        }
+        let means: Vec<f32> = sums.iter().map(|(sum, count)| sum / count).collect();
+        let less_mean =
+            |(value, ring): (&f32, &Option<usize>)| ring.map_or(0.0, |ring| value - means[ring]);
+        values.iter().zip(&self.ring).map(less_mean).collect()
+    }
+
+    /// Whether the pixels about a value of the flattened disc, with one to spare, are all in its square.
+    pub(super) fn fits(&self, flat: &FlatDisc, index: usize) -> bool {
+        let inner = self.reach + 1..flat.side().saturating_sub(self.width - self.reach);
+        inner.contains(&(index / flat.side())) && inner.contains(&(index % flat.side()))
+    }
+
+    /// The flattened disc's values from the first pixel about one of them on.
+    fn values<'f>(&self, flat: &'f FlatDisc, index: usize) -> &'f [f32] {
+        &flat.values()[index - self.reach * (flat.side() + 1)..]
+    }
+
+    /// The values about one of them, where the window [`fits`](Self::fits); 0 outside the radius.
+    pub(super) fn darkness(&self, flat: &FlatDisc, index: usize) -> Vec<f32> {
+        let rows = self.values(flat, index).chunks(flat.side());
+        let mut darkness = Vec::with_capacity(self.x.len());
+        for row in rows.take(2 * self.reach + 1) {
+            darkness.extend_from_slice(&row[..self.width]);
+        }
+        self.inside(&darkness)
+    }
+
+    /// Sum of the products of weights with the values about one of them, where the window [`fits`](Self::fits).
+    pub(super) fn correlate(&self, weights: &[f32], flat: &FlatDisc, index: usize) -> f32 {
+        correlate(weights, self.width, self.values(flat, index), flat.side())
+    }
+}
+
+/// A zero-mean filter, so that even ground does not answer. Its response is the contrast of the picture it was made of.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Template {
+    weights: Vec<f32>,
+    /// Sum of the squared weights: what a picture of contrast 1 adds to the sum of squares.
+    pub energy: f64,
+}
+
+impl Template {
+    /// Of the darkness that is looked for about the middle of a window.
+    pub(super) fn new(window: &Window, darkness: &[f32]) -> Self {
+        let mut weights = window.inside(darkness);
+        let mean = weights.iter().sum::<f32>() / window.pixels() as f32;
+        for (weight, ring) in weights.iter_mut().zip(&window.ring) {
+            *weight -= ring.map_or(0.0, |_| mean);
+        }
+        let energy = weights.iter().map(|w| f64::from(w * w)).sum();
+        Self { weights, energy }
+    }
+
+    /// Contrast of what is looked for, about a value where the window fits.
+    pub(super) fn response(&self, window: &Window, flat: &FlatDisc, index: usize) -> f64 {
+        f64::from(window.correlate(&self.weights, flat, index)) / self.energy
+    }
+
+    /// 1 sigma of a response where the values have this noise.
+    pub(super) fn noise(&self, values: f64) -> f64 {
+        values / self.energy.sqrt()
+    }
+
+    /// Climbs to the highest response within so many steps of a place, a pixel at a time. `None` when that leads farther, or
+    /// out of the square.
+    pub(super) fn climb(
+        &self,
+        window: &Window,
+        flat: &FlatDisc,
+        start: usize,
+        most_steps: usize,
+    ) -> Option<Peak> {
+        let mut index = start;
+        for _ in 0..=most_steps {
+            if !window.fits(flat, index) {
+                return None;
+            }
+            let side = flat.side();
+            let beside = [index - 1, index + 1, index - side, index + side];
+            let peak = Peak {
+                index,
+                response: self.response(window, flat, index),
+                beside: beside.map(|n| self.response(window, flat, n)),
+            };
+            let highest = (0..4).max_by(|a, b| peak.beside[*a].total_cmp(&peak.beside[*b]))?;
+            if peak.beside[highest] <= peak.response {
+                return Some(peak);
+            }
+            index = beside[highest];
+        }
+        None
+    }
+}
+
+/// A pixel whose response no neighbour's exceeds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Peak {
+    /// Of the flattened disc's values.
+    pub index: usize,
+    pub response: f64,
+    /// To the left, to the right, above and below.
+    beside: [f64; 4],
+}
+
+impl Peak {
+    /// The top of the response from the pixel's middle, px, by a parabola in each axis: a cross looks the same after a quarter
+    /// turn, and so its response has no other axes. `None` on even ground.
+    pub(super) fn top(&self) -> Option<[f64; 2]> {
+        let [left, right, above, below] = self.beside;
+        let top = |before: f64, after: f64| {
+            let bend = 2.0 * self.response - before - after;
+            (bend > 0.0).then(|| (after - before) / (2.0 * bend))
+        };
+        Some([top(left, right)?, top(above, below)?])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::cross::{USUAL_SHAPE, turned};
+    use super::*;
+
+    fn window_and_shares(rotation_deg: f64) -> (Window, Vec<f32>) {
+        let window = Window::within(USUAL_SHAPE.reach_px());
+        let coverage = USUAL_SHAPE.coverage(&window.x, &window.y, &turned(rotation_deg));
+        (window, coverage.share)
+    }
+
+    #[test]
+    fn a_cross_looks_the_same_after_a_quarter_turn() {
+        let [a, b] = [7.0, 97.0].map(|turn| {
+            let (window, shares) = window_and_shares(turn);
+            Template::new(&window, &shares)
+        });
+        for (a, b) in a.weights.iter().zip(&b.weights) {
+            assert!((a - b).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn what_is_round_does_not_answer_to_a_template_without_round_part() {
+        let (window, shares) = window_and_shares(30.0);
+        let template = Template::new(&window, &window.without_round_part(&shares));
+        for sigma in [1.5_f32, 2.5, 4.0] {
+            let places = window.x.iter().zip(&window.y).zip(&template.weights);
+            let sum: f32 = places
+                .map(|((x, y), weight)| weight * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp())
+                .sum();
+            assert!(
+                f64::from(sum.abs()) < 0.02 * template.energy,
+                "{sum} of {} at {sigma}",
+                template.energy
+            );
+        }
+    }
+
+    #[test]
+    fn even_ground_does_not_answer() {
+        let (window, shares) = window_and_shares(30.0);
+        let template = Template::new(&window, &shares);
+        assert!(template.weights.iter().sum::<f32>().abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_top_of_a_parabola_is_found_where_it_is_and_even_ground_has_none() {
+        let at = |x: f64, y: f64| 1.0 - 0.1 * (x - 0.3).powi(2) - 0.2 * (y + 0.2).powi(2);
+        let peak = Peak {
+            index: 0,
+            response: at(0.0, 0.0),
+            beside: [at(-1.0, 0.0), at(1.0, 0.0), at(0.0, -1.0), at(0.0, 1.0)],
+        };
+        let [x, y] = peak.top().unwrap();
+        assert!((x - 0.3).abs() < 1e-9 && (y + 0.2).abs() < 1e-9);
+        let even = Peak {
+            response: 1.0,
+            beside: [1.0; 4],
+            ..peak
+        };
+        assert_eq!(even.top(), None);
+    }
+}
