@@ -9,7 +9,7 @@ use crate::fiducial::{
 };
 use crate::frame::Cutout;
 use crate::geometry::{Ellipse, Mapping};
-use crate::limb::{DiscLight, Limb};
+use crate::limb::{COMA_BLURS, DiscLight, Limb};
 use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Measured, Rejected, SensorPx};
@@ -25,7 +25,7 @@ const UNREFINED_SIGMA_PX: f64 = 0.2;
 /// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
 /// which haze may widen the disc. In simulated frames all are found from 0.5 on.
 const SURE_DEPTH: f64 = 0.75;
-/// Part of a shift by coma that is uncertain: the point spread function's higher moments.
+/// Part of a shift by coma that is uncertain: the displaced light's own blur.
 const COMA_OPEN: f64 = 0.2;
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
@@ -87,7 +87,7 @@ impl Work<'_> {
     pub(super) fn place(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Mark> {
         let refined = self.refine(scene, marks);
         let placed = marks.iter().zip(&refined).map(|(mark, found)| match found {
-            Some(found) => self.without_coma(mark.placed(found), scene, marks.len()),
+            Some(found) => self.without_coma(mark.placed(found), scene.limb, marks.len()),
             None => Mark {
                 covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
                 ..*mark
@@ -96,22 +96,17 @@ impl Work<'_> {
         placed.collect()
     }
 
-    /// A mark without what coma shifts it by across each arm. What is open of that moves all marks alike: so many must not
+    /// A mark without what coma shifts it by against the limb. What is open of that moves all marks alike: so many must not
     /// average it away.
-    fn without_coma(&self, mark: Mark, scene: &MarkScene<'_>, marks: usize) -> Mark {
-        let jacobian = scene
-            .mapping
-            .sensor_jacobian(self.instrument.plate.position(mark.id));
-        let per_skew = self.disc_shape(scene.limb).shift_per_skew();
-        let mut placed = mark;
-        for arm in jacobian.column_iter() {
-            let across = arm.normalize();
-            let skew = scene.limb.skew_px3(across);
-            let open = (per_skew * skew.value * COMA_OPEN).hypot(per_skew * skew.sigma);
-            placed.at = (placed.at.vector() - across * (per_skew * skew.value)).into();
-            placed.covariance_px2 += across * across.transpose() * (marks as f64 * open.powi(2));
+    fn without_coma(&self, mark: Mark, limb: &Limb, marks: usize) -> Mark {
+        let (coma, covariance) = limb.coma();
+        let response = self.disc_shape(limb).coma_shift(COMA_BLURS);
+        let open = covariance + Matrix2::identity() * (COMA_OPEN * coma.norm()).powi(2);
+        Mark {
+            at: (mark.at.vector() - response * coma).into(),
+            covariance_px2: mark.covariance_px2 + marks as f64 * response.powi(2) * open,
+            ..mark
         }
-        placed
     }
 
     pub(super) fn identify(

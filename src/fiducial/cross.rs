@@ -27,16 +27,16 @@ impl CrossShape {
         }
     }
 
-    /// How far the fit of a symmetric cross is shifted across an arm, px, for each px^3 of a sixth of the point spread function's
-    /// third moment in that direction.
+    /// How far the fit of the cross is shifted by light that is displaced and blurred more, over the product of that light's part
+    /// and its displacement. `blurs` is the blur of the displaced light over that of the rest.
     ///
-    /// With f the profile across an arm, a third moment of 6 k adds -k f''', which a fit of the place takes for a shift by -k times
-    /// the ratio of the integrals of f''^2 and f'^2. For a bar of half width h behind a blur these are Gaussian integrals.
-    pub fn shift_per_skew(&self) -> f64 {
-        let h2 = (self.half_width_px / self.blur_px).powi(2);
-        let overlap = (-h2).exp();
-        let ratio = (1.0 - (1.0 - 2.0 * h2) * overlap) / (2.0 * (1.0 - overlap));
-        -ratio / self.blur_px.powi(2)
+    /// The fit takes for a shift what of the displaced profile b' lies along the slope f' of an arm's own: the integral of f' b'
+    /// over that of f'^2. For a bar of half width h behind Gaussian blurs both are differences of Gaussians.
+    pub fn coma_shift(&self, blurs: f64) -> f64 {
+        let (h2, own) = (self.half_width_px.powi(2), self.blur_px.powi(2));
+        let both = own * (1.0 + blurs.powi(2));
+        let overlap = |variance: f64| -(-2.0 * h2 / variance).exp_m1() / variance.sqrt();
+        overlap(both) / overlap(2.0 * own)
     }
 
     /// How far from its centre the cross darkens the picture, px.

@@ -3,11 +3,11 @@
 //! # Method
 //! In a sector the light is taken to be, to first order about the profile P of the whole limb,
 //!
-//! > (1 + l) P(d - s) + b + q/2 P'' - k P'''
+//! > (1 + l) P(d - s) + b + q/2 P'' - c W'
 //!
 //! with d the distance from the ellipse: s is the limb's shift, l an excess of the illumination, b a background that the
-//! frame's own model did not remove, q an excess of the blur's variance, and k a sixth of the third moment of the point
-//! spread function. The shift is free in every sector. The others are smooth round the disc ([`Shape`]): they come from
+//! frame's own model did not remove, and q an excess of the blur's variance. Coma displaces a part of the light and blurs it
+//! more; c is that part times its displacement, and W the profile behind [`COMA_BLURS`] times the blur. The shift is free in every sector. The others are smooth round the disc ([`Shape`]): they come from
 //! vignetting, stray light and ghosts, the Sun's motion during the exposure, and coma. All sectors together tell them; an
 //! effect that is not significant is held at nothing, for each costs some certainty of the limb. What illumination and
 //! background are in one sector may then depart from the smooth course as far as all sectors show that they do
@@ -21,8 +21,8 @@ use super::sums::{COLUMNS, Weighing, sector_sums};
 use crate::estimation::clipped_sigma;
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
-use crate::units::{Measured, SensorPx};
-use nalgebra::{SMatrix, SVector, Vector2};
+use crate::units::SensorPx;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,26 +33,30 @@ pub struct LimbPoint {
 }
 
 /// What differs from sector to sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
-/// background (DN), excess of the blur's variance (px^2), a sixth of the point spread function's third moment (px^3).
+/// background (DN), excess of the blur's variance (px^2), the displaced part of the light times its displacement (px).
 pub(super) const SECTOR: usize = 5;
 pub(super) const SHIFT: usize = 0;
 pub(super) const ILLUMINATION: usize = 1;
 pub(super) const BACKGROUND: usize = 2;
 pub(super) const BLUR: usize = 3;
-pub(super) const SKEW: usize = 4;
+pub(super) const COMA_SHIFT: usize = 4;
 /// Those that a sector has of its own, beside the smooth course: shift, illumination, background.
 const OWN: usize = 3;
 
+/// The blur of the light that coma displaces, in blurs. With this one the marks' shift follows from the limb's whatever the
+/// true one is, from 1.1 to 3.7, to 3 %.
+pub const COMA_BLURS: f64 = 2.1;
+
 /// Coefficients of the smooth courses: illumination 1, x, y; background 1, x, y, cos 2 phi, sin 2 phi; variance of the blur 1,
-/// cos 2 phi, sin 2 phi; skew x, y, cos 3 phi, sin 3 phi, as the third moment along a direction changes with it.
-const SMOOTH: usize = 15;
+/// cos 2 phi, sin 2 phi; coma x, y.
+const SMOOTH: usize = 13;
 const UNEVEN_BACKGROUND: std::ops::Range<usize> = 4..8;
 const MOTION: std::ops::Range<usize> = 9..11;
-const COMA: std::ops::Range<usize> = 11..15;
-/// 1 sigma of each before the pixels are looked at: illumination and background in parts of the plateau, px^2, px^3. They hold
-/// what a short arc does not tell.
+const COMA: std::ops::Range<usize> = 11..13;
+/// 1 sigma of each before the fit: illumination, background in parts of the plateau, px^2, px. They hold what a short arc does
+/// not determine.
 const PRIOR: [f64; SMOOTH] = [
-    0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1,
+    0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.3, 0.3,
 ];
 /// Effects that are this unlikely by chance, in each, are taken to be there: chi^2 per degree of freedom.
 const SIGNIFICANT_CHI2: f64 = 6.0;
@@ -100,13 +104,12 @@ impl Shape {
 fn smooth(w: Vector2<f64>) -> SMatrix<f64, SECTOR, SMOOTH> {
     let w = w.normalize();
     let (c2, s2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
-    let (c3, s3) = (c2 * w.x - s2 * w.y, s2 * w.x + c2 * w.y);
     let mut matrix = SMatrix::zeros();
     for (row, first, terms) in [
         (ILLUMINATION, 0, &[1.0, w.x, w.y][..]),
         (BACKGROUND, 3, &[1.0, w.x, w.y, c2, s2]),
         (BLUR, 8, &[1.0, c2, s2]),
-        (SKEW, 11, &[w.x, w.y, c3, s3]),
+        (COMA_SHIFT, 11, &[w.x, w.y]),
     ] {
         for (n, term) in terms.iter().enumerate() {
             matrix[(row, first + n)] = *term;
@@ -136,11 +139,11 @@ impl EdgeModel {
         self.profile.with_blur(variance.max(0.0).sqrt())
     }
 
-    /// A sixth of the point spread function's third moment along a direction, px^3.
-    pub(super) fn skew_px3(&self, direction: Vector2<f64>) -> Measured {
-        let row = smooth(direction).row(SKEW).into_owned();
-        let variance = (row * self.covariance * row.transpose())[0];
-        Measured::new(self.shape.at(direction)[SKEW], variance.max(0.0).sqrt())
+    /// The part of the light that coma displaces times its displacement, px, and the covariance of that.
+    pub(super) fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
+        let own = self.covariance.fixed_view::<2, 2>(COMA.start, COMA.start);
+        let coefficients = self.shape.coefficients.fixed_rows::<2>(COMA.start);
+        (coefficients.into_owned(), own.into_owned())
     }
 
     /// Light well inside the limb, DN.
@@ -217,6 +220,7 @@ impl Sector {
         let profile = model.profile_at(&course);
         let weighing = Weighing {
             profile: &profile,
+            wide: &profile.with_blur(COMA_BLURS * profile.blur_px),
             course: course.cast::<f32>().into(),
             noise: model.noise,
             illumination_sigma: UNEVEN_ILLUMINATION,

@@ -9,7 +9,7 @@ use super::{LIMB_DARKENING, Settings};
 use crate::estimation::{MEDIAN_SIGMA, median};
 use crate::frame::{Cutout, Mask, PIXEL_VARIANCE_PX2, PixelNoise};
 use crate::geometry::Ellipse;
-use crate::units::{Measured, Rejected};
+use crate::units::Rejected;
 use nalgebra::{Matrix2, Vector2};
 use std::collections::BTreeMap;
 
@@ -80,10 +80,10 @@ impl Limb {
         (24.0 * self.blur_px2().1).sqrt()
     }
 
-    /// A sixth of the third moment of the point spread function along a direction of the sensor, px^3: coma. 0 where it is not
-    /// significant.
-    pub fn skew_px3(&self, direction: Vector2<f64>) -> Measured {
-        self.model.skew_px3(direction)
+    /// Coma: the part of the light that it displaces times the displacement, px, and the covariance of that; 0 where it is not
+    /// significant. The displaced light is blurred by [`COMA_BLURS`](super::COMA_BLURS) times the blur.
+    pub fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
+        self.model.coma()
     }
 
     /// Noise of the pixels near the limb.

@@ -26,7 +26,7 @@ mod search;
 mod sums;
 
 pub use background::background;
-pub use edge::LimbPoint;
+pub use edge::{COMA_BLURS, LimbPoint};
 pub use fit::{KnownOutline, Limb, LimbFit};
 pub use levels::levels;
 pub use light::DiscLight;

@@ -1,6 +1,6 @@
 //! The kernel of the limb's fit: sums over the pixels of a sector, eight of them side by side.
 
-use super::edge::{BACKGROUND, ILLUMINATION, SECTOR};
+use super::edge::SECTOR;
 use super::profile::Profile;
 use crate::estimation::TUKEY_SIGMAS;
 use crate::frame::PixelNoise;
@@ -14,6 +14,8 @@ pub(super) const COLUMNS: usize = SECTOR + 1;
 #[derive(Clone, Copy)]
 pub(super) struct Weighing<'a> {
     pub profile: &'a Profile,
+    /// The same behind the blur of the light that coma displaces.
+    pub wide: &'a Profile,
     pub course: [f32; SECTOR],
     pub noise: PixelNoise,
     /// How far illumination and limb may be from the model, 1 sigma: residuals as large are no outliers.
@@ -25,15 +27,15 @@ pub(super) struct Weighing<'a> {
 /// The derivatives and the residual of a pixel, and how much it counts (1 / DN^2).
 #[inline(always)]
 fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], f32) {
-    // Differences over half a blur stand for the higher derivatives.
+    // A difference over half a blur stands for the second derivative.
     let half = 0.5 * model.profile.blur_px as f32;
     let (_, slope_inside) = model.profile.light(distance_px - half);
     let (light, slope) = model.profile.light(distance_px);
     let (_, slope_outside) = model.profile.light(distance_px + half);
     let second = (slope_outside - slope_inside) / (2.0 * half);
-    let third = (slope_outside - 2.0 * slope + slope_inside) / (half * half);
-    let [_, illumination, background, _, skew] = model.course;
-    let expected = (1.0 + illumination) * light - skew * third;
+    let (_, slope_wide) = model.wide.light(distance_px);
+    let [_, illumination, background, _, coma] = model.course;
+    let expected = (1.0 + illumination) * light - coma * slope_wide;
     let residual = light_dn - model.profile.background_dn as f32 - background - expected;
     let variance = model.noise.dark_dn2 as f32 + model.noise.per_light_dn as f32 * light.max(0.0);
     let by_illumination = model.illumination_sigma as f32 * light;
@@ -46,7 +48,10 @@ fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMN
     } else {
         0.0
     };
-    ([-slope, light, 1.0, 0.5 * second, -third, residual], weight)
+    (
+        [-slope, light, 1.0, 0.5 * second, -slope_wide, residual],
+        weight,
+    )
 }
 
 /// Weighted sums over a sector's pixels of the products of every two columns, from the diagonal on; the rest is mirrored.
@@ -102,10 +107,9 @@ fn add(
     *sums = local;
 }
 
-const _: () = assert!(ILLUMINATION == 1 && BACKGROUND == 2);
-
 #[cfg(test)]
 mod tests {
+    use super::super::edge::COMA_BLURS;
     use super::*;
 
     #[test]
@@ -119,6 +123,7 @@ mod tests {
         };
         let model = Weighing {
             profile: &profile,
+            wide: &profile.with_blur(COMA_BLURS * profile.blur_px),
             course: [0.0, 0.01, 0.5, 0.0, 0.02],
             noise: PixelNoise {
                 dark_dn2: 20.0,
