@@ -5,7 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StudentT};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
-use solaspect::accuracy::{Figures, MARKS, MIXED, MOTION, Program, Size, names, text};
+use solaspect::accuracy::chance::{range_of_rms, rms};
+use solaspect::accuracy::{AspectError, Figures, MARKS, MIXED, MOTION, Program, Size, names, text};
 use solaspect::aspect::{Expected, Quality, Solution, Track, solve};
 use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -133,47 +134,200 @@ fn error_arcsec(solution: &Solution, truth: PlateMil, instrument: &Instrument) -
     Some(found.distance(truth) * instrument.optics.arcsec_per_mil())
 }
 
-/// The frames under `tests/data/frames`, which an independent generator made, each with its folder and truth.
-fn independent_frames() -> Vec<(String, Frame, PlateMil)> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/frames");
-    let table = std::fs::read_to_string(folder.join("truth.csv")).unwrap();
-    let frame = |line: &str| {
-        let fields: Vec<&str> = line.split(',').collect();
+/// A frame of `tests/data` and its solution beside the truth.
+struct Solved {
+    /// Folder or file.
+    name: String,
+    solution: Solution,
+    /// `None` without an aspect.
+    error: Option<AspectError>,
+}
+
+impl Solved {
+    fn of(name: &str, path: &Path, truth: PlateMil) -> Self {
+        let (frame, whole) = (fits::read_frame(path).unwrap(), demo());
+        let instrument = whole.seen_by(&frame).unwrap();
+        let solution = solve(&frame, &instrument, EXPECTED, None);
+        let error = solution.aspect.map(|aspect| AspectError {
+            plate_mil: aspect.sun_plate.position.vector() - truth.vector(),
+            covariance_mil2: aspect.sun_plate.covariance,
+            radial_arcsec: error_arcsec(&solution, truth, &instrument).unwrap(),
+            sensor_px: f64::NAN,
+        });
+        println!(
+            "{name:<20} {:?} {:.3} arcsec, {:.2} sigma {:?}",
+            solution.quality,
+            error.map_or(f64::NAN, |e| e.radial_arcsec),
+            error.map_or(f64::NAN, |e| e.sigmas()),
+            solution.stopped
+        );
+        Self {
+            name: name.into(),
+            solution,
+            error,
+        }
+    }
+
+    fn is(&self, quality: Quality) -> bool {
+        self.solution.quality == quality
+    }
+
+    /// Whether there is an aspect within so many of its sigmas.
+    fn within(&self, sigmas: f64) -> bool {
+        self.error.is_some_and(|error| error.sigmas() <= sigmas)
+    }
+}
+
+/// The lines of a table of truth under `tests/data`: their fields, and the place on the plate in two of them.
+fn truths(table: &str, plate: usize) -> Vec<(Vec<String>, PlateMil)> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/data")
+        .join(table);
+    let text = std::fs::read_to_string(path).unwrap();
+    let line = |line: &str| {
+        let fields: Vec<String> = line.split(',').map(str::to_owned).collect();
         let number = |n: usize| fields[n].parse::<f64>().unwrap();
-        let name = format!("{}/frame_{:05}.fits", fields[0], number(1));
-        let plain = folder.join(&name);
-        let zipped = folder.join(format!("{name}.gz"));
-        let path = if plain.exists() { plain } else { zipped };
-        let frame = fits::read_frame(&path).unwrap();
-        (fields[0].into(), frame, PlateMil::new(number(4), number(5)))
+        let place = PlateMil::new(number(plate), number(plate + 1));
+        (fields, place)
     };
-    table.lines().skip(1).map(frame).collect()
+    text.lines().skip(1).map(line).collect()
+}
+
+/// The frames of some folders under `tests/data/frames`, which an independent generator made.
+fn independent_frames(folders: &[&str]) -> Vec<Solved> {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/frames");
+    let truths = truths("frames/truth.csv", 4);
+    let wanted = truths
+        .iter()
+        .filter(|(fields, _)| folders.contains(&fields[0].as_str()));
+    let solved = wanted.map(|(fields, truth)| {
+        let number: u32 = fields[1].parse().unwrap();
+        let plain = data.join(format!("{}/frame_{number:05}.fits", fields[0]));
+        let path = if plain.exists() {
+            plain
+        } else {
+            plain.with_extension("fits.gz")
+        };
+        Solved::of(&fields[0], &path, *truth)
+    });
+    solved.collect()
+}
+
+/// Folders of whole frames with a usable Sun, and twice the error that was measured when this was written, arcsec.
+const USABLE: [(&str, f64); 7] = [
+    ("standard", 0.16),
+    ("heroes-layout", 0.24),
+    ("twelve-bit", 0.18),
+    ("rotated", 0.28),
+    ("disturbed", 0.60),
+    ("saturated", 0.12),
+    ("dim", 0.40),
+];
+/// Folders of frames that need not be fine, and of some without a Sun.
+const UNUSABLE: [&str; 2] = ["partial", "night"];
+/// Folders of windows with an effect that the solver stands.
+const WITHSTOOD: [&str; 8] = [
+    "gradient",
+    "column-smear",
+    "wings",
+    "tap-step",
+    "photons",
+    "hmi",
+    "ink",
+    "texture",
+];
+/// Folders of windows with an effect that it does not.
+const NOT_WITHSTOOD: [&str; 2] = ["ghost", "all-effects"];
+
+/// Whether normalised errors have an rms that as many values of a Gaussian may have, to 3 sigma.
+fn have_honest_sigmas(frames: &[Solved]) -> bool {
+    let errors = frames.iter().filter(|f| f.is(Quality::Fine));
+    let over_sigma: Vec<f64> = errors.flat_map(|f| f.error.unwrap().over_sigma()).collect();
+    let count = over_sigma.len();
+    let measured = rms(over_sigma.into_iter()).unwrap();
+    println!("error/sigma {measured:.2} of {count} values");
+    range_of_rms(measured, count, 3.0).contains(&1.0)
 }
 
 #[test]
-fn frames_of_an_independent_generator_are_solved_as_near_as_their_kind_allows() {
-    let instrument = demo();
-    let frames = independent_frames();
-    assert!(frames.len() >= 9, "{} frames", frames.len());
-    for (kind, frame, truth) in &frames {
-        let solution = solve(frame, &instrument, EXPECTED, None);
-        let quality = solution.quality;
-        let error = error_arcsec(&solution, *truth, &instrument).unwrap_or(f64::INFINITY);
-        println!(
-            "{kind:<14} {quality:?} {error:.3} arcsec {:?}",
-            solution.stopped
-        );
-        let fine = quality == Quality::Fine;
-        let explained = solution.stopped.is_some();
-        let kept = match kind.as_str() {
-            "standard" | "heroes-layout" | "twelve-bit" => fine && error < 2.0,
-            "rotated" | "disturbed" => fine && error < 4.0,
-            "dim" | "saturated" => (fine && error < 4.0) || (!fine && explained),
-            "partial" => (fine && error < 5.0) || (!fine && explained),
-            "night" => quality == Quality::None && explained,
-            other => panic!("{other}: no promise for this kind"),
+fn every_frame_of_the_independent_generator_is_judged() {
+    let usable = USABLE.map(|(name, _)| name);
+    let judged = [&usable[..], &UNUSABLE, &WITHSTOOD, &NOT_WITHSTOOD].concat();
+    for (fields, _) in truths("frames/truth.csv", 4) {
+        assert!(judged.contains(&fields[0].as_str()), "{}", fields[0]);
+    }
+}
+
+#[test]
+fn frames_of_an_independent_generator_are_within_four_sigma_and_twice_what_was_measured() {
+    let frames = independent_frames(&USABLE.map(|(name, _)| name));
+    assert_eq!(frames.len(), USABLE.len());
+    for frame in &frames {
+        let (_, most) = USABLE
+            .into_iter()
+            .find(|(name, _)| *name == frame.name)
+            .unwrap();
+        assert!(frame.is(Quality::Fine), "{}", frame.name);
+        assert!(frame.within(4.0), "{}", frame.name);
+        assert!(frame.error.unwrap().radial_arcsec <= most, "{}", frame.name);
+    }
+    assert!(have_honest_sigmas(&frames));
+}
+
+#[test]
+fn frames_of_an_independent_generator_without_a_usable_sun_say_so() {
+    for frame in independent_frames(&UNUSABLE) {
+        let kept = match frame.name.as_str() {
+            "night" => frame.is(Quality::None),
+            _ => frame.within(4.0),
         };
-        assert!(kept, "{kind}: {quality:?}, {error} arcsec");
+        assert!(kept, "{}", frame.name);
+        assert!(
+            frame.is(Quality::Fine) || frame.solution.stopped.is_some(),
+            "{}",
+            frame.name
+        );
+    }
+}
+
+/// Solves the windows of some folders: each is fine, and off by 5 of its sigmas at most.
+fn windows_are_within_five_sigma(folders: &[&str]) -> Vec<Solved> {
+    let frames = independent_frames(folders);
+    assert_eq!(frames.len(), 2 * folders.len());
+    for frame in &frames {
+        assert!(frame.is(Quality::Fine), "{}", frame.name);
+        assert!(frame.within(5.0), "{}", frame.name);
+    }
+    frames
+}
+
+#[test]
+fn what_cameras_and_plates_add_leaves_independent_frames_right() {
+    assert!(have_honest_sigmas(&windows_are_within_five_sigma(
+        &WITHSTOOD
+    )));
+}
+
+#[test]
+#[ignore = "the solver takes the light of a ghost for that of the Sun: up to 6 sigma"]
+fn a_ghost_leaves_independent_frames_right() {
+    windows_are_within_five_sigma(&NOT_WITHSTOOD);
+}
+
+#[test]
+#[ignore = "both frames are still fine, and off by 6.1 and 4.2 sigma"]
+fn frames_that_were_once_fine_and_wrong_are_within_four_sigma_where_they_are_fine() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/kept");
+    let truths = truths("kept/truth.csv", 3);
+    assert_eq!(truths.len(), 2);
+    for (fields, truth) in truths {
+        let path = folder.join(format!("{}.fits", fields[0]));
+        let frame = Solved::of(&fields[0], &path, truth);
+        assert!(
+            !frame.is(Quality::Fine) || frame.within(4.0),
+            "{}",
+            fields[0]
+        );
     }
 }
 

@@ -651,10 +651,12 @@ fn the_surface_of_hmi_leaves_the_limb_and_shows_spots() {
         let (middle, rim, beyond) = (ratios(0.0, 0.3), ratios(0.9, 0.97), ratios(1.05, 1.2));
         let median = |of: &[f32]| of[of.len() / 2];
         assert!((median(&middle) - 1.0).abs() < 0.02, "{}", median(&middle));
-        // The real limb darkening at 617 nm is stronger than 0.56 by a few per cent of the light.
-        assert!((0.85..1.02).contains(&median(&rim)), "{}", median(&rim));
+        // The real limb darkening at 617 nm is not linear: a few per cent of the light.
+        assert!((0.97..1.06).contains(&median(&rim)), "{}", median(&rim));
         assert!(beyond.iter().all(|r| (r - 1.0).abs() < 1e-3));
-        assert!(ratios(0.0, 0.97)[0] < 0.75, "no spot");
+        // The deepest of its small spots, blurred.
+        let deepest = ratios(0.0, 0.93)[0];
+        assert!((0.86..0.92).contains(&deepest), "{deepest}");
     }
     let turned = |turn_rad: f64, mirrored: bool| {
         let mut scene = plain.clone();

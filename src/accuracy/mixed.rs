@@ -17,6 +17,8 @@ pub struct MixedSummary {
     pub coarse: usize,
     /// Frames with less, or without Sun, that were solved: coarsely at best.
     pub solved_unusable: usize,
+    /// Fine frames that the errors are of.
+    pub counted: usize,
     /// Median error of the fine frames.
     pub median_arcsec: Option<f64>,
     /// Root mean square of the fine frames' error over stated sigma, by axis.
@@ -47,6 +49,7 @@ impl MixedSummary {
             fine: count(Quality::Fine),
             coarse: count(Quality::Coarse),
             solved_unusable: unusable.filter(|o| o.quality != Quality::None).count(),
+            counted: errors.len(),
             median_arcsec: quantile(errors.iter().map(|e| e.radial_arcsec).collect(), 0.5),
             over_sigma: [0, 1].map(|axis| rms(errors.iter().map(|e| e.over_sigma()[axis]))),
             wrong_ids: seeds(has_wrong_id),
@@ -56,13 +59,8 @@ impl MixedSummary {
 
     /// Why the run fails; `None` where nothing wrong was found.
     pub fn unmet(&self) -> Option<String> {
-        let (ids, fine) = (&self.wrong_ids, &self.wrong_fine);
-        (!ids.is_empty() || !fine.is_empty()).then(|| {
-            format!(
-                "{} frames with a wrong id (seeds {ids:?}), {} wrong fine frames (seeds {fine:?})",
-                ids.len(),
-                fine.len()
-            )
-        })
+        let (ids, fine) = (self.wrong_ids.len(), self.wrong_fine.len());
+        (ids + fine > 0)
+            .then(|| format!("{ids} frames with a wrong id, {fine} wrong fine frames; seeds above"))
     }
 }

@@ -43,5 +43,5 @@ pub use program::{AccuracyError, Case, Figures, Program};
 pub use recipe::{Recipe, View};
 pub use report::{MarksReport, Report, RowReport, RunReport};
 pub use rows::{Ideal, MARKS, MIXED, MOTION, Row, Run, Size, names, rows, runs};
-pub use table::{case_text, markdown, text};
+pub use table::{case_text, page, text};
 pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};

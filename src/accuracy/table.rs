@@ -1,5 +1,6 @@
 //! The report as text: one table for the terminal, one in Markdown.
 
+use super::chance::relative_sigma_of_rms;
 use super::demand::HONEST;
 use super::outcome::Summary;
 use super::program::Case;
@@ -22,7 +23,7 @@ const HEAD: [&str; COLUMNS] = [
     "ideal",
     "x ideal",
     "bound",
-    "error/bound",
+    "error/bound (frames)",
 ];
 
 /// The cells of a row; `*` marks an error over sigma that is not honest.
@@ -42,7 +43,7 @@ fn cells(report: &RowReport) -> [String; COLUMNS] {
         number(found.ideal.map(|i| i.median_arcsec)),
         times_ideal(found),
         number(bound.map(|b| b.median_arcsec)),
-        bound.map_or("-".into(), |b| format!("{:.2}", b.error_over_bound)),
+        error_over_bound(found),
     ]
 }
 
@@ -58,12 +59,31 @@ fn number(value: Option<f64>) -> String {
     })
 }
 
+/// By axis, with 1 sigma of either by the number of frames.
 fn over_sigma(found: &Summary) -> String {
-    found.over_sigma.map_or("-".into(), |axes| {
-        let honest = axes.iter().all(|v| HONEST.contains(v));
-        let star = if honest { "" } else { " *" };
-        format!("{:.2}, {:.2}{star}", axes[0], axes[1])
-    })
+    let sigma = relative_sigma_of_rms(found.counted);
+    let (Some(axes), Some(sigma)) = (found.over_sigma, sigma) else {
+        return "-".into();
+    };
+    let honest = axes.iter().all(|v| HONEST.contains(v));
+    let star = if honest { "" } else { " *" };
+    let sigma = sigma * axes[0].max(axes[1]);
+    format!("{:.2}, {:.2} +- {sigma:.2}{star}", axes[0], axes[1])
+}
+
+/// With 1 sigma and the number of frames that it is of.
+fn error_over_bound(found: &Summary) -> String {
+    let Some(bound) = &found.bound else {
+        return "-".into();
+    };
+    // Two axes of a frame.
+    let sigma = relative_sigma_of_rms(2 * bound.frames).map(|s| s * bound.error_over_bound);
+    format!(
+        "{:.2} +- {:.2} ({})",
+        bound.error_over_bound,
+        sigma.unwrap_or(f64::INFINITY),
+        bound.frames
+    )
 }
 
 fn times_ideal(found: &Summary) -> String {
@@ -98,23 +118,42 @@ pub fn text(report: &Report) -> String {
     out
 }
 
-/// The report as a page of Markdown; `commit` is that of the program.
-pub fn markdown(report: &Report, commit: Option<&str>) -> String {
+/// The line before what the program writes on the page.
+const BEGIN: &str = "<!-- Written by `solaspect accuracy --out`: from here -->\n";
+/// The line after it.
+const END: &str = "<!-- to here -->\n";
+
+/// A page with the report in it: between the two lines that mark its place on the page as it is, or a page of its own. `commit` is that of
+/// the program. `None` for a page without these lines.
+pub fn page(report: &Report, commit: Option<&str>, before: Option<&str>) -> Option<String> {
+    let before = before.map_or(format!("# Accuracy\n\n{BEGIN}{END}"), str::to_owned);
+    let (above, rest) = before.split_once(BEGIN)?;
+    let (_, below) = rest.split_once(END)?;
+    let written = markdown(report, commit);
+    Some(format!("{above}{BEGIN}\n{written}\n{END}{below}"))
+}
+
+/// The report in Markdown.
+fn markdown(report: &Report, commit: Option<&str>) -> String {
     let size = match report.size {
         Size::Small => "small",
         Size::Full => "full",
     };
     let commit = commit.unwrap_or("unknown");
-    let mut out = format!(
-        "# Accuracy\n\nCommit {commit}, {size} size. Errors in arcsec: radial, of the Sun's centre on the plate, over the \
-         counted frames; the bound per axis.\nSeeds of a row: 0 to one less than its frames.\n\n"
-    );
+    let mut out =
+        format!("Commit {commit}, {size} size. Seeds: 0 to one less than the frames.\n\n");
     if !report.rows.is_empty() {
-        let line = |cells: [&str; COLUMNS]| format!("| {} |\n", cells.join(" | "));
-        out += &line(HEAD);
-        out += &line(["---"; COLUMNS]);
+        let line = |cells: &[&str]| format!("| {} |\n", cells.join(" | "));
+        out += &line(&HEAD);
+        out += &line(&["---"; COLUMNS]);
         for row in &report.rows {
-            out += &line(cells(row).each_ref().map(String::as_str));
+            out += &line(&cells(row).each_ref().map(String::as_str));
+        }
+        out += "\nDemanded:\n";
+        for row in report.rows.iter().map(|report| &report.row) {
+            let demands = row.demands.iter().map(ToString::to_string);
+            let demands = demands.collect::<Vec<_>>().join(", ");
+            let _ = writeln!(out, "- {}: {demands}", row.name);
         }
     }
     out + &beside(report)
@@ -166,9 +205,11 @@ fn marks_text(report: &MarksReport) -> String {
 fn run_text(report: &RunReport) -> String {
     let found = &report.summary;
     let [x, y] = found.over_sigma.map(number);
+    let sigma = relative_sigma_of_rms(found.counted);
+    let sigma = sigma.and_then(|s| Some(s * found.over_sigma[0]?.max(found.over_sigma[1]?)));
     format!(
         "\n{}: {} frames, {} with a usable Sun, of these {} fine and {} coarse; {} of the others solved. Fine: median \
-         {} arcsec, error/sigma {x}, {y}.\nWrong ids in {} frames, wrong fine frames {}.\n",
+         {} arcsec, error/sigma {x}, {y} +- {}.\nWrong ids in {}, wrong fine frames {}.\n",
         report.run.title,
         found.frames,
         found.usable,
@@ -176,9 +217,20 @@ fn run_text(report: &RunReport) -> String {
         found.coarse,
         found.solved_unusable,
         number(found.median_arcsec),
-        found.wrong_ids.len(),
-        found.wrong_fine.len(),
+        number(sigma),
+        counted(&found.wrong_ids),
+        counted(&found.wrong_fine),
     )
+}
+
+/// How many frames, and the seeds of the first of them.
+fn counted(seeds: &[u64]) -> String {
+    let named: Vec<String> = seeds.iter().take(NAMED).map(u64::to_string).collect();
+    let more = if seeds.len() > NAMED { ", ..." } else { "" };
+    match named.len() {
+        0 => "none".into(),
+        _ => format!("{} (seeds {}{more})", seeds.len(), named.join(", ")),
+    }
 }
 
 /// Frames that are named for one reason.
@@ -261,4 +313,86 @@ pub fn case_text(case: &Case) -> String {
         let _ = writeln!(out, "wrong id {id}");
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accuracy::outcome::{About, AgainstBound};
+    use crate::accuracy::rows::{rows, runs};
+
+    /// No part of the program.
+    fn nothing() -> Report {
+        let nothing = Report {
+            size: Size::Small,
+            rows: Vec::new(),
+            marks: None,
+            runs: Vec::new(),
+            sweeps: None,
+        };
+        assert!(nothing.unmet().is_empty());
+        nothing
+    }
+
+    #[test]
+    fn a_report_replaces_what_stands_between_the_two_lines_and_nothing_else() {
+        let before = format!("# A\n\ntext\n{BEGIN}old\n{END}\nmore\n");
+        let after = page(&nothing(), Some("abc"), Some(&before)).unwrap();
+        assert!(after.starts_with(&format!("# A\n\ntext\n{BEGIN}\nCommit abc, small size")));
+        assert!(after.ends_with(&format!("{END}\nmore\n")));
+        assert!(!after.contains("old"));
+        let again = page(&nothing(), Some("abc"), Some(&after)).unwrap();
+        assert_eq!(again, after);
+        assert_eq!(page(&nothing(), None, Some("# A\n")), None);
+        assert!(
+            page(&nothing(), None, None)
+                .unwrap()
+                .starts_with("# Accuracy\n")
+        );
+    }
+
+    #[test]
+    fn the_page_of_accuracy_is_about_the_programs_rows_and_runs() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/accuracy.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let told = "run `solaspect accuracy --full --out docs`";
+        let (_, rest) = page.split_once(BEGIN).unwrap();
+        let (written, _) = rest.split_once(END).unwrap();
+        let found: Vec<&str> = written
+            .lines()
+            .filter_map(|line| Some(line.strip_prefix("| ")?.split(" | ").next().unwrap_or("")))
+            .skip(2)
+            .collect();
+        let names: Vec<&str> = rows().iter().map(|row| row.name).collect();
+        assert_eq!(found, names, "{told}");
+        assert!(
+            written.contains(&format!("| {} |", HEAD.join(" | "))),
+            "{told}"
+        );
+        for row in rows() {
+            assert!(
+                written.contains(&format!("| {} | {} |", row.name, row.title)),
+                "{told}"
+            );
+        }
+        for run in runs() {
+            assert!(written.contains(run.title), "{told}");
+        }
+    }
+
+    #[test]
+    fn errors_over_sigma_and_bound_come_with_their_uncertainty_and_count() {
+        let found = Summary {
+            counted: 50,
+            over_sigma: Some([1.0, 1.2]),
+            bound: Some(AgainstBound {
+                frames: 12,
+                median_arcsec: 0.08,
+                error_over_bound: 0.9,
+            }),
+            ..Summary::of(&[], About::Fine, 2.0)
+        };
+        assert_eq!(over_sigma(&found), "1.00, 1.20 +- 0.12");
+        assert_eq!(error_over_bound(&found), "0.90 +- 0.13 (12)");
+    }
 }

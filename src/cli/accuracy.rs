@@ -1,11 +1,12 @@
 //! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
 
 use super::output::say;
-use crate::accuracy::{Case, Figures, Program, Size, case_text, markdown, text};
+use crate::accuracy::{Case, Figures, Program, Report, Size, case_text, page, text};
 use crate::fits::{self, Compression};
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
@@ -18,13 +19,14 @@ pub struct AccuracyArgs {
     /// As many frames as the documentation's tables rest on, instead of the tests'
     #[arg(long)]
     full: bool,
-    /// Write accuracy.md and the figures (SVG) into this folder
+    /// Write the report into the page accuracy.md of this folder, between the two lines that mark its place, and the figures (SVG) into
+    /// its folder accuracy; `--full --out docs` renews the documentation
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Only this part: a row's name, "marks" or "mixed"; may be given several times
+    /// Only this part: a row's name, "marks", "mixed" or "motion"; may be given several times
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
-    /// Only the frame of this seed, of the one row or the mixed run that --only names, in detail; --out keeps it as FITS
+    /// Only the frame of this seed, of the one row or run that --only names, in detail; --out keeps it as FITS
     #[arg(long, value_name = "S", requires = "only", conflicts_with = "full")]
     seed: Option<u64>,
 }
@@ -66,16 +68,35 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     progress.finish_and_clear();
     say(text(&report).trim_end())?;
     if let Some(folder) = &args.out {
-        let commit = commit();
-        write(folder, "accuracy.md", &markdown(&report, commit.as_deref()))?;
+        write_page(folder, &report)?;
         for (name, svg) in report.figures()? {
-            write(folder, name, &svg)?;
+            write(&folder.join("accuracy"), name, &svg)?;
         }
     }
     Ok(match report.unmet().is_empty() {
         true => ExitCode::SUCCESS,
         false => ExitCode::FAILURE,
     })
+}
+
+/// Writes the report into the page of the folder, between the lines that mark its place.
+fn write_page(folder: &Path, report: &Report) -> anyhow::Result<()> {
+    const PAGE: &str = "accuracy.md";
+    let path = folder.join(PAGE);
+    let before = match std::fs::read_to_string(&path) {
+        Ok(text) => Some(text),
+        Err(error) if error.kind() == ErrorKind::NotFound => None,
+        Err(error) => {
+            return Err(error).with_context(|| format!("cannot read {}", path.display()));
+        }
+    };
+    let page = page(report, commit().as_deref(), before.as_deref()).with_context(|| {
+        format!(
+            "{}: expected the lines that mark the place of the report",
+            path.display()
+        )
+    })?;
+    write(folder, PAGE, &page)
 }
 
 fn write(folder: &Path, name: &str, text: &str) -> anyhow::Result<()> {
