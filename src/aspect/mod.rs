@@ -120,8 +120,10 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     solution.limb.clone_from(&limb.points);
     solution.limb_blur_px = Some(limb.lens_blur_px());
     let registration = marks.and_then(|marks| {
+        let registration = work.register(&marks, Some(&limb))?; // 9
+        // Ids that give no mapping are not to be trusted.
         solution.marks = marks;
-        work.register(&solution.marks, Some(&limb)) // 9
+        Ok(registration)
     });
     let registration = registration
         .map_err(|stopped| solution.stopped = Some(stopped))

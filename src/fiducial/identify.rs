@@ -15,6 +15,7 @@ use super::fit::Spot;
 use super::prior::IdentificationPrior;
 use super::reading::{Begun, Evidence, Id, Reading, Turned};
 use super::{Detection, Lighting, Settings};
+use crate::geometry::TILT_PER_PX;
 use crate::plate::{MarkId, Plate};
 use crate::units::Rejected;
 
@@ -30,12 +31,37 @@ impl IdentificationPrior {
         (density(shift_px.powi(2) / (2.0 * variance)) / density(0.0)).ln()
     }
 
+    /// Logarithm of the odds of a reading's rotation against the stated one: normally distributed about it, but for the
+    /// cameras that were turned, whose rotation may be any.
+    fn rotation_odds(&self, reading: &Reading) -> f64 {
+        let tilt_deg = (TILT_PER_PX * self.from_sun_px()).to_degrees();
+        let sigma_deg = self.rotation_deg.sigma.hypot(reading.rotation_deg.sigma);
+        let off_deg = reading.rotation_deg.value - self.rotation_deg.value;
+        let off_deg = (off_deg + 180.0).rem_euclid(360.0) - 180.0;
+        let sigmas = off_deg / sigma_deg.hypot(tilt_deg);
+        (TURNED_SHARE + (1.0 - TURNED_SHARE) * (-0.5 * sigmas * sigmas).exp()).ln()
+    }
+
+    /// How far a reading's scale is from the stated one, in parts of what is allowed: five sigma, and what a tilted camera
+    /// changes it by at the Sun.
+    fn scale_off(&self, reading: &Reading) -> f64 {
+        let stated = self.scale_mil_per_px;
+        let sigma = stated.sigma.hypot(reading.scale_mil_per_px.sigma);
+        let tilted = 1.5 * TILT_PER_PX * self.from_sun_px() * stated.value;
+        (reading.scale_mil_per_px.value - stated.value).abs() / (SCALE_SIGMAS * sigma + tilted)
+    }
+
+    /// Distance of the stated plate's centre from the Sun's.
+    fn from_sun_px(&self) -> f64 {
+        (self.plate_centre.vector() - self.outline.centre).norm()
+    }
+
     /// How far beyond the largest shift a reading puts the plate's centre, px, in parts of what the marks on the disc
     /// leave open: it lies far outside.
     fn beyond(&self, reading: &Reading, settings: &Settings) -> f64 {
         let shift_px = reading.plate_centre.distance(self.plate_centre);
         let from_sun = (reading.plate_centre.vector() - self.outline.centre).norm();
-        let open_px = 3.0 * reading.centre_sigma_px + KEYSTONE_PER_PX * from_sun.powi(2);
+        let open_px = 3.0 * reading.centre_sigma_px + TILT_PER_PX * from_sun.powi(2);
         (shift_px - settings.max_centre_shift_px) / open_px
     }
 }
@@ -63,10 +89,12 @@ const NEGLIGIBLE_ODDS: f64 = 20.0;
 const RIVALS_BEYOND: f64 = 2.0;
 /// Share of the cameras that were moved since their mounting was stated.
 const MOVED_SHARE: f64 = 0.01;
+/// A rotation far from the stated one needs evidence a million times stronger.
+const TURNED_SHARE: f64 = 1e-6;
+/// A scale farther from the stated one, in sigma, is refused: nothing changes it as a turn of the camera changes the rotation.
+const SCALE_SIGMAS: f64 = 5.0;
 /// What rotation and scale leave open of a place before any mark is read, in parts of its distance.
 const GUESS_ERROR: f64 = 0.03;
-/// What 3 deg of keystone moves a place at a distance, over the distance squared, 1/px.
-const KEYSTONE_PER_PX: f64 = 1.0e-5;
 
 /// Names the detections. Rejected when they allow no reading, or more than one.
 pub fn identify(
@@ -149,6 +177,11 @@ fn decide(
         let reason = "the best reading puts the plate's centre too far away";
         return reject(reason, beyond, 1.0);
     }
+    let scale_off = sight.scale_off(best);
+    if scale_off > 1.0 {
+        let reason = "the best reading's scale contradicts the stated one";
+        return reject(reason, scale_off, 1.0);
+    }
     Ok(Identification {
         ids: best.named(),
         odds: alike.min(sound),
@@ -174,7 +207,7 @@ fn readings(
     let mut marks = Vec::new();
     // Quicker than to collect them one by one.
     plate.marks().for_each(|mark| marks.push(mark));
-    let turned = |turn| Turned::new(&seen, turn, &marks, in_view_mil);
+    let turned = |(rotation_deg, turn)| Turned::new(&seen, rotation_deg, turn, &marks, in_view_mil);
     let turns: Vec<Turned> = sight.turns().filter_map(turned).collect();
     let mut named = vec![Vec::new(); turns.len()];
     let mut readings = Vec::new();
@@ -198,7 +231,8 @@ fn readings(
         for (turned, begun) in begun {
             if turned.most(&begun) > least_that_counts(&readings) {
                 let mut reading = turned.complete(begun);
-                reading.score += sight.centre_odds(&reading, settings);
+                reading.score +=
+                    sight.centre_odds(&reading, settings) + sight.rotation_odds(&reading);
                 readings.push(reading);
             }
         }

@@ -11,8 +11,9 @@
 use super::fit::{Explained, GATE_SIGMAS, LocalSimilarity, Printed, Spot};
 use super::prior::IdentificationPrior;
 use super::{Detection, Lighting};
+use crate::geometry::Handedness;
 use crate::plate::{Cross, MarkId};
-use crate::units::{PlateMil, SensorPx};
+use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::{PI, TAU};
 
@@ -69,6 +70,9 @@ pub(super) struct Reading {
     /// Where the reading puts the plate's centre, and how well the marks on the disc tell it, px.
     pub plate_centre: SensorPx,
     pub centre_sigma_px: f64,
+    /// Rotation of the plate's axes at the Sun, and scale there.
+    pub rotation_deg: Measured,
+    pub scale_mil_per_px: Measured,
     /// Logarithm of how much likelier the detections are under the reading than if all were false.
     pub score: f64,
 }
@@ -217,6 +221,8 @@ fn gain(off: f64) -> f64 {
 /// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
 pub(super) struct Turned<'a> {
     seen: &'a Evidence<'a>,
+    /// Rotation of the plate's axes on the sensor, deg.
+    rotation_deg: f64,
     /// From offsets on the plate, mil, to the unit disc.
     from_plate: Matrix2<f64>,
     /// Of the detections, mil.
@@ -233,6 +239,7 @@ impl<'a> Turned<'a> {
     /// With those of some marks that lie about the place where the Sun should be; `None` when the outline has no size.
     pub(super) fn new(
         seen: &'a Evidence<'a>,
+        rotation_deg: f64,
         to_plate: Matrix2<f64>,
         marks: &[(MarkId, PlateMil)],
         in_view_mil: f64,
@@ -241,6 +248,7 @@ impl<'a> Turned<'a> {
         let centre = offset(seen.sight.plate_centre);
         let mut turned = Self {
             seen,
+            rotation_deg,
             from_plate: to_plate.try_inverse()?,
             offsets: seen.detections.iter().map(|d| offset(d.at)).collect(),
             cut: Vec::new(),
@@ -261,7 +269,7 @@ impl<'a> Turned<'a> {
         outline.from_disc(self.from_plate * offset).into()
     }
 
-    /// Where a fully lit detection is.
+    /// Where a detection is.
     pub(super) fn spot(&self, detection: usize) -> Spot {
         Spot {
             detection,
@@ -273,11 +281,7 @@ impl<'a> Turned<'a> {
     /// Where the detections are that the limb cuts and may have pulled inwards.
     fn cut_spots(&self) -> Vec<Spot> {
         let cut = (0..self.offsets.len()).filter(|n| !self.seen.is_full(*n));
-        let pulled = |spot: Spot| Spot {
-            variance: spot.variance + PULL_MIL.powi(2),
-            ..spot
-        };
-        cut.map(|n| pulled(self.spot(n))).collect()
+        cut.map(|n| self.spot(n)).collect()
     }
 
     /// The reading that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
@@ -317,8 +321,21 @@ impl<'a> Turned<'a> {
             ids,
             plate_centre: self.to_sensor(centre),
             centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
+            rotation_deg: self.rotation_deg(&fit),
+            scale_mil_per_px: fit.scale(seen.sight.mil_per_px()),
         };
         Some(Begun { reading, fit, sun })
+    }
+
+    /// Rotation of the plate's axes on the sensor by a fit.
+    fn rotation_deg(&self, fit: &LocalSimilarity) -> Measured {
+        let on_plate = fit.rotation_deg();
+        // A mirror turns the other way round.
+        let on_sensor = match self.seen.sight.handedness {
+            Handedness::Mirrored => on_plate.value,
+            Handedness::Direct => -on_plate.value,
+        };
+        Measured::new(self.rotation_deg + on_sensor, on_plate.sigma)
     }
 
     /// A reading with all that it explains and leaves unexplained.
@@ -343,9 +360,7 @@ impl<'a> Turned<'a> {
     /// Adds to a reading what it explains of the detections that the limb cuts.
     fn add_cut(&self, reading: &mut Reading, fit: &LocalSimilarity, sun: Vector2<f64>) {
         let seen = self.seen;
-        let variance = |spot: &Spot, at| {
-            seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2)
-        };
+        let variance = |spot: &Spot, at| spot.variance + seen.pull_mil(fit.offset(at)).powi(2);
         let mut spots = &self.cut[..];
         while let Some((explained, rest)) = self.printed.explain(spots, fit, variance) {
             spots = rest;
@@ -368,7 +383,6 @@ impl<'a> Turned<'a> {
         let sun = fit.place(Vector2::zeros()).vector();
         let reach2 = seen.sure_reach_mil.powi(2) * fit.stretch2();
         let on_sensor = move |at| seen.sight.on_sensor(self.to_sensor(fit.offset(at)));
-        #[inline(always)]
         move |at: PlateMil| {
             (at.vector() - sun).norm_squared() < reach2 && (seen.sure_on_sensor || on_sensor(at))
         }
