@@ -1,4 +1,4 @@
-//! The fit of a reading: from what the outline and the arms tell to what the marks say.
+//! The fit of a labelling: from what the outline and the arms tell to what the marks say.
 
 use super::prior::IdentificationPrior;
 use crate::plate::MarkId;
@@ -32,8 +32,8 @@ pub(super) struct LocalSimilarity {
 }
 
 impl LocalSimilarity {
-    pub(super) fn new(sight: &IdentificationPrior) -> Self {
-        let scale_sigma = sight.radius_mil.sigma / sight.radius_mil.value;
+    pub(super) fn new(prior: &IdentificationPrior) -> Self {
+        let scale_sigma = prior.radius_mil.sigma / prior.radius_mil.value;
         Self {
             weight: 0.0,
             offset: Vector2::zeros(),
@@ -118,8 +118,8 @@ impl LocalSimilarity {
         let common = variance + 1.0 / self.weight;
         let along = common + reach / self.scale_weight;
         let across = common + reach / self.rotation_weight;
-        let miss = printed.vector() - self.place(offset).vector();
-        let (stretch, twist) = (arm.dot(&miss), arm.perp(&miss));
+        let residual = printed.vector() - self.place(offset).vector();
+        let (stretch, twist) = (arm.dot(&residual), arm.perp(&residual));
         let off =
             (stretch * stretch / along + twist * twist / across) / reach.max(f64::MIN_POSITIVE);
         (off < GATE).then(|| -0.5 * off - TAU.ln() - 0.5 * (along * across).ln())
@@ -128,7 +128,7 @@ impl LocalSimilarity {
 
 /// Where a detection is, as an offset from the Sun's centre on the plate.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Spot {
+pub(super) struct Candidate {
     /// Index of the detection.
     pub detection: usize,
     pub offset: Vector2<f64>,
@@ -136,10 +136,10 @@ pub(super) struct Spot {
     pub variance: f64,
 }
 
-/// A spot with the mark that it is.
+/// A candidate with the mark that it is.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Explained {
-    pub spot: Spot,
+    pub candidate: Candidate,
     pub id: MarkId,
     /// Where the mark is printed.
     pub at: PlateMil,
@@ -161,24 +161,24 @@ impl Printed {
         }
     }
 
-    /// The first of some spots that is a mark, `variance` (mil^2) telling how far it may be seen from the place of one, with
-    /// the spots after it; `None` when none is.
+    /// The first of some candidates that is a mark, `variance` (mil^2) telling how far it may be seen from the place of one, with
+    /// the candidates after it; `None` when none is.
     pub(super) fn explain<'s>(
         &self,
-        spots: &'s [Spot],
+        candidates: &'s [Candidate],
         fit: &LocalSimilarity,
-        variance: impl Fn(&Spot, PlateMil) -> f64,
-    ) -> Option<(Explained, &'s [Spot])> {
-        spots.iter().enumerate().find_map(|(n, spot)| {
-            let (id, at) = self.nearest(fit.place(spot.offset))?;
-            let likelihood = fit.likelihood(spot.offset, at, variance(spot, at))?;
+        variance: impl Fn(&Candidate, PlateMil) -> f64,
+    ) -> Option<(Explained, &'s [Candidate])> {
+        candidates.iter().enumerate().find_map(|(n, candidate)| {
+            let (id, at) = self.nearest(fit.place(candidate.offset))?;
+            let likelihood = fit.likelihood(candidate.offset, at, variance(candidate, at))?;
             let explained = Explained {
-                spot: *spot,
+                candidate: *candidate,
                 id,
                 at,
                 likelihood,
             };
-            Some((explained, &spots[n + 1..]))
+            Some((explained, &candidates[n + 1..]))
         })
     }
 
