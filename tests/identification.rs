@@ -56,6 +56,8 @@ impl Look {
             plate_centre: self.plate_centre,
             // The lists' cameras were all moved.
             plate_centre_sigma_px: 100.0,
+            rotation_deg: Measured::new(0.0, 360.0),
+            scale_mil_per_px: Measured::new(SCALE_MIL_PER_PX, 0.1 * SCALE_MIL_PER_PX),
             missed_share: 0.1,
             sure_depth_px: 0.75 * self.half_mark_px() + 1.0,
             sure_margin_px: self.half_mark_px() + 4.0,

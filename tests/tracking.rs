@@ -66,7 +66,7 @@ impl Flight {
         let pair = |mark: &solaspect::aspect::Mark| {
             let printed = plate.position(mark.id);
             Pair {
-                seen: SensorPx::new(mark.at.x + on_sensor_px[0], mark.at.y + on_sensor_px[1]),
+                observed: SensorPx::new(mark.at.x + on_sensor_px[0], mark.at.y + on_sensor_px[1]),
                 printed: PlateMil::new(printed.x + on_plate_mil[0], printed.y + on_plate_mil[1]),
                 covariance_px2: Matrix2::identity() * 4e-4,
             }

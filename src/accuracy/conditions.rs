@@ -12,9 +12,10 @@ pub fn noise(recipe: &mut Recipe, read_dn: f64) {
     recipe.conditions.noise = Noise::read(read_dn);
 }
 
-/// A camera turned anyhow.
+/// A camera turned anyhow, of which the instrument states no rotation.
 pub fn turned(recipe: &mut Recipe, rng: &mut Generator) {
     recipe.conditions.similarity.rotation_deg = rng.random_range(0.0..360.0);
+    recipe.stated.rotation_deg.sigma = 360.0;
 }
 
 /// A camera turned and tilted anyhow.
@@ -138,12 +139,15 @@ pub fn moving(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator)
 }
 
 /// Everything at once, each more or less, in half of the frames effects of optics and readout, too; every fourth frame without a
-/// usable Sun. The plate is as the instrument states
+/// usable Sun. The scale is anywhere within five of its sigmas, the rotation contradicts the stated one. The plate is as the
+/// instrument states
 /// it: three misprinted marks that happen to agree leave no trace of their error, which is a property of the plate and not
 /// of the frame. The row about misprinted marks shows how often.
-pub fn mixed(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
+pub fn mixed(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
     tilted(recipe, rng);
-    let stretch = rng.random_range(0.9..1.1);
+    recipe.stated = instrument.mounting;
+    let scale = instrument.mounting.scale_mil_per_px;
+    let stretch = 1.0 + 5.0 * scale.sigma / scale.value * rng.random_range(-1.0..1.0);
     recipe.view = mixed_view(rng);
     recipe.sunspots = some(rng, 8);
     let conditions = &mut recipe.conditions;

@@ -70,8 +70,8 @@ impl Missed {
     /// Whether its marks can be read in more than one way.
     pub fn is_undecided(&self) -> bool {
         [
-            "two readings of the marks fit alike",
-            "the best reading may rest on a false detection",
+            "two labellings of the marks fit alike",
+            "the best labelling may rest on a false detection",
         ]
         .iter()
         .any(|reason| self.reason.contains(reason))

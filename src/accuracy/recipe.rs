@@ -1,6 +1,6 @@
 //! From a recipe and a seed to a scene.
 
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, Mounting};
 use crate::plate::MarkId;
 use crate::simulate::{Conditions, LitMark, RandomScenes, Scene, SceneError, SunInView, Sunspot};
 use crate::units::{PlateMil, SensorPx};
@@ -45,6 +45,8 @@ pub const FEW_MARKS: RangeInclusive<usize> = 0..=2;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     pub conditions: Conditions,
+    /// What the instrument states of the camera, which need not be so.
+    pub stated: Mounting,
     pub view: View,
     /// Sunspots, each up to 1 % of the disc's area.
     pub sunspots: usize,
@@ -55,6 +57,7 @@ impl Recipe {
     pub fn standard(instrument: &Instrument) -> Self {
         Self {
             conditions: Conditions::of(instrument),
+            stated: instrument.mounting,
             view: View::Whole {
                 lit_marks: ANY_MARKS,
             },

@@ -109,7 +109,11 @@ impl Trial {
             radius_arcsec: SUN_RADIUS_ARCSEC,
         });
         let frame = scene.frame()?;
-        let solution = solve_with(&self.settings, &frame, &self.instrument, expected, None);
+        let stated = Instrument {
+            mounting: recipe.stated,
+            ..self.instrument.clone()
+        };
+        let solution = solve_with(&self.settings, &frame, &stated, expected, None);
         let bound_mil2 = match bounded {
             Bounded::Yes => bound::covariance_mil2(&scene),
             Bounded::No => None,

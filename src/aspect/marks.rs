@@ -1,5 +1,6 @@
 //! The steps of the pipeline from the marks on the flattened disc to their mapping.
 
+use super::contradiction::check_stated;
 use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
 use super::{Mark, Stage, Stopped};
 use crate::estimation::median;
@@ -124,6 +125,8 @@ impl Work<'_> {
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
             plate_centre_sigma_px: mounting.plate_centre_sigma_px,
+            rotation_deg: mounting.rotation_deg,
+            scale_mil_per_px: mounting.scale_mil_per_px,
             missed_share: missed_share(detections),
             sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
             sure_margin_px: self.shape.half_length_px + 4.0,
@@ -153,7 +156,7 @@ impl Work<'_> {
             .iter()
             .filter(|mark| limb.is_some() || mark.lighting == Lighting::Full);
         pairs.extend(used.map(|mark| Pair {
-            seen: mark.at,
+            observed: mark.at,
             printed: self.instrument.plate.position(mark.id),
             covariance_px2: mark.covariance_px2 + self.poorly_known_px2(mark.id),
         }));
@@ -194,6 +197,13 @@ impl Work<'_> {
             let reason = "the marks do not fit a mapping";
             return Err(reject(reason, registration.residual_px, MAX_RESIDUAL_PX));
         }
+        check_stated(
+            &registration,
+            marks,
+            self.instrument,
+            self.loose_radius_mil(),
+        )
+        .map_err(at(Stage::Registration))?;
         Ok(registration)
     }
 

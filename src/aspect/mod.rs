@@ -122,8 +122,10 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     solution.limb_blur_px = Some(limb.blur_px());
     let marks = work.check_motion(&limb).and(marks);
     let registration = marks.and_then(|marks| {
+        let registration = work.register(&marks, Some(&limb))?; // 9
+        // Ids that give no mapping are not to be trusted.
         solution.marks = marks;
-        work.register(&solution.marks, Some(&limb)) // 9
+        Ok(registration)
     });
     let registration = registration
         .map_err(|stopped| solution.stopped = Some(stopped))

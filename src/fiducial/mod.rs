@@ -7,7 +7,7 @@
 //! 2. Sums over boxes give candidates whatever the camera's rotation; the arms there show the rotation to a quarter turn; a
 //!    matched filter of the blurred cross at that rotation gives position and contrast, and its fourfold part separates crosses
 //!    from what is round ([`detect`]).
-//! 3. Ids come from pairs of neighbours: one spacing is fixed, the other is the code. Every reading that a pair
+//! 3. Ids come from pairs of neighbours: one spacing is fixed, the other is the code. Every labelling that a pair
 //!    allows is held against all marks in view, and one that is not clearly the best is refused.
 //! 4. A fit of the blurred cross to the pixels about it gives a mark's place without the bias that a paraboloid has over the
 //!    sub-pixel phase, with a covariance of its own: [`Refiner::refine`] cuts the pixels out (`patch`) and takes Gauss-Newton
@@ -19,10 +19,10 @@ mod detect;
 mod fit;
 mod flatten;
 mod identify;
+mod labelling;
 mod mark_fit;
 mod patch;
 mod prior;
-mod reading;
 mod refine;
 mod template;
 
@@ -34,7 +34,7 @@ pub use patch::Illumination;
 pub use prior::IdentificationPrior;
 pub use refine::{RefinedMark, Refiner};
 
-/// What can be tuned in finding and reading marks.
+/// What can be tuned in finding and identifying marks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// A mark's response must exceed this many sigma of the noise.
@@ -45,9 +45,9 @@ pub struct Settings {
     pub min_likeness: f64,
     /// Most detections that are read.
     pub max_detections: usize,
-    /// Fewest marks that make a reading.
+    /// Fewest marks that make a labelling.
     pub min_marks: usize,
-    /// Largest distance of the plate's centre, as a reading puts it on the sensor, from the instrument's value, px.
+    /// Largest distance of the plate's centre, as a labelling puts it on the sensor, from the instrument's value, px.
     pub max_centre_shift_px: f64,
 }
 

@@ -18,6 +18,10 @@ pub struct IdentificationPrior {
     /// Where the instrument says the plate's centre is seen, and 1 sigma of that per axis.
     pub plate_centre: SensorPx,
     pub plate_centre_sigma_px: f64,
+    /// Rotation of the plate's axes on the sensor as the instrument states it, positive from +x towards +y, deg.
+    pub rotation_deg: Measured,
+    /// Scale as the instrument states it.
+    pub scale_mil_per_px: Measured,
     /// Depth inside the limb from which a mark must have been found, px.
     pub sure_depth_px: f64,
     /// Distance from the sensor's edge from which a mark must have been found, px.
@@ -33,12 +37,14 @@ impl IdentificationPrior {
         1.0 - self.missed_share
     }
 
-    /// From the unit disc to offsets from the Sun's centre on the plate (mil), at every quarter turn.
-    pub(super) fn turns(&self) -> impl Iterator<Item = Matrix2<f64>> {
+    /// The rotations that the arms allow, deg, each with the map from the unit disc to offsets from the Sun's centre on the
+    /// plate (mil).
+    pub(super) fn turns(&self) -> impl Iterator<Item = (f64, Matrix2<f64>)> {
         let axes = self.handedness.axes() * self.radius_mil.value;
         [0.0, 90.0, 180.0, 270.0].into_iter().map(move |quarter| {
-            let rotation = Rotation2::new((self.quarter_rotation_deg + quarter).to_radians());
-            axes * rotation.matrix().transpose()
+            let rotation_deg = self.quarter_rotation_deg + quarter;
+            let rotation = Rotation2::new(rotation_deg.to_radians());
+            (rotation_deg, axes * rotation.matrix().transpose())
         })
     }
 

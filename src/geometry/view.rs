@@ -25,6 +25,13 @@ pub type ParameterCovariance = SMatrix<f64, PARAMETERS, PARAMETERS>;
 /// The plate's unit of length in a view.
 pub const UNIT_MIL: f64 = 1000.0;
 
+/// What a camera tilted by 3 deg moves a place by, over the square of its distance from the plate's centre, 1/px: tan(3 deg)
+/// over four times the width of the sensor. A camera aligned by hand is tilted by this much, 1 sigma.
+///
+/// So near the Sun, at a distance d (px) from the plate's centre, the tilt turns the picture by up to this times d (rad) and
+/// changes its scale by up to 1.5 times this times d.
+pub const TILT_PER_PX: f64 = 1.0e-5;
+
 /// Which parameters a kind of mapping has; the others are zero.
 pub fn parameters_of(kind: MappingKind) -> [bool; PARAMETERS] {
     let stretch = matches!(kind, MappingKind::Affine | MappingKind::Homography);

@@ -1,96 +1,191 @@
-//! One adjustment of everything that the mapping decides: the pairs, and the points that lie on one circle of the plate.
+//! Weighted least squares of a view of the plate and a circle on it: Gauss-Newton steps on the pairs and the points of the outline.
 
-use super::input::{Outline, Pair};
-use super::normal_points::{ARCS, normal_points};
-use super::sums::{RESIDUAL, Row, Solved, Sums, UNKNOWNS};
-use crate::geometry::view::{PARAMETERS, ParameterJacobian, Parameters, UNIT_MIL};
-use crate::geometry::view::{View, parameters_of};
-use crate::geometry::{Circle, Distortion, Handedness, MappingKind};
-use crate::units::{PlateMil, SensorPx};
-use nalgebra::{Matrix2, RowSVector, Vector2};
+use super::{Outline, Pair};
+use crate::geometry::view::{PARAMETERS, Parameters, UNIT_MIL, View, parameters_of};
+use crate::geometry::{Circle, Distortion, Handedness, MappingKind, TILT_PER_PX};
+use crate::units::{Measured, PlateMil, SensorPx};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// Index of the circle's centre x, y and radius among the unknowns, after the view's parameters.
+/// The parameters of the view, then centre x, y and radius of the circle (mil).
+pub(super) const UNKNOWNS: usize = PARAMETERS + 3;
+/// Index of the circle's centre x among the unknowns.
 pub(super) const CIRCLE: usize = PARAMETERS;
+/// Indices of the tilt among the unknowns.
+const TILT: [usize; 2] = [6, 7];
+pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
+pub(super) type Covariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Pairs and outline, on the ideal sensor.
-pub(super) struct Problem<'a> {
+const MOST_STEPS: usize = 12;
+/// After a step as short as this, the residuals are linear to a hundred-thousandth of a pixel.
+const SHORT_STEP_PX: f64 = 0.03;
+/// An unknown with less than this part of its information independent of those before it is not determined.
+const LEAST_OWN_PART: f64 = 1e-10;
+
+/// What is fitted: pairs and outline on the ideal sensor, free of the lens's distortion.
+#[derive(Clone)]
+pub(super) struct Problem {
     pairs: Vec<IdealPair>,
-    outline: Option<(&'a Outline<'a>, Vec<IdealPoint>)>,
+    outline: Option<IdealOutline>,
     handedness: Handedness,
 }
 
 #[derive(Clone)]
 struct IdealPair {
-    seen: Vector2<f64>,
+    observed: Vector2<f64>,
     printed: PlateMil,
     /// Inverse Cholesky factor of the covariance: takes a residual (px) to two uncorrelated numbers of sigma 1.
     whitening: Matrix2<f64>,
 }
 
-struct IdealPoint {
-    seen: Vector2<f64>,
-    sigma_px: f64,
+#[derive(Clone)]
+struct IdealOutline {
+    /// Centre of the ellipse, px: near the image of the circle's centre.
+    centre: Vector2<f64>,
+    /// Points, and 1 sigma across the outline, px.
+    points: Vec<(Vector2<f64>, f64)>,
+    /// Prior of the circle's radius.
+    radius_mil: Measured,
+}
+
+/// The unknowns: how the camera sees the plate, and the circle that the outline is the image of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Model {
+    pub view: View,
+    pub circle: Option<Circle>,
+}
+
+/// Which unknowns are free, and with what sigmas.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Terms {
+    pub kind: MappingKind,
+    /// Factor of the pairs' stated sigmas.
+    pub inflation: f64,
 }
 
 /// A fit with its statistics.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Adjusted {
-    pub kind: MappingKind,
-    pub view: View,
-    pub circle: Option<Circle>,
-    pub solved: Solved,
+    pub terms: Terms,
+    pub model: Model,
+    /// Zero for unknowns that are held.
+    pub covariance: Covariance,
     /// By the pairs' stated sigmas.
     pub chi2_pairs: f64,
-    pub chi2_outline: f64,
-    /// Degrees of freedom of the pairs' residuals.
+    /// Of the outline's points, and of the priors.
+    pub chi2_others: f64,
+    /// Degrees of freedom of the pairs' residuals: Förstner's redundancy numbers, summed.
     pub redundancy: f64,
-    /// Factor of the pairs' stated sigmas.
-    pub inflation: f64,
 }
 
-/// The problem linearised about a view in all parameters of the richest kind: good for every kind and inflation whose
-/// solution is close.
-#[derive(Clone)]
-pub(super) struct Linearised {
-    view: View,
-    circle: Option<Circle>,
-    pairs: Sums,
-    outline: Sums,
-    coordinates: usize,
+impl Adjusted {
+    /// By the inflated sigmas.
+    pub(super) fn chi2(&self) -> f64 {
+        self.chi2_pairs / self.terms.inflation.powi(2) + self.chi2_others
+    }
+
+    /// Square root of the determinant of the tilt's covariance over that of its prior: the part of the tilts that are possible
+    /// beforehand which the data leave open.
+    pub(super) fn open_tilts(&self) -> f64 {
+        let [x, y] = TILT;
+        let c = &self.covariance;
+        let determinant = c[(x, x)] * c[(y, y)] - c[(x, y)].powi(2);
+        determinant.max(0.0).sqrt() / self.model.tilt_sigma().powi(2)
+    }
 }
 
-const STEPS: usize = 12;
-/// A step as short as this leaves residuals linear to a hundred-thousandth of a pixel.
-const SHORT_STEP_PX: f64 = 0.03;
+impl Model {
+    /// All parameters zero, from where one step leads to the similarity of the pairs alone.
+    fn zero(handedness: Handedness) -> Self {
+        Self {
+            view: View::zero(handedness),
+            circle: None,
+        }
+    }
 
-impl<'a> Problem<'a> {
+    pub(super) fn unknowns(&self) -> Unknowns {
+        let mut unknowns = Unknowns::zeros();
+        unknowns
+            .fixed_rows_mut::<PARAMETERS>(0)
+            .copy_from(&self.view.parameters);
+        if let Some(Circle { centre, radius }) = self.circle {
+            let circle = [centre.x, centre.y, radius];
+            unknowns.as_mut_slice()[CIRCLE..].copy_from_slice(&circle);
+        }
+        unknowns
+    }
+
+    fn advanced(&self, step: &Unknowns) -> Self {
+        let view_step = Parameters::from_column_slice(&step.as_slice()[..PARAMETERS]);
+        Self {
+            view: self.view.advanced(&view_step),
+            circle: self.circle.map(|circle| Circle {
+                centre: circle.centre + Vector2::new(step[CIRCLE], step[CIRCLE + 1]),
+                radius: circle.radius + step[CIRCLE + 2],
+            }),
+        }
+    }
+
+    /// How far a step moves the image of what lies [`UNIT_MIL`] from the plate's centre, px.
+    fn moved_px(&self, step: &Unknowns) -> f64 {
+        let unit_px = self.view.unit_px();
+        let linear = step.fixed_rows::<6>(0).norm();
+        let by_tilt = unit_px * step.fixed_rows::<2>(TILT[0]).norm();
+        let by_circle = unit_px / UNIT_MIL * step.fixed_rows::<3>(CIRCLE).norm();
+        linear.hypot(by_tilt).hypot(by_circle)
+    }
+
+    /// 1 sigma of the tilt of a camera aligned by hand, in the view's units.
+    fn tilt_sigma(&self) -> f64 {
+        TILT_PER_PX * self.view.unit_px()
+    }
+}
+
+/// Normal equations of some observations, and their chi^2.
+#[derive(Default)]
+struct Normal {
+    matrix: Covariance,
+    right: Unknowns,
+    chi2: f64,
+}
+
+impl Normal {
+    /// Adds an observation: derivatives of its prediction and its residual, both in units of its sigma.
+    fn add(&mut self, slopes: &Unknowns, residual: f64) {
+        self.matrix.ger(1.0, slopes, slopes, 1.0);
+        self.right.axpy(residual, slopes, 1.0);
+        self.chi2 += residual * residual;
+    }
+}
+
+impl Problem {
     /// `None` when a covariance is not positive.
     pub(super) fn new(
         pairs: &[Pair],
-        outline: Option<&'a Outline<'a>>,
+        outline: Option<&Outline<'_>>,
         handedness: Handedness,
         distortion: Distortion,
     ) -> Option<Self> {
-        let ideal_points = |outline: &'a Outline<'a>| {
-            let point = |(at, sigma_px): (SensorPx, f64)| IdealPoint {
-                seen: distortion.correct(at).vector(),
-                sigma_px,
-            };
-            let mut points = Vec::with_capacity(ARCS);
-            points.extend(normal_points(outline.points, &outline.ellipse).map(point));
-            (outline, points)
-        };
-        let mut ideal_pairs = Vec::with_capacity(pairs.len());
-        for pair in pairs {
-            ideal_pairs.push(IdealPair {
-                seen: distortion.correct(pair.seen).vector(),
+        let ideal = |pair: &Pair| {
+            Some(IdealPair {
+                observed: distortion.correct(pair.observed).vector(),
                 printed: pair.printed,
-                whitening: whitening(&pair.covariance_px2)?,
-            });
-        }
+                whitening: pair.covariance_px2.cholesky()?.l().try_inverse()?,
+            })
+        };
+        let outline = outline.map(|outline| {
+            let inflation = outline.correlated_inflation();
+            let ideal = |(at, sigma_px): &(SensorPx, f64)| {
+                (distortion.correct(*at).vector(), sigma_px * inflation)
+            };
+            IdealOutline {
+                centre: outline.ellipse.centre,
+                points: outline.points.iter().map(ideal).collect(),
+                radius_mil: outline.radius_mil,
+            }
+        });
         Some(Self {
-            pairs: ideal_pairs,
-            outline: outline.map(ideal_points),
+            pairs: pairs.iter().map(ideal).collect::<Option<_>>()?,
+            outline,
             handedness,
         })
     }
@@ -99,169 +194,144 @@ impl<'a> Problem<'a> {
         self.pairs.len()
     }
 
-    /// Multiplies the sigmas of the outline's points by a factor.
-    pub(super) fn inflate_outline(&mut self, factor: f64) {
-        if let Some((_, points)) = &mut self.outline {
-            points.iter_mut().for_each(|point| point.sigma_px *= factor);
-        }
-    }
-
-    /// The same without the outline; `None` where there is none.
-    pub(super) fn pairs_alone(&self) -> Option<Self> {
-        self.outline.as_ref()?;
-        Some(Self {
-            pairs: self.pairs.clone(),
-            outline: None,
-            handedness: self.handedness,
-        })
-    }
-
     /// Removes a pair.
     pub(super) fn reject(&mut self, pair: usize) {
         self.pairs.remove(pair);
     }
 
-    /// A fit repeated with another inflation of the pairs' sigmas.
-    pub(super) fn with_inflation(&self, adjusted: &Adjusted, inflation: f64) -> Option<Adjusted> {
-        if adjusted.inflation == inflation {
-            return Some(*adjusted);
-        }
-        let mut near = self.near(adjusted.view, adjusted.circle)?;
-        self.adjust(&mut near, adjusted.kind, inflation)
+    /// Multiplies the sigmas of the pairs by a factor.
+    pub(super) fn inflate_pairs(&mut self, factor: f64) {
+        let pairs = self.pairs.iter_mut();
+        pairs.for_each(|pair| pair.whitening /= factor);
     }
 
-    /// Fits a kind of mapping with the pairs' sigmas inflated by a factor, and linearises at the fit. `None` when the data
-    /// do not determine it.
-    pub(super) fn adjust(
-        &self,
-        near: &mut Linearised,
-        kind: MappingKind,
-        inflation: f64,
-    ) -> Option<Adjusted> {
-        let mut solved = near.solved(kind, inflation)?;
-        for _ in 1..STEPS {
-            if near.moved_px2(&solved.step()) < SHORT_STEP_PX.powi(2) {
-                break;
-            }
-            let (view, circle) = near.after(&solved.step());
-            *near = self.near(view, circle)?;
-            solved = near.solved(kind, inflation)?;
-        }
-        Some(near.adjusted(solved, kind, inflation))
+    /// Multiplies the sigmas of the outline's points by a factor.
+    pub(super) fn inflate_outline(&mut self, factor: f64) {
+        let points = self.outline.iter_mut().flat_map(|o| &mut o.points);
+        points.for_each(|(_, sigma_px)| *sigma_px *= factor);
     }
 
-    /// The problem linearised about the similarity of the pairs alone, whose projection is linear in its parameters.
-    pub(super) fn near_similarity(&self) -> Option<Linearised> {
-        let zero = View::zero(self.handedness);
-        let pairs = Sums::of(&self.pair_rows(&zero));
-        let solved = pairs.solved(&free(MappingKind::Similarity, false))?;
-        let similarity = zero.advanced(&parameters(&solved.step()));
+    /// The similarity of the pairs alone.
+    pub(super) fn similarity_of_pairs(&self) -> Option<Model> {
+        let terms = Terms {
+            kind: MappingKind::Similarity,
+            inflation: 1.0,
+        };
+        let fitted = self.adjust(&Model::zero(self.handedness), terms)?;
+        Some(fitted.model)
+    }
+
+    /// The same with the circle that the outline is the image of, where there is one.
+    pub(super) fn similarity(&self) -> Option<Model> {
+        let Model { view, .. } = self.similarity_of_pairs()?;
         let circle = match &self.outline {
-            Some((outline, _)) => Some(Circle {
-                centre: similarity.unproject(outline.ellipse.centre)?.0.vector(),
+            Some(outline) => Some(Circle {
+                centre: view.unproject(outline.centre)?.0.vector(),
                 radius: outline.radius_mil.value,
             }),
             None => None,
         };
-        self.near(similarity, circle)
+        Some(Model { view, circle })
     }
 
-    fn near(&self, view: View, circle: Option<Circle>) -> Option<Linearised> {
-        let outline = match (&self.outline, circle) {
-            (Some((outline, points)), Some(circle)) => {
-                outline_rows(outline, points, &view, &circle)?
+    /// Fits from a model near the solution; without the outline where the model has no circle. `None` when the data do not
+    /// determine the fit.
+    pub(super) fn adjust(&self, start: &Model, terms: Terms) -> Option<Adjusted> {
+        let free = free(terms.kind, start.circle.is_some());
+        let mut model = *start;
+        for _ in 0..MOST_STEPS {
+            let pairs = self.normal_of_pairs(&model);
+            let others = self.normal_of_others(&model)?;
+            let weight = terms.inflation.powi(-2);
+            let matrix = pairs.matrix * weight + others.matrix;
+            let covariance = inverse(matrix, &free)?;
+            let step = covariance * (pairs.right * weight + others.right);
+            if !step.iter().all(|v| v.is_finite()) {
+                return None;
             }
-            _ => Vec::new(),
-        };
-        Some(Linearised {
-            view,
-            circle,
-            pairs: Sums::of(&self.pair_rows(&view)),
-            outline: Sums::of(&outline),
-            coordinates: 2 * self.pairs.len(),
-        })
+            let next = model.advanced(&step);
+            if next.moved_px(&step) < SHORT_STEP_PX {
+                // The residuals are linear over the last step.
+                let after = |normal: &Normal| {
+                    let quadratic = step.dot(&(normal.matrix * step));
+                    normal.chi2 - 2.0 * step.dot(&normal.right) + quadratic
+                };
+                return Some(Adjusted {
+                    terms,
+                    model: next,
+                    chi2_pairs: after(&pairs),
+                    chi2_others: after(&others),
+                    redundancy: (2 * self.pairs.len()) as f64
+                        - weight * covariance.component_mul(&pairs.matrix).sum(),
+                    covariance,
+                });
+            }
+            model = next;
+        }
+        None
     }
 
-    fn pair_rows(&self, view: &View) -> Vec<Row> {
-        let mut rows = Vec::with_capacity(2 * self.pairs.len());
+    fn normal_of_pairs(&self, model: &Model) -> Normal {
+        let mut normal = Normal::default();
         for pair in &self.pairs {
-            let slopes: ParameterJacobian = pair.whitening * view.parameter_jacobian(pair.printed);
-            let residual = pair.whitening * (pair.seen - view.project(pair.printed));
+            let residual = pair.whitening * (pair.observed - model.view.project(pair.printed));
+            let slopes = pair.whitening * model.view.parameter_jacobian(pair.printed);
             for n in 0..2 {
-                rows.push(row(slopes.row(n).into_owned(), [0.0; 3], residual[n]));
+                let mut row = Unknowns::zeros();
+                row.fixed_rows_mut::<PARAMETERS>(0)
+                    .copy_from(&slopes.row(n).transpose());
+                normal.add(&row, residual[n]);
             }
         }
-        rows
+        normal
+    }
+
+    /// Of the priors of tilt and radius, and of the points that lie on the circle. `None` where a point has no place on the plate.
+    fn normal_of_others(&self, model: &Model) -> Option<Normal> {
+        let mut normal = Normal::default();
+        for n in TILT.into_iter().filter(|_| model.view.unit_px() > 0.0) {
+            let weight = 1.0 / model.tilt_sigma();
+            normal.add(&along(n, weight), -model.view.parameters[n] * weight);
+        }
+        let (Some(outline), Some(circle)) = (&self.outline, model.circle) else {
+            return Some(normal);
+        };
+        let Measured { value, sigma, .. } = outline.radius_mil;
+        let slopes = along(CIRCLE + 2, 1.0 / sigma);
+        normal.add(&slopes, (value - circle.radius) / sigma);
+        for (observed, sigma_px) in &outline.points {
+            let (on_plate, to_plate) = model.view.unproject(*observed)?;
+            let from_centre = on_plate.vector() - circle.centre;
+            let distance = from_centre.norm();
+            let outward = (distance > 0.0).then(|| from_centre / distance)?;
+            // What a shift of the point on the sensor changes of its distance on the plate.
+            let across = to_plate.tr_mul(&outward);
+            let weight = 1.0 / (sigma_px * across.norm());
+            let mut slopes = Unknowns::zeros();
+            let by_view = model.view.parameter_jacobian(on_plate).tr_mul(&across);
+            slopes.fixed_rows_mut::<PARAMETERS>(0).copy_from(&by_view);
+            slopes[CIRCLE] = outward.x;
+            slopes[CIRCLE + 1] = outward.y;
+            slopes[CIRCLE + 2] = 1.0;
+            normal.add(&(slopes * weight), (distance - circle.radius) * weight);
+        }
+        Some(normal)
     }
 
     /// Squared normalised residual of every pair, and its residual in px.
     pub(super) fn residuals(&self, view: &View) -> impl Iterator<Item = (f64, Vector2<f64>)> {
         self.pairs.iter().map(|pair| {
-            let residual = pair.seen - view.project(pair.printed);
+            let residual = pair.observed - view.project(pair.printed);
             ((pair.whitening * residual).norm_squared(), residual)
         })
     }
 }
 
-impl Linearised {
-    /// Whether a richer kind would lower chi^2 by more than so much for every parameter that it adds, the pairs taken at
-    /// their stated sigmas.
-    pub(super) fn may_gain(&self, simple: &Adjusted, kind: MappingKind, least_gain: f64) -> bool {
-        let added = kind
-            .parameters()
-            .saturating_sub(simple.kind.parameters())
-            .max(1);
-        let chi2 = simple.chi2_pairs + simple.chi2_outline;
-        self.solved(kind, 1.0)
-            .is_some_and(|richer| chi2 - richer.chi2() > least_gain * added as f64)
-    }
-
-    fn solved(&self, kind: MappingKind, inflation: f64) -> Option<Solved> {
-        let sums = self
-            .outline
-            .with(&self.pairs, 1.0 / (inflation * inflation));
-        sums.solved(&free(kind, self.circle.is_some()))
-    }
-
-    /// How far a step moves the image of what lies [`UNIT_MIL`] from the plate's centre, px, squared.
-    fn moved_px2(&self, step: &[f64; UNKNOWNS]) -> f64 {
-        let unit_px = self.view.unit_px();
-        let [linear @ .., gx, gy, x, y, radius] = *step;
-        let by_linear: f64 = linear.iter().map(|v| v * v).sum();
-        let by_tilt = unit_px * unit_px * (gx * gx + gy * gy);
-        by_linear + by_tilt + (x * x + y * y + radius * radius) * (unit_px / UNIT_MIL).powi(2)
-    }
-
-    fn after(&self, step: &[f64; UNKNOWNS]) -> (View, Option<Circle>) {
-        let [.., x, y, radius] = *step;
-        let circle = self.circle.map(|circle| Circle {
-            centre: circle.centre + Vector2::new(x, y),
-            radius: circle.radius + radius,
-        });
-        (self.view.advanced(&parameters(step)), circle)
-    }
-
-    fn adjusted(&self, solved: Solved, kind: MappingKind, inflation: f64) -> Adjusted {
-        let step = solved.step();
-        let (view, circle) = self.after(&step);
-        // Förstner's redundancy numbers, summed over the pairs.
-        let absorbed = self.pairs.absorbed(&solved) / (inflation * inflation);
-        Adjusted {
-            kind,
-            view,
-            circle,
-            chi2_pairs: self.pairs.chi2(&step),
-            chi2_outline: self.outline.chi2(&step),
-            redundancy: self.coordinates as f64 - absorbed,
-            solved,
-            inflation,
-        }
-    }
-}
-
-/// The view's part of a step.
-fn parameters(step: &[f64; UNKNOWNS]) -> Parameters {
-    Parameters::from_column_slice(&step[..PARAMETERS])
+/// The slopes of an observation of one unknown.
+fn along(unknown: usize, weight: f64) -> Unknowns {
+    let mut slopes = Unknowns::zeros();
+    slopes[unknown] = weight;
+    slopes
 }
 
 /// The unknowns of a kind of mapping.
@@ -271,48 +341,18 @@ fn free(kind: MappingKind, with_circle: bool) -> [bool; UNKNOWNS] {
     free
 }
 
-/// The prior of the circle's radius, and the points that lie on the circle.
-fn outline_rows(
-    outline: &Outline<'_>,
-    points: &[IdealPoint],
-    view: &View,
-    circle: &Circle,
-) -> Option<Vec<Row>> {
-    let mut rows = Vec::with_capacity(points.len() + 1);
-    let radius_mil = outline.radius_mil;
-    let weight = 1.0 / radius_mil.sigma;
-    let residual = (radius_mil.value - circle.radius) * weight;
-    rows.push(row(RowSVector::zeros(), [0.0, 0.0, weight], residual));
-    for point in points {
-        let (on_plate, to_plate) = view.unproject(point.seen)?;
-        let from_centre = on_plate.vector() - circle.centre;
-        let distance = from_centre.norm();
-        let outward = (distance > 0.0).then(|| from_centre / distance)?;
-        let across = to_plate.tr_mul(&outward);
-        let weight = 1.0 / (point.sigma_px * across.norm());
-        let (out, across) = (outward * weight, across * weight);
-        let slopes = across.transpose() * view.parameter_jacobian(on_plate);
-        let residual = (distance - circle.radius) * weight;
-        rows.push(row(slopes, [out.x, out.y, weight], residual));
+/// Covariance of the free unknowns, zero for the others; `None` where the observations do not determine them.
+fn inverse(mut matrix: Covariance, free: &[bool; UNKNOWNS]) -> Option<Covariance> {
+    let held = (0..UNKNOWNS).filter(|n| !free[*n]);
+    for n in held.clone() {
+        matrix.row_mut(n).fill(0.0);
+        matrix.column_mut(n).fill(0.0);
+        matrix[(n, n)] = 1.0;
     }
-    Some(rows)
-}
-
-fn row(slopes: RowSVector<f64, PARAMETERS>, circle: [f64; 3], residual: f64) -> Row {
-    let mut row = [0.0; RESIDUAL + 1];
-    row[..PARAMETERS].copy_from_slice(slopes.as_slice());
-    row[CIRCLE..RESIDUAL].copy_from_slice(&circle);
-    row[RESIDUAL] = residual;
-    row
-}
-
-/// The inverse of a covariance's Cholesky factor.
-fn whitening(covariance: &Matrix2<f64>) -> Option<Matrix2<f64>> {
-    let first = covariance.m11.sqrt();
-    let common = covariance.m21 / first;
-    let rest = (covariance.m22 - common * common).sqrt();
-    (first > 0.0 && rest > 0.0).then(|| {
-        let own = 1.0 / rest;
-        Matrix2::new(1.0 / first, 0.0, -common / first * own, own)
-    })
+    let root = matrix.cholesky()?;
+    let own = |n: usize| root.l_dirty()[(n, n)].powi(2);
+    let determined = (0..UNKNOWNS).all(|n| own(n) > LEAST_OWN_PART * matrix[(n, n)]);
+    let mut covariance = determined.then(|| root.inverse())?;
+    held.for_each(|n| covariance[(n, n)] = 0.0);
+    Some(covariance)
 }

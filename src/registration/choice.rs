@@ -1,7 +1,7 @@
 //! Which kind of mapping, which pairs, and with what sigmas.
 
-use super::adjust::{Adjusted, Linearised, Problem};
-use super::input::Settings;
+use super::Settings;
+use super::adjust::{Adjusted, Covariance, Model, Problem, Terms};
 use crate::geometry::MappingKind;
 
 /// Fewest redundant coordinates of the pairs that determine their sigmas; with fewer, pairs that lie well by chance bend
@@ -11,12 +11,12 @@ const MIN_REDUNDANCY: f64 = 4.0;
 const MAX_NORMALISED_RESIDUAL: f64 = 6.0;
 /// With fewer pairs it is undetermined which of them is the outlier.
 const LEAST_TO_REJECT: usize = 5;
+/// Share of the marks that something on them displaces, a sunspot most of all: one in two hundred where there are many spots.
+const DISPLACED_SHARE: f64 = 0.005;
 /// Residuals of which chi^2 exceeds its expectation by more than this many sigma are not those of the stated noise.
 const EXPLAINED_SIGMAS: f64 = 6.0;
 /// An inflation of less than this is not significant.
 const EXPLAINED_INFLATION: f64 = 1.3;
-/// A richer kind whose first step does not gain this part of the least gain is not fitted.
-const FIRST_STEP_SHARE: f64 = 0.5;
 /// Pairs that need a larger inflation than this beside the outline are contradicted by it ...
 const CONTRADICTED_INFLATION: f64 = 3.0;
 /// ... if they need less than this without it.
@@ -24,22 +24,42 @@ const AGREED_INFLATION: f64 = 1.5;
 /// How often an outline's sigmas are inflated.
 const OUTLINE_INFLATIONS: usize = 6;
 /// How often the pairs' sigmas are inflated until they agree with the residuals.
-const INFLATIONS: usize = 4;
+const PAIR_INFLATIONS: usize = 4;
+/// Odds, before any data, of a camera whose tilt matters against one that looks straight at the plate.
+const TILTED_ODDS: f64 = 0.3;
 
-/// The simplest kind of mapping that the data support, fitted. An outline that contradicts pairs which agree among
-/// themselves is not the image of a circle, since the Sun moved; its sigmas are inflated until both agree.
-pub(super) fn choose(problem: &mut Problem<'_>, settings: &Settings) -> Option<Adjusted> {
+/// The simplest mapping that the data support, without the pairs that are outliers. The covariance holds what pairs and outline
+/// cannot tell: a tilt, and which of a few marks is displaced.
+pub(super) fn choose(problem: &mut Problem, settings: &Settings) -> Option<Adjusted> {
+    if problem.pairs() < LEAST_TO_REJECT {
+        let displaced = DISPLACED_SHARE * MAX_NORMALISED_RESIDUAL.powi(2);
+        problem.inflate_pairs((1.0 + displaced).sqrt());
+    }
+    let mut best = agreeing(problem, settings)?;
+    while let Some(outlier) = outlier(problem, &best) {
+        problem.reject(outlier);
+        best = agreeing(problem, settings)?;
+    }
+    Some(Adjusted {
+        covariance: averaged_covariance(problem, &best),
+        ..best
+    })
+}
+
+/// The simplest mapping that the data support. An outline that contradicts pairs which agree among themselves is not the image
+/// of a circle, since the Sun moved; its sigmas are inflated until both agree.
+fn agreeing(problem: &mut Problem, settings: &Settings) -> Option<Adjusted> {
     let mut best = simplest(problem, settings)?;
-    if best.inflation < CONTRADICTED_INFLATION || !pairs_agree(problem, settings) {
+    if best.terms.inflation < CONTRADICTED_INFLATION || !pairs_agree(problem, settings) {
         return Some(best);
     }
     for _ in 0..OUTLINE_INFLATIONS {
-        problem.inflate_outline(best.inflation);
+        problem.inflate_outline(best.terms.inflation);
         let Some(again) = simplest(problem, settings) else {
             break;
         };
         best = again;
-        if best.inflation < CONTRADICTED_INFLATION {
+        if best.terms.inflation < CONTRADICTED_INFLATION {
             break;
         }
     }
@@ -47,27 +67,26 @@ pub(super) fn choose(problem: &mut Problem<'_>, settings: &Settings) -> Option<A
 }
 
 /// Whether a similarity explains the pairs by themselves.
-fn pairs_agree(problem: &Problem<'_>, settings: &Settings) -> bool {
+fn pairs_agree(problem: &Problem, settings: &Settings) -> bool {
     let alone = || {
-        let pairs = problem.pairs_alone()?;
-        let mut near = pairs.near_similarity()?;
-        fit_kind(&pairs, &mut near, MappingKind::Similarity, settings)
+        let start = problem.similarity_of_pairs()?;
+        fit_kind(problem, &start, MappingKind::Similarity, settings)
     };
-    alone().is_some_and(|fit| fit.redundancy >= MIN_REDUNDANCY && fit.inflation < AGREED_INFLATION)
+    alone().is_some_and(|fit| {
+        fit.redundancy >= MIN_REDUNDANCY && fit.terms.inflation < AGREED_INFLATION
+    })
 }
 
-fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
-    let mut near = problem.near_similarity()?;
-    let mut best = fit_kind(problem, &mut near, MappingKind::Similarity, settings)?;
+fn simplest(problem: &Problem, settings: &Settings) -> Option<Adjusted> {
+    let start = problem.similarity()?;
+    let similarity = fit_kind(problem, &start, MappingKind::Similarity, settings)?;
+    let mut best = similarity;
     for kind in [
         MappingKind::Keystone,
         MappingKind::Affine,
         MappingKind::Homography,
     ] {
-        if !near.may_gain(&best, kind, settings.min_gain * FIRST_STEP_SHARE) {
-            continue;
-        }
-        let Some(richer) = fit_kind(problem, &mut near.clone(), kind, settings) else {
+        let Some(richer) = fit_kind(problem, &similarity.model, kind, settings) else {
             continue;
         };
         let gain = gain(problem, &best, &richer, settings);
@@ -80,40 +99,53 @@ fn simplest(problem: &Problem<'_>, settings: &Settings) -> Option<Adjusted> {
 
 /// By how much a richer kind lowers chi^2, for every parameter that it adds. `None` where one of the two cannot be
 /// fitted with the inflation of both.
-fn gain(
-    problem: &Problem<'_>,
-    best: &Adjusted,
-    richer: &Adjusted,
-    settings: &Settings,
-) -> Option<f64> {
+fn gain(problem: &Problem, simple: &Adjusted, rich: &Adjusted, settings: &Settings) -> Option<f64> {
     // Both take the same sigmas: those that the richer one's residuals show, if they determine them.
-    let inflation = if richer.redundancy < MIN_REDUNDANCY {
-        best.inflation
-    } else {
-        richer.inflation
+    let inflation = match rich.redundancy < MIN_REDUNDANCY {
+        true => simple.terms.inflation,
+        false => rich.terms.inflation,
     };
-    let simple = problem.with_inflation(best, inflation)?;
-    let rich = problem.with_inflation(richer, inflation)?;
-    let by_outline = simple.chi2_outline - rich.chi2_outline;
+    let ratio = f_ratio(rich, settings);
+    let added = rich.terms.kind.parameters() - simple.terms.kind.parameters();
+    let [simple, rich] = [simple, rich].map(|fit| problem.with_inflation(fit, inflation));
+    let (simple, rich) = (simple?, rich?);
+    let by_outline = simple.chi2_others - rich.chi2_others;
     let by_pairs = (simple.chi2_pairs - rich.chi2_pairs) / inflation.powi(2);
-    let added = richer.kind.parameters() - best.kind.parameters();
-    Some((by_outline + by_pairs / f_ratio(richer, settings)) / added.max(1) as f64)
+    Some((by_outline + by_pairs / ratio) / added.max(1) as f64)
 }
 
-/// Fits a kind, the pairs' sigmas inflated until they agree with the residuals, and linearises at the fit.
+impl Problem {
+    /// A fit repeated with another inflation of the pairs' sigmas.
+    fn with_inflation(&self, fit: &Adjusted, inflation: f64) -> Option<Adjusted> {
+        if fit.terms.inflation == inflation {
+            return Some(*fit);
+        }
+        let terms = Terms {
+            inflation,
+            ..fit.terms
+        };
+        self.adjust(&fit.model, terms)
+    }
+}
+
+/// Fits a kind, the pairs' sigmas inflated until they agree with the residuals.
 pub(super) fn fit_kind(
-    problem: &Problem<'_>,
-    near: &mut Linearised,
+    problem: &Problem,
+    start: &Model,
     kind: MappingKind,
     settings: &Settings,
 ) -> Option<Adjusted> {
-    let mut adjusted = problem.adjust(near, kind, 1.0)?;
-    for _ in 0..INFLATIONS {
+    let terms = Terms {
+        kind,
+        inflation: 1.0,
+    };
+    let mut adjusted = problem.adjust(start, terms)?;
+    for _ in 0..PAIR_INFLATIONS {
         let inflation = inflation(&adjusted, settings);
-        if (inflation / adjusted.inflation - 1.0).abs() < 0.01 {
+        if (inflation / adjusted.terms.inflation - 1.0).abs() < 0.01 {
             break;
         }
-        adjusted = problem.adjust(near, kind, inflation)?;
+        adjusted = problem.with_inflation(&adjusted, inflation)?;
     }
     Some(adjusted)
 }
@@ -136,28 +168,54 @@ fn inflation(adjusted: &Adjusted, settings: &Settings) -> f64 {
 
 /// How much more pairs must gain whose sigmas come from few residuals: the quantile of F(2, nu) over that of
 /// F(2, infinity), which is chi^2 per parameter. Stated sigmas that explain the residuals count for their own freedom.
-fn f_ratio(richer: &Adjusted, settings: &Settings) -> f64 {
-    let stated = if richer.inflation < EXPLAINED_INFLATION {
-        settings.prior_freedom
-    } else {
-        0.0
+fn f_ratio(rich: &Adjusted, settings: &Settings) -> f64 {
+    let stated = match rich.terms.inflation < EXPLAINED_INFLATION {
+        true => settings.prior_freedom,
+        false => 0.0,
     };
-    let half = (richer.redundancy.max(1.0) + stated) / 2.0;
+    let half = (rich.redundancy.max(1.0) + stated) / 2.0;
     let gain = settings.min_gain.max(1.0);
     half * ((gain / half).exp() - 1.0) / gain
 }
 
 /// The pair of the largest normalised residual, if it is an outlier.
-pub(super) fn outlier(problem: &Problem<'_>, adjusted: &Adjusted) -> Option<usize> {
+fn outlier(problem: &Problem, adjusted: &Adjusted) -> Option<usize> {
     if problem.pairs() < LEAST_TO_REJECT {
         return None;
     }
     let (worst, squared) = problem
-        .residuals(&adjusted.view)
+        .residuals(&adjusted.model.view)
         .map(|(chi2, _)| chi2)
         .enumerate()
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
     // The variance factor that the other pairs show.
     let others = (adjusted.chi2_pairs - squared) / (adjusted.redundancy - 2.0).max(1.0);
     (squared > MAX_NORMALISED_RESIDUAL.powi(2) * others.max(1.0)).then_some(worst)
+}
+
+/// The covariance of a mapping without tilt, averaged with that of the same mapping with a tilt of up to 3 deg by how probable the
+/// latter is (Bayesian model averaging: Hoeting et al. 1999).
+///
+/// The odds of the tilt are those before any data, times exp(half the gain in chi^2), times the part of the possible tilts that
+/// the data leave open (Occam's factor). Where a tilt would show, it is improbable and adds nothing; where it would not, as
+/// with few marks and half a limb, the covariance holds it.
+fn averaged_covariance(problem: &Problem, simple: &Adjusted) -> Covariance {
+    let kind = match simple.terms.kind {
+        MappingKind::Similarity => MappingKind::Keystone,
+        MappingKind::Affine => MappingKind::Homography,
+        MappingKind::Keystone | MappingKind::Homography => return simple.covariance,
+    };
+    let terms = Terms {
+        kind,
+        ..simple.terms
+    };
+    let Some(tilted) = problem.adjust(&simple.model, terms) else {
+        return simple.covariance;
+    };
+    let gain = (simple.chi2() - tilted.chi2()).max(0.0);
+    let odds = TILTED_ODDS * tilted.open_tilts() * (gain / 2.0).exp();
+    let probability = odds / (1.0 + odds);
+    let shift = tilted.model.unknowns() - simple.model.unknowns();
+    simple.covariance * (1.0 - probability)
+        + (tilted.covariance + shift * shift.transpose()) * probability
 }

@@ -14,31 +14,58 @@
 //! counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test); with too few
 //! residuals it does not count, else one bad pair bends the mapping to itself.
 //!
-//! Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: the image of
+//! Errors that neighbouring points of the outline share inflate its sigmas beforehand. Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: the image of
 //! a Sun that moves fast during the exposure is not that of a circle.
 //!
-//! The tilt of a camera shows most in the angles far from the plate's centre. It then also gives what a few marks do not
-//! show: how far the centre of the disc's ellipse lies from the image of the disc's centre, 0.1 px at 3 deg.
+//! Cameras are aligned by hand: their tilt is known beforehand to be 0 to 3 deg per axis, 1 sigma. It shows most in the angles far
+//! from the plate's centre, and then also gives what a few marks do not show: how far the centre of the disc's ellipse lies
+//! from the image of the disc's centre, 0.1 px at 3 deg.
 //!
 //! # Uncertainty
 //! The covariance follows from the sigmas of pairs and outline. Where the pairs' residuals are larger than their sigmas
 //! allow, these are inflated to fit (variance components after Förstner). Few redundant coordinates say little: they are
 //! weighed against the stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
+//!
+//! The covariance of a mapping without tilt is averaged with that of a tilted one, by how probable a tilt is after the data. Fewer
+//! pairs than can show which of them is an outlier have sigmas that allow for one.
 
 mod adjust;
 mod choice;
-mod input;
-mod normal_points;
-mod sums;
+mod outline;
 
 use crate::geometry::view::{PARAMETERS, ParameterCovariance, UNIT_MIL, View};
 use crate::geometry::{Circle, Distortion, Handedness, Mapping, MappingKind};
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
-use adjust::{Adjusted, CIRCLE, Problem};
-use choice::{choose, fit_kind, outlier};
-pub use input::{Outline, Pair, Settings};
-use nalgebra::{Matrix2, SMatrix};
-use sums::{Solved, UNKNOWNS};
+use adjust::{Adjusted, CIRCLE, Problem, UNKNOWNS};
+use nalgebra::{Matrix2, SMatrix, Vector2};
+pub use outline::Outline;
+
+/// One point, observed on the sensor and printed on the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair {
+    pub observed: SensorPx,
+    pub printed: PlateMil,
+    /// Covariance of the observed position, px^2.
+    pub covariance_px2: Matrix2<f64>,
+}
+
+/// How a mapping is chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Least gain in chi^2, per added parameter.
+    pub min_gain: f64,
+    /// Weight of the stated sigmas against the residuals, in degrees of freedom.
+    pub prior_freedom: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            min_gain: 9.0,
+            prior_freedom: 6.0,
+        }
+    }
+}
 
 /// The disc that an outline belongs to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,7 +81,7 @@ pub struct Disc {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Registration {
     pub mapping: Mapping,
-    /// Root mean square distance between seen and predicted positions, per axis.
+    /// Root mean square distance between observed and predicted positions, per axis.
     pub residual_px: f64,
     /// Pairs that the mapping rests on.
     pub pairs: usize,
@@ -90,6 +117,31 @@ impl Registration {
             Measured::new(centre.y, sigma(variance(1, 1))),
         ]
     }
+
+    /// The least and the largest plate length per pixel at a plate position, over all directions, mil/px, with the sigmas of pairs
+    /// and outline.
+    pub fn principal_scales(&self, at: PlateMil) -> [Measured; 2] {
+        /// Half of the step, mil, of the derivative by position: what is derived is nearly linear over the disc.
+        const STEP_MIL: f64 = 1.0;
+        let jacobian = self.view.jacobian(at);
+        // The direction on the plate of the largest picture, and the one across it.
+        let square = jacobian.tr_mul(&jacobian);
+        let angle = 0.5 * (2.0 * square.m12).atan2(square.m11 - square.m22);
+        let along = Vector2::new(angle.cos(), angle.sin());
+        [along, Vector2::new(-along.y, along.x)].map(|along| {
+            let picture = jacobian * along;
+            let px_per_mil = picture.norm();
+            let near = |step: f64| {
+                let at = PlateMil::from(at.vector() + along * step);
+                self.view.parameter_jacobian(at)
+            };
+            let slopes = (near(STEP_MIL) - near(-STEP_MIL)) / (2.0 * STEP_MIL);
+            let slopes = (picture / px_per_mil).tr_mul(&slopes);
+            let variance = (slopes * self.covariance * slopes.transpose()).x;
+            let scale = 1.0 / px_per_mil;
+            Measured::new(scale, scale * scale * variance.max(0.0).sqrt())
+        })
+    }
 }
 
 /// Fits the simplest mapping that the pairs and the outline support. `None` when they do not determine one.
@@ -101,12 +153,8 @@ pub fn register(
     settings: &Settings,
 ) -> Option<Registration> {
     let mut problem = Problem::new(pairs, outline, handedness, distortion)?;
-    let mut best = choose(&mut problem, settings)?;
-    while let Some(worst) = outlier(&problem, &best) {
-        problem.reject(worst);
-        best = choose(&mut problem, settings)?;
-    }
-    registration(&problem, &best, distortion)
+    let chosen = choice::choose(&mut problem, settings)?;
+    registration(&problem, &chosen, distortion)
 }
 
 /// Fits a mapping of one kind. `None` when the pairs do not determine it.
@@ -118,38 +166,36 @@ pub fn fit(
     settings: &Settings,
 ) -> Option<Registration> {
     let problem = Problem::new(pairs, None, handedness, distortion)?;
-    let mut near = problem.near_similarity()?;
-    let mut adjusted = fit_kind(&problem, &mut near, MappingKind::Similarity, settings)?;
-    if kind != MappingKind::Similarity {
-        adjusted = fit_kind(&problem, &mut near, kind, settings)?;
-    }
-    registration(&problem, &adjusted, distortion)
+    let fitted = choice::fit_kind(&problem, &problem.similarity()?, kind, settings)?;
+    registration(&problem, &fitted, distortion)
 }
 
 fn registration(
-    problem: &Problem<'_>,
+    problem: &Problem,
     adjusted: &Adjusted,
     distortion: Distortion,
 ) -> Option<Registration> {
-    let view = adjusted.view;
-    let mapping = view.mapping(adjusted.kind, distortion)?;
+    let view = adjusted.model.view;
     let residuals = problem.residuals(&view);
     let squares: f64 = residuals.map(|(_, px)| px.norm_squared()).sum();
+    let circle = adjusted.model.circle;
+    let mapping = view.mapping(adjusted.terms.kind, distortion)?;
     Some(Registration {
         mapping,
         residual_px: (squares / (2 * problem.pairs()) as f64).sqrt(),
         pairs: problem.pairs(),
-        disc: adjusted
-            .circle
-            .map(|circle| disc(circle, &view, &adjusted.solved, &mapping)),
+        disc: circle.map(|circle| disc(&circle, adjusted, &mapping)),
         view,
-        covariance: SMatrix::from_fn(|n, k| adjusted.solved.covariance(n, k)),
+        covariance: adjusted
+            .covariance
+            .fixed_view::<PARAMETERS, PARAMETERS>(0, 0)
+            .into_owned(),
     })
 }
 
-fn disc(circle: Circle, view: &View, solved: &Solved, mapping: &Mapping) -> Disc {
+fn disc(circle: &Circle, adjusted: &Adjusted, mapping: &Mapping) -> Disc {
     let centre = PlateMil::from(circle.centre);
-    let covariance = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(|n, k| solved.covariance(n, k));
+    let (view, covariance) = (&adjusted.model.view, &adjusted.covariance);
     let mut to_sensor = SMatrix::<f64, 2, UNKNOWNS>::zeros();
     to_sensor
         .fixed_columns_mut::<PARAMETERS>(0)
@@ -190,7 +236,7 @@ mod tests {
                 let printed = drawn_position(id);
                 let seen = mapping.to_sensor(printed);
                 Pair {
-                    seen: SensorPx::new(seen.x + noise(), seen.y + noise()),
+                    observed: SensorPx::new(seen.x + noise(), seen.y + noise()),
                     printed,
                     covariance_px2: Matrix2::identity() * 0.02_f64.powi(2),
                 }

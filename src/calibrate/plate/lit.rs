@@ -164,7 +164,7 @@ impl LitPlate<'_> {
         let fiducial = &self.settings.fiducial;
         let identified = fiducial::identify(&found.marks, &prior, plate, fiducial).ok()?;
         let pair = |(n, id): &(usize, _)| Pair {
-            seen: found.marks[*n].at,
+            observed: found.marks[*n].at,
             printed: plate.position(*id),
             covariance_px2: nalgebra::Matrix2::identity() * found.marks[*n].sigma_px.powi(2),
         };
@@ -214,6 +214,8 @@ impl LitPlate<'_> {
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
             plate_centre_sigma_px: mounting.plate_centre_sigma_px,
+            rotation_deg: mounting.rotation_deg,
+            scale_mil_per_px: mounting.scale_mil_per_px,
             missed_share: MISSED,
             sure_depth_px: shape.half_length_px + 2.0,
             sure_margin_px: shape.half_length_px + 4.0,

@@ -1,18 +1,19 @@
-//! A reading: one way to give the marks their ids, and how well it explains what is seen.
+//! A labelling: one way to give the marks their ids, and how well it explains what is seen.
 //!
 //! # The model
 //! The Sun is round on the plate, so its outline turns a position on the sensor into an offset from the Sun's centre on
-//! the plate, in mil, but for a rotation; the arms give that to a quarter turn. A reading then says where on the plate
+//! the plate, in mil, but for a rotation; the arms give that to a quarter turn. A labelling then says where on the plate
 //! the Sun's centre lies, and by how much rotation and scale differ from what arms and ephemeris say. Its score is the
 //! logarithm of the evidence: how much likelier the detections are under it than if all were false, every place of the
 //! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
 //! against the place that the marks before it foretell, the nearest to the first mark first.
 
-use super::fit::{Explained, GATE_SIGMAS, LocalSimilarity, Printed, Spot};
+use super::fit::{Candidate, Explained, GATE_SIGMAS, LocalSimilarity, Printed};
 use super::prior::IdentificationPrior;
 use super::{Detection, Lighting};
+use crate::geometry::Handedness;
 use crate::plate::{Cross, MarkId};
-use crate::units::{PlateMil, SensorPx};
+use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::{PI, TAU};
 
@@ -31,9 +32,9 @@ const CUT_FOUND_SHARE: f64 = 0.5;
 const FALSE_ON_DISC: f64 = 1.0;
 /// Contrasts of a print scatter by this, 1 sigma of the logarithm.
 const CONTRAST_SCATTER: f64 = 0.12;
-/// Part of the marks whose contrast is another: a scratch or a spot lies on them.
-const ODD_MARKS: f64 = 0.02;
-/// Part of the false detections that looks like marks; the contrast of the others is any from 0.12 to 1.2.
+/// Part of the marks whose contrast is another: a scratch or a sunspot lies on them.
+const ATYPICAL_SHARE: f64 = 0.02;
+/// Part of the false detections that look like marks; the contrast of the others is any from 0.12 to 1.2.
 const LIKE_MARKS: f64 = 0.4;
 const ANY_CONTRAST: f64 = 2.3;
 
@@ -51,7 +52,7 @@ pub(super) struct Id {
 impl Explained {
     fn id(&self, in_place: bool) -> Id {
         Id {
-            detection: self.spot.detection,
+            detection: self.candidate.detection,
             id: self.id,
             printed: self.at,
             in_place,
@@ -61,34 +62,37 @@ impl Explained {
 
 /// Ids given to detections.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Reading {
-    /// Every detection that the reading explains.
+pub(super) struct Labelling {
+    /// Every detection that the labelling explains.
     pub ids: Vec<Id>,
     /// Fully lit marks among them.
     pub full: usize,
-    /// Where the reading puts the plate's centre, and how well the marks on the disc tell it, px.
+    /// Where the labelling puts the plate's centre, and how well the marks on the disc tell it, px.
     pub plate_centre: SensorPx,
     pub centre_sigma_px: f64,
-    /// Logarithm of how much likelier the detections are under the reading than if all were false.
+    /// Rotation of the plate's axes at the Sun, and scale there.
+    pub rotation_deg: Measured,
+    pub scale_mil_per_px: Measured,
+    /// Logarithm of how much likelier the detections are under the labelling than if all were false.
     pub score: f64,
 }
 
-/// A reading of the fully lit marks alone; its score counts these as they are placed and no more.
-pub(super) struct Begun {
-    pub reading: Reading,
+/// A labelling of the fully lit marks alone; its score counts these as they are placed and no more.
+pub(super) struct Partial {
+    pub labelling: Labelling,
     fit: LocalSimilarity,
     /// Where it puts the Sun's centre on the plate, mil.
     sun: Vector2<f64>,
 }
 
-impl Reading {
+impl Labelling {
     /// The detections that lie where they should.
     pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
         let ids = self.ids.iter().filter(|id| id.in_place);
         ids.map(|id| (id.detection, id.id)).collect()
     }
 
-    /// Whether two readings cannot both be true: they name a detection differently, or have none in common.
+    /// Whether two labellings cannot both be true: they name a detection differently, or have none in common.
     pub(super) fn contradicts(&self, other: &Self) -> bool {
         let mut shared = self.ids.iter().filter_map(|here| {
             let mut there = other.ids.iter();
@@ -102,9 +106,9 @@ impl Reading {
     }
 }
 
-/// What all readings share.
+/// What all labellings share.
 pub(super) struct Evidence<'a> {
-    sight: &'a IdentificationPrior,
+    prior: &'a IdentificationPrior,
     detections: &'a [Detection],
     /// What is known of scale and rotation before any mark is read.
     fit: LocalSimilarity,
@@ -129,47 +133,51 @@ pub(super) struct Evidence<'a> {
 
 impl<'a> Evidence<'a> {
     pub(super) fn new(
-        sight: &'a IdentificationPrior,
+        prior: &'a IdentificationPrior,
         detections: &'a [Detection],
         cross: &Cross,
     ) -> Self {
-        let radius_mil = sight.radius_mil.value;
-        let variance =
-            |seen: &Detection| SCATTER_MIL.powi(2) + (seen.sigma_px * sight.mil_per_px()).powi(2);
-        let sure_reach_mil = radius_mil - sight.sure_depth_px * sight.mil_per_px();
+        let radius_mil = prior.radius_mil.value;
+        let variance = |detection: &Detection| {
+            SCATTER_MIL.powi(2) + (detection.sigma_px * prior.mil_per_px()).powi(2)
+        };
+        let sure_reach_mil = radius_mil - prior.sure_depth_px * prior.mil_per_px();
         let sure_reach_mil = sure_reach_mil.max(0.0);
         let corner =
-            sight.outline.root().map(f64::abs).column_sum() * (sure_reach_mil / radius_mil);
-        let on_sensor = |at: Vector2<f64>| sight.on_sensor(at.into());
-        let contrasts: Vec<f64> = detections.iter().map(|seen| seen.contrast.ln()).collect();
+            prior.outline.root().map(f64::abs).column_sum() * (sure_reach_mil / radius_mil);
+        let on_sensor = |at: Vector2<f64>| prior.on_sensor(at.into());
+        let contrasts: Vec<f64> = detections
+            .iter()
+            .map(|detection| detection.contrast.ln())
+            .collect();
         let mut by_contrast: Vec<usize> = (0..detections.len()).collect();
         by_contrast.sort_by(|a, b| contrasts[*a].total_cmp(&contrasts[*b]));
         Self {
-            sight,
+            prior,
             detections,
-            fit: LocalSimilarity::new(sight),
+            fit: LocalSimilarity::new(prior),
             variances: detections.iter().map(variance).collect(),
             contrasts,
             by_contrast,
             lit_depth_mil: LIT_HALF_LENGTHS * cross.arm_length_mil / 2.0,
             sure_reach_mil,
-            sure_on_sensor: on_sensor(sight.outline.centre - corner)
-                && on_sensor(sight.outline.centre + corner),
-            found: sight.found_share().ln(),
+            sure_on_sensor: on_sensor(prior.outline.centre - corner)
+                && on_sensor(prior.outline.centre + corner),
+            found: prior.found_share().ln(),
             cut_found: CUT_FOUND_SHARE.ln(),
-            missed: sight.missed_share.ln(),
+            missed: prior.missed_share.ln(),
             false_density: (FALSE_ON_DISC / (PI * radius_mil.powi(2))).ln(),
         }
     }
 
-    /// The highest score that a reading may come to that explains so many fully lit marks.
+    /// The highest score that a labelling may come to that explains so many fully lit marks.
     pub(super) fn most_of(&self, full: usize) -> f64 {
         let cut = (0..self.detections.len()).filter(|n| !self.is_full(*n));
-        full as f64 * gain(0.0) + (full + cut.count()) as f64 * self.most_placed()
+        full as f64 * gain(0.0) + (full + cut.count()) as f64 * self.most_per_mark()
     }
 
     /// The most that the place of a mark adds to a score.
-    fn most_placed(&self) -> f64 {
+    fn most_per_mark(&self) -> f64 {
         -TAU.ln() - (SCATTER_MIL * SCATTER_MIL).ln() - self.false_density
     }
 
@@ -179,50 +187,52 @@ impl<'a> Evidence<'a> {
 
     /// How far the limb may pull a mark inwards, 1 sigma, mil.
     fn pull_mil(&self, offset: Vector2<f64>) -> f64 {
-        let depth = self.sight.radius_mil.value - offset.norm();
+        let depth = self.prior.radius_mil.value - offset.norm();
         PULL_MIL * (1.0 - depth / self.lit_depth_mil).clamp(0.0, 1.0)
     }
 
     /// Whether a mark that explains a detection is printed on the disc or near it and is no other detection's.
     fn allows(&self, explained: &Explained, ids: &[Id], sun: Vector2<f64>) -> bool {
-        let reach = self.sight.radius_mil.value + GATE_SIGMAS * PULL_MIL;
+        let reach = self.prior.radius_mil.value + GATE_SIGMAS * PULL_MIL;
         (explained.at.vector() - sun).norm_squared() < reach * reach
             && ids.iter().all(|taken| taken.id != explained.id)
     }
 
     /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
     /// the print's contrast is not known beforehand.
-    fn looks(&self, ids: &[Id]) -> f64 {
+    fn contrast_odds(&self, ids: &[Id]) -> f64 {
         let named = |n: &&usize| ids.iter().any(|id| id.detection == **n);
         let mut ordered = self.by_contrast.iter().filter(named);
-        let usual = ordered
+        let median = ordered
             .nth(ids.len() / 2)
             .map_or(0.0, |n| self.contrasts[*n]);
         let gains = ids
             .iter()
-            .map(|id| gain(self.contrasts[id.detection] - usual));
+            .map(|id| gain(self.contrasts[id.detection] - median));
         gains.sum::<f64>() - gain(0.0)
     }
 }
 
-/// How much likelier a contrast so far from the usual one is as a mark's than as a false detection's; all of them logarithms.
+/// How much likelier a contrast so far from the median one is as a mark's than as a false detection's; all of them logarithms.
 fn gain(off: f64) -> f64 {
     let off = off / CONTRAST_SCATTER;
     let print = (-0.5 * off * off).exp() / (CONTRAST_SCATTER * TAU.sqrt());
-    let mark = (1.0 - ODD_MARKS) * print + ODD_MARKS / ANY_CONTRAST;
+    let mark = (1.0 - ATYPICAL_SHARE) * print + ATYPICAL_SHARE / ANY_CONTRAST;
     let other = LIKE_MARKS * print + (1.0 - LIKE_MARKS) / ANY_CONTRAST;
     (mark / other).ln()
 }
 
 /// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
 pub(super) struct Turned<'a> {
-    seen: &'a Evidence<'a>,
+    evidence: &'a Evidence<'a>,
+    /// Rotation of the plate's axes on the sensor, deg.
+    rotation_deg: f64,
     /// From offsets on the plate, mil, to the unit disc.
     from_plate: Matrix2<f64>,
     /// Of the detections, mil.
     offsets: Vec<Vector2<f64>>,
     /// Those that the limb cuts and may have pulled inwards.
-    cut: Vec<Spot>,
+    cut: Vec<Candidate>,
     /// Offset of the place where the instrument says the plate's centre is seen, mil.
     centre: Vector2<f64>,
     /// The marks that may be in view.
@@ -232,22 +242,24 @@ pub(super) struct Turned<'a> {
 impl<'a> Turned<'a> {
     /// With those of some marks that lie about the place where the Sun should be; `None` when the outline has no size.
     pub(super) fn new(
-        seen: &'a Evidence<'a>,
+        evidence: &'a Evidence<'a>,
+        rotation_deg: f64,
         to_plate: Matrix2<f64>,
         marks: &[(MarkId, PlateMil)],
         in_view_mil: f64,
     ) -> Option<Self> {
-        let offset = |at: SensorPx| to_plate * seen.sight.outline.to_disc(at.vector());
-        let centre = offset(seen.sight.plate_centre);
+        let offset = |at: SensorPx| to_plate * evidence.prior.outline.to_disc(at.vector());
+        let centre = offset(evidence.prior.plate_centre);
         let mut turned = Self {
-            seen,
+            evidence,
+            rotation_deg,
             from_plate: to_plate.try_inverse()?,
-            offsets: seen.detections.iter().map(|d| offset(d.at)).collect(),
+            offsets: evidence.detections.iter().map(|d| offset(d.at)).collect(),
             cut: Vec::new(),
             centre,
             printed: Printed::about((-centre).into(), in_view_mil, marks),
         };
-        turned.cut = turned.cut_spots();
+        turned.cut = turned.cut_candidates();
         Some(turned)
     }
 
@@ -257,42 +269,38 @@ impl<'a> Turned<'a> {
     }
 
     fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {
-        let outline = &self.seen.sight.outline;
+        let outline = &self.evidence.prior.outline;
         outline.from_disc(self.from_plate * offset).into()
     }
 
-    /// Where a fully lit detection is.
-    pub(super) fn spot(&self, detection: usize) -> Spot {
-        Spot {
+    /// Where a detection is.
+    pub(super) fn candidate(&self, detection: usize) -> Candidate {
+        Candidate {
             detection,
             offset: self.offsets[detection],
-            variance: self.seen.variances[detection],
+            variance: self.evidence.variances[detection],
         }
     }
 
     /// Where the detections are that the limb cuts and may have pulled inwards.
-    fn cut_spots(&self) -> Vec<Spot> {
-        let cut = (0..self.offsets.len()).filter(|n| !self.seen.is_full(*n));
-        let pulled = |spot: Spot| Spot {
-            variance: spot.variance + PULL_MIL.powi(2),
-            ..spot
-        };
-        cut.map(|n| pulled(self.spot(n))).collect()
+    fn cut_candidates(&self) -> Vec<Candidate> {
+        let cut = (0..self.offsets.len()).filter(|n| !self.evidence.is_full(*n));
+        cut.map(|n| self.candidate(n)).collect()
     }
 
-    /// The reading that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
+    /// The labelling that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
     /// their order. `None` when it explains fewer than two of them.
-    pub(super) fn follow(&self, anchor: (MarkId, PlateMil), full: &[Spot]) -> Option<Begun> {
-        let (seen, printed) = (self.seen, &self.printed);
+    pub(super) fn follow(&self, anchor: (MarkId, PlateMil), full: &[Candidate]) -> Option<Partial> {
+        let (evidence, printed) = (self.evidence, &self.printed);
         let (first, others) = full.split_first()?;
-        let mut fit = seen.fit;
+        let mut fit = evidence.fit;
         fit.add(first.offset, anchor.1, first.variance);
-        let variance = |spot: &Spot, _| spot.variance;
+        let variance = |candidate: &Candidate, _| candidate.variance;
         // Most anchors explain no other: they end here.
         let mut next = Some(printed.explain(others, &fit, variance)?);
         let sun = anchor.1.vector() - first.offset;
-        let mut score = seen.found;
-        let mut ids = Vec::with_capacity(seen.detections.len());
+        let mut score = evidence.found;
+        let mut ids = Vec::with_capacity(evidence.detections.len());
         ids.push(Id {
             detection: first.detection,
             id: anchor.0,
@@ -300,10 +308,14 @@ impl<'a> Turned<'a> {
             in_place: true,
         });
         while let Some((explained, rest)) = next {
-            if seen.allows(&explained, &ids, sun) {
-                fit.add(explained.spot.offset, explained.at, explained.spot.variance);
+            if evidence.allows(&explained, &ids, sun) {
+                fit.add(
+                    explained.candidate.offset,
+                    explained.at,
+                    explained.candidate.variance,
+                );
                 ids.push(explained.id(true));
-                score += seen.found + explained.likelihood - seen.false_density;
+                score += evidence.found + explained.likelihood - evidence.false_density;
             }
             next = printed.explain(rest, &fit, variance);
         }
@@ -311,66 +323,85 @@ impl<'a> Turned<'a> {
             return None;
         }
         let centre = fit.offset(PlateMil::new(0.0, 0.0));
-        let reading = Reading {
+        let labelling = Labelling {
             full: ids.len(),
             score,
             ids,
             plate_centre: self.to_sensor(centre),
-            centre_sigma_px: fit.variance(centre).sqrt() / seen.sight.mil_per_px(),
+            centre_sigma_px: fit.variance(centre).sqrt() / evidence.prior.mil_per_px(),
+            rotation_deg: self.rotation_deg(&fit),
+            scale_mil_per_px: fit.scale(evidence.prior.mil_per_px()),
         };
-        Some(Begun { reading, fit, sun })
-    }
-
-    /// A reading with all that it explains and leaves unexplained.
-    pub(super) fn complete(&self, begun: Begun) -> Reading {
-        let Begun {
-            mut reading,
+        Some(Partial {
+            labelling,
             fit,
             sun,
-        } = begun;
-        reading.score += self.seen.looks(&reading.ids);
-        self.add_cut(&mut reading, &fit, sun);
-        reading.score += self.absences(&fit, &reading.ids);
-        reading
+        })
     }
 
-    /// The highest score that a reading may come to.
-    pub(super) fn most(&self, begun: &Begun) -> f64 {
-        let looks = begun.reading.full as f64 * gain(0.0);
-        begun.reading.score + looks + self.cut.len() as f64 * self.seen.most_placed()
-    }
-
-    /// Adds to a reading what it explains of the detections that the limb cuts.
-    fn add_cut(&self, reading: &mut Reading, fit: &LocalSimilarity, sun: Vector2<f64>) {
-        let seen = self.seen;
-        let variance = |spot: &Spot, at| {
-            seen.variances[spot.detection] + seen.pull_mil(fit.offset(at)).powi(2)
+    /// Rotation of the plate's axes on the sensor by a fit.
+    fn rotation_deg(&self, fit: &LocalSimilarity) -> Measured {
+        let on_plate = fit.rotation_deg();
+        // A mirror turns the other way round.
+        let on_sensor = match self.evidence.prior.handedness {
+            Handedness::Mirrored => on_plate.value,
+            Handedness::Direct => -on_plate.value,
         };
-        let mut spots = &self.cut[..];
-        while let Some((explained, rest)) = self.printed.explain(spots, fit, variance) {
-            spots = rest;
-            if seen.allows(&explained, &reading.ids, sun) {
-                let seen_at = fit.place(explained.spot.offset);
+        Measured::new(self.rotation_deg + on_sensor, on_plate.sigma)
+    }
+
+    /// A labelling with all that it explains and leaves unexplained.
+    pub(super) fn complete(&self, partial: Partial) -> Labelling {
+        let Partial {
+            mut labelling,
+            fit,
+            sun,
+        } = partial;
+        labelling.score += self.evidence.contrast_odds(&labelling.ids);
+        self.add_cut(&mut labelling, &fit, sun);
+        labelling.score += self.absences(&fit, &labelling.ids);
+        labelling
+    }
+
+    /// The highest score that a labelling may come to.
+    pub(super) fn most(&self, partial: &Partial) -> f64 {
+        let contrast_odds = partial.labelling.full as f64 * gain(0.0);
+        partial.labelling.score
+            + contrast_odds
+            + self.cut.len() as f64 * self.evidence.most_per_mark()
+    }
+
+    /// Adds to a labelling what it explains of the detections that the limb cuts.
+    fn add_cut(&self, labelling: &mut Labelling, fit: &LocalSimilarity, sun: Vector2<f64>) {
+        let evidence = self.evidence;
+        let variance = |candidate: &Candidate, at| {
+            candidate.variance + evidence.pull_mil(fit.offset(at)).powi(2)
+        };
+        let mut candidates = &self.cut[..];
+        while let Some((explained, rest)) = self.printed.explain(candidates, fit, variance) {
+            candidates = rest;
+            if evidence.allows(&explained, &labelling.ids, sun) {
+                let seen_at = fit.place(explained.candidate.offset);
                 let in_place = seen_at.distance(explained.at) < NAMED_WITHIN_MIL;
-                reading.ids.push(explained.id(in_place));
+                labelling.ids.push(explained.id(in_place));
                 let found = match self.must_be_found(fit)(explained.at) {
-                    true => seen.found,
-                    false => seen.cut_found,
+                    true => evidence.found,
+                    false => evidence.cut_found,
                 };
-                reading.score += found + explained.likelihood - seen.false_density;
+                labelling.score += found + explained.likelihood - evidence.false_density;
             }
         }
     }
 
     /// Tells of a mark at a place whether it lies deep enough in the disc and far enough from the sensor's edge to be found.
     fn must_be_found(&self, fit: &LocalSimilarity) -> impl Fn(PlateMil) -> bool {
-        let seen = self.seen;
+        let evidence = self.evidence;
         let sun = fit.place(Vector2::zeros()).vector();
-        let reach2 = seen.sure_reach_mil.powi(2) * fit.stretch2();
-        let on_sensor = move |at| seen.sight.on_sensor(self.to_sensor(fit.offset(at)));
-        #[inline(always)]
+        let reach2 = evidence.sure_reach_mil.powi(2) * fit.stretch2();
+        let on_sensor = move |at| evidence.prior.on_sensor(self.to_sensor(fit.offset(at)));
         move |at: PlateMil| {
-            (at.vector() - sun).norm_squared() < reach2 && (seen.sure_on_sensor || on_sensor(at))
+            (at.vector() - sun).norm_squared() < reach2
+                && (evidence.sure_on_sensor || on_sensor(at))
         }
     }
 
@@ -384,6 +415,6 @@ impl<'a> Turned<'a> {
             .filter(|(_, at)| must_be_found(*at))
             .count();
         let found = ids.iter().filter(|id| must_be_found(id.printed)).count();
-        (expected - found) as f64 * self.seen.missed
+        (expected - found) as f64 * self.evidence.missed
     }
 }
