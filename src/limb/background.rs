@@ -251,3 +251,97 @@ fn column_sums<T: Sample>(
         .map(|sum| f64::from(sum / most).max(0.0))
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{FrameInfo, Pixels};
+    use nalgebra::Vector2;
+
+    const SIZE: [usize; 2] = [640, 480];
+    const DISC: Circle = Circle {
+        centre: Vector2::new(330.0, 250.0),
+        radius: 80.0,
+    };
+
+    /// A disc of 200 DN over a background, with even noise of 3 DN rms; twelve bits, so that rounding is no matter.
+    fn frame(background: impl Fn(f64, f64) -> f64, column_smear: f64) -> Frame {
+        let light = |x: f64, y: f64| match DISC.excess(Vector2::new(x, y)) < 0.0 {
+            true => 200.0,
+            false => 0.0,
+        };
+        let columns: Vec<f64> = (0..SIZE[0])
+            .map(|x| (0..SIZE[1]).map(|y| light(x as f64, y as f64)).sum::<f64>())
+            .collect();
+        let pixel = |n: usize| {
+            let (column, row) = (n % SIZE[0], n / SIZE[0]);
+            let (x, y) = (column as f64, row as f64);
+            let noise = f64::from((n * 7919 % 101) as u32 as i32 - 50) / 9.7;
+            let smear = column_smear * columns[column];
+            (20.0 + light(x, y) + background(x, y) + smear + noise).round() as u16
+        };
+        let pixels = Pixels::U16((0..SIZE[0] * SIZE[1]).map(pixel).collect());
+        Frame::new(SIZE[0], SIZE[1], pixels, 4095, FrameInfo::default()).unwrap()
+    }
+
+    /// How far the background that is found about the disc is from the true one, DN: the most of all pixels.
+    fn worst_dn(background: impl Fn(f64, f64) -> f64, column_smear: f64) -> f64 {
+        let frame = frame(&background, column_smear);
+        let region = Region::sized(230, 150, 200, 200);
+        let levels = Levels {
+            background_dn: 20.0,
+            noise_dn: 3.0,
+            disc_dn: 220.0,
+        };
+        let found = super::background(&frame, region, &DISC, &levels);
+        let mut worst = 0.0_f64;
+        for (n, column_dn) in found.columns_dn.iter().enumerate() {
+            let x = (region.x0 + n) as f64;
+            let half2 = DISC.radius.powi(2) - (x - DISC.centre.x).powi(2);
+            let smear = column_smear * 200.0 * 2.0 * half2.max(0.0).sqrt();
+            for (m, row_dn) in found.rows_dn.iter().enumerate() {
+                let expected = 20.0 + background(x, (region.y0 + m) as f64) + smear;
+                worst = worst.max((f64::from(column_dn + row_dn) - expected).abs());
+            }
+        }
+        worst
+    }
+
+    #[test]
+    fn an_even_background_stays_even() {
+        assert!(worst_dn(|_, _| 0.0, 0.0) < 0.3);
+    }
+
+    #[test]
+    fn a_plane_of_stray_light_is_found() {
+        assert!(worst_dn(|x, y| 0.02 * x - 0.01 * y, 0.0) < 0.3);
+    }
+
+    #[test]
+    fn a_step_between_the_halves_of_the_sensor_is_found() {
+        assert!(worst_dn(|x, _| if x > 319.5 { 2.0 } else { 0.0 }, 0.0) < 0.4);
+        assert!(worst_dn(|_, y| if y > 239.5 { 2.0 } else { 0.0 }, 0.0) < 0.4);
+    }
+
+    #[test]
+    fn smear_along_the_columns_is_found() {
+        assert!(worst_dn(|_, _| 0.0, 2e-4) < 0.6);
+    }
+
+    #[test]
+    fn a_window_that_shows_little_beside_the_disc_has_the_frames_level() {
+        let frame = frame(|_, _| 0.0, 0.0);
+        let window = frame.cropped(Region::sized(235, 155, 190, 190)).unwrap();
+        let disc = Circle {
+            centre: DISC.centre - Vector2::new(235.0, 155.0),
+            ..DISC
+        };
+        let levels = Levels {
+            background_dn: 21.0,
+            noise_dn: 3.0,
+            disc_dn: 220.0,
+        };
+        let found = super::background(&window, window.region(), &disc, &levels);
+        assert_eq!(found, Background::even(window.region(), 21.0));
+    }
+}
