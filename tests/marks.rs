@@ -10,7 +10,7 @@ use solaspect::fiducial::{
 use solaspect::frame::{Background, Cutout, Frame, PixelNoise, ROUNDING_NOISE_DN};
 use solaspect::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::limb;
+use solaspect::limb::{self, Profile};
 use solaspect::plate::MarkId;
 use solaspect::simulate::{
     Conditions, Counts, Depth, HotPixel, Noise, Picture, RandomScenes, SUN_RADIUS_ARCSEC, Scene,
@@ -327,7 +327,7 @@ fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
             change(&mut conditions);
             let scenes = RandomScenes::new(&instrument, &conditions, 900 + number).unwrap();
             let picture = scenes.scene(number).unwrap().picture().unwrap();
-            let found = found(&picture, &instrument);
+            let found = found(&picture, &instrument, conditions.blur_px);
             (number, picture, found)
         })
         .collect();
@@ -338,8 +338,8 @@ fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
     tally
 }
 
-/// The marks found on the true disc, displaced as a first fit of the limb may be.
-fn found(picture: &Picture, instrument: &Instrument) -> Detections {
+/// The marks found on the true disc, displaced as a first fit of the limb may be, in the light and at the blur that it tells.
+fn found(picture: &Picture, instrument: &Instrument, lens_blur_px: f64) -> Detections {
     let sun = picture.truth.sun.unwrap();
     let levels = limb::levels(&picture.frame, &limb::Settings::default()).unwrap();
     let cutout = whole(&picture.frame, levels.background_dn, levels.noise_dn);
@@ -347,18 +347,18 @@ fn found(picture: &Picture, instrument: &Instrument) -> Detections {
         centre: sun.px.vector() + Vector2::new(0.1, -0.1),
         radius: sun.radius_px + 0.1,
     };
-    let light = |x: f64, y: f64| {
-        let radius2 = (Vector2::new(x, y) - circle.centre).norm_squared() / circle.radius.powi(2);
-        let peak_dn = levels.disc_dn - levels.background_dn;
-        peak_dn
-            * (0.44 * f64::from(u8::from(radius2 < 1.0)) + 0.56 * (1.0 - radius2).max(0.0).sqrt())
+    let peak_dn = levels.disc_dn - levels.background_dn;
+    let profile = Profile {
+        background_dn: 0.0,
+        even_dn: 0.44 * peak_dn,
+        darkened_dn: 0.56 * peak_dn,
+        blur_px: lens_blur_px,
+        radius_px: circle.radius,
     };
+    let light =
+        |x: f64, y: f64| profile.at((Vector2::new(x, y) - circle.centre).norm() - circle.radius);
     let scale = picture.truth.mapping.scale_mil_per_px(sun.px);
-    let shape = CrossShape::new(
-        &instrument.plate.cross,
-        scale,
-        instrument.optics.blur_px.value,
-    );
+    let shape = CrossShape::new(&instrument.plate.cross, scale, lens_blur_px);
     let flat = FlatDisc::new(&cutout, Ellipse::from(circle), &light, &shape).unwrap();
     detect(&flat, &shape, &Settings::default())
 }

@@ -14,8 +14,8 @@ pub struct CrossShape {
     pub blur_px: f64,
 }
 
-/// Beyond so many blurs from an edge the picture shows the edge no more.
-const EDGE_BLURS: f64 = 2.0;
+/// How far beyond its tips a cross is looked for, in blurs: a wider window gains nothing and lets in what lies beside.
+const TIP_BLURS: f64 = 1.0;
 
 impl CrossShape {
     /// A cross of the plate at a scale, behind a lens's blur (1 sigma), on pixels of finite size.
@@ -39,9 +39,9 @@ impl CrossShape {
         overlap(both) / overlap(2.0 * own)
     }
 
-    /// How far from its centre the cross darkens the picture, px.
+    /// How far from its centre the cross darkens the picture plainly, px.
     pub fn reach_px(&self) -> f64 {
-        self.half_length_px + EDGE_BLURS * self.blur_px
+        self.half_length_px + TIP_BLURS * self.blur_px
     }
 
     /// Half the width of an arm as the blur leaves it, px: an offset larger than this is beside the arm.

@@ -5,7 +5,7 @@ use super::patch::Patch;
 use crate::estimation::clipped_sigma;
 use crate::frame::PixelNoise;
 use crate::lanes::dot;
-use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector6};
+use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2, Vector6};
 
 /// A step as short as this ends where the next one would, px: a tenth of what the noise of a clean frame leaves.
 const SETTLED_PX: f64 = 0.003;
@@ -67,6 +67,7 @@ impl MarkFit<'_> {
         let mut weights = vec![1.0; self.patch.pixels()];
         // The very first model is too far off to tell outliers.
         let mut reduced_chi2 = 1.0;
+        let mut last_move = Vector2::zeros();
         for step_number in 0..MOST_STEPS {
             self.linearise(&unknowns, &mut model);
             if (1..REWEIGHTED_STEPS).contains(&step_number) {
@@ -77,13 +78,18 @@ impl MarkFit<'_> {
             reduced_chi2 = normal.reduced_chi2_after(&step);
             // A higher contrast needs a smaller shift for the same change of the picture.
             let higher = unknowns[CONTRAST] / (unknowns[CONTRAST] + step[CONTRAST]);
-            step.fixed_rows_mut::<2>(X)
-                .scale_mut(higher.clamp(0.0, 1.0));
+            let mut moved = step.fixed_rows::<2>(X) * higher.clamp(0.0, 1.0);
+            // A step back shows that the one before was too long.
+            if moved.dot(&last_move) < 0.0 {
+                moved /= 2.0;
+            }
+            last_move = moved;
+            step.fixed_rows_mut::<2>(X).copy_from(&moved);
             unknowns += step;
             if unknowns[X].hypot(unknowns[Y]) > farthest_px {
                 return None;
             }
-            if step_number > 0 && step[X].hypot(step[Y]) < SETTLED_PX {
+            if step_number > 0 && moved.norm() < SETTLED_PX {
                 return Some(Settled {
                     unknowns,
                     covariance: normal.covariance_of_place(reduced_chi2)?,
@@ -158,7 +164,10 @@ impl Linearised {
     /// Weights 1 of pixels within a limit of the model and 0 beyond twice that: the limit by the scatter that most pixels show,
     /// at least the stated one, and by what the model may be off.
     fn reweight(&self, weights: &mut [f32]) {
-        let Some(scatter) = clipped_sigma(&self.residuals, 1.0, 1.0) else {
+        // Outliers must not widen the limit by themselves, so the scatter starts from what is expected.
+        let model_error = self.allowed.iter().copied().fold(0.0, f32::max);
+        let Some(scatter) = clipped_sigma(&self.residuals, (0.5 * model_error).max(1.0), 1.0)
+        else {
             return;
         };
         let limit = (DOUBTED_SIGMA * scatter) as f32;

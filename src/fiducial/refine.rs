@@ -21,8 +21,9 @@ use crate::plate::Cross;
 use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-/// Ground about the cross that takes part, in blurs: it determines the light's level and tilt.
-const GROUND_BLURS: f64 = 2.6;
+/// Ground about the cross that takes part, in widths of an arm: it determines the light's level and tilt. More of it would let
+/// in what lies beside.
+const GROUND_WIDTHS: f64 = 1.3;
 
 /// A mark as its pixels show it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,7 +59,7 @@ impl Refiner {
 
     /// How far from a mark's expected place pixels take part, px.
     pub fn reach_px(&self) -> f64 {
-        self.shape.half_length_px + GROUND_BLURS * self.shape.blur_px
+        self.shape.half_length_px + GROUND_WIDTHS * 2.0 * self.shape.half_width_px
     }
 
     /// The mark near `start`, within half an arm's width.
