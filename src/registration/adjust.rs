@@ -286,16 +286,16 @@ impl Problem {
         normal
     }
 
-    /// Of the priors of tilt and radius, and of the points that lie on the circle. `None` where a point has no place on the plate.
+    /// Of the priors of tilt and radius, and of the points that lie on the circle; nothing without a circle. `None` where a point has no place on the plate.
     fn normal_of_others(&self, model: &Model) -> Option<Normal> {
         let mut normal = Normal::default();
-        for n in TILT.into_iter().filter(|_| model.view.unit_px() > 0.0) {
-            let weight = 1.0 / model.tilt_sigma();
-            normal.add(&along(n, weight), -model.view.parameters[n] * weight);
-        }
         let (Some(outline), Some(circle)) = (&self.outline, model.circle) else {
             return Some(normal);
         };
+        for n in TILT {
+            let weight = 1.0 / model.tilt_sigma();
+            normal.add(&along(n, weight), -model.view.parameters[n] * weight);
+        }
         let Measured { value, sigma, .. } = outline.radius_mil;
         let slopes = along(CIRCLE + 2, 1.0 / sigma);
         normal.add(&slopes, (value - circle.radius) / sigma);

@@ -200,6 +200,9 @@ fn outlier(problem: &Problem, adjusted: &Adjusted) -> Option<usize> {
 /// the data leave open (Occam's factor). Where a tilt would show, it is improbable and adds nothing; where it would not, as
 /// with few marks and half a limb, the covariance holds it.
 fn averaged_covariance(problem: &Problem, simple: &Adjusted) -> Covariance {
+    if simple.model.circle.is_none() {
+        return simple.covariance;
+    }
     let kind = match simple.terms.kind {
         MappingKind::Similarity => MappingKind::Keystone,
         MappingKind::Affine => MappingKind::Homography,

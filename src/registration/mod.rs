@@ -17,7 +17,7 @@
 //! Errors that neighbouring points of the outline share inflate its sigmas beforehand. Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: the image of
 //! a Sun that moves fast during the exposure is not that of a circle.
 //!
-//! Cameras are aligned by hand: their tilt is known beforehand to be 0 to 3 deg per axis, 1 sigma. It shows most in the angles far
+//! Cameras are aligned by hand: beside an outline, their tilt is known beforehand to be 0 to 3 deg per axis, 1 sigma. It shows most in the angles far
 //! from the plate's centre, and then also gives what a few marks do not show: how far the centre of the disc's ellipse lies
 //! from the image of the disc's centre, 0.1 px at 3 deg.
 //!
@@ -26,7 +26,7 @@
 //! allow, these are inflated to fit (variance components after Förstner). Few redundant coordinates say little: they are
 //! weighed against the stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
 //!
-//! The covariance of a mapping without tilt is averaged with that of a tilted one, by how probable a tilt is after the data. Fewer
+//! Beside an outline, the covariance of a mapping without tilt is averaged with that of a tilted one, by how probable a tilt is after the data. Fewer
 //! pairs than can show which of them is an outlier have sigmas that allow for one.
 
 mod adjust;
