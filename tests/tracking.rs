@@ -110,7 +110,7 @@ fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
         let tracked = flight.solve(frame, track.as_ref());
         assert_eq!(tracked.quality, Quality::Fine);
         assert_eq!(tracked.mapping.as_ref().unwrap().origin, Origin::Frame);
-        short_ways += u32::from(tracked.track.as_ref().unwrap().foretold > 0);
+        short_ways += u32::from(tracked.track.as_ref().unwrap().predicted > 0);
         let [a, b] = [&alone, &tracked].map(|s| s.aspect.as_ref().unwrap().sun_plate);
         let sigma = (b.covariance.trace() / 2.0).sqrt();
         pulls.push((b.position.vector() - truth.vector()) / sigma);
@@ -140,7 +140,7 @@ fn a_prior_whose_ids_are_wrong_is_found_out() {
         for frame in &flight.frames {
             let tracked = flight.solve(frame, Some(&misled));
             let alone = flight.solve(frame, None);
-            assert_eq!(tracked.track.as_ref().unwrap().foretold, 0);
+            assert_eq!(tracked.track.as_ref().unwrap().predicted, 0);
             assert!(apart_sigmas(&alone, &tracked) < 0.4);
         }
     }
@@ -159,7 +159,7 @@ fn a_camera_that_moved_is_seen_anew() {
 }
 
 #[test]
-fn the_picture_of_a_frame_shows_its_marks_though_they_were_foretold() {
+fn the_picture_of_a_frame_shows_its_marks_though_they_were_predicted() {
     let flight = flight(2);
     let prior = flight.solve(&flight.frames[0], None).track;
     let drawn = |solution: &Solution| {
@@ -169,13 +169,16 @@ fn the_picture_of_a_frame_shows_its_marks_though_they_were_foretold() {
         picture.pixels().filter(coloured).count()
     };
     let alone = flight.solve(&flight.frames[1], None);
-    let foretold = flight.solve(&flight.frames[1], prior.as_ref());
-    assert_eq!(foretold.track.as_ref().map(|track| track.foretold), Some(1));
-    let (alone, foretold) = (drawn(&alone), drawn(&foretold));
+    let predicted = flight.solve(&flight.frames[1], prior.as_ref());
+    assert_eq!(
+        predicted.track.as_ref().map(|track| track.predicted),
+        Some(1)
+    );
+    let (alone, predicted) = (drawn(&alone), drawn(&predicted));
     assert!(alone > 500, "{alone}");
     assert!(
-        alone.abs_diff(foretold) < alone / 5,
-        "{alone} and {foretold}"
+        alone.abs_diff(predicted) < alone / 5,
+        "{alone} and {predicted}"
     );
 }
 

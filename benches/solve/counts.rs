@@ -1,13 +1,12 @@
 //! Instructions of a frame, by callgrind.
 
 use crate::flight::{Exposure, Flight};
-use crate::stages::Stages;
 use anyhow::{Context, bail};
-use solaspect::aspect::{self, Solution};
-use solaspect::fiducial::{Detections, FlatDisc};
-use solaspect::frame::{Cutout, Levels};
-use solaspect::geometry::Ellipse;
-use solaspect::limb::{self, CoarseDisc, Limb};
+use solaspect::aspect::{self, Mark, MarkScene, Pipeline, Settings, Solution};
+use solaspect::fiducial::Detections;
+use solaspect::frame::{Cutout, Levels, Mask};
+use solaspect::geometry::{Circle, Ellipse};
+use solaspect::limb::Limb;
 use std::fmt;
 use std::fs;
 use std::hint::black_box;
@@ -23,12 +22,12 @@ pub struct Work {
     function: &'static str,
 }
 
-/// Stages, each on its own with what it needs from the others, and the whole frame without and with a prior.
+/// The pipeline's stages, and the whole frame without and with a prior.
 pub const WORKS: [Work; 8] = [
     Work::new("levels", "counted_levels"),
     Work::new("disc", "counted_disc_search"),
     Work::new("limb", "counted_limb"),
-    Work::new("flatten", "counted_flattening"),
+    Work::new("cutout", "counted_cutout"),
     Work::new("detect", "counted_detection"),
     Work::new("refine", "counted_refinement"),
     Work::new("acquiring", "counted_acquiring"),
@@ -42,38 +41,44 @@ impl Work {
 }
 
 #[inline(never)]
-fn counted_levels(exposure: &Exposure) -> Option<Levels> {
-    limb::levels(&exposure.frame, &limb::Settings::default()).ok()
+fn counted_levels(pipeline: &Pipeline<'_>) -> Option<Levels> {
+    pipeline.levels().ok()
 }
 
 #[inline(never)]
-fn counted_disc_search(stages: &Stages<'_>) -> Option<CoarseDisc> {
-    stages.disc()
+fn counted_disc_search(pipeline: &Pipeline<'_>, levels: &Levels) -> Option<Circle> {
+    pipeline.find_disc(levels).ok()
 }
 
 #[inline(never)]
-fn counted_limb(stages: &Stages<'_>, start: &Ellipse) -> Option<Limb> {
-    stages.limb(start)
+fn counted_cutout(pipeline: &Pipeline<'_>, levels: &Levels, disc: &Circle) -> Cutout {
+    pipeline.cutout(levels, disc)
 }
 
 #[inline(never)]
-fn counted_flattening(stages: &Stages<'_>, cutout: &Cutout, limb: &Limb) -> Option<FlatDisc> {
-    stages.flat(cutout, limb)
+fn counted_limb(
+    pipeline: &Pipeline<'_>,
+    levels: &Levels,
+    cutout: &Cutout,
+    disc: &Circle,
+) -> Option<Limb> {
+    let fit = pipeline.limb_fit(levels, cutout);
+    fit.near(&Ellipse::from(*disc), &Mask::none(cutout.region()))
+        .ok()
 }
 
 #[inline(never)]
-fn counted_detection(stages: &Stages<'_>, flat: &FlatDisc) -> Detections {
-    stages.detections(flat)
+fn counted_detection(pipeline: &Pipeline<'_>, cutout: &Cutout, limb: &Limb) -> Detections {
+    pipeline.detect(cutout, limb)
 }
 
 #[inline(never)]
 fn counted_refinement(
-    stages: &Stages<'_>,
-    cutout: &Cutout,
-    limb: &Limb,
+    pipeline: &Pipeline<'_>,
+    scene: &MarkScene<'_>,
     solution: &Solution,
-) -> usize {
-    stages.refined(cutout, limb, solution)
+) -> Vec<Mark> {
+    pipeline.place(scene, &solution.marks)
 }
 
 #[inline(never)]
@@ -104,19 +109,20 @@ pub fn work_through(flight: &Flight) {
 
 /// `None` where a stage fails.
 fn by_stages(exposure: &Exposure, flight: &Flight, acquired: &Solution) -> Option<()> {
-    let levels = black_box(counted_levels(exposure))?;
-    let stages = Stages {
-        frame: &exposure.frame,
-        flight,
-        levels,
+    let settings = Settings::default();
+    let (frame, instrument) = (&exposure.frame, &flight.instrument);
+    let pipeline = Pipeline::new(&settings, frame, instrument, flight.expected, None);
+    let levels = black_box(counted_levels(&pipeline))?;
+    let disc = black_box(counted_disc_search(&pipeline, &levels))?;
+    let cutout = black_box(counted_cutout(&pipeline, &levels, &disc));
+    let limb = black_box(counted_limb(&pipeline, &levels, &cutout, &disc))?;
+    black_box(counted_detection(&pipeline, &cutout, &limb));
+    let scene = MarkScene {
+        cutout: &cutout,
+        limb: &limb,
+        mapping: &acquired.mapping.as_ref()?.mapping,
     };
-    let disc = black_box(counted_disc_search(&stages))?;
-    let start = Ellipse::from(disc.circle());
-    let limb = black_box(counted_limb(&stages, &start))?;
-    let cutout = stages.cutout(&limb)?;
-    let flat = black_box(counted_flattening(&stages, &cutout, &limb))?;
-    black_box(counted_detection(&stages, &flat));
-    black_box(counted_refinement(&stages, &cutout, &limb, acquired));
+    black_box(counted_refinement(&pipeline, &scene, acquired));
     Some(())
 }
 

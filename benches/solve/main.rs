@@ -7,7 +7,6 @@
 mod baseline;
 mod counts;
 mod flight;
-mod stages;
 mod times;
 
 use baseline::Baseline;

@@ -1,6 +1,6 @@
 //! The last steps of the pipeline: from a mapping and the limb to the Sun's centre, its uncertainty and the quality.
 
-use super::stages::{Work, at};
+use super::stages::{Pipeline, at};
 use super::{AdoptedMapping, Aspect, Origin, Quality, Solution, Stage, Stopped, Track};
 use crate::geometry::{Circle, Mapping};
 use crate::limb::{self, Limb};
@@ -20,7 +20,7 @@ const MOST_MOTION_PX: f64 = 5.0;
 /// The limb's part that makes a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
 
-impl<'a> Work<'a> {
+impl<'a> Pipeline<'a> {
     /// This frame's mapping, else the prior's, else the calibration's.
     pub(super) fn adopt(&self, own: Option<&Registration>) -> Result<AdoptedMapping, Stopped> {
         if let Some(own) = own {
@@ -171,13 +171,18 @@ impl<'a> Work<'a> {
     }
 
     /// What this frame teaches: a frame without marks hands on the prior's registration.
-    pub(super) fn track(&self, aspect: &Aspect, own: Option<Registration>, foretold: u32) -> Track {
+    pub(super) fn track(
+        &self,
+        aspect: &Aspect,
+        own: Option<Registration>,
+        predicted: u32,
+    ) -> Track {
         Track {
             disc: Circle {
                 centre: aspect.sun_px.position.vector(),
                 radius: aspect.sun_radius_px,
             },
-            foretold,
+            predicted,
             registration: own.or_else(|| self.prior_registration().cloned()),
         }
     }

@@ -1,7 +1,7 @@
 //! The steps of the pipeline from the marks on the flattened disc to their mapping.
 
 use super::contradiction::check_stated;
-use super::stages::{LIMB_DEFINITION_SIGMA_PX, Work, at};
+use super::stages::{LIMB_DEFINITION_SIGMA_PX, Pipeline, at};
 use super::{Mark, Stage, Stopped};
 use crate::estimation::median;
 use crate::fiducial::{
@@ -32,13 +32,13 @@ const COMA_OPEN: f64 = 0.2;
 const MAX_RESIDUAL_PX: f64 = 0.6;
 
 /// What the marks' fits start from.
-pub(super) struct MarkScene<'a> {
-    pub(super) cutout: &'a Cutout,
-    pub(super) limb: &'a Limb,
-    pub(super) mapping: &'a Mapping,
+pub struct MarkScene<'a> {
+    pub cutout: &'a Cutout,
+    pub limb: &'a Limb,
+    pub mapping: &'a Mapping,
 }
 
-impl Work<'_> {
+impl Pipeline<'_> {
     /// Scale at the disc, from its radius.
     fn disc_scale(&self, disc: &Ellipse) -> f64 {
         self.radius_mil.value / disc.mean_radius()
@@ -61,7 +61,7 @@ impl Work<'_> {
         CrossShape::new(&self.instrument.plate.cross, scale, self.mark_blur_px(limb))
     }
 
-    pub(super) fn detect(&self, cutout: &Cutout, limb: &Limb) -> Detections {
+    pub fn detect(&self, cutout: &Cutout, limb: &Limb) -> Detections {
         let shape = self.disc_shape(limb);
         match FlatDisc::new(cutout, limb.outline.ellipse, &limb.light(), &shape) {
             Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
@@ -85,7 +85,7 @@ impl Work<'_> {
 
     /// Marks that were read, each placed by its own pixels. One whose pixels do not agree keeps its first place, and a
     /// sigma that gives it little weight.
-    pub(super) fn place(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Mark> {
+    pub fn place(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Mark> {
         let refined = self.refine(scene, marks);
         let placed = marks.iter().zip(&refined).map(|(mark, found)| match found {
             Some(found) => self.without_coma(mark.placed(found), scene.limb, marks.len()),
@@ -233,7 +233,7 @@ impl Illumination for DiscLight {
 
 impl Mark {
     /// The mark where its pixels show it.
-    pub(super) fn placed(&self, found: &RefinedMark) -> Self {
+    pub fn placed(&self, found: &RefinedMark) -> Self {
         Self {
             at: found.place.position,
             covariance_px2: found.place.covariance,

@@ -2,9 +2,9 @@
 
 mod conclusion;
 mod contradiction;
-mod foretold;
 mod marks;
 mod overlay;
+mod predicted;
 mod solution;
 mod stages;
 
@@ -20,8 +20,9 @@ use crate::instrument::Instrument;
 use crate::limb::Limb;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
-use marks::MarkScene;
-use stages::{Work, at};
+pub use marks::MarkScene;
+pub use stages::Pipeline;
+use stages::at;
 pub(crate) use stages::{cutout, marks_mask};
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
@@ -77,8 +78,8 @@ pub fn solve(
 ///    calibration's.
 /// 10. The Sun's centre on plate and sensor, with covariance; quality.
 ///
-/// A prior whose mapping foretells every mark that must be lit spares steps 4 to 6: the marks are measured where it
-/// foretells them, in the same way.
+/// A prior whose mapping predicts every mark that must be lit spares steps 4 to 6: the marks are measured where it
+/// predicts them, in the same way.
 pub fn solve_with(
     settings: &Settings,
     frame: &Frame,
@@ -87,7 +88,7 @@ pub fn solve_with(
     prior: Option<&Track>,
 ) -> Solution {
     let mut solution = Solution::none();
-    let work = Work::new(settings, frame, instrument, expected, prior);
+    let work = Pipeline::new(settings, frame, instrument, expected, prior);
     if let Err(stopped) = run(&work, &mut solution) {
         // What ended the frame's way outweighs what only made it coarse.
         solution.stopped = Some(stopped);
@@ -98,24 +99,24 @@ pub fn solve_with(
 /// The levels of a frame, and nothing more: for cameras whose pictures nobody solves yet.
 pub fn levels_only(settings: &Settings, frame: &Frame, instrument: &Instrument) -> Solution {
     let mut solution = Solution::none();
-    match Work::new(settings, frame, instrument, None, None).levels() {
+    match Pipeline::new(settings, frame, instrument, None, None).levels() {
         Ok(levels) => solution.levels = Some(levels),
         Err(stopped) => solution.stopped = Some(stopped),
     }
     solution
 }
 
-fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
+fn run(work: &Pipeline<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let levels = work.levels()?; // 1
     solution.levels = Some(levels);
     let found = work.find_disc(&levels)?; // 2
     let mut cutout = work.cutout(&levels, &found);
-    let Sighting {
+    let DiscAndMarks {
         limb,
         marks,
-        foretold,
-    } = match work.foretold(&levels, &mut cutout, found.centre.into()) {
-        Some(sighting) => sighting, // 3 to 8, the short way
+        predicted,
+    } = match work.predicted(&levels, &mut cutout, found.centre.into()) {
+        Some(found) => found, // 3 to 8, the short way
         None => look_for_marks(work, &levels, &mut cutout, &found, solution)?,
     };
     solution.limb.clone_from(&limb.points);
@@ -133,28 +134,28 @@ fn run(work: &Work<'_>, solution: &mut Solution) -> Result<(), Stopped> {
     let adopted = work.adopt(registration.as_ref())?;
     let aspect = work.aspect(&limb, &adopted, registration.as_ref())?; // 10
     solution.quality = work.judge(&aspect, &adopted, solution);
-    solution.track = Some(work.track(&aspect, registration, foretold));
+    solution.track = Some(work.track(&aspect, registration, predicted));
     solution.aspect = Some(aspect);
     solution.mapping = Some(adopted);
     Ok(())
 }
 
 /// The limb, and the marks by their own pixels or why there are none.
-struct Sighting {
+struct DiscAndMarks {
     limb: Limb,
     marks: Result<Vec<Mark>, Stopped>,
-    /// Frames in succession, this one included, whose marks the prior foretold.
-    foretold: u32,
+    /// Frames in succession, this one included, whose marks the prior predicted.
+    predicted: u32,
 }
 
-/// Steps 3 to 8 where no prior foretells the marks.
+/// Steps 3 to 8 where no prior predicts the marks.
 fn look_for_marks(
-    work: &Work<'_>,
+    work: &Pipeline<'_>,
     levels: &Levels,
     cutout: &mut Cutout,
     found: &Circle,
     solution: &mut Solution,
-) -> Result<Sighting, Stopped> {
+) -> Result<DiscAndMarks, Stopped> {
     let found = Ellipse::from(*found);
     let nothing = Mask::none(cutout.region());
     let mut limb = work
@@ -185,9 +186,9 @@ fn look_for_marks(
         };
         work.place(&scene, &marks) // 8
     });
-    Ok(Sighting {
+    Ok(DiscAndMarks {
         limb,
         marks,
-        foretold: 0,
+        predicted: 0,
     })
 }

@@ -156,8 +156,8 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
 
 fn marks_line(solution: &Solution) -> String {
     let marks = solution.marks.len();
-    match solution.track.as_ref().map(|track| track.foretold) {
-        Some(1..) => format!("{marks} marks as foretold"),
+    match solution.track.as_ref().map(|track| track.predicted) {
+        Some(1..) => format!("{marks} marks as predicted"),
         _ => format!("{marks} of {} marks read", solution.detections.marks.len()),
     }
 }

@@ -29,7 +29,7 @@ pub(super) const DISC_ROOM: f64 = 1.2;
 const PRIOR_REACH_PX: f64 = 45.0;
 
 /// A frame on its way, with all that is known beforehand.
-pub(super) struct Work<'a> {
+pub struct Pipeline<'a> {
     pub(super) settings: &'a Settings,
     pub(super) frame: &'a Frame,
     pub(super) instrument: &'a Instrument,
@@ -41,8 +41,8 @@ pub(super) struct Work<'a> {
     pub(super) shape: CrossShape,
 }
 
-impl<'a> Work<'a> {
-    pub(super) fn new(
+impl<'a> Pipeline<'a> {
+    pub fn new(
         settings: &'a Settings,
         frame: &'a Frame,
         instrument: &'a Instrument,
@@ -71,7 +71,7 @@ impl<'a> Work<'a> {
     }
 
     /// The levels. A background cut off at zero shows less noise than there is: the stated noise is the least.
-    pub(super) fn levels(&self) -> Result<Levels, Stopped> {
+    pub fn levels(&self) -> Result<Levels, Stopped> {
         let seen = limb::levels(self.frame, &self.settings.limb).map_err(at(Stage::Levels))?;
         let stated = self
             .instrument
@@ -87,7 +87,7 @@ impl<'a> Work<'a> {
         })
     }
 
-    pub(super) fn find_disc(&self, levels: &Levels) -> Result<Circle, Stopped> {
+    pub fn find_disc(&self, levels: &Levels) -> Result<Circle, Stopped> {
         let search = DiscSearch {
             frame: self.frame,
             levels,
@@ -106,7 +106,7 @@ impl<'a> Work<'a> {
     }
 
     /// What fits the outline of the disc.
-    pub(super) fn limb_fit<'b>(&'b self, levels: &Levels, cutout: &'b Cutout) -> LimbFit<'b> {
+    pub fn limb_fit<'b>(&'b self, levels: &Levels, cutout: &'b Cutout) -> LimbFit<'b> {
         let settings = &self.settings.limb;
         let spread = settings.max_radius_deviation / 4.0;
         LimbFit {
@@ -137,7 +137,7 @@ impl<'a> Work<'a> {
     }
 
     /// The disc's surroundings as all further stages read them: the background taken off, hot pixels masked.
-    pub(super) fn cutout(&self, levels: &Levels, disc: &Circle) -> Cutout {
+    pub fn cutout(&self, levels: &Levels, disc: &Circle) -> Cutout {
         cutout(self.frame, self.instrument, levels, disc)
     }
 

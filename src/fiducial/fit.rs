@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 
 /// Error of the rotation that the arms tell, 1 sigma; three noisy marks tell it to a degree.
 const ARMS_SIGMA_RAD: f64 = 0.6 * PI / 180.0;
-/// A detection farther from a mark's foretold place is not that mark, in sigma.
+/// A detection farther from a mark's predicted place is not that mark, in sigma.
 pub(super) const GATE_SIGMAS: f64 = 4.0;
 /// Its square.
 const GATE: f64 = GATE_SIGMAS * GATE_SIGMAS;

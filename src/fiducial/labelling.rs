@@ -6,7 +6,7 @@
 //! the Sun's centre lies, and by how much rotation and scale differ from what arms and ephemeris say. Its score is the
 //! logarithm of the evidence: how much likelier the detections are under it than if all were false, every place of the
 //! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
-//! against the place that the marks before it foretell, the nearest to the first mark first.
+//! against the place that the marks before it predict, the nearest to the first mark first.
 
 use super::fit::{Candidate, Explained, GATE_SIGMAS, LocalSimilarity, Printed};
 use super::prior::IdentificationPrior;

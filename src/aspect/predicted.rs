@@ -1,13 +1,13 @@
-//! The short way of a frame whose prior knows the mapping: the marks are where it foretells them, or the frame goes the
+//! The short way of a frame whose prior knows the mapping: the marks are where it predicts them, or the frame goes the
 //! long way.
 //!
 //! Camera and plate hardly move from frame to frame; only the Sun moves over both. So every mark that must be lit is looked
-//! for by its own pixels. All of them must be there, each near its foretold place: a mapping whose ids were wrong would
-//! foretell marks where the pattern has none. Nothing else of the prior enters the solution but the place where the fits start.
+//! for by its own pixels. All of them must be there, each near its predicted place: a mapping whose ids were wrong would
+//! predict marks where the pattern has none. Nothing else of the prior enters the solution but the place where the fits start.
 
 use super::marks::MarkScene;
-use super::stages::{DISC_ROOM, Work};
-use super::{Mark, Sighting};
+use super::stages::{DISC_ROOM, Pipeline};
+use super::{DiscAndMarks, Mark};
 use crate::estimation::median;
 use crate::fiducial::{Lighting, RefinedMark};
 use crate::frame::{Cutout, Levels};
@@ -16,7 +16,7 @@ use crate::limb::Limb;
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
 
-/// A mark farther than this from its foretold place means that the camera moved, px.
+/// A mark farther than this from its predicted place means that the camera moved, px.
 const MAX_DRIFT_PX: f64 = 1.0;
 /// How far inside the limb and the sensor's edge the tips of a mark are that must be seen, px.
 const SURE_MARGIN_PX: f64 = 1.0;
@@ -24,7 +24,7 @@ const SURE_MARGIN_PX: f64 = 1.0;
 const WORTH_LOOKING: f64 = 0.3;
 /// A mark whose residuals exceed the pixels' stated variance by so much is none, or not only one.
 const MAX_CHI2: f64 = 4.0;
-/// So many marks beyond those that make a reading must be foretold: a wrong mapping that fits a few by chance does not fit these.
+/// So many marks beyond those that make a reading must be predicted: a wrong mapping that fits a few by chance does not fit these.
 const MORE_MARKS: usize = 2;
 /// After so many frames the marks are looked for again, and read anew: ids that were misread once must not last.
 const MOST_IN_SUCCESSION: u32 = 30;
@@ -33,28 +33,28 @@ const COMMON_CONTRAST: std::ops::Range<f64> = 0.6..1.6;
 /// A cut mark whose place is less sure tells nothing, px.
 const MOST_CUT_SIGMA_PX: f64 = 0.3;
 
-impl Work<'_> {
-    /// Limb and marks as the prior's mapping foretells them. `None` where there is no such mapping or not all is as it
-    /// foretells.
-    pub(super) fn foretold(
+impl Pipeline<'_> {
+    /// Limb and marks as the prior's mapping predicts them. `None` where there is no such mapping or not all is as it
+    /// predicts.
+    pub(super) fn predicted(
         &self,
         levels: &Levels,
         cutout: &mut Cutout,
         found: SensorPx,
-    ) -> Option<Sighting> {
+    ) -> Option<DiscAndMarks> {
         let prior = self.prior?;
-        if prior.foretold >= MOST_IN_SUCCESSION {
+        if prior.predicted >= MOST_IN_SUCCESSION {
             return None;
         }
         let mapping = &prior.registration.as_ref()?.mapping;
-        let start = self.foretold_outline(mapping, found)?;
+        let start = self.predicted_outline(mapping, found)?;
         let mask = self.marks_mask(cutout.region(), &start, mapping);
         let limb = self.limb_fit(levels, cutout).near(&start, &mask).ok()?;
         cutout.noise = limb.noise();
-        let foretold = self.foretold_marks(&limb, mapping);
+        let predicted = self.predicted_marks(&limb, mapping);
         let full = |mark: &Mark| mark.lighting == Lighting::Full;
         let enough = self.settings.fiducial.min_marks + MORE_MARKS;
-        if foretold.iter().filter(|m| full(m)).count() < enough {
+        if predicted.iter().filter(|m| full(m)).count() < enough {
             return None;
         }
         let scene = MarkScene {
@@ -62,16 +62,16 @@ impl Work<'_> {
             limb: &limb,
             mapping,
         };
-        let marks = self.seen_where_foretold(&scene, &foretold)?;
-        Some(Sighting {
+        let marks = self.found_where_predicted(&scene, &predicted)?;
+        Some(DiscAndMarks {
             limb,
             marks: Ok(marks),
-            foretold: prior.foretold + 1,
+            predicted: prior.predicted + 1,
         })
     }
 
     /// The disc's outline about a place, as a mapping shows the Sun there.
-    fn foretold_outline(&self, mapping: &Mapping, found: SensorPx) -> Option<Ellipse> {
+    fn predicted_outline(&self, mapping: &Mapping, found: SensorPx) -> Option<Ellipse> {
         let on_plate = mapping.to_plate(found);
         let picture = mapping.sensor_jacobian(on_plate) * self.radius_mil.value;
         // The ellipse's root is the symmetric part of the picture's polar decomposition, the square root of P P^T, which
@@ -83,7 +83,7 @@ impl Work<'_> {
     }
 
     /// The plate's marks that the disc lights, where a mapping sees them.
-    fn foretold_marks(&self, limb: &Limb, mapping: &Mapping) -> Vec<Mark> {
+    fn predicted_marks(&self, limb: &Limb, mapping: &Mapping) -> Vec<Mark> {
         let plate = &self.instrument.plate;
         let reach_px = self.shape.half_length_px;
         let outline = &limb.outline.ellipse;
@@ -98,13 +98,13 @@ impl Work<'_> {
                 id,
                 at,
                 covariance_px2: Matrix2::zeros(),
-                lighting: self.foretold_lighting(limb, mapping.sensor_jacobian(printed), at),
+                lighting: self.predicted_lighting(limb, mapping.sensor_jacobian(printed), at),
             })
         });
         marks.collect()
     }
 
-    fn foretold_lighting(&self, limb: &Limb, jacobian: Matrix2<f64>, at: SensorPx) -> Lighting {
+    fn predicted_lighting(&self, limb: &Limb, jacobian: Matrix2<f64>, at: SensorPx) -> Lighting {
         let half_mil = self.instrument.plate.cross.arm_length_mil / 2.0;
         let arms = [Vector2::x(), Vector2::y()].map(|arm| jacobian * arm * half_mil);
         let mut tips = arms
@@ -127,13 +127,17 @@ impl Work<'_> {
     }
 
     /// The marks by their own pixels. `None` where one that must be seen is not; one that the limb cuts may be missing.
-    fn seen_where_foretold(&self, scene: &MarkScene<'_>, foretold: &[Mark]) -> Option<Vec<Mark>> {
-        let refined = self.refine(scene, foretold);
+    fn found_where_predicted(
+        &self,
+        scene: &MarkScene<'_>,
+        predicted: &[Mark],
+    ) -> Option<Vec<Mark>> {
+        let refined = self.refine(scene, predicted);
         let full = |(mark, found): (&Mark, &Option<RefinedMark>)| {
             let found = found.filter(|_| mark.lighting == Lighting::Full);
             found.map(|found| found.contrast)
         };
-        let usual = median(foretold.iter().zip(&refined).filter_map(full))?;
+        let usual = median(predicted.iter().zip(&refined).filter_map(full))?;
         let least = self.settings.fiducial.min_contrast;
         let is_mark = |mark: &Mark, found: &RefinedMark| {
             found.contrast > least
@@ -143,8 +147,8 @@ impl Work<'_> {
                 && (mark.lighting == Lighting::Full
                     || largest_variance(&found.place.covariance) < MOST_CUT_SIGMA_PX.powi(2))
         };
-        let mut marks = Vec::with_capacity(foretold.len());
-        for (mark, found) in foretold.iter().zip(&refined) {
+        let mut marks = Vec::with_capacity(predicted.len());
+        for (mark, found) in predicted.iter().zip(&refined) {
             match found.as_ref().filter(|found| is_mark(mark, found)) {
                 Some(found) => marks.push(mark.placed(found)),
                 None if mark.lighting == Lighting::Full => return None,
