@@ -34,7 +34,7 @@ impl IdentificationPrior {
     /// Logarithm of the odds of a labelling's rotation against the stated one: normally distributed about it, but for the
     /// cameras that were turned, whose rotation may be any.
     fn rotation_odds(&self, labelling: &Labelling) -> f64 {
-        let tilt_deg = (TILT_PER_PX * self.from_sun_px()).to_degrees();
+        let tilt_deg = (TILT_PER_PX * self.centre_distance_px()).to_degrees();
         let sigma_deg = self.rotation_deg.sigma.hypot(labelling.rotation_deg.sigma);
         let off_deg = labelling.rotation_deg.value - self.rotation_deg.value;
         let off_deg = (off_deg + 180.0).rem_euclid(360.0) - 180.0;
@@ -47,12 +47,12 @@ impl IdentificationPrior {
     fn scale_off(&self, labelling: &Labelling) -> f64 {
         let stated = self.scale_mil_per_px;
         let sigma = stated.sigma.hypot(labelling.scale_mil_per_px.sigma);
-        let tilted = 1.5 * TILT_PER_PX * self.from_sun_px() * stated.value;
+        let tilted = 1.5 * TILT_PER_PX * self.centre_distance_px() * stated.value;
         (labelling.scale_mil_per_px.value - stated.value).abs() / (SCALE_SIGMAS * sigma + tilted)
     }
 
     /// Distance of the stated plate's centre from the Sun's.
-    fn from_sun_px(&self) -> f64 {
+    fn centre_distance_px(&self) -> f64 {
         (self.plate_centre.vector() - self.outline.centre).norm()
     }
 

@@ -271,6 +271,22 @@ impl Problem {
         None
     }
 
+    /// By how much chi^2 falls over the first step from a model in the unknowns of each of some kinds, all at stated sigmas.
+    /// `None` where the data determine no step.
+    pub(super) fn first_step_gains<const N: usize>(
+        &self,
+        model: &Model,
+        kinds: [MappingKind; N],
+    ) -> Option<[Option<f64>; N]> {
+        let pairs = self.normal_of_pairs(model);
+        let others = self.normal_of_others(model)?;
+        let (matrix, right) = (pairs.matrix + others.matrix, pairs.right + others.right);
+        Some(kinds.map(|kind| {
+            let covariance = inverse(matrix, &free(kind, model.circle.is_some()))?;
+            Some(right.dot(&(covariance * right)))
+        }))
+    }
+
     fn normal_of_pairs(&self, model: &Model) -> Normal {
         let mut normal = Normal::default();
         for pair in &self.pairs {

@@ -17,6 +17,8 @@ const DISPLACED_SHARE: f64 = 0.005;
 const EXPLAINED_SIGMAS: f64 = 6.0;
 /// An inflation of less than this is not significant.
 const EXPLAINED_INFLATION: f64 = 1.3;
+/// A richer kind whose first step does not gain this part of the least gain is not fitted.
+const FIRST_STEP_SHARE: f64 = 0.5;
 /// Pairs that need a larger inflation than this beside the outline are contradicted by it ...
 const CONTRADICTED_INFLATION: f64 = 3.0;
 /// ... if they need less than this without it.
@@ -81,11 +83,19 @@ fn simplest(problem: &Problem, settings: &Settings) -> Option<Adjusted> {
     let start = problem.similarity()?;
     let similarity = fit_kind(problem, &start, MappingKind::Similarity, settings)?;
     let mut best = similarity;
-    for kind in [
+    let kinds = [
         MappingKind::Keystone,
         MappingKind::Affine,
         MappingKind::Homography,
-    ] {
+    ];
+    let gains = problem.first_step_gains(&similarity.model, kinds)?;
+    for (kind, first_gain) in kinds.into_iter().zip(gains) {
+        // What hardly gains at stated sigmas is not worth a fit.
+        let added = (kind.parameters() - best.terms.kind.parameters()).max(1);
+        let least_gain = FIRST_STEP_SHARE * settings.min_gain * added as f64;
+        if first_gain.is_none_or(|gain| gain < least_gain) {
+            continue;
+        }
         let Some(richer) = fit_kind(problem, &similarity.model, kind, settings) else {
             continue;
         };

@@ -2,7 +2,7 @@
 
 use crate::geometry::Ellipse;
 use crate::units::{Measured, SensorPx};
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{SMatrix, SVector, Vector2};
 
 /// Points of the sensor that lie on one circle of the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,7 +31,7 @@ impl Outline<'_> {
         let mut right = SVector::<f64, TERMS>::zeros();
         for (at, sigma_px) in self.points {
             let w = self.ellipse.to_disc(at.vector());
-            let terms = harmonics(w.y.atan2(w.x)) / *sigma_px;
+            let terms = harmonics(w.normalize()) / *sigma_px;
             matrix.ger(1.0, &terms, &terms, 1.0);
             right.axpy(self.ellipse.excess_at(w) / sigma_px, &terms, 1.0);
         }
@@ -50,18 +50,26 @@ impl Outline<'_> {
     }
 }
 
-/// 1, then cosine and sine of the multiples of an angle.
-fn harmonics(angle_rad: f64) -> SVector<f64, TERMS> {
-    SVector::from_fn(|n, _| {
-        let (sin, cos) = (n.div_ceil(2) as f64 * angle_rad).sin_cos();
-        if n % 2 == 0 && n > 0 { sin } else { cos }
-    })
+/// 1, then cosine and sine of the multiples of a direction's angle.
+fn harmonics(direction: Vector2<f64>) -> SVector<f64, TERMS> {
+    let mut terms = SVector::<f64, TERMS>::zeros();
+    terms[0] = 1.0;
+    let (cos, sin) = (direction.x, direction.y);
+    let mut multiple = direction;
+    for pair in terms.as_mut_slice()[1..].chunks_exact_mut(2) {
+        pair.copy_from_slice(&[multiple.x, multiple.y]);
+        multiple = Vector2::new(
+            multiple.x * cos - multiple.y * sin,
+            multiple.y * cos + multiple.x * sin,
+        );
+    }
+    terms
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix2, Vector2};
+    use nalgebra::Matrix2;
 
     /// The inflation of a circle's points that lie off it by a function of number and azimuth, in sigma.
     fn inflation(off: impl Fn(i32, f64) -> f64) -> f64 {
