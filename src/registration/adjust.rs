@@ -173,10 +173,8 @@ impl Problem {
             })
         };
         let outline = outline.map(|outline| {
-            let inflation = outline.correlated_inflation();
-            let ideal = |(at, sigma_px): &(SensorPx, f64)| {
-                (distortion.correct(*at).vector(), sigma_px * inflation)
-            };
+            let ideal =
+                |(at, sigma_px): &(SensorPx, f64)| (distortion.correct(*at).vector(), *sigma_px);
             IdealOutline {
                 centre: outline.ellipse.centre,
                 points: outline.points.iter().map(ideal).collect(),

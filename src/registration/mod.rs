@@ -14,31 +14,29 @@
 //! counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test); with too few
 //! residuals it does not count, else one bad pair bends the mapping to itself.
 //!
-//! Errors that neighbouring points of the outline share inflate its sigmas beforehand. Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: the image of
-//! a Sun that moves fast during the exposure is not that of a circle.
+//! Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: then it is not
+//! the image of a circle.
 //!
-//! Cameras are aligned by hand: beside an outline, their tilt is known beforehand to be 0 to 3 deg per axis, 1 sigma. It shows most in the angles far
-//! from the plate's centre, and then also gives what a few marks do not show: how far the centre of the disc's ellipse lies
-//! from the image of the disc's centre, 0.1 px at 3 deg.
+//! Cameras are aligned by hand: beside an outline, their tilt has a prior of 0 +- 3 deg per axis. It shows most in the angles
+//! far from the plate's centre, and then also gives what a few marks do not show: how far the centre of the disc's ellipse
+//! lies from the image of the disc's centre, 0.1 px at 3 deg.
 //!
 //! # Uncertainty
 //! The covariance follows from the sigmas of pairs and outline. Where the pairs' residuals are larger than their sigmas
 //! allow, these are inflated to fit (variance components after Förstner). Few redundant coordinates say little: they are
 //! weighed against the stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
 //!
-//! Beside an outline, the covariance of a mapping without tilt is averaged with that of a tilted one, by how probable a tilt is after the data. Fewer
-//! pairs than can show which of them is an outlier have sigmas that allow for one.
+//! Beside an outline, the covariance of a mapping without tilt is averaged with that of a tilted one, by how probable a tilt
+//! is after the data. Fewer pairs than can show which of them is an outlier have sigmas that allow for one.
 
 mod adjust;
 mod choice;
-mod outline;
 
 use crate::geometry::view::{PARAMETERS, ParameterCovariance, UNIT_MIL, View};
-use crate::geometry::{Circle, Distortion, Handedness, Mapping, MappingKind};
+use crate::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, MappingKind};
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use adjust::{Adjusted, CIRCLE, Problem, UNKNOWNS};
 use nalgebra::{Matrix2, SMatrix, Vector2};
-pub use outline::Outline;
 
 /// One point, observed on the sensor and printed on the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,6 +45,17 @@ pub struct Pair {
     pub printed: PlateMil,
     /// Covariance of the observed position, px^2.
     pub covariance_px2: Matrix2<f64>,
+}
+
+/// Points of the sensor that lie on one circle of the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outline<'a> {
+    /// An ellipse close to it.
+    pub ellipse: Ellipse,
+    /// Points, and 1 sigma across the outline, px.
+    pub points: &'a [(SensorPx, f64)],
+    /// Prior of the circle's radius.
+    pub radius_mil: Measured,
 }
 
 /// How a mapping is chosen.
