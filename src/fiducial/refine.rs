@@ -21,9 +21,11 @@ use crate::plate::Cross;
 use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-/// Ground about the cross that takes part, in widths of an arm: it determines the light's level and tilt. More of it would let
-/// in what lies beside.
-const GROUND_WIDTHS: f64 = 1.3;
+/// Ground about the cross that takes part, in widths of an arm: it determines the light's level and tilt. More of it lets in what
+/// lies beside.
+const GROUND_WIDTHS: f64 = 1.6;
+/// The same in blurs, where that is more: the blurred arms must end within.
+const GROUND_BLURS: f64 = 1.3;
 
 /// A mark as its pixels show it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,7 +61,12 @@ impl Refiner {
 
     /// How far from a mark's expected place pixels take part, px.
     pub fn reach_px(&self) -> f64 {
-        self.shape.half_length_px + GROUND_WIDTHS * 2.0 * self.shape.half_width_px
+        let CrossShape {
+            half_length_px,
+            half_width_px,
+            blur_px,
+        } = self.shape;
+        half_length_px + (GROUND_WIDTHS * 2.0 * half_width_px).max(GROUND_BLURS * blur_px)
     }
 
     /// The mark near `start`, within half an arm's width.
