@@ -214,8 +214,8 @@ fn check_round(limb: &Limb) -> Result<(), Stopped> {
     Ok(())
 }
 
-/// Where the centre of a disc on the plate is seen whose outline is centred on `outline_centre`: a camera that looks
-/// askew puts the two a tenth of a pixel apart.
+/// The image of the centre of a disc on the plate whose outline is centred on `outline_centre`: under a tilt of 3 deg the two are
+/// a tenth of a pixel apart.
 fn disc_centre(mapping: &Mapping, outline_centre: SensorPx, radius_mil: f64) -> SensorPx {
     let middle = mapping.to_plate(outline_centre).vector();
     let seen = |angle: f64| {

@@ -19,7 +19,7 @@ use nalgebra::Matrix2;
 /// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
 /// may differ by half a pixel.
 const DISC_SCALE_SIGMA: f64 = 0.006;
-/// A lens so many times softer than it is stated is out of focus, or looks through haze.
+/// A lens so many times softer than it is stated is out of focus, or behind haze.
 const SOFT: f64 = 1.3;
 /// 1 sigma of a mark whose pixels do not agree with a cross.
 const UNREFINED_SIGMA_PX: f64 = 0.2;
@@ -118,7 +118,7 @@ impl Pipeline<'_> {
         let mounting = &self.instrument.mounting;
         let radius = self.radius_mil.value;
         let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
-        let sight = IdentificationPrior {
+        let prior = IdentificationPrior {
             outline: limb.outline.ellipse,
             radius_mil: Measured::new(radius, radius * relative),
             quarter_rotation_deg: detections.quarter_rotation_deg,
@@ -134,7 +134,7 @@ impl Pipeline<'_> {
         };
         let settings = &self.settings.fiducial;
         let found = &detections.marks;
-        let identification = fiducial::identify(found, &sight, &self.instrument.plate, settings)
+        let identification = fiducial::identify(found, &prior, &self.instrument.plate, settings)
             .map_err(at(Stage::Identification))?;
         let named = identification.ids.into_iter().map(|(n, id)| Mark {
             id,
@@ -214,7 +214,7 @@ impl Pipeline<'_> {
         Matrix2::identity() * (self.instrument.plate.excess_variance_mil2(id) / scale.powi(2))
     }
 
-    /// The disc's radius on the plate, so loosely that a whole limb decides it and a short one leans on it.
+    /// The disc's radius on the plate, so loosely that a whole limb determines it; a short one depends on it.
     fn loose_radius_mil(&self) -> Measured {
         let definition = LIMB_DEFINITION_SIGMA_PX * self.instrument.mounting.scale_mil_per_px.value;
         Measured::new(
@@ -224,7 +224,7 @@ impl Pipeline<'_> {
     }
 }
 
-/// The limb tells the light that falls on the marks.
+/// The disc's light illuminates the marks.
 impl Illumination for DiscLight {
     fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
         self.fill(x, y, light);

@@ -73,7 +73,7 @@ pub fn solve(
 /// 5. Their ids.
 /// 6. A first mapping from sensor to plate.
 /// 7. The outline again, without the pixels of any mark of the plate, seen or not.
-/// 8. The marks' places by their own pixels, in the light that the limb tells.
+/// 8. The marks' places by their own pixels, in the illumination that follows from the limb.
 /// 9. The mapping and the disc on the plate, adjusted together; where the marks give no mapping, the prior's, else the
 ///    calibration's.
 /// 10. The Sun's centre on plate and sensor, with covariance; quality.

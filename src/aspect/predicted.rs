@@ -1,8 +1,8 @@
 //! The short way of a frame whose prior knows the mapping: the marks are where it predicts them, or the frame goes the
 //! long way.
 //!
-//! Camera and plate hardly move from frame to frame; only the Sun moves over both. So every mark that must be lit is looked
-//! for by its own pixels. All of them must be there, each near its predicted place: a mapping whose ids were wrong would
+//! Camera and plate hardly move from frame to frame; only the Sun moves over both. So every mark that must be lit is measured
+//! by its own pixels. All of them must be there, each near its predicted place: a mapping whose ids were wrong would
 //! predict marks where the pattern has none. Nothing else of the prior enters the solution but the place where the fits start.
 
 use super::marks::MarkScene;
@@ -20,17 +20,17 @@ use nalgebra::{Matrix2, Vector2};
 const MAX_DRIFT_PX: f64 = 1.0;
 /// How far inside the limb and the sensor's edge the tips of a mark are that must be seen, px.
 const SURE_MARGIN_PX: f64 = 1.0;
-/// What of a mark must lie inside the limb for it to be looked for, in half lengths from its middle.
-const WORTH_LOOKING: f64 = 0.3;
+/// What of a mark must lie inside the limb for it to be measured, in half lengths from its middle.
+const LEAST_INSIDE: f64 = 0.3;
 /// A mark whose residuals exceed the pixels' stated variance by so much is none, or not only one.
 const MAX_CHI2: f64 = 4.0;
 /// So many marks beyond those that make a reading must be predicted: a wrong mapping that fits a few by chance does not fit these.
 const MORE_MARKS: usize = 2;
-/// After so many frames the marks are looked for again, and read anew: ids that were misread once must not last.
+/// After so many frames the marks are detected and identified again: a wrong id must not last.
 const MOST_IN_SUCCESSION: u32 = 30;
 /// All marks of a plate have the same contrast; what differs by more from the fully lit ones is something else, or more than one.
 const COMMON_CONTRAST: std::ops::Range<f64> = 0.6..1.6;
-/// A cut mark whose place is less sure tells nothing, px.
+/// A cut mark whose place is less certain is rejected, px.
 const MOST_CUT_SIGMA_PX: f64 = 0.3;
 
 impl Pipeline<'_> {
@@ -74,15 +74,10 @@ impl Pipeline<'_> {
     fn predicted_outline(&self, mapping: &Mapping, found: SensorPx) -> Option<Ellipse> {
         let on_plate = mapping.to_plate(found);
         let picture = mapping.sensor_jacobian(on_plate) * self.radius_mil.value;
-        // The ellipse's root is the symmetric part of the picture's polar decomposition, the square root of P P^T, which
-        // by Cayley and Hamilton is (P P^T + d 1) / sqrt(trace + 2 d) with d^2 its determinant.
-        let square = picture * picture.transpose();
-        let d = picture.determinant().abs();
-        let root = (square + Matrix2::identity() * d) / (square.trace() + 2.0 * d).sqrt();
-        Ellipse::new(found.vector(), root)
+        Ellipse::of_unit_circle(found.vector(), &picture)
     }
 
-    /// The plate's marks that the disc lights, where a mapping sees them.
+    /// The plate's marks that the disc illuminates, where a mapping puts them.
     fn predicted_marks(&self, limb: &Limb, mapping: &Mapping) -> Vec<Mark> {
         let plate = &self.instrument.plate;
         let reach_px = self.shape.half_length_px;
@@ -92,9 +87,9 @@ impl Pipeline<'_> {
         let near = plate.marks_about(mapping.to_plate(centre), about_mil);
         let marks = near.filter_map(|(id, printed)| {
             let at = mapping.to_sensor(printed);
-            let worth = outline.excess(at.vector()) < -WORTH_LOOKING * reach_px;
+            let inside = outline.excess(at.vector()) < -LEAST_INSIDE * reach_px;
             let on_sensor = self.is_on_sensor(at.vector(), 0.0);
-            (worth && on_sensor).then(|| Mark {
+            (inside && on_sensor).then(|| Mark {
                 id,
                 at,
                 covariance_px2: Matrix2::zeros(),

@@ -135,7 +135,7 @@ pub struct Aspect {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Track {
     pub disc: Circle,
-    /// Frames in succession whose marks were measured where the prior predicted them, and not looked for.
+    /// Frames in succession whose marks were measured where the prior predicted them, without detection.
     pub predicted: u32,
     /// The last registration that a frame's own marks gave.
     pub registration: Option<Registration>,
@@ -151,7 +151,7 @@ pub struct Solution {
     pub limb: Vec<LimbPoint>,
     /// Blur of the limb, 1 sigma, the pixel's own size taken off.
     pub limb_blur_px: Option<f64>,
-    /// What was found where marks were looked for; nothing where a prior predicted them.
+    /// The detected marks; none where a prior predicted them.
     pub detections: Detections,
     pub marks: Vec<Mark>,
     pub mapping: Option<AdoptedMapping>,

@@ -1,5 +1,5 @@
-//! The steps of the pipeline up to the disc's outline: each takes the products of earlier stages and calls the room that
-//! knows how.
+//! The steps of the pipeline up to the disc's outline: each takes the products of earlier stages and calls the module that
+//! does it.
 
 use super::{Expected, Settings, Stage, Stopped, Track};
 use crate::fiducial::{CrossShape, Detections};
@@ -15,7 +15,7 @@ const MEAN_RADIUS_ARCSEC: Measured = Measured::new(959.63, 11.0);
 pub(super) const LIMB_DEFINITION_SIGMA_PX: f64 = 0.1;
 /// A camera tilted by 3 deg makes the half axes differ by this part from their mean, 1 sigma.
 const TILTED_FLATNESS: f64 = 0.002;
-/// A camera that looks as straight as the instrument states.
+/// A camera without tilt, as the instrument states.
 const STATED_FLATNESS: f64 = 0.0003;
 /// Distance from a mark's arm within which the limb is not trusted, px.
 const MARK_MARGIN_PX: f64 = 3.0;
@@ -23,7 +23,7 @@ const MARK_MARGIN_PX: f64 = 3.0;
 const MASKED_DEPTH_PX: f64 = 14.0;
 /// The cutout reaches so many radii from the disc's centre: the limb's band and the marks' patches lie within.
 const CUTOUT_RADII: f64 = 1.3;
-/// The marks near a disc are looked for within so many times its radius: a camera that looks askew shows it flattened.
+/// The marks near a disc lie within so many times its radius: a tilted camera flattens its image.
 pub(super) const DISC_ROOM: f64 = 1.2;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
 const PRIOR_REACH_PX: f64 = 45.0;
@@ -146,7 +146,7 @@ impl<'a> Pipeline<'a> {
         marks_mask(region, self.instrument, disc, mapping)
     }
 
-    /// What was found near the limb, where no mapping tells which marks lie there.
+    /// What was found near the limb, where no mapping predicts which marks lie there.
     pub(super) fn detections_mask(&self, region: Region, detections: &Detections) -> Mask {
         let mut mask = Mask::none(region);
         let reach_px = self.shape.half_length_px + MARK_MARGIN_PX;

@@ -28,6 +28,16 @@ impl Ellipse {
         .filter(|_| positive && symmetric)
     }
 
+    /// The image of the unit circle under a linear mapping.
+    pub fn of_unit_circle(centre: Vector2<f64>, mapping: &Matrix2<f64>) -> Option<Self> {
+        // The root is the symmetric part of the mapping's polar decomposition, the square root of M M^T, which by Cayley and
+        // Hamilton is (M M^T + d 1) / sqrt(trace + 2 d) with d^2 its determinant.
+        let square = mapping * mapping.transpose();
+        let d = mapping.determinant().abs();
+        let root = (square + Matrix2::identity() * d) / (square.trace() + 2.0 * d).sqrt();
+        Self::new(centre, root)
+    }
+
     pub fn root(&self) -> &Matrix2<f64> {
         &self.root
     }
@@ -102,6 +112,17 @@ mod tests {
             assert!(ellipse.excess(at).abs() < 1e-9);
             let out = (at - ellipse.centre).normalize() * 3.0;
             assert!((ellipse.excess(at + out) - 3.0).abs() < 0.001);
+        }
+    }
+
+    #[test]
+    fn the_image_of_the_unit_circle_is_where_its_points_are() {
+        let mapping = Matrix2::new(-70.0, 55.0, 54.0, 71.0);
+        let ellipse = Ellipse::of_unit_circle(Vector2::new(3.0, 9.0), &mapping).unwrap();
+        for n in 0..24 {
+            let (sin, cos) = (f64::from(n) * 0.26).sin_cos();
+            let at = ellipse.centre + mapping * Vector2::new(cos, sin);
+            assert!(ellipse.excess(at).abs() < 1e-9);
         }
     }
 

@@ -3,8 +3,8 @@
 //! Stray light changes slowly over the frame; the halves of a sensor that are read through two amplifiers differ by a step; in
 //! a frame-transfer CCD every pixel of a column receives the same small part of the column's light while the charge is shifted
 //! (Powell, Chmielewski and others call it smear). So the background is a plane, a step at the middle column and at the middle
-//! row, and a multiple of each column's sum. All are fitted to the pixels about the disc, which tell them far better than a
-//! single point of the limb tells itself.
+//! row, and a multiple of each column's sum. All are fitted to the pixels about the disc, which determine them far better than
+//! the few pixels of a sector of the limb.
 
 use crate::estimation::{Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::frame::{Background, Frame, Levels, Region, Sample, View};
@@ -12,7 +12,7 @@ use crate::geometry::Circle;
 use crate::with_view;
 use nalgebra::{RowSVector, SVector, Vector1};
 
-/// The background is told by pixels between these distances from the disc's centre, in radii: beyond the blur and the halo.
+/// The background is determined by pixels between these distances from the disc's centre, in radii: beyond the blur and the halo.
 const ABOUT: [f64; 2] = [1.15, 2.2];
 /// Pixels are averaged over squares of this side, by every so many columns and rows.
 const CELL_PX: usize = 32;
@@ -135,7 +135,7 @@ impl Scene {
         ])
     }
 
-    /// -1 to 1 from edge to edge of what is looked at.
+    /// -1 to 1 from edge to edge of the pixels that are used.
     fn from_centre(&self, x: f64, y: f64) -> [f64; 2] {
         let along =
             |at: f64, from: usize, to: usize| 2.0 * (at - from as f64) / (to - from) as f64 - 1.0;

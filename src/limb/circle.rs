@@ -20,7 +20,7 @@ const LEAST_TRIALS: usize = 12;
 const LEAST_DOUBT: f64 = 1e-4;
 /// This part of the crossings near the circle must agree with it.
 const LEAST_AGREEING: f64 = 0.6;
-/// Less of the limb does not tell a disc from a speck at the sensor's edge.
+/// Less of the limb does not distinguish a disc from a speck at the sensor's edge.
 const LEAST_ARC: f64 = 0.1;
 /// The expected radius is this good, relative to it.
 const RADIUS_SIGMA: f64 = 0.003;

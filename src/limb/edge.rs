@@ -8,7 +8,7 @@
 //! with d the distance from the ellipse: s is the limb's shift, l an excess of the illumination, b a background that the
 //! frame's own model did not remove, and q an excess of the blur's variance. Coma displaces a part of the light and blurs it
 //! more; c is that part times its displacement, and W the profile behind [`COMA_BLURS`] times the blur. The shift is free in every sector. The others are smooth round the disc ([`Shape`]): they come from
-//! vignetting, stray light and ghosts, the Sun's motion during the exposure, and coma. All sectors together tell them; an
+//! vignetting, stray light and ghosts, the Sun's motion during the exposure, and coma. All sectors together determine them; an
 //! effect that is not significant is held at nothing, for each costs some certainty of the limb. What illumination and
 //! background are in one sector may then depart from the smooth course as far as all sectors show that they do
 //! (DerSimonian and Laird 1986).
@@ -65,9 +65,9 @@ const UNEVEN_ILLUMINATION: f64 = 0.02;
 /// One sector of a blemish says nothing of the others: it counts as so many sigma.
 const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 
-/// Where less than this part of what tells the shift is its own, a few pixels tell illumination and shift together.
+/// Where less than this part of the information on the shift is independent of the illumination, it is not determined.
 const LEAST_OWN_PART: f64 = 1e-3;
-/// A point so uncertain, or so far from the ellipse, tells nothing; in blurs.
+/// A point so uncertain, or so far from the ellipse, is rejected; in blurs.
 const MOST_SIGMA_BLURS: f64 = 0.7;
 const MOST_SHIFT_BLURS: f64 = 3.0;
 
@@ -118,7 +118,7 @@ fn smooth(w: Vector2<f64>) -> SMatrix<f64, SECTOR, SMOOTH> {
     matrix
 }
 
-/// How the limb of a frame looks, all round.
+/// The model of a frame's limb, all round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EdgeModel {
     pub profile: Profile,
@@ -128,7 +128,7 @@ pub(super) struct EdgeModel {
     pub noise: PixelNoise,
     /// How far the limb may be from the ellipse that the band lies about, px.
     pub shift_sigma_px: f64,
-    /// Pixels whose expected light is above this saturate too often to tell anything, DN.
+    /// Pixels whose expected light is above this saturate too often to be of use, DN.
     pub saturated_dn: f64,
 }
 
@@ -152,7 +152,7 @@ impl EdgeModel {
     }
 }
 
-/// Points of the limb about an ellipse, and how it looks.
+/// Points of the limb about an ellipse, and the model with which they were measured.
 pub(super) struct EdgeFit {
     pub points: Vec<LimbPoint>,
     pub model: EdgeModel,
@@ -257,7 +257,7 @@ impl Sector {
         own
     }
 
-    /// The limb's shift and its sigma, px; `None` where the pixels do not tell it.
+    /// The limb's shift and its sigma, px; `None` where the pixels do not determine it.
     fn shift(
         &self,
         courses: &Courses,
@@ -279,9 +279,9 @@ impl Sector {
         let common = (by_courses * courses.covariance * by_courses.transpose())[0];
         let variance = inverse.m11 + 0.5 * courses.sectors as f64 * common;
         let sigma_px = variance.max(0.0).sqrt();
-        let told =
+        let determined =
             sigma_px < MOST_SIGMA_BLURS * blur_px && shift_px.abs() < MOST_SHIFT_BLURS * blur_px;
-        told.then_some((shift_px, sigma_px))
+        determined.then_some((shift_px, sigma_px))
     }
 }
 
@@ -327,8 +327,8 @@ impl Sector {
             self.information[(index, index)],
         );
         let own = ii - si * si / ss;
-        let told = ss > 0.0 && own > LEAST_OWN_PART * ii;
-        told.then(|| {
+        let determined = ss > 0.0 && own > LEAST_OWN_PART * ii;
+        determined.then(|| {
             (
                 (gradient[index] - gradient[SHIFT] * si / ss) / own,
                 1.0 / own,
@@ -402,7 +402,7 @@ fn is_significant(
 
 /// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
 fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
-    /// Every so many sectors tell enough.
+    /// Every so many sectors are enough.
     const EVERY: usize = 4;
     let clear = (3.0 * model.profile.blur_px) as f32;
     let (mut outside, mut inside, mut inside_dn) = (Vec::new(), Vec::new(), 0.0);

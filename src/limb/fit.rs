@@ -65,7 +65,7 @@ impl Limb {
     }
 
     /// How far the Sun's image may have moved during the exposure, px, where the lens itself blurs by so much: on part of a limb
-    /// motion and haze look the same, and all that it is softer counts as motion.
+    /// motion and haze cannot be distinguished, and all that it is softer counts as motion.
     pub fn most_motion_px(&self, lens_blur_px: f64, limb_fraction: f64) -> f64 {
         if limb_fraction > MOTION_TOLD {
             return self.motion_px();
@@ -107,7 +107,7 @@ pub struct KnownOutline {
 }
 
 impl KnownOutline {
-    /// What is stated steadies the outline of a disc of which little is seen. A limb that contradicts it is believed
+    /// What is stated constrains the outline of a disc of which little is visible. A limb that contradicts it is believed
     /// instead.
     fn fit(&self, points: &[LimbPoint], start: &Ellipse) -> Option<OutlineFit> {
         let free = fit_outline(points, start, &self.possible).ok()?;
@@ -125,20 +125,20 @@ const HARDLY_SOFTER: f64 = 1.3;
 const PASSES: usize = 6;
 /// Points measured about an outline that was this near are as good as they get, in blurs.
 const SETTLED_BLURS: f64 = 0.08;
-/// An outline that was this near serves to tell what lies on the disc, in blurs.
+/// An outline that was this near is enough to detect what lies on the disc, in blurs.
 const ROUGHLY_SETTLED_BLURS: f64 = 0.5;
 /// A profile taken about an outline that was farther off is smeared, in blurs.
 const STEADY_BLURS: f64 = 0.3;
 /// How far the passes may lead away from the first outline, in blurs.
 const MOST_BLURS_AWAY: f64 = 8.0;
 /// The band about an outline reaches so many blurs, and at least so many px: inside the light hardly bends any more, outside
-/// pixels tell the background.
+/// pixels show the background.
 const INSIDE: (f64, f64) = (5.0, 7.0);
 const OUTSIDE: (f64, f64) = (6.0, 6.0);
 /// How far the limb may be from an outline before and after a first pass, 1 sigma, in blurs.
 const FIRST_SHIFT_BLURS: f64 = 0.7;
 const LATER_SHIFT_BLURS: f64 = 0.05;
-/// Distances that share a median, per blur; fewest pixels that make one; and every so many sectors tell enough.
+/// Distances that share a median, per blur; fewest pixels that make one; and every so many sectors are used.
 const MEDIANS_PER_BLUR: f64 = 3.0;
 const MIN_MEDIAN_PIXELS: usize = 10;
 const MEDIAN_SECTORS: usize = 4;
@@ -161,7 +161,7 @@ impl LimbFit<'_> {
         self.settle(start, None, mask, SETTLED_BLURS)
     }
 
-    /// The same, roughly: enough to tell what lies on the disc.
+    /// The same, roughly: enough to detect what lies on the disc.
     pub fn roughly_near(&self, start: &Ellipse, mask: &Mask) -> Result<Limb, Rejected> {
         self.settle(start, None, mask, ROUGHLY_SETTLED_BLURS)
     }

@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! Rows and columns of the sensor serve as chords, as RHESSI's linear CCDs did (Cramer 2014, section 4.2): sparse
-//! rows over the frame tell where it is bright, chords across each bright patch find the disc, whole or cut by the sensor's
+//! rows over the frame find where it is bright, chords across each bright patch find the disc, whole or cut by the sensor's
 //! edge. Its outline then comes from the whole limb: at every azimuth the blurred,
 //! limb-darkened edge is fitted to the pixels about it, and an ellipse to the points that this gives, for the round
 //! image of the Sun on the plate is an ellipse on the sensor. Pixels that marks hide are left out once the marks are
@@ -45,7 +45,7 @@ pub struct Settings {
     pub level_fraction: f64,
     /// Points all round the limb at which the edge is measured.
     pub limb_points: usize,
-    /// Distance between the rows that look for bright patches, px.
+    /// Distance between the rows that are searched for bright patches, px.
     pub search_spacing_px: usize,
     /// Bright runs shorter than this are hot pixels and noise, px.
     pub min_run_px: usize,

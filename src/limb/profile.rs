@@ -27,7 +27,7 @@ pub struct Profile {
     pub radius_px: f64,
 }
 
-/// The median brightness at a distance from the limb, and how many pixels' mean it is worth.
+/// The median brightness at a distance from the limb, and the number of pixels whose mean is as precise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Brightness {
     pub distance_px: f64,

@@ -25,7 +25,7 @@ const HARDLY_DARKER: f64 = 0.95;
 /// A search for the disc, whole or in part.
 ///
 /// # Algorithm
-/// 1. Rows far apart tell where the frame is bright: bright runs that touch each other make patches.
+/// 1. Rows far apart find where the frame is bright: bright runs that touch each other make patches.
 /// 2. Each patch, the largest first, is crossed by rows or columns: the smaller it is, the nearer they lie.
 /// 3. The circle that most of their crossings agree on is the disc if it is bright within and dark about.
 /// 4. Where the sensor shows only the darker outside of the disc, 2 and 3 again with the threshold that the whole
@@ -236,7 +236,7 @@ impl Grid {
 
 /// A disc is bright within and dark about: a circle of noise, or one drawn through anything else, is not.
 fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f64) -> Result<(), Rejected> {
-    /// Pixels that are looked at.
+    /// Pixels that are checked.
     const PIXELS: usize = 400;
     const LEAST_RIGHT: f64 = 0.8;
     const INSIDE: f64 = 0.95;

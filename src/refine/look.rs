@@ -16,7 +16,7 @@ use crate::instrument::Instrument;
 use crate::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
 use crate::units::{Measured, PlateMil};
 use crate::with_view;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 
 /// A place this vague is no place to start at: the disc is searched about it.
 const VAGUE_PX: f64 = 2.0;
@@ -86,7 +86,7 @@ impl Known<'_> {
     fn outline(&self, centre: PlateMil) -> Option<Ellipse> {
         let to_sensor = self.mapping.sensor_jacobian(centre) * self.radius_mil;
         let at = self.mapping.to_sensor(centre).vector();
-        Ellipse::new(at, square_root(&(to_sensor * to_sensor.transpose())))
+        Ellipse::of_unit_circle(at, &to_sensor)
     }
 
     /// The outline to start from, and the levels about it.
@@ -202,22 +202,4 @@ fn levels_about(frame: &Frame, outline: &Ellipse) -> Option<Levels> {
         noise_dn,
         disc_dn,
     })
-}
-
-/// The symmetric square root of a symmetric positive matrix.
-fn square_root(m: &Matrix2<f64>) -> Matrix2<f64> {
-    let root = m.determinant().max(0.0).sqrt();
-    (m + Matrix2::identity() * root) / (m.trace() + 2.0 * root).sqrt()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_square_root_squared_is_the_matrix() {
-        let m = Matrix2::new(5.0, 1.2, 1.2, 3.0);
-        let root = square_root(&m);
-        assert!((root * root - m).norm() < 1e-12);
-    }
 }
