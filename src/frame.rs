@@ -39,19 +39,32 @@ impl Pixels {
 }
 
 /// A pixel's value as the algorithms read it.
-pub trait Sample: Copy + Send + Sync + 'static {
+pub trait Sample: Copy + Ord + Into<u32> + Send + Sync + 'static {
     fn dn(self) -> f32;
+
+    /// The largest value that is not above a number of DN.
+    fn floor(dn: f64) -> Self;
 }
 
 impl Sample for u8 {
+    #[inline]
     fn dn(self) -> f32 {
         f32::from(self)
+    }
+
+    fn floor(dn: f64) -> Self {
+        dn.floor() as Self
     }
 }
 
 impl Sample for u16 {
+    #[inline]
     fn dn(self) -> f32 {
         f32::from(self)
+    }
+
+    fn floor(dn: f64) -> Self {
+        dn.floor() as Self
     }
 }
 
@@ -189,6 +202,15 @@ impl Frame {
         crate::with_view!(self, view => view.dn(x, y))
     }
 
+    /// Whether some column of a row is brighter than a number of DN. Compared as the whole numbers that they are: most rows are
+    /// dark, and need not be read any further.
+    pub fn is_brighter(&self, y: usize, columns: Range<usize>, dn: f64) -> bool {
+        crate::with_view!(self, view => {
+            let row = &view.pixels[y * view.width..][columns];
+            any_above(row, Sample::floor(dn))
+        })
+    }
+
     /// The values of some columns of a row, DN.
     pub fn row_dn(&self, y: usize, columns: Range<usize>) -> Vec<f32> {
         crate::with_view!(self, view => {
@@ -234,6 +256,10 @@ impl Frame {
     pub fn saturation_dn(&self) -> u16 {
         self.saturation_dn
     }
+}
+
+fn any_above<T: Sample>(row: &[T], floor: T) -> bool {
+    row.iter().fold(false, |any, pixel| any | (*pixel > floor))
 }
 
 /// The pixels of rows of `width` that lie within a region.

@@ -84,7 +84,6 @@ fn a_mark_is_located_to_a_twentieth_of_a_pixel_whatever_its_phase() {
 }
 
 #[test]
-#[ignore = "stray light makes one frame in 300 fine and wrong"]
 fn of_mixed_frames_none_is_misread_and_none_is_fine_and_far_off() {
     demands_are_met(&[MIXED]);
 }
@@ -95,7 +94,6 @@ fn photons_and_the_real_surface_of_the_sun_cost_no_more_than_their_noise() {
 }
 
 #[test]
-#[ignore = "the solver takes additive light for the Sun's: errors are 1.5 to 4 times the stated sigma"]
 fn stray_light_and_readout_leave_the_aspect_and_its_sigma_right() {
     demands_are_met(&[
         "ghost",
@@ -110,13 +108,11 @@ fn stray_light_and_readout_leave_the_aspect_and_its_sigma_right() {
 }
 
 #[test]
-#[ignore = "no mark of so soft a picture is found"]
 fn marks_are_read_in_a_strongly_blurred_picture() {
     demands_are_met(&["blur"]);
 }
 
 #[test]
-#[ignore = "fine frames are off by more than 5 sigma from 8 px of motion on"]
 fn motion_in_the_exposure_gives_no_wrong_id_and_no_fine_frame_that_is_far_off() {
     demands_are_met(&[MOTION]);
 }
@@ -226,7 +222,7 @@ const USABLE: [(&str, f64); 7] = [
 /// Folders of frames that need not be fine, and of some without a Sun.
 const UNUSABLE: [&str; 2] = ["partial", "night"];
 /// Folders of windows with an effect that the solver stands.
-const WITHSTOOD: [&str; 8] = [
+const WITHSTOOD: [&str; 10] = [
     "gradient",
     "column-smear",
     "wings",
@@ -235,9 +231,9 @@ const WITHSTOOD: [&str; 8] = [
     "hmi",
     "ink",
     "texture",
+    "ghost",
+    "all-effects",
 ];
-/// Folders of windows with an effect that it does not.
-const NOT_WITHSTOOD: [&str; 2] = ["ghost", "all-effects"];
 
 /// Whether normalised errors have an rms that as many values of a Gaussian may have, to 3 sigma.
 fn have_honest_sigmas(frames: &[Solved]) -> bool {
@@ -252,7 +248,7 @@ fn have_honest_sigmas(frames: &[Solved]) -> bool {
 #[test]
 fn every_frame_of_the_independent_generator_is_judged() {
     let usable = USABLE.map(|(name, _)| name);
-    let judged = [&usable[..], &UNUSABLE, &WITHSTOOD, &NOT_WITHSTOOD].concat();
+    let judged = [&usable[..], &UNUSABLE, &WITHSTOOD].concat();
     for (fields, _) in truths("frames/truth.csv", 4) {
         assert!(judged.contains(&fields[0].as_str()), "{}", fields[0]);
     }
@@ -290,32 +286,25 @@ fn frames_of_an_independent_generator_without_a_usable_sun_say_so() {
     }
 }
 
-/// Solves the windows of some folders: each is fine, and off by 5 of its sigmas at most.
-fn windows_are_within_five_sigma(folders: &[&str]) -> Vec<Solved> {
+/// Solves the windows of some folders: each is fine, and off by 4 of its sigmas at most.
+fn windows_are_within_four_sigma(folders: &[&str]) -> Vec<Solved> {
     let frames = independent_frames(folders);
     assert_eq!(frames.len(), 2 * folders.len());
     for frame in &frames {
         assert!(frame.is(Quality::Fine), "{}", frame.name);
-        assert!(frame.within(5.0), "{}", frame.name);
+        assert!(frame.within(4.0), "{}", frame.name);
     }
     frames
 }
 
 #[test]
 fn what_cameras_and_plates_add_leaves_independent_frames_right() {
-    assert!(have_honest_sigmas(&windows_are_within_five_sigma(
+    assert!(have_honest_sigmas(&windows_are_within_four_sigma(
         &WITHSTOOD
     )));
 }
 
 #[test]
-#[ignore = "the solver takes the light of a ghost for that of the Sun: up to 6 sigma"]
-fn a_ghost_leaves_independent_frames_right() {
-    windows_are_within_five_sigma(&NOT_WITHSTOOD);
-}
-
-#[test]
-#[ignore = "both frames are still fine, and off by 6.1 and 4.2 sigma"]
 fn frames_that_were_once_fine_and_wrong_are_within_four_sigma_where_they_are_fine() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/kept");
     let truths = truths("kept/truth.csv", 3);

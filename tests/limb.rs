@@ -1,9 +1,12 @@
-//! The limb of a real Sun is found where its own header says it is.
+//! The limb of a real Sun is found where its own header says it is; what softens a limb is measured.
 
+use solaspect::aspect::{self, Expected, Pipeline, Quality};
 use solaspect::fits;
 use solaspect::frame::{Background, Cutout, Mask, PixelNoise};
 use solaspect::geometry::Ellipse;
-use solaspect::limb::{self, DiscSearch, KnownOutline, LimbFit, OutlinePrior, Settings};
+use solaspect::instrument::builtin;
+use solaspect::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior, Settings};
+use solaspect::simulate::{Conditions, Noise, RandomScenes, SUN_RADIUS_ARCSEC};
 use solaspect::units::Measured;
 use std::path::Path;
 
@@ -59,4 +62,79 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
     );
     assert!(dx.hypot(dy) < 0.03);
     assert!((disc.mean_radius() - RADIUS_PX).abs() < 0.3);
+}
+
+/// The limb of a simulated frame as the pipeline measures it before any mark is known.
+fn limb_under(change: impl Fn(&mut Conditions), seed: u64) -> (Limb, Quality) {
+    let instrument = builtin("demo").unwrap();
+    let mut conditions = Conditions::of(&instrument);
+    change(&mut conditions);
+    let scenes = RandomScenes::new(&instrument, &conditions, seed).unwrap();
+    let frame = scenes.scene(seed).unwrap().frame().unwrap();
+    let expected = Some(Expected {
+        radius_arcsec: SUN_RADIUS_ARCSEC,
+    });
+    let settings = aspect::Settings::default();
+    let pipeline = Pipeline::new(&settings, &frame, &instrument, expected, None);
+    let levels = pipeline.levels().unwrap();
+    let disc = pipeline.find_disc(&levels).unwrap();
+    let cutout = pipeline.cutout(&levels, &disc);
+    let fit = pipeline.limb_fit(&levels, &cutout);
+    let limb = fit
+        .near(&disc.into(), &Mask::none(cutout.region()))
+        .unwrap();
+    (
+        limb,
+        aspect::solve(&frame, &instrument, expected, None).quality,
+    )
+}
+
+#[test]
+fn the_motion_of_the_sun_during_the_exposure_is_measured() {
+    for (seed, motion_px) in [2.0, 3.0, 4.0, 6.0, 8.0, 10.0].into_iter().enumerate() {
+        let (limb, _) = limb_under(|conditions| conditions.smear_px = motion_px, seed as u64);
+        let found_px = limb.motion_px();
+        assert!(
+            (found_px - motion_px).abs() < 0.12 * motion_px + 0.2,
+            "{motion_px}: {found_px}"
+        );
+        let lens_px = limb.lens_blur_px();
+        assert!(
+            (lens_px - 0.9).abs() < 0.12 * motion_px,
+            "{motion_px}: {lens_px}"
+        );
+    }
+}
+
+#[test]
+fn a_sun_that_moved_far_during_the_exposure_is_never_fine() {
+    for (seed, motion_px) in [7.0, 12.0, 20.0, 30.0].into_iter().enumerate() {
+        let (_, quality) = limb_under(|conditions| conditions.smear_px = motion_px, seed as u64);
+        assert_ne!(quality, Quality::Fine, "{motion_px}");
+    }
+}
+
+#[test]
+fn a_soft_picture_is_not_taken_for_motion() {
+    for (seed, blur_px) in [1.5, 2.5, 3.5].into_iter().enumerate() {
+        let (limb, _) = limb_under(|conditions| conditions.blur_px = blur_px, seed as u64);
+        assert!((limb.lens_blur_px() - blur_px).abs() < 0.15, "{blur_px}");
+        assert!(limb.motion_px() < 2.0, "{blur_px}: {}", limb.motion_px());
+    }
+}
+
+#[test]
+fn the_noise_of_photons_is_told_from_that_of_reading() {
+    let photons = |conditions: &mut Conditions| {
+        conditions.noise = Noise {
+            read_dn: 1.0,
+            electrons_per_dn: Some(8.0),
+        };
+    };
+    let noise = limb_under(photons, 5).0.noise();
+    assert!(
+        (noise.dark_dn2 / (1.0 + 4.0 / 8.0 + 1.0 / 12.0) - 1.0).abs() < 0.2,
+        "{noise:?}"
+    );
+    assert!((noise.per_light_dn * 8.0 - 1.0).abs() < 0.2, "{noise:?}");
 }

@@ -69,29 +69,33 @@ impl Cutout {
         let most_dn = most(&background.columns_dn) + most(&background.rows_dn);
         let mut cutout = Self {
             region,
-            light_dn: Vec::with_capacity(region.width() * region.height()),
+            light_dn: vec![0.0; region.width() * region.height()],
             noise,
             unsaturated_dn: f64::from(frame.saturation_dn()) - f64::from(most_dn),
             mask: Mask::none(region),
         };
-        let saturation_dn = f32::from(frame.saturation_dn());
-        with_view!(frame, view => cutout.fill(&view, background, saturation_dn));
+        let saturation_dn = f64::from(frame.saturation_dn());
+        with_view!(frame, view => {
+            cutout.fill(&view, background, Sample::floor(saturation_dn));
+        });
         cutout
     }
 
-    fn fill<T: Sample>(&mut self, view: &View<'_, T>, background: &Background, saturation_dn: f32) {
-        for (y, row_dn) in (self.region.y0..self.region.y1).zip(&background.rows_dn) {
-            let row = &view.pixels[y * view.width..][self.region.x0..self.region.x1];
-            let pairs = row.iter().zip(&background.columns_dn);
-            self.light_dn
-                .extend(pairs.map(|(pixel, column_dn)| pixel.dn() - column_dn - row_dn));
-            let brightest = row
+    fn fill<T: Sample>(&mut self, view: &View<'_, T>, background: &Background, saturated: T) {
+        let region = self.region;
+        let rows = self.light_dn.chunks_exact_mut(region.width());
+        for ((y, row_dn), light_dn) in (region.y0..).zip(&background.rows_dn).zip(rows) {
+            let row = &view.pixels[y * view.width..][region.x0..region.x1];
+            let columns = row.iter().zip(&background.columns_dn);
+            for (light_dn, (pixel, column_dn)) in light_dn.iter_mut().zip(columns) {
+                *light_dn = pixel.dn() - column_dn - row_dn;
+            }
+            if row
                 .iter()
-                .fold(0.0, |most: f32, pixel| most.max(pixel.dn()));
-            if brightest >= saturation_dn {
-                let saturated = row.iter().map(|pixel| pixel.dn() >= saturation_dn);
-                for (masked, saturated) in self.mask.row_mut(y).iter_mut().zip(saturated) {
-                    *masked |= saturated;
+                .fold(false, |any, pixel| any | (*pixel >= saturated))
+            {
+                for (masked, pixel) in self.mask.row_mut(y).iter_mut().zip(row) {
+                    *masked |= *pixel >= saturated;
                 }
             }
         }

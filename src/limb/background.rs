@@ -14,9 +14,9 @@ use nalgebra::{RowSVector, SVector, Vector1};
 
 /// The background is determined by pixels between these distances from the disc's centre, in radii: beyond the blur and the halo.
 const ABOUT: [f64; 2] = [1.15, 2.2];
-/// Pixels are averaged over squares of this side, by every so many columns and rows.
-const CELL_PX: usize = 32;
-const STRIDE_PX: usize = 2;
+/// Pixels are averaged over squares of this side, by every so many rows.
+const CELL_PX: usize = 48;
+const STRIDE_PX: usize = 4;
 /// Pixels farther than this from the frame's background belong to something else: leaks, hot pixels. In sigma.
 const SAME_SIGMAS: f64 = 5.0;
 /// A term smaller than this many sigma is none.
@@ -101,23 +101,22 @@ impl Scene {
         if distance - half_diagonal < ABOUT[0] * disc.radius {
             return None;
         }
-        let limit = (SAME_SIGMAS * levels.noise_dn).max(1.0) as f32;
-        let background = levels.background_dn as f32;
-        let (mut sum, mut pixels) = (0.0_f32, 0.0_f32);
+        let limit = (SAME_SIGMAS * levels.noise_dn).max(1.0);
+        let [low, high] = [-limit, limit].map(|by| (levels.background_dn + by).max(0.0) as u32);
+        let (mut sum, mut pixels) = (0, 0);
         for row in (cell.y0..cell.y1).step_by(STRIDE_PX) {
-            let row = &view.pixels[row * view.width..][cell.x0..cell.x1];
-            for pixel in row.iter().step_by(STRIDE_PX) {
-                let above = pixel.dn() - background;
-                let same = if above.abs() < limit { 1.0 } else { 0.0 };
-                sum += same * above;
+            for pixel in &view.pixels[row * view.width..][cell.x0..cell.x1] {
+                let dn: u32 = (*pixel).into();
+                let same = u32::from(low <= dn && dn <= high);
+                sum += same * dn;
                 pixels += same;
             }
         }
         let columns = &self.column_sums[cell.x0 - self.about.x0..cell.x1 - self.about.x0];
         let column_sum = columns.iter().sum::<f64>() / columns.len() as f64;
-        (pixels > 0.0).then(|| Cell {
+        (pixels > 0).then(|| Cell {
             terms: self.terms(x, y, column_sum),
-            mean_dn: f64::from(sum / pixels),
+            mean_dn: f64::from(sum) / f64::from(pixels) - levels.background_dn,
             pixels: f64::from(pixels),
         })
     }
@@ -232,24 +231,25 @@ fn column_sums<T: Sample>(
     disc: &Circle,
     background_dn: f64,
 ) -> Vec<f64> {
-    let mut sums = vec![0.0_f32; about.width()];
+    let mut sums = vec![0_u32; about.width()];
     let reach = ABOUT[0] * disc.radius;
     let square = Region::around(disc.centre.into(), reach, view.width, view.height);
     let square = square.unwrap_or(about);
-    for y in square.y0..square.y1 {
+    let rows = (square.y0..square.y1).step_by(STRIDE_PX);
+    let dark = background_dn * rows.len() as f64;
+    for y in rows {
         let row = &view.pixels[y * view.width..][square.x0..square.x1];
         let sums = &mut sums[square.x0.saturating_sub(about.x0)..];
         for (sum, pixel) in sums.iter_mut().zip(row) {
-            *sum += pixel.dn();
+            *sum += (*pixel).into();
         }
     }
-    let dark = background_dn as f32 * square.height() as f32;
-    let inside = square.x0.saturating_sub(about.x0)..square.x1.saturating_sub(about.x0);
-    sums[inside].iter_mut().for_each(|sum| *sum -= dark);
-    let most = sums.iter().copied().fold(1.0, f32::max);
-    sums.iter()
-        .map(|sum| f64::from(sum / most).max(0.0))
-        .collect()
+    let light: Vec<f64> = sums
+        .iter()
+        .map(|sum| (f64::from(*sum) - dark).max(0.0))
+        .collect();
+    let most = light.iter().copied().fold(1.0, f64::max);
+    light.iter().map(|light| light / most).collect()
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
+use crate::lanes::smaller;
+use multiversion::multiversion;
 use nalgebra::Vector2;
 
 /// How far a band reaches from its ellipse, px.
@@ -13,6 +15,7 @@ pub(super) struct Reach {
 
 /// Pixels within reach of an ellipse, those of a sector of azimuth side by side.
 pub(super) struct Band {
+    pub reach: Reach,
     /// Outwards from the ellipse.
     distance_px: Vec<f32>,
     light_dn: Vec<f32>,
@@ -36,9 +39,10 @@ impl Band {
         reach: Reach,
         sectors: usize,
     ) -> Self {
-        let mut found = Unsorted::default();
         let region = cutout.region();
-        let uneven = ellipse.mean_radius() * 0.02;
+        let root = ellipse.root();
+        let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + 1.0;
+        let mut found = Unsorted::new(ellipse, reach, sectors);
         let outer = ellipse.mean_radius() + reach.outside_px + uneven;
         let inner = (ellipse.mean_radius() - reach.inside_px - uneven).max(0.0);
         let centre = ellipse.centre;
@@ -59,16 +63,10 @@ impl Band {
                     bad: &cutout.mask.row(y)[columns.clone()],
                     masked: &mask.row(y)[columns],
                 };
-                found.take(
-                    &row,
-                    Vector2::new(start as f64, y as f64),
-                    ellipse,
-                    reach,
-                    sectors,
-                );
+                found.take(&row, Vector2::new(start as f64, y as f64));
             }
         }
-        found.sorted(sectors)
+        found.sorted()
     }
 
     pub(super) fn sector(&self, n: usize) -> SectorPixels<'_> {
@@ -99,40 +97,49 @@ struct Row<'a> {
 }
 
 /// Pixels in the order of the rows.
-#[derive(Default)]
-struct Unsorted {
+struct Unsorted<'a> {
+    ellipse: &'a Ellipse,
+    reach: Reach,
+    sectors: usize,
     distance_px: Vec<f32>,
     light_dn: Vec<f32>,
     sector: Vec<u16>,
+    /// Distance and sector of every pixel of a row, within reach or not.
+    places: Vec<(f32, f32)>,
 }
 
-impl Unsorted {
-    fn take(
-        &mut self,
-        row: &Row<'_>,
-        first: Vector2<f64>,
-        ellipse: &Ellipse,
-        reach: Reach,
-        sectors: usize,
-    ) {
-        let inverse = ellipse.inverse().cast::<f32>();
-        let from = (first - ellipse.centre).cast::<f32>();
-        let (inside, outside) = (reach.inside_px as f32, reach.outside_px as f32);
-        for (n, light_dn) in row.light_dn.iter().enumerate() {
-            let w = inverse * Vector2::new(from.x + n as f32, from.y);
-            let r2 = w.norm_squared();
-            // The distance to first order, as Ellipse::excess gives it.
-            let distance_px = (r2 - r2.sqrt()) / (inverse * w).norm();
-            let within = distance_px > -inside && distance_px < outside;
-            if within && !row.bad[n] && !row.masked[n] {
-                self.distance_px.push(distance_px);
-                self.light_dn.push(*light_dn);
-                self.sector.push(sector_of(w, sectors));
+impl<'a> Unsorted<'a> {
+    fn new(ellipse: &'a Ellipse, reach: Reach, sectors: usize) -> Self {
+        let width_px = reach.inside_px + reach.outside_px;
+        let pixels = (1.1 * std::f64::consts::TAU * ellipse.mean_radius() * width_px) as usize;
+        Self {
+            ellipse,
+            reach,
+            sectors,
+            distance_px: Vec::with_capacity(pixels),
+            light_dn: Vec::with_capacity(pixels),
+            sector: Vec::with_capacity(pixels),
+            places: Vec::new(),
+        }
+    }
+
+    fn take(&mut self, row: &Row<'_>, first: Vector2<f64>) {
+        let from = (first - self.ellipse.centre).cast::<f32>();
+        self.places.clear();
+        self.places.resize(row.light_dn.len(), (0.0, 0.0));
+        locate(self.ellipse, from, self.sectors as f32, &mut self.places);
+        let within = -self.reach.inside_px as f32..self.reach.outside_px as f32;
+        for (n, (distance_px, sector)) in self.places.iter().enumerate() {
+            if within.contains(distance_px) && !row.bad[n] && !row.masked[n] {
+                self.distance_px.push(*distance_px);
+                self.light_dn.push(row.light_dn[n]);
+                self.sector.push(*sector as u16);
             }
         }
     }
 
-    fn sorted(self, sectors: usize) -> Band {
+    fn sorted(self) -> Band {
+        let sectors = self.sectors;
         let mut begins = vec![0; sectors + 1];
         for sector in &self.sector {
             begins[usize::from(*sector) + 1] += 1;
@@ -142,6 +149,7 @@ impl Unsorted {
         }
         let mut next = begins.clone();
         let mut band = Band {
+            reach: self.reach,
             distance_px: vec![0.0; self.sector.len()],
             light_dn: vec![0.0; self.sector.len()],
             begins,
@@ -157,12 +165,25 @@ impl Unsorted {
     }
 }
 
-/// The sector of a direction. Directions are counted by y / (|x| + |y|), which grows with the angle as evenly as sectors need
-/// and costs no arctangent.
-fn sector_of(w: Vector2<f32>, sectors: usize) -> u16 {
-    let along = w.y / (w.x.abs() + w.y.abs()).max(f32::MIN_POSITIVE);
-    let quarters = if w.x >= 0.0 { 1.0 + along } else { 3.0 - along };
-    ((quarters * sectors as f32 / 4.0) as u16).min(sectors as u16 - 1)
+/// Distances outwards from an ellipse, to first order as [`Ellipse::excess`] gives them, and sectors of pixels of a row, of which
+/// the first lies `from` its centre.
+///
+/// Directions are counted by y / (|x| + |y|), which grows with the angle as evenly as sectors need and costs no arctangent.
+#[multiversion(targets("x86_64+avx2"))]
+fn locate(ellipse: &Ellipse, from: Vector2<f32>, sectors: f32, places: &mut [(f32, f32)]) {
+    let inverse = ellipse.inverse().cast::<f32>();
+    let (a, b, c) = (inverse.m11, inverse.m12, inverse.m22);
+    for (n, place) in places.iter_mut().enumerate() {
+        let (x, y) = (from.x + n as i32 as f32, from.y);
+        let (u, v) = (a * x + b * y, b * x + c * y);
+        let r2 = u * u + v * v;
+        let (nx, ny) = (a * u + b * v, b * u + c * v);
+        let per_normal = 1.0 / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
+        let along = v / (u.abs() + v.abs() + f32::MIN_POSITIVE);
+        let quarters = if u >= 0.0 { 1.0 + along } else { 3.0 - along };
+        let sector = smaller(quarters * (0.25 * sectors), sectors - 0.5);
+        *place = ((r2 - r2.sqrt()) * per_normal, sector);
+    }
 }
 
 /// The unit vector to the middle of a sector.
@@ -229,8 +250,12 @@ mod tests {
     #[test]
     fn the_middle_of_a_sector_lies_in_it() {
         for n in 0..SECTORS {
-            let middle = middle_of_sector(n, SECTORS).cast::<f32>();
-            assert_eq!(usize::from(sector_of(middle, SECTORS)), n);
+            let middle =
+                middle_of_sector(n, SECTORS).cast::<f32>() * ellipse().mean_radius() as f32;
+            let mut place = [(0.0, 0.0)];
+            locate(&ellipse(), middle, SECTORS as f32, &mut place);
+            assert_eq!(place[0].1 as usize, n);
+            assert!(place[0].0.abs() < 1e-3);
         }
     }
 

@@ -22,7 +22,7 @@ use crate::estimation::clipped_sigma;
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, RowSVector, SMatrix, SVector, Vector2};
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,7 +86,7 @@ impl Shape {
 
     /// What a sector in a direction has of it.
     pub(super) fn at(&self, w: Vector2<f64>) -> SVector<f64, SECTOR> {
-        smooth(w) * self.coefficients
+        course(&smooth_terms(w), &self.coefficients)
     }
 
     /// The harmonics of the blur's variance at twice the azimuth, px^2: along x and along the diagonal.
@@ -100,22 +100,40 @@ impl Shape {
     }
 }
 
-/// How a sector in a direction follows from the smooth courses.
-fn smooth(w: Vector2<f64>) -> SMatrix<f64, SECTOR, SMOOTH> {
+/// Which of a sector's quantities each coefficient belongs to.
+const QUANTITY: [usize; SMOOTH] = [
+    ILLUMINATION,
+    ILLUMINATION,
+    ILLUMINATION,
+    BACKGROUND,
+    BACKGROUND,
+    BACKGROUND,
+    BACKGROUND,
+    BACKGROUND,
+    BLUR,
+    BLUR,
+    BLUR,
+    COMA_SHIFT,
+    COMA_SHIFT,
+];
+
+/// By what each coefficient is multiplied in a direction.
+fn smooth_terms(w: Vector2<f64>) -> SVector<f64, SMOOTH> {
     let w = w.normalize();
     let (c2, s2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
-    let mut matrix = SMatrix::zeros();
-    for (row, first, terms) in [
-        (ILLUMINATION, 0, &[1.0, w.x, w.y][..]),
-        (BACKGROUND, 3, &[1.0, w.x, w.y, c2, s2]),
-        (BLUR, 8, &[1.0, c2, s2]),
-        (COMA_SHIFT, 11, &[w.x, w.y]),
-    ] {
-        for (n, term) in terms.iter().enumerate() {
-            matrix[(row, first + n)] = *term;
-        }
+    SVector::from([1.0, w.x, w.y, 1.0, w.x, w.y, c2, s2, 1.0, c2, s2, w.x, w.y])
+}
+
+/// The quantities of a sector with these terms.
+fn course(
+    terms: &SVector<f64, SMOOTH>,
+    coefficients: &SVector<f64, SMOOTH>,
+) -> SVector<f64, SECTOR> {
+    let mut course = SVector::zeros();
+    for n in 0..SMOOTH {
+        course[QUANTITY[n]] += terms[n] * coefficients[n];
     }
-    matrix
+    course
 }
 
 /// The model of a frame's limb, all round.
@@ -197,19 +215,13 @@ pub(super) fn fit_edge(
         covariance: courses.covariance,
         ..*model
     };
-    EdgeFit {
-        points,
-        model: EdgeModel {
-            noise: noise(band, &model),
-            ..model
-        },
-    }
+    EdgeFit { points, model }
 }
 
 /// The normal equations of a sector in steps from the model.
 struct Sector {
     w: Vector2<f64>,
-    smooth: SMatrix<f64, SECTOR, SMOOTH>,
+    terms: SVector<f64, SMOOTH>,
     information: SMatrix<f64, SECTOR, SECTOR>,
     gradient: SVector<f64, SECTOR>,
 }
@@ -230,7 +242,7 @@ impl Sector {
         let sums = sector_sums(&weighing, pixels.distance_px, pixels.light_dn);
         Self {
             w,
-            smooth: smooth(w),
+            terms: smooth_terms(w),
             information: SMatrix::from_fn(|m, n| sums[m][n]),
             gradient: SVector::from_fn(|m, _| sums[m][COLUMNS - 1]),
         }
@@ -271,10 +283,11 @@ impl Sector {
             return None;
         }
         let inverse = own.try_inverse()?;
-        let coupling = self.information.fixed_rows::<OWN>(0) * self.smooth;
-        let gradient = self.gradient.fixed_rows::<OWN>(0) - coupling * courses.step;
-        let shift_px = (inverse * gradient)[SHIFT];
-        let by_courses = (inverse * coupling).row(SHIFT).into_owned();
+        let gradient = self.left(&courses.step);
+        let shift_px = (inverse * gradient.fixed_rows::<OWN>(0))[SHIFT];
+        let by_quantity = inverse.row(SHIFT) * self.information.fixed_rows::<OWN>(0);
+        let by_courses =
+            RowSVector::<f64, SMOOTH>::from_fn(|_, n| by_quantity[QUANTITY[n]] * self.terms[n]);
         // What the courses leave open moves whole parts of the limb: so many points must not average it away.
         let common = (by_courses * courses.covariance * by_courses.transpose())[0];
         let variance = inverse.m11 + 0.5 * courses.sectors as f64 * common;
@@ -318,9 +331,14 @@ impl Departure {
 }
 
 impl Sector {
+    /// What a step of the smooth courses leaves of the gradient.
+    fn left(&self, step: &SVector<f64, SMOOTH>) -> SVector<f64, SECTOR> {
+        self.gradient - self.information * course(&self.terms, step)
+    }
+
     /// What one quantity departs from its course, and the variance of that, the shift being free.
     fn departure(&self, index: usize, step: &SVector<f64, SMOOTH>) -> Option<(f64, f64)> {
-        let gradient = self.gradient - self.information * self.smooth * step;
+        let gradient = self.left(step);
         let (ss, si, ii) = (
             self.information.m11,
             self.information[(SHIFT, index)],
@@ -349,9 +367,15 @@ impl Courses {
         let mut information = SMatrix::<f64, SMOOTH, SMOOTH>::zeros();
         let mut gradient = SVector::<f64, SMOOTH>::zeros();
         for sector in sectors {
-            if let Some((own, own_gradient)) = sector.reduced(departure) {
-                information += sector.smooth.tr_mul(&own) * sector.smooth;
-                gradient += sector.smooth.tr_mul(&own_gradient);
+            let Some((own, own_gradient)) = sector.reduced(departure) else {
+                continue;
+            };
+            for n in 0..SMOOTH {
+                gradient[n] += sector.terms[n] * own_gradient[QUANTITY[n]];
+                for m in 0..SMOOTH {
+                    let product = sector.terms[n] * sector.terms[m];
+                    information[(m, n)] += product * own[(QUANTITY[m], QUANTITY[n])];
+                }
             }
         }
         let now = &model.shape.coefficients;
@@ -401,7 +425,7 @@ fn is_significant(
 }
 
 /// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
-fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
+pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
     /// Every so many sectors are enough.
     const EVERY: usize = 4;
     let clear = (3.0 * model.profile.blur_px) as f32;
@@ -411,14 +435,15 @@ fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
         let course = model.shape.at(middle_of_sector(n, sectors));
         let profile = model.profile_at(&course);
         let pixels = band.sector(n);
-        for (distance_px, light_dn) in pixels.distance_px.iter().zip(pixels.light_dn) {
+        let pixels = pixels.distance_px.iter().zip(pixels.light_dn);
+        for (distance_px, light_dn) in pixels.filter(|(distance, _)| distance.abs() > clear) {
             let (light, _) = profile.light(*distance_px);
             let expected = light * (1.0 + course[ILLUMINATION] as f32);
             let residual =
                 light_dn - expected - (profile.background_dn + course[BACKGROUND]) as f32;
             if *distance_px > clear {
                 outside.push(residual);
-            } else if *distance_px < -clear && f64::from(light) < model.saturated_dn {
+            } else if f64::from(light) < model.saturated_dn {
                 inside.push(residual);
                 inside_dn += f64::from(expected);
             }

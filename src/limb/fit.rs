@@ -1,7 +1,7 @@
 //! The outline of the disc from the whole limb: points and ellipse in turn, until neither moves.
 
 use super::band::{Band, Reach};
-use super::edge::{EdgeFit, EdgeModel, LimbPoint, Shape, fit_edge};
+use super::edge::{EdgeFit, EdgeModel, LimbPoint, Shape, fit_edge, noise};
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::profile::{Brightness, Profile};
@@ -11,7 +11,6 @@ use crate::frame::{Cutout, Mask, PIXEL_VARIANCE_PX2, PixelNoise};
 use crate::geometry::Ellipse;
 use crate::units::Rejected;
 use nalgebra::{Matrix2, Vector2};
-use std::collections::BTreeMap;
 
 /// The limb as one frame shows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -192,13 +191,11 @@ impl LimbFit<'_> {
         let mut pass = 0;
         loop {
             pass += 1;
-            let fit = match model {
-                Some(model) => {
-                    let band = self.band(&ellipse, mask, model.profile.blur_px);
-                    fit_edge(&band, &ellipse, &model, self.settings.limb_points)
-                }
-                None => self.first_pass(&mut ellipse, mask)?,
+            let (band, before) = match model {
+                Some(model) => (self.band(&ellipse, mask, model.profile.blur_px), model),
+                None => self.first_band(&mut ellipse, mask)?,
             };
+            let mut fit = fit_edge(&band, &ellipse, &before, self.settings.limb_points);
             let outline = self
                 .known
                 .fit(&fit.points, &ellipse)
@@ -206,7 +203,11 @@ impl LimbFit<'_> {
             let blur_px = fit.model.profile.blur_px;
             self.check(&outline, start, blur_px)?;
             let moved_px = moved_px(&ellipse, &outline.ellipse);
-            if moved_px < settled_blurs * blur_px || pass == PASSES {
+            let settled = moved_px < settled_blurs * blur_px || pass == PASSES;
+            if settled || model.is_none() {
+                fit.model.noise = noise(&band, &fit.model);
+            }
+            if settled {
                 return Ok(Limb::new(fit, outline, moved_px));
             }
             ellipse = outline.ellipse;
@@ -214,8 +215,12 @@ impl LimbFit<'_> {
         }
     }
 
-    /// The profile from medians all round, and the limb with it; the ellipse grows to where the medians put the limb.
-    fn first_pass(&self, ellipse: &mut Ellipse, mask: &Mask) -> Result<EdgeFit, Rejected> {
+    /// The band of a first pass, and the profile from medians all round; the ellipse grows to where the medians put the limb.
+    fn first_band(
+        &self,
+        ellipse: &mut Ellipse,
+        mask: &Mask,
+    ) -> Result<(Band, EdgeModel), Rejected> {
         let start = Profile {
             background_dn: 0.0,
             even_dn: self.disc_dn * (1.0 - LIMB_DARKENING),
@@ -239,7 +244,7 @@ impl LimbFit<'_> {
             shift_sigma_px: FIRST_SHIFT_BLURS * profile.blur_px,
             saturated_dn,
         };
-        Ok(fit_edge(&band, ellipse, &model, self.settings.limb_points))
+        Ok((band, model))
     }
 
     fn band(&self, ellipse: &Ellipse, mask: &Mask, blur_px: f64) -> Band {
@@ -280,19 +285,20 @@ impl LimbFit<'_> {
 /// Medians of the light by distance from the ellipse, from sectors all round; what saturates says nothing.
 fn radial_medians(band: &Band, blur_px: f64, saturated_dn: f64) -> Vec<Brightness> {
     let width_px = blur_px / MEDIANS_PER_BLUR;
-    let mut bins: BTreeMap<i32, Vec<f64>> = BTreeMap::new();
+    let first_px = -band.reach.inside_px;
+    let bins = ((band.reach.outside_px - first_px) / width_px).ceil() as usize;
+    let mut values = vec![Vec::new(); bins];
     for pixels in band.sectors().step_by(MEDIAN_SECTORS) {
         for (distance_px, light_dn) in pixels.distance_px.iter().zip(pixels.light_dn) {
-            let bin = (f64::from(*distance_px) / width_px).floor() as i32;
-            bins.entry(bin).or_default().push(f64::from(*light_dn));
+            let bin = (f64::from(*distance_px) - first_px) / width_px;
+            values[(bin as usize).min(bins - 1)].push(f64::from(*light_dn));
         }
     }
-    let enough = bins
-        .iter()
-        .filter(|(_, values)| values.len() >= MIN_MEDIAN_PIXELS);
+    let enough = values.iter().enumerate();
+    let enough = enough.filter(|(_, values)| values.len() >= MIN_MEDIAN_PIXELS);
     let medians = enough.filter_map(|(bin, values)| {
         Some(Brightness {
-            distance_px: (f64::from(*bin) + 0.5) * width_px,
+            distance_px: first_px + (bin as f64 + 0.5) * width_px,
             dn: median(values)?,
             weight: values.len() as f64 / MEDIAN_SIGMA.powi(2),
         })

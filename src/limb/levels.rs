@@ -12,8 +12,8 @@ use crate::units::Rejected;
 
 /// Background and noise come from about so many pixels, which determine them to a hundredth of the noise, ...
 const SAMPLED_PIXELS: usize = 20_000;
-/// ... in groups of so many neighbours, in every so many rows.
-const GROUP_PX: usize = 16;
+/// ... in groups of so many neighbours in every so many rows.
+const GROUP_PX: usize = 64;
 const SAMPLED_ROWS_PX: usize = 8;
 /// Distance of the rows that are searched for bright pixels, ...
 const BRIGHT_ROWS_PX: usize = 4;
@@ -21,6 +21,8 @@ const BRIGHT_ROWS_PX: usize = 4;
 const ROUNDS: usize = 4;
 /// ... until so many bright pairs are found: a cap's are all wanted, the whole disc's are not.
 const ENOUGH_PAIRS: f64 = 500.0;
+/// Neighbours that are passed over together where none is bright.
+const STRETCH_PX: usize = 128;
 /// Pixels this many sigma above the background are bright: of a dark frame's fewer than one in 30 000.
 const BRIGHT_SIGMAS: f64 = 4.0;
 /// Which part of the bright pixels is darker than the disc's level.

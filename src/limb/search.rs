@@ -76,7 +76,14 @@ impl DiscSearch<'_> {
         let rows = (region.y0 + spacing_px / 2..region.y1).step_by(spacing_px);
         let most_runs = MOST_RUNS_PER_ROW * rows.len();
         let (mut patches, mut count) = (Vec::new(), 0);
+        let columns = region.x0..region.x1;
         for y in rows {
+            if !self
+                .frame
+                .is_brighter(y, columns.clone(), scan.threshold_dn)
+            {
+                continue;
+            }
             let runs = scan.runs(&Line::new(self.frame, region, Axis::Row, y));
             count += runs.len();
             if count > most_runs {
