@@ -43,7 +43,7 @@ pub fn identify(
     let is_full = |n: &usize| detections[*n].lighting == Lighting::Full;
     let full: Vec<usize> = (0..detections.len()).filter(is_full).collect();
     let (count, least) = (full.len() as f64, settings.min_marks as f64);
-    require("too few fully lit marks", count, least)?;
+    check(count >= least, "too few fully lit marks", count, least)?;
     let from_sun_px = prior.sun_distance_px(prior.plate_centre);
     let error_px = PREDICTION_ERROR * (from_sun_px + prior.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + error_px) * prior.mil_per_px();
@@ -101,39 +101,41 @@ fn decide(
     settings: &Settings,
 ) -> Result<Identification, Rejected> {
     labellings.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let least = settings.min_marks as f64;
     let Some(best) = labellings.first() else {
-        return Err(rejected(
-            "the marks' spacings allow no labelling",
-            0.0,
-            least,
-        ));
+        return Err(Rejected {
+            reason: "the marks' spacings allow no labelling",
+            measured: 0.0,
+            limit: settings.min_marks as f64,
+        });
     };
     let reason = "the best labelling explains too few fully lit marks";
-    require(reason, best.full as f64, least)?;
+    let (marks, least) = (best.full as f64, settings.min_marks as f64);
+    check(marks >= least, reason, marks, least)?;
     let reason = "poor identification: the best labelling's evidence is too weak";
-    require(reason, best.score, DECISIVE_ODDS)?;
-    let rivals = || labellings.iter().filter(|rival| rival.contradicts(best));
-    let equal = odds(best, rivals().filter(|rival| rival.full >= best.full));
-    require(
-        "two labellings of the marks fit alike",
-        equal,
+    check(
+        best.score >= DECISIVE_ODDS,
+        reason,
+        best.score,
         DECISIVE_ODDS,
     )?;
+    let rivals = || labellings.iter().filter(|rival| rival.contradicts(best));
+    let equal = odds(best, rivals().filter(|rival| rival.full >= best.full));
+    let reason = "two labellings of the marks fit alike";
+    check(equal >= DECISIVE_ODDS, reason, equal, DECISIVE_ODDS)?;
     let fewer = odds(best, rivals().filter(|rival| rival.full < best.full));
-    let limit = match best.full < full {
+    let least = match best.full < full {
         true => FALSE_MARK_ODDS_AMONG_FALSE,
         false => FALSE_MARK_ODDS,
     };
     let reason = "the best labelling may rest on a false detection";
-    require(reason, fewer, limit)?;
+    check(fewer >= least, reason, fewer, least)?;
     let (centre, sigma_px) = (best.plate_centre, best.centre_sigma_px);
     let excess = prior.shift_excess(centre, sigma_px, settings.max_centre_shift_px);
     let reason = "the best labelling puts the plate's centre too far away";
-    allow(reason, excess, 1.0)?;
+    check(excess <= 1.0, reason, excess, 1.0)?;
     let excess = prior.scale_excess(best.scale_mil_per_px);
     let reason = "the best labelling's scale contradicts the stated one";
-    allow(reason, excess, 1.0)?;
+    check(excess <= 1.0, reason, excess, 1.0)?;
     Ok(Identification {
         ids: best.usable(),
         odds: equal.min(fewer),
@@ -146,26 +148,13 @@ fn odds<'a>(best: &Labelling, rivals: impl Iterator<Item = &'a Labelling>) -> f6
     -(rivals + (-best.score).exp()).ln()
 }
 
-fn require(reason: &'static str, measured: f64, least: f64) -> Result<(), Rejected> {
-    match measured < least {
-        true => Err(rejected(reason, measured, least)),
-        false => Ok(()),
-    }
-}
-
-fn allow(reason: &'static str, measured: f64, most: f64) -> Result<(), Rejected> {
-    match measured > most {
-        true => Err(rejected(reason, measured, most)),
-        false => Ok(()),
-    }
-}
-
-fn rejected(reason: &'static str, measured: f64, limit: f64) -> Rejected {
-    Rejected {
+fn check(holds: bool, reason: &'static str, measured: f64, limit: f64) -> Result<(), Rejected> {
+    let rejected = Rejected {
         reason,
         measured,
         limit,
-    }
+    };
+    holds.then_some(()).ok_or(rejected)
 }
 
 /// Detections ordered by their distance from one of them.

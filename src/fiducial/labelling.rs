@@ -16,9 +16,8 @@
 //! Shares, scatters and densities are those of [`prior`](super::prior).
 
 use super::prior::{
-    ARMS_SIGMA_RAD, ATYPICAL_SHARE, CONTRAST_RANGE, CONTRAST_SCATTER, CUT_FOUND_SHARE, GATE_SIGMAS,
-    IdentificationPrior, LIMB_BIAS_WIDTHS, LIT_LENGTHS, MARK_LIKE_SHARE, SCATTER_MIL,
-    USABLE_LENGTHS,
+    ARMS_SIGMA_RAD, CUT_FOUND_SHARE, GATE_SIGMAS, IdentificationPrior, LIMB_BIAS_WIDTHS,
+    LIT_LENGTHS, SCATTER_MIL, USABLE_LENGTHS, contrast_odds,
 };
 use super::similarity::LocalSimilarity;
 use super::{Detection, Lighting};
@@ -26,7 +25,6 @@ use crate::geometry::Handedness;
 use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
-use std::f64::consts::TAU;
 
 /// A detection with the mark that it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -125,7 +123,8 @@ impl<'a> Scene<'a> {
             lighting: detection.lighting,
         };
         let expected_sun = PlateMil::from(-offset(prior.plate_centre));
-        let marks = plate.marks_about(expected_sun, in_view_mil);
+        let in_view = |(_, at): &(MarkId, PlateMil)| at.distance(expected_sun) < in_view_mil;
+        let marks = plate.marks_about(expected_sun, in_view_mil).filter(in_view);
         Some(Self {
             prior,
             detections,
@@ -170,17 +169,6 @@ impl<'a> Scene<'a> {
         Some(hypothesis.labelling(full))
     }
 
-    fn nearest_mark(&self, place: PlateMil) -> Option<(MarkId, PlateMil)> {
-        let (mut nearest, mut least) = (None, f64::INFINITY);
-        for mark in &self.marks {
-            let square = (mark.1.vector() - place.vector()).norm_squared();
-            if square < least {
-                (nearest, least) = (Some(*mark), square);
-            }
-        }
-        nearest
-    }
-
     fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {
         let on_disc = self.to_disc * offset;
         self.prior.outline.from_disc(on_disc).into()
@@ -202,8 +190,8 @@ impl<'a> Scene<'a> {
 struct Hypothesis<'a> {
     scene: &'a Scene<'a>,
     fit: LocalSimilarity,
-    /// The Sun's centre on the plate by the first mark, mil.
-    sun: Vector2<f64>,
+    /// The marks on the disc or near it, by the first mark.
+    marks: Vec<(MarkId, PlateMil)>,
     matches: Vec<Match>,
     score: f64,
 }
@@ -213,10 +201,16 @@ impl<'a> Hypothesis<'a> {
         let radius = scene.prior.radius_mil;
         let mut fit = LocalSimilarity::new(radius.sigma / radius.value, ARMS_SIGMA_RAD);
         fit.add(first.offset, printed, first.variance);
+        let sun = printed.vector() - first.offset;
+        let reach = radius.value + GATE_SIGMAS * scene.largest_bias_mil();
+        let near = |(_, at): &&(MarkId, PlateMil)| (at.vector() - sun).norm() < reach;
+        // Reserved once: this is the inner loop.
+        let mut marks = Vec::with_capacity(scene.marks.len());
+        marks.extend(scene.marks.iter().filter(near));
         Self {
             scene,
             fit,
-            sun: printed.vector() - first.offset,
+            marks,
             matches: vec![Match {
                 detection: first.detection,
                 id,
@@ -231,7 +225,7 @@ impl<'a> Hypothesis<'a> {
     fn explain(&mut self, candidate: &Candidate) {
         let (scene, prior) = (self.scene, self.scene.prior);
         let place = self.fit.place(candidate.offset);
-        let Some((id, printed)) = scene.nearest_mark(place) else {
+        let Some((id, printed)) = self.nearest_mark(place) else {
             return;
         };
         let full = candidate.lighting == Lighting::Full;
@@ -241,7 +235,7 @@ impl<'a> Hypothesis<'a> {
         };
         let variance = candidate.variance + bias.powi(2);
         let density = self.fit.log_density(candidate.offset, printed, variance);
-        let Some(density) = density.filter(|_| self.allows(id, printed)) else {
+        let Some(density) = density.filter(|_| self.matches.iter().all(|m| m.id != id)) else {
             return;
         };
         let found_share = match full || self.must_be_found(printed) {
@@ -261,11 +255,15 @@ impl<'a> Hypothesis<'a> {
         }
     }
 
-    /// Whether a mark is printed on the disc or near it and is no other detection's.
-    fn allows(&self, id: MarkId, printed: PlateMil) -> bool {
-        let scene = self.scene;
-        let reach = scene.prior.radius_mil.value + GATE_SIGMAS * scene.largest_bias_mil();
-        (printed.vector() - self.sun).norm() < reach && self.matches.iter().all(|m| m.id != id)
+    fn nearest_mark(&self, place: PlateMil) -> Option<(MarkId, PlateMil)> {
+        let (mut nearest, mut least) = (None, f64::INFINITY);
+        for mark in &self.marks {
+            let square = (mark.1.vector() - place.vector()).norm_squared();
+            if square < least {
+                (nearest, least) = (Some(*mark), square);
+            }
+        }
+        nearest
     }
 
     /// Whether a mark lies deep enough in the disc and far enough from the sensor's edge to be found whatever its contrast.
@@ -277,7 +275,7 @@ impl<'a> Hypothesis<'a> {
 
     /// Marks that must have been found and are not.
     fn missed(&self) -> usize {
-        let expected = self.scene.marks.iter().map(|(_, printed)| printed);
+        let expected = self.marks.iter().map(|(_, printed)| printed);
         let found = self.matches.iter().map(|m| &m.printed);
         let sure = |printed: &&PlateMil| self.must_be_found(**printed);
         expected.filter(sure).count() - found.filter(sure).count()
@@ -315,13 +313,4 @@ impl<'a> Hypothesis<'a> {
             score: self.score,
         }
     }
-}
-
-/// Log odds of a contrast as a mark's against a false detection's; `deviation` of its logarithm from the median.
-fn contrast_odds(deviation: f64) -> f64 {
-    let sigmas = deviation / CONTRAST_SCATTER;
-    let print = (-0.5 * sigmas * sigmas).exp() / (CONTRAST_SCATTER * TAU.sqrt());
-    let mark = (1.0 - ATYPICAL_SHARE) * print + ATYPICAL_SHARE / CONTRAST_RANGE;
-    let other = MARK_LIKE_SHARE * print + (1.0 - MARK_LIKE_SHARE) / CONTRAST_RANGE;
-    (mark / other).ln()
 }

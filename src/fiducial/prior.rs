@@ -3,7 +3,7 @@
 use crate::geometry::{Ellipse, Handedness, TILT_PER_PX};
 use crate::units::{Measured, SensorPx};
 use nalgebra::{Matrix2, Rotation2};
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 // Scene statistics. Positions: how far a mark is observed from its predicted position, 1 sigma per axis.
 
@@ -31,13 +31,13 @@ pub(super) const CUT_FOUND_SHARE: f64 = 0.5;
 /// False detections on a disc.
 const FALSE_ON_DISC: f64 = 1.0;
 /// Scatter of the contrasts of one print, 1 sigma of the logarithm.
-pub(super) const CONTRAST_SCATTER: f64 = 0.12;
+const CONTRAST_SCATTER: f64 = 0.12;
 /// Share of the marks with another contrast: a scratch or a sunspot lies on them.
-pub(super) const ATYPICAL_SHARE: f64 = 0.02;
+const ATYPICAL_SHARE: f64 = 0.02;
 /// Share of the false detections with a mark's contrast. The others' is uniform in the logarithm from 0.12 to 1.2, a
 /// range of ln 10.
-pub(super) const MARK_LIKE_SHARE: f64 = 0.4;
-pub(super) const CONTRAST_RANGE: f64 = 2.3;
+const MARK_LIKE_SHARE: f64 = 0.4;
+const CONTRAST_RANGE: f64 = 2.3;
 
 // Scene statistics. Cameras: how far the stated mounting holds.
 
@@ -170,4 +170,13 @@ impl IdentificationPrior {
     pub(super) fn sun_distance_px(&self, at: SensorPx) -> f64 {
         (at.vector() - self.outline.centre).norm()
     }
+}
+
+/// Log odds of a contrast as a mark's against a false detection's; `deviation` of its logarithm from the median.
+pub(super) fn contrast_odds(deviation: f64) -> f64 {
+    let sigmas = deviation / CONTRAST_SCATTER;
+    let print = (-0.5 * sigmas * sigmas).exp() / (CONTRAST_SCATTER * TAU.sqrt());
+    let mark = (1.0 - ATYPICAL_SHARE) * print + ATYPICAL_SHARE / CONTRAST_RANGE;
+    let other = MARK_LIKE_SHARE * print + (1.0 - MARK_LIKE_SHARE) / CONTRAST_RANGE;
+    (mark / other).ln()
 }
