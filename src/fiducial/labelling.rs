@@ -1,420 +1,316 @@
-//! A labelling: one way to give the marks their ids, and how well it explains what is seen.
+//! A labelling: one hypothesis of the ids of all detections, and its evidence.
 //!
 //! # The model
 //! The Sun is round on the plate, so its outline turns a position on the sensor into an offset from the Sun's centre on
-//! the plate, in mil, but for a rotation; the arms give that to a quarter turn. A labelling then says where on the plate
-//! the Sun's centre lies, and by how much rotation and scale differ from what arms and ephemeris say. Its score is the
-//! logarithm of the evidence: how much likelier the detections are under it than if all were false, every place of the
-//! Sun, rotation and scale being weighed as far as it was likely beforehand. It is summed mark by mark, each held
-//! against the place that the marks before it predict, the nearest to the first mark first.
+//! the plate, in mil, but for a rotation; the arms determine that to a quarter turn. A labelling then fixes where on the
+//! plate the Sun's centre lies, and small corrections of rotation and scale ([`LocalSimilarity`]). Its score is the
+//! logarithm of the evidence: how much likelier the detections are under it than if all were false. It is summed mark
+//! by mark, each compared with the position that the marks before it predict, the nearest to the first mark first:
+//!
+//! | term | per |
+//! |---|---|
+//! | ln(found share x density of the position / density of false detections) | detection that is a mark |
+//! | ln(missed share) | mark that must have been found and is not |
+//! | ln(density of the contrast as a mark's / as a false detection's) | fully lit detection that is a mark |
+//!
+//! Shares, scatters and densities are those of [`prior`](super::prior).
 
-use super::fit::{Candidate, Explained, GATE_SIGMAS, LocalSimilarity, Printed};
-use super::prior::IdentificationPrior;
+use super::prior::{
+    ARMS_SIGMA_RAD, CUT_FOUND_SHARE, GATE_SIGMAS, IdentificationPrior, LIMB_BIAS_WIDTHS,
+    LIT_LENGTHS, SCATTER_MIL, USABLE_LENGTHS, contrast_odds,
+};
+use super::similarity::LocalSimilarity;
 use super::{Detection, Lighting};
 use crate::geometry::Handedness;
-use crate::plate::{Cross, MarkId};
+use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
-use std::f64::consts::{PI, TAU};
 
-/// Scatter of a mark about its place, 1 sigma per axis: print (1 mil rms) and what keystone leaves over the disc.
-const SCATTER_MIL: f64 = 1.3;
-/// The limb pulls a mark that it cuts inwards: 1 sigma at the limb itself, from where it falls to none for a mark that
-/// is fully lit. Measured on simulated frames it falls faster: 12, 4, 1.5 and 0.4 mil at depths of 0, 15, 27 and 45 mil.
-const PULL_MIL: f64 = 12.0;
-/// Depth at which a mark is fully lit, in half lengths from tip to tip; the limb's blur included.
-const LIT_HALF_LENGTHS: f64 = 1.4;
-/// Farthest that a mark with an id is seen from its place, mil: one that the limb pulls farther has no position to give.
-const NAMED_WITHIN_MIL: f64 = 9.0;
-/// The same where the limb cuts more than a mark may lose.
-const CUT_FOUND_SHARE: f64 = 0.5;
-/// False detections on a disc.
-const FALSE_ON_DISC: f64 = 1.0;
-/// Contrasts of a print scatter by this, 1 sigma of the logarithm.
-const CONTRAST_SCATTER: f64 = 0.12;
-/// Part of the marks whose contrast is another: a scratch or a sunspot lies on them.
-const ATYPICAL_SHARE: f64 = 0.02;
-/// Part of the false detections that look like marks; the contrast of the others is any from 0.12 to 1.2.
-const LIKE_MARKS: f64 = 0.4;
-const ANY_CONTRAST: f64 = 2.3;
-
-/// An id given to a detection (by index).
+/// A detection with the mark that it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Id {
+pub(super) struct Match {
+    /// Index of the detection.
     pub detection: usize,
     pub id: MarkId,
-    /// Where the mark of that id is printed.
     printed: PlateMil,
-    /// Whether it is seen where it should be.
-    in_place: bool,
+    /// Whether its position may be used.
+    usable: bool,
 }
 
-impl Explained {
-    fn id(&self, in_place: bool) -> Id {
-        Id {
-            detection: self.candidate.detection,
-            id: self.id,
-            printed: self.at,
-            in_place,
-        }
-    }
-}
-
-/// Ids given to detections.
+/// Ids of detections.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Labelling {
     /// Every detection that the labelling explains.
-    pub ids: Vec<Id>,
+    pub matches: Vec<Match>,
     /// Fully lit marks among them.
     pub full: usize,
-    /// Where the labelling puts the plate's centre, and how well the marks on the disc tell it, px.
+    /// The plate's centre, extrapolated from the marks, and its 1 sigma per axis, px.
     pub plate_centre: SensorPx,
     pub centre_sigma_px: f64,
     /// Rotation of the plate's axes at the Sun, and scale there.
     pub rotation_deg: Measured,
     pub scale_mil_per_px: Measured,
-    /// Logarithm of how much likelier the detections are under the labelling than if all were false.
+    /// Logarithm of the evidence.
     pub score: f64,
 }
 
-/// A labelling of the fully lit marks alone; its score counts these as they are placed and no more.
-pub(super) struct Partial {
-    pub labelling: Labelling,
-    fit: LocalSimilarity,
-    /// Where it puts the Sun's centre on the plate, mil.
-    sun: Vector2<f64>,
-}
-
 impl Labelling {
-    /// The detections that lie where they should.
-    pub(super) fn named(&self) -> Vec<(usize, MarkId)> {
-        let ids = self.ids.iter().filter(|id| id.in_place);
-        ids.map(|id| (id.detection, id.id)).collect()
+    /// The detections whose positions may be used, with their ids.
+    pub(super) fn usable(&self) -> Vec<(usize, MarkId)> {
+        let usable = self.matches.iter().filter(|m| m.usable);
+        usable.map(|m| (m.detection, m.id)).collect()
     }
 
-    /// Whether two labellings cannot both be true: they name a detection differently, or have none in common.
+    /// The id of a detection.
+    pub(super) fn id_of(&self, detection: usize) -> Option<MarkId> {
+        let found = self.matches.iter().find(|m| m.detection == detection)?;
+        Some(found.id)
+    }
+
+    /// Whether two labellings cannot both be true: they give a detection different ids, or have none in common.
     pub(super) fn contradicts(&self, other: &Self) -> bool {
-        let mut shared = self.ids.iter().filter_map(|here| {
-            let mut there = other.ids.iter();
-            let there = there.find(|there| there.detection == here.detection)?;
-            Some(there.id == here.id)
-        });
-        match shared.next() {
-            None => true,
-            Some(first_agrees) => !first_agrees || shared.any(|agrees| !agrees),
-        }
+        let mut agree = self
+            .matches
+            .iter()
+            .filter_map(|m| Some(other.id_of(m.detection)? == m.id))
+            .peekable();
+        agree.peek().is_none() || agree.any(|agrees| !agrees)
     }
 }
 
-/// What all labellings share.
-pub(super) struct Evidence<'a> {
+/// A detection as an offset from the Sun's centre on the plate.
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    detection: usize,
+    offset: Vector2<f64>,
+    /// Variance per axis, mil^2, without the limb's bias.
+    variance: f64,
+    lighting: Lighting,
+}
+
+/// Detections and printed marks at one quarter turn: all that its labellings share.
+pub(super) struct Scene<'a> {
     prior: &'a IdentificationPrior,
     detections: &'a [Detection],
-    /// What is known of scale and rotation before any mark is read.
-    fit: LocalSimilarity,
-    /// Of the detections' positions, were they fully lit marks, mil^2.
-    variances: Vec<f64>,
-    /// Logarithms of the detections' contrasts.
-    contrasts: Vec<f64>,
-    by_contrast: Vec<usize>,
-    /// Depth inside the limb at which a mark is fully lit, mil.
-    lit_depth_mil: f64,
-    /// Distance from the Sun's centre within which a mark must have been found, mil.
-    sure_reach_mil: f64,
-    /// Whether all of the disc so near to its centre is far enough from the sensor's edge.
-    sure_on_sensor: bool,
-    /// Logarithms of the shares of marks that are found, found where the limb cuts too much, and missed.
-    found: f64,
-    cut_found: f64,
-    missed: f64,
-    /// False detections per mil^2, logarithm.
-    false_density: f64,
-}
-
-impl<'a> Evidence<'a> {
-    pub(super) fn new(
-        prior: &'a IdentificationPrior,
-        detections: &'a [Detection],
-        cross: &Cross,
-    ) -> Self {
-        let radius_mil = prior.radius_mil.value;
-        let variance = |detection: &Detection| {
-            SCATTER_MIL.powi(2) + (detection.sigma_px * prior.mil_per_px()).powi(2)
-        };
-        let sure_reach_mil = radius_mil - prior.sure_depth_px * prior.mil_per_px();
-        let sure_reach_mil = sure_reach_mil.max(0.0);
-        let corner =
-            prior.outline.root().map(f64::abs).column_sum() * (sure_reach_mil / radius_mil);
-        let on_sensor = |at: Vector2<f64>| prior.on_sensor(at.into());
-        let contrasts: Vec<f64> = detections
-            .iter()
-            .map(|detection| detection.contrast.ln())
-            .collect();
-        let mut by_contrast: Vec<usize> = (0..detections.len()).collect();
-        by_contrast.sort_by(|a, b| contrasts[*a].total_cmp(&contrasts[*b]));
-        Self {
-            prior,
-            detections,
-            fit: LocalSimilarity::new(prior),
-            variances: detections.iter().map(variance).collect(),
-            contrasts,
-            by_contrast,
-            lit_depth_mil: LIT_HALF_LENGTHS * cross.arm_length_mil / 2.0,
-            sure_reach_mil,
-            sure_on_sensor: on_sensor(prior.outline.centre - corner)
-                && on_sensor(prior.outline.centre + corner),
-            found: prior.found_share().ln(),
-            cut_found: CUT_FOUND_SHARE.ln(),
-            missed: prior.missed_share.ln(),
-            false_density: (FALSE_ON_DISC / (PI * radius_mil.powi(2))).ln(),
-        }
-    }
-
-    /// The highest score that a labelling may come to that explains so many fully lit marks.
-    pub(super) fn most_of(&self, full: usize) -> f64 {
-        let cut = (0..self.detections.len()).filter(|n| !self.is_full(*n));
-        full as f64 * gain(0.0) + (full + cut.count()) as f64 * self.most_per_mark()
-    }
-
-    /// The most that the place of a mark adds to a score.
-    fn most_per_mark(&self) -> f64 {
-        -TAU.ln() - (SCATTER_MIL * SCATTER_MIL).ln() - self.false_density
-    }
-
-    fn is_full(&self, n: usize) -> bool {
-        self.detections[n].lighting == Lighting::Full
-    }
-
-    /// How far the limb may pull a mark inwards, 1 sigma, mil.
-    fn pull_mil(&self, offset: Vector2<f64>) -> f64 {
-        let depth = self.prior.radius_mil.value - offset.norm();
-        PULL_MIL * (1.0 - depth / self.lit_depth_mil).clamp(0.0, 1.0)
-    }
-
-    /// Whether a mark that explains a detection is printed on the disc or near it and is no other detection's.
-    fn allows(&self, explained: &Explained, ids: &[Id], sun: Vector2<f64>) -> bool {
-        let reach = self.prior.radius_mil.value + GATE_SIGMAS * PULL_MIL;
-        (explained.at.vector() - sun).norm_squared() < reach * reach
-            && ids.iter().all(|taken| taken.id != explained.id)
-    }
-
-    /// How much likelier the contrasts are as those of one print than as false ones'; the first tells nothing, since
-    /// the print's contrast is not known beforehand.
-    fn contrast_odds(&self, ids: &[Id]) -> f64 {
-        let named = |n: &&usize| ids.iter().any(|id| id.detection == **n);
-        let mut ordered = self.by_contrast.iter().filter(named);
-        let median = ordered
-            .nth(ids.len() / 2)
-            .map_or(0.0, |n| self.contrasts[*n]);
-        let gains = ids
-            .iter()
-            .map(|id| gain(self.contrasts[id.detection] - median));
-        gains.sum::<f64>() - gain(0.0)
-    }
-}
-
-/// How much likelier a contrast so far from the median one is as a mark's than as a false detection's; all of them logarithms.
-fn gain(off: f64) -> f64 {
-    let off = off / CONTRAST_SCATTER;
-    let print = (-0.5 * off * off).exp() / (CONTRAST_SCATTER * TAU.sqrt());
-    let mark = (1.0 - ATYPICAL_SHARE) * print + ATYPICAL_SHARE / ANY_CONTRAST;
-    let other = LIKE_MARKS * print + (1.0 - LIKE_MARKS) / ANY_CONTRAST;
-    (mark / other).ln()
-}
-
-/// The picture at one quarter turn, as offsets from the Sun's centre on the plate.
-pub(super) struct Turned<'a> {
-    evidence: &'a Evidence<'a>,
+    cross: &'a Cross,
     /// Rotation of the plate's axes on the sensor, deg.
     rotation_deg: f64,
     /// From offsets on the plate, mil, to the unit disc.
-    from_plate: Matrix2<f64>,
-    /// Of the detections, mil.
-    offsets: Vec<Vector2<f64>>,
-    /// Those that the limb cuts and may have pulled inwards.
-    cut: Vec<Candidate>,
-    /// Offset of the place where the instrument says the plate's centre is seen, mil.
-    centre: Vector2<f64>,
+    to_disc: Matrix2<f64>,
+    /// One for each detection.
+    candidates: Vec<Candidate>,
+    /// The Sun's centre on the plate by the stated plate centre.
+    expected_sun: PlateMil,
     /// The marks that may be in view.
-    pub printed: Printed,
+    marks: Vec<(MarkId, PlateMil)>,
 }
 
-impl<'a> Turned<'a> {
-    /// With those of some marks that lie about the place where the Sun should be; `None` when the outline has no size.
+impl<'a> Scene<'a> {
+    /// The detections at one of [`IdentificationPrior::quarter_turns`], with the plate's marks within `in_view_mil` of the
+    /// Sun's expected position; `None` when the outline has no size.
     pub(super) fn new(
-        evidence: &'a Evidence<'a>,
-        rotation_deg: f64,
-        to_plate: Matrix2<f64>,
-        marks: &[(MarkId, PlateMil)],
+        prior: &'a IdentificationPrior,
+        detections: &'a [Detection],
+        plate: &'a Plate,
+        (rotation_deg, to_plate): (f64, Matrix2<f64>),
         in_view_mil: f64,
     ) -> Option<Self> {
-        let offset = |at: SensorPx| to_plate * evidence.prior.outline.to_disc(at.vector());
-        let centre = offset(evidence.prior.plate_centre);
-        let mut turned = Self {
-            evidence,
+        let offset = |at: SensorPx| to_plate * prior.outline.to_disc(at.vector());
+        let candidate = |(n, detection): (usize, &Detection)| Candidate {
+            detection: n,
+            offset: offset(detection.at),
+            variance: SCATTER_MIL.powi(2) + (detection.sigma_px * prior.mil_per_px()).powi(2),
+            lighting: detection.lighting,
+        };
+        let expected_sun = PlateMil::from(-offset(prior.plate_centre));
+        let in_view = |(_, at): &(MarkId, PlateMil)| at.distance(expected_sun) < in_view_mil;
+        let marks = plate.marks_about(expected_sun, in_view_mil).filter(in_view);
+        Some(Self {
+            prior,
+            detections,
+            cross: &plate.cross,
             rotation_deg,
-            from_plate: to_plate.try_inverse()?,
-            offsets: evidence.detections.iter().map(|d| offset(d.at)).collect(),
-            cut: Vec::new(),
-            centre,
-            printed: Printed::about((-centre).into(), in_view_mil, marks),
-        };
-        turned.cut = turned.cut_candidates();
-        Some(turned)
-    }
-
-    /// Where the Sun's centre would be on the plate if the instrument were right about the plate's centre.
-    pub(super) fn stated_sun(&self) -> PlateMil {
-        (-self.centre).into()
-    }
-
-    fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {
-        let outline = &self.evidence.prior.outline;
-        outline.from_disc(self.from_plate * offset).into()
-    }
-
-    /// Where a detection is.
-    pub(super) fn candidate(&self, detection: usize) -> Candidate {
-        Candidate {
-            detection,
-            offset: self.offsets[detection],
-            variance: self.evidence.variances[detection],
-        }
-    }
-
-    /// Where the detections are that the limb cuts and may have pulled inwards.
-    fn cut_candidates(&self) -> Vec<Candidate> {
-        let cut = (0..self.offsets.len()).filter(|n| !self.evidence.is_full(*n));
-        cut.map(|n| self.candidate(n)).collect()
-    }
-
-    /// The labelling that follows when the first of the fully lit detections is the mark `anchor`; the others are tried in
-    /// their order. `None` when it explains fewer than two of them.
-    pub(super) fn follow(&self, anchor: (MarkId, PlateMil), full: &[Candidate]) -> Option<Partial> {
-        let (evidence, printed) = (self.evidence, &self.printed);
-        let (first, others) = full.split_first()?;
-        let mut fit = evidence.fit;
-        fit.add(first.offset, anchor.1, first.variance);
-        let variance = |candidate: &Candidate, _| candidate.variance;
-        // Most anchors explain no other: they end here.
-        let mut next = Some(printed.explain(others, &fit, variance)?);
-        let sun = anchor.1.vector() - first.offset;
-        let mut score = evidence.found;
-        let mut ids = Vec::with_capacity(evidence.detections.len());
-        ids.push(Id {
-            detection: first.detection,
-            id: anchor.0,
-            printed: anchor.1,
-            in_place: true,
-        });
-        while let Some((explained, rest)) = next {
-            if evidence.allows(&explained, &ids, sun) {
-                fit.add(
-                    explained.candidate.offset,
-                    explained.at,
-                    explained.candidate.variance,
-                );
-                ids.push(explained.id(true));
-                score += evidence.found + explained.likelihood - evidence.false_density;
-            }
-            next = printed.explain(rest, &fit, variance);
-        }
-        if ids.len() < 2 {
-            return None;
-        }
-        let centre = fit.offset(PlateMil::new(0.0, 0.0));
-        let labelling = Labelling {
-            full: ids.len(),
-            score,
-            ids,
-            plate_centre: self.to_sensor(centre),
-            centre_sigma_px: fit.variance(centre).sqrt() / evidence.prior.mil_per_px(),
-            rotation_deg: self.rotation_deg(&fit),
-            scale_mil_per_px: fit.scale(evidence.prior.mil_per_px()),
-        };
-        Some(Partial {
-            labelling,
-            fit,
-            sun,
+            to_disc: to_plate.try_inverse()?,
+            candidates: detections.iter().enumerate().map(candidate).collect(),
+            expected_sun,
+            marks: marks.collect(),
         })
     }
 
-    /// Rotation of the plate's axes on the sensor by a fit.
-    fn rotation_deg(&self, fit: &LocalSimilarity) -> Measured {
+    /// The marks that a detection may be when the plate's centre is less than `reach_mil` from the stated one.
+    pub(super) fn marks_about(
+        &self,
+        detection: usize,
+        reach_mil: f64,
+    ) -> impl Iterator<Item = (MarkId, PlateMil)> {
+        let expected = self.expected_sun.vector() + self.candidates[detection].offset;
+        let marks = self.marks.iter().copied();
+        marks.filter(move |(_, at)| (at.vector() - expected).norm() < reach_mil)
+    }
+
+    /// The labelling that follows when the first of some fully lit detections is the mark `anchor`; the others are tried in
+    /// their order, then those that the limb cuts. `None` when it explains fewer than two that are fully lit.
+    pub(super) fn follow(&self, anchor: (MarkId, PlateMil), full: &[usize]) -> Option<Labelling> {
+        let (first, others) = full.split_first()?;
+        let mut hypothesis = Hypothesis::new(self, &self.candidates[*first], anchor);
+        for n in others {
+            hypothesis.explain(&self.candidates[*n]);
+        }
+        let full = hypothesis.matches.len();
+        if full < 2 {
+            return None;
+        }
+        hypothesis.score += hypothesis.contrast_odds();
+        let cut = |candidate: &&Candidate| candidate.lighting == Lighting::Cut;
+        for candidate in self.candidates.iter().filter(cut) {
+            hypothesis.explain(candidate);
+        }
+        hypothesis.score += hypothesis.missed() as f64 * self.prior.missed_share.ln();
+        Some(hypothesis.labelling(full))
+    }
+
+    fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {
+        let on_disc = self.to_disc * offset;
+        self.prior.outline.from_disc(on_disc).into()
+    }
+
+    /// Inward bias of a mark that the limb cuts, 1 sigma, mil.
+    fn limb_bias_mil(&self, offset: Vector2<f64>) -> f64 {
+        let depth = self.prior.radius_mil.value - offset.norm();
+        let lit_depth = LIT_LENGTHS * self.cross.arm_length_mil;
+        self.largest_bias_mil() * (1.0 - depth / lit_depth).clamp(0.0, 1.0)
+    }
+
+    fn largest_bias_mil(&self) -> f64 {
+        LIMB_BIAS_WIDTHS * self.cross.arm_width_mil
+    }
+}
+
+/// A labelling in the making.
+struct Hypothesis<'a> {
+    scene: &'a Scene<'a>,
+    fit: LocalSimilarity,
+    /// The marks on the disc or near it, by the first mark.
+    marks: Vec<(MarkId, PlateMil)>,
+    matches: Vec<Match>,
+    score: f64,
+}
+
+impl<'a> Hypothesis<'a> {
+    fn new(scene: &'a Scene, first: &Candidate, (id, printed): (MarkId, PlateMil)) -> Self {
+        let radius = scene.prior.radius_mil;
+        let mut fit = LocalSimilarity::new(radius.sigma / radius.value, ARMS_SIGMA_RAD);
+        fit.add(first.offset, printed, first.variance);
+        let sun = printed.vector() - first.offset;
+        let reach = radius.value + GATE_SIGMAS * scene.largest_bias_mil();
+        let near = |(_, at): &&(MarkId, PlateMil)| (at.vector() - sun).norm() < reach;
+        // Reserved once: this is the inner loop.
+        let mut marks = Vec::with_capacity(scene.marks.len());
+        marks.extend(scene.marks.iter().filter(near));
+        Self {
+            scene,
+            fit,
+            marks,
+            matches: vec![Match {
+                detection: first.detection,
+                id,
+                printed,
+                usable: true,
+            }],
+            score: scene.prior.found_share().ln(),
+        }
+    }
+
+    /// Adds a candidate if it is the mark that is printed nearest to its predicted position; does nothing if it is not.
+    fn explain(&mut self, candidate: &Candidate) {
+        let (scene, prior) = (self.scene, self.scene.prior);
+        let place = self.fit.place(candidate.offset);
+        let Some((id, printed)) = self.nearest_mark(place) else {
+            return;
+        };
+        let full = candidate.lighting == Lighting::Full;
+        let bias = match full {
+            true => 0.0,
+            false => scene.limb_bias_mil(self.fit.offset(printed)),
+        };
+        let variance = candidate.variance + bias.powi(2);
+        let density = self.fit.log_density(candidate.offset, printed, variance);
+        let Some(density) = density.filter(|_| self.matches.iter().all(|m| m.id != id)) else {
+            return;
+        };
+        let found_share = match full || self.must_be_found(printed) {
+            true => prior.found_share(),
+            false => CUT_FOUND_SHARE,
+        };
+        let usable = place.distance(printed) < USABLE_LENGTHS * scene.cross.arm_length_mil;
+        self.score += density + (found_share / prior.false_density()).ln();
+        self.matches.push(Match {
+            detection: candidate.detection,
+            id,
+            printed,
+            usable: full || usable,
+        });
+        if full {
+            self.fit.add(candidate.offset, printed, candidate.variance);
+        }
+    }
+
+    fn nearest_mark(&self, place: PlateMil) -> Option<(MarkId, PlateMil)> {
+        let (mut nearest, mut least) = (None, f64::INFINITY);
+        for mark in &self.marks {
+            let square = (mark.1.vector() - place.vector()).norm_squared();
+            if square < least {
+                (nearest, least) = (Some(*mark), square);
+            }
+        }
+        nearest
+    }
+
+    /// Whether a mark lies deep enough in the disc and far enough from the sensor's edge to be found whatever its contrast.
+    fn must_be_found(&self, printed: PlateMil) -> bool {
+        let prior = self.scene.prior;
+        let offset = self.fit.offset(printed);
+        offset.norm() < prior.sure_reach_mil() && prior.on_sensor(self.scene.to_sensor(offset))
+    }
+
+    /// Marks that must have been found and are not.
+    fn missed(&self) -> usize {
+        let expected = self.marks.iter().map(|(_, printed)| printed);
+        let found = self.matches.iter().map(|m| &m.printed);
+        let sure = |printed: &&PlateMil| self.must_be_found(**printed);
+        expected.filter(sure).count() - found.filter(sure).count()
+    }
+
+    /// Log odds of the contrasts as those of one print against those of false detections. The print's contrast is not
+    /// known, so the first one is no evidence.
+    fn contrast_odds(&self) -> f64 {
+        let detections = self.scene.detections;
+        let contrast = |m: &Match| detections[m.detection].contrast.ln();
+        let mut contrasts: Vec<f64> = self.matches.iter().map(contrast).collect();
+        contrasts.sort_by(f64::total_cmp);
+        let median = contrasts[contrasts.len() / 2];
+        let odds = contrasts.iter().map(|c| contrast_odds(c - median));
+        odds.sum::<f64>() - contrast_odds(0.0)
+    }
+
+    /// The labelling with so many fully lit marks.
+    fn labelling(self, full: usize) -> Labelling {
+        let (prior, fit) = (self.scene.prior, &self.fit);
+        let centre = fit.offset(PlateMil::new(0.0, 0.0));
         let on_plate = fit.rotation_deg();
         // A mirror turns the other way round.
-        let on_sensor = match self.evidence.prior.handedness {
+        let on_sensor = match prior.handedness {
             Handedness::Mirrored => on_plate.value,
             Handedness::Direct => -on_plate.value,
         };
-        Measured::new(self.rotation_deg + on_sensor, on_plate.sigma)
-    }
-
-    /// A labelling with all that it explains and leaves unexplained.
-    pub(super) fn complete(&self, partial: Partial) -> Labelling {
-        let Partial {
-            mut labelling,
-            fit,
-            sun,
-        } = partial;
-        labelling.score += self.evidence.contrast_odds(&labelling.ids);
-        self.add_cut(&mut labelling, &fit, sun);
-        labelling.score += self.absences(&fit, &labelling.ids);
-        labelling
-    }
-
-    /// The highest score that a labelling may come to.
-    pub(super) fn most(&self, partial: &Partial) -> f64 {
-        let contrast_odds = partial.labelling.full as f64 * gain(0.0);
-        partial.labelling.score
-            + contrast_odds
-            + self.cut.len() as f64 * self.evidence.most_per_mark()
-    }
-
-    /// Adds to a labelling what it explains of the detections that the limb cuts.
-    fn add_cut(&self, labelling: &mut Labelling, fit: &LocalSimilarity, sun: Vector2<f64>) {
-        let evidence = self.evidence;
-        let variance = |candidate: &Candidate, at| {
-            candidate.variance + evidence.pull_mil(fit.offset(at)).powi(2)
-        };
-        let mut candidates = &self.cut[..];
-        while let Some((explained, rest)) = self.printed.explain(candidates, fit, variance) {
-            candidates = rest;
-            if evidence.allows(&explained, &labelling.ids, sun) {
-                let seen_at = fit.place(explained.candidate.offset);
-                let in_place = seen_at.distance(explained.at) < NAMED_WITHIN_MIL;
-                labelling.ids.push(explained.id(in_place));
-                let found = match self.must_be_found(fit)(explained.at) {
-                    true => evidence.found,
-                    false => evidence.cut_found,
-                };
-                labelling.score += found + explained.likelihood - evidence.false_density;
-            }
+        Labelling {
+            full,
+            plate_centre: self.scene.to_sensor(centre),
+            centre_sigma_px: fit.variance(centre).sqrt() / prior.mil_per_px(),
+            rotation_deg: Measured::new(self.scene.rotation_deg + on_sensor, on_plate.sigma),
+            scale_mil_per_px: fit.scale(prior.mil_per_px()),
+            matches: self.matches,
+            score: self.score,
         }
-    }
-
-    /// Tells of a mark at a place whether it lies deep enough in the disc and far enough from the sensor's edge to be found.
-    fn must_be_found(&self, fit: &LocalSimilarity) -> impl Fn(PlateMil) -> bool {
-        let evidence = self.evidence;
-        let sun = fit.place(Vector2::zeros()).vector();
-        let reach2 = evidence.sure_reach_mil.powi(2) * fit.stretch2();
-        let on_sensor = move |at| evidence.prior.on_sensor(self.to_sensor(fit.offset(at)));
-        move |at: PlateMil| {
-            (at.vector() - sun).norm_squared() < reach2
-                && (evidence.sure_on_sensor || on_sensor(at))
-        }
-    }
-
-    /// What the marks that must have been found and are not take from the score.
-    fn absences(&self, fit: &LocalSimilarity, ids: &[Id]) -> f64 {
-        let must_be_found = self.must_be_found(fit);
-        let expected = self
-            .printed
-            .marks
-            .iter()
-            .filter(|(_, at)| must_be_found(*at))
-            .count();
-        let found = ids.iter().filter(|id| must_be_found(id.printed)).count();
-        (expected - found) as f64 * self.evidence.missed
     }
 }

@@ -7,8 +7,8 @@
 //! 2. Sums over boxes give candidates whatever the camera's rotation; the arms there show the rotation to a quarter turn; a
 //!    matched filter of the blurred cross at that rotation gives position and contrast, and its fourfold part separates crosses
 //!    from what is round ([`detect`]).
-//! 3. Ids come from pairs of neighbours: one spacing is fixed, the other is the code. Every labelling that a pair
-//!    allows is held against all marks in view, and one that is not clearly the best is refused.
+//! 3. Ids come from the spacings of neighbours: one is fixed, the other is the code. Every labelling near the stated plate
+//!    centre is scored by all marks in view, and one that is not clearly the best is refused ([`identify()`]).
 //! 4. A fit of the blurred cross to the pixels about it gives a mark's place without the bias that a paraboloid has over the
 //!    sub-pixel phase, with a covariance of its own: [`Refiner::refine`] cuts the pixels out (`patch`) and takes Gauss-Newton
 //!    steps on them (`mark_fit`).
@@ -16,7 +16,6 @@
 mod candidates;
 mod cross;
 mod detect;
-mod fit;
 mod flatten;
 mod identify;
 mod labelling;
@@ -24,6 +23,7 @@ mod mark_fit;
 mod patch;
 mod prior;
 mod refine;
+mod similarity;
 mod template;
 
 pub use cross::CrossShape;
@@ -43,7 +43,7 @@ pub struct Settings {
     pub min_contrast: f64,
     /// How much of the structure about a detection the cross must explain, 0 to 1.
     pub min_likeness: f64,
-    /// Most detections that are read.
+    /// Most detections that are identified.
     pub max_detections: usize,
     /// Fewest marks that make a labelling.
     pub min_marks: usize,

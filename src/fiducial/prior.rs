@@ -1,26 +1,83 @@
-//! What is known of the picture before any mark is read.
+//! What is known before any mark is identified: the prior of a frame, and the statistics of scenes and cameras.
 
-use crate::geometry::{Ellipse, Handedness};
+use crate::geometry::{Ellipse, Handedness, TILT_PER_PX};
 use crate::units::{Measured, SensorPx};
 use nalgebra::{Matrix2, Rotation2};
+use std::f64::consts::{PI, TAU};
 
-/// What limb, ephemeris, arms and instrument tell before any mark is read.
+// Scene statistics. Positions: how far a mark is observed from its predicted position, 1 sigma per axis.
+
+/// Of a fully lit mark: print (1 mil rms) and the keystone that a similarity leaves over the disc.
+pub(super) const SCATTER_MIL: f64 = 1.3;
+/// Of a mark that the limb cuts: its inward bias at the limb, in widths of an arm, from where it falls linearly to none
+/// for a fully lit mark. An upper bound: on simulated frames it is 1, 0.33, 0.12 and 0.03 at depths of 0, 0.17, 0.3 and 0.5
+/// lengths of an arm.
+pub(super) const LIMB_BIAS_WIDTHS: f64 = 1.0;
+/// Depth inside the limb at which a mark is fully lit, in lengths of an arm, tip to tip: a half, and the limb's blur.
+pub(super) const LIT_LENGTHS: f64 = 0.7;
+/// Largest residual of a mark that keeps its id, in lengths of an arm: beyond it the limb has left no usable position.
+pub(super) const USABLE_LENGTHS: f64 = 0.1;
+/// A detection whose residual is larger, in sigma, is not that mark.
+pub(super) const GATE_SIGMAS: f64 = 4.0;
+/// Error of the rotation by the crosses' arms, 1 sigma: three noisy marks determine it to a degree.
+pub(super) const ARMS_SIGMA_RAD: f64 = 0.6 * PI / 180.0;
+/// Error of a position predicted by scale and rotation alone, relative to its distance.
+pub(super) const PREDICTION_ERROR: f64 = 0.03;
+
+// Scene statistics. Detections: shares and contrasts.
+
+/// Share of the marks found where the limb cuts them so that they may be missed: not known, so even odds.
+pub(super) const CUT_FOUND_SHARE: f64 = 0.5;
+/// False detections on a disc.
+const FALSE_ON_DISC: f64 = 1.0;
+/// Scatter of the contrasts of one print, 1 sigma of the logarithm.
+const CONTRAST_SCATTER: f64 = 0.12;
+/// Share of the marks with another contrast: a scratch or a sunspot lies on them.
+const ATYPICAL_SHARE: f64 = 0.02;
+/// Share of the false detections with a mark's contrast. The others' is uniform in the logarithm from 0.12 to 1.2, a
+/// range of ln 10.
+const MARK_LIKE_SHARE: f64 = 0.4;
+const CONTRAST_RANGE: f64 = 2.3;
+
+// Scene statistics. Cameras: how far the stated mounting holds.
+
+/// Share of the cameras that were moved since their mounting was stated.
+const MOVED_SHARE: f64 = 0.01;
+/// Share of those that were turned: a rotation far from the stated one needs evidence a million times stronger.
+const TURNED_SHARE: f64 = 1e-6;
+/// A scale farther from the stated one is refused, in sigma: no handling of a camera changes it.
+const SCALE_SIGMAS: f64 = 5.0;
+
+// Odds that decide, logarithms.
+
+/// Least odds of a labelling against all that contradict it, and against chance: 1 in 1100.
+pub(super) const DECISIVE_ODDS: f64 = 7.0;
+/// The same against labellings that take one of its fully lit marks for a false detection: where they predict no other
+/// mark, as at the pattern's edge, that one detection decides. More is asked when the labelling itself leaves a fully
+/// lit detection unexplained: where one is false another may be.
+pub(super) const FALSE_MARK_ODDS: f64 = 9.0;
+pub(super) const FALSE_MARK_ODDS_AMONG_FALSE: f64 = 11.0;
+/// Labellings are compared up to this much beyond the largest shift of the plate's centre
+/// ([`IdentificationPrior::shift_excess`]): a wrong one must not win because the true one is not among them.
+pub(super) const RIVAL_EXCESS: f64 = 2.0;
+
+/// What limb, ephemeris, arms and instrument determine before any mark is identified.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IdentificationPrior {
     /// The disc's outline on the sensor.
     pub outline: Ellipse,
-    /// Radius of the outline on the plate; its sigma tells how well that fixes the scale.
+    /// Radius of the outline on the plate; its sigma is that of the scale.
     pub radius_mil: Measured,
     /// Rotation of the picture modulo a quarter turn, from the arms of the crosses, in the outline's own coordinates
     /// ([`Ellipse::to_disc`]).
     pub quarter_rotation_deg: f64,
     pub handedness: Handedness,
-    /// Where the instrument says the plate's centre is seen, and 1 sigma of that per axis.
+    /// Stated position of the plate's centre on the sensor, and 1 sigma of it per axis.
     pub plate_centre: SensorPx,
     pub plate_centre_sigma_px: f64,
-    /// Rotation of the plate's axes on the sensor as the instrument states it, positive from +x towards +y, deg.
+    /// Stated rotation of the plate's axes on the sensor, positive from +x towards +y, deg.
     pub rotation_deg: Measured,
-    /// Scale as the instrument states it.
+    /// Stated scale.
     pub scale_mil_per_px: Measured,
     /// Depth inside the limb from which a mark must have been found, px.
     pub sure_depth_px: f64,
@@ -33,13 +90,9 @@ pub struct IdentificationPrior {
 }
 
 impl IdentificationPrior {
-    pub(super) fn found_share(&self) -> f64 {
-        1.0 - self.missed_share
-    }
-
     /// The rotations that the arms allow, deg, each with the map from the unit disc to offsets from the Sun's centre on the
     /// plate (mil).
-    pub(super) fn turns(&self) -> impl Iterator<Item = (f64, Matrix2<f64>)> {
+    pub(super) fn quarter_turns(&self) -> impl Iterator<Item = (f64, Matrix2<f64>)> {
         let axes = self.handedness.axes() * self.radius_mil.value;
         [0.0, 90.0, 180.0, 270.0].into_iter().map(move |quarter| {
             let rotation_deg = self.quarter_rotation_deg + quarter;
@@ -53,10 +106,77 @@ impl IdentificationPrior {
         self.radius_mil.value / self.outline.mean_radius()
     }
 
+    /// Share of the marks that must have been found and are.
+    pub(super) fn found_share(&self) -> f64 {
+        1.0 - self.missed_share
+    }
+
+    /// Distance from the Sun's centre within which a mark must have been found, mil.
+    pub(super) fn sure_reach_mil(&self) -> f64 {
+        (self.radius_mil.value - self.sure_depth_px * self.mil_per_px()).max(0.0)
+    }
+
     /// Whether a mark at this position lies far enough from the sensor's edge.
     pub(super) fn on_sensor(&self, at: SensorPx) -> bool {
         let margin = self.sure_margin_px;
         let inside = |v: f64, size: f64| v > margin && v < size - 1.0 - margin;
         inside(at.x, self.sensor_px[0]) && inside(at.y, self.sensor_px[1])
     }
+
+    /// False detections per mil^2 on the plate.
+    pub(super) fn false_density(&self) -> f64 {
+        FALSE_ON_DISC / (PI * self.radius_mil.value.powi(2))
+    }
+
+    /// Log odds of a plate centre (1 sigma per axis) against the stated one: normally distributed about it, but uniform
+    /// within the largest shift for the cameras that were moved.
+    pub(super) fn centre_odds(&self, at: SensorPx, sigma_px: f64, max_shift_px: f64) -> f64 {
+        let variance = self.plate_centre_sigma_px.powi(2) + sigma_px.powi(2);
+        let peak = (max_shift_px.powi(2) / (2.0 * variance)).max(1.0);
+        let density =
+            |half_chi2: f64| MOVED_SHARE + (1.0 - MOVED_SHARE) * peak * (-half_chi2).exp();
+        let shift_px = at.distance(self.plate_centre);
+        (density(shift_px.powi(2) / (2.0 * variance)) / density(0.0)).ln()
+    }
+
+    /// Log odds of a rotation against the stated one: normally distributed about it, a tilt's share allowed, but of no
+    /// preference for the cameras that were turned.
+    pub(super) fn rotation_odds(&self, rotation_deg: Measured) -> f64 {
+        let tilt_deg = (TILT_PER_PX * self.sun_distance_px(self.plate_centre)).to_degrees();
+        let sigma_deg = self.rotation_deg.sigma.hypot(rotation_deg.sigma);
+        let change_deg = rotation_deg.value - self.rotation_deg.value;
+        let change_deg = (change_deg + 180.0).rem_euclid(360.0) - 180.0;
+        let sigmas = change_deg / sigma_deg.hypot(tilt_deg);
+        (TURNED_SHARE + (1.0 - TURNED_SHARE) * (-0.5 * sigmas * sigmas).exp()).ln()
+    }
+
+    /// Difference of a scale from the stated one over the largest allowed: [`SCALE_SIGMAS`], and what a tilted camera
+    /// changes it by at the Sun.
+    pub(super) fn scale_excess(&self, scale_mil_per_px: Measured) -> f64 {
+        let stated = self.scale_mil_per_px;
+        let sigma = stated.sigma.hypot(scale_mil_per_px.sigma);
+        let tilt = 1.5 * TILT_PER_PX * self.sun_distance_px(self.plate_centre) * stated.value;
+        (scale_mil_per_px.value - stated.value).abs() / (SCALE_SIGMAS * sigma + tilt)
+    }
+
+    /// How far a plate centre (1 sigma per axis) lies beyond the largest shift, over its uncertainty, as it is
+    /// extrapolated from the marks on the disc: 3 sigma, and the keystone.
+    pub(super) fn shift_excess(&self, at: SensorPx, sigma_px: f64, max_shift_px: f64) -> f64 {
+        let uncertainty_px = 3.0 * sigma_px + TILT_PER_PX * self.sun_distance_px(at).powi(2);
+        (at.distance(self.plate_centre) - max_shift_px) / uncertainty_px
+    }
+
+    /// Distance of a position from the Sun's centre.
+    pub(super) fn sun_distance_px(&self, at: SensorPx) -> f64 {
+        (at.vector() - self.outline.centre).norm()
+    }
+}
+
+/// Log odds of a contrast as a mark's against a false detection's; `deviation` of its logarithm from the median.
+pub(super) fn contrast_odds(deviation: f64) -> f64 {
+    let sigmas = deviation / CONTRAST_SCATTER;
+    let print = (-0.5 * sigmas * sigmas).exp() / (CONTRAST_SCATTER * TAU.sqrt());
+    let mark = (1.0 - ATYPICAL_SHARE) * print + ATYPICAL_SHARE / CONTRAST_RANGE;
+    let other = MARK_LIKE_SHARE * print + (1.0 - MARK_LIKE_SHARE) / CONTRAST_RANGE;
+    (mark / other).ln()
 }
