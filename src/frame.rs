@@ -39,7 +39,7 @@ impl Pixels {
 }
 
 /// A pixel's value as the algorithms read it.
-pub trait Sample: Copy + Ord + Into<u32> + Send + Sync + 'static {
+pub trait Sample: Copy + Default + Ord + Into<u32> + Send + Sync + 'static {
     fn dn(self) -> f32;
 
     /// The largest value that is not above a number of DN.
@@ -211,6 +211,17 @@ impl Frame {
         })
     }
 
+    /// Counts the values of some columns of a row; those beyond the last count as the last.
+    pub fn count(&self, y: usize, columns: Range<usize>, counts: &mut [u32]) {
+        let last = counts.len() - 1;
+        crate::with_view!(self, view => {
+            for pixel in &view.pixels[y * view.width..][columns] {
+                let value: u32 = (*pixel).into();
+                counts[(value as usize).min(last)] += 1;
+            }
+        });
+    }
+
     /// The values of some columns of a row, DN.
     pub fn row_dn(&self, y: usize, columns: Range<usize>) -> Vec<f32> {
         crate::with_view!(self, view => {
@@ -259,7 +270,16 @@ impl Frame {
 }
 
 fn any_above<T: Sample>(row: &[T], floor: T) -> bool {
-    row.iter().fold(false, |any, pixel| any | (*pixel > floor))
+    /// Pixels that are compared side by side.
+    const GROUP: usize = 32;
+    let (groups, rest) = row.as_chunks::<GROUP>();
+    let mut most = [T::default(); GROUP];
+    for group in groups {
+        for (most, pixel) in most.iter_mut().zip(group) {
+            *most = (*most).max(*pixel);
+        }
+    }
+    most.iter().chain(rest).any(|pixel| *pixel > floor)
 }
 
 /// The pixels of rows of `width` that lie within a region.

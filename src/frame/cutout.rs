@@ -1,6 +1,6 @@
 //! A part of a frame as every stage after the disc search reads it: light above the background, and pixels that do not count.
 
-use super::{Frame, Region, Sample, View};
+use super::{Frame, Region, Sample, View, any_above};
 use crate::units::SensorPx;
 use crate::with_view;
 
@@ -69,33 +69,31 @@ impl Cutout {
         let most_dn = most(&background.columns_dn) + most(&background.rows_dn);
         let mut cutout = Self {
             region,
-            light_dn: vec![0.0; region.width() * region.height()],
+            light_dn: Vec::with_capacity(region.width() * region.height()),
             noise,
             unsaturated_dn: f64::from(frame.saturation_dn()) - f64::from(most_dn),
             mask: Mask::none(region),
         };
-        let saturation_dn = f64::from(frame.saturation_dn());
-        with_view!(frame, view => {
-            cutout.fill(&view, background, Sample::floor(saturation_dn));
-        });
+        let below_dn = f64::from(frame.saturation_dn()) - 1.0;
+        with_view!(frame, view => cutout.fill(&view, background, Sample::floor(below_dn)));
         cutout
     }
 
-    fn fill<T: Sample>(&mut self, view: &View<'_, T>, background: &Background, saturated: T) {
+    fn fill<T: Sample>(
+        &mut self,
+        view: &View<'_, T>,
+        background: &Background,
+        below_saturation: T,
+    ) {
         let region = self.region;
-        let rows = self.light_dn.chunks_exact_mut(region.width());
-        for ((y, row_dn), light_dn) in (region.y0..).zip(&background.rows_dn).zip(rows) {
+        for (y, row_dn) in (region.y0..).zip(&background.rows_dn) {
             let row = &view.pixels[y * view.width..][region.x0..region.x1];
-            let columns = row.iter().zip(&background.columns_dn);
-            for (light_dn, (pixel, column_dn)) in light_dn.iter_mut().zip(columns) {
-                *light_dn = pixel.dn() - column_dn - row_dn;
-            }
-            if row
-                .iter()
-                .fold(false, |any, pixel| any | (*pixel >= saturated))
-            {
+            let pairs = row.iter().zip(&background.columns_dn);
+            let light_dn = pairs.map(|(pixel, column_dn)| pixel.dn() - column_dn - row_dn);
+            self.light_dn.extend(light_dn);
+            if any_above(row, below_saturation) {
                 for (masked, pixel) in self.mask.row_mut(y).iter_mut().zip(row) {
-                    *masked |= *pixel >= saturated;
+                    *masked |= *pixel > below_saturation;
                 }
             }
         }

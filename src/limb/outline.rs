@@ -36,6 +36,10 @@ pub struct OutlineFit {
 const PARAMETERS: usize = 5;
 /// Two values so many sigma apart are not of the same thing.
 const CONTRADICTION_SIGMAS: f64 = 5.0;
+/// A start is far off where half of the points are so many sigma from it; a circle is first fitted there, with so many times the
+/// information that the outline is round.
+const FAR_OFF_SIGMAS: f64 = 4.0;
+const ROUND: f64 = 100.0;
 /// Fewer points make no outline.
 const MIN_POINTS: usize = 6;
 /// Neighbouring points are averaged over arcs of so many sectors.
@@ -112,23 +116,29 @@ pub fn fit_outline(
     start: &Ellipse,
     prior: &OutlinePrior,
 ) -> Result<OutlineFit, FitError> {
-    let known = prior.known();
-    let fit = LeastSquares {
+    let linearise = |parameters: &SVector<f64, PARAMETERS>| {
+        let ellipse = ellipse_of(parameters)?;
+        let rows = points.iter().map(|point| linearised(point, &ellipse));
+        Some(rows.collect())
+    };
+    let mut fit = LeastSquares {
         start: shape_of(start),
-        prior: known,
+        prior: prior.known(),
         loss: Loss::Tukey(TUKEY_SIGMAS),
         scale: Scale::Median,
         tolerance_sigmas: 0.02,
     };
-    let fitted = fit.fit(|parameters| {
-        let ellipse = ellipse_of(parameters)?;
-        Some(
-            points
-                .iter()
-                .map(|point| linearised(point, &ellipse))
-                .collect(),
-        )
-    })?;
+    // An outlying arc leads an ellipse astray that starts far off; a circle is harder to lead.
+    let off = points
+        .iter()
+        .map(|p| start.excess(p.at.vector()).abs() / p.sigma_px);
+    if median(off).unwrap_or_default() > FAR_OFF_SIGMAS {
+        let mut round = fit;
+        round.prior.information[3] *= ROUND;
+        round.prior.information[4] *= ROUND;
+        fit.start = round.fit(linearise)?.parameters;
+    }
+    let fitted = fit.fit(linearise)?;
     let ellipse = ellipse_of(&fitted.parameters).ok_or(FitError::Undetermined)?;
     let accepted: Vec<bool> = fitted.weights.iter().map(|weight| *weight > 0.0).collect();
     let count = accepted.iter().filter(|a| **a).count();
