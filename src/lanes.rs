@@ -1,6 +1,5 @@
 //! What makes loops over pixels quick: numbers that the compiler can work on side by side, and lists that are used again.
 
-use crate::frame::Sample;
 use multiversion::multiversion;
 use std::cell::RefCell;
 use std::ops::{Deref, DerefMut};
@@ -25,25 +24,6 @@ pub fn groups_mut(list: &mut [f32]) -> &mut [[f32; LANES]] {
 #[inline(always)]
 pub fn counted_lanes(first: f32) -> [f32; LANES] {
     std::array::from_fn(|k| first + k as f32)
-}
-
-/// The first pixels of a row's rest, DN; zeros where it ends.
-#[inline(always)]
-pub fn first_lanes<T: Sample>(rest: &[T]) -> [f32; LANES] {
-    let mut lanes = [0.0; LANES];
-    match rest.first_chunk::<LANES>() {
-        Some(group) => {
-            for (lane, pixel) in lanes.iter_mut().zip(group) {
-                *lane = pixel.dn();
-            }
-        }
-        None => {
-            for (lane, pixel) in lanes.iter_mut().zip(rest) {
-                *lane = pixel.dn();
-            }
-        }
-    }
-    lanes
 }
 
 /// The larger of two numbers, neither of which is no number: the processor's own comparison, where [`f32::max`] takes three.
@@ -101,17 +81,44 @@ fn normal_density(z: f32) -> f32 {
     )
 }
 
-/// Sum of the products of two lists of the same length.
+/// Sums over rows of a length, column by column.
 #[multiversion(targets("x86_64+avx2"))]
-pub fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let (a, b) = (&a[..b.len()], b);
+pub fn column_sums(rows: &[f32], length: usize) -> Vec<f32> {
+    let mut sums = vec![0.0; length];
+    for row in rows.chunks_exact(length) {
+        for n in 0..length {
+            sums[n] += row[n];
+        }
+    }
+    sums
+}
+
+/// Weighted sums of the products of columns with each other and themselves: a symmetric matrix, of which the lower triangle is
+/// filled in. All columns are as long as the weights.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn products<const N: usize>(columns: [&[f32]; N], weights: &[f32]) -> [[f32; N]; N] {
+    let mut sums = [[0.0; N]; N];
+    for m in 0..N {
+        let weighted = combine([columns[m], weights], |[column, weight]| column * weight);
+        for n in 0..=m {
+            sums[m][n] = dot(&weighted, columns[n]);
+        }
+    }
+    sums
+}
+
+/// Sum of the products of two lists of the same length.
+#[inline(always)]
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let count = a.len().min(b.len());
+    let (a, b) = (&a[..count], &b[..count]);
     let mut lanes = [0.0_f32; LANES];
     for (a, b) in groups(a).iter().zip(groups(b)) {
         for k in 0..LANES {
             lanes[k] += a[k] * b[k];
         }
     }
-    let rest = a.len() / LANES * LANES;
+    let rest = count / LANES * LANES;
     let products = a[rest..].iter().zip(&b[rest..]).map(|(a, b)| a * b);
     lanes.iter().sum::<f32>() + products.sum::<f32>()
 }
@@ -129,6 +136,51 @@ pub fn correlate(weights: &[f32], width: usize, values: &[f32], stride: usize) -
         }
     }
     lanes.iter().sum()
+}
+
+/// A list computed number by number from others as long as the first.
+#[inline(always)]
+pub fn combine<const N: usize>(lists: [&[f32]; N], value: impl Fn([f32; N]) -> f32) -> Vec<f32> {
+    let count = lists[0].len();
+    let mut results = vec![0.0; count];
+    let (whole, rest) = results.as_chunks_mut::<LANES>();
+    for (n, results) in whole.iter_mut().enumerate() {
+        let parts: [&[f32; LANES]; N] = std::array::from_fn(|list| &groups(lists[list])[n]);
+        let mut part = [0.0; LANES];
+        for k in 0..LANES {
+            part[k] = value(std::array::from_fn(|list| parts[list][k]));
+        }
+        *results = part;
+    }
+    let first = count - rest.len();
+    for (n, result) in rest.iter_mut().enumerate() {
+        *result = value(std::array::from_fn(|list| lists[list][first + n]));
+    }
+    results
+}
+
+/// The darkness of a row's pixels, 1 less what is seen over the light there: the expected light times a polynomial in the pixel's
+/// number, the constant first. What is brighter than the light counts as brighter by the most allowed. The light becomes that
+/// of the disc itself; where less than the least is expected, darkness and light are 0.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn divide_row(
+    seen: &[f32],
+    [first, slope, bend]: [f32; 3],
+    least_light: f32,
+    most_excess: f32,
+    light: &mut [f32],
+    darkness: &mut [f32],
+) {
+    let count = seen.len();
+    let (light, darkness) = (&mut light[..count], &mut darkness[..count]);
+    for n in 0..count {
+        let along = n as i32 as f32;
+        let of_disc = light[n] * (first + along * (slope + along * bend));
+        let left = smaller(seen[n], of_disc + most_excess) / of_disc;
+        let is_judged = light[n] >= least_light;
+        darkness[n] = if is_judged { 1.0 - left } else { 0.0 };
+        light[n] = if is_judged { of_disc } else { 0.0 };
+    }
 }
 
 /// Two bars that cross at right angles, behind a Gaussian blur.
@@ -166,6 +218,25 @@ impl Coverage {
 /// the cross is two bars less their common middle.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn cover(bars: &Bars, to_arms: [f32; 4], x: &[f32], y: &[f32], coverage: &mut Coverage) {
+    /// Ends of an arm that are so many sigma of the blur from its middle are each on its own.
+    const ENDS_APART_SIGMAS: f32 = 5.0;
+    if bars.half_length * bars.per_blur > ENDS_APART_SIGMAS {
+        cover_by(long_blurred_bar, bars, to_arms, x, y, coverage);
+    } else {
+        cover_by(blurred_bar, bars, to_arms, x, y, coverage);
+    }
+}
+
+/// The coverage, `long_bar` telling the share and slope of the bars along their length.
+#[inline(always)]
+fn cover_by(
+    long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
+    bars: &Bars,
+    to_arms: [f32; 4],
+    x: &[f32],
+    y: &[f32],
+    coverage: &mut Coverage,
+) {
     let count = x.len();
     let y = &y[..count];
     let share = &mut coverage.share[..count];
@@ -174,8 +245,8 @@ pub fn cover(bars: &Bars, to_arms: [f32; 4], x: &[f32], y: &[f32], coverage: &mu
     let [ux, uy, vx, vy] = to_arms;
     for n in 0..count {
         let (u, v) = (ux * x[n] + uy * y[n], vx * x[n] + vy * y[n]);
-        let (long_u, long_slope_u) = blurred_bar(u, bars.half_length, bars.per_blur);
-        let (long_v, long_slope_v) = blurred_bar(v, bars.half_length, bars.per_blur);
+        let (long_u, long_slope_u) = long_bar(u, bars.half_length, bars.per_blur);
+        let (long_v, long_slope_v) = long_bar(v, bars.half_length, bars.per_blur);
         let (wide_u, wide_slope_u) = blurred_bar(u, bars.half_width, bars.per_blur);
         let (wide_v, wide_slope_v) = blurred_bar(v, bars.half_width, bars.per_blur);
         share[n] = long_u * wide_v + wide_u * (long_v - wide_v);
@@ -184,6 +255,13 @@ pub fn cover(bars: &Bars, to_arms: [f32; 4], x: &[f32], y: &[f32], coverage: &mu
         slope_x[n] = ux * slope_u + vx * slope_v;
         slope_y[n] = uy * slope_u + vy * slope_v;
     }
+}
+
+/// The share and slope of a bar so long that its other end is not seen from either.
+#[inline(always)]
+fn long_blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
+    let (share, density) = normal_tail((at.abs() - half) * per_blur);
+    (share, -(density * per_blur).copysign(at))
 }
 
 /// The share that a blurred bar of some half length covers at an offset from its middle, and its slope.
@@ -311,12 +389,48 @@ mod tests {
     }
 
     #[test]
-    fn a_dot_product_is_the_sum_of_products_whatever_the_length() {
+    fn products_are_the_weighted_sums_of_products_whatever_the_length() {
+        for count in [0, 1, 7, 8, 9, 100] {
+            let (a, b, weights) = (wave(count, 0.3), wave(count, 0.7), wave(count, 1.1));
+            let plain: f32 = (0..count).map(|n| a[n] * b[n] * weights[n]).sum();
+            assert!((products([&a, &b], &weights)[1][0] - plain).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn column_sums_are_those_of_the_rows() {
+        let rows = wave(3 * 21, 0.3);
+        for (n, sum) in column_sums(&rows, 21).iter().enumerate() {
+            assert!((sum - rows[n] - rows[n + 21] - rows[n + 42]).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn combined_lists_hold_the_value_of_each_place_whatever_the_length() {
         for count in [0, 1, 7, 8, 9, 100] {
             let (a, b) = (wave(count, 0.3), wave(count, 0.7));
-            let plain: f32 = a.iter().zip(&b).map(|(a, b)| a * b).sum();
-            assert!((dot(&a, &b) - plain).abs() < 1e-4);
+            let plain: Vec<f32> = a.iter().zip(&b).map(|(a, b)| a - 2.0 * b).collect();
+            assert_eq!(combine([&a, &b], |[a, b]| a - 2.0 * b), plain);
         }
+    }
+
+    #[test]
+    fn a_divided_row_is_dark_where_light_is_missing_and_0_where_little_is_expected() {
+        let seen = [50.0, 100.0, 110.0, 300.0, 1.0];
+        let (mut light, mut darkness) = ([100.0, 50.0, 100.0, 50.0, 1.0], [9.0; 5]);
+        // 1, 2, 1, 4, ...: a polynomial through the first three.
+        divide_row(
+            &seen,
+            [1.0, 2.0, -1.0],
+            10.0,
+            20.0,
+            &mut light,
+            &mut darkness,
+        );
+        assert_eq!(light, [100.0, 100.0, 100.0, -100.0, 0.0]);
+        assert_eq!(darkness[..2], [0.5, 0.0]);
+        assert!((darkness[2] + 0.1).abs() < 1e-6);
+        assert_eq!(darkness[4], 0.0);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Where the disc is dark over about the size of a mark, whatever the camera's rotation.
 
 use super::{CrossShape, FlatDisc, Settings};
+use crate::lanes::{column_sums, combine};
 use crate::units::SensorPx;
 
 /// Bins along a mark's length; the disc is summed over such bins first.
@@ -20,6 +21,7 @@ pub(super) fn candidates(flat: &FlatDisc, shape: &CrossShape, settings: &Setting
     let pixels = (boxes.side_px * boxes.side_px) as f64;
     let mut dark: Vec<(usize, f32)> = boxes
         .peaks((settings.min_contrast * BOX_SHARE * pixels) as f32)
+        .into_iter()
         .filter(|(index, sum)| f64::from(*sum) > BOX_SIGMA * flat.noise(*index) * pixels.sqrt())
         .collect();
     dark.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -50,27 +52,27 @@ impl Boxes {
             .round()
             .max(1.0) as usize;
         let bins = flat.side() / bin_px;
-        let mut binned = vec![0.0_f32; bins * bins];
-        for (y, row) in flat
-            .values()
-            .chunks_exact(flat.side())
-            .enumerate()
-            .take(bins * bin_px)
-        {
-            let sums = &mut binned[y / bin_px * bins..][..bins];
-            for (sum, pixels) in sums.iter_mut().zip(row.chunks_exact(bin_px)) {
-                *sum += pixels.iter().sum::<f32>();
-            }
-        }
+        let rows_of_bins = flat.values().chunks_exact(bin_px * flat.side());
+        let binned: Vec<Vec<f32>> = rows_of_bins
+            .map(|rows| {
+                let columns = column_sums(rows, flat.side());
+                let mut binned = vec![0.0; bins];
+                for first in 0..bin_px {
+                    let of_bins = columns[first..].iter().step_by(bin_px);
+                    binned
+                        .iter_mut()
+                        .zip(of_bins)
+                        .for_each(|(sum, v)| *sum += v);
+                }
+                binned
+            })
+            .collect();
+        let three = |[a, b, c]: [&[f32]; BOX]| combine([a, b, c], |[a, b, c]| a + b + c);
         let count = (bins + 1).saturating_sub(BOX);
         let mut sums = Vec::with_capacity(count * count);
-        for y in 0..count {
-            let rows: [&[f32]; BOX] = std::array::from_fn(|n| &binned[(y + n) * bins..][..bins]);
-            sums.extend((0..count).map(|x| -> f32 {
-                rows.iter()
-                    .map(|row| row[x..x + BOX].iter().sum::<f32>())
-                    .sum()
-            }));
+        for rows in binned.windows(BOX) {
+            let columns = three([&rows[0], &rows[1], &rows[2]]);
+            sums.extend(three([&columns[..count], &columns[1..], &columns[2..]]));
         }
         Self {
             bin_px,
@@ -82,19 +84,20 @@ impl Boxes {
     }
 
     /// Boxes darker than a least sum that no neighbour exceeds: the flattened disc's index of the middle, and the sum.
-    fn peaks(&self, least: f32) -> impl Iterator<Item = (usize, f32)> {
-        let inner = 1..self.count.saturating_sub(1);
-        let places = inner
-            .clone()
-            .flat_map(move |y| inner.clone().map(move |x| (x, y)));
-        places.filter_map(move |(x, y)| {
-            let sum = self.sums[y * self.count + x];
-            let is_peak = || {
-                let rows = (y - 1..=y + 1).map(|y| &self.sums[y * self.count + x - 1..][..3]);
-                rows.flatten().all(|neighbour| *neighbour <= sum)
-            };
-            let middle = |n: usize| n * self.bin_px + self.side_px / 2;
-            (sum > least && is_peak()).then(|| (middle(y) * self.flat_side + middle(x), sum))
-        })
+    fn peaks(&self, least: f32) -> Vec<(usize, f32)> {
+        let middle = |n: usize| n * self.bin_px + self.side_px / 2;
+        let mut peaks = Vec::new();
+        for y in 1..self.count.saturating_sub(1) {
+            let row = |y: usize| &self.sums[y * self.count..][..self.count];
+            for (x, sum) in row(y).iter().enumerate().take(self.count - 1).skip(1) {
+                if *sum > least {
+                    let mut around = (y - 1..=y + 1).flat_map(|y| &row(y)[x - 1..=x + 1]);
+                    if around.all(|neighbour| neighbour <= sum) {
+                        peaks.push((middle(y) * self.flat_side + middle(x), *sum));
+                    }
+                }
+            }
+        }
+        peaks
     }
 }

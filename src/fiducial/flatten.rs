@@ -4,8 +4,10 @@ use super::{CrossShape, Illumination};
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
 use crate::frame::{Cutout, PixelNoise, Region};
 use crate::geometry::Ellipse;
+use crate::lanes::divide_row;
 use crate::units::SensorPx;
 use nalgebra::{Matrix4, Vector4};
+use std::ops::Range;
 
 /// The square reaches over the disc by this part of its radius: the outline is not final yet.
 const DISC_MARGIN: f64 = 0.02;
@@ -26,8 +28,10 @@ pub struct FlatDisc {
     top: isize,
     side: usize,
     darkness: Vec<f32>,
-    /// Light of the clean disc, DN; 0 where nothing is judged.
+    /// Light of the clean disc, DN.
     light: Vec<f32>,
+    /// Where the expected light is less, nothing is judged: the light is 0 there, DN.
+    least_light: f32,
     noise: PixelNoise,
     /// The scatter of the clean disc's pixels over their stated noise, at least 1.
     inflation: f64,
@@ -56,58 +60,63 @@ impl FlatDisc {
             left: (outline.centre.x - reach).floor() as isize,
             top: (outline.centre.y - reach).floor() as isize,
             side,
-            darkness: vec![0.0; side * side],
-            light: vec![0.0; side * side],
+            darkness: rows_of_zeros(side),
+            light: rows_of_zeros(side),
+            least_light: 0.0,
             noise: cutout.noise,
             inflation: 1.0,
         };
-        flat.expect_light(about, illumination);
+        flat.expect_light(&about, illumination);
         let ground = Ground::sample(&flat, cutout, about)?;
         let factor = ground.factor();
         flat.inflation = ground.scatter(&factor, &flat.noise).max(1.0);
-        flat.divide(cutout, about, &factor);
+        flat.divide(cutout, &about, &factor);
         Some(flat)
     }
 
+    /// The columns of a row of the sensor in the disc, as far as they lie in a region.
+    fn chord(&self, y: usize, about: &Region) -> Range<usize> {
+        let reach = self.outline.mean_radius() * (1.0 + DISC_MARGIN);
+        let dy = y as f64 - self.outline.centre.y;
+        let half = (reach * reach - dy * dy).max(0.0).sqrt();
+        let [from, to] = [-half, half].map(|side| (self.outline.centre.x + side).max(0.0) as usize);
+        from.clamp(about.x0, about.x1)..to.clamp(about.x0, about.x1)
+    }
+
     /// Fills in the expected light.
-    fn expect_light(&mut self, about: Region, illumination: &impl Illumination) {
+    fn expect_light(&mut self, about: &Region, illumination: &impl Illumination) {
+        /// Deep in the disc the light is quicker to tell than at the limb, so rows are filled in pieces.
+        const PIECE_PX: usize = 16;
         for y in about.y0..about.y1 {
-            let first = self.offset(about.x0, y);
-            let row = &mut self.light[first..first + about.width()];
-            illumination.fill(about.x0 as f64, y as f64, row);
+            let chord = self.chord(y, about);
+            let first = self.offset(chord.start, y);
+            let row = &mut self.light[first..first + chord.len()];
+            for (n, piece) in row.chunks_mut(PIECE_PX).enumerate() {
+                illumination.fill((chord.start + n * PIECE_PX) as f64, y as f64, piece);
+            }
         }
-        let brightest = self.light.iter().copied().fold(0.0, f32::max);
-        for light in &mut self.light {
-            *light = if *light < LEAST_LIGHT * brightest {
-                0.0
-            } else {
-                *light
-            };
-        }
+        let sample = self.light.iter().step_by(Ground::STRIDE_PX);
+        self.least_light = LEAST_LIGHT * sample.copied().fold(0.0, f32::max);
     }
 
     /// Fills in the darkness; the expected light becomes the disc's own.
-    fn divide(&mut self, cutout: &Cutout, about: Region, factor: &LightFactor) {
-        let brightest = self.light.iter().copied().fold(0.0, f32::max);
-        let most_excess_dn =
-            self.noise.sigma_dn(brightest.into()) * BRIGHTEST_SIGMA * self.inflation;
-        let most_excess_dn = most_excess_dn as f32;
+    fn divide(&mut self, cutout: &Cutout, about: &Region, factor: &LightFactor) {
+        let brightest = f64::from(self.least_light / LEAST_LIGHT);
+        let most_excess_dn = BRIGHTEST_SIGMA * self.inflation * self.noise.sigma_dn(brightest);
+        let (most_excess_dn, least_light) = (most_excess_dn as f32, self.least_light);
         for y in about.y0..about.y1 {
-            let first = self.offset(about.x0, y);
-            let pixels = first..first + about.width();
-            let seen = &cutout.row(y)[about.x0 - self.known.x0..];
-            let masked = &cutout.mask.row(y)[about.x0 - self.known.x0..];
+            let chord = self.chord(y, about);
+            let first = self.offset(chord.start, y);
+            let pixels = first..first + chord.len();
+            let columns = chord.start - self.known.x0..chord.end - self.known.x0;
+            let seen = &cutout.row(y)[columns.clone()];
             let (darkness, light) = (&mut self.darkness[pixels.clone()], &mut self.light[pixels]);
-            factor.scale_row(about.x0, y, light);
-            for (((darkness, light), seen), masked) in
-                darkness.iter_mut().zip(light).zip(seen).zip(masked)
-            {
-                let left = seen.min(*light + most_excess_dn) / light.max(f32::MIN_POSITIVE);
-                *darkness = if *masked | (*light <= 0.0) {
-                    0.0
-                } else {
-                    1.0 - left
-                };
+            let factor = factor.along_row(chord.start, y);
+            divide_row(seen, factor, least_light, most_excess_dn, light, darkness);
+            for (darkness, masked) in darkness.iter_mut().zip(&cutout.mask.row(y)[columns]) {
+                if *masked {
+                    *darkness = 0.0;
+                }
             }
         }
     }
@@ -180,18 +189,24 @@ impl LightFactor {
         ]
     }
 
-    /// Multiplies the light on a row's pixels from column `x` on.
-    fn scale_row(&self, x: usize, y: usize, light: &mut [f32]) {
+    /// The factor on a row's pixels from column `x` on: a polynomial of second degree in the pixel's number, the constant first.
+    fn along_row(&self, x: usize, y: usize) -> [f32; 3] {
         let [u, v] = Self::offset(&self.outline, x, y);
+        let step = 1.0 / self.outline.mean_radius();
         let [even, along_u, along_v, square] = self.coefficients.into();
-        let of_row = (even + along_v * v + square * v * v) as f32;
-        let (u, step) = (u as f32, 1.0 / self.outline.mean_radius() as f32);
-        let (along_u, square) = (along_u as f32, square as f32);
-        for (n, light) in light.iter_mut().enumerate() {
-            let u = u + n as i32 as f32 * step;
-            *light *= of_row + u * (along_u + u * square);
-        }
+        let first = even + along_u * u + along_v * v + square * (u * u + v * v);
+        let slope = (along_u + 2.0 * square * u) * step;
+        [first, slope, square * step * step].map(|v| v as f32)
     }
+}
+
+/// A square of zeros, filled row by row: long fills in one go are slow to begin.
+fn rows_of_zeros(side: usize) -> Vec<f32> {
+    let mut square = Vec::with_capacity(side * side);
+    for row in 1..=side {
+        square.resize(row * side, 0.0);
+    }
+    square
 }
 
 /// A sparse sample of the disc's pixels.
@@ -226,7 +241,7 @@ impl Ground {
             for x in (first..about.x1).step_by(Self::STRIDE_PX) {
                 let light = f64::from(flat.light[flat.offset(x, y)]);
                 let column = x - cutout.region().x0;
-                if light > 0.0 && !masked[column] {
+                if light >= f64::from(flat.least_light) && !masked[column] {
                     let [u, v] = LightFactor::offset(&flat.outline, x, y);
                     pixels.push(GroundPixel {
                         basis: Vector4::new(1.0, u, v, u * u + v * v),

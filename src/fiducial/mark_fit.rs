@@ -4,7 +4,8 @@ use super::CrossShape;
 use super::patch::Patch;
 use crate::estimation::clipped_sigma;
 use crate::frame::PixelNoise;
-use crate::lanes::dot;
+use crate::lanes::{Coverage, combine, larger, products, smaller};
+use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2, Vector6};
 
 /// A step as short as this ends where the next one would, px: a tenth of what the noise of a clean frame leaves.
@@ -63,15 +64,14 @@ impl MarkFit<'_> {
     /// Steps until the place settles. `None` when the pixels are too few, or the place goes farther than a mark may be.
     pub(super) fn run(&self, farthest_px: f64) -> Option<Settled> {
         let mut unknowns = Unknowns::from(EXPECTED);
-        let mut model = Linearised::of_length(self.patch.pixels());
-        let mut weights = vec![1.0; self.patch.pixels()];
+        let mut weights = self.patch.counts.clone();
         // The very first model is too far off to tell outliers.
         let mut reduced_chi2 = 1.0;
         let mut last_move = Vector2::zeros();
         for step_number in 0..MOST_STEPS {
-            self.linearise(&unknowns, &mut model);
+            let model = linearise(self, &unknowns);
             if (1..REWEIGHTED_STEPS).contains(&step_number) {
-                model.reweight(&mut weights);
+                weights = model.weights(&self.patch.counts).unwrap_or(weights);
             }
             let normal = model.normal_equations(&weights)?;
             let mut step = normal.step(&unknowns, reduced_chi2)?;
@@ -100,45 +100,71 @@ impl MarkFit<'_> {
         }
         None
     }
+}
 
-    /// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
-    fn linearise(&self, unknowns: &Unknowns, model: &mut Linearised) {
-        let patch = self.patch;
-        let count = patch.pixels();
-        let at = unknowns.map(|v| v as f32);
-        let [x, y] = [(&patch.x, at[X]), (&patch.y, at[Y])]
-            .map(|(list, moved)| list.iter().map(|v| v - moved).collect::<Vec<f32>>());
-        let coverage = self.shape.coverage(&x, &y, &self.to_arms);
-        let blur_variance = self.shape.blur_px.powi(2) as f32;
-        let per_reach = 1.0 / self.reach as f32;
-        let Linearised {
-            slopes: [by_x, by_y, by_contrast, by_level, by_tilt_x, by_tilt_y],
-            residuals,
-            allowed,
-        } = model;
-        for n in 0..count {
-            let light = patch.light[n];
-            let (slope_x, slope_y) = (coverage.slope_x[n], coverage.slope_y[n]);
-            // The light that a mark of contrast 1 takes.
-            let taken = light * coverage.share[n]
-                + blur_variance * (patch.slope_x[n] * slope_x + patch.slope_y[n] * slope_y);
-            let left = light - at[CONTRAST] * taken;
-            let (tilt_x, tilt_y) = (patch.x[n] * per_reach, patch.y[n] * per_reach);
-            let level = at[LEVEL] + at[TILT_X] * tilt_x + at[TILT_Y] * tilt_y;
-            let left_out = LEFT_OUT * blur_variance * patch.bend[n];
-            let variance =
-                self.noise.variance(f64::from(level * left)) as f32 + left_out * left_out;
-            let per_sigma = 1.0 / variance.sqrt();
-            let dark = per_sigma * level * at[CONTRAST] * light;
-            by_x[n] = dark * slope_x;
-            by_y[n] = dark * slope_y;
-            by_contrast[n] = -per_sigma * level * taken;
-            by_level[n] = per_sigma * left;
-            by_tilt_x[n] = per_sigma * left * tilt_x;
-            by_tilt_y[n] = per_sigma * left * tilt_y;
-            residuals[n] = per_sigma * (patch.seen[n] - level * left);
-            allowed[n] = per_sigma * MODEL_ERROR * light;
-        }
+/// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
+#[multiversion(targets("x86_64+avx2"))]
+fn linearise(fit: &MarkFit<'_>, unknowns: &Unknowns) -> Linearised {
+    let Patch {
+        x,
+        y,
+        seen,
+        light,
+        slope_x,
+        slope_y,
+        bend,
+        ..
+    } = fit.patch;
+    let [at_x, at_y, contrast, even, tilt_x, tilt_y] = unknowns.map(|v| v as f32).into();
+    let [from_x, from_y] = [(x, at_x), (y, at_y)].map(|(x, at)| combine([x], |[x]| x - at));
+    let coverage = fit.shape.coverage(&from_x, &from_y, &fit.to_arms);
+    let blur_variance = fit.shape.blur_px.powi(2) as f32;
+    let per_reach = 1.0 / fit.reach as f32;
+    // The light that a mark of contrast 1 takes, and what this one leaves.
+    let Coverage {
+        share,
+        slope_x: share_x,
+        slope_y: share_y,
+    } = &coverage;
+    let taken = combine(
+        [light, share, slope_x, share_x, slope_y, share_y],
+        |[light, share, slope_x, share_x, slope_y, share_y]| {
+            light * share + blur_variance * (slope_x * share_x + slope_y * share_y)
+        },
+    );
+    let left = combine([light, &taken], |[light, taken]| light - contrast * taken);
+    let level = combine([x, y], |[x, y]| {
+        even + (tilt_x * x + tilt_y * y) * per_reach
+    });
+    let per_sigma = combine([&level, &left, bend], |[level, left, bend]| {
+        let left_out = f64::from(LEFT_OUT * blur_variance * bend);
+        let variance = fit.noise.variance(f64::from(level * left)) + left_out * left_out;
+        (1.0 / variance.sqrt()) as f32
+    });
+    let scale = combine([&per_sigma, &level], |[per_sigma, level]| per_sigma * level);
+    let by_place = |share: &[f32]| {
+        combine([&scale, light, share], |[scale, light, share]| {
+            scale * contrast * light * share
+        })
+    };
+    let by_level = combine([&per_sigma, &left], |[per_sigma, left]| per_sigma * left);
+    let by_tilt = |x: &[f32]| combine([&by_level, x], |[by_level, x]| by_level * x * per_reach);
+    Linearised {
+        residuals: combine(
+            [&per_sigma, seen, &level, &left],
+            |[per_sigma, seen, level, left]| per_sigma * (seen - level * left),
+        ),
+        allowed: combine([&per_sigma, light], |[per_sigma, light]| {
+            per_sigma * MODEL_ERROR * light
+        }),
+        slopes: [
+            by_place(share_x),
+            by_place(share_y),
+            combine([&scale, &taken], |[scale, taken]| -scale * taken),
+            by_level.clone(),
+            by_tilt(x),
+            by_tilt(y),
+        ],
     }
 }
 
@@ -153,28 +179,21 @@ struct Linearised {
 }
 
 impl Linearised {
-    fn of_length(count: usize) -> Self {
-        Self {
-            slopes: std::array::from_fn(|_| vec![0.0; count]),
-            residuals: vec![0.0; count],
-            allowed: vec![0.0; count],
-        }
-    }
-
-    /// Weights 1 of pixels within a limit of the model and 0 beyond twice that: the limit by the scatter that most pixels show,
-    /// at least the stated one, and by what the model may be off.
-    fn reweight(&self, weights: &mut [f32]) {
+    /// Weights 1 of pixels within a limit of the model and 0 beyond twice that, of those that count: the limit by the scatter that
+    /// most pixels show, at least the stated one, and by what the model may be off. `None` of too few pixels.
+    fn weights(&self, counts: &[f32]) -> Option<Vec<f32>> {
         // Outliers must not widen the limit by themselves, so the scatter starts from what is expected.
-        let model_error = self.allowed.iter().copied().fold(0.0, f32::max);
-        let Some(scatter) = clipped_sigma(&self.residuals, (0.5 * model_error).max(1.0), 1.0)
-        else {
-            return;
-        };
+        let model_error = self.allowed.iter().copied().fold(0.0, larger);
+        let counted = combine([&self.residuals, counts], |[residual, counts]| {
+            residual * counts
+        });
+        let scatter = clipped_sigma(&counted, (0.5 * model_error).max(1.0), 1.0)?;
         let limit = (DOUBTED_SIGMA * scatter) as f32;
-        let pixels = self.residuals.iter().zip(&self.allowed);
-        for (weight, (residual, allowed)) in weights.iter_mut().zip(pixels) {
-            *weight = (2.0 - residual.abs() / (limit + allowed)).clamp(0.0, 1.0);
-        }
+        let weight = |[residual, allowed, counts]: [f32; 3]| {
+            let weight = 2.0 - residual.abs() / (limit + allowed);
+            counts * larger(smaller(weight, 1.0), 0.0)
+        };
+        Some(combine([&self.residuals, &self.allowed, counts], weight))
     }
 
     /// `None` of too few pixels.
@@ -183,27 +202,15 @@ impl Linearised {
         if pixels < MIN_PIXELS_PER_UNKNOWN * UNKNOWNS {
             return None;
         }
-        let weighted = |list: &Vec<f32>| -> Vec<f32> {
-            list.iter()
-                .zip(weights)
-                .map(|(v, weight)| v * weight)
-                .collect()
-        };
-        let mut information = Matrix6::zeros();
-        let mut gradient = Vector6::zeros();
-        for (m, slopes) in self.slopes.iter().enumerate() {
-            let slopes = weighted(slopes);
-            gradient[m] = f64::from(dot(&slopes, &self.residuals));
-            for n in 0..=m {
-                information[(m, n)] = f64::from(dot(&slopes, &self.slopes[n]));
-                information[(n, m)] = information[(m, n)];
-            }
-        }
+        // The last row and column belong to the residuals.
+        let [a, b, c, d, e, f] = &self.slopes;
+        let sums = products([a, b, c, d, e, f, &self.residuals], weights);
+        let sum = |m: usize, n: usize| f64::from(sums[m.max(n)][m.min(n)]);
         let total: f32 = weights.iter().sum();
         Some(NormalEquations {
-            information,
-            gradient,
-            chi2: f64::from(dot(&weighted(&self.residuals), &self.residuals)),
+            information: Matrix6::from_fn(sum),
+            gradient: Vector6::from_fn(|m, _| sum(m, UNKNOWNS)),
+            chi2: sum(UNKNOWNS, UNKNOWNS),
             freedoms: f64::from(total) * (1.0 - UNKNOWNS as f64 / pixels as f64),
             pixels,
         })

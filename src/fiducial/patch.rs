@@ -2,6 +2,7 @@
 
 use crate::frame::{Cutout, Region};
 use crate::units::SensorPx;
+use std::ops::Range;
 
 /// The light that falls on the plate's marks, behind the lens's blur, as it would be without marks.
 pub trait Illumination {
@@ -21,7 +22,7 @@ impl<F: Fn(f64, f64) -> f64> Illumination for F {
 const LEAST_LIGHT: f32 = 0.05;
 
 /// The pixels about a mark, one list for each quantity.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Patch {
     /// Offset from where the mark is expected, px.
     pub x: Vec<f32>,
@@ -34,54 +35,82 @@ pub(super) struct Patch {
     pub slope_y: Vec<f32>,
     /// How much that slope changes (div grad), DN/px^2.
     pub bend: Vec<f32>,
+    /// 1 for pixels that count, 0 for masked and unlit ones.
+    pub counts: Vec<f32>,
 }
 
 impl Patch {
-    /// The lit pixels within `reach` of a place, without the masked ones.
+    /// The pixels within `reach` of a place; `None` when the cutout has none of them.
     pub(super) fn about(
         place: SensorPx,
         reach: f64,
         cutout: &Cutout,
         illumination: &impl Illumination,
-    ) -> Self {
-        let mut patch = Self::default();
+    ) -> Option<Self> {
         let region = cutout.region();
-        let Some(about) = Region::around(place, reach, region.x1, region.y1) else {
-            return patch;
-        };
-        let Some(about) = about.intersection(&region) else {
-            return patch;
-        };
+        let about = Region::around(place, reach, region.x1, region.y1)?.intersection(&region)?;
         let map = LightMap::over(about, illumination);
         let least = LEAST_LIGHT * map.brightest();
+        let mut patch = Self::with_capacity(about.width() * about.height());
         for y in about.y0..about.y1 {
             let dy = y as f64 - place.y;
             let half = (reach * reach - dy * dy).max(0.0).sqrt();
-            let first = ((place.x - half).ceil().max(0.0) as usize).max(about.x0);
-            let end = ((place.x + half).ceil().max(0.0) as usize).min(about.x1);
-            let (seen, masked) = (cutout.row(y), cutout.mask.row(y));
-            for x in first..end {
-                let (light, column) = (map.at(x, y), x - region.x0);
-                if light[LightMap::HERE] > least && !masked[column] {
-                    patch.push(
-                        [(x as f64 - place.x) as f32, dy as f32],
-                        seen[column],
-                        light,
-                    );
-                }
-            }
+            let first = ((place.x - half).ceil().max(0.0) as usize).clamp(about.x0, about.x1);
+            let end = ((place.x + half).ceil().max(0.0) as usize).clamp(first, about.x1);
+            let columns = first - region.x0..end - region.x0;
+            patch.add_places((first as f64 - place.x) as f32, dy as f32, columns.len());
+            patch
+                .seen
+                .extend_from_slice(&cutout.row(y)[columns.clone()]);
+            patch.add_light(map.rows_about(first..end, y));
+            let masked = &cutout.mask.row(y)[columns];
+            let lit = &patch.light[patch.light.len() - masked.len()..];
+            let counts = lit
+                .iter()
+                .zip(masked)
+                .map(|(light, masked)| *light > least && !masked);
+            patch
+                .counts
+                .extend(counts.map(|counts| f32::from(u8::from(counts))));
         }
-        patch
+        Some(patch)
     }
 
-    fn push(&mut self, [x, y]: [f32; 2], seen: f32, [here, left, right, above, below]: [f32; 5]) {
-        self.x.push(x);
-        self.y.push(y);
-        self.seen.push(seen);
-        self.light.push(here);
-        self.slope_x.push((right - left) / 2.0);
-        self.slope_y.push((below - above) / 2.0);
-        self.bend.push(left + right + above + below - 4.0 * here);
+    fn with_capacity(pixels: usize) -> Self {
+        let [x, y, seen, light, slope_x, slope_y, bend, counts] =
+            std::array::from_fn(|_| Vec::with_capacity(pixels));
+        Self {
+            x,
+            y,
+            seen,
+            light,
+            slope_x,
+            slope_y,
+            bend,
+            counts,
+        }
+    }
+
+    fn add_places(&mut self, first_x: f32, y: f32, count: usize) {
+        self.x.extend((0..count as i32).map(|n| first_x + n as f32));
+        self.y.resize(self.y.len() + count, y);
+    }
+
+    /// Adds the light of a row: rows of light, each with one more pixel at either end, above, here and below.
+    fn add_light(&mut self, [above, here, below]: [&[f32]; 3]) {
+        let inner = 1..here.len() - 1;
+        let (left, right) = (&here[..here.len() - 2], &here[2..]);
+        let (above, here, below) = (&above[inner.clone()], &here[inner.clone()], &below[inner]);
+        self.light.extend_from_slice(here);
+        self.slope_x
+            .extend(left.iter().zip(right).map(|(l, r)| (r - l) / 2.0));
+        self.slope_y
+            .extend(above.iter().zip(below).map(|(a, b)| (b - a) / 2.0));
+        let sums = left.iter().zip(right).zip(above).zip(below);
+        let bends = sums
+            .zip(here)
+            .map(|((((l, r), a), b), here)| l + r + a + b - 4.0 * here);
+        self.bend.extend(bends);
     }
 
     pub(super) fn pixels(&self) -> usize {
@@ -97,8 +126,6 @@ struct LightMap {
 }
 
 impl LightMap {
-    const HERE: usize = 0;
-
     fn over(region: Region, illumination: &impl Illumination) -> Self {
         let stride = region.width() + 2;
         let mut light = vec![0.0; stride * (region.height() + 2)];
@@ -117,16 +144,10 @@ impl LightMap {
         self.light.iter().copied().fold(0.0, f32::max)
     }
 
-    /// The light on a pixel of the region, and to the left, to the right, above and below.
-    fn at(&self, x: usize, y: usize) -> [f32; 5] {
-        let here = (y - self.region.y0 + 1) * self.stride + (x - self.region.x0 + 1);
-        [
-            here,
-            here - 1,
-            here + 1,
-            here - self.stride,
-            here + self.stride,
-        ]
-        .map(|n| self.light[n])
+    /// The light on some columns of a row of the region and one more at either end: in the row above, in this one and below.
+    fn rows_about(&self, columns: Range<usize>, y: usize) -> [&[f32]; 3] {
+        let before = columns.start - self.region.x0;
+        let above = (y - self.region.y0) * self.stride + before;
+        [0, 1, 2].map(|n| &self.light[above + n * self.stride..][..columns.len() + 2])
     }
 }

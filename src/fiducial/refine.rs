@@ -82,7 +82,7 @@ impl Refiner {
     ) -> Option<RefinedMark> {
         let reach = self.reach_px();
         let fit = MarkFit {
-            patch: &Patch::about(start, reach, cutout, illumination),
+            patch: &Patch::about(start, reach, cutout, illumination)?,
             shape: &self.shape,
             to_arms: jacobian.try_inverse()? / self.scale_mil_per_px,
             reach,
