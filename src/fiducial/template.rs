@@ -17,6 +17,9 @@ pub(super) struct Window {
     ring: Vec<Option<usize>>,
 }
 
+/// So many rings about the middle: over a wider one what is round changes.
+const RINGS_PER_PX: f32 = 2.0;
+
 impl Window {
     pub(super) fn within(radius_px: f64) -> Self {
         let reach = radius_px as usize;
@@ -26,7 +29,7 @@ impl Window {
         let (x, y): (Vec<f32>, Vec<f32>) = places.map(|(x, y)| (offset(x), offset(y))).unzip();
         let ring = |(x, y): (&f32, &f32)| {
             let distance = x.hypot(*y);
-            (f64::from(distance) <= radius_px).then_some(distance as usize)
+            (f64::from(distance) <= radius_px).then_some((RINGS_PER_PX * distance) as usize)
         };
         Self {
             reach,
@@ -53,7 +56,8 @@ impl Window {
     /// Values less their mean over the ring that each lies in: nothing is left of what is round about the middle. 0 outside
     /// the radius.
     pub(super) fn without_round_part(&self, values: &[f32]) -> Vec<f32> {
-        let mut sums = vec![(0.0_f32, 0.0_f32); self.reach + 1];
+        let rings = RINGS_PER_PX as usize * (self.reach + 1);
+        let mut sums = vec![(0.0_f32, 0.0_f32); rings];
         for (value, ring) in values.iter().zip(&self.ring) {
             if let Some(ring) = ring {
                 sums[*ring].0 += value;
@@ -209,7 +213,7 @@ mod tests {
                 .map(|((x, y), weight)| weight * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp())
                 .sum();
             assert!(
-                f64::from(sum.abs()) < 0.02 * template.energy,
+                f64::from(sum.abs()) < 0.01 * template.energy,
                 "{sum} of {} at {sigma}",
                 template.energy
             );

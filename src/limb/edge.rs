@@ -17,7 +17,7 @@
 
 use super::band::{Band, SectorPixels, middle_of_sector};
 use super::profile::Profile;
-use super::sums::{COLUMNS, Weighing, sector_sums};
+use super::sums::{COLUMNS, SECTOR, Weighing, sector_sums};
 use crate::estimation::clipped_sigma;
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
@@ -34,12 +34,11 @@ pub struct LimbPoint {
 
 /// What differs from sector to sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
 /// background (DN), excess of the blur's variance (px^2), the displaced part of the light times its displacement (px).
-pub(super) const SECTOR: usize = 5;
-pub(super) const SHIFT: usize = 0;
-pub(super) const ILLUMINATION: usize = 1;
-pub(super) const BACKGROUND: usize = 2;
-pub(super) const BLUR: usize = 3;
-pub(super) const COMA_SHIFT: usize = 4;
+const SHIFT: usize = 0;
+const ILLUMINATION: usize = 1;
+const BACKGROUND: usize = 2;
+const BLUR: usize = 3;
+const COMA_SHIFT: usize = 4;
 /// Those that a sector has of its own, beside the smooth course: shift, illumination, background.
 const OWN: usize = 3;
 
@@ -68,8 +67,8 @@ const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 /// Where less than this part of the information on the shift is independent of the illumination, it is not determined.
 const LEAST_OWN_PART: f64 = 1e-3;
 /// A point so uncertain, or so far from the ellipse, is rejected; in blurs.
-const MOST_SIGMA_BLURS: f64 = 0.7;
-const MOST_SHIFT_BLURS: f64 = 3.0;
+const MOST_SIGMA_BLURS: f64 = 0.75;
+const MOST_SHIFT_BLURS: f64 = 3.2;
 
 /// How the limb departs round the disc from one and the same profile.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -129,7 +129,7 @@ const ROUGHLY_SETTLED_BLURS: f64 = 0.5;
 /// A profile taken about an outline that was farther off is smeared, in blurs.
 const STEADY_BLURS: f64 = 0.3;
 /// How far the passes may lead away from the first outline, in blurs.
-const MOST_BLURS_AWAY: f64 = 8.0;
+const MOST_BLURS_AWAY: f64 = 8.5;
 /// The band about an outline reaches so many blurs, and at least so many px: inside the light hardly bends any more, outside
 /// pixels show the background.
 const INSIDE: (f64, f64) = (5.0, 7.0);

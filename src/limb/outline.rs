@@ -39,7 +39,7 @@ const CONTRADICTION_SIGMAS: f64 = 5.0;
 /// A start is far off where half of the points are so many sigma from it; a circle is first fitted there, with so many times the
 /// information that the outline is round.
 const FAR_OFF_SIGMAS: f64 = 4.0;
-const ROUND: f64 = 100.0;
+const ROUND: f64 = 1e6;
 /// Fewer points make no outline.
 const MIN_POINTS: usize = 6;
 /// Neighbouring points are averaged over arcs of so many sectors.

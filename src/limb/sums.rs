@@ -1,12 +1,13 @@
 //! The kernel of the limb's fit: sums over the pixels of a sector, eight of them side by side.
 
-use super::edge::SECTOR;
 use super::profile::Profile;
 use crate::estimation::TUKEY_SIGMAS;
 use crate::frame::PixelNoise;
 use crate::lanes::LANES;
 use multiversion::multiversion;
 
+/// Quantities of a sector: shift, illumination, background, variance of the blur, coma.
+pub(super) const SECTOR: usize = 5;
 /// Derivatives of the model by a sector's quantities and, last, the residual.
 pub(super) const COLUMNS: usize = SECTOR + 1;
 
@@ -109,7 +110,6 @@ fn add(
 
 #[cfg(test)]
 mod tests {
-    use super::super::edge::COMA_BLURS;
     use super::*;
 
     #[test]
@@ -123,7 +123,7 @@ mod tests {
         };
         let model = Weighing {
             profile: &profile,
-            wide: &profile.with_blur(COMA_BLURS * profile.blur_px),
+            wide: &profile.with_blur(2.1 * profile.blur_px),
             course: [0.0, 0.01, 0.5, 0.0, 0.02],
             noise: PixelNoise {
                 dark_dn2: 20.0,
