@@ -30,8 +30,6 @@ pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
 pub(super) const CONTRAST: usize = 2;
 pub(super) const LEVEL: usize = 3;
-const TILT_X: usize = 4;
-const TILT_Y: usize = 5;
 const UNKNOWNS: usize = 6;
 /// The unknowns before the fit, and what is known of them, 1 / sigma: it holds in place what a saturated or cut patch does
 /// not determine.

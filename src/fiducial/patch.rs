@@ -112,10 +112,6 @@ impl Patch {
             .map(|((((l, r), a), b), here)| l + r + a + b - 4.0 * here);
         self.bend.extend(bends);
     }
-
-    pub(super) fn pixels(&self) -> usize {
-        self.x.len()
-    }
 }
 
 /// Light without marks on the pixels of a region and of one more pixel around.
