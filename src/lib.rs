@@ -17,7 +17,7 @@
 //! | `backoff` | waits between attempts |
 //! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | [`log`] | the log on standard error, for which nothing waits |
-//! | `lanes` | what makes loops over pixels quick |
+//! | `kernels` | loops over pixels that are worked on side by side |
 //! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate, cameras that see directions, attitudes; robust scale, least squares and Kalman filter; a picture and what is known of it; how well the clock is held |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
@@ -51,7 +51,7 @@ pub mod fits;
 pub mod frame;
 pub mod geometry;
 pub mod instrument;
-mod lanes;
+mod kernels;
 pub mod limb;
 pub mod link;
 pub mod log;

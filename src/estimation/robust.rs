@@ -1,6 +1,6 @@
 //! Location, scale and loss that a minority of outliers hardly changes.
 
-use crate::lanes::LANES;
+use crate::kernels::LANES;
 use multiversion::multiversion;
 use std::borrow::Borrow;
 

@@ -1,7 +1,7 @@
 //! Where the disc is dark over about the size of a mark, whatever the camera's rotation.
 
 use super::{CrossShape, FlatDisc, Settings};
-use crate::lanes::{column_sums, combine};
+use crate::kernels::{column_sums, combine};
 use crate::units::SensorPx;
 
 /// Bins along a mark's length; the disc is summed over such bins first.

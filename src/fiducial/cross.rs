@@ -1,7 +1,7 @@
 //! A printed cross as the camera sees it: two bars behind a Gaussian blur.
 
 use crate::frame::PIXEL_VARIANCE_PX2;
-use crate::lanes::{Bars, Coverage, cover};
+use crate::kernels::{Bars, Coverage, cover};
 use crate::plate::Cross;
 use nalgebra::{Matrix2, Rotation2};
 

@@ -4,7 +4,7 @@ use super::{CrossShape, Illumination};
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
 use crate::frame::{Cutout, PixelNoise, Region};
 use crate::geometry::Ellipse;
-use crate::lanes::divide_row;
+use crate::kernels::divide_row;
 use crate::units::SensorPx;
 use nalgebra::{Matrix4, Vector4};
 use std::ops::Range;

@@ -4,7 +4,7 @@ use super::CrossShape;
 use super::patch::Patch;
 use crate::estimation::clipped_sigma;
 use crate::frame::PixelNoise;
-use crate::lanes::{Coverage, combine, larger, products, smaller};
+use crate::kernels::{Coverage, combine, larger, products, smaller};
 use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2, Vector6};
 

@@ -1,7 +1,7 @@
 //! Matched filters: weights for the pixels about a place of the flattened disc.
 
 use super::FlatDisc;
-use crate::lanes::{LANES, correlate};
+use crate::kernels::{LANES, correlate};
 
 /// The pixels within a radius of one of them: a square about it, row by row, each row filled up to whole lanes.
 #[derive(Debug, Clone)]

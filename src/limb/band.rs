@@ -2,7 +2,7 @@
 
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
-use crate::lanes::smaller;
+use crate::kernels::smaller;
 use multiversion::multiversion;
 use nalgebra::Vector2;
 

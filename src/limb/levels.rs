@@ -77,14 +77,15 @@ fn brighter(frame: &Frame, dn: f64) -> Histogram {
     for round in 0..ROUNDS {
         let first = BRIGHT_ROWS_PX / 2 + round * BRIGHT_ROWS_PX;
         for y in (first..frame.height()).step_by(ROUNDS * BRIGHT_ROWS_PX) {
-            let row = frame.row_dn(y, 0..frame.width());
-            // Most of a row is dark.
-            let lit = row
-                .chunks(2 * GROUP_PX)
-                .filter(|group| group.iter().any(bright));
-            for pair in lit.flat_map(|group| group.as_chunks::<2>().0) {
-                if pair.iter().all(bright) {
-                    histogram.add(&pair[1..]);
+            for x in (0..frame.width()).step_by(STRETCH_PX) {
+                let stretch = x..(x + STRETCH_PX).min(frame.width());
+                if !frame.is_brighter(y, stretch.clone(), dn) {
+                    continue;
+                }
+                for pair in frame.row_dn(y, stretch).as_chunks::<2>().0 {
+                    if pair.iter().all(bright) {
+                        histogram.add(&pair[1..]);
+                    }
                 }
             }
         }

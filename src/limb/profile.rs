@@ -9,7 +9,7 @@
 //! Both are formulas, so that many pixels go through them side by side.
 
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
-use crate::lanes::{larger, normal_tail, smaller};
+use crate::kernels::{larger, normal_tail, smaller};
 use nalgebra::{RowSVector, SVector, Vector1};
 
 /// Brightness across the limb, DN, by the distance outwards from it, px.

@@ -3,7 +3,7 @@
 use super::profile::Profile;
 use crate::estimation::TUKEY_SIGMAS;
 use crate::frame::PixelNoise;
-use crate::lanes::LANES;
+use crate::kernels::LANES;
 use multiversion::multiversion;
 
 /// Quantities of a sector: shift, illumination, background, variance of the blur, coma.

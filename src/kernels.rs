@@ -1,9 +1,8 @@
-//! What makes loops over pixels quick: numbers that the compiler can work on side by side, and lists that are used again.
+//! Kernels: the loops over pixels that the processor works on side by side, each held to a plain twin by a test.
+//!
+//! The limb's kernel, which evaluates its model on the way, stands beside that model (`limb::sums`).
 
 use multiversion::multiversion;
-use std::cell::RefCell;
-use std::ops::{Deref, DerefMut};
-use std::thread::LocalKey;
 
 /// Numbers that the processor works on side by side.
 pub const LANES: usize = 8;
@@ -14,19 +13,7 @@ pub fn groups(list: &[f32]) -> &[[f32; LANES]] {
     list.as_chunks().0
 }
 
-/// The same, to be changed.
-#[inline(always)]
-pub fn groups_mut(list: &mut [f32]) -> &mut [[f32; LANES]] {
-    list.as_chunks_mut().0
-}
-
-/// A number, and those that follow by ones.
-#[inline(always)]
-pub fn counted_lanes(first: f32) -> [f32; LANES] {
-    std::array::from_fn(|k| first + k as f32)
-}
-
-/// The larger of two numbers, neither of which is no number: the processor's own comparison, where [`f32::max`] takes three.
+/// The larger of two numbers, neither of them NaN: the processor's own comparison, where [`f32::max`] takes three.
 #[inline(always)]
 pub fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
@@ -39,18 +26,7 @@ pub fn smaller(a: f32, b: f32) -> f32 {
 }
 
 /// Above it the last bit of a number stands for 1.
-pub const WHOLES: f32 = 12_582_912.0;
-
-/// The whole part of a number from 0 to 4 million, and what is left of it, 0 to 1 both included; by way of the number's own
-/// bits, which is done side by side where a conversion is not.
-#[inline(always)]
-pub fn split(number: f32) -> (u32, f32) {
-    let shifted = number - 0.5 + WHOLES;
-    (
-        shifted.to_bits().wrapping_sub(WHOLES.to_bits()),
-        number - (shifted - WHOLES),
-    )
-}
+const WHOLES: f32 = 12_582_912.0;
 
 /// The normal distribution's tail beyond z (Abramowitz and Stegun, Handbook of Mathematical Functions, 26.2.16, to 1e-5),
 /// and its density there.
@@ -272,114 +248,6 @@ fn blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
     (near - far, (far_density - near_density) * per_blur)
 }
 
-/// A list whose memory comes from the thread's earlier lists and goes to its later ones: a frame needs dozens, and getting
-/// them anew, or filling them with zeros, costs as much as a stage of the pipeline.
-#[derive(Debug)]
-pub struct Scratch<T: Reused> {
-    list: Vec<T>,
-    class: usize,
-}
-
-/// What scratch lists are made of.
-pub trait Reused: Copy + Default + 'static {
-    /// Lists that nobody uses, by the class of their size.
-    fn shelf() -> &'static LocalKey<RefCell<Shelf<Self>>>;
-}
-
-type Shelf<T> = [Vec<Vec<T>>; CLASSES];
-/// Classes of size, each of twice the size of the one before.
-const CLASSES: usize = 32;
-/// Memory that is filled in one go.
-const FILL_BYTES: usize = 1024;
-/// Lists of a class that are kept.
-const MOST_KEPT: usize = 32;
-
-macro_rules! reused {
-    ($kind:ty) => {
-        impl Reused for $kind {
-            fn shelf() -> &'static LocalKey<RefCell<Shelf<Self>>> {
-                thread_local!(static SHELF: RefCell<Shelf<$kind>> = RefCell::default());
-                &SHELF
-            }
-        }
-    };
-}
-reused!(f32);
-reused!(u16);
-reused!(u32);
-reused!(u64);
-
-impl<T: Reused> Scratch<T> {
-    /// So many values, whatever they are: the caller writes them all.
-    pub fn of_length(length: usize) -> Self {
-        let mut scratch = Self::taken(length);
-        scratch.list.truncate(length);
-        scratch.fill_up(length);
-        scratch
-    }
-
-    /// So many zeros.
-    pub fn zeros(length: usize) -> Self {
-        let mut scratch = Self::empty(length);
-        scratch.fill_up(length);
-        scratch
-    }
-
-    /// Appends zeros, piece by piece: long fills in one go are slow to begin, and callgrind counts them byte by byte.
-    fn fill_up(&mut self, length: usize) {
-        let piece = FILL_BYTES / size_of::<T>();
-        while self.list.len() < length {
-            let end = length.min(self.list.len() + piece);
-            self.list.resize(end, T::default());
-        }
-    }
-
-    /// No values yet, but room for so many.
-    pub fn empty(room: usize) -> Self {
-        let mut scratch = Self::taken(room);
-        scratch.list.clear();
-        scratch.list.reserve(room);
-        scratch
-    }
-
-    fn taken(length: usize) -> Self {
-        let class = (usize::BITS - length.leading_zeros()) as usize % CLASSES;
-        let list = T::shelf().with_borrow_mut(|shelf| shelf[class].pop());
-        Self {
-            list: list.unwrap_or_default(),
-            class,
-        }
-    }
-}
-
-impl<T: Reused> Drop for Scratch<T> {
-    fn drop(&mut self) {
-        let list = std::mem::take(&mut self.list);
-        // A thread that ends has no shelf any more: its lists go their own way.
-        let _ = T::shelf().try_with(|shelf| {
-            if let Ok(mut shelf) = shelf.try_borrow_mut()
-                && shelf[self.class].len() < MOST_KEPT
-            {
-                shelf[self.class].push(list);
-            }
-        });
-    }
-}
-
-impl<T: Reused> Deref for Scratch<T> {
-    type Target = Vec<T>;
-
-    fn deref(&self) -> &Vec<T> {
-        &self.list
-    }
-}
-
-impl<T: Reused> DerefMut for Scratch<T> {
-    fn deref_mut(&mut self) -> &mut Vec<T> {
-        &mut self.list
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -479,28 +347,5 @@ mod tests {
             assert!((f64::from(found.slope_x[n]) - slope_x).abs() < 3e-5);
             assert!((f64::from(found.slope_y[n]) - slope_y).abs() < 3e-5);
         }
-    }
-
-    #[test]
-    fn a_number_is_its_whole_part_and_what_is_left() {
-        for number in [
-            0.0_f32, 0.25, 0.5, 0.999, 1.0, 1.5, 2.5, 77.77, 1023.0, 65_535.25,
-        ] {
-            let (whole, left) = split(number);
-            assert_eq!(whole as f32 + left, number);
-            assert!((0.0..=1.0).contains(&left), "{number}: {whole} and {left}");
-        }
-    }
-
-    #[test]
-    fn a_list_is_used_again_and_zeros_are_zeros() {
-        let mut first = Scratch::<f32>::of_length(100);
-        first.fill(7.0);
-        let memory = first.as_ptr();
-        drop(first);
-        let again = Scratch::<f32>::of_length(90);
-        assert_eq!((again.as_ptr(), again.len()), (memory, 90));
-        drop(again);
-        assert!(Scratch::<f32>::zeros(95).iter().all(|v| *v == 0.0));
     }
 }
