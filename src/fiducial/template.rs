@@ -212,6 +212,7 @@ mod tests {
             let sum: f32 = places
                 .map(|((x, y), weight)| weight * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp())
                 .sum();
+            // A cross must show a fifth of its contrast to this template.
             assert!(
                 f64::from(sum.abs()) < 0.01 * template.energy,
                 "{sum} of {} at {sigma}",
