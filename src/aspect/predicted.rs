@@ -24,7 +24,7 @@ const SURE_MARGIN_PX: f64 = 1.0;
 const LEAST_INSIDE: f64 = 0.3;
 /// A mark whose residuals exceed the pixels' stated variance by so much is none, or not only one.
 const MAX_CHI2: f64 = 4.0;
-/// So many marks beyond those that make a reading must be predicted: a wrong mapping that fits a few by chance does not fit these.
+/// So many marks beyond those that make a labelling must be predicted: a wrong mapping that fits a few by chance does not fit these.
 const MORE_MARKS: usize = 2;
 /// After so many frames the marks are detected and identified again: a wrong id must not last.
 const MOST_IN_SUCCESSION: u32 = 30;

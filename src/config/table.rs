@@ -213,9 +213,9 @@ static TABLE: &[Parameter] = &[
     row!(fiducial.max_detections, "", Whole(3, 256), command 23,
         "Most detections that are read."),
     row!(fiducial.min_marks, "", Whole(3, 225), command 24,
-        "Fewest marks that make a reading."),
+        "Fewest marks that make a labelling."),
     row!(fiducial.max_centre_shift_px, "px", Number(1.0, 1000.0), command 25,
-        "Largest distance of the plate's centre, as a reading puts it on the sensor, from the instrument's value."),
+        "Largest distance of the plate's centre, as a labelling puts it on the sensor, from the instrument's value."),
 
     row!(registration.min_gain, "", Number(0.0, 1000.0), command 30,
         "Least gain in chi^2, per added parameter, for a richer kind of mapping."),
