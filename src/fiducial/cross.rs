@@ -15,7 +15,7 @@ pub struct CrossShape {
 }
 
 /// How far beyond its tips a cross is looked for, in blurs: a wider window gains nothing and lets in what lies beside.
-const TIP_BLURS: f64 = 1.0;
+const TIP_BLURS: f64 = 1.5;
 
 impl CrossShape {
     /// A cross of the plate at a scale, behind a lens's blur (1 sigma), on pixels of finite size.

@@ -18,7 +18,7 @@ pub(super) struct Window {
 }
 
 /// So many rings about the middle: over a wider one what is round changes.
-const RINGS_PER_PX: f32 = 2.0;
+const RINGS_PER_PX: f32 = 3.0;
 
 impl Window {
     pub(super) fn within(radius_px: f64) -> Self {

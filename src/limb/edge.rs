@@ -143,6 +143,8 @@ pub(super) struct EdgeModel {
     /// Covariance of the shape's coefficients; zero where they are held.
     pub covariance: SMatrix<f64, SMOOTH, SMOOTH>,
     pub noise: PixelNoise,
+    /// The unit of what is near and far: the profile's blur, and at least the expected one, px.
+    pub resolution_px: f64,
     /// How far the limb may be from the ellipse that the band lies about, px.
     pub shift_sigma_px: f64,
     /// Pixels whose expected light is above this saturate too often to be of use, DN.
@@ -275,7 +277,6 @@ impl Sector {
         departure: &Departure,
         model: &EdgeModel,
     ) -> Option<(f64, f64)> {
-        let blur_px = model.profile.blur_px;
         let own = self.own_information(departure);
         let pair = own.fixed_view::<2, 2>(0, 0).into_owned();
         if pair.determinant() < LEAST_OWN_PART * pair.m11 * pair.m22 {
@@ -291,8 +292,8 @@ impl Sector {
         let common = (by_courses * courses.covariance * by_courses.transpose())[0];
         let variance = inverse.m11 + 0.5 * courses.sectors as f64 * common;
         let sigma_px = variance.max(0.0).sqrt();
-        let determined =
-            sigma_px < MOST_SIGMA_BLURS * blur_px && shift_px.abs() < MOST_SHIFT_BLURS * blur_px;
+        let determined = sigma_px < MOST_SIGMA_BLURS * model.resolution_px
+            && shift_px.abs() < MOST_SHIFT_BLURS * model.resolution_px;
         determined.then_some((shift_px, sigma_px))
     }
 }

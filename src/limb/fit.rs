@@ -173,7 +173,7 @@ impl LimbFit<'_> {
 
     /// The model of a pass for the next one, unless the outline has moved since.
     fn steady(&self, moved_px: f64, model: EdgeModel) -> Option<EdgeModel> {
-        let blur_px = model.profile.blur_px;
+        let blur_px = model.resolution_px;
         (moved_px < STEADY_BLURS * blur_px).then_some(EdgeModel {
             shift_sigma_px: LATER_SHIFT_BLURS * blur_px,
             ..model
@@ -200,7 +200,7 @@ impl LimbFit<'_> {
                 .known
                 .fit(&fit.points, &ellipse)
                 .ok_or_else(|| self.too_few(fit.points.len()))?;
-            let blur_px = fit.model.profile.blur_px;
+            let blur_px = fit.model.resolution_px;
             self.check(&outline, start, blur_px)?;
             let moved_px = moved_px(&ellipse, &outline.ellipse);
             let settled = moved_px < settled_blurs * blur_px || pass == PASSES;
@@ -241,7 +241,8 @@ impl LimbFit<'_> {
             shape: Shape::NONE,
             covariance: nalgebra::SMatrix::zeros(),
             noise,
-            shift_sigma_px: FIRST_SHIFT_BLURS * profile.blur_px,
+            resolution_px: profile.blur_px.max(self.blur_px),
+            shift_sigma_px: FIRST_SHIFT_BLURS * profile.blur_px.max(self.blur_px),
             saturated_dn,
         };
         Ok((band, model))
