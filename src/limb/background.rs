@@ -123,7 +123,7 @@ impl Scene {
 
     fn terms(&self, x: f64, y: f64, column_sum: f64) -> SVector<f64, TERMS> {
         let half = |at: f64, middle: f64| if at > middle { 0.5 } else { -0.5 };
-        let [u, v] = self.from_centre(x, y);
+        let [u, v] = self.relative_place(x, y);
         SVector::from([
             1.0,
             u,
@@ -135,7 +135,7 @@ impl Scene {
     }
 
     /// -1 to 1 from edge to edge of the pixels that are used.
-    fn from_centre(&self, x: f64, y: f64) -> [f64; 2] {
+    fn relative_place(&self, x: f64, y: f64) -> [f64; 2] {
         let along =
             |at: f64, from: usize, to: usize| 2.0 * (at - from as f64) / (to - from) as f64 - 1.0;
         [

@@ -63,13 +63,8 @@ pub(super) fn sector_sums(
 ) -> [[f64; COLUMNS]; COLUMNS] {
     let mut sums = [[[0.0; LANES]; COLUMNS]; COLUMNS];
     add(model, distance_px, light_dn, &mut sums);
-    let mut totals = sums.map(|row| row.map(|lanes| f64::from(lanes.iter().sum::<f32>())));
-    for m in 0..COLUMNS {
-        for n in 0..m {
-            totals[m][n] = totals[n][m];
-        }
-    }
-    totals
+    let total = |m: usize, n: usize| f64::from(sums[m][n].iter().sum::<f32>());
+    std::array::from_fn(|m| std::array::from_fn(|n| total(m.min(n), m.max(n))))
 }
 
 #[multiversion(targets("x86_64+avx2+fma"))]
