@@ -173,7 +173,7 @@ impl LimbFit<'_> {
 
     /// The model of a pass for the next one, unless the outline has moved since.
     fn steady(&self, moved_px: f64, model: EdgeModel) -> Option<EdgeModel> {
-        let blur_px = model.resolution_px;
+        let blur_px = model.profile.blur_px;
         (moved_px < STEADY_BLURS * blur_px).then_some(EdgeModel {
             shift_sigma_px: LATER_SHIFT_BLURS * blur_px,
             ..model
@@ -200,8 +200,8 @@ impl LimbFit<'_> {
                 .known
                 .fit(&fit.points, &ellipse)
                 .ok_or_else(|| self.too_few(fit.points.len()))?;
-            let blur_px = fit.model.resolution_px;
-            self.check(&outline, start, blur_px)?;
+            self.check(&outline, start, fit.model.resolution_px)?;
+            let blur_px = fit.model.profile.blur_px;
             let moved_px = moved_px(&ellipse, &outline.ellipse);
             let settled = moved_px < settled_blurs * blur_px || pass == PASSES;
             if settled || model.is_none() {
@@ -242,7 +242,7 @@ impl LimbFit<'_> {
             covariance: nalgebra::SMatrix::zeros(),
             noise,
             resolution_px: profile.blur_px.max(self.blur_px),
-            shift_sigma_px: FIRST_SHIFT_BLURS * profile.blur_px.max(self.blur_px),
+            shift_sigma_px: FIRST_SHIFT_BLURS * profile.blur_px,
             saturated_dn,
         };
         Ok((band, model))
@@ -257,13 +257,13 @@ impl LimbFit<'_> {
         Band::about(self.cutout, mask, ellipse, reach, self.settings.limb_points)
     }
 
-    fn check(&self, fit: &OutlineFit, start: &Ellipse, blur_px: f64) -> Result<(), Rejected> {
+    fn check(&self, fit: &OutlineFit, start: &Ellipse, resolution_px: f64) -> Result<(), Rejected> {
         let accepted = fit.accepted.iter().filter(|a| **a).count();
         if accepted < self.settings.min_limb_points {
             return Err(self.too_few(accepted));
         }
         let away = (fit.ellipse.centre - start.centre).norm();
-        let limit = MOST_BLURS_AWAY * blur_px;
+        let limit = MOST_BLURS_AWAY * resolution_px;
         if away > limit {
             return Err(Rejected {
                 reason: "limb fit diverged from the disc that was found",

@@ -126,7 +126,7 @@ pub fn fit_outline(
         prior: prior.known(),
         loss: Loss::Tukey(TUKEY_SIGMAS),
         scale: Scale::Median,
-        tolerance_sigmas: 0.02,
+        tolerance_sigmas: 0.05,
     };
     // An outlying arc leads an ellipse astray that starts far off; a circle is harder to lead.
     let off = points

@@ -103,7 +103,7 @@ impl Profile {
             },
             loss: Loss::Squares,
             scale: Scale::Stated,
-            tolerance_sigmas: 0.01,
+            tolerance_sigmas: 0.1,
         };
         let with = |p: &SVector<f64, 5>| Self {
             background_dn: p[0],
