@@ -11,8 +11,8 @@ const MIN_REDUNDANCY: f64 = 4.0;
 const MAX_NORMALISED_RESIDUAL: f64 = 6.0;
 /// With fewer pairs it is undetermined which of them is the outlier.
 const LEAST_TO_REJECT: usize = 5;
-/// Share of the marks that something on them displaces, a sunspot most of all: three in two hundred where there are many spots.
-const DISPLACED_SHARE: f64 = 0.015;
+/// Share of the marks that something on them displaces, a sunspot most of all: one in forty where there are many spots.
+const DISPLACED_SHARE: f64 = 0.025;
 /// Residuals of which chi^2 exceeds its expectation by more than this many sigma are not those of the stated noise.
 const EXPLAINED_SIGMAS: f64 = 6.0;
 /// An inflation of less than this is not significant.
