@@ -83,10 +83,12 @@ pub struct Estimate<P> {
 impl<P> Estimate<P> {
     /// 1-sigma of x and y, in the unit of the position.
     pub fn sigma(&self) -> [f64; 2] {
-        [
-            self.covariance[(0, 0)].max(0.0).sqrt(),
-            self.covariance[(1, 1)].max(0.0).sqrt(),
-        ]
+        self.variance().map(f64::sqrt)
+    }
+
+    /// Variance of x and y, in the square of that unit.
+    pub fn variance(&self) -> [f64; 2] {
+        [0, 1].map(|axis| self.covariance[(axis, axis)].max(0.0))
     }
 }
 

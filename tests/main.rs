@@ -18,6 +18,7 @@ mod flight;
 mod fuzz_seeds;
 #[cfg(feature = "gige")]
 mod gige;
+mod gondola_path;
 mod identification;
 mod imports;
 mod limb;

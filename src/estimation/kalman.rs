@@ -122,9 +122,14 @@ impl<const N: usize> Gaussian<N> {
             later.mean - predicted.mean,
             later.covariance - predicted.covariance,
         );
+        // A sum of squares stays positive where the step's noise outweighs what is known by many orders.
+        let kept = SMatrix::<f64, N, N>::identity() - gain * step.transition;
+        let noisy = later.covariance + step.noise;
         let smoothed = Self {
             mean: self.mean + gain * moved,
-            covariance: symmetric(self.covariance + gain * learnt * gain.transpose()),
+            covariance: symmetric(
+                kept * self.covariance * kept.transpose() + gain * noisy * gain.transpose(),
+            ),
         };
         let disturbance = Disturbance {
             residual: inverse * moved,

@@ -1,16 +1,16 @@
 //! The Sun's path as the rows tell it, and the frames that lie off it.
+//!
+//! A frame whose limb tells its own radius, which is the flight's, is of the Sun: it makes the path, wherever it is. One that shows
+//! less of the limb is held against the path of those.
 
-use super::motion::{self, Path};
+use super::motion::{self, Moment, Path, PathPoint};
 use super::row::{Oddity, Row};
-use super::work::Work;
+use super::work::{TELLING_LIMB, Work};
 use crate::units::PlateMil;
+use nalgebra::Vector2;
 
 /// Off the path, chi^2 of two.
 const ODD_PATH_CHI2: f64 = 100.0;
-/// A frame off the path pulls its neighbours off, so many to each side: in each round the worst of them goes, and the others are
-/// held against the path without it.
-const PULLED: usize = 8;
-const PATH_ROUNDS: usize = 10;
 
 /// The Sun's path.
 pub(super) struct Followed {
@@ -34,82 +34,95 @@ impl Followed {
 impl Work<'_> {
     /// The Sun's path, without the frames that lie off it; between two frames one more point.
     pub(super) fn follow_path(&mut self) -> Followed {
-        let first = self.rows.first().and_then(Row::unix_s).unwrap_or(0.0);
-        let (mut moments, mut at) = self.moments(first);
-        let mut path = motion::path(&moments);
-        for _ in 1..PATH_ROUNDS {
-            let off = path
-                .as_ref()
-                .map_or(Vec::new(), |path| off(path, &moments, &at));
-            if off.is_empty() {
-                break;
-            }
-            for n in off {
+        let sure = self.path_of(Row::is_sure);
+        for n in 0..self.dated {
+            let row = &self.rows[n];
+            let point = sure.path.as_ref().map(|path| &path.points[sure.at[n]]);
+            if row.is_fine() && !row.is_sure() && point.is_some_and(|point| is_off(row, point)) {
                 self.rows[n].note(Oddity::Path);
             }
-            (moments, at) = self.moments(first);
-            path = motion::path(&moments);
         }
-        let times_s = moments.iter().map(|moment| first + moment.time_s).collect();
-        Followed { path, times_s, at }
+        let mut followed = self.path_of(Row::is_fine);
+        self.add_mapping_errors(&mut followed);
+        followed
     }
 
-    /// Moments of the path, and the one of each dated row.
-    fn moments(&self, first: f64) -> (Vec<motion::Moment>, Vec<usize>) {
+    /// The path of some of the dated rows. It knows nothing of the mapping's errors, which neighbours share.
+    fn path_of(&self, counts: impl Fn(&Row) -> bool) -> Followed {
+        let first = self.rows.first().and_then(Row::unix_s).unwrap_or(0.0);
         let (mut moments, mut at) = (Vec::new(), Vec::new());
         let mut before: Option<f64> = None;
         for row in &self.rows[..self.dated] {
             let time_s = row.unix_s().unwrap_or(first) - first;
             if let Some(before) = before.filter(|before| time_s > *before) {
-                moments.push(motion::Moment {
+                moments.push(Moment {
                     time_s: (before + time_s) / 2.0,
                     measured: None,
                 });
             }
-            let sun = row.sun.filter(|_| row.is_fine());
+            let sun = row.sun.filter(|_| counts(row));
             let measured = sun.map(|sun| {
-                let (at, c) = (sun.position, sun.covariance);
-                [(at.x, c.m11), (at.y, c.m22)]
+                let [x, y] = row.limb_variance_mil2().unwrap_or(sun.variance());
+                [(sun.position.x, x), (sun.position.y, y)]
             });
             at.push(moments.len());
-            moments.push(motion::Moment { time_s, measured });
+            moments.push(Moment { time_s, measured });
             before = Some(time_s);
         }
-        (moments, at)
+        Followed {
+            path: motion::path(&moments),
+            times_s: moments.iter().map(|moment| first + moment.time_s).collect(),
+            at,
+        }
+    }
+
+    /// The mapping's errors are alike in neighbours, so that no smoothing lessens them: each point has those of the last fine row.
+    fn add_mapping_errors(&self, followed: &mut Followed) {
+        let Some(path) = &mut followed.path else {
+            return;
+        };
+        let rows = self.rows[..self.dated].iter();
+        let mut of_rows = rows.zip(&followed.at).filter_map(|(row, at)| {
+            let all = row.sun.filter(|_| row.is_fine())?.variance();
+            let limb = row.limb_variance_mil2()?;
+            Some((*at, [all[0] - limb[0], all[1] - limb[1]]))
+        });
+        let mut next = of_rows.next();
+        let mut variance = next.map_or([0.0; 2], |(_, variance)| variance);
+        for (n, point) in path.points.iter_mut().enumerate() {
+            if let Some((_, found)) = next.filter(|(at, _)| *at == n) {
+                variance = found;
+                next = of_rows.next();
+            }
+            for axis in 0..2 {
+                point.variance_mil2[axis] += variance[axis].max(0.0);
+            }
+        }
     }
 }
 
-/// The rows that lie off a path, and farther than their neighbours.
-fn off(path: &Path, moments: &[motion::Moment], at: &[usize]) -> Vec<usize> {
-    let chi2 = |moment: &usize| {
-        let measured = moments[*moment].measured;
-        measured.map_or(0.0, |m| motion::residual_chi2(&path.points[*moment], &m))
+/// Whether a row's place, which is not of the path, lies off it.
+fn is_off(row: &Row, point: &PathPoint) -> bool {
+    let Some(sun) = row.sun else {
+        return false;
     };
-    let chi2: Vec<f64> = at.iter().map(chi2).collect();
-    let worst = |n: usize| {
-        let near = &chi2[n.saturating_sub(PULLED)..chi2.len().min(n + PULLED + 1)];
-        near.iter().all(|other| *other <= chi2[n])
-    };
-    (0..chi2.len())
-        .filter(|n| chi2[*n] > ODD_PATH_CHI2 && worst(*n))
-        .collect()
+    let off = sun.position.vector() - Vector2::from(point.place_mil);
+    let [x, y] = sun.variance();
+    let chi2 =
+        off.x.powi(2) / (x + point.variance_mil2[0]) + off.y.powi(2) / (y + point.variance_mil2[1]);
+    chi2 > ODD_PATH_CHI2
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+impl Row {
+    /// Whether nothing but another Sun could be where the row has its Sun: most of the limb was seen, and its radius is not odd.
+    fn is_sure(&self) -> bool {
+        self.is_fine() && self.limb_part.is_some_and(|part| part >= TELLING_LIMB)
+    }
 
-    #[test]
-    fn of_neighbours_off_the_path_the_worst_goes_first() {
-        let moment = |n: usize| motion::Moment {
-            time_s: n as f64 / 4.0,
-            measured: Some([(if n == 30 { 500.0 } else { 0.1 * (n % 3) as f64 }, 0.01); 2]),
-        };
-        let moments: Vec<motion::Moment> = (0..60).map(moment).collect();
-        let path = motion::path(&moments).unwrap();
-        let at: Vec<usize> = (0..60).collect();
-        assert_eq!(off(&path, &moments, &at), [30]);
-        let neighbour = moments[31].measured.unwrap();
-        assert!(motion::residual_chi2(&path.points[31], &neighbour) > ODD_PATH_CHI2);
+    /// Variance of the place by the limb alone, where the rest is the mapping's. At a jump of the mapping it is not: that is the frame's
+    /// own.
+    fn limb_variance_mil2(&self) -> Option<[f64; 2]> {
+        let disc = self.disc.filter(|_| self.jump_px.is_none())?;
+        Some(disc.centre.variance())
     }
 }
