@@ -98,6 +98,8 @@ pub struct FrameInfo {
     pub place: Option<Place>,
     /// The camera's name, as the source gives it.
     pub camera: Option<String>,
+    /// The name of the instrument, as the header has it.
+    pub instrument: Option<String>,
 }
 
 impl FrameInfo {

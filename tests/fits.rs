@@ -36,6 +36,7 @@ fn full_info() -> FrameInfo {
         corner_px: Some((100, 50)),
         place: Some(Place::new(34.49, -104.2218, 38_405.0).unwrap()),
         camera: Some("PYAS-F, the pilot's".into()),
+        instrument: None,
     }
 }
 

@@ -30,6 +30,7 @@ mod pointing;
 mod power_cut;
 mod preflight;
 mod refine;
+mod refined_flights;
 mod service;
 mod simulated_flight;
 mod simulation;

@@ -1,11 +1,12 @@
 //! A flight refined: what is said of a simulated one, held against its truth, killed and run again, in parts and merged.
 
+use crate::common::refined::{Columns, command, quantile, refine, rms, summary, temporary};
 use rand::RngExt;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::archive::check::Tree;
 use solaspect::archive::{Flown, Store};
-use solaspect::fits::{self, Compression, Table, Values};
+use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{self, Instrument};
@@ -15,7 +16,7 @@ use solaspect::units::PlateMil;
 use std::f64::consts::TAU;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output};
+use std::process::Child;
 use std::sync::OnceLock;
 use std::time::Duration;
 
@@ -259,56 +260,6 @@ fn flight() -> &'static (Plan, PathBuf) {
     })
 }
 
-fn command(archive: &Path, out: &Path, more: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
-    let command_ = command.env_remove("RUST_LOG").arg("refine").arg(archive);
-    command_.arg("--out").arg(out).args(more);
-    command
-}
-
-fn refine(archive: &Path, out: &Path, more: &[&str]) -> Output {
-    let output = command(archive, out, more).output().unwrap();
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{told}");
-    output
-}
-
-struct Columns(Table);
-
-impl Columns {
-    fn read(out: &Path, name: &str) -> Self {
-        Self(
-            fits::read_table(&out.join("aspect.fits"), name)
-                .unwrap()
-                .unwrap(),
-        )
-    }
-
-    fn values(&self, name: &str) -> &Values {
-        &self
-            .0
-            .columns
-            .iter()
-            .find(|c| c.name == name)
-            .unwrap()
-            .values
-    }
-
-    fn floats(&self, name: &str) -> &[f64] {
-        match self.values(name) {
-            Values::Float(values) => values,
-            _ => panic!("{name}"),
-        }
-    }
-
-    fn texts(&self, name: &str) -> &[String] {
-        match self.values(name) {
-            Values::Text(values) => values,
-            _ => panic!("{name}"),
-        }
-    }
-}
-
 /// How the history compares with the truth.
 struct Comparison {
     /// Radial, arcsec, and over sigma in each axis, of fine rows outside the jump's own frame.
@@ -376,16 +327,6 @@ fn compare(plan: &Plan, out: &Path) -> Comparison {
     compared
 }
 
-fn rms(values: &[f64]) -> f64 {
-    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
-}
-
-fn quantile(values: &[f64], part: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted[((sorted.len() - 1) as f64 * part).round() as usize]
-}
-
 fn print(name: &str, compared: &Comparison) {
     println!(
         "{name}: {} fine, error median {:.3} 99.7 % {:.3} (by half of the light or more {:.3}) largest {:.3} arcsec, \
@@ -402,10 +343,6 @@ fn print(name: &str, compared: &Comparison) {
         rms(&compared.smooth_pulls),
         compared.unflagged,
     );
-}
-
-fn temporary() -> tempfile::TempDir {
-    tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap()
 }
 
 #[test]
@@ -803,7 +740,9 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
     told("second pass");
     let summary = room::write(out.path(), &flight, &recipe).unwrap();
     told("tables");
-    room::write_report(out.path(), archive, &flight, &summary, &recipe.instrument).unwrap();
+    let mut report = room::Report::default();
+    report.add(None, archive, &flight, &summary, &recipe.instrument);
+    report.write(out.path()).unwrap();
     told("report");
     println!("{} fine of {}", summary.fine, summary.files);
     assert!(summary.fine > FRAMES * 9 / 10);
@@ -849,10 +788,6 @@ fn add_flight(root: &Path, instrument_toml: &str, configuration: &str, first: us
     for n in first..first + 4 {
         store.write(&plan.frame(n), &cards, &[]).unwrap();
     }
-}
-
-fn summary(out: &Path) -> serde_json::Value {
-    serde_json::from_slice(&fs::read(out.join("summary.json")).unwrap()).unwrap()
 }
 
 #[test]

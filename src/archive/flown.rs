@@ -92,6 +92,12 @@ pub struct FlownFile {
     sha256: String,
 }
 
+impl FlownFile {
+    pub fn sha256(&self) -> &str {
+        &self.sha256
+    }
+}
+
 /// The configurations and instruments of an archive.
 #[derive(Debug, Clone, Default)]
 pub struct FlownFiles(Vec<FlownFile>);

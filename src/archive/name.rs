@@ -3,6 +3,9 @@
 use jiff::Timestamp;
 use std::path::PathBuf;
 
+/// The roll camera: its frames and logs go into a folder of this name under the archive's root, and name it as their instrument.
+pub const ROLL_CAMERA: &str = "roll";
+
 /// The time that a frame's name tells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NameTime {

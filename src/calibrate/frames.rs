@@ -1,7 +1,8 @@
 //! The frames that a calibration is given: their files, their hash, whether one camera took them, and those rejected.
 
 use crate::fits::{self, FRAME_ENDINGS, Unlisted};
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameInfo};
+use crate::instrument::{Instrument, WrongCamera};
 use crate::provenance;
 use crate::report::html::Page;
 use rayon::prelude::*;
@@ -124,6 +125,8 @@ pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setting {
     file: PathBuf,
+    /// What the frame says of instrument and camera.
+    taken_by: FrameInfo,
     /// Name and value of each property that the frame states.
     properties: Vec<(&'static str, String)>,
 }
@@ -136,8 +139,18 @@ impl Setting {
         let camera = camera.map(|name| ("camera", format!("camera \"{name}\"")));
         Self {
             file: file.into(),
+            taken_by: FrameInfo {
+                instrument: frame.info.instrument.clone(),
+                camera: frame.info.camera.clone(),
+                ..FrameInfo::default()
+            },
             properties: camera.into_iter().chain([("depth", depth)]).collect(),
         }
+    }
+
+    /// The camera's name, as the frame has it.
+    pub fn camera(&self) -> Option<String> {
+        self.taken_by.camera.clone()
     }
 
     /// Its size as well.
@@ -176,23 +189,49 @@ pub struct Mixed {
     pub other: String,
 }
 
-/// Whether one camera took all frames, at one setting.
+/// Frames that make no calibration of an instrument.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum WrongFrames {
+    #[error(transparent)]
+    Mixed(#[from] Box<Mixed>),
+    #[error("{}: {wrong}; name the instrument of these frames with --instrument", .file.display())]
+    Foreign {
+        file: PathBuf,
+        wrong: Box<WrongCamera>,
+    },
+}
+
+/// Whether one camera, which is the instrument's, took all frames at one setting.
 ///
 /// # Errors
-/// The first two that differ.
-pub fn check_one_setting<'a>(settings: impl IntoIterator<Item = &'a Setting>) -> Result<(), Mixed> {
+/// The first two that differ, and the first of another instrument or camera.
+pub fn check_settings<'a>(
+    settings: impl IntoIterator<Item = &'a Setting>,
+    instrument: &Instrument,
+) -> Result<(), WrongFrames> {
     let mut known: BTreeMap<&str, (&Path, &str)> = BTreeMap::new();
-    for Setting { file, properties } in settings {
+    for setting in settings {
+        let Setting {
+            file,
+            taken_by,
+            properties,
+        } = setting;
+        instrument
+            .check_taken_by(taken_by)
+            .map_err(|wrong| WrongFrames::Foreign {
+                file: file.clone(),
+                wrong: Box::new(wrong),
+            })?;
         for (what, value) in properties {
             let (first, found) = known.entry(what).or_insert((file, value));
             if *found != value {
-                return Err(Mixed {
+                return Err(WrongFrames::from(Box::new(Mixed {
                     what,
                     file: first.to_path_buf(),
                     found: (*found).into(),
                     other_file: file.clone(),
                     other: value.clone(),
-                });
+                })));
             }
         }
     }

@@ -20,6 +20,8 @@ pub struct Provenance {
     pub frames: usize,
     /// Over the sorted SHA-256 of the files.
     pub frames_sha256: String,
+    /// The camera's name, as the frames have it.
+    pub camera: Option<String>,
 }
 
 /// An instrument's file, open for new entries.
@@ -71,8 +73,11 @@ impl Revision {
         self.put(key, Item::Value(Value::InlineTable(entry)));
     }
 
-    /// Notes what the calibration rests on.
+    /// Notes what the calibration rests on, and whose camera it is now.
     pub fn sign(&mut self, provenance: &Provenance) {
+        if let Some(camera) = &provenance.camera {
+            self.set("camera.name", camera.into(), None, provenance);
+        }
         let mut table = Table::new();
         table["frames"] = value(provenance.frames as i64);
         table["frames_sha256"] = value(&provenance.frames_sha256);
@@ -149,6 +154,7 @@ mod tests {
             date: "2013-09-21".parse().unwrap(),
             frames: 3,
             frames_sha256: "0af3".into(),
+            camera: None,
         };
         let found = Measured::new(-52.123_456, 0.004_2);
         revision.set_measured("mounting.clocking_deg", found, &provenance);

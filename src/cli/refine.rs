@@ -5,13 +5,15 @@ use super::output::{make_folder, progress_bar, say};
 use crate::archive::check::Tree;
 use crate::archive::{CONFIGURATION, Flown, FlownFile, FlownFiles, INSTRUMENT};
 use crate::config::Config;
-use crate::instrument::Instrument;
-use crate::refine::{self, Done, Flight, Input, Recipe, Shard, Sky, Span, Summary};
+use crate::instrument::{Instrument, SECOND, builtin_text};
+use crate::refine::{
+    self, CameraFrames, Done, Flight, Input, Recipe, Report, Shard, Sky, Span, Summary,
+};
 use crate::units::Place;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use jiff::Timestamp;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Make the best aspect history from a flight's archive
@@ -19,7 +21,8 @@ use std::process::ExitCode;
 /// The first pass solves every frame on its own and notes each in a journal in --out: killed and run again, it goes on where it
 /// was. The second looks at the flight as a whole and writes aspect.fits, aspect.csv, summary.json and report.html. On a cluster
 /// each machine does its --shard, and a last run with --merge takes their journals together.
-/// Files that cannot be read have a row that says why, and are no failure.
+/// Files that cannot be read have a row that says why, and are no failure. Frames of several cameras make a history each, in a
+/// folder of --out, and one report.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub struct RefineArgs {
@@ -29,9 +32,10 @@ pub struct RefineArgs {
     /// Where journal and results go; made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The instrument's TOML file [default: the archive's, else the built-in instrument "demo"]
+    /// The instrument's TOML file; for several cameras, once for each [default: the archive's, else the built-in one that the
+    /// frames name, else "demo"]
     #[arg(long, value_name = "FILE")]
-    instrument: Option<PathBuf>,
+    instrument: Vec<PathBuf>,
     /// The configuration's TOML file [default: the archive's solver, place and target, if it holds a configuration]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -58,26 +62,38 @@ pub struct RefineArgs {
 pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
     let tree = Tree::of(&args.archive)?;
     let archived = FlownFiles::read(&tree.flown)?;
-    let inputs = args.inputs(tree);
     let config = args.configuration(&archived)?;
-    let (instrument, text) = args.instrument(&archived)?;
-    let mut ephemeris = options::ephemeris(&config)?;
-    let recipe = Recipe {
-        instrument,
-        settings: config.solver(),
-        flown: Flown::new(config.to_toml(), Some(text)),
-        archived: args.authority(archived),
-    };
-    let sky = Sky {
-        instrument: recipe.instrument.clone(),
-        target: options::target(&config, &mut ephemeris)?,
-        place: config.site.place(),
-        ephemeris,
-    };
-    make_folder(&args.out)?;
     let jobs = args.jobs.map_or(0, usize::from);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
-    pool.install(|| args.refine(&inputs, &recipe, &sky))
+    pool.install(|| {
+        let inputs = args.inputs(tree);
+        let cameras = refine::cameras(&args.archive, inputs);
+        let (roll, cameras): (Vec<_>, Vec<_>) = cameras
+            .into_iter()
+            .partition(|camera| camera.name.is_roll_camera());
+        let several = cameras.len() > 1;
+        // All instruments first: a missing one is told before hours of work.
+        let recipes = cameras
+            .iter()
+            .map(|camera| args.recipe(camera, &archived, &config));
+        let recipes = recipes.collect::<anyhow::Result<Vec<_>>>()?;
+        let mut report = Report::default();
+        for frames in roll.iter().map(|camera| camera.inputs.len()) {
+            let text = format!(
+                "{frames} frames of the roll camera: they show no plate and are not refined"
+            );
+            say(format_args!("{text}"))?;
+            report.note(&text);
+        }
+        for (camera, recipe) in cameras.iter().zip(recipes) {
+            let label = several.then_some(camera.label.as_str());
+            args.refine(camera, label, &recipe, &config, &mut report)?;
+        }
+        if args.shard.is_none() {
+            report.write(&args.out)?;
+        }
+        Ok(ExitCode::SUCCESS)
+    })
 }
 
 impl RefineArgs {
@@ -121,63 +137,113 @@ impl RefineArgs {
         Ok(found.pop().unwrap_or_default())
     }
 
-    /// The instrument of `--instrument`, else the archive's, else the built-in demo; with its text.
-    fn instrument(&self, archived: &FlownFiles) -> anyhow::Result<(Instrument, String)> {
-        let flown = |file: &FlownFile| -> anyhow::Result<_> {
-            let instrument = Instrument::parse(&file.path, &file.text)
-                .context("the archive's instrument cannot be used: name one with --instrument")?;
-            Ok((instrument, file.text.clone()))
-        };
-        let mut texts: Vec<&FlownFile> = Vec::new();
-        for file in archived.of(INSTRUMENT) {
-            if !texts.iter().any(|other| other.text == file.text) {
-                texts.push(file);
-            }
+    /// What a camera's frames are refined with.
+    fn recipe(
+        &self,
+        camera: &CameraFrames,
+        archived: &FlownFiles,
+        config: &Config,
+    ) -> anyhow::Result<Recipe> {
+        let (instrument, text) = self.instrument(archived, camera)?;
+        Ok(Recipe {
+            instrument,
+            settings: config.solver(),
+            flown: Flown::new(config.to_toml(), Some(text)),
+            archived: self.authority(archived.clone()),
+        })
+    }
+
+    /// A camera's instrument, with its text: the one of `--instrument` that is its own, else the archive's, else the built-in one
+    /// that its frames name, else the demo.
+    fn instrument(
+        &self,
+        archived: &FlownFiles,
+        camera: &CameraFrames,
+    ) -> anyhow::Result<(Instrument, String)> {
+        let flown = flown_with(archived, camera);
+        if !self.instrument.is_empty() {
+            let (instrument, text) = self.told_instrument(camera)?;
+            refuse_other_sensor(&instrument, &flown)?;
+            return Ok((instrument, text));
         }
-        match (&self.instrument, texts.as_slice()) {
-            (None, [one]) => flown(one),
-            (None, [_, _, ..]) => bail!(
+        match flown.as_slice() {
+            [one] => {
+                let instrument = Instrument::parse(&one.path, &one.text).context(
+                    "the archive's instrument cannot be used: name one with --instrument",
+                )?;
+                Ok((instrument, one.text.clone()))
+            }
+            [] => built_in(camera).with_context(|| self.archive.display().to_string()),
+            several => bail!(
                 "{}: expected one instrument, found {} that differ in its instrument_*.toml: name one with --instrument",
                 self.archive.display(),
-                texts.len()
+                several.len()
             ),
-            (told, flown) => {
-                let (instrument, text) = options::instrument_with_text(told.as_deref())?;
-                refuse_other_sensor(&instrument, flown)?;
-                Ok((instrument, text))
+        }
+    }
+
+    /// The first of `--instrument` that a camera's frames do not contradict.
+    fn told_instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
+        let mut refused = None;
+        for path in &self.instrument {
+            let (instrument, text) = options::instrument_with_text(Some(path))?;
+            match instrument.check_taken_by(&camera.name.info()) {
+                Ok(()) => return Ok((instrument, text)),
+                Err(wrong) => refused = Some((path, wrong)),
             }
         }
+        let (path, wrong) = refused.context("expected a file of --instrument, found none")?;
+        let frame = camera.inputs.first().map_or("", |input| &input.file);
+        bail!(
+            "{}: {frame}: {wrong}: {} is not of the camera that took these frames",
+            self.archive.display(),
+            path.display()
+        )
     }
 
     /// What frames may name: of what was told instead, anything.
     fn authority(&self, mut archived: FlownFiles) -> FlownFiles {
-        for (told, kind) in [
-            (&self.config, CONFIGURATION),
-            (&self.instrument, INSTRUMENT),
-        ] {
-            if told.is_some() {
-                archived = archived.without(kind);
-            }
+        let told = [
+            (self.config.is_some(), CONFIGURATION),
+            (!self.instrument.is_empty(), INSTRUMENT),
+        ];
+        for (_, kind) in told.iter().filter(|(is_told, _)| *is_told) {
+            archived = archived.without(*kind);
         }
         archived
     }
 
-    fn refine(&self, inputs: &[Input], recipe: &Recipe, sky: &Sky) -> anyhow::Result<ExitCode> {
+    /// Makes the history of one camera; of several, in a folder of its own.
+    fn refine(
+        &self,
+        camera: &CameraFrames,
+        label: Option<&str>,
+        recipe: &Recipe,
+        config: &Config,
+        report: &mut Report,
+    ) -> anyhow::Result<()> {
+        make_folder(&self.out)?;
+        let inputs = &camera.inputs;
         let mut done = self.first_pass(recipe, inputs)?;
         if self.shard.is_some() {
-            return Ok(ExitCode::SUCCESS);
+            return Ok(());
         }
-        let flight = self.second_pass(&mut done, inputs, recipe, sky)?;
-        let summary = refine::write(&self.out, &flight, recipe)?;
-        refine::write_report(
-            &self.out,
-            &self.archive,
-            &flight,
-            &summary,
-            &recipe.instrument,
-        )?;
-        print(&summary)?;
-        Ok(ExitCode::SUCCESS)
+        let mut ephemeris = options::ephemeris(config)?;
+        let sky = Sky {
+            instrument: recipe.instrument.clone(),
+            target: options::target(config, &mut ephemeris)?,
+            place: config.site.place(),
+            ephemeris,
+        };
+        let flight = self.second_pass(&mut done, inputs, recipe, &sky)?;
+        let folder = label.map_or(self.out.clone(), |label| self.out.join(label));
+        make_folder(&folder)?;
+        let summary = refine::write(&folder, &flight, recipe)?;
+        report.add(label, &self.archive, &flight, &summary, &recipe.instrument);
+        if let Some(label) = label {
+            say(format_args!("{label}:"))?;
+        }
+        print(&summary)
     }
 
     fn inputs(&self, tree: Tree) -> Vec<Input> {
@@ -221,9 +287,48 @@ impl RefineArgs {
             "{}: expected frames from --since to --until, found none",
             self.archive.display()
         );
+        if let Some(contradiction) = &flight.contradiction {
+            bail!("{}: {contradiction}", self.archive.display());
+        }
         sky.fill(&mut flight.rows, &flight.places);
         Ok(flight)
     }
+}
+
+/// The archive's files of a camera's instrument, of which none is another's letter by letter: those that its frames name by their hash,
+/// else those that do not contradict them.
+fn flown_with<'a>(archived: &'a FlownFiles, camera: &CameraFrames) -> Vec<&'a FlownFile> {
+    let mut different: Vec<&FlownFile> = Vec::new();
+    for file in archived.of(INSTRUMENT) {
+        if !different.iter().any(|other| other.text == file.text) {
+            different.push(file);
+        }
+    }
+    let is_named = |file: &&&FlownFile| camera.instruments_sha256.contains(file.sha256());
+    if different.iter().any(|file| is_named(&file)) {
+        return different.iter().filter(is_named).copied().collect();
+    }
+    // One that only a newer program can read contradicts nothing.
+    different.retain(|file| {
+        let instrument = Instrument::parse(&file.path, &file.text);
+        instrument.is_ok_and(|instrument| instrument.check_taken_by(&camera.name.info()).is_ok())
+    });
+    different
+}
+
+/// The built-in instrument that a camera's frames name; the demo where they name none.
+fn built_in(camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
+    let Some(named) = camera.name.instrument.as_deref() else {
+        return options::instrument_with_text(None);
+    };
+    let name = named.strip_suffix(SECOND).unwrap_or(named);
+    let text = builtin_text(name).with_context(|| {
+        format!(
+            "expected the file of instrument \"{name}\", which the frames name (OBSRVTRY), found none in the archive and none built in: \
+             name it with --instrument"
+        )
+    })?;
+    Ok((Instrument::parse(Path::new(name), text)?, text.into()))
 }
 
 /// Refuses an instrument of another camera than those that the archive was flown with.
@@ -274,11 +379,10 @@ fn print(summary: &Summary) -> anyhow::Result<()> {
         say(format_args!("median sigma {sigma:.4} mil per axis"))?;
     }
     for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
-        let [x, y] = jump.shift_px;
-        say(format_args!(
-            "the mapping jumps by {x:.2}, {y:.2} px before {}",
-            jump.file
-        ))?;
+        say(format_args!("the mapping jumps by {}", jump.text()))?;
+    }
+    for [name, value] in summary.clock.lines() {
+        say(format_args!("{name}: {value}"))?;
     }
     Ok(())
 }

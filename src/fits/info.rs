@@ -41,6 +41,7 @@ pub(super) fn read_info(header: &Header) -> Result<FrameInfo, Problem> {
             Some(monotonic) => Some(monotonic),
             None => heroes_monotonic(header, exposure)?,
         },
+        instrument: header.text("OBSRVTRY")?,
         utc_step: step(header)?,
         camera_clock: whole("CAMCLOCK")?.map(Duration::from_nanos),
         exposure,

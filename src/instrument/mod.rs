@@ -15,7 +15,7 @@ pub use dates::Dated;
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;
 
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameInfo};
 use crate::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use crate::plate::Plate;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured, PlateMil, SensorPx};
@@ -27,6 +27,8 @@ use std::path::Path;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Instrument {
     pub name: String,
+    /// The name of its camera as frames have it (`CAMERA`); none where the file states none.
+    pub camera_name: Option<String>,
     pub camera: Camera,
     /// How the camera's pixels answer to light.
     pub sensor: Sensor,
@@ -134,7 +136,43 @@ pub struct WrongSize {
     pub height: usize,
 }
 
+/// A frame that another instrument or another camera took.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{keyword}: expected \"{expected}\" as of instrument \"{instrument}\", found \"{found}\"")]
+pub struct WrongCamera {
+    pub keyword: &'static str,
+    pub instrument: String,
+    pub expected: String,
+    pub found: String,
+}
+
+/// What is added to the name of the second of two cameras that fly with instruments of one name.
+pub const SECOND: &str = "-2";
+
 impl Instrument {
+    /// Whether a frame is this instrument's, by what its header says of instrument and camera.
+    ///
+    /// # Errors
+    /// The keyword that names another.
+    pub fn check_taken_by(&self, info: &FrameInfo) -> Result<(), WrongCamera> {
+        let wrong = |keyword, expected: &str, found: &str| WrongCamera {
+            keyword,
+            instrument: self.name.clone(),
+            expected: expected.into(),
+            found: found.into(),
+        };
+        if let Some(named) = &info.instrument
+            && named.strip_suffix(SECOND).unwrap_or(named) != self.name
+            && *named != self.name
+        {
+            return Err(wrong("OBSRVTRY", &self.name, named));
+        }
+        match (&self.camera_name, &info.camera) {
+            (Some(own), Some(camera)) if own != camera => Err(wrong("CAMERA", own, camera)),
+            _ => Ok(()),
+        }
+    }
+
     /// The instrument as a frame sees it: positions on the sensor count from the frame's corner, where the frame tells
     /// that it is a part of the sensor.
     ///
@@ -234,5 +272,30 @@ mod tests {
         let demo = builtin("demo").unwrap();
         assert!((demo.radius_px(955.59) - 95.163).abs() < 0.001);
         assert!((demo.optics.arcsec_per_mil() - 1.746).abs() < 0.001);
+    }
+
+    #[test]
+    fn a_frame_that_names_another_instrument_or_camera_is_refused() {
+        let mut demo = builtin("demo").unwrap();
+        let info = |instrument: Option<&str>, camera: Option<&str>| FrameInfo {
+            instrument: instrument.map(str::to_owned),
+            camera: camera.map(str::to_owned),
+            ..FrameInfo::default()
+        };
+        let keyword = |demo: &Instrument, info: &FrameInfo| {
+            demo.check_taken_by(info).err().map(|wrong| wrong.keyword)
+        };
+        for named in [None, Some("demo"), Some("demo-2")] {
+            assert_eq!(keyword(&demo, &info(named, Some("any"))), None);
+        }
+        let other = info(Some("heroes-pyas-f"), None);
+        assert_eq!(keyword(&demo, &other), Some("OBSRVTRY"));
+        demo.camera_name = Some("IGV-B1310 42".into());
+        assert_eq!(
+            keyword(&demo, &info(None, Some("IGV-B1310 43"))),
+            Some("CAMERA")
+        );
+        assert_eq!(keyword(&demo, &info(None, Some("IGV-B1310 42"))), None);
+        assert_eq!(keyword(&demo, &info(None, None)), None);
     }
 }

@@ -67,6 +67,7 @@ struct RawCalibration {
 
 #[derive(Deserialize)]
 struct RawCamera {
+    name: Option<Entry<String>>,
     width_px: Entry<usize>,
     height_px: Entry<usize>,
     bits: Entry<u32>,
@@ -132,8 +133,9 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {
 }
 
 /// Keys that the demo does without: what an unknown key may have been meant for.
-const OPTIONAL_KEYS: [&str; 10] = [
+const OPTIONAL_KEYS: [&str; 11] = [
     "camera.hot_pixels_px",
+    "camera.name",
     "camera.noise.dark_dn",
     "camera.noise.gain_dn_per_electron",
     "camera.noise.read_noise_dn",
@@ -154,6 +156,7 @@ impl Checker<'_> {
     fn instrument(&self, raw: RawInstrument) -> Result<Instrument, TomlError> {
         self.name(&raw.name)?;
         Ok(Instrument {
+            camera_name: raw.camera.name.as_ref().map(|name| name.value.clone()),
             sensor: self.sensor(&raw.camera)?,
             camera: self.camera(raw.camera)?,
             plate: self.plate(raw.plate)?,

@@ -1,13 +1,13 @@
 //! The report's part on the mapping: its drift over time and with the camera's temperature.
 
 use super::output::{MappingSummary, Summary, ThermalSummary};
-use super::report::{Report, TIME, labels};
+use super::report::{Part, TIME, labels};
 use super::row::Row;
 use crate::report::plot::{self, Mark, Series};
 
-impl Report<'_> {
+impl Part<'_> {
     pub(super) fn mapping(&mut self, summary: &Summary) {
-        self.page.heading("Drift of the mapping");
+        self.heading("Drift of the mapping");
         let Some(mapping) = &summary.mapping else {
             return self.page.note("No marks were read.");
         };

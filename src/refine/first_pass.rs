@@ -41,7 +41,7 @@ impl Recipe {
 }
 
 /// Counts with every change of what a record holds or how it is made.
-const JOURNAL_VERSION: u32 = 2;
+const JOURNAL_VERSION: u32 = 3;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
 pub(super) fn hash_of(bytes: &[u8]) -> u64 {
@@ -277,7 +277,12 @@ fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord
         .map_err(|error| Unsolved::Unreadable(error.to_string()))?;
     let expected = info.mid_exposure.and_then(Expected::at);
     let solution = aspect::solve_with(&recipe.settings, &frame, instrument, expected, None);
-    Ok(Some(FrameRecord::new(&frame.info, &header, &solution)))
+    Ok(Some(FrameRecord::new(
+        &frame.info,
+        &header,
+        &solution,
+        instrument,
+    )))
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::disc::{self, PlateDisc};
 use super::first_pass::{Done, Recipe, Span};
 use super::follow::Followed;
 use super::journal::JournalError;
-use super::load::load;
+use super::load::{ClockFacts, Loaded, load};
 use super::look::{Known, Look};
 use super::mapping::MappingFacts;
 use super::motion;
@@ -33,6 +33,9 @@ pub struct Flight {
     /// In the order of time; frames without a time and files that could not be read come last, by name.
     pub rows: Vec<Row>,
     pub mapping: Option<MappingFacts>,
+    pub clock: ClockFacts,
+    /// What most fine frames say against the instrument, in words: they are not its camera's.
+    pub contradiction: Option<String>,
     pub path: Option<motion::Path>,
     /// The flight's radius over the expected one.
     pub radius_ratio: Option<Measured>,
@@ -55,9 +58,14 @@ pub fn second_pass(
     recipe: &Recipe,
     span: &Span,
 ) -> Result<Flight, JournalError> {
-    let loaded = load(done, inputs, &recipe.instrument, span)?;
-    let unread = loaded.unread;
-    let mut work = Work::new(done, recipe, loaded.entries, loaded.marks);
+    let Loaded {
+        entries,
+        marks,
+        unread,
+        clock,
+        contradiction,
+    } = load(done, inputs, &recipe.instrument, span)?;
+    let mut work = Work::new(done, recipe, entries, marks);
     let ratio = work.place_discs()?;
     work.look_for_oddities(|_| true);
     let mut followed = work.follow_path();
@@ -76,6 +84,8 @@ pub fn second_pass(
     Ok(Flight {
         rows,
         mapping: work.mapping.map(|mapping| mapping.facts),
+        clock,
+        contradiction,
         path: followed.path,
         radius_ratio: work.radius_ratio,
         dated: work.dated,
@@ -99,13 +109,13 @@ impl Work<'_> {
         for (n, look, disc) in found {
             let row = &mut self.rows[n];
             row.limb_part = Some(look.limb_part);
-            row.oddities.clear();
-            row.reason.clone_from(&row.own.reason);
+            row.take_back_oddities();
+            row.own_reason.clone_from(&row.own.reason);
             self.adopt(n, disc);
             let row = &mut self.rows[n];
             if row.own.sun_px.is_none() {
                 row.quality = Grade::Coarse;
-                row.reason.clone_from(&row.own.reason);
+                row.own_reason.clone_from(&row.own.reason);
                 row.note(Oddity::SecondLook);
             }
         }

@@ -1,18 +1,21 @@
 //! The records of the first pass, without what the second pass does not hold for all frames at once.
 
+use super::clock::{self, Clocks, Reading};
 use super::drift::MarkObservation;
 use super::first_pass::{Done, Span, key};
 use super::journal::JournalError;
 use super::record::{FrameRecord, Grade, Input, MarkRecord, Record, upper};
-use super::row::Row;
+use super::row::{Oddity, Row};
 use crate::instrument::Instrument;
 use crate::sky::sun_angular_radius;
-use crate::units::Place;
+use crate::units::{Measured, Place};
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Records that are read together.
 const TOGETHER: usize = 4096;
+/// Fewer frames that contradict the instrument are misread.
+const LEAST_CONTRADICTING: usize = 3;
 
 /// A frame as the second pass begins with it.
 pub(super) struct Entry {
@@ -24,6 +27,8 @@ pub(super) struct Entry {
     pub own_mapping: Option<[f64; 9]>,
     /// Which of the flight's marks are the fine frame's.
     pub marks: Range<usize>,
+    /// What the fine frame measures otherwise than the instrument's file states it, in words.
+    contradiction: Option<String>,
 }
 
 /// All that is done of a flight.
@@ -33,6 +38,24 @@ pub(super) struct Loaded {
     pub marks: Vec<MarkObservation>,
     /// Files that could not be read.
     pub unread: Vec<Row>,
+    pub clock: ClockFacts,
+    /// What most fine frames say against the instrument, in words.
+    pub contradiction: Option<String>,
+}
+
+/// What the computer's clock did in a flight.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ClockFacts {
+    /// By how much UTC gains on the monotonic clock, parts in a million.
+    pub drift_ppm: Option<Measured>,
+    pub steps: Vec<ClockStep>,
+}
+
+/// A step of UTC, s, and the first file after it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClockStep {
+    pub file: String,
+    pub step_s: Measured,
 }
 
 /// Reads what the span holds.
@@ -63,6 +86,12 @@ pub(super) fn load(
             }
         }
     }
+    let contradiction = contradiction(&entries);
+    let clock = correct_times(&mut entries);
+    entries.par_iter_mut().for_each(|Entry { row, .. }| {
+        let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
+        row.expected_radius_mil = angular.map(|angular| instrument.optics.radius_mil(angular));
+    });
     entries.sort_by(|a, b| {
         let key = |e: &Entry| (e.row.utc_ns.is_none(), e.row.utc_ns);
         key(a)
@@ -73,7 +102,60 @@ pub(super) fn load(
         entries,
         marks,
         unread,
+        clock,
+        contradiction,
     })
+}
+
+/// What most of the fine frames say against the instrument: it is another camera's, or the camera was moved.
+fn contradiction(entries: &[Entry]) -> Option<String> {
+    let fine = entries
+        .iter()
+        .filter(|entry| entry.row.own.quality == Grade::Fine);
+    let fine = fine.count();
+    let mut contradicting = entries
+        .iter()
+        .filter_map(|entry| Some((&entry.row.file, entry.contradiction.as_ref()?)));
+    let (file, what) = contradicting.next()?;
+    let frames = 1 + contradicting.count();
+    (2 * frames > fine && frames >= LEAST_CONTRADICTING).then(|| {
+        format!(
+            "{frames} of {fine} fine frames contradict the instrument; expected its camera's frames, found in {file} {what}. Name the camera's \
+             own instrument, or one whose sigmas allow for this"
+        )
+    })
+}
+
+/// Holds UTC against the monotonic clock.
+fn correct_times(entries: &mut [Entry]) -> ClockFacts {
+    let reading = |entry: &Entry| {
+        let (utc_ns, monotonic_s) = entry.row.utc_ns.zip(entry.row.monotonic_s)?;
+        Some(Reading {
+            utc_ns,
+            monotonic_s,
+        })
+    };
+    let readings: Vec<Option<Reading>> = entries.iter().map(reading).collect();
+    let clocks = Clocks::of(&readings);
+    let step = |step: &clock::ClockStep| ClockStep {
+        file: entries[step.frame].row.file.clone(),
+        step_s: step.step_s,
+    };
+    let steps = clocks.steps.iter().map(step).collect();
+    for (entry, shift_s) in entries.iter_mut().zip(&clocks.corrections_s) {
+        if let Some(shift_s) = shift_s {
+            let shift_ns = (shift_s.value * 1e9).round() as i64;
+            entry.row.utc_ns = entry.row.utc_ns.map(|utc_ns| utc_ns + shift_ns);
+            entry.row.utc_correction_s = Some(*shift_s);
+            entry.row.note(Oddity::Clock);
+        }
+    }
+    ClockFacts {
+        drift_ppm: clocks
+            .drift
+            .map(|drift| Measured::new(drift.value * 1e6, drift.sigma * 1e6)),
+        steps,
+    }
 }
 
 /// A frame with its marks, or the row of a file that could not be read.
@@ -95,9 +177,7 @@ fn entry(
     instrument: &Instrument,
 ) -> (Entry, Vec<MarkObservation>) {
     let key = key(&input);
-    let mut row = Row::of(input, frame);
-    let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
-    row.expected_radius_mil = angular.map(|angular| instrument.optics.radius_mil(angular));
+    let row = Row::of(input, frame);
     let fine = frame.quality == Grade::Fine;
     let marks = frame.marks.iter().filter(|_| fine);
     let own = frame.disc.as_ref().filter(|_| fine);
@@ -107,6 +187,7 @@ fn entry(
         place: frame.place(),
         own_mapping: own.and_then(|disc| disc.to_plate),
         marks: 0..0,
+        contradiction: frame.contradiction.clone(),
     };
     (
         entry,

@@ -9,6 +9,8 @@
 //! What comes out ([`write()`], [`write_report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
 //! which frames were done, by how many cores or machines, nor on how often the run was killed.
 
+mod cameras;
+mod clock;
 pub mod columns;
 mod disc;
 mod drift;
@@ -33,10 +35,12 @@ mod temperature;
 mod view;
 mod work;
 
+pub use cameras::{CameraFrames, CameraName, cameras};
 pub use disc::PlateDisc;
 pub use first_pass::{Done, Recipe, Shard, Span, inputs};
 pub use flight::{Flight, second_pass};
 pub use journal::{Journal, JournalError};
+pub use load::{ClockFacts, ClockStep};
 pub use mapping::{
     FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, TemperatureDependence,
 };
@@ -44,6 +48,6 @@ pub use output::{OutputError, Summary, write};
 pub use record::{
     DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
 };
-pub use report::write_report;
+pub use report::Report;
 pub use row::{Oddity, OwnRow, Row, SkyRow};
 pub use sky::Sky;

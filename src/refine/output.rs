@@ -4,6 +4,7 @@
 use super::columns::{self, ASPECT, ASPECT_COLUMNS, SMOOTHED, SMOOTHED_COLUMNS};
 use super::first_pass::Recipe;
 use super::flight::Flight;
+use super::load::ClockStep;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
 use super::record::Grade;
 use super::row::{Oddity, Row};
@@ -58,8 +59,44 @@ pub struct Summary {
     pub median_sigma_mil: Option<f64>,
     pub radius_over_expected: Option<f64>,
     pub mapping: Option<MappingSummary>,
+    pub clock: ClockSummary,
     /// Random walk of the gondola's acceleration, mil/s^2 after a second.
     pub restless_mil_per_s2: Option<f64>,
+}
+
+/// What the computer's clock did.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClockSummary {
+    /// By how much UTC gains on the monotonic clock, parts in a million: value and 1 sigma.
+    pub drift_ppm: Option<[f64; 2]>,
+    pub steps: Vec<ClockStepSummary>,
+    /// Frames whose time is corrected.
+    pub corrected: usize,
+}
+
+impl ClockSummary {
+    /// What people should know of it: name and value.
+    pub fn lines(&self) -> impl Iterator<Item = [String; 2]> {
+        let drift = self.drift_ppm.map(|[drift, sigma]| {
+            let value = format!("{drift:.3} \u{b1} {sigma:.3} parts in a million");
+            ["UTC gains on the monotonic clock".into(), value]
+        });
+        let step = |step: &ClockStepSummary| {
+            let [step_s, sigma_s] = step.step_s;
+            let value = format!("{step_s:+.4} \u{b1} {sigma_s:.4} s before {}", step.file);
+            ["step of UTC".into(), value]
+        };
+        drift.into_iter().chain(self.steps.iter().map(step))
+    }
+}
+
+/// A step of UTC.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClockStepSummary {
+    /// The first frame after it.
+    pub file: String,
+    /// Value and 1 sigma.
+    pub step_s: [f64; 2],
 }
 
 /// What is known of the flight's mapping.
@@ -94,6 +131,14 @@ pub struct JumpSummary {
     pub utc: Option<String>,
     pub shift_px: [f64; 2],
     pub turn_deg: f64,
+}
+
+impl JumpSummary {
+    /// How far, and where, for people.
+    pub fn text(&self) -> String {
+        let ([x, y], turn) = (self.shift_px, self.turn_deg);
+        format!("{x:.2}, {y:.2} px and {turn:.3} deg before {}", self.file)
+    }
 }
 
 /// Hardly a row, or a moment of the path, takes more bytes in the tables.
@@ -200,7 +245,25 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         median_sigma_mil: median(sigmas.flatten()),
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
+        clock: clock(flight),
         restless_mil_per_s2: flight.path.as_ref().map(|path| path.process_noise),
+    }
+}
+
+fn clock(flight: &Flight) -> ClockSummary {
+    let pair = |measured: Measured| [measured.value, measured.sigma];
+    let step = |step: &ClockStep| ClockStepSummary {
+        file: step.file.clone(),
+        step_s: pair(step.step_s),
+    };
+    let corrected = flight
+        .rows
+        .iter()
+        .filter(|row| row.utc_correction_s.is_some());
+    ClockSummary {
+        drift_ppm: flight.clock.drift_ppm.map(pair),
+        steps: flight.clock.steps.iter().map(step).collect(),
+        corrected: corrected.count(),
     }
 }
 

@@ -1,8 +1,9 @@
 //! What one frame gave, as small as the flight needs it: a row of the journal.
 
-use crate::aspect::{Aspect, Mark, Solution};
+use crate::aspect::{self, Aspect, Mark, Solution};
 use crate::fits::{Header, Value};
 use crate::frame::FrameInfo;
+use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::plate::MarkId;
 use crate::units::{Place, SensorPx};
@@ -42,6 +43,8 @@ pub struct FrameRecord {
     pub in_flight: InFlight,
     pub quality: Grade,
     pub reason: Option<String>,
+    /// What the fine frame measures otherwise than the instrument's file states it, in words.
+    pub contradiction: Option<String>,
     /// Background, noise and disc, DN.
     pub levels_dn: Option<[f64; 3]>,
     pub disc: Option<DiscRecord>,
@@ -155,7 +158,12 @@ pub(super) fn symmetric([xx, xy, yy]: [f64; 3]) -> Matrix2<f64> {
 
 impl FrameRecord {
     /// What a frame gave, beside what its file says of it.
-    pub fn new(info: &FrameInfo, header: &Header, solution: &Solution) -> Self {
+    pub fn new(
+        info: &FrameInfo,
+        header: &Header,
+        solution: &Solution,
+        instrument: &Instrument,
+    ) -> Self {
         let aspect = solution.aspect.as_ref();
         let centre = aspect.map(|aspect| aspect.sun_px.position.vector());
         let limb = centre.map_or(Vec::new(), |centre| {
@@ -177,6 +185,9 @@ impl FrameRecord {
                 crate::aspect::Quality::Fine => Grade::Fine,
             },
             reason: solution.stopped.map(|stopped| stopped.to_string()),
+            contradiction: aspect::contradictions(solution, instrument)
+                .first()
+                .map(ToString::to_string),
             levels_dn: solution
                 .levels
                 .map(|levels| [levels.background_dn, levels.noise_dn, levels.disc_dn]),

@@ -23,43 +23,66 @@ const SHRUNK: usize = 8;
 /// Frames further apart than so many usual steps end a run.
 const GAP_STEPS: f64 = 1.5;
 
-/// Writes `report.html` to a folder.
-///
-/// # Errors
-/// A file that cannot be written.
-pub fn write_report(
-    folder: &Path,
-    archive: &Path,
-    flight: &Flight,
-    summary: &Summary,
-    instrument: &Instrument,
-) -> Result<(), OutputError> {
-    let arcsec_per_mil = instrument.optics.arcsec_per_mil();
-    let mut report = Report {
-        page: Page::default(),
-        rows: &flight.rows,
-        first_s: flight.rows.first().and_then(Row::unix_s).unwrap_or(0.0),
-        arcsec_per_mil,
-    };
-    report.summary(summary);
-    report.path(&flight.smoothed_rows());
-    report.budget();
-    report.in_flight();
-    report.radius();
-    report.mapping(summary);
-    report.refusals(archive);
-    report.pointing();
-    report.jitter();
-    let text = report
-        .page
-        .finish(&format!("Aspect of {}", summary.instrument));
-    whole(&folder.join("report.html"), |file| {
-        file.write_all(text.as_bytes())
-    })
+/// The page of a refinement: a part for each camera.
+#[derive(Default)]
+pub struct Report {
+    page: Page,
+    instruments: Vec<String>,
 }
 
-pub(super) struct Report<'a> {
-    pub page: Page,
+impl Report {
+    /// Adds a camera's part; of several, `label` begins its headings.
+    pub fn add(
+        &mut self,
+        label: Option<&str>,
+        archive: &Path,
+        flight: &Flight,
+        summary: &Summary,
+        instrument: &Instrument,
+    ) {
+        self.instruments
+            .push(label.unwrap_or(&summary.instrument).into());
+        let mut part = Part {
+            page: &mut self.page,
+            label: label.map_or(String::new(), |label| format!("{label}: ")),
+            rows: &flight.rows,
+            first_s: flight.rows.first().and_then(Row::unix_s).unwrap_or(0.0),
+            arcsec_per_mil: instrument.optics.arcsec_per_mil(),
+        };
+        part.summary(summary);
+        part.path(&flight.smoothed_rows());
+        part.budget();
+        part.in_flight();
+        part.radius();
+        part.mapping(summary);
+        part.refusals(archive);
+        part.pointing();
+        part.jitter();
+    }
+
+    /// Says what is not in it.
+    pub fn note(&mut self, text: &str) {
+        self.page.note(text);
+    }
+
+    /// Writes `report.html` to a folder.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn write(self, folder: &Path) -> Result<(), OutputError> {
+        let title = format!("Aspect of {}", self.instruments.join(" and "));
+        let text = self.page.finish(&title);
+        whole(&folder.join("report.html"), |file| {
+            file.write_all(text.as_bytes())
+        })
+    }
+}
+
+/// One camera's part of the page.
+pub(super) struct Part<'a> {
+    pub page: &'a mut Page,
+    /// What headings begin with.
+    label: String,
     pub rows: &'a [Row],
     first_s: f64,
     arcsec_per_mil: f64,
@@ -75,7 +98,11 @@ pub(super) fn labels(title: &str, x: &str, y: &str) -> Labels {
 
 pub(super) const TIME: &str = "time since the first frame, s";
 
-impl Report<'_> {
+impl Part<'_> {
+    pub(super) fn heading(&mut self, text: &str) {
+        self.page.heading(&format!("{}{text}", self.label));
+    }
+
     /// A figure, or a line that says why there is none.
     pub(super) fn figure(&mut self, figure: Result<String, PlotError>) {
         match figure {
@@ -110,6 +137,9 @@ impl Report<'_> {
     }
 
     fn summary(&mut self, summary: &Summary) {
+        if !self.label.is_empty() {
+            self.heading("summary");
+        }
         let mut rows: Vec<Vec<String>> = [
             ("files", summary.files.to_string()),
             (
@@ -131,18 +161,15 @@ impl Report<'_> {
         .map(|(name, value)| vec![name.to_owned(), value])
         .into();
         for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
-            let [x, y] = jump.shift_px;
-            rows.push(vec![
-                "jump of the mapping".into(),
-                format!("{x:.2}, {y:.2} px before {}", jump.file),
-            ]);
+            rows.push(vec!["jump of the mapping".into(), jump.text()]);
         }
+        rows.extend(summary.clock.lines().map(Vec::from));
         self.page.table(&[], &rows);
         self.page.note("All times are UTC at mid-exposure.");
     }
 
     fn path(&mut self, smoothed: &[SmoothedRow]) {
-        self.page.heading("The Sun on the plate");
+        self.heading("The Sun on the plate");
         let dots = [("x", 0), ("y", 1)]
             .map(|(name, axis)| self.dots(name, |row| Some(row.sun?.position.vector()[axis])));
         let lines = [("x, smoothed", 0), ("y, smoothed", 1)].map(|(name, axis)| Series {
@@ -158,7 +185,7 @@ impl Report<'_> {
     }
 
     fn budget(&mut self) {
-        self.page.heading("Error budget");
+        self.heading("Error budget");
         let scale = self.arcsec_per_mil;
         let per_axis = |trace: f64| (trace.max(0.0) / 2.0).sqrt() * scale;
         let limb = |row: &Row| Some(per_axis(row.disc?.centre.covariance.trace()));
@@ -204,7 +231,7 @@ impl Report<'_> {
     }
 
     fn in_flight(&mut self) {
-        self.page.heading("In flight against refined");
+        self.heading("In flight against refined");
         let scale = self.arcsec_per_mil;
         let difference = |axis: usize| {
             move |row: &Row| {
@@ -225,7 +252,7 @@ impl Report<'_> {
     }
 
     fn radius(&mut self) {
-        self.page.heading("Radius against ephemeris");
+        self.heading("Radius against ephemeris");
         let ratio = |row: &Row| Some(row.disc?.radius_mil.value / row.expected_radius_mil?);
         let series = [self.dots("seen over expected", ratio)];
         self.figure(plot::series(
@@ -235,27 +262,28 @@ impl Report<'_> {
     }
 
     fn refusals(&mut self, archive: &Path) {
-        self.page.heading("What is not fine, or odd");
-        let mut reasons: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
-        for row in self.rows.iter().filter(|row| !row.reason.is_empty()) {
-            reasons.entry(row.reason.as_str()).or_default().push(row);
+        self.heading("What is not fine, or odd");
+        let mut reasons: BTreeMap<String, Vec<&Row>> = BTreeMap::new();
+        for row in self.rows {
+            reasons.entry(row.reason()).or_default().push(row);
         }
-        let count = |(reason, rows): (&&str, &Vec<&Row>)| {
+        reasons.remove("");
+        let count = |(reason, rows): (&String, &Vec<&Row>)| {
             let qualities = ["fine", "coarse", "none"].map(|quality| {
                 rows.iter()
                     .filter(|row| row.quality.name() == quality)
                     .count()
                     .to_string()
             });
-            [vec![(*reason).to_owned()], qualities.to_vec()].concat()
+            [vec![reason.clone()], qualities.to_vec()].concat()
         };
         let counts: Vec<Vec<String>> = reasons.iter().map(count).collect();
         self.page
             .table(&["reason", "fine", "coarse", "none"], &counts);
-        for rows in reasons.values() {
+        for (reason, rows) in &reasons {
             for row in rows.iter().take(PICTURES) {
                 if let Some(picture) = thumbnail(&archive.join(&row.file)) {
-                    let caption = format!("{}: {}", row.file, row.reason);
+                    let caption = format!("{}: {reason}", row.file);
                     self.page.picture(&picture, &caption);
                 }
             }
@@ -273,7 +301,7 @@ impl Report<'_> {
     }
 
     fn pointing(&mut self) {
-        self.page.heading("Pointing");
+        self.heading("Pointing");
         let offsets = self.offsets();
         if offsets.is_empty() {
             return self
@@ -313,7 +341,7 @@ impl Report<'_> {
     }
 
     fn jitter(&mut self) {
-        self.page.heading("Jitter");
+        self.heading("Jitter");
         let scale = self.arcsec_per_mil;
         let [x, y] =
             [0, 1].map(|axis| self.over_time(|row| Some(row.sun?.position.vector()[axis] * scale)));

@@ -3,7 +3,7 @@
 use super::disc::PlateDisc;
 use super::mapping::MappingNumbers;
 use super::record::{FrameRecord, Grade, InFlight, Input};
-use crate::units::{Estimate, PlateMil};
+use crate::units::{Estimate, Measured, PlateMil};
 use jiff::Timestamp;
 use std::fmt;
 
@@ -28,6 +28,8 @@ pub enum Oddity {
     Noise,
     /// The frame alone showed no disc.
     SecondLook,
+    /// UTC had stepped against the monotonic clock.
+    Clock,
 }
 
 impl Oddity {
@@ -35,7 +37,12 @@ impl Oddity {
     pub fn spoils(self) -> bool {
         match self {
             Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
-            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondLook => false,
+            Self::Misread
+            | Self::FewMarks
+            | Self::Light
+            | Self::Noise
+            | Self::SecondLook
+            | Self::Clock => false,
         }
     }
 
@@ -50,6 +57,7 @@ impl Oddity {
             Self::Light => "the light is not that of the frames before and after",
             Self::Noise => "more noise than in the frames before and after",
             Self::SecondLook => "seen only where the frames before and after have the disc",
+            Self::Clock => "the clock had stepped: the time is by the monotonic clock",
         }
     }
 }
@@ -93,12 +101,14 @@ pub struct OwnRow {
 pub struct Row {
     pub file: String,
     pub utc_ns: Option<i64>,
+    /// What was added to the header's time, s, where the clock had stepped.
+    pub utc_correction_s: Option<Measured>,
     pub monotonic_s: Option<f64>,
     pub number: Option<u64>,
     pub temperature_c: Option<f64>,
     pub quality: Grade,
-    /// Empty where nothing is to be said.
-    pub reason: String,
+    /// Why the frame is not fine, where its own solution says it; empty where nothing is to be said.
+    pub own_reason: String,
     pub oddities: Vec<Oddity>,
     pub sun: Option<Estimate<PlateMil>>,
     pub disc: Option<PlateDisc>,
@@ -120,15 +130,22 @@ impl Row {
             return;
         }
         self.oddities.push(odd);
-        let text = format!("refine: {odd}");
-        self.reason = match self.reason.as_str() {
-            "" => text,
-            before => format!("{before}; {text}"),
-        };
         if odd.spoils() {
             self.quality = Grade::None;
             self.sun = None;
         }
+    }
+
+    /// Takes back what was odd, but for the time's.
+    pub(super) fn take_back_oddities(&mut self) {
+        self.oddities.retain(|odd| *odd == Oddity::Clock);
+    }
+
+    /// Why the frame is not fine, and what is odd about it; empty where nothing is to be said.
+    pub fn reason(&self) -> String {
+        let own = (!self.own_reason.is_empty()).then(|| self.own_reason.clone());
+        let odd = self.oddities.iter().map(|odd| format!("refine: {odd}"));
+        own.into_iter().chain(odd).collect::<Vec<_>>().join("; ")
     }
 
     /// A file that could not be read.
@@ -136,11 +153,12 @@ impl Row {
         Self {
             file: input.file,
             utc_ns: None,
+            utc_correction_s: None,
             monotonic_s: None,
             number: None,
             temperature_c: None,
             quality: Grade::None,
-            reason: format!("file: {error}"),
+            own_reason: format!("file: {error}"),
             oddities: Vec::new(),
             sun: None,
             disc: None,
@@ -175,7 +193,7 @@ impl Row {
             number: frame.number,
             temperature_c: frame.temperature_c,
             quality: frame.quality,
-            reason: frame.reason.clone().unwrap_or_default(),
+            own_reason: frame.reason.clone().unwrap_or_default(),
             own: OwnRow {
                 quality: frame.quality,
                 reason: frame.reason.clone().unwrap_or_default(),

@@ -142,7 +142,7 @@ impl<'a> Work<'a> {
             _ => Grade::Coarse,
         };
         if row.quality == Grade::Fine {
-            row.reason.clear();
+            row.own_reason.clear();
         }
     }
 }

@@ -5,7 +5,7 @@ use super::flat;
 use super::focus;
 use super::shots::{Shot, Shots, SunShot};
 use super::transfer;
-use crate::calibrate::frames::{Mixed, Setting, check_one_setting};
+use crate::calibrate::frames::{Setting, WrongFrames, check_settings};
 use crate::calibrate::quantity::{CalibratedQuantity, Verdict};
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::instrument::Instrument;
@@ -49,7 +49,7 @@ pub enum CameraError {
         sun: usize,
     },
     #[error(transparent)]
-    Mixed(#[from] Mixed),
+    WrongFrames(#[from] WrongFrames),
 }
 
 /// Calibrates the camera of an instrument from its frames.
@@ -74,7 +74,7 @@ pub fn calibrate(inputs: &Inputs, stated: &Instrument) -> Result<CameraCalibrati
         return Err(too_few);
     };
     let settings: Vec<Setting> = all().map(Shot::setting).collect();
-    check_one_setting(&settings)?;
+    check_settings(&settings, stated)?;
     let unlit = if inputs.dark.frames.is_empty() {
         &inputs.sun
     } else {

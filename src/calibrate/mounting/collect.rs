@@ -3,7 +3,7 @@
 use super::log::PointingLog;
 use super::observation::SunObservation;
 use crate::aspect::{self, Expected, Quality, Solution};
-use crate::calibrate::frames::{RejectedFrame, Setting, check_one_setting};
+use crate::calibrate::frames::{RejectedFrame, Setting, check_settings};
 use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
@@ -64,7 +64,8 @@ pub fn collect(
             frames.observe(file, ephemeris)
         })
         .collect::<anyhow::Result<_>>()?;
-    check_one_setting(outcomes.iter().filter_map(|(setting, _)| setting.as_ref()))?;
+    let settings = outcomes.iter().filter_map(|(setting, _)| setting.as_ref());
+    check_settings(settings, frames.instrument)?;
     let (mut observations, mut rejected, mut lacks) = (Vec::new(), Vec::new(), Vec::new());
     for (file, (_, outcome)) in files.iter().zip(outcomes) {
         match outcome {

@@ -25,6 +25,8 @@ pub struct Calibration {
     pub frames_sha256: String,
     /// When the last frame was taken.
     pub last: Option<Timestamp>,
+    /// The camera's name, as the frames have it.
+    pub camera: Option<String>,
     /// The pose nearest to where the start's mounting states the camera: the others were made for the calibration.
     pub mounted_pose: usize,
     /// The sensor's middle.
@@ -49,8 +51,9 @@ pub fn calibrate(
     begin(folders.iter().map(|folder| folder.files.len()).sum());
     let mut observations = measure(&folders, start, each);
     let mut blurred = take_blurred(&mut observations.frames);
-    observations.check_files()?;
+    observations.check_files(start)?;
     observations.check_coverage(start)?;
+    let camera = observations.camera();
     let (mut frames, mut unread) = (observations.frames, observations.rejected);
     let mut posed = poses::find(&folders, &frames, &start.plate)?;
     let mut fit = settle(&mut posed, start)?;
@@ -73,6 +76,7 @@ pub fn calibrate(
     let files: Vec<_> = observations.files.iter().map(|facts| &facts.file).collect();
     Ok(Calibration {
         last: posed.frames.iter().filter_map(|frame| frame.utc).max(),
+        camera,
         mounted_pose: mounted_pose(&fit, start),
         middle_px: start.camera.middle_px(),
         frames_sha256: sha256(&files),

@@ -4,7 +4,7 @@ use super::lit::{by_lamp, lit_levels};
 use super::observation::{FrameObservation, MarkObservation};
 use super::refusal::Refusal;
 use crate::aspect::{self, Expected, Origin};
-use crate::calibrate::frames::{RejectedFrame, Setting, check_one_setting};
+use crate::calibrate::frames::{RejectedFrame, Setting, check_settings};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::{Instrument, WrongSize};
@@ -149,9 +149,14 @@ fn by_sun(
 }
 
 impl Observations {
+    /// The camera's name, as the frames have it.
+    pub(super) fn camera(&self) -> Option<String> {
+        self.files.iter().find_map(|facts| facts.setting.camera())
+    }
+
     /// Refuses files of several cameras, sizes or depths, of another instrument's size, or without any time.
-    pub(super) fn check_files(&self) -> Result<(), Refusal> {
-        check_one_setting(self.files.iter().map(|facts| &facts.setting))?;
+    pub(super) fn check_files(&self, instrument: &Instrument) -> Result<(), Refusal> {
+        check_settings(self.files.iter().map(|facts| &facts.setting), instrument)?;
         for FileFacts {
             file, wrong_size, ..
         } in &self.files

@@ -1,6 +1,6 @@
 //! Why a calibration is refused, and what to take instead.
 
-use crate::calibrate::frames::{InputError, Mixed};
+use crate::calibrate::frames::{InputError, WrongFrames};
 use crate::instrument::WrongSize;
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ pub enum Refusal {
     #[error(transparent)]
     Input(#[from] InputError),
     #[error(transparent)]
-    Mixed(#[from] Mixed),
+    WrongFrames(#[from] WrongFrames),
     #[error(
         "{file}: expected frames of one instrument, found {scale:.3} mil/px in this pose and {other:.3} mil/px in {other_file}; give the frames of one camera and lens only",
         file = .file.display(), other_file = .other_file.display()

@@ -43,6 +43,7 @@ fn provenance(calibration: &Calibration) -> Provenance {
         date: day.to_zoned(TimeZone::UTC).date(),
         frames: calibration.fit.poses.iter().map(|pose| pose.frames).sum(),
         frames_sha256: calibration.frames_sha256.clone(),
+        camera: calibration.camera.clone(),
     }
 }
 

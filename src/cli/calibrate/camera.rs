@@ -61,10 +61,11 @@ pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
-    let shots = [&inputs.dark, &inputs.flat, &inputs.sun]
-        .into_iter()
-        .flat_map(|s| &s.frames);
-    let last = shots.filter_map(|s| s.frame.info.mid_exposure).max();
+    let shots = || {
+        let all = [&inputs.dark, &inputs.flat, &inputs.sun].into_iter();
+        all.flat_map(|s| &s.frames)
+    };
+    let last = shots().filter_map(|s| s.frame.info.mid_exposure).max();
     let last = last.unwrap_or_else(Timestamp::now);
     Provenance {
         name: "camera",
@@ -77,5 +78,6 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
         date: TimeZone::UTC.to_datetime(last).date(),
         frames: files.len(),
         frames_sha256: sha256(files),
+        camera: shots().find_map(|s| s.frame.info.camera.clone()),
     }
 }

@@ -122,5 +122,7 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
         date: TimeZone::UTC.to_datetime(last).date(),
         frames: taken,
         frames_sha256: sha256(files),
+        // The Sun's path tells how the plate sits, not which camera sees it.
+        camera: None,
     }
 }

@@ -1,17 +1,14 @@
 //! The cameras of a flight, as the configuration names them.
 
-use crate::archive;
+use crate::archive::{self, ROLL_CAMERA};
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, SECOND};
 use crate::service::{Camera, CameraFactory, Seat};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// Frames and logs of the roll camera go here, under the archive's root.
-const ROLL_FOLDER: &str = "roll";
 
 /// The first pitch-yaw camera, and the others that are configured; none is open yet.
 ///
@@ -35,15 +32,15 @@ pub(super) fn of(
     if let Some(source) = config.second_camera.source.clone() {
         let mut second = common.camera(Seat::SecondPitchYaw, &config.second_camera, source)?;
         if folder(&second.instrument) == folder(&first.instrument) {
-            second.instrument.name += "-2";
+            second.instrument.name += SECOND;
         }
         second.folder = folder(&second.instrument);
         others.push(second);
     }
     if let Some(source) = config.roll_camera.source.clone() {
         let mut roll = common.camera(Seat::Roll, &config.roll_camera, source)?;
-        roll.instrument.name = ROLL_FOLDER.into();
-        roll.folder = ROLL_FOLDER.into();
+        roll.instrument.name = ROLL_CAMERA.into();
+        roll.folder = ROLL_CAMERA.into();
         others.push(roll);
     }
     if !others.is_empty() {

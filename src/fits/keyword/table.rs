@@ -71,7 +71,7 @@ const TIME: Group = Group {
 const INSTRUMENT: Group = Group {
     title: "Instrument",
     keywords: &[
-        row("OBSRVTRY", Text, "", Written, "name of the instrument file"),
+        row("OBSRVTRY", Text, "", Both, "name of the instrument file"),
         row("TELESCOP", Text, "", Written, "name of the instrument file"),
         row("INSTRUME", Text, "", Both, "kind of camera; read where CAMERA is not"),
         row("WAVELNTH", Float, "nm", Written, "middle of the filter's band"),

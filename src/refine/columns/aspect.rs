@@ -36,6 +36,18 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
     column("UNIX_S", "s", "mid-exposure, UTC, since 1970-01-01", |r| {
         Cell::Float(r.unix_s())
     }),
+    column(
+        "UTC_CORRECTION_S",
+        "s",
+        "what was added to the header's time, where the clock had stepped",
+        |r| Cell::Float(r.utc_correction_s.map(|shift| shift.value)),
+    ),
+    column(
+        "UTC_CORRECTION_SIGMA_S",
+        "s",
+        "1 sigma of UTC_CORRECTION_S",
+        |r| Cell::Float(r.utc_correction_s.map(|shift| shift.sigma)),
+    ),
     column("MONO_S", "s", "mid-exposure on the monotonic clock", |r| {
         Cell::Float(r.monotonic_s)
     }),
@@ -82,7 +94,7 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
         "REASON",
         "",
         "why the frame is not fine, or what is odd about it; empty for the others",
-        |r| Cell::Text(r.reason.clone()),
+        |r| Cell::Text(r.reason()),
     ),
     column("NMARKS", "", "marks that were read", |r| {
         Cell::Integer(r.own.marks as i64)

@@ -1,0 +1,140 @@
+//! Which camera took which frames of an archive, by their headers.
+
+use super::record::Input;
+use crate::archive::{INSTRUMENT, ROLL_CAMERA, plain};
+use crate::fits::{FitsFile, Value};
+use crate::frame::FrameInfo;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Who took a frame, as its header says.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct CameraName {
+    /// `OBSRVTRY`.
+    pub instrument: Option<String>,
+    /// `CAMERA`, else `INSTRUME`.
+    pub camera: Option<String>,
+}
+
+impl CameraName {
+    /// Whether this is the camera that sees the horizon: no plate, no Sun.
+    pub fn is_roll_camera(&self) -> bool {
+        self.instrument.as_deref() == Some(ROLL_CAMERA)
+    }
+
+    /// What a frame of this camera says of it.
+    pub fn info(&self) -> FrameInfo {
+        FrameInfo {
+            instrument: self.instrument.clone(),
+            camera: self.camera.clone(),
+            ..FrameInfo::default()
+        }
+    }
+}
+
+/// The frames of one camera.
+#[derive(Debug, Clone, Default)]
+pub struct CameraFrames {
+    pub name: CameraName,
+    /// What tells it from the archive's other cameras, as files and folders may be named.
+    pub label: String,
+    /// By path. A file whose header cannot be read is taken for one of the camera that the file before it is of.
+    pub inputs: Vec<Input>,
+    /// SHA-256 of the instrument's files that the frames name.
+    pub instruments_sha256: BTreeSet<String>,
+}
+
+/// What a header says of camera and instrument's file.
+struct Named(CameraName, Option<String>);
+
+/// The archive's cameras, by name, each with its frames. Opens every file.
+pub fn cameras(archive: &Path, inputs: Vec<Input>) -> Vec<CameraFrames> {
+    let named = inputs
+        .par_iter()
+        .map(|input| named(&archive.join(&input.file)));
+    let named: Vec<Option<Named>> = named.collect();
+    let first = named.iter().flatten().next();
+    let mut before = first.map_or(CameraName::default(), |Named(name, _)| name.clone());
+    let mut cameras: BTreeMap<CameraName, CameraFrames> = BTreeMap::new();
+    for (input, named) in inputs.into_iter().zip(named) {
+        let (name, sha256) =
+            named.map_or((before.clone(), None), |Named(name, sha256)| (name, sha256));
+        before.clone_from(&name);
+        let camera = cameras.entry(name).or_default();
+        camera.inputs.push(input);
+        camera.instruments_sha256.extend(sha256);
+    }
+    labelled(cameras)
+}
+
+fn named(path: &Path) -> Option<Named> {
+    let file = FitsFile::open(path).ok()?;
+    let info = file.info().ok()?;
+    let header = file.keywords().ok()?;
+    let sha256 = match header.get(INSTRUMENT.keyword) {
+        Some(Value::Text(sha256)) => Some(sha256.clone()),
+        _ => None,
+    };
+    let name = CameraName {
+        instrument: info.instrument,
+        camera: info.camera,
+    };
+    Some(Named(name, sha256))
+}
+
+/// Each with a label of its own: the instrument's name; the camera's, where that does not tell them apart; both; and a number at last.
+fn labelled(cameras: BTreeMap<CameraName, CameraFrames>) -> Vec<CameraFrames> {
+    let part = |part: &Option<String>| plain(part.as_deref().unwrap_or_default());
+    let ways: [&dyn Fn(&CameraName) -> String; 3] = [
+        &|name| part(&name.instrument),
+        &|name| part(&name.camera),
+        &|name| format!("{}_{}", part(&name.instrument), part(&name.camera)),
+    ];
+    let tells_apart = |way: &&&dyn Fn(&CameraName) -> String| {
+        let labels: BTreeSet<String> = cameras.keys().map(way).collect();
+        labels.len() == cameras.len()
+    };
+    let way = ways.iter().find(tells_apart);
+    let label = |number: usize, name: &CameraName| match way {
+        Some(way) => way(name),
+        None => format!("camera-{}", number + 1),
+    };
+    let all = cameras.into_iter().enumerate();
+    all.map(|(number, (name, camera))| CameraFrames {
+        label: label(number, &name),
+        name,
+        ..camera
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(names: &[(Option<&str>, Option<&str>)]) -> Vec<String> {
+        let name = |(instrument, camera): &(Option<&str>, Option<&str>)| CameraName {
+            instrument: instrument.map(str::to_owned),
+            camera: camera.map(str::to_owned),
+        };
+        let cameras = names.iter().map(|n| (name(n), CameraFrames::default()));
+        let labelled = labelled(cameras.collect());
+        labelled.into_iter().map(|camera| camera.label).collect()
+    }
+
+    #[test]
+    fn cameras_are_told_apart_by_what_differs() {
+        let (f, r) = (Some("pyas-f"), Some("pyas-r"));
+        let (a, b) = (Some("GigE a/1"), Some("GigE b/2"));
+        assert_eq!(labels(&[(f, a), (r, a)]), ["pyas-f", "pyas-r"]);
+        assert_eq!(labels(&[(f, a), (f, b)]), ["GigE-a-1", "GigE-b-2"]);
+        let both = labels(&[(f, a), (f, b), (r, a)]);
+        assert_eq!(
+            both,
+            ["pyas-f_GigE-a-1", "pyas-f_GigE-b-2", "pyas-r_GigE-a-1"]
+        );
+        assert_eq!(labels(&[(None, None), (None, a)]), ["unnamed", "GigE-a-1"]);
+        assert_eq!(labels(&[(f, None)]), ["pyas-f"]);
+    }
+}

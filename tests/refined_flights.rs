@@ -1,0 +1,340 @@
+//! A refined history is nowhere worse than its frames, whatever the gondola, its clock and its cameras do; and frames of another
+//! camera are never taken for its own.
+
+use crate::common::refined::{Columns, command, refine, rms, summary, temporary};
+use jiff::{SignedDuration, Timestamp};
+use solaspect::fits::{self, Card, Compression};
+use solaspect::instrument::{self, Instrument};
+use solaspect::simulate::{
+    Course, FORT_SUMNER, FlightScenes, Pieces, SUN_RADIUS_ARCSEC, Trajectory,
+};
+use solaspect::units::PlateMil;
+use std::fs;
+use std::ops::Range;
+use std::path::Path;
+use std::time::Duration;
+
+const RATE_HZ: f64 = 4.0;
+
+/// A flight at four frames a second, and where its Sun was.
+struct Flight {
+    scenes: FlightScenes,
+    frames: usize,
+    /// By how much UTC is ahead from this frame to that.
+    clock_steps: Vec<(Range<usize>, SignedDuration)>,
+    cards: Vec<Card>,
+}
+
+impl Flight {
+    fn new(course: impl Fn(&Instrument, f64) -> Course, frames: usize, seed: u64) -> Self {
+        let instrument = instrument::builtin("demo").unwrap();
+        let radius_mil = instrument.optics.radius_mil(SUN_RADIUS_ARCSEC);
+        let course = course(&instrument, radius_mil);
+        let scenes = FlightScenes::new(&instrument, course, radius_mil, seed).unwrap();
+        Self {
+            scenes,
+            frames,
+            clock_steps: Vec::new(),
+            cards: Vec::new(),
+        }
+    }
+
+    /// As a file tells.
+    fn told(pieces: &str, frames: usize, seed: u64) -> Self {
+        let pieces = Pieces::parse(Path::new("flight.toml"), pieces).unwrap();
+        Self::new(|_, _| pieces.clone().into(), frames, seed)
+    }
+
+    fn since_start(n: usize) -> Duration {
+        Duration::from_secs_f64(n as f64 / RATE_HZ)
+    }
+
+    fn sun(&self, n: usize) -> PlateMil {
+        let scene = self.scenes.scene(n as u64, Self::since_start(n)).unwrap();
+        scene.sun.unwrap().centre
+    }
+
+    fn write(&self, folder: &Path) {
+        use rayon::prelude::*;
+        fs::create_dir_all(folder).unwrap();
+        let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+        (0..self.frames).into_par_iter().for_each(|n| {
+            let since = Self::since_start(n);
+            let mut scene = self.scenes.scene(n as u64, since).unwrap();
+            let steps = self.clock_steps.iter();
+            let stepped = steps.filter(|(frames, _)| frames.contains(&n));
+            let ahead: SignedDuration = stepped.map(|(_, ahead)| *ahead).sum();
+            let utc = start + SignedDuration::try_from(since).unwrap() + ahead;
+            scene.info.mid_exposure = Some(utc);
+            scene.info.monotonic = Some(Duration::from_secs(5000) + since);
+            scene.info.place = Some(FORT_SUMNER);
+            let path = folder.join(format!("frame_{n:05}.fits"));
+            let frame = scene.frame().unwrap();
+            fits::write_frame(&path, &frame, &self.cards, &[], Compression::Rice).unwrap();
+        });
+    }
+
+    /// Holds a table's places against the truth, at frames, in segments of so many frames; `frame_of` tells which frame a row is of.
+    fn errors(&self, table: &Columns, frame_of: impl Fn(usize) -> Option<usize>) -> Vec<Errors> {
+        let segments = self.frames.div_ceil(SEGMENT);
+        let mut errors: Vec<Errors> = (0..segments).map(|_| Errors::default()).collect();
+        let [x, y] = ["SUN_X_MIL", "SUN_Y_MIL"].map(|name| table.floats(name));
+        let [sx, sy] = ["SIGMA_X_MIL", "SIGMA_Y_MIL"].map(|name| table.floats(name));
+        for row in (0..x.len()).filter(|row| x[*row].is_finite()) {
+            let Some(n) = frame_of(row) else { continue };
+            let truth = self.sun(n);
+            let (dx, dy) = (x[row] - truth.x, y[row] - truth.y);
+            let segment = &mut errors[n / SEGMENT];
+            segment.mil.extend([dx, dy]);
+            segment.pulls.extend([dx / sx[row], dy / sy[row]]);
+        }
+        errors
+    }
+}
+
+/// Frames of a segment that is judged by itself.
+const SEGMENT: usize = 40;
+
+#[derive(Default)]
+struct Errors {
+    mil: Vec<f64>,
+    pulls: Vec<f64>,
+}
+
+impl Errors {
+    fn largest_pull(&self) -> f64 {
+        self.pulls
+            .iter()
+            .fold(0.0, |most, pull| pull.abs().max(most))
+    }
+}
+
+/// The table's errors, and those of the smoothed path at frames that are fine.
+fn judged(flight: &Flight, out: &Path) -> (Vec<Errors>, Vec<Errors>) {
+    let table = Columns::read(out, "ASPECT");
+    let number = |row: usize| {
+        let file = &table.texts("FILE")[row];
+        file[file.len() - 10..file.len() - 5]
+            .parse::<usize>()
+            .unwrap()
+    };
+    let fine = |row: usize| (table.texts("QUALITY")[row] == "fine").then(|| number(row));
+    let times = table.floats("UNIX_S");
+    let smoothed = Columns::read(out, "SMOOTHED");
+    let path_times = smoothed.floats("UNIX_S");
+    let at_frame = |row: usize| {
+        let same = |n: &usize| (times[*n] - path_times[row]).abs() < 1e-4;
+        (0..times.len()).find(same).and_then(fine)
+    };
+    (
+        flight.errors(&table, fine),
+        flight.errors(&smoothed, at_frame),
+    )
+}
+
+/// No correct frame is lost, and the smoothed path is as good as it says and no worse than the frames.
+fn assert_history(name: &str, flight: &Flight, out: &Path) {
+    let (frames, smoothed) = judged(flight, out);
+    let all = |errors: &[Errors], of: fn(&Errors) -> &Vec<f64>| -> Vec<f64> {
+        errors
+            .iter()
+            .flat_map(|errors| of(errors).clone())
+            .collect()
+    };
+    let (own_mil, mil) = (all(&frames, |e| &e.mil), all(&smoothed, |e| &e.mil));
+    let pull = rms(&all(&smoothed, |e| &e.pulls));
+    println!(
+        "{name}: {} fine, rms of frames {:.4}, smoothed {:.4} mil, error/sigma {pull:.3}; by segment {:?}",
+        own_mil.len() / 2,
+        rms(&own_mil),
+        rms(&mil),
+        smoothed
+            .iter()
+            .map(|e| (rms(&e.pulls) * 100.0).round() / 100.0)
+            .collect::<Vec<_>>(),
+    );
+    assert_eq!(own_mil.len(), mil.len(), "{name}");
+    assert!((0.8..1.25).contains(&pull), "{name}");
+    assert!(rms(&mil) <= rms(&own_mil), "{name}");
+    for errors in frames.iter().chain(&smoothed) {
+        assert!(errors.largest_pull() < 6.0, "{name}");
+    }
+}
+
+const SLEWS: &str = "
+    [[piece]]
+    start_s = 0
+    sun_mil = [300, -150]
+    [[piece]]
+    start_s = 10
+    sun_mil = [300, -150]
+    slew_mil_per_s = [-500, 100]
+    [[piece]]
+    start_s = 12
+    sun_mil = [-700, 50]
+    [[piece]]
+    start_s = 20
+    sun_mil = [-700, 50]
+    slew_mil_per_s = [250, 0]
+    [[piece]]
+    start_s = 25
+    sun_mil = [900, 100]
+";
+
+#[test]
+fn a_slew_that_begins_at_once_loses_no_frame_and_spoils_no_path() {
+    let flight = Flight::told(SLEWS, 120, 11);
+    let (archive, out) = (temporary(), temporary());
+    flight.write(archive.path());
+    refine(archive.path(), out.path(), &[]);
+    assert_history("slews", &flight, out.path());
+    let told = summary(out.path());
+    assert_eq!(told["fine"], 120);
+    assert!(
+        told["odd"]
+            .get("off the path of the frames before and after")
+            .is_none()
+    );
+}
+
+#[test]
+fn the_history_of_a_demo_is_nowhere_worse_than_its_frames() {
+    for seed in [1, 2] {
+        let demo = |instrument: &Instrument, radius_mil| {
+            let whole = Duration::from_secs(20);
+            let trajectory = Trajectory::demo(instrument, radius_mil, whole, seed);
+            trajectory.unwrap().into()
+        };
+        let flight = Flight::new(demo, 80, seed);
+        let (archive, out) = (temporary(), temporary());
+        flight.write(archive.path());
+        refine(archive.path(), out.path(), &[]);
+        assert_history("demo", &flight, out.path());
+        let told = summary(out.path());
+        assert!(told["fine"].as_u64() >= told["own_fine"].as_u64(), "{told}");
+    }
+}
+
+#[test]
+fn a_clock_that_steps_is_told_and_its_times_are_corrected() {
+    let mut flight = Flight::told(SLEWS, 120, 12);
+    flight.clock_steps = vec![(60..74, SignedDuration::from_millis(-1300))];
+    let (archive, out) = (temporary(), temporary());
+    flight.write(archive.path());
+    let told = refine(archive.path(), out.path(), &[]);
+    let told = String::from_utf8_lossy(&told.stdout).into_owned();
+    assert_eq!(told.matches("step of UTC").count(), 2, "{told}");
+    assert_history("clock", &flight, out.path());
+    let table = Columns::read(out.path(), "ASPECT");
+    let (correction, times) = (table.floats("UTC_CORRECTION_S"), table.floats("UNIX_S"));
+    for n in 0..120 {
+        assert!(
+            (times[n] - times[0] - n as f64 / RATE_HZ).abs() < 1e-4,
+            "{n}"
+        );
+        assert_eq!((60..74).contains(&n), !correction[n].is_nan(), "{n}");
+        let flagged = table.texts("REASON")[n].contains("the clock had stepped");
+        assert_eq!(flagged, (60..74).contains(&n), "{n}");
+    }
+    let steps = &summary(out.path())["clock"]["steps"];
+    assert!(
+        (steps[0]["step_s"][0].as_f64().unwrap() + 1.3).abs() < 1e-3,
+        "{steps}"
+    );
+    assert!(
+        steps[1]["file"]
+            .as_str()
+            .unwrap()
+            .ends_with("frame_00074.fits")
+    );
+}
+
+/// The cards by which a frame names its instrument.
+fn named(name: &str) -> Vec<Card> {
+    vec![Card::new("OBSRVTRY", name)]
+}
+
+#[test]
+fn two_cameras_of_one_archive_have_a_history_each_and_one_report() {
+    let mut first = Flight::told(SLEWS, 48, 13);
+    let mut second = Flight::told("[[piece]]\nstart_s = 0\nsun_mil = [-200, 300]\n", 48, 14);
+    first.cards = named("demo");
+    second.cards = named("demo-2");
+    let (archive, out) = (temporary(), temporary());
+    first.write(&archive.path().join("demo"));
+    second.write(&archive.path().join("demo-2"));
+    refine(archive.path(), out.path(), &[]);
+    for (name, flight) in [("demo", &first), ("demo-2", &second)] {
+        let folder = out.path().join(name);
+        assert_history(name, flight, &folder);
+        let told = summary(&folder);
+        assert_eq!((&told["files"], &told["fine"]), (&48.into(), &48.into()));
+    }
+    let report = fs::read_to_string(out.path().join("report.html")).unwrap();
+    assert!(report.contains("<h2>demo: The Sun on the plate</h2>"));
+    assert!(report.contains("<h2>demo-2: The Sun on the plate</h2>"));
+}
+
+#[test]
+fn frames_are_refined_with_the_instrument_they_name_and_refused_with_another() {
+    let mut flight = Flight::told(SLEWS, 6, 15);
+    flight.cards = named("heroes-pyas-r");
+    let (archive, out) = (temporary(), temporary());
+    flight.write(archive.path());
+    refine(archive.path(), out.path(), &[]);
+    assert_eq!(summary(out.path())["instrument"], "heroes-pyas-r");
+    let refused = |told: &str| {
+        let told = ["--instrument", told];
+        let output = command(archive.path(), out.path(), &told).output().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let demo = out.path().join("demo.toml");
+    fs::write(&demo, instrument::builtin_text("demo").unwrap()).unwrap();
+    let error = refused(demo.to_str().unwrap());
+    assert!(
+        error.contains("OBSRVTRY") && error.contains("heroes-pyas-r"),
+        "{error}"
+    );
+
+    // An instrument that nobody has.
+    flight.cards = named("another");
+    flight.write(archive.path());
+    let output = command(archive.path(), out.path(), &[]).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        error.contains("\"another\"") && error.contains("--instrument"),
+        "{error}"
+    );
+}
+
+#[test]
+fn frames_that_measure_another_camera_are_refused() {
+    let flight = Flight::told(SLEWS, 6, 16);
+    let (archive, out) = (temporary(), temporary());
+    flight.write(archive.path());
+    let demo = instrument::builtin_text("demo").unwrap();
+    for (what, stated, wrong) in [
+        (
+            "mounting.rotation_deg",
+            "rotation_deg = { value = 0, sigma = 1,",
+            "rotation_deg = { value = 4, sigma = 0.1,",
+        ),
+        (
+            "camera",
+            "[camera]",
+            "[camera]\nname = { value = \"another\", source = \"a plate\", date = 2026-01-01 }",
+        ),
+    ] {
+        let file = out.path().join("wrong.toml");
+        let text = demo.replacen(stated, wrong, 1);
+        assert_ne!(text, demo);
+        fs::write(&file, text).unwrap();
+        let told = ["--instrument", file.to_str().unwrap()];
+        let output = command(archive.path(), out.path(), &told).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{what}: {error}");
+        assert!(error.to_lowercase().contains(what), "{error}");
+    }
+}
