@@ -3,6 +3,8 @@
 
 use crate::common::refined::{Columns, command, refine, rms, summary, temporary};
 use jiff::{SignedDuration, Timestamp};
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::fits::{self, Card, Compression};
 use solaspect::instrument::{self, Instrument};
 use solaspect::simulate::{
@@ -159,6 +161,80 @@ fn assert_history(name: &str, flight: &Flight, out: &Path) {
     for errors in frames.iter().chain(&smoothed) {
         assert!(errors.largest_pull() < 6.0, "{name}");
     }
+}
+
+/// A quarter of an hour at four frames a second, of rests, swings, slews and steps, or as many frames as SOLASPECT_FLIGHT_FRAMES says:
+/// `cargo test --test promises -- --ignored a_quarter --nocapture`.
+#[test]
+#[ignore = "a quarter of an hour of flight takes minutes to simulate"]
+fn a_quarter_of_an_hour_is_nowhere_worse_than_its_frames() {
+    let frames = std::env::var("SOLASPECT_FLIGHT_FRAMES");
+    let frames = frames.map_or(3600, |frames| frames.parse().unwrap());
+    let swaying = |instrument: &Instrument, radius_mil| {
+        let trajectory = Trajectory::flight(instrument, radius_mil, 21);
+        trajectory.unwrap().into()
+    };
+    for (name, flight) in [
+        ("swaying", Flight::new(swaying, frames, 21)),
+        ("told", Flight::told(&random_pieces(frames, 22), frames, 22)),
+    ] {
+        let (archive, out) = (temporary(), temporary());
+        flight.write(archive.path());
+        refine(archive.path(), out.path(), &[]);
+        assert_history(name, &flight, out.path());
+        let (own, smoothed) = judged(&flight, out.path());
+        for segment in own
+            .chunks(200 / SEGMENT)
+            .zip(smoothed.chunks(200 / SEGMENT))
+        {
+            let all = |errors: &[Errors], of: fn(&Errors) -> &Vec<f64>| -> Vec<f64> {
+                errors
+                    .iter()
+                    .flat_map(|errors| of(errors).clone())
+                    .collect()
+            };
+            let (own_mil, mil) = (all(segment.0, |e| &e.mil), all(segment.1, |e| &e.mil));
+            let pull = rms(&all(segment.1, |e| &e.pulls));
+            println!(
+                "  {} frames: {:.4}, smoothed {:.4} mil, error/sigma {pull:.3}",
+                mil.len() / 2,
+                rms(&own_mil),
+                rms(&mil)
+            );
+            if mil.len() >= 400 {
+                assert!(rms(&mil) <= rms(&own_mil), "{name}");
+                assert!((0.8..1.25).contains(&pull), "{name}");
+            }
+        }
+    }
+}
+
+/// Rests, slews and steps of one to ten seconds each.
+fn random_pieces(frames: usize, seed: u64) -> String {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+    let (mut text, mut start_s, mut at) = (String::new(), 0.0, [0.0_f64; 2]);
+    while start_s < frames as f64 / RATE_HZ {
+        let length_s: f64 = rng.random_range(1.0..10.0);
+        let to: [f64; 2] = std::array::from_fn(|_| rng.random_range(-900.0..900.0));
+        let speed = match rng.random_range(0..3) {
+            0 => [0.0; 2],
+            1 => {
+                at = to;
+                [0.0; 2]
+            }
+            _ => {
+                let way = [to[0] - at[0], to[1] - at[1]];
+                let most = 500.0 / way[0].hypot(way[1]);
+                way.map(|way| way * most.min(1.0 / length_s))
+            }
+        };
+        text += &format!(
+            "[[piece]]\nstart_s = {start_s}\nsun_mil = {at:?}\nslew_mil_per_s = {speed:?}\n"
+        );
+        at = [0, 1].map(|axis| at[axis] + speed[axis] * length_s);
+        start_s += length_s;
+    }
+    text
 }
 
 const SLEWS: &str = "

@@ -18,7 +18,8 @@ const LEAST_STEP_S: f64 = 0.02;
 const SLEWED: f64 = 1e-3;
 /// Frames this far apart on the monotonic clock do not follow each other, s.
 const LONGEST_PAUSE_S: f64 = 60.0;
-/// Where a larger part of the frames begins with a step, two starts of the computer lie over each other on the monotonic clock.
+/// Where a larger part of the frames begins with a step, two starts of the computer lie over each other on the monotonic clock, or it tells
+/// no time.
 const MOST_STEPS: f64 = 0.2;
 /// Two starts differ by more than this, s.
 const OTHER_START_S: f64 = 30.0;
@@ -137,9 +138,8 @@ fn is_step(pair: &[Moment]) -> bool {
 
 /// Parts of one start of the computer each, in the order of the monotonic clock.
 fn starts(moments: &[Moment]) -> Vec<Vec<Moment>> {
-    let steps = moments.windows(2).filter(|pair| is_step(pair)).count();
     let mut apart = vec![moments.to_vec()];
-    if steps as f64 > MOST_STEPS * moments.len() as f64 {
+    if steps(moments) > most_steps(moments) {
         let mut by_offset = moments.to_vec();
         by_offset.sort_by(|a, b| a.ahead_s.total_cmp(&b.ahead_s));
         let near = by_offset.chunk_by(|a, b| b.ahead_s - a.ahead_s < OTHER_START_S);
@@ -150,7 +150,19 @@ fn starts(moments: &[Moment]) -> Vec<Vec<Moment>> {
         let following = moments.chunk_by(|a, b| b.monotonic_s - a.monotonic_s < LONGEST_PAUSE_S);
         following.map(<[Moment]>::to_vec).collect::<Vec<_>>()
     };
-    apart.into_iter().flat_map(pauses).collect()
+    let starts = apart.into_iter().flat_map(pauses);
+    starts
+        .filter(|moments| steps(moments) <= most_steps(moments))
+        .collect()
+}
+
+fn steps(moments: &[Moment]) -> usize {
+    moments.windows(2).filter(|pair| is_step(pair)).count()
+}
+
+/// More steps are none: the clocks have nothing to do with each other.
+fn most_steps(moments: &[Moment]) -> usize {
+    ((MOST_STEPS * moments.len() as f64) as usize).max(2)
 }
 
 /// Runs of moments without a step.

@@ -22,9 +22,9 @@ pub(super) struct Followed {
 }
 
 impl Followed {
-    /// Where the path has the disc at a row, and 1 sigma, mil.
+    /// Where the path most likely has the disc at a row, and 1 sigma, mil.
     pub fn place(&self, row: usize) -> Option<(PlateMil, f64)> {
-        let point = self.path.as_ref()?.points[self.at[row]];
+        let point = self.path.as_ref()?.likeliest[self.at[row]];
         let ([x, y], variance) = (point.place_mil, point.variance_mil2);
         let sigma = ((variance[0] + variance[1]) / 2.0).sqrt();
         Some((PlateMil::new(x, y), sigma))

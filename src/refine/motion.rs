@@ -35,7 +35,9 @@ pub struct PathPoint {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
     pub points: Vec<PathPoint>,
-    /// Process noise, the median over moments and axes: square root of its density, mil/s^2.5. The acceleration walks by so
+    /// The same with the likeliest process noise: where to look, not what to state.
+    pub likeliest: Vec<PathPoint>,
+    /// The likeliest process noise, the median over moments and axes: square root of its density, mil/s^2.5. The acceleration walks by so
     /// many mil/s^2 in a second.
     pub process_noise: f64,
 }
@@ -61,25 +63,34 @@ const LONGEST_GAP_S: f64 = 10.0;
 /// The smoothed path through moments in the order of time. `None` where nothing was measured.
 pub fn path(moments: &[Moment]) -> Option<Path> {
     moments.iter().find(|moment| moment.measured.is_some())?;
-    let axis = |axis: usize| {
-        let noise = process_noise(moments, axis)?;
-        let smoothed = smoothed(moments, axis, &noise)?;
-        Some((noise, smoothed))
-    };
-    let (x, y) = rayon::join(|| axis(0), || axis(1));
-    let ((x_noise, x), (y_noise, y)) = (x?, y?);
-    let points = x.into_iter().zip(y).map(|(x, y)| PathPoint {
-        place_mil: [x.mean.x, y.mean.x],
-        variance_mil2: [x.covariance.m11, y.covariance.m11],
-        speed_mil_per_s: [x.mean.y, y.mean.y],
+    let (x, y) = rayon::join(|| process_noise(moments, 0), || process_noise(moments, 1));
+    let likeliest = [x?, y?];
+    let cautious = likeliest.clone().map(|mut noise| {
+        noise.iter_mut().for_each(|noise| *noise *= CAUTION);
+        noise
     });
     Some(Path {
-        points: points.collect(),
-        process_noise: median(x_noise.into_iter().chain(y_noise))?,
+        points: points(moments, &cautious)?,
+        likeliest: points(moments, &likeliest)?,
+        process_noise: median(likeliest.into_iter().flatten())?,
     })
 }
 
-/// The process noise of the step to each moment along an axis.
+/// The smoothed points, with a process noise for each axis and step.
+fn points(moments: &[Moment], [x_noise, y_noise]: &[Vec<f64>; 2]) -> Option<Vec<PathPoint>> {
+    let (x, y) = (
+        smoothed(moments, 0, x_noise)?,
+        smoothed(moments, 1, y_noise)?,
+    );
+    let point = |(x, y): (Gaussian<3>, Gaussian<3>)| PathPoint {
+        place_mil: [x.mean.x, y.mean.x],
+        variance_mil2: [x.covariance.m11, y.covariance.m11],
+        speed_mil_per_s: [x.mean.y, y.mean.y],
+    };
+    Some(x.into_iter().zip(y).map(point).collect())
+}
+
+/// The likeliest process noise of the step to each moment along an axis.
 fn process_noise(moments: &[Moment], axis: usize) -> Option<Vec<f64>> {
     let measured = moments.iter().filter(|moment| moment.measured.is_some());
     let measured: Vec<Moment> = measured.copied().collect();
@@ -90,7 +101,7 @@ fn process_noise(moments: &[Moment], axis: usize) -> Option<Vec<f64>> {
     let levels = likeliest_levels(&scores);
     // A step's noise is the larger of its two frames'.
     let steps = (0..levels.len()).map(|n| levels[n].max(levels[n.saturating_sub(1)]));
-    let steps: Vec<f64> = steps.map(|level| CAUTION * noise(level)).collect();
+    let steps: Vec<f64> = steps.map(noise).collect();
     let steps = over_gaps(&measured, steps);
     let step_to = |moment: &Moment| {
         let next = measured.partition_point(|m| m.time_s < moment.time_s);
