@@ -165,7 +165,7 @@ fn from_telescope(
     let (above, right) = (above_and_right.x, above_and_right.y);
     let secant = above_and_right.norm().hypot(1.0);
     let elevation = (sun.z * secant / above.hypot(1.0)).asin() - above.atan();
-    // Not so where the sine exceeds 1, either.
+    // Where the sine exceeds 1 the elevation is NaN, which fails the comparison.
     if elevation.abs() <= FRAC_PI_2 {
         let forward = elevation.cos() - above * elevation.sin();
         let azimuth = sun.y.atan2(sun.x) - right.atan2(forward);

@@ -146,7 +146,7 @@ fn clocking(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     if fit.directions == Directions::Telescope {
         let roll_deg = mounting.roll_deg.value;
         clocking.remark += &format!(
-            "; it holds for a roll of {roll_deg} deg, as the instrument states: an error of the roll turns it as much"
+            "; it holds for the stated roll of {roll_deg} deg, whose error enters it one to one"
         );
     }
     clocking
