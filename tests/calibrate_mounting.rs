@@ -6,28 +6,39 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::calibrate::mounting::{
-    Chain, Mounting, MountingError, Pointings, SunObservation, Unknown, calibrate,
+    Mounting, MountingError, Pointings, SunObservation, Unknown, calibrate,
 };
 use solaspect::calibrate::quantity::Verdict;
+use solaspect::calibrate::revision::{Provenance, Revision};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
-use solaspect::instrument::{Instrument, builtin, builtin_text};
-use solaspect::pointing::{self, Horizontal};
+use solaspect::instrument::{Directions, Instrument, builtin, builtin_text};
+use solaspect::pointing::{self, Horizontal, Roll};
 use solaspect::simulate::FORT_SUMNER;
 use solaspect::sky::{Ephemeris, SunPosition};
 use solaspect::units::{Estimate, Place, PlateMil};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// The demo instrument with another mounting.
-fn true_instrument() -> Instrument {
+/// The demo instrument by a rule of directions.
+fn demo_by(directions: Directions) -> Instrument {
     let mut instrument = builtin("demo").unwrap();
+    instrument.mounting.directions = directions;
+    instrument
+}
+
+/// The demo instrument with another mounting.
+fn true_instrument(directions: Directions) -> Instrument {
+    let mut instrument = demo_by(directions);
     instrument.mounting.boresight_mil = PlateMil::new(-85.59, -68.64);
     instrument.mounting.clocking_deg.value = -51.3;
     instrument.optics.plate_distance_mm.value = 3005.0;
     instrument
 }
 
+#[derive(Clone, Copy)]
 struct Scan {
+    /// The rule by which the true instrument sees the Sun.
+    directions: Directions,
     start: &'static str,
     count: usize,
     every_s: f64,
@@ -38,6 +49,7 @@ struct Scan {
 }
 
 const TEN_MINUTES: Scan = Scan {
+    directions: Directions::Telescope,
     start: "2013-09-21T18:00:00Z",
     count: 600,
     every_s: 1.0,
@@ -47,6 +59,26 @@ const TEN_MINUTES: Scan = Scan {
 };
 
 impl Scan {
+    /// The same scan by both rules.
+    fn by_both(self) -> [Self; 2] {
+        Directions::ALL.map(|directions| Self { directions, ..self })
+    }
+
+    /// The instrument that a scan with unknown pointing starts from. Where directions are counted at the telescope the clocking
+    /// leans on the stated centre, so that is right to its sigma of 1 mil.
+    fn stated(&self) -> Instrument {
+        let mut stated = demo_by(self.directions);
+        let mounting = &mut stated.mounting;
+        if self.directions == Directions::Telescope {
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(1000 + self.seed);
+            let [dx, dy]: [f64; 2] = std::array::from_fn(|_| rng.sample(StandardNormal));
+            let truth = true_instrument(self.directions).mounting.boresight_mil;
+            let off = Vector2::new(dx, dy) * mounting.boresight_sigma_mil;
+            mounting.boresight_mil = (truth.vector() + off).into();
+        }
+        stated
+    }
+
     fn suns(&self) -> Vec<(Timestamp, SunPosition)> {
         let start: Timestamp = self.start.parse().unwrap();
         let mut ephemeris = Ephemeris::default();
@@ -62,12 +94,12 @@ impl Scan {
         &self,
         towards: impl Fn(usize, &SunPosition) -> Horizontal,
     ) -> Vec<SunObservation> {
-        let instrument = true_instrument();
+        let instrument = true_instrument(self.directions);
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(self.seed);
         let suns = self.suns();
         let observation = |(n, (utc, sun)): (usize, &(Timestamp, SunPosition))| {
             let pointing = towards(n, sun);
-            let at = pointing::sun_on_plate(pointing, &instrument, sun).unwrap();
+            let at = pointing::sun_on_plate(pointing, Roll::Stated, &instrument, sun).unwrap();
             let [dx, dy]: [f64; 2] = std::array::from_fn(|_| rng.sample(StandardNormal));
             let seen = at.vector() + Vector2::new(dx, dy) * self.noise_mil;
             SunObservation {
@@ -93,8 +125,12 @@ impl Scan {
 
     /// The telescope on a grid about the Sun.
     fn grid(&self) -> Vec<SunObservation> {
+        self.grid_of(0.8)
+    }
+
+    fn grid_of(&self, half_side_deg: f64) -> Vec<SunObservation> {
         self.observations(|n, sun| {
-            let step = |k: usize| (k % 5) as f64 * 0.4 - 0.8;
+            let step = |k: usize| ((k % 5) as f64 / 2.0 - 1.0) * half_side_deg;
             Horizontal {
                 azimuth_deg: sun.azimuth_deg + step(n) / sun.elevation_deg.to_radians().cos(),
                 elevation_deg: sun.elevation_deg + step(n / 5),
@@ -120,7 +156,7 @@ fn verdict(mounting: &Mounting, name: &str) -> Verdict {
 
 /// Found minus true over the stated sigma.
 fn normalised_error(mounting: &Mounting, unknown: Unknown) -> f64 {
-    let truth = true_instrument();
+    let truth = true_instrument(mounting.fit.directions);
     let wanted = match unknown {
         Unknown::CentreX => truth.mounting.boresight_mil.x,
         Unknown::CentreY => truth.mounting.boresight_mil.y,
@@ -141,7 +177,6 @@ const MOUNTING: [Unknown; 4] = [
 
 #[test]
 fn a_drift_scan_of_ten_minutes_determines_the_clocking_and_not_the_centre() {
-    let demo = builtin("demo").unwrap();
     for start in [
         "2013-09-21T15:00:00Z",
         "2013-06-21T18:00:00Z",
@@ -151,23 +186,24 @@ fn a_drift_scan_of_ten_minutes_determines_the_clocking_and_not_the_centre() {
             start,
             ..TEN_MINUTES
         };
-        let mounting = calibrate(&scan.drift(), Pointings::Fixed, &demo).unwrap();
-        let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
-        assert!(
-            (clocking.value + 51.3).abs() < 0.02,
-            "{start}: {clocking:?}"
-        );
-        assert!(clocking.sigma < 0.01, "{start}: {clocking:?}");
-        let distance = mounting.fit.measured(Unknown::Distance).unwrap();
-        assert!((distance.value / 3005.0 - 1.0).abs() < 1e-3, "{distance:?}");
-        assert_eq!(verdict(&mounting, "clocking"), Verdict::Determined);
-        assert_eq!(verdict(&mounting, "centre"), Verdict::Kept);
+        for scan in scan.by_both() {
+            let mounting = calibrate(&scan.drift(), Pointings::Fixed, &scan.stated()).unwrap();
+            let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
+            assert!(
+                (clocking.value + 51.3).abs() < 0.02,
+                "{start}: {clocking:?}"
+            );
+            assert!(clocking.sigma < 0.01, "{start}: {clocking:?}");
+            let distance = mounting.fit.measured(Unknown::Distance).unwrap();
+            assert!((distance.value / 3005.0 - 1.0).abs() < 1e-3, "{distance:?}");
+            assert_eq!(verdict(&mounting, "clocking"), Verdict::Determined);
+            assert_eq!(verdict(&mounting, "centre"), Verdict::Kept);
+        }
     }
 }
 
 #[test]
 fn a_scan_near_the_zenith_where_azimuth_races_is_as_good() {
-    let demo = builtin("demo").unwrap();
     for latitude_deg in [34.49, 25.0] {
         let scan = Scan {
             start: "2013-06-21T18:53:00Z",
@@ -177,19 +213,22 @@ fn a_scan_near_the_zenith_where_azimuth_races_is_as_good() {
             },
             ..TEN_MINUTES
         };
-        let observations = scan.drift();
-        let highest = observations
-            .iter()
-            .map(|s| s.sun.elevation_deg)
-            .fold(0.0, f64::max);
-        assert!(highest > 78.0, "{highest}");
-        let mounting = calibrate(&observations, Pointings::Fixed, &demo).unwrap();
-        let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
-        assert!(
-            (clocking.value + 51.3).abs() < 0.02,
-            "{highest}: {clocking:?}"
-        );
-        assert!(mounting.rejected.len() < 10);
+        for scan in scan.by_both() {
+            let observations = scan.drift();
+            let highest = observations
+                .iter()
+                .map(|s| s.sun.elevation_deg)
+                .fold(0.0, f64::max);
+            assert!(highest > 78.0, "{highest}");
+            let mounting = calibrate(&observations, Pointings::Fixed, &scan.stated()).unwrap();
+            let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
+            println!("{highest} {:?} {clocking:?}", scan.directions);
+            assert!(
+                (clocking.value + 51.3).abs() < 0.02,
+                "{highest}: {clocking:?}"
+            );
+            assert!(mounting.rejected.len() < 10);
+        }
     }
 }
 
@@ -200,120 +239,138 @@ fn a_grid_of_known_pointings_determines_everything() {
         every_s: 10.0,
         ..TEN_MINUTES
     };
-    let demo = builtin("demo").unwrap();
-    let mounting = calibrate(&scan.grid(), Pointings::Known, &demo).unwrap();
-    let arcsec = demo.optics.arcsec_per_mil();
-    let centre = PlateMil::new(mounting.fit.values[0], mounting.fit.values[1]);
-    assert!(
-        centre.distance(PlateMil::new(-85.59, -68.64)) * arcsec < 0.1,
-        "{centre:?}"
-    );
-    for unknown in MOUNTING {
+    for scan in scan.by_both() {
+        let demo = demo_by(scan.directions);
+        let mounting = calibrate(&scan.grid(), Pointings::Known, &demo).unwrap();
+        let arcsec = demo.optics.arcsec_per_mil();
+        let centre = PlateMil::new(mounting.fit.values[0], mounting.fit.values[1]);
         assert!(
-            normalised_error(&mounting, unknown).abs() < 4.0,
-            "{unknown:?}"
+            centre.distance(PlateMil::new(-85.59, -68.64)) * arcsec < 0.1,
+            "{centre:?}"
         );
-    }
-    for name in ["centre", "clocking", "plate's distance", "mirror"] {
-        assert_eq!(verdict(&mounting, name), Verdict::Determined, "{name}");
+        for unknown in MOUNTING {
+            assert!(
+                normalised_error(&mounting, unknown).abs() < 4.0,
+                "{unknown:?}"
+            );
+        }
+        let determined = [
+            "centre",
+            "clocking",
+            "plate's distance",
+            "mirror",
+            "directions",
+        ];
+        for name in determined {
+            assert_eq!(verdict(&mounting, name), Verdict::Determined, "{name}");
+        }
     }
 }
 
 #[test]
-fn a_plate_rigid_in_the_gondola_is_recognised_and_has_the_same_clocking() {
-    let (demo, truth) = (builtin("demo").unwrap(), true_instrument());
-    let centre = truth.mounting.boresight_mil.vector();
-    let suns = TEN_MINUTES.suns();
-    let telescope = suns[300].1;
-    // The gnomonic picture of the sky about the telescope, turned by the clocking.
-    let rigid = |observations: Vec<SunObservation>,
-                 about: &dyn Fn(&SunObservation) -> SunPosition|
-     -> Vec<SunObservation> {
-        let seen = |mut observation: SunObservation, clean: Vector2<f64>| {
-            let at = pointing::sun_on_plate(at_sun(&observation.sun), &truth, &about(&observation))
-                .unwrap();
-            let noise = observation.sun_plate.position.vector() - clean;
-            observation.sun_plate.position = (centre * 2.0 - at.vector() + noise).into();
-            observation
-        };
-        let clean = |s: &SunObservation| {
-            pointing::sun_on_plate(s.pointing.unwrap(), &truth, &s.sun).unwrap()
-        };
-        observations
-            .into_iter()
-            .map(|s| {
-                let c = clean(&s).vector();
-                seen(s, c)
-            })
-            .collect()
-    };
-    let mut near = demo.clone();
-    near.mounting.boresight_mil = truth.mounting.boresight_mil;
-    let drift = rigid(TEN_MINUTES.drift(), &|_| telescope);
-    let mounting = calibrate(&drift, Pointings::Fixed, &near).unwrap();
-    assert_eq!(mounting.fit.chain, Chain::AtTelescope);
-    let clocking = mounting.fit.measured(Unknown::Clocking).unwrap();
-    assert!(
-        (clocking.value + 51.3).abs() < 4.0 * clocking.sigma && clocking.sigma < 0.02,
-        "{clocking:?}"
-    );
-    assert!(
-        mounting
-            .quantities
-            .iter()
-            .any(|q| q.remark.contains("rigid in the gondola"))
-    );
-    assert_eq!(verdict(&mounting, "centre"), Verdict::Kept);
-
+fn observations_tell_their_rule_of_directions_whichever_the_instrument_states() {
     let grid = Scan {
         count: 50,
         every_s: 10.0,
         ..TEN_MINUTES
-    }
-    .grid();
-    let towards = |s: &SunObservation| SunPosition {
-        azimuth_deg: s.pointing.unwrap().azimuth_deg,
-        elevation_deg: s.pointing.unwrap().elevation_deg,
-        ..s.sun
     };
-    let mounting = calibrate(&rigid(grid, &towards), Pointings::Known, &demo).unwrap();
-    assert_eq!(mounting.fit.chain, Chain::AtTelescope);
-    for unknown in MOUNTING {
-        assert!(
-            normalised_error(&mounting, unknown).abs() < 4.0,
-            "{unknown:?}"
-        );
+    for (drift, grid) in TEN_MINUTES.by_both().into_iter().zip(grid.by_both()) {
+        let true_rule = drift.directions;
+        for rule in Directions::ALL {
+            let mut stated = drift.stated();
+            stated.mounting.directions = rule;
+            let mounting = calibrate(&drift.drift(), Pointings::Fixed, &stated).unwrap();
+            assert_eq!(mounting.fit.directions, true_rule, "drift, {rule:?} stated");
+            assert_eq!(mounting.directions, Some(true_rule));
+            let clocking = normalised_error(&mounting, Unknown::Clocking);
+            assert!(clocking.abs() < 4.0, "{clocking}");
+            assert_eq!(verdict(&mounting, "centre"), Verdict::Kept);
+            let mounting = calibrate(&grid.grid(), Pointings::Known, &demo_by(rule)).unwrap();
+            assert_eq!(mounting.fit.directions, true_rule, "grid, {rule:?} stated");
+            assert_eq!(mounting.directions, Some(true_rule));
+            for unknown in MOUNTING {
+                let error = normalised_error(&mounting, unknown);
+                assert!(error.abs() < 4.0, "{unknown:?}: {error}");
+            }
+            assert_eq!(verdict(&mounting, "directions"), Verdict::Determined);
+        }
+    }
+}
+
+#[test]
+fn a_determined_rule_of_directions_is_written_and_another_is_kept() {
+    let grid = Scan {
+        count: 50,
+        every_s: 10.0,
+        ..TEN_MINUTES
+    };
+    let noisy = Scan {
+        noise_mil: 5.0,
+        ..grid
+    };
+    let provenance = Provenance {
+        name: "mounting",
+        source: "a test".into(),
+        date: "2013-09-21".parse().unwrap(),
+        frames: 50,
+        frames_sha256: "0af3".into(),
+    };
+    for (clear, noisy) in grid.by_both().into_iter().zip(noisy.by_both()) {
+        for rule in Directions::ALL {
+            let stated = demo_by(rule);
+            let text = builtin_text("demo").unwrap();
+            let text = text.replace("\"telescope\"", &format!("{:?}", rule.name()));
+            let written = |observations: &[SunObservation]| {
+                let mounting = calibrate(observations, Pointings::Known, &stated).unwrap();
+                let mut revision = Revision::of(Path::new("a.toml"), &text).unwrap();
+                mounting.revise(&mut revision, &provenance);
+                (mounting, revision.finish().unwrap().1)
+            };
+            let (_, instrument) = written(&clear.grid());
+            assert_eq!(instrument.mounting.directions, clear.directions);
+            // Within a fifth of a degree the rules differ by less than the noise.
+            let (mounting, instrument) = written(&noisy.grid_of(0.2));
+            assert_eq!(instrument.mounting.directions, rule);
+            assert_eq!(mounting.directions, None);
+            assert_eq!(verdict(&mounting, "directions"), Verdict::Kept);
+            let mut quantities = mounting.quantities.iter();
+            assert!(quantities.any(|q| q.remark.contains("suit the observations alike")));
+        }
     }
 }
 
 #[test]
 fn sigmas_are_honest_over_many_scans() {
-    let demo = builtin("demo").unwrap();
     const RUNS: u64 = 50;
     type Way = fn(&Scan) -> Vec<SunObservation>;
     let ways: [(Pointings, Way); 2] = [
         (Pointings::Fixed, Scan::drift),
         (Pointings::Known, Scan::grid),
     ];
-    for (pointings, observations) in ways {
+    let rules = Directions::ALL.into_iter();
+    for (directions, (pointings, observations)) in
+        rules.flat_map(|rule| ways.map(|way| (rule, way)))
+    {
         let mut squares = [0.0; 4];
         for seed in 0..RUNS {
             let scan = Scan {
+                directions,
                 count: 60,
                 every_s: 10.0,
                 seed,
                 ..TEN_MINUTES
             };
-            let mounting = calibrate(&observations(&scan), pointings, &demo).unwrap();
+            let mounting = calibrate(&observations(&scan), pointings, &scan.stated()).unwrap();
             for (sum, unknown) in squares.iter_mut().zip(MOUNTING) {
                 *sum += normalised_error(&mounting, unknown).powi(2);
             }
         }
         for (unknown, sum) in MOUNTING.iter().zip(squares) {
             let rms = (sum / RUNS as f64).sqrt();
+            println!("{directions:?} {pointings:?} {unknown:?}: {rms:.2}");
             assert!(
                 (0.75..1.3).contains(&rms),
-                "{pointings:?} {unknown:?}: {rms:.2}"
+                "{directions:?} {pointings:?} {unknown:?}: {rms:.2}"
             );
         }
     }
@@ -321,7 +378,6 @@ fn sigmas_are_honest_over_many_scans() {
 
 #[test]
 fn a_third_of_the_observations_bad_changes_nothing_and_they_are_rejected() {
-    let demo = builtin("demo").unwrap();
     let scan = Scan {
         count: 150,
         every_s: 4.0,
@@ -331,7 +387,7 @@ fn a_third_of_the_observations_bad_changes_nothing_and_they_are_rejected() {
         (Pointings::Fixed, scan.drift()),
         (Pointings::Known, scan.grid()),
     ] {
-        let whole = calibrate(&clean, pointings, &demo).unwrap();
+        let whole = calibrate(&clean, pointings, &scan.stated()).unwrap();
         let mut bad = clean.clone();
         for (n, observation) in bad.iter_mut().enumerate().filter(|(n, _)| n % 3 == 1) {
             let at = observation.sun_plate.position;
@@ -342,7 +398,7 @@ fn a_third_of_the_observations_bad_changes_nothing_and_they_are_rejected() {
                 _ => PlateMil::new(-at.x, at.y),
             };
         }
-        let mounting = calibrate(&bad, pointings, &demo).unwrap();
+        let mounting = calibrate(&bad, pointings, &scan.stated()).unwrap();
         for unknown in MOUNTING {
             let [a, b] = [&whole, &mounting].map(|m| m.fit.measured(unknown).unwrap());
             assert!(
@@ -358,13 +414,13 @@ fn a_third_of_the_observations_bad_changes_nothing_and_they_are_rejected() {
 
 #[test]
 fn errors_that_neighbours_share_inflate_the_sigma() {
-    let demo = builtin("demo").unwrap();
+    let stated = TEN_MINUTES.stated();
     let mut observations = TEN_MINUTES.drift();
     for (n, observation) in observations.iter_mut().enumerate() {
         observation.sun_plate.position.x += 0.2 * (n as f64 / 8.0).sin();
     }
-    let alone = calibrate(&TEN_MINUTES.drift(), Pointings::Fixed, &demo).unwrap();
-    let shared = calibrate(&observations, Pointings::Fixed, &demo).unwrap();
+    let alone = calibrate(&TEN_MINUTES.drift(), Pointings::Fixed, &stated).unwrap();
+    let shared = calibrate(&observations, Pointings::Fixed, &stated).unwrap();
     assert!(alone.fit.correlation < 1.3, "{}", alone.fit.correlation);
     assert!(shared.fit.correlation > 5.0, "{}", shared.fit.correlation);
 }
@@ -500,7 +556,10 @@ fn frames_of_a_drift_scan_become_a_new_instrument_file_and_a_page() {
     let log = frames.join("pointing.csv");
     let direct = folder.path().join("direct.toml");
     let text_of_demo = builtin_text("demo").unwrap();
-    std::fs::write(&direct, text_of_demo.replace("\"mirrored\"", "\"direct\"")).unwrap();
+    let wrong = text_of_demo
+        .replace("\"mirrored\"", "\"direct\"")
+        .replace("\"telescope\"", "\"sun-2013\"");
+    std::fs::write(&direct, wrong).unwrap();
     let done = solaspect(&[
         "calibrate",
         "mounting",
@@ -515,6 +574,7 @@ fn frames_of_a_drift_scan_become_a_new_instrument_file_and_a_page() {
     assert!(done.status.success(), "{done:?}");
     let found = Instrument::read(&known).unwrap();
     assert_eq!(found.mounting.handedness, demo.mounting.handedness);
+    assert_eq!(found.mounting.directions, Directions::Telescope);
     let off = found
         .mounting
         .boresight_mil

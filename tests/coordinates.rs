@@ -1,16 +1,17 @@
 //! What a frame's file says of the sky is where the picture shows it: sunspots, the limb, the boresight.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use solaspect::archive::{Helioprojection, Record, Store, instrument_cards, sky_cards, tables};
 use solaspect::aspect::{self, Aspect, Expected, Quality, Settings, Solution};
 use solaspect::fits::{Compression, Header, Value, read_keywords};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
-use solaspect::instrument::{Instrument, builtin};
-use solaspect::pointing::{HelioprojectiveArcsec, Target, offset, offset_of};
+use solaspect::instrument::{Directions, Instrument, builtin};
+use solaspect::pointing::{HelioprojectiveArcsec, Roll, Target, offset, offset_of, pointing};
 use solaspect::simulate::{Scene, Sun, Sunspot, keystoned};
+use solaspect::sky::sphere::{bearing_rad, direction, separation_rad, travel};
 use solaspect::sky::{Ephemeris, SunPosition};
-use solaspect::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil, SensorPx};
+use solaspect::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Measured, Place, PlateMil, SensorPx};
 use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
@@ -66,20 +67,10 @@ impl Coordinates {
     }
 }
 
-/// Where the telescope throws a thing on the Sun, from the Sun's centre on the plate, by the rule of the HEROES
-/// flight program alone: towards the bearing -(direction + clocking) from the Sun lies the boresight, and what lies on
-/// that side of the Sun is seen on that side of it.
-fn on_plate(at: HelioprojectiveArcsec, instrument: &Instrument, sun: &SunPosition) -> Vector2<f64> {
-    let bearing_deg = sun.zenith_to_north_deg + at.x.atan2(at.y).to_degrees();
-    let to_boresight_deg = 180.0 - bearing_deg - instrument.mounting.clocking_deg.value;
-    let angle = at.x.hypot(at.y) / ARCSEC_PER_RAD;
-    let length_mil = instrument.optics.plate_distance_mm.value / MIL_MM * angle.tan();
-    let direction = to_boresight_deg.to_radians();
-    Vector2::new(direction.sin(), direction.cos()) * length_mil
-}
-
+#[derive(Clone, Copy)]
 struct Case {
     name: &'static str,
+    directions: Directions,
     instrument: &'static str,
     sun_plate: PlateMil,
     rotation_deg: f64,
@@ -89,9 +80,16 @@ struct Case {
     spot: HelioprojectiveArcsec,
 }
 
+/// Every case by both rules of directions.
+fn cases() -> impl Iterator<Item = Case> {
+    let by = |case| Directions::ALL.map(|directions| Case { directions, ..case });
+    CASES.into_iter().flat_map(by)
+}
+
 const CASES: [Case; 4] = [
     Case {
         name: "north-west",
+        directions: Directions::Telescope,
         instrument: "demo",
         sun_plate: PlateMil::new(250.0, -700.0),
         rotation_deg: 0.3,
@@ -102,6 +100,7 @@ const CASES: [Case; 4] = [
     },
     Case {
         name: "north-east",
+        directions: Directions::Telescope,
         instrument: "heroes-pyas-f",
         sun_plate: PlateMil::new(-900.0, 600.0),
         rotation_deg: -0.8,
@@ -115,6 +114,7 @@ const CASES: [Case; 4] = [
     },
     Case {
         name: "south-west",
+        directions: Directions::Telescope,
         instrument: "heroes-pyas-r",
         sun_plate: PlateMil::new(1500.0, 900.0),
         rotation_deg: 3.0,
@@ -128,6 +128,7 @@ const CASES: [Case; 4] = [
     },
     Case {
         name: "south-east",
+        directions: Directions::Telescope,
         instrument: "demo",
         sun_plate: PlateMil::new(-300.0, -1200.0),
         rotation_deg: 137.0,
@@ -143,7 +144,61 @@ const CASES: [Case; 4] = [
 
 impl Case {
     fn instrument(&self) -> Instrument {
-        builtin(self.instrument).unwrap()
+        let mut instrument = builtin(self.instrument).unwrap();
+        instrument.mounting.directions = self.directions;
+        instrument
+    }
+
+    fn name(&self) -> String {
+        format!("{}-{}", self.name, self.directions.name())
+    }
+
+    /// Where the telescope throws the spot, from the Sun's centre on the plate.
+    fn spot_mil(&self) -> Vector2<f64> {
+        match self.directions {
+            Directions::Sun2013 => self.spot_mil_sun_2013(),
+            Directions::Telescope => self.spot_mil_telescope(),
+        }
+    }
+
+    /// By the rule of the HEROES flight program alone: towards the bearing -(direction + clocking) from the Sun lies the
+    /// boresight, and what lies on that side of the Sun is seen on that side of it.
+    fn spot_mil_sun_2013(&self) -> Vector2<f64> {
+        let mounting = self.instrument().mounting;
+        let to_boresight = std::f64::consts::PI
+            - self.spot_bearing_rad()
+            - mounting.clocking_deg.value.to_radians();
+        let (sin, cos) = to_boresight.sin_cos();
+        Vector2::new(sin, cos) * self.distance_mil() * self.spot_angle_rad().tan()
+    }
+
+    /// By the plate's plane in the telescope: a thing at the position angle D is seen in the direction -(D + 180 deg) - clocking.
+    fn spot_mil_telescope(&self) -> Vector2<f64> {
+        let (instrument, sun) = (self.instrument(), self.sun());
+        let towards = pointing(self.sun_plate, Roll::Stated, &instrument, &sun).unwrap();
+        let towards = direction(towards.azimuth_deg, towards.elevation_deg);
+        let clocking = instrument.mounting.clocking_deg.value.to_radians();
+        let seen = |thing: &Vector3<f64>| {
+            let seen = -bearing_rad(&towards, thing) - std::f64::consts::PI - clocking;
+            let length_mil = self.distance_mil() * separation_rad(&towards, thing).tan();
+            Vector2::new(seen.sin(), seen.cos()) * length_mil
+        };
+        let centre = direction(sun.azimuth_deg, sun.elevation_deg);
+        let spot = travel(&centre, self.spot_bearing_rad(), self.spot_angle_rad());
+        seen(&spot) - seen(&centre)
+    }
+
+    /// From the Sun's centre to its spot, clockwise from the zenith.
+    fn spot_bearing_rad(&self) -> f64 {
+        self.sun().zenith_to_north_deg.to_radians() + self.spot.x.atan2(self.spot.y)
+    }
+
+    fn spot_angle_rad(&self) -> f64 {
+        self.spot.x.hypot(self.spot.y) / ARCSEC_PER_RAD
+    }
+
+    fn distance_mil(&self) -> f64 {
+        self.instrument().optics.plate_distance_mm.value / MIL_MM
     }
 
     fn info(&self) -> FrameInfo {
@@ -180,7 +235,7 @@ impl Case {
         Scene {
             sun: Some(Sun {
                 spots: vec![Sunspot {
-                    offset_mil: on_plate(self.spot, &instrument, &self.sun()),
+                    offset_mil: self.spot_mil(),
                     radius_mil: 16.0,
                     contrast: 0.7,
                 }],
@@ -200,7 +255,7 @@ impl Case {
         let instrument = self.instrument();
         let frame = self.scene().frame().unwrap();
         let mut solution = solve(&frame, &instrument);
-        assert_eq!(solution.quality, Quality::Fine, "{}", self.name);
+        assert_eq!(solution.quality, Quality::Fine, "{}", self.name());
         let (target, mut ephemeris) = (Target::default(), Ephemeris::default());
         let (utc, place) = (frame.info.mid_exposure, frame.info.place);
         let offset = offset_of(
@@ -208,6 +263,7 @@ impl Case {
             utc,
             place,
             &target,
+            Roll::Stated,
             &instrument,
             &mut ephemeris,
         );
@@ -216,11 +272,12 @@ impl Case {
         cards.extend(sky_cards(
             &frame.info,
             &solution,
+            Roll::Stated,
             &instrument,
             &target,
             &mut ephemeris,
         ));
-        let store = Store::open(root, self.name, Compression::Rice).unwrap();
+        let store = Store::open(root, &self.name(), Compression::Rice).unwrap();
         let path = store.write(&frame, &cards, &tables(&solution)).unwrap();
         read_keywords(&path).unwrap()
     }
@@ -264,14 +321,14 @@ fn a_sunspot_has_its_helioprojective_place_by_the_files_coordinates() {
     let kept = std::env::var_os("SOLASPECT_SUNSPOTS");
     let root = kept.as_ref().map_or(temporary.path(), Path::new);
     let mut list = String::from("name,x_arcsec,y_arcsec,x_px,y_px\n");
-    for case in &CASES {
-        let header = case.archived(root);
-        let px = spot_px(case);
+    for case in cases() {
+        let (header, name) = (case.archived(root), case.name());
+        let px = spot_px(&case);
         let found = Coordinates::read(&header).at(px);
         let off_arcsec = (found.x - case.spot.x).hypot(found.y - case.spot.y);
-        println!("{}: off by {off_arcsec:.3} arcsec", case.name);
-        assert!(off_arcsec < 0.5, "{}: {found:?}", case.name);
-        let (spot, name) = (case.spot, case.name);
+        println!("{name}: off by {off_arcsec:.3} arcsec");
+        assert!(off_arcsec < 0.5, "{name}: {found:?}");
+        let spot = case.spot;
         list += &format!("{name},{},{},{},{}\n", spot.x, spot.y, px.x, px.y);
     }
     let mut file = std::fs::File::create(root.join("sunspots.csv")).unwrap();
@@ -281,7 +338,7 @@ fn a_sunspot_has_its_helioprojective_place_by_the_files_coordinates() {
 #[test]
 fn the_limb_is_where_the_coordinates_say_to_a_tenth_of_a_pixel() {
     let root = tempfile::tempdir().unwrap();
-    for case in &CASES {
+    for case in cases() {
         let coordinates = Coordinates::read(&case.archived(root.path()));
         let scene = case.scene();
         let sun = scene.sun.as_ref().unwrap();
@@ -291,7 +348,7 @@ fn the_limb_is_where_the_coordinates_say_to_a_tenth_of_a_pixel() {
             let edge = sun.centre.vector() + Vector2::new(cos, sin) * sun.radius_mil;
             let found = coordinates.at(scene.mapping.to_sensor(edge.into()));
             let off_px = (found.x.hypot(found.y) - case.radius_arcsec()) / scale;
-            assert!(off_px.abs() < 0.1, "{}: {off_px} px", case.name);
+            assert!(off_px.abs() < 0.1, "{}: {off_px} px", case.name());
         }
     }
 }
@@ -321,13 +378,18 @@ fn the_boresights_pixel_has_the_coordinates_that_leave_no_offset() {
         (10.0, 5.0, 170.0),
         (254.6, 71.0, 12.0),
     ] {
-        for (rotation_deg, handedness) in [
-            (0.0, Handedness::Mirrored),
-            (180.7, Handedness::Mirrored),
-            (33.0, Handedness::Direct),
+        for (directions, roll_deg, rotation_deg, handedness) in [
+            (Directions::Telescope, 0.0, 0.0, Handedness::Mirrored),
+            (Directions::Telescope, 1.7, 180.7, Handedness::Mirrored),
+            (Directions::Telescope, -0.6, 33.0, Handedness::Direct),
+            (Directions::Sun2013, 0.0, 0.0, Handedness::Mirrored),
+            (Directions::Sun2013, 1.7, 180.7, Handedness::Mirrored),
+            (Directions::Sun2013, 0.0, 33.0, Handedness::Direct),
         ] {
+            let roll = Roll::Measured(Measured::new(roll_deg, 0.0));
             for sun_plate in [PlateMil::new(-600.0, 1300.0), PlateMil::new(2100.0, -40.0)] {
-                let instrument = builtin("heroes-pyas-f").unwrap();
+                let mut instrument = builtin("heroes-pyas-f").unwrap();
+                instrument.mounting.directions = directions;
                 let sun = SunPosition {
                     azimuth_deg,
                     elevation_deg,
@@ -341,11 +403,11 @@ fn the_boresights_pixel_has_the_coordinates_that_leave_no_offset() {
                 };
                 let mapping = Mapping::similarity(parameters, Distortion::NONE).unwrap();
                 let aspect = exact_aspect(sun_plate, &mapping);
-                let projection = Helioprojection::new(&aspect, &mapping, &instrument, &sun);
+                let projection = Helioprojection::new(&aspect, &mapping, roll, &instrument, &sun);
                 let coordinates = Coordinates::of(&projection.unwrap().unwrap());
                 let boresight = mapping.to_sensor(instrument.mounting.boresight_mil);
                 let pointing = coordinates.at(boresight);
-                let left = offset(aspect.sun_plate, &instrument, &sun, pointing).unwrap();
+                let left = offset(aspect.sun_plate, roll, &instrument, &sun, pointing).unwrap();
                 let across = left.azimuth_deg * elevation_deg.to_radians().cos();
                 let left_arcsec = across.hypot(left.elevation_deg) * 3600.0;
                 assert!(left_arcsec < 0.1, "{left_arcsec} arcsec, {pointing:?}");
@@ -365,6 +427,7 @@ fn a_frame_without_a_sun_a_time_or_a_place_has_no_world_coordinates() {
         let cards = sky_cards(
             info,
             solution,
+            Roll::Stated,
             &instrument,
             &target,
             &mut Ephemeris::default(),

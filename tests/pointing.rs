@@ -1,18 +1,19 @@
-//! The Sun on the plate tells where the telescope points, as the HEROES flight program said and as the sphere
-//! says.
+//! The Sun on the plate tells where the telescope points, by both rules of directions: at the telescope, and at the Sun as the
+//! HEROES flight program had it.
 
 use jiff::Timestamp;
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector2};
 use proptest::prelude::*;
 use solaspect::aspect::{self, Expected, Quality};
 use solaspect::fits;
-use solaspect::instrument::{Instrument, builtin};
+use solaspect::instrument::{Directions, Instrument, builtin};
 use solaspect::pointing::{
-    Feature, HelioprojectiveArcsec, PointingError, Target, offset, offset_of, pointing,
-    sun_on_plate, sun_on_plate_for,
+    Feature, HelioprojectiveArcsec, Horizontal, PointingError, Roll, Target, helioprojective,
+    offset, offset_of, pointing, sun_on_plate, sun_on_plate_for,
 };
+use solaspect::sky::sphere::{direction, separation_rad};
 use solaspect::sky::{Ephemeris, SunPosition};
-use solaspect::units::{Estimate, PlateMil};
+use solaspect::units::{Estimate, Measured, PlateMil};
 use std::path::Path;
 
 const ARCSEC: f64 = 1.0 / 3600.0;
@@ -40,30 +41,49 @@ fn on_plate(x: f64, y: f64) -> Estimate<PlateMil> {
     }
 }
 
-fn instrument(clocking_deg: f64, boresight_mil: PlateMil) -> Instrument {
+fn instrument(
+    directions: Directions,
+    clocking_deg: f64,
+    (boresight_x, boresight_y): (f64, f64),
+) -> Instrument {
     let mut instrument = builtin("heroes-pyas-f").unwrap();
+    instrument.mounting.directions = directions;
     instrument.mounting.clocking_deg.value = clocking_deg;
-    instrument.mounting.boresight_mil = boresight_mil;
+    instrument.mounting.boresight_mil = PlateMil::new(boresight_x, boresight_y);
     instrument
 }
 
+/// A roll that a sensor measures without error.
+fn exact_roll(roll_deg: f64) -> Roll {
+    Roll::Measured(Measured::new(roll_deg, 0.0))
+}
+
+/// The angle between two pointings, arcsec.
+fn apart_arcsec(a: Horizontal, b: Horizontal) -> f64 {
+    let [a, b] = [a, b].map(|p| direction(p.azimuth_deg, p.elevation_deg));
+    separation_rad(&a, &b).to_degrees() / ARCSEC
+}
+
+/// The numbers of a table below its heading.
+fn rows(table: &str) -> Vec<Vec<f64>> {
+    let lines = table.lines().filter(|line| !line.starts_with('#'));
+    let numbers = |line: &str| line.split(',').map(|n| n.parse().unwrap()).collect();
+    lines.skip(1).map(numbers).collect()
+}
+
 #[test]
-fn offsets_are_those_of_the_heroes_flight_program() {
-    let rows: Vec<Vec<f64>> = include_str!("data/pointing.csv")
-        .lines()
-        .filter(|line| !line.starts_with('#'))
-        .skip(1)
-        .map(|line| line.split(',').map(|n| n.parse().unwrap()).collect())
-        .collect();
+fn offsets_by_directions_at_the_sun_are_those_of_the_heroes_flight_program() {
+    let rows = rows(include_str!("data/pointing.csv"));
     assert_eq!(rows.len(), 3);
     for row in rows {
-        let instrument = instrument(row[4], PlateMil::new(row[5], row[6]));
+        let instrument = instrument(Directions::Sun2013, row[4], (row[5], row[6]));
         let sun = sun(row[9], row[10], row[11]);
         let target = HelioprojectiveArcsec {
             x: row[2],
             y: row[3],
         };
-        let found = offset(on_plate(row[0], row[1]), &instrument, &sun, target).unwrap();
+        let seen = on_plate(row[0], row[1]);
+        let found = offset(seen, Roll::Stated, &instrument, &sun, target).unwrap();
         let off = [found.azimuth_deg - row[12], found.elevation_deg - row[13]];
         assert!(
             off.iter().all(|d| d.abs() < 0.3 * ARCSEC),
@@ -73,28 +93,124 @@ fn offsets_are_those_of_the_heroes_flight_program() {
 }
 
 #[test]
+fn offsets_by_directions_at_the_telescope_are_those_of_a_plate_fixed_in_it() {
+    let rows = rows(include_str!("data/pointing_telescope.csv"));
+    assert_eq!(rows.len(), 40);
+    let mut largest_deg = 0.0_f64;
+    for row in rows {
+        let mut instrument = instrument(Directions::Telescope, row[3], (row[4], row[5]));
+        instrument.mounting.roll_deg.value = row[2];
+        let sun = sun(row[0], row[1], 0.0);
+        for roll in [Roll::Stated, exact_roll(row[2])] {
+            let seen = on_plate(row[6], row[7]);
+            let found = offset(seen, roll, &instrument, &sun, CENTRE).unwrap();
+            let off = [
+                found.azimuth_deg - row[8],
+                found.elevation_deg - row[9],
+                found.cross_elevation_deg - row[10],
+            ];
+            assert!(
+                off.iter().all(|d| d.abs() < 0.01 * ARCSEC),
+                "off by {off:?} deg"
+            );
+            largest_deg = off.iter().fold(largest_deg, |most, d| most.max(d.abs()));
+        }
+    }
+    println!("off by {:.1e} arcsec at most", largest_deg / ARCSEC);
+}
+
+/// Steps of 1 deg around the boresight at an angle from it: where the Sun is seen.
+fn around(boresight_mil: PlateMil, angle_deg: f64) -> impl Iterator<Item = PlateMil> {
+    let radius_mil = 3000.0 / 0.0254 * angle_deg.to_radians().tan();
+    (0..360).map(move |degree| {
+        let (sin, cos) = f64::from(degree).to_radians().sin_cos();
+        PlateMil::from(boresight_mil.vector() + Vector2::new(cos, sin) * radius_mil)
+    })
+}
+
+#[test]
+fn the_rules_agree_at_the_boresight_and_differ_by_tens_of_arcsec_a_degree_from_it() {
+    let sun = sun(158.5, 54.0, -41.0);
+    let by = |directions| instrument(directions, -32.425, (124.68, -74.64));
+    let [telescope, at_sun] = Directions::ALL.map(by);
+    let largest_arcsec = |angle_deg: f64| {
+        let difference = |at: PlateMil| {
+            let roll = exact_roll(0.0);
+            let [a, b] = [&telescope, &at_sun].map(|i| pointing(at, roll, i, &sun).unwrap());
+            apart_arcsec(a, b)
+        };
+        let places = around(telescope.mounting.boresight_mil, angle_deg);
+        places.map(difference).fold(0.0, f64::max)
+    };
+    assert!(largest_arcsec(0.0) < 1e-9);
+    // a^2 tan(elevation): at a solar radius and at a degree.
+    for (angle_deg, expected_arcsec) in [(955.6 * ARCSEC, 6.09), (1.0, 86.5)] {
+        let found_arcsec = largest_arcsec(angle_deg);
+        let ratio = found_arcsec / expected_arcsec;
+        assert!((ratio - 1.0).abs() < 0.03, "{angle_deg}: {found_arcsec}");
+    }
+}
+
+#[test]
+fn a_roll_turns_the_pointing_about_the_sun_only_where_directions_count_at_the_telescope() {
+    let (sun, at) = (sun(158.5, 20.0, -41.0), PlateMil::new(-1900.0, 700.0));
+    let by = |directions| instrument(directions, 0.0, (0.0, 0.0));
+    let pointing = |roll_deg, instrument: &Instrument| {
+        pointing(at, exact_roll(roll_deg), instrument, &sun).unwrap()
+    };
+    let at_sun = by(Directions::Sun2013);
+    assert_eq!(pointing(2.0, &at_sun), pointing(0.0, &at_sun));
+    // The roll is the clocking the other way round.
+    let (level, mut clocked) = (by(Directions::Telescope), by(Directions::Telescope));
+    clocked.mounting.clocking_deg.value = -2.0;
+    let [rolled, clocked] = [pointing(2.0, &level), pointing(0.0, &clocked)];
+    assert!(apart_arcsec(rolled, clocked) < 1e-6);
+    // The plate's +Y is up. The Sun is seen below the boresight, so it stands above; with the right side low, "above" leans
+    // to the right, so the Sun stands to the right of the vertical and the boresight to the left of the Sun.
+    let below = PlateMil::new(0.0, -1000.0);
+    let [level, rolled] = [0.0, 2.0]
+        .map(|roll_deg| solaspect::pointing::pointing(below, exact_roll(roll_deg), &level, &sun));
+    let (level, rolled) = (level.unwrap(), rolled.unwrap());
+    assert!((level.azimuth_deg - 158.5).abs() < 1e-9, "{level:?}");
+    assert!(level.elevation_deg < 20.0, "{level:?}");
+    let aside_deg = (rolled.azimuth_deg - 158.5) * 20_f64.to_radians().cos();
+    let shift_deg = (1000.0 * 0.0254_f64).atan2(3000.0).to_degrees();
+    let expected_deg = -shift_deg * 2_f64.to_radians().sin();
+    assert!((aside_deg / expected_deg - 1.0).abs() < 0.01, "{aside_deg}");
+}
+
+#[test]
 fn a_target_at_solar_north_lies_where_north_is_turned_to() {
     // North turned to the right of the zenith by 90 deg: the target lies at larger azimuth, so the telescope,
     // pointing at the Sun, is short of it. West is then straight down.
-    let instrument = instrument(0.0, PlateMil::new(0.0, 0.0));
     let sun = sun(180.0, 0.0, 90.0);
     let north = HelioprojectiveArcsec { x: 0.0, y: 900.0 };
-    let found = offset(on_plate(0.0, 0.0), &instrument, &sun, north).unwrap();
-    assert!((found.azimuth_deg + 0.25).abs() < 1e-9, "{found:?}");
-    assert!(found.elevation_deg.abs() < 1e-9, "{found:?}");
     let west = HelioprojectiveArcsec { x: 900.0, y: 0.0 };
-    let found = offset(on_plate(0.0, 0.0), &instrument, &sun, west).unwrap();
-    assert!((found.elevation_deg - 0.25).abs() < 1e-9, "{found:?}");
+    for directions in Directions::ALL {
+        let instrument = instrument(directions, 0.0, (0.0, 0.0));
+        let offset =
+            |target| offset(on_plate(0.0, 0.0), Roll::Stated, &instrument, &sun, target).unwrap();
+        let found = offset(north);
+        assert!((found.azimuth_deg + 0.25).abs() < 1e-9, "{found:?}");
+        assert!(found.elevation_deg.abs() < 1e-9, "{found:?}");
+        let found = offset(west);
+        assert!((found.elevation_deg - 0.25).abs() < 1e-9, "{found:?}");
+    }
 }
 
 #[test]
 fn an_azimuth_difference_across_north_is_small() {
-    let instrument = instrument(0.0, PlateMil::new(0.0, 0.0));
-    for azimuth_deg in [0.01, 359.99] {
-        for x in [-300.0, 300.0] {
+    let expected = 300.0 * 1.7464 * ARCSEC / 32_f64.to_radians().cos();
+    for directions in Directions::ALL {
+        let instrument = instrument(directions, 0.0, (0.0, 0.0));
+        for (azimuth_deg, x) in [
+            (0.01, -300.0),
+            (0.01, 300.0),
+            (359.99, -300.0),
+            (359.99, 300.0),
+        ] {
             let sun = sun(azimuth_deg, 32.0, 10.0);
-            let found = offset(on_plate(x, 0.0), &instrument, &sun, CENTRE).unwrap();
-            let expected = 300.0 * 1.7464 * ARCSEC / 32_f64.to_radians().cos();
+            let found = offset(on_plate(x, 0.0), Roll::Stated, &instrument, &sun, CENTRE).unwrap();
             assert!((found.azimuth_deg.abs() - expected).abs() < 1e-4);
         }
     }
@@ -105,6 +221,7 @@ fn near_the_zenith_there_is_no_offset_but_a_reason() {
     let instrument = builtin("demo").unwrap();
     let found = offset(
         on_plate(0.0, 0.0),
+        Roll::Stated,
         &instrument,
         &sun(180.0, 86.0, 0.0),
         CENTRE,
@@ -113,6 +230,37 @@ fn near_the_zenith_there_is_no_offset_but_a_reason() {
         matches!(found, Err(PointingError::NearZenith { elevation_deg }) if elevation_deg > 85.0)
     );
     assert!(found.unwrap_err().to_string().contains("86"));
+}
+
+#[test]
+fn nearer_to_the_zenith_than_to_the_boresight_the_sun_may_have_no_pointing() {
+    let instrument = instrument(Directions::Telescope, 0.0, (0.0, 0.0));
+    let no_boresight = |at: PlateMil, sun: &SunPosition| {
+        let found = pointing(at, exact_roll(0.0), &instrument, sun);
+        matches!(found, Err(PointingError::NoBoresight { sun_from_vertical_deg, sun_from_boresight_deg })
+            if (sun_from_vertical_deg - 0.55).abs() < 1e-9 && (sun_from_boresight_deg - 1.0).abs() < 1e-9)
+    };
+    let none = |sun: SunPosition| {
+        let seen = around(PlateMil::new(0.0, 0.0), 1.0);
+        seen.filter(|at| no_boresight(*at, &sun)).count()
+    };
+    // Only up to asin(0.55) = 33.4 deg to both sides of straight above the boresight can it be seen.
+    assert_eq!(none(sun(70.0, 89.45, 0.0)), 360 - 67);
+    assert_eq!(none(sun(70.0, -89.45, 0.0)), 360 - 67);
+    let found = pointing(
+        PlateMil::new(2000.0, 0.0),
+        exact_roll(0.0),
+        &instrument,
+        &sun(70.0, 89.9, 0.0),
+    );
+    let reason = found.unwrap_err().rejected();
+    assert_eq!(reason.reason, "too near the zenith for any pointing");
+    assert!(reason.measured < reason.limit, "{reason:?}");
+    // Wherever it is farther from the zenith there is one.
+    for at in around(PlateMil::new(0.0, 0.0), 1.0) {
+        let found = pointing(at, exact_roll(0.0), &instrument, &sun(70.0, 88.99, 0.0)).unwrap();
+        assert!(found.elevation_deg <= 90.0, "{found:?}");
+    }
 }
 
 #[test]
@@ -133,6 +281,7 @@ fn a_frame_without_an_offset_says_why_and_keeps_its_quality() {
             utc,
             place,
             &target,
+            Roll::Stated,
             &instrument,
             &mut ephemeris,
         );
@@ -146,10 +295,12 @@ fn a_frame_without_an_offset_says_why_and_keeps_its_quality() {
     assert_eq!(conclude(Some(utc), "nowhere", fixed), (false, None));
     let reason = |text: &str| (false, Some(format!("pointing: {text}")));
     // The Sun stands in the zenith of the equator at its noon.
-    assert_eq!(
-        conclude(Some(utc), "0.7,-91.7,0", fixed),
-        reason("too near the zenith for azimuths")
-    );
+    for (place, why) in [
+        ("0.7,-91.7,0", "too near the zenith for any pointing"),
+        ("3.0,-91.7,0", "too near the zenith for azimuths"),
+    ] {
+        assert_eq!(conclude(Some(utc), place, fixed), reason(why));
+    }
     assert_eq!(
         conclude("1971-01-01T00:00:00Z".parse().ok(), fort_sumner, fixed),
         reason("date outside the table of Earth orientation")
@@ -168,95 +319,163 @@ fn a_frame_without_an_offset_says_why_and_keeps_its_quality() {
 #[test]
 fn the_sun_behind_the_lens_is_on_no_plate() {
     let instrument = builtin("demo").unwrap();
-    let behind = pointing(PlateMil::new(0.0, 0.0), &instrument, &sun(0.0, 20.0, 0.0));
-    let found = sun_on_plate(behind, &instrument, &sun(180.0, 20.0, 0.0));
+    let behind = Horizontal {
+        azimuth_deg: 0.0,
+        elevation_deg: 20.0,
+    };
+    let found = sun_on_plate(behind, Roll::Stated, &instrument, &sun(180.0, 20.0, 0.0));
     assert!(matches!(found, Err(PointingError::BehindTheLens { .. })));
 }
+
+/// By how much the pointing moves, across and in elevation, deg.
+fn moved_deg(from: Horizontal, to: Horizontal) -> Vector2<f64> {
+    let across = (to.azimuth_deg - from.azimuth_deg) * from.elevation_deg.to_radians().cos();
+    Vector2::new(across, to.elevation_deg - from.elevation_deg)
+}
+
+/// The covariance of errors, each given as the pointing moved by a small part of it to both sides.
+fn covariance_deg2(moved_by: impl Iterator<Item = [Horizontal; 2]>, part: f64) -> Matrix2<f64> {
+    moved_by
+        .map(|[less, more]| moved_deg(less, more) / (2.0 * part))
+        .map(|error| error * error.transpose())
+        .sum()
+}
+
+/// An instrument whose calibration is uncertain, a Sun that it sees, and where.
+fn uncertain(directions: Directions) -> (Instrument, SunPosition, Estimate<PlateMil>) {
+    let mut instrument = instrument(directions, -32.425, (124.68, -74.64));
+    instrument.mounting.boresight_sigma_mil = 2.0;
+    instrument.mounting.clocking_deg.sigma = 0.1;
+    instrument.mounting.roll_deg = Measured::new(0.4, 0.3);
+    instrument.optics.plate_distance_mm.sigma = 3.0;
+    let seen = Estimate {
+        position: PlateMil::new(2500.0, -1800.0),
+        covariance: Matrix2::new(4.0, 1.0, 1.0, 9.0),
+    };
+    (instrument, sun(158.5, 54.0, -41.0), seen)
+}
+
+const PART: f64 = 1e-3;
 
 #[test]
 fn the_uncertainty_is_the_scatter_that_the_sphere_shows() {
     // Move the Sun by one sigma along each principal axis of its covariance and measure on the sky.
-    let instrument = instrument(-32.425, PlateMil::new(124.68, -74.64));
-    let sun = sun(158.5, 54.0, -41.0);
-    let covariance = Matrix2::new(4.0, 1.0, 1.0, 9.0);
-    let root = covariance.cholesky().unwrap().l();
-    let centre = PlateMil::new(2500.0, -1800.0);
-    let start = pointing(centre, &instrument, &sun);
-    let mut variance = 0.0;
-    for column in root.column_iter() {
-        let step = 1e-2;
-        let moved = PlateMil::from(centre.vector() + column * step);
-        let end = pointing(moved, &instrument, &sun);
-        let up = (end.elevation_deg - start.elevation_deg) / step;
-        let across =
-            (end.azimuth_deg - start.azimuth_deg) / step * start.elevation_deg.to_radians().cos();
-        variance += (up.powi(2) + across.powi(2)) / 2.0;
+    for directions in Directions::ALL {
+        let (instrument, sun, seen) = uncertain(directions);
+        let root = seen.covariance.cholesky().unwrap().l();
+        let moved_by = root.column_iter().map(|column| {
+            [-PART, PART].map(|part| {
+                let at = PlateMil::from(seen.position.vector() + column * part);
+                pointing(at, Roll::Stated, &instrument, &sun).unwrap()
+            })
+        });
+        let expected = covariance_deg2(moved_by, PART);
+        let found = offset(seen, Roll::Stated, &instrument, &sun, CENTRE).unwrap();
+        let off = (found.covariance_deg2 - expected).norm() / expected.norm();
+        assert!(
+            off < 1e-6,
+            "{off}: {} for {expected}",
+            found.covariance_deg2
+        );
+        let per_axis = (found.covariance_deg2.trace() / 2.0).sqrt();
+        assert!((per_axis / found.sigma_deg - 1.0).abs() < 1e-12);
     }
-    let estimate = Estimate {
-        position: centre,
-        covariance,
-    };
-    let found = offset(estimate, &instrument, &sun, CENTRE).unwrap();
-    let ratio = found.sigma_deg / variance.sqrt();
-    assert!((ratio - 1.0).abs() < 1e-3, "ratio {ratio}");
-    let trace = found.covariance_deg2.trace() / 2.0;
-    assert!((trace.sqrt() / found.sigma_deg - 1.0).abs() < 1e-12);
 }
 
 #[test]
 fn the_calibrations_share_is_the_scatter_of_its_values_and_stands_apart() {
     // Move each calibrated value by its sigma and measure on the sky.
-    let mut known = instrument(-32.425, PlateMil::new(124.68, -74.64));
-    known.mounting.boresight_sigma_mil = 2.0;
-    known.mounting.clocking_deg.sigma = 0.1;
-    known.optics.plate_distance_mm.sigma = 3.0;
-    let sun = sun(158.5, 54.0, -41.0);
-    let centre = on_plate(2500.0, -1800.0);
-    let start = pointing(centre.position, &known, &sun);
-    let mut expected = Matrix2::zeros();
-    let step = 1e-3;
-    for value in 0..4 {
-        let mut moved = known.clone();
-        match value {
-            0 => moved.mounting.boresight_mil.x += 2.0 * step,
-            1 => moved.mounting.boresight_mil.y += 2.0 * step,
-            2 => moved.mounting.clocking_deg.value += 0.1 * step,
-            _ => moved.optics.plate_distance_mm.value += 3.0 * step,
-        }
-        let end = pointing(centre.position, &moved, &sun);
-        let cos = start.elevation_deg.to_radians().cos();
-        let across = (end.azimuth_deg - start.azimuth_deg) * cos / step;
-        let up = (end.elevation_deg - start.elevation_deg) / step;
-        let moved = nalgebra::Vector2::new(across, up);
-        expected += moved * moved.transpose();
+    for directions in Directions::ALL {
+        let (known, sun, seen) = uncertain(directions);
+        let moved_by = (0..5).map(|value| {
+            [-PART, PART].map(|part| {
+                let mut moved = known.clone();
+                match value {
+                    0 => moved.mounting.boresight_mil.x += 2.0 * part,
+                    1 => moved.mounting.boresight_mil.y += 2.0 * part,
+                    2 => moved.mounting.clocking_deg.value += 0.1 * part,
+                    3 => moved.mounting.roll_deg.value += 0.3 * part,
+                    _ => moved.optics.plate_distance_mm.value += 3.0 * part,
+                }
+                pointing(seen.position, Roll::Stated, &moved, &sun).unwrap()
+            })
+        });
+        let expected = covariance_deg2(moved_by, PART);
+        let found = offset(seen, Roll::Stated, &known, &sun, CENTRE).unwrap();
+        let off = (found.calibration_deg2 - expected).norm() / expected.norm();
+        assert!(
+            off < 1e-6,
+            "{off}: {} for {expected}",
+            found.calibration_deg2
+        );
+        // A perfect calibration changes nothing of what the frame says of itself.
+        let mut perfect = known.clone();
+        perfect.mounting.boresight_sigma_mil = 0.0;
+        perfect.mounting.clocking_deg.sigma = 0.0;
+        perfect.mounting.roll_deg.sigma = 0.0;
+        perfect.optics.plate_distance_mm.sigma = 0.0;
+        let perfect = offset(seen, Roll::Stated, &perfect, &sun, CENTRE).unwrap();
+        assert_eq!(perfect.calibration_sigma_deg(), 0.0);
+        assert_eq!(perfect.covariance_deg2, found.covariance_deg2);
     }
-    let found = offset(centre, &known, &sun, CENTRE).unwrap();
-    let off = (found.calibration_deg2 - expected).norm() / expected.norm();
-    assert!(off < 1e-3, "{} for {expected}", found.calibration_deg2);
-    // Behind the table of Earth orientation the Sun itself is uncertain.
-    let uncertain_sun = SunPosition {
-        ut1_shift_arcsec: [3.0, -4.0],
-        ..sun
-    };
-    let uncertain = offset(centre, &known, &uncertain_sun, CENTRE).unwrap();
-    let added_deg2 = uncertain.calibration_deg2 - found.calibration_deg2;
-    let added_arcsec = added_deg2.trace().sqrt() / ARCSEC;
-    assert!((added_arcsec - 5.0).abs() < 0.05, "{added_arcsec}");
-    assert_eq!(uncertain.covariance_deg2, found.covariance_deg2);
-    // A perfect calibration changes nothing of what the frame says of itself.
-    known.mounting.boresight_sigma_mil = 0.0;
-    known.mounting.clocking_deg.sigma = 0.0;
-    known.optics.plate_distance_mm.sigma = 0.0;
-    let perfect = offset(centre, &known, &sun, CENTRE).unwrap();
-    assert_eq!(perfect.calibration_sigma_deg(), 0.0);
-    assert_eq!(perfect.covariance_deg2, found.covariance_deg2);
+}
+
+#[test]
+fn behind_the_table_of_earth_orientation_the_sun_itself_is_uncertain() {
+    for directions in Directions::ALL {
+        let (known, sun, seen) = uncertain(directions);
+        let certain = offset(seen, Roll::Stated, &known, &sun, CENTRE).unwrap();
+        let uncertain_sun = SunPosition {
+            ut1_shift_arcsec: [3.0, -4.0],
+            ..sun
+        };
+        let found = offset(seen, Roll::Stated, &known, &uncertain_sun, CENTRE).unwrap();
+        assert_eq!(found.covariance_deg2, certain.covariance_deg2);
+        let moved_by = [-PART, PART].map(|part| {
+            let cos = sun.elevation_deg.to_radians().cos();
+            let moved = SunPosition {
+                azimuth_deg: sun.azimuth_deg + 3.0 * ARCSEC * part / cos,
+                elevation_deg: sun.elevation_deg - 4.0 * ARCSEC * part,
+                ..sun
+            };
+            pointing(seen.position, Roll::Stated, &known, &moved).unwrap()
+        });
+        let expected = covariance_deg2([moved_by].into_iter(), PART);
+        let added = found.calibration_deg2 - certain.calibration_deg2;
+        assert!(
+            (added - expected).norm() < 1e-3 * expected.norm(),
+            "{added}"
+        );
+    }
+}
+
+#[test]
+fn the_error_of_a_roll_is_the_calibrations_when_stated_and_the_frames_when_measured() {
+    let (instrument, sun, seen) = uncertain(Directions::Telescope);
+    let offset = |roll| offset(seen, roll, &instrument, &sun, CENTRE).unwrap();
+    let (stated, exact) = (offset(Roll::Stated), offset(exact_roll(0.4)));
+    let by_stated = stated.calibration_deg2 - exact.calibration_deg2;
+    assert_eq!(stated.covariance_deg2, exact.covariance_deg2);
+    let measured = offset(Roll::Measured(Measured::new(0.4, 0.3)));
+    assert_eq!(measured.calibration_deg2, exact.calibration_deg2);
+    let by_measured = measured.covariance_deg2 - exact.covariance_deg2;
+    assert!((by_measured - by_stated).norm() < 1e-9 * by_stated.norm());
+    // 0.3 deg at the Sun's angle from the boresight.
+    let from_boresight = seen.position.vector() - instrument.mounting.boresight_mil.vector();
+    let expected_arcsec = 0.3_f64.to_radians() * from_boresight.norm() * 1.7464;
+    let found_arcsec = by_stated.trace().sqrt() / ARCSEC;
+    assert!(
+        (found_arcsec / expected_arcsec - 1.0).abs() < 0.05,
+        "{found_arcsec}"
+    );
 }
 
 #[test]
 fn cross_elevation_is_a_true_angle() {
-    let instrument = instrument(0.0, PlateMil::new(0.0, 0.0));
+    let instrument = instrument(Directions::Sun2013, 0.0, (0.0, 0.0));
     let found = offset(
         on_plate(300.0, 0.0),
+        Roll::Stated,
         &instrument,
         &sun(158.5, 80.0, 0.0),
         CENTRE,
@@ -280,12 +499,24 @@ proptest! {
         turn_deg in -180.0..180.0,
         target_x in -2000.0..2000.0,
         target_y in -2000.0..2000.0,
+        roll_deg in -10.0..10.0,
+        clocking_deg in -180.0..180.0,
     ) {
-        let instrument = builtin("heroes-pyas-r").unwrap();
-        let sun = sun(azimuth_deg, elevation_deg, turn_deg);
-        let target = HelioprojectiveArcsec { x: target_x, y: target_y };
-        let found = offset(on_plate(x, y), &instrument, &sun, target).unwrap();
-        let back = sun_on_plate_for(&found, &instrument, &sun, target).unwrap();
-        prop_assert!(back.distance(PlateMil::new(x, y)) < 1e-6, "{back:?}");
+        let (at, roll) = (PlateMil::new(x, y), exact_roll(roll_deg));
+        for directions in Directions::ALL {
+            let instrument = instrument(directions, clocking_deg, (-105.59, -48.64));
+            let sun = sun(azimuth_deg, elevation_deg, turn_deg);
+            let target = HelioprojectiveArcsec { x: target_x, y: target_y };
+            let found = offset(on_plate(x, y), roll, &instrument, &sun, target).unwrap();
+            let back = sun_on_plate_for(&found, roll, &instrument, &sun, target).unwrap();
+            prop_assert!(back.distance(at) < 1e-6, "{directions:?}: {back:?}");
+            let towards = pointing(at, roll, &instrument, &sun).unwrap();
+            let back = sun_on_plate(towards, roll, &instrument, &sun).unwrap();
+            prop_assert!(back.distance(at) < 1e-6, "{directions:?}: {back:?}");
+            // On a target where the telescope points there is no offset.
+            let target = helioprojective(at, roll, &instrument, &sun).unwrap();
+            let none = offset(on_plate(x, y), roll, &instrument, &sun, target).unwrap();
+            prop_assert!(none.azimuth_deg.hypot(none.elevation_deg) < 1e-9, "{none:?}");
+        }
     }
 }

@@ -10,7 +10,7 @@ use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
 use solaspect::link::{BytePort, SerialPort};
-use solaspect::pointing::{self, Horizontal};
+use solaspect::pointing::{self, Horizontal, Roll};
 use solaspect::preflight::{Demand, Motion, Trend, Verdict, check_folder, judge_clock};
 use solaspect::sky::Ephemeris;
 use std::fs;
@@ -478,7 +478,7 @@ fn flight(folder: &Path, way: f64) -> String {
             azimuth_deg: sun.azimuth_deg + angle_deg / sun.elevation_deg.to_radians().cos(),
             elevation_deg: sun.elevation_deg + angle_deg,
         };
-        pointing::sun_on_plate(pointing, &demo, &sun).unwrap()
+        pointing::sun_on_plate(pointing, Roll::Stated, &demo, &sun).unwrap()
     };
     // From end to end in 10 s.
     let (start, end) = (on_plate(-0.4 * way), on_plate(0.4 * way));

@@ -7,7 +7,7 @@ use solaspect::aspect::{self, Expected};
 use solaspect::fits::{Card, Table};
 use solaspect::frame::{Frame, FrameInfo};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::pointing::{Target, offset_of};
+use solaspect::pointing::{Roll, Target, offset_of};
 use solaspect::simulate::{self, Depth, Noise, RandomScenes};
 use solaspect::sky::Ephemeris;
 use solaspect::units::Place;
@@ -93,12 +93,21 @@ fn solve(
     let target = Target::default();
     let expected = utc.and_then(Expected::at);
     let mut solution = aspect::solve(&frame, instrument, expected, None);
-    let offset = offset_of(&mut solution, utc, place, &target, instrument, ephemeris);
+    let offset = offset_of(
+        &mut solution,
+        utc,
+        place,
+        &target,
+        Roll::Stated,
+        instrument,
+        ephemeris,
+    );
     let mut cards = Record::new("", utc, &solution, offset, None).cards();
     cards.extend(instrument_cards(instrument));
     cards.extend(sky_cards(
         &frame.info,
         &solution,
+        Roll::Stated,
         instrument,
         &target,
         ephemeris,

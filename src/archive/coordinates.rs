@@ -1,20 +1,19 @@
 //! How a frame lies on the sky: the world coordinates of its pixels (Thompson 2006), and who observed.
 //!
-//! Nothing here says how plate and sky hang together. A place on the Sun is brought to the sensor by the functions
-//! that give the offsets: when the telescope is on target with that place, the place is seen at the boresight, and the
-//! Sun's centre stands as far to the one side of it as the place now stands to the other side of the Sun's centre.
-//! Steps of a solar radius to all four sides make the matrix. So coordinates and offsets cannot disagree: the pixel on
-//! which the boresight falls has the coordinates at which the telescope points.
+//! Nothing here says how plate and sky hang together. A place on the Sun is brought to the sensor by
+//! [`pointing`](crate::pointing), which also gives the offsets. Steps of a solar radius to all four sides make the matrix. So
+//! coordinates and offsets cannot disagree: the pixel on which the boresight falls has the coordinates at which the
+//! telescope points.
 
 use crate::aspect::{Aspect, Solution};
 use crate::fits::Card;
 use crate::frame::FrameInfo;
 use crate::geometry::Mapping;
 use crate::instrument::Instrument;
-use crate::pointing::{self, HelioprojectiveArcsec, Offset, PointingError, Target};
+use crate::pointing::{self, HelioprojectiveArcsec, PointingError, Roll, Target};
 use crate::sky::{AU_KM, Ephemeris, SUN_RADIUS_KM, SunPosition};
 use crate::units::{ARCSEC_PER_RAD, Place, SensorPx};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
 
 const AU_M: f64 = AU_KM * 1e3;
 /// Mean radius; the Earth's flattening moves the observer by a ten-millionth of the way to the Sun.
@@ -33,22 +32,20 @@ impl Helioprojection {
     /// The coordinates of a frame that has a Sun. `None` where the mapping has no inverse there.
     ///
     /// # Errors
-    /// [`PointingError::NearZenith`] when the Sun stands above 85 deg.
+    /// [`PointingError::NoBoresight`] when no pointing near the zenith puts the Sun where it is seen.
     pub fn new(
         aspect: &Aspect,
         mapping: &Mapping,
+        roll: Roll,
         instrument: &Instrument,
         sun: &SunPosition,
     ) -> Result<Option<Self>, PointingError> {
         let step = solar_radius_arcsec(sun);
+        let sun_plate = aspect.sun_plate.position;
         let seen = |x, y| {
-            seen(
-                HelioprojectiveArcsec { x, y },
-                aspect,
-                mapping,
-                instrument,
-                sun,
-            )
+            let place = HelioprojectiveArcsec { x, y };
+            let at = pointing::place_on_plate(place, sun_plate, roll, instrument, sun)?;
+            Ok(mapping.to_sensor(at).vector())
         };
         let px_per_arcsec = Matrix2::from_columns(&[
             (seen(step, 0.0)? - seen(-step, 0.0)?) / (2.0 * step),
@@ -94,33 +91,12 @@ impl Helioprojection {
     }
 }
 
-/// Where a place on the Sun is seen on the sensor.
-fn seen(
-    place: HelioprojectiveArcsec,
-    aspect: &Aspect,
-    mapping: &Mapping,
-    instrument: &Instrument,
-    sun: &SunPosition,
-) -> Result<Vector2<f64>, PointingError> {
-    let on_target = Offset {
-        azimuth_deg: 0.0,
-        elevation_deg: 0.0,
-        cross_elevation_deg: 0.0,
-        sigma_deg: 0.0,
-        covariance_deg2: Matrix2::zeros(),
-        calibration_deg2: Matrix2::zeros(),
-    };
-    let sun_then = pointing::sun_on_plate_for(&on_target, instrument, sun, place)?;
-    let from_sun = instrument.mounting.boresight_mil.vector() - sun_then.vector();
-    let on_plate = aspect.sun_plate.position.vector() + from_sun;
-    Ok(mapping.to_sensor(on_plate.into()).vector())
-}
-
 /// The keywords of the sky behind a frame: the observer and the Sun, where time and place are known, and the pixels'
 /// coordinates, where there is a Sun too.
 pub fn sky_cards(
     info: &FrameInfo,
     solution: &Solution,
+    roll: Roll,
     instrument: &Instrument,
     target: &Target,
     ephemeris: &mut Ephemeris,
@@ -142,10 +118,11 @@ pub fn sky_cards(
         cards.push(Card::new("TARGETY", target.y));
     }
     if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
-        match Helioprojection::new(aspect, &adopted.mapping, instrument, &sun) {
+        match Helioprojection::new(aspect, &adopted.mapping, roll, instrument, &sun) {
             Ok(Some(helioprojection)) => {
+                let turn_sigma_deg = pointing::turn_sigma_deg(roll, instrument);
                 cards.extend(helioprojection.cards());
-                cards.extend(error_cards(&helioprojection, aspect, instrument, &sun));
+                cards.extend(error_cards(&helioprojection, aspect, turn_sigma_deg, &sun));
             }
             Ok(None) => tracing::warn!("no coordinates: the mapping has no inverse"),
             Err(error) => tracing::warn!(%error, "no coordinates"),
@@ -154,22 +131,22 @@ pub fn sky_cards(
     cards
 }
 
-/// How well the coordinates are known: at random, the disc's centre; at the limb, the clocking.
+/// How well the coordinates are known: at random, the disc's centre; at the limb, clocking and roll.
 fn error_cards(
     helioprojection: &Helioprojection,
     aspect: &Aspect,
-    instrument: &Instrument,
+    turn_sigma_deg: f64,
     sun: &SunPosition,
 ) -> Vec<Card> {
     let matrix = helioprojection.arcsec_per_px;
     let covariance = matrix * aspect.sun_px.covariance * matrix.transpose();
     let random = |axis: usize| covariance[(axis, axis)].max(0.0).sqrt();
-    let clocking = instrument.mounting.clocking_deg.sigma.to_radians() * solar_radius_arcsec(sun);
+    let at_limb = turn_sigma_deg.to_radians() * solar_radius_arcsec(sun);
     vec![
         Card::new("CRDER1", random(0)),
         Card::new("CRDER2", random(1)),
-        Card::new("CSYER1", clocking),
-        Card::new("CSYER2", clocking),
+        Card::new("CSYER1", at_limb),
+        Card::new("CSYER2", at_limb),
     ]
 }
 

@@ -242,6 +242,8 @@ pub fn instrument_cards(instrument: &Instrument) -> Vec<Card> {
         Card::new("WAVELNTH", instrument.optics.wavelength_nm),
         Card::new("WAVEUNIT", "nm"),
         Card::new("CLOCKANG", mounting.clocking_deg.value),
+        Card::new("PLATEDIR", mounting.directions.name()),
+        Card::new("ROLLANG", mounting.roll_deg.value),
         Card::new("BORE-X", mounting.boresight_mil.x),
         Card::new("BORE-Y", mounting.boresight_mil.y),
         Card::new("PLATEDST", instrument.optics.plate_distance_mm.value),

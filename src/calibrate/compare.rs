@@ -75,6 +75,9 @@ pub struct Comparison {
     pub rotation_deg: Turn,
     pub boresight_mil: Shift,
     pub clocking_deg: Turn,
+    pub roll_deg: Turn,
+    /// The rules by which directions on the plate are counted.
+    pub directions: [&'static str; 2],
     /// A plate farther away makes every offset smaller.
     pub plate_distance_mm: Turn,
     pub blur_px: [f64; 2],
@@ -121,6 +124,8 @@ pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
             arcsec_per_mil,
         ),
         clocking_deg: turned(ma.clocking_deg.value, mb.clocking_deg.value),
+        roll_deg: turned(ma.roll_deg.value, mb.roll_deg.value),
+        directions: [ma.directions.name(), mb.directions.name()],
         plate_distance_mm: stretched(
             a.optics.plate_distance_mm.value,
             b.optics.plate_distance_mm.value,
@@ -231,11 +236,16 @@ impl fmt::Display for Comparison {
             ("scale", "mil/px", self.scale_mil_per_px),
             ("rotation", "deg", self.rotation_deg),
             ("clocking", "deg", self.clocking_deg),
+            ("roll", "deg", self.roll_deg),
             ("distance", "mm", self.plate_distance_mm),
         ];
         lines.extend(turns.map(|(name, unit, Turn { before, after, edge_arcsec })| {
             format!("{name:<13} {before} -> {after} {unit}, {edge_arcsec:.2} arcsec at the plate's edge")
         }));
+        let [before, after] = self.directions;
+        if before != after {
+            lines.push(format!("directions    {before} -> {after}"));
+        }
         let [before, after] = self.blur_px;
         lines.push(format!("blur          {before} -> {after} px"));
         out.write_str(&lines.join("\n"))

@@ -7,7 +7,7 @@ use crate::aspect::{self, Contradiction, Expected, Quantity, Solution, Track};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
-use crate::pointing::{self, Target};
+use crate::pointing::{self, Roll, Target};
 use crate::sky::Ephemeris;
 use crate::units::Place;
 use anyhow::{Context, ensure};
@@ -193,6 +193,7 @@ impl Batch {
             utc,
             place,
             &self.target,
+            Roll::Stated,
             instrument,
             &mut self.ephemeris.clone(),
         );

@@ -6,12 +6,14 @@
 
 mod builtin;
 mod dates;
+mod directions;
 mod raw;
 mod sensor;
 pub mod toml_file;
 
 pub use builtin::{builtin, builtin_names, builtin_text};
 pub use dates::Dated;
+pub use directions::Directions;
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;
 
@@ -102,6 +104,11 @@ pub struct Mounting {
     pub boresight_sigma_mil: f64,
     /// Angle of the plate's +Y from the direction to the zenith.
     pub clocking_deg: Measured,
+    /// Where directions on the plate are counted from the zenith.
+    pub directions: Directions,
+    /// The telescope's roll where no sensor measures it: its turn about the boresight, positive with the right side low.
+    /// Without effect where directions are counted at the Sun.
+    pub roll_deg: Measured,
 }
 
 impl Mounting {

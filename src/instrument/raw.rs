@@ -1,7 +1,7 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
 use super::toml_file::{TomlError, keys_of, parse_strict, read_text};
-use super::{Camera, Instrument, Mounting, Optics, TURN_DEG};
+use super::{Camera, Directions, Instrument, Mounting, Optics, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
@@ -119,6 +119,8 @@ struct RawMounting {
     plate_centre_px: Entry<[f64; 2]>,
     boresight_mil: Entry<[f64; 2]>,
     clocking_deg: Entry<f64>,
+    directions: Option<Entry<Directions>>,
+    roll_deg: Option<Entry<f64>>,
 }
 
 pub(super) fn read(path: &Path) -> Result<Instrument, TomlError> {
@@ -146,6 +148,9 @@ const OPTIONAL_KEYS: [&str; 11] = [
     "optics.temperature.reference_c",
     "optics.temperature.scale_per_c",
 ];
+
+/// The roll of a gondola that nobody has measured: balancing levels it to about a degree.
+const UNMEASURED_ROLL_DEG: Measured = Measured::new(0.0, 1.0);
 
 /// Turns raw values into checked ones; knows the file for its errors.
 struct Checker<'a> {
@@ -294,7 +299,7 @@ impl Checker<'_> {
         )?;
         let rotation = self.measured("mounting.rotation_deg", raw.rotation_deg, turn.clone())?;
         let twist = self.measured("mounting.twist_deg", raw.twist_deg, turn.clone())?;
-        let clocking = self.measured("mounting.clocking_deg", raw.clocking_deg, turn)?;
+        let clocking = self.measured("mounting.clocking_deg", raw.clocking_deg, turn.clone())?;
         let centre = self.pair("mounting.plate_centre_px", &raw.plate_centre_px, 65_536.0)?;
         let boresight = self.pair("mounting.boresight_mil", &raw.boresight_mil, 1e4)?;
         Ok(Mounting {
@@ -310,7 +315,21 @@ impl Checker<'_> {
             boresight_mil: boresight.into_position(),
             boresight_sigma_mil: raw.boresight_mil.sigma,
             clocking_deg: clocking,
+            directions: self.directions(raw.directions)?,
+            roll_deg: match raw.roll_deg {
+                Some(roll) => self.measured("mounting.roll_deg", roll, turn)?,
+                None => UNMEASURED_ROLL_DEG,
+            },
         })
+    }
+
+    /// A plate is fixed in its telescope unless the file states the other rule.
+    fn directions(&self, entry: Option<Entry<Directions>>) -> Result<Directions, TomlError> {
+        let Some(entry) = entry else {
+            return Ok(Directions::Telescope);
+        };
+        self.provenance("mounting.directions", &entry)?;
+        Ok(entry.value)
     }
 
     fn measured(
@@ -470,6 +489,44 @@ mod tests {
         let message = message(&text);
         assert!(message.contains("camera.width_px.value"), "{message}");
         assert!(!message.contains('\n'), "{message}");
+    }
+
+    /// The demo without the lines that begin with a key.
+    fn demo_without(key: &str) -> String {
+        let lines = DEMO.lines().filter(|line| !line.starts_with(key));
+        lines.map(|line| format!("{line}\n")).collect()
+    }
+
+    #[test]
+    fn directions_are_the_telescopes_unless_the_file_says_otherwise() {
+        let path = Path::new("a.toml");
+        let unstated = demo_without("directions");
+        assert_ne!(unstated, DEMO);
+        let mounting = parse(path, &unstated).unwrap().mounting;
+        assert_eq!(mounting.directions, Directions::Telescope);
+        for directions in Directions::ALL {
+            let text = DEMO.replace("\"telescope\"", &format!("{:?}", directions.name()));
+            let mounting = parse(path, &text).unwrap().mounting;
+            assert_eq!(mounting.directions, directions);
+        }
+        let message = message(&DEMO.replace("\"telescope\"", "\"sun\""));
+        assert!(message.contains("mounting.directions"), "{message}");
+        assert!(message.contains("`sun-2013`"), "{message}");
+    }
+
+    #[test]
+    fn a_roll_that_was_not_measured_is_zero_to_a_degree() {
+        let path = Path::new("a.toml");
+        let unstated = demo_without("roll_deg");
+        assert_ne!(unstated, DEMO);
+        let mounting = parse(path, &unstated).unwrap().mounting;
+        assert_eq!(mounting.roll_deg, UNMEASURED_ROLL_DEG);
+        let stated = DEMO.replace(
+            "roll_deg = { value = 0, sigma = 1",
+            "roll_deg = { value = -0.5, sigma = 0.2",
+        );
+        let mounting = parse(path, &stated).unwrap().mounting;
+        assert_eq!(mounting.roll_deg, Measured::new(-0.5, 0.2));
     }
 
     #[test]

@@ -1,27 +1,28 @@
 //! From the Sun on the plate to the telescope's offset from its target, and back.
 //!
-//! The shift s of the Sun from the boresight on the plate is an angle atan2(|s|, plate distance) in the direction
-//! atan2(s.x, s.y), clockwise from the plate's +Y. The telescope points, from the Sun, by that angle in the
-//! direction -(direction + clocking), clockwise from the zenith as seen looking out (HEROES flight program, 2013). In
-//! other words the plate, turned by the clocking, is the plane that touches the sky at the Sun (gnomonic projection).
-//! The lens's focal length does not enter: the ray through its middle goes straight.
+//! The Sun's shift from the boresight on the plate is an angle in a direction, counted at the telescope or at the Sun as the
+//! instrument's `mounting.directions` says: see [`Directions`](crate::instrument::Directions). Where it is counted at the telescope, the
+//! telescope's [`Roll`] turns it.
 //! The target lies at helioprojective coordinates about the Sun, whose north is turned from the zenith as the
 //! ephemeris says.
 //! All of it is on the sphere; nothing assumes small angles.
 
+mod alignment;
 mod refusal;
 mod target;
 
+pub use alignment::Roll;
 pub use refusal::PointingError;
 pub use target::{Feature, Target};
 
 use crate::aspect::{Solution, Stage, Stopped};
-use crate::instrument::{Instrument, Optics};
+use crate::instrument::Instrument;
 use crate::sky::sphere::{angles_deg, direction, separation_rad, tangents};
 use crate::sky::{Ephemeris, SunPosition};
-use crate::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil};
+use crate::units::{ARCSEC_PER_RAD, Estimate, Place, PlateMil};
+use alignment::{Alignment, gnomonic};
 use jiff::Timestamp;
-use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use refusal::NoOffset;
 
 /// Above this elevation a difference of azimuths says nothing of use.
@@ -42,7 +43,7 @@ pub struct Horizontal {
 }
 
 /// Where the telescope points, minus the target.
-/// There is no roll here: one Sun tells two axes.
+/// There is no offset in roll: one Sun tells two axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Offset {
     /// A plain difference of azimuths, -180 to 180, as the HEROES controller took it.
@@ -55,10 +56,10 @@ pub struct Offset {
     /// 1 sigma per axis of true angle on the sky, the rms of the two axes of `covariance_deg2`.
     pub sigma_deg: f64,
     /// What is uncertain in this frame, in true angle: across (towards larger azimuth) and in elevation. It holds the
-    /// stated sigma of the mapping, where that was borrowed.
+    /// stated sigma of the mapping, where that was borrowed, and that of the roll, where it was measured.
     pub covariance_deg2: Matrix2<f64>,
-    /// What the calibration leaves uncertain of the pointing, the same in every frame: boresight, clocking and plate
-    /// distance, by the sigmas that the instrument states, and UT1 behind the table of Earth orientation, which moves Sun
+    /// What the calibration leaves uncertain of the pointing, the same in every frame: boresight, clocking, plate
+    /// distance and stated roll, by the sigmas that the instrument states, and UT1 behind the table of Earth orientation, which moves Sun
     /// and target alike. It is not part of `covariance_deg2`.
     pub calibration_deg2: Matrix2<f64>,
 }
@@ -78,6 +79,7 @@ pub fn offset_of(
     utc: Option<Timestamp>,
     place: Option<Place>,
     target: &Target,
+    roll: Roll,
     instrument: &Instrument,
     ephemeris: &mut Ephemeris,
 ) -> Option<Offset> {
@@ -86,7 +88,10 @@ pub fn offset_of(
     let found = ephemeris
         .sun(utc, place)
         .map_err(NoOffset::from)
-        .and_then(|sun| Ok(offset(sun_plate, instrument, &sun, target.at(utc, &sun)?)?));
+        .and_then(|sun| {
+            let target = target.at(utc, &sun)?;
+            Ok(offset(sun_plate, roll, instrument, &sun, target)?)
+        });
     match found {
         Ok(offset) => Some(offset),
         Err(error) => {
@@ -101,19 +106,21 @@ pub fn offset_of(
 /// The telescope's offset from a target, with what the Sun's place on the plate and the calibration leave uncertain.
 ///
 /// # Errors
-/// [`PointingError::NearZenith`] when the pointing or the target stands above 85 deg.
+/// [`PointingError::NearZenith`] when the pointing or the target stands above 85 deg;
+/// [`PointingError::NoBoresight`] when no pointing near the zenith puts the Sun there.
 pub fn offset(
     sun_on_plate: Estimate<PlateMil>,
+    roll: Roll,
     instrument: &Instrument,
     sun: &SunPosition,
     target: HelioprojectiveArcsec,
 ) -> Result<Offset, PointingError> {
-    let boresight = boresight(sun_on_plate.position, instrument, sun);
+    let boresight = boresight(sun_on_plate.position, roll, instrument, sun)?;
     let pointing = away_from_zenith(&boresight)?;
     let target = away_from_zenith(&target_direction(target, sun))?;
     let azimuth_deg = wrapped_deg(pointing.azimuth_deg - target.azimuth_deg);
     let across = pointing.elevation_deg.to_radians().cos() * azimuth_deg.to_radians().sin();
-    let [frame, calibration] = covariances_rad2(&sun_on_plate, instrument, sun, &boresight);
+    let [frame, calibration] = covariances_rad2(&sun_on_plate, roll, instrument, sun)?;
     let covariance_deg2 = frame * 1_f64.to_degrees().powi(2);
     Ok(Offset {
         azimuth_deg,
@@ -126,24 +133,55 @@ pub fn offset(
 }
 
 /// Where the telescope points when the Sun stands at a place on the plate.
-pub fn pointing(sun_on_plate: PlateMil, instrument: &Instrument, sun: &SunPosition) -> Horizontal {
-    horizontal(&boresight(sun_on_plate, instrument, sun))
+///
+/// # Errors
+/// [`PointingError::NoBoresight`] when no pointing near the zenith puts the Sun there.
+pub fn pointing(
+    sun_on_plate: PlateMil,
+    roll: Roll,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> Result<Horizontal, PointingError> {
+    Ok(horizontal(&boresight(sun_on_plate, roll, instrument, sun)?))
 }
 
 /// Where the telescope points about the Sun's centre, when the Sun stands at a place on the plate: the inverse of a
 /// [`Target`]'s place.
+///
+/// # Errors
+/// As [`pointing`].
 pub fn helioprojective(
     sun_on_plate: PlateMil,
+    roll: Roll,
     instrument: &Instrument,
     sun: &SunPosition,
-) -> HelioprojectiveArcsec {
-    let towards = boresight(sun_on_plate, instrument, sun).normalize();
+) -> Result<HelioprojectiveArcsec, PointingError> {
+    let towards = boresight(sun_on_plate, roll, instrument, sun)?;
     let centre = sun_direction(sun);
     let (west, north) = west_and_north(&centre, sun);
-    HelioprojectiveArcsec {
+    Ok(HelioprojectiveArcsec {
         x: towards.dot(&west).atan2(towards.dot(&centre)) * ARCSEC_PER_RAD,
         y: towards.dot(&north).asin() * ARCSEC_PER_RAD,
-    }
+    })
+}
+
+/// Where on the plate a place about the Sun is seen while the Sun's centre stands at `sun_on_plate`: in the Sun's image, the
+/// plane that touches the sky at its centre.
+///
+/// # Errors
+/// As [`pointing`].
+pub fn place_on_plate(
+    place: HelioprojectiveArcsec,
+    sun_on_plate: PlateMil,
+    roll: Roll,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> Result<PlateMil, PointingError> {
+    let (alignment, centre) = (Alignment::new(instrument, roll), sun_direction(sun));
+    let turn = alignment.turn_from_sun(&alignment.on_plane(sun_on_plate), &centre)?;
+    let from_centre = turn * gnomonic(&centre, &target_direction(place, sun));
+    // The image is upside down: the Sun moves one way as the telescope moves the other.
+    Ok((sun_on_plate.vector() - alignment.to_shift(&from_centre)).into())
 }
 
 /// Where on the plate the Sun stands when the telescope points in a direction.
@@ -152,6 +190,7 @@ pub fn helioprojective(
 /// [`PointingError::BehindTheLens`] when the Sun is 90 deg or more away.
 pub fn sun_on_plate(
     pointing: Horizontal,
+    roll: Roll,
     instrument: &Instrument,
     sun: &SunPosition,
 ) -> Result<PlateMil, PointingError> {
@@ -162,11 +201,8 @@ pub fn sun_on_plate(
         let separation_deg = angle.to_degrees();
         return Err(PointingError::BehindTheLens { separation_deg });
     }
-    let on_plane = axes(&centre).transpose() * towards / towards.dot(&centre);
-    let distance = plate_distance_mil(&instrument.optics);
-    // `to_plane` is a rotation divided by the distance.
-    let shift = to_plane(instrument).transpose() * on_plane * distance.powi(2);
-    Ok((instrument.mounting.boresight_mil.vector() + shift).into())
+    let alignment = Alignment::new(instrument, roll);
+    Ok(alignment.on_plate(&alignment.towards(&towards, &centre)))
 }
 
 /// Where on the plate the Sun stands when the telescope is off its target by an offset: the inverse of
@@ -176,6 +212,7 @@ pub fn sun_on_plate(
 /// Those of [`offset`] for the target, and those of [`sun_on_plate`].
 pub fn sun_on_plate_for(
     offset: &Offset,
+    roll: Roll,
     instrument: &Instrument,
     sun: &SunPosition,
     target: HelioprojectiveArcsec,
@@ -185,30 +222,25 @@ pub fn sun_on_plate_for(
         azimuth_deg: target.azimuth_deg + offset.azimuth_deg,
         elevation_deg: target.elevation_deg + offset.elevation_deg,
     };
-    sun_on_plate(pointing, instrument, sun)
+    sun_on_plate(pointing, roll, instrument, sun)
 }
 
-/// The direction in which the telescope points; its length is the secant of the angle from the Sun.
-fn boresight(sun_on_plate: PlateMil, instrument: &Instrument, sun: &SunPosition) -> Vector3<f64> {
-    let centre = sun_direction(sun);
-    centre + axes(&centre) * to_plane(instrument) * shift(sun_on_plate, instrument)
+/// 1 sigma of the turn of directions on the plate, deg: by the clocking, and by the roll where it turns them.
+pub fn turn_sigma_deg(roll: Roll, instrument: &Instrument) -> f64 {
+    let clocking = instrument.mounting.clocking_deg;
+    let roll_sigma_deg = Alignment::new(instrument, roll).roll_sigma_deg;
+    clocking.sigma.hypot(roll_sigma_deg)
 }
 
-/// From a shift on the plate (mil) to the plane that touches the sky at the Sun: towards the zenith, and clockwise.
-fn to_plane(instrument: &Instrument) -> Matrix2<f64> {
-    let (sin, cos) = instrument
-        .mounting
-        .clocking_deg
-        .value
-        .to_radians()
-        .sin_cos();
-    Matrix2::new(-sin, cos, -cos, -sin) / plate_distance_mil(&instrument.optics)
-}
-
-/// The axes of that plane as columns: towards the zenith, and clockwise, which is towards larger azimuth.
-fn axes(at: &Vector3<f64>) -> Matrix3x2<f64> {
-    let (up, clockwise) = tangents(at);
-    Matrix3x2::from_columns(&[up, clockwise])
+/// The direction in which the telescope points, a unit vector.
+fn boresight(
+    sun_on_plate: PlateMil,
+    roll: Roll,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> Result<Vector3<f64>, PointingError> {
+    let alignment = Alignment::new(instrument, roll);
+    alignment.boresight(&alignment.on_plane(sun_on_plate), &sun_direction(sun))
 }
 
 /// The direction of a target, by the definition of helioprojective longitude and latitude (Thompson 2006).
@@ -230,44 +262,38 @@ fn west_and_north(centre: &Vector3<f64>, sun: &SunPosition) -> (Vector3<f64>, Ve
 /// Covariance of the pointing in true angle, across and in elevation: what the frame and what the calibration leave.
 fn covariances_rad2(
     sun_on_plate: &Estimate<PlateMil>,
+    roll: Roll,
     instrument: &Instrument,
     sun: &SunPosition,
-    boresight: &Vector3<f64>,
-) -> [Matrix2<f64>; 2] {
-    let (up, across) = tangents(boresight);
-    let seen = Matrix3x2::from_columns(&[across, up]) / boresight.norm();
-    let from_plane = seen.transpose() * axes(&sun_direction(sun));
-    let from_plate = from_plane * to_plane(instrument);
-    let on_plane = to_plane(instrument) * shift(sun_on_plate.position, instrument);
+) -> Result<[Matrix2<f64>; 2], PointingError> {
+    let alignment = Alignment::new(instrument, roll);
+    let on_plane = alignment.on_plane(sun_on_plate.position);
+    let [by_plane, by_sun] = alignment.derivatives(&on_plane, &sun_direction(sun))?;
+    let by_plate = by_plane * alignment.to_plane();
+    let by_turn = by_plane * Vector2::new(on_plane.y, -on_plane.x);
     let mounting = &instrument.mounting;
     let distance = instrument.optics.plate_distance_mm;
-    let by_clocking = from_plane
-        * Vector2::new(on_plane.y, -on_plane.x)
-        * mounting.clocking_deg.sigma.to_radians();
-    let by_distance = from_plane * on_plane * (distance.sigma / distance.value);
-    let by_boresight = from_plate * mounting.boresight_sigma_mil;
     let [across_arcsec, up_arcsec] = sun.ut1_shift_arcsec;
-    let by_ut1 = from_plane * Vector2::new(up_arcsec, across_arcsec) / ARCSEC_PER_RAD;
-    [
-        from_plate * sun_on_plate.covariance * from_plate.transpose(),
-        by_boresight * by_boresight.transpose()
-            + by_clocking * by_clocking.transpose()
-            + by_distance * by_distance.transpose()
-            + by_ut1 * by_ut1.transpose(),
-    ]
+    let by_roll = squared(by_turn * alignment.roll_sigma_deg.to_radians());
+    let frame = by_plate * sun_on_plate.covariance * by_plate.transpose();
+    let calibration = by_plate * by_plate.transpose() * mounting.boresight_sigma_mil.powi(2)
+        + squared(by_turn * mounting.clocking_deg.sigma.to_radians())
+        + squared(by_plane * on_plane * (distance.sigma / distance.value))
+        + squared(by_sun * Vector2::new(up_arcsec, across_arcsec) / ARCSEC_PER_RAD);
+    Ok(match roll {
+        Roll::Stated => [frame, calibration + by_roll],
+        Roll::Measured(_) => [frame + by_roll, calibration],
+    })
+}
+
+/// The covariance of one error.
+fn squared(error: Vector2<f64>) -> Matrix2<f64> {
+    error * error.transpose()
 }
 
 /// 1 sigma per axis: the rms of the two.
 fn per_axis(covariance: &Matrix2<f64>) -> f64 {
     (covariance.trace().max(0.0) / 2.0).sqrt()
-}
-
-fn shift(sun_on_plate: PlateMil, instrument: &Instrument) -> Vector2<f64> {
-    sun_on_plate.vector() - instrument.mounting.boresight_mil.vector()
-}
-
-fn plate_distance_mil(optics: &Optics) -> f64 {
-    optics.plate_distance_mm.value / MIL_MM
 }
 
 fn sun_direction(sun: &SunPosition) -> Vector3<f64> {

@@ -12,6 +12,13 @@ pub enum PointingError {
     )]
     NearZenith { elevation_deg: f64 },
     #[error(
+        "too near the zenith for any pointing: expected the Sun farther from the vertical than from the boresight, {sun_from_boresight_deg:.3} deg, found it {sun_from_vertical_deg:.3} deg from the vertical"
+    )]
+    NoBoresight {
+        sun_from_vertical_deg: f64,
+        sun_from_boresight_deg: f64,
+    },
+    #[error(
         "expected the Sun within 90 deg of the pointing, found it {separation_deg:.3} deg away"
     )]
     BehindTheLens { separation_deg: f64 },
@@ -36,6 +43,14 @@ impl PointingError {
                 "too near the zenith for azimuths",
                 elevation_deg,
                 HIGHEST_ELEVATION_DEG,
+            ),
+            Self::NoBoresight {
+                sun_from_vertical_deg,
+                sun_from_boresight_deg,
+            } => (
+                "too near the zenith for any pointing",
+                sun_from_vertical_deg,
+                sun_from_boresight_deg,
             ),
             Self::BehindTheLens { separation_deg } => ("Sun behind the lens", separation_deg, 90.0),
             Self::OffTheDisc {

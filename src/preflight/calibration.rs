@@ -62,11 +62,11 @@ fn sigmas(camera: &PlannedCamera) -> Finding {
     let instrument = &camera.instrument;
     let mounting = &instrument.mounting;
     let boresight_arcsec = mounting.boresight_sigma_mil * instrument.optics.arcsec_per_mil();
-    let clocking_deg = mounting.clocking_deg.sigma;
+    let (clocking_deg, roll_deg) = (mounting.clocking_deg.sigma, mounting.roll_deg.sigma);
     let found = format!(
-        "1 sigma of the boresight {boresight_arcsec:.1} arcsec, of the clocking {clocking_deg} deg"
+        "1 sigma of the boresight {boresight_arcsec:.1} arcsec, of the clocking {clocking_deg} deg, of the roll {roll_deg} deg"
     );
-    match boresight_arcsec > 0.0 && clocking_deg > 0.0 {
+    match boresight_arcsec > 0.0 && clocking_deg > 0.0 && roll_deg > 0.0 {
         true => Finding::pass(check, found),
         false => Finding::warn(
             check,

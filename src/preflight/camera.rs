@@ -10,7 +10,7 @@ use crate::config::Config;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
 use crate::link::CameraRole;
-use crate::pointing;
+use crate::pointing::{self, Roll};
 use std::time::{Duration, Instant};
 
 /// For a camera to be found and to give its first frame.
@@ -326,6 +326,7 @@ fn aspect(plan: &Plan, planned: &PlannedCamera, frame: &Frame, mut solution: Sol
         utc,
         place,
         &plan.target,
+        Roll::Stated,
         &planned.instrument,
         &mut ephemeris,
     );

@@ -2,7 +2,7 @@
 
 use super::row::{Row, SkyRow};
 use crate::instrument::Instrument;
-use crate::pointing::{self, Target};
+use crate::pointing::{self, Roll, Target};
 use crate::sky::Ephemeris;
 use crate::units::Place;
 use rayon::prelude::*;
@@ -38,11 +38,12 @@ impl Sky {
         let (sun_on_plate, utc) = (row.sun?, row.utc()?);
         let sun = ephemeris.sun(utc, place?).ok()?;
         let at = sun_on_plate.position;
-        let towards = pointing::pointing(at, &self.instrument, &sun);
-        let boresight = pointing::helioprojective(at, &self.instrument, &sun);
+        let (roll, instrument) = (Roll::Stated, &self.instrument);
+        let towards = pointing::pointing(at, roll, instrument, &sun).ok()?;
+        let boresight = pointing::helioprojective(at, roll, instrument, &sun).ok()?;
         let target = self.target.at(utc, &sun).ok();
         let offset = target
-            .and_then(|target| pointing::offset(sun_on_plate, &self.instrument, &sun, target).ok());
+            .and_then(|target| pointing::offset(sun_on_plate, roll, instrument, &sun, target).ok());
         Some(SkyRow {
             azimuth_deg: towards.azimuth_deg.rem_euclid(360.0),
             elevation_deg: towards.elevation_deg,

@@ -15,7 +15,7 @@ use crate::frame::FrameInfo;
 use crate::instrument::Instrument;
 use crate::link::picture::{Tag, TagValue};
 use crate::link::{self, Picture};
-use crate::pointing;
+use crate::pointing::{self, Roll};
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
@@ -152,6 +152,7 @@ impl Solver {
             utc,
             place,
             &commanded.target,
+            Roll::Stated,
             &self.station.instrument,
             &mut self.ephemeris,
         );

@@ -3,7 +3,7 @@
 use super::random::{Conditions, RandomScenes};
 use super::scene::{Scene, SceneError};
 use crate::instrument::Instrument;
-use crate::pointing::{self, Horizontal};
+use crate::pointing::{self, Horizontal, Roll};
 use crate::sky::{Air, Ephemeris, SkyError, SunPosition};
 use crate::units::{Place, PlateMil, SensorPx};
 use jiff::Timestamp;
@@ -52,7 +52,7 @@ impl DriftScenes {
             (camera.height_px as f64 - 1.0) / 2.0,
         );
         let at = scenes.mapping().to_plate(middle_px);
-        let pointing = pointing::pointing(at, instrument, &sun);
+        let pointing = pointing::pointing(at, Roll::Stated, instrument, &sun)?;
         let lift_deg = Air::standard(place.height_m).lift_deg(pointing.elevation_deg);
         Ok(Self {
             scenes,
@@ -88,6 +88,7 @@ impl DriftScenes {
         };
         Ok(pointing::sun_on_plate(
             self.towards,
+            Roll::Stated,
             &self.instrument,
             &seen,
         )?)

@@ -1,14 +1,14 @@
 //! From observations to a mounting.
 
-use super::chain::Side;
-use super::fit::{self, MountingFit, Pointings};
+use super::fit::{self, Fits, MountingFit, Pointings};
 use super::observation::{MountingError, SunObservation};
+use super::side::Side;
 use super::verdict;
 use crate::calibrate::frames::RejectedFrame;
-use crate::calibrate::quantity::CalibratedQuantity;
+use crate::calibrate::quantity::{CalibratedQuantity, Verdict};
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::geometry::Handedness;
-use crate::instrument::Instrument;
+use crate::instrument::{Directions, Instrument};
 
 /// The result of a calibration.
 #[derive(Debug, Clone)]
@@ -17,6 +17,8 @@ pub struct Mounting {
     pub quantities: Vec<CalibratedQuantity>,
     /// How the camera sees the plate, as the marks say.
     pub handedness: Handedness,
+    /// Where directions on the plate are counted; `None` where the observations do not distinguish.
+    pub directions: Option<Directions>,
     /// Frames whose observation does not take part.
     pub rejected: Vec<RejectedFrame>,
 }
@@ -34,13 +36,16 @@ pub fn calibrate(
     let observations: Vec<_> = observations.iter().filter(usable).cloned().collect();
     check_enough(&observations, pointings)?;
     check_spread(&observations, pointings)?;
-    let fit = fit::fit(&observations, pointings, stated, Side::Front)?;
+    let Fits { best: fit, other } = fit::fit(&observations, pointings, stated, Side::Front)?;
     let mirrored = fit::fit(&observations, pointings, stated, Side::Back);
-    let mirror = verdict::mirror(&fit, mirrored.as_ref().ok())?;
+    let mirror = verdict::mirror(&fit, mirrored.ok().map(|fits| fits.best).as_ref())?;
     check_agreement(&fit, pointings)?;
+    let directions = verdict::directions(&fit, other.as_ref());
+    let determined = directions.verdict == Verdict::Determined;
     Ok(Mounting {
-        quantities: verdict::quantities(&fit, mirror, stated),
+        quantities: verdict::quantities(&fit, [mirror, directions], stated),
         handedness: stated.mounting.handedness,
+        directions: determined.then_some(fit.directions),
         rejected: fit.rejected(),
         fit,
     })
@@ -113,6 +118,14 @@ impl Mounting {
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         for quantity in &self.quantities {
             quantity.revise(revision, provenance);
+        }
+        if let Some(directions) = self.directions {
+            revision.set(
+                "mounting.directions",
+                directions.name().into(),
+                None,
+                provenance,
+            );
         }
         revision.sign(provenance);
     }

@@ -1,15 +1,15 @@
 //! The least squares: which mounting, and in a drift scan which pointing, puts the Sun where it was observed.
 
-use super::chain::{Chain, Side};
 use super::observation::SunObservation;
 use super::scatter::{Residual, correlation, extra_variance};
+use super::side::Side;
 use super::start::{Start, start};
 use crate::calibrate::frames::RejectedFrame;
 use crate::estimation::{
     FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS_2D,
 };
-use crate::instrument::Instrument;
-use crate::pointing::{self, Horizontal};
+use crate::instrument::{Directions, Instrument};
+use crate::pointing::{self, Horizontal, Roll};
 use crate::sky::SunPosition;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2, Vector4, Vector6};
@@ -60,7 +60,8 @@ const FINE_SIGMAS: f64 = 1e-6;
 #[derive(Debug, Clone)]
 pub struct MountingFit {
     pub pointings: Pointings,
-    pub chain: Chain,
+    /// Where directions on the plate are counted.
+    pub directions: Directions,
     /// The fitted unknowns in the order of [`Unknown`]; those of the pointing only in a drift scan.
     pub values: DVector<f64>,
     pub covariance: DMatrix<f64>,
@@ -126,41 +127,58 @@ impl MountingFit {
     }
 }
 
-/// Fits the mounting of an instrument by the chain of the pointing; by the other where the observations distinguish the two and
-/// suit that better.
+/// A fit by the rule of directions that the observations follow, and the one by the other rule.
+pub(super) struct Fits {
+    pub best: MountingFit,
+    /// `None` where the observations agree with no mounting by that rule.
+    pub other: Option<MountingFit>,
+}
+
+/// Fits the mounting of an instrument by its own rule of directions and by the other, which is the best only where the
+/// observations distinguish the two and suit it better.
+///
+/// # Errors
+/// Observations that agree with no mounting by either rule.
 pub(super) fn fit(
     observations: &[SunObservation],
     pointings: Pointings,
     stated: &Instrument,
     side: Side,
-) -> Result<MountingFit, FitError> {
-    let by = |chain| {
+) -> Result<Fits, FitError> {
+    let by = |directions| {
+        let mut stated = stated.clone();
+        stated.mounting.directions = directions;
         let model = Model {
             observations,
             pointings,
-            stated,
+            stated: &stated,
             side,
-            chain,
         };
         match pointings {
             Pointings::Known => model.fit(model.first()),
             Pointings::Fixed => model.fit(model.first_with_pointing()),
         }
     };
-    match (by(Chain::AtSun), by(Chain::AtTelescope)) {
-        (Ok(at_sun), Ok(rigid)) if rigid.advantage(&at_sun) > DISTINGUISHED => Ok(rigid),
-        (Err(_), Ok(rigid)) => Ok(rigid),
-        (at_sun, _) => at_sun,
-    }
+    let own = stated.mounting.directions;
+    let other = match own {
+        Directions::Telescope => Directions::Sun2013,
+        Directions::Sun2013 => Directions::Telescope,
+    };
+    let (best, other) = match (by(own), by(other)) {
+        (Ok(own), Ok(other)) if other.advantage(&own) > DISTINGUISHED => (other, Some(own)),
+        (Ok(own), other) => (own, other.ok()),
+        (Err(_), Ok(other)) => (other, None),
+        (Err(error), Err(_)) => return Err(error),
+    };
+    Ok(Fits { best, other })
 }
 
-/// The chain of the pointing with the observations that it has to explain.
+/// An instrument, by one rule of directions, with the observations that its mounting has to explain.
 struct Model<'a> {
     observations: &'a [SunObservation],
     pointings: Pointings,
     stated: &'a Instrument,
     side: Side,
-    chain: Chain,
 }
 
 impl Model<'_> {
@@ -225,7 +243,7 @@ impl Model<'_> {
         let centre = self.stated.mounting.boresight_mil;
         let mut towards = at_sun(&self.observations.get(self.observations.len() / 2)?.sun);
         let mut mounting = Vector4::zeros();
-        // The nearer the assumed direction, the more the chain is a similarity.
+        // The nearer the assumed direction, the more plate and sky are similar.
         for _ in 0..START_PASSES {
             let start = self.start(|_| towards)?;
             let [clocking, distance] = self.turned(&start);
@@ -234,7 +252,8 @@ impl Model<'_> {
             let seen = best.sun_plate.position.vector() - centre.vector();
             let front = centre.vector() + self.side.seen(seen);
             let instrument = self.instrument(mounting.as_slice());
-            towards = pointing::pointing(front.into(), &instrument, &best.sun);
+            let sun = &best.sun;
+            towards = pointing::pointing(front.into(), Roll::Stated, &instrument, sun).ok()?;
         }
         Some(
             mounting
@@ -244,8 +263,7 @@ impl Model<'_> {
     }
 
     fn start(&self, telescope: impl Fn(&SunObservation) -> Horizontal) -> Option<Start> {
-        let model = (self.chain, self.side);
-        start(self.observations, telescope, self.stated, model)
+        start(self.observations, telescope, self.stated, self.side)
     }
 
     /// Clocking, within half a turn of the stated one, and distance of a start.
@@ -271,7 +289,7 @@ impl Model<'_> {
         instrument
     }
 
-    /// Where each observation's Sun should be, mil; so far away that it is rejected where the chain gives no answer.
+    /// Where each observation's Sun should be, mil; so far away that it is rejected where it stands behind the lens.
     fn expected(&self, values: &[f64]) -> Vec<Vector2<f64>> {
         const NOWHERE_MIL: f64 = 1e6;
         let instrument = self.instrument(values);
@@ -282,8 +300,8 @@ impl Model<'_> {
         });
         let expected = |sun: &SunObservation| {
             let towards = fixed.or(sun.pointing)?;
-            let shift = self.chain.shift(towards, &instrument, &sun.sun)?;
-            Some(centre + self.side.seen(shift))
+            let shift = self.side.shift(towards, &instrument, &sun.sun)?;
+            Some(centre + shift)
         };
         let nowhere = Vector2::new(NOWHERE_MIL, NOWHERE_MIL);
         let suns = self.observations.iter();
@@ -345,13 +363,12 @@ impl Model<'_> {
 
     /// What is known beforehand of each unknown, about its start.
     fn prior<const N: usize>(&self, first: &SVector<f64, N>) -> Prior<N> {
-        // A rigid plate's scan does not determine the centre, with which the clocking is correlated.
-        let centre_mil = match (self.pointings, self.chain) {
-            (Pointings::Fixed, Chain::AtTelescope) => self
-                .stated
-                .mounting
-                .boresight_sigma_mil
-                .max(LEAST_CENTRE_PRIOR_MIL),
+        let mounting = &self.stated.mounting;
+        // With directions counted at the telescope a scan does not determine the centre, with which the clocking is correlated.
+        let centre_mil = match (self.pointings, mounting.directions) {
+            (Pointings::Fixed, Directions::Telescope) => {
+                mounting.boresight_sigma_mil.max(LEAST_CENTRE_PRIOR_MIL)
+            }
             _ => CENTRE_PRIOR_MIL,
         };
         let cos_elevation = first.get(5).map_or(1.0, |el| el.to_radians().cos());
@@ -379,7 +396,7 @@ impl Model<'_> {
         let covariance = fitted.covariance * correlation;
         MountingFit {
             pointings: self.pointings,
-            chain: self.chain,
+            directions: self.stated.mounting.directions,
             values: DVector::from_column_slice(fitted.parameters.as_slice()),
             covariance: DMatrix::from_column_slice(N, N, covariance.as_slice()),
             residuals,

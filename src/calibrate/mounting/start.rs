@@ -3,8 +3,8 @@
 //! Were the sky flat about the Sun, the plate would be a picture of it turned by the clocking and stretched with the distance: a
 //! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of observations gives one.
 
-use super::chain::{Chain, Side};
 use super::observation::SunObservation;
+use super::side::Side;
 use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::pointing::Horizontal;
@@ -33,7 +33,7 @@ pub(super) fn start(
     observations: &[SunObservation],
     telescope: impl Fn(&SunObservation) -> Horizontal,
     stated: &Instrument,
-    (chain, side): (Chain, Side),
+    side: Side,
 ) -> Option<Start> {
     let mut unturned = stated.clone();
     unturned.mounting.clocking_deg = Measured::new(0.0, 0.0);
@@ -42,9 +42,8 @@ pub(super) fn start(
         .iter()
         .enumerate()
         .filter_map(|(n, sun)| {
-            let expected = chain.shift(telescope(sun), &unturned, &sun.sun)?;
-            let seen = sun.sun_plate.position.vector();
-            Some((n, (side.seen(expected), seen)))
+            let expected = side.shift(telescope(sun), &unturned, &sun.sun)?;
+            Some((n, (expected, sun.sun_plate.position.vector())))
         })
         .unzip();
     let least = LEAST_SPREAD * spread(&pairs);

@@ -1,11 +1,10 @@
 //! Which quantities the observations determine, and which they do not.
 
-use super::chain::Chain;
 use super::fit::{DISTINGUISHED, MountingFit, Pointings, Unknown};
 use super::observation::MountingError;
 use crate::calibrate::numbers::sigma_text;
 use crate::calibrate::quantity::{CalibratedQuantity, Verdict};
-use crate::instrument::Instrument;
+use crate::instrument::{Directions, Instrument};
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured};
 
 /// Sigmas beyond which a quantity counts as not determined.
@@ -57,19 +56,18 @@ pub(super) fn mirror(
 /// Every quantity with its verdict.
 pub(super) fn quantities(
     fit: &MountingFit,
-    mirror: CalibratedQuantity,
+    distinguished: [CalibratedQuantity; 2],
     stated: &Instrument,
 ) -> Vec<CalibratedQuantity> {
-    let found = [
+    let fitted = [
         centre(fit, stated),
         clocking(fit, stated),
         distance(fit, stated),
-        mirror,
     ];
-    let beside = [pointing(fit), chain(fit)];
-    found
+    fitted
         .into_iter()
-        .chain(beside.into_iter().flatten())
+        .chain(distinguished)
+        .chain(pointing(fit))
         .collect()
 }
 
@@ -102,30 +100,56 @@ fn centre(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
 fn scan_remark(fit: &MountingFit, apart_mil: f64, sigma_mil: f64) -> String {
     let why = "not determined: with the pointing unknown, a shift of the centre and a turn of the telescope are degenerate; keeps \
                the instrument's value. Take frames with known pointing to measure it";
-    match fit.chain {
-        Chain::AtTelescope => why.into(),
-        Chain::AtSun => format!(
+    match fit.directions {
+        Directions::Telescope => why.into(),
+        Directions::Sun2013 => format!(
             "{why}. (Only how the zenith's direction turns along the scan distinguishes them, and that puts the centre \
              {apart_mil:.1} mil from the stated one, with a sigma of {sigma_mil:.1} mil)"
         ),
     }
 }
 
-/// Where the observations contradict the chain that the pointing uses.
-fn chain(fit: &MountingFit) -> Option<CalibratedQuantity> {
-    let remark = "the observations are those of a plate rigid in the gondola: directions count from the zenith at the telescope. \
-                  The pointing counts them at the Sun; the two agree at the boresight, and at an angle a beside it differ by \
-                  about a^2 tan(elevation). The quantities above hold for both";
-    let rigid = fit.chain == Chain::AtTelescope;
-    rigid.then(|| {
-        CalibratedQuantity::without_value("directions on the plate", Verdict::Kept, remark)
-    })
+/// By which rule directions on the plate are counted. `other` is the fit by the other rule.
+pub(super) fn directions(fit: &MountingFit, other: Option<&MountingFit>) -> CalibratedQuantity {
+    const NAME: &str = "directions on the plate";
+    let rule = fit.directions.name();
+    let determined = |why: String| {
+        let remark = format!("determined: counted by the rule \"{rule}\"; by the other, {why}");
+        CalibratedQuantity::without_value(NAME, Verdict::Determined, remark)
+    };
+    let Some(other) = other else {
+        return determined("the observations agree with no mounting".into());
+    };
+    if fit.advantage(other) <= DISTINGUISHED {
+        let remark = format!(
+            "not determined: the rules \"telescope\" and \"sun-2013\" suit the observations alike; keeps the instrument's, \"{rule}\". Take \
+             frames with known pointing half a degree and more to each side of the Sun"
+        );
+        return CalibratedQuantity::without_value(NAME, Verdict::Kept, remark);
+    }
+    let times = other.scatter_mil / fit.scatter_mil;
+    determined(format!(
+        "the observations would scatter {times:.1} times as much"
+    ))
 }
 
 fn clocking(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     let name = ("clocking", "mounting.clocking_deg", "deg");
-    let stated = stated.mounting.clocking_deg;
-    single(fit, Unknown::Clocking, name, stated, MOST_CLOCKING_DEG)
+    let mounting = &stated.mounting;
+    let mut clocking = single(
+        fit,
+        Unknown::Clocking,
+        name,
+        mounting.clocking_deg,
+        MOST_CLOCKING_DEG,
+    );
+    if fit.directions == Directions::Telescope {
+        let roll_deg = mounting.roll_deg.value;
+        clocking.remark += &format!(
+            "; it holds for the stated roll of {roll_deg} deg, whose error enters it one to one"
+        );
+    }
+    clocking
 }
 
 fn distance(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {

@@ -1,4 +1,4 @@
-//! `solaspect calibrate mounting`: boresight, clocking, plate distance and mirror.
+//! `solaspect calibrate mounting`: boresight, clocking, plate distance, rule of directions and mirror.
 
 use super::edition::{Edition, print_rejected};
 use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
@@ -15,7 +15,7 @@ use jiff::tz::TimeZone;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Measure centre, clocking, plate distance and mirror from the Sun on the plate
+/// Measure centre, clocking, plate distance, rule of directions and mirror from the Sun on the plate
 ///
 /// Either the pointing is known (--pointing), or the gondola stands still while the Sun crosses the plate (--drift): the ephemeris
 /// is the truth. What the frames do not determine keeps the instrument's value, and the program says so.

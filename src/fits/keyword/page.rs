@@ -12,7 +12,7 @@ rotation and mirror stand in `CDELTi` and `PCi_j`; there is no `CROTAi`. They co
 offsets, by steps of a solar radius to all four sides, so the pixel on which the boresight falls has the coordinates
 at which the telescope points. One straight matrix leaves out what bends within the picture of the disc: under a
 keystone of 3 deg the limb stands 0.1 px from where it says, and 1 deg from the boresight the disc is longer by 0.0003 of
-its radius, 0.03 px, than the matrix has it. `CRDERi` is the random error of the centre; the clocking turns the picture
+its radius, 0.03 px, than the matrix has it. `CRDERi` is the random error of the centre; clocking and roll turn the picture
 about it, by `CSYERi` at the limb. The observer's place is that of mid-exposure.
 
 In sunpy, `sunpy.map.Map(file)` is all it takes. To turn north up it wants other than whole-number pixels:

@@ -77,6 +77,8 @@ const INSTRUMENT: Group = Group {
         row("WAVELNTH", Float, "nm", Written, "middle of the filter's band"),
         row("WAVEUNIT", Text, "", Written, "unit of WAVELNTH"),
         row("CLOCKANG", Float, "deg", Written, "clocking: from the zenith to plate +Y"),
+        row("PLATEDIR", Text, "", Written, "directions count at: telescope, sun-2013"),
+        row("ROLLANG", Float, "deg", Written, "roll as stated, right side low positive"),
         row("BORE-X", Float, "mil", Written, "boresight on the plate"),
         row("BORE-Y", Float, "mil", Written, "boresight on the plate"),
         row("PLATEDST", Float, "mm", Written, "from the lens to the plate"),
@@ -166,8 +168,8 @@ const COORDINATES: Group = Group {
         row("LATPOLE", Float, "deg", Written, "native latitude of the pole"),
         row("CRDER1", Float, "arcsec", Written, "1 sigma of the disc's centre"),
         row("CRDER2", Float, "arcsec", Written, "1 sigma of the disc's centre"),
-        row("CSYER1", Float, "arcsec", Written, "1 sigma at the limb by the clocking"),
-        row("CSYER2", Float, "arcsec", Written, "1 sigma at the limb by the clocking"),
+        row("CSYER1", Float, "arcsec", Written, "1 sigma at limb by clocking and roll"),
+        row("CSYER2", Float, "arcsec", Written, "1 sigma at limb by clocking and roll"),
     ],
 };
 

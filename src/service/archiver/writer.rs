@@ -6,6 +6,7 @@ use crate::archive::{ArchiveError, Encoded, Room, Store, instrument_cards, sky_c
 use crate::backoff::Backoff;
 use crate::clock::ClockStatus;
 use crate::fits::clock_cards;
+use crate::pointing::Roll;
 use crate::service::control::Controls;
 use crate::service::tally::worth_a_line;
 use crate::sky::Ephemeris;
@@ -148,6 +149,7 @@ impl Writer {
             cards.extend(sky_cards(
                 &frame.info,
                 solution,
+                Roll::Stated,
                 instrument,
                 &answer.target,
                 &mut self.ephemeris,
