@@ -314,6 +314,7 @@ fn a_determined_rule_of_directions_is_written_and_another_is_kept() {
         date: "2013-09-21".parse().unwrap(),
         frames: 50,
         frames_sha256: "0af3".into(),
+        camera: None,
     };
     for (clear, noisy) in grid.by_both().into_iter().zip(noisy.by_both()) {
         for rule in Directions::ALL {
