@@ -269,9 +269,12 @@ fn mapping(aspect: &Aspect, adopted: &AdoptedMapping) -> MappingRecord {
 
 /// The marks and the limb's points of a frame, as tables for its file. Empty ones are left out.
 pub fn tables(solution: &Solution) -> Vec<Table> {
-    let column = |name: &str, unit: &str, values: Values| Column {
+    const SEEN: &str = "where it was seen, first pixel is 0";
+    const EDGE: &str = "point of the limb, first pixel is 0";
+    let column = |name: &str, unit: &str, meaning: &str, values: Values| Column {
         name: name.into(),
         unit: unit.into(),
+        meaning: meaning.into(),
         values,
     };
     let mut tables = Vec::new();
@@ -285,11 +288,26 @@ pub fn tables(solution: &Solution) -> Vec<Table> {
         tables.push(Table {
             name: "MARKS".into(),
             columns: vec![
-                column("I", "", whole(|mark| mark.id.i)),
-                column("J", "", whole(|mark| mark.id.j)),
-                column("X", "pixel", floats(|mark| mark.at.x)),
-                column("Y", "pixel", floats(|mark| mark.at.y)),
-                column("SIGMA", "pixel", floats(|mark| mark.sigma_px())),
+                column(
+                    "I",
+                    "",
+                    "id of a mark that was read",
+                    whole(|mark| mark.id.i),
+                ),
+                column(
+                    "J",
+                    "",
+                    "id of a mark that was read",
+                    whole(|mark| mark.id.j),
+                ),
+                column("X", "pixel", SEEN, floats(|mark| mark.at.x)),
+                column("Y", "pixel", SEEN, floats(|mark| mark.at.y)),
+                column(
+                    "SIGMA",
+                    "pixel",
+                    "1 sigma per axis",
+                    floats(|mark| mark.sigma_px()),
+                ),
             ],
         });
     }
@@ -299,9 +317,14 @@ pub fn tables(solution: &Solution) -> Vec<Table> {
         tables.push(Table {
             name: "LIMB".into(),
             columns: vec![
-                column("X", "pixel", floats(|point| point.at.x)),
-                column("Y", "pixel", floats(|point| point.at.y)),
-                column("SIGMA", "pixel", floats(|point| point.sigma_px)),
+                column("X", "pixel", EDGE, floats(|point| point.at.x)),
+                column("Y", "pixel", EDGE, floats(|point| point.at.y)),
+                column(
+                    "SIGMA",
+                    "pixel",
+                    "1 sigma along the radius",
+                    floats(|point| point.sigma_px),
+                ),
             ],
         });
     }
