@@ -68,6 +68,8 @@ def check_rows(rows, archive):
     assert fine.any() and (rows["REASON"][~fine] != "").all()
     for name in ("POINTING_AZ_DEG", "BORESIGHT_HPLN_ARCSEC", "OFFSET_AZ_DEG", "FLIGHT_X_MIL"):
         assert np.isfinite(plain(rows[name])[fine]).all(), name
+    for name in ("RADIUS_SIGMA_MIL", "CENTRE_SIGMA_X_PX", "CENTRE_SIGMA_Y_PX", "ROTATION_SIGMA_DEG", "SCALE_SIGMA_MIL_PER_PX"):
+        assert (plain(rows[name])[fine] > 0).all(), name
     times = Time(list(rows["UTC"]), scale="utc")
     assert np.abs(times.unix - plain(rows["UNIX_S"])).max() < 1e-5
     away = plain(rows["SUN_X_MIL"] - rows["FLIGHT_X_MIL"])[fine] * MIL
