@@ -5,12 +5,12 @@ use solaspect::archive::{Helioprojection, Record, Store, instrument_cards, sky_c
 use solaspect::aspect::{self, Aspect, Expected, Quality, Settings, Solution};
 use solaspect::fits::{Compression, Header, Value, read_keywords};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
-use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
+use solaspect::geometry::{Distortion, Handedness, LocalSimilarity, Mapping, SimilarityParameters};
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::pointing::{HelioprojectiveArcsec, Target, offset, offset_of};
 use solaspect::simulate::{Scene, Sun, Sunspot, keystoned};
 use solaspect::sky::{Ephemeris, SunPosition};
-use solaspect::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Place, PlateMil, SensorPx};
+use solaspect::units::{ARCSEC_PER_RAD, Estimate, MIL_MM, Measured, Place, PlateMil, SensorPx};
 use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
@@ -305,7 +305,11 @@ fn exact_aspect(sun_plate: PlateMil, mapping: &Mapping) -> Aspect {
             position: sun_px,
             covariance,
         },
-        sun_radius_px: 95.0,
+        sun_radius_px: Measured::new(95.0, 0.0),
+        mapping: LocalSimilarity {
+            scale_mil_per_px: Measured::new(mapping.scale_mil_per_px(sun_px), 0.0),
+            rotation_deg: Measured::new(mapping.rotation_deg(sun_px), 0.0),
+        },
         sun_plate: Estimate {
             position: sun_plate,
             covariance,
