@@ -1,4 +1,5 @@
-"""What `solaspect refine` leaves is what its page says, as astropy reads it: columns, units, NaN, the second table, the summary.
+"""What `solaspect refine` leaves is what its page says, as astropy reads it without a warning: columns, units, comments, NaN, the
+second table, the summary.
 
     check_refined.py OUT ARCHIVE
 """
@@ -13,28 +14,40 @@ import warnings
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
-from astropy.table import Table
+from astropy.table import QTable, Table
 from astropy.time import Time
 
 PAGE = pathlib.Path(__file__).parent.parent / "docs" / "refine.md"
 MIL = u.def_unit("mil", 25.4 * u.um)
-# FITS knows neither; astropy keeps their names, and says so.
-warnings.filterwarnings("ignore", r"'(mil[^']*|degC)' did not parse as fits unit", u.UnitsWarning)
+# No reader may find fault with any HDU.
+warnings.simplefilter("error")
 
 
 def stated(name):
-    """The columns of a table with their units, as the page states them."""
+    """The columns of a table with their units and meanings, as the page states them."""
     section = re.split(r"^##+ ", PAGE.read_text().split(f"### {name}\n")[1], flags=re.MULTILINE)[0]
-    return re.findall(r"^\| `(\w+)` \| (.*?) \|", section, re.MULTILINE)
+    return re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", section, re.MULTILINE)
+
+
+def in_fits(unit, meaning):
+    """Unit and comment of a column in a FITS file: a unit that FITS does not know stands in the comment."""
+    if not unit:
+        return None, meaning
+    try:
+        return u.Unit(unit, format="fits"), meaning
+    except ValueError:
+        size = {"mil": ", 25.4 um"}.get(unit, ", mil = 25.4 um" if "mil" in unit else "")
+        return None, f"{meaning} ({unit}{size})"
 
 
 def table(path, name):
-    """A table, each of its columns of the stated name and unit."""
-    found = Table.read(path, hdu=name)
-    columns = [(c, found[c].unit.to_string() if found[c].unit else "") for c in found.colnames]
-    same = [(c, str(u.Unit(unit, format="fits", parse_strict="silent")) if unit else "") for c, unit in stated(name)]
+    """A table, each of its columns of the stated name, unit and meaning."""
+    found, header = QTable.read(path, hdu=name), fits.getheader(path, name)
+    assert all(Table.read(path, hdu=name)[c].unit == found[c].unit for c in found.colnames)
+    columns = [(c, found[c].unit, header[f"TCOMM{n}"]) for n, c in enumerate(found.colnames, 1)]
+    same = [(c, *in_fits(unit, meaning)) for c, unit, meaning in stated(name)]
     assert columns == same, (name, [pair for pair in zip(columns, same) if pair[0] != pair[1]])
-    return found
+    return Table(found)
 
 
 def plain(column):
@@ -55,6 +68,8 @@ def check_rows(rows, archive):
     assert fine.any() and (rows["REASON"][~fine] != "").all()
     for name in ("POINTING_AZ_DEG", "BORESIGHT_HPLN_ARCSEC", "OFFSET_AZ_DEG", "FLIGHT_X_MIL"):
         assert np.isfinite(plain(rows[name])[fine]).all(), name
+    for name in ("RADIUS_SIGMA_MIL", "CENTRE_SIGMA_X_PX", "CENTRE_SIGMA_Y_PX", "ROTATION_SIGMA_DEG", "SCALE_SIGMA_MIL_PER_PX"):
+        assert (plain(rows[name])[fine] > 0).all(), name
     times = Time(list(rows["UTC"]), scale="utc")
     assert np.abs(times.unix - plain(rows["UNIX_S"])).max() < 1e-5
     away = plain(rows["SUN_X_MIL"] - rows["FLIGHT_X_MIL"])[fine] * MIL

@@ -2,19 +2,23 @@
 //! truth is the simulator's, which `tests/simulation.rs` holds against independent arithmetic.
 
 use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
 use rand_distr::{Distribution, StudentT};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use solaspect::accuracy::chance::{range_of_rms, rms};
-use solaspect::accuracy::{AspectError, Figures, MARKS, MIXED, MOTION, Program, Size, names, text};
-use solaspect::aspect::{Expected, Quality, Solution, Track, solve};
+use solaspect::accuracy::conditions::displaced;
+use solaspect::accuracy::{
+    AspectError, Figures, MARKS, MIXED, MOTION, Program, Recipe, Size, Vary, View, names, text,
+};
+use solaspect::aspect::{Expected, Origin, Quality, Solution, Track, solve};
 use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::simulate::{
-    Conditions, Counts, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC, SunInView,
+    Conditions, Counts, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC, Scene, SunInView,
 };
-use solaspect::units::PlateMil;
+use solaspect::units::{PlateMil, SensorPx};
 use std::path::Path;
 
 const EXPECTED: Option<Expected> = Some(Expected {
@@ -512,5 +516,107 @@ fn two_suns_are_never_solved_as_one_that_is_neither() {
             });
             assert!(near, "seed {seed}");
         }
+    }
+}
+
+/// Errors over sigmas of the Sun's radius on the sensor, and of scale and rotation there.
+fn errors_over_sigma(scene: &Scene, solution: &Solution) -> [f64; 3] {
+    let aspect = solution.aspect.unwrap();
+    let sun = scene.truth().sun.unwrap();
+    let (scale, rotation) = (aspect.mapping.scale_mil_per_px, aspect.mapping.rotation_deg);
+    [
+        (aspect.sun_radius_px, sun.radius_px),
+        (scale, scene.mapping.scale_mil_per_px(sun.px)),
+        (rotation, scene.mapping.rotation_deg(sun.px)),
+    ]
+    .map(|(found, truth)| (found.value - truth) / found.sigma)
+}
+
+/// A camera and a Sun drawn from what the instrument states: the mapping within its sigmas, the disc within those of focus and of the
+/// limb's definition, 0.1 px.
+fn as_stated(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Xoshiro256PlusPlus) {
+    displaced(recipe, instrument, rng);
+    let focus = instrument.optics.plate_distance_mm;
+    let definition = 0.1 / instrument.radius_px(SUN_RADIUS_ARCSEC);
+    let relative = (focus.sigma / focus.value).hypot(definition);
+    recipe.conditions.sun_radius_arcsec *= 1.0 + relative * rng.sample::<f64, _>(StandardNormal);
+}
+
+/// The same, one camera in four tilted by 3 deg, 1 sigma.
+fn some_tilted(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Xoshiro256PlusPlus) {
+    as_stated(recipe, instrument, rng);
+    let tilt_deg = 3.0 * rng.sample::<f64, _>(StandardNormal);
+    if rng.random_bool(0.25) {
+        recipe.conditions.keystone_deg = tilt_deg;
+    }
+}
+
+/// The whole disc, with marks enough for a mapping.
+const WHOLE: View = View::Whole {
+    lit_marks: 3..=usize::MAX,
+};
+
+fn drawn_scene(vary: Vary, view: View, seed: u64) -> Scene {
+    let instrument = demo();
+    let mut recipe = Recipe::drawn(vary, &instrument, seed);
+    recipe.view = view;
+    recipe.scene(&instrument, seed).unwrap()
+}
+
+/// A frame whose own marks give the mapping.
+fn by_its_own_mapping(seed: u64) -> Option<[f64; 3]> {
+    let scene = drawn_scene(some_tilted, WHOLE, seed);
+    let solution = solve(&scene.frame().unwrap(), &demo(), EXPECTED, None);
+    (solution.quality == Quality::Fine).then(|| errors_over_sigma(&scene, &solution))
+}
+
+/// A frame without marks, by the mapping of an earlier frame with the Sun elsewhere.
+fn by_the_mapping_of_the_prior(seed: u64) -> Option<[f64; 3]> {
+    let mut scene = drawn_scene(some_tilted, WHOLE, seed);
+    let earlier = solve(&scene.frame().unwrap(), &demo(), EXPECTED, None);
+    scene.mark_contrast = 0.0;
+    let centre = scene.mapping.to_plate(SensorPx::new(500.0, 600.0));
+    scene.sun.as_mut().unwrap().centre = centre;
+    let prior = earlier.track.as_ref();
+    let solution = solve(&scene.frame().unwrap(), &demo(), EXPECTED, prior);
+    let origin = solution.mapping.as_ref()?.origin;
+    (origin == Origin::Prior).then(|| errors_over_sigma(&scene, &solution))
+}
+
+/// A frame without marks, by the calibration, which states no tilt.
+fn by_the_calibration(view: View, seed: u64) -> Option<[f64; 3]> {
+    let mut scene = drawn_scene(as_stated, view, seed);
+    scene.mark_contrast = 0.0;
+    let solution = solve(&scene.frame().unwrap(), &demo(), EXPECTED, None);
+    let origin = solution.mapping.as_ref()?.origin;
+    (origin == Origin::Calibration).then(|| errors_over_sigma(&scene, &solution))
+}
+
+#[test]
+fn radius_scale_and_rotation_are_as_far_off_as_their_sigmas_say() {
+    const FRAMES: u64 = 200;
+    let part = View::Partial {
+        limb_share: 0.15..0.3,
+        lit_marks: 0..=usize::MAX,
+    };
+    let of_a_part = |seed| by_the_calibration(part.clone(), seed);
+    type Errors<'a> = &'a (dyn Fn(u64) -> Option<[f64; 3]> + Sync);
+    let cases: [(&str, Errors); 4] = [
+        ("own mapping", &by_its_own_mapping),
+        ("the prior's", &by_the_mapping_of_the_prior),
+        ("the calibration's", &|seed| by_the_calibration(WHOLE, seed)),
+        ("the calibration's, part of a disc", &of_a_part),
+    ];
+    for (case, errors) in cases {
+        let errors: Vec<[f64; 3]> = (0..FRAMES).into_par_iter().filter_map(errors).collect();
+        let of = |n: usize| rms(errors.iter().map(|errors| errors[n])).unwrap();
+        let ratios = [0, 1, 2].map(of);
+        println!(
+            "{case}: {} frames, error/sigma of radius, scale, rotation {ratios:.2?}",
+            errors.len()
+        );
+        assert!(errors.len() > 150, "{case}: {}", errors.len());
+        let honest = ratios.iter().all(|ratio| (0.8..1.25).contains(ratio));
+        assert!(honest, "{case}: {ratios:?}");
     }
 }

@@ -217,6 +217,7 @@ fn an_answer_has_every_field_of_the_contract() {
         "sun_px",
         "sun_px_sigma",
         "sun_radius_px",
+        "sun_radius_px_sigma",
         "utc",
     ];
     assert_eq!(keys, expected);
@@ -224,7 +225,14 @@ fn an_answer_has_every_field_of_the_contract() {
     for key in ["azimuth", "elevation", "sigma"] {
         assert!(answer["offset_deg"][key].is_f64(), "{answer}");
     }
-    for key in ["kind", "scale_mil_per_px", "rotation_deg", "residual_px"] {
+    for key in [
+        "kind",
+        "scale_mil_per_px",
+        "scale_sigma_mil_per_px",
+        "rotation_deg",
+        "rotation_sigma_deg",
+        "residual_px",
+    ] {
         assert!(!answer["mapping"][key].is_null(), "{answer}");
     }
     let mark = &answer["marks"][0];

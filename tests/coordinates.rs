@@ -5,7 +5,7 @@ use solaspect::archive::{Helioprojection, Record, Store, instrument_cards, sky_c
 use solaspect::aspect::{self, Aspect, Expected, Quality, Settings, Solution};
 use solaspect::fits::{Compression, Header, Value, read_keywords};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
-use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
+use solaspect::geometry::{Distortion, Handedness, LocalSimilarity, Mapping, SimilarityParameters};
 use solaspect::instrument::{Directions, Instrument, builtin};
 use solaspect::pointing::{HelioprojectiveArcsec, Roll, Target, offset, offset_of, pointing};
 use solaspect::simulate::{Scene, Sun, Sunspot, keystoned};
@@ -362,7 +362,11 @@ fn exact_aspect(sun_plate: PlateMil, mapping: &Mapping) -> Aspect {
             position: sun_px,
             covariance,
         },
-        sun_radius_px: 95.0,
+        sun_radius_px: Measured::new(95.0, 0.0),
+        mapping: LocalSimilarity {
+            scale_mil_per_px: Measured::new(mapping.scale_mil_per_px(sun_px), 0.0),
+            rotation_deg: Measured::new(mapping.rotation_deg(sun_px), 0.0),
+        },
         sun_plate: Estimate {
             position: sun_plate,
             covariance,

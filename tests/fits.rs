@@ -150,13 +150,14 @@ mod round_trips {
         let column = |name: &str, unit: &str, values| Column {
             name: name.into(),
             unit: unit.into(),
+            meaning: format!("what {name} is"),
             values,
         };
         Table {
             name: "MARKS".into(),
             columns: vec![
                 column("I", "", Values::Integer(vec![-7, 0, i64::MAX])),
-                column("X", "px", Values::Float(vec![0.1, f64::NAN, -1e300])),
+                column("X", "pixel", Values::Float(vec![0.1, f64::NAN, -1e300])),
                 column(
                     "STATE",
                     "",
@@ -191,7 +192,11 @@ mod round_trips {
         let first = bytes.windows(4).position(|text| text == b"used").unwrap();
         let texts = [0, 1, 2].map(|row| &bytes[first + 23 * row..][..7]);
         assert_eq!(texts, [b"used   ", b"       ", b"cut off"]);
-        assert_eq!(hdu.read_key::<String>(&mut file, "TUNIT2").unwrap(), "px");
+        let mut text = |keyword: &str| hdu.read_key::<String>(&mut file, keyword).unwrap();
+        assert_eq!(
+            [text("TUNIT2"), text("TCOMM2")],
+            ["pixel", "what X is"].map(String::from)
+        );
         let none = file.hdu("NONE").unwrap();
         assert_eq!(none.read_key::<i64>(&mut file, "NAXIS2").unwrap(), 0);
     }
@@ -926,6 +931,7 @@ mod tables {
         let column = |name: &str, unit: &str, values| Column {
             name: name.into(),
             unit: unit.into(),
+            meaning: format!("what {name} is"),
             values,
         };
         let texts = ["used", "", "cut off"].map(String::from);

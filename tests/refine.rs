@@ -345,6 +345,33 @@ fn print(name: &str, compared: &Comparison) {
     );
 }
 
+/// Of the fine rows outside the jump's own frame: rms error over sigma of the plate's centre x and y, rotation and scale. The mapping is
+/// one for the whole flight, so neighbouring rows have nearly the same error.
+fn mapping_errors_over_sigma(plan: &Plan, table: &Columns) -> [f64; 4] {
+    let quantities = [
+        ["CENTRE_X_PX", "CENTRE_SIGMA_X_PX"],
+        ["CENTRE_Y_PX", "CENTRE_SIGMA_Y_PX"],
+        ["ROTATION_DEG", "ROTATION_SIGMA_DEG"],
+        ["SCALE_MIL_PER_PX", "SCALE_SIGMA_MIL_PER_PX"],
+    ];
+    let columns = quantities.map(|names| names.map(|name| table.floats(name)));
+    let mut errors = [const { Vec::new() }; 4];
+    for (row, file) in table.texts("FILE").iter().enumerate() {
+        let n = number(file);
+        if table.texts("QUALITY")[row] != "fine" || n == plan.jump() {
+            continue;
+        }
+        let mapping = plan.mapping(n);
+        let centre = mapping.to_sensor(PlateMil::new(0.0, 0.0));
+        let scale = mapping.scale_mil_per_px(centre);
+        let truth = [centre.x, centre.y, mapping.rotation_deg(centre), scale];
+        for ((errors, [found, sigma]), truth) in errors.iter_mut().zip(columns).zip(truth) {
+            errors.push((found[row] - truth) / sigma[row]);
+        }
+    }
+    errors.map(|errors| rms(&errors))
+}
+
 #[test]
 fn a_flight_is_refined_to_its_truth() {
     let (plan, archive) = flight();
@@ -360,6 +387,9 @@ fn a_flight_is_refined_to_its_truth() {
     assert!(compared.unflagged.is_empty());
     assert!((0.7..1.3).contains(&rms(&compared.smooth_pulls)));
     let table = Columns::read(out.path(), "ASPECT");
+    let mapping = mapping_errors_over_sigma(plan, &table);
+    println!("error/sigma of the plate's centre, rotation and scale: {mapping:.2?}");
+    assert!(mapping.iter().all(|ratio| (0.3..2.5).contains(ratio)));
     assert_eq!(table.texts("FILE").len(), plan.frames);
     let jumps = table.floats("JUMP_PX");
     let found: Vec<usize> = (0..plan.frames)

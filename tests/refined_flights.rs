@@ -157,7 +157,9 @@ fn assert_history(name: &str, flight: &Flight, out: &Path) {
             .collect::<Vec<_>>(),
     );
     assert_eq!(own_mil.len(), mil.len(), "{name}");
-    if !(0.8..1.25).contains(&pull) { println!("BAD"); }
+    if !(0.8..1.25).contains(&pull) {
+        println!("BAD");
+    }
     assert!(rms(&mil) <= rms(&own_mil), "{name}");
     for errors in frames.iter().chain(&smoothed) {
         assert!(errors.largest_pull() < 6.0, "{name}");
@@ -261,11 +263,11 @@ const SLEWS: &str = "
 #[test]
 fn a_slew_that_begins_at_once_loses_no_frame_and_spoils_no_path() {
     for seed in 30..36 {
-    let flight = Flight::told(SLEWS, 120, seed);
-    let (archive, out) = (temporary(), temporary());
-    flight.write(archive.path());
-    refine(archive.path(), out.path(), &[]);
-    assert_history("slews", &flight, out.path());
+        let flight = Flight::told(SLEWS, 120, seed);
+        let (archive, out) = (temporary(), temporary());
+        flight.write(archive.path());
+        refine(archive.path(), out.path(), &[]);
+        assert_history("slews", &flight, out.path());
     }
     let flight = Flight::told(SLEWS, 120, 11);
     let (archive, out) = (temporary(), temporary());

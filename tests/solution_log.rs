@@ -112,17 +112,20 @@ fn agree(a: f64, b: f64, tolerance: f64) -> bool {
 }
 
 /// Column of the log, field of the telemetry, keyword of the file, half a unit of the log's last digit.
-const SAME: [(&str, &str, &str, f64); 20] = [
+const SAME: [(&str, &str, &str, f64); 23] = [
     ("sun_x_px", "PIXEL_X", "SUNPX-X", 5e-7),
     ("sun_y_px", "PIXEL_Y", "SUNPX-Y", 5e-7),
     ("sun_radius_px", "RADIUS", "SUNPX-R", 5e-7),
+    ("sun_radius_sigma_px", "RADIUS_SIGMA", "SUNPX-SR", 5e-7),
     ("sun_plate_x_mil", "SUN_X", "SUNMIL-X", 5e-7),
     ("sun_plate_y_mil", "SUN_Y", "SUNMIL-Y", 5e-7),
     ("sun_plate_sigma_x_mil", "SIGMA_X", "SUNMILSX", 5e-7),
     ("sun_plate_sigma_y_mil", "SIGMA_Y", "SUNMILSY", 5e-7),
     ("marks", "MARKS", "NMARKS", 0.0),
     ("scale_mil_per_px", "SCALE", "MAPSCALE", 5e-7),
+    ("scale_sigma_mil_per_px", "SCALE_SIGMA", "MAPSCASG", 5e-7),
     ("rotation_deg", "ROTATION", "MAPROT", 5e-7),
+    ("rotation_sigma_deg", "ROTATION_SIGMA", "MAPROTSG", 5e-7),
     ("residual_px", "RESIDUAL", "MAPRES", 5e-7),
     ("offset_azimuth_deg", "OFFSET_AZ", "OFFSETAZ", 5e-10),
     ("offset_elevation_deg", "OFFSET_EL", "OFFSETEL", 5e-10),

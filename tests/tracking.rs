@@ -2,13 +2,13 @@
 
 use nalgebra::{Matrix2, Vector2};
 use solaspect::aspect::{
-    CalibrationCheck, Expected, Origin, Quality, Quantity, Solution, Track, contradictions,
+    CalibrationCheck, Expected, Mark, Origin, Quality, Quantity, Solution, Track, contradictions,
     overlay, solve,
 };
 use solaspect::frame::Frame;
 use solaspect::instrument::{Instrument, Mounting, builtin};
 use solaspect::registration::{self, Pair};
-use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC, SunInView};
+use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC, Strengths, SunInView};
 use solaspect::units::{PlateMil, SensorPx};
 
 const EXPECTED: Option<Expected> = Some(Expected {
@@ -63,7 +63,7 @@ impl Flight {
     fn misled(&self, on_plate_mil: [f64; 2], on_sensor_px: [f64; 2]) -> Track {
         let first = self.solve(&self.frames[0], None);
         let plate = &self.instrument.plate;
-        let pair = |mark: &solaspect::aspect::Mark| {
+        let pair = |mark: &Mark| {
             let printed = plate.position(mark.id);
             Pair {
                 observed: SensorPx::new(mark.at.x + on_sensor_px[0], mark.at.y + on_sensor_px[1]),
@@ -156,6 +156,50 @@ fn a_camera_that_moved_is_seen_anew() {
         assert_eq!(tracked.quality, alone.quality);
         assert!(apart_sigmas(&alone, &tracked) < 0.4);
     }
+}
+
+/// Mean place of the marks that both solutions have, from the Sun's centre, in each of them, px.
+fn marks_from_sun_px(solutions: [&Solution; 2]) -> [Vector2<f64>; 2] {
+    let common = |a: &&Mark| {
+        solutions
+            .iter()
+            .all(|s| s.marks.iter().any(|b| a.id == b.id))
+    };
+    solutions.map(|solution| {
+        let sun = solution.aspect.unwrap().sun_px.position.vector();
+        let marks: Vec<&Mark> = solution.marks.iter().filter(common).collect();
+        assert!(marks.len() >= 3);
+        let sum: Vector2<f64> = marks.iter().map(|mark| mark.at.vector() - sun).sum();
+        sum / marks.len() as f64
+    })
+}
+
+#[test]
+fn coma_is_removed_from_predicted_marks_as_from_detected_ones() {
+    let instrument = builtin("demo").unwrap();
+    let conditions = Conditions {
+        stray: Strengths {
+            coma: 0.1,
+            ..Strengths::default()
+        },
+        ..Conditions::of(&instrument)
+    };
+    let scenes = RandomScenes::new(&instrument, &conditions, 1).unwrap();
+    let mut compared = 0;
+    for number in 0..8 {
+        let frame = scenes.scene(number).unwrap().frame().unwrap();
+        let acquired = solve(&frame, &instrument, EXPECTED, None);
+        let tracked = solve(&frame, &instrument, EXPECTED, acquired.track.as_ref());
+        if tracked.track.as_ref().unwrap().predicted == 0 {
+            continue;
+        }
+        compared += 1;
+        let [acquired, tracked] = marks_from_sun_px([&acquired, &tracked]);
+        let apart_px = (acquired - tracked).norm();
+        // Left in, coma would shift the predicted marks by 0.05 px.
+        assert!(apart_px < 0.02, "frame {number}: {apart_px} px");
+    }
+    assert!(compared >= 4, "{compared}");
 }
 
 #[test]

@@ -40,7 +40,7 @@ mod trial;
 pub use demand::{Demand, Precision};
 pub use outcome::{About, Summary};
 pub use program::{AccuracyError, Case, Figures, Program};
-pub use recipe::{Recipe, View};
+pub use recipe::{Recipe, Vary, View};
 pub use report::{MarksReport, Report, RowReport, RunReport};
 pub use rows::{Ideal, MARKS, MIXED, MOTION, Row, Run, Size, names, rows, runs};
 pub use table::{case_text, page, text};

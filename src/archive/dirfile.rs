@@ -83,7 +83,7 @@ const fn number(
 
 /// The fields in the order in which they are written; a file of that name holds the samples of each.
 #[rustfmt::skip]
-const FIELDS: [Field; 29] = [
+const FIELDS: [Field; 32] = [
     number("FRAME", "", "number of the frame", |r| r.number.map(|n| n as f64)),
     code("QUALITY", "quality: 0 none, 1 coarse, 2 fine", |r| quality_code(r.quality)),
     code("STOPPED", "stopped at: 0 nowhere, 1 levels, 2 limb, 3 marks, 4 identification, 5 registration, 6 aspect, 7 pointing",
@@ -96,9 +96,12 @@ const FIELDS: [Field; 29] = [
     number("PIXEL_X", "px", "Sun's centre on the sensor, x", |r| r.record.sun_px.map(|p| p[0])),
     number("PIXEL_Y", "px", "Sun's centre on the sensor, y", |r| r.record.sun_px.map(|p| p[1])),
     number("RADIUS", "px", "Sun's radius on the sensor", |r| r.record.sun_radius_px),
+    number("RADIUS_SIGMA", "px", "1 sigma of RADIUS", |r| r.record.sun_radius_px_sigma),
     number("MARKS", "", "marks with ids", |r| r.record.marks.as_ref().map(|m| m.len() as f64)),
     number("SCALE", "mil/px", "scale of the mapping", |r| r.record.mapping.as_ref().map(|m| m.scale_mil_per_px)),
+    number("SCALE_SIGMA", "mil/px", "1 sigma of SCALE", |r| r.record.mapping.as_ref().map(|m| m.scale_sigma_mil_per_px)),
     number("ROTATION", "deg", "rotation of the mapping", |r| r.record.mapping.as_ref().map(|m| m.rotation_deg)),
+    number("ROTATION_SIGMA", "deg", "1 sigma of ROTATION", |r| r.record.mapping.as_ref().map(|m| m.rotation_sigma_deg)),
     number("RESIDUAL", "px", "residual of the marks", |r| r.record.mapping.as_ref().and_then(|m| m.residual_px)),
     number("OFFSET_AZ", "deg", "azimuth minus target's", |r| r.record.offset_deg.as_ref().map(|o| o.azimuth)),
     number("OFFSET_EL", "deg", "elevation minus target's", |r| r.record.offset_deg.as_ref().map(|o| o.elevation)),

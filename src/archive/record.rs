@@ -5,7 +5,6 @@ use crate::fits::{Card, Column, Table, Values};
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::pointing::Offset;
-use crate::units::SensorPx;
 use jiff::Timestamp;
 use serde::Serialize;
 use std::time::Duration;
@@ -22,6 +21,7 @@ pub struct Record {
     pub sun_px: Option<[f64; 2]>,
     pub sun_px_sigma: Option<[f64; 2]>,
     pub sun_radius_px: Option<f64>,
+    pub sun_radius_px_sigma: Option<f64>,
     pub sun_plate_mil: Option<[f64; 2]>,
     pub sun_plate_sigma_mil: Option<[f64; 2]>,
     pub marks: Option<Vec<MarkRecord>>,
@@ -48,12 +48,14 @@ pub struct MarkRecord {
     pub sigma_px: f64,
 }
 
-/// The mapping at the Sun's place.
+/// The mapping at the Sun's place, with 1 sigma of scale and rotation: this frame's, or those of the mapping that it borrowed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MappingRecord {
     pub kind: &'static str,
     pub scale_mil_per_px: f64,
+    pub scale_sigma_mil_per_px: f64,
     pub rotation_deg: f64,
+    pub rotation_sigma_deg: f64,
     pub residual_px: Option<f64>,
 }
 
@@ -102,7 +104,8 @@ impl Record {
             }),
             sun_px: aspect.map(|a| [a.sun_px.position.x, a.sun_px.position.y]),
             sun_px_sigma: aspect.map(|a| a.sun_px.sigma()),
-            sun_radius_px: aspect.map(|a| a.sun_radius_px),
+            sun_radius_px: aspect.map(|a| a.sun_radius_px.value),
+            sun_radius_px_sigma: aspect.map(|a| a.sun_radius_px.sigma),
             sun_plate_mil: aspect.map(|a| [a.sun_plate.position.x, a.sun_plate.position.y]),
             sun_plate_sigma_mil: aspect.map(|a| a.sun_plate.sigma()),
             marks: aspect.map(|_| marks(solution)),
@@ -121,7 +124,7 @@ impl Record {
     }
 
     /// Names of the columns of [`csv_row`](Self::csv_row), each with its unit.
-    pub const CSV_COLUMNS: [&'static str; 22] = [
+    pub const CSV_COLUMNS: [&'static str; 25] = [
         "file",
         "utc",
         "quality",
@@ -131,6 +134,7 @@ impl Record {
         "sun_sigma_x_px",
         "sun_sigma_y_px",
         "sun_radius_px",
+        "sun_radius_sigma_px",
         "sun_plate_x_mil",
         "sun_plate_y_mil",
         "sun_plate_sigma_x_mil",
@@ -138,7 +142,9 @@ impl Record {
         "marks",
         "mapping",
         "scale_mil_per_px",
+        "scale_sigma_mil_per_px",
         "rotation_deg",
+        "rotation_sigma_deg",
         "residual_px",
         "offset_azimuth_deg",
         "offset_elevation_deg",
@@ -147,7 +153,7 @@ impl Record {
     ];
 
     /// The record as the fields of a CSV row; what is not known is empty.
-    pub fn csv_row(&self) -> [String; 22] {
+    pub fn csv_row(&self) -> [String; 25] {
         let number = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.6}"));
         let axis = |pair: Option<[f64; 2]>, n: usize| number(pair.map(|p| p[n]));
         let offset = self.offset_deg.as_ref();
@@ -163,6 +169,7 @@ impl Record {
             axis(self.sun_px_sigma, 0),
             axis(self.sun_px_sigma, 1),
             number(self.sun_radius_px),
+            number(self.sun_radius_px_sigma),
             axis(self.sun_plate_mil, 0),
             axis(self.sun_plate_mil, 1),
             axis(self.sun_plate_sigma_mil, 0),
@@ -172,7 +179,9 @@ impl Record {
                 .map_or(String::new(), |m| m.len().to_string()),
             mapping.map_or(String::new(), |m| m.kind.into()),
             number(mapping.map(|m| m.scale_mil_per_px)),
+            number(mapping.map(|m| m.scale_sigma_mil_per_px)),
             number(mapping.map(|m| m.rotation_deg)),
+            number(mapping.map(|m| m.rotation_sigma_deg)),
             number(mapping.and_then(|m| m.residual_px)),
             fine(offset.map(|o| o.azimuth)),
             fine(offset.map(|o| o.elevation)),
@@ -207,13 +216,16 @@ impl Record {
         number("SUNPX-SX", axis(self.sun_px_sigma, 0));
         number("SUNPX-SY", axis(self.sun_px_sigma, 1));
         number("SUNPX-R", self.sun_radius_px);
+        number("SUNPX-SR", self.sun_radius_px_sigma);
         number("SUNMIL-X", axis(self.sun_plate_mil, 0));
         number("SUNMIL-Y", axis(self.sun_plate_mil, 1));
         number("SUNMILSX", axis(self.sun_plate_sigma_mil, 0));
         number("SUNMILSY", axis(self.sun_plate_sigma_mil, 1));
         let mapping = self.mapping.as_ref();
         number("MAPSCALE", mapping.map(|m| m.scale_mil_per_px));
+        number("MAPSCASG", mapping.map(|m| m.scale_sigma_mil_per_px));
         number("MAPROT", mapping.map(|m| m.rotation_deg));
+        number("MAPROTSG", mapping.map(|m| m.rotation_sigma_deg));
         number("MAPRES", mapping.and_then(|m| m.residual_px));
         let offset = self.offset_deg.as_ref();
         number("OFFSETAZ", offset.map(|o| o.azimuth));
@@ -260,20 +272,25 @@ fn marks(solution: &Solution) -> Vec<MarkRecord> {
 }
 
 fn mapping(aspect: &Aspect, adopted: &AdoptedMapping) -> MappingRecord {
-    let at: SensorPx = aspect.sun_px.position;
+    let (scale, rotation) = (aspect.mapping.scale_mil_per_px, aspect.mapping.rotation_deg);
     MappingRecord {
         kind: adopted.name(),
-        scale_mil_per_px: adopted.mapping.scale_mil_per_px(at),
-        rotation_deg: adopted.mapping.rotation_deg(at),
+        scale_mil_per_px: scale.value,
+        scale_sigma_mil_per_px: scale.sigma,
+        rotation_deg: rotation.value,
+        rotation_sigma_deg: rotation.sigma,
         residual_px: adopted.residual_px,
     }
 }
 
 /// The marks and the limb's points of a frame, as tables for its file. Empty ones are left out.
 pub fn tables(solution: &Solution) -> Vec<Table> {
-    let column = |name: &str, unit: &str, values: Values| Column {
+    const SEEN: &str = "where it was seen, first pixel is 0";
+    const EDGE: &str = "point of the limb, first pixel is 0";
+    let column = |name: &str, unit: &str, meaning: &str, values: Values| Column {
         name: name.into(),
         unit: unit.into(),
+        meaning: meaning.into(),
         values,
     };
     let mut tables = Vec::new();
@@ -287,11 +304,26 @@ pub fn tables(solution: &Solution) -> Vec<Table> {
         tables.push(Table {
             name: "MARKS".into(),
             columns: vec![
-                column("I", "", whole(|mark| mark.id.i)),
-                column("J", "", whole(|mark| mark.id.j)),
-                column("X", "pixel", floats(|mark| mark.at.x)),
-                column("Y", "pixel", floats(|mark| mark.at.y)),
-                column("SIGMA", "pixel", floats(|mark| mark.sigma_px())),
+                column(
+                    "I",
+                    "",
+                    "id of a mark that was read",
+                    whole(|mark| mark.id.i),
+                ),
+                column(
+                    "J",
+                    "",
+                    "id of a mark that was read",
+                    whole(|mark| mark.id.j),
+                ),
+                column("X", "pixel", SEEN, floats(|mark| mark.at.x)),
+                column("Y", "pixel", SEEN, floats(|mark| mark.at.y)),
+                column(
+                    "SIGMA",
+                    "pixel",
+                    "1 sigma per axis",
+                    floats(|mark| mark.sigma_px()),
+                ),
             ],
         });
     }
@@ -301,9 +333,14 @@ pub fn tables(solution: &Solution) -> Vec<Table> {
         tables.push(Table {
             name: "LIMB".into(),
             columns: vec![
-                column("X", "pixel", floats(|point| point.at.x)),
-                column("Y", "pixel", floats(|point| point.at.y)),
-                column("SIGMA", "pixel", floats(|point| point.sigma_px)),
+                column("X", "pixel", EDGE, floats(|point| point.at.x)),
+                column("Y", "pixel", EDGE, floats(|point| point.at.y)),
+                column(
+                    "SIGMA",
+                    "pixel",
+                    "1 sigma along the radius",
+                    floats(|point| point.sigma_px),
+                ),
             ],
         });
     }

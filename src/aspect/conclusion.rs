@@ -2,10 +2,10 @@
 
 use super::stages::{Pipeline, at};
 use super::{AdoptedMapping, Aspect, Origin, Quality, Solution, Stage, Stopped, Track};
-use crate::geometry::{Circle, Mapping};
+use crate::geometry::{Circle, LocalSimilarity, Mapping};
 use crate::limb::{self, Limb};
 use crate::registration::Registration;
-use crate::units::{Estimate, PlateMil, Rejected, SensorPx};
+use crate::units::{Estimate, Measured, PlateMil, Rejected, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
 /// How far a mapping may have moved since the frame that gave it.
@@ -63,15 +63,14 @@ impl<'a> Pipeline<'a> {
         let aspect = match own.and_then(|own| own.disc) {
             Some(disc) => Aspect {
                 sun_px: disc.on_sensor,
-                sun_radius_px: disc.radius_mil.value
-                    / adopted.mapping.scale_mil_per_px(disc.on_sensor.position),
+                sun_radius_px: with_sigma_of_profile(disc.radius_px, limb),
+                mapping: self.local_similarity(disc.on_sensor.position, adopted, own),
                 sun_plate: disc.on_plate,
                 limb_fraction,
             },
             None => self.borrowed_aspect(limb, adopted, limb_fraction),
         };
-        let radius_mil =
-            aspect.sun_radius_px * adopted.mapping.scale_mil_per_px(aspect.sun_px.position);
+        let radius_mil = aspect.sun_radius_px.value * aspect.mapping.scale_mil_per_px.value;
         let deviation = (radius_mil / self.radius_mil.value - 1.0).abs();
         let limit = self.settings.limb.max_radius_deviation;
         if deviation > limit {
@@ -82,6 +81,24 @@ impl<'a> Pipeline<'a> {
             }));
         }
         Ok(aspect)
+    }
+
+    /// Scale and rotation of the adopted mapping at a place: this frame's, the prior's, or as the calibration states them.
+    fn local_similarity(
+        &self,
+        at: SensorPx,
+        adopted: &AdoptedMapping,
+        own: Option<&Registration>,
+    ) -> LocalSimilarity {
+        if let Some(registration) = own.or_else(|| self.prior_registration()) {
+            return registration.local_similarity(at);
+        }
+        let (mapping, mounting) = (&adopted.mapping, &self.instrument.mounting);
+        let (scale, rotation) = (mounting.scale_mil_per_px, mounting.rotation_deg);
+        LocalSimilarity {
+            scale_mil_per_px: Measured::new(mapping.scale_mil_per_px(at), scale.sigma),
+            rotation_deg: Measured::new(mapping.rotation_deg(at), rotation.sigma),
+        }
     }
 
     /// Marks do not serve where the Sun moved so far that its size and light mislead who reads them.
@@ -118,12 +135,15 @@ impl<'a> Pipeline<'a> {
             Err(_) => self.motion_px(limb).powi(2) / 12.0,
         };
         let centre = outline.centre_covariance() + Matrix2::identity() * moved;
+        let radius_sigma_px = outline.radius_sigma_px().hypot(moved.sqrt());
+        let radius_px = Measured::new(outline.ellipse.mean_radius(), radius_sigma_px);
         Aspect {
             sun_px: Estimate {
                 position: on_sensor,
                 covariance: centre,
             },
-            sun_radius_px: outline.ellipse.mean_radius(),
+            sun_radius_px: with_sigma_of_profile(radius_px, limb),
+            mapping: self.local_similarity(on_sensor, adopted, None),
             sun_plate: Estimate {
                 position: on_plate,
                 covariance: to_plate * centre * to_plate.transpose()
@@ -180,11 +200,19 @@ impl<'a> Pipeline<'a> {
         Track {
             disc: Circle {
                 centre: aspect.sun_px.position.vector(),
-                radius: aspect.sun_radius_px,
+                radius: aspect.sun_radius_px.value,
             },
             predicted,
             registration: own.or_else(|| self.prior_registration().cloned()),
         }
+    }
+}
+
+/// A radius with the uncertainty of the limb's profile, which moves all points alike.
+fn with_sigma_of_profile(radius_px: Measured, limb: &Limb) -> Measured {
+    Measured {
+        sigma: radius_px.sigma.hypot(limb.place_sigma_px()),
+        ..radius_px
     }
 }
 

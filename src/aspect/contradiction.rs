@@ -120,10 +120,11 @@ fn measured(solution: &Solution, instrument: &Instrument) -> Option<[Measured; 4
         MappingKind::Keystone | MappingKind::Homography => 0.0,
     };
     let turned = tilt_per_px * from_sun_px;
-    let printed =
-        printed_mil(&solution.marks, &instrument.plate) / (aspect.sun_radius_px * scale.value);
+    let printed = printed_mil(&solution.marks, &instrument.plate)
+        / (aspect.sun_radius_px.value * scale.value);
     let widened = |m: Measured, by: f64| Measured::new(m.value, m.sigma.hypot(by));
-    let open_px = (turned * from_sun_px).hypot(printed * from_sun_px.hypot(aspect.sun_radius_px));
+    let open_px =
+        (turned * from_sun_px).hypot(printed * from_sun_px.hypot(aspect.sun_radius_px.value));
     Some([
         widened(rotation_deg, turned.hypot(printed).to_degrees()),
         // Along the tilt the scale changes twice as much as across it.

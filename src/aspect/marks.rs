@@ -13,8 +13,8 @@ use crate::geometry::{Ellipse, Mapping};
 use crate::limb::{COMA_BLURS, DiscLight, Limb};
 use crate::plate::MarkId;
 use crate::registration::{self, Outline, Pair, Registration};
-use crate::units::{Measured, Rejected, SensorPx};
-use nalgebra::Matrix2;
+use crate::units::{Estimate, Measured, Rejected, SensorPx};
+use nalgebra::{Matrix2, Vector2};
 
 /// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
 /// may differ by half a pixel.
@@ -36,6 +36,23 @@ pub struct MarkScene<'a> {
     pub cutout: &'a Cutout,
     pub limb: &'a Limb,
     pub mapping: &'a Mapping,
+}
+
+/// How far coma shifts the marks against the limb.
+struct ComaShift {
+    shift_px: Vector2<f64>,
+    /// What it adds to the covariance of each mark.
+    covariance_px2: Matrix2<f64>,
+}
+
+impl ComaShift {
+    fn removed_from(&self, found: RefinedMark) -> RefinedMark {
+        let place = Estimate {
+            position: (found.place.position.vector() - self.shift_px).into(),
+            covariance: found.place.covariance + self.covariance_px2,
+        };
+        RefinedMark { place, ..found }
+    }
 }
 
 impl Pipeline<'_> {
@@ -69,16 +86,19 @@ impl Pipeline<'_> {
         }
     }
 
-    /// Marks by their own pixels; none where these do not agree with a cross.
+    /// Marks by their own pixels, without the shift that coma gives them against the limb; none where the pixels do not
+    /// agree with a cross.
     pub(super) fn refine(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Option<RefinedMark>> {
         let limb = scene.limb;
         let scale = self.disc_scale(&limb.outline.ellipse);
         let plate = &self.instrument.plate;
         let refiner = Refiner::new(&plate.cross, scale, self.mark_blur_px(limb));
         let light = limb.light();
+        let coma = self.coma_shift(limb, marks.len());
         let refined = |mark: &Mark| {
             let jacobian = scene.mapping.sensor_jacobian(plate.position(mark.id));
-            refiner.refine(scene.cutout, &light, &jacobian, mark.at)
+            let found = refiner.refine(scene.cutout, &light, &jacobian, mark.at)?;
+            Some(coma.removed_from(found))
         };
         marks.iter().map(refined).collect()
     }
@@ -88,7 +108,7 @@ impl Pipeline<'_> {
     pub fn place(&self, scene: &MarkScene<'_>, marks: &[Mark]) -> Vec<Mark> {
         let refined = self.refine(scene, marks);
         let placed = marks.iter().zip(&refined).map(|(mark, found)| match found {
-            Some(found) => self.without_coma(mark.placed(found), scene.limb, marks.len()),
+            Some(found) => mark.placed(found),
             None => Mark {
                 covariance_px2: Matrix2::identity() * UNREFINED_SIGMA_PX.powi(2),
                 ..*mark
@@ -97,16 +117,15 @@ impl Pipeline<'_> {
         placed.collect()
     }
 
-    /// A mark without what coma shifts it by against the limb. What is open of that moves all marks alike: so many must not
-    /// average it away.
-    fn without_coma(&self, mark: Mark, limb: &Limb, marks: usize) -> Mark {
+    /// By how much coma shifts marks against the limb. Its uncertainty moves all marks alike: so many must not average it
+    /// away.
+    fn coma_shift(&self, limb: &Limb, marks: usize) -> ComaShift {
         let (coma, covariance) = limb.coma();
         let response = self.disc_shape(limb).coma_shift(COMA_BLURS);
         let open = covariance + Matrix2::identity() * (COMA_OPEN * coma.norm()).powi(2);
-        Mark {
-            at: (mark.at.vector() - response * coma).into(),
-            covariance_px2: mark.covariance_px2 + marks as f64 * response.powi(2) * open,
-            ..mark
+        ComaShift {
+            shift_px: response * coma,
+            covariance_px2: marks as f64 * response.powi(2) * open,
         }
     }
 

@@ -26,7 +26,7 @@ pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -
         (levels.background_dn, 1.5 * levels.disc_dn)
     });
     let about_sun = solution.aspect.and_then(|aspect| {
-        let reach = 1.15 * aspect.sun_radius_px;
+        let reach = 1.15 * aspect.sun_radius_px.value;
         Region::around(aspect.sun_px.position, reach, frame.width(), frame.height())
     });
     let (region, zoom) = match about_sun {
@@ -42,7 +42,7 @@ pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -
             &mut canvas,
             &adopted.mapping,
             aspect.sun_plate.position,
-            aspect.sun_radius_px,
+            aspect.sun_radius_px.value,
         );
         draw_axes(&mut canvas, &adopted.mapping, aspect.sun_plate.position);
     }
@@ -139,7 +139,7 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
         ));
         lines.push(format!(
             "radius {:.2} px   {} limb points   {}   mapping: {}",
-            aspect.sun_radius_px,
+            aspect.sun_radius_px.value,
             solution.limb.len(),
             marks_line(solution),
             adopted.name(),

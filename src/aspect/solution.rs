@@ -2,11 +2,11 @@
 
 use crate::fiducial::{Detections, Lighting};
 use crate::frame::Levels;
-use crate::geometry::{Circle, Mapping};
+use crate::geometry::{Circle, LocalSimilarity, Mapping};
 use crate::limb::LimbPoint;
 use crate::plate::MarkId;
 use crate::registration::Registration;
-use crate::units::{Estimate, PlateMil, Rejected, SensorPx};
+use crate::units::{Estimate, Measured, PlateMil, Rejected, SensorPx};
 use nalgebra::Matrix2;
 use std::fmt;
 
@@ -123,8 +123,12 @@ impl AdoptedMapping {
 pub struct Aspect {
     /// The image of the disc's centre on the sensor.
     pub sun_px: Estimate<SensorPx>,
-    /// The disc's radius at the mapping's scale there.
-    pub sun_radius_px: f64,
+    /// The disc's radius at the mapping's scale there. Where little of the limb is seen, its value and sigma are nearly those
+    /// that ephemeris, focus and stated scale give.
+    pub sun_radius_px: Measured,
+    /// The mapping's scale and rotation there. Of a borrowed mapping they have the sigma of the frame that gave it, or that
+    /// which the calibration states for the plate's centre: no tilt of the camera is in it.
+    pub mapping: LocalSimilarity,
     /// The disc's centre on the plate; the mapping's uncertainty included.
     pub sun_plate: Estimate<PlateMil>,
     /// Part of the limb that was seen, 0 to 1.

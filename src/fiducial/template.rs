@@ -208,7 +208,6 @@ mod tests {
             let sum: f32 = places
                 .map(|((x, y), weight)| weight * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp())
                 .sum();
-            // A cross must show a fifth of its contrast to this template.
             // A cross must show a fifth of its contrast to this template: a fifth of that from what is round is harmless.
             assert!(
                 f64::from(sum.abs()) < 0.04 * template.energy,

@@ -26,6 +26,7 @@ mod read;
 mod rice;
 mod structure;
 mod table;
+mod unit;
 mod write;
 
 pub use checksum::Checksums;

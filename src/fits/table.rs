@@ -20,6 +20,7 @@ enum Kind {
 struct Field {
     name: String,
     unit: String,
+    meaning: String,
     kind: Kind,
     start: usize,
     bytes: usize,
@@ -73,6 +74,7 @@ fn columns(header: &Header, data: &[u8]) -> Result<Vec<Column>, Problem> {
             },
             name: field.name,
             unit: field.unit,
+            meaning: field.meaning,
         }
     };
     Ok(fields.into_iter().map(column).collect())
@@ -101,6 +103,7 @@ fn fields(header: &Header) -> Result<Vec<Field>, Problem> {
         let field = Field {
             name: text("TTYPE")?,
             unit: text("TUNIT")?,
+            meaning: text("TCOMM")?,
             kind,
             start,
             bytes,

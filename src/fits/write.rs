@@ -7,7 +7,7 @@ use super::header::{CARD, Card, Value};
 use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
 use super::raw::{Compression, MemoryFile};
-use super::{FileError, Problem};
+use super::{FileError, Problem, unit};
 use crate::frame::Frame;
 use crate::provenance::{COMMIT, PROGRAM};
 use jiff::Timestamp;
@@ -32,8 +32,10 @@ pub struct Table {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Column {
     pub name: String,
-    /// Unit, as FITS writes it; empty for values without.
+    /// Unit, as FITS writes it where it knows it; empty for values without.
     pub unit: String,
+    /// What the values are, as TCOMMn tells it.
+    pub meaning: String,
     pub values: Values,
 }
 
@@ -251,23 +253,26 @@ fn float(number: f64) -> String {
     }
 }
 
+/// Name, TFORM and TUNIT of a column; a unit that FITS does not know stands in its comment alone.
+fn specification(column: &Column) -> [String; 3] {
+    let unit = match unit::is_known(&column.unit) {
+        true => column.unit.clone(),
+        false => String::new(),
+    };
+    [column.name.clone(), column.values.form(), unit]
+}
+
 fn put_table(file: &MemoryFile, table: &Table) -> Result<(), Problem> {
     let rows = table
         .columns
         .first()
         .map_or(0, |column| column.values.len());
-    let specifications: Vec<[String; 3]> = table
-        .columns
-        .iter()
-        .map(|column| {
-            [
-                column.name.clone(),
-                column.values.form(),
-                column.unit.clone(),
-            ]
-        })
-        .collect();
+    let specifications: Vec<[String; 3]> = table.columns.iter().map(specification).collect();
     file.create_table(&table.name, &specifications)?;
+    for (n, column) in table.columns.iter().enumerate() {
+        let comment = unit::column_comment(&column.meaning, &column.unit);
+        file.put_text(&format!("TCOMM{}", n + 1), &comment, "")?;
+    }
     for (n, column) in table.columns.iter().enumerate() {
         if column.values.len() != rows {
             let field = format!("column {} of {}", column.name, table.name);

@@ -15,4 +15,4 @@ pub use circle::Circle;
 pub use distortion::Distortion;
 pub use ellipse::Ellipse;
 pub use mapping::{Handedness, Mapping, MappingKind, SimilarityParameters};
-pub use view::TILT_PER_PX;
+pub use view::{LocalSimilarity, TILT_PER_PX};

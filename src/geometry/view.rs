@@ -10,8 +10,8 @@
 
 use super::distortion::Distortion;
 use super::mapping::{Handedness, Mapping, MappingKind};
-use crate::units::PlateMil;
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
+use crate::units::{Measured, PlateMil, SensorPx};
+use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2};
 
 /// Number of parameters of a view.
 pub const PARAMETERS: usize = 8;
@@ -21,6 +21,9 @@ pub type Parameters = SVector<f64, PARAMETERS>;
 pub type ParameterJacobian = SMatrix<f64, 2, PARAMETERS>;
 /// Covariance of the parameters.
 pub type ParameterCovariance = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+/// Derivative of a number by the parameters.
+pub type ParameterSlopes = RowSVector<f64, PARAMETERS>;
 
 /// The plate's unit of length in a view.
 pub const UNIT_MIL: f64 = 1000.0;
@@ -45,6 +48,22 @@ pub struct View {
     pub parameters: Parameters,
     /// Takes plate positions (mil) to w.
     axes: Matrix2<f64>,
+}
+
+/// Scale and rotation of the projected plate at one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LocalSimilarity {
+    /// Plate length per pixel: the square root of the ratio of areas.
+    pub scale_mil_per_px: Measured,
+    /// Positive from +x towards +y.
+    pub rotation_deg: Measured,
+}
+
+/// Derivatives of scale and rotation at one place by the parameters.
+pub struct SimilaritySlopes {
+    /// Of the natural logarithm of the plate length per pixel.
+    pub log_scale: ParameterSlopes,
+    pub rotation_rad: ParameterSlopes,
 }
 
 impl View {
@@ -155,6 +174,79 @@ impl View {
         ])
     }
 
+    /// Derivative of [`parameter_jacobian`](Self::parameter_jacobian) by the plate position along a direction, per mil.
+    pub fn parameter_jacobian_along(
+        &self,
+        at: PlateMil,
+        direction: Vector2<f64>,
+    ) -> ParameterJacobian {
+        let w = self.axes * at.vector();
+        let depth = 1.0 + self.tilt().dot(&w);
+        let v = w / depth;
+        let q = self.linear() * v;
+        let along = self.axes * direction;
+        let dv = (along - v * self.tilt().dot(&along)) / depth;
+        let dq = self.linear() * dv;
+        let tilt = |axis: usize| -(dq * v[axis] + q * dv[axis]);
+        ParameterJacobian::from_columns(&[
+            Vector2::zeros(),
+            Vector2::zeros(),
+            dv,
+            Vector2::new(-dv.y, dv.x),
+            Vector2::new(dv.x, -dv.y),
+            Vector2::new(dv.y, dv.x),
+            tilt(0),
+            tilt(1),
+        ])
+    }
+
+    /// How scale and rotation at a plate position follow the parameters of a view that can be inverted.
+    pub fn similarity_slopes(&self, at: PlateMil) -> SimilaritySlopes {
+        let jacobian = self.jacobian(at);
+        let determinant = jacobian.determinant();
+        let axes = match determinant < 0.0 {
+            true => Handedness::Mirrored.axes(),
+            false => Handedness::Direct.axes(),
+        };
+        // a and b of the local linear map, twice.
+        let doubled = |m: Matrix2<f64>| Vector2::new(m.m11 + m.m22, m.m21 - m.m12);
+        let local = doubled(jacobian * axes);
+        let [along_x, along_y] =
+            [Vector2::x(), Vector2::y()].map(|axis| self.parameter_jacobian_along(at, axis));
+        let mut slopes = SimilaritySlopes {
+            log_scale: ParameterSlopes::zeros(),
+            rotation_rad: ParameterSlopes::zeros(),
+        };
+        for n in 0..PARAMETERS {
+            let (x, y) = (along_x.column(n), along_y.column(n));
+            // Jacobi's formula for the derivative of the determinant.
+            let grown = jacobian.m22 * x[0] - jacobian.m12 * x[1] - jacobian.m21 * y[0]
+                + jacobian.m11 * y[1];
+            slopes.log_scale[n] = -0.5 * grown / determinant;
+            let moved = doubled(Matrix2::from_columns(&[x, y]) * axes);
+            slopes.rotation_rad[n] = local.perp(&moved) / local.norm_squared();
+        }
+        slopes
+    }
+
+    /// Scale and rotation of a mapping near this view where the sensor sees a place, with the 1 sigma that the covariance of the
+    /// view's parameters gives. The place counts as known.
+    pub fn local_similarity(
+        &self,
+        seen: SensorPx,
+        mapping: &Mapping,
+        covariance: &ParameterCovariance,
+    ) -> LocalSimilarity {
+        let slopes = self.similarity_slopes(mapping.to_plate(seen));
+        let scale = mapping.scale_mil_per_px(seen);
+        let stretch = propagated_sigma(&slopes.log_scale, covariance);
+        let turn_rad = propagated_sigma(&slopes.rotation_rad, covariance);
+        LocalSimilarity {
+            scale_mil_per_px: Measured::new(scale, scale * stretch),
+            rotation_deg: Measured::new(mapping.rotation_deg(seen), turn_rad.to_degrees()),
+        }
+    }
+
     /// The plate position seen at a place on the ideal sensor, mil, and its derivative, mil per px. `None` when the view is
     /// degenerate.
     pub fn unproject(&self, seen: Vector2<f64>) -> Option<(PlateMil, Matrix2<f64>)> {
@@ -195,6 +287,15 @@ impl View {
     pub fn mapping(&self, kind: MappingKind, distortion: Distortion) -> Option<Mapping> {
         Mapping::new(kind, self.to_sensor().try_inverse()?, distortion)
     }
+}
+
+/// 1 sigma of a number from its derivative by parameters and their covariance.
+pub fn propagated_sigma<const N: usize>(
+    slopes: &RowSVector<f64, N>,
+    covariance: &SMatrix<f64, N, N>,
+) -> f64 {
+    let variance = (slopes * covariance * slopes.transpose()).x;
+    variance.max(0.0).sqrt()
 }
 
 #[cfg(test)]
@@ -239,6 +340,48 @@ mod tests {
             let slope = view.advanced(&step).project(AT) - view.advanced(&-step).project(AT);
             assert!((slope / 2e-5 - slopes.column(n)).norm() < 1e-4, "{n}");
         }
+    }
+
+    fn mapping(view: &View) -> Mapping {
+        view.mapping(MappingKind::Homography, Distortion::NONE)
+            .unwrap()
+    }
+
+    #[test]
+    fn scale_and_rotation_follow_the_parameters_as_their_slopes_say() {
+        for axes in [
+            Handedness::Mirrored.axes() / UNIT_MIL,
+            Handedness::Direct.axes() / UNIT_MIL,
+            Matrix2::new(2e-3, 1e-4, -3e-4, 5e-4),
+        ] {
+            let parameters = Parameters::from([650.0, 480.0, 150.0, 80.0, 0.3, -0.2, 0.02, -0.01]);
+            let view = View { parameters, axes };
+            let slopes = view.similarity_slopes(AT);
+            for n in 0..PARAMETERS {
+                let step = Parameters::from_fn(|k, _| if k == n { 1e-5 } else { 0.0 });
+                let [plus, minus] = [step, -step].map(|step| mapping(&view.advanced(&step)));
+                let log_scale = |m: &Mapping| m.scale_mil_per_px(m.to_sensor(AT)).ln();
+                let rotation = |m: &Mapping| m.rotation_deg(m.to_sensor(AT)).to_radians();
+                let slope = (log_scale(&plus) - log_scale(&minus)) / 2e-5;
+                assert!((slope - slopes.log_scale[n]).abs() < 1e-6, "{n}");
+                let slope = (rotation(&plus) - rotation(&minus)) / 2e-5;
+                assert!((slope - slopes.rotation_rad[n]).abs() < 1e-6, "{n}");
+            }
+        }
+    }
+
+    #[test]
+    fn sigmas_of_scale_and_rotation_are_those_of_a_similarity() {
+        let view = View::zero(Handedness::Mirrored).advanced(&Parameters::from([
+            650.0, 480.0, 120.0, 90.0, 0.0, 0.0, 0.0, 0.0,
+        ]));
+        // a and b to 0.3 px; together they are 150 px long.
+        let covariance = ParameterCovariance::from_diagonal_element(0.09);
+        let found =
+            view.local_similarity(SensorPx::new(650.0, 480.0), &mapping(&view), &covariance);
+        let scale = found.scale_mil_per_px;
+        assert!((scale.sigma / scale.value - 0.002).abs() < 1e-9);
+        assert!((found.rotation_deg.sigma.to_radians() - 0.002).abs() < 1e-9);
     }
 
     #[test]

@@ -139,6 +139,8 @@ fn course(
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EdgeModel {
     pub profile: Profile,
+    /// How far outwards or inwards the limb may lie all round, since the profile is uncertain, 1 sigma, px.
+    pub place_sigma_px: f64,
     pub shape: Shape,
     /// Covariance of the shape's coefficients; zero where they are held.
     pub covariance: SMatrix<f64, SMOOTH, SMOOTH>,

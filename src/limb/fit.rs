@@ -4,7 +4,7 @@ use super::band::{Band, Reach};
 use super::edge::{EdgeFit, EdgeModel, LimbPoint, Shape, fit_edge, noise};
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
-use super::profile::{Brightness, Profile};
+use super::profile::{Brightness, MODEL_SIGMA_PX, Profile};
 use super::{LIMB_DARKENING, Settings};
 use crate::estimation::{MEDIAN_SIGMA, median};
 use crate::frame::{Cutout, Mask, PIXEL_VARIANCE_PX2, PixelNoise};
@@ -83,6 +83,11 @@ impl Limb {
     /// significant. The displaced light is blurred by [`COMA_BLURS`](super::COMA_BLURS) times the blur.
     pub fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
         self.model.coma()
+    }
+
+    /// How far outwards or inwards the limb may lie all round, since its profile is uncertain, 1 sigma, px.
+    pub fn place_sigma_px(&self) -> f64 {
+        self.model.place_sigma_px
     }
 
     /// Noise of the pixels near the limb.
@@ -234,10 +239,13 @@ impl LimbFit<'_> {
         let medians = radial_medians(&band, start.blur_px, saturated_dn);
         let fitted = start.fitted(&medians, noise.dark_dn2.sqrt());
         let (profile, limb_px) = fitted.ok_or_else(|| self.too_few(0))?;
-        *ellipse = ellipse.grown(limb_px).ok_or_else(|| self.too_few(0))?;
-        band.shift(limb_px);
+        *ellipse = ellipse
+            .grown(limb_px.value)
+            .ok_or_else(|| self.too_few(0))?;
+        band.shift(limb_px.value);
         let model = EdgeModel {
             profile,
+            place_sigma_px: limb_px.sigma.hypot(MODEL_SIGMA_PX),
             shape: Shape::NONE,
             covariance: nalgebra::SMatrix::zeros(),
             noise,

@@ -10,6 +10,7 @@
 
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
 use crate::kernels::{larger, normal_tail, smaller};
+use crate::units::Measured;
 use nalgebra::{RowSVector, SVector, Vector1};
 
 /// Brightness across the limb, DN, by the distance outwards from it, px.
@@ -35,6 +36,8 @@ pub struct Brightness {
     pub weight: f64,
 }
 
+/// How far this model puts the limb from where it is, all round, 1 sigma, px: the curve alone does by so much.
+pub(super) const MODEL_SIGMA_PX: f64 = 0.005;
 /// The blur is kept within these bounds, px: the fit is not led astray by a picture without a limb.
 const BLUR_PX: [f64; 2] = [0.35, 8.0];
 /// How well background, the two parts of the light (relative to the peak), the blur (its logarithm) and the place of the limb
@@ -83,9 +86,9 @@ impl Profile {
         }
     }
 
-    /// Fits the profile, and how far outwards the limb lies from distance 0, to radial medians; the start is this profile.
+    /// Fits the profile, and how far outwards the limb lies from distance 0 (px), to radial medians; the start is this profile.
     /// `None` when they do not determine one.
-    pub fn fitted(&self, medians: &[Brightness], noise_dn: f64) -> Option<(Self, f64)> {
+    pub fn fitted(&self, medians: &[Brightness], noise_dn: f64) -> Option<(Self, Measured)> {
         let start = SVector::from([
             self.background_dn,
             self.even_dn,
@@ -116,9 +119,9 @@ impl Profile {
             let row = |b: &Brightness| profile.linearised(b, p[4], b.weight.sqrt() / noise_dn);
             Some(medians.iter().map(row).collect())
         };
-        let found = fit.fit(linearise).ok()?.parameters;
-        let profile = with(&found);
-        (profile.peak_dn() > 0.0).then_some((profile, found[4]))
+        let found = fit.fit(linearise).ok()?;
+        let profile = with(&found.parameters);
+        (profile.peak_dn() > 0.0).then(|| (profile, found.measured(4)))
     }
 
     /// A median's residual, and the slopes of the model in background, even light, darkened light, logarithm of the blur and
@@ -268,7 +271,8 @@ mod tests {
             ..PROFILE
         };
         let (found, shift) = start.fitted(&medians, 1.0).unwrap();
-        assert!((shift - 0.2).abs() < 0.01, "{shift}");
+        assert!((shift.value - 0.2).abs() < 0.01, "{shift:?}");
+        assert!((0.001..0.003).contains(&shift.sigma), "{shift:?}");
         assert!((found.blur_px - PROFILE.blur_px).abs() < 0.02);
         assert!((found.even_dn - PROFILE.even_dn).abs() < 3.0);
     }

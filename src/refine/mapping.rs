@@ -2,7 +2,7 @@
 
 use super::drift::Estimate;
 use super::view::{Reference, unpacked};
-use crate::geometry::Mapping;
+use crate::geometry::{LocalSimilarity, Mapping};
 use crate::units::{Measured, PlateMil};
 use nalgebra::{Matrix2, Vector2};
 
@@ -68,9 +68,10 @@ pub struct FlightMapping {
 /// The mapping in numbers that people read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MappingNumbers {
+    /// Where the plate's centre is seen.
     pub centre_px: [Measured; 2],
-    pub rotation_deg: f64,
-    pub scale_mil_per_px: f64,
+    /// Scale and rotation there.
+    pub there: LocalSimilarity,
 }
 
 impl FlightMapping {
@@ -97,24 +98,39 @@ impl FlightMapping {
 
     /// The size of the jump that happened at a frame, or since the last marked one before it, px.
     pub fn own_jump(&self, frame: usize) -> Option<f64> {
-        let jump = self.facts.jumps.iter();
-        let mut own = jump.filter(|jump| (jump.before + 1..=jump.after).contains(&frame));
-        own.next().map(|jump| jump.shift_px.norm())
+        self.jump_at(frame).map(|jump| jump.shift_px.norm())
     }
 
-    /// The mapping of a frame in numbers. `None` where it cannot be inverted.
+    fn jump_at(&self, frame: usize) -> Option<&Jump> {
+        let mut jumps = self.facts.jumps.iter();
+        jumps.find(|jump| (jump.before + 1..=jump.after).contains(&frame))
+    }
+
+    /// The mapping of a frame in numbers; at a jump, whose moment is not known, half of it counts as 1 sigma. `None` where the
+    /// mapping cannot be inverted.
     pub fn numbers(&self, frame: usize) -> Option<MappingNumbers> {
         let mapping = self.at(frame)?;
         let middle = PlateMil::new(0.0, 0.0);
         let centre = mapping.to_sensor(middle);
-        let variance = unpacked(&self.estimates[frame].covariance);
+        let covariance = unpacked(&self.estimates[frame].covariance);
+        let view = &self.reference.view;
+        let mut there = view.local_similarity(centre, &mapping, &covariance);
+        let (shift_px, turn_deg) = match self.jump_at(frame) {
+            Some(jump) => (jump.shift_px, jump.turn_deg),
+            None => (Vector2::zeros(), 0.0),
+        };
+        let sigma = &mut there.rotation_deg.sigma;
+        *sigma = sigma.hypot(turn_deg / 2.0);
+        let centre_sigma_px = [0, 1].map(|axis| {
+            let own_px = covariance[(axis, axis)].max(0.0).sqrt();
+            own_px.hypot(shift_px[axis] / 2.0)
+        });
         Some(MappingNumbers {
             centre_px: [
-                Measured::new(centre.x, variance[(0, 0)].max(0.0).sqrt()),
-                Measured::new(centre.y, variance[(1, 1)].max(0.0).sqrt()),
+                Measured::new(centre.x, centre_sigma_px[0]),
+                Measured::new(centre.y, centre_sigma_px[1]),
             ],
-            rotation_deg: mapping.rotation_deg(centre),
-            scale_mil_per_px: mapping.scale_mil_per_px(centre),
+            there,
         })
     }
 }

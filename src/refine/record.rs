@@ -217,7 +217,7 @@ fn disc(aspect: &Aspect, solution: &Solution) -> DiscRecord {
     let own = registration.filter(|adopted| adopted.residual_px.is_some());
     DiscRecord {
         centre_px: [sensor.x, sensor.y],
-        radius_px: aspect.sun_radius_px,
+        radius_px: aspect.sun_radius_px.value,
         on_plate_mil: [plate.position.x, plate.position.y],
         covariance_mil2: upper(&plate.covariance),
         limb_fraction: aspect.limb_fraction,

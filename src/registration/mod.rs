@@ -32,11 +32,13 @@
 mod adjust;
 mod choice;
 
-use crate::geometry::view::{PARAMETERS, ParameterCovariance, UNIT_MIL, View};
-use crate::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, MappingKind};
+use crate::geometry::view::{PARAMETERS, ParameterCovariance, UNIT_MIL, View, propagated_sigma};
+use crate::geometry::{
+    Circle, Distortion, Ellipse, Handedness, LocalSimilarity, Mapping, MappingKind,
+};
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use adjust::{Adjusted, CIRCLE, Problem, UNKNOWNS};
-use nalgebra::{Matrix2, SMatrix, Vector2};
+use nalgebra::{Matrix2, RowSVector, SMatrix, Vector2};
 
 /// One point, observed on the sensor and printed on the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,6 +86,9 @@ pub struct Disc {
     /// Its centre on the sensor.
     pub on_sensor: Estimate<SensorPx>,
     pub radius_mil: Measured,
+    /// The radius at the mapping's scale at the centre. Its sigma is smaller than those of radius and scale, whose errors go
+    /// together.
+    pub radius_px: Measured,
 }
 
 /// A fitted mapping with its uncertainty.
@@ -110,28 +115,30 @@ impl Registration {
     /// Rotation (deg), scale (mil/px) and position (x, y, px) of the plate's centre on the sensor, with the sigmas of pairs and
     /// outline.
     pub fn at_plate_centre(&self) -> [Measured; 4] {
-        let (a, b) = (self.view.parameters[2], self.view.parameters[3]);
-        let square = a * a + b * b;
-        let variance = |n: usize, k: usize| self.covariance[(n, k)];
-        let (aa, ab, bb) = (variance(2, 2), variance(2, 3), variance(3, 3));
-        let sigma = |variance: f64| variance.max(0.0).sqrt();
-        let turn = sigma(a * a * bb - 2.0 * a * b * ab + b * b * aa) / square;
-        let stretch = sigma(a * a * aa + 2.0 * a * b * ab + b * b * bb) / square;
+        let middle = PlateMil::new(0.0, 0.0);
+        let slopes = self.view.similarity_slopes(middle);
+        let turn_rad = propagated_sigma(&slopes.rotation_rad, &self.covariance);
+        let stretch = propagated_sigma(&slopes.log_scale, &self.covariance);
         let scale = UNIT_MIL / self.view.unit_px();
-        let centre = self.mapping.to_sensor(PlateMil::new(0.0, 0.0));
+        let centre = self.mapping.to_sensor(middle);
+        let shift_px = |axis: usize| self.covariance[(axis, axis)].max(0.0).sqrt();
         [
-            Measured::new(self.view.rotation_deg(), turn.to_degrees()),
+            Measured::new(self.view.rotation_deg(), turn_rad.to_degrees()),
             Measured::new(scale, scale * stretch),
-            Measured::new(centre.x, sigma(variance(0, 0))),
-            Measured::new(centre.y, sigma(variance(1, 1))),
+            Measured::new(centre.x, shift_px(0)),
+            Measured::new(centre.y, shift_px(1)),
         ]
+    }
+
+    /// Scale and rotation of the mapping where the sensor sees a place, with the sigmas of pairs and outline.
+    pub fn local_similarity(&self, seen: SensorPx) -> LocalSimilarity {
+        self.view
+            .local_similarity(seen, &self.mapping, &self.covariance)
     }
 
     /// The least and the largest plate length per pixel at a plate position, over all directions, mil/px, with the sigmas of pairs
     /// and outline.
     pub fn principal_scales(&self, at: PlateMil) -> [Measured; 2] {
-        /// Half of the step, mil, of the derivative by position: what is derived is nearly linear over the disc.
-        const STEP_MIL: f64 = 1.0;
         let jacobian = self.view.jacobian(at);
         // The direction on the plate of the largest picture, and the one across it.
         let square = jacobian.tr_mul(&jacobian);
@@ -140,15 +147,11 @@ impl Registration {
         [along, Vector2::new(-along.y, along.x)].map(|along| {
             let picture = jacobian * along;
             let px_per_mil = picture.norm();
-            let near = |step: f64| {
-                let at = PlateMil::from(at.vector() + along * step);
-                self.view.parameter_jacobian(at)
-            };
-            let slopes = (near(STEP_MIL) - near(-STEP_MIL)) / (2.0 * STEP_MIL);
+            let slopes = self.view.parameter_jacobian_along(at, along);
             let slopes = (picture / px_per_mil).tr_mul(&slopes);
-            let variance = (slopes * self.covariance * slopes.transpose()).x;
             let scale = 1.0 / px_per_mil;
-            Measured::new(scale, scale * scale * variance.max(0.0).sqrt())
+            let sigma = scale * scale * propagated_sigma(&slopes, &self.covariance);
+            Measured::new(scale, sigma)
         })
     }
 }
@@ -212,17 +215,29 @@ fn disc(circle: &Circle, adjusted: &Adjusted, mapping: &Mapping) -> Disc {
     to_sensor
         .fixed_columns_mut::<2>(CIRCLE)
         .copy_from(&view.jacobian(centre));
+    let on_sensor = mapping.to_sensor(centre);
     let radius_variance = covariance[(CIRCLE + 2, CIRCLE + 2)];
+    let radius_px = circle.radius / mapping.scale_mil_per_px(on_sensor);
+    // Of ln radius - ln scale, by all unknowns.
+    let mut log_radius_px = RowSVector::<f64, UNKNOWNS>::zeros();
+    log_radius_px
+        .fixed_columns_mut::<PARAMETERS>(0)
+        .copy_from(&-view.similarity_slopes(centre).log_scale);
+    log_radius_px[CIRCLE + 2] = 1.0 / circle.radius;
     Disc {
         on_plate: Estimate {
             position: centre,
             covariance: covariance.fixed_view::<2, 2>(CIRCLE, CIRCLE).into_owned(),
         },
         on_sensor: Estimate {
-            position: mapping.to_sensor(centre),
+            position: on_sensor,
             covariance: to_sensor * covariance * to_sensor.transpose(),
         },
         radius_mil: Measured::new(circle.radius, radius_variance.max(0.0).sqrt()),
+        radius_px: Measured::new(
+            radius_px,
+            radius_px * propagated_sigma(&log_radius_px, covariance),
+        ),
     }
 }
 

@@ -69,6 +69,7 @@ mod tests {
         let column = |name: &str, values| Column {
             name: name.into(),
             unit: String::new(),
+            meaning: String::new(),
             values,
         };
         Table {

@@ -207,7 +207,7 @@ fn solve_one(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result
     let marks = instrument.plate.marks();
     let shot = keep.then(|| Shot {
         marks: marks.map(|(_, at)| adopted.mapping.to_sensor(at)).collect(),
-        disc: Some((sun_px, aspect.sun_radius_px)),
+        disc: Some((sun_px, aspect.sun_radius_px.value)),
         ..Shot::without_sun(file, frame)
     });
     Ok(Ok((shot, fine.then_some(sun))))

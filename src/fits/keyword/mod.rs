@@ -6,6 +6,7 @@
 mod page;
 mod table;
 
+use super::unit;
 pub use page::markdown;
 pub use table::{GROUPS, HEROES};
 
@@ -33,19 +34,16 @@ pub enum Use {
 pub struct Keyword {
     pub name: &'static str,
     pub kind: Kind,
-    /// Unit, as FITS writes it; empty for a value without.
+    /// Unit, as FITS writes it where it knows it; empty for a value without.
     pub unit: &'static str,
     pub meaning: &'static str,
     pub used: Use,
 }
 
 impl Keyword {
-    /// The comment of a card: the unit in brackets, then the meaning.
+    /// The comment of a card: the meaning with the unit.
     pub fn comment(&self) -> String {
-        match self.unit {
-            "" => self.meaning.into(),
-            unit => format!("[{unit}] {}", self.meaning),
-        }
+        unit::keyword_comment(self.meaning, self.unit)
     }
 }
 

@@ -108,9 +108,12 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
     column("RADIUS_MIL", "mil", "the disc's radius on the plate", |r| {
         Cell::Float(r.disc.map(|disc| disc.radius_mil.value))
     }),
-    column("RADIUS_SIGMA_MIL", "mil", "1 sigma of RADIUS_MIL", |r| {
-        Cell::Float(r.disc.map(|disc| disc.radius_mil.sigma))
-    }),
+    column(
+        "RADIUS_SIGMA_MIL",
+        "mil",
+        "1 sigma of RADIUS_MIL, by the points of the limb",
+        |r| Cell::Float(r.disc.map(|disc| disc.radius_mil.sigma)),
+    ),
     column(
         "RADIUS_EXPECTED_MIL",
         "mil",
@@ -187,22 +190,46 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
         |r| Cell::Float(r.mapping.map(|m| m.centre_px[0].value)),
     ),
     column(
+        "CENTRE_SIGMA_X_PX",
+        "pixel",
+        "1 sigma of CENTRE_X_PX",
+        |r| Cell::Float(r.mapping.map(|m| m.centre_px[0].sigma)),
+    ),
+    column(
         "CENTRE_Y_PX",
         "pixel",
         "where the flight's mapping puts the plate's centre, first pixel is 0",
         |r| Cell::Float(r.mapping.map(|m| m.centre_px[1].value)),
     ),
     column(
+        "CENTRE_SIGMA_Y_PX",
+        "pixel",
+        "1 sigma of CENTRE_Y_PX",
+        |r| Cell::Float(r.mapping.map(|m| m.centre_px[1].sigma)),
+    ),
+    column(
         "ROTATION_DEG",
         "deg",
-        "rotation of the flight's mapping, from +x towards +y",
-        |r| Cell::Float(r.mapping.map(|m| m.rotation_deg)),
+        "rotation of the flight's mapping at the plate's centre, from +x towards +y",
+        |r| Cell::Float(r.mapping.map(|m| m.there.rotation_deg.value)),
+    ),
+    column(
+        "ROTATION_SIGMA_DEG",
+        "deg",
+        "1 sigma of ROTATION_DEG",
+        |r| Cell::Float(r.mapping.map(|m| m.there.rotation_deg.sigma)),
     ),
     column(
         "SCALE_MIL_PER_PX",
         "mil/pixel",
         "scale of the flight's mapping at the plate's centre",
-        |r| Cell::Float(r.mapping.map(|m| m.scale_mil_per_px)),
+        |r| Cell::Float(r.mapping.map(|m| m.there.scale_mil_per_px.value)),
+    ),
+    column(
+        "SCALE_SIGMA_MIL_PER_PX",
+        "mil/pixel",
+        "1 sigma of SCALE_MIL_PER_PX",
+        |r| Cell::Float(r.mapping.map(|m| m.there.scale_mil_per_px.sigma)),
     ),
     column(
         "JUMP_PX",

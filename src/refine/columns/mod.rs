@@ -20,7 +20,7 @@ pub enum Cell {
 /// One column.
 pub struct ColumnRow<T> {
     pub name: &'static str,
-    /// As FITS writes it; empty for values without.
+    /// As FITS writes it where it knows it; empty for values without.
     pub unit: &'static str,
     pub meaning: &'static str,
     pub value: fn(&T) -> Cell,
@@ -45,6 +45,7 @@ pub fn table<T>(name: &str, columns: &[ColumnRow<T>], rows: &[T]) -> Table {
     let column = |column: &ColumnRow<T>| Column {
         name: column.name.into(),
         unit: column.unit.into(),
+        meaning: column.meaning.into(),
         values: values(rows, column.value),
     };
     Table {
