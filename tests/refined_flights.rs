@@ -262,25 +262,16 @@ const SLEWS: &str = "
 
 #[test]
 fn a_slew_that_begins_at_once_loses_no_frame_and_spoils_no_path() {
-    for seed in 30..36 {
+    for seed in [11, 31] {
         let flight = Flight::told(SLEWS, 120, seed);
         let (archive, out) = (temporary(), temporary());
         flight.write(archive.path());
         refine(archive.path(), out.path(), &[]);
         assert_history("slews", &flight, out.path());
+        let told = summary(out.path());
+        assert_eq!(told["fine"], 120);
+        assert!(told["odd"].as_object().unwrap().is_empty(), "{told}");
     }
-    let flight = Flight::told(SLEWS, 120, 11);
-    let (archive, out) = (temporary(), temporary());
-    flight.write(archive.path());
-    refine(archive.path(), out.path(), &[]);
-    assert_history("slews", &flight, out.path());
-    let told = summary(out.path());
-    assert_eq!(told["fine"], 120);
-    assert!(
-        told["odd"]
-            .get("off the path of the frames before and after")
-            .is_none()
-    );
 }
 
 #[test]

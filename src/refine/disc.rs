@@ -11,13 +11,15 @@ use nalgebra::{Matrix2, Vector1, Vector2, Vector3};
 pub struct PlateDisc {
     pub centre: Estimate<PlateMil>,
     pub radius_mil: Measured,
-    /// Scatter of the points over their sigmas, at least 1.
+    /// Scatter of the points over their sigmas. The covariance holds it where it is more than 1.
     pub scatter: f64,
     pub points: usize,
 }
 
 /// Fewer points make no circle.
 const LEAST_POINTS: usize = 6;
+/// The rms of normal residuals with the weights of Tukey's loss: it hides their tails.
+const TUKEY_RMS: f64 = 0.91;
 
 /// A point of the limb on the plate, with its sigma across the limb, mil.
 type LimbPoint = (Vector2<f64>, f64);
@@ -59,16 +61,22 @@ pub fn on_plate(
     let fitted = circle
         .fit_after_plain(|circle| Some(linearised(&points, circle)))
         .ok()?;
+    let rows = linearised(&points, &fitted.parameters);
+    let weighted = rows.iter().zip(&fitted.weights);
+    let squares: f64 = weighted
+        .map(|(row, weight)| weight * row.residual.x.powi(2))
+        .sum();
+    let freedom = fitted.weights.iter().sum::<f64>() - fitted.parameters.len() as f64;
     let counted = fitted.weights.iter().filter(|weight| **weight > 0.0);
     let counted = counted.count();
     let covariance: Matrix2<f64> = fitted.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-    (counted >= LEAST_POINTS).then(|| PlateDisc {
+    (counted >= LEAST_POINTS && freedom > 0.0).then(|| PlateDisc {
         centre: Estimate {
             position: fitted.parameters.xy().into(),
             covariance,
         },
         radius_mil: fitted.measured(2),
-        scatter: fitted.scatter,
+        scatter: (squares / freedom).sqrt() / TUKEY_RMS,
         points: counted,
     })
 }

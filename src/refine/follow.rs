@@ -9,9 +9,6 @@ use super::work::{TELLING_LIMB, Work};
 use crate::units::PlateMil;
 use nalgebra::Vector2;
 
-/// This part of the limb's variance is alike in neighbours while the Sun rests: the same pixels and scratches. Seen were 6 % (48 rests of
-/// 50 frames, simulated with hot pixels, scratches and leaks).
-const SHARED_LIMB: f64 = 0.1;
 /// Off the path, chi^2 of two.
 const ODD_PATH_CHI2: f64 = 100.0;
 
@@ -122,11 +119,9 @@ impl Row {
         self.is_fine() && self.limb_part.is_some_and(|part| part >= TELLING_LIMB)
     }
 
-    /// Variance of the place by what is the frame's own: the limb's, less what neighbours share of it. At a jump of the mapping that is the
-    /// frame's own, too.
+    /// Variance of the place by what the limb's points show, which is the frame's own. At a jump of the mapping all of it is.
     fn own_variance_mil2(&self) -> Option<[f64; 2]> {
         let disc = self.disc.filter(|_| self.jump_px.is_none())?;
-        let limb = disc.centre.variance();
-        Some(limb.map(|variance| (1.0 - SHARED_LIMB) * variance))
+        Some(disc.centre.variance())
     }
 }

@@ -39,7 +39,7 @@ impl Work<'_> {
         let discs = self.rows.iter().filter_map(|row| row.disc.as_ref());
         let scatter = median(discs.map(|disc| disc.scatter));
         let usual = Usual {
-            scatter: scatter.unwrap_or(1.0),
+            scatter: scatter.map_or(1.0, |scatter| scatter.max(1.0)),
             light: self.about(|levels| levels[2] - levels[0]),
             noise: self.about(|levels| levels[1]),
         };
