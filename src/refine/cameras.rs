@@ -77,10 +77,19 @@ fn named(path: &Path) -> Option<Named> {
         _ => None,
     };
     let name = CameraName {
-        instrument: info.instrument,
+        instrument: info
+            .instrument
+            .or(is_of_roll_camera(path).then(|| ROLL_CAMERA.into())),
         camera: info.camera,
     };
     Some(Named(name, sha256))
+}
+
+/// The roll camera has no instrument that its headers could name; its files are named after it.
+fn is_of_roll_camera(path: &Path) -> bool {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let rest = stem.strip_prefix(ROLL_CAMERA);
+    rest.is_some_and(|rest| rest.starts_with('_'))
 }
 
 /// Each with a label of its own: the instrument's name; the camera's, where that does not tell them apart; both; and a number at last.

@@ -78,6 +78,8 @@ impl ClockSummary {
     /// What people should know of it: name and value.
     pub fn lines(&self) -> impl Iterator<Item = [String; 2]> {
         let drift = self.drift_ppm.map(|[drift, sigma]| {
+            // No "-0.000".
+            let drift = (drift * 1e3).round() / 1e3 + 0.0;
             let value = format!("{drift:.3} \u{b1} {sigma:.3} parts in a million");
             ["UTC gains on the monotonic clock".into(), value]
         });
