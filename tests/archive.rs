@@ -395,7 +395,7 @@ fn a_frame_is_shown_with_its_keywords_and_the_marks_that_were_read() {
     let said = stdout(&output);
     for wanted in [
         "\nSolution\n  QUALITY   'fine'",
-        "[mil] disc's centre on the plate",
+        "disc's centre on the plate (mil)",
         "\nTime\n",
     ] {
         assert!(said.contains(wanted), "{wanted}: {said}");
