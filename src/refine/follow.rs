@@ -94,8 +94,8 @@ impl Work<'_> {
                 variance = found;
                 next = of_rows.next();
             }
-            for axis in 0..2 {
-                point.variance_mil2[axis] += variance[axis].max(0.0);
+            for (of_point, shared) in point.variance_mil2.iter_mut().zip(variance) {
+                *of_point += shared.max(0.0);
             }
         }
     }

@@ -64,7 +64,7 @@ const LONGEST_GAP_S: f64 = 10.0;
 pub fn path(moments: &[Moment]) -> Option<Path> {
     moments.iter().find(|moment| moment.measured.is_some())?;
     let (x, y) = rayon::join(|| process_noise(moments, 0), || process_noise(moments, 1));
-    let likeliest = [x?, y?];
+    let likeliest = [x, y];
     let cautious = likeliest.clone().map(|mut noise| {
         noise.iter_mut().for_each(|noise| *noise *= CAUTION);
         noise
@@ -91,13 +91,15 @@ fn points(moments: &[Moment], [x_noise, y_noise]: &[Vec<f64>; 2]) -> Option<Vec<
 }
 
 /// The likeliest process noise of the step to each moment along an axis.
-fn process_noise(moments: &[Moment], axis: usize) -> Option<Vec<f64>> {
+fn process_noise(moments: &[Moment], axis: usize) -> Vec<f64> {
     let measured = moments.iter().filter(|moment| moment.measured.is_some());
     let measured: Vec<Moment> = measured.copied().collect();
-    let scores: Vec<Vec<f32>> = (0..NOISES)
+    let by_noise: Vec<Vec<f32>> = (0..NOISES)
         .into_par_iter()
         .map(|level| foretold(&measured, axis, noise(level)))
-        .collect::<Option<_>>()?;
+        .collect();
+    let of_moment = |n: usize| std::array::from_fn(|level| by_noise[level][n]);
+    let scores: Vec<Scores> = (0..measured.len()).map(of_moment).collect();
     let levels = likeliest_levels(&scores);
     // A step's noise is the larger of its two frames'.
     let steps = (0..levels.len()).map(|n| levels[n].max(levels[n.saturating_sub(1)]));
@@ -107,47 +109,61 @@ fn process_noise(moments: &[Moment], axis: usize) -> Option<Vec<f64>> {
         let next = measured.partition_point(|m| m.time_s < moment.time_s);
         steps[next.min(steps.len() - 1)]
     };
-    Some(moments.iter().map(step_to).collect())
+    moments.iter().map(step_to).collect()
 }
 
 fn noise(level: usize) -> f64 {
     LEAST_NOISE * NOISE_FACTOR.powi(level as i32)
 }
 
-/// How well a constant process noise foretells each measured moment from all others: logarithm of the likelihood but for a constant.
-fn foretold(measured: &[Moment], axis: usize, noise: f64) -> Option<Vec<f32>> {
-    let states = smoothed(measured, axis, &vec![noise; measured.len()])?;
+/// How well each of the process noises foretells a moment.
+type Scores = [f32; NOISES];
+
+/// How well a constant process noise foretells each measured moment from all others: logarithm of the likelihood but for a constant. One
+/// with which the filter fails foretells nothing.
+fn foretold(measured: &[Moment], axis: usize, noise: f64) -> Vec<f32> {
+    let Some(states) = smoothed(measured, axis, &vec![noise; measured.len()]) else {
+        return vec![f32::NEG_INFINITY; measured.len()];
+    };
     let score = |(state, moment): (&Gaussian<3>, &Moment)| {
         let (place, variance) = moment.measured?[axis];
         // The smoothed place holds this measurement: without it, the residual and its variance grow by the same factor.
         let left = (variance - state.covariance.m11).max(1e-9 * variance);
         let factor = variance / left;
         let chi2 = (place - state.mean.x).powi(2) * factor / variance;
-        Some((-(chi2 + (factor * variance).ln()) / 2.0) as f32)
+        let score = -(chi2 + (factor * variance).ln()) / 2.0;
+        score.is_finite().then_some(score as f32)
     };
-    states.iter().zip(measured).map(score).collect()
+    let scores = states.iter().zip(measured).map(score);
+    scores
+        .map(|score| score.unwrap_or(f32::NEG_INFINITY))
+        .collect()
 }
 
 /// The level of each moment, whose scores together are greatest, less what changes cost.
-fn likeliest_levels(scores: &[Vec<f32>]) -> Vec<usize> {
-    let moments = scores[0].len();
-    let mut best: [f64; NOISES] = std::array::from_fn(|level| f64::from(scores[level][0]));
-    let mut came_from: Vec<[u8; NOISES]> = Vec::with_capacity(moments);
-    for moment in 1..moments {
+fn likeliest_levels(scores: &[Scores]) -> Vec<usize> {
+    let Some((first, later)) = scores.split_first() else {
+        return Vec::new();
+    };
+    let mut best = first.map(f64::from);
+    let mut came_from: Vec<[u8; NOISES]> = Vec::with_capacity(later.len());
+    for scores in later {
         let before = best;
         let from = std::array::from_fn(|level| {
             let through = |from: usize| before[from] - CHANGE_COST * level.abs_diff(from) as f64;
             let best_from = (0..NOISES).max_by(|a, b| through(*a).total_cmp(&through(*b)));
             let best_from = best_from.unwrap_or(level);
-            best[level] = through(best_from) + f64::from(scores[level][moment]);
+            best[level] = through(best_from) + f64::from(scores[level]);
             best_from as u8
         });
         came_from.push(from);
     }
     let last = (0..NOISES).max_by(|a, b| best[*a].total_cmp(&best[*b]));
-    let mut levels = vec![last.unwrap_or(0)];
+    let mut level = last.unwrap_or(0);
+    let mut levels = vec![level];
     for from in came_from.iter().rev() {
-        levels.push(usize::from(from[levels[levels.len() - 1]]));
+        level = usize::from(from[level]);
+        levels.push(level);
     }
     levels.reverse();
     levels
