@@ -248,6 +248,95 @@ mod round_trips {
         assert!(!path.exists());
     }
 
+    /// The data of the second HDU: descriptors and tiles of a compressed image.
+    fn tiles(path: &Path) -> Vec<u8> {
+        let bytes = fs::read(path).unwrap();
+        let headers: Vec<usize> = (0..bytes.len() / 80)
+            .filter(|n| bytes[80 * n..].starts_with(b"END     "))
+            .collect();
+        let start = (80 * (headers[1] + 1)).next_multiple_of(2880);
+        let header =
+            String::from_utf8_lossy(&bytes[80 * (headers[0] + 1)..80 * headers[1]]).into_owned();
+        let number = |keyword: &str| -> usize {
+            let at = header.find(&format!("{keyword:<8}=")).unwrap();
+            header[at + 10..at + 30].trim().parse().unwrap()
+        };
+        let length = number("NAXIS1") * number("NAXIS2") + number("PCOUNT");
+        bytes[start..start + length].to_vec()
+    }
+
+    /// The same pixels as cfitsio compresses them.
+    fn written_by_cfitsio(folder: &TempDir, frame: &Frame) -> PathBuf {
+        use fitsio_sys as sys;
+        let path = folder.path().join("cfitsio.fits");
+        let _ = fs::remove_file(&path);
+        let name = std::ffi::CString::new(path.to_str().unwrap()).unwrap();
+        let mut axes = [frame.width() as std::ffi::c_long, frame.height() as _];
+        let count = frame.pixels().len() as i64;
+        let (mut file, mut status) = (std::ptr::null_mut(), 0);
+        // SAFETY: the file is open until it is closed, and each pointer lives through its call with the length it is given.
+        unsafe {
+            sys::ffdkinit(&mut file, name.as_ptr(), &mut status);
+            sys::ffcrim(file, 8, 0, std::ptr::null_mut(), &mut status);
+            sys::fits_set_compression_type(file, sys::RICE_1 as _, &mut status);
+            match frame.pixels() {
+                Pixels::U8(pixels) => {
+                    sys::ffcrim(file, sys::BYTE_IMG as _, 2, axes.as_mut_ptr(), &mut status);
+                    sys::ffpprb(file, 1, 1, count, pixels.as_ptr().cast_mut(), &mut status);
+                }
+                Pixels::U16(pixels) => {
+                    sys::ffcrim(
+                        file,
+                        sys::USHORT_IMG as _,
+                        2,
+                        axes.as_mut_ptr(),
+                        &mut status,
+                    );
+                    sys::ffpprui(file, 1, 1, count, pixels.as_ptr().cast_mut(), &mut status);
+                }
+            }
+            sys::ffclos(file, &mut status);
+        }
+        assert_eq!(status, 0);
+        path
+    }
+
+    /// Pixels of all roughnesses: rows that are still, noisy, with spikes and wild.
+    fn rough(width: usize, height: usize, top: u16) -> Vec<u16> {
+        let wild = noise(3, width * height, top);
+        let pixel = |n: usize| {
+            let (row, dn) = (n / width, wild[n]);
+            match row % 6 {
+                0 => top / 3,
+                1 => top / 3 + dn % 4,
+                2 => top / 3 + dn % (top / 6),
+                3 if dn % 37 == 0 => dn,
+                3 => top / 5,
+                4 => ((n % width) as u16).wrapping_mul(dn % 3) % (top + 1),
+                _ => dn,
+            }
+        };
+        (0..width * height).map(pixel).collect()
+    }
+
+    #[test]
+    fn rice_tiles_are_those_of_cfitsio_byte_for_byte() {
+        let folder = folder();
+        for (width, height) in [(1296, 60), (33, 48), (1, 30), (31, 12)] {
+            let bytes = rough(width, height, 255).into_iter().map(|dn| dn as u8);
+            for (pixels, top) in [
+                (Pixels::U8(bytes.collect()), 255),
+                (Pixels::U16(rough(width, height, 4095)), 4095),
+                (Pixels::U16(rough(width, height, 65_535)), 65_535),
+            ] {
+                let frame = Frame::new(width, height, pixels, top, full_info()).unwrap();
+                let ours = tiles(&written(&folder, &frame, Compression::Rice));
+                let theirs = tiles(&written_by_cfitsio(&folder, &frame));
+                assert!(ours == theirs, "{width} x {height}, up to {top}");
+            }
+        }
+    }
+
     #[test]
     fn many_threads_at_once_do_not_disturb_each_other() {
         let folder = folder();

@@ -61,7 +61,7 @@ pub(super) fn check_data(bytes: &[u8], hdu: &Hdu) -> Result<(), Problem> {
 
 /// The sum of big-endian words, each carry added back at the other end. A last word cut short counts as filled
 /// with zeros.
-fn sum(bytes: &[u8]) -> u32 {
+pub(super) fn sum(bytes: &[u8]) -> u32 {
     let (words, rest) = bytes.as_chunks::<4>();
     let mut last = [0; 4];
     last[..rest.len()].copy_from_slice(rest);
@@ -72,6 +72,36 @@ fn sum(bytes: &[u8]) -> u32 {
         total = (total & 0xFFFF_FFFF) + (total >> 32);
     }
     total as u32
+}
+
+/// The sum of two sums.
+pub(super) fn added(a: u32, b: u32) -> u32 {
+    let (sum, carry) = a.overflowing_add(b);
+    sum + u32::from(carry)
+}
+
+/// A sum as 16 letters and digits, which add up to it where they stand in a CHECKSUM card (appendix J.2).
+pub(super) fn encoded(sum: u32) -> String {
+    let mut characters = [0; 16];
+    for (n, byte) in sum.to_be_bytes().into_iter().enumerate() {
+        // Four characters that add up to the byte and four zeros.
+        let mut parts = [byte / 4 + b'0'; 4];
+        parts[0] += byte % 4;
+        let is_sign = |c: u8| !c.is_ascii_alphanumeric();
+        while parts.iter().any(|part| is_sign(*part)) {
+            for pair in parts.chunks_exact_mut(2) {
+                if pair.iter().any(|part| is_sign(*part)) {
+                    pair[0] += 1;
+                    pair[1] -= 1;
+                }
+            }
+        }
+        for (k, part) in parts.into_iter().enumerate() {
+            // The text begins at byte 11 of its card: a word's last byte comes first.
+            characters[(4 * k + n + 1) % 16] = part;
+        }
+    }
+    characters.map(char::from).iter().collect()
 }
 
 const _: () = assert!(BLOCK.is_multiple_of(4));

@@ -1,5 +1,9 @@
-//! Rice decompression as FITS 4.0 (section 10.4.1) describes it: differences of neighbouring pixels, in blocks, each
+//! Rice compression as FITS 4.0 (section 10.4.1) describes it: differences of neighbouring pixels, in blocks, each
 //! with its own number of low bits.
+//!
+//! A stream begins with its first pixel in full. A difference is folded: what is not negative is doubled, what is negative follows the
+//! even numbers between. Of a folded difference all but the low bits are told by as many zeros and a one. How many bits are low depends on the
+//! block's mean; a block that would not shrink has its differences in full, one without any difference is a parameter alone.
 
 /// How the numbers of a Rice stream are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,6 +79,154 @@ impl Rice {
         }
         Some(())
     }
+}
+
+/// Pixels of a block that is written.
+pub(super) const BLOCK: usize = 32;
+
+/// A pixel as Rice takes it.
+pub(super) trait Folded: Copy {
+    const WIDTH: Width;
+
+    /// The number that a stream begins with.
+    fn first(self) -> u32;
+
+    /// The folded difference from the pixel before.
+    fn folded(self, before: Self) -> u32;
+}
+
+impl Folded for u8 {
+    const WIDTH: Width = Width::One;
+
+    fn first(self) -> u32 {
+        self.into()
+    }
+
+    fn folded(self, before: Self) -> u32 {
+        let difference = self.wrapping_sub(before) as i8;
+        ((difference << 1) ^ (difference >> 7)) as u8 as u32
+    }
+}
+
+impl Folded for u16 {
+    const WIDTH: Width = Width::Two;
+
+    /// FITS's 16 bits have a sign: what is stored is 32768 less.
+    fn first(self) -> u32 {
+        (self ^ 0x8000).into()
+    }
+
+    fn folded(self, before: Self) -> u32 {
+        let difference = self.wrapping_sub(before) as i16;
+        ((difference << 1) ^ (difference >> 15)) as u16 as u32
+    }
+}
+
+/// Adds a row of pixels to `out` as a stream, bit for bit as cfitsio writes it.
+pub(super) fn encode<T: Folded>(row: &[T], out: &mut Vec<u8>) {
+    let Some(first) = row.first() else {
+        return;
+    };
+    let full = 8 * T::WIDTH.bytes() as u32;
+    let mut bits = Writer {
+        out,
+        window: 0,
+        count: 0,
+    };
+    bits.put(first.first().into(), full);
+    let mut before = *first;
+    for block in row.chunks(BLOCK) {
+        let mut folded = [0; BLOCK];
+        let folded = &mut folded[..block.len()];
+        for (folded, (pixel, before)) in folded[1..].iter_mut().zip(block[1..].iter().zip(block)) {
+            *folded = pixel.folded(*before);
+        }
+        folded[0] = block[0].folded(before);
+        before = block[block.len() - 1];
+        bits.put_block(folded, T::WIDTH);
+    }
+    bits.finish();
+}
+
+/// Bits that become bytes, the highest of each byte first.
+struct Writer<'a> {
+    out: &'a mut Vec<u8>,
+    /// The last `count` bits, below 32, are not yet bytes.
+    window: u64,
+    count: u32,
+}
+
+impl Writer<'_> {
+    /// Adds the low `bits`, at most 32, of a number that has no others.
+    fn put(&mut self, number: u64, bits: u32) {
+        self.window = self.window << bits | number;
+        self.count += bits;
+        if self.count >= 32 {
+            self.count -= 32;
+            let whole = (self.window >> self.count) as u32;
+            self.out.extend_from_slice(&whole.to_be_bytes());
+        }
+    }
+
+    fn put_block(&mut self, folded: &[u32], width: Width) {
+        let (parameter_bits, uncompressed) = width.parameter();
+        let sum: u32 = folded.iter().sum();
+        if sum == 0 {
+            return self.put(0, parameter_bits);
+        }
+        let low = low_bits(sum, folded.len() as u32);
+        if low >= uncompressed {
+            self.put(u64::from(uncompressed) + 1, parameter_bits);
+            let full = 8 * width.bytes() as u32;
+            return folded
+                .iter()
+                .for_each(|folded| self.put((*folded).into(), full));
+        }
+        self.put(u64::from(low) + 1, parameter_bits);
+        let most = folded.iter().fold(0, |most, folded| most.max(*folded));
+        // Two codes at a time where none is longer than 16 bits.
+        if (most >> low) + 1 + low <= 16 && folded.len() == BLOCK {
+            return self.put_pairs(folded, low);
+        }
+        for folded in folded {
+            self.put_zeros(folded >> low);
+            self.put(code(*folded, low), 1 + low);
+        }
+    }
+
+    fn put_pairs(&mut self, folded: &[u32], low: u32) {
+        for pair in folded.as_chunks::<2>().0 {
+            let [a, b] = pair.map(|folded| ((folded >> low) + 1 + low, code(folded, low)));
+            self.put(a.1 << b.0 | b.1, a.0 + b.0);
+        }
+    }
+
+    fn put_zeros(&mut self, mut zeros: u32) {
+        while zeros > 0 {
+            let some = zeros.min(32);
+            self.put(0, some);
+            zeros -= some;
+        }
+    }
+
+    /// Fills the last byte with zeros.
+    fn finish(self) {
+        let rest = (self.window << (32 - self.count)) as u32;
+        let bytes = self.count.div_ceil(8) as usize;
+        self.out.extend_from_slice(&rest.to_be_bytes()[..bytes]);
+    }
+}
+
+/// A one and the low bits: what follows a folded difference's zeros.
+fn code(folded: u32, low: u32) -> u64 {
+    let one = 1 << low;
+    u64::from(one | folded & (one - 1))
+}
+
+/// How many bits of a block are low, by the sum of its folded differences.
+fn low_bits(sum: u32, pixels: u32) -> u32 {
+    let mean = sum.saturating_sub(pixels / 2 + 1) / pixels;
+    u32::BITS - (mean >> 1).leading_zeros()
 }
 
 /// Bits of a stream, the highest of each byte first.
@@ -208,6 +360,86 @@ mod tests {
     fn each_block_has_its_own_parameter() {
         let stream = stream(&[7], "000 001 001 1");
         assert_eq!(decoded(Width::One, &stream), Some([7, 7, 7, 7, 8, 8]));
+    }
+
+    /// The same by single bits, as the standard tells it.
+    fn plainly_encoded<T: Folded>(row: &[T]) -> Vec<u8> {
+        let mut bits: Vec<u8> = Vec::new();
+        let mut put = |number: u32, count: u32| {
+            bits.extend((0..count).rev().map(|n| (number >> n & 1) as u8));
+        };
+        let (parameter_bits, uncompressed) = T::WIDTH.parameter();
+        let full = 8 * T::WIDTH.bytes() as u32;
+        put(row[0].first(), full);
+        let before = |n: usize| row[n.saturating_sub(1)];
+        let folded: Vec<u32> = (0..row.len()).map(|n| row[n].folded(before(n))).collect();
+        for block in folded.chunks(BLOCK) {
+            let (sum, pixels) = (f64::from(block.iter().sum::<u32>()), block.len() as f64);
+            let mean = ((sum - (pixels / 2.0).floor() - 1.0) / pixels).max(0.0) as u32;
+            let mut low = 0;
+            while mean >> 1 >> low > 0 {
+                low += 1;
+            }
+            if low >= uncompressed {
+                put(uncompressed + 1, parameter_bits);
+                block.iter().for_each(|folded| put(*folded, full));
+            } else if sum == 0.0 {
+                put(0, parameter_bits);
+            } else {
+                put(low + 1, parameter_bits);
+                for folded in block {
+                    (0..folded >> low).for_each(|_| put(0, 1));
+                    put(1, 1);
+                    put(folded & ((1 << low) - 1), low);
+                }
+            }
+        }
+        let byte = |bits: &[u8]| (0..8).fold(0, |n, k| n << 1 | bits.get(k).unwrap_or(&0));
+        bits.chunks(8).map(byte).collect()
+    }
+
+    /// Rows of every roughness: still, noisy, with spikes, wild; and of lengths that end a block anywhere.
+    fn rows(most: u32) -> impl Iterator<Item = Vec<u32>> {
+        let mut state = 7_u64;
+        let mut random = move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 33) as u32
+        };
+        (0..400).map(move |n| {
+            let (noise, length) = (1 << (n % 17), 1 + n % 131);
+            let pixel = |k: u32, random: u32| match n % 5 {
+                0 if random % 40 == 0 => random % (most + 1),
+                _ => (most / 3 + random % noise + k / 20) % (most + 1),
+            };
+            (0..length).map(|k| pixel(k, random())).collect()
+        })
+    }
+
+    #[test]
+    fn a_row_is_encoded_as_by_single_bits_and_decoded_to_what_it_was() {
+        fn check<T: Folded + PartialEq + std::fmt::Debug>(row: &[T], number: impl Fn(T) -> i32) {
+            let mut stream = Vec::new();
+            encode(row, &mut stream);
+            assert_eq!(stream, plainly_encoded(row), "{row:?}");
+            let mut numbers = vec![0; row.len()];
+            let rice = Rice {
+                block: BLOCK,
+                width: T::WIDTH,
+            };
+            rice.decode(&stream, &mut numbers).unwrap();
+            let expected: Vec<i32> = row.iter().map(|pixel| number(*pixel)).collect();
+            assert_eq!(numbers, expected);
+        }
+        for row in rows(255) {
+            let row: Vec<u8> = row.into_iter().map(|dn| dn as u8).collect();
+            check(&row, i32::from);
+        }
+        for row in rows(65_535) {
+            let row: Vec<u16> = row.into_iter().map(|dn| dn as u16).collect();
+            check(&row, |dn| i32::from(dn) - 32_768);
+        }
     }
 
     #[test]

@@ -3,10 +3,11 @@
 //! The primary HDU is without data; the pixels stand in an image extension, with every keyword beside them, and
 //! tables follow. Uncompressed pixels too, so that a reader finds the same layout in every file.
 
-use super::header::{CARD, Card, Value};
+use super::header::{Card, Value};
 use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
-use super::raw::{Compression, MemoryFile};
+use super::layout::Layout;
+use super::pack::{self, Compression};
 use super::{FileError, Problem, unit};
 use crate::frame::Frame;
 use crate::provenance::{COMMIT, PROGRAM};
@@ -75,9 +76,44 @@ impl Values {
         match self {
             Self::Float(_) => "1D".into(),
             Self::Integer(_) => "1K".into(),
+            Self::Text(_) => format!("{}A", self.bytes()),
+        }
+    }
+
+    /// Bytes of a value.
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Float(_) | Self::Integer(_) => 8,
             Self::Text(texts) => {
                 let longest = texts.iter().map(|text| text.chars().count()).max();
-                format!("{}A", longest.unwrap_or(1).max(1))
+                longest.unwrap_or(1).max(1)
+            }
+        }
+    }
+
+    /// Writes each value into its cell, which is blank.
+    fn write<'a>(&self, cells: impl Iterator<Item = &'a mut [u8]>) {
+        match self {
+            Self::Float(values) => {
+                let pairs = cells.zip(values);
+                pairs.for_each(|(cell, value)| cell.copy_from_slice(&value.to_be_bytes()));
+            }
+            Self::Integer(values) => {
+                let pairs = cells.zip(values);
+                pairs.for_each(|(cell, value)| cell.copy_from_slice(&value.to_be_bytes()));
+            }
+            Self::Text(texts) => {
+                for (cell, text) in cells.zip(texts) {
+                    let shown = |c| {
+                        if (' '..='~').contains(&c) {
+                            c as u8
+                        } else {
+                            b'?'
+                        }
+                    };
+                    let pairs = cell.iter_mut().zip(text.chars());
+                    pairs.for_each(|(byte, c)| *byte = shown(c));
+                }
             }
         }
     }
@@ -123,25 +159,25 @@ pub fn encode_frame(
     refuse_duplicates(&all, cards)?;
     all.extend_from_slice(cards);
 
-    let pixels = frame.pixels();
+    let (pixels, width) = (frame.pixels(), frame.width());
     let pixel_bytes = pixels.len() * pixels.bits() as usize / 8;
-    let file = MemoryFile::create(pixel_bytes + OTHER_BYTES)?;
-    file.create_primary()?;
-    put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
-    put_cards(&file, &provenance)?;
-    file.put_checksums()?;
-    file.create_image([frame.width(), frame.height()], pixels, compression)?;
-    file.reserve_keywords(all.len() + OTHER_CARDS)?;
-    put_cards(&file, &name_cards(FRAME_EXTENSION, Holds::Observation))?;
-    put_cards(&file, &all)?;
-    file.put_pixels(pixels)?;
-    file.put_checksums()?;
+    let mut file = Layout::new(pixel_bytes + OTHER_BYTES);
+    begin_primary(&mut file)?;
+    put_cards(&mut file, &provenance)?;
+    file.end_header();
+    file.end();
+    pack::begin(&mut file, pixels, width, compression);
+    put_cards(&mut file, &name_cards(FRAME_EXTENSION, Holds::Observation))?;
+    put_cards(&mut file, &all)?;
+    file.end_header();
+    let packed = pack::put(&mut file, pixels, width, compression);
+    let action = "compress the pixels";
+    packed.map_err(|cause| Problem::Io { action, cause })?;
+    file.end();
     for table in tables {
-        put_table(&file, table)?;
-        put_cards(&file, &[obs_hdu(Holds::Other)])?;
-        file.put_checksums()?;
+        put_table(&mut file, table, &[obs_hdu(Holds::Other)])?;
     }
-    file.into_bytes()
+    Ok(file.into_bytes())
 }
 
 /// The bytes of a file of binary tables alone, behind a primary HDU without data but with these cards. Nothing in it tells when it was made:
@@ -155,18 +191,26 @@ pub fn encode_tables(
     cards: &[Card],
     tables: impl IntoIterator<Item = Table>,
 ) -> Result<Vec<u8>, Problem> {
-    let file = MemoryFile::create(OTHER_BYTES + expected_bytes)?;
-    file.create_primary()?;
-    put_cards(&file, &name_cards(PRIMARY_NAME, Holds::Other))?;
-    put_cards(&file, &program())?;
-    put_cards(&file, cards)?;
-    file.put_datasum()?;
+    let mut file = Layout::new(OTHER_BYTES + expected_bytes);
+    begin_primary(&mut file)?;
+    put_cards(&mut file, &program())?;
+    put_cards(&mut file, cards)?;
+    file.end_header();
+    file.end();
     for table in tables {
-        put_table(&file, &table)?;
-        drop(table);
-        file.put_datasum()?;
+        put_table(&mut file, &table, &[])?;
     }
-    file.into_bytes()
+    Ok(file.into_bytes())
+}
+
+/// Begins the primary HDU, which is without data.
+fn begin_primary(file: &mut Layout) -> Result<(), Problem> {
+    file.begin();
+    file.value("SIMPLE", "T", "a FITS file");
+    file.value("BITPIX", "8", "bits of a value");
+    file.value("NAXIS", "0", "no data here");
+    file.value("EXTEND", "T", "extensions follow");
+    put_cards(file, &name_cards(PRIMARY_NAME, Holds::Other))
 }
 
 /// Room for headers and tables.
@@ -186,9 +230,6 @@ fn obs_hdu(holds: Holds) -> Card {
 fn name_cards(name: &str, holds: Holds) -> [Card; 2] {
     [Card::new("EXTNAME", name), obs_hdu(holds)]
 }
-
-/// The extension's name, its checksums, and what cfitsio adds of its own.
-const OTHER_CARDS: usize = 16;
 
 /// The program that writes the file.
 fn program() -> Vec<Card> {
@@ -220,17 +261,18 @@ fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
     }
 }
 
-fn put_cards(file: &MemoryFile, cards: &[Card]) -> Result<(), Problem> {
+fn put_cards(file: &mut Layout, cards: &[Card]) -> Result<(), Problem> {
     cards.iter().try_for_each(|card| put_card(file, card))
 }
 
-fn put_card(file: &MemoryFile, card: &Card) -> Result<(), Problem> {
+fn put_card(file: &mut Layout, card: &Card) -> Result<(), Problem> {
     let row = keyword::find(card.keyword)
         .ok_or_else(|| Problem::field(card.keyword, "a keyword of the table", "another"))?;
     let comment = row.comment();
     let number = match (&card.value, row.kind) {
         (Value::Text(text), Kind::Text | Kind::Time) => {
-            return file.put_text(card.keyword, text, &comment);
+            file.text(card.keyword, text, &comment);
+            return Ok(());
         }
         (Value::Integer(number), Kind::Integer | Kind::Float) => number.to_string(),
         (Value::Float(number), Kind::Float) if number.is_finite() => float(*number),
@@ -239,9 +281,8 @@ fn put_card(file: &MemoryFile, card: &Card) -> Result<(), Problem> {
             return Err(Problem::field(card.keyword, format!("{kind:?}"), value));
         }
     };
-    let mut text = format!("{:<8}= {number:>20} / {comment}", card.keyword);
-    text.truncate(CARD);
-    file.put_card(&text)
+    file.value(card.keyword, &number, &comment);
+    Ok(())
 }
 
 /// The shortest number that reads back as the same one, with a decimal point, as every FITS reader knows it.
@@ -253,42 +294,65 @@ fn float(number: f64) -> String {
     }
 }
 
-/// Name, TFORM and TUNIT of a column; a unit that FITS does not know stands in its comment alone.
-fn specification(column: &Column) -> [String; 3] {
-    let unit = match unit::is_known(&column.unit) {
-        true => column.unit.clone(),
-        false => String::new(),
-    };
-    [column.name.clone(), column.values.form(), unit]
-}
-
-fn put_table(file: &MemoryFile, table: &Table) -> Result<(), Problem> {
-    let rows = table
-        .columns
-        .first()
-        .map_or(0, |column| column.values.len());
-    let specifications: Vec<[String; 3]> = table.columns.iter().map(specification).collect();
-    file.create_table(&table.name, &specifications)?;
-    for (n, column) in table.columns.iter().enumerate() {
-        let comment = unit::column_comment(&column.meaning, &column.unit);
-        file.put_text(&format!("TCOMM{}", n + 1), &comment, "")?;
-    }
-    for (n, column) in table.columns.iter().enumerate() {
+/// Adds a binary table; `cards` stand in its header, too.
+fn put_table(file: &mut Layout, table: &Table, cards: &[Card]) -> Result<(), Problem> {
+    let columns = &table.columns;
+    let rows = columns.first().map_or(0, |column| column.values.len());
+    for column in columns {
         if column.values.len() != rows {
             let field = format!("column {} of {}", column.name, table.name);
             let expected = format!("{rows} values, as in the first");
             return Err(Problem::field(field, expected, column.values.len()));
         }
-        if rows == 0 {
-            continue;
-        }
-        match &column.values {
-            Values::Float(values) => file.put_floats(n + 1, values)?,
-            Values::Integer(values) => file.put_integers(n + 1, values)?,
-            Values::Text(values) => file.put_texts(n + 1, values)?,
-        }
     }
+    let widths: Vec<usize> = columns.iter().map(|column| column.values.bytes()).collect();
+    let row_bytes: usize = widths.iter().sum();
+    file.begin();
+    file.text("XTENSION", "BINTABLE", "a table");
+    for (keyword, value, comment) in [
+        ("BITPIX", 8, "bits of a value"),
+        ("NAXIS", 2, "axes"),
+        ("NAXIS1", row_bytes, "bytes of a row"),
+        ("NAXIS2", rows, "rows"),
+        ("PCOUNT", 0, "no more data"),
+        ("GCOUNT", 1, "one group"),
+        ("TFIELDS", columns.len(), "columns"),
+    ] {
+        file.value(keyword, &value.to_string(), comment);
+    }
+    for (n, column) in columns.iter().enumerate() {
+        put_column_cards(file, n + 1, column);
+    }
+    file.text("EXTNAME", &table.name, "name of this extension");
+    put_cards(file, cards)?;
+    file.end_header();
+    let bytes = file.bytes();
+    let start = bytes.len();
+    bytes.resize(start + rows * row_bytes, b' ');
+    let mut first = start;
+    for (column, width) in columns.iter().zip(widths) {
+        // Without rows there are no bytes.
+        let rows = bytes.get_mut(first..).unwrap_or_default();
+        let cells = rows.chunks_mut(row_bytes.max(1));
+        column.values.write(cells.map(|row| &mut row[..width]));
+        first += width;
+    }
+    file.end();
     Ok(())
+}
+
+/// Name, kind, unit and meaning of a column; a unit that FITS does not know stands in its comment alone.
+fn put_column_cards(file: &mut Layout, n: usize, column: &Column) {
+    let mut text = |keyword: &str, text: &str| file.text(&format!("{keyword}{n}"), text, "");
+    text("TTYPE", &column.name);
+    text("TFORM", &column.values.form());
+    if unit::is_known(&column.unit) {
+        text("TUNIT", &column.unit);
+    }
+    let comment = unit::column_comment(&column.meaning, &column.unit);
+    if !comment.is_empty() {
+        text("TCOMM", &comment);
+    }
 }
 
 #[cfg(test)]

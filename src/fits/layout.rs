@@ -1,0 +1,170 @@
+//! A FITS file laid out in memory, one HDU after the other (FITS 4.0, sections 3 and 4): a header of cards, the data behind it,
+//! and the checksums of both.
+
+use super::checksum;
+use super::header::CARD;
+use super::structure::BLOCK;
+
+/// A file in the making.
+pub(super) struct Layout {
+    bytes: Vec<u8>,
+    /// Where the header and the data of the last HDU begin.
+    header: usize,
+    data: usize,
+}
+
+/// Between its quotes a text has at most so many characters on a card.
+const TEXT: usize = CARD - 12;
+/// The cards of the checksums stand before END, in this order.
+const CHECKSUM_CARDS: usize = 3;
+
+impl Layout {
+    /// An empty file; memory is never moved where it needs no more bytes than expected.
+    pub fn new(expected_bytes: usize) -> Self {
+        Self {
+            bytes: Vec::with_capacity(expected_bytes),
+            header: 0,
+            data: 0,
+        }
+    }
+
+    /// Begins an HDU.
+    pub fn begin(&mut self) {
+        self.header = self.bytes.len();
+    }
+
+    /// Adds a card. What may not stand in a header becomes '?', and what is too long ends with the card.
+    pub fn card(&mut self, text: &str) {
+        let start = self.bytes.len();
+        let shown = |c| match c {
+            ' '..='~' => c as u8,
+            _ => b'?',
+        };
+        self.bytes.extend(text.chars().take(CARD).map(shown));
+        self.bytes.resize(start + CARD, b' ');
+    }
+
+    /// Writes the nth card of this header anew.
+    pub fn set_card(&mut self, n: usize, text: &str) {
+        let start = self.header + n * CARD;
+        let end = self.bytes.len();
+        self.card(text);
+        self.bytes.copy_within(end.., start);
+        self.bytes.truncate(end);
+    }
+
+    /// Adds a card with a number or a truth, written as FITS writes it.
+    pub fn value(&mut self, keyword: &str, value: &str, comment: &str) {
+        self.card(&value_card(keyword, value, comment));
+    }
+
+    /// Adds a text; one that is longer than a card goes on in CONTINUE cards (section 4.2.1.2).
+    pub fn text(&mut self, keyword: &str, text: &str, comment: &str) {
+        let mut rest = text.replace('\'', "''");
+        let mut start = format!("{keyword:<8}= ");
+        while rest.chars().count() > TEXT {
+            let mut cut = TEXT - 1;
+            // A doubled quote is one.
+            let quotes = |rest: &str, cut| rest.chars().take(cut).filter(|c| *c == '\'').count();
+            if quotes(&rest, cut) % 2 == 1 && rest.chars().nth(cut) == Some('\'') {
+                cut -= 1;
+            }
+            let part: String = rest.chars().take(cut).collect();
+            rest = rest.chars().skip(cut).collect();
+            self.card(&format!("{start}'{part}&'"));
+            start = "CONTINUE  ".into();
+        }
+        let quoted = format!("'{rest:<8}'");
+        match comment {
+            "" => self.card(&format!("{start}{quoted}")),
+            comment => self.card(&format!("{start}{quoted:<20} / {comment}")),
+        }
+    }
+
+    /// Ends the header; the data follow.
+    pub fn end_header(&mut self) {
+        self.text("CHECKSUM", "0000000000000000", "checksum of the HDU");
+        self.text("DATASUM", "0", "checksum of the data");
+        self.card("END");
+        self.fill(b' ');
+        self.data = self.bytes.len();
+    }
+
+    /// The bytes so far: data are added at their end.
+    pub fn bytes(&mut self) -> &mut Vec<u8> {
+        &mut self.bytes
+    }
+
+    /// Ends the HDU: what must still be changed of its header is changed before this.
+    pub fn end(&mut self) {
+        self.fill(0);
+        let data = checksum::sum(&self.bytes[self.data..]);
+        let end = self.bytes[self.header..self.data]
+            .chunks_exact(CARD)
+            .rposition(|card| card.starts_with(b"END "))
+            .map_or(CHECKSUM_CARDS, |n| n + 1);
+        let text = |keyword: &str, text: &str, comment: &str| {
+            format!("{keyword:<8}= {:<20} / {comment}", format!("'{text:<8}'"))
+        };
+        let first = end - CHECKSUM_CARDS;
+        self.set_card(
+            first + 1,
+            &text("DATASUM", &data.to_string(), "checksum of the data"),
+        );
+        let header = checksum::sum(&self.bytes[self.header..self.data]);
+        let encoded = checksum::encoded(!checksum::added(header, data));
+        self.set_card(first, &text("CHECKSUM", &encoded, "checksum of the HDU"));
+    }
+
+    /// The whole file.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.bytes
+    }
+
+    /// Fills the last block.
+    fn fill(&mut self, with: u8) {
+        let whole = self.bytes.len().next_multiple_of(BLOCK);
+        self.bytes.resize(whole, with);
+    }
+}
+
+/// A card with a number or a truth.
+pub(super) fn value_card(keyword: &str, value: &str, comment: &str) -> String {
+    format!("{keyword:<8}= {value:>20} / {comment}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fits::Header;
+
+    #[test]
+    fn texts_of_any_length_and_quotes_read_back() {
+        let quotes = "'".repeat(200);
+        let long = "it's a long text ".repeat(12);
+        for text in ["", "short", "&", "it's", &quotes, &long] {
+            let mut layout = Layout::new(0);
+            layout.begin();
+            layout.card("SIMPLE  =                    T");
+            layout.text("NAME", text, "a text");
+            layout.end_header();
+            let (header, _) = Header::parse(&layout.bytes).unwrap();
+            assert_eq!(header.get("NAME"), Some(&text.trim_end().into()), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_sum_of_an_hdu_with_its_checksum_is_none() {
+        for bytes in [0, 1, 4000] {
+            let mut layout = Layout::new(0);
+            layout.begin();
+            layout.card("SIMPLE  =                    T");
+            layout.end_header();
+            layout
+                .bytes()
+                .extend((0..bytes).map(|n| (n * 7919 % 251) as u8));
+            layout.end();
+            assert_eq!(checksum::sum(&layout.bytes), u32::MAX, "{bytes}");
+        }
+    }
+}
