@@ -312,7 +312,7 @@ mod round_trips {
                 2 => top / 3 + dn % (top / 6),
                 3 if dn % 37 == 0 => dn,
                 3 => top / 5,
-                4 => ((n % width) as u16).wrapping_mul(dn % 3) % (top + 1),
+                4 => ((n % width) as u32 * u32::from(dn % 3) % (u32::from(top) + 1)) as u16,
                 _ => dn,
             }
         };

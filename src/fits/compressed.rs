@@ -81,14 +81,22 @@ impl<'a> Tiles<'a> {
             let (x, y) = (n % across * self.tile[0], n / across * self.tile[1]);
             let columns = self.tile[0].min(self.width - x);
             let rows = self.tile[1].min(self.height - y);
+            let start = y * self.width + x;
+            let decode = |numbers: &mut [i32]| {
+                self.algorithm.decode(stream, numbers).ok_or_else(|| {
+                    let expected = format!("a whole stream of {} pixels", numbers.len());
+                    let found = format!("{} damaged bytes", stream.len());
+                    Problem::field(format!("tile {}", n + 1), expected, found)
+                })
+            };
+            if columns == self.width {
+                decode(&mut image[start..start + columns * rows])?;
+                continue;
+            }
             let numbers = &mut numbers[..columns * rows];
-            self.algorithm.decode(stream, numbers).ok_or_else(|| {
-                let expected = format!("a whole stream of {} pixels", numbers.len());
-                let found = format!("{} damaged bytes", stream.len());
-                Problem::field(format!("tile {}", n + 1), expected, found)
-            })?;
+            decode(numbers)?;
             for (row, line) in numbers.chunks_exact(columns).enumerate() {
-                let start = (y + row) * self.width + x;
+                let start = start + row * self.width;
                 image[start..start + columns].copy_from_slice(line);
             }
         }

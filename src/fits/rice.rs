@@ -5,6 +5,8 @@
 //! even numbers between. Of a folded difference all but the low bits are told by as many zeros and a one. How many bits are low depends on the
 //! block's mean; a block that would not shrink has its differences in full, one without any difference is a parameter alone.
 
+use multiversion::multiversion;
+
 /// How the numbers of a Rice stream are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Rice {
@@ -31,15 +33,6 @@ impl Width {
         }
     }
 
-    /// The number in these low bits.
-    fn number(self, bits: u32) -> i32 {
-        match self {
-            Self::One => i32::from(bits as u8),
-            Self::Two => i32::from(bits as i16),
-            Self::Four => bits as i32,
-        }
-    }
-
     /// Bits of a block's parameter, and its value for a block that is not compressed.
     fn parameter(self) -> (u32, u32) {
         match self {
@@ -53,32 +46,47 @@ impl Width {
 impl Rice {
     /// Fills `pixels` from a stream. `None` where the stream ends too soon.
     pub fn decode(self, stream: &[u8], pixels: &mut [i32]) -> Option<()> {
-        let mut bits = Bits::new(stream);
-        let full = 8 * self.width.bytes() as u32;
-        let (parameter_bits, uncompressed) = self.width.parameter();
-        let mut last = bits.take(full)?;
-        let mut next = |folded: u32| {
-            // Even numbers stand for what is not negative, odd ones for what is.
-            last = last.wrapping_add((folded >> 1) ^ (folded & 1).wrapping_neg());
-            self.width.number(last)
-        };
-        for block in pixels.chunks_mut(self.block) {
-            match bits.take(parameter_bits)?.checked_sub(1) {
-                None => block.fill(next(0)),
-                Some(low) if low < uncompressed => {
-                    for pixel in block {
-                        *pixel = next(bits.folded(low)?);
-                    }
-                }
-                Some(_) => {
-                    for pixel in block {
-                        *pixel = next(bits.take(full)?);
-                    }
+        decode(self, stream, pixels)
+    }
+}
+
+/// As [`Rice::decode`]; shifts by what a register holds are one instruction where the processor has them.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
+fn decode(rice: Rice, stream: &[u8], pixels: &mut [i32]) -> Option<()> {
+    let Rice { block, width } = rice;
+    let mut bits = Bits::new(stream);
+    let full = 8 * width.bytes() as u32;
+    let (parameter_bits, uncompressed) = width.parameter();
+    let mut last = bits.take(full)?;
+    for block in pixels.chunks_mut(block) {
+        match bits.take(parameter_bits)?.checked_sub(1) {
+            None => block.fill(0),
+            Some(low) if low < uncompressed => bits.folded(low, block)?,
+            Some(_) => {
+                for pixel in &mut *block {
+                    *pixel = bits.take(full)? as i32;
                 }
             }
         }
-        Some(())
+        match width {
+            Width::One => last = unfold(block, last, |bits| i32::from(bits as u8)),
+            Width::Two => last = unfold(block, last, |bits| i32::from(bits as i16)),
+            Width::Four => last = unfold(block, last, |bits| bits as i32),
+        }
     }
+    Some(())
+}
+
+/// From folded differences to the pixels behind `last`; the last of these. `number` is what the low bits stand for.
+#[inline(always)]
+fn unfold(block: &mut [i32], mut last: u32, number: impl Fn(u32) -> i32) -> u32 {
+    for pixel in block {
+        let folded = *pixel as u32;
+        // Even numbers stand for what is not negative, odd ones for what is.
+        last = last.wrapping_add((folded >> 1) ^ (folded & 1).wrapping_neg());
+        *pixel = number(last);
+    }
+    last
 }
 
 /// Pixels of a block that is written.
@@ -123,6 +131,7 @@ impl Folded for u16 {
 }
 
 /// Adds a row of pixels to `out` as a stream, bit for bit as cfitsio writes it.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
 pub(super) fn encode<T: Folded>(row: &[T], out: &mut Vec<u8>) {
     let Some(first) = row.first() else {
         return;
@@ -158,6 +167,7 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     /// Adds the low `bits`, at most 32, of a number that has no others.
+    #[inline(always)]
     fn put(&mut self, number: u64, bits: u32) {
         self.window = self.window << bits | number;
         self.count += bits;
@@ -168,6 +178,7 @@ impl Writer<'_> {
         }
     }
 
+    #[inline(always)]
     fn put_block(&mut self, folded: &[u32], width: Width) {
         let (parameter_bits, uncompressed) = width.parameter();
         let sum: u32 = folded.iter().sum();
@@ -194,6 +205,7 @@ impl Writer<'_> {
         }
     }
 
+    #[inline(always)]
     fn put_pairs(&mut self, folded: &[u32], low: u32) {
         for pair in folded.as_chunks::<2>().0 {
             let [a, b] = pair.map(|folded| ((folded >> low) + 1 + low, code(folded, low)));
@@ -247,6 +259,7 @@ impl<'a> Bits<'a> {
     }
 
     /// Takes in as many whole bytes as fit, at least 57 bits in all unless the stream ends.
+    #[inline(always)]
     fn fill(&mut self) {
         if let Some(next) = self.rest.first_chunk() {
             self.window |= u64::from_be_bytes(*next) >> self.count;
@@ -262,24 +275,37 @@ impl<'a> Bits<'a> {
         }
     }
 
-    /// A folded difference: zeros up to a one say how often 2^`low` goes into it, and `low` bits, at most 25, the rest.
-    fn folded(&mut self, low: u32) -> Option<u32> {
-        if self.count < 32 {
-            self.fill();
+    /// A block of folded differences: zeros up to a one say how often 2^`low` goes into each, and `low` bits, at most 25, the rest.
+    #[inline(always)]
+    fn folded(&mut self, low: u32, block: &mut [i32]) -> Option<()> {
+        for pixel in block {
+            if self.count < 32 {
+                self.fill();
+            }
+            let zeros = self.window.leading_zeros();
+            let used = zeros + 1 + low;
+            if used > self.count {
+                *pixel = self.long(low)? as i32;
+                continue;
+            }
+            // The one stands on top now, and counts as 2^low below.
+            let code = self.window << zeros;
+            let rest = (code >> (63 - low)) as u32;
+            *pixel = ((zeros << low) + rest - (1 << low)) as i32;
+            self.window = code << (low + 1);
+            self.count -= used;
         }
-        let zeros = self.window.leading_zeros();
-        let used = zeros + 1 + low;
-        if used > self.count {
-            return Some(self.zeros()?.wrapping_shl(low) | self.take(low)?);
-        }
-        // In two steps each: a shift by all 64 bits is none.
-        let rest = self.window << zeros << 1;
-        self.window = rest << low;
-        self.count -= used;
-        Some(zeros << low | (rest >> 1 >> (63 - low)) as u32)
+        Some(())
+    }
+
+    /// A folded difference that is not whole in the window.
+    #[cold]
+    fn long(&mut self, low: u32) -> Option<u32> {
+        Some(self.zeros()?.wrapping_shl(low) | self.take(low)?)
     }
 
     /// The next `count` bits, at most 32, as a number.
+    #[inline(always)]
     fn take(&mut self, count: u32) -> Option<u32> {
         if self.count < count {
             self.fill();
