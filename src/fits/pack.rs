@@ -175,7 +175,7 @@ fn rice<T: Folded>(row: &[T], heap: &mut Vec<u8>) -> io::Result<()> {
 }
 
 fn gzip(row: &[u8], heap: &mut Vec<u8>) -> io::Result<()> {
-    let mut packed: GzEncoder<_> = GzBuilder::new().write(heap, flate2::Compression::default());
+    let mut packed: GzEncoder<_> = GzBuilder::new().write(heap, flate2::Compression::fast());
     packed.write_all(row)?;
     packed.finish()?;
     Ok(())

@@ -436,7 +436,7 @@ mod tests {
         (0..400).map(move |n| {
             let (noise, length) = (1 << (n % 17), 1 + n % 131);
             let pixel = |k: u32, random: u32| match n % 5 {
-                0 if random % 40 == 0 => random % (most + 1),
+                0 if random.is_multiple_of(40) => random % (most + 1),
                 _ => (most / 3 + random % noise + k / 20) % (most + 1),
             };
             (0..length).map(|k| pixel(k, random())).collect()
