@@ -1,7 +1,7 @@
 //! Tile-compressed images (FITS 4.0, section 10): a binary table with a tile in each row.
 //!
-//! They are unpacked here, and not by cfitsio, because that library (3.49) believes what a header says: a bad tile
-//! size makes it divide by zero, a damaged stream read beyond its buffer. RICE_1, GZIP_1 and GZIP_2 are known, which are
+//! A header is not believed: cfitsio (3.49) divides by zero where a tile's size is bad, and reads beyond its buffer where a stream is
+//! damaged. RICE_1, GZIP_1 and GZIP_2 are known, which are
 //! what cameras' programs, cfitsio and astropy write for whole numbers.
 
 use super::Problem;

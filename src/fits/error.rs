@@ -31,13 +31,6 @@ pub enum Problem {
         expected: String,
         found: String,
     },
-    /// The FITS library refused.
-    #[error("expected to {action}, found \"{message}\" (cfitsio status {status})")]
-    Library {
-        action: &'static str,
-        status: i32,
-        message: String,
-    },
 }
 
 impl Problem {

@@ -80,10 +80,14 @@ fn decode(rice: Rice, stream: &[u8], pixels: &mut [i32]) -> Option<()> {
 /// From folded differences to the pixels behind `last`; the last of these. `number` is what the low bits stand for.
 #[inline(always)]
 fn unfold(block: &mut [i32], mut last: u32, number: impl Fn(u32) -> i32) -> u32 {
-    for pixel in block {
+    // Side by side, before they are added up.
+    for pixel in &mut *block {
         let folded = *pixel as u32;
         // Even numbers stand for what is not negative, odd ones for what is.
-        last = last.wrapping_add((folded >> 1) ^ (folded & 1).wrapping_neg());
+        *pixel = ((folded >> 1) ^ (folded & 1).wrapping_neg()) as i32;
+    }
+    for pixel in block {
+        last = last.wrapping_add(*pixel as u32);
         *pixel = number(last);
     }
     last
@@ -91,6 +95,10 @@ fn unfold(block: &mut [i32], mut last: u32, number: impl Fn(u32) -> i32) -> u32 
 
 /// Pixels of a block that is written.
 pub(super) const BLOCK: usize = 32;
+
+/// A stream needs no more bytes than these, and for each pixel one more than the pixel has: a block's mean chooses the low bits so that the
+/// zeros are fewer than four a pixel.
+const MOST_BYTES: usize = 16;
 
 /// A pixel as Rice takes it.
 pub(super) trait Folded: Copy {
@@ -136,30 +144,48 @@ pub(super) fn encode<T: Folded>(row: &[T], out: &mut Vec<u8>) {
     let Some(first) = row.first() else {
         return;
     };
-    let full = 8 * T::WIDTH.bytes() as u32;
+    let start = out.len();
+    out.resize(start + MOST_BYTES + row.len() * (T::WIDTH.bytes() + 1), 0);
     let mut bits = Writer {
-        out,
+        out: &mut out[start..],
+        written: 0,
         window: 0,
         count: 0,
     };
-    bits.put(first.first().into(), full);
-    let mut before = *first;
-    for block in row.chunks(BLOCK) {
+    bits.put(first.first().into(), 8 * T::WIDTH.bytes() as u32);
+    for begin in (0..row.len()).step_by(BLOCK) {
+        let block = &row[begin..row.len().min(begin + BLOCK)];
+        // The first pixel of a row differs from itself.
+        let before = if begin == 0 { row } else { &row[begin - 1..] };
         let mut folded = [0; BLOCK];
-        let folded = &mut folded[..block.len()];
-        for (folded, (pixel, before)) in folded[1..].iter_mut().zip(block[1..].iter().zip(block)) {
-            *folded = pixel.folded(*before);
+        match (block.try_into(), before.first_chunk()) {
+            (Ok(block), Some(before)) if begin > 0 => fold::<T>(block, before, &mut folded),
+            _ => {
+                for (n, folded) in folded[..block.len()].iter_mut().enumerate() {
+                    let at = begin + n;
+                    *folded = row[at].folded(row[at.saturating_sub(1)]);
+                }
+            }
         }
-        folded[0] = block[0].folded(before);
-        before = block[block.len() - 1];
-        bits.put_block(folded, T::WIDTH);
+        bits.put_block(&folded[..block.len()], T::WIDTH);
     }
-    bits.finish();
+    let written = bits.finish();
+    out.truncate(start + written);
+}
+
+/// Folds a block side by side.
+#[inline(always)]
+fn fold<T: Folded>(block: &[T; BLOCK], before: &[T; BLOCK], folded: &mut [u32; BLOCK]) {
+    for (folded, (pixel, before)) in folded.iter_mut().zip(block.iter().zip(before)) {
+        *folded = pixel.folded(*before);
+    }
 }
 
 /// Bits that become bytes, the highest of each byte first.
 struct Writer<'a> {
-    out: &'a mut Vec<u8>,
+    /// Room for all.
+    out: &'a mut [u8],
+    written: usize,
     /// The last `count` bits, below 32, are not yet bytes.
     window: u64,
     count: u32,
@@ -174,7 +200,8 @@ impl Writer<'_> {
         if self.count >= 32 {
             self.count -= 32;
             let whole = (self.window >> self.count) as u32;
-            self.out.extend_from_slice(&whole.to_be_bytes());
+            self.out[self.written..self.written + 4].copy_from_slice(&whole.to_be_bytes());
+            self.written += 4;
         }
     }
 
@@ -196,20 +223,30 @@ impl Writer<'_> {
         self.put(u64::from(low) + 1, parameter_bits);
         let most = folded.iter().fold(0, |most, folded| most.max(*folded));
         // Two codes at a time where none is longer than 16 bits.
-        if (most >> low) + 1 + low <= 16 && folded.len() == BLOCK {
+        if let (Ok(folded), 0..=16) = (folded.try_into(), (most >> low) + 1 + low) {
             return self.put_pairs(folded, low);
         }
         for folded in folded {
             self.put_zeros(folded >> low);
-            self.put(code(*folded, low), 1 + low);
+            self.put(code(*folded, low).into(), 1 + low);
         }
     }
 
     #[inline(always)]
-    fn put_pairs(&mut self, folded: &[u32], low: u32) {
-        for pair in folded.as_chunks::<2>().0 {
-            let [a, b] = pair.map(|folded| ((folded >> low) + 1 + low, code(folded, low)));
-            self.put(a.1 << b.0 | b.1, a.0 + b.0);
+    fn put_pairs(&mut self, folded: &[u32; BLOCK], low: u32) {
+        // Side by side, before they are strung together.
+        let (mut lengths, mut codes) = ([0; BLOCK], [0; BLOCK]);
+        for ((length, one_code), folded) in lengths.iter_mut().zip(&mut codes).zip(folded) {
+            *length = (folded >> low) + 1 + low;
+            *one_code = code(*folded, low);
+        }
+        let pairs = codes
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .zip(lengths.as_chunks::<2>().0);
+        for ([a, b], [a_length, b_length]) in pairs {
+            self.put(u64::from(a << b_length | b), a_length + b_length);
         }
     }
 
@@ -221,18 +258,20 @@ impl Writer<'_> {
         }
     }
 
-    /// Fills the last byte with zeros.
-    fn finish(self) {
+    /// Fills the last byte with zeros; how many bytes there are.
+    fn finish(self) -> usize {
         let rest = (self.window << (32 - self.count)) as u32;
         let bytes = self.count.div_ceil(8) as usize;
-        self.out.extend_from_slice(&rest.to_be_bytes()[..bytes]);
+        self.out[self.written..self.written + bytes].copy_from_slice(&rest.to_be_bytes()[..bytes]);
+        self.written + bytes
     }
 }
 
 /// A one and the low bits: what follows a folded difference's zeros.
-fn code(folded: u32, low: u32) -> u64 {
+#[inline(always)]
+fn code(folded: u32, low: u32) -> u32 {
     let one = 1 << low;
-    u64::from(one | folded & (one - 1))
+    one | folded & (one - 1)
 }
 
 /// How many bits of a block are low, by the sum of its folded differences.
@@ -278,6 +317,7 @@ impl<'a> Bits<'a> {
     /// A block of folded differences: zeros up to a one say how often 2^`low` goes into each, and `low` bits, at most 25, the rest.
     #[inline(always)]
     fn folded(&mut self, low: u32, block: &mut [i32]) -> Option<()> {
+        let one = 1 << low;
         for pixel in block {
             if self.count < 32 {
                 self.fill();
@@ -291,7 +331,7 @@ impl<'a> Bits<'a> {
             // The one stands on top now, and counts as 2^low below.
             let code = self.window << zeros;
             let rest = (code >> (63 - low)) as u32;
-            *pixel = ((zeros << low) + rest - (1 << low)) as i32;
+            *pixel = ((zeros << low) + rest - one) as i32;
             self.window = code << (low + 1);
             self.count -= used;
         }
