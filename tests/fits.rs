@@ -5,7 +5,7 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::fits::{
-    Card, Column, Compression, FitsFile, Table, Value, Values, check_sums, read_frame,
+    Card, Column, Compression, FitsFile, Table, Value, Values, check_sums, read_frame, read_info,
     read_keywords, read_table, write_frame,
 };
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -317,6 +317,28 @@ mod round_trips {
             }
         };
         (0..width * height).map(pixel).collect()
+    }
+
+    #[test]
+    fn how_a_frame_was_taken_is_read_from_its_headers_alone() {
+        let folder = folder();
+        for (compression, frame) in [
+            (Compression::Rice, twelve_bit(64, 48)),
+            (Compression::None, eight_bit(1296, 966)),
+        ] {
+            let path = written(&folder, &frame, compression);
+            let (info, header) = read_info(&path).unwrap();
+            assert_eq!(info, frame.info);
+            assert_eq!(header.get("BTYPE"), Some(&"Intensity".into()));
+            // Of a file whose data are cut off the headers are still there.
+            let bytes = fs::read(&path).unwrap();
+            fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+            let are_headers_whole = frame.pixels().len() > 1 << 20;
+            assert!(read_info(&path).is_ok() || !are_headers_whole);
+            fs::write(&path, b"SIMPLE  = nothing").unwrap();
+            assert!(read_info(&path).is_err());
+        }
+        assert!(read_info(folder.path()).is_err());
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use pack::Compression;
 pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame};
 
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameInfo};
 use flate2::read::MultiGzDecoder;
 use image::ImageFormat;
 use std::fs::File;
@@ -48,6 +48,9 @@ use std::path::Path;
 
 /// The largest file that is read, bytes, before and after gunzip.
 const MAX_BYTES: u64 = 512 << 20;
+
+/// Where the headers of a frame's file are looked for first, bytes.
+const START_BYTES: u64 = 1 << 16;
 
 /// The largest image that is read.
 const MAX_PIXELS: u64 = 1 << 26;
@@ -79,6 +82,25 @@ pub fn read_frame(path: &Path) -> Result<Frame, FileError> {
 /// Reads the keywords of a frame's FITS file, the image's over the primary HDU's, and none of its pixels.
 pub fn read_keywords(path: &Path) -> Result<Header, FileError> {
     FitsFile::open(path)?.keywords()
+}
+
+/// How a frame was taken, and the keywords of its FITS file. Where its image's header stands near the beginning, no more is read.
+///
+/// # Errors
+/// A file that cannot be read or is no FITS file with an image.
+pub fn read_info(path: &Path) -> Result<(FrameInfo, Header), FileError> {
+    let mut start = Vec::new();
+    // A pipe would wait for its writer.
+    if path.metadata().is_ok_and(|metadata| metadata.is_file()) {
+        let read = File::open(path).and_then(|file| file.take(START_BYTES).read_to_end(&mut start));
+        read.unwrap_or_default();
+    }
+    if let Ok(header) = read::read_keywords(&structure::begun(&start)) {
+        let info = info::read_info(&header).map_err(|problem| problem.in_file(path))?;
+        return Ok((info, header));
+    }
+    let file = FitsFile::open(path)?;
+    Ok((file.info()?, file.keywords()?))
 }
 
 /// Checks every checksum of a FITS file; an error where one does not match.

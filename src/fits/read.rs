@@ -44,7 +44,8 @@ pub(super) fn read_keywords(hdus: &[Hdu]) -> Result<Header, Problem> {
 }
 
 fn find_image(hdus: &[Hdu]) -> Result<(&Hdu, Header), Problem> {
-    if hdus[0].header.get("SIMPLE") != Some(&true.into()) {
+    let first = hdus.first().map(|hdu| &hdu.header);
+    if first.and_then(|header| header.get("SIMPLE")) != Some(&true.into()) {
         return Err(Problem::field("SIMPLE", "T", "something else"));
     }
     let axes = |hdu: &Hdu| match hdu.content() {

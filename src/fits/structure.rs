@@ -67,6 +67,29 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Vec<Hdu>, Problem> {
     }
 }
 
+/// The HDUs whose headers lie in the beginning of a file, without their data.
+pub(super) fn begun(bytes: &[u8]) -> Vec<Hdu> {
+    let mut hdus = Vec::new();
+    let mut start = 0;
+    while let Some(rest) = bytes.get(start..)
+        && (start == 0 || rest.starts_with(b"XTENSION"))
+        && let Some((header, length)) = Header::parse(rest)
+    {
+        let data = (start + length).next_multiple_of(BLOCK);
+        let Ok(promised) = data_size(&header) else {
+            break;
+        };
+        hdus.push(Hdu {
+            header,
+            header_bytes: start..start + length,
+            data_bytes: data..data,
+        });
+        let end = data.saturating_add(promised as usize);
+        start = end.checked_next_multiple_of(BLOCK).unwrap_or(usize::MAX);
+    }
+    hdus
+}
+
 fn hdu_at(bytes: &[u8], start: usize) -> Result<Hdu, Problem> {
     let (header, length) = Header::parse(&bytes[start..]).ok_or_else(|| {
         let expected = format!("an END card to close the header at byte {start}");

@@ -2,7 +2,7 @@
 
 use super::record::Input;
 use crate::archive::{INSTRUMENT, ROLL_CAMERA, plain};
-use crate::fits::{FitsFile, Value};
+use crate::fits::{self, Value};
 use crate::frame::FrameInfo;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -48,7 +48,7 @@ pub struct CameraFrames {
 /// What a header says of camera and instrument's file.
 struct Named(CameraName, Option<String>);
 
-/// The archive's cameras, by name, each with its frames. Opens every file.
+/// The archive's cameras, by name, each with its frames. Opens every file, and reads its headers alone.
 pub fn cameras(archive: &Path, inputs: Vec<Input>) -> Vec<CameraFrames> {
     let named = inputs
         .par_iter()
@@ -69,9 +69,7 @@ pub fn cameras(archive: &Path, inputs: Vec<Input>) -> Vec<CameraFrames> {
 }
 
 fn named(path: &Path) -> Option<Named> {
-    let file = FitsFile::open(path).ok()?;
-    let info = file.info().ok()?;
-    let header = file.keywords().ok()?;
+    let (info, header) = fits::read_info(path).ok()?;
     let sha256 = match header.get(INSTRUMENT.keyword) {
         Some(Value::Text(sha256)) => Some(sha256.clone()),
         _ => None,

@@ -137,7 +137,7 @@ impl GigeCamera {
                     return Ok(Take::NotYet);
                 };
                 self.phase = Phase::Idle;
-                let frame = taken?;
+                let frame = (*taken)?;
                 self.next_number = frame.info.number.map_or(self.next_number, |n| n + 1);
                 Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
             }

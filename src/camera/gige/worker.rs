@@ -15,7 +15,7 @@ enum Order {
 pub(super) enum Report {
     /// The camera is open, and has its settings.
     Ready,
-    Taken(Result<Frame, CameraError>),
+    Taken(Box<Result<Frame, CameraError>>),
     Applied(Result<(), CameraError>),
     /// The camera is gone, and the thread ends.
     Gone(CameraError),
@@ -89,8 +89,8 @@ fn serve(
         report = match order {
             Order::Apply(settings) => Report::Applied(device.apply(&settings)?),
             Order::Take => match device.take_frame() {
-                Ok(frame) => Report::Taken(Ok(frame)),
-                Err(Fault::Frame(error)) => Report::Taken(Err(error)),
+                Ok(frame) => Report::Taken(Box::new(Ok(frame))),
+                Err(Fault::Frame(error)) => Report::Taken(Box::new(Err(error))),
                 Err(Fault::Camera(error)) => return Err(error),
             },
         };
