@@ -6,7 +6,7 @@
 //!    limb through that mapping, what is odd beside the other frames, the Sun's [path](motion) between them, and a second look at
 //!    frames that had failed.
 //!
-//! What comes out ([`write()`], [`write_report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
+//! What comes out ([`write()`], [`Report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
 //! which frames were done, by how many cores or machines, nor on how often the run was killed.
 
 mod cameras;

@@ -5,8 +5,8 @@
 //!
 //! 1. The path is smoothed with each of a scale of constant process noises.
 //! 2. Each frame says how well each of them foretells it from all other frames: the logarithm of its likelihood.
-//! 3. The noise of greatest likelihood over the flight, where every change costs [`CHANGE_COST`] (Viterbi 1967), times
-//!    [`CAUTION`].
+//! 3. The noise of greatest likelihood over the flight, where every change has a price (Viterbi 1967), times nine
+//!    for caution.
 //!
 //! Too much process noise costs little at a frame, for the place then follows the frame's own; too little is wrong with
 //! confidence.
