@@ -71,6 +71,11 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         let (roll, cameras): (Vec<_>, Vec<_>) = cameras
             .into_iter()
             .partition(|camera| camera.name.is_roll_camera());
+        ensure!(
+            roll.is_empty() || !cameras.is_empty(),
+            "{}: expected frames of a camera that sees the plate, found the roll camera's alone",
+            args.archive.display()
+        );
         let several = cameras.len() > 1;
         // All instruments first: a missing one is told before hours of work.
         let recipes = cameras
