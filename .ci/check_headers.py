@@ -85,19 +85,44 @@ def check_observer(path, header, frame):
     assert abs(header["RSUN_OBS"] - radius) < 0.001, path
 
 
+def axes(azimuth, elevation):
+    """A direction of the sky, and at it the directions to the zenith and clockwise from it; north, east and up."""
+    (sin_a, cos_a), (sin_e, cos_e) = ((np.sin(v), np.cos(v)) for v in np.radians([azimuth, elevation]))
+    at = np.array([cos_e * cos_a, cos_e * sin_a, sin_e])
+    return at, np.array([-sin_e * cos_a, -sin_e * sin_a, cos_e]), np.array([-sin_a, cos_a, 0.0])
+
+
+def zenith_turn_deg(header, north):
+    """By how much the zenith's direction turns on the way from the Sun to where the telescope points."""
+    sun_at, up, clockwise = axes(header["SUN-AZ"], header["SUN-EL"])
+    (sin_n, cos_n), (x, y) = (np.sin(north), np.cos(north)), np.radians([header["TARGETX"] / 3600, header["TARGETY"] / 3600])
+    west, northward = clockwise * cos_n - up * sin_n, up * cos_n + clockwise * sin_n
+    target = sun_at * np.cos(y) * np.cos(x) + west * np.cos(y) * np.sin(x) + northward * np.sin(y)
+    azimuth = np.degrees(np.arctan2(target[1], target[0])) + header["OFFSETAZ"]
+    elevation = np.degrees(np.arcsin(target[2])) + header["OFFSETEL"]
+    boresight, up_there, clockwise_there = axes(azimuth, elevation)
+    leaving = np.arctan2(boresight @ clockwise, boresight @ up)
+    arriving = np.arctan2(-sun_at @ clockwise_there, -sun_at @ up_there)
+    return np.degrees(arriving - leaving)
+
+
 def check_orientation(path, header, frame):
     """North and west lie where zenith, clocking, lens and a mirrored camera put them. Returns the deviation, deg: the
     mean of both, for under a keystone the two are no right angle.
 
     A thing at bearing b from the Sun's centre, clockwise from the zenith, is thrown on the plate in direction
-    180 - b - clocking, clockwise from +Y; the camera sees x fall with X and turns that picture by MAPROT.
+    180 - b - clocking + roll, clockwise from +Y; the camera sees x fall with X and turns that picture by MAPROT. Where
+    directions on the plate count at the telescope, the zenith is that of the telescope.
     """
     place = EarthLocation.from_geocentric(*[header[f"OBSGEO-{axis}"] * u.m for axis in "XYZ"])
     north = sun.orientation(place, Time(header["DATE-AVG"])).deg
     turn = np.radians(header["MAPROT"])
     angles = []
+    zenith_turn, roll = 0.0, 0.0
+    if header["PLATEDIR"] == "telescope":
+        zenith_turn, roll = zenith_turn_deg(header, np.radians(north)), header["ROLLANG"]
     for bearing, (x, y) in ((north, (0, 300)), (north + 90, (300, 0))):
-        direction = np.radians(180 - bearing - header["CLOCKANG"])
+        direction = np.radians(180 - bearing - zenith_turn - header["CLOCKANG"] + roll)
         unturned = np.array([-np.sin(direction), np.cos(direction)])
         rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         expected = rotation @ unturned
