@@ -11,12 +11,15 @@ pub(super) struct Layout {
     /// Where the header and the data of the last HDU begin.
     header: usize,
     data: usize,
+    /// The card of its CHECKSUM, behind which that of its DATASUM stands.
+    checksum_card: usize,
 }
 
 /// Between its quotes a text has at most so many characters on a card.
 const TEXT: usize = CARD - 12;
-/// The cards of the checksums stand before END, in this order.
-const CHECKSUM_CARDS: usize = 3;
+/// What the cards of the checksums say.
+const CHECKSUM: [&str; 2] = ["CHECKSUM", "checksum of the HDU"];
+const DATASUM: [&str; 2] = ["DATASUM", "checksum of the data"];
 
 impl Layout {
     /// An empty file; memory is never moved where it needs no more bytes than expected.
@@ -25,6 +28,7 @@ impl Layout {
             bytes: Vec::with_capacity(expected_bytes),
             header: 0,
             data: 0,
+            checksum_card: 0,
         }
     }
 
@@ -36,11 +40,7 @@ impl Layout {
     /// Adds a card. What may not stand in a header becomes '?', and what is too long ends with the card.
     pub fn card(&mut self, text: &str) {
         let start = self.bytes.len();
-        let shown = |c| match c {
-            ' '..='~' => c as u8,
-            _ => b'?',
-        };
-        self.bytes.extend(text.chars().take(CARD).map(shown));
+        self.bytes.extend(text.chars().take(CARD).map(printable));
         self.bytes.resize(start + CARD, b' ');
     }
 
@@ -74,17 +74,14 @@ impl Layout {
             self.card(&format!("{start}'{part}&'"));
             start = "CONTINUE  ".into();
         }
-        let quoted = format!("'{rest:<8}'");
-        match comment {
-            "" => self.card(&format!("{start}{quoted}")),
-            comment => self.card(&format!("{start}{quoted:<20} / {comment}")),
-        }
+        self.card(&last_text_card(&start, &rest, comment));
     }
 
     /// Ends the header; the data follow.
     pub fn end_header(&mut self) {
-        self.text("CHECKSUM", "0000000000000000", "checksum of the HDU");
-        self.text("DATASUM", "0", "checksum of the data");
+        self.checksum_card = (self.bytes.len() - self.header) / CARD;
+        self.card(&text_card(CHECKSUM, "0000000000000000"));
+        self.card(&text_card(DATASUM, "0"));
         self.card("END");
         self.fill(b' ');
         self.data = self.bytes.len();
@@ -99,21 +96,11 @@ impl Layout {
     pub fn end(&mut self) {
         self.fill(0);
         let data = checksum::sum(&self.bytes[self.data..]);
-        let end = self.bytes[self.header..self.data]
-            .chunks_exact(CARD)
-            .rposition(|card| card.starts_with(b"END "))
-            .map_or(CHECKSUM_CARDS, |n| n + 1);
-        let text = |keyword: &str, text: &str, comment: &str| {
-            format!("{keyword:<8}= {:<20} / {comment}", format!("'{text:<8}'"))
-        };
-        let first = end - CHECKSUM_CARDS;
-        self.set_card(
-            first + 1,
-            &text("DATASUM", &data.to_string(), "checksum of the data"),
-        );
+        let datasum = text_card(DATASUM, &data.to_string());
+        self.set_card(self.checksum_card + 1, &datasum);
         let header = checksum::sum(&self.bytes[self.header..self.data]);
         let encoded = checksum::encoded(!checksum::added(header, data));
-        self.set_card(first, &text("CHECKSUM", &encoded, "checksum of the HDU"));
+        self.set_card(self.checksum_card, &text_card(CHECKSUM, &encoded));
     }
 
     /// The whole file.
@@ -131,6 +118,28 @@ impl Layout {
 /// A card with a number or a truth.
 pub(super) fn value_card(keyword: &str, value: &str, comment: &str) -> String {
     format!("{keyword:<8}= {value:>20} / {comment}")
+}
+
+/// A card with a text that needs no more; keyword and comment.
+pub(super) fn text_card([keyword, comment]: [&str; 2], text: &str) -> String {
+    last_text_card(&format!("{keyword:<8}= "), text, comment)
+}
+
+/// The card that ends a text.
+fn last_text_card(start: &str, text: &str, comment: &str) -> String {
+    let quoted = format!("'{text:<8}'");
+    match comment {
+        "" => format!("{start}{quoted}"),
+        comment => format!("{start}{quoted:<20} / {comment}"),
+    }
+}
+
+/// A character as FITS may hold it.
+pub(super) fn printable(c: char) -> u8 {
+    match c {
+        ' '..='~' => c as u8,
+        _ => b'?',
+    }
 }
 
 #[cfg(test)]

@@ -1,9 +1,8 @@
 //! An image's rows as compressed tiles, a row of pixels a tile (FITS 4.0, section 10): what `compressed` unpacks.
 
-use super::layout::{Layout, value_card};
+use super::layout::{Layout, text_card, value_card};
 use super::rice::{Folded, encode};
 use crate::frame::Pixels;
-use flate2::GzBuilder;
 use flate2::write::GzEncoder;
 use std::io::{self, Write};
 
@@ -160,12 +159,12 @@ fn put_tiles<T>(
         bytes[at + 4..at + 8].copy_from_slice(&((start - heap) as u32).to_be_bytes());
     }
     let heap_bytes = (bytes.len() - heap).to_string();
-    let form = format!("'1PB({longest})'");
+    let form = format!("1PB({longest})");
     layout.set_card(
         PCOUNT,
         &value_card("PCOUNT", &heap_bytes, "bytes of all tiles"),
     );
-    layout.set_card(TFORM, &format!("TFORM1  = {form:<20} / where it stands"));
+    layout.set_card(TFORM, &text_card(["TFORM1", "where it stands"], &form));
     Ok(())
 }
 
@@ -175,7 +174,7 @@ fn rice<T: Folded>(row: &[T], heap: &mut Vec<u8>) -> io::Result<()> {
 }
 
 fn gzip(row: &[u8], heap: &mut Vec<u8>) -> io::Result<()> {
-    let mut packed: GzEncoder<_> = GzBuilder::new().write(heap, flate2::Compression::fast());
+    let mut packed = GzEncoder::new(heap, flate2::Compression::fast());
     packed.write_all(row)?;
     packed.finish()?;
     Ok(())

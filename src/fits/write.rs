@@ -6,7 +6,7 @@
 use super::header::{Card, Value};
 use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
-use super::layout::Layout;
+use super::layout::{Layout, printable};
 use super::pack::{self, Compression};
 use super::{FileError, Problem, unit};
 use crate::frame::Frame;
@@ -104,15 +104,8 @@ impl Values {
             }
             Self::Text(texts) => {
                 for (cell, text) in cells.zip(texts) {
-                    let shown = |c| {
-                        if (' '..='~').contains(&c) {
-                            c as u8
-                        } else {
-                            b'?'
-                        }
-                    };
                     let pairs = cell.iter_mut().zip(text.chars());
-                    pairs.for_each(|(byte, c)| *byte = shown(c));
+                    pairs.for_each(|(byte, c)| *byte = printable(c));
                 }
             }
         }
