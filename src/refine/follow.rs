@@ -34,15 +34,23 @@ impl Followed {
 impl Work<'_> {
     /// The Sun's path, without the frames that lie off it; between two frames one more point.
     pub(super) fn follow_path(&mut self) -> Followed {
-        let sure = self.path_of(Row::is_sure);
-        for n in 0..self.dated {
-            let row = &self.rows[n];
-            let point = sure.path.as_ref().map(|path| &path.points[sure.at[n]]);
-            if row.is_fine() && !row.is_sure() && point.is_some_and(|point| is_off(row, point)) {
-                self.rows[n].note(Oddity::Path);
+        let mut followed = self.path_of(Row::is_sure);
+        let is_doubtful = |row: &Row| row.is_fine() && !row.is_sure();
+        let doubtful: Vec<usize> = (0..self.dated)
+            .filter(|n| is_doubtful(&self.rows[*n]))
+            .collect();
+        for n in &doubtful {
+            let point = followed
+                .path
+                .as_ref()
+                .map(|path| &path.points[followed.at[*n]]);
+            if point.is_some_and(|point| is_off(&self.rows[*n], point)) {
+                self.rows[*n].note(Oddity::Path);
             }
         }
-        let mut followed = self.path_of(Row::is_fine);
+        if !doubtful.is_empty() {
+            followed = self.path_of(Row::is_fine);
+        }
         self.add_shared_errors(&mut followed);
         followed
     }
