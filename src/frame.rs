@@ -102,7 +102,23 @@ pub struct FrameInfo {
     pub instrument: Option<String>,
 }
 
+/// Who took a frame, as its header says.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TakenBy {
+    /// `OBSRVTRY`.
+    pub instrument: Option<String>,
+    /// `CAMERA`, else `INSTRUME`.
+    pub camera: Option<String>,
+}
+
 impl FrameInfo {
+    pub fn taken_by(&self) -> TakenBy {
+        TakenBy {
+            instrument: self.instrument.clone(),
+            camera: self.camera.clone(),
+        }
+    }
+
     /// Whether the frame was made by the simulator.
     pub fn is_simulated(&self) -> bool {
         self.camera.as_deref() == Some(SIMULATED_CAMERA)

@@ -1,7 +1,7 @@
 //! The frames that a calibration is given: their files, their hash, whether one camera took them, and those rejected.
 
 use crate::fits::{self, FRAME_ENDINGS, Unlisted};
-use crate::frame::{Frame, FrameInfo};
+use crate::frame::{Frame, TakenBy};
 use crate::instrument::{Instrument, WrongCamera};
 use crate::provenance;
 use crate::report::html::Page;
@@ -126,7 +126,7 @@ pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
 pub struct Setting {
     file: PathBuf,
     /// What the frame says of instrument and camera.
-    taken_by: FrameInfo,
+    taken_by: TakenBy,
     /// Name and value of each property that the frame states.
     properties: Vec<(&'static str, String)>,
 }
@@ -139,11 +139,7 @@ impl Setting {
         let camera = camera.map(|name| ("camera", format!("camera \"{name}\"")));
         Self {
             file: file.into(),
-            taken_by: FrameInfo {
-                instrument: frame.info.instrument.clone(),
-                camera: frame.info.camera.clone(),
-                ..FrameInfo::default()
-            },
+            taken_by: frame.info.taken_by(),
             properties: camera.into_iter().chain([("depth", depth)]).collect(),
         }
     }

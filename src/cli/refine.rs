@@ -70,18 +70,25 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         let cameras = refine::cameras(&args.archive, inputs);
         let (roll, cameras): (Vec<_>, Vec<_>) = cameras
             .into_iter()
-            .partition(|camera| camera.name.is_roll_camera());
+            .partition(|camera| camera.is_roll_camera());
         ensure!(
             roll.is_empty() || !cameras.is_empty(),
             "{}: expected frames of a camera that sees the plate, found the roll camera's alone",
             args.archive.display()
         );
         let several = cameras.len() > 1;
-        // All instruments first: a missing one is told before hours of work.
+        // What may be missing is told before hours of work.
         let recipes = cameras
             .iter()
             .map(|camera| args.recipe(camera, &archived, &config));
         let recipes = recipes.collect::<anyhow::Result<Vec<_>>>()?;
+        let mut ephemeris = options::ephemeris(&config)?;
+        let sky = Sky {
+            target: options::target(&config, &mut ephemeris)?,
+            place: config.site.place(),
+            ephemeris,
+        };
+        make_folder(&args.out)?;
         let mut report = Report::default();
         for frames in roll.iter().map(|camera| camera.inputs.len()) {
             let text = format!(
@@ -92,7 +99,7 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         }
         for (camera, recipe) in cameras.iter().zip(recipes) {
             let label = several.then_some(camera.label.as_str());
-            args.refine(camera, label, &recipe, &config, &mut report)?;
+            args.refine(camera, label, &recipe, &sky, &mut report)?;
         }
         if args.shard.is_none() {
             report.write(&args.out)?;
@@ -192,7 +199,7 @@ impl RefineArgs {
         let mut refused = None;
         for path in &self.instrument {
             let (instrument, text) = options::instrument_with_text(Some(path))?;
-            match instrument.check_taken_by(&camera.name.info()) {
+            match instrument.check_taken_by(&camera.taken_by) {
                 Ok(()) => return Ok((instrument, text)),
                 Err(wrong) => refused = Some((path, wrong)),
             }
@@ -224,23 +231,15 @@ impl RefineArgs {
         camera: &CameraFrames,
         label: Option<&str>,
         recipe: &Recipe,
-        config: &Config,
+        sky: &Sky,
         report: &mut Report,
     ) -> anyhow::Result<()> {
-        make_folder(&self.out)?;
         let inputs = &camera.inputs;
         let mut done = self.first_pass(recipe, inputs)?;
         if self.shard.is_some() {
             return Ok(());
         }
-        let mut ephemeris = options::ephemeris(config)?;
-        let sky = Sky {
-            instrument: recipe.instrument.clone(),
-            target: options::target(config, &mut ephemeris)?,
-            place: config.site.place(),
-            ephemeris,
-        };
-        let flight = self.second_pass(&mut done, inputs, recipe, &sky)?;
+        let flight = self.second_pass(&mut done, inputs, recipe, sky)?;
         let folder = label.map_or(self.out.clone(), |label| self.out.join(label));
         make_folder(&folder)?;
         let summary = refine::write(&folder, &flight, recipe)?;
@@ -295,7 +294,7 @@ impl RefineArgs {
         if let Some(contradiction) = &flight.contradiction {
             bail!("{}: {contradiction}", self.archive.display());
         }
-        sky.fill(&mut flight.rows, &flight.places);
+        sky.fill(&recipe.instrument, &mut flight.rows, &flight.places);
         Ok(flight)
     }
 }
@@ -316,14 +315,14 @@ fn flown_with<'a>(archived: &'a FlownFiles, camera: &CameraFrames) -> Vec<&'a Fl
     // One that only a newer program can read contradicts nothing.
     different.retain(|file| {
         let instrument = Instrument::parse(&file.path, &file.text);
-        instrument.is_ok_and(|instrument| instrument.check_taken_by(&camera.name.info()).is_ok())
+        instrument.is_ok_and(|instrument| instrument.check_taken_by(&camera.taken_by).is_ok())
     });
     different
 }
 
 /// The built-in instrument that a camera's frames name; the demo where they name none.
 fn built_in(camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
-    let Some(named) = camera.name.instrument.as_deref() else {
+    let Some(named) = camera.taken_by.instrument.as_deref() else {
         return options::instrument_with_text(None);
     };
     let name = named.strip_suffix(SECOND).unwrap_or(named);

@@ -17,7 +17,7 @@ pub use directions::Directions;
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;
 
-use crate::frame::{Frame, FrameInfo};
+use crate::frame::{Frame, TakenBy};
 use crate::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use crate::plate::Plate;
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured, PlateMil, SensorPx};
@@ -161,20 +161,20 @@ impl Instrument {
     ///
     /// # Errors
     /// The keyword that names another.
-    pub fn check_taken_by(&self, info: &FrameInfo) -> Result<(), WrongCamera> {
+    pub fn check_taken_by(&self, by: &TakenBy) -> Result<(), WrongCamera> {
         let wrong = |keyword, expected: &str, found: &str| WrongCamera {
             keyword,
             instrument: self.name.clone(),
             expected: expected.into(),
             found: found.into(),
         };
-        if let Some(named) = &info.instrument
+        if let Some(named) = &by.instrument
             && named.strip_suffix(SECOND).unwrap_or(named) != self.name
             && *named != self.name
         {
             return Err(wrong("OBSRVTRY", &self.name, named));
         }
-        match (&self.camera_name, &info.camera) {
+        match (&self.camera_name, &by.camera) {
             (Some(own), Some(camera)) if own != camera => Err(wrong("CAMERA", own, camera)),
             _ => Ok(()),
         }
@@ -284,25 +284,24 @@ mod tests {
     #[test]
     fn a_frame_that_names_another_instrument_or_camera_is_refused() {
         let mut demo = builtin("demo").unwrap();
-        let info = |instrument: Option<&str>, camera: Option<&str>| FrameInfo {
+        let by = |instrument: Option<&str>, camera: Option<&str>| TakenBy {
             instrument: instrument.map(str::to_owned),
             camera: camera.map(str::to_owned),
-            ..FrameInfo::default()
         };
-        let keyword = |demo: &Instrument, info: &FrameInfo| {
-            demo.check_taken_by(info).err().map(|wrong| wrong.keyword)
+        let keyword = |demo: &Instrument, by: &TakenBy| {
+            demo.check_taken_by(by).err().map(|wrong| wrong.keyword)
         };
         for named in [None, Some("demo"), Some("demo-2")] {
-            assert_eq!(keyword(&demo, &info(named, Some("any"))), None);
+            assert_eq!(keyword(&demo, &by(named, Some("any"))), None);
         }
-        let other = info(Some("heroes-pyas-f"), None);
+        let other = by(Some("heroes-pyas-f"), None);
         assert_eq!(keyword(&demo, &other), Some("OBSRVTRY"));
         demo.camera_name = Some("IGV-B1310 42".into());
         assert_eq!(
-            keyword(&demo, &info(None, Some("IGV-B1310 43"))),
+            keyword(&demo, &by(None, Some("IGV-B1310 43"))),
             Some("CAMERA")
         );
-        assert_eq!(keyword(&demo, &info(None, Some("IGV-B1310 42"))), None);
-        assert_eq!(keyword(&demo, &info(None, None)), None);
+        assert_eq!(keyword(&demo, &by(None, Some("IGV-B1310 42"))), None);
+        assert_eq!(keyword(&demo, &by(None, None)), None);
     }
 }

@@ -3,40 +3,15 @@
 use super::record::Input;
 use crate::archive::{INSTRUMENT, ROLL_CAMERA, plain};
 use crate::fits::{self, Value};
-use crate::frame::FrameInfo;
+use crate::frame::TakenBy;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Who took a frame, as its header says.
-#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct CameraName {
-    /// `OBSRVTRY`.
-    pub instrument: Option<String>,
-    /// `CAMERA`, else `INSTRUME`.
-    pub camera: Option<String>,
-}
-
-impl CameraName {
-    /// Whether this is the camera that sees the horizon: no plate, no Sun.
-    pub fn is_roll_camera(&self) -> bool {
-        self.instrument.as_deref() == Some(ROLL_CAMERA)
-    }
-
-    /// What a frame of this camera says of it.
-    pub fn info(&self) -> FrameInfo {
-        FrameInfo {
-            instrument: self.instrument.clone(),
-            camera: self.camera.clone(),
-            ..FrameInfo::default()
-        }
-    }
-}
-
 /// The frames of one camera.
 #[derive(Debug, Clone, Default)]
 pub struct CameraFrames {
-    pub name: CameraName,
+    pub taken_by: TakenBy,
     /// What tells it from the archive's other cameras, as files and folders may be named.
     pub label: String,
     /// By path. A file whose header cannot be read is taken for one of the camera that the file before it is of.
@@ -45,8 +20,15 @@ pub struct CameraFrames {
     pub instruments_sha256: BTreeSet<String>,
 }
 
+impl CameraFrames {
+    /// Whether this is the camera that sees the horizon: no plate, no Sun.
+    pub fn is_roll_camera(&self) -> bool {
+        self.taken_by.instrument.as_deref() == Some(ROLL_CAMERA)
+    }
+}
+
 /// What a header says of camera and instrument's file.
-struct Named(CameraName, Option<String>);
+struct Named(TakenBy, Option<String>);
 
 /// The archive's cameras, by name, each with its frames. Opens every file, and reads its headers alone.
 pub fn cameras(archive: &Path, inputs: Vec<Input>) -> Vec<CameraFrames> {
@@ -55,8 +37,8 @@ pub fn cameras(archive: &Path, inputs: Vec<Input>) -> Vec<CameraFrames> {
         .map(|input| named(&archive.join(&input.file)));
     let named: Vec<Option<Named>> = named.collect();
     let first = named.iter().flatten().next();
-    let mut before = first.map_or(CameraName::default(), |Named(name, _)| name.clone());
-    let mut cameras: BTreeMap<CameraName, CameraFrames> = BTreeMap::new();
+    let mut before = first.map_or(TakenBy::default(), |Named(name, _)| name.clone());
+    let mut cameras: BTreeMap<TakenBy, CameraFrames> = BTreeMap::new();
     for (input, named) in inputs.into_iter().zip(named) {
         let (name, sha256) =
             named.map_or((before.clone(), None), |Named(name, sha256)| (name, sha256));
@@ -74,7 +56,7 @@ fn named(path: &Path) -> Option<Named> {
         Some(Value::Text(sha256)) => Some(sha256.clone()),
         _ => None,
     };
-    let name = CameraName {
+    let name = TakenBy {
         instrument: info
             .instrument
             .or(is_of_roll_camera(path).then(|| ROLL_CAMERA.into())),
@@ -91,26 +73,26 @@ fn is_of_roll_camera(path: &Path) -> bool {
 }
 
 /// Each with a label of its own: the instrument's name; the camera's, where that does not tell them apart; both; and a number at last.
-fn labelled(cameras: BTreeMap<CameraName, CameraFrames>) -> Vec<CameraFrames> {
+fn labelled(cameras: BTreeMap<TakenBy, CameraFrames>) -> Vec<CameraFrames> {
     let part = |part: &Option<String>| plain(part.as_deref().unwrap_or_default());
-    let ways: [&dyn Fn(&CameraName) -> String; 3] = [
+    let ways: [&dyn Fn(&TakenBy) -> String; 3] = [
         &|name| part(&name.instrument),
         &|name| part(&name.camera),
         &|name| format!("{}_{}", part(&name.instrument), part(&name.camera)),
     ];
-    let tells_apart = |way: &&&dyn Fn(&CameraName) -> String| {
+    let tells_apart = |way: &&&dyn Fn(&TakenBy) -> String| {
         let labels: BTreeSet<String> = cameras.keys().map(way).collect();
         labels.len() == cameras.len()
     };
     let way = ways.iter().find(tells_apart);
-    let label = |number: usize, name: &CameraName| match way {
+    let label = |number: usize, name: &TakenBy| match way {
         Some(way) => way(name),
         None => format!("camera-{}", number + 1),
     };
     let all = cameras.into_iter().enumerate();
     all.map(|(number, (name, camera))| CameraFrames {
         label: label(number, &name),
-        name,
+        taken_by: name,
         ..camera
     })
     .collect()
@@ -121,7 +103,7 @@ mod tests {
     use super::*;
 
     fn labels(names: &[(Option<&str>, Option<&str>)]) -> Vec<String> {
-        let name = |(instrument, camera): &(Option<&str>, Option<&str>)| CameraName {
+        let name = |(instrument, camera): &(Option<&str>, Option<&str>)| TakenBy {
             instrument: instrument.map(str::to_owned),
             camera: camera.map(str::to_owned),
         };

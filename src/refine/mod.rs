@@ -35,7 +35,7 @@ mod temperature;
 mod view;
 mod work;
 
-pub use cameras::{CameraFrames, CameraName, cameras};
+pub use cameras::{CameraFrames, cameras};
 pub use disc::PlateDisc;
 pub use first_pass::{Done, Recipe, Shard, Span, inputs};
 pub use flight::{Flight, second_pass};

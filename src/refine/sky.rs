@@ -10,7 +10,6 @@ use rayon::prelude::*;
 /// What the sky takes beside the rows.
 #[derive(Debug, Clone)]
 pub struct Sky {
-    pub instrument: Instrument,
     pub target: Target,
     /// For frames that do not say where they were taken.
     pub place: Option<Place>,
@@ -22,23 +21,29 @@ const TOGETHER: usize = 256;
 
 impl Sky {
     /// Fills in where the telescope pointed; `places` tells where each row's frame was taken, if it does.
-    pub fn fill(&self, rows: &mut [Row], places: &[Option<Place>]) {
+    pub fn fill(&self, instrument: &Instrument, rows: &mut [Row], places: &[Option<Place>]) {
         let chunks = rows.par_chunks_mut(TOGETHER);
         chunks
             .zip(places.par_chunks(TOGETHER))
             .for_each(|(rows, places)| {
                 let mut ephemeris = self.ephemeris.clone();
                 for (row, place) in rows.iter_mut().zip(places) {
-                    row.sky = self.row(row, place.or(self.place), &mut ephemeris);
+                    row.sky = self.row(row, instrument, place.or(self.place), &mut ephemeris);
                 }
             });
     }
 
-    fn row(&self, row: &Row, place: Option<Place>, ephemeris: &mut Ephemeris) -> Option<SkyRow> {
+    fn row(
+        &self,
+        row: &Row,
+        instrument: &Instrument,
+        place: Option<Place>,
+        ephemeris: &mut Ephemeris,
+    ) -> Option<SkyRow> {
         let (sun_on_plate, utc) = (row.sun?, row.utc()?);
         let sun = ephemeris.sun(utc, place?).ok()?;
         let at = sun_on_plate.position;
-        let (roll, instrument) = (Roll::Stated, &self.instrument);
+        let roll = Roll::Stated;
         let towards = pointing::pointing(at, roll, instrument, &sun).ok()?;
         let boresight = pointing::helioprojective(at, roll, instrument, &sun).ok()?;
         let target = self.target.at(utc, &sun).ok();
