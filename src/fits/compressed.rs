@@ -72,35 +72,45 @@ impl<'a> Tiles<'a> {
         })
     }
 
-    /// Unpacks the image: its numbers as stored, before BZERO.
-    pub fn unpack(&self) -> Result<Vec<i32>, Problem> {
-        let mut image = vec![0; self.width * self.height];
+    /// Unpacks the image from its first row on: `each` is given the numbers of one or more whole rows, as stored, before BZERO.
+    ///
+    /// # Errors
+    /// A tile that is damaged, or what `each` gives.
+    pub fn unpack(
+        &self,
+        mut each: impl FnMut(&[i32]) -> Result<(), Problem>,
+    ) -> Result<(), Problem> {
+        let mut rows = vec![0; self.width * self.tile[1]];
         let mut numbers = vec![0; self.tile[0] * self.tile[1]];
         let across = self.width.div_ceil(self.tile[0]);
-        for (n, stream) in self.streams.iter().enumerate() {
-            let (x, y) = (n % across * self.tile[0], n / across * self.tile[1]);
-            let columns = self.tile[0].min(self.width - x);
-            let rows = self.tile[1].min(self.height - y);
-            let start = y * self.width + x;
-            let decode = |numbers: &mut [i32]| {
-                self.algorithm.decode(stream, numbers).ok_or_else(|| {
-                    let expected = format!("a whole stream of {} pixels", numbers.len());
-                    let found = format!("{} damaged bytes", stream.len());
-                    Problem::field(format!("tile {}", n + 1), expected, found)
-                })
-            };
-            if columns == self.width {
-                decode(&mut image[start..start + columns * rows])?;
-                continue;
+        for (band, streams) in self.streams.chunks(across).enumerate() {
+            let height = self.tile[1].min(self.height - band * self.tile[1]);
+            let rows = &mut rows[..self.width * height];
+            for (n, stream) in streams.iter().enumerate() {
+                let x = n * self.tile[0];
+                let columns = self.tile[0].min(self.width - x);
+                let number = band * across + n + 1;
+                if columns == self.width {
+                    self.decode(number, stream, rows)?;
+                    continue;
+                }
+                let numbers = &mut numbers[..columns * height];
+                self.decode(number, stream, numbers)?;
+                for (row, line) in numbers.chunks_exact(columns).enumerate() {
+                    rows[row * self.width + x..][..columns].copy_from_slice(line);
+                }
             }
-            let numbers = &mut numbers[..columns * rows];
-            decode(numbers)?;
-            for (row, line) in numbers.chunks_exact(columns).enumerate() {
-                let start = start + row * self.width;
-                image[start..start + columns].copy_from_slice(line);
-            }
+            each(rows)?;
         }
-        Ok(image)
+        Ok(())
+    }
+
+    fn decode(&self, number: usize, stream: &[u8], numbers: &mut [i32]) -> Result<(), Problem> {
+        self.algorithm.decode(stream, numbers).ok_or_else(|| {
+            let expected = format!("a whole stream of {} pixels", numbers.len());
+            let found = format!("{} damaged bytes", stream.len());
+            Problem::field(format!("tile {number}"), expected, found)
+        })
     }
 }
 

@@ -1,7 +1,7 @@
 //! An image's rows as compressed tiles, a row of pixels a tile (FITS 4.0, section 10): what `compressed` unpacks.
 
 use super::layout::{Layout, text_card, value_card};
-use super::rice::{Folded, encode};
+use super::rice::{BLOCK, Encoder, Folded};
 use crate::frame::Pixels;
 use flate2::write::GzEncoder;
 use std::io::{self, Write};
@@ -64,11 +64,7 @@ pub(super) fn begin(layout: &mut Layout, pixels: &Pixels, width: usize, compress
     layout.text("ZCMPTYPE", algorithm, "the compression");
     if compression == Compression::Rice {
         layout.text("ZNAME1", "BLOCKSIZE", "pixels of a block");
-        layout.value(
-            "ZVAL1",
-            &super::rice::BLOCK.to_string(),
-            "pixels of a block",
-        );
+        layout.value("ZVAL1", &BLOCK.to_string(), "pixels of a block");
         layout.text("ZNAME2", "BYTEPIX", "bytes of a pixel");
         layout.value("ZVAL2", &(bits / 8).to_string(), "bytes of a pixel");
     }
@@ -117,8 +113,8 @@ pub(super) fn put(
         (Compression::None, Pixels::U16(pixels)) => {
             layout.bytes().extend(pixels.iter().flat_map(stored));
         }
-        (Compression::Rice, Pixels::U8(pixels)) => put_tiles(layout, pixels, width, rice)?,
-        (Compression::Rice, Pixels::U16(pixels)) => put_tiles(layout, pixels, width, rice)?,
+        (Compression::Rice, Pixels::U8(pixels)) => put_tiles(layout, pixels, width, rice(width))?,
+        (Compression::Rice, Pixels::U16(pixels)) => put_tiles(layout, pixels, width, rice(width))?,
         (Compression::Gzip, Pixels::U8(pixels)) => {
             put_tiles(layout, pixels, width, |row: &[u8], heap| gzip(row, heap))?;
         }
@@ -141,7 +137,7 @@ fn put_tiles<T>(
     layout: &mut Layout,
     pixels: &[T],
     width: usize,
-    tile: impl Fn(&[T], &mut Vec<u8>) -> io::Result<()>,
+    mut tile: impl FnMut(&[T], &mut Vec<u8>) -> io::Result<()>,
 ) -> io::Result<()> {
     let rows = pixels.len() / width;
     let bytes = layout.bytes();
@@ -168,9 +164,12 @@ fn put_tiles<T>(
     Ok(())
 }
 
-fn rice<T: Folded>(row: &[T], heap: &mut Vec<u8>) -> io::Result<()> {
-    encode(row, heap);
-    Ok(())
+fn rice<T: Folded>(width: usize) -> impl FnMut(&[T], &mut Vec<u8>) -> io::Result<()> {
+    let mut encoder = Encoder::new::<T>(width);
+    move |row, heap| {
+        heap.extend_from_slice(encoder.encode(row));
+        Ok(())
+    }
 }
 
 fn gzip(row: &[u8], heap: &mut Vec<u8>) -> io::Result<()> {

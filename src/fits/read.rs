@@ -29,10 +29,12 @@ pub(super) fn read_fits(bytes: &[u8], hdus: &[Hdu]) -> Result<Frame, Problem> {
         false => None,
     };
     checksum::check_data(bytes, hdu)?;
-    let pixels = match tiles {
-        Some(tiles) => stored.pixels(tiles.unpack()?, width)?,
-        None => stored.plain_pixels(&bytes[hdu.data_bytes.clone()], width)?,
-    };
+    let mut pixels = Unpacked::new(stored, width, width * height);
+    match tiles {
+        Some(tiles) => tiles.unpack(|numbers| pixels.add(numbers))?,
+        None => pixels.add_plain(&bytes[hdu.data_bytes.clone()])?,
+    }
+    let pixels = pixels.pixels;
     let saturation = read_saturation(&header, pixels.bits(), brightest_dn(&pixels))?;
     let info = read_info(&header)?;
     Frame::new(width, height, pixels, saturation, info).map_err(refused)
@@ -106,25 +108,46 @@ fn stored(header: &Header, prefix: &str) -> Result<Stored, Problem> {
     }
 }
 
-impl Stored {
-    /// The pixels of an image that is not compressed: big-endian numbers.
-    fn plain_pixels(self, data: &[u8], width: usize) -> Result<Pixels, Problem> {
-        if let Self::U8 = self {
-            return Ok(Pixels::U8(data.to_vec()));
-        }
-        let words = data.as_chunks::<2>().0.iter();
-        self.pixels(
-            words.map(|word| i16::from_be_bytes(*word).into()).collect(),
+/// Pixels that come row by row.
+struct Unpacked {
+    stored: Stored,
+    width: usize,
+    pixels: Pixels,
+}
+
+impl Unpacked {
+    fn new(stored: Stored, width: usize, pixels: usize) -> Self {
+        let pixels = match stored {
+            Stored::U8 => Pixels::U8(Vec::with_capacity(pixels)),
+            Stored::U16 | Stored::I16 => Pixels::U16(Vec::with_capacity(pixels)),
+        };
+        Self {
+            stored,
             width,
-        )
+            pixels,
+        }
     }
 
-    /// The pixels of numbers as stored; an error that names the first that is none.
-    fn pixels(self, numbers: Vec<i32>, width: usize) -> Result<Pixels, Problem> {
-        let (zero, top) = match self {
-            Self::U8 => (0, 255),
-            Self::U16 => (32_768, 65_535),
-            Self::I16 => (0, 32_767),
+    /// Adds the pixels of an image that is not compressed: big-endian numbers.
+    fn add_plain(&mut self, data: &[u8]) -> Result<(), Problem> {
+        if let Pixels::U8(pixels) = &mut self.pixels {
+            pixels.extend_from_slice(data);
+            return Ok(());
+        }
+        let words = data.as_chunks::<2>().0;
+        let number = |word: &[u8; 2]| i16::from_be_bytes(*word).into();
+        words.chunks(self.width).try_for_each(|row| {
+            let numbers: Vec<i32> = row.iter().map(number).collect();
+            self.add(&numbers)
+        })
+    }
+
+    /// Adds pixels of numbers as stored; an error that names the first that is none.
+    fn add(&mut self, numbers: &[i32]) -> Result<(), Problem> {
+        let (zero, top) = match self.stored {
+            Stored::U8 => (0, 255),
+            Stored::U16 => (32_768, 65_535),
+            Stored::I16 => (0, 32_767),
         };
         let legal = -zero..=top - zero;
         let illegal = |number: &i32| !legal.contains(number);
@@ -134,18 +157,18 @@ impl Stored {
             .fold(false, |any, number| any | illegal(number));
         if any && let Some(at) = numbers.iter().position(illegal) {
             let number = i64::from(numbers[at]) + i64::from(zero);
-            let found = format!("{number} at pixel ({}, {})", at % width, at / width);
-            return Err(Problem::field(
-                "pixels",
-                format!("values from 0 to {top}"),
-                found,
-            ));
+            let at = self.pixels.len() + at;
+            let (x, y) = (at % self.width, at / self.width);
+            let found = format!("{number} at pixel ({x}, {y})");
+            let expected = format!("values from 0 to {top}");
+            return Err(Problem::field("pixels", expected, found));
         }
-        let numbers = numbers.into_iter().map(|number| number + zero);
-        Ok(match self {
-            Self::U8 => Pixels::U8(numbers.map(|dn| dn as u8).collect()),
-            Self::U16 | Self::I16 => Pixels::U16(numbers.map(|dn| dn as u16).collect()),
-        })
+        let numbers = numbers.iter().map(|number| number + zero);
+        match &mut self.pixels {
+            Pixels::U8(pixels) => pixels.extend(numbers.map(|dn| dn as u8)),
+            Pixels::U16(pixels) => pixels.extend(numbers.map(|dn| dn as u16)),
+        }
+        Ok(())
     }
 }
 

@@ -53,51 +53,38 @@ impl Rice {
 /// As [`Rice::decode`]; shifts by what a register holds are one instruction where the processor has them.
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
 fn decode(rice: Rice, stream: &[u8], pixels: &mut [i32]) -> Option<()> {
-    let Rice { block, width } = rice;
-    let mut bits = Bits::new(stream);
-    let full = 8 * width.bytes() as u32;
-    let (parameter_bits, uncompressed) = width.parameter();
-    let mut last = bits.take(full)?;
-    for block in pixels.chunks_mut(block) {
-        match bits.take(parameter_bits)?.checked_sub(1) {
-            None => block.fill(0),
-            Some(low) if low < uncompressed => bits.folded(low, block)?,
-            Some(_) => {
-                for pixel in &mut *block {
-                    *pixel = bits.take(full)? as i32;
-                }
-            }
-        }
-        match width {
-            Width::One => last = unfold(block, last, |bits| i32::from(bits as u8)),
-            Width::Two => last = unfold(block, last, |bits| i32::from(bits as i16)),
-            Width::Four => last = unfold(block, last, |bits| bits as i32),
-        }
+    let mut bits = Bits { stream, at: 0 };
+    let mut last = bits.take(8 * rice.width.bytes() as u32);
+    for block in pixels.chunks_mut(rice.block) {
+        bits.block(rice.width, block)?;
     }
-    Some(())
-}
-
-/// From folded differences to the pixels behind `last`; the last of these. `number` is what the low bits stand for.
-#[inline(always)]
-fn unfold(block: &mut [i32], mut last: u32, number: impl Fn(u32) -> i32) -> u32 {
-    // Side by side, before they are added up.
-    for pixel in &mut *block {
+    // In passes of their own: all but the sums are made side by side.
+    for pixel in &mut *pixels {
         let folded = *pixel as u32;
         // Even numbers stand for what is not negative, odd ones for what is.
         *pixel = ((folded >> 1) ^ (folded & 1).wrapping_neg()) as i32;
     }
-    for pixel in block {
+    for pixel in &mut *pixels {
         last = last.wrapping_add(*pixel as u32);
-        *pixel = number(last);
+        *pixel = last as i32;
     }
-    last
+    match rice.width {
+        Width::One => pixels
+            .iter_mut()
+            .for_each(|bits| *bits = i32::from(*bits as u8)),
+        Width::Two => pixels
+            .iter_mut()
+            .for_each(|bits| *bits = i32::from(*bits as i16)),
+        Width::Four => {}
+    }
+    (bits.at <= 8 * stream.len()).then_some(())
 }
 
 /// Pixels of a block that is written.
 pub(super) const BLOCK: usize = 32;
 
-/// A stream needs no more bytes than these, and for each pixel one more than the pixel has: a block's mean chooses the low bits so that the
-/// zeros are fewer than four a pixel.
+/// A stream needs no more bytes than these, with a window behind its end, and for each pixel one more than the pixel has: a block's mean
+/// chooses the low bits so that the zeros are fewer than four a pixel.
 const MOST_BYTES: usize = 16;
 
 /// A pixel as Rice takes it.
@@ -138,74 +125,97 @@ impl Folded for u16 {
     }
 }
 
-/// Adds a row of pixels to `out` as a stream, bit for bit as cfitsio writes it.
+/// Makes streams of rows, in memory that all of them use.
+pub(super) struct Encoder {
+    folded: Vec<u32>,
+    stream: Vec<u8>,
+}
+
+impl Encoder {
+    /// For rows of so many pixels.
+    pub fn new<T: Folded>(pixels: usize) -> Self {
+        Self {
+            folded: vec![0; pixels],
+            stream: vec![0; MOST_BYTES + pixels * (T::WIDTH.bytes() + 1)],
+        }
+    }
+
+    /// The stream of a row, bit for bit as cfitsio writes it.
+    pub fn encode<T: Folded>(&mut self, row: &[T]) -> &[u8] {
+        let bytes = encode(row, &mut self.folded, &mut self.stream);
+        &self.stream[..bytes]
+    }
+}
+
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
-pub(super) fn encode<T: Folded>(row: &[T], out: &mut Vec<u8>) {
+fn encode<T: Folded>(row: &[T], folded: &mut [u32], stream: &mut [u8]) -> usize {
     let Some(first) = row.first() else {
-        return;
+        return 0;
     };
-    let start = out.len();
-    out.resize(start + MOST_BYTES + row.len() * (T::WIDTH.bytes() + 1), 0);
+    // The first pixel of a row differs from itself.
+    folded[0] = 0;
+    for ((folded, pixel), before) in folded[1..].iter_mut().zip(&row[1..]).zip(row) {
+        *folded = pixel.folded(*before);
+    }
     let mut bits = Writer {
-        out: &mut out[start..],
+        out: stream,
         written: 0,
         window: 0,
         count: 0,
     };
     bits.put(first.first().into(), 8 * T::WIDTH.bytes() as u32);
-    for begin in (0..row.len()).step_by(BLOCK) {
-        let block = &row[begin..row.len().min(begin + BLOCK)];
-        // The first pixel of a row differs from itself.
-        let before = if begin == 0 { row } else { &row[begin - 1..] };
-        let mut folded = [0; BLOCK];
-        match (block.try_into(), before.first_chunk()) {
-            (Ok(block), Some(before)) if begin > 0 => fold::<T>(block, before, &mut folded),
-            _ => {
-                for (n, folded) in folded[..block.len()].iter_mut().enumerate() {
-                    let at = begin + n;
-                    *folded = row[at].folded(row[at.saturating_sub(1)]);
-                }
-            }
-        }
-        bits.put_block(&folded[..block.len()], T::WIDTH);
+    let (blocks, rest) = folded.as_chunks();
+    for block in blocks {
+        bits.put_whole_block(block, T::WIDTH);
     }
-    let written = bits.finish();
-    out.truncate(start + written);
-}
-
-/// Folds a block side by side.
-#[inline(always)]
-fn fold<T: Folded>(block: &[T; BLOCK], before: &[T; BLOCK], folded: &mut [u32; BLOCK]) {
-    for (folded, (pixel, before)) in folded.iter_mut().zip(block.iter().zip(before)) {
-        *folded = pixel.folded(*before);
+    if !rest.is_empty() {
+        bits.put_block(rest, T::WIDTH);
     }
+    bits.finish()
 }
 
 /// Bits that become bytes, the highest of each byte first.
 struct Writer<'a> {
-    /// Room for all.
+    /// Room for all, and for a window behind it.
     out: &'a mut [u8],
     written: usize,
-    /// The last `count` bits, below 32, are not yet bytes.
+    /// The last `count` bits, below 8, that are no whole byte yet, from the top down.
     window: u64,
     count: u32,
 }
 
+/// Bits that are added at once, at most.
+const PUT: u32 = 56;
+
 impl Writer<'_> {
-    /// Adds the low `bits`, at most 32, of a number that has no others.
+    /// Adds the low `bits`, at most [`PUT`], of a number that has no others.
     #[inline(always)]
     fn put(&mut self, number: u64, bits: u32) {
-        self.window = self.window << bits | number;
         self.count += bits;
-        if self.count >= 32 {
-            self.count -= 32;
-            let whole = (self.window >> self.count) as u32;
-            self.out[self.written..self.written + 4].copy_from_slice(&whole.to_be_bytes());
-            self.written += 4;
-        }
+        self.window |= number << (64 - self.count);
+        // Always: to ask whether a byte is whole costs more.
+        self.out[self.written..self.written + 8].copy_from_slice(&self.window.to_be_bytes());
+        let bytes = self.count / 8;
+        self.written += bytes as usize;
+        self.window <<= 8 * bytes;
+        self.count %= 8;
     }
 
     #[inline(always)]
+    fn put_whole_block(&mut self, folded: &[u32; BLOCK], width: Width) {
+        let most = folded.iter().fold(0, |most, folded| most.max(*folded));
+        let sum: u32 = folded.iter().sum();
+        let low = low_bits(sum, BLOCK as u32);
+        let longest = (most >> low) + 1 + low;
+        let (parameter_bits, uncompressed) = width.parameter();
+        if sum > 0 && low < uncompressed && longest <= PUT / 4 {
+            self.put((low + 1).into(), parameter_bits);
+            self.put_fours(folded, low);
+        } else {
+            self.put_block(folded, width);
+        }
+    }
+
     fn put_block(&mut self, folded: &[u32], width: Width) {
         let (parameter_bits, uncompressed) = width.parameter();
         let sum: u32 = folded.iter().sum();
@@ -221,49 +231,45 @@ impl Writer<'_> {
                 .for_each(|folded| self.put((*folded).into(), full));
         }
         self.put(u64::from(low) + 1, parameter_bits);
-        let most = folded.iter().fold(0, |most, folded| most.max(*folded));
-        // Two codes at a time where none is longer than 16 bits.
-        if let (Ok(folded), 0..=16) = (folded.try_into(), (most >> low) + 1 + low) {
-            return self.put_pairs(folded, low);
-        }
         for folded in folded {
             self.put_zeros(folded >> low);
             self.put(code(*folded, low).into(), 1 + low);
         }
     }
 
+    /// Four codes at a time, none longer than a quarter of what is added at once.
     #[inline(always)]
-    fn put_pairs(&mut self, folded: &[u32; BLOCK], low: u32) {
+    fn put_fours(&mut self, folded: &[u32; BLOCK], low: u32) {
         // Side by side, before they are strung together.
         let (mut lengths, mut codes) = ([0; BLOCK], [0; BLOCK]);
         for ((length, one_code), folded) in lengths.iter_mut().zip(&mut codes).zip(folded) {
             *length = (folded >> low) + 1 + low;
             *one_code = code(*folded, low);
         }
-        let pairs = codes
-            .as_chunks::<2>()
-            .0
-            .iter()
-            .zip(lengths.as_chunks::<2>().0);
-        for ([a, b], [a_length, b_length]) in pairs {
-            self.put(u64::from(a << b_length | b), a_length + b_length);
+        let (mut pair_lengths, mut pair_codes) = ([0; BLOCK / 2], [0; BLOCK / 2]);
+        for n in 0..BLOCK / 2 {
+            let [length, next] = [lengths[2 * n], lengths[2 * n + 1]];
+            pair_lengths[n] = length + next;
+            pair_codes[n] = codes[2 * n] << next | codes[2 * n + 1];
+        }
+        for n in 0..BLOCK / 4 {
+            let [length, next] = [pair_lengths[2 * n], pair_lengths[2 * n + 1]];
+            let code = u64::from(pair_codes[2 * n]) << next | u64::from(pair_codes[2 * n + 1]);
+            self.put(code, length + next);
         }
     }
 
     fn put_zeros(&mut self, mut zeros: u32) {
         while zeros > 0 {
-            let some = zeros.min(32);
+            let some = zeros.min(PUT);
             self.put(0, some);
             zeros -= some;
         }
     }
 
-    /// Fills the last byte with zeros; how many bytes there are.
+    /// How many bytes there are, the last filled with zeros.
     fn finish(self) -> usize {
-        let rest = (self.window << (32 - self.count)) as u32;
-        let bytes = self.count.div_ceil(8) as usize;
-        self.out[self.written..self.written + bytes].copy_from_slice(&rest.to_be_bytes()[..bytes]);
-        self.written + bytes
+        self.written + self.count.div_ceil(8) as usize
     }
 }
 
@@ -280,101 +286,119 @@ fn low_bits(sum: u32, pixels: u32) -> u32 {
     u32::BITS - (mean >> 1).leading_zeros()
 }
 
-/// Bits of a stream, the highest of each byte first.
+/// Bits of a stream, the highest of each byte first; zeros behind its end.
 struct Bits<'a> {
-    rest: &'a [u8],
-    /// The next bits from the top down. Below the `count` that are ours stand bits of `rest`, or zeros.
-    window: u64,
-    count: u32,
+    stream: &'a [u8],
+    /// The next bit.
+    at: usize,
 }
 
-impl<'a> Bits<'a> {
-    fn new(stream: &'a [u8]) -> Self {
-        Self {
-            rest: stream,
-            window: 0,
-            count: 0,
-        }
-    }
+/// Bits of a window, whatever bit of a byte it begins with.
+const WINDOW: u32 = 57;
 
-    /// Takes in as many whole bytes as fit, at least 57 bits in all unless the stream ends.
+impl Bits<'_> {
+    /// The next bits from the top down.
     #[inline(always)]
-    fn fill(&mut self) {
-        if let Some(next) = self.rest.first_chunk() {
-            self.window |= u64::from_be_bytes(*next) >> self.count;
-            let bytes = (63 - self.count) / 8;
-            self.rest = &self.rest[bytes as usize..];
-            self.count += 8 * bytes;
-            return;
-        }
-        while let (0..=56, Some((byte, rest))) = (self.count, self.rest.split_first()) {
-            self.window |= u64::from(*byte) << (56 - self.count);
-            self.count += 8;
-            self.rest = rest;
-        }
+    fn window(&self) -> u64 {
+        let first = self.at / 8;
+        let bytes = match self.stream.get(first..first + 8) {
+            Some(bytes) => bytes.try_into().unwrap_or_default(),
+            None => self.last_bytes(first),
+        };
+        u64::from_be_bytes(bytes) << (self.at % 8)
     }
 
-    /// A block of folded differences: zeros up to a one say how often 2^`low` goes into each, and `low` bits, at most 25, the rest.
-    #[inline(always)]
-    fn folded(&mut self, low: u32, block: &mut [i32]) -> Option<()> {
-        let one = 1 << low;
-        for pixel in block {
-            if self.count < 32 {
-                self.fill();
-            }
-            let zeros = self.window.leading_zeros();
-            let used = zeros + 1 + low;
-            if used > self.count {
-                *pixel = self.long(low)? as i32;
-                continue;
-            }
-            // The one stands on top now, and counts as 2^low below.
-            let code = self.window << zeros;
-            let rest = (code >> (63 - low)) as u32;
-            *pixel = ((zeros << low) + rest - one) as i32;
-            self.window = code << (low + 1);
-            self.count -= used;
-        }
-        Some(())
-    }
-
-    /// A folded difference that is not whole in the window.
     #[cold]
-    fn long(&mut self, low: u32) -> Option<u32> {
-        Some(self.zeros()?.wrapping_shl(low) | self.take(low)?)
+    fn last_bytes(&self, first: usize) -> [u8; 8] {
+        let mut bytes = [0; 8];
+        let rest = self.stream.get(first..).unwrap_or_default();
+        bytes[..rest.len()].copy_from_slice(rest);
+        bytes
     }
 
     /// The next `count` bits, at most 32, as a number.
     #[inline(always)]
-    fn take(&mut self, count: u32) -> Option<u32> {
-        if self.count < count {
-            self.fill();
-        }
-        self.count = self.count.checked_sub(count)?;
-        let number = self.window.checked_shr(64 - count).unwrap_or(0);
-        self.window <<= count;
-        Some(number as u32)
+    fn take(&mut self, count: u32) -> u32 {
+        let window = self.window();
+        self.at += count as usize;
+        window.checked_shr(64 - count).unwrap_or(0) as u32
     }
 
-    /// Takes zeros up to the next one, and that one; how many zeros.
+    /// Takes zeros up to the next one, and that one; how many zeros. `None` where no one follows.
     fn zeros(&mut self) -> Option<u32> {
         let mut zeros = 0;
-        loop {
-            let run = self.window.leading_zeros();
-            if run < self.count {
-                // In two steps, for a run of 63.
-                self.window = self.window << run << 1;
-                self.count -= run + 1;
+        while self.at < 8 * self.stream.len() {
+            let run = self.window().leading_zeros();
+            if run < WINDOW {
+                self.at += run as usize + 1;
                 return Some(zeros + run);
             }
-            zeros += self.count;
-            self.window = 0;
-            self.count = 0;
-            self.fill();
-            if self.count == 0 {
-                return None;
+            zeros += WINDOW;
+            self.at += WINDOW as usize;
+        }
+        None
+    }
+
+    /// A block's folded differences.
+    #[inline(always)]
+    fn block(&mut self, width: Width, block: &mut [i32]) -> Option<()> {
+        let (parameter_bits, uncompressed) = width.parameter();
+        match self.take(parameter_bits).checked_sub(1) {
+            None => block.fill(0),
+            Some(low) if low >= uncompressed => {
+                let full = 8 * width.bytes() as u32;
+                block.fill_with(|| self.take(full) as i32);
+            }
+            // As many at a time as mostly stand in a window.
+            Some(low @ 0..=4) => self.groups::<8>(low, block)?,
+            Some(low @ 5..=10) => self.groups::<4>(low, block)?,
+            Some(low) => self.one_by_one(low, block)?,
+        }
+        Some(())
+    }
+
+    #[inline(always)]
+    fn groups<const N: usize>(&mut self, low: u32, block: &mut [i32]) -> Option<()> {
+        let (groups, rest) = block.as_chunks_mut::<N>();
+        for group in groups {
+            if !self.group(low, group) {
+                self.one_by_one(low, group)?;
             }
         }
+        match rest {
+            [] => Some(()),
+            rest => self.one_by_one(low, rest),
+        }
+    }
+
+    /// Folded differences of `low` low bits, at most 10, all from one window; whether they stood in it, and were taken.
+    #[inline(always)]
+    fn group<const N: usize>(&mut self, low: u32, group: &mut [i32; N]) -> bool {
+        let one = 1 << low;
+        let mut window = self.window();
+        let mut bits = N as u32 * (low + 1);
+        for folded in group {
+            let zeros = window.leading_zeros();
+            bits += zeros;
+            // The one stands on top now, and counts as 2^low below.
+            let code = window.wrapping_shl(zeros);
+            *folded = ((zeros << low) + (code >> (63 - low)) as u32 - one) as i32;
+            window = code << (low + 1);
+        }
+        // To ask after each would take longer.
+        let all_stood_in_it = bits <= WINDOW;
+        if all_stood_in_it {
+            self.at += bits as usize;
+        }
+        all_stood_in_it
+    }
+
+    /// The plain twin: zeros up to a one say how often 2^`low` goes into a folded difference, and `low` bits, at most 24, the rest.
+    fn one_by_one(&mut self, low: u32, block: &mut [i32]) -> Option<()> {
+        for folded in block {
+            *folded = (self.zeros()?.wrapping_shl(low) | self.take(low)) as i32;
+        }
+        Some(())
     }
 }
 
@@ -486,15 +510,15 @@ mod tests {
     #[test]
     fn a_row_is_encoded_as_by_single_bits_and_decoded_to_what_it_was() {
         fn check<T: Folded + PartialEq + std::fmt::Debug>(row: &[T], number: impl Fn(T) -> i32) {
-            let mut stream = Vec::new();
-            encode(row, &mut stream);
+            let mut encoder = Encoder::new::<T>(row.len());
+            let stream = encoder.encode(row);
             assert_eq!(stream, plainly_encoded(row), "{row:?}");
             let mut numbers = vec![0; row.len()];
             let rice = Rice {
                 block: BLOCK,
                 width: T::WIDTH,
             };
-            rice.decode(&stream, &mut numbers).unwrap();
+            rice.decode(stream, &mut numbers).unwrap();
             let expected: Vec<i32> = row.iter().map(|pixel| number(*pixel)).collect();
             assert_eq!(numbers, expected);
         }
@@ -505,6 +529,35 @@ mod tests {
         for row in rows(65_535) {
             let row: Vec<u16> = row.into_iter().map(|dn| dn as u16).collect();
             check(&row, |dn| i32::from(dn) - 32_768);
+        }
+    }
+
+    #[test]
+    fn a_group_is_read_as_one_by_one() {
+        fn check<const N: usize>(stream: &[u8], low: u32) {
+            let mut fast = Bits { stream, at: 0 };
+            let mut plain = Bits { stream, at: 0 };
+            let (mut together, mut apart) = ([0; N], [0; N]);
+            while plain.one_by_one(low, &mut apart).is_some() {
+                let begin = fast.at;
+                if fast.group(low, &mut together) {
+                    assert_eq!((together, fast.at), (apart, plain.at));
+                } else {
+                    assert_eq!(fast.at, begin);
+                    assert!(plain.at - begin > WINDOW as usize || plain.at > 8 * stream.len());
+                    fast.at = plain.at;
+                }
+            }
+            assert!(!fast.group(low, &mut together) || fast.at > 8 * stream.len());
+        }
+        // Long runs of zeros, short ones, and ones.
+        for spacing in [1, 2, 3, 5, 9, 17, 60] {
+            let bits = (0..4000).map(|n| if n * n % 61 % spacing == 0 { '1' } else { '0' });
+            let stream = stream(&[], &bits.collect::<String>());
+            for low in 0..=10 {
+                check::<4>(&stream, low);
+                check::<8>(&stream, low);
+            }
         }
     }
 
