@@ -1,46 +1,56 @@
-//! Instructions of encoding a frame, by callgrind.
+//! Instructions of encoding and decoding a frame, by callgrind.
 
 use crate::frames::{CONDITIONS, solved};
-use crate::work::encode;
-use anyhow::{Context, ensure};
-use solaspect::fits::Compression;
+use crate::work::{Work, decode, encode, write_all};
+use anyhow::{Context, bail, ensure};
 use std::fs;
 use std::process::{Command, Stdio};
 
-/// Tells this program that it is being counted, and in what: the number of the conditions and a compression.
-pub const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_ENCODING";
+/// Tells this program that it is being counted, and in what: the number of the conditions and of the work.
+pub const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_WORK";
 
-/// Frames that are encoded, the first not counted: it finds the library not initialised.
+/// Frames that are worked on, the first not counted: it finds the library not initialised.
 const FRAMES: u64 = 3;
 
 #[inline(never)]
-fn counted(solved: &[crate::frames::Solved], compression: Compression) -> anyhow::Result<()> {
-    solved
-        .iter()
-        .try_for_each(|solved| encode(solved, compression).map(drop))
+fn counted<T>(frames: &[T], work: impl Fn(&T) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    frames.iter().try_for_each(work)
 }
 
-/// Encodes what `counted_as` says, for callgrind to count.
+/// Does what `counted_as` says, for callgrind to count.
 pub fn work_through(counted_as: &str) -> anyhow::Result<()> {
-    let expected = || format!("{COUNTED_VARIABLE}: expected `N COMPRESSION`, found {counted_as}");
-    let (n, name) = counted_as.split_once(' ').with_context(expected)?;
-    let conditions = n.parse().ok().and_then(|n: usize| CONDITIONS.get(n));
-    let compression = Compression::KINDS.into_iter().find(|c| c.name() == name);
-    let compression = compression.with_context(expected)?;
-    let frames = solved(conditions.with_context(expected)?, FRAMES)?;
-    encode(&frames[0], compression)?;
-    counted(&frames[1..], compression)
+    let parts = counted_as.split_once(' ').and_then(|(n, work)| {
+        let conditions = CONDITIONS.get(n.parse::<usize>().ok()?)?;
+        Some((conditions, *Work::ALL.get(work.parse::<usize>().ok()?)?))
+    });
+    let Some((conditions, work)) = parts else {
+        bail!("{COUNTED_VARIABLE}: expected two numbers, found {counted_as}");
+    };
+    let frames = solved(conditions, FRAMES)?;
+    match work {
+        Work::Encode(compression) => {
+            encode(&frames[0], compression)?;
+            counted(&frames[1..], |solved| encode(solved, compression).map(drop))
+        }
+        Work::Decode(compression) => {
+            let folder = tempfile::tempdir()?;
+            let files = write_all(&frames, compression, folder.path())?;
+            decode(&files[0])?;
+            counted(&files[1..], |file| decode(file).map(drop))
+        }
+        work => bail!("{} is not counted", work.name()),
+    }
 }
 
-/// Mean instructions of encoding a frame under the n-th conditions.
-pub fn count(n: usize, compression: Compression) -> anyhow::Result<u64> {
+/// Mean instructions of a frame under the n-th conditions; `work` is its place in [`Work::ALL`].
+pub fn count(n: usize, work: usize) -> anyhow::Result<u64> {
     let folder = tempfile::tempdir()?;
     let counts = folder.path().join("counts");
     let status = Command::new("valgrind")
         .args(["--tool=callgrind", "--toggle-collect=*counts*counted*"])
         .arg(format!("--callgrind-out-file={}", counts.display()))
         .arg(std::env::current_exe()?)
-        .env(COUNTED_VARIABLE, format!("{n} {}", compression.name()))
+        .env(COUNTED_VARIABLE, format!("{n} {work}"))
         .stderr(Stdio::null())
         .status()
         .context("valgrind does not start")?;

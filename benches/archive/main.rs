@@ -48,7 +48,7 @@ fn main() -> anyhow::Result<()> {
         let frames = frames::solved(conditions, FRAMES)?;
         let works = Work::ALL
             .into_iter()
-            .filter(|work| fpack.is_some() || !matches!(work, Work::Fpack(..)));
+            .filter(|work| fpack.is_some() || !work.is_foreign());
         let costs = measure(&frames, works.collect(), &arguments.dir)?;
         print_table(n, conditions, &frames, &costs, arguments.times_only);
     }
@@ -88,10 +88,10 @@ fn print_table(
     println!("### {}, {megabytes:.2} MB of pixels\n", conditions.name);
     println!("| work | compression | frames/s | MB/s | ms | CPU ms | ratio | 10^6 instructions |");
     println!("|---|---|---:|---:|---:|---:|---:|---:|");
-    for (work, cost) in costs {
+    for (place, (work, cost)) in costs.iter().enumerate() {
         let seconds = cost.wall().as_secs_f64();
         let instructions = match work {
-            Work::Encode(compression) if !times_only => instructions(n, *compression),
+            Work::Encode(_) | Work::Decode(_) if !times_only => instructions(n, place),
             _ => String::new(),
         };
         println!(
@@ -108,8 +108,8 @@ fn print_table(
     println!();
 }
 
-fn instructions(n: usize, compression: Compression) -> String {
-    match counts::count(n, compression) {
+fn instructions(n: usize, work: usize) -> String {
+    match counts::count(n, work) {
         Ok(count) => format!("{:.1}", count as f64 / 1e6),
         Err(error) => format!("not counted: {error}"),
     }

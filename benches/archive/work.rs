@@ -4,9 +4,10 @@ use crate::cost::{Cost, Of};
 use crate::frames::Solved;
 use anyhow::{Context, ensure};
 use solaspect::archive::Store;
-use solaspect::fits::{self, Compression};
+use solaspect::fits::{self, Compression, FitsFile};
+use std::ffi::OsString;
 use std::hint::black_box;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -16,36 +17,54 @@ pub enum Work {
     Encode(Compression),
     /// To a file on the disk, with its name: encoding, writing, fsync of file and folder, renaming.
     Store(Compression),
+    /// From a file to the frame, the sum of its data checked.
+    Decode(Compression),
     /// `fpack` with an option that names its compression: reading and writing files, without fsync.
     Fpack(&'static str, Compression),
+    /// `funpack` of our files: reading and writing files, without fsync.
+    Funpack(Compression),
 }
 
 impl Work {
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 13] = [
         Self::Encode(Compression::Rice),
         Self::Encode(Compression::Gzip),
         Self::Encode(Compression::None),
         Self::Store(Compression::Rice),
         Self::Store(Compression::Gzip),
         Self::Store(Compression::None),
+        Self::Decode(Compression::Rice),
+        Self::Decode(Compression::Gzip),
+        Self::Decode(Compression::None),
         Self::Fpack("-r", Compression::Rice),
         Self::Fpack("-g", Compression::Gzip),
+        Self::Funpack(Compression::Rice),
+        Self::Funpack(Compression::Gzip),
     ];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Encode(_) => "encode",
             Self::Store(_) => "store",
+            Self::Decode(_) => "decode",
             Self::Fpack(..) => "fpack",
+            Self::Funpack(_) => "funpack",
         }
     }
 
     pub fn compression(self) -> Compression {
         match self {
-            Self::Encode(compression) | Self::Store(compression) | Self::Fpack(_, compression) => {
-                compression
-            }
+            Self::Encode(compression)
+            | Self::Store(compression)
+            | Self::Decode(compression)
+            | Self::Fpack(_, compression)
+            | Self::Funpack(compression) => compression,
         }
+    }
+
+    /// Whether it is done by cfitsio's programs.
+    pub fn is_foreign(self) -> bool {
+        matches!(self, Self::Fpack(..) | Self::Funpack(_))
     }
 
     /// One pass over all frames, in a new folder under `folder`.
@@ -74,21 +93,23 @@ impl Work {
                     })
                 })
             }
-            Self::Fpack(option, _) => {
-                let mut command = Command::new("fpack");
-                command
-                    .arg(option)
-                    .current_dir(folder)
-                    .stdout(Stdio::null());
-                for (n, solved) in frames.iter().enumerate() {
-                    let name = format!("{n}.fits");
-                    std::fs::write(folder.join(&name), encode(solved, Compression::None)?)?;
-                    command.arg(name);
-                }
-                cost.add(frames.len(), Of::Children, |_| {
-                    ensure!(command.status()?.success(), "fpack failed");
-                    packed_bytes(folder, frames.len())
+            Self::Decode(compression) => {
+                let files = write_all(frames, compression, folder)?;
+                cost.add(frames.len(), Of::Ourselves, |wall| {
+                    each(&files, wall, |file| decode(file))?;
+                    sizes(&files)
                 })
+            }
+            Self::Fpack(option, compression) => {
+                let files = write_all(frames, Compression::None, folder)?;
+                let packed: Vec<PathBuf> = files.iter().map(|file| appended(file, ".fz")).collect();
+                let command = command("fpack", &[option], &files);
+                run(command, &packed, cost).with_context(|| compression.name())
+            }
+            Self::Funpack(compression) => {
+                let files = write_all(frames, compression, folder)?;
+                let command = command("funpack", &["-F"], &files);
+                run(command, &files, cost)
             }
         }
     }
@@ -110,28 +131,75 @@ pub fn encode(solved: &Solved, compression: Compression) -> anyhow::Result<Vec<u
     )?))
 }
 
-/// Does a work on every frame and notes its time; the sum of the bytes that it returns.
-fn each(
+/// The frame of a file; how many pixels it has.
+#[inline(never)]
+pub fn decode(file: &Path) -> anyhow::Result<usize> {
+    let frame = black_box(FitsFile::open(file)?.frame()?);
+    Ok(frame.pixels().len())
+}
+
+/// Writes each frame to a file of its own.
+pub fn write_all(
     frames: &[Solved],
+    compression: Compression,
+    folder: &Path,
+) -> anyhow::Result<Vec<PathBuf>> {
+    let write = |(n, solved)| {
+        let path = folder.join(format!("{n}.fits"));
+        std::fs::write(&path, encode(solved, compression)?)?;
+        Ok(path)
+    };
+    frames.iter().enumerate().map(write).collect()
+}
+
+/// Does a work on every frame and notes its time; the sum of the bytes that it returns.
+fn each<T>(
+    frames: &[T],
     wall: &mut Vec<Duration>,
-    work: impl Fn(&Solved) -> anyhow::Result<usize>,
+    work: impl Fn(&T) -> anyhow::Result<usize>,
 ) -> anyhow::Result<u64> {
     let mut bytes = 0;
-    for solved in frames {
+    for frame in frames {
         let start = Instant::now();
-        bytes += work(solved)? as u64;
+        bytes += work(frame)? as u64;
         wall.push(start.elapsed());
     }
     Ok(bytes)
 }
 
-fn packed_bytes(folder: &Path, count: usize) -> anyhow::Result<u64> {
-    let bytes = |n| {
-        let path = folder.join(format!("{n}.fits.fz"));
-        let metadata = std::fs::metadata(path).context("a file that fpack was to write")?;
-        Ok(metadata.len())
+/// One of cfitsio's programs on all files.
+fn command(program: &str, options: &[&str], files: &[PathBuf]) -> Command {
+    let mut command = Command::new(program);
+    let names = files.iter().filter_map(|file| file.file_name());
+    command.args(options).args(names).stdout(Stdio::null());
+    if let Some(folder) = files.first().and_then(|file| file.parent()) {
+        command.current_dir(folder);
+    }
+    command
+}
+
+/// Runs it; `packed` are the files whose size counts.
+fn run(mut command: Command, packed: &[PathBuf], cost: &mut Cost) -> anyhow::Result<()> {
+    cost.add(packed.len(), Of::Children, |_| {
+        ensure!(command.status()?.success(), "{command:?} failed");
+        sizes(packed)
+    })
+}
+
+fn sizes(files: &[PathBuf]) -> anyhow::Result<u64> {
+    let size = |file: &PathBuf| {
+        Ok(file
+            .metadata()
+            .with_context(|| file.display().to_string())?
+            .len())
     };
-    (0..count).map(bytes).sum()
+    files.iter().map(size).sum()
+}
+
+fn appended(file: &Path, ending: &str) -> PathBuf {
+    let mut name = OsString::from(file);
+    name.push(ending);
+    name.into()
 }
 
 /// The version of `fpack`, if it can be run.

@@ -6,6 +6,8 @@ use super::info::{read_info, read_saturation};
 use super::structure::{Content, Hdu, MAX_SIDE};
 use super::{MAX_PIXELS, Problem, checksum};
 use crate::frame::{Frame, FrameError, Pixels};
+use multiversion::multiversion;
+use std::ops::RangeInclusive;
 
 /// The kinds of pixels that a camera's frame can have.
 #[derive(Clone, Copy)]
@@ -150,12 +152,9 @@ impl Unpacked {
             Stored::I16 => (0, 32_767),
         };
         let legal = -zero..=top - zero;
-        let illegal = |number: &i32| !legal.contains(number);
-        // Without an end in the middle, this is many at a time.
-        let any = numbers
-            .iter()
-            .fold(false, |any, number| any | illegal(number));
-        if any && let Some(at) = numbers.iter().position(illegal) {
+        if !all_within(numbers, &legal)
+            && let Some(at) = numbers.iter().position(|number| !legal.contains(number))
+        {
             let number = i64::from(numbers[at]) + i64::from(zero);
             let at = self.pixels.len() + at;
             let (x, y) = (at % self.width, at / self.width);
@@ -163,13 +162,27 @@ impl Unpacked {
             let expected = format!("values from 0 to {top}");
             return Err(Problem::field("pixels", expected, found));
         }
-        let numbers = numbers.iter().map(|number| number + zero);
         match &mut self.pixels {
-            Pixels::U8(pixels) => pixels.extend(numbers.map(|dn| dn as u8)),
-            Pixels::U16(pixels) => pixels.extend(numbers.map(|dn| dn as u16)),
+            Pixels::U8(pixels) => extend(pixels, numbers, |number| number as u8),
+            Pixels::U16(pixels) => extend(pixels, numbers, |number| (number + zero) as u16),
         }
         Ok(())
     }
+}
+
+/// Whether all numbers lie in a range. Without an end in the middle, and with one number of each, this is many at a time.
+#[multiversion(targets("x86_64+avx2"))]
+fn all_within(numbers: &[i32], range: &RangeInclusive<i32>) -> bool {
+    let above = |number: i32| number.wrapping_sub(*range.start()) as u32;
+    let most = numbers
+        .iter()
+        .fold(0, |most, number| above(*number).max(most));
+    most <= above(*range.end())
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn extend<T>(pixels: &mut Vec<T>, numbers: &[i32], pixel: impl Fn(i32) -> T) {
+    pixels.extend(numbers.iter().map(|number| pixel(*number)));
 }
 
 pub(super) fn brightest_dn(pixels: &Pixels) -> u16 {
