@@ -169,7 +169,7 @@ fn a_disk_that_is_a_file_fails_by_name() {
 fn demand(limits: [f64; 3]) -> Demand {
     Demand {
         instrument: "demo".into(),
-        compression: Compression::Rice,
+        packing: Compression::Rice.into(),
         limits: SpaceLimits {
             warn_percent: limits[0],
             thin_percent: limits[1],

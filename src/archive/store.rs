@@ -7,7 +7,7 @@
 
 use super::disk::{Disk, Entry, EntryKind, LocalDisk, Lock, Space};
 use super::name::{NameTime, name};
-use crate::fits::{Card, Compression, FileError, Problem, Table, encode_frame};
+use crate::fits::{Card, FileError, Packing, Problem, Table, encode_frame};
 use crate::frame::Frame;
 use jiff::Timestamp;
 use std::io::{self, ErrorKind};
@@ -71,7 +71,7 @@ pub struct Store {
     disk: Arc<dyn Disk>,
     root: PathBuf,
     instrument: String,
-    compression: Compression,
+    packing: Packing,
     /// Held while this program writes to the archive.
     claim: Mutex<Option<Lock>>,
     /// How often the disk was taken, and unfinished files that were removed: read while the claim waits for the disk.
@@ -95,13 +95,13 @@ impl Store {
         disk: Arc<dyn Disk>,
         root: &Path,
         instrument: &str,
-        compression: Compression,
+        packing: impl Into<Packing>,
     ) -> Self {
         Self {
             disk,
             root: root.into(),
             instrument: instrument.into(),
-            compression,
+            packing: packing.into(),
             claim: Mutex::default(),
             visits: AtomicU64::new(0),
             swept: AtomicUsize::new(0),
@@ -117,9 +117,9 @@ impl Store {
     pub fn open(
         root: &Path,
         instrument: &str,
-        compression: Compression,
+        packing: impl Into<Packing>,
     ) -> Result<Self, ArchiveError> {
-        let store = Self::new(Arc::new(LocalDisk), root, instrument, compression);
+        let store = Self::new(Arc::new(LocalDisk), root, instrument, packing);
         store
             .disk
             .make_root(root)
@@ -295,7 +295,7 @@ impl Store {
         let mut cards = cards.to_vec();
         let file_name = name.file_name().unwrap_or_default().to_string_lossy();
         cards.push(Card::new("FILENAME", &*file_name));
-        let bytes = encode_frame(frame, &cards, tables, self.compression)
+        let bytes = encode_frame(frame, &cards, tables, self.packing)
             .map_err(|problem: Problem| problem.in_file(&self.root.join(&name)))?;
         Ok(Encoded { name, bytes })
     }
@@ -452,6 +452,7 @@ fn is_unfinished(path: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fits::Compression;
     use crate::frame::{FrameInfo, Pixels};
     use std::fs;
 

@@ -119,7 +119,7 @@ fn stores(config: &Config, instrument: &Instrument) -> Vec<Store> {
     let folders = [&archive.directory, &archive.second_directory];
     let store = |folder: &PathBuf| {
         let disk = Arc::new(LocalDisk);
-        Store::new(disk, folder, &instrument.name, archive.compression)
+        Store::new(disk, folder, &instrument.name, archive.packing())
     };
     folders.into_iter().flatten().map(store).collect()
 }

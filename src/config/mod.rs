@@ -25,7 +25,7 @@ pub use value::Value;
 
 use crate::archive::{Overflow, Sharing, SpaceLimits};
 use crate::camera::Source;
-use crate::fits::Compression;
+use crate::fits::{Compression, Packing};
 use crate::units::Place;
 use crate::{aspect, fiducial, limb, registration};
 use jiff::Timestamp;
@@ -175,6 +175,7 @@ pub struct Archive {
     pub directory: Option<PathBuf>,
     pub second_directory: Option<PathBuf>,
     pub compression: Compression,
+    pub threads: usize,
     pub sharing: Sharing,
     pub queue_frames: usize,
     pub overflow: Overflow,
@@ -190,6 +191,7 @@ impl Default for Archive {
             directory: None,
             second_directory: None,
             compression: Compression::Rice,
+            threads: 1,
             sharing: Sharing::Alternate,
             queue_frames: 64,
             overflow: Overflow::DropOldest,
@@ -202,6 +204,14 @@ impl Default for Archive {
 }
 
 impl Archive {
+    /// How pictures are packed.
+    pub fn packing(&self) -> Packing {
+        Packing {
+            compression: self.compression,
+            threads: self.threads,
+        }
+    }
+
     /// How much free space calls for what.
     pub fn space_limits(&self) -> SpaceLimits {
         SpaceLimits {

@@ -162,6 +162,8 @@ static TABLE: &[Parameter] = &[
         "Folder on another disk, for when the first fails or fills."),
     row!(archive.compression, "", Name(&Compression::NAMES),
         "How pictures are compressed, always without loss. With none, programs that read plain images only can open them."),
+    row!(archive.threads, "", Whole(1, 64),
+        "Threads that compress a picture, each some of its rows. Raising it lets gzip follow a fast camera where cores are idle; Rice needs 2 ms of one."),
     row!(archive.sharing, "", Name(Sharing::NAMES),
         "What two disks do: alternate stores each frame on one of them in turn, mirror on both. One that refuses rests (0.25 s, then twice as long each time, at most 5 s) while the other takes all; one without another rests for 0.5 s at most."),
     row!(archive.queue_frames, "", Whole(1, 10_000),

@@ -5,6 +5,7 @@ use super::rice::{BLOCK, Encoder, Folded};
 use crate::frame::Pixels;
 use flate2::write::GzEncoder;
 use std::io::{self, Write};
+use std::thread::{self, Builder};
 
 /// How the pixels of an image extension are compressed. All are lossless.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -29,6 +30,24 @@ impl Compression {
             Self::Rice => "rice",
             Self::Gzip => "gzip",
             Self::None => "none",
+        }
+    }
+}
+
+/// How the pixels of an image extension are compressed, and by how many threads. The bytes are the same whatever their number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Packing {
+    pub compression: Compression,
+    pub threads: usize,
+}
+
+impl From<Compression> for Packing {
+    /// On one thread.
+    fn from(compression: Compression) -> Self {
+        let threads = 1;
+        Self {
+            compression,
+            threads,
         }
     }
 }
@@ -101,26 +120,39 @@ fn offset(layout: &mut Layout, pixels: &Pixels) {
 /// Adds the image's pixels as the HDU's data, and what the header must tell of them.
 ///
 /// # Errors
-/// None but what the compressor of gzip may give.
+/// A thread that cannot be started, and what the compressor of gzip may give.
 pub(super) fn put(
     layout: &mut Layout,
     pixels: &Pixels,
     width: usize,
-    compression: Compression,
+    packing: Packing,
 ) -> io::Result<()> {
-    match (compression, pixels) {
+    let threads = packing.threads;
+    match (packing.compression, pixels) {
         (Compression::None, Pixels::U8(pixels)) => layout.bytes().extend_from_slice(pixels),
         (Compression::None, Pixels::U16(pixels)) => {
             layout.bytes().extend(pixels.iter().flat_map(stored));
         }
-        (Compression::Rice, Pixels::U8(pixels)) => put_tiles(layout, pixels, width, rice(width))?,
-        (Compression::Rice, Pixels::U16(pixels)) => put_tiles(layout, pixels, width, rice(width))?,
+        (Compression::Rice, Pixels::U8(pixels)) => {
+            put_tiles(layout, pixels, width, threads, |rows, heap| {
+                rice(rows, width, heap)
+            })?;
+        }
+        (Compression::Rice, Pixels::U16(pixels)) => {
+            put_tiles(layout, pixels, width, threads, |rows, heap| {
+                rice(rows, width, heap)
+            })?;
+        }
         (Compression::Gzip, Pixels::U8(pixels)) => {
-            put_tiles(layout, pixels, width, |row: &[u8], heap| gzip(row, heap))?;
+            let bytes = |row: &[u8]| row.to_vec();
+            put_tiles(layout, pixels, width, threads, |rows, heap| {
+                gzip(rows, width, bytes, heap)
+            })?;
         }
         (Compression::Gzip, Pixels::U16(pixels)) => {
-            put_tiles(layout, pixels, width, |row: &[u16], heap| {
-                gzip(&row.iter().flat_map(stored).collect::<Vec<u8>>(), heap)
+            let bytes = |row: &[u16]| row.iter().flat_map(stored).collect();
+            put_tiles(layout, pixels, width, threads, |rows, heap| {
+                gzip(rows, width, bytes, heap)
             })?;
         }
     }
@@ -132,49 +164,106 @@ fn stored(dn: &u16) -> [u8; 2] {
     (dn ^ 0x8000).to_be_bytes()
 }
 
-/// Adds descriptors and heap: a tile for each row.
-fn put_tiles<T>(
+/// Adds descriptors and heap: a tile for each row. The rows are shared out to threads; `pack` adds the tiles of some rows to a heap, and
+/// returns the bytes of each.
+fn put_tiles<T: Sync>(
     layout: &mut Layout,
     pixels: &[T],
     width: usize,
-    mut tile: impl FnMut(&[T], &mut Vec<u8>) -> io::Result<()>,
+    threads: usize,
+    pack: impl Fn(&[T], &mut Vec<u8>) -> io::Result<Vec<usize>> + Sync,
 ) -> io::Result<()> {
     let rows = pixels.len() / width;
     let bytes = layout.bytes();
     let descriptors = bytes.len();
     bytes.resize(descriptors + DESCRIPTOR * rows, 0);
-    let heap = bytes.len();
-    let mut longest = 0;
-    for (n, row) in pixels.chunks_exact(width).enumerate() {
-        let start = bytes.len();
-        tile(row, bytes)?;
-        let length = bytes.len() - start;
+    let mut shares = pixels.chunks(rows.div_ceil(threads.max(1)) * width);
+    let own = shares.next().unwrap_or_default();
+    let lengths = thread::scope(|scope| -> io::Result<_> {
+        let pack = &pack;
+        let start = |share| {
+            Builder::new().spawn_scoped(scope, move || {
+                let mut heap = Vec::new();
+                Ok::<_, io::Error>((pack(share, &mut heap)?, heap))
+            })
+        };
+        let others: Vec<_> = shares.map(start).collect::<io::Result<_>>()?;
+        let mut lengths = pack(own, bytes)?;
+        for other in others {
+            let panicked = |_| Err(io::Error::other("a thread has panicked"));
+            let (more, heap) = other.join().unwrap_or_else(panicked)?;
+            lengths.extend(more);
+            bytes.extend(heap);
+        }
+        Ok(lengths)
+    })?;
+    let (mut longest, mut start) = (0, 0);
+    let cells = bytes[descriptors..].chunks_exact_mut(DESCRIPTOR);
+    for (cell, length) in cells.zip(lengths) {
+        cell[..4].copy_from_slice(&(length as u32).to_be_bytes());
+        cell[4..].copy_from_slice(&(start as u32).to_be_bytes());
         longest = longest.max(length);
-        let at = descriptors + DESCRIPTOR * n;
-        bytes[at..at + 4].copy_from_slice(&(length as u32).to_be_bytes());
-        bytes[at + 4..at + 8].copy_from_slice(&((start - heap) as u32).to_be_bytes());
+        start += length;
     }
-    let heap_bytes = (bytes.len() - heap).to_string();
     let form = format!("1PB({longest})");
-    layout.set_card(
-        PCOUNT,
-        &value_card("PCOUNT", &heap_bytes, "bytes of all tiles"),
-    );
+    let pcount = value_card("PCOUNT", &start.to_string(), "bytes of all tiles");
+    layout.set_card(PCOUNT, &pcount);
     layout.set_card(TFORM, &text_card(["TFORM1", "where it stands"], &form));
     Ok(())
 }
 
-fn rice<T: Folded>(width: usize) -> impl FnMut(&[T], &mut Vec<u8>) -> io::Result<()> {
+fn rice<T: Folded>(pixels: &[T], width: usize, heap: &mut Vec<u8>) -> io::Result<Vec<usize>> {
     let mut encoder = Encoder::new::<T>(width);
-    move |row, heap| {
-        heap.extend_from_slice(encoder.encode(row));
-        Ok(())
-    }
+    let tile = |row: &[T]| {
+        let stream = encoder.encode(row);
+        heap.extend_from_slice(stream);
+        Ok(stream.len())
+    };
+    pixels.chunks_exact(width).map(tile).collect()
 }
 
-fn gzip(row: &[u8], heap: &mut Vec<u8>) -> io::Result<()> {
-    let mut packed = GzEncoder::new(heap, flate2::Compression::fast());
-    packed.write_all(row)?;
-    packed.finish()?;
-    Ok(())
+fn gzip<T>(
+    pixels: &[T],
+    width: usize,
+    bytes: impl Fn(&[T]) -> Vec<u8>,
+    heap: &mut Vec<u8>,
+) -> io::Result<Vec<usize>> {
+    let tile = |row: &[T]| {
+        let start = heap.len();
+        let mut packed = GzEncoder::new(&mut *heap, flate2::Compression::fast());
+        packed.write_all(&bytes(row))?;
+        packed.finish()?;
+        Ok(heap.len() - start)
+    };
+    pixels.chunks_exact(width).map(tile).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bytes_are_the_same_whatever_the_number_of_threads() {
+        let (width, height) = (70, 11);
+        let dn = |n: usize| (n * n % 251) as u8;
+        let bytes = |compression, threads| {
+            let pixels = Pixels::U8((0..width * height).map(dn).collect());
+            let mut layout = Layout::new(0);
+            let packing = Packing {
+                compression,
+                threads,
+            };
+            begin(&mut layout, &pixels, width, compression);
+            layout.end_header();
+            put(&mut layout, &pixels, width, packing).unwrap();
+            layout.end();
+            layout.into_bytes()
+        };
+        for compression in Compression::KINDS {
+            let one = bytes(compression, 1);
+            for threads in [2, 5, 11, 64] {
+                assert_eq!(bytes(compression, threads), one, "{compression:?}");
+            }
+        }
+    }
 }

@@ -7,7 +7,7 @@ use super::header::{Card, Value};
 use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
 use super::layout::{Layout, printable};
-use super::pack::{self, Compression};
+use super::pack::{self, Packing};
 use super::{FileError, Problem, unit};
 use crate::frame::Frame;
 use crate::provenance::{COMMIT, PROGRAM};
@@ -126,10 +126,10 @@ pub fn write_frame(
     frame: &Frame,
     cards: &[Card],
     tables: &[Table],
-    compression: Compression,
+    packing: impl Into<Packing>,
 ) -> Result<(), FileError> {
     let bytes =
-        encode_frame(frame, cards, tables, compression).map_err(|problem| problem.in_file(path))?;
+        encode_frame(frame, cards, tables, packing).map_err(|problem| problem.in_file(path))?;
     std::fs::write(path, bytes).map_err(|cause| {
         let action = "write";
         Problem::Io { action, cause }.in_file(path)
@@ -141,8 +141,9 @@ pub fn encode_frame(
     frame: &Frame,
     cards: &[Card],
     tables: &[Table],
-    compression: Compression,
+    packing: impl Into<Packing>,
 ) -> Result<Vec<u8>, Problem> {
+    let packing = packing.into();
     if frame.saturation_dn() == 0 {
         return Err(Problem::field("SATURATE", "a level from 1 to 65535 DN", 0));
     }
@@ -159,11 +160,11 @@ pub fn encode_frame(
     put_cards(&mut file, &provenance)?;
     file.end_header();
     file.end();
-    pack::begin(&mut file, pixels, width, compression);
+    pack::begin(&mut file, pixels, width, packing.compression);
     put_cards(&mut file, &name_cards(FRAME_EXTENSION, Holds::Observation))?;
     put_cards(&mut file, &all)?;
     file.end_header();
-    let packed = pack::put(&mut file, pixels, width, compression);
+    let packed = pack::put(&mut file, pixels, width, packing);
     let action = "compress the pixels";
     packed.map_err(|cause| Problem::Io { action, cause })?;
     file.end();

@@ -5,7 +5,7 @@ use super::{Finding, Plan};
 use crate::archive::disk::{Disk, LocalDisk};
 use crate::archive::{ArchiveError, Room, Sharing, SpaceLimits, Store};
 use crate::camera::PixelFormat;
-use crate::fits::Compression;
+use crate::fits::Packing;
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
@@ -26,7 +26,7 @@ const FREE: &str = "free the disk, or name another folder in archive.directory";
 #[derive(Debug, Clone)]
 pub struct Demand {
     pub instrument: String,
-    pub compression: Compression,
+    pub packing: Packing,
     pub limits: SpaceLimits,
     /// Bytes of a frame before compression.
     pub frame_bytes: usize,
@@ -61,7 +61,7 @@ impl Demand {
                 .cameras
                 .first()
                 .map_or(String::new(), |c| c.instrument.name.clone()),
-            compression: archive.compression,
+            packing: archive.packing(),
             limits: archive.space_limits(),
             frame_bytes: plan.cameras.iter().map(size).max().unwrap_or(0),
             rate_hz: rate_hz / shares,
@@ -126,7 +126,7 @@ pub fn check_folder(disk: Arc<dyn Disk>, folder: &Path, demand: &Demand) -> Vec<
         Arc::clone(&disk),
         folder,
         &demand.instrument,
-        demand.compression,
+        demand.packing,
     );
     if let Err(error) = store.prepare() {
         return vec![Finding::fail(check, error.to_string(), remedy(&error))];
