@@ -39,8 +39,8 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Calls of the allocator, and bytes asked for.
-fn counted<T>(work: impl FnOnce() -> T) -> (T, [usize; 2]) {
+/// Calls of the allocator by this thread, and bytes asked for.
+pub fn counted<T>(work: impl FnOnce() -> T) -> (T, [usize; 2]) {
     let before = [CALLS.get(), BYTES.get()];
     let result = work();
     let after = [CALLS.get(), BYTES.get()];
