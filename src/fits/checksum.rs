@@ -15,8 +15,10 @@ pub struct Checksums {
 /// Checks every checksum that a file carries, and that nothing follows which none can guard.
 pub(super) fn check_all(bytes: &[u8], hdus: &[Hdu]) -> Result<Checksums, Problem> {
     for (n, hdu) in hdus.iter().enumerate() {
-        check_data(bytes, hdu)?;
-        let found = sum(&bytes[hdu.bytes(bytes.len())]);
+        let data = data_sum(bytes, hdu);
+        check_data_sum(hdu, data)?;
+        let header = sum(&bytes[hdu.header_bytes.start..hdu.data_bytes.start]);
+        let found = added(header, data);
         if hdu.header.get("CHECKSUM").is_some() && found != 0 && found != u32::MAX {
             let expected = format!("HDU {n} as it was written");
             return Err(Problem::field("CHECKSUM", expected, "changed bytes"));
@@ -41,6 +43,20 @@ pub(super) fn check_all(bytes: &[u8], hdus: &[Hdu]) -> Result<Checksums, Problem
 
 /// Checks the sum of an HDU's data, where its header states one.
 pub(super) fn check_data(bytes: &[u8], hdu: &Hdu) -> Result<(), Problem> {
+    match hdu.header.get("DATASUM") {
+        Some(_) => check_data_sum(hdu, data_sum(bytes, hdu)),
+        None => Ok(()),
+    }
+}
+
+/// The sum of an HDU's data with the fill of their last block.
+fn data_sum(bytes: &[u8], hdu: &Hdu) -> u32 {
+    let end = hdu.bytes(bytes.len()).end.max(hdu.data_bytes.start);
+    sum(&bytes[hdu.data_bytes.start..end])
+}
+
+/// Holds the sum of an HDU's data against the one that its header states, if any.
+fn check_data_sum(hdu: &Hdu, found: u32) -> Result<(), Problem> {
     let stated: u32 = match hdu.header.get("DATASUM") {
         None => return Ok(()),
         Some(Value::Text(text)) => text.trim().parse().ok(),
@@ -48,8 +64,6 @@ pub(super) fn check_data(bytes: &[u8], hdu: &Hdu) -> Result<(), Problem> {
         Some(_) => None,
     }
     .ok_or_else(|| Problem::field("DATASUM", "a sum of 32 bits", "something else"))?;
-    let end = hdu.bytes(bytes.len()).end.max(hdu.data_bytes.start);
-    let found = sum(&bytes[hdu.data_bytes.start..end]);
     // Both are zero in ones' complement.
     let same = stated == found || [stated, found].iter().all(|s| matches!(*s, 0 | u32::MAX));
     if same {
