@@ -1,72 +1,18 @@
 //! A picture and what is known of how it was taken.
 
 mod cutout;
+mod pixels;
 
 use crate::units::{Place, SensorPx};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
+use pixels::{OnDemand, Stored};
+pub use pixels::{Pixels, RowSource, Sample, View};
 use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Duration;
-
-/// The pixels of a frame, row by row from the first, in digital numbers (DN).
-#[derive(Debug, Clone, PartialEq)]
-pub enum Pixels {
-    U8(Vec<u8>),
-    U16(Vec<u16>),
-}
-
-impl Pixels {
-    pub fn len(&self) -> usize {
-        match self {
-            Self::U8(p) => p.len(),
-            Self::U16(p) => p.len(),
-        }
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Bits of a stored pixel.
-    pub fn bits(&self) -> u32 {
-        match self {
-            Self::U8(_) => 8,
-            Self::U16(_) => 16,
-        }
-    }
-}
-
-/// A pixel's value as the algorithms read it.
-pub trait Sample: Copy + Default + Ord + Into<u32> + Send + Sync + 'static {
-    fn dn(self) -> f32;
-
-    /// The largest value that is not above a number of DN.
-    fn floor(dn: f64) -> Self;
-}
-
-impl Sample for u8 {
-    #[inline]
-    fn dn(self) -> f32 {
-        f32::from(self)
-    }
-
-    fn floor(dn: f64) -> Self {
-        dn.floor() as Self
-    }
-}
-
-impl Sample for u16 {
-    #[inline]
-    fn dn(self) -> f32 {
-        f32::from(self)
-    }
-
-    fn floor(dn: f64) -> Self {
-        dn.floor() as Self
-    }
-}
 
 /// The name of the camera in frames that the simulator has made, by which they are told from real ones.
 pub const SIMULATED_CAMERA: &str = "simulated";
@@ -156,7 +102,7 @@ pub enum FrameError {
 pub struct Frame {
     width: usize,
     height: usize,
-    pixels: Pixels,
+    pixels: Stored,
     saturation_dn: u16,
     pub info: FrameInfo,
 }
@@ -185,10 +131,38 @@ impl Frame {
         Ok(Self {
             width,
             height,
-            pixels,
+            pixels: Stored::Whole(pixels),
             saturation_dn,
             info,
         })
+    }
+
+    /// A frame of `height` rows that are taken from `source` when they are first looked at. They have the length and the type of `dark`,
+    /// which stands for a row that is damaged.
+    pub fn on_demand(
+        dark: Pixels,
+        height: usize,
+        source: Box<dyn RowSource>,
+        saturation_dn: u16,
+        info: FrameInfo,
+    ) -> Result<Self, FrameError> {
+        let width = dark.len();
+        if width * height == 0 {
+            return Err(FrameError::Empty { width, height });
+        }
+        let rows = OnDemand::new(source, dark, height);
+        Ok(Self {
+            width,
+            height,
+            pixels: Stored::OnDemand(Arc::new(rows)),
+            saturation_dn,
+            info,
+        })
+    }
+
+    /// Whether some row that was looked at is damaged, and dark.
+    pub fn is_damaged(&self) -> bool {
+        self.pixels.is_damaged()
     }
 
     /// Pixels in a row.
@@ -211,8 +185,19 @@ impl Frame {
         }
     }
 
+    /// All pixels.
     pub fn pixels(&self) -> &Pixels {
-        &self.pixels
+        self.pixels.whole()
+    }
+
+    /// Bits of a stored pixel.
+    pub fn bits(&self) -> u32 {
+        self.pixels.bits()
+    }
+
+    /// A look at pixels of this type, which must be the frame's.
+    pub fn view<T: Sample>(&self) -> View<'_, T> {
+        self.pixels.view(self.width, self.height)
     }
 
     /// The value of column `x`, row `y`, DN.
@@ -224,8 +209,7 @@ impl Frame {
     /// dark, and need not be read any further.
     pub fn is_brighter(&self, y: usize, columns: Range<usize>, dn: f64) -> bool {
         crate::with_view!(self, view => {
-            let row = &view.pixels[y * view.width..][columns];
-            any_above(row, Sample::floor(dn))
+            any_above(&view.row(y)[columns], Sample::floor(dn))
         })
     }
 
@@ -233,7 +217,7 @@ impl Frame {
     pub fn count(&self, y: usize, columns: Range<usize>, counts: &mut [u32]) {
         let last = counts.len() - 1;
         crate::with_view!(self, view => {
-            for pixel in &view.pixels[y * view.width..][columns] {
+            for pixel in &view.row(y)[columns] {
                 let value: u32 = (*pixel).into();
                 counts[(value as usize).min(last)] += 1;
             }
@@ -243,8 +227,7 @@ impl Frame {
     /// The values of some columns of a row, DN.
     pub fn row_dn(&self, y: usize, columns: Range<usize>) -> Vec<f32> {
         crate::with_view!(self, view => {
-            let row = &view.pixels[y * view.width..][columns];
-            row.iter().map(|pixel| pixel.dn()).collect()
+            view.row(y)[columns].iter().map(|pixel| pixel.dn()).collect()
         })
     }
 
@@ -264,7 +247,7 @@ impl Frame {
         if !within || region.x0 >= region.x1 || region.y0 >= region.y1 {
             return None;
         }
-        let pixels = match &self.pixels {
+        let pixels = match self.pixels() {
             Pixels::U8(pixels) => Pixels::U8(cropped(pixels, self.width, region)),
             Pixels::U16(pixels) => Pixels::U16(cropped(pixels, self.width, region)),
         };
@@ -272,7 +255,7 @@ impl Frame {
         Some(Self {
             width: region.width(),
             height: region.height(),
-            pixels,
+            pixels: Stored::Whole(pixels),
             saturation_dn: self.saturation_dn,
             info: FrameInfo {
                 corner_px: Some((x0 + region.x0, y0 + region.y0)),
@@ -414,45 +397,3 @@ impl FromStr for Region {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("expected LEFT,TOP,WIDTH,HEIGHT in px")]
 pub struct NoRegion;
-
-/// A typed look at a frame's pixels, for algorithms that are generic in the pixel's depth.
-#[derive(Debug, Clone, Copy)]
-pub struct View<'a, T> {
-    pub width: usize,
-    pub height: usize,
-    pub pixels: &'a [T],
-}
-
-impl<T: Sample> View<'_, T> {
-    /// The value at column `x`, row `y`, DN.
-    pub fn dn(&self, x: usize, y: usize) -> f32 {
-        self.pixels[y * self.width + x].dn()
-    }
-}
-
-/// Runs an expression with `$view` bound to a typed [`View`] of the frame.
-#[macro_export]
-macro_rules! with_view {
-    ($frame:expr, $view:ident => $body:expr) => {{
-        let frame: &$crate::frame::Frame = $frame;
-        let (width, height) = (frame.width(), frame.height());
-        match frame.pixels() {
-            $crate::frame::Pixels::U8(pixels) => {
-                let $view = $crate::frame::View {
-                    width,
-                    height,
-                    pixels: pixels.as_slice(),
-                };
-                $body
-            }
-            $crate::frame::Pixels::U16(pixels) => {
-                let $view = $crate::frame::View {
-                    width,
-                    height,
-                    pixels: pixels.as_slice(),
-                };
-                $body
-            }
-        }
-    }};
-}

@@ -10,6 +10,7 @@ use solaspect::fits::{
     read_keywords, read_table, write_frame,
 };
 use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::simulate::{Conditions, RandomScenes};
 use solaspect::units::Place;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -996,6 +997,60 @@ mod bad_files {
                 }
             }
         }
+    }
+}
+
+mod rows_on_demand {
+    use super::*;
+    use solaspect::aspect::{Expected, solve};
+    use solaspect::instrument::builtin;
+
+    #[test]
+    fn a_frame_whose_rows_are_decoded_on_demand_has_the_same_solution() {
+        let instrument = builtin("demo").unwrap();
+        let conditions = Conditions::of(&instrument);
+        let scenes = RandomScenes::new(&instrument, &conditions, 4).unwrap();
+        let folder = folder();
+        for n in 0..4 {
+            let frame = scenes.scene(n).unwrap().frame().unwrap();
+            let solution = |frame: &Frame| {
+                let expected = frame.info.mid_exposure.and_then(Expected::at);
+                format!("{:?}", solve(frame, &instrument, expected, None))
+            };
+            for compression in COMPRESSIONS {
+                let path = written(&folder, &frame, compression);
+                let on_demand = FitsFile::open(&path).unwrap().with_frame(solution).unwrap();
+                assert_eq!(on_demand, solution(&read_frame(&path).unwrap()));
+            }
+        }
+    }
+
+    #[test]
+    fn a_damaged_row_that_no_sum_tells_of_is_an_error_where_it_is_looked_at() {
+        let folder = folder();
+        let path = written(&folder, &eight_bit(64, 48), Compression::Rice);
+        let mut bytes = fs::read(&path).unwrap();
+        let table = (2880..bytes.len()).step_by(80);
+        let mut ends = table.filter(|at| bytes[*at..].starts_with(b"END     "));
+        let descriptors = (ends.next().unwrap() + 80).next_multiple_of(2880);
+        // Row 10 loses what row 20 gains: the sum of all words stays as it is.
+        for (row, change) in [(10, -40), (20, 40)] {
+            let length = &mut bytes[descriptors + 8 * row..][..4];
+            let changed = i32::from_be_bytes(length.try_into().unwrap()) + change;
+            length.copy_from_slice(&changed.to_be_bytes());
+        }
+        fs::write(&path, &bytes).unwrap();
+        let looked_at = |row: usize| {
+            let file = FitsFile::open(&path).unwrap();
+            file.with_frame(|frame| frame.row_dn(row, 0..64).len())
+        };
+        assert_eq!(looked_at(9).unwrap(), 64);
+        let message = looked_at(10).unwrap_err().to_string();
+        assert!(
+            message.contains("tile 11: expected a whole stream of 64 pixels"),
+            "{message}"
+        );
+        assert_eq!(read_frame(&path).unwrap_err().to_string(), message);
     }
 }
 

@@ -11,6 +11,7 @@ use super::rice::{Rice, Width};
 use super::structure::{Hdu, MAX_SIDE};
 use flate2::read::MultiGzDecoder;
 use std::io::Read;
+use std::ops::Range;
 
 /// More pixels than this per byte of table no compression reaches (deflate's limit is 1032).
 const MOST_PIXELS_PER_BYTE: usize = 1100;
@@ -25,19 +26,19 @@ enum Algorithm {
 }
 
 /// An image's table of tiles, checked.
-pub(super) struct Tiles<'a> {
+pub(super) struct Tiles {
     width: usize,
     height: usize,
     /// Size of a tile that is not cut by the image's edge.
     tile: [usize; 2],
     algorithm: Algorithm,
-    /// Each tile's stream, row of tiles by row of tiles.
-    streams: Vec<&'a [u8]>,
+    /// Where in the file each tile's stream stands, row of tiles by row of tiles.
+    streams: Vec<Range<usize>>,
 }
 
-impl<'a> Tiles<'a> {
+impl Tiles {
     /// Checks the table of a `width` x `height` image against itself and the size of its data.
-    pub fn new(bytes: &'a [u8], hdu: &Hdu, width: usize, height: usize) -> Result<Self, Problem> {
+    pub fn new(bytes: &[u8], hdu: &Hdu, width: usize, height: usize) -> Result<Self, Problem> {
         let header = &hdu.header;
         let algorithm = algorithm(header)?;
         let data = &bytes[hdu.data_bytes.clone()];
@@ -68,8 +69,13 @@ impl<'a> Tiles<'a> {
             height,
             tile,
             algorithm,
-            streams: streams(data, header, count)?,
+            streams: streams(bytes, hdu, count)?,
         })
+    }
+
+    /// Whether each tile is a row of pixels.
+    pub fn are_rows(&self) -> bool {
+        self.tile == [self.width, 1]
     }
 
     /// Unpacks the image from its first row on: `each` is given the numbers of one or more whole rows, as stored, before BZERO.
@@ -78,24 +84,24 @@ impl<'a> Tiles<'a> {
     /// A tile that is damaged, or what `each` gives.
     pub fn unpack(
         &self,
+        file: &[u8],
         mut each: impl FnMut(&[i32]) -> Result<(), Problem>,
     ) -> Result<(), Problem> {
         let mut rows = vec![0; self.width * self.tile[1]];
         let mut numbers = vec![0; self.tile[0] * self.tile[1]];
         let across = self.width.div_ceil(self.tile[0]);
-        for (band, streams) in self.streams.chunks(across).enumerate() {
+        for band in 0..self.height.div_ceil(self.tile[1]) {
             let height = self.tile[1].min(self.height - band * self.tile[1]);
             let rows = &mut rows[..self.width * height];
-            for (n, stream) in streams.iter().enumerate() {
+            for n in 0..across {
                 let x = n * self.tile[0];
                 let columns = self.tile[0].min(self.width - x);
-                let number = band * across + n + 1;
                 if columns == self.width {
-                    self.decode(number, stream, rows)?;
+                    self.decode(file, band * across + n, rows)?;
                     continue;
                 }
                 let numbers = &mut numbers[..columns * height];
-                self.decode(number, stream, numbers)?;
+                self.decode(file, band * across + n, numbers)?;
                 for (row, line) in numbers.chunks_exact(columns).enumerate() {
                     rows[row * self.width + x..][..columns].copy_from_slice(line);
                 }
@@ -105,11 +111,16 @@ impl<'a> Tiles<'a> {
         Ok(())
     }
 
-    fn decode(&self, number: usize, stream: &[u8], numbers: &mut [i32]) -> Result<(), Problem> {
+    /// Unpacks tile `n`, from 0, of the file to its numbers.
+    ///
+    /// # Errors
+    /// A tile that is damaged.
+    pub fn decode(&self, file: &[u8], n: usize, numbers: &mut [i32]) -> Result<(), Problem> {
+        let stream = &file[self.streams[n].clone()];
         self.algorithm.decode(stream, numbers).ok_or_else(|| {
             let expected = format!("a whole stream of {} pixels", numbers.len());
             let found = format!("{} damaged bytes", stream.len());
-            Problem::field(format!("tile {number}"), expected, found)
+            Problem::field(format!("tile {}", n + 1), expected, found)
         })
     }
 }
@@ -182,8 +193,9 @@ impl Algorithm {
     }
 }
 
-/// The stream of each tile, where the descriptors of the column COMPRESSED_DATA point to in the heap.
-fn streams<'a>(data: &'a [u8], header: &Header, tiles: usize) -> Result<Vec<&'a [u8]>, Problem> {
+/// Where in the file the stream of each tile stands, as the descriptors of the column COMPRESSED_DATA tell.
+fn streams(bytes: &[u8], hdu: &Hdu, tiles: usize) -> Result<Vec<Range<usize>>, Problem> {
+    let (header, data) = (&hdu.header, &bytes[hdu.data_bytes.clone()]);
     let row_bytes = header.size("NAXIS1", 1..=1_000_000)? as usize;
     let columns = columns(header)?;
     let width: usize = columns.iter().map(|column| column.bytes).sum();
@@ -203,18 +215,18 @@ fn streams<'a>(data: &'a [u8], header: &Header, tiles: usize) -> Result<Vec<&'a 
         Some(_) => header.size("THEAP", 0..=data.len() as i64)? as usize,
         None => (row_bytes * tiles).min(data.len()),
     };
-    let heap = &data[heap_start..];
+    let heap = heap_start..data.len();
     let rows = data.chunks_exact(row_bytes).take(tiles).enumerate();
     rows.map(|(n, row)| {
         let (length, offset) = columns[index].descriptor(&row[start..]);
-        heap.get(offset..offset.saturating_add(length))
-            .ok_or_else(|| {
-                Problem::field(
-                    format!("tile {}", n + 1),
-                    format!("data within the heap of {} bytes", heap.len()),
-                    format!("{length} bytes at byte {offset}"),
-                )
-            })
+        if offset.saturating_add(length) > heap.len() {
+            let field = format!("tile {}", n + 1);
+            let expected = format!("data within the heap of {} bytes", heap.len());
+            let found = format!("{length} bytes at byte {offset}");
+            return Err(Problem::field(field, expected, found));
+        }
+        let start = hdu.data_bytes.start + heap.start + offset;
+        Ok(start..start + length)
     })
     .collect()
 }

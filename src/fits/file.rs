@@ -45,6 +45,21 @@ impl FitsFile {
         self.named(read::read_fits(&self.bytes, &self.hdus))
     }
 
+    /// What `work` makes of the frame. Of ours, only those rows are decoded that it looks at.
+    ///
+    /// # Errors
+    /// As [`read_frame`](super::read_frame), and where a row that was looked at is damaged.
+    pub fn with_frame<T>(self, work: impl Fn(&Frame) -> T) -> Result<T, FileError> {
+        let frame = read::read_on_demand(self.bytes, &self.hdus)
+            .map_err(|problem| problem.in_file(&self.path))?;
+        let made = work(&frame);
+        if !frame.is_damaged() {
+            return Ok(made);
+        }
+        // Read as a whole, the frame tells what is damaged.
+        super::read_frame(&self.path).map(|frame| work(&frame))
+    }
+
     /// The keywords of the frame, the image's over the primary HDU's.
     ///
     /// # Errors

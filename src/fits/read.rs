@@ -5,9 +5,10 @@ use super::header::Header;
 use super::info::{read_info, read_saturation};
 use super::structure::{Content, Hdu, MAX_SIDE};
 use super::{MAX_PIXELS, Problem, checksum};
-use crate::frame::{Frame, FrameError, Pixels};
+use crate::frame::{Frame, FrameError, Pixels, RowSource};
 use multiversion::multiversion;
 use std::ops::RangeInclusive;
+use std::sync::{Mutex, PoisonError};
 
 /// The kinds of pixels that a camera's frame can have.
 #[derive(Clone, Copy)]
@@ -21,25 +22,100 @@ enum Stored {
 
 /// Reads the first image with two axes, in the primary HDU or an extension.
 pub(super) fn read_fits(bytes: &[u8], hdus: &[Hdu]) -> Result<Frame, Problem> {
-    let (hdu, header) = find_image(hdus)?;
-    let compressed = hdu.content() == Content::CompressedImage;
-    let prefix = if compressed { "Z" } else { "" };
-    let [width, height] = sides(&hdu.header, prefix)?;
-    let stored = stored(&hdu.header, prefix)?;
-    let tiles = match compressed {
-        true => Some(Tiles::new(bytes, hdu, width, height)?),
-        false => None,
-    };
-    checksum::check_data(bytes, hdu)?;
-    let mut pixels = Unpacked::new(stored, width, width * height);
-    match tiles {
-        Some(tiles) => tiles.unpack(|numbers| pixels.add(numbers))?,
-        None => pixels.add_plain(&bytes[hdu.data_bytes.clone()])?,
+    let image = Image::find(bytes, hdus)?;
+    let (width, height) = (image.width, image.height);
+    let mut pixels = Unpacked::new(image.stored, width, width * height);
+    match &image.tiles {
+        Some(tiles) => tiles.unpack(bytes, |numbers| pixels.add(numbers))?,
+        None => pixels.add_plain(&bytes[image.hdu.data_bytes.clone()])?,
     }
     let pixels = pixels.pixels;
-    let saturation = read_saturation(&header, pixels.bits(), brightest_dn(&pixels))?;
-    let info = read_info(&header)?;
+    let saturation = read_saturation(&image.header, pixels.bits(), brightest_dn(&pixels))?;
+    let info = read_info(&image.header)?;
     Frame::new(width, height, pixels, saturation, info).map_err(refused)
+}
+
+/// As [`read_fits`], but rows are decoded when they are first looked at, where each is a tile of its own, the sum of all was
+/// checked, and the saturation is stated.
+pub(super) fn read_on_demand(bytes: Vec<u8>, hdus: &[Hdu]) -> Result<Frame, Problem> {
+    let image = Image::find(&bytes, hdus)?;
+    let are_checked = image.hdu.header.get("DATASUM").is_some();
+    let states_saturation = image.header.get("SATURATE").is_some();
+    match image.tiles {
+        Some(tiles) if tiles.are_rows() && are_checked && states_saturation => {
+            let (stored, width) = (image.stored, image.width);
+            let mut dark = Unpacked::new(stored, width, width);
+            dark.add(&vec![stored.range().0; width])?;
+            let dark = dark.pixels;
+            let saturation = read_saturation(&image.header, dark.bits(), 0)?;
+            let info = read_info(&image.header)?;
+            let rows = TileRows {
+                bytes,
+                tiles,
+                stored,
+                numbers: Mutex::new(vec![0; width]),
+            };
+            Frame::on_demand(dark, image.height, Box::new(rows), saturation, info).map_err(refused)
+        }
+        _ => read_fits(&bytes, hdus),
+    }
+}
+
+/// An image whose structure is checked, and the sum of its data.
+struct Image<'a> {
+    hdu: &'a Hdu,
+    /// Its keywords over those of the primary HDU.
+    header: Header,
+    width: usize,
+    height: usize,
+    stored: Stored,
+    /// None where it is not compressed.
+    tiles: Option<Tiles>,
+}
+
+impl<'a> Image<'a> {
+    /// The first one with two axes.
+    fn find(bytes: &[u8], hdus: &'a [Hdu]) -> Result<Self, Problem> {
+        let (hdu, header) = find_image(hdus)?;
+        let compressed = hdu.content() == Content::CompressedImage;
+        let prefix = if compressed { "Z" } else { "" };
+        let [width, height] = sides(&hdu.header, prefix)?;
+        let stored = stored(&hdu.header, prefix)?;
+        let tiles = match compressed {
+            true => Some(Tiles::new(bytes, hdu, width, height)?),
+            false => None,
+        };
+        checksum::check_data(bytes, hdu)?;
+        Ok(Self {
+            hdu,
+            header,
+            width,
+            height,
+            stored,
+            tiles,
+        })
+    }
+}
+
+/// The rows of an image of which each is a tile.
+struct TileRows {
+    /// The whole file.
+    bytes: Vec<u8>,
+    tiles: Tiles,
+    stored: Stored,
+    /// Memory for the numbers of a row.
+    numbers: Mutex<Vec<i32>>,
+}
+
+impl RowSource for TileRows {
+    fn row(&self, y: usize) -> Option<Pixels> {
+        let numbers = self.numbers.lock();
+        let mut numbers = numbers.unwrap_or_else(PoisonError::into_inner);
+        self.tiles.decode(&self.bytes, y, &mut numbers).ok()?;
+        let mut row = Unpacked::new(self.stored, numbers.len(), numbers.len());
+        row.add(&numbers).ok()?;
+        Some(row.pixels)
+    }
 }
 
 /// The keywords of the image over those of the primary HDU, without reading the pixels.
@@ -110,6 +186,25 @@ fn stored(header: &Header, prefix: &str) -> Result<Stored, Problem> {
     }
 }
 
+impl Stored {
+    /// What is added to a number as stored.
+    fn zero(self) -> i32 {
+        match self {
+            Self::U8 | Self::I16 => 0,
+            Self::U16 => 32_768,
+        }
+    }
+
+    /// The least and the largest number as stored.
+    fn range(self) -> (i32, i32) {
+        match self {
+            Self::U8 => (0, 255),
+            Self::U16 => (-32_768, 32_767),
+            Self::I16 => (0, 32_767),
+        }
+    }
+}
+
 /// Pixels that come row by row.
 struct Unpacked {
     stored: Stored,
@@ -146,12 +241,9 @@ impl Unpacked {
 
     /// Adds pixels of numbers as stored; an error that names the first that is none.
     fn add(&mut self, numbers: &[i32]) -> Result<(), Problem> {
-        let (zero, top) = match self.stored {
-            Stored::U8 => (0, 255),
-            Stored::U16 => (32_768, 65_535),
-            Stored::I16 => (0, 32_767),
-        };
-        let legal = -zero..=top - zero;
+        let (least, most) = self.stored.range();
+        let legal = least..=most;
+        let (zero, top) = (self.stored.zero(), most + self.stored.zero());
         if !all_within(numbers, &legal)
             && let Some(at) = numbers.iter().position(|number| !legal.contains(number))
         {

@@ -87,7 +87,7 @@ impl Cutout {
     ) {
         let region = self.region;
         for (y, row_dn) in (region.y0..).zip(&background.rows_dn) {
-            let row = &view.pixels[y * view.width..][region.x0..region.x1];
+            let row = &view.row(y)[region.x0..region.x1];
             let pairs = row.iter().zip(&background.columns_dn);
             let light_dn = pairs.map(|(pixel, column_dn)| pixel.dn() - column_dn - row_dn);
             self.light_dn.extend(light_dn);

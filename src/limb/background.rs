@@ -105,7 +105,7 @@ impl Scene {
         let [low, high] = [-limit, limit].map(|by| (levels.background_dn + by).max(0.0) as u32);
         let (mut sum, mut pixels) = (0, 0);
         for row in (cell.y0..cell.y1).step_by(STRIDE_PX) {
-            for pixel in &view.pixels[row * view.width..][cell.x0..cell.x1] {
+            for pixel in &view.row(row)[cell.x0..cell.x1] {
                 let dn: u32 = (*pixel).into();
                 let same = u32::from(low <= dn && dn <= high);
                 sum += same * dn;
@@ -238,7 +238,7 @@ fn column_sums<T: Sample>(
     let rows = (square.y0..square.y1).step_by(STRIDE_PX);
     let dark = background_dn * rows.len() as f64;
     for y in rows {
-        let row = &view.pixels[y * view.width..][square.x0..square.x1];
+        let row = &view.row(y)[square.x0..square.x1];
         let sums = &mut sums[square.x0.saturating_sub(about.x0)..];
         for (sum, pixel) in sums.iter_mut().zip(row) {
             *sum += (*pixel).into();

@@ -180,8 +180,8 @@ fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Fi
         PixelFormat::Mono8 => 8,
         PixelFormat::Mono12 => 16,
     };
-    if frame.pixels().bits() != bits {
-        let found = frame.pixels().bits();
+    if frame.bits() != bits {
+        let found = frame.bits();
         wrong.push(format!(
             "pixel_format: asked for {}, found {found} bits",
             asked.pixel_format.name()

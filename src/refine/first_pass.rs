@@ -6,7 +6,7 @@ use crate::archive::check::Tree;
 use crate::archive::{Flown, FlownFiles};
 use crate::aspect::{self, Expected};
 use crate::fits::{FileError, FitsFile};
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, WrongSize};
 use crate::provenance;
 use jiff::Timestamp;
 use rayon::prelude::*;
@@ -266,23 +266,19 @@ fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord
     if !span.holds(info.mid_exposure) {
         return Ok(None);
     }
-    let frame = file.frame().map_err(told)?;
     let header = file.keywords().map_err(told)?;
-    drop(file);
     let named = recipe.archived.check(&header);
     named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))?;
     let instrument = &recipe.instrument;
-    instrument
-        .check_size(&frame)
-        .map_err(|error| Unsolved::Unreadable(error.to_string()))?;
     let expected = info.mid_exposure.and_then(Expected::at);
-    let solution = aspect::solve_with(&recipe.settings, &frame, instrument, expected, None);
-    Ok(Some(FrameRecord::new(
-        &frame.info,
-        &header,
-        &solution,
-        instrument,
-    )))
+    let record = file.with_frame(|frame| {
+        let unreadable = |error: WrongSize| Unsolved::Unreadable(error.to_string());
+        instrument.check_size(frame).map_err(unreadable)?;
+        let solution = aspect::solve_with(&recipe.settings, frame, instrument, expected, None);
+        let record = FrameRecord::new(&frame.info, &header, &solution, instrument);
+        Ok(Some(record))
+    });
+    record.map_err(told)?
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use super::motion;
 use super::record::{Grade, Input};
 use super::row::{Oddity, Row};
 use super::work::{LOOSE_RADIUS, TELLING_LIMB, Work};
-use crate::fits::read_frame;
+use crate::fits::FitsFile;
 use crate::geometry::Mapping;
 use crate::units::{Measured, Place, PlateMil, SensorPx};
 use rayon::prelude::*;
@@ -144,7 +144,8 @@ impl Work<'_> {
             sigma_mil,
             radius_mil: expected * ratio.value,
         };
-        let look = known.look(&read_frame(&archive.join(&row.file)).ok()?)?;
+        let file = FitsFile::open(&archive.join(&row.file)).ok()?;
+        let look = file.with_frame(|frame| known.look(frame)).ok()??;
         // A limb of which little is seen does not tell its radius.
         let sigma = match look.limb_part >= TELLING_LIMB {
             true => LOOSE_RADIUS.sigma,

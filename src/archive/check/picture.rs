@@ -9,7 +9,7 @@ const CLIPPED: f64 = 0.001;
 
 /// The frame with its darkest pixels black and its brightest white, so that a faint disc shows, too.
 pub fn stretched(frame: &Frame) -> GrayImage {
-    let values: Vec<f32> = with_view!(frame, view => view.pixels.iter().map(|p| p.dn()).collect());
+    let values: Vec<f32> = with_view!(frame, view => view.pixels().map(|p| p.dn()).collect());
     let (black, white) = ends(&values, frame.saturation_dn());
     let grey = |dn: &f32| ((dn - black) / (white - black) * 255.0).round() as u8;
     let mut picture = GrayImage::new(frame.width() as u32, frame.height() as u32);

@@ -51,14 +51,14 @@ pub(super) fn lit_levels(frame: &Frame) -> Option<Levels> {
 
 fn sample<T: Sample>(view: &View<'_, T>) -> Vec<f32> {
     const EVERY: usize = 37;
-    view.pixels.iter().step_by(EVERY).map(|v| v.dn()).collect()
+    view.pixels().step_by(EVERY).map(|v| v.dn()).collect()
 }
 
 /// 1 sigma of a pixel's noise, from how neighbours differ.
 fn noise<T: Sample>(view: &View<'_, T>) -> f64 {
     const EVERY: usize = 37;
-    let pairs = view.pixels.windows(2).step_by(EVERY);
-    let differences = pairs.map(|pair| f64::from((pair[1].dn() - pair[0].dn()).abs()));
+    let pairs = view.pixels().zip(view.pixels().skip(1)).step_by(EVERY);
+    let differences = pairs.map(|(pixel, next)| f64::from((next.dn() - pixel.dn()).abs()));
     // Median of the absolute difference of two normal values.
     let sigma = median(differences) / (QUARTILE_SIGMAS * 2.0_f64.sqrt());
     sigma.max(ROUNDING_NOISE_DN)
