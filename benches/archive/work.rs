@@ -4,7 +4,7 @@ use crate::cost::{Cost, Of};
 use crate::frames::Solved;
 use anyhow::{Context, ensure};
 use solaspect::archive::Store;
-use solaspect::fits::{self, Compression, FitsFile};
+use solaspect::fits::{self, Compression, FitsFile, Packing};
 use std::ffi::OsString;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 pub enum Work {
     /// To the bytes of a file.
     Encode(Compression),
+    /// The same on two threads.
+    EncodeOnTwo(Compression),
     /// To a file on the disk, with its name: encoding, writing, fsync of file and folder, renaming.
     Store(Compression),
     /// From a file to the frame, the sum of its data checked.
@@ -26,10 +28,11 @@ pub enum Work {
 }
 
 impl Work {
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Encode(Compression::Rice),
         Self::Encode(Compression::Gzip),
         Self::Encode(Compression::None),
+        Self::EncodeOnTwo(Compression::Gzip),
         Self::Store(Compression::Rice),
         Self::Store(Compression::Gzip),
         Self::Store(Compression::None),
@@ -45,6 +48,7 @@ impl Work {
     pub fn name(self) -> &'static str {
         match self {
             Self::Encode(_) => "encode",
+            Self::EncodeOnTwo(_) => "encode, 2 threads",
             Self::Store(_) => "store",
             Self::Decode(_) => "decode",
             Self::Fpack(..) => "fpack",
@@ -55,6 +59,7 @@ impl Work {
     pub fn compression(self) -> Compression {
         match self {
             Self::Encode(compression)
+            | Self::EncodeOnTwo(compression)
             | Self::Store(compression)
             | Self::Decode(compression)
             | Self::Fpack(_, compression)
@@ -78,6 +83,13 @@ impl Work {
                     wall,
                     |solved| Ok(encode(solved, compression)?.len()),
                 )
+            }),
+            Self::EncodeOnTwo(compression) => cost.add(frames.len(), Of::Ourselves, |wall| {
+                let packing = Packing {
+                    compression,
+                    threads: 2,
+                };
+                each(frames, wall, |solved| Ok(encode(solved, packing)?.len()))
             }),
             Self::Store(compression) => {
                 let store = Store::open(folder, "demo", compression)?;
@@ -117,17 +129,14 @@ impl Work {
 
 /// The bytes of a frame's file.
 #[inline(never)]
-pub fn encode(solved: &Solved, compression: Compression) -> anyhow::Result<Vec<u8>> {
+pub fn encode(solved: &Solved, packing: impl Into<Packing>) -> anyhow::Result<Vec<u8>> {
     let Solved {
         frame,
         cards,
         tables,
     } = solved;
     Ok(black_box(fits::encode_frame(
-        frame,
-        cards,
-        tables,
-        compression,
+        frame, cards, tables, packing,
     )?))
 }
 
