@@ -3,7 +3,7 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use solaspect::config::Config;
-use solaspect::fits;
+use solaspect::fits::{self, FitsFile};
 use solaspect::instrument::{Instrument, Mounting, builtin};
 use solaspect::link::describe::describe;
 use solaspect::link::{Direction, Parser};
@@ -55,6 +55,10 @@ pub fn fits(bytes: &[u8]) {
     let (_folder, path) = file("frame.fits", bytes);
     let named = |error: fits::FileError| assert!(error.to_string().contains("frame.fits"));
     if let Err(error) = fits::read_frame(&path) {
+        named(error);
+    }
+    let on_demand = FitsFile::open(&path).and_then(|file| file.with_frame(|f| f.pixels().len()));
+    if let Err(error) = on_demand {
         named(error);
     }
     if let Err(error) = fits::read_keywords(&path) {

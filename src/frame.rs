@@ -6,7 +6,7 @@ mod pixels;
 use crate::units::{Place, SensorPx};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
-use pixels::{OnDemand, Stored};
+use pixels::{OnDemand, PixelStorage};
 pub use pixels::{Pixels, RowSource, Sample, View};
 use std::fmt;
 use std::ops::Range;
@@ -102,7 +102,7 @@ pub enum FrameError {
 pub struct Frame {
     width: usize,
     height: usize,
-    pixels: Stored,
+    pixels: PixelStorage,
     saturation_dn: u16,
     pub info: FrameInfo,
 }
@@ -131,13 +131,13 @@ impl Frame {
         Ok(Self {
             width,
             height,
-            pixels: Stored::Whole(pixels),
+            pixels: PixelStorage::Whole(pixels),
             saturation_dn,
             info,
         })
     }
 
-    /// A frame of `height` rows that are taken from `source` when they are first looked at. They have the length and the type of `dark`,
+    /// A frame of `height` rows that are taken from `source` when they are first read. They have the length and the type of `dark`,
     /// which stands for a row that is damaged.
     pub fn on_demand(
         dark: Pixels,
@@ -154,15 +154,10 @@ impl Frame {
         Ok(Self {
             width,
             height,
-            pixels: Stored::OnDemand(Arc::new(rows)),
+            pixels: PixelStorage::OnDemand(Arc::new(rows)),
             saturation_dn,
             info,
         })
-    }
-
-    /// Whether some row that was looked at is damaged, and dark.
-    pub fn is_damaged(&self) -> bool {
-        self.pixels.is_damaged()
     }
 
     /// Pixels in a row.
@@ -195,7 +190,7 @@ impl Frame {
         self.pixels.bits()
     }
 
-    /// A look at pixels of this type, which must be the frame's.
+    /// A typed view of the pixels. The type must be theirs.
     pub fn view<T: Sample>(&self) -> View<'_, T> {
         self.pixels.view(self.width, self.height)
     }
@@ -255,7 +250,7 @@ impl Frame {
         Some(Self {
             width: region.width(),
             height: region.height(),
-            pixels: Stored::Whole(pixels),
+            pixels: PixelStorage::Whole(pixels),
             saturation_dn: self.saturation_dn,
             info: FrameInfo {
                 corner_px: Some((x0 + region.x0, y0 + region.y0)),

@@ -933,6 +933,64 @@ mod bad_files {
     }
 
     #[test]
+    fn a_table_with_fewer_rows_than_its_keyword_says_is_refused() {
+        let cards = [
+            "PCOUNT  = 7",
+            "THEAP   = 8",
+            "TFIELDS = 1",
+            "TTYPE1  = 'COMPRESSED_DATA'",
+            "TFORM1  = '1PB'",
+            "ZIMAGE  = T",
+            "ZBITPIX = 8",
+            "ZNAXIS  = 2",
+            "ZNAXIS1 = 40",
+            "ZNAXIS2 = 30",
+            "ZCMPTYPE= 'RICE_1'",
+            "ZNAME1  = 'BYTEPIX'",
+            "ZVAL1   = 1",
+        ];
+        // One axis alone counts, so that there is one row of 8 bytes.
+        let mut header = vec![
+            "XTENSION= 'BINTABLE'",
+            "BITPIX  = 8",
+            "NAXIS   = 1",
+            "NAXIS1  = 8",
+            "NAXIS2  = 30",
+            "GCOUNT  = 1",
+        ];
+        header.extend(cards);
+        let data = [0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        let file = [primary(&[]), self::header(&header), blocks(&data)].concat();
+        assert_refused(&file, &["NAXISn: expected 30 rows of 8 bytes", "15 bytes"]);
+    }
+
+    #[test]
+    fn tiles_that_all_share_a_long_stream_are_refused() {
+        let mut bytes = compressed_with("DATASUM", "COMMENT");
+        let table = table_start(&bytes);
+        // Each of the 48 tiles is the longest that the heap has room for.
+        let heap = bytes.len() - 2880 - table - 48 * 8;
+        for row in 0..48 {
+            let descriptor = &mut bytes[table + 8 * row..][..8];
+            descriptor[..4].copy_from_slice(&(heap as u32).to_be_bytes());
+            descriptor[4..].copy_from_slice(&[0; 4]);
+        }
+        assert_refused(&bytes, &["COMPRESSED_DATA: expected tiles of at most"]);
+    }
+
+    #[test]
+    fn a_plain_image_whose_data_are_not_its_pixels_is_refused_before_room_is_made_for_it() {
+        let large = only_image(16, [8192, 8192], &["BZERO   = 32768", "GCOUNT  = 0"], &[]);
+        let (read, [_, memory]) = counted(|| read_bytes(&large, "promises.fits"));
+        let message = read.unwrap_err();
+        assert!(
+            message.contains("GCOUNT: expected 134217728 bytes of 8192 x 8192 pixels, found 0"),
+            "{message}"
+        );
+        assert!(memory < 1 << 20, "{memory} bytes");
+    }
+
+    #[test]
     fn damaged_data_are_refused_by_their_sum_and_a_stream_cut_short_by_its_tile() {
         let folder = folder();
         let path = written(&folder, &eight_bit(64, 48), Compression::Rice);
@@ -990,9 +1048,14 @@ mod bad_files {
                     }
                     let (read, [_, memory]) = counted(|| read_bytes(&bytes, "changed.fits"));
                     assert!(memory <= most_memory(&bytes), "{memory} bytes");
-                    if let Err(message) = read {
-                        assert!(message.contains("changed.fits: "), "{message}");
-                        assert!(!message.contains('\n'), "{message}");
+                    let on_demand = read_on_demand(&bytes, "changed.fits");
+                    match (read, on_demand) {
+                        (Ok(frame), on_demand) => assert_eq!(on_demand, Ok(frame)),
+                        (Err(message), on_demand) => {
+                            assert!(message.contains("changed.fits: "), "{message}");
+                            assert!(!message.contains('\n'), "{message}");
+                            assert!(on_demand.is_err(), "{message}");
+                        }
                     }
                 }
             }
@@ -1242,6 +1305,20 @@ mod tables {
             }
         }
     }
+}
+
+/// As [`read_bytes`], but each row when it is first read.
+fn read_on_demand(bytes: &[u8], name: &str) -> Result<Frame, String> {
+    let folder = folder();
+    let path = folder.path().join(name);
+    fs::write(&path, bytes).unwrap();
+    let read = FitsFile::open(&path).and_then(|file| {
+        file.with_frame(|frame| {
+            frame.pixels();
+            frame.clone()
+        })
+    });
+    read.map_err(|error| error.to_string())
 }
 
 /// Reads a file of these bytes under this name; an error as its text.

@@ -28,9 +28,9 @@ pub fn work_through(counted_as: &str) -> anyhow::Result<()> {
     };
     let frames = solved(conditions, FRAMES)?;
     match work {
-        Work::Encode(compression) => {
-            encode(&frames[0], compression)?;
-            counted(&frames[1..], |solved| encode(solved, compression).map(drop))
+        Work::Encode(packing) => {
+            encode(&frames[0], packing)?;
+            counted(&frames[1..], |solved| encode(solved, packing).map(drop))
         }
         Work::Decode(compression) => {
             let folder = tempfile::tempdir()?;

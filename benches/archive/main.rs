@@ -11,7 +11,7 @@ mod work;
 use clap::Parser;
 use cost::Cost;
 use frames::{CONDITIONS, Conditions, Solved};
-use solaspect::fits::Compression;
+use solaspect::fits::{Compression, Packing};
 use std::path::{Path, PathBuf};
 use work::Work;
 
@@ -83,7 +83,7 @@ fn print_table(
     let megabytes = pixel_bytes as f64 / frames.len() as f64 / 1e6;
     let plain = costs
         .iter()
-        .find(|(work, _)| matches!(work, Work::Encode(Compression::None)))
+        .find(|(work, _)| work.name() == "encode" && work.compression() == Compression::None)
         .map_or(0, |(_, cost)| cost.file_bytes);
     println!("### {}, {megabytes:.2} MB of pixels\n", conditions.name);
     println!("| work | compression | frames/s | MB/s | ms | CPU ms | ratio | 10^6 instructions |");
@@ -91,7 +91,9 @@ fn print_table(
     for (place, (work, cost)) in costs.iter().enumerate() {
         let seconds = cost.wall().as_secs_f64();
         let instructions = match work {
-            Work::Encode(_) | Work::Decode(_) if !times_only => instructions(n, place),
+            Work::Encode(Packing { threads: 1, .. }) | Work::Decode(_) if !times_only => {
+                instructions(n, place)
+            }
             _ => String::new(),
         };
         println!(

@@ -14,9 +14,7 @@ use std::time::{Duration, Instant};
 #[derive(Clone, Copy)]
 pub enum Work {
     /// To the bytes of a file.
-    Encode(Compression),
-    /// The same on two threads.
-    EncodeOnTwo(Compression),
+    Encode(Packing),
     /// To a file on the disk, with its name: encoding, writing, fsync of file and folder, renaming.
     Store(Compression),
     /// From a file to the frame, the sum of its data checked.
@@ -27,12 +25,19 @@ pub enum Work {
     Funpack(Compression),
 }
 
+const fn on_threads(threads: usize, compression: Compression) -> Packing {
+    Packing {
+        compression,
+        threads,
+    }
+}
+
 impl Work {
     pub const ALL: [Self; 14] = [
-        Self::Encode(Compression::Rice),
-        Self::Encode(Compression::Gzip),
-        Self::Encode(Compression::None),
-        Self::EncodeOnTwo(Compression::Gzip),
+        Self::Encode(on_threads(1, Compression::Rice)),
+        Self::Encode(on_threads(1, Compression::Gzip)),
+        Self::Encode(on_threads(2, Compression::Gzip)),
+        Self::Encode(on_threads(1, Compression::None)),
         Self::Store(Compression::Rice),
         Self::Store(Compression::Gzip),
         Self::Store(Compression::None),
@@ -47,8 +52,8 @@ impl Work {
 
     pub fn name(self) -> &'static str {
         match self {
-            Self::Encode(_) => "encode",
-            Self::EncodeOnTwo(_) => "encode, 2 threads",
+            Self::Encode(Packing { threads: 1, .. }) => "encode",
+            Self::Encode(_) => "encode, 2 threads",
             Self::Store(_) => "store",
             Self::Decode(_) => "decode",
             Self::Fpack(..) => "fpack",
@@ -58,9 +63,8 @@ impl Work {
 
     pub fn compression(self) -> Compression {
         match self {
-            Self::Encode(compression)
-            | Self::EncodeOnTwo(compression)
-            | Self::Store(compression)
+            Self::Encode(packing) => packing.compression,
+            Self::Store(compression)
             | Self::Decode(compression)
             | Self::Fpack(_, compression)
             | Self::Funpack(compression) => compression,
@@ -77,18 +81,7 @@ impl Work {
         let folder = tempfile::tempdir_in(folder)?;
         let folder = folder.path();
         match self {
-            Self::Encode(compression) => cost.add(frames.len(), Of::Ourselves, |wall| {
-                each(
-                    frames,
-                    wall,
-                    |solved| Ok(encode(solved, compression)?.len()),
-                )
-            }),
-            Self::EncodeOnTwo(compression) => cost.add(frames.len(), Of::Ourselves, |wall| {
-                let packing = Packing {
-                    compression,
-                    threads: 2,
-                };
+            Self::Encode(packing) => cost.add(frames.len(), Of::Ourselves, |wall| {
                 each(frames, wall, |solved| Ok(encode(solved, packing)?.len()))
             }),
             Self::Store(compression) => {
@@ -116,12 +109,13 @@ impl Work {
                 let files = write_all(frames, Compression::None, folder)?;
                 let packed: Vec<PathBuf> = files.iter().map(|file| appended(file, ".fz")).collect();
                 let command = command("fpack", &[option], &files);
-                run(command, &packed, cost).with_context(|| compression.name())
+                run(command, files.len(), || sizes(&packed), cost).context(compression.name())
             }
             Self::Funpack(compression) => {
                 let files = write_all(frames, compression, folder)?;
+                let packed = sizes(&files)?;
                 let command = command("funpack", &["-F"], &files);
-                run(command, &files, cost)
+                run(command, files.len(), || Ok(packed), cost)
             }
         }
     }
@@ -187,11 +181,16 @@ fn command(program: &str, options: &[&str], files: &[PathBuf]) -> Command {
     command
 }
 
-/// Runs it; `packed` are the files whose size counts.
-fn run(mut command: Command, packed: &[PathBuf], cost: &mut Cost) -> anyhow::Result<()> {
-    cost.add(packed.len(), Of::Children, |_| {
+/// Runs it; `bytes` are those of the packed files.
+fn run(
+    mut command: Command,
+    files: usize,
+    bytes: impl Fn() -> anyhow::Result<u64>,
+    cost: &mut Cost,
+) -> anyhow::Result<()> {
+    cost.add(files, Of::Children, |_| {
         ensure!(command.status()?.success(), "{command:?} failed");
-        sizes(packed)
+        bytes()
     })
 }
 

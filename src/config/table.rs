@@ -163,7 +163,7 @@ static TABLE: &[Parameter] = &[
     row!(archive.compression, "", Name(&Compression::NAMES),
         "How pictures are compressed, always without loss. With none, programs that read plain images only can open them."),
     row!(archive.threads, "", Whole(1, 64),
-        "Threads that compress a picture, each some of its rows. Raising it lets gzip follow a fast camera where cores are idle; Rice needs 2 ms of one."),
+        "Threads that compress a picture, each some of its rows, no more than there are cores. Raising it lets gzip (25 to 40 ms of a core for a picture) follow a fast camera; Rice takes 2 ms."),
     row!(archive.sharing, "", Name(Sharing::NAMES),
         "What two disks do: alternate stores each frame on one of them in turn, mirror on both. One that refuses rests (0.25 s, then twice as long each time, at most 5 s) while the other takes all; one without another rests for 0.5 s at most."),
     row!(archive.queue_frames, "", Whole(1, 10_000),

@@ -1,8 +1,7 @@
 //! Tile-compressed images (FITS 4.0, section 10): a binary table with a tile in each row.
 //!
 //! A header is not believed: cfitsio (3.49) divides by zero where a tile's size is bad, and reads beyond its buffer where a stream is
-//! damaged. RICE_1, GZIP_1 and GZIP_2 are known, which are
-//! what cameras' programs, cfitsio and astropy write for whole numbers.
+//! damaged. RICE_1, GZIP_1 and GZIP_2 are known, which are what cameras' programs, cfitsio and astropy write for whole numbers.
 
 use super::Problem;
 use super::form::Form;
@@ -15,6 +14,9 @@ use std::ops::Range;
 
 /// More pixels than this per byte of table no compression reaches (deflate's limit is 1032).
 const MOST_PIXELS_PER_BYTE: usize = 1100;
+
+/// All tiles together may have so many times the bytes of the data: some may share a stream.
+const MOST_SHARING: usize = 4;
 
 /// The algorithms.
 #[derive(Debug, Clone, Copy)]
@@ -211,13 +213,19 @@ fn streams(bytes: &[u8], hdu: &Hdu, tiles: usize) -> Result<Vec<Range<usize>>, P
         return Err(Problem::field("TTYPEn", expected, "none"));
     };
     let start: usize = columns[..index].iter().map(|column| column.bytes).sum();
+    let table_bytes = row_bytes.saturating_mul(tiles);
+    if table_bytes > data.len() {
+        let expected = format!("{tiles} rows of {row_bytes} bytes in the data");
+        let found = format!("{} bytes", data.len());
+        return Err(Problem::field("NAXISn", expected, found));
+    }
     let heap_start = match header.get("THEAP") {
-        Some(_) => header.size("THEAP", 0..=data.len() as i64)? as usize,
-        None => (row_bytes * tiles).min(data.len()),
+        Some(_) => header.size("THEAP", table_bytes as i64..=data.len() as i64)? as usize,
+        None => table_bytes,
     };
     let heap = heap_start..data.len();
     let rows = data.chunks_exact(row_bytes).take(tiles).enumerate();
-    rows.map(|(n, row)| {
+    let streams = rows.map(|(n, row)| {
         let (length, offset) = columns[index].descriptor(&row[start..]);
         if offset.saturating_add(length) > heap.len() {
             let field = format!("tile {}", n + 1);
@@ -227,8 +235,22 @@ fn streams(bytes: &[u8], hdu: &Hdu, tiles: usize) -> Result<Vec<Range<usize>>, P
         }
         let start = hdu.data_bytes.start + heap.start + offset;
         Ok(start..start + length)
-    })
-    .collect()
+    });
+    let streams: Vec<Range<usize>> = streams.collect::<Result<_, Problem>>()?;
+    // Tiles may share a stream, but a short file may not keep its reader busy for hours.
+    let all: usize = streams.iter().map(Range::len).sum();
+    if all > MOST_SHARING * data.len() {
+        let expected = format!(
+            "tiles of at most {} bytes in all",
+            MOST_SHARING * data.len()
+        );
+        return Err(Problem::field(
+            "COMPRESSED_DATA",
+            expected,
+            format!("{all} bytes"),
+        ));
+    }
+    Ok(streams)
 }
 
 /// A column of the table of tiles.

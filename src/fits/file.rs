@@ -5,6 +5,7 @@ use super::{Checksums, FileError, Header, Problem, Table, checked_fits, load};
 use super::{checksum, info, read, table};
 use crate::frame::{Frame, FrameInfo};
 use std::path::{Path, PathBuf};
+use std::sync::PoisonError;
 
 /// A FITS file that was read once and whose structure is whole. What else may be wrong with it, each method says of its part.
 #[derive(Debug)]
@@ -45,19 +46,17 @@ impl FitsFile {
         self.named(read::read_fits(&self.bytes, &self.hdus))
     }
 
-    /// What `work` makes of the frame. Of ours, only those rows are decoded that it looks at.
+    /// What `work` makes of the frame. A row is decoded when it is first read, where each is a tile, and DATASUM and SATURATE are stated; else
+    /// the whole frame is decoded before. Damage of a row that `work` does not read is not told.
     ///
     /// # Errors
-    /// As [`read_frame`](super::read_frame), and where a row that was looked at is damaged.
-    pub fn with_frame<T>(self, work: impl Fn(&Frame) -> T) -> Result<T, FileError> {
-        let frame = read::read_on_demand(self.bytes, &self.hdus)
-            .map_err(|problem| problem.in_file(&self.path))?;
+    /// As [`read_frame`](super::read_frame), and where a row that was read is damaged.
+    pub fn with_frame<T>(self, work: impl FnOnce(&Frame) -> T) -> Result<T, FileError> {
+        let named = |problem: Problem| problem.in_file(&self.path);
+        let (frame, damage) = read::read_on_demand(self.bytes, &self.hdus).map_err(named)?;
         let made = work(&frame);
-        if !frame.is_damaged() {
-            return Ok(made);
-        }
-        // Read as a whole, the frame tells what is damaged.
-        super::read_frame(&self.path).map(|frame| work(&frame))
+        let damage = damage.lock().unwrap_or_else(PoisonError::into_inner).take();
+        damage.map_or(Ok(made), |problem| Err(named(problem)))
     }
 
     /// The keywords of the frame, the image's over the primary HDU's.

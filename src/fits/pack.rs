@@ -1,10 +1,12 @@
 //! An image's rows as compressed tiles, a row of pixels a tile (FITS 4.0, section 10): what `compressed` unpacks.
 
 use super::layout::{Layout, text_card, value_card};
-use super::rice::{BLOCK, Encoder, Folded};
+use super::rice::{BLOCK, Encoder, StoredPixel};
 use crate::frame::Pixels;
 use flate2::write::GzEncoder;
 use std::io::{self, Write};
+use std::num::NonZeroUsize;
+use std::slice::ChunksExact;
 use std::thread::{self, Builder};
 
 /// How the pixels of an image extension are compressed. All are lossless.
@@ -52,6 +54,8 @@ impl From<Compression> for Packing {
     }
 }
 
+/// A thread that compresses needs little, and locked memory is taken whole.
+const STACK_BYTES: usize = 1 << 18;
 /// Bytes of a tile's descriptor: its length, and where it begins in the heap.
 const DESCRIPTOR: usize = 8;
 /// Of the header of a table of tiles, the cards that tell what is known only when all tiles are there.
@@ -120,76 +124,72 @@ fn offset(layout: &mut Layout, pixels: &Pixels) {
 /// Adds the image's pixels as the HDU's data, and what the header must tell of them.
 ///
 /// # Errors
-/// A thread that cannot be started, and what the compressor of gzip may give.
+/// None but what the compressor of gzip may give.
 pub(super) fn put(
     layout: &mut Layout,
     pixels: &Pixels,
     width: usize,
     packing: Packing,
 ) -> io::Result<()> {
-    let threads = packing.threads;
-    match (packing.compression, pixels) {
-        (Compression::None, Pixels::U8(pixels)) => layout.bytes().extend_from_slice(pixels),
-        (Compression::None, Pixels::U16(pixels)) => {
-            layout.bytes().extend(pixels.iter().flat_map(stored));
-        }
-        (Compression::Rice, Pixels::U8(pixels)) => {
-            put_tiles(layout, pixels, width, threads, |rows, heap| {
-                rice(rows, width, heap)
-            })?;
-        }
-        (Compression::Rice, Pixels::U16(pixels)) => {
-            put_tiles(layout, pixels, width, threads, |rows, heap| {
-                rice(rows, width, heap)
-            })?;
-        }
-        (Compression::Gzip, Pixels::U8(pixels)) => {
-            let bytes = |row: &[u8]| row.to_vec();
-            put_tiles(layout, pixels, width, threads, |rows, heap| {
-                gzip(rows, width, bytes, heap)
-            })?;
-        }
-        (Compression::Gzip, Pixels::U16(pixels)) => {
-            let bytes = |row: &[u16]| row.iter().flat_map(stored).collect();
-            put_tiles(layout, pixels, width, threads, |rows, heap| {
-                gzip(rows, width, bytes, heap)
-            })?;
-        }
+    match pixels {
+        Pixels::U8(pixels) => put_as(layout, pixels, width, packing),
+        Pixels::U16(pixels) => put_as(layout, pixels, width, packing),
     }
-    Ok(())
 }
 
-/// A pixel of 16 bits as it is stored.
-fn stored(dn: &u16) -> [u8; 2] {
-    (dn ^ 0x8000).to_be_bytes()
+fn put_as<T: StoredPixel + Sync>(
+    layout: &mut Layout,
+    pixels: &[T],
+    width: usize,
+    packing: Packing,
+) -> io::Result<()> {
+    let rows = pixels.chunks_exact(width);
+    match packing.compression {
+        Compression::None => {
+            rows.for_each(|row| layout.bytes().extend_from_slice(&T::bytes(row)));
+            Ok(())
+        }
+        Compression::Rice => put_tiles(layout, pixels, width, packing.threads, rice),
+        Compression::Gzip => put_tiles(layout, pixels, width, packing.threads, gzip),
+    }
 }
 
-/// Adds descriptors and heap: a tile for each row. The rows are shared out to threads; `pack` adds the tiles of some rows to a heap, and
-/// returns the bytes of each.
+/// Adds the tiles of some rows to a heap, and returns the bytes of each.
+type Pack<T> = fn(rows: ChunksExact<'_, T>, heap: &mut Vec<u8>) -> io::Result<Vec<usize>>;
+
+/// Adds descriptors and heap: a tile for each row. Threads beyond this one, no more than there are cores for, take a part of the rows each.
 fn put_tiles<T: Sync>(
     layout: &mut Layout,
     pixels: &[T],
     width: usize,
     threads: usize,
-    pack: impl Fn(&[T], &mut Vec<u8>) -> io::Result<Vec<usize>> + Sync,
+    pack: Pack<T>,
 ) -> io::Result<()> {
     let rows = pixels.len() / width;
     let bytes = layout.bytes();
     let descriptors = bytes.len();
     bytes.resize(descriptors + DESCRIPTOR * rows, 0);
-    let mut shares = pixels.chunks(rows.div_ceil(threads.max(1)) * width);
-    let own = shares.next().unwrap_or_default();
+    let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    let rows_each = rows.div_ceil(threads.clamp(1, cores));
+    let mut parts = pixels.chunks(rows_each * width);
+    let first = parts.next().unwrap_or_default();
     let lengths = thread::scope(|scope| -> io::Result<_> {
-        let pack = &pack;
-        let start = |share| {
-            Builder::new().spawn_scoped(scope, move || {
+        let mut others = Vec::new();
+        for part in parts {
+            let work = move || {
                 let mut heap = Vec::new();
-                Ok::<_, io::Error>((pack(share, &mut heap)?, heap))
-            })
-        };
-        let others: Vec<_> = shares.map(start).collect::<io::Result<_>>()?;
-        let mut lengths = pack(own, bytes)?;
-        for other in others {
+                Ok::<_, io::Error>((pack(part.chunks_exact(width), &mut heap)?, heap))
+            };
+            let thread = Builder::new().name("pack".into()).stack_size(STACK_BYTES);
+            others.push((part, thread.spawn_scoped(scope, work).ok()));
+        }
+        let mut lengths = pack(first.chunks_exact(width), bytes)?;
+        for (part, other) in others {
+            // A thread that could not be started costs time, and no frame.
+            let Some(other) = other else {
+                lengths.extend(pack(part.chunks_exact(width), bytes)?);
+                continue;
+            };
             let panicked = |_| Err(io::Error::other("a thread has panicked"));
             let (more, heap) = other.join().unwrap_or_else(panicked)?;
             lengths.extend(more);
@@ -212,30 +212,25 @@ fn put_tiles<T: Sync>(
     Ok(())
 }
 
-fn rice<T: Folded>(pixels: &[T], width: usize, heap: &mut Vec<u8>) -> io::Result<Vec<usize>> {
-    let mut encoder = Encoder::new::<T>(width);
+fn rice<T: StoredPixel>(rows: ChunksExact<'_, T>, heap: &mut Vec<u8>) -> io::Result<Vec<usize>> {
+    let mut encoder = Encoder::new::<T>(rows.clone().next().map_or(0, <[T]>::len));
     let tile = |row: &[T]| {
         let stream = encoder.encode(row);
         heap.extend_from_slice(stream);
         Ok(stream.len())
     };
-    pixels.chunks_exact(width).map(tile).collect()
+    rows.map(tile).collect()
 }
 
-fn gzip<T>(
-    pixels: &[T],
-    width: usize,
-    bytes: impl Fn(&[T]) -> Vec<u8>,
-    heap: &mut Vec<u8>,
-) -> io::Result<Vec<usize>> {
+fn gzip<T: StoredPixel>(rows: ChunksExact<'_, T>, heap: &mut Vec<u8>) -> io::Result<Vec<usize>> {
     let tile = |row: &[T]| {
         let start = heap.len();
         let mut packed = GzEncoder::new(&mut *heap, flate2::Compression::fast());
-        packed.write_all(&bytes(row))?;
+        packed.write_all(&T::bytes(row))?;
         packed.finish()?;
         Ok(heap.len() - start)
     };
-    pixels.chunks_exact(width).map(tile).collect()
+    rows.map(tile).collect()
 }
 
 #[cfg(test)]

@@ -8,11 +8,11 @@ use super::{MAX_PIXELS, Problem, checksum};
 use crate::frame::{Frame, FrameError, Pixels, RowSource};
 use multiversion::multiversion;
 use std::ops::RangeInclusive;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// The kinds of pixels that a camera's frame can have.
 #[derive(Clone, Copy)]
-enum Stored {
+enum PixelType {
     U8,
     /// 16 bit, stored with an offset of 32768.
     U16,
@@ -24,7 +24,7 @@ enum Stored {
 pub(super) fn read_fits(bytes: &[u8], hdus: &[Hdu]) -> Result<Frame, Problem> {
     let image = Image::find(bytes, hdus)?;
     let (width, height) = (image.width, image.height);
-    let mut pixels = Unpacked::new(image.stored, width, width * height);
+    let mut pixels = PixelBuffer::new(image.pixel_type, width, width * height);
     match &image.tiles {
         Some(tiles) => tiles.unpack(bytes, |numbers| pixels.add(numbers))?,
         None => pixels.add_plain(&bytes[image.hdu.data_bytes.clone()])?,
@@ -35,31 +35,37 @@ pub(super) fn read_fits(bytes: &[u8], hdus: &[Hdu]) -> Result<Frame, Problem> {
     Frame::new(width, height, pixels, saturation, info).map_err(refused)
 }
 
-/// As [`read_fits`], but rows are decoded when they are first looked at, where each is a tile of its own, the sum of all was
-/// checked, and the saturation is stated.
-pub(super) fn read_on_demand(bytes: Vec<u8>, hdus: &[Hdu]) -> Result<Frame, Problem> {
+/// As [`read_fits`], but rows are decoded when they are first read, where each is a tile of its own, the sum of all was checked, and
+/// the saturation is stated. Then what a row's damage is will stand in the second value.
+pub(super) fn read_on_demand(bytes: Vec<u8>, hdus: &[Hdu]) -> Result<(Frame, Damage), Problem> {
+    let damage = Damage::default();
     let image = Image::find(&bytes, hdus)?;
     let are_checked = image.hdu.header.get("DATASUM").is_some();
     let states_saturation = image.header.get("SATURATE").is_some();
-    match image.tiles {
-        Some(tiles) if tiles.are_rows() && are_checked && states_saturation => {
-            let (stored, width) = (image.stored, image.width);
-            let mut dark = Unpacked::new(stored, width, width);
-            dark.add(&vec![stored.range().0; width])?;
-            let dark = dark.pixels;
-            let saturation = read_saturation(&image.header, dark.bits(), 0)?;
-            let info = read_info(&image.header)?;
-            let rows = TileRows {
-                bytes,
-                tiles,
-                stored,
-                numbers: Mutex::new(vec![0; width]),
-            };
-            Frame::on_demand(dark, image.height, Box::new(rows), saturation, info).map_err(refused)
-        }
-        _ => read_fits(&bytes, hdus),
-    }
+    let tiles = match image.tiles {
+        Some(tiles) if tiles.are_rows() && are_checked && states_saturation => tiles,
+        _ => return Ok((read_fits(&bytes, hdus)?, damage)),
+    };
+    let (width, height) = (image.width, image.height);
+    let dark = match image.pixel_type {
+        PixelType::U8 => Pixels::U8(vec![0; width]),
+        PixelType::U16 | PixelType::I16 => Pixels::U16(vec![0; width]),
+    };
+    let saturation = read_saturation(&image.header, dark.bits(), 0)?;
+    let info = read_info(&image.header)?;
+    let rows = TileRows {
+        pixel_type: image.pixel_type,
+        width,
+        tiles,
+        bytes,
+        damage: Arc::clone(&damage),
+    };
+    let frame = Frame::on_demand(dark, height, Box::new(rows), saturation, info);
+    Ok((frame.map_err(refused)?, damage))
 }
+
+/// What is wrong with the first row that turned out to be damaged.
+pub(super) type Damage = Arc<Mutex<Option<Problem>>>;
 
 /// An image whose structure is checked, and the sum of its data.
 struct Image<'a> {
@@ -68,7 +74,7 @@ struct Image<'a> {
     header: Header,
     width: usize,
     height: usize,
-    stored: Stored,
+    pixel_type: PixelType,
     /// None where it is not compressed.
     tiles: Option<Tiles>,
 }
@@ -80,18 +86,24 @@ impl<'a> Image<'a> {
         let compressed = hdu.content() == Content::CompressedImage;
         let prefix = if compressed { "Z" } else { "" };
         let [width, height] = sides(&hdu.header, prefix)?;
-        let stored = stored(&hdu.header, prefix)?;
+        let pixel_type = pixel_type(&hdu.header, prefix)?;
         let tiles = match compressed {
             true => Some(Tiles::new(bytes, hdu, width, height)?),
             false => None,
         };
+        let expected = width * height * pixel_type.bytes();
+        let found = hdu.data_bytes.len();
+        if !compressed && found != expected {
+            let expected = format!("{expected} bytes of {width} x {height} pixels");
+            return Err(Problem::field("GCOUNT", expected, found));
+        }
         checksum::check_data(bytes, hdu)?;
         Ok(Self {
             hdu,
             header,
             width,
             height,
-            stored,
+            pixel_type,
             tiles,
         })
     }
@@ -99,22 +111,32 @@ impl<'a> Image<'a> {
 
 /// The rows of an image of which each is a tile.
 struct TileRows {
+    pixel_type: PixelType,
+    width: usize,
+    tiles: Tiles,
     /// The whole file.
     bytes: Vec<u8>,
-    tiles: Tiles,
-    stored: Stored,
-    /// Memory for the numbers of a row.
-    numbers: Mutex<Vec<i32>>,
+    damage: Damage,
+}
+
+impl TileRows {
+    fn decode(&self, y: usize) -> Result<Pixels, Problem> {
+        let mut numbers = vec![0; self.width];
+        self.tiles.decode(&self.bytes, y, &mut numbers)?;
+        let mut row = PixelBuffer::new(self.pixel_type, self.width, self.width);
+        row.add(&numbers)?;
+        Ok(row.pixels)
+    }
 }
 
 impl RowSource for TileRows {
     fn row(&self, y: usize) -> Option<Pixels> {
-        let numbers = self.numbers.lock();
-        let mut numbers = numbers.unwrap_or_else(PoisonError::into_inner);
-        self.tiles.decode(&self.bytes, y, &mut numbers).ok()?;
-        let mut row = Unpacked::new(self.stored, numbers.len(), numbers.len());
-        row.add(&numbers).ok()?;
-        Some(row.pixels)
+        let note = |problem| {
+            let damage = self.damage.lock();
+            let mut damage = damage.unwrap_or_else(PoisonError::into_inner);
+            damage.get_or_insert(problem);
+        };
+        self.decode(y).map_err(note).ok()
     }
 }
 
@@ -154,7 +176,7 @@ fn sides(header: &Header, prefix: &str) -> Result<[usize; 2], Problem> {
     Ok([width as usize, height as usize])
 }
 
-fn stored(header: &Header, prefix: &str) -> Result<Stored, Problem> {
+fn pixel_type(header: &Header, prefix: &str) -> Result<PixelType, Problem> {
     let scale = header.number("BSCALE")?.unwrap_or(1.0);
     if scale != 1.0 {
         return Err(Problem::field("BSCALE", "1", scale));
@@ -162,9 +184,9 @@ fn stored(header: &Header, prefix: &str) -> Result<Stored, Problem> {
     let zero = header.number("BZERO")?.unwrap_or(0.0);
     let field = format!("{prefix}BITPIX");
     match header.integer(&field)? {
-        Some(8) if zero == 0.0 => Ok(Stored::U8),
-        Some(16) if zero == 32_768.0 => Ok(Stored::U16),
-        Some(16) if zero == 0.0 => Ok(Stored::I16),
+        Some(8) if zero == 0.0 => Ok(PixelType::U8),
+        Some(16) if zero == 32_768.0 => Ok(PixelType::U16),
+        Some(16) if zero == 0.0 => Ok(PixelType::I16),
         Some(8) => Err(Problem::field("BZERO", "0 beside 8-bit pixels", zero)),
         Some(16) => Err(Problem::field(
             "BZERO",
@@ -186,12 +208,19 @@ fn stored(header: &Header, prefix: &str) -> Result<Stored, Problem> {
     }
 }
 
-impl Stored {
+impl PixelType {
     /// What is added to a number as stored.
     fn zero(self) -> i32 {
         match self {
             Self::U8 | Self::I16 => 0,
             Self::U16 => 32_768,
+        }
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U16 | Self::I16 => 2,
         }
     }
 
@@ -206,20 +235,20 @@ impl Stored {
 }
 
 /// Pixels that come row by row.
-struct Unpacked {
-    stored: Stored,
+struct PixelBuffer {
+    pixel_type: PixelType,
     width: usize,
     pixels: Pixels,
 }
 
-impl Unpacked {
-    fn new(stored: Stored, width: usize, pixels: usize) -> Self {
-        let pixels = match stored {
-            Stored::U8 => Pixels::U8(Vec::with_capacity(pixels)),
-            Stored::U16 | Stored::I16 => Pixels::U16(Vec::with_capacity(pixels)),
+impl PixelBuffer {
+    fn new(pixel_type: PixelType, width: usize, pixels: usize) -> Self {
+        let pixels = match pixel_type {
+            PixelType::U8 => Pixels::U8(Vec::with_capacity(pixels)),
+            PixelType::U16 | PixelType::I16 => Pixels::U16(Vec::with_capacity(pixels)),
         };
         Self {
-            stored,
+            pixel_type,
             width,
             pixels,
         }
@@ -232,18 +261,20 @@ impl Unpacked {
             return Ok(());
         }
         let words = data.as_chunks::<2>().0;
-        let number = |word: &[u8; 2]| i16::from_be_bytes(*word).into();
+        let mut numbers = vec![0; self.width];
         words.chunks(self.width).try_for_each(|row| {
-            let numbers: Vec<i32> = row.iter().map(number).collect();
-            self.add(&numbers)
+            for (number, word) in numbers.iter_mut().zip(row) {
+                *number = i16::from_be_bytes(*word).into();
+            }
+            self.add(&numbers[..row.len()])
         })
     }
 
     /// Adds pixels of numbers as stored; an error that names the first that is none.
     fn add(&mut self, numbers: &[i32]) -> Result<(), Problem> {
-        let (least, most) = self.stored.range();
+        let (least, most) = self.pixel_type.range();
         let legal = least..=most;
-        let (zero, top) = (self.stored.zero(), most + self.stored.zero());
+        let (zero, top) = (self.pixel_type.zero(), most + self.pixel_type.zero());
         if !all_within(numbers, &legal)
             && let Some(at) = numbers.iter().position(|number| !legal.contains(number))
         {
@@ -262,7 +293,7 @@ impl Unpacked {
     }
 }
 
-/// Whether all numbers lie in a range. Without an end in the middle, and with one number of each, this is many at a time.
+/// Whether all numbers lie in a range. With a single maximum and no early end, many are looked at side by side.
 #[multiversion(targets("x86_64+avx2"))]
 fn all_within(numbers: &[i32], range: &RangeInclusive<i32>) -> bool {
     let above = |number: i32| number.wrapping_sub(*range.start()) as u32;

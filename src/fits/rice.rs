@@ -1,11 +1,12 @@
 //! Rice compression as FITS 4.0 (section 10.4.1) describes it: differences of neighbouring pixels, in blocks, each
 //! with its own number of low bits.
 //!
-//! A stream begins with its first pixel in full. A difference is folded: what is not negative is doubled, what is negative follows the
-//! even numbers between. Of a folded difference all but the low bits are told by as many zeros and a one. How many bits are low depends on the
-//! block's mean; a block that would not shrink has its differences in full, one without any difference is a parameter alone.
+//! A stream begins with its first pixel, not compressed. Each difference d between neighbours is folded to a number without a sign: 2 d, or
+//! -2 d - 1 where d is negative. Of a folded difference the low k bits are written as they are, behind as many zeros as the rest counts and a 1 bit. Each
+//! block states its k. Two more values of it say that all differences are zero, and that they are not compressed.
 
 use multiversion::multiversion;
+use std::borrow::Cow;
 
 /// How the numbers of a Rice stream are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,7 +17,7 @@ pub(super) struct Rice {
     pub width: Width,
 }
 
-/// Bytes of a number: unsigned where it is one, signed otherwise.
+/// Bytes of a number: without a sign where it is 1, with a sign where they are 2 or 4.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Width {
     One,
@@ -58,7 +59,7 @@ fn decode(rice: Rice, stream: &[u8], pixels: &mut [i32]) -> Option<()> {
     for block in pixels.chunks_mut(rice.block) {
         bits.block(rice.width, block)?;
     }
-    // In passes of their own: all but the sums are made side by side.
+    // In passes of their own, so that the compiler makes all but the sums side by side.
     for pixel in &mut *pixels {
         let folded = *pixel as u32;
         // Even numbers stand for what is not negative, odd ones for what is.
@@ -83,26 +84,33 @@ fn decode(rice: Rice, stream: &[u8], pixels: &mut [i32]) -> Option<()> {
 /// Pixels of a block that is written.
 pub(super) const BLOCK: usize = 32;
 
-/// A stream needs no more bytes than these, with a window behind its end, and for each pixel one more than the pixel has: a block's mean
-/// chooses the low bits so that the zeros are fewer than four a pixel.
-const MOST_BYTES: usize = 16;
+/// A stream needs no more bytes than these and, for each pixel, one more than the pixel has: the first pixel, what ends the last byte, and the 8 bytes
+/// that each [`Writer::put`] stores. There are fewer than four zeros a pixel, because k follows the block's mean.
+const OVERHEAD_BYTES: usize = 16;
 
-/// A pixel as Rice takes it.
-pub(super) trait Folded: Copy {
+/// A pixel as a file holds it.
+pub(super) trait StoredPixel: Copy {
     const WIDTH: Width;
 
-    /// The number that a stream begins with.
-    fn first(self) -> u32;
+    /// The number that is stored, as its bits.
+    fn stored(self) -> u32;
+
+    /// The bytes of the numbers that are stored, the highest of each first.
+    fn bytes(row: &[Self]) -> Cow<'_, [u8]>;
 
     /// The folded difference from the pixel before.
     fn folded(self, before: Self) -> u32;
 }
 
-impl Folded for u8 {
+impl StoredPixel for u8 {
     const WIDTH: Width = Width::One;
 
-    fn first(self) -> u32 {
+    fn stored(self) -> u32 {
         self.into()
+    }
+
+    fn bytes(row: &[Self]) -> Cow<'_, [u8]> {
+        row.into()
     }
 
     fn folded(self, before: Self) -> u32 {
@@ -111,12 +119,17 @@ impl Folded for u8 {
     }
 }
 
-impl Folded for u16 {
+impl StoredPixel for u16 {
     const WIDTH: Width = Width::Two;
 
     /// FITS's 16 bits have a sign: what is stored is 32768 less.
-    fn first(self) -> u32 {
+    fn stored(self) -> u32 {
         (self ^ 0x8000).into()
+    }
+
+    fn bytes(row: &[Self]) -> Cow<'_, [u8]> {
+        let bytes = row.iter().flat_map(|dn| (dn ^ 0x8000).to_be_bytes());
+        bytes.collect::<Vec<u8>>().into()
     }
 
     fn folded(self, before: Self) -> u32 {
@@ -133,26 +146,27 @@ pub(super) struct Encoder {
 
 impl Encoder {
     /// For rows of so many pixels.
-    pub fn new<T: Folded>(pixels: usize) -> Self {
+    pub fn new<T: StoredPixel>(pixels: usize) -> Self {
         Self {
             folded: vec![0; pixels],
-            stream: vec![0; MOST_BYTES + pixels * (T::WIDTH.bytes() + 1)],
+            stream: vec![0; OVERHEAD_BYTES + pixels * (T::WIDTH.bytes() + 1)],
         }
     }
 
     /// The stream of a row, bit for bit as cfitsio writes it.
-    pub fn encode<T: Folded>(&mut self, row: &[T]) -> &[u8] {
+    pub fn encode<T: StoredPixel>(&mut self, row: &[T]) -> &[u8] {
         let bytes = encode(row, &mut self.folded, &mut self.stream);
         &self.stream[..bytes]
     }
 }
 
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
-fn encode<T: Folded>(row: &[T], folded: &mut [u32], stream: &mut [u8]) -> usize {
+fn encode<T: StoredPixel>(row: &[T], folded: &mut [u32], stream: &mut [u8]) -> usize {
     let Some(first) = row.first() else {
         return 0;
     };
-    // The first pixel of a row differs from itself.
+    let folded = &mut folded[..row.len()];
+    // The first pixel of a row has none before it.
     folded[0] = 0;
     for ((folded, pixel), before) in folded[1..].iter_mut().zip(&row[1..]).zip(row) {
         *folded = pixel.folded(*before);
@@ -163,7 +177,7 @@ fn encode<T: Folded>(row: &[T], folded: &mut [u32], stream: &mut [u8]) -> usize 
         window: 0,
         count: 0,
     };
-    bits.put(first.first().into(), 8 * T::WIDTH.bytes() as u32);
+    bits.put(first.stored().into(), 8 * T::WIDTH.bytes() as u32);
     let (blocks, rest) = folded.as_chunks();
     for block in blocks {
         bits.put_whole_block(block, T::WIDTH);
@@ -184,16 +198,16 @@ struct Writer<'a> {
     count: u32,
 }
 
-/// Bits that are added at once, at most.
-const PUT: u32 = 56;
+/// Bits that are added at once, at most: seven more may wait in the window.
+const MAX_PUT_BITS: u32 = 56;
 
 impl Writer<'_> {
-    /// Adds the low `bits`, at most [`PUT`], of a number that has no others.
+    /// Adds the low `bits`, at most [`MAX_PUT_BITS`], of a number that has no others.
     #[inline(always)]
     fn put(&mut self, number: u64, bits: u32) {
         self.count += bits;
         self.window |= number << (64 - self.count);
-        // Always: to ask whether a byte is whole costs more.
+        // Without a branch: whether a byte is whole could not be foretold.
         self.out[self.written..self.written + 8].copy_from_slice(&self.window.to_be_bytes());
         let bytes = self.count / 8;
         self.written += bytes as usize;
@@ -208,9 +222,9 @@ impl Writer<'_> {
         let low = low_bits(sum, BLOCK as u32);
         let longest = (most >> low) + 1 + low;
         let (parameter_bits, uncompressed) = width.parameter();
-        if sum > 0 && low < uncompressed && longest <= PUT / 4 {
+        if sum > 0 && low < uncompressed && longest <= MAX_PUT_BITS / 4 {
             self.put((low + 1).into(), parameter_bits);
-            self.put_fours(folded, low);
+            self.put_in_fours(folded, low);
         } else {
             self.put_block(folded, width);
         }
@@ -239,7 +253,7 @@ impl Writer<'_> {
 
     /// Four codes at a time, none longer than a quarter of what is added at once.
     #[inline(always)]
-    fn put_fours(&mut self, folded: &[u32; BLOCK], low: u32) {
+    fn put_in_fours(&mut self, folded: &[u32; BLOCK], low: u32) {
         // Side by side, before they are strung together.
         let (mut lengths, mut codes) = ([0; BLOCK], [0; BLOCK]);
         for ((length, one_code), folded) in lengths.iter_mut().zip(&mut codes).zip(folded) {
@@ -261,7 +275,7 @@ impl Writer<'_> {
 
     fn put_zeros(&mut self, mut zeros: u32) {
         while zeros > 0 {
-            let some = zeros.min(PUT);
+            let some = zeros.min(MAX_PUT_BITS);
             self.put(0, some);
             zeros -= some;
         }
@@ -273,7 +287,7 @@ impl Writer<'_> {
     }
 }
 
-/// A one and the low bits: what follows a folded difference's zeros.
+/// A 1 bit and the low bits: what follows a folded difference's zeros.
 #[inline(always)]
 fn code(folded: u32, low: u32) -> u32 {
     let one = 1 << low;
@@ -293,8 +307,8 @@ struct Bits<'a> {
     at: usize,
 }
 
-/// Bits of a window, whatever bit of a byte it begins with.
-const WINDOW: u32 = 57;
+/// Bits of a window, whatever bit of a byte it begins with: 64 - 7.
+const WINDOW_BITS: u32 = 57;
 
 impl Bits<'_> {
     /// The next bits from the top down.
@@ -324,17 +338,17 @@ impl Bits<'_> {
         window.checked_shr(64 - count).unwrap_or(0) as u32
     }
 
-    /// Takes zeros up to the next one, and that one; how many zeros. `None` where no one follows.
+    /// Takes zeros up to the next 1 bit, and that bit; how many zeros. `None` where no 1 bit follows.
     fn zeros(&mut self) -> Option<u32> {
         let mut zeros = 0;
         while self.at < 8 * self.stream.len() {
             let run = self.window().leading_zeros();
-            if run < WINDOW {
+            if run < WINDOW_BITS {
                 self.at += run as usize + 1;
                 return Some(zeros + run);
             }
-            zeros += WINDOW;
-            self.at += WINDOW as usize;
+            zeros += WINDOW_BITS;
+            self.at += WINDOW_BITS as usize;
         }
         None
     }
@@ -345,7 +359,8 @@ impl Bits<'_> {
         let (parameter_bits, uncompressed) = width.parameter();
         match self.take(parameter_bits).checked_sub(1) {
             None => block.fill(0),
-            Some(low) if low >= uncompressed => {
+            Some(low) if low > uncompressed => return None,
+            Some(low) if low == uncompressed => {
                 let full = 8 * width.bytes() as u32;
                 block.fill_with(|| self.take(full) as i32);
             }
@@ -380,20 +395,21 @@ impl Bits<'_> {
         for folded in group {
             let zeros = window.leading_zeros();
             bits += zeros;
-            // The one stands on top now, and counts as 2^low below.
+            // The 1 bit stands on top now, and counts as 2^low below.
             let code = window.wrapping_shl(zeros);
             *folded = ((zeros << low) + (code >> (63 - low)) as u32 - one) as i32;
             window = code << (low + 1);
         }
-        // To ask after each would take longer.
-        let all_stood_in_it = bits <= WINDOW;
-        if all_stood_in_it {
+        // Asked once, not after each: that takes half as long.
+        let were_in_it = bits <= WINDOW_BITS;
+        if were_in_it {
             self.at += bits as usize;
         }
-        all_stood_in_it
+        were_in_it
     }
 
-    /// The plain twin: zeros up to a one say how often 2^`low` goes into a folded difference, and `low` bits, at most 24, the rest.
+    /// The plain twin of [`Self::group`]: zeros up to a 1 bit count how often 2^`low` goes into a folded difference, and `low` bits, at most 24, tell the
+    /// rest.
     fn one_by_one(&mut self, low: u32, block: &mut [i32]) -> Option<()> {
         for folded in block {
             *folded = (self.zeros()?.wrapping_shl(low) | self.take(low)) as i32;
@@ -453,14 +469,14 @@ mod tests {
     }
 
     /// The same by single bits, as the standard tells it.
-    fn plainly_encoded<T: Folded>(row: &[T]) -> Vec<u8> {
+    fn plainly_encoded<T: StoredPixel>(row: &[T]) -> Vec<u8> {
         let mut bits: Vec<u8> = Vec::new();
         let mut put = |number: u32, count: u32| {
             bits.extend((0..count).rev().map(|n| (number >> n & 1) as u8));
         };
         let (parameter_bits, uncompressed) = T::WIDTH.parameter();
         let full = 8 * T::WIDTH.bytes() as u32;
-        put(row[0].first(), full);
+        put(row[0].stored(), full);
         let before = |n: usize| row[n.saturating_sub(1)];
         let folded: Vec<u32> = (0..row.len()).map(|n| row[n].folded(before(n))).collect();
         for block in folded.chunks(BLOCK) {
@@ -509,7 +525,10 @@ mod tests {
 
     #[test]
     fn a_row_is_encoded_as_by_single_bits_and_decoded_to_what_it_was() {
-        fn check<T: Folded + PartialEq + std::fmt::Debug>(row: &[T], number: impl Fn(T) -> i32) {
+        fn check<T: StoredPixel + PartialEq + std::fmt::Debug>(
+            row: &[T],
+            number: impl Fn(T) -> i32,
+        ) {
             let mut encoder = Encoder::new::<T>(row.len());
             let stream = encoder.encode(row);
             assert_eq!(stream, plainly_encoded(row), "{row:?}");
@@ -544,7 +563,7 @@ mod tests {
                     assert_eq!((together, fast.at), (apart, plain.at));
                 } else {
                     assert_eq!(fast.at, begin);
-                    assert!(plain.at - begin > WINDOW as usize || plain.at > 8 * stream.len());
+                    assert!(plain.at - begin > WINDOW_BITS as usize || plain.at > 8 * stream.len());
                     fast.at = plain.at;
                 }
             }

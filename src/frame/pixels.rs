@@ -1,7 +1,6 @@
-//! The pixels of a frame, all of them in memory or each row decoded when somebody first looks at it, and typed looks at them.
+//! The pixels of a frame, all of them in memory or each row decoded when somebody first reads it, and typed views of them.
 
 use std::fmt;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 /// The pixels of a frame, row by row from the first, in digital numbers (DN).
@@ -92,7 +91,6 @@ pub(super) struct OnDemand {
     dark: Pixels,
     rows: Vec<OnceLock<Pixels>>,
     whole: OnceLock<Pixels>,
-    is_damaged: AtomicBool,
 }
 
 impl OnDemand {
@@ -102,19 +100,15 @@ impl OnDemand {
             dark,
             rows: (0..height).map(|_| OnceLock::new()).collect(),
             whole: OnceLock::new(),
-            is_damaged: AtomicBool::new(false),
         }
     }
 
     fn row(&self, y: usize) -> &Pixels {
         self.rows[y].get_or_init(|| {
             let row = self.source.row(y);
-            let is_one =
+            let has_shape =
                 |row: &Pixels| row.len() == self.dark.len() && row.bits() == self.dark.bits();
-            row.filter(is_one).unwrap_or_else(|| {
-                self.is_damaged.store(true, Ordering::Relaxed);
-                self.dark.clone()
-            })
+            row.filter(has_shape).unwrap_or_else(|| self.dark.clone())
         })
     }
 
@@ -138,12 +132,12 @@ impl fmt::Debug for OnDemand {
 
 /// How a frame has its pixels.
 #[derive(Debug, Clone)]
-pub(super) enum Stored {
+pub(super) enum PixelStorage {
     Whole(Pixels),
     OnDemand(Arc<OnDemand>),
 }
 
-impl Stored {
+impl PixelStorage {
     pub fn whole(&self) -> &Pixels {
         match self {
             Self::Whole(pixels) => pixels,
@@ -158,15 +152,7 @@ impl Stored {
         }
     }
 
-    /// Whether some row that was looked at is damaged.
-    pub fn is_damaged(&self) -> bool {
-        match self {
-            Self::Whole(_) => false,
-            Self::OnDemand(rows) => rows.is_damaged.load(Ordering::Relaxed),
-        }
-    }
-
-    /// A look at pixels of this type, which must be theirs.
+    /// A typed view of the pixels. The type must be theirs.
     pub fn view<T: Sample>(&self, width: usize, height: usize) -> View<'_, T> {
         View {
             width,
@@ -179,13 +165,13 @@ impl Stored {
     }
 }
 
-impl PartialEq for Stored {
+impl PartialEq for PixelStorage {
     fn eq(&self, other: &Self) -> bool {
         self.whole() == other.whole()
     }
 }
 
-/// A typed look at a frame's pixels, for algorithms that are generic in the pixel's depth.
+/// A typed view of a frame's pixels, for algorithms that are generic in the pixel's depth.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a, T> {
     pub width: usize,
@@ -256,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_decoded_once_when_they_are_looked_at_and_damaged_ones_are_told() {
+    fn rows_are_decoded_once_when_they_are_read_and_damaged_ones_are_dark() {
         let asked = Arc::default();
         let source = Box::new(Counting(Arc::clone(&asked)));
         let dark = Pixels::U8(vec![9; 4]);
@@ -266,9 +252,7 @@ mod tests {
         assert_eq!(frame.column_dn(0, 0..2), [0.0, 1.0]);
         assert_eq!(frame.row_dn(4, 0..2), [4.0, 4.0]);
         assert_eq!(*asked.lock().unwrap(), [4, 0, 1]);
-        assert!(!frame.is_damaged());
         assert_eq!(frame.row_dn(2, 0..4), [9.0; 4]);
-        assert!(frame.is_damaged());
         let whole: Vec<u8> = [0, 1, 9, 9, 4].iter().flat_map(|dn| [*dn; 4]).collect();
         assert_eq!(*frame.pixels(), Pixels::U8(whole));
         assert_eq!(*asked.lock().unwrap(), [4, 0, 1, 2, 3]);

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! Each camera has a thread and a solver of its own; camera and solver of the second pitch-yaw camera and of the roll camera
-//! are numbered on. Every disk of the archive has two threads.
+//! are numbered on. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
