@@ -23,7 +23,7 @@
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
 //! | [`limb`], [`fiducial`] | the disc's edge; the marks and their ids |
-//! | [`aspect`] | the pipeline on one page |
+//! | [`aspect`], [`horizon`] | the pipeline on one page; the nadir by the edge of the Earth |
 //! | [`pointing`] | from the Sun on the plate to an offset on the sky |
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
@@ -50,6 +50,7 @@ pub mod fiducial;
 pub mod fits;
 pub mod frame;
 pub mod geometry;
+pub mod horizon;
 pub mod instrument;
 mod kernels;
 pub mod limb;

@@ -2,8 +2,8 @@
 //! with its own number of low bits.
 //!
 //! A stream begins with its first pixel, not compressed. Each difference d between neighbours is folded to a number without a sign: 2 d, or
-//! -2 d - 1 where d is negative. Of a folded difference the low k bits are written as they are, behind as many zeros as the rest counts and a 1 bit. Each
-//! block states its k. Two more values of it say that all differences are zero, and that they are not compressed.
+//! -2 d - 1 where d is negative. All but its low k bits are counted by zeros, which a 1 bit ends; the low k bits follow as they are. Each block states its k.
+//! Two more values of k say that all differences of the block are zero, and that they are not compressed.
 
 use multiversion::multiversion;
 use std::borrow::Cow;
