@@ -11,6 +11,9 @@ pub const MIL_MM: f64 = 0.0254;
 /// Arc seconds in one radian.
 pub const ARCSEC_PER_RAD: f64 = 180.0 * 3600.0 / std::f64::consts::PI;
 
+/// The Earth's mean radius, m.
+pub const EARTH_RADIUS_M: f64 = 6_371_000.0;
+
 /// A count with its noun: "1 packet", "2 packets". The noun's plural ends in s.
 pub fn counted(count: u64, noun: &str) -> String {
     let ending = if count == 1 { "" } else { "s" };

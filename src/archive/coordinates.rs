@@ -12,12 +12,10 @@ use crate::geometry::Mapping;
 use crate::instrument::Instrument;
 use crate::pointing::{self, HelioprojectiveArcsec, PointingError, Roll, Target};
 use crate::sky::{AU_KM, Ephemeris, SUN_RADIUS_KM, SunPosition};
-use crate::units::{ARCSEC_PER_RAD, Place, SensorPx};
+use crate::units::{ARCSEC_PER_RAD, EARTH_RADIUS_M, Place, SensorPx};
 use nalgebra::Matrix2;
 
 const AU_M: f64 = AU_KM * 1e3;
-/// Mean radius; the Earth's flattening moves the observer by a ten-millionth of the way to the Sun.
-const EARTH_RADIUS_M: f64 = 6_371_000.0;
 
 /// The helioprojective coordinates of a frame's pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -172,6 +170,7 @@ fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
 /// The observer's heliographic longitude from the Earth's centre, and latitude. The observer stands off the line from
 /// the Sun to the Earth's centre towards the zenith.
 fn stonyhurst_deg(sun: &SunPosition, place: Place) -> (f64, f64) {
+    // The Earth's flattening moves the observer by a ten-millionth of the way to the Sun.
     let up_m = EARTH_RADIUS_M + place.height_m;
     let aside = up_m * sun.elevation_deg.to_radians().cos() / (sun.distance_au * AU_M);
     let (sin, cos) = sun.zenith_to_north_deg.to_radians().sin_cos();

@@ -10,10 +10,7 @@ mod nadir;
 
 pub use nadir::{Conic, EdgeCorrelation, EdgePoint, Nadir, NadirError, nadir};
 
-use crate::units::Measured;
-
-/// The Earth's mean radius, m.
-pub const EARTH_RADIUS_M: f64 = 6_371_000.0;
+use crate::units::{EARTH_RADIUS_M, Measured};
 
 /// The half-angle, with its 1-sigma, of the cone of rays to the horizon (Braun and Barf 2022, eq. 5), rad: of a sphere of
 /// [`EARTH_RADIUS_M`] seen from a height above it. The edge that is seen stands `edge` above the sphere. All heights are in m; `None` for a

@@ -1,7 +1,7 @@
 //! When something of the Sun changes sign: rise, transit, set, and the hours it spends in a band of elevations.
 
 use super::SkyError;
-use crate::units::Place;
+use crate::units::{EARTH_RADIUS_M, Place};
 use jiff::{SignedDuration, Timestamp};
 
 /// The search looks every so often: what rises and falls back within that may be missed.
@@ -29,7 +29,6 @@ pub struct Crossing {
 /// From a height the horizon lies lower by acos(R / (R + h)), 6.3 deg at 38.4 km. The ray that grazes it is bent again on
 /// its way up to the observer, by up to another 34 arcmin, which is left out: a balloon sees the Sun some minutes longer.
 pub fn horizon_deg(place: Place) -> f64 {
-    const EARTH_RADIUS_M: f64 = 6_371_008.8;
     const LIMB_AND_REFRACTION_DEG: f64 = 50.0 / 60.0;
     let height = place.height_m.max(0.0);
     let dip = (EARTH_RADIUS_M / (EARTH_RADIUS_M + height)).acos();
