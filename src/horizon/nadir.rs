@@ -115,9 +115,9 @@ pub fn nadir(
             ray: *ray,
         })
         .collect();
-    let per_information = fitted.covariance / fitted.scatter.powi(2);
-    let scatter = spread(&terms, half_angle_rad.sigma, correlation) * fitted.scatter.powi(2);
-    let covariance = per_information * scatter * per_information;
+    let scatter = spread(&terms, half_angle_rad.sigma, correlation);
+    // The core has inflated each of the two already, and once is right.
+    let covariance = fitted.covariance * scatter * fitted.covariance / fitted.scatter.powi(2);
     let unit = moved(&fitted.parameters);
     Ok(Nadir {
         conic: conic(&unit, angle),
@@ -280,6 +280,12 @@ mod tests {
         angle_rad: f64,
     }
 
+    const NOISE_ALONE: Errors = Errors {
+        noise_px: NOISE_PX,
+        edge: CALM,
+        angle_rad: 0.0,
+    };
+
     /// Points of the edge within the picture, some pixels apart, whose errors are drawn.
     fn edge(
         nadir: &UnitVector3<f64>,
@@ -361,8 +367,7 @@ mod tests {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
         let none = Errors {
             noise_px: 0.0,
-            edge: CALM,
-            angle_rad: 0.0,
+            ..NOISE_ALONE
         };
         for (height_m, roll_deg, pitch_deg, conic) in [
             (38_000.0, 24.0, -19.0, Conic::Hyperbola),
@@ -386,26 +391,24 @@ mod tests {
 
     #[test]
     fn errors_are_as_large_as_their_covariance_says() {
-        let noise = Errors {
-            noise_px: NOISE_PX,
-            edge: CALM,
-            angle_rad: 0.0,
-        };
         let edge = EdgeCorrelation {
             sigma_rad: 3e-4,
             length_px: 100.0,
         };
         for height_m in [38_000.0, 230_000.0] {
-            let of_edge = Errors { edge, ..noise };
+            let of_edge = Errors {
+                edge,
+                ..NOISE_ALONE
+            };
             let of_angle = Errors {
                 angle_rad: 5e-4,
-                ..noise
+                ..NOISE_ALONE
             };
             let all = Errors {
                 angle_rad: 5e-4,
                 ..of_edge
             };
-            for errors in [noise, of_edge, of_angle, all] {
+            for errors in [NOISE_ALONE, of_edge, of_angle, all] {
                 let ratio = error_over_sigma(height_m, errors);
                 assert!((0.8..1.25).contains(&ratio), "{ratio} at {height_m} m");
             }
@@ -415,17 +418,12 @@ mod tests {
     #[test]
     fn a_short_arc_is_no_bias() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
-        let errors = Errors {
-            noise_px: NOISE_PX,
-            edge: CALM,
-            angle_rad: 0.0,
-        };
         let angle = half_angle(38_000.0);
         let truth = nadir_of(5.0, -6.0);
         let mut off = (Vector2::zeros(), Matrix2::zeros());
         const SCENES: usize = 200;
         for _ in 0..SCENES {
-            let mut points = edge(&truth, angle, errors, &mut random);
+            let mut points = edge(&truth, angle, NOISE_ALONE, &mut random);
             points.retain(|point| (900.0..1000.0).contains(&point.at.x));
             let found = nadir(&points, &camera(), Measured::new(angle, 0.0), CALM).unwrap();
             let across = tangents(&truth);
@@ -440,14 +438,9 @@ mod tests {
     #[test]
     fn points_far_from_the_edge_count_nothing() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
-        let errors = Errors {
-            noise_px: NOISE_PX,
-            edge: CALM,
-            angle_rad: 0.0,
-        };
         let angle = half_angle(230_000.0);
         let truth = nadir_of(-8.0, -10.0);
-        let mut points = edge(&truth, angle, errors, &mut random);
+        let mut points = edge(&truth, angle, NOISE_ALONE, &mut random);
         let flare = points.len() / 4..points.len() / 4 + 60;
         for point in &mut points[flare.clone()] {
             point.at.y -= 5.0;
