@@ -213,17 +213,7 @@ fn streams(bytes: &[u8], hdu: &Hdu, tiles: usize) -> Result<Vec<Range<usize>>, P
         return Err(Problem::field("TTYPEn", expected, "none"));
     };
     let start: usize = columns[..index].iter().map(|column| column.bytes).sum();
-    let table_bytes = row_bytes.saturating_mul(tiles);
-    if table_bytes > data.len() {
-        let expected = format!("{tiles} rows of {row_bytes} bytes in the data");
-        let found = format!("{} bytes", data.len());
-        return Err(Problem::field("NAXISn", expected, found));
-    }
-    let heap_start = match header.get("THEAP") {
-        Some(_) => header.size("THEAP", table_bytes as i64..=data.len() as i64)? as usize,
-        None => table_bytes,
-    };
-    let heap = heap_start..data.len();
+    let heap = heap(header, data.len(), row_bytes, tiles)?;
     let rows = data.chunks_exact(row_bytes).take(tiles).enumerate();
     let streams = rows.map(|(n, row)| {
         let (length, offset) = columns[index].descriptor(&row[start..]);
@@ -251,6 +241,26 @@ fn streams(bytes: &[u8], hdu: &Hdu, tiles: usize) -> Result<Vec<Range<usize>>, P
         ));
     }
     Ok(streams)
+}
+
+/// Where in the data the heap lies, behind the table's rows.
+fn heap(
+    header: &Header,
+    data_bytes: usize,
+    row_bytes: usize,
+    tiles: usize,
+) -> Result<Range<usize>, Problem> {
+    let table_bytes = row_bytes.saturating_mul(tiles);
+    if table_bytes > data_bytes {
+        let expected = format!("{tiles} rows of {row_bytes} bytes in the data");
+        let found = format!("{} bytes", data_bytes);
+        return Err(Problem::field("NAXISn", expected, found));
+    }
+    let heap_start = match header.get("THEAP") {
+        Some(_) => header.size("THEAP", table_bytes as i64..=data_bytes as i64)? as usize,
+        None => table_bytes,
+    };
+    Ok(heap_start..data_bytes)
 }
 
 /// A column of the table of tiles.

@@ -67,13 +67,13 @@ impl FitsFile {
         self.named(read::read_keywords(&self.hdus))
     }
 
-    /// How the frame was taken, without reading its pixels.
+    /// How the frame was taken, and its keywords, without reading its pixels.
     ///
     /// # Errors
     /// A file without an image, or keywords that cannot be read.
-    pub fn info(&self) -> Result<FrameInfo, FileError> {
-        let header = read::read_keywords(&self.hdus);
-        self.named(header.and_then(|header| info::read_info(&header)))
+    pub fn info(&self) -> Result<(FrameInfo, Header), FileError> {
+        let header = self.keywords()?;
+        Ok((self.named(info::read_info(&header))?, header))
     }
 
     /// Checks every checksum that the file carries.

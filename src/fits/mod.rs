@@ -99,8 +99,7 @@ pub fn read_info(path: &Path) -> Result<(FrameInfo, Header), FileError> {
         let info = info::read_info(&header).map_err(|problem| problem.in_file(path))?;
         return Ok((info, header));
     }
-    let file = FitsFile::open(path)?;
-    Ok((file.info()?, file.keywords()?))
+    FitsFile::open(path)?.info()
 }
 
 /// Checks every checksum of a FITS file; an error where one does not match.

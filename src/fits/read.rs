@@ -22,29 +22,19 @@ enum PixelType {
 
 /// Reads the first image with two axes, in the primary HDU or an extension.
 pub(super) fn read_fits(bytes: &[u8], hdus: &[Hdu]) -> Result<Frame, Problem> {
-    let image = Image::find(bytes, hdus)?;
-    let (width, height) = (image.width, image.height);
-    let mut pixels = PixelBuffer::new(image.pixel_type, width, width * height);
-    match &image.tiles {
-        Some(tiles) => tiles.unpack(bytes, |numbers| pixels.add(numbers))?,
-        None => pixels.add_plain(&bytes[image.hdu.data_bytes.clone()])?,
-    }
-    let pixels = pixels.pixels;
-    let saturation = read_saturation(&image.header, pixels.bits(), brightest_dn(&pixels))?;
-    let info = read_info(&image.header)?;
-    Frame::new(width, height, pixels, saturation, info).map_err(refused)
+    Image::find(bytes, hdus)?.frame(bytes)
 }
 
 /// As [`read_fits`], but rows are decoded when they are first read, where each is a tile of its own, the sum of all was checked, and
 /// the saturation is stated. Then what a row's damage is will stand in the second value.
 pub(super) fn read_on_demand(bytes: Vec<u8>, hdus: &[Hdu]) -> Result<(Frame, Damage), Problem> {
     let damage = Damage::default();
-    let image = Image::find(&bytes, hdus)?;
-    let are_checked = image.hdu.header.get("DATASUM").is_some();
+    let mut image = Image::find(&bytes, hdus)?;
+    let is_checked = image.hdu.header.get("DATASUM").is_some();
     let states_saturation = image.header.get("SATURATE").is_some();
-    let tiles = match image.tiles {
-        Some(tiles) if tiles.are_rows() && are_checked && states_saturation => tiles,
-        _ => return Ok((read_fits(&bytes, hdus)?, damage)),
+    let rows = |tiles: &mut Tiles| tiles.are_rows() && is_checked && states_saturation;
+    let Some(tiles) = image.tiles.take_if(rows) else {
+        return Ok((image.frame(&bytes)?, damage));
     };
     let (width, height) = (image.width, image.height);
     let dark = match image.pixel_type {
@@ -106,6 +96,20 @@ impl<'a> Image<'a> {
             pixel_type,
             tiles,
         })
+    }
+
+    /// All of it, decoded.
+    fn frame(&self, bytes: &[u8]) -> Result<Frame, Problem> {
+        let (width, height) = (self.width, self.height);
+        let mut pixels = PixelBuffer::new(self.pixel_type, width, width * height);
+        match &self.tiles {
+            Some(tiles) => tiles.unpack(bytes, |numbers| pixels.add(numbers))?,
+            None => pixels.add_plain(&bytes[self.hdu.data_bytes.clone()])?,
+        }
+        let pixels = pixels.pixels;
+        let saturation = read_saturation(&self.header, pixels.bits(), brightest_dn(&pixels))?;
+        let info = read_info(&self.header)?;
+        Frame::new(width, height, pixels, saturation, info).map_err(refused)
     }
 }
 

@@ -257,16 +257,15 @@ enum Unsolved {
 fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord>, Unsolved> {
     let read = || -> Result<_, FileError> {
         let file = FitsFile::open(path)?;
-        let info = file.info()?;
-        Ok((file, info))
+        let (info, header) = file.info()?;
+        Ok((file, info, header))
     };
     // The row names the file already.
     let told = |error: FileError| Unsolved::Unreadable(error.problem.to_string());
-    let (file, info) = read().map_err(told)?;
+    let (file, info, header) = read().map_err(told)?;
     if !span.holds(info.mid_exposure) {
         return Ok(None);
     }
-    let header = file.keywords().map_err(told)?;
     let named = recipe.archived.check(&header);
     named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))?;
     let instrument = &recipe.instrument;
