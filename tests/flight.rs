@@ -5,8 +5,8 @@ use crate::common::disk::{Fault, FaultyDisk};
 use crate::common::flight::{dark_frame, frames_in};
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded, unbounded};
 use jiff::{SignedDuration, Timestamp};
+use solaspect::archive::Store;
 use solaspect::archive::disk::LocalDisk;
-use solaspect::archive::{Room, Store};
 use solaspect::aspect::Quality;
 use solaspect::camera::{CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
 use solaspect::config::{Allowed, Config, by_command, parameters};
@@ -814,9 +814,10 @@ fn ordinary_and_poor(number: u64) -> Frame {
 /// answers, what the line and the archive did.
 fn flown_with(settings: &[(u16, f64)]) -> String {
     const FRAMES: u64 = 8;
+    const FREE_PERCENT: f64 = 50.0;
     let root = tempfile::tempdir().unwrap();
     let disk = FaultyDisk::new(LocalDisk);
-    disk.set(Some(Fault::Free(50.0)));
+    disk.set(Some(Fault::Free(FREE_PERCENT)));
     let store = Store::new(disk, root.path(), "demo", Compression::None);
     let (go, gate) = bounded::<()>(0);
     let given = Arc::new(Mutex::new(Vec::new()));
@@ -856,16 +857,11 @@ fn flown_with(settings: &[(u16, f64)]) -> String {
         );
     }
     // A disk is looked at each second.
-    let looked = Instant::now();
+    let limits = controls.config().archive.space_limits();
     let room = || service.disks()[0].room;
-    while settings
-        .iter()
-        .any(|(number, _)| (40..=43).contains(number))
-        && looked.elapsed() < Duration::from_secs(3)
-        && room() == Room::Plenty
-    {
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    wait_until("the room by the limits that were set", || {
+        room() == limits.room(FREE_PERCENT)
+    });
     let solve = |_| {
         go.send(()).unwrap();
         let answer = answers.recv().unwrap();
@@ -946,7 +942,11 @@ fn every_parameter_that_a_command_sets_changes_what_the_flight_does() {
             _ => as_it_is.clone(),
         };
         let changes = tries.iter().any(|settings| flown_with(settings) != beside);
-        assert!(changes, "{} ({number}) changes nothing", parameter.key);
+        assert!(
+            changes,
+            "{} ({number}) changes nothing: {beside}",
+            parameter.key
+        );
     }
 }
 
