@@ -345,6 +345,10 @@ impl Region {
         }
     }
 
+    pub fn contains(&self, x: usize, y: usize) -> bool {
+        (self.x0..self.x1).contains(&x) && (self.y0..self.y1).contains(&y)
+    }
+
     /// The pixels that two regions share; `None` when there are none.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let common = Self {

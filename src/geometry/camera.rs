@@ -95,6 +95,11 @@ impl Camera {
         self.limit_rad
     }
 
+    /// The mean of the two focal lengths: pixels per rad at the axis of a lens that makes no distortion.
+    pub fn mean_focal_px(&self) -> f64 {
+        self.lens.radius(0.0).1 * (self.focal_px.x + self.focal_px.y) / 2.0
+    }
+
     /// The pixel that sees a ray. `None` beyond the limit of the lens.
     pub fn pixel(&self, ray: &UnitVector3<f64>) -> Option<SensorPx> {
         let (theta, outward) = polar(ray);

@@ -5,12 +5,338 @@
 //! The distance tells the cone's half-angle; points of the edge tell its axis, however long or short the arc is that they lie on.
 //!
 //! Directions are in the camera frame: x to the right, y down, z forward.
+//!
+//! # The way of a frame
+//! 1. [`Levels`]: the light of a raster of pixels. A frame that is dark or bright all over is refused.
+//! 2. Borders of what is bright are followed, and RANSAC finds the nadir that most of their points agree with. Where the last frame's nadir
+//!    is known, it stands for both.
+//! 3. The light across the edge is read in profiles all along the cone, and these tell the edge to a part of a pixel.
+//! 4. [`nadir()`] fits the direction, with the covariance of noise, limb and height.
 
+mod border;
+mod consensus;
+mod light;
 mod nadir;
+mod profile;
 
+pub use light::Levels;
 pub use nadir::{Conic, EdgeCorrelation, EdgePoint, Nadir, NadirError, nadir};
 
-use crate::units::{EARTH_RADIUS_M, Measured};
+use crate::estimation::{FitError, median};
+use crate::frame::{Frame, Sample, View};
+use crate::instrument::DirectionCamera;
+use crate::units::{EARTH_RADIUS_M, Measured, Rejected};
+use crate::with_view;
+use border::Binary;
+use consensus::consensus;
+use nadir::EdgeRay;
+use nalgebra::{Matrix3x2, UnitVector3};
+use profile::Profiles;
+
+/// The light of the Earth's limb falls off over these heights about its edge, m. Inside, clouds follow; outside, the sky is dark.
+const LIMB_INSIDE_M: f64 = 20_000.0;
+const LIMB_OUTSIDE_M: f64 = 60_000.0;
+/// By how much the border of what is bright may stand above or below the edge, m.
+const BORDER_HEIGHT_M: f64 = 4_000.0;
+/// Points of a border scatter by less.
+const BORDER_TOLERANCE_PX: f64 = 3.0;
+/// Profiles are read anew while the nadir moves by more, so often at most.
+const SETTLED_PX: f64 = 0.2;
+const MOST_ROUNDS: usize = 4;
+/// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
+const LEAST_CONTRAST: f64 = 0.1;
+const LEAST_CONTRAST_SIGMAS: f64 = 4.0;
+/// A sphere shows its edge at so many places and this share of those in view.
+const LEAST_PLACES: usize = 12;
+const LEAST_SHARE: f64 = 0.25;
+/// A point of less weight is no part of the edge.
+const LEAST_WEIGHT: f64 = 0.1;
+/// A find is fine with so much of the edge seen, coarse below.
+const FINE_SHARE: f64 = 0.6;
+
+/// A sphere whose edge is looked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sphere {
+    /// Half-angle of the cone of rays to its edge.
+    pub half_angle_rad: Measured,
+    /// Over which angles about its edge its light falls off.
+    pub inside_rad: f64,
+    pub outside_rad: f64,
+    /// By how much the border of what is bright may lie off the edge.
+    pub tolerance_rad: f64,
+}
+
+impl Sphere {
+    /// The Earth, with its limb: see [`half_angle_rad`].
+    pub fn earth(height_m: Measured, edge_m: Measured) -> Option<Self> {
+        let half_angle_rad = half_angle_rad(height_m, edge_m)?;
+        let rad_per_m = 1.0 / ((EARTH_RADIUS_M + height_m.value) * half_angle_rad.value.cos());
+        Some(Self {
+            half_angle_rad,
+            inside_rad: (LIMB_INSIDE_M * rad_per_m).min(half_angle_rad.value / 2.0),
+            outside_rad: LIMB_OUTSIDE_M * rad_per_m,
+            tolerance_rad: BORDER_HEIGHT_M * rad_per_m,
+        })
+    }
+
+    /// A sphere with a sharp edge, as the Sun and the Moon are.
+    pub fn disc(angular_radius_rad: Measured) -> Self {
+        Self {
+            half_angle_rad: angular_radius_rad,
+            inside_rad: 0.0,
+            outside_rad: 0.0,
+            tolerance_rad: 0.0,
+        }
+    }
+}
+
+/// How a frame is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Settings {
+    /// Pixels of at least this are bright, DN; by the frame's own light where it is not stated.
+    pub threshold_dn: Option<f64>,
+    /// How the limb departs from a sphere; by the frame's own residuals where it is not stated.
+    pub limb: Option<EdgeCorrelation>,
+}
+
+/// Where the solution of a frame may end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    Light,
+    Detection,
+    Edge,
+    Fit,
+}
+
+/// How good a nadir is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quality {
+    /// Most of the edge in view is seen.
+    Fine,
+    /// A smaller part.
+    Coarse,
+    None,
+}
+
+/// What a frame says of the sphere, as far as it got.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    pub levels: Option<Levels>,
+    /// Places of the edge that are in view.
+    pub places: usize,
+    /// The edge where it is seen.
+    pub edge: Vec<EdgePoint>,
+    pub nadir: Result<Nadir, (Stage, Rejected)>,
+}
+
+impl Solution {
+    /// Points that are part of the edge.
+    pub fn agreeing(&self) -> usize {
+        let weights = self.nadir.iter().flat_map(|nadir| &nadir.weights);
+        weights.filter(|weight| **weight > LEAST_WEIGHT).count()
+    }
+
+    pub fn quality(&self) -> Quality {
+        match &self.nadir {
+            Ok(_) if self.agreeing() as f64 >= FINE_SHARE * self.places as f64 => Quality::Fine,
+            Ok(_) => Quality::Coarse,
+            Err(_) => Quality::None,
+        }
+    }
+}
+
+/// Finds a sphere in a frame; near the last frame's nadir first, where there is one.
+pub fn solve(
+    settings: &Settings,
+    frame: &Frame,
+    camera: &DirectionCamera,
+    sphere: &Sphere,
+    last: Option<&UnitVector3<f64>>,
+) -> Solution {
+    let search = Search {
+        settings,
+        camera,
+        sphere,
+    };
+    with_view!(frame, view => {
+        let near = last.map(|nadir| search.find(frame, &view, Some(*nadir)));
+        match near {
+            Some(found) if found.nadir.is_ok() => found,
+            _ => search.find(frame, &view, None),
+        }
+    })
+}
+
+/// What a frame is searched with.
+struct Search<'a> {
+    settings: &'a Settings,
+    camera: &'a DirectionCamera,
+    sphere: &'a Sphere,
+}
+
+impl Search<'_> {
+    fn find<T: Sample>(
+        &self,
+        frame: &Frame,
+        view: &View<'_, T>,
+        near: Option<UnitVector3<f64>>,
+    ) -> Solution {
+        let mut solution = Solution {
+            levels: None,
+            places: 0,
+            edge: Vec::new(),
+            nadir: Err((Stage::Light, rejected("no_light", 0.0, 0.0))),
+        };
+        solution.nadir = self.stages(frame, view, near, &mut solution);
+        solution
+    }
+
+    fn stages<T: Sample>(
+        &self,
+        frame: &Frame,
+        view: &View<'_, T>,
+        near: Option<UnitVector3<f64>>,
+        solution: &mut Solution,
+    ) -> Result<Nadir, (Stage, Rejected)> {
+        let levels = Levels::of(frame).map_err(|rejected| (Stage::Light, rejected))?;
+        solution.levels = Some(levels);
+        let start = match near {
+            Some(near) => near,
+            None => self.detect(view, &levels)?,
+        };
+        let contrast_dn = LEAST_CONTRAST * (levels.bright_dn - levels.dark_dn);
+        let least_dn = contrast_dn.max(LEAST_CONTRAST_SIGMAS * levels.noise_dn);
+        let crossings = self.profiles(view, &start).crossings(least_dn);
+        let mut unit = self.fit(&crossings, CALM)?.direction.unit;
+        for _ in 0..MOST_ROUNDS {
+            let profiles = self.profiles(view, &unit);
+            solution.places = profiles.len();
+            solution.edge = profiles.edge(least_dn, levels.noise_dn);
+            self.enough(solution.edge.len(), solution.places)?;
+            let last = std::mem::replace(&mut unit, self.fit(&solution.edge, CALM)?.direction.unit);
+            if unit.angle(&last) * self.camera.lens.mean_focal_px() < SETTLED_PX {
+                break;
+            }
+        }
+        let calm = self.fit(&solution.edge, CALM)?;
+        let limb = self
+            .settings
+            .limb
+            .unwrap_or_else(|| self.limb(&solution.edge, &calm));
+        let nadir = self.fit(&solution.edge, limb)?;
+        let agreeing = nadir.weights.iter().filter(|w| **w > LEAST_WEIGHT).count();
+        self.enough(agreeing, solution.places)?;
+        Ok(nadir)
+    }
+
+    /// The nadir that most points of bright borders agree with.
+    fn detect<T: Sample>(
+        &self,
+        view: &View<'_, T>,
+        levels: &Levels,
+    ) -> Result<UnitVector3<f64>, (Stage, Rejected)> {
+        let binary = Binary {
+            view: *view,
+            threshold_dn: self.settings.threshold_dn.unwrap_or(levels.border_dn()),
+            mask: &self.camera.mask,
+        };
+        let angle = self.sphere.half_angle_rad.value;
+        // Braun and Barf 2022, section 5: no ellipse of the cone lies between rows this far apart.
+        let focal_px = self.camera.lens.mean_focal_px();
+        let between = (2.0 * focal_px * angle.tan()).clamp(2.0, view.height as f64);
+        let arcs = binary.arcs(between as usize);
+        let tolerance = self.sphere.tolerance_rad + BORDER_TOLERANCE_PX / focal_px;
+        let agreed = consensus(&arcs, &self.camera.lens, angle, tolerance);
+        if agreed.len() < LEAST_PLACES {
+            let found = rejected("no_horizon", agreed.len() as f64, LEAST_PLACES as f64);
+            return Err((Stage::Detection, found));
+        }
+        Ok(self.fit(&agreed, CALM)?.direction.unit)
+    }
+
+    fn profiles<T: Sample>(&self, view: &View<'_, T>, nadir: &UnitVector3<f64>) -> Profiles {
+        let camera = self.camera;
+        Profiles::of(view, &camera.mask, &camera.lens, self.sphere, nadir)
+    }
+
+    fn enough(&self, seen: usize, places: usize) -> Result<(), (Stage, Rejected)> {
+        let least = LEAST_PLACES.max((LEAST_SHARE * places as f64) as usize);
+        match seen >= least {
+            true => Ok(()),
+            false => Err((
+                Stage::Edge,
+                rejected("little_edge", seen as f64, least as f64),
+            )),
+        }
+    }
+
+    fn fit(&self, edge: &[EdgePoint], limb: EdgeCorrelation) -> Result<Nadir, (Stage, Rejected)> {
+        let angle = self.sphere.half_angle_rad;
+        nadir(edge, &self.camera.lens, angle, limb).map_err(|error| {
+            let found = match error {
+                NadirError::Points(points) => {
+                    rejected("little_edge", points as f64, LEAST_PLACES as f64)
+                }
+                NadirError::Fit(FitError::Undetermined) => rejected("undetermined", 0.0, 0.0),
+                NadirError::Fit(FitError::NotConverged) => rejected("not_converged", 0.0, 0.0),
+            };
+            (Stage::Fit, found)
+        })
+    }
+
+    /// How the limb departs from the sphere, by what the fit leaves beyond noise: how far, and over which distance neighbours do alike.
+    fn limb(&self, edge: &[EdgePoint], nadir: &Nadir) -> EdgeCorrelation {
+        let angle = self.sphere.half_angle_rad.value;
+        let rays = edge.iter().zip(&nadir.weights);
+        let left: Vec<(EdgeRay, f64)> = rays
+            .filter(|(_, weight)| **weight > LEAST_WEIGHT)
+            .filter_map(|(point, _)| EdgeRay::of(point, &self.camera.lens))
+            .map(|ray| (ray, ray.angle_from(&nadir.direction.unit).0 - angle))
+            .collect();
+        let together = |lag: usize| {
+            let pairs = left.iter().zip(left.iter().skip(lag));
+            pairs.map(|((_, one), (_, other))| one * other).sum::<f64>() / left.len() as f64
+        };
+        let noise = left
+            .iter()
+            .map(|(ray, _)| ray.sigma_rad.powi(2))
+            .sum::<f64>()
+            / left.len() as f64;
+        let variance = (together(0) - noise).max(0.0);
+        let spacing_px = median(
+            left.windows(2)
+                .map(|pair| pair[0].0.at.distance(pair[1].0.at)),
+        );
+        let fallen = (1..left.len()).find(|lag| together(*lag) < variance / std::f64::consts::E);
+        EdgeCorrelation {
+            sigma_rad: variance.sqrt(),
+            length_px: fallen.unwrap_or(1) as f64 * spacing_px.unwrap_or(1.0),
+        }
+    }
+}
+
+/// A limb that is a sphere's.
+const CALM: EdgeCorrelation = EdgeCorrelation {
+    sigma_rad: 0.0,
+    length_px: 1.0,
+};
+
+fn rejected(reason: &'static str, measured: f64, limit: f64) -> Rejected {
+    Rejected {
+        reason,
+        measured,
+        limit,
+    }
+}
+
+/// Two unit vectors across a direction and each other.
+fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
+    let first = match unit.x.abs() < 0.5 {
+        true => unit.cross(&nalgebra::Vector3::x()).normalize(),
+        false => unit.cross(&nalgebra::Vector3::y()).normalize(),
+    };
+    Matrix3x2::from_columns(&[first, unit.cross(&first)])
+}
 
 /// The half-angle, with its 1-sigma, of the cone of rays to the horizon (Braun and Barf 2022, eq. 5), rad: of a sphere of
 /// [`EARTH_RADIUS_M`] seen from a height above it. The edge that is seen stands `edge` above the sphere. All heights are in m; `None` for a

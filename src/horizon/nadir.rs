@@ -4,11 +4,12 @@
 //! itself, so that it stays a unit vector; linear least squares for its three components (Braun and Barf 2022, eq. 22-24) are biased where the
 //! arc is short.
 
+use super::across;
 use crate::estimation::{FitError, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::geometry::attitude::Direction;
 use crate::geometry::camera::Camera;
 use crate::units::{Measured, SensorPx};
-use nalgebra::{Matrix2, Matrix3x2, RowVector2, UnitVector3, Vector2, Vector3};
+use nalgebra::{Matrix2, RowVector2, UnitVector3, Vector2, Vector3};
 
 /// Fewer points determine no direction.
 const LEAST_POINTS: usize = 3;
@@ -82,7 +83,7 @@ pub fn nadir(
     }
     let angle = half_angle_rad.value;
     let start = start(&edge, angle).ok_or(FitError::Undetermined)?;
-    let tangents = tangents(&start);
+    let tangents = across(&start);
     let moved = |by: &Vector2<f64>| UnitVector3::new_normalize(start.into_inner() + tangents * by);
     let sigma = |ray: &EdgeRay| ray.sigma_rad.hypot(correlation.sigma_rad);
     let linearise = |by: &Vector2<f64>| {
@@ -151,18 +152,18 @@ impl Nadir {
 
 /// A point of the edge as a ray.
 #[derive(Debug, Clone, Copy)]
-struct EdgeRay {
-    at: SensorPx,
-    unit: UnitVector3<f64>,
+pub(super) struct EdgeRay {
+    pub at: SensorPx,
+    pub unit: UnitVector3<f64>,
     /// Unit vector across the ray, towards the sphere.
-    inward: Vector3<f64>,
+    pub inward: Vector3<f64>,
     /// 1 sigma of the ray across the edge.
-    sigma_rad: f64,
+    pub sigma_rad: f64,
 }
 
 impl EdgeRay {
     /// `None` beyond the limit of the lens.
-    fn of(point: &EdgePoint, camera: &Camera) -> Option<Self> {
+    pub fn of(point: &EdgePoint, camera: &Camera) -> Option<Self> {
         let unit = camera.ray(point.at)?;
         let across = camera.ray_jacobian(point.at)? * point.inward;
         Some(Self {
@@ -174,7 +175,7 @@ impl EdgeRay {
     }
 
     /// The angle from a nadir, rad, and its derivative by the nadir.
-    fn angle_from(&self, nadir: &UnitVector3<f64>) -> (f64, Vector3<f64>) {
+    pub fn angle_from(&self, nadir: &UnitVector3<f64>) -> (f64, Vector3<f64>) {
         let cosine = self.unit.dot(nadir);
         let across = nadir.cross(&self.unit).norm();
         (across.atan2(cosine), -self.unit.into_inner() / across)
@@ -187,15 +188,6 @@ fn start(edge: &[EdgeRay], angle: f64) -> Option<UnitVector3<f64>> {
     let of_one = |ray: &EdgeRay| ray.unit.into_inner() * cosine + ray.inward * sine;
     let sum: Vector3<f64> = edge.iter().map(of_one).sum();
     UnitVector3::try_new(sum, 0.0)
-}
-
-/// Two unit vectors across a direction and each other.
-fn tangents(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
-    let first = match unit.x.abs() < 0.5 {
-        true => unit.cross(&Vector3::x()).normalize(),
-        false => unit.cross(&Vector3::y()).normalize(),
-    };
-    Matrix3x2::from_columns(&[first, unit.cross(&first)])
 }
 
 /// By how much an error of 1 rad of one point moves the gradient of the cost.
@@ -294,7 +286,7 @@ mod tests {
         random: &mut Xoshiro256PlusPlus,
     ) -> Vec<EdgePoint> {
         let camera = camera();
-        let across = tangents(nadir);
+        let across = across(nadir);
         let shared = errors.angle_rad * random.sample::<f64, _>(StandardNormal);
         let mut departure = errors.edge.sigma_rad * random.sample::<f64, _>(StandardNormal);
         let mut last: Option<SensorPx> = None;
@@ -348,7 +340,7 @@ mod tests {
             let points = edge(&truth, angle, errors, &mut random);
             let half_angle = Measured::new(angle, errors.angle_rad);
             let found = nadir(&points, &camera(), half_angle, errors.edge).unwrap();
-            let across = tangents(&truth);
+            let across = across(&truth);
             let error =
                 across.transpose() * (found.direction.unit.into_inner() - truth.into_inner());
             let covariance = across.transpose() * found.direction.covariance_rad2 * across;
@@ -426,7 +418,7 @@ mod tests {
             let mut points = edge(&truth, angle, NOISE_ALONE, &mut random);
             points.retain(|point| (900.0..1000.0).contains(&point.at.x));
             let found = nadir(&points, &camera(), Measured::new(angle, 0.0), CALM).unwrap();
-            let across = tangents(&truth);
+            let across = across(&truth);
             off.0 += across.transpose() * (found.direction.unit.into_inner() - truth.into_inner());
             off.1 += across.transpose() * found.direction.covariance_rad2 * across;
         }

@@ -1,0 +1,372 @@
+//! The limb's light across its edge, and from it the edge to a part of a pixel.
+//!
+//! The edge is where the limb has half of its brightness above the dark sky. Brightness varies along the limb, and clouds lie beside
+//! it, so that half is found in two steps: the frame's mean profile tells where half is, and each place is held against that profile
+//! where no cloud reaches, with a darkness, a brightness and a shift of its own.
+
+use super::nadir::EdgePoint;
+use super::{Sphere, across};
+use crate::estimation::{QUARTILE_SIGMAS, median};
+use crate::frame::{Region, Sample, View};
+use crate::geometry::camera::Camera;
+use crate::units::SensorPx;
+use nalgebra::{Matrix3, UnitVector3, Vector2, Vector3};
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+/// Distance of places along the edge; many overlap what noise leaves to tell.
+const SPACING_PX: f64 = 6.0;
+const LEAST_PLACES: usize = 96;
+const MOST_PLACES: usize = 1440;
+/// Samples of a profile to each side of the edge.
+const LEAST_SAMPLES: usize = 6;
+const MOST_SAMPLES: usize = 120;
+/// The outer part of a profile shows the dark sky.
+const SKY_SHARE: f64 = 0.15;
+/// Of the limb's brightness: clouds show in the profile where it is brighter.
+const CLOUDLESS: f64 = 0.82;
+/// Places that are averaged, and the share of them that has no cloud, where the limb's brightness is read.
+const AVERAGED_PLACES: usize = 9;
+const CLOUDLESS_SHARE: f64 = 0.25;
+/// Noise of the light between four pixels over that of one, on average.
+const INTERPOLATED_NOISE: f64 = 2.0 / 3.0;
+/// A place whose shift is known less well shows no edge.
+const MOST_SIGMA_STEPS: f64 = 2.0;
+/// A limb may be so much darker than the middle one, as it is near the terminator.
+const LEAST_BRIGHTNESS: f64 = 0.15;
+
+/// A place of the edge: where the picture shows what lies some steps outside of it, c0 + c1 t + c2 t^2, px.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    path: [Vector2<f64>; 3],
+}
+
+impl Place {
+    fn at(&self, steps: f64) -> SensorPx {
+        let [c0, c1, c2] = self.path;
+        (c0 + (c1 + c2 * steps) * steps).into()
+    }
+
+    fn point(&self, steps: f64, sigma_steps: f64) -> EdgePoint {
+        let per_step = self.path[1] + self.path[2] * (2.0 * steps);
+        EdgePoint {
+            at: self.at(steps),
+            inward: -per_step.normalize(),
+            sigma_px: sigma_steps * per_step.norm(),
+        }
+    }
+}
+
+/// Profiles of light across the edge of a cone at places along it, DN, from the inside outwards.
+pub(super) struct Profiles {
+    places: Vec<Place>,
+    /// Those of the first place, then the next.
+    light_dn: Vec<f32>,
+    /// Samples of each, and which of them lies on the edge.
+    length: usize,
+    edge: usize,
+}
+
+/// Where to look across the edge.
+#[derive(Debug, Clone, Copy)]
+struct Steps {
+    step_rad: f64,
+    inside: usize,
+    outside: usize,
+}
+
+impl Steps {
+    fn of(sphere: &Sphere, camera: &Camera) -> Self {
+        let reach = sphere.inside_rad.max(sphere.outside_rad);
+        let step_rad = (1.0 / camera.mean_focal_px()).max(reach / MOST_SAMPLES as f64);
+        let samples = |reach_rad: f64| ((reach_rad / step_rad) as usize).max(LEAST_SAMPLES);
+        Self {
+            step_rad,
+            inside: samples(sphere.inside_rad),
+            outside: samples(sphere.outside_rad),
+        }
+    }
+}
+
+impl Profiles {
+    /// Profiles at all places of a cone's edge that are in view with their whole profile, and not masked.
+    pub fn of<T: Sample>(
+        view: &View<'_, T>,
+        mask: &[Region],
+        camera: &Camera,
+        sphere: &Sphere,
+        nadir: &UnitVector3<f64>,
+    ) -> Self {
+        let steps = Steps::of(sphere, camera);
+        let length = steps.inside + 1 + steps.outside;
+        let around = TAU * camera.mean_focal_px() * sphere.half_angle_rad.value.sin();
+        let count = ((around / SPACING_PX) as usize).clamp(LEAST_PLACES, MOST_PLACES);
+        let cone = Cone::new(nadir, sphere.half_angle_rad.value);
+        let is_seen = |place: &Place| {
+            [-(steps.inside as f64), 0.0, steps.outside as f64]
+                .iter()
+                .all(|t| is_inside(view, mask, place.at(*t)))
+        };
+        let places: Vec<Place> = (0..count)
+            .filter_map(|n| cone.place(camera, &steps, TAU * n as f64 / count as f64))
+            .filter(is_seen)
+            .collect();
+        let mut light_dn = Vec::with_capacity(places.len() * length);
+        for place in &places {
+            let from_edge = |n: usize| n as f64 - steps.inside as f64;
+            light_dn.extend((0..length).map(|n| interpolated(view, place.at(from_edge(n)))));
+        }
+        Self {
+            places,
+            light_dn,
+            length,
+            edge: steps.inside,
+        }
+    }
+
+    /// Places that are in view.
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    fn light(&self) -> impl Iterator<Item = &[f32]> {
+        self.light_dn.chunks_exact(self.length)
+    }
+
+    /// The samples that show the sky.
+    fn sky(&self) -> Range<usize> {
+        let outside = self.length - self.edge;
+        let sky = ((outside as f64 * SKY_SHARE) as usize).max(2);
+        self.length - sky..self.length
+    }
+
+    /// Where each profile falls through the middle of its own light: the edge as it is where nothing is known of the profile.
+    pub fn crossings(&self, least_contrast_dn: f64) -> Vec<EdgePoint> {
+        const SIGMA_STEPS: f64 = 1.0;
+        let crossing = |(place, light): (&Place, &[f32])| {
+            let dark = mean(&light[self.sky()]);
+            let bright = f64::from(light.iter().copied().fold(f32::MIN, f32::max));
+            if bright - dark < least_contrast_dn {
+                return None;
+            }
+            let steps = falls_through(light, (dark + bright) / 2.0)? - self.edge as f64;
+            Some(place.point(steps, SIGMA_STEPS))
+        };
+        self.places
+            .iter()
+            .zip(self.light())
+            .filter_map(crossing)
+            .collect()
+    }
+
+    /// The edge at every place that shows one. Nothing where the profiles show no limb.
+    pub fn edge(&self, least_contrast_dn: f64, noise_dn: f64) -> Vec<EdgePoint> {
+        let first: Vec<Limb> = self.light().map(|light| self.seen(light)).collect();
+        let Some(mean) = self.mean_profile(&first, least_contrast_dn) else {
+            return Vec::new();
+        };
+        let Some(fit) = TemplateFit::new(&mean, self.edge) else {
+            return Vec::new();
+        };
+        let limbs: Vec<Limb> = self.light().map(|light| fit.limb(light)).collect();
+        let Some(mean) = self.mean_profile(&limbs, least_contrast_dn) else {
+            return Vec::new();
+        };
+        let (Some(fit), Some(half)) = (
+            TemplateFit::new(&mean, self.edge),
+            self.half_brightness(&limbs, &mean, noise_dn),
+        ) else {
+            return Vec::new();
+        };
+        let limbs: Vec<Limb> = self.light().map(|light| fit.limb(light)).collect();
+        let brightness = median(limbs.iter().map(|limb| limb.brightness_dn)).unwrap_or_default();
+        let least = least_contrast_dn.max(LEAST_BRIGHTNESS * brightness);
+        let shows_edge =
+            |limb: &Limb| limb.brightness_dn > least && limb.shift_sigma_steps < MOST_SIGMA_STEPS;
+        let all = self.places.iter().zip(&limbs);
+        all.filter(|(_, limb)| shows_edge(limb))
+            .map(|(place, limb)| {
+                let steps = half - self.edge as f64 + limb.shift_steps;
+                place.point(steps, limb.shift_sigma_steps)
+            })
+            .collect()
+    }
+
+    /// The light of a place by the ends of its profile.
+    fn seen(&self, light: &[f32]) -> Limb {
+        let dark_dn = mean(&light[self.sky()]);
+        Limb {
+            dark_dn,
+            brightness_dn: mean(&light[..=self.edge]) - dark_dn,
+            shift_steps: 0.0,
+            shift_sigma_steps: 0.0,
+        }
+    }
+
+    /// The middle of all profiles, each less its darkness and over its brightness.
+    fn mean_profile(&self, limbs: &[Limb], least_contrast_dn: f64) -> Option<Vec<f64>> {
+        let normal = self.normalised(limbs, least_contrast_dn);
+        (0..self.length)
+            .map(|n| median(normal.iter().map(|profile| profile[n])))
+            .collect()
+    }
+
+    fn normalised(&self, limbs: &[Limb], least_contrast_dn: f64) -> Vec<Vec<f64>> {
+        let bright = limbs.iter().zip(self.light());
+        bright
+            .filter(|(limb, _)| limb.brightness_dn > least_contrast_dn)
+            .map(|(limb, light)| {
+                let above_dark = |dn: &f32| (f64::from(*dn) - limb.dark_dn) / limb.brightness_dn;
+                light.iter().map(above_dark).collect()
+            })
+            .collect()
+    }
+
+    /// Where the mean profile has half of the limb's brightness. That is read where no cloud adds to it: among the darker of the places,
+    /// each averaged with its neighbours, and less what noise makes of the darker ones.
+    fn half_brightness(&self, limbs: &[Limb], mean: &[f64], noise_dn: f64) -> Option<f64> {
+        let normal = self.normalised(limbs, 0.0);
+        let limb_dn = median(limbs.iter().map(|limb| limb.brightness_dn))?;
+        let noise = noise_dn / limb_dn / (AVERAGED_PLACES as f64).sqrt();
+        let cloudless = |n: usize| {
+            let mut averaged: Vec<f64> = normal
+                .windows(AVERAGED_PLACES.min(normal.len().max(1)))
+                .map(|some| some.iter().map(|profile| profile[n]).sum::<f64>() / some.len() as f64)
+                .collect();
+            let place = (averaged.len() as f64 * CLOUDLESS_SHARE) as usize;
+            (!averaged.is_empty())
+                .then(|| *averaged.select_nth_unstable_by(place, f64::total_cmp).1)
+        };
+        let brightness = (0..=self.edge).filter_map(cloudless).reduce(f64::max)?;
+        let brightness = brightness + QUARTILE_SIGMAS * noise * INTERPOLATED_NOISE;
+        let light: Vec<f32> = mean.iter().map(|v| *v as f32).collect();
+        falls_through(&light, brightness / 2.0)
+    }
+}
+
+/// What a place's profile says.
+#[derive(Debug, Clone, Copy)]
+struct Limb {
+    dark_dn: f64,
+    /// In units of the mean profile's.
+    brightness_dn: f64,
+    /// Outwards from the mean profile.
+    shift_steps: f64,
+    shift_sigma_steps: f64,
+}
+
+/// Profiles as the mean one with a darkness, a brightness and a small shift: linear least squares over the samples where the mean
+/// profile falls, from where no cloud reaches to the sky.
+struct TemplateFit {
+    samples: Range<usize>,
+    /// 1, the mean profile, and its change by a step outwards, at each sample.
+    rows: Vec<Vector3<f64>>,
+    inverse: Matrix3<f64>,
+}
+
+impl TemplateFit {
+    /// `None` where the profile does not fall.
+    fn new(mean: &[f64], edge: usize) -> Option<Self> {
+        let brightness = mean[..=edge].iter().copied().reduce(f64::max)?;
+        let first = mean
+            .iter()
+            .rposition(|v| *v > CLOUDLESS * brightness)?
+            .max(1);
+        let samples = first..mean.len() - 1;
+        let row = |n: usize| Vector3::new(1.0, mean[n], -(mean[n + 1] - mean[n - 1]) / 2.0);
+        let rows: Vec<Vector3<f64>> = samples.clone().map(row).collect();
+        let normal: Matrix3<f64> = rows.iter().map(|row| row * row.transpose()).sum();
+        let inverse = normal.try_inverse()?;
+        (rows.len() > 3).then_some(Self {
+            samples,
+            rows,
+            inverse,
+        })
+    }
+
+    fn limb(&self, light: &[f32]) -> Limb {
+        let light = &light[self.samples.clone()];
+        let pairs = || self.rows.iter().zip(light);
+        let gradient: Vector3<f64> = pairs().map(|(row, dn)| row * f64::from(*dn)).sum();
+        let found = self.inverse * gradient;
+        let squares: f64 = pairs()
+            .map(|(row, dn)| (f64::from(*dn) - row.dot(&found)).powi(2))
+            .sum();
+        let variance = squares / (self.rows.len() - 3) as f64;
+        let brightness_dn = found.y;
+        Limb {
+            dark_dn: found.x,
+            brightness_dn,
+            shift_steps: found.z / brightness_dn,
+            shift_sigma_steps: (variance * self.inverse.m33).sqrt() / brightness_dn.abs(),
+        }
+    }
+}
+
+/// A cone about a nadir.
+struct Cone {
+    nadir: UnitVector3<f64>,
+    across: [nalgebra::Vector3<f64>; 2],
+    half_angle_rad: f64,
+}
+
+impl Cone {
+    fn new(nadir: &UnitVector3<f64>, half_angle_rad: f64) -> Self {
+        let tangents = across(nadir);
+        Self {
+            nadir: *nadir,
+            across: [0, 1].map(|n| tangents.column(n).into()),
+            half_angle_rad,
+        }
+    }
+
+    /// The place of the edge at an angle around the nadir; `None` beyond the limit of the lens.
+    fn place(&self, camera: &Camera, steps: &Steps, around_rad: f64) -> Option<Place> {
+        let (sine, cosine) = around_rad.sin_cos();
+        let outward = self.across[0] * cosine + self.across[1] * sine;
+        let seen = |t: f64| {
+            let (sine, cosine) = (self.half_angle_rad + t * steps.step_rad).sin_cos();
+            let ray = self.nadir.into_inner() * cosine + outward * sine;
+            Some(camera.pixel(&UnitVector3::new_unchecked(ray))?.vector())
+        };
+        let (low, high) = (-(steps.inside as f64), steps.outside as f64);
+        // The parabola through three pixels of the profile.
+        let (below, on, above) = (seen(low)?, seen(0.0)?, seen(high)?);
+        let (to_low, to_high) = ((below - on) / low, (above - on) / high);
+        let curvature = (to_high - to_low) / (high - low);
+        Some(Place {
+            path: [on, to_low - curvature * low, curvature],
+        })
+    }
+}
+
+/// Whether the picture has all pixels about a position, and none of them is masked.
+fn is_inside<T>(view: &View<'_, T>, mask: &[Region], at: SensorPx) -> bool {
+    let within = |v: f64, size: usize| (0.0..size as f64 - 1.0).contains(&v);
+    within(at.x, view.width)
+        && within(at.y, view.height)
+        && !mask
+            .iter()
+            .any(|region| region.contains(at.x.round() as usize, at.y.round() as usize))
+}
+
+/// The light between four pixels, DN. The position must be inside the picture.
+fn interpolated<T: Sample>(view: &View<'_, T>, at: SensorPx) -> f32 {
+    let (x, y) = (at.x as usize, at.y as usize);
+    let (fx, fy) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
+    let along = |row: &[T]| row[x].dn() * (1.0 - fx) + row[x + 1].dn() * fx;
+    along(view.row(y)) * (1.0 - fy) + along(view.row(y + 1)) * fy
+}
+
+fn mean(light: &[f32]) -> f64 {
+    light.iter().map(|dn| f64::from(*dn)).sum::<f64>() / light.len() as f64
+}
+
+/// The last place, in samples, where the light falls below a level.
+fn falls_through(light: &[f32], level: f64) -> Option<f64> {
+    let level = level as f32;
+    let n = light
+        .windows(2)
+        .rposition(|pair| pair[0] >= level && pair[1] < level)?;
+    Some(n as f64 + f64::from((light[n] - level) / (light[n] - light[n + 1])))
+}
