@@ -6,6 +6,8 @@ pub mod calibrate;
 pub mod config;
 pub mod demo;
 pub mod fly;
+mod frames;
+pub mod horizon;
 pub mod link;
 mod options;
 mod output;

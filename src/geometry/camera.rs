@@ -90,6 +90,16 @@ impl Camera {
         })
     }
 
+    /// A camera that makes no distortion, with square pixels. The focal length must be positive.
+    pub fn rectilinear(focal_px: f64, principal_point: SensorPx) -> Self {
+        Self {
+            lens: Lens::Rectilinear,
+            focal_px: Vector2::repeat(focal_px),
+            principal_point,
+            limit_rad: Lens::Rectilinear.limit_rad(),
+        }
+    }
+
     /// Largest angle from the optical axis that the camera sees, rad, without the limit of the sensor's size.
     pub fn limit_rad(&self) -> f64 {
         self.limit_rad

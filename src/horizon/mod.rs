@@ -17,20 +17,22 @@ mod border;
 mod consensus;
 mod light;
 mod nadir;
+mod overlay;
 mod profile;
 
 pub use light::Levels;
 pub use nadir::{Conic, EdgeCorrelation, EdgePoint, Nadir, NadirError, nadir};
+pub use overlay::overlay;
 
 use crate::estimation::{FitError, median};
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
-use crate::units::{EARTH_RADIUS_M, Measured, Rejected};
+use crate::units::{EARTH_RADIUS_M, Measured, Rejected, SensorPx};
 use crate::with_view;
 use border::Binary;
 use consensus::consensus;
 use nadir::EdgeRay;
-use nalgebra::{Matrix3x2, UnitVector3};
+use nalgebra::{Matrix3x2, UnitVector3, Vector2};
 use profile::Profiles;
 
 /// The light of the Earth's limb falls off over these heights about its edge, m. Inside, clouds follow; outside, the sky is dark.
@@ -38,6 +40,8 @@ const LIMB_INSIDE_M: f64 = 20_000.0;
 const LIMB_OUTSIDE_M: f64 = 60_000.0;
 /// By how much the border of what is bright may stand above or below the edge, m.
 const BORDER_HEIGHT_M: f64 = 4_000.0;
+/// Beyond the limb's light by so much, the sky is as dark as it is, rad.
+const FAR_RAD: f64 = 0.05;
 /// Points of a border scatter by less.
 const BORDER_TOLERANCE_PX: f64 = 3.0;
 /// Profiles are read anew while the nadir moves by more, so often at most.
@@ -51,8 +55,32 @@ const LEAST_PLACES: usize = 12;
 const LEAST_SHARE: f64 = 0.25;
 /// A point of less weight is no part of the edge.
 const LEAST_WEIGHT: f64 = 0.1;
+/// An arc is worth as many free stretches as this, however long its neighbours do alike.
+const LEAST_STRETCHES: f64 = 3.0;
 /// A find is fine with so much of the edge seen, coarse below.
 const FINE_SHARE: f64 = 0.6;
+
+/// Whether air bends the rays to the limb.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refraction {
+    /// Rays are straight.
+    None,
+    /// Air whose refractivity falls off exponentially with height.
+    StandardAir,
+}
+
+impl Refraction {
+    /// The refractive index at a height, m.
+    fn index(self, height_m: f64) -> f64 {
+        // Of visible light at 15 deg C and 1013 hPa (Edlen 1966); the scale height is that of the stratosphere, where the limb's edge is.
+        const REFRACTIVITY: f64 = 2.77e-4;
+        const SCALE_M: f64 = 7_000.0;
+        match self {
+            Self::None => 1.0,
+            Self::StandardAir => 1.0 + REFRACTIVITY * (-height_m / SCALE_M).exp(),
+        }
+    }
+}
 
 /// A sphere whose edge is looked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,8 +96,8 @@ pub struct Sphere {
 
 impl Sphere {
     /// The Earth, with its limb: see [`half_angle_rad`].
-    pub fn earth(height_m: Measured, edge_m: Measured) -> Option<Self> {
-        let half_angle_rad = half_angle_rad(height_m, edge_m)?;
+    pub fn earth(height_m: Measured, edge_m: Measured, refraction: Refraction) -> Option<Self> {
+        let half_angle_rad = half_angle_rad(height_m, edge_m, refraction)?;
         let rad_per_m = 1.0 / ((EARTH_RADIUS_M + height_m.value) * half_angle_rad.value.cos());
         Some(Self {
             half_angle_rad,
@@ -108,6 +136,17 @@ pub enum Stage {
     Fit,
 }
 
+impl Stage {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Light => "light",
+            Self::Detection => "detection",
+            Self::Edge => "edge",
+            Self::Fit => "fit",
+        }
+    }
+}
+
 /// How good a nadir is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quality {
@@ -116,6 +155,16 @@ pub enum Quality {
     /// A smaller part.
     Coarse,
     None,
+}
+
+impl Quality {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fine => "fine",
+            Self::Coarse => "coarse",
+            Self::None => "none",
+        }
+    }
 }
 
 /// What a frame says of the sphere, as far as it got.
@@ -206,24 +255,30 @@ impl Search<'_> {
         };
         let contrast_dn = LEAST_CONTRAST * (levels.bright_dn - levels.dark_dn);
         let least_dn = contrast_dn.max(LEAST_CONTRAST_SIGMAS * levels.noise_dn);
+        let angle = self.sphere.half_angle_rad;
         let crossings = self.profiles(view, &start).crossings(least_dn);
-        let mut unit = self.fit(&crossings, CALM)?.direction.unit;
+        let mut calm = self.fit(&crossings, angle, CALM)?;
+        let mut level_sigma_rad = 0.0;
         for _ in 0..MOST_ROUNDS {
-            let profiles = self.profiles(view, &unit);
+            let last = calm.direction.unit;
+            let profiles = self.profiles(view, &last);
             solution.places = profiles.len();
-            solution.edge = profiles.edge(least_dn, levels.noise_dn);
+            let far_sky_dn = self.far_sky_dn(view, &last);
+            let Some(edge) = profiles.edge(least_dn, levels.noise_dn, far_sky_dn) else {
+                return Err((Stage::Edge, rejected("no_limb", 0.0, 0.0)));
+            };
+            (solution.edge, level_sigma_rad) = (edge.points, edge.sigma_rad);
             self.enough(solution.edge.len(), solution.places)?;
-            let last = std::mem::replace(&mut unit, self.fit(&solution.edge, CALM)?.direction.unit);
-            if unit.angle(&last) * self.camera.lens.mean_focal_px() < SETTLED_PX {
+            calm = self.fit(&solution.edge, angle, CALM)?;
+            let moved_rad = calm.direction.unit.angle(&last);
+            if moved_rad * self.camera.lens.mean_focal_px() < SETTLED_PX {
                 break;
             }
         }
-        let calm = self.fit(&solution.edge, CALM)?;
-        let limb = self
-            .settings
-            .limb
-            .unwrap_or_else(|| self.limb(&solution.edge, &calm));
-        let nadir = self.fit(&solution.edge, limb)?;
+        let stated = self.settings.limb;
+        let limb = stated.unwrap_or_else(|| self.limb(&solution.edge, &calm));
+        let angle = Measured::new(angle.value, angle.sigma.hypot(level_sigma_rad));
+        let nadir = self.fit(&solution.edge, angle, limb)?;
         let agreeing = nadir.weights.iter().filter(|w| **w > LEAST_WEIGHT).count();
         self.enough(agreeing, solution.places)?;
         Ok(nadir)
@@ -251,12 +306,32 @@ impl Search<'_> {
             let found = rejected("no_horizon", agreed.len() as f64, LEAST_PLACES as f64);
             return Err((Stage::Detection, found));
         }
-        Ok(self.fit(&agreed, CALM)?.direction.unit)
+        let nadir = self.fit(&agreed, self.sphere.half_angle_rad, CALM)?;
+        Ok(nadir.direction.unit)
     }
 
     fn profiles<T: Sample>(&self, view: &View<'_, T>, nadir: &UnitVector3<f64>) -> Profiles {
         let camera = self.camera;
         Profiles::of(view, &camera.mask, &camera.lens, self.sphere, nadir)
+    }
+
+    /// What a pixel of the sky far from the limb holds, DN; `None` where too little of it is in view.
+    fn far_sky_dn<T: Sample>(&self, view: &View<'_, T>, nadir: &UnitVector3<f64>) -> Option<f64> {
+        const SPACING_PX: usize = 32;
+        const LEAST_PIXELS: usize = 40;
+        let angle = self.sphere.half_angle_rad.value + self.sphere.outside_rad + FAR_RAD;
+        let rows = (0..view.height).step_by(SPACING_PX);
+        let raster = rows.flat_map(|y| (0..view.width).step_by(SPACING_PX).map(move |x| (x, y)));
+        let is_far = |&(x, y): &(usize, usize)| {
+            let ray = self.camera.lens.ray(SensorPx::new(x as f64, y as f64));
+            let masked = self.camera.mask.iter().any(|region| region.contains(x, y));
+            !masked && ray.is_some_and(|ray| ray.dot(nadir) < angle.cos())
+        };
+        let sky: Vec<f64> = raster
+            .filter(is_far)
+            .map(|(x, y)| f64::from(view.dn(x, y)))
+            .collect();
+        (sky.len() >= LEAST_PIXELS).then(|| median(&sky)).flatten()
     }
 
     fn enough(&self, seen: usize, places: usize) -> Result<(), (Stage, Rejected)> {
@@ -270,8 +345,12 @@ impl Search<'_> {
         }
     }
 
-    fn fit(&self, edge: &[EdgePoint], limb: EdgeCorrelation) -> Result<Nadir, (Stage, Rejected)> {
-        let angle = self.sphere.half_angle_rad;
+    fn fit(
+        &self,
+        edge: &[EdgePoint],
+        angle: Measured,
+        limb: EdgeCorrelation,
+    ) -> Result<Nadir, (Stage, Rejected)> {
         nadir(edge, &self.camera.lens, angle, limb).map_err(|error| {
             let found = match error {
                 NadirError::Points(points) => {
@@ -308,9 +387,13 @@ impl Search<'_> {
                 .map(|pair| pair[0].0.at.distance(pair[1].0.at)),
         );
         let fallen = (1..left.len()).find(|lag| together(*lag) < variance / std::f64::consts::E);
+        let lag = fallen.unwrap_or(1) as f64;
+        // The nadir's two parameters have followed the limb: of so many stretches that are free of each other, they take two.
+        let stretches = (left.len() as f64 / (2.0 * lag)).max(LEAST_STRETCHES);
+        let variance = variance * stretches / (stretches - 2.0);
         EdgeCorrelation {
             sigma_rad: variance.sqrt(),
-            length_px: fallen.unwrap_or(1) as f64 * spacing_px.unwrap_or(1.0),
+            length_px: lag * spacing_px.unwrap_or(1.0),
         }
     }
 }
@@ -329,6 +412,31 @@ fn rejected(reason: &'static str, measured: f64, limit: f64) -> Rejected {
     }
 }
 
+/// A cone of rays about a nadir.
+struct Cone {
+    nadir: UnitVector3<f64>,
+    across: Matrix3x2<f64>,
+    half_angle_rad: f64,
+}
+
+impl Cone {
+    fn new(nadir: &UnitVector3<f64>, half_angle_rad: f64) -> Self {
+        Self {
+            nadir: *nadir,
+            across: across(nadir),
+            half_angle_rad,
+        }
+    }
+
+    /// A ray at an angle around the nadir, and another one outside of the cone.
+    fn ray(&self, around_rad: f64, outside_rad: f64) -> UnitVector3<f64> {
+        let (sine, cosine) = around_rad.sin_cos();
+        let outward = self.across * Vector2::new(cosine, sine);
+        let (sine, cosine) = (self.half_angle_rad + outside_rad).sin_cos();
+        UnitVector3::new_unchecked(self.nadir.into_inner() * cosine + outward * sine)
+    }
+}
+
 /// Two unit vectors across a direction and each other.
 fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
     let first = match unit.x.abs() < 0.5 {
@@ -341,13 +449,20 @@ fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
 /// The half-angle, with its 1-sigma, of the cone of rays to the horizon (Braun and Barf 2022, eq. 5), rad: of a sphere of
 /// [`EARTH_RADIUS_M`] seen from a height above it. The edge that is seen stands `edge` above the sphere. All heights are in m; `None` for a
 /// camera that is not above the edge.
-pub fn half_angle_rad(height_m: Measured, edge_m: Measured) -> Option<Measured> {
+///
+/// Along a bent ray n r sin(angle to the vertical) is the same everywhere (Bouguer's rule); where the ray grazes the edge the sine is 1.
+pub fn half_angle_rad(
+    height_m: Measured,
+    edge_m: Measured,
+    refraction: Refraction,
+) -> Option<Measured> {
     let (distance, radius) = (
         EARTH_RADIUS_M + height_m.value,
         EARTH_RADIUS_M + edge_m.value,
     );
-    let sine = radius / distance;
-    if !(0.0..1.0).contains(&sine) {
+    let bent = refraction.index(edge_m.value) / refraction.index(height_m.value);
+    let sine = bent * radius / distance;
+    if radius >= distance || !(0.0..1.0).contains(&sine) {
         return None;
     }
     let slope_per_m = 1.0 / (distance * (1.0 - sine * sine).sqrt());
@@ -364,11 +479,11 @@ mod tests {
         // asin(6371 / 6601), and so on.
         for (height_m, degrees) in [(230_000.0, 74.830_690), (38_000.0, 83.757_636)] {
             let height = Measured::new(height_m, 100.0);
-            let angle = half_angle_rad(height, Measured::new(0.0, 0.0)).unwrap();
+            let angle = half_angle_rad(height, Measured::new(0.0, 0.0), Refraction::None).unwrap();
             assert!((angle.value.to_degrees() - degrees).abs() < 1e-6);
             let at = |height_m| {
                 let height = Measured::new(height_m, 0.0);
-                half_angle_rad(height, Measured::new(0.0, 0.0))
+                half_angle_rad(height, Measured::new(0.0, 0.0), Refraction::None)
                     .unwrap()
                     .value
             };
@@ -378,10 +493,37 @@ mod tests {
     }
 
     #[test]
+    fn refraction_lowers_the_limb_of_a_balloon_by_minutes_of_arc() {
+        let angle = |refraction| {
+            let exact = |m| Measured::new(m, 0.0);
+            half_angle_rad(exact(38_000.0), exact(20_000.0), refraction)
+                .unwrap()
+                .value
+        };
+        let bent = angle(Refraction::StandardAir) - angle(Refraction::None);
+        // Half of what a ray is bent that grazes 20 km: refractivity times the root of 2 pi R / scale height, less the camera's own air.
+        let whole =
+            2.77e-4 * (-20.0_f64 / 7.0).exp() * (2.0 * std::f64::consts::PI * 6391.0 / 7.0).sqrt();
+        assert!(
+            bent > 0.2 * whole && bent < 0.6 * whole,
+            "{bent} of {whole}"
+        );
+    }
+
+    #[test]
     fn there_is_no_horizon_at_or_below_the_edge() {
         let exact = |m| Measured::new(m, 0.0);
-        assert_eq!(half_angle_rad(exact(0.0), exact(0.0)), None);
-        assert_eq!(half_angle_rad(exact(10_000.0), exact(20_000.0)), None);
-        assert_eq!(half_angle_rad(exact(f64::NAN), exact(0.0)), None);
+        assert_eq!(
+            half_angle_rad(exact(0.0), exact(0.0), Refraction::None),
+            None
+        );
+        assert_eq!(
+            half_angle_rad(exact(10_000.0), exact(20_000.0), Refraction::None),
+            None
+        );
+        assert_eq!(
+            half_angle_rad(exact(f64::NAN), exact(0.0), Refraction::None),
+            None
+        );
     }
 }

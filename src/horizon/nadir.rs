@@ -42,6 +42,16 @@ pub enum Conic {
     Hyperbola,
 }
 
+impl Conic {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ellipse => "ellipse",
+            Self::Parabola => "parabola",
+            Self::Hyperbola => "hyperbola",
+        }
+    }
+}
+
 /// The direction of a sphere's centre.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Nadir {
@@ -234,7 +244,7 @@ fn conic(nadir: &UnitVector3<f64>, angle: f64) -> Conic {
 mod tests {
     use super::*;
     use crate::geometry::camera::Lens;
-    use crate::horizon::half_angle_rad;
+    use crate::horizon::{Refraction, half_angle_rad};
     use nalgebra::Rotation3;
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
@@ -351,7 +361,9 @@ mod tests {
 
     fn half_angle(height_m: f64) -> f64 {
         let exact = |m| Measured::new(m, 0.0);
-        half_angle_rad(exact(height_m), exact(0.0)).unwrap().value
+        half_angle_rad(exact(height_m), exact(0.0), Refraction::None)
+            .unwrap()
+            .value
     }
 
     #[test]

@@ -5,11 +5,11 @@
 //! where no cloud reaches, with a darkness, a brightness and a shift of its own.
 
 use super::nadir::EdgePoint;
-use super::{Sphere, across};
+use super::{Cone, Sphere};
 use crate::estimation::{QUARTILE_SIGMAS, median};
 use crate::frame::{Region, Sample, View};
 use crate::geometry::camera::Camera;
-use crate::units::SensorPx;
+use crate::units::{Measured, SensorPx};
 use nalgebra::{Matrix3, UnitVector3, Vector2, Vector3};
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -25,9 +25,21 @@ const MOST_SAMPLES: usize = 120;
 const SKY_SHARE: f64 = 0.15;
 /// Of the limb's brightness: clouds show in the profile where it is brighter.
 const CLOUDLESS: f64 = 0.82;
+/// Over a pixel's noise: a profile that fits less well has clouds in it.
+const CLOUDED: f64 = 1.25;
+const CLOUDED_SHARE: f64 = 0.05;
+/// Profiles and their mean are found in so many rounds.
+const ROUNDS: usize = 3;
 /// Places that are averaged, and the share of them that has no cloud, where the limb's brightness is read.
 const AVERAGED_PLACES: usize = 9;
 const CLOUDLESS_SHARE: f64 = 0.25;
+/// The limb's brightness is known to this share of it.
+const BRIGHTNESS_SIGMA: f64 = 0.008;
+/// The darker places have clouds, too: 1 sigma over what the middle one is brighter, and over the share of places with clouds.
+const CLOUDS_LEFT: f64 = 2.0;
+const CLOUDED_SIGMA: f64 = 0.04;
+/// Of the limb's brightness: light beyond the profile. More is glare.
+const MOST_BEYOND: f64 = 0.04;
 /// Noise of the light between four pixels over that of one, on average.
 const INTERPOLATED_NOISE: f64 = 2.0 / 3.0;
 /// A place whose shift is known less well shows no edge.
@@ -57,6 +69,13 @@ impl Place {
     }
 }
 
+/// The edge as the profiles show it.
+pub(super) struct Edge {
+    pub points: Vec<EdgePoint>,
+    /// How well it is known where the edge has half of the limb's brightness, all around alike.
+    pub sigma_rad: f64,
+}
+
 /// Profiles of light across the edge of a cone at places along it, DN, from the inside outwards.
 pub(super) struct Profiles {
     places: Vec<Place>,
@@ -65,6 +84,7 @@ pub(super) struct Profiles {
     /// Samples of each, and which of them lies on the edge.
     length: usize,
     edge: usize,
+    step_rad: f64,
 }
 
 /// Where to look across the edge.
@@ -108,7 +128,7 @@ impl Profiles {
                 .all(|t| is_inside(view, mask, place.at(*t)))
         };
         let places: Vec<Place> = (0..count)
-            .filter_map(|n| cone.place(camera, &steps, TAU * n as f64 / count as f64))
+            .filter_map(|n| place(&cone, camera, &steps, TAU * n as f64 / count as f64))
             .filter(is_seen)
             .collect();
         let mut light_dn = Vec::with_capacity(places.len() * length);
@@ -121,6 +141,7 @@ impl Profiles {
             light_dn,
             length,
             edge: steps.inside,
+            step_rad: steps.step_rad,
         }
     }
 
@@ -159,37 +180,38 @@ impl Profiles {
             .collect()
     }
 
-    /// The edge at every place that shows one. Nothing where the profiles show no limb.
-    pub fn edge(&self, least_contrast_dn: f64, noise_dn: f64) -> Vec<EdgePoint> {
-        let first: Vec<Limb> = self.light().map(|light| self.seen(light)).collect();
-        let Some(mean) = self.mean_profile(&first, least_contrast_dn) else {
-            return Vec::new();
-        };
-        let Some(fit) = TemplateFit::new(&mean, self.edge) else {
-            return Vec::new();
-        };
-        let limbs: Vec<Limb> = self.light().map(|light| fit.limb(light)).collect();
-        let Some(mean) = self.mean_profile(&limbs, least_contrast_dn) else {
-            return Vec::new();
-        };
-        let (Some(fit), Some(half)) = (
-            TemplateFit::new(&mean, self.edge),
-            self.half_brightness(&limbs, &mean, noise_dn),
-        ) else {
-            return Vec::new();
-        };
-        let limbs: Vec<Limb> = self.light().map(|light| fit.limb(light)).collect();
-        let brightness = median(limbs.iter().map(|limb| limb.brightness_dn)).unwrap_or_default();
+    /// The edge at every place that shows one, given what a pixel of the sky far from the limb holds, if any is in view. `None` where the
+    /// profiles show no limb.
+    pub fn edge(
+        &self,
+        least_contrast_dn: f64,
+        noise_dn: f64,
+        far_sky_dn: Option<f64>,
+    ) -> Option<Edge> {
+        let mut limbs: Vec<Limb> = self.light().map(|light| self.seen(light)).collect();
+        let (mut mean, mut clouded) = (Vec::new(), 0.0);
+        for _ in 0..ROUNDS {
+            mean = self.mean_profile(&limbs, least_contrast_dn);
+            let fits = LimbFits::new(&mean, self.edge, noise_dn)?;
+            (limbs, clouded) = fits.limbs(self);
+        }
+        let half = self.half_brightness(&limbs, clouded, &mean, noise_dn, far_sky_dn)?;
+        let brightness = median(limbs.iter().map(|limb| limb.brightness_dn))?;
         let least = least_contrast_dn.max(LEAST_BRIGHTNESS * brightness);
         let shows_edge =
             |limb: &Limb| limb.brightness_dn > least && limb.shift_sigma_steps < MOST_SIGMA_STEPS;
         let all = self.places.iter().zip(&limbs);
-        all.filter(|(_, limb)| shows_edge(limb))
+        let points = all
+            .filter(|(_, limb)| shows_edge(limb))
             .map(|(place, limb)| {
-                let steps = half - self.edge as f64 + limb.shift_steps;
+                let steps = half.value - self.edge as f64 + limb.shift_steps;
                 place.point(steps, limb.shift_sigma_steps)
             })
-            .collect()
+            .collect();
+        Some(Edge {
+            points,
+            sigma_rad: half.sigma * self.step_rad,
+        })
     }
 
     /// The light of a place by the ends of its profile.
@@ -203,11 +225,11 @@ impl Profiles {
         }
     }
 
-    /// The middle of all profiles, each less its darkness and over its brightness.
-    fn mean_profile(&self, limbs: &[Limb], least_contrast_dn: f64) -> Option<Vec<f64>> {
+    /// The middle of all profiles, each less its darkness and over its brightness. Nothing of no limb.
+    fn mean_profile(&self, limbs: &[Limb], least_contrast_dn: f64) -> Vec<f64> {
         let normal = self.normalised(limbs, least_contrast_dn);
         (0..self.length)
-            .map(|n| median(normal.iter().map(|profile| profile[n])))
+            .filter_map(|n| median(normal.iter().map(|profile| profile[n])))
             .collect()
     }
 
@@ -222,25 +244,48 @@ impl Profiles {
             .collect()
     }
 
-    /// Where the mean profile has half of the limb's brightness. That is read where no cloud adds to it: among the darker of the places,
-    /// each averaged with its neighbours, and less what noise makes of the darker ones.
-    fn half_brightness(&self, limbs: &[Limb], mean: &[f64], noise_dn: f64) -> Option<f64> {
+    /// Where the mean profile has half of the limb's brightness above the dark sky, in samples. The brightness is read where no cloud adds to
+    /// it: among the darker of the places, each averaged with its neighbours, and less what noise makes of the darker ones.
+    fn half_brightness(
+        &self,
+        limbs: &[Limb],
+        clouded: f64,
+        mean: &[f64],
+        noise_dn: f64,
+        far_sky_dn: Option<f64>,
+    ) -> Option<Measured> {
         let normal = self.normalised(limbs, 0.0);
         let limb_dn = median(limbs.iter().map(|limb| limb.brightness_dn))?;
-        let noise = noise_dn / limb_dn / (AVERAGED_PLACES as f64).sqrt();
-        let cloudless = |n: usize| {
-            let mut averaged: Vec<f64> = normal
-                .windows(AVERAGED_PLACES.min(normal.len().max(1)))
-                .map(|some| some.iter().map(|profile| profile[n]).sum::<f64>() / some.len() as f64)
-                .collect();
-            let place = (averaged.len() as f64 * CLOUDLESS_SHARE) as usize;
-            (!averaged.is_empty())
-                .then(|| *averaged.select_nth_unstable_by(place, f64::total_cmp).1)
+        let noise = INTERPOLATED_NOISE * noise_dn / limb_dn / (AVERAGED_PLACES as f64).sqrt();
+        let brightest = |share: f64| {
+            let at = |n: usize| {
+                let averaged = normal.windows(AVERAGED_PLACES.min(normal.len().max(1)));
+                let mut averaged: Vec<f64> = averaged
+                    .map(|some| {
+                        some.iter().map(|profile| profile[n]).sum::<f64>() / some.len() as f64
+                    })
+                    .collect();
+                let place = (averaged.len() as f64 * share) as usize;
+                (!averaged.is_empty())
+                    .then(|| *averaged.select_nth_unstable_by(place, f64::total_cmp).1)
+            };
+            (0..=self.edge).filter_map(at).reduce(f64::max)
         };
-        let brightness = (0..=self.edge).filter_map(cloudless).reduce(f64::max)?;
-        let brightness = brightness + QUARTILE_SIGMAS * noise * INTERPOLATED_NOISE;
+        let cloudless = brightest(CLOUDLESS_SHARE)? + QUARTILE_SIGMAS * noise;
+        let clouds = (brightest(0.5)? - cloudless).max(0.0);
+        // The limb's light reaches beyond the profile, above all to a balloon, which has some air above itself.
+        let sky_dn = median(limbs.iter().map(|limb| limb.dark_dn))?;
+        let beyond = far_sky_dn.map_or(0.0, |far_dn| (sky_dn - far_dn) / limb_dn);
+        let beyond = beyond.clamp(0.0, MOST_BEYOND);
         let light: Vec<f32> = mean.iter().map(|v| *v as f32).collect();
-        falls_through(&light, brightness / 2.0)
+        let half = falls_through(&light, (cloudless - beyond) / 2.0)?;
+        let n = (half as usize).clamp(1, mean.len() - 2);
+        let fall = (mean[n - 1] - mean[n + 1]) / 2.0;
+        let left = CLOUDS_LEFT * clouds + CLOUDED_SIGMA * clouded;
+        Some(Measured::new(
+            half,
+            left.hypot(BRIGHTNESS_SIGMA) / 2.0 / fall,
+        ))
     }
 }
 
@@ -255,8 +300,48 @@ struct Limb {
     shift_sigma_steps: f64,
 }
 
-/// Profiles as the mean one with a darkness, a brightness and a small shift: linear least squares over the samples where the mean
-/// profile falls, from where no cloud reaches to the sky.
+/// Fits of the mean profile to a place's: to all of it, and to the air above any cloud.
+struct LimbFits {
+    whole: TemplateFit,
+    air: TemplateFit,
+    most_scatter_dn: f64,
+}
+
+impl LimbFits {
+    /// `None` of no limb.
+    fn new(mean: &[f64], edge: usize, noise_dn: f64) -> Option<Self> {
+        let brightness = mean.get(..=edge)?.iter().copied().reduce(f64::max)?;
+        let air = mean.iter().rposition(|v| *v > CLOUDLESS * brightness)?;
+        Some(Self {
+            whole: TemplateFit::new(mean, 1)?,
+            air: TemplateFit::new(mean, air.max(1))?,
+            most_scatter_dn: CLOUDED * INTERPOLATED_NOISE * noise_dn,
+        })
+    }
+
+    /// The limb at each place, and the share of places with clouds. Whole profiles tell the brightness best; where clouds stand in more
+    /// than a few, the air alone is fair to all.
+    fn limbs(&self, profiles: &Profiles) -> (Vec<Limb>, f64) {
+        let whole: Vec<(Limb, f64)> = profiles
+            .light()
+            .map(|light| self.whole.limb(light))
+            .collect();
+        let clouded = whole
+            .iter()
+            .filter(|(_, scatter_dn)| *scatter_dn > self.most_scatter_dn);
+        let clouded = clouded.count() as f64 / whole.len() as f64;
+        let limbs = match clouded > CLOUDED_SHARE {
+            true => profiles
+                .light()
+                .map(|light| self.air.limb(light).0)
+                .collect(),
+            false => whole.into_iter().map(|(limb, _)| limb).collect(),
+        };
+        (limbs, clouded)
+    }
+}
+
+/// A profile as the mean one with a darkness, a brightness and a small shift: linear least squares.
 struct TemplateFit {
     samples: Range<usize>,
     /// 1, the mean profile, and its change by a step outwards, at each sample.
@@ -265,14 +350,9 @@ struct TemplateFit {
 }
 
 impl TemplateFit {
-    /// `None` where the profile does not fall.
-    fn new(mean: &[f64], edge: usize) -> Option<Self> {
-        let brightness = mean[..=edge].iter().copied().reduce(f64::max)?;
-        let first = mean
-            .iter()
-            .rposition(|v| *v > CLOUDLESS * brightness)?
-            .max(1);
-        let samples = first..mean.len() - 1;
+    /// By the samples from `first` on. `None` where they do not tell the three.
+    fn new(mean: &[f64], first: usize) -> Option<Self> {
+        let samples = first..mean.len().checked_sub(1)?;
         let row = |n: usize| Vector3::new(1.0, mean[n], -(mean[n + 1] - mean[n - 1]) / 2.0);
         let rows: Vec<Vector3<f64>> = samples.clone().map(row).collect();
         let normal: Matrix3<f64> = rows.iter().map(|row| row * row.transpose()).sum();
@@ -284,60 +364,43 @@ impl TemplateFit {
         })
     }
 
-    fn limb(&self, light: &[f32]) -> Limb {
-        let light = &light[self.samples.clone()];
-        let pairs = || self.rows.iter().zip(light);
+    /// The limb, and the rms of what the fit leaves, DN.
+    fn limb(&self, light: &[f32]) -> (Limb, f64) {
+        let pairs = || self.rows.iter().zip(&light[self.samples.clone()]);
         let gradient: Vector3<f64> = pairs().map(|(row, dn)| row * f64::from(*dn)).sum();
         let found = self.inverse * gradient;
         let squares: f64 = pairs()
             .map(|(row, dn)| (f64::from(*dn) - row.dot(&found)).powi(2))
             .sum();
-        let variance = squares / (self.rows.len() - 3) as f64;
+        let scatter_dn = (squares / (self.rows.len() - 3) as f64).sqrt();
         let brightness_dn = found.y;
-        Limb {
+        let limb = Limb {
             dark_dn: found.x,
             brightness_dn,
             shift_steps: found.z / brightness_dn,
-            shift_sigma_steps: (variance * self.inverse.m33).sqrt() / brightness_dn.abs(),
-        }
-    }
-}
-
-/// A cone about a nadir.
-struct Cone {
-    nadir: UnitVector3<f64>,
-    across: [nalgebra::Vector3<f64>; 2],
-    half_angle_rad: f64,
-}
-
-impl Cone {
-    fn new(nadir: &UnitVector3<f64>, half_angle_rad: f64) -> Self {
-        let tangents = across(nadir);
-        Self {
-            nadir: *nadir,
-            across: [0, 1].map(|n| tangents.column(n).into()),
-            half_angle_rad,
-        }
-    }
-
-    /// The place of the edge at an angle around the nadir; `None` beyond the limit of the lens.
-    fn place(&self, camera: &Camera, steps: &Steps, around_rad: f64) -> Option<Place> {
-        let (sine, cosine) = around_rad.sin_cos();
-        let outward = self.across[0] * cosine + self.across[1] * sine;
-        let seen = |t: f64| {
-            let (sine, cosine) = (self.half_angle_rad + t * steps.step_rad).sin_cos();
-            let ray = self.nadir.into_inner() * cosine + outward * sine;
-            Some(camera.pixel(&UnitVector3::new_unchecked(ray))?.vector())
+            shift_sigma_steps: scatter_dn * self.inverse.m33.sqrt() / brightness_dn.abs(),
         };
-        let (low, high) = (-(steps.inside as f64), steps.outside as f64);
-        // The parabola through three pixels of the profile.
-        let (below, on, above) = (seen(low)?, seen(0.0)?, seen(high)?);
-        let (to_low, to_high) = ((below - on) / low, (above - on) / high);
-        let curvature = (to_high - to_low) / (high - low);
-        Some(Place {
-            path: [on, to_low - curvature * low, curvature],
-        })
+        (limb, scatter_dn)
     }
+}
+
+/// The place of a cone's edge at an angle around the nadir; `None` beyond the limit of the lens.
+fn place(cone: &Cone, camera: &Camera, steps: &Steps, around_rad: f64) -> Option<Place> {
+    let seen = |t: f64| {
+        Some(
+            camera
+                .pixel(&cone.ray(around_rad, t * steps.step_rad))?
+                .vector(),
+        )
+    };
+    let (low, high) = (-(steps.inside as f64), steps.outside as f64);
+    // The parabola through three pixels of the profile.
+    let (below, on, above) = (seen(low)?, seen(0.0)?, seen(high)?);
+    let (to_low, to_high) = ((below - on) / low, (above - on) / high);
+    let curvature = (to_high - to_low) / (high - low);
+    Some(Place {
+        path: [on, to_low - curvature * low, curvature],
+    })
 }
 
 /// Whether the picture has all pixels about a position, and none of them is masked.

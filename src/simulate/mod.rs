@@ -2,7 +2,8 @@
 //!
 //! A [`Scene`] is everything a picture consists of; [`Scene::picture`] renders it to a [`Frame`](crate::frame::Frame) and states its
 //! [`Truth`]. The same scene gives the same frame, bit for bit. [`RandomScenes`] draws scenes by condition,
-//! [`FlightScenes`] follows a [`Trajectory`], [`DriftScenes`] the Sun past a gondola that stands still. Beside them the gondola's side of the link: [`controller`].
+//! [`FlightScenes`] follows a [`Trajectory`], [`DriftScenes`] the Sun past a gondola that stands still. Beside them the gondola's side of the link: [`controller`];
+//! and what another camera sees, the Earth's limb: [`earth`].
 //!
 //! # How a picture is made
 //!
@@ -22,6 +23,7 @@ pub mod controller;
 mod coverage;
 mod disc;
 mod drift;
+pub mod earth;
 mod flight;
 mod grid;
 mod noise;
@@ -91,6 +93,11 @@ enum Purpose {
     Path,
     Drift,
     Optics,
+    Earth,
+    Clouds,
+    LimbBrightness,
+    LimbHeight,
+    Glare,
 }
 
 /// A seed for one purpose and one frame of a run.

@@ -3,7 +3,7 @@
 use super::blur::Kernel;
 use super::disc::exposures;
 use super::grid::{Grid, Window};
-use super::noise::read_out;
+use super::noise::{Readings, read_out};
 use super::optics::{Image, images};
 use super::prints::prints;
 use super::scene::{Picture, Scene, SceneError, Sun};
@@ -25,7 +25,13 @@ impl Scene {
     /// The frame: rendered, with noise, digitised.
     pub fn frame(&self) -> Result<Frame, SceneError> {
         let light = render_exact(self);
-        let mut pixels = read_out(&light, self);
+        let readings = Readings {
+            width_px: self.width_px,
+            noise: self.noise,
+            depth: self.depth,
+            seed: self.seed,
+        };
+        let mut pixels = read_out(&light, &readings);
         self.blemishes
             .saturate(self.width_px, &mut pixels, self.depth);
         Ok(Frame::new(

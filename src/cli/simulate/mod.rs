@@ -1,5 +1,7 @@
 //! `solaspect simulate`: frames of random scenes, and the truth about them.
 
+mod horizon;
+
 use super::options;
 use super::output::{make_folder, progress_bar};
 use crate::fits::{self, Compression};
@@ -60,6 +62,8 @@ pub struct SimulateArgs {
     pub optics: OpticsArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
+    #[command(flatten)]
+    pub horizon: horizon::HorizonArgs,
 }
 
 #[derive(Debug, Clone, Args)]
@@ -225,6 +229,9 @@ fn position(text: &str) -> Result<SensorPx, String> {
 
 /// Makes the frames and `truth.csv`.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
+    if args.horizon.horizon {
+        return horizon::run(args);
+    }
     let instrument = options::instrument(args.instrument.as_deref())?;
     let radius_arcsec = match args.sun.sun_radius {
         Some(radius) => radius,
@@ -350,14 +357,22 @@ impl SimulateArgs {
                 column_smear: camera.column_smear,
                 tap_step_dn: camera.tap_step,
             },
-            noise: Noise {
-                read_dn: camera.noise,
-                electrons_per_dn: camera.electrons,
-            },
-            depth: match camera.bits {
-                Bits::Eight => Depth::Eight,
-                Bits::Twelve => Depth::Twelve,
-            },
+            noise: self.noise(),
+            depth: self.depth(),
+        }
+    }
+
+    fn noise(&self) -> Noise {
+        Noise {
+            read_dn: self.camera.noise,
+            electrons_per_dn: self.camera.electrons,
+        }
+    }
+
+    fn depth(&self) -> Depth {
+        match self.camera.bits {
+            Bits::Eight => Depth::Eight,
+            Bits::Twelve => Depth::Twelve,
         }
     }
 }

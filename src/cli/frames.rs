@@ -1,0 +1,228 @@
+//! What the commands share that take frames and give an answer for each: options, formats, pictures, order.
+
+use super::output::{make_folder, progress_bar, say};
+use anyhow::{Context, ensure};
+use clap::{Args, ValueEnum};
+use image::RgbImage;
+use indicatif::ProgressBar;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Args)]
+pub(super) struct FramesArgs {
+    /// Frames to solve
+    #[arg(required = true, value_name = "FRAME")]
+    pub frames: Vec<PathBuf>,
+    /// Solve N frames at a time
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub jobs: u16,
+    /// How answers are written [default: table on a terminal, else jsonl]
+    #[arg(long, value_enum)]
+    pub format: Option<Format>,
+    /// Write a picture of every solved frame to this folder
+    #[arg(long, value_name = "DIR")]
+    pub overlay: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum Format {
+    Jsonl,
+    Csv,
+    Table,
+}
+
+impl FramesArgs {
+    /// Makes the overlays' folder.
+    ///
+    /// # Errors
+    /// The folder cannot be made, or the overlays of two frames would have one name.
+    pub fn prepare(&self) -> anyhow::Result<()> {
+        let Some(folder) = &self.overlay else {
+            return Ok(());
+        };
+        make_folder(folder)?;
+        let names: BTreeSet<_> = self.frames.iter().map(|f| picture_name(f)).collect();
+        ensure!(
+            names.len() == self.frames.len(),
+            "--overlay: expected frames whose pictures have different names, found two alike"
+        );
+        Ok(())
+    }
+
+    /// Writes a frame's overlay, where they are wanted.
+    pub fn draw(&self, path: &Path, picture: impl FnOnce(&str) -> RgbImage) -> anyhow::Result<()> {
+        let Some(folder) = &self.overlay else {
+            return Ok(());
+        };
+        let title = path.file_name().unwrap_or_default().to_string_lossy();
+        let file = folder.join(picture_name(path));
+        let written = picture(&title).save(&file);
+        written.with_context(|| format!("{}: cannot write the overlay", file.display()))
+    }
+
+    /// Takes what each item comes to, in the order of the items, `jobs` of them at a time.
+    pub fn in_order<I: Sync, O: Send>(
+        &self,
+        items: &[I],
+        solve: impl Fn(&I) -> O + Sync,
+        mut take: impl FnMut(O) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let jobs = usize::from(self.jobs);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
+        for some in items.chunks(jobs) {
+            let solved: Vec<O> = pool.install(|| some.par_iter().map(&solve).collect());
+            solved.into_iter().try_for_each(&mut take)?;
+        }
+        Ok(())
+    }
+
+    /// None beside a table on the same terminal, where a bar only flickers.
+    pub fn progress(&self) -> ProgressBar {
+        if self.frames.len() < 2 || std::io::stdout().is_terminal() {
+            return ProgressBar::hidden();
+        }
+        progress_bar(self.frames.len(), "frames")
+    }
+}
+
+/// The frame's folder and name, so that frames of several folders do not meet in one.
+fn picture_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let folder = path.parent().and_then(Path::file_name);
+    match folder {
+        Some(folder) => format!("{}_{name}.png", folder.to_string_lossy()),
+        None => format!("{name}.png"),
+    }
+}
+
+/// What is said of a frame.
+pub(super) trait Row: Serialize {
+    /// Names of the columns in CSV; the first is the file's.
+    fn csv_columns() -> Vec<&'static str>;
+
+    fn csv_row(&self) -> Vec<String>;
+
+    /// Titles and widths of the table's columns after the file's.
+    fn table_columns() -> &'static [(&'static str, usize)];
+
+    /// The file, and what stands in the other columns.
+    fn table_row(&self) -> (&str, Vec<String>);
+}
+
+/// What is said of a frame, or the file and what is wrong with it.
+pub(super) type Answer<R> = Result<R, (String, String)>;
+
+/// The answer of a file that could not be solved. The line names the file already, and the error does not again.
+pub(super) fn bad_file<R>(path: &Path, error: &anyhow::Error) -> Answer<R> {
+    let name = path.display().to_string();
+    let text = format!("{error:#}");
+    let text = text.strip_prefix(&format!("{name}: ")).unwrap_or(&text);
+    Err((name, text.into()))
+}
+
+/// The line of a file that could not be read.
+#[derive(Serialize)]
+struct BadFile<'a> {
+    file: &'a str,
+    error: &'a str,
+}
+
+/// Writes answers to standard output in one format.
+pub(super) struct Printer {
+    format: Format,
+    csv: csv::Writer<std::io::Stdout>,
+}
+
+/// Of the table's first column.
+const FILE_WIDTH: usize = 32;
+
+impl Printer {
+    pub fn new<R: Row>(format: Option<Format>) -> anyhow::Result<Self> {
+        let on_terminal = std::io::stdout().is_terminal();
+        let format = format.unwrap_or(if on_terminal {
+            Format::Table
+        } else {
+            Format::Jsonl
+        });
+        let mut csv = csv::Writer::from_writer(std::io::stdout());
+        match format {
+            Format::Jsonl => {}
+            Format::Csv => {
+                csv.write_record(R::csv_columns().iter().chain(&["error"]))?;
+                csv.flush()?;
+            }
+            Format::Table => {
+                let titles = R::table_columns()
+                    .iter()
+                    .map(|(title, _)| title.to_string());
+                say(table_line::<R>("file", titles))?;
+            }
+        }
+        Ok(Self { format, csv })
+    }
+
+    pub fn print<R: Row>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
+        let mut out = std::io::stdout().lock();
+        match (self.format, answer) {
+            (Format::Jsonl, Ok(row)) => writeln!(out, "{}", serde_json::to_string(row)?)?,
+            (Format::Jsonl, Err((file, error))) => {
+                writeln!(out, "{}", serde_json::to_string(&BadFile { file, error })?)?;
+            }
+            (Format::Csv, _) => {
+                drop(out);
+                self.print_csv(answer)?;
+            }
+            (Format::Table, Ok(row)) => {
+                let (file, fields) = row.table_row();
+                writeln!(out, "{}", table_line::<R>(file, fields.into_iter()))?;
+            }
+            (Format::Table, Err((file, error))) => {
+                writeln!(out, "{:<FILE_WIDTH$} error: {error}", tail(file))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn print_csv<R: Row>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
+        let (row, error) = match answer {
+            Ok(row) => (row.csv_row(), ""),
+            Err((file, error)) => {
+                let mut row = vec![String::new(); R::csv_columns().len()];
+                row[0].clone_from(file);
+                (row, error.as_str())
+            }
+        };
+        self.csv
+            .write_record(row.iter().map(String::as_str).chain([error]))?;
+        self.csv.flush()?;
+        Ok(())
+    }
+}
+
+/// The file, the quality to the left, numbers to the right, and the reason, which may be long, last.
+fn table_line<R: Row>(file: &str, fields: impl Iterator<Item = String>) -> String {
+    let mut line = format!("{:<FILE_WIDTH$}", tail(file));
+    for (n, (field, (_, width))) in fields.zip(R::table_columns()).enumerate() {
+        let written = match n {
+            0 => write!(line, " {field:<width$}"),
+            _ => write!(line, " {field:>width$}"),
+        };
+        debug_assert!(written.is_ok(), "a string takes all");
+    }
+    line.truncate(line.trim_end().len());
+    line
+}
+
+/// The end of a path, where frames differ.
+fn tail(file: &str) -> String {
+    let count = file.chars().count();
+    if count <= FILE_WIDTH {
+        return file.into();
+    }
+    let end: String = file.chars().skip(count - FILE_WIDTH + 2).collect();
+    format!("..{end}")
+}

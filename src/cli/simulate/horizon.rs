@@ -1,0 +1,169 @@
+//! `solaspect simulate --horizon`: frames of the Earth's limb.
+
+use super::{SimulateArgs, Within};
+use crate::cli::output::{make_folder, progress_bar};
+use crate::fits::{self, Compression};
+use crate::instrument::DirectionCamera;
+use crate::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene, Shape};
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use std::fmt::Write;
+
+/// The first line of `truth.csv`. The nadir is in the camera frame (x right, y down, z forward); `in_view` is 1 where some of the
+/// limb's edge is in the picture; `edge_m` is the height of that edge.
+const TRUTH_HEADER: &str = "n,file,nx,ny,nz,roll_deg,pitch_deg,height_m,heading_deg,in_view,edge_m";
+
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Horizon")]
+pub struct HorizonArgs {
+    /// Frames of the Earth's limb instead; --instrument is then a camera's file [default: 1920 x 1080 px, 94.4 deg across], and one
+    /// is written to the folder
+    #[arg(long, conflicts_with_all = ["drift", "partial", "no_sun", "smear"])]
+    pub horizon: bool,
+    /// Height of the camera
+    #[arg(long, value_name = "H", default_value_t = 38_000.0, requires = "horizon", value_parser = Within(1_000.0, 1e8, "m"))]
+    height_m: f64,
+    /// Where the camera looks
+    #[arg(long, value_enum, default_value_t = Looks::Horizon, requires = "horizon")]
+    aim: Looks,
+    /// Largest roll either way; with --aim down, the largest tilt
+    #[arg(long, value_name = "DEG", default_value_t = 30.0, requires = "horizon", value_parser = Within(0.0, 180.0, "deg"))]
+    most_roll: f64,
+    /// Share of the ground under clouds
+    #[arg(long, value_name = "F", requires = "horizon", value_parser = Within(0.0, 1.0, ""))]
+    clouds: Option<f64>,
+    /// How the limb's brightness varies along it, relative, 1 sigma
+    #[arg(long, value_name = "F", default_value_t = 0.0, requires = "horizon", value_parser = Within(0.0, 0.5, ""))]
+    limb_brightness: f64,
+    /// How the limb's height varies along it, 1 sigma
+    #[arg(long, value_name = "M", default_value_t = 0.0, requires = "horizon", value_parser = Within(0.0, 10_000.0, "m"))]
+    limb_height_m: f64,
+    /// Night on a part of the Earth
+    #[arg(long, requires = "horizon")]
+    terminator: bool,
+    /// The Sun in the picture, with flares
+    #[arg(long, requires = "horizon")]
+    flares: bool,
+    /// Turn of the camera during the exposure
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, requires = "horizon", value_parser = Within(-20.0, 20.0, "deg"))]
+    spin: f64,
+    /// The ground is the WGS 84 ellipsoid, and straight down is its normal
+    #[arg(long, requires = "horizon")]
+    ellipsoid: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Looks {
+    /// At the horizon
+    Horizon,
+    /// Down: from high enough, the whole Earth is in view
+    Down,
+    /// Away from the Earth
+    Space,
+}
+
+/// Makes the frames, `truth.csv` and the camera's file `cam.toml`.
+pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<()> {
+    let (conditions, camera_toml) = conditions(args)?;
+    make_folder(&args.out)?;
+    let progress = progress_bar(args.frames as usize, "frames");
+    let mut truth = format!("{TRUTH_HEADER}\n");
+    for number in 0..args.frames {
+        let scene = conditions.scene(args.seed, number);
+        let name = format!("frame_{number:05}.fits");
+        let mut frame = scene.frame()?;
+        frame.info.mid_exposure = Some(args.utc_at(number as f64)?);
+        fits::write_frame(&args.out.join(&name), &frame, &[], &[], Compression::Rice)?;
+        writeln!(truth, "{}", truth_line(number, &name, &scene))?;
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    for (name, text) in [("truth.csv", &truth), ("cam.toml", &camera_toml)] {
+        let path = args.out.join(name);
+        std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))?;
+    }
+    Ok(())
+}
+
+fn truth_line(number: u64, name: &str, scene: &EarthScene) -> String {
+    let truth = scene.truth();
+    let [x, y, z]: [f64; 3] = truth.nadir.into_inner().into();
+    format!(
+        "{number},{name},{x:.9},{y:.9},{z:.9},{:.7},{:.7},{:.3},{:.4},{},{:.1}",
+        scene.roll_deg,
+        scene.pitch_deg,
+        scene.conditions.height_m,
+        scene.heading_deg,
+        u8::from(truth.arc_px > 0.0),
+        truth.edge_m,
+    )
+}
+
+/// The scenes' conditions, and the text of the camera's file.
+fn conditions(args: &SimulateArgs) -> anyhow::Result<(EarthConditions, String)> {
+    let horizon = &args.horizon;
+    let plain = EarthConditions::clear(horizon.height_m);
+    let (camera, text) = match &args.instrument {
+        Some(path) => {
+            let text = crate::instrument::toml_file::read_text(path)?;
+            (DirectionCamera::parse(path, &text)?, text)
+        }
+        None => plain_camera(&plain),
+    };
+    let conditions = EarthConditions {
+        camera: camera.lens,
+        width_px: camera.width_px,
+        height_px: camera.height_px,
+        shape: match horizon.ellipsoid {
+            true => Shape::WGS84,
+            false => Shape::SPHERE,
+        },
+        aim: match horizon.aim {
+            Looks::Horizon => Aim::Horizon {
+                most_roll_deg: horizon.most_roll,
+            },
+            Looks::Down => Aim::Down {
+                most_tilt_deg: horizon.most_roll,
+            },
+            Looks::Space => Aim::Space,
+        },
+        air: Air {
+            varies_by: horizon.limb_brightness,
+            varies_by_m: horizon.limb_height_m,
+            ..Air::CLEAR
+        },
+        clouds: horizon.clouds.map(|cover| Clouds {
+            cover,
+            ..Clouds::BRIGHT
+        }),
+        terminator: horizon.terminator,
+        sun: horizon.flares,
+        spin_deg: horizon.spin,
+        blur_px: args.optics.blur.unwrap_or(plain.blur_px),
+        background_dn: args.camera.background,
+        noise: args.noise(),
+        depth: args.depth(),
+        ..plain
+    };
+    Ok((conditions, text))
+}
+
+/// The camera of the clear conditions with its file.
+fn plain_camera(plain: &EarthConditions) -> (DirectionCamera, String) {
+    let camera = DirectionCamera {
+        width_px: plain.width_px,
+        height_px: plain.height_px,
+        lens: plain.camera,
+        body_from_camera: None,
+        mask: Vec::new(),
+    };
+    let text = format!(
+        "[camera]\nwidth_px = {}\nheight_px = {}\ncentre_px = [{:.1}, {:.1}]\nfocal_px = [{f}, {f}]\n",
+        plain.width_px,
+        plain.height_px,
+        (plain.width_px as f64 - 1.0) / 2.0,
+        (plain.height_px as f64 - 1.0) / 2.0,
+        f = plain.camera.mean_focal_px(),
+    );
+    (camera, text)
+}

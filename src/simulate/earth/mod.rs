@@ -1,0 +1,292 @@
+//! Pictures of the Earth's limb from a balloon or a rocket, with the truth beside them.
+//!
+//! A ray of a pixel passes the air, a deck of clouds and the ground. Air scatters sunlight: its brightness saturates with the air's
+//! optical depth along the ray, which falls off exponentially with the ray's lowest height (Chapman's grazing incidence, for a layer that is
+//! thin against the Earth). Rays are straight.
+
+mod glare;
+mod sky;
+mod texture;
+
+pub use sky::{Air, Clouds, Shape};
+
+use super::blur::Kernel;
+use super::noise::{Readings, read_out};
+use super::{Depth, Generator, Noise, Purpose, frame_info, generator};
+use crate::frame::{Frame, FrameError};
+use crate::geometry::camera::Camera;
+use crate::units::SensorPx;
+use glare::Glare;
+use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
+use rand::RngExt;
+use sky::Sky;
+
+/// How far a picture is sampled beyond its edges, for the blur.
+const MARGIN_PX: usize = 8;
+
+/// What is drawn at random for each picture, and what is not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EarthConditions {
+    pub camera: Camera,
+    pub width_px: usize,
+    pub height_px: usize,
+    /// The ground's shape; the camera is this high above it.
+    pub shape: Shape,
+    pub height_m: f64,
+    pub aim: Aim,
+    pub air: Air,
+    /// `None` for clear ground.
+    pub clouds: Option<Clouds>,
+    /// Night on a part of the Earth.
+    pub terminator: bool,
+    /// The Sun in view, with its flares.
+    pub sun: bool,
+    /// Turn about the camera's vertical during the exposure, deg.
+    pub spin_deg: f64,
+    pub blur_px: f64,
+    pub background_dn: f64,
+    pub noise: Noise,
+    pub depth: Depth,
+}
+
+/// Where the camera looks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Aim {
+    /// The horizon somewhere in the picture, rolled by as much either way, deg.
+    Horizon { most_roll_deg: f64 },
+    /// So far off straight down: the whole Earth in view, from high enough. Deg.
+    Down { most_tilt_deg: f64 },
+    /// Away from the Earth.
+    Space,
+}
+
+impl EarthConditions {
+    /// A camera of 1920 x 1080 px and 94.4 deg across that sees a clear limb.
+    pub fn clear(height_m: f64) -> Self {
+        const SIZE_PX: [usize; 2] = [1920, 1080];
+        let middle = SIZE_PX.map(|size| (size as f64 - 1.0) / 2.0);
+        let focal_px = SIZE_PX[0] as f64 / 2.0 / 47.2_f64.to_radians().tan();
+        let camera = Camera::rectilinear(focal_px, SensorPx::new(middle[0], middle[1]));
+        Self {
+            camera,
+            width_px: SIZE_PX[0],
+            height_px: SIZE_PX[1],
+            shape: Shape::SPHERE,
+            height_m,
+            aim: Aim::Horizon {
+                most_roll_deg: 30.0,
+            },
+            air: Air::CLEAR,
+            clouds: None,
+            terminator: false,
+            sun: false,
+            spin_deg: 0.0,
+            blur_px: 0.8,
+            background_dn: 6.0,
+            noise: Noise {
+                read_dn: 3.0,
+                electrons_per_dn: None,
+            },
+            depth: Depth::Eight,
+        }
+    }
+
+    /// The scene of a seed and a number.
+    pub fn scene(&self, seed: u64, number: u64) -> EarthScene {
+        let mut random = generator(seed, Purpose::Earth, number);
+        let latitude_deg = random.random_range(-80.0..80.0);
+        let heading_deg = random.random_range(0.0..360.0);
+        let (roll_deg, pitch_deg) = self.attitude(&mut random);
+        EarthScene {
+            conditions: self.clone(),
+            latitude_deg,
+            heading_deg,
+            roll_deg,
+            pitch_deg,
+            seed,
+            number,
+        }
+    }
+
+    /// Roll and pitch, deg.
+    fn attitude(&self, random: &mut Generator) -> (f64, f64) {
+        match self.aim {
+            Aim::Horizon { most_roll_deg } => {
+                // The edge of the limb stands by so much below the horizontal.
+                let radius = self.shape.mean_radius_m();
+                let dip_deg = (radius / (radius + self.height_m)).acos().to_degrees();
+                let half_height =
+                    (self.height_px as f64 / 2.0 / self.camera.mean_focal_px()).atan();
+                let off_deg = half_height.to_degrees() * random.random_range(-0.6..0.6);
+                (
+                    random.random_range(-most_roll_deg..=most_roll_deg),
+                    off_deg - dip_deg,
+                )
+            }
+            Aim::Down { most_tilt_deg } => {
+                let tilt_deg = random.random_range(0.0..=most_tilt_deg);
+                (random.random_range(-180.0..180.0), tilt_deg - 90.0)
+            }
+            Aim::Space => {
+                let up_deg = random.random_range(60.0..90.0);
+                (random.random_range(-180.0..180.0), up_deg)
+            }
+        }
+    }
+}
+
+/// Everything that a picture of the Earth consists of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EarthScene {
+    pub conditions: EarthConditions,
+    /// Geodetic.
+    pub latitude_deg: f64,
+    /// Of the optical axis, from north over east.
+    pub heading_deg: f64,
+    /// Positive with the right side low.
+    pub roll_deg: f64,
+    /// Of the optical axis, above the horizontal.
+    pub pitch_deg: f64,
+    pub seed: u64,
+    pub number: u64,
+}
+
+/// The truth about a picture of the Earth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EarthTruth {
+    /// In the camera frame: straight down.
+    pub nadir: UnitVector3<f64>,
+    /// Height above the ground at which the clear limb has half of its greatest brightness above the dark sky, m.
+    pub edge_m: f64,
+    /// Length of the edge that the picture shows, px.
+    pub arc_px: f64,
+}
+
+impl EarthScene {
+    /// Turns directions of the camera frame to north, east, down.
+    pub fn local_from_camera(&self) -> Rotation3<f64> {
+        let [roll, pitch, heading] =
+            [self.roll_deg, self.pitch_deg, self.heading_deg].map(f64::to_radians);
+        let level = Rotation3::from_axis_angle(&Vector3::z_axis(), heading)
+            * Rotation3::from_axis_angle(&Vector3::y_axis(), pitch)
+            * Rotation3::from_axis_angle(&Vector3::x_axis(), roll);
+        // Camera x is right, y down, z forward; a level body has x forward, y right, z down.
+        let body_from_camera = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+        level * Rotation3::from_matrix_unchecked(body_from_camera)
+    }
+
+    /// The frame: rendered, with noise, digitised.
+    ///
+    /// # Errors
+    /// A picture without pixels.
+    pub fn frame(&self) -> Result<Frame, FrameError> {
+        let conditions = &self.conditions;
+        let readings = Readings {
+            width_px: conditions.width_px,
+            noise: conditions.noise,
+            depth: conditions.depth,
+            seed: self.seed ^ self.number << 32,
+        };
+        let pixels = read_out(&self.light(), &readings);
+        let info = frame_info(self.number);
+        let saturation_dn = conditions.depth.saturation_dn();
+        Frame::new(
+            conditions.width_px,
+            conditions.height_px,
+            pixels,
+            saturation_dn,
+            info,
+        )
+    }
+
+    /// Light on the sensor in 8-bit DN, row by row: before noise and digitising.
+    fn light(&self) -> Vec<f32> {
+        let conditions = &self.conditions;
+        let turns = self.turns_deg();
+        let sky = Sky::of(self);
+        let columns = conditions.width_px + 2 * MARGIN_PX;
+        let rows = conditions.height_px + 2 * MARGIN_PX;
+        let share = 1.0 / turns.len() as f32;
+        let mut field = vec![0.0_f32; columns * rows];
+        for turn_deg in turns {
+            let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), turn_deg.to_radians());
+            let local = self.local_from_camera() * turn;
+            for (n, light) in field.iter_mut().enumerate() {
+                let (x, y) = ((n % columns) as f64, (n / columns) as f64);
+                let at = SensorPx::new(x - MARGIN_PX as f64, y - MARGIN_PX as f64);
+                if let Some(ray) = conditions.camera.ray(at) {
+                    *light += share * sky.light_dn(&(local * ray)) as f32;
+                }
+            }
+        }
+        let kernel = Kernel::new(conditions.blur_px, 1);
+        let margin = MARGIN_PX - kernel.margin_px().min(MARGIN_PX);
+        let trimmed: Vec<f32> = field
+            .chunks_exact(columns)
+            .skip(margin)
+            .take(rows - 2 * margin)
+            .flat_map(|row| &row[margin..columns - margin])
+            .copied()
+            .collect();
+        let (width, height) = (conditions.width_px, conditions.height_px);
+        let mut light = kernel.apply(&trimmed, columns - 2 * margin, width, height);
+        light
+            .iter_mut()
+            .for_each(|dn| *dn += conditions.background_dn as f32);
+        if let Some(glare) = Glare::of(self) {
+            glare.add(width, &mut light);
+        }
+        light
+    }
+
+    /// Whether a pixel sees what is above the ground.
+    fn shows_sky(&self, at: SensorPx) -> bool {
+        let radius = self.conditions.shape.mean_radius_m();
+        let angle = (radius / (radius + self.conditions.height_m)).asin();
+        let ray = self.conditions.camera.ray(at);
+        ray.is_some_and(|ray| (self.local_from_camera() * ray).z < angle.cos())
+    }
+
+    /// The turns of the camera that the exposure is the mean of, deg.
+    fn turns_deg(&self) -> Vec<f64> {
+        const STEP_PX: f64 = 1.0;
+        let spin_deg = self.conditions.spin_deg;
+        let path_px = spin_deg.to_radians().abs() * self.conditions.camera.mean_focal_px();
+        let count = 1 + (path_px / STEP_PX) as usize;
+        (0..count)
+            .map(|n| spin_deg * ((n as f64 + 0.5) / count as f64 - 0.5))
+            .collect()
+    }
+
+    pub fn truth(&self) -> EarthTruth {
+        let nadir = self.local_from_camera().inverse() * Vector3::z_axis();
+        let edge_m = Sky::of(self).edge_m();
+        EarthTruth {
+            nadir,
+            edge_m,
+            arc_px: self.arc_px(edge_m),
+        }
+    }
+
+    /// Length of the edge within the picture.
+    fn arc_px(&self, edge_m: f64) -> f64 {
+        const STEPS: u32 = 3600;
+        let conditions = &self.conditions;
+        let (width, height) = (conditions.width_px as f64, conditions.height_px as f64);
+        let inside = |at: &SensorPx| (0.0..width).contains(&at.x) && (0.0..height).contains(&at.y);
+        let radius = conditions.shape.mean_radius_m();
+        let angle = ((radius + edge_m) / (radius + conditions.height_m))
+            .min(1.0)
+            .asin();
+        let camera_from_local = self.local_from_camera().inverse();
+        let seen = |n: u32| {
+            let (sine, cosine) =
+                (f64::from(n) / f64::from(STEPS) * std::f64::consts::TAU).sin_cos();
+            let ray = Vector3::new(cosine * angle.sin(), sine * angle.sin(), angle.cos());
+            let ray = camera_from_local * UnitVector3::new_normalize(ray);
+            conditions.camera.pixel(&ray).filter(inside)
+        };
+        let steps = (0..STEPS).filter_map(|n| Some(seen(n)?.distance(seen(n + 1)?)));
+        steps.sum()
+    }
+}

@@ -1,0 +1,293 @@
+//! The light of air, clouds and ground along a ray.
+
+use super::super::Purpose;
+use super::EarthScene;
+use super::texture::{AlongLimb, Pattern};
+use crate::units::EARTH_RADIUS_M;
+use libm::{erf, erfc};
+use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::PI;
+
+/// The ground: an ellipsoid of revolution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shape {
+    pub equator_m: f64,
+    pub flattening: f64,
+}
+
+impl Shape {
+    pub const SPHERE: Self = Self {
+        equator_m: EARTH_RADIUS_M,
+        flattening: 0.0,
+    };
+    pub const WGS84: Self = Self {
+        equator_m: 6_378_137.0,
+        flattening: 1.0 / 298.257_223_563,
+    };
+
+    pub fn mean_radius_m(&self) -> f64 {
+        self.equator_m * (1.0 - self.flattening / 3.0)
+    }
+
+    /// A place on longitude 0 by geodetic latitude and height, m from the centre.
+    fn place(&self, latitude_rad: f64, height_m: f64) -> Vector3<f64> {
+        let (sine, cosine) = latitude_rad.sin_cos();
+        let square = 1.0 - self.flattening * (2.0 - self.flattening) * sine * sine;
+        let normal_m = self.equator_m / square.sqrt();
+        let polar = (1.0 - self.flattening).powi(2) * normal_m;
+        Vector3::new(
+            (normal_m + height_m) * cosine,
+            0.0,
+            (polar + height_m) * sine,
+        )
+    }
+}
+
+/// Air that scatters sunlight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Air {
+    /// Brightness of thick air, DN.
+    pub brightness_dn: f64,
+    /// Optical depth of a ray that grazes the ground.
+    pub depth: f64,
+    /// Height over which the air's density falls to 1/e.
+    pub scale_m: f64,
+    /// Brightness along the limb: 1 sigma, relative.
+    pub varies_by: f64,
+    /// Height of the limb along it: 1 sigma.
+    pub varies_by_m: f64,
+    /// The correlation of both falls to 1/e over this angle along the limb.
+    pub length_deg: f64,
+}
+
+impl Air {
+    /// As pictures from 38 and 230 km show it: half as bright at 20 km.
+    pub const CLEAR: Self = Self {
+        brightness_dn: 165.0,
+        depth: 12.0,
+        scale_m: 7_000.0,
+        varies_by: 0.0,
+        varies_by_m: 0.0,
+        length_deg: 10.0,
+    };
+}
+
+/// A deck of clouds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Clouds {
+    /// Share of the sky that they cover.
+    pub cover: f64,
+    pub height_m: f64,
+    pub brightness_dn: f64,
+}
+
+impl Clouds {
+    /// Over half of the ground, as high as the air's lower layer reaches.
+    pub const BRIGHT: Self = Self {
+        cover: 0.5,
+        height_m: 10_000.0,
+        brightness_dn: 220.0,
+    };
+}
+
+/// Of ground without clouds, DN.
+const GROUND_DN: f64 = 70.0;
+/// Size of the largest clouds, m.
+const CLOUD_M: f64 = 400_000.0;
+
+/// A scene's sky, ready for its rays.
+pub(super) struct Sky<'a> {
+    scene: &'a EarthScene,
+    /// The camera's place over the ellipsoid's half axes: there the ground is the unit sphere.
+    place: Vector3<f64>,
+    /// From north, east, down to that frame, in metres.
+    scaled_from_local: Matrix3<f64>,
+    pattern: Pattern,
+    brightness: AlongLimb,
+    height: AlongLimb,
+    /// Towards the Sun, in the scaled frame.
+    sun: Vector3<f64>,
+}
+
+impl<'a> Sky<'a> {
+    pub fn of(scene: &'a EarthScene) -> Self {
+        let conditions = &scene.conditions;
+        let shape = conditions.shape;
+        let latitude = scene.latitude_deg.to_radians();
+        let (sine, cosine) = latitude.sin_cos();
+        let axes = Vector3::new(1.0, 1.0, 1.0 - shape.flattening) * shape.equator_m;
+        let local = Matrix3::from_columns(&[
+            Vector3::new(-sine, 0.0, cosine),
+            Vector3::y(),
+            Vector3::new(-cosine, 0.0, -sine),
+        ]);
+        let scaled_from_local = Matrix3::from_diagonal(&axes.map(f64::recip)) * local;
+        let length_deg = conditions.air.length_deg;
+        let along = |purpose| AlongLimb::new(length_deg, purpose, scene.seed, scene.number);
+        // Low above the horizon, to the right of where the camera looks: the terminator crosses the limb.
+        let bearing = (scene.heading_deg + 60.0).to_radians();
+        let sun = scaled_from_local * Vector3::new(bearing.cos(), bearing.sin(), 0.1);
+        Self {
+            scene,
+            place: shape
+                .place(latitude, conditions.height_m)
+                .component_div(&axes),
+            scaled_from_local,
+            pattern: Pattern::new(scene.seed, scene.number),
+            brightness: along(Purpose::LimbBrightness),
+            height: along(Purpose::LimbHeight),
+            sun: sun.normalize(),
+        }
+    }
+
+    /// Light of a ray (north, east, down; unit), DN.
+    pub fn light_dn(&self, ray: &Vector3<f64>) -> f64 {
+        let conditions = &self.scene.conditions;
+        let azimuth = ray.y.atan2(ray.x);
+        let air = Air {
+            brightness_dn: conditions.air.brightness_dn
+                * (1.0 + conditions.air.varies_by * self.brightness.at(azimuth)),
+            ..conditions.air
+        };
+        let raised_m = air.varies_by_m * self.height.at(azimuth);
+        let passage = self.passage(ray, raised_m);
+        let depth = passage.depth(&air);
+        let haze = air.brightness_dn * (1.0 - (-depth).exp());
+        let behind = match passage.hits_ground() {
+            true => GROUND_DN * (-depth).exp(),
+            false => 0.0,
+        };
+        let clear = self.lit(&passage.lowest) * (haze + behind);
+        match conditions
+            .clouds
+            .and_then(|clouds| self.cloud(&clouds, &passage, &air))
+        {
+            Some((cover, cloud_dn)) => clear + cover * (cloud_dn - clear),
+            None => clear,
+        }
+    }
+
+    /// How a ray passes the Earth, whose limb is raised by some metres.
+    fn passage(&self, ray: &Vector3<f64>, raised_m: f64) -> Passage {
+        let along = self.scaled_from_local * ray;
+        let to_lowest_m = -self.place.dot(&along) / along.norm_squared();
+        let lowest = self.place + along * to_lowest_m;
+        let radius_m = self.radius_m(&lowest);
+        Passage {
+            lowest,
+            height_m: (lowest.norm() - 1.0) * radius_m - raised_m,
+            to_lowest_m,
+            radius_m,
+            along,
+        }
+    }
+
+    /// Metres of height for a unit of the scaled frame.
+    fn radius_m(&self, at: &Vector3<f64>) -> f64 {
+        let shape = self.scene.conditions.shape;
+        let polar = at.z / at.norm();
+        shape.equator_m * (1.0 - shape.flattening * polar * polar)
+    }
+
+    /// Share of the Sun's light where a ray is lowest.
+    fn lit(&self, lowest: &Vector3<f64>) -> f64 {
+        const TWILIGHT: f64 = 0.05;
+        match self.scene.conditions.terminator {
+            true => (0.5 + self.sun.dot(&lowest.normalize()) / TWILIGHT).clamp(0.0, 1.0),
+            false => 1.0,
+        }
+    }
+
+    /// How much of a ray a deck of clouds covers, and its light; `None` above the clouds.
+    fn cloud(&self, clouds: &Clouds, passage: &Passage, air: &Air) -> Option<(f64, f64)> {
+        let radius = 1.0 + clouds.height_m / passage.radius_m;
+        let lowest = passage.lowest.norm();
+        if lowest >= radius || passage.to_lowest_m < 0.0 {
+            return None;
+        }
+        let back = (radius * radius - lowest * lowest).sqrt() / passage.along.norm();
+        let top = passage.lowest - passage.along * back;
+        const SOFT: f64 = 0.1;
+        let pattern = self.pattern.at(&(top * (passage.radius_m / CLOUD_M)));
+        // The pattern has about a half everywhere, and a sigma of about a tenth.
+        let edge = 0.5 + (0.5 - clouds.cover) * 0.4;
+        let cover = ((pattern - edge) / SOFT + 0.5).clamp(0.0, 1.0);
+        let before = air.depth * (-clouds.height_m / air.scale_m).exp() / 2.0;
+        let share = passage.share_to(back * passage.along.norm() * passage.radius_m, air);
+        let haze = 1.0 - (-before * share).exp();
+        let light = clouds.brightness_dn + haze * (air.brightness_dn - clouds.brightness_dn);
+        Some((cover, self.lit(&top) * light))
+    }
+
+    /// See [`EarthTruth::edge_m`](super::EarthTruth::edge_m).
+    pub fn edge_m(&self) -> f64 {
+        let conditions = &self.scene.conditions;
+        let steps = (0..100_000).map(|n| f64::from(n) * (conditions.height_m / 1e5).min(1.0));
+        let clear: Vec<(f64, f64)> = steps
+            .map(|height_m| {
+                let passage = Passage::at(height_m, conditions.height_m, &conditions.shape);
+                (height_m, 1.0 - (-passage.depth(&conditions.air)).exp())
+            })
+            .collect();
+        let most = clear.iter().map(|(_, light)| *light).fold(0.0, f64::max);
+        let edge = clear.iter().find(|(_, light)| *light < most / 2.0);
+        edge.map_or(conditions.height_m, |(height_m, _)| *height_m)
+    }
+}
+
+/// How a straight ray passes the Earth.
+struct Passage {
+    /// Its lowest place, in the scaled frame.
+    lowest: Vector3<f64>,
+    height_m: f64,
+    /// From the camera; negative for a ray that rises.
+    to_lowest_m: f64,
+    radius_m: f64,
+    along: Vector3<f64>,
+}
+
+impl Passage {
+    /// Of a ray that is lowest at a height, seen from another one.
+    fn at(height_m: f64, camera_m: f64, shape: &Shape) -> Self {
+        let radius_m = shape.mean_radius_m();
+        let (lowest, camera) = (radius_m + height_m, radius_m + camera_m);
+        Self {
+            lowest: Vector3::z() * (lowest / radius_m),
+            height_m,
+            to_lowest_m: (camera * camera - lowest * lowest).max(0.0).sqrt(),
+            radius_m,
+            along: Vector3::x() / radius_m,
+        }
+    }
+
+    fn hits_ground(&self) -> bool {
+        self.height_m < 0.0 && self.to_lowest_m > 0.0
+    }
+
+    /// Optical depth from the camera to where the ray leaves the air or meets the ground.
+    fn depth(&self, air: &Air) -> f64 {
+        // Along a ray, density is a Gaussian about the lowest place, of this 1 sigma.
+        let sigma_m = (self.radius_m * air.scale_m).sqrt();
+        if self.hits_ground() {
+            let u = -self.height_m / air.scale_m;
+            return air.depth / 2.0 * scaled_erfc(u.sqrt());
+        }
+        let before = erf(self.to_lowest_m / sigma_m / 2.0_f64.sqrt());
+        air.depth * (-self.height_m / air.scale_m).exp() * (1.0 + before) / 2.0
+    }
+
+    /// Share of the air in front of a place so far before the lowest one, of that on the half of a ray which is lowest there.
+    fn share_to(&self, before_m: f64, air: &Air) -> f64 {
+        let sigma_m = (self.radius_m * air.scale_m).sqrt();
+        scaled_erfc(before_m / sigma_m / 2.0_f64.sqrt())
+    }
+}
+
+/// exp(x^2) erfc(x), for x of 0 and more.
+fn scaled_erfc(x: f64) -> f64 {
+    match x {
+        // erfc falls to nothing where its square is still far from overflow.
+        ..5.0 => (x * x).exp() * erfc(x),
+        _ => (1.0 - 0.5 / (x * x)) / (x * PI.sqrt()),
+    }
+}
