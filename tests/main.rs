@@ -19,6 +19,7 @@ mod fuzz_seeds;
 #[cfg(feature = "gige")]
 mod gige;
 mod gondola_path;
+mod horizon;
 mod identification;
 mod imports;
 mod limb;

@@ -52,11 +52,17 @@ const LEAST_CONTRAST: f64 = 0.1;
 const LEAST_CONTRAST_SIGMAS: f64 = 4.0;
 /// A sphere shows its edge at so many places and this share of those in view.
 const LEAST_PLACES: usize = 12;
-const LEAST_SHARE: f64 = 0.25;
+const LEAST_SHARE: f64 = 0.3;
+/// Of a raster's pixels within the sphere so many are bright, and of those of the sky at most so many. It takes some of each to tell.
+const LEAST_INSIDE: f64 = 0.1;
+const MOST_OUTSIDE: f64 = 0.4;
+const LEAST_PIXELS: usize = 40;
 /// A point of less weight is no part of the edge.
 const LEAST_WEIGHT: f64 = 0.1;
+/// The limb does alike over so many places.
+const SHARED_PLACES: usize = 3;
 /// An arc is worth as many free stretches as this, however long its neighbours do alike.
-const LEAST_STRETCHES: f64 = 3.0;
+const LEAST_STRETCHES: f64 = 6.0;
 /// A find is fine with so much of the edge seen, coarse below.
 const FINE_SHARE: f64 = 0.6;
 
@@ -281,6 +287,7 @@ impl Search<'_> {
         let nadir = self.fit(&solution.edge, angle, limb)?;
         let agreeing = nadir.weights.iter().filter(|w| **w > LEAST_WEIGHT).count();
         self.enough(agreeing, solution.places)?;
+        self.fills(view, &nadir.direction.unit, &levels)?;
         Ok(nadir)
     }
 
@@ -315,23 +322,62 @@ impl Search<'_> {
         Profiles::of(view, &camera.mask, &camera.lens, self.sphere, nadir)
     }
 
-    /// What a pixel of the sky far from the limb holds, DN; `None` where too little of it is in view.
-    fn far_sky_dn<T: Sample>(&self, view: &View<'_, T>, nadir: &UnitVector3<f64>) -> Option<f64> {
+    /// A raster of pixels that are not masked: the cosine of the angle to a nadir, and the light, DN.
+    fn raster<T: Sample>(&self, view: &View<'_, T>, nadir: &UnitVector3<f64>) -> Vec<(f64, f64)> {
         const SPACING_PX: usize = 32;
-        const LEAST_PIXELS: usize = 40;
-        let angle = self.sphere.half_angle_rad.value + self.sphere.outside_rad + FAR_RAD;
         let rows = (0..view.height).step_by(SPACING_PX);
         let raster = rows.flat_map(|y| (0..view.width).step_by(SPACING_PX).map(move |x| (x, y)));
-        let is_far = |&(x, y): &(usize, usize)| {
-            let ray = self.camera.lens.ray(SensorPx::new(x as f64, y as f64));
-            let masked = self.camera.mask.iter().any(|region| region.contains(x, y));
-            !masked && ray.is_some_and(|ray| ray.dot(nadir) < angle.cos())
+        let is_seen = |(x, y): &(usize, usize)| {
+            !self
+                .camera
+                .mask
+                .iter()
+                .any(|region| region.contains(*x, *y))
         };
-        let sky: Vec<f64> = raster
-            .filter(is_far)
-            .map(|(x, y)| f64::from(view.dn(x, y)))
-            .collect();
+        let light = |(x, y): (usize, usize)| {
+            let ray = self.camera.lens.ray(SensorPx::new(x as f64, y as f64))?;
+            Some((ray.dot(nadir), f64::from(view.dn(x, y))))
+        };
+        raster.filter(is_seen).filter_map(light).collect()
+    }
+
+    /// What a pixel of the sky far from the limb holds, DN; `None` where too little of it is in view.
+    fn far_sky_dn<T: Sample>(&self, view: &View<'_, T>, nadir: &UnitVector3<f64>) -> Option<f64> {
+        let angle = self.sphere.half_angle_rad.value + self.sphere.outside_rad + FAR_RAD;
+        let raster = self.raster(view, nadir);
+        let far = raster.iter().filter(|(cosine, _)| *cosine < angle.cos());
+        let sky: Vec<f64> = far.map(|(_, dn)| *dn).collect();
         (sky.len() >= LEAST_PIXELS).then(|| median(&sky)).flatten()
+    }
+
+    /// Whether light fills the sphere, as far as it is day there, and not the sky. Flares have edges, too.
+    fn fills<T: Sample>(
+        &self,
+        view: &View<'_, T>,
+        nadir: &UnitVector3<f64>,
+        levels: &Levels,
+    ) -> Result<(), (Stage, Rejected)> {
+        let angle = self.sphere.half_angle_rad.value;
+        let raster = self.raster(view, nadir);
+        let bright_share = |is_part: &dyn Fn(f64) -> bool| {
+            let part = raster.iter().filter(|(cosine, _)| is_part(*cosine));
+            let light: Vec<f64> = part.map(|(_, dn)| *dn).collect();
+            let bright = light.iter().filter(|dn| **dn > levels.border_dn()).count();
+            (light.len() >= LEAST_PIXELS).then(|| bright as f64 / light.len() as f64)
+        };
+        let inside = bright_share(&|cosine| cosine > angle.cos()).unwrap_or(1.0);
+        let outside_cosine = (angle + self.sphere.outside_rad).cos();
+        let outside = bright_share(&|cosine| cosine < outside_cosine).unwrap_or(0.0);
+        if inside < LEAST_INSIDE {
+            return Err((Stage::Fit, rejected("dark_inside", inside, LEAST_INSIDE)));
+        }
+        if outside > MOST_OUTSIDE {
+            return Err((
+                Stage::Fit,
+                rejected("bright_outside", outside, MOST_OUTSIDE),
+            ));
+        }
+        Ok(())
     }
 
     fn enough(&self, seen: usize, places: usize) -> Result<(), (Stage, Rejected)> {
@@ -376,21 +422,19 @@ impl Search<'_> {
             let pairs = left.iter().zip(left.iter().skip(lag));
             pairs.map(|((_, one), (_, other))| one * other).sum::<f64>() / left.len() as f64
         };
-        let noise = left
-            .iter()
-            .map(|(ray, _)| ray.sigma_rad.powi(2))
-            .sum::<f64>()
-            / left.len() as f64;
-        let variance = (together(0) - noise).max(0.0);
+        // Noise differs from one place to the next; what neighbours share is the limb's.
+        let variance = (1..=SHARED_PLACES).map(together).sum::<f64>() / SHARED_PLACES as f64;
+        let variance = variance.max(0.0);
         let spacing_px = median(
             left.windows(2)
                 .map(|pair| pair[0].0.at.distance(pair[1].0.at)),
         );
         let fallen = (1..left.len()).find(|lag| together(*lag) < variance / std::f64::consts::E);
         let lag = fallen.unwrap_or(1) as f64;
-        // The nadir's two parameters have followed the limb: of so many stretches that are free of each other, they take two.
+        // Of so many stretches that are free of each other, the nadir's two parameters take two; and a variance of few is itself so
+        // uncertain (Student's t) that it counts as if two more were missing.
         let stretches = (left.len() as f64 / (2.0 * lag)).max(LEAST_STRETCHES);
-        let variance = variance * stretches / (stretches - 2.0);
+        let variance = variance * stretches / (stretches - 4.0);
         EdgeCorrelation {
             sigma_rad: variance.sqrt(),
             length_px: lag * spacing_px.unwrap_or(1.0),

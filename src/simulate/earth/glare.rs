@@ -96,6 +96,8 @@ impl Flare {
         const SOFT_PX: f64 = 4.0;
         let depth = (self.radius_px - at.distance(self.at)) / SOFT_PX;
         match self.is_ring {
+            // A ring's Gaussian ends where it is nothing.
+            true if depth.abs() > 5.0 => 0.0,
             true => self.light_dn * (-0.5 * depth * depth).exp(),
             false => self.light_dn * (0.5 + depth / 2.0).clamp(0.0, 1.0),
         }
