@@ -537,20 +537,31 @@ mod tests {
     }
 
     #[test]
-    fn refraction_lowers_the_limb_of_a_balloon_by_minutes_of_arc() {
+    fn refraction_raises_the_limb_as_it_bends_a_ray_step_by_step() {
+        // From where the ray is level at 20 km: d(n t)/ds is the gradient of n, which points down.
+        const STEP_M: f64 = 50.0;
+        let (edge_m, camera_m) = (20_000.0, 38_000.0);
+        let index = |at: &Vector2<f64>| Refraction::StandardAir.index(at.norm() - EARTH_RADIUS_M);
+        let gradient = |at: &Vector2<f64>| -at.normalize() * (index(at) - 1.0) / 7_000.0;
+        let mut at = Vector2::new(0.0, EARTH_RADIUS_M + edge_m);
+        let mut along = Vector2::x() * index(&at);
+        while at.norm() < EARTH_RADIUS_M + camera_m {
+            let middle = at + along / index(&at) * (STEP_M / 2.0);
+            let along_middle = along + gradient(&at) * (STEP_M / 2.0);
+            at += along_middle / index(&middle) * STEP_M;
+            along += gradient(&middle) * STEP_M;
+        }
+        let traced = at.angle(&along);
+        let exact = |m| Measured::new(m, 0.0);
         let angle = |refraction| {
-            let exact = |m| Measured::new(m, 0.0);
-            half_angle_rad(exact(38_000.0), exact(20_000.0), refraction)
-                .unwrap()
-                .value
+            let found = half_angle_rad(exact(camera_m), exact(edge_m), refraction);
+            found.unwrap().value
         };
-        let bent = angle(Refraction::StandardAir) - angle(Refraction::None);
-        // Half of what a ray is bent that grazes 20 km: refractivity times the root of 2 pi R / scale height, less the camera's own air.
-        let whole =
-            2.77e-4 * (-20.0_f64 / 7.0).exp() * (2.0 * std::f64::consts::PI * 6391.0 / 7.0).sqrt();
+        let (bent, straight) = (angle(Refraction::StandardAir), angle(Refraction::None));
+        assert!(bent > straight);
         assert!(
-            bent > 0.2 * whole && bent < 0.6 * whole,
-            "{bent} of {whole}"
+            (bent - traced).abs() < 0.02 * (bent - straight),
+            "{bent} {traced} {straight}"
         );
     }
 
