@@ -121,7 +121,7 @@ pub enum PlaceError {
     Latitude(f64),
     #[error("expected a longitude from -180 to 360 deg, found {0}")]
     Longitude(f64),
-    #[error("expected a height from -1000 to 100000 m, found {0}")]
+    #[error("expected a height from -1000 to 2000000 m, found {0}")]
     Height(f64),
 }
 
@@ -134,7 +134,7 @@ impl Place {
         if !(-180.0..=360.0).contains(&longitude_deg) {
             return Err(PlaceError::Longitude(longitude_deg));
         }
-        if !(-1000.0..=100_000.0).contains(&height_m) {
+        if !(-1000.0..=2_000_000.0).contains(&height_m) {
             return Err(PlaceError::Height(height_m));
         }
         Ok(Self {

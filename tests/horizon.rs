@@ -1,11 +1,16 @@
 //! The nadir of simulated frames of the Earth's limb is the one they were made with, and is known as well as it says.
 
+use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 use rayon::prelude::*;
 use solaspect::frame::{Frame, FrameInfo, Pixels, Region};
-use solaspect::horizon::{self, Nadir, Quality, Refraction, Settings, Solution, Sphere, Stage};
+use solaspect::geometry::attitude::{Direction, Observation, attitude};
+use solaspect::horizon::circle::{self, circle};
+use solaspect::horizon::{
+    self, EdgeHeight, Nadir, Quality, Refraction, Settings, Solution, Sphere, Stage,
+};
 use solaspect::instrument::DirectionCamera;
-use solaspect::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene};
-use solaspect::units::Measured;
+use solaspect::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene, Shape};
+use solaspect::units::{Measured, Place, SensorPx};
 use std::process::{Command, Output};
 
 const SEED: u64 = 1;
@@ -53,6 +58,14 @@ fn solved(scene: &EarthScene) -> Solution {
     horizon::solve(&Settings::default(), &frame, &camera, &sphere(scene), None)
 }
 
+/// Square of the error over its covariance, in one axis.
+fn error_over_sigma_squared(found: &Direction, truth: &UnitVector3<f64>) -> f64 {
+    let off = found.unit.into_inner() - truth.into_inner();
+    let covariance = found.covariance_rad2;
+    let inverse = covariance.pseudo_inverse(1e-6 * covariance.norm()).unwrap();
+    (off.transpose() * inverse * off).x / 2.0
+}
+
 /// How far from the truth the frames of a scene are, deg.
 #[derive(Debug)]
 struct Errors {
@@ -70,10 +83,9 @@ impl Errors {
         let of_frame = |number| {
             let scene = conditions.scene(SEED, number);
             let nadir: Nadir = solved(&scene).nadir.unwrap();
-            let off = nadir.direction.unit.into_inner() - scene.truth().nadir.into_inner();
-            let covariance = nadir.direction.covariance_rad2;
-            let inverse = covariance.pseudo_inverse(1e-6 * covariance.norm()).unwrap();
-            let over_sigma = (off.transpose() * inverse * off).x / 2.0;
+            let truth = scene.truth().nadir;
+            let off = nadir.direction.unit.into_inner() - truth.into_inner();
+            let over_sigma = error_over_sigma_squared(&nadir.direction, &truth);
             let roll = nadir.roll_deg() - scene.roll_deg;
             let pitch = nadir.pitch_deg() - scene.pitch_deg;
             [
@@ -287,6 +299,216 @@ fn a_frame_that_is_dark_or_white_is_refused_at_once() {
         let (stage, rejected) = solution.nadir.unwrap_err();
         assert_eq!((stage, rejected.reason), (Stage::Light, reason));
     }
+}
+
+#[test]
+fn with_a_place_straight_down_is_the_ellipsoids_normal() {
+    for conditions in [rocket(), balloon()] {
+        let conditions = EarthConditions {
+            shape: Shape::WGS84,
+            ..conditions
+        };
+        let mut squares = 0.0;
+        const FRAMES: u64 = 12;
+        for number in 0..FRAMES {
+            let scene = conditions.scene(SEED, number);
+            let truth = scene.truth();
+            let place = Place::new(scene.latitude_deg, 20.0, conditions.height_m).unwrap();
+            let edge = Measured::new(truth.edge_m, 0.0);
+            let (straight, heading) = (Refraction::None, scene.heading_deg);
+            let sphere =
+                Sphere::earth_at(&place, 0.0, edge, straight, heading, Vector3::z_axis()).unwrap();
+            let frame = scene.frame().unwrap();
+            let camera = camera(&conditions);
+            let solution = horizon::solve(&Settings::default(), &frame, &camera, &sphere, None);
+            squares += error_over_sigma_squared(&solution.nadir.unwrap().direction, &truth.nadir);
+        }
+        // As a sphere's, its curvature would mislead by a tenth of a degree at middle latitudes.
+        let over_sigma = (squares / FRAMES as f64).sqrt();
+        assert!(
+            over_sigma < 1.4,
+            "{over_sigma} at {} m",
+            conditions.height_m
+        );
+    }
+}
+
+#[test]
+fn the_height_of_the_limb_is_found_where_the_edge_curves() {
+    let settings = Settings {
+        height: EdgeHeight::Fitted,
+        ..Settings::default()
+    };
+    let mut squares = [0.0; 2];
+    const FRAMES: u64 = 12;
+    for number in 0..FRAMES {
+        let scene = rocket().scene(SEED, number);
+        let truth = scene.truth();
+        let exact = |m| Measured::new(m, 0.0);
+        let height = exact(scene.conditions.height_m);
+        // From 10 km below.
+        let edge = exact(truth.edge_m - 10_000.0);
+        let sphere = Sphere::earth(height, edge, Refraction::None).unwrap();
+        let camera = camera(&scene.conditions);
+        let solution = horizon::solve(&settings, &scene.frame().unwrap(), &camera, &sphere, None);
+        let nadir = solution.nadir.unwrap();
+        let raised = nadir.raised_m(&sphere).unwrap();
+        assert!((raised.value - 10_000.0).abs() < 1_500.0, "{raised:?}");
+        squares[0] += ((raised.value - 10_000.0) / raised.sigma).powi(2);
+        squares[1] += error_over_sigma_squared(&nadir.direction, &truth.nadir);
+    }
+    let ratios = squares.map(|sum| (sum / FRAMES as f64).sqrt());
+    assert!(ratios.iter().all(|ratio| *ratio < 1.4), "{ratios:?}");
+}
+
+/// The turns from a camera that looks along the first axis of a body, and from one that looks along the second, to the body's.
+fn pair() -> [Rotation3<f64>; 2] {
+    [
+        Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+        Matrix3::new(-1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0),
+    ]
+    .map(Rotation3::from_matrix_unchecked)
+}
+
+#[test]
+fn two_cameras_tell_the_vertical_together_and_their_circles_to_a_degree() {
+    let conditions = EarthConditions {
+        aim: Aim::Horizon {
+            most_roll_deg: 20.0,
+        },
+        ..rocket()
+    };
+    let [one, other] = pair();
+    let settings = Settings::default();
+    const FRAMES: u64 = 16;
+    let (mut squares, mut over_sigma, mut by_circles) = (0.0, 0.0, Vec::new());
+    for number in 0..FRAMES {
+        let first = conditions.scene(SEED, number);
+        let second = first.seen_by(&(one.inverse() * other));
+        if second.pitch_deg.abs() > 20.0 || second.truth().arc_px < 500.0 {
+            continue;
+        }
+        let down = one * first.truth().nadir;
+        assert!((other * second.truth().nadir).angle(&down) < 1e-9);
+        let sphere = sphere(&first);
+        let frames = [&first, &second].map(|scene| scene.frame().unwrap());
+        let camera = camera(&conditions);
+        let [a, b] = frames
+            .each_ref()
+            .map(|frame| horizon::solve(&settings, frame, &camera, &sphere, None));
+        let nadir = horizon::joint(&settings, &sphere, &[(&a, one), (&b, other)]).unwrap();
+        squares += nadir.direction.unit.angle(&down).to_degrees().powi(2);
+        over_sigma += error_over_sigma_squared(&nadir.direction, &down);
+        let circles = frames
+            .each_ref()
+            .map(|frame| circle(&settings, frame, &camera, &sphere));
+        if let [Ok(a), Ok(b)] = circles {
+            let vertical = circle::vertical([(&a, one), (&b, other)]).unwrap();
+            by_circles.push(vertical.angle(&down).to_degrees());
+        }
+    }
+    by_circles.sort_by(f64::total_cmp);
+    let count = by_circles.len();
+    assert!(count >= 8, "{count} pairs");
+    let rms_deg = (squares / count as f64).sqrt();
+    assert!(rms_deg < 0.05, "{rms_deg} deg");
+    let over_sigma = (over_sigma / count as f64).sqrt();
+    assert!(over_sigma < 1.4, "{over_sigma}");
+    assert!(by_circles[count / 2] < 1.0, "{by_circles:?}");
+}
+
+#[test]
+fn a_circle_succeeds_in_nine_of_ten_clear_frames() {
+    // HORACE 2014, table 1.1, P-S-04.
+    const FRAMES: u64 = 20;
+    let succeeds = |number: &u64| {
+        let scene = rocket().scene(SEED, *number);
+        let (camera, sphere) = (camera(&scene.conditions), sphere(&scene));
+        let frame = scene.frame().unwrap();
+        let found = circle(&Settings::default(), &frame, &camera, &sphere);
+        found.is_ok_and(|circle| circle.succeeds(&sphere, &scene.truth().nadir))
+    };
+    let successes = (0..FRAMES).into_par_iter().filter(succeeds).count();
+    assert!(successes >= 18, "{successes} of {FRAMES}");
+}
+
+/// A picture of a disc that is as bright all over, with the noise of 2 DN.
+fn picture_of_disc(camera: &DirectionCamera, centre: &UnitVector3<f64>, radius_rad: f64) -> Frame {
+    const SAMPLES: usize = 4;
+    let share = |x: usize, y: usize| {
+        let part = |n: usize| (n as f64 + 0.5) / SAMPLES as f64 - 0.5;
+        let hits = (0..SAMPLES * SAMPLES)
+            .filter_map(|n| {
+                let at = SensorPx::new(x as f64 + part(n % SAMPLES), y as f64 + part(n / SAMPLES));
+                camera.lens.ray(at)
+            })
+            .filter(|ray| ray.angle(centre) < radius_rad)
+            .count();
+        hits as f64 / (SAMPLES * SAMPLES) as f64
+    };
+    let noise = |n: usize| ((n * 2_654_435_761) >> 7) % 5;
+    let pixels = (0..camera.width_px * camera.height_px).map(|n| {
+        let light = 8.0 + 180.0 * share(n % camera.width_px, n / camera.width_px);
+        light as u8 + noise(n) as u8
+    });
+    let pixels = Pixels::U8(pixels.collect());
+    let info = FrameInfo::default();
+    Frame::new(camera.width_px, camera.height_px, pixels, 255, info).unwrap()
+}
+
+#[test]
+fn the_sun_and_the_moon_are_found_as_spheres_in_a_plain_camera() {
+    let lens = EarthConditions::clear(38_000.0);
+    for (focal_px, radius_deg) in [(3000.0, 0.2666), (6000.0, 0.259)] {
+        let middle = SensorPx::new(319.5, 239.5);
+        let camera = DirectionCamera {
+            width_px: 640,
+            height_px: 480,
+            lens: solaspect::geometry::camera::Camera::rectilinear(focal_px, middle),
+            ..camera(&lens)
+        };
+        let radius_rad = f64::to_radians(radius_deg);
+        let sphere = Sphere::disc(Measured::new(radius_rad, 0.0));
+        for (x, y) in [(320.0, 240.0), (101.3, 77.7), (555.5, 400.2)] {
+            let centre = camera.lens.ray(SensorPx::new(x, y)).unwrap();
+            let frame = picture_of_disc(&camera, &centre, radius_rad);
+            let solution = horizon::solve(&Settings::default(), &frame, &camera, &sphere, None);
+            let found = solution.nadir.unwrap().direction;
+            let off_px = found.unit.angle(&centre) * focal_px;
+            assert!(off_px < 0.1, "{off_px} px at {x}, {y}, f = {focal_px} px");
+        }
+    }
+}
+
+#[test]
+fn nadir_and_sun_together_are_an_attitude() {
+    let scene = rocket().scene(SEED, 2);
+    let nadir = solved(&scene).nadir.unwrap().direction;
+    let local = scene.local_from_camera();
+    // The Sun as another sensor of the same body sees it, to 0.01 deg.
+    let sun = UnitVector3::new_normalize(Vector3::new(0.4, -0.7, -0.6));
+    let off = Rotation3::from_axis_angle(&Vector3::x_axis(), 1e-4);
+    let exact = |unit| Direction::new(unit, 0.0);
+    let found = attitude(&[
+        Observation {
+            body: nadir,
+            reference: exact(Vector3::z_axis()),
+        },
+        Observation {
+            body: Direction::new(off * (local.inverse() * sun), 1.7e-4),
+            reference: exact(sun),
+        },
+    ])
+    .unwrap();
+    let error = (found.rotation.to_rotation_matrix() * local).scaled_axis();
+    let inverse = found.covariance_rad2.try_inverse().unwrap();
+    let over_sigma = ((error.transpose() * inverse * error).x / 3.0).sqrt();
+    assert!(over_sigma < 2.5, "{over_sigma}");
+    assert!(
+        error.norm().to_degrees() < 0.05,
+        "{} deg",
+        error.norm().to_degrees()
+    );
 }
 
 fn solaspect(arguments: &[&str]) -> Output {

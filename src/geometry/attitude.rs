@@ -23,6 +23,23 @@ impl Direction {
             covariance_rad2: across(&unit) * sigma_rad.powi(2),
         }
     }
+
+    /// The same direction in another frame.
+    pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
+        Self {
+            unit: rotation * self.unit,
+            covariance_rad2: rotation * self.covariance_rad2 * rotation.inverse(),
+        }
+    }
+
+    /// 1 sigma along the axis in which it is largest, rad.
+    pub fn sigma_rad(&self) -> f64 {
+        self.covariance_rad2
+            .symmetric_eigenvalues()
+            .max()
+            .max(0.0)
+            .sqrt()
+    }
 }
 
 /// One direction, as measured in the body frame and as known in the reference frame.

@@ -19,10 +19,10 @@ const SIGMA_PX: f64 = 1.0;
 
 /// What tells bright pixels from dark ones, and pixels that are looked at from those that are not.
 pub(super) struct Binary<'a, T> {
-    pub view: View<'a, T>,
-    pub threshold_dn: f64,
+    view: View<'a, T>,
+    threshold_dn: f64,
     /// What the vehicle's own parts hide: dark.
-    pub mask: &'a [Region],
+    mask: &'a [Region],
 }
 
 /// The direction of a step along the cracks.
@@ -74,7 +74,15 @@ type Corner = (isize, isize);
 /// A border from crack to crack: the corner where each begins, and its heading.
 type Border = Vec<(Corner, Heading)>;
 
-impl<T: Sample> Binary<'_, T> {
+impl<'a, T: Sample> Binary<'a, T> {
+    pub fn new(view: &View<'a, T>, threshold_dn: f64, mask: &'a [Region]) -> Self {
+        Self {
+            view: *view,
+            threshold_dn,
+            mask,
+        }
+    }
+
     /// Whether a pixel is bright; `None` outside the picture.
     fn is_bright(&self, (x, y): (isize, isize)) -> Option<bool> {
         let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);

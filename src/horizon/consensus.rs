@@ -21,7 +21,7 @@ pub(super) fn consensus(
     camera: &Camera,
     half_angle_rad: f64,
     tolerance_rad: f64,
-) -> Vec<EdgePoint> {
+) -> Vec<EdgeRay> {
     let mut rays: Vec<Vec<EdgeRay>> = arcs
         .iter()
         .map(|arc| arc.iter().filter_map(|p| EdgeRay::of(p, camera)).collect())
@@ -43,9 +43,10 @@ pub(super) fn consensus(
     let Some(best) = best else {
         return Vec::new();
     };
-    let agrees =
-        |point: &&EdgePoint| EdgeRay::of(point, camera).is_some_and(|ray| cone.has(&best, &ray));
-    arcs.iter().flatten().filter(agrees).copied().collect()
+    rays.into_iter()
+        .flatten()
+        .filter(|ray| cone.has(&best, ray))
+        .collect()
 }
 
 /// A cone about an unknown nadir.

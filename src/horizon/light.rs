@@ -1,9 +1,12 @@
 //! What a few of a frame's pixels say of its light.
 
+use super::sphere::Sphere;
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
 use crate::frame::{Frame, Sample, View};
-use crate::units::Rejected;
+use crate::instrument::DirectionCamera;
+use crate::units::{Rejected, SensorPx};
 use crate::with_view;
+use nalgebra::UnitVector3;
 use std::f64::consts::SQRT_2;
 
 /// One pixel in so many is looked at, in each axis.
@@ -18,6 +21,15 @@ const MOST_MEAN: f64 = 235.0 / 255.0;
 /// Of the saturated level, and in sigmas of a pixel's noise, from dark to bright. A frame that has less shows nothing.
 const LEAST_CONTRAST: f64 = 12.0 / 255.0;
 const LEAST_CONTRAST_SIGMAS: f64 = 10.0;
+
+/// One pixel in so many, in each axis, tells which side of the edge is bright.
+const RASTER_PX: usize = 32;
+/// Beyond the limb's light by so much, the sky is as dark as it is, rad.
+const FAR_RAD: f64 = 0.05;
+/// Of a raster's pixels within the sphere so many are bright, and of those of the sky at most so many. It takes some of each to tell.
+const LEAST_INSIDE: f64 = 0.1;
+const MOST_OUTSIDE: f64 = 0.4;
+const LEAST_PIXELS: usize = 40;
 
 /// Levels of a frame, DN.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,11 +46,11 @@ impl Levels {
     /// # Errors
     /// A frame that is dark, or bright, all over.
     pub fn of(frame: &Frame) -> Result<Self, Rejected> {
-        let Raster {
+        let Sampled {
             mut pixels,
             mean,
             noise_dn,
-        } = with_view!(frame, view => Raster::of(&view));
+        } = with_view!(frame, view => Sampled::of(&view));
         let saturation = f64::from(frame.saturation_dn());
         if mean > MOST_MEAN * saturation {
             return Err(Rejected {
@@ -75,13 +87,13 @@ impl Levels {
 }
 
 /// Some of the pixels, their mean, and their noise by the difference from their neighbours.
-struct Raster {
+struct Sampled {
     pixels: Vec<f32>,
     mean: f64,
     noise_dn: f64,
 }
 
-impl Raster {
+impl Sampled {
     fn of<T: Sample>(view: &View<'_, T>) -> Self {
         let rows = (0..view.height).step_by(SPACING_PX).map(|y| view.row(y));
         let pairs = rows.flat_map(|row| row.windows(2).step_by(SPACING_PX));
@@ -94,6 +106,76 @@ impl Raster {
             // Of whole numbers, half a one at the least.
             noise_dn: noise.max(0.5),
             pixels,
+        }
+    }
+}
+
+/// Pixels all over the frame that are not masked: where each looks, and its light, DN.
+pub(super) struct Raster {
+    pixels: Vec<(UnitVector3<f64>, f64)>,
+}
+
+impl Raster {
+    pub fn of<T: Sample>(view: &View<'_, T>, camera: &DirectionCamera) -> Self {
+        let rows = (0..view.height).step_by(RASTER_PX);
+        let raster = rows.flat_map(|y| (0..view.width).step_by(RASTER_PX).map(move |x| (x, y)));
+        let is_seen = |(x, y): &(usize, usize)| !camera.mask.iter().any(|r| r.contains(*x, *y));
+        let light = |(x, y): (usize, usize)| {
+            let ray = camera.lens.ray(SensorPx::new(x as f64, y as f64))?;
+            Some((ray, f64::from(view.dn(x, y))))
+        };
+        Self {
+            pixels: raster.filter(is_seen).filter_map(light).collect(),
+        }
+    }
+
+    /// The light of the pixels whose rays have such a cosine with a nadir; `None` of too few.
+    fn light_where(
+        &self,
+        nadir: &UnitVector3<f64>,
+        holds: impl Fn(f64) -> bool,
+    ) -> Option<Vec<f64>> {
+        let part = self.pixels.iter().filter(|(ray, _)| holds(ray.dot(nadir)));
+        let light: Vec<f64> = part.map(|(_, dn)| *dn).collect();
+        (light.len() >= LEAST_PIXELS).then_some(light)
+    }
+
+    /// What a pixel of the sky far from the limb holds, DN; `None` where too little of it is in view.
+    pub fn far_sky_dn(&self, sphere: &Sphere, nadir: &UnitVector3<f64>) -> Option<f64> {
+        let angle = sphere.half_angle_rad.value + sphere.outside_rad + FAR_RAD;
+        median(self.light_where(nadir, |cosine| cosine < angle.cos())?)
+    }
+
+    /// Whether light fills the sphere, as far as it is day there, and not the sky. Flares have edges, too.
+    ///
+    /// # Errors
+    /// The share of bright pixels that says otherwise.
+    pub fn is_filled(
+        &self,
+        sphere: &Sphere,
+        nadir: &UnitVector3<f64>,
+        levels: &Levels,
+    ) -> Result<(), Rejected> {
+        let bright_share = |light: Vec<f64>| {
+            let bright = light.iter().filter(|dn| **dn > levels.border_dn());
+            bright.count() as f64 / light.len() as f64
+        };
+        let edge = sphere.half_angle_rad.value;
+        let inside = self.light_where(nadir, |cosine| cosine > edge.cos());
+        let sky = edge + sphere.outside_rad;
+        let outside = self.light_where(nadir, |cosine| cosine < sky.cos());
+        match (inside.map(bright_share), outside.map(bright_share)) {
+            (Some(share), _) if share < LEAST_INSIDE => Err(Rejected {
+                reason: "dark_inside",
+                measured: share,
+                limit: LEAST_INSIDE,
+            }),
+            (_, Some(share)) if share > MOST_OUTSIDE => Err(Rejected {
+                reason: "bright_outside",
+                measured: share,
+                limit: MOST_OUTSIDE,
+            }),
+            _ => Ok(()),
         }
     }
 }

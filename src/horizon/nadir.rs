@@ -1,18 +1,23 @@
-//! The nadir by points of the edge.
+//! The nadir by rays to the edge.
 //!
-//! The fit is by angles: that between each ray and the nadir, less the cone's half-angle, over its sigma. The two unknowns move the nadir across
+//! The fit is by angles: that between each ray and the nadir, less the cone's half-angle, over its sigma. Two unknowns move the nadir across
 //! itself, so that it stays a unit vector; linear least squares for its three components (Braun and Barf 2022, eq. 22-24) are biased where the
-//! arc is short.
+//! arc is short. A third one, the half-angle, is held unless it is asked for.
 
-use super::across;
+use super::departure::Departure;
+use super::sphere::{Sphere, across};
 use crate::estimation::{FitError, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::geometry::attitude::Direction;
 use crate::geometry::camera::Camera;
 use crate::units::{Measured, SensorPx};
-use nalgebra::{Matrix2, RowVector2, UnitVector3, Vector2, Vector3};
+use nalgebra::{Rotation3, RowVector3, UnitVector3, Vector1, Vector2, Vector3};
 
-/// Fewer points determine no direction.
-const LEAST_POINTS: usize = 3;
+/// Fewer rays determine no direction.
+const LEAST_RAYS: usize = 3;
+/// The half-angle that is fitted lies so near the given one, rad: 1 sigma, far more than any air makes.
+const FREE_RAD: f64 = 0.05;
+/// A point of less weight is no part of the edge.
+pub(super) const LEAST_WEIGHT: f64 = 0.1;
 
 /// A point of the edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,14 +29,14 @@ pub struct EdgePoint {
     pub sigma_px: f64,
 }
 
-/// How the edge itself departs from its cone: neighbours do alike, as a Gauss-Markov process of first order (Braun and Barf
-/// 2022, eq. 34).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EdgeCorrelation {
-    /// 1 sigma of the departure, rad.
-    pub sigma_rad: f64,
-    /// Distance along the edge at which the correlation has fallen to 1/e, px.
-    pub length_px: f64,
+/// Whether the height of the edge is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum EdgeHeight {
+    /// As the sphere's half-angle says, within its sigma.
+    #[default]
+    Given,
+    /// Found together with the nadir, by how much the edge curves.
+    Fitted,
 }
 
 /// What the edge is in the plane of a rectilinear camera.
@@ -43,6 +48,17 @@ pub enum Conic {
 }
 
 impl Conic {
+    /// By the elevation of the nadir above the image plane against the half-angle (Braun and Barf 2022, eq. 11).
+    pub fn of(nadir: &UnitVector3<f64>, half_angle_rad: f64) -> Self {
+        const SAME_RAD: f64 = 1e-12;
+        let above = nadir.z.abs().asin() - half_angle_rad;
+        match above {
+            _ if above.abs() < SAME_RAD => Self::Parabola,
+            0.0.. => Self::Ellipse,
+            _ => Self::Hyperbola,
+        }
+    }
+
     pub fn name(self) -> &'static str {
         match self {
             Self::Ellipse => "ellipse",
@@ -52,122 +68,162 @@ impl Conic {
     }
 }
 
-/// The direction of a sphere's centre.
+/// The direction of a sphere's centre; of an ellipsoid, straight down.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Nadir {
     pub direction: Direction,
+    pub height: EdgeHeight,
+    pub half_angle_rad: Measured,
     pub conic: Conic,
     /// Rms of the residuals over their sigmas.
     pub scatter: f64,
-    /// The loss's weight of each point, 0 to 1.
+    /// The loss's weight of each ray, 0 to 1.
     pub weights: Vec<f64>,
 }
 
 /// Why there is no nadir.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum NadirError {
-    #[error(
-        "expected at least {LEAST_POINTS} points of the edge within the camera's view, found {0}"
-    )]
-    Points(usize),
+    #[error("expected at least {LEAST_RAYS} points of the edge, found {0}")]
+    Rays(usize),
     #[error(transparent)]
     Fit(#[from] FitError),
 }
 
-/// The nadir by points of its edge, given the half-angle of the cone (rad). Points that follow each other are neighbours on the edge.
+/// The nadir by rays to the edge of a sphere. Rays that follow each other are neighbours on the edge.
 ///
 /// # Errors
-/// Too few points within the camera's view, or points that determine no direction.
+/// Too few rays, or rays that determine no direction.
 pub fn nadir(
-    points: &[EdgePoint],
-    camera: &Camera,
-    half_angle_rad: Measured,
-    correlation: EdgeCorrelation,
+    edge: &[EdgeRay],
+    sphere: &Sphere,
+    height: EdgeHeight,
+    departure: Departure,
 ) -> Result<Nadir, NadirError> {
-    let edge: Vec<EdgeRay> = points
-        .iter()
-        .filter_map(|p| EdgeRay::of(p, camera))
-        .collect();
-    if edge.len() < LEAST_POINTS {
-        return Err(NadirError::Points(edge.len()));
+    if edge.len() < LEAST_RAYS {
+        return Err(NadirError::Rays(edge.len()));
     }
-    let angle = half_angle_rad.value;
-    let start = start(&edge, angle).ok_or(FitError::Undetermined)?;
+    let given = sphere.half_angle_rad;
+    let free_rad = match height {
+        EdgeHeight::Given => 0.0,
+        EdgeHeight::Fitted => FREE_RAD,
+    };
+    let start = start(edge, given.value).ok_or(FitError::Undetermined)?;
     let tangents = across(&start);
-    let moved = |by: &Vector2<f64>| UnitVector3::new_normalize(start.into_inner() + tangents * by);
-    let sigma = |ray: &EdgeRay| ray.sigma_rad.hypot(correlation.sigma_rad);
-    let linearise = |by: &Vector2<f64>| {
+    let moved = |by: &Vector3<f64>| {
+        UnitVector3::new_normalize(start.into_inner() + tangents * by.fixed_rows::<2>(0))
+    };
+    let linearise = |by: &Vector3<f64>| {
         let nadir = moved(by);
         let row = |ray: &EdgeRay| {
-            let (off, slope) = ray.angle_from(&nadir);
-            let by_parameters: RowVector2<f64> = slope.transpose() * tangents;
+            let (angle, slope) = ray.angle_from(&nadir);
+            let expected = sphere.half_angle_towards(&ray.unit, &nadir) + by.z * free_rad;
+            let across = tangents.transpose() * slope;
+            let sigma = ray.sigma_rad.hypot(departure.sigma_rad);
             Linearised {
-                residual: nalgebra::Vector1::new((angle - off) / sigma(ray)),
-                jacobian: by_parameters / sigma(ray),
+                residual: Vector1::new((expected - angle) / sigma),
+                jacobian: RowVector3::new(across.x, across.y, -free_rad) / sigma,
             }
         };
         Some(edge.iter().map(row).collect::<Vec<_>>())
     };
     let robust = LeastSquares {
-        start: Vector2::zeros(),
-        prior: Prior::none(),
+        start: Vector3::zeros(),
+        // Of the half-angle's change in units of what is free; of none that is free, it keeps the equations regular.
+        prior: Prior {
+            mean: Vector3::zeros(),
+            information: Vector3::z(),
+        },
         loss: Loss::Tukey(TUKEY_SIGMAS),
         scale: Scale::Inflated,
         tolerance_sigmas: 1e-4,
     };
     let fitted = robust.fit_after_plain(linearise)?;
     let rows = linearise(&fitted.parameters).unwrap_or_default();
-    let terms: Vec<Term> = edge
-        .iter()
-        .zip(&rows)
-        .zip(&fitted.weights)
-        .map(|((ray, row), weight)| Term {
-            gradient: row.jacobian.transpose() * (*weight / sigma(ray)),
-            ray: *ray,
+    let weighted = rows.iter().zip(&fitted.weights).zip(edge);
+    let gradients: Vec<(Vector3<f64>, &EdgeRay)> = weighted
+        .map(|((row, weight), ray)| {
+            let sigma = ray.sigma_rad.hypot(departure.sigma_rad);
+            (row.jacobian.transpose() * (*weight / sigma), ray)
         })
         .collect();
-    let scatter = spread(&terms, half_angle_rad.sigma, correlation);
+    // An error of a half-angle that is held is one of all rays.
+    let shared: Vector3<f64> = gradients.iter().map(|(gradient, _)| gradient).sum();
+    let shared_rad = match height {
+        EdgeHeight::Given => given.sigma,
+        EdgeHeight::Fitted => 0.0,
+    };
+    let scatter = departure.scatter(&gradients) + shared * shared.transpose() * shared_rad.powi(2);
     // The core has inflated each of the two already, and once is right.
     let covariance = fitted.covariance * scatter * fitted.covariance / fitted.scatter.powi(2);
     let unit = moved(&fitted.parameters);
+    let half_angle_rad = Measured::new(
+        given.value + fitted.parameters.z * free_rad,
+        shared_rad.hypot(covariance.m33.sqrt() * free_rad),
+    );
+    let across_rad2 = covariance.fixed_view::<2, 2>(0, 0);
     Ok(Nadir {
-        conic: conic(&unit, angle),
+        conic: Conic::of(&unit, half_angle_rad.value),
+        height,
         direction: Direction {
             unit,
-            covariance_rad2: tangents * covariance * tangents.transpose(),
+            covariance_rad2: tangents * across_rad2 * tangents.transpose(),
         },
+        half_angle_rad,
         scatter: fitted.scatter,
         weights: fitted.weights,
     })
 }
 
+/// Turn of the camera about its axis, deg, from the horizontal: positive with its right side low.
+pub fn roll_deg(nadir: &UnitVector3<f64>) -> f64 {
+    nadir.x.atan2(nadir.y).to_degrees()
+}
+
+/// Elevation of the camera's axis above the horizontal, deg.
+pub fn pitch_deg(nadir: &UnitVector3<f64>) -> f64 {
+    -nadir.z.asin().to_degrees()
+}
+
 impl Nadir {
-    /// Turn of the camera about its axis, deg, from the horizontal: positive with its right side low.
     pub fn roll_deg(&self) -> f64 {
-        let nadir = self.direction.unit;
-        nadir.x.atan2(nadir.y).to_degrees()
+        roll_deg(&self.direction.unit)
     }
 
-    /// Elevation of the camera's axis above the horizontal, deg.
     pub fn pitch_deg(&self) -> f64 {
-        -self.direction.unit.z.asin().to_degrees()
+        pitch_deg(&self.direction.unit)
     }
 
     /// Root of the largest eigenvalue of the covariance, deg: the isotropic bound (Braun and Barf 2022, eq. 37).
     pub fn sigma_deg(&self) -> f64 {
-        let eigenvalues = self.direction.covariance_rad2.symmetric_eigenvalues();
-        eigenvalues.max().max(0.0).sqrt().to_degrees()
+        self.direction.sigma_rad().to_degrees()
+    }
+
+    /// By how much the edge that was found stands above the one that was given; `None` where it was held, or of a sphere without air.
+    pub fn raised_m(&self, given: &Sphere) -> Option<Measured> {
+        let rad_per_m = given.rad_per_m?;
+        let raised_rad = self.half_angle_rad.value - given.half_angle_rad.value;
+        let raised_m = Measured::new(
+            raised_rad / rad_per_m,
+            self.half_angle_rad.sigma / rad_per_m,
+        );
+        (self.height == EdgeHeight::Fitted).then_some(raised_m)
+    }
+
+    /// Of the rays of the edge, how many are a part of it.
+    pub fn agreeing(&self) -> usize {
+        self.weights.iter().filter(|w| **w > LEAST_WEIGHT).count()
     }
 }
 
-/// A point of the edge as a ray.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct EdgeRay {
+/// A ray to the edge, in the frame of the camera or of the vehicle's body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EdgeRay {
     pub at: SensorPx,
     pub unit: UnitVector3<f64>,
     /// Unit vector across the ray, towards the sphere.
     pub inward: Vector3<f64>,
-    /// 1 sigma of the ray across the edge.
+    /// 1 sigma of the ray across the edge, by the camera's noise alone.
     pub sigma_rad: f64,
 }
 
@@ -182,6 +238,15 @@ impl EdgeRay {
             inward: across.try_normalize(0.0)?,
             sigma_rad: across.norm() * point.sigma_px,
         })
+    }
+
+    /// The ray in another frame.
+    pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
+        Self {
+            unit: rotation * self.unit,
+            inward: rotation * self.inward,
+            ..*self
+        }
     }
 
     /// The angle from a nadir, rad, and its derivative by the nadir.
@@ -200,52 +265,12 @@ fn start(edge: &[EdgeRay], angle: f64) -> Option<UnitVector3<f64>> {
     UnitVector3::try_new(sum, 0.0)
 }
 
-/// By how much an error of 1 rad of one point moves the gradient of the cost.
-struct Term {
-    gradient: Vector2<f64>,
-    ray: EdgeRay,
-}
-
-/// Covariance of the gradient of the cost: of the camera's noise, of the edge's own departure, and of the half-angle, which all points
-/// share. The sum over all pairs of the correlated ones takes one pass, since an exponential's pairs go through all between them.
-fn spread(terms: &[Term], angle_sigma_rad: f64, correlation: EdgeCorrelation) -> Matrix2<f64> {
-    let mut noise = Matrix2::zeros();
-    let mut edge = Matrix2::zeros();
-    let mut shared = Vector2::zeros();
-    let mut before = Vector2::zeros();
-    let mut last: Option<SensorPx> = None;
-    for Term { gradient, ray } in terms {
-        noise += gradient * gradient.transpose() * ray.sigma_rad.powi(2);
-        let step_px = last.map_or(f64::INFINITY, |last| last.distance(ray.at));
-        before *= (-step_px / correlation.length_px).exp();
-        let pairs = before * gradient.transpose();
-        edge += gradient * gradient.transpose() + pairs + pairs.transpose();
-        before += gradient;
-        shared += gradient;
-        last = Some(ray.at);
-    }
-    noise
-        + edge * correlation.sigma_rad.powi(2)
-        + shared * shared.transpose() * angle_sigma_rad.powi(2)
-}
-
-/// By the elevation of the nadir above the image plane against the half-angle (Braun and Barf 2022, eq. 11).
-fn conic(nadir: &UnitVector3<f64>, angle: f64) -> Conic {
-    const SAME_RAD: f64 = 1e-12;
-    let above = nadir.z.abs().asin() - angle;
-    match above {
-        _ if above.abs() < SAME_RAD => Conic::Parabola,
-        0.0.. => Conic::Ellipse,
-        _ => Conic::Hyperbola,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::camera::Lens;
     use crate::horizon::{Refraction, half_angle_rad};
-    use nalgebra::Rotation3;
+    use nalgebra::Matrix2;
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
     use rand_xoshiro::Xoshiro256PlusPlus;
@@ -255,10 +280,6 @@ mod tests {
     const NOISE_PX: f64 = 0.1;
     /// Of the whole edge, in view or not.
     const DRAWN_POINTS: u32 = 2000;
-    const CALM: EdgeCorrelation = EdgeCorrelation {
-        sigma_rad: 0.0,
-        length_px: 1.0,
-    };
 
     /// 94.4 deg across.
     fn camera() -> Camera {
@@ -278,13 +299,13 @@ mod tests {
     #[derive(Clone, Copy)]
     struct Errors {
         noise_px: f64,
-        edge: EdgeCorrelation,
+        edge: Departure,
         angle_rad: f64,
     }
 
     const NOISE_ALONE: Errors = Errors {
         noise_px: NOISE_PX,
-        edge: CALM,
+        edge: Departure::NONE,
         angle_rad: 0.0,
     };
 
@@ -299,7 +320,7 @@ mod tests {
         let across = across(nadir);
         let shared = errors.angle_rad * random.sample::<f64, _>(StandardNormal);
         let mut departure = errors.edge.sigma_rad * random.sample::<f64, _>(StandardNormal);
-        let mut last: Option<SensorPx> = None;
+        let mut last: Option<UnitVector3<f64>> = None;
         let mut points = Vec::new();
         for n in 0..DRAWN_POINTS {
             let around = f64::from(n) / f64::from(DRAWN_POINTS) * TAU;
@@ -314,11 +335,12 @@ mod tests {
             let Some(at) = on_cone(angle).filter(is_in_view) else {
                 continue;
             };
-            let step = last.map_or(f64::INFINITY, |last| last.distance(at));
-            let kept = (-step / errors.edge.length_px).exp();
+            let ray = camera.ray(at).unwrap();
+            let step = last.map_or(f64::INFINITY, |last| last.angle(&ray));
+            let kept = (-step / errors.edge.length_rad).exp();
             let fresh = (1.0 - kept * kept).sqrt() * errors.edge.sigma_rad;
             departure = kept * departure + fresh * random.sample::<f64, _>(StandardNormal);
-            last = Some(at);
+            last = Some(ray);
             let (Some(at), Some(inside)) = (
                 on_cone(angle + shared + departure),
                 on_cone(angle + shared + departure - 1e-4),
@@ -336,6 +358,20 @@ mod tests {
         points
     }
 
+    fn rays(points: &[EdgePoint]) -> Vec<EdgeRay> {
+        let camera = camera();
+        points
+            .iter()
+            .map(|point| EdgeRay::of(point, &camera).unwrap())
+            .collect()
+    }
+
+    /// The nadir of points on a sphere's edge.
+    fn found(points: &[EdgePoint], angle: Measured, departure: Departure) -> Nadir {
+        let sphere = Sphere::disc(angle);
+        nadir(&rays(points), &sphere, EdgeHeight::Given, departure).unwrap()
+    }
+
     /// Root of the mean of the squared error over its covariance, over many scenes.
     fn error_over_sigma(height_m: f64, errors: Errors) -> f64 {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(20);
@@ -349,7 +385,7 @@ mod tests {
             );
             let points = edge(&truth, angle, errors, &mut random);
             let half_angle = Measured::new(angle, errors.angle_rad);
-            let found = nadir(&points, &camera(), half_angle, errors.edge).unwrap();
+            let found = found(&points, half_angle, errors.edge);
             let across = across(&truth);
             let error =
                 across.transpose() * (found.direction.unit.into_inner() - truth.into_inner());
@@ -382,7 +418,7 @@ mod tests {
             let truth = nadir_of(roll_deg, pitch_deg);
             let angle = half_angle(height_m);
             let points = edge(&truth, angle, none, &mut random);
-            let found = nadir(&points, &camera(), Measured::new(angle, 0.0), CALM).unwrap();
+            let found = found(&points, Measured::new(angle, 0.0), Departure::NONE);
             assert!(
                 found.direction.unit.dot(&truth) > 1.0 - 1e-14,
                 "{height_m} m"
@@ -395,9 +431,9 @@ mod tests {
 
     #[test]
     fn errors_are_as_large_as_their_covariance_says() {
-        let edge = EdgeCorrelation {
+        let edge = Departure {
             sigma_rad: 3e-4,
-            length_px: 100.0,
+            length_rad: 0.1,
         };
         for height_m in [38_000.0, 230_000.0] {
             let of_edge = Errors {
@@ -420,6 +456,28 @@ mod tests {
     }
 
     #[test]
+    fn the_edges_height_is_found_with_the_nadir_and_known_as_well_as_it_says() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(6);
+        let angle = half_angle(230_000.0);
+        // Off by as much as the air stands above the sphere.
+        let start = Sphere::disc(Measured::new(angle - 0.012, 0.0));
+        let mut squares = 0.0;
+        const SCENES: usize = 200;
+        for _ in 0..SCENES {
+            let truth = nadir_of(random.random_range(-25.0..25.0), -10.0);
+            let points = edge(&truth, angle, NOISE_ALONE, &mut random);
+            let fitted = EdgeHeight::Fitted;
+            let found = nadir(&rays(&points), &start, fitted, Departure::NONE).unwrap();
+            let Measured { value, sigma } = found.half_angle_rad;
+            squares += ((value - angle) / sigma).powi(2);
+            let off_deg = found.direction.unit.angle(&truth).to_degrees();
+            assert!(off_deg < 5.0 * found.sigma_deg(), "{off_deg} deg");
+        }
+        let ratio = (squares / SCENES as f64).sqrt();
+        assert!((0.85..1.15).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
     fn a_short_arc_is_no_bias() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
         let angle = half_angle(38_000.0);
@@ -429,7 +487,7 @@ mod tests {
         for _ in 0..SCENES {
             let mut points = edge(&truth, angle, NOISE_ALONE, &mut random);
             points.retain(|point| (900.0..1000.0).contains(&point.at.x));
-            let found = nadir(&points, &camera(), Measured::new(angle, 0.0), CALM).unwrap();
+            let found = found(&points, Measured::new(angle, 0.0), Departure::NONE);
             let across = across(&truth);
             off.0 += across.transpose() * (found.direction.unit.into_inner() - truth.into_inner());
             off.1 += across.transpose() * found.direction.covariance_rad2 * across;
@@ -449,7 +507,7 @@ mod tests {
         for point in &mut points[flare.clone()] {
             point.at.y -= 5.0;
         }
-        let found = nadir(&points, &camera(), Measured::new(angle, 0.0), CALM).unwrap();
+        let found = found(&points, Measured::new(angle, 0.0), Departure::NONE);
         assert!(found.weights[flare].iter().all(|weight| *weight < 0.01));
         let error = found.direction.unit.angle(&truth).to_degrees();
         assert!(error < 5.0 * found.sigma_deg(), "{error} deg");
@@ -457,15 +515,15 @@ mod tests {
 
     #[test]
     fn what_determines_no_direction_is_an_error() {
-        let angle = Measured::new(1.4, 0.0);
-        let none = nadir(&[], &camera(), angle, CALM);
-        assert_eq!(none, Err(NadirError::Points(0)));
+        let sphere = Sphere::disc(Measured::new(1.4, 0.0));
+        let of = |rays: &[EdgeRay]| nadir(rays, &sphere, EdgeHeight::Given, Departure::NONE);
+        assert_eq!(of(&[]), Err(NadirError::Rays(0)));
         let point = EdgePoint {
             at: SensorPx::new(100.0, 500.0),
             inward: Vector2::y(),
             sigma_px: NOISE_PX,
         };
-        let one_place = nadir(&[point; 5], &camera(), angle, CALM);
+        let one_place = of(&rays(&[point; 5]));
         assert!(one_place.is_err() || one_place.unwrap().sigma_deg() > 1.0);
     }
 
@@ -475,6 +533,8 @@ mod tests {
         let direction = Direction::new(unit, 1e-4);
         let nadir = Nadir {
             direction,
+            height: EdgeHeight::Given,
+            half_angle_rad: Measured::new(1.4, 0.0),
             conic: Conic::Hyperbola,
             scatter: 1.0,
             weights: Vec::new(),

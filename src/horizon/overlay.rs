@@ -1,6 +1,8 @@
 //! A picture of a frame on which a person sees what was taken for the horizon.
 
-use super::{Cone, LEAST_WEIGHT, Nadir, Solution, Sphere};
+use super::nadir::LEAST_WEIGHT;
+use super::sphere::Cone;
+use super::{Nadir, Solution, Sphere};
 use crate::frame::Frame;
 use crate::instrument::DirectionCamera;
 use crate::report::{Canvas, Colour};
@@ -60,7 +62,11 @@ fn draw_sphere(
     sphere: &Sphere,
 ) {
     const STEPS: u32 = 720;
-    let cone = Cone::new(&nadir.direction.unit, sphere.half_angle_rad.value);
+    let sphere = Sphere {
+        half_angle_rad: nadir.half_angle_rad,
+        ..*sphere
+    };
+    let cone = Cone::new(&sphere, &nadir.direction.unit);
     let (width, height) = (frame.width() as f64, frame.height() as f64);
     let at = |n: u32| {
         let seen = camera

@@ -5,7 +5,7 @@
 //! where no cloud reaches, with a darkness, a brightness and a shift of its own.
 
 use super::nadir::EdgePoint;
-use super::{Cone, Sphere};
+use super::sphere::{Cone, Sphere};
 use crate::estimation::{QUARTILE_SIGMAS, median};
 use crate::frame::{Region, Sample, View};
 use crate::geometry::camera::Camera;
@@ -74,6 +74,8 @@ pub(super) struct Edge {
     pub points: Vec<EdgePoint>,
     /// How well it is known where the edge has half of the limb's brightness, all around alike.
     pub sigma_rad: f64,
+    /// Share of the places with clouds.
+    pub clouded: f64,
 }
 
 /// Profiles of light across the edge of a cone at places along it, DN, from the inside outwards.
@@ -121,7 +123,7 @@ impl Profiles {
         let length = steps.inside + 1 + steps.outside;
         let around = TAU * camera.mean_focal_px() * sphere.half_angle_rad.value.sin();
         let count = ((around / SPACING_PX) as usize).clamp(LEAST_PLACES, MOST_PLACES);
-        let cone = Cone::new(nadir, sphere.half_angle_rad.value);
+        let cone = Cone::new(sphere, nadir);
         let is_seen = |place: &Place| {
             [-(steps.inside as f64), 0.0, steps.outside as f64]
                 .iter()
@@ -211,6 +213,7 @@ impl Profiles {
         Some(Edge {
             points,
             sigma_rad: half.sigma * self.step_rad,
+            clouded,
         })
     }
 
@@ -385,7 +388,7 @@ impl TemplateFit {
 }
 
 /// The place of a cone's edge at an angle around the nadir; `None` beyond the limit of the lens.
-fn place(cone: &Cone, camera: &Camera, steps: &Steps, around_rad: f64) -> Option<Place> {
+fn place(cone: &Cone<'_>, camera: &Camera, steps: &Steps, around_rad: f64) -> Option<Place> {
     let seen = |t: f64| {
         Some(
             camera

@@ -5,13 +5,21 @@ use crate::cli::output::{make_folder, progress_bar};
 use crate::fits::{self, Compression};
 use crate::instrument::DirectionCamera;
 use crate::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene, Shape};
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
+use nalgebra::{Matrix3, Rotation3};
 use std::fmt::Write;
 
 /// The first line of `truth.csv`. The nadir is in the camera frame (x right, y down, z forward); `in_view` is 1 where some of the
-/// limb's edge is in the picture; `edge_m` is the height of that edge.
-const TRUTH_HEADER: &str = "n,file,nx,ny,nz,roll_deg,pitch_deg,height_m,heading_deg,in_view,edge_m";
+/// limb's edge is in the picture; `edge_m` is the height of that edge; bx, by, bz is the nadir in the body's axes, for a pair.
+const TRUTH_HEADER: &str =
+    "n,file,nx,ny,nz,roll_deg,pitch_deg,height_m,heading_deg,in_view,edge_m,latitude_deg,bx,by,bz";
+
+/// The mountings of a pair: rows of the rotation from the camera to a body whose axes point forward, right and down.
+const PAIR: [(&str, [[f64; 3]; 3]); 2] = [
+    ("camA", [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    ("camB", [[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]),
+];
 
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Horizon")]
@@ -47,6 +55,9 @@ pub struct HorizonArgs {
     /// Turn of the camera during the exposure
     #[arg(long, value_name = "DEG", default_value_t = 0.0, requires = "horizon", value_parser = Within(-20.0, 20.0, "deg"))]
     spin: f64,
+    /// Two cameras of one vehicle, the axis of the second to the right of the first one's
+    #[arg(long, requires = "horizon")]
+    pair: bool,
     /// The ground is the WGS 84 ellipsoid, and straight down is its normal
     #[arg(long, requires = "horizon")]
     ellipsoid: bool,
@@ -62,40 +73,97 @@ enum Looks {
     Space,
 }
 
-/// Makes the frames, `truth.csv` and the camera's file `cam.toml`.
+/// A camera of the vehicle: what its files' names begin with.
+struct Camera {
+    frames: &'static str,
+    file: String,
+    toml: String,
+    body_from_camera: Option<Rotation3<f64>>,
+}
+
+/// The one camera, or those of a pair.
+fn cameras(args: &SimulateArgs, toml: &str) -> anyhow::Result<Vec<Camera>> {
+    if !args.horizon.pair {
+        return Ok(vec![Camera {
+            frames: "frame",
+            file: "cam.toml".into(),
+            toml: toml.into(),
+            body_from_camera: None,
+        }]);
+    }
+    ensure!(
+        !toml.contains("body_from_camera"),
+        "--pair: expected a camera's file without body_from_camera, which differs between the two"
+    );
+    let mounted = |(name, rows): (&'static str, [[f64; 3]; 3])| {
+        let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
+        Camera {
+            frames: name,
+            file: format!("{name}.toml"),
+            toml: format!("{}\nbody_from_camera = {rows:?}\n", toml.trim_end()),
+            body_from_camera: Some(Rotation3::from_matrix_unchecked(matrix)),
+        }
+    };
+    Ok(PAIR.into_iter().map(mounted).collect())
+}
+
+/// Makes the frames, `truth.csv` and the camera's file `cam.toml`, or those of both cameras of a pair.
 pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let (conditions, camera_toml) = conditions(args)?;
     make_folder(&args.out)?;
+    let cameras = cameras(args, &camera_toml)?;
     let progress = progress_bar(args.frames as usize, "frames");
     let mut truth = format!("{TRUTH_HEADER}\n");
     for number in 0..args.frames {
-        let scene = conditions.scene(args.seed, number);
-        let name = format!("frame_{number:05}.fits");
-        let mut frame = scene.frame()?;
-        frame.info.mid_exposure = Some(args.utc_at(number as f64)?);
-        fits::write_frame(&args.out.join(&name), &frame, &[], &[], Compression::Rice)?;
-        writeln!(truth, "{}", truth_line(number, &name, &scene))?;
+        let first = conditions.scene(args.seed, number);
+        for camera in &cameras {
+            let scene = match (cameras[0].body_from_camera, camera.body_from_camera) {
+                (Some(of_first), Some(own)) if own != of_first => {
+                    first.seen_by(&(of_first.inverse() * own))
+                }
+                _ => first.clone(),
+            };
+            let name = format!("{}_{number:05}.fits", camera.frames);
+            let mut frame = scene.frame()?;
+            frame.info.mid_exposure = Some(args.utc_at(number as f64)?);
+            fits::write_frame(&args.out.join(&name), &frame, &[], &[], Compression::Rice)?;
+            let line = truth_line(number, &name, &scene, camera.body_from_camera.as_ref());
+            writeln!(truth, "{line}")?;
+        }
         progress.inc(1);
     }
     progress.finish_and_clear();
-    for (name, text) in [("truth.csv", &truth), ("cam.toml", &camera_toml)] {
+    let files = cameras
+        .iter()
+        .map(|camera| (camera.file.as_str(), &camera.toml));
+    for (name, text) in files.chain([("truth.csv", &truth)]) {
         let path = args.out.join(name);
         std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))?;
     }
     Ok(())
 }
 
-fn truth_line(number: u64, name: &str, scene: &EarthScene) -> String {
+fn truth_line(
+    number: u64,
+    name: &str,
+    scene: &EarthScene,
+    body_from_camera: Option<&Rotation3<f64>>,
+) -> String {
     let truth = scene.truth();
     let [x, y, z]: [f64; 3] = truth.nadir.into_inner().into();
+    let body = body_from_camera.map_or(",,".into(), |turn| {
+        let down = turn * truth.nadir;
+        format!("{:.9},{:.9},{:.9}", down.x, down.y, down.z)
+    });
     format!(
-        "{number},{name},{x:.9},{y:.9},{z:.9},{:.7},{:.7},{:.3},{:.4},{},{:.1}",
+        "{number},{name},{x:.9},{y:.9},{z:.9},{:.7},{:.7},{:.3},{:.4},{},{:.1},{:.6},{body}",
         scene.roll_deg,
         scene.pitch_deg,
         scene.conditions.height_m,
         scene.heading_deg,
         u8::from(truth.arc_px > 0.0),
         truth.edge_m,
+        scene.latitude_deg,
     )
 }
 

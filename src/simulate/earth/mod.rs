@@ -105,6 +105,7 @@ impl EarthConditions {
             pitch_deg,
             seed,
             number,
+            camera: 0,
         }
     }
 
@@ -149,6 +150,8 @@ pub struct EarthScene {
     pub pitch_deg: f64,
     pub seed: u64,
     pub number: u64,
+    /// Of those of the vehicle: each has its own noise.
+    pub camera: u64,
 }
 
 /// The truth about a picture of the Earth.
@@ -175,6 +178,20 @@ impl EarthScene {
         level * Rotation3::from_matrix_unchecked(body_from_camera)
     }
 
+    /// The same scene at the same moment, seen by another camera whose directions `turn` takes to the frame of this one.
+    pub fn seen_by(&self, turn: &Rotation3<f64>) -> Self {
+        let local = self.local_from_camera() * turn;
+        let down = local.inverse() * Vector3::z_axis();
+        let ahead = local * Vector3::z();
+        Self {
+            roll_deg: down.x.atan2(down.y).to_degrees(),
+            pitch_deg: -down.z.asin().to_degrees(),
+            heading_deg: ahead.y.atan2(ahead.x).to_degrees().rem_euclid(360.0),
+            camera: self.camera + 1,
+            ..self.clone()
+        }
+    }
+
     /// The frame: rendered, with noise, digitised.
     ///
     /// # Errors
@@ -185,7 +202,7 @@ impl EarthScene {
             width_px: conditions.width_px,
             noise: conditions.noise,
             depth: conditions.depth,
-            seed: self.seed ^ self.number << 32,
+            seed: self.seed ^ self.number << 32 ^ self.camera << 60,
         };
         let pixels = read_out(&self.light(), &readings);
         let info = frame_info(self.number);

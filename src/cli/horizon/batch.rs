@@ -1,0 +1,206 @@
+//! Frames of one camera, or of two at a time.
+
+use super::Method;
+use super::pair::matched;
+use super::record::{InBody, Record};
+use crate::cli::frames::{Answer, FramesArgs, bad_file};
+use crate::fits;
+use crate::frame::Frame;
+use crate::horizon::circle::{self, Circle, circle};
+use crate::horizon::{self, Nadir, Settings, Solution, Sphere, Stopped};
+use crate::instrument::DirectionCamera;
+use anyhow::Context;
+use nalgebra::{Rotation3, UnitVector3};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// A camera, what it looks for, and its frames.
+pub(super) struct Mounted {
+    pub camera: DirectionCamera,
+    pub body_from_camera: Option<Rotation3<f64>>,
+    pub sphere: Sphere,
+    pub frames: Vec<PathBuf>,
+}
+
+/// What all frames share.
+pub(super) struct Batch<'a> {
+    /// One, or two of a pair.
+    pub cameras: Vec<Mounted>,
+    /// The sphere in the body's frame, for a pair.
+    pub body: Option<Sphere>,
+    pub method: Method,
+    pub settings: Settings,
+    pub edge_m: f64,
+    pub args: &'a FramesArgs,
+}
+
+/// What was found in a frame.
+enum Found {
+    Cone(Box<Solution>),
+    Circle(Result<Circle, Stopped>),
+}
+
+/// A frame that was solved, by the number of its camera.
+struct Solved {
+    camera: usize,
+    found: Found,
+    record: Record,
+}
+
+impl Batch<'_> {
+    /// Takes the answer of every frame, in order.
+    pub fn solve(
+        &self,
+        track: bool,
+        mut take: impl FnMut(Answer<Record>) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        match (&self.cameras[..], &self.body) {
+            ([one, other], Some(sphere)) => {
+                let moments = matched([&one.frames, &other.frames]);
+                let solve = |moment: &[Option<PathBuf>; 2]| self.solve_moment(moment, sphere);
+                let take =
+                    |answers: Vec<Answer<Record>>| answers.into_iter().try_for_each(&mut take);
+                self.args.in_order(&moments, solve, take)
+            }
+            _ if track => {
+                let mut last = None;
+                self.args.frames.iter().try_for_each(|path| {
+                    let solved = self.solve_file(path, 0, last.as_ref());
+                    last = solved.as_ref().ok().and_then(Solved::nadir).or(last);
+                    take(answer(path, solved))
+                })
+            }
+            _ => {
+                let solve = |path: &PathBuf| answer(path, self.solve_file(path, 0, None));
+                self.args.in_order(&self.args.frames, solve, take)
+            }
+        }
+    }
+
+    /// The frames of two cameras at one moment: each by itself, and with it what both say of the body.
+    fn solve_moment(&self, paths: &[Option<PathBuf>; 2], sphere: &Sphere) -> Vec<Answer<Record>> {
+        let each = paths.iter().zip(0..);
+        let mut solved: Vec<(&Path, anyhow::Result<Solved>)> = each
+            .filter_map(|(path, camera)| Some((path.as_deref()?, camera)))
+            .map(|(path, camera)| (path, self.solve_file(path, camera, None)))
+            .collect();
+        let seen: Vec<&Solved> = solved.iter().filter_map(|(_, s)| s.as_ref().ok()).collect();
+        let body = self.in_body(&seen, sphere);
+        for (_, solved) in &mut solved {
+            if let Ok(solved) = solved {
+                solved.record.body = body.clone().unwrap_or_default();
+            }
+        }
+        solved
+            .into_iter()
+            .map(|(path, solved)| answer(path, solved))
+            .collect()
+    }
+
+    /// The nadir of the body by the cameras that see the horizon.
+    fn in_body(&self, seen: &[&Solved], sphere: &Sphere) -> Option<InBody> {
+        let turn = |solved: &Solved| self.cameras[solved.camera].body_from_camera;
+        if self.method == Method::Circle {
+            let circles: Vec<(&Circle, Rotation3<f64>)> = seen
+                .iter()
+                .filter_map(|solved| Some((solved.circle()?, turn(solved)?)))
+                .collect();
+            let [one, other] = circles[..] else {
+                return None;
+            };
+            return circle::vertical([one, other]).map(|unit| InBody::of_circles(&unit));
+        }
+        let solutions: Vec<(&Solution, Rotation3<f64>)> = seen
+            .iter()
+            .filter_map(|solved| Some((solved.solution()?, turn(solved)?)))
+            .collect();
+        let nadir = horizon::joint(&self.settings, sphere, &solutions).ok()?;
+        Some(InBody::of(&nadir.direction))
+    }
+
+    fn solve_file(
+        &self,
+        path: &Path,
+        camera: usize,
+        last: Option<&UnitVector3<f64>>,
+    ) -> anyhow::Result<Solved> {
+        let Mounted {
+            camera: optics,
+            sphere,
+            body_from_camera,
+            ..
+        } = &self.cameras[camera];
+        let frame = fits::read_frame(path)?;
+        let size = optics.check(&frame);
+        size.with_context(|| path.display().to_string())?;
+        let start = Instant::now();
+        let found = self.find(&frame, optics, sphere, last);
+        let time = start.elapsed();
+        let name = path.display().to_string();
+        let mut record = match &found {
+            Found::Cone(solution) => Record::of(&name, solution, sphere, self.edge_m, time),
+            Found::Circle(circle) => Record::of_circle(&name, circle, self.edge_m, time),
+        };
+        let direction = match &found {
+            Found::Cone(solution) => solution.nadir.as_ref().ok().map(|nadir| nadir.direction),
+            Found::Circle(_) => None,
+        };
+        if let (Some(direction), Some(turn)) = (direction, body_from_camera) {
+            record.body = InBody::of(&direction.turned(turn));
+        }
+        if let Found::Cone(solution) = &found {
+            self.args.draw(path, |title| {
+                horizon::overlay(&frame, solution, optics, sphere, title)
+            })?;
+        }
+        Ok(Solved {
+            camera,
+            found,
+            record,
+        })
+    }
+
+    fn find(
+        &self,
+        frame: &Frame,
+        camera: &DirectionCamera,
+        sphere: &Sphere,
+        last: Option<&UnitVector3<f64>>,
+    ) -> Found {
+        match self.method {
+            Method::Cone => {
+                let solution = horizon::solve(&self.settings, frame, camera, sphere, last);
+                Found::Cone(Box::new(solution))
+            }
+            Method::Circle => Found::Circle(circle(&self.settings, frame, camera, sphere)),
+        }
+    }
+}
+
+impl Solved {
+    fn solution(&self) -> Option<&Solution> {
+        match &self.found {
+            Found::Cone(solution) => Some(solution),
+            Found::Circle(_) => None,
+        }
+    }
+
+    fn circle(&self) -> Option<&Circle> {
+        match &self.found {
+            Found::Cone(_) => None,
+            Found::Circle(circle) => circle.as_ref().ok(),
+        }
+    }
+
+    fn nadir(&self) -> Option<UnitVector3<f64>> {
+        let nadir: &Nadir = self.solution()?.nadir.as_ref().ok()?;
+        Some(nadir.direction.unit)
+    }
+}
+
+fn answer(path: &Path, solved: anyhow::Result<Solved>) -> Answer<Record> {
+    match solved {
+        Ok(solved) => Ok(solved.record),
+        Err(error) => bad_file(path, &error),
+    }
+}

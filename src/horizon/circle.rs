@@ -1,0 +1,234 @@
+//! The nadir by a circle through a border, as HORACE found it (2014, sections 2.2.4 to 2.2.6), and the local vertical of two
+//! cameras by their circles (Lomaka, Belokonov and Ustugov 2016, section 2.1).
+//!
+//! Both take the horizon for a circle in the picture, which holds where the field is narrow. In the stereographic plane, where a ray at an
+//! angle from the axis lies at tan(angle / 2), every cone of rays is a circle, so that the border is taken there first.
+
+use super::border::Binary;
+use super::light::Levels;
+use super::nadir::EdgeRay;
+use super::{LEAST_PLACES, Settings, Sphere, Stage, Stopped, stopped};
+use crate::estimation::{median, regression};
+use crate::frame::{Frame, Region};
+use crate::instrument::DirectionCamera;
+use crate::units::EARTH_RADIUS_M;
+use crate::with_view;
+use nalgebra::{Rotation3, UnitVector3, Vector2, Vector3};
+use std::f64::consts::PI;
+
+/// A part of the picture with shorter sides is not divided (HORACE, table 3.1).
+const LEAST_DIVIDED_PX: usize = 400;
+/// The radius of the sphere's picture over what the height lets expect: success by HORACE's definition (section 1.3.5).
+const RADIUS_RATIO: std::ops::Range<f64> = 0.9..1.1;
+/// The distance of the centre that is found from the true one, over the sphere's radius: the same.
+const MOST_CENTRE_ERROR: f64 = 0.1;
+/// Planes that make a smaller angle with each other, rad, do not cross.
+const LEAST_CROSSING_RAD: f64 = 0.02;
+
+/// What a circle through the border tells.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Circle {
+    pub nadir: UnitVector3<f64>,
+    /// In the picture, from the axis to the nadir.
+    pub towards: Vector2<f64>,
+    /// Half-angle of the cone of rays through the circle.
+    pub half_angle_rad: f64,
+}
+
+impl Circle {
+    /// The camera's height by the circle's radius (eq. 2.38), above the sphere whose edge stands at a height, m.
+    pub fn height_m(&self, edge_m: f64) -> f64 {
+        (EARTH_RADIUS_M + edge_m) / self.half_angle_rad.sin() - EARTH_RADIUS_M
+    }
+
+    /// Whether HORACE calls it a success: radius and centre of the sphere within a tenth of its radius.
+    pub fn succeeds(&self, sphere: &Sphere, truth: &UnitVector3<f64>) -> bool {
+        let half_angle_rad = sphere.half_angle_rad.value;
+        // The centre is 1 / sin(half-angle) radii away.
+        let centre_error = 2.0 * (self.nadir.angle(truth) / 2.0).sin() / half_angle_rad.sin();
+        RADIUS_RATIO.contains(&(self.half_angle_rad.tan() / half_angle_rad.tan()))
+            && centre_error < MOST_CENTRE_ERROR
+    }
+}
+
+/// The circle through the longest border of a frame; of the halves of a frame whose own is none, or halves of these, the median.
+///
+/// # Errors
+/// Why the whole frame shows none, where no part does.
+pub fn circle(
+    settings: &Settings,
+    frame: &Frame,
+    camera: &DirectionCamera,
+    sphere: &Sphere,
+) -> Result<Circle, Stopped> {
+    let part = |region| in_part(settings, frame, camera, sphere, region);
+    part(frame.region()).or_else(|stopped| {
+        let circles = divided(frame.region(), &part);
+        middle(&circles).ok_or(stopped)
+    })
+}
+
+/// The circles of the halves of a region; halves without one are divided on.
+fn divided(region: Region, part: &impl Fn(Region) -> Result<Circle, Stopped>) -> Vec<Circle> {
+    let Region { x0, y0, x1, y1 } = region;
+    if region.width().max(region.height()) < 2 * LEAST_DIVIDED_PX {
+        return Vec::new();
+    }
+    let halves = if region.height() < region.width() {
+        let middle = x0.midpoint(x1);
+        [
+            Region {
+                x1: middle,
+                ..region
+            },
+            Region {
+                x0: middle,
+                ..region
+            },
+        ]
+    } else {
+        let middle = y0.midpoint(y1);
+        [
+            Region {
+                y1: middle,
+                ..region
+            },
+            Region {
+                y0: middle,
+                ..region
+            },
+        ]
+    };
+    halves
+        .into_iter()
+        .flat_map(|half| match part(half) {
+            Ok(circle) => vec![circle],
+            Err(_) => divided(half, part),
+        })
+        .collect()
+}
+
+/// The median of circles, part by part; `None` of none.
+fn middle(circles: &[Circle]) -> Option<Circle> {
+    let of = |value: &dyn Fn(&Circle) -> f64| median(circles.iter().map(value));
+    let nadir = [0, 1, 2].map(|axis| of(&|circle| circle.nadir[axis]));
+    let nadir = Vector3::new(nadir[0]?, nadir[1]?, nadir[2]?);
+    let towards = Vector2::new(of(&|c| c.towards.x)?, of(&|c| c.towards.y)?);
+    Some(Circle {
+        nadir: UnitVector3::try_new(nadir, 0.0)?,
+        towards: towards.try_normalize(0.0)?,
+        half_angle_rad: of(&|circle| circle.half_angle_rad)?,
+    })
+}
+
+fn in_part(
+    settings: &Settings,
+    frame: &Frame,
+    camera: &DirectionCamera,
+    sphere: &Sphere,
+    region: Region,
+) -> Result<Circle, Stopped> {
+    let no_horizon = |points: usize| {
+        let limit = LEAST_PLACES as f64;
+        stopped(Stage::Detection, "no_horizon", points as f64, limit)
+    };
+    let part = frame.cropped(region).ok_or_else(|| no_horizon(0))?;
+    let levels = Levels::of(&part).map_err(|rejected| (Stage::Light, rejected))?;
+    let threshold_dn = settings.threshold_dn.unwrap_or(levels.border_dn());
+    let mask: Vec<Region> = camera
+        .mask
+        .iter()
+        .filter_map(|m| within(m, &region))
+        .collect();
+    let arcs = with_view!(&part, view => {
+        Binary::new(&view, threshold_dn, &mask).arcs(view.height)
+    });
+    let longest = arcs.into_iter().max_by_key(Vec::len).unwrap_or_default();
+    let corner = Vector2::new(region.x0 as f64, region.y0 as f64);
+    let rays: Vec<EdgeRay> = longest
+        .into_iter()
+        .filter_map(|mut point| {
+            point.at = (point.at.vector() + corner).into();
+            EdgeRay::of(&point, &camera.lens)
+        })
+        .collect();
+    if rays.len() < LEAST_PLACES {
+        return Err(no_horizon(rays.len()));
+    }
+    let expected = sphere.half_angle_rad.value;
+    let circle =
+        through(&rays, expected).ok_or_else(|| stopped(Stage::Fit, "undetermined", 0.0, 0.0))?;
+    let ratio = circle.half_angle_rad.tan() / expected.tan();
+    match RADIUS_RATIO.contains(&ratio) {
+        true => Ok(circle),
+        false => Err(stopped(Stage::Fit, "radius", ratio, 1.0)),
+    }
+}
+
+/// A mask's part within a region, in the region's own pixels.
+fn within(mask: &Region, region: &Region) -> Option<Region> {
+    let part = mask.intersection(region)?;
+    Some(Region {
+        x0: part.x0 - region.x0,
+        y0: part.y0 - region.y0,
+        x1: part.x1 - region.x0,
+        y1: part.y1 - region.y0,
+    })
+}
+
+/// The circle of x^2 + y^2 = 2 a x + 2 b y + c through rays in the stereographic plane (HORACE, eq. 2.7 to 2.25), with the nadir at the expected
+/// half-angle beyond its point next to the axis.
+fn through(rays: &[EdgeRay], expected_rad: f64) -> Option<Circle> {
+    let points: Vec<Vector2<f64>> = rays.iter().map(|ray| stereographic(&ray.unit)).collect();
+    let terms: Vec<Vector3<f64>> = points
+        .iter()
+        .map(|p| Vector3::new(2.0 * p.x, 2.0 * p.y, 1.0))
+        .collect();
+    let squares: Vec<f64> = points.iter().map(|p| p.norm_squared()).collect();
+    let fitted = regression(&terms, &squares, &vec![1.0; points.len()]).ok()?;
+    let centre = fitted.parameters.xy();
+    let radius = (fitted.parameters.z + centre.norm_squared()).sqrt();
+    let away = centre.try_normalize(0.0)?;
+    // Where the line from the axis to the centre meets the circle.
+    let (near, far) = (centre.norm() - radius, centre.norm() + radius);
+    let apart_rad = (far.atan() - near.atan()).abs();
+    let inward: f64 = rays
+        .iter()
+        .zip(&points)
+        .map(|(ray, point)| {
+            let inside = UnitVector3::new_normalize(ray.unit.into_inner() + ray.inward * 1e-3);
+            (stereographic(&inside) - point)
+                .dot(&(centre - point))
+                .signum()
+        })
+        .sum();
+    let is_inside = inward > 0.0;
+    let side = if is_inside { 1.0 } else { -1.0 };
+    let from_axis_rad = 2.0 * near.atan() + side * expected_rad;
+    let (sine, cosine) = from_axis_rad.sin_cos();
+    let nadir = Vector3::new(away.x * sine, away.y * sine, cosine);
+    Some(Circle {
+        nadir: UnitVector3::try_new(nadir, 0.0)?,
+        towards: away * sine.signum(),
+        half_angle_rad: if is_inside { apart_rad } else { PI - apart_rad },
+    })
+}
+
+fn stereographic(ray: &UnitVector3<f64>) -> Vector2<f64> {
+    ray.xy() / (1.0 + ray.z)
+}
+
+/// The local vertical of two cameras: the line in which the planes through each one's axis and the nadir in its picture cross, downward. `None`
+/// where they do not. Each camera comes with the turn from its own frame to that of the result.
+pub fn vertical(cameras: [(&Circle, Rotation3<f64>); 2]) -> Option<UnitVector3<f64>> {
+    let [one, other] = cameras.map(|(circle, turn)| {
+        let towards = Vector3::new(circle.towards.x, circle.towards.y, 0.0);
+        turn * Vector3::z().cross(&towards)
+    });
+    let line = UnitVector3::try_new(one.cross(&other), LEAST_CROSSING_RAD)?;
+    let down: Vector3<f64> = cameras
+        .iter()
+        .map(|(circle, turn)| turn * circle.nadir.into_inner())
+        .sum();
+    Some(if line.dot(&down) < 0.0 { -line } else { line })
+}
