@@ -284,7 +284,7 @@ fn what_a_mask_hides_moves_no_horizon() {
         .to_degrees();
     assert!(off < 4.0 * nadir.sigma_deg(), "{off} deg");
     let hidden = |at: f64| (boom.x0 as f64..boom.x1 as f64).contains(&at);
-    assert!(solution.edge.iter().all(|point| !hidden(point.at.x)));
+    assert!(solution.edge.rays.iter().all(|point| !hidden(point.at.x)));
     assert_eq!(solution.quality(), Quality::Fine);
 }
 

@@ -1,10 +1,9 @@
 //! Instructions of encoding and decoding a frame, by callgrind.
 
+use crate::callgrind::instructions;
 use crate::frames::{CONDITIONS, solved};
 use crate::work::{Work, decode, encode, write_all};
-use anyhow::{Context, bail, ensure};
-use std::fs;
-use std::process::{Command, Stdio};
+use anyhow::bail;
 
 /// Tells this program that it is being counted, and in what: the number of the conditions and of the work.
 pub const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_WORK";
@@ -44,22 +43,7 @@ pub fn work_through(counted_as: &str) -> anyhow::Result<()> {
 
 /// Mean instructions of a frame under the n-th conditions; `work` is its place in [`Work::ALL`].
 pub fn count(n: usize, work: usize) -> anyhow::Result<u64> {
-    let folder = tempfile::tempdir()?;
-    let counts = folder.path().join("counts");
-    let status = Command::new("valgrind")
-        .args(["--tool=callgrind", "--toggle-collect=*counts*counted*"])
-        .arg(format!("--callgrind-out-file={}", counts.display()))
-        .arg(std::env::current_exe()?)
-        .env(COUNTED_VARIABLE, format!("{n} {work}"))
-        .stderr(Stdio::null())
-        .status()
-        .context("valgrind does not start")?;
-    ensure!(status.success(), "valgrind ended with {status}");
-    let counts = fs::read_to_string(counts)?;
-    let total = counts
-        .lines()
-        .find_map(|line| line.strip_prefix("totals: "));
-    let total: u64 = total.context("callgrind wrote no total")?.trim().parse()?;
-    ensure!(total > 0, "callgrind did not find the function");
+    let counted_as = format!("{n} {work}");
+    let total = instructions("*counts*counted*", COUNTED_VARIABLE, &counted_as)?;
     Ok(total / (FRAMES - 1))
 }

@@ -3,6 +3,8 @@
 //! `cargo bench --bench archive` prints a table for each kind of frame. All works take turns over the same frames, so
 //! that what else the machine does falls on all of them.
 
+#[path = "../callgrind.rs"]
+mod callgrind;
 mod cost;
 mod counts;
 mod frames;

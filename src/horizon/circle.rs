@@ -133,7 +133,8 @@ fn in_part(
         stopped(Stage::Detection, "no_horizon", points as f64, limit)
     };
     let part = frame.cropped(region).ok_or_else(|| no_horizon(0))?;
-    let levels = Levels::of(&part).map_err(|rejected| (Stage::Light, rejected))?;
+    let radius_px = camera.lens.mean_focal_px() * sphere.half_angle_rad.value.tan();
+    let levels = Levels::of(&part, radius_px).map_err(|rejected| (Stage::Light, rejected))?;
     let threshold_dn = settings.threshold_dn.unwrap_or(levels.border_dn());
     let mask: Vec<Region> = camera
         .mask

@@ -15,7 +15,7 @@ const MOST_JUDGES: usize = 200;
 /// Cosine of the angle by which the bright side may lie off the direction to the nadir.
 const LEAST_SAME_SIDE: f64 = 0.8;
 
-/// The points of all arcs that agree with the best nadir. Arcs anywhere in the picture are of one cone.
+/// Of some points of all arcs, those that agree with the best nadir. Arcs anywhere in the picture are of one cone.
 pub(super) fn consensus(
     arcs: &[Vec<EdgePoint>],
     camera: &Camera,
@@ -40,13 +40,8 @@ pub(super) fn consensus(
         .take(MOST_ARCS)
         .flat_map(|arc| guesses(arc, &cone));
     let best = guesses.max_by_key(|nadir| judges.iter().filter(|ray| cone.has(nadir, ray)).count());
-    let Some(best) = best else {
-        return Vec::new();
-    };
-    rays.into_iter()
-        .flatten()
-        .filter(|ray| cone.has(&best, ray))
-        .collect()
+    let agreeing = |best: UnitVector3<f64>| judges.iter().filter(move |ray| cone.has(&best, ray));
+    best.map_or_else(Vec::new, |best| agreeing(best).copied().collect())
 }
 
 /// A cone about an unknown nadir.

@@ -26,18 +26,31 @@ impl Departure {
         length_rad: 1.0,
     };
 
+    /// That all rays have alike.
+    pub(super) fn shared(sigma_rad: f64) -> Self {
+        Self {
+            sigma_rad,
+            length_rad: f64::INFINITY,
+        }
+    }
+
     /// By what a fit leaves beyond noise: rays that follow each other, and how far each is from the edge that was found, rad.
     pub(super) fn of_residuals(left: &[(&EdgeRay, f64)]) -> Self {
         let together = |lag: usize| {
             let pairs = left.iter().zip(left.iter().skip(lag));
             pairs.map(|((_, one), (_, other))| one * other).sum::<f64>() / left.len() as f64
         };
-        // Noise differs from one place to the next; what neighbours share is the limb's.
-        let variance = (1..=SHARED_PLACES).map(together).sum::<f64>() / SHARED_PLACES as f64;
-        let variance = variance.max(0.0);
+        // Noise differs from one place to the next; what neighbours share is the limb's. The mean of so many products is uncertain, and the
+        // limb may hide in that.
+        let hidden = together(0) / ((SHARED_PLACES * left.len()) as f64).sqrt();
+        let shared = |lag: usize| {
+            let lags = lag..lag + SHARED_PLACES;
+            lags.map(together).sum::<f64>() / SHARED_PLACES as f64
+        };
+        let variance = shared(1).max(hidden);
         let steps = left.windows(2);
         let spacing_rad = median(steps.map(|pair| pair[0].0.unit.angle(&pair[1].0.unit)));
-        let fallen = (1..left.len()).find(|lag| together(*lag) < variance / E);
+        let fallen = (1..left.len()).find(|lag| shared(*lag) < variance / E);
         let lag = fallen.unwrap_or(1) as f64;
         // Of so many stretches that are free of each other, the nadir's two parameters take two; and a variance of few is itself so
         // uncertain (Student's t) that it counts as if two more were missing.
@@ -49,26 +62,24 @@ impl Departure {
         }
     }
 
-    /// Covariance of the sum of gradients, each times its ray's error: of the camera's noise and of the edge's departure. The sum
-    /// over all pairs takes one pass, since the correlation of two rays is that over all steps between them.
+    /// Covariance of the sum of gradients, each times its ray's departure. The sum over all pairs takes one pass, since the correlation of two
+    /// rays is that over all steps between them (Braun and Barf 2022, eq. 35).
     pub(super) fn scatter<const N: usize>(
         self,
         gradients: &[(SVector<f64, N>, &EdgeRay)],
     ) -> SMatrix<f64, N, N> {
-        let mut noise = SMatrix::zeros();
-        let mut edge = SMatrix::zeros();
+        let mut sum = SMatrix::zeros();
         let mut before = SVector::<f64, N>::zeros();
         let mut last: Option<&EdgeRay> = None;
         for (gradient, ray) in gradients {
-            let square = gradient * gradient.transpose();
-            noise += square * ray.sigma_rad.powi(2);
-            let step_rad = last.map_or(f64::INFINITY, |last| last.unit.angle(&ray.unit));
-            before *= (-step_rad / self.length_rad).exp();
+            if let Some(last) = last {
+                before *= (-last.unit.angle(&ray.unit) / self.length_rad).exp();
+            }
             let pairs = before * gradient.transpose();
-            edge += square + pairs + pairs.transpose();
+            sum += gradient * gradient.transpose() + pairs + pairs.transpose();
             before += gradient;
             last = Some(ray);
         }
-        noise + edge * self.sigma_rad.powi(2)
+        sum * self.sigma_rad.powi(2)
     }
 }

@@ -7,13 +7,16 @@ use crate::instrument::DirectionCamera;
 use crate::units::{Rejected, SensorPx};
 use crate::with_view;
 use nalgebra::UnitVector3;
-use std::f64::consts::SQRT_2;
+use std::f64::consts::{PI, SQRT_2};
 
-/// One pixel in so many is looked at, in each axis.
-const SPACING_PX: usize = 12;
-/// The dark sky is that of so many of the pixels, and bright is what so many exceed: a thousandth may be the Sun.
+/// One pixel in so many is looked at, in each axis, and so many across a sphere that is small.
+const MOST_SPACING_PX: f64 = 24.0;
+const ACROSS: f64 = 8.0;
+/// The dark sky is that of so many of the pixels, and bright is what so many exceed: a thousandth may be the Sun. Where that is looked for,
+/// bright is what a part of it exceeds.
 const DARK_SHARE: f64 = 0.02;
 const BRIGHT_SHARE: f64 = 0.005;
+const PART_OF_SPHERE: f64 = 0.25;
 /// The border of what is bright stands at this share of the way from dark to bright: above glare, below land that no cloud covers.
 const BORDER_SHARE: f64 = 0.3;
 /// Of the saturated level. A frame whose mean is above has no dark sky (HORACE 2014, section 2.2.1 and table 3.1).
@@ -41,16 +44,17 @@ pub struct Levels {
 }
 
 impl Levels {
-    /// The levels by a raster of pixels, or why the frame is not worth a look.
+    /// The levels by a raster of pixels, or why the frame is not worth a look for a sphere of some radius in the picture.
     ///
     /// # Errors
     /// A frame that is dark, or bright, all over.
-    pub fn of(frame: &Frame) -> Result<Self, Rejected> {
+    pub fn of(frame: &Frame, radius_px: f64) -> Result<Self, Rejected> {
+        let spacing_px = (2.0 * radius_px / ACROSS).clamp(1.0, MOST_SPACING_PX) as usize;
         let Sampled {
             mut pixels,
             mean,
             noise_dn,
-        } = with_view!(frame, view => Sampled::of(&view));
+        } = with_view!(frame, view => Sampled::of(&view, spacing_px));
         let saturation = f64::from(frame.saturation_dn());
         if mean > MOST_MEAN * saturation {
             return Err(Rejected {
@@ -59,13 +63,15 @@ impl Levels {
                 limit: MOST_MEAN * saturation,
             });
         }
+        let sphere_share = PI * radius_px * radius_px / (frame.width() * frame.height()) as f64;
+        let bright_share = (PART_OF_SPHERE * sphere_share).min(BRIGHT_SHARE);
         let mut quantile = |share: f64| {
             let n = (share * pixels.len() as f64) as usize;
             f64::from(*pixels.select_nth_unstable_by(n, f32::total_cmp).1)
         };
         let levels = Self {
             dark_dn: quantile(DARK_SHARE),
-            bright_dn: quantile(1.0 - BRIGHT_SHARE),
+            bright_dn: quantile(1.0 - bright_share),
             noise_dn,
         };
         let contrast = levels.bright_dn - levels.dark_dn;
@@ -94,9 +100,9 @@ struct Sampled {
 }
 
 impl Sampled {
-    fn of<T: Sample>(view: &View<'_, T>) -> Self {
-        let rows = (0..view.height).step_by(SPACING_PX).map(|y| view.row(y));
-        let pairs = rows.flat_map(|row| row.windows(2).step_by(SPACING_PX));
+    fn of<T: Sample>(view: &View<'_, T>, spacing_px: usize) -> Self {
+        let rows = (0..view.height).step_by(spacing_px).map(|y| view.row(y));
+        let pairs = rows.flat_map(|row| row.windows(2).step_by(spacing_px));
         let pairs: Vec<[f32; 2]> = pairs.map(|pair| [pair[0].dn(), pair[1].dn()]).collect();
         let differences = pairs.iter().map(|[one, next]| f64::from(next - one).abs());
         let noise = median(differences).unwrap_or_default() * SIGMA_PER_MEDIAN / SQRT_2;

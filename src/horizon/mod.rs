@@ -28,7 +28,7 @@ mod sphere;
 pub use departure::Departure;
 pub use light::Levels;
 pub use nadir::{
-    Conic, EdgeHeight, EdgePoint, EdgeRay, Nadir, NadirError, nadir, pitch_deg, roll_deg,
+    Conic, EdgeHeight, EdgePoint, EdgeRay, EdgeRays, Nadir, NadirError, nadir, pitch_deg, roll_deg,
 };
 pub use overlay::overlay;
 pub use sphere::{Ellipsoid, Refraction, Sphere, half_angle_rad};
@@ -36,7 +36,7 @@ pub use sphere::{Ellipsoid, Refraction, Sphere, half_angle_rad};
 use crate::estimation::FitError;
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
-use crate::units::{Measured, Rejected};
+use crate::units::Rejected;
 use crate::with_view;
 use border::Binary;
 use consensus::consensus;
@@ -44,13 +44,14 @@ use light::Raster;
 use nadir::LEAST_WEIGHT;
 use nalgebra::{Rotation3, UnitVector3};
 use profile::Profiles;
+use std::slice::from_ref;
 
 /// Points of a border scatter by less.
 const BORDER_TOLERANCE_PX: f64 = 3.0;
 /// An edge whose height is to be found may stand so far off, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
 /// Profiles are read anew while the nadir moves by more, so often at most.
-const SETTLED_PX: f64 = 0.2;
+const SETTLED_PX: f64 = 0.5;
 const MOST_ROUNDS: usize = 4;
 /// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 0.1;
@@ -144,11 +145,9 @@ pub struct Solution {
     /// Places of the edge that are in view.
     pub places: usize,
     /// The edge where it is seen.
-    pub edge: Vec<EdgeRay>,
+    pub edge: EdgeRays,
     /// Share of the places with clouds in the limb.
     pub clouded: f64,
-    /// How well the edge's own definition is met, all around alike: 1 sigma.
-    pub edge_sigma_rad: f64,
     pub nadir: Result<Nadir, Stopped>,
 }
 
@@ -168,7 +167,7 @@ impl Solution {
 
     /// What a reader of the nadir should know; nothing of a frame that shows none.
     pub fn flags(&self) -> Vec<Flag> {
-        let (places, seen) = (self.places as f64, self.edge.len() as f64);
+        let (places, seen) = (self.places as f64, self.edge.rays.len() as f64);
         let told = [
             (Flag::Clouds, self.clouded),
             (Flag::OtherEdges, (seen - self.agreeing() as f64) / seen),
@@ -214,16 +213,14 @@ pub fn joint(
     sphere: &Sphere,
     cameras: &[(&Solution, Rotation3<f64>)],
 ) -> Result<Nadir, Stopped> {
-    let seen = || {
-        cameras
-            .iter()
-            .filter(|(solution, _)| solution.nadir.is_ok())
-    };
-    let rays: Vec<EdgeRay> = seen()
-        .flat_map(|(solution, turn)| solution.edge.iter().map(|ray| ray.turned(turn)))
+    let seen = cameras
+        .iter()
+        .filter(|(solution, _)| solution.nadir.is_ok());
+    let edges: Vec<EdgeRays> = seen
+        .map(|(solution, turn)| solution.edge.turned(turn))
         .collect();
-    let edge_sigma_rad = seen().map(|(solution, _)| solution.edge_sigma_rad);
-    fitted(settings, sphere, &rays, edge_sigma_rad.fold(0.0, f64::max))
+    let plain = nadir(&edges, sphere, settings.height, Departure::NONE).map_err(unfitted)?;
+    fitted(settings, sphere, &edges, &plain)
 }
 
 /// What a frame is searched with.
@@ -243,9 +240,8 @@ impl Search<'_> {
         let mut solution = Solution {
             levels: None,
             places: 0,
-            edge: Vec::new(),
+            edge: EdgeRays::default(),
             clouded: 0.0,
-            edge_sigma_rad: 0.0,
             nadir: Err(stopped(Stage::Light, "no_light", 0.0, 0.0)),
         };
         solution.nadir = self.stages(frame, view, near, &mut solution);
@@ -259,20 +255,16 @@ impl Search<'_> {
         near: Option<UnitVector3<f64>>,
         solution: &mut Solution,
     ) -> Result<Nadir, Stopped> {
-        let levels = Levels::of(frame).map_err(|rejected| (Stage::Light, rejected))?;
+        let levels =
+            Levels::of(frame, self.radius_px()).map_err(|rejected| (Stage::Light, rejected))?;
         solution.levels = Some(levels);
         let start = match near {
             Some(near) => near,
             None => self.detect(view, &levels)?,
         };
         let raster = Raster::of(view, self.camera);
-        let sphere = self.edge(view, &levels, &raster, start, solution)?;
-        let nadir = fitted(
-            self.settings,
-            &sphere,
-            &solution.edge,
-            solution.edge_sigma_rad,
-        )?;
+        let (sphere, plain) = self.edge(view, &levels, &raster, start, solution)?;
+        let nadir = fitted(self.settings, &sphere, from_ref(&solution.edge), &plain)?;
         enough(nadir.agreeing(), solution.places)?;
         raster
             .is_filled(self.sphere, &nadir.direction.unit, &levels)
@@ -286,8 +278,10 @@ impl Search<'_> {
         view: &View<'_, T>,
         levels: &Levels,
     ) -> Result<UnitVector3<f64>, Stopped> {
+        // Braun and Barf 2022, section 5: no ellipse of the cone lies between rows this far apart.
+        let spacing_px = (2.0 * self.radius_px()).clamp(2.0, view.height as f64) as usize;
         let threshold_dn = self.settings.threshold_dn.unwrap_or(levels.border_dn());
-        let arcs = Binary::new(view, threshold_dn, &self.camera.mask).arcs(self.row_spacing(view));
+        let arcs = Binary::new(view, threshold_dn, &self.camera.mask).arcs(spacing_px);
         let tolerance =
             self.tolerance_rad() + BORDER_TOLERANCE_PX / self.camera.lens.mean_focal_px();
         let half_angle_rad = self.sphere.half_angle_rad.value;
@@ -296,26 +290,29 @@ impl Search<'_> {
             let (found, limit) = (agreed.len() as f64, LEAST_PLACES as f64);
             return Err(stopped(Stage::Detection, "no_horizon", found, limit));
         }
-        let nadir = self.fit_as_sphere(self.sphere, &agreed)?;
-        Ok(nadir.direction.unit)
+        let edge = EdgeRays {
+            rays: agreed,
+            sigma_rad: 0.0,
+        };
+        Ok(self.fit_as_sphere(self.sphere, &edge)?.direction.unit)
     }
 
-    /// Braun and Barf 2022, section 5: no ellipse of the cone lies between rows this far apart.
-    fn row_spacing<T: Sample>(&self, view: &View<'_, T>) -> usize {
-        let radius_px = self.camera.lens.mean_focal_px() * self.sphere.half_angle_rad.value.tan();
-        (2.0 * radius_px).clamp(2.0, view.height as f64) as usize
+    /// The smallest radius of the sphere in the picture, wherever it is.
+    fn radius_px(&self) -> f64 {
+        self.camera.lens.mean_focal_px() * self.sphere.half_angle_rad.value.tan()
     }
 
     /// By how much the border of what is bright may lie off the edge.
     fn tolerance_rad(&self) -> f64 {
-        let height_rad = self.sphere.rad_per_m.unwrap_or(0.0) * FITTED_TOLERANCE_M;
+        let height_rad = self.sphere.rad_per_m() * FITTED_TOLERANCE_M;
         match self.settings.height {
             EdgeHeight::Given => self.sphere.tolerance_rad,
             EdgeHeight::Fitted => self.sphere.tolerance_rad.max(height_rad),
         }
     }
 
-    /// Reads the light across the edge until the nadir moves no more, and returns the sphere with the half-angle that it has then.
+    /// Reads the light across the edge until the nadir moves no more. Returns that nadir, as of an edge that does not depart from its sphere,
+    /// and the sphere it was fitted with.
     fn edge<T: Sample>(
         &self,
         view: &View<'_, T>,
@@ -323,20 +320,21 @@ impl Search<'_> {
         raster: &Raster,
         start: UnitVector3<f64>,
         solution: &mut Solution,
-    ) -> Result<Sphere, Stopped> {
+    ) -> Result<(Sphere, Nadir), Stopped> {
         let contrast_dn = LEAST_CONTRAST * (levels.bright_dn - levels.dark_dn);
         let least_dn = contrast_dn.max(LEAST_CONTRAST_SIGMAS * levels.noise_dn);
         let lens = &self.camera.lens;
         let profiles = |sphere: &Sphere, nadir: &UnitVector3<f64>| {
             Profiles::of(view, &self.camera.mask, lens, sphere, nadir)
         };
-        let rays = |points: &[EdgePoint]| -> Vec<EdgeRay> {
-            points
+        let rays = |points: &[EdgePoint], sigma_rad: f64| EdgeRays {
+            rays: points
                 .iter()
                 .filter_map(|point| EdgeRay::of(point, lens))
-                .collect()
+                .collect(),
+            sigma_rad,
         };
-        let crossings = rays(&profiles(self.sphere, &start).crossings(least_dn));
+        let crossings = rays(&profiles(self.sphere, &start).crossings(least_dn), 0.0);
         let mut nadir = self.fit_as_sphere(self.sphere, &crossings)?;
         let mut sphere = *self.sphere;
         for _ in 0..MOST_ROUNDS {
@@ -347,9 +345,9 @@ impl Search<'_> {
             let far_sky_dn = raster.far_sky_dn(&sphere, &last.direction.unit);
             let edge = profiles.edge(least_dn, levels.noise_dn, far_sky_dn);
             let edge = edge.ok_or_else(|| stopped(Stage::Edge, "no_limb", 0.0, 0.0))?;
-            solution.edge = rays(&edge.points);
-            (solution.edge_sigma_rad, solution.clouded) = (edge.sigma_rad, edge.clouded);
-            enough(solution.edge.len(), solution.places)?;
+            solution.edge = rays(&edge.points, edge.sigma_rad);
+            solution.clouded = edge.clouded;
+            enough(solution.edge.rays.len(), solution.places)?;
             nadir = self.fit_as_sphere(&sphere, &solution.edge)?;
             let turned_rad = nadir.direction.unit.angle(&last.direction.unit);
             let raised_rad = nadir.half_angle_rad.value - last.half_angle_rad.value;
@@ -357,45 +355,41 @@ impl Search<'_> {
                 break;
             }
         }
-        Ok(sphere)
+        Ok((sphere, nadir))
     }
 
     /// The nadir of an edge that does not depart from its sphere.
-    fn fit_as_sphere(&self, sphere: &Sphere, edge: &[EdgeRay]) -> Result<Nadir, Stopped> {
-        nadir(edge, sphere, self.settings.height, Departure::NONE).map_err(unfitted)
+    fn fit_as_sphere(&self, sphere: &Sphere, edge: &EdgeRays) -> Result<Nadir, Stopped> {
+        nadir(
+            from_ref(edge),
+            sphere,
+            self.settings.height,
+            Departure::NONE,
+        )
+        .map_err(unfitted)
     }
 }
 
-/// The nadir by the edge, whose departure from a sphere is found in the residuals unless it is stated.
+/// The nadir by the edge in one picture or more. How it departs from a sphere is found in what a plain fit leaves, unless it is stated.
 fn fitted(
     settings: &Settings,
     sphere: &Sphere,
-    edge: &[EdgeRay],
-    edge_sigma_rad: f64,
+    edges: &[EdgeRays],
+    plain: &Nadir,
 ) -> Result<Nadir, Stopped> {
-    let Measured { value, sigma } = sphere.half_angle_rad;
-    let sphere = Sphere {
-        half_angle_rad: Measured::new(value, sigma.hypot(edge_sigma_rad)),
-        ..*sphere
-    };
-    let fit = |departure| nadir(edge, &sphere, settings.height, departure).map_err(unfitted);
-    let departure = match settings.departure {
-        Some(stated) => stated,
-        None => departure(edge, &sphere, &fit(Departure::NONE)?),
-    };
-    fit(departure)
+    let found = || departure(edges, sphere, plain);
+    let departure = settings.departure.unwrap_or_else(found);
+    nadir(edges, sphere, settings.height, departure).map_err(unfitted)
 }
 
-fn departure(edge: &[EdgeRay], sphere: &Sphere, nadir: &Nadir) -> Departure {
+fn departure(edges: &[EdgeRays], sphere: &Sphere, nadir: &Nadir) -> Departure {
+    let down = &nadir.direction.unit;
     let raised_rad = nadir.half_angle_rad.value - sphere.half_angle_rad.value;
     let left = |ray: &EdgeRay| {
-        let expected = sphere.half_angle_towards(&ray.unit, &nadir.direction.unit) + raised_rad;
-        ray.angle_from(&nadir.direction.unit).0 - expected
+        ray.angle_from(down).0 - sphere.half_angle_towards(&ray.unit, down) - raised_rad
     };
-    let agreeing = edge
-        .iter()
-        .zip(&nadir.weights)
-        .filter(|(_, w)| **w > LEAST_WEIGHT);
+    let rays = edges.iter().flat_map(|edge| &edge.rays).zip(&nadir.weights);
+    let agreeing = rays.filter(|(_, weight)| **weight > LEAST_WEIGHT);
     let left: Vec<(&EdgeRay, f64)> = agreeing.map(|(ray, _)| (ray, left(ray))).collect();
     Departure::of_residuals(&left)
 }

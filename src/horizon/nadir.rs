@@ -10,12 +10,14 @@ use crate::estimation::{FitError, LeastSquares, Linearised, Loss, Prior, Scale, 
 use crate::geometry::attitude::Direction;
 use crate::geometry::camera::Camera;
 use crate::units::{Measured, SensorPx};
-use nalgebra::{Rotation3, RowVector3, UnitVector3, Vector1, Vector2, Vector3};
+use nalgebra::{Matrix3, Rotation3, RowVector3, UnitVector3, Vector1, Vector2, Vector3};
 
 /// Fewer rays determine no direction.
 const LEAST_RAYS: usize = 3;
 /// The half-angle that is fitted lies so near the given one, rad: 1 sigma, far more than any air makes.
 const FREE_RAD: f64 = 0.05;
+/// Brightness and blur, which say where a picture's light has its edge, change over such angles along it.
+const LIGHT_RAD: f64 = 20.0;
 /// A point of less weight is no part of the edge.
 pub(super) const LEAST_WEIGHT: f64 = 0.1;
 
@@ -90,25 +92,27 @@ pub enum NadirError {
     Fit(#[from] FitError),
 }
 
-/// The nadir by rays to the edge of a sphere. Rays that follow each other are neighbours on the edge.
+/// The nadir by the edge of a sphere in one picture, or in several at one time.
 ///
 /// # Errors
 /// Too few rays, or rays that determine no direction.
 pub fn nadir(
-    edge: &[EdgeRay],
+    pictures: &[EdgeRays],
     sphere: &Sphere,
     height: EdgeHeight,
     departure: Departure,
 ) -> Result<Nadir, NadirError> {
-    if edge.len() < LEAST_RAYS {
-        return Err(NadirError::Rays(edge.len()));
+    let edge = || pictures.iter().flat_map(|picture| &picture.rays);
+    let count = edge().count();
+    if count < LEAST_RAYS {
+        return Err(NadirError::Rays(count));
     }
     let given = sphere.half_angle_rad;
     let free_rad = match height {
         EdgeHeight::Given => 0.0,
         EdgeHeight::Fitted => FREE_RAD,
     };
-    let start = start(edge, given.value).ok_or(FitError::Undetermined)?;
+    let start = start(edge(), given.value).ok_or(FitError::Undetermined)?;
     let tangents = across(&start);
     let moved = |by: &Vector3<f64>| {
         UnitVector3::new_normalize(start.into_inner() + tangents * by.fixed_rows::<2>(0))
@@ -125,7 +129,7 @@ pub fn nadir(
                 jacobian: RowVector3::new(across.x, across.y, -free_rad) / sigma,
             }
         };
-        Some(edge.iter().map(row).collect::<Vec<_>>())
+        Some(edge().map(row).collect::<Vec<_>>())
     };
     let robust = LeastSquares {
         start: Vector3::zeros(),
@@ -140,26 +144,34 @@ pub fn nadir(
     };
     let fitted = robust.fit_after_plain(linearise)?;
     let rows = linearise(&fitted.parameters).unwrap_or_default();
-    let weighted = rows.iter().zip(&fitted.weights).zip(edge);
+    let weighted = rows.iter().zip(&fitted.weights).zip(edge());
     let gradients: Vec<(Vector3<f64>, &EdgeRay)> = weighted
         .map(|((row, weight), ray)| {
             let sigma = ray.sigma_rad.hypot(departure.sigma_rad);
             (row.jacobian.transpose() * (*weight / sigma), ray)
         })
         .collect();
-    // An error of a half-angle that is held is one of all rays.
-    let shared: Vector3<f64> = gradients.iter().map(|(gradient, _)| gradient).sum();
-    let shared_rad = match height {
+    let held_rad = match height {
         EdgeHeight::Given => given.sigma,
         EdgeHeight::Fitted => 0.0,
     };
-    let scatter = departure.scatter(&gradients) + shared * shared.transpose() * shared_rad.powi(2);
+    let noise = |(gradient, ray): &(Vector3<f64>, &EdgeRay)| {
+        gradient * gradient.transpose() * ray.sigma_rad.powi(2)
+    };
+    let mut scatter: Matrix3<f64> = gradients.iter().map(noise).sum();
+    scatter += departure.scatter(&gradients) + Departure::shared(held_rad).scatter(&gradients);
+    let mut left = &gradients[..];
+    for picture in pictures {
+        let (own, others) = left.split_at(picture.rays.len());
+        scatter += picture.light().scatter(own);
+        left = others;
+    }
     // The core has inflated each of the two already, and once is right.
     let covariance = fitted.covariance * scatter * fitted.covariance / fitted.scatter.powi(2);
     let unit = moved(&fitted.parameters);
     let half_angle_rad = Measured::new(
         given.value + fitted.parameters.z * free_rad,
-        shared_rad.hypot(covariance.m33.sqrt() * free_rad),
+        held_rad.hypot(covariance.m33.sqrt() * free_rad),
     );
     let across_rad2 = covariance.fixed_view::<2, 2>(0, 0);
     Ok(Nadir {
@@ -201,11 +213,11 @@ impl Nadir {
 
     /// By how much the edge that was found stands above the one that was given; `None` where it was held, or of a sphere without air.
     pub fn raised_m(&self, given: &Sphere) -> Option<Measured> {
-        let rad_per_m = given.rad_per_m?;
-        let raised_rad = self.half_angle_rad.value - given.half_angle_rad.value;
+        let distance_m = given.distance_m?;
+        let (found, held) = (self.half_angle_rad, given.half_angle_rad.value);
         let raised_m = Measured::new(
-            raised_rad / rad_per_m,
-            self.half_angle_rad.sigma / rad_per_m,
+            distance_m * (found.value.sin() - held.sin()),
+            distance_m * found.value.cos() * found.sigma,
         );
         (self.height == EdgeHeight::Fitted).then_some(raised_m)
     }
@@ -213,6 +225,37 @@ impl Nadir {
     /// Of the rays of the edge, how many are a part of it.
     pub fn agreeing(&self) -> usize {
         self.weights.iter().filter(|w| **w > LEAST_WEIGHT).count()
+    }
+}
+
+/// The edge in one picture. Rays that follow each other are neighbours.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EdgeRays {
+    pub rays: Vec<EdgeRay>,
+    /// 1 sigma of where a picture's light has its edge, which neighbours have alike.
+    pub sigma_rad: f64,
+}
+
+impl EdgeRays {
+    /// How a picture's light puts the edge too far out, or in.
+    fn light(&self) -> Departure {
+        Departure {
+            sigma_rad: self.sigma_rad,
+            length_rad: LIGHT_RAD,
+        }
+    }
+
+    /// The same edge in another frame.
+    pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
+        let turned = |ray: &EdgeRay| EdgeRay {
+            unit: rotation * ray.unit,
+            inward: rotation * ray.inward,
+            ..*ray
+        };
+        Self {
+            rays: self.rays.iter().map(turned).collect(),
+            sigma_rad: self.sigma_rad,
+        }
     }
 }
 
@@ -240,15 +283,6 @@ impl EdgeRay {
         })
     }
 
-    /// The ray in another frame.
-    pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
-        Self {
-            unit: rotation * self.unit,
-            inward: rotation * self.inward,
-            ..*self
-        }
-    }
-
     /// The angle from a nadir, rad, and its derivative by the nadir.
     pub fn angle_from(&self, nadir: &UnitVector3<f64>) -> (f64, Vector3<f64>) {
         let cosine = self.unit.dot(nadir);
@@ -258,10 +292,10 @@ impl EdgeRay {
 }
 
 /// Where each ray, and the side on which the sphere is seen, have the nadir.
-fn start(edge: &[EdgeRay], angle: f64) -> Option<UnitVector3<f64>> {
+fn start<'a>(edge: impl Iterator<Item = &'a EdgeRay>, angle: f64) -> Option<UnitVector3<f64>> {
     let (sine, cosine) = angle.sin_cos();
     let of_one = |ray: &EdgeRay| ray.unit.into_inner() * cosine + ray.inward * sine;
-    let sum: Vector3<f64> = edge.iter().map(of_one).sum();
+    let sum: Vector3<f64> = edge.map(of_one).sum();
     UnitVector3::try_new(sum, 0.0)
 }
 
@@ -358,12 +392,15 @@ mod tests {
         points
     }
 
-    fn rays(points: &[EdgePoint]) -> Vec<EdgeRay> {
+    fn rays(points: &[EdgePoint]) -> [EdgeRays; 1] {
         let camera = camera();
-        points
+        let rays = points
             .iter()
-            .map(|point| EdgeRay::of(point, &camera).unwrap())
-            .collect()
+            .map(|point| EdgeRay::of(point, &camera).unwrap());
+        [EdgeRays {
+            rays: rays.collect(),
+            sigma_rad: 0.0,
+        }]
     }
 
     /// The nadir of points on a sphere's edge.
@@ -516,7 +553,7 @@ mod tests {
     #[test]
     fn what_determines_no_direction_is_an_error() {
         let sphere = Sphere::disc(Measured::new(1.4, 0.0));
-        let of = |rays: &[EdgeRay]| nadir(rays, &sphere, EdgeHeight::Given, Departure::NONE);
+        let of = |rays: &[EdgeRays]| nadir(rays, &sphere, EdgeHeight::Given, Departure::NONE);
         assert_eq!(of(&[]), Err(NadirError::Rays(0)));
         let point = EdgePoint {
             at: SensorPx::new(100.0, 500.0),

@@ -40,7 +40,7 @@ pub fn overlay(
     }
     let weights = solution.nadir.iter().flat_map(|nadir| &nadir.weights);
     let weights = weights.copied().chain(std::iter::repeat(0.0));
-    for (point, weight) in solution.edge.iter().zip(weights) {
+    for (point, weight) in solution.edge.rays.iter().zip(weights) {
         let colour = if weight > LEAST_WEIGHT {
             Colour::YELLOW
         } else {
@@ -104,7 +104,7 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
             lines.push(format!(
                 "{} of {} points of the edge agree, {} places in view",
                 solution.agreeing(),
-                solution.edge.len(),
+                solution.edge.rays.len(),
                 solution.places,
             ));
         }

@@ -6,7 +6,7 @@
 
 use super::nadir::EdgePoint;
 use super::sphere::{Cone, Sphere};
-use crate::estimation::{QUARTILE_SIGMAS, median};
+use crate::estimation::median;
 use crate::frame::{Region, Sample, View};
 use crate::geometry::camera::Camera;
 use crate::units::{Measured, SensorPx};
@@ -15,29 +15,31 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// Distance of places along the edge; many overlap what noise leaves to tell.
-const SPACING_PX: f64 = 6.0;
+const SPACING_PX: f64 = 12.0;
 const LEAST_PLACES: usize = 96;
-const MOST_PLACES: usize = 1440;
+const MOST_PLACES: usize = 960;
 /// Samples of a profile to each side of the edge.
 const LEAST_SAMPLES: usize = 6;
-const MOST_SAMPLES: usize = 120;
+const MOST_SAMPLES: usize = 48;
 /// The outer part of a profile shows the dark sky.
 const SKY_SHARE: f64 = 0.15;
-/// Of the limb's brightness: clouds show in the profile where it is brighter.
-const CLOUDLESS: f64 = 0.82;
+/// Of the mean profile's brightness: clouds may show where it is brighter. They raise that brightness, too, and blur reaches above them.
+const CLOUDLESS: f64 = 0.7;
 /// Over a pixel's noise: a profile that fits less well has clouds in it.
 const CLOUDED: f64 = 1.25;
 const CLOUDED_SHARE: f64 = 0.05;
 /// Profiles and their mean are found in so many rounds.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 2;
 /// Places that are averaged, and the share of them that has no cloud, where the limb's brightness is read.
-const AVERAGED_PLACES: usize = 9;
-const CLOUDLESS_SHARE: f64 = 0.25;
+const AVERAGED_PLACES: usize = 5;
+/// Less, and the places that a flare or the Sun spoils would count.
+const CLOUDLESS_SHARE: f64 = 0.1;
+/// By so many sigmas noise makes the last of these places darker (normal distribution).
+const CLOUDLESS_SIGMAS: f64 = 1.282;
 /// The limb's brightness is known to this share of it.
-const BRIGHTNESS_SIGMA: f64 = 0.008;
-/// The darker places have clouds, too: 1 sigma over what the middle one is brighter, and over the share of places with clouds.
-const CLOUDS_LEFT: f64 = 2.0;
-const CLOUDED_SIGMA: f64 = 0.04;
+const BRIGHTNESS_SIGMA: f64 = 0.007;
+/// The darkest places may have clouds, too: 1 sigma, over what the middle one is brighter.
+const CLOUDS_LEFT: f64 = 0.6;
 /// Of the limb's brightness: light beyond the profile. More is glare.
 const MOST_BEYOND: f64 = 0.04;
 /// Noise of the light between four pixels over that of one, on average.
@@ -124,14 +126,10 @@ impl Profiles {
         let around = TAU * camera.mean_focal_px() * sphere.half_angle_rad.value.sin();
         let count = ((around / SPACING_PX) as usize).clamp(LEAST_PLACES, MOST_PLACES);
         let cone = Cone::new(sphere, nadir);
-        let is_seen = |place: &Place| {
-            [-(steps.inside as f64), 0.0, steps.outside as f64]
-                .iter()
-                .all(|t| is_inside(view, mask, place.at(*t)))
-        };
+        let is_seen = |at: SensorPx| is_inside(view, mask, at);
+        let around_rad = |n: usize| TAU * n as f64 / count as f64;
         let places: Vec<Place> = (0..count)
-            .filter_map(|n| place(&cone, camera, &steps, TAU * n as f64 / count as f64))
-            .filter(is_seen)
+            .filter_map(|n| place(&cone, camera, &steps, around_rad(n), is_seen))
             .collect();
         let mut light_dn = Vec::with_capacity(places.len() * length);
         for place in &places {
@@ -197,7 +195,7 @@ impl Profiles {
             let fits = LimbFits::new(&mean, self.edge, noise_dn)?;
             (limbs, clouded) = fits.limbs(self);
         }
-        let half = self.half_brightness(&limbs, clouded, &mean, noise_dn, far_sky_dn)?;
+        let half = self.half_brightness(&limbs, &mean, noise_dn, far_sky_dn)?;
         let brightness = median(limbs.iter().map(|limb| limb.brightness_dn))?;
         let least = least_contrast_dn.max(LEAST_BRIGHTNESS * brightness);
         let shows_edge =
@@ -248,11 +246,10 @@ impl Profiles {
     }
 
     /// Where the mean profile has half of the limb's brightness above the dark sky, in samples. The brightness is read where no cloud adds to
-    /// it: among the darker of the places, each averaged with its neighbours, and less what noise makes of the darker ones.
+    /// it: among the darkest of the places, each averaged with its neighbours, and less what noise makes of the darkest.
     fn half_brightness(
         &self,
         limbs: &[Limb],
-        clouded: f64,
         mean: &[f64],
         noise_dn: f64,
         far_sky_dn: Option<f64>,
@@ -274,7 +271,7 @@ impl Profiles {
             };
             (0..=self.edge).filter_map(at).reduce(f64::max)
         };
-        let cloudless = brightest(CLOUDLESS_SHARE)? + QUARTILE_SIGMAS * noise;
+        let cloudless = brightest(CLOUDLESS_SHARE)? + CLOUDLESS_SIGMAS * noise;
         let clouds = (brightest(0.5)? - cloudless).max(0.0);
         // The limb's light reaches beyond the profile, above all to a balloon, which has some air above itself.
         let sky_dn = median(limbs.iter().map(|limb| limb.dark_dn))?;
@@ -284,7 +281,7 @@ impl Profiles {
         let half = falls_through(&light, (cloudless - beyond) / 2.0)?;
         let n = (half as usize).clamp(1, mean.len() - 2);
         let fall = (mean[n - 1] - mean[n + 1]) / 2.0;
-        let left = CLOUDS_LEFT * clouds + CLOUDED_SIGMA * clouded;
+        let left = CLOUDS_LEFT * clouds;
         Some(Measured::new(
             half,
             left.hypot(BRIGHTNESS_SIGMA) / 2.0 / fall,
@@ -387,18 +384,21 @@ impl TemplateFit {
     }
 }
 
-/// The place of a cone's edge at an angle around the nadir; `None` beyond the limit of the lens.
-fn place(cone: &Cone<'_>, camera: &Camera, steps: &Steps, around_rad: f64) -> Option<Place> {
+/// The place of a cone's edge at an angle around the nadir; `None` where the ends or the middle of its profile are not seen.
+fn place(
+    cone: &Cone<'_>,
+    camera: &Camera,
+    steps: &Steps,
+    around_rad: f64,
+    is_seen: impl Fn(SensorPx) -> bool,
+) -> Option<Place> {
     let seen = |t: f64| {
-        Some(
-            camera
-                .pixel(&cone.ray(around_rad, t * steps.step_rad))?
-                .vector(),
-        )
+        let at = camera.pixel(&cone.ray(around_rad, t * steps.step_rad))?;
+        is_seen(at).then(|| at.vector())
     };
     let (low, high) = (-(steps.inside as f64), steps.outside as f64);
-    // The parabola through three pixels of the profile.
-    let (below, on, above) = (seen(low)?, seen(0.0)?, seen(high)?);
+    // The parabola through three pixels of the profile. Most places of a wide cone fail with the first.
+    let (on, below, above) = (seen(0.0)?, seen(low)?, seen(high)?);
     let (to_low, to_high) = ((below - on) / low, (above - on) / high);
     let curvature = (to_high - to_low) / (high - low);
     Some(Place {
@@ -420,8 +420,12 @@ fn is_inside<T>(view: &View<'_, T>, mask: &[Region], at: SensorPx) -> bool {
 fn interpolated<T: Sample>(view: &View<'_, T>, at: SensorPx) -> f32 {
     let (x, y) = (at.x as usize, at.y as usize);
     let (fx, fy) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
-    let along = |row: &[T]| row[x].dn() * (1.0 - fx) + row[x + 1].dn() * fx;
-    along(view.row(y)) * (1.0 - fy) + along(view.row(y + 1)) * fy
+    let along = |row: &[T]| {
+        let pair = &row[x..x + 2];
+        pair[0].dn() + (pair[1].dn() - pair[0].dn()) * fx
+    };
+    let (above, below) = (along(view.row(y)), along(view.row(y + 1)));
+    above + (below - above) * fy
 }
 
 fn mean(light: &[f32]) -> f64 {

@@ -3,7 +3,7 @@
 use crate::units::{EARTH_RADIUS_M, Measured, Place};
 use nalgebra::{Matrix3, Matrix3x2, UnitVector3, Vector2, Vector3};
 use sofars::coords::{eform, gd2gc};
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 
 /// The light of the Earth's limb falls off over these heights about its edge, m. Inside, clouds follow; outside, the sky is dark.
 const LIMB_INSIDE_M: f64 = 20_000.0;
@@ -51,8 +51,8 @@ pub struct Sphere {
     pub outside_rad: f64,
     /// By how much the border of what is bright may lie off the edge.
     pub tolerance_rad: f64,
-    /// Change of the half-angle with the edge's height; `None` of a sphere with a sharp edge.
-    pub rad_per_m: Option<f64>,
+    /// Of the camera from the centre; `None` of a sphere whose edge has no height.
+    pub distance_m: Option<f64>,
 }
 
 impl Sphere {
@@ -66,7 +66,7 @@ impl Sphere {
             inside_rad: (LIMB_INSIDE_M * rad_per_m).min(half_angle_rad.value / 2.0),
             outside_rad: LIMB_OUTSIDE_M * rad_per_m,
             tolerance_rad: BORDER_HEIGHT_M * rad_per_m,
-            rad_per_m: Some(rad_per_m),
+            distance_m: Some(EARTH_RADIUS_M + height_m.value),
         })
     }
 
@@ -102,7 +102,7 @@ impl Sphere {
             inside_rad: 0.0,
             outside_rad: 0.0,
             tolerance_rad: 0.0,
-            rad_per_m: None,
+            distance_m: None,
         }
     }
 
@@ -112,13 +112,10 @@ impl Sphere {
         self.half_angle_rad.value + self.ellipsoid.map_or(0.0, departure)
     }
 
-    /// The same sphere whose edge stands by some angle further out.
-    pub fn raised(&self, by_rad: f64) -> Self {
-        let Measured { value, sigma } = self.half_angle_rad;
-        Self {
-            half_angle_rad: Measured::new((value + by_rad).clamp(0.0, FRAC_PI_2), sigma),
-            ..*self
-        }
+    /// Change of the half-angle with the edge's height.
+    pub(super) fn rad_per_m(&self) -> f64 {
+        let per_m = |distance_m: f64| 1.0 / (distance_m * self.half_angle_rad.value.cos());
+        self.distance_m.map_or(0.0, per_m)
     }
 }
 

@@ -125,7 +125,7 @@ impl Record {
         let stopped = solution.nadir.as_ref().err();
         let record = Self {
             quality: solution.quality().name(),
-            edge_points: solution.edge.len(),
+            edge_points: solution.edge.rays.len(),
             agreeing_points: solution.agreeing(),
             ..Self::none(file, stopped, time)
         };
