@@ -20,6 +20,7 @@ mod fuzz_seeds;
 mod gige;
 mod gondola_path;
 mod horizon;
+mod horizon_sensitivity;
 mod identification;
 mod imports;
 mod limb;

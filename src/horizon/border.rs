@@ -4,7 +4,7 @@
 //! two looks at a pixel for each step, so that a horizon costs thousands of pixels and not the millions of the picture. It is
 //! met first at the picture's edge or on one of a few rows (Braun and Barf 2022, sections 3.1 and 5).
 
-use super::nadir::EdgePoint;
+use super::edge::EdgePoint;
 use crate::frame::{Region, Sample, View};
 use crate::units::SensorPx;
 use nalgebra::Vector2;

@@ -5,9 +5,9 @@
 //! angle from the axis lies at tan(angle / 2), every cone of rays is a circle, so that the border is taken there first.
 
 use super::border::Binary;
+use super::edge::EdgeRay;
 use super::light::Levels;
-use super::nadir::EdgeRay;
-use super::{LEAST_PLACES, Settings, Sphere, Stage, Stopped, stopped};
+use super::{LEAST_PLACES, Settings, Sphere, Stage, Stopped, no_horizon, stopped};
 use crate::estimation::{median, regression};
 use crate::frame::{Frame, Region};
 use crate::instrument::DirectionCamera;
@@ -128,10 +128,6 @@ fn in_part(
     sphere: &Sphere,
     region: Region,
 ) -> Result<Circle, Stopped> {
-    let no_horizon = |points: usize| {
-        let limit = LEAST_PLACES as f64;
-        stopped(Stage::Detection, "no_horizon", points as f64, limit)
-    };
     let part = frame.cropped(region).ok_or_else(|| no_horizon(0))?;
     let radius_px = camera.lens.mean_focal_px() * sphere.half_angle_rad.value.tan();
     let levels = Levels::of(&part, radius_px).map_err(|rejected| (Stage::Light, rejected))?;

@@ -1,7 +1,7 @@
 //! Which points lie on one sphere's edge: RANSAC (Fischler and Bolles 1981; Braun and Barf 2022, section 3.6) with the cone's half-angle
 //! known, so that two points and their bright sides tell the nadir.
 
-use super::nadir::{EdgePoint, EdgeRay};
+use super::edge::{EdgePoint, EdgeRay};
 use crate::geometry::camera::Camera;
 use nalgebra::UnitVector3;
 
@@ -15,13 +15,13 @@ const MOST_JUDGES: usize = 200;
 /// Cosine of the angle by which the bright side may lie off the direction to the nadir.
 const LEAST_SAME_SIDE: f64 = 0.8;
 
-/// Of some points of all arcs, those that agree with the best nadir. Arcs anywhere in the picture are of one cone.
+/// The nadir with which most of some points of all arcs agree, and how many these are. Arcs anywhere in the picture are of one cone.
 pub(super) fn consensus(
     arcs: &[Vec<EdgePoint>],
     camera: &Camera,
     half_angle_rad: f64,
     tolerance_rad: f64,
-) -> Vec<EdgeRay> {
+) -> Option<(UnitVector3<f64>, usize)> {
     let mut rays: Vec<Vec<EdgeRay>> = arcs
         .iter()
         .map(|arc| arc.iter().filter_map(|p| EdgeRay::of(p, camera)).collect())
@@ -39,9 +39,11 @@ pub(super) fn consensus(
         .iter()
         .take(MOST_ARCS)
         .flat_map(|arc| guesses(arc, &cone));
-    let best = guesses.max_by_key(|nadir| judges.iter().filter(|ray| cone.has(nadir, ray)).count());
-    let agreeing = |best: UnitVector3<f64>| judges.iter().filter(move |ray| cone.has(&best, ray));
-    best.map_or_else(Vec::new, |best| agreeing(best).copied().collect())
+    let agreeing =
+        |nadir: &UnitVector3<f64>| judges.iter().filter(|ray| cone.has(nadir, ray)).count();
+    guesses
+        .map(|nadir| (nadir, agreeing(&nadir)))
+        .max_by_key(|(_, count)| *count)
 }
 
 /// A cone about an unknown nadir.

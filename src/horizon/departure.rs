@@ -1,6 +1,6 @@
 //! How the limb departs from the sphere: neighbours do alike.
 
-use super::nadir::EdgeRay;
+use super::edge::EdgeRay;
 use crate::estimation::median;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::E;
@@ -41,11 +41,11 @@ impl Departure {
             pairs.map(|((_, one), (_, other))| one * other).sum::<f64>() / left.len() as f64
         };
         // Noise differs from one place to the next; what neighbours share is the limb's. The mean of so many products is uncertain, and the
-        // limb may hide in that.
-        let hidden = together(0) / ((SHARED_PLACES * left.len()) as f64).sqrt();
+        // limb may hide in that: it counts as half a sigma larger.
+        let hidden = together(0) / ((SHARED_PLACES * left.len()) as f64).sqrt() / 2.0;
         let shared = |lag: usize| {
             let lags = lag..lag + SHARED_PLACES;
-            lags.map(together).sum::<f64>() / SHARED_PLACES as f64
+            lags.map(together).sum::<f64>() / SHARED_PLACES as f64 + hidden
         };
         let variance = shared(1).max(hidden);
         let steps = left.windows(2);

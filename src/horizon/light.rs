@@ -92,7 +92,7 @@ impl Levels {
     }
 }
 
-/// Some of the pixels, their mean, and their noise by the difference from their neighbours.
+/// Some of the pixels, their mean, and the brighter ones' noise by the difference from their neighbours.
 struct Sampled {
     pixels: Vec<f32>,
     mean: f64,
@@ -104,14 +104,16 @@ impl Sampled {
         let rows = (0..view.height).step_by(spacing_px).map(|y| view.row(y));
         let pairs = rows.flat_map(|row| row.windows(2).step_by(spacing_px));
         let pairs: Vec<[f32; 2]> = pairs.map(|pair| [pair[0].dn(), pair[1].dn()]).collect();
-        let differences = pairs.iter().map(|[one, next]| f64::from(next - one).abs());
+        let mean = pairs.iter().map(|[one, _]| f64::from(*one)).sum::<f64>() / pairs.len() as f64;
+        // Light has noise of its own, and the dark sky may have lost some at the bottom of the scale.
+        let bright = pairs.iter().filter(|[one, _]| f64::from(*one) >= mean);
+        let differences = bright.map(|[one, next]| f64::from(next - one).abs());
         let noise = median(differences).unwrap_or_default() * SIGMA_PER_MEDIAN / SQRT_2;
-        let pixels: Vec<f32> = pairs.iter().map(|[one, _]| *one).collect();
         Self {
-            mean: pixels.iter().map(|dn| f64::from(*dn)).sum::<f64>() / pixels.len() as f64,
+            mean,
+            pixels: pairs.iter().map(|[one, _]| *one).collect(),
             // Of whole numbers, half a one at the least.
             noise_dn: noise.max(0.5),
-            pixels,
         }
     }
 }

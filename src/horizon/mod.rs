@@ -19,6 +19,7 @@ mod border;
 pub mod circle;
 mod consensus;
 mod departure;
+mod edge;
 mod light;
 mod nadir;
 mod overlay;
@@ -26,10 +27,9 @@ mod profile;
 mod sphere;
 
 pub use departure::Departure;
+pub use edge::{EdgePoint, EdgeRay, EdgeRays};
 pub use light::Levels;
-pub use nadir::{
-    Conic, EdgeHeight, EdgePoint, EdgeRay, EdgeRays, Nadir, NadirError, nadir, pitch_deg, roll_deg,
-};
+pub use nadir::{Conic, EdgeHeight, Nadir, NadirError, nadir, pitch_deg, roll_deg};
 pub use overlay::overlay;
 pub use sphere::{Ellipsoid, Refraction, Sphere, half_angle_rad};
 
@@ -51,7 +51,7 @@ const BORDER_TOLERANCE_PX: f64 = 3.0;
 /// An edge whose height is to be found may stand so far off, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
 /// Profiles are read anew while the nadir moves by more, so often at most.
-const SETTLED_PX: f64 = 0.5;
+const SETTLED_PX: f64 = 0.2;
 const MOST_ROUNDS: usize = 4;
 /// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 0.1;
@@ -285,16 +285,12 @@ impl Search<'_> {
         let tolerance =
             self.tolerance_rad() + BORDER_TOLERANCE_PX / self.camera.lens.mean_focal_px();
         let half_angle_rad = self.sphere.half_angle_rad.value;
-        let agreed = consensus(&arcs, &self.camera.lens, half_angle_rad, tolerance);
-        if agreed.len() < LEAST_PLACES {
-            let (found, limit) = (agreed.len() as f64, LEAST_PLACES as f64);
-            return Err(stopped(Stage::Detection, "no_horizon", found, limit));
+        let (nadir, agreeing) = consensus(&arcs, &self.camera.lens, half_angle_rad, tolerance)
+            .ok_or_else(|| no_horizon(0))?;
+        match agreeing >= LEAST_PLACES {
+            true => Ok(nadir),
+            false => Err(no_horizon(agreeing)),
         }
-        let edge = EdgeRays {
-            rays: agreed,
-            sigma_rad: 0.0,
-        };
-        Ok(self.fit_as_sphere(self.sphere, &edge)?.direction.unit)
     }
 
     /// The smallest radius of the sphere in the picture, wherever it is.
@@ -405,6 +401,12 @@ fn enough(seen: usize, places: usize) -> Result<(), Stopped> {
             least as f64,
         )),
     }
+}
+
+/// Too few points of borders agree.
+fn no_horizon(points: usize) -> Stopped {
+    let limit = LEAST_PLACES as f64;
+    stopped(Stage::Detection, "no_horizon", points as f64, limit)
 }
 
 fn unfitted(error: NadirError) -> Stopped {

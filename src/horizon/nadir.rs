@@ -5,31 +5,21 @@
 //! arc is short. A third one, the half-angle, is held unless it is asked for.
 
 use super::departure::Departure;
+use super::edge::{EdgeRay, EdgeRays};
 use super::sphere::{Sphere, across};
 use crate::estimation::{FitError, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::geometry::attitude::Direction;
-use crate::geometry::camera::Camera;
-use crate::units::{Measured, SensorPx};
-use nalgebra::{Matrix3, Rotation3, RowVector3, UnitVector3, Vector1, Vector2, Vector3};
+use crate::units::Measured;
+use nalgebra::{Matrix3, RowVector3, UnitVector3, Vector1, Vector3};
 
 /// Fewer rays determine no direction.
 const LEAST_RAYS: usize = 3;
 /// The half-angle that is fitted lies so near the given one, rad: 1 sigma, far more than any air makes.
 const FREE_RAD: f64 = 0.05;
 /// Brightness and blur, which say where a picture's light has its edge, change over such angles along it.
-const LIGHT_RAD: f64 = 20.0;
+const LIGHT_RAD: f64 = 50.0;
 /// A point of less weight is no part of the edge.
 pub(super) const LEAST_WEIGHT: f64 = 0.1;
-
-/// A point of the edge.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EdgePoint {
-    pub at: SensorPx,
-    /// Unit vector in the image across the edge, towards the sphere.
-    pub inward: Vector2<f64>,
-    /// 1 sigma across the edge, by the camera's noise alone, px.
-    pub sigma_px: f64,
-}
 
 /// Whether the height of the edge is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -140,7 +130,7 @@ pub fn nadir(
         },
         loss: Loss::Tukey(TUKEY_SIGMAS),
         scale: Scale::Inflated,
-        tolerance_sigmas: 1e-4,
+        tolerance_sigmas: 1e-2,
     };
     let fitted = robust.fit_after_plain(linearise)?;
     let rows = linearise(&fitted.parameters).unwrap_or_default();
@@ -163,7 +153,7 @@ pub fn nadir(
     let mut left = &gradients[..];
     for picture in pictures {
         let (own, others) = left.split_at(picture.rays.len());
-        scatter += picture.light().scatter(own);
+        scatter += light(picture).scatter(own);
         left = others;
     }
     // The core has inflated each of the two already, and once is right.
@@ -228,66 +218,11 @@ impl Nadir {
     }
 }
 
-/// The edge in one picture. Rays that follow each other are neighbours.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct EdgeRays {
-    pub rays: Vec<EdgeRay>,
-    /// 1 sigma of where a picture's light has its edge, which neighbours have alike.
-    pub sigma_rad: f64,
-}
-
-impl EdgeRays {
-    /// How a picture's light puts the edge too far out, or in.
-    fn light(&self) -> Departure {
-        Departure {
-            sigma_rad: self.sigma_rad,
-            length_rad: LIGHT_RAD,
-        }
-    }
-
-    /// The same edge in another frame.
-    pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
-        let turned = |ray: &EdgeRay| EdgeRay {
-            unit: rotation * ray.unit,
-            inward: rotation * ray.inward,
-            ..*ray
-        };
-        Self {
-            rays: self.rays.iter().map(turned).collect(),
-            sigma_rad: self.sigma_rad,
-        }
-    }
-}
-
-/// A ray to the edge, in the frame of the camera or of the vehicle's body.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EdgeRay {
-    pub at: SensorPx,
-    pub unit: UnitVector3<f64>,
-    /// Unit vector across the ray, towards the sphere.
-    pub inward: Vector3<f64>,
-    /// 1 sigma of the ray across the edge, by the camera's noise alone.
-    pub sigma_rad: f64,
-}
-
-impl EdgeRay {
-    /// `None` beyond the limit of the lens.
-    pub fn of(point: &EdgePoint, camera: &Camera) -> Option<Self> {
-        let unit = camera.ray(point.at)?;
-        let across = camera.ray_jacobian(point.at)? * point.inward;
-        Some(Self {
-            at: point.at,
-            unit,
-            inward: across.try_normalize(0.0)?,
-            sigma_rad: across.norm() * point.sigma_px,
-        })
-    }
-
-    /// The angle from a nadir, rad, and its derivative by the nadir.
-    pub fn angle_from(&self, nadir: &UnitVector3<f64>) -> (f64, Vector3<f64>) {
-        let cosine = self.unit.dot(nadir);
-        let across = nadir.cross(&self.unit).norm();
-        (across.atan2(cosine), -self.unit.into_inner() / across)
+/// How a picture's light puts the edge too far out, or in.
+fn light(picture: &EdgeRays) -> Departure {
+    Departure {
+        sigma_rad: picture.sigma_rad,
+        length_rad: LIGHT_RAD,
     }
 }
 
@@ -302,9 +237,11 @@ fn start<'a>(edge: impl Iterator<Item = &'a EdgeRay>, angle: f64) -> Option<Unit
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::camera::Lens;
+    use crate::geometry::camera::{Camera, Lens};
+    use crate::horizon::EdgePoint;
     use crate::horizon::{Refraction, half_angle_rad};
-    use nalgebra::Matrix2;
+    use crate::units::SensorPx;
+    use nalgebra::{Matrix2, Rotation3, Vector2};
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
     use rand_xoshiro::Xoshiro256PlusPlus;

@@ -4,7 +4,7 @@
 //! it, so that half is found in two steps: the frame's mean profile tells where half is, and each place is held against that profile
 //! where no cloud reaches, with a darkness, a brightness and a shift of its own.
 
-use super::nadir::EdgePoint;
+use super::edge::EdgePoint;
 use super::sphere::{Cone, Sphere};
 use crate::estimation::median;
 use crate::frame::{Region, Sample, View};
@@ -37,7 +37,7 @@ const CLOUDLESS_SHARE: f64 = 0.1;
 /// By so many sigmas noise makes the last of these places darker (normal distribution).
 const CLOUDLESS_SIGMAS: f64 = 1.282;
 /// The limb's brightness is known to this share of it.
-const BRIGHTNESS_SIGMA: f64 = 0.007;
+const BRIGHTNESS_SIGMA: f64 = 0.005;
 /// The darkest places may have clouds, too: 1 sigma, over what the middle one is brighter.
 const CLOUDS_LEFT: f64 = 0.6;
 /// Of the limb's brightness: light beyond the profile. More is glare.

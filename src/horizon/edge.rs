@@ -1,0 +1,70 @@
+//! Points of the edge in a picture, and the rays to them.
+
+use crate::geometry::camera::Camera;
+use crate::units::SensorPx;
+use nalgebra::{Rotation3, UnitVector3, Vector2, Vector3};
+
+/// A point of the edge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EdgePoint {
+    pub at: SensorPx,
+    /// Unit vector in the image across the edge, towards the sphere.
+    pub inward: Vector2<f64>,
+    /// 1 sigma across the edge, by the camera's noise alone, px.
+    pub sigma_px: f64,
+}
+
+/// The edge in one picture. Rays that follow each other are neighbours.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EdgeRays {
+    pub rays: Vec<EdgeRay>,
+    /// 1 sigma of where a picture's light has its edge, which neighbours have alike.
+    pub sigma_rad: f64,
+}
+
+impl EdgeRays {
+    /// The same edge in another frame.
+    pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
+        let turned = |ray: &EdgeRay| EdgeRay {
+            unit: rotation * ray.unit,
+            inward: rotation * ray.inward,
+            ..*ray
+        };
+        Self {
+            rays: self.rays.iter().map(turned).collect(),
+            sigma_rad: self.sigma_rad,
+        }
+    }
+}
+
+/// A ray to the edge, in the frame of the camera or of the vehicle's body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EdgeRay {
+    pub at: SensorPx,
+    pub unit: UnitVector3<f64>,
+    /// Unit vector across the ray, towards the sphere.
+    pub inward: Vector3<f64>,
+    /// 1 sigma of the ray across the edge, by the camera's noise alone.
+    pub sigma_rad: f64,
+}
+
+impl EdgeRay {
+    /// `None` beyond the limit of the lens.
+    pub fn of(point: &EdgePoint, camera: &Camera) -> Option<Self> {
+        let unit = camera.ray(point.at)?;
+        let across = camera.ray_jacobian(point.at)? * point.inward;
+        Some(Self {
+            at: point.at,
+            unit,
+            inward: across.try_normalize(0.0)?,
+            sigma_rad: across.norm() * point.sigma_px,
+        })
+    }
+
+    /// The angle from a nadir, rad, and its derivative by the nadir.
+    pub fn angle_from(&self, nadir: &UnitVector3<f64>) -> (f64, Vector3<f64>) {
+        let cosine = self.unit.dot(nadir);
+        let across = nadir.cross(&self.unit).norm();
+        (across.atan2(cosine), -self.unit.into_inner() / across)
+    }
+}

@@ -1,0 +1,154 @@
+//! How well an edge tells roll and pitch, by height, field, resolution and atmosphere: Braun and Barf 2022, section 4, figures 19 to 22.
+
+use nalgebra::{UnitVector3, Vector3};
+use solaspect::geometry::camera::Camera;
+use solaspect::horizon::{
+    Departure, EdgeHeight, EdgePoint, EdgeRay, EdgeRays, Refraction, Sphere, nadir,
+};
+use solaspect::report::plot::{Curve, Labels, Stroke, curves};
+use solaspect::units::{Measured, SensorPx};
+use std::f64::consts::TAU;
+
+/// A camera that looks level, ahead.
+#[derive(Clone, Copy)]
+struct Case {
+    height_km: f64,
+    field_deg: f64,
+    rows: f64,
+    atmosphere_km: f64,
+}
+
+const USUAL: Case = Case {
+    height_km: 200.0,
+    field_deg: 94.4,
+    rows: 1080.0,
+    atmosphere_km: 0.0,
+};
+
+/// The edge's errors, as the paper's figure 18 has them: 1 px, alike over 300 px of a picture of 1080 rows.
+const NOISE_PX: f64 = 1.0;
+const ALIKE_ROWS: f64 = 300.0 / 1080.0;
+/// Points of the whole edge, in view or not.
+const POINTS: u32 = 4000;
+
+impl Case {
+    /// 1 sigma of roll and pitch, deg; `None` of an edge that is not in view.
+    fn errors_deg(&self) -> Option<[f64; 2]> {
+        let width = self.rows * 16.0 / 9.0;
+        let focal_px = width / 2.0 / (self.field_deg / 2.0).to_radians().tan();
+        let middle = SensorPx::new((width - 1.0) / 2.0, (self.rows - 1.0) / 2.0);
+        let camera = Camera::rectilinear(focal_px, middle);
+        let exact = |km: f64| Measured::new(km * 1e3, 0.0);
+        let (height, edge) = (exact(self.height_km), exact(self.atmosphere_km));
+        let sphere = Sphere::earth(height, edge, Refraction::None)?;
+        let angle = sphere.half_angle_rad.value;
+        let point = |n: u32| {
+            let around = f64::from(n) / f64::from(POINTS) * TAU;
+            let at = |angle: f64| {
+                let level = Vector3::new(around.cos(), 0.0, around.sin());
+                let ray = Vector3::y() * angle.cos() + level * angle.sin();
+                camera.pixel(&UnitVector3::new_normalize(ray))
+            };
+            let (on, inside) = (at(angle)?, at(angle - 1e-4)?);
+            let in_view = (0.0..width).contains(&on.x) && (0.0..self.rows).contains(&on.y);
+            let inward = (inside.vector() - on.vector()).normalize();
+            let point = EdgePoint {
+                at: on,
+                inward,
+                sigma_px: 0.01,
+            };
+            in_view.then(|| EdgeRay::of(&point, &camera)).flatten()
+        };
+        let edge = EdgeRays {
+            rays: (0..POINTS).filter_map(point).collect(),
+            sigma_rad: 0.0,
+        };
+        let departure = Departure {
+            sigma_rad: NOISE_PX / focal_px,
+            length_rad: ALIKE_ROWS * self.rows / focal_px,
+        };
+        let found = nadir(&[edge], &sphere, EdgeHeight::Given, departure).ok()?;
+        let covariance = found.direction.covariance_rad2;
+        Some([covariance.m11, covariance.m33].map(|variance| variance.sqrt().to_degrees()))
+    }
+}
+
+/// A figure of the paper: a case for each value on its axis.
+fn figure(name: &str, axis: &str, values: &[f64], case: impl Fn(f64) -> Case) -> Vec<[f64; 2]> {
+    let errors: Vec<[f64; 2]> = values
+        .iter()
+        .map(|v| case(*v).errors_deg().unwrap())
+        .collect();
+    if std::env::var_os("SOLASPECT_WRITE_DOCS").is_some() {
+        let curve = |name: &str, of: usize| Curve {
+            name: name.into(),
+            points: values
+                .iter()
+                .zip(&errors)
+                .map(|(v, e)| (*v, e[of]))
+                .collect(),
+            stroke: Stroke::Measured,
+        };
+        let title = "an edge with errors of 1 px";
+        let labels = Labels::new(title, axis, "1 sigma, deg");
+        let svg = curves(&labels, &[curve("roll", 0), curve("pitch", 1)]).unwrap();
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/horizon");
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join(format!("{name}.svg")), svg).unwrap();
+    }
+    errors
+}
+
+fn ratio(errors: &[[f64; 2]], of: usize) -> f64 {
+    let (first, last) = (errors.first().unwrap(), errors.last().unwrap());
+    last[of] / first[of]
+}
+
+#[test]
+fn roll_and_pitch_hardly_depend_on_the_height() {
+    let heights = [30.0, 50.0, 80.0, 120.0, 200.0, 300.0, 500.0];
+    let errors = figure("height", "height, km", &heights, |height_km| Case {
+        height_km,
+        ..USUAL
+    });
+    // From 50 km on, as the paper has it; roll grows a little better.
+    assert!((0.5..1.05).contains(&ratio(&errors[1..], 0)), "{errors:?}");
+    assert!((0.6..1.5).contains(&ratio(&errors[1..], 1)), "{errors:?}");
+}
+
+#[test]
+fn a_wider_field_on_as_many_pixels_costs_accuracy() {
+    // The paper has pitch independent of the field and roll best at 118 deg. With errors in pixels, which grow with the field, both fall
+    // behind.
+    let fields = [65.0, 80.0, 94.4, 105.0, 118.0, 130.0, 140.0, 150.0];
+    let errors = figure("field", "field across, deg", &fields, |field_deg| Case {
+        field_deg,
+        ..USUAL
+    });
+    assert!(
+        errors.windows(2).all(|pair| pair[0] < pair[1]),
+        "{errors:?}"
+    );
+}
+
+#[test]
+fn errors_fall_as_the_resolution_grows() {
+    let rows = [240.0, 480.0, 720.0, 1080.0, 2160.0];
+    let errors = figure("resolution", "rows", &rows, |rows| Case { rows, ..USUAL });
+    for of in 0..2 {
+        assert!((0.1..0.13).contains(&ratio(&errors, of)), "{errors:?}");
+    }
+}
+
+#[test]
+fn the_thickness_of_the_atmosphere_does_not_matter() {
+    let thickness = [1.0, 5.0, 10.0, 20.0, 40.0];
+    let name = "thickness of the atmosphere, km";
+    let errors = figure("atmosphere", name, &thickness, |atmosphere_km| Case {
+        atmosphere_km,
+        ..USUAL
+    });
+    for of in 0..2 {
+        assert!((0.9..1.1).contains(&ratio(&errors, of)), "{errors:?}");
+    }
+}
