@@ -36,6 +36,10 @@ const AVERAGED_PLACES: usize = 5;
 const CLOUDLESS_SHARE: f64 = 0.1;
 /// By so many sigmas noise makes the last of these places darker (normal distribution).
 const CLOUDLESS_SIGMAS: f64 = 1.282;
+/// 1 sigma of the usual blur of lens, pixels and interpolation.
+const BLUR_PX: f64 = 0.9;
+/// What blur takes from the limb's peak is known to this share of it.
+const BLUR_SIGMA: f64 = 0.5;
 /// The limb's brightness is known to this share of it.
 const BRIGHTNESS_SIGMA: f64 = 0.005;
 /// The darkest places may have clouds, too: 1 sigma, over what the middle one is brighter.
@@ -89,6 +93,7 @@ pub(super) struct Profiles {
     length: usize,
     edge: usize,
     step_rad: f64,
+    step_px: f64,
 }
 
 /// Where to look across the edge.
@@ -142,6 +147,7 @@ impl Profiles {
             length,
             edge: steps.inside,
             step_rad: steps.step_rad,
+            step_px: steps.step_rad * camera.mean_focal_px(),
         }
     }
 
@@ -278,14 +284,26 @@ impl Profiles {
         let beyond = far_sky_dn.map_or(0.0, |far_dn| (sky_dn - far_dn) / limb_dn);
         let beyond = beyond.clamp(0.0, MOST_BEYOND);
         let light: Vec<f32> = mean.iter().map(|v| *v as f32).collect();
-        let half = falls_through(&light, (cloudless - beyond) / 2.0)?;
+        let blurred = self.taken_by_blur(mean);
+        let half = falls_through(&light, (cloudless + blurred - beyond) / 2.0)?;
         let n = (half as usize).clamp(1, mean.len() - 2);
         let fall = (mean[n - 1] - mean[n + 1]) / 2.0;
-        let left = CLOUDS_LEFT * clouds;
+        let left = (CLOUDS_LEFT * clouds).hypot(BLUR_SIGMA * blurred);
         Some(Measured::new(
             half,
             left.hypot(BRIGHTNESS_SIGMA) / 2.0 / fall,
         ))
+    }
+
+    /// What blur has taken from the peak of a profile: as much, for its variance, as more blur takes again.
+    fn taken_by_blur(&self, mean: &[f64]) -> f64 {
+        // Of the weights 1/4, 1/2, 1/4, in steps.
+        const VARIANCE: f64 = 0.5;
+        let inner = 1..=self.edge.min(mean.len().saturating_sub(2));
+        let peak = inner.max_by(|a, b| mean[*a].total_cmp(&mean[*b]));
+        let taken = |n: usize| mean[n] - (mean[n - 1] + 2.0 * mean[n] + mean[n + 1]) / 4.0;
+        let blur_steps = BLUR_PX / self.step_px;
+        peak.map_or(0.0, |n| taken(n).max(0.0) * blur_steps.powi(2) / VARIANCE)
     }
 }
 

@@ -51,8 +51,9 @@ pub(super) fn by_camera(
 /// The frames of two cameras by the moments they belong to, each camera's at its place.
 pub(super) fn matched(frames: [&[PathBuf]; 2]) -> Vec<[Option<PathBuf>; 2]> {
     let [first, second] = frames;
-    let times =
-        |frames: &[PathBuf]| -> Option<Vec<Timestamp>> { frames.iter().map(time).collect() };
+    let times = |frames: &[PathBuf]| -> Option<Vec<Timestamp>> {
+        frames.iter().map(|path| time(path)).collect()
+    };
     let pairs = match (times(first), times(second)) {
         (Some(one), Some(other)) => by_time(&one, &other),
         _ => by_order(first.len(), second.len()),
@@ -65,7 +66,7 @@ pub(super) fn matched(frames: [&[PathBuf]; 2]) -> Vec<[Option<PathBuf>; 2]> {
 }
 
 /// When a frame was taken; of a file that cannot be read, and of a picture, nothing is known.
-fn time(path: &PathBuf) -> Option<Timestamp> {
+fn time(path: &Path) -> Option<Timestamp> {
     fits::read_info(path).ok()?.0.mid_exposure
 }
 
