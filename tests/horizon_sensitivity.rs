@@ -5,7 +5,7 @@ use solaspect::geometry::camera::Camera;
 use solaspect::horizon::{
     Departure, EdgeHeight, EdgePoint, EdgeRay, EdgeRays, Refraction, Sphere, nadir,
 };
-use solaspect::report::plot::{Curve, Labels, Stroke, curves};
+use solaspect::report::plot::{Labels, Mark, Series, series};
 use solaspect::units::{Measured, SensorPx};
 use std::f64::consts::TAU;
 
@@ -80,18 +80,18 @@ fn figure(name: &str, axis: &str, values: &[f64], case: impl Fn(f64) -> Case) ->
         .map(|v| case(*v).errors_deg().unwrap())
         .collect();
     if std::env::var_os("SOLASPECT_WRITE_DOCS").is_some() {
-        let curve = |name: &str, of: usize| Curve {
+        let line = |name: &str, of: usize| Series {
             name: name.into(),
             points: values
                 .iter()
                 .zip(&errors)
                 .map(|(v, e)| (*v, e[of]))
                 .collect(),
-            stroke: Stroke::Measured,
+            mark: Mark::Line,
         };
         let title = "an edge with errors of 1 px";
         let labels = Labels::new(title, axis, "1 sigma, deg");
-        let svg = curves(&labels, &[curve("roll", 0), curve("pitch", 1)]).unwrap();
+        let svg = series(&labels, &[line("roll", 0), line("pitch", 1)]).unwrap();
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/horizon");
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(folder.join(format!("{name}.svg")), svg).unwrap();

@@ -66,7 +66,7 @@ impl Levels {
         let sphere_share = PI * radius_px * radius_px / (frame.width() * frame.height()) as f64;
         let bright_share = (PART_OF_SPHERE * sphere_share).min(BRIGHT_SHARE);
         let mut quantile = |share: f64| {
-            let n = (share * pixels.len() as f64) as usize;
+            let n = ((share * pixels.len() as f64) as usize).min(pixels.len() - 1);
             f64::from(*pixels.select_nth_unstable_by(n, f32::total_cmp).1)
         };
         let levels = Self {
