@@ -16,7 +16,7 @@ use crate::with_view;
 use nalgebra::{Rotation3, UnitVector3, Vector2, Vector3};
 use std::f64::consts::PI;
 
-/// A part of the picture with shorter sides is not divided (HORACE, table 3.1).
+/// A part of the picture is divided while its halves are at least so long (HORACE, table 3.1).
 const LEAST_DIVIDED_PX: usize = 400;
 /// The radius of the sphere's picture over what the height lets expect: success by HORACE's definition (section 1.3.5).
 const RADIUS_RATIO: std::ops::Range<f64> = 0.9..1.1;

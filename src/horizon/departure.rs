@@ -36,6 +36,9 @@ impl Departure {
 
     /// By what a fit leaves beyond noise: rays that follow each other, and how far each is from the edge that was found, rad.
     pub(super) fn of_residuals(left: &[(&EdgeRay, f64)]) -> Self {
+        if left.is_empty() {
+            return Self::NONE;
+        }
         let together = |lag: usize| {
             let pairs = left.iter().zip(left.iter().skip(lag));
             pairs.map(|((_, one), (_, other))| one * other).sum::<f64>() / left.len() as f64
@@ -51,18 +54,20 @@ impl Departure {
         let steps = left.windows(2);
         let spacing_rad = median(steps.map(|pair| pair[0].0.unit.angle(&pair[1].0.unit)));
         let fallen = (1..left.len()).find(|lag| shared(*lag) < variance / E);
+        // Only what may hide in noise falls nowhere: it shows no length, and counts from place to place.
         let lag = fallen.unwrap_or(1) as f64;
-        // Of so many stretches that are free of each other, the nadir's two parameters take two; and a variance of few is itself so
-        // uncertain (Student's t) that it counts as if two more were missing.
+        // Of so many stretches that are free of each other, the nadir's two parameters take two, and the length one; a variance of few is itself
+        // so uncertain (Student's t) that it counts as if two more were missing.
         let stretches = (left.len() as f64 / (2.0 * lag)).max(LEAST_STRETCHES);
-        let variance = variance * stretches / (stretches - 4.0);
+        let variance = variance * stretches / (stretches - 5.0);
         Self {
             sigma_rad: variance.sqrt(),
             length_rad: lag * spacing_rad.unwrap_or(1.0),
         }
     }
 
-    /// Covariance of the sum of gradients, each times its ray's departure. The sum over all pairs takes one pass, since the correlation of two
+    /// Covariance of the sum of gradients, each times its ray's departure. Rays are in order, and the last and the first are no neighbours: an edge
+    /// that closes counts as a chain. The sum over all pairs takes one pass, since the correlation of two
     /// rays is that over all steps between them (Braun and Barf 2022, eq. 35).
     pub(super) fn scatter<const N: usize>(
         self,

@@ -31,7 +31,7 @@ pub use edge::{EdgePoint, EdgeRay, EdgeRays};
 pub use light::Levels;
 pub use nadir::{Conic, EdgeHeight, Nadir, NadirError, nadir, pitch_deg, roll_deg};
 pub use overlay::overlay;
-pub use sphere::{Ellipsoid, Refraction, Sphere, half_angle_rad};
+pub use sphere::{Ellipsoid, Refraction, Sphere, Viewpoint};
 
 use crate::estimation::FitError;
 use crate::frame::{Frame, Sample, View};
@@ -58,7 +58,7 @@ const LEAST_CONTRAST: f64 = 0.1;
 const LEAST_CONTRAST_SIGMAS: f64 = 4.0;
 /// A sphere shows its edge at so many places and this share of those in view.
 const LEAST_PLACES: usize = 12;
-const LEAST_SHARE: f64 = 0.3;
+const LEAST_SHARE: f64 = 0.4;
 /// A find is fine with so much of the edge seen, coarse below.
 const FINE_SHARE: f64 = 0.6;
 /// What more than this share of the places shows is told.
@@ -126,6 +126,8 @@ pub enum Flag {
     OtherEdges,
     /// Places that show no edge: night, or glare.
     NoEdge,
+    /// Cameras of one vehicle that see no common cone: each answers for itself.
+    CamerasDisagree,
 }
 
 impl Flag {
@@ -134,6 +136,7 @@ impl Flag {
             Self::Clouds => "clouds",
             Self::OtherEdges => "other_edges",
             Self::NoEdge => "no_edge",
+            Self::CamerasDisagree => "cameras_disagree",
         }
     }
 }
@@ -207,20 +210,29 @@ pub fn solve(
 /// that of the body's frame.
 ///
 /// # Errors
-/// No camera that sees the edge, or edges that make no common nadir.
+/// No camera that sees the edge, or a camera whose edge agrees too little with the nadir of all.
 pub fn joint(
     settings: &Settings,
     sphere: &Sphere,
     cameras: &[(&Solution, Rotation3<f64>)],
 ) -> Result<Nadir, Stopped> {
-    let seen = cameras
-        .iter()
-        .filter(|(solution, _)| solution.nadir.is_ok());
-    let edges: Vec<EdgeRays> = seen
+    let seen = || {
+        cameras
+            .iter()
+            .filter(|(solution, _)| solution.nadir.is_ok())
+    };
+    let edges: Vec<EdgeRays> = seen()
         .map(|(solution, turn)| solution.edge.turned(turn))
         .collect();
     let plain = nadir(&edges, sphere, settings.height, Departure::NONE).map_err(unfitted)?;
-    fitted(settings, sphere, &edges, &plain)
+    let nadir = fitted(settings, sphere, &edges, &plain)?;
+    let mut weights = &nadir.weights[..];
+    for (solution, _) in seen() {
+        let (own, others) = weights.split_at(solution.edge.rays.len());
+        enough(nadir::agreeing(own), solution.places)?;
+        weights = others;
+    }
+    Ok(nadir)
 }
 
 /// What a frame is searched with.
@@ -300,7 +312,7 @@ impl Search<'_> {
 
     /// By how much the border of what is bright may lie off the edge.
     fn tolerance_rad(&self) -> f64 {
-        let height_rad = self.sphere.rad_per_m() * FITTED_TOLERANCE_M;
+        let height_rad = self.sphere.rad_per_m * FITTED_TOLERANCE_M;
         match self.settings.height {
             EdgeHeight::Given => self.sphere.tolerance_rad,
             EdgeHeight::Fitted => self.sphere.tolerance_rad.max(height_rad),

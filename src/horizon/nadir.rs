@@ -149,6 +149,8 @@ pub fn nadir(
         gradient * gradient.transpose() * ray.sigma_rad.powi(2)
     };
     let mut scatter: Matrix3<f64> = gradients.iter().map(noise).sum();
+    // The prior's own, of the half-angle in units of what is free.
+    scatter += Matrix3::from_diagonal(&Vector3::z());
     scatter += departure.scatter(&gradients) + Departure::shared(held_rad).scatter(&gradients);
     let mut left = &gradients[..];
     for picture in pictures {
@@ -158,6 +160,9 @@ pub fn nadir(
     }
     // The core has inflated each of the two already, and once is right.
     let covariance = fitted.covariance * scatter * fitted.covariance / fitted.scatter.powi(2);
+    if !covariance.iter().all(|v| v.is_finite()) {
+        return Err(FitError::Undetermined.into());
+    }
     let unit = moved(&fitted.parameters);
     let half_angle_rad = Measured::new(
         given.value + fitted.parameters.z * free_rad,
@@ -201,21 +206,23 @@ impl Nadir {
         self.direction.sigma_rad().to_degrees()
     }
 
-    /// By how much the edge that was found stands above the one that was given; `None` where it was held, or of a sphere without air.
-    pub fn raised_m(&self, given: &Sphere) -> Option<Measured> {
-        let distance_m = given.distance_m?;
-        let (found, held) = (self.half_angle_rad, given.half_angle_rad.value);
-        let raised_m = Measured::new(
-            distance_m * (found.value.sin() - held.sin()),
-            distance_m * found.value.cos() * found.sigma,
-        );
-        (self.height == EdgeHeight::Fitted).then_some(raised_m)
+    /// The height of the edge that was found; `None` where it was held, or of a sphere without air.
+    pub fn edge_m(&self, sphere: &Sphere) -> Option<Measured> {
+        match self.height {
+            EdgeHeight::Given => None,
+            EdgeHeight::Fitted => sphere.edge_m(self.half_angle_rad),
+        }
     }
 
     /// Of the rays of the edge, how many are a part of it.
     pub fn agreeing(&self) -> usize {
-        self.weights.iter().filter(|w| **w > LEAST_WEIGHT).count()
+        agreeing(&self.weights)
     }
+}
+
+/// How many of the rays of such weights are a part of the edge.
+pub(super) fn agreeing(weights: &[f64]) -> usize {
+    weights.iter().filter(|w| **w > LEAST_WEIGHT).count()
 }
 
 /// How a picture's light puts the edge too far out, or in.
@@ -239,7 +246,7 @@ mod tests {
     use super::*;
     use crate::geometry::camera::{Camera, Lens};
     use crate::horizon::EdgePoint;
-    use crate::horizon::{Refraction, half_angle_rad};
+    use crate::horizon::Refraction;
     use crate::units::SensorPx;
     use nalgebra::{Matrix2, Rotation3, Vector2};
     use rand::{RngExt, SeedableRng};
@@ -371,9 +378,8 @@ mod tests {
 
     fn half_angle(height_m: f64) -> f64 {
         let exact = |m| Measured::new(m, 0.0);
-        half_angle_rad(exact(height_m), exact(0.0), Refraction::None)
-            .unwrap()
-            .value
+        let sphere = Sphere::earth(exact(height_m), exact(0.0), Refraction::None);
+        sphere.unwrap().half_angle_rad.value
     }
 
     #[test]

@@ -12,10 +12,17 @@ const LIMB_OUTSIDE_M: f64 = 60_000.0;
 const BORDER_HEIGHT_M: f64 = 4_000.0;
 /// SOFA's number of the WGS 84 ellipsoid.
 const WGS84: i32 = 1;
+/// An edge's height is found by so many steps; each leaves a quarter of the last one's error at most.
+const HEIGHT_STEPS: usize = 20;
 /// Azimuths of which the half-angle's mean is taken.
 const AZIMUTHS: u32 = 72;
 /// An axis so near straight down has no azimuth, rad.
 const LEAST_LEVEL: f64 = 1e-6;
+
+/// Of air at sea level for visible light, at 15 deg C and 1013 hPa (Edlen 1966). The scale height is that of the stratosphere, where the limb's
+/// edge is.
+const REFRACTIVITY: f64 = 2.77e-4;
+const REFRACTIVITY_SCALE_M: f64 = 7_000.0;
 
 /// Whether air bends the rays to the limb.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,13 +36,20 @@ pub enum Refraction {
 impl Refraction {
     /// The refractive index at a height, m.
     fn index(self, height_m: f64) -> f64 {
-        // Of visible light at 15 deg C and 1013 hPa (Edlen 1966); the scale height is that of the stratosphere, where the limb's edge is.
-        const REFRACTIVITY: f64 = 2.77e-4;
-        const SCALE_M: f64 = 7_000.0;
+        1.0 + self.refractivity(height_m)
+    }
+
+    fn refractivity(self, height_m: f64) -> f64 {
         match self {
-            Self::None => 1.0,
-            Self::StandardAir => 1.0 + REFRACTIVITY * (-height_m / SCALE_M).exp(),
+            Self::None => 0.0,
+            Self::StandardAir => REFRACTIVITY * (-height_m / REFRACTIVITY_SCALE_M).exp(),
         }
+    }
+
+    /// Change of n r with r at a height.
+    fn slope(self, height_m: f64) -> f64 {
+        let falls_per_m = self.refractivity(height_m) / REFRACTIVITY_SCALE_M;
+        self.index(height_m) - falls_per_m * (EARTH_RADIUS_M + height_m)
     }
 }
 
@@ -51,22 +65,29 @@ pub struct Sphere {
     pub outside_rad: f64,
     /// By how much the border of what is bright may lie off the edge.
     pub tolerance_rad: f64,
-    /// Of the camera from the centre; `None` of a sphere whose edge has no height.
-    pub distance_m: Option<f64>,
+    /// Change of the half-angle with the edge's height; none of a sphere whose edge has no height.
+    pub rad_per_m: f64,
+    /// From where the edge is seen; `None` of a sphere whose edge has no height.
+    pub viewpoint: Option<Viewpoint>,
 }
 
 impl Sphere {
-    /// The Earth as a sphere, with its limb: see [`half_angle_rad`]. `None` for a camera that is not above the edge.
+    /// The Earth as a sphere, with its limb: see [`Viewpoint::half_angle_rad`]. `None` for a camera that is not above the edge.
     pub fn earth(height_m: Measured, edge_m: Measured, refraction: Refraction) -> Option<Self> {
-        let half_angle_rad = half_angle_rad(height_m, edge_m, refraction)?;
-        let rad_per_m = 1.0 / ((EARTH_RADIUS_M + height_m.value) * half_angle_rad.value.cos());
+        let viewpoint = Viewpoint {
+            height_m,
+            refraction,
+        };
+        let half_angle_rad = viewpoint.half_angle_rad(edge_m)?;
+        let rad_per_m = viewpoint.rad_per_m(edge_m.value, half_angle_rad.value);
         Some(Self {
             half_angle_rad,
             ellipsoid: None,
             inside_rad: (LIMB_INSIDE_M * rad_per_m).min(half_angle_rad.value / 2.0),
             outside_rad: LIMB_OUTSIDE_M * rad_per_m,
             tolerance_rad: BORDER_HEIGHT_M * rad_per_m,
-            distance_m: Some(EARTH_RADIUS_M + height_m.value),
+            rad_per_m,
+            viewpoint: Some(viewpoint),
         })
     }
 
@@ -82,12 +103,17 @@ impl Sphere {
     ) -> Option<Self> {
         let height = Measured::new(place.height_m, height_sigma_m);
         let sphere = Self::earth(height, edge_m, refraction)?;
-        let straight = half_angle_rad(height, edge_m, Refraction::None)?;
-        let ellipsoid = Ellipsoid::new(place, edge_m.value, heading_deg, forward)?;
-        let bent_rad = sphere.half_angle_rad.value - straight.value;
-        let mean_rad = ellipsoid.mean_rad + bent_rad;
+        let straight = Viewpoint {
+            height_m: height,
+            refraction: Refraction::None,
+        };
+        let straight = straight.half_angle_rad(edge_m)?;
+        let mut ellipsoid = Ellipsoid::new(place, edge_m.value, heading_deg, forward)?;
+        // Rays bend by as much as those to the sphere.
+        ellipsoid.over_sphere_rad = ellipsoid.mean_rad - straight.value;
+        let Measured { value, sigma } = sphere.half_angle_rad;
         Some(Self {
-            half_angle_rad: Measured::new(mean_rad, sphere.half_angle_rad.sigma),
+            half_angle_rad: Measured::new(value + ellipsoid.over_sphere_rad, sigma),
             tolerance_rad: sphere.tolerance_rad + ellipsoid.most_rad(),
             ellipsoid: Some(ellipsoid),
             ..sphere
@@ -102,7 +128,8 @@ impl Sphere {
             inside_rad: 0.0,
             outside_rad: 0.0,
             tolerance_rad: 0.0,
-            distance_m: None,
+            rad_per_m: 0.0,
+            viewpoint: None,
         }
     }
 
@@ -112,10 +139,61 @@ impl Sphere {
         self.half_angle_rad.value + self.ellipsoid.map_or(0.0, departure)
     }
 
+    /// The height of the edge that is seen at a half-angle; `None` of a sphere whose edge has no height.
+    pub fn edge_m(&self, found_rad: Measured) -> Option<Measured> {
+        // The ellipsoid's half-angle goes with the edge's height as the sphere's does.
+        let over_sphere_rad = self.ellipsoid.map_or(0.0, |e| e.over_sphere_rad);
+        let found_rad = Measured::new(found_rad.value - over_sphere_rad, found_rad.sigma);
+        self.viewpoint.map(|viewpoint| viewpoint.edge_m(found_rad))
+    }
+}
+
+/// From where the edge of a sphere of [`EARTH_RADIUS_M`] is seen, and how rays come from there.
+///
+/// Along a bent ray n r sin(angle to the vertical) is the same everywhere (Bouguer's rule); where the ray grazes the edge the sine is 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Viewpoint {
+    /// Above the sphere.
+    pub height_m: Measured,
+    pub refraction: Refraction,
+}
+
+impl Viewpoint {
+    /// n r at the camera, m.
+    fn invariant_m(&self) -> f64 {
+        let height_m = self.height_m.value;
+        self.refraction.index(height_m) * (EARTH_RADIUS_M + height_m)
+    }
+
+    /// The half-angle, with its 1-sigma, of the cone of rays to the horizon (Braun and Barf 2022, eq. 5), rad. The edge that is seen stands
+    /// `edge_m` above the sphere. `None` for a camera that is not above the edge.
+    pub fn half_angle_rad(&self, edge_m: Measured) -> Option<Measured> {
+        let Measured { value, sigma } = edge_m;
+        let sine = self.refraction.index(value) * (EARTH_RADIUS_M + value) / self.invariant_m();
+        if value >= self.height_m.value || !(0.0..1.0).contains(&sine) {
+            return None;
+        }
+        let angle = sine.asin();
+        let by_height = sine / (EARTH_RADIUS_M + self.height_m.value) / angle.cos();
+        let sigma = (by_height * self.height_m.sigma).hypot(self.rad_per_m(value, angle) * sigma);
+        Some(Measured::new(angle, sigma))
+    }
+
     /// Change of the half-angle with the edge's height.
-    pub(super) fn rad_per_m(&self) -> f64 {
-        let per_m = |distance_m: f64| 1.0 / (distance_m * self.half_angle_rad.value.cos());
-        self.distance_m.map_or(0.0, per_m)
+    fn rad_per_m(&self, edge_m: f64, half_angle_rad: f64) -> f64 {
+        self.refraction.slope(edge_m) / self.invariant_m() / half_angle_rad.cos()
+    }
+
+    /// The height of the edge whose half-angle that is.
+    fn edge_m(&self, half_angle_rad: Measured) -> Measured {
+        let Measured { value, sigma } = half_angle_rad;
+        let grazing_m = self.invariant_m() * value.sin();
+        let height_m = (0..HEIGHT_STEPS).fold(0.0, |height_m, _| {
+            grazing_m / self.refraction.index(height_m) - EARTH_RADIUS_M
+        });
+        let of_height = value.sin() / self.refraction.slope(height_m) * self.height_m.sigma;
+        let of_angle = sigma / self.rad_per_m(height_m, value);
+        Measured::new(height_m, of_height.hypot(of_angle))
     }
 }
 
@@ -125,6 +203,8 @@ pub struct Ellipsoid {
     /// Rays to the edge, in north, east, down, have r^T M r = 0.
     cone: Matrix3<f64>,
     mean_rad: f64,
+    /// By how much that mean is above a sphere's half-angle.
+    over_sphere_rad: f64,
     heading_rad: f64,
     /// The axis whose heading that is, in the rays' frame.
     forward: UnitVector3<f64>,
@@ -155,6 +235,7 @@ impl Ellipsoid {
         let mut ellipsoid = Self {
             cone: from_local.transpose() * touching * from_local * equator_m.powi(2),
             mean_rad: 0.0,
+            over_sphere_rad: 0.0,
             heading_rad: heading_deg.to_radians(),
             forward,
         };
@@ -207,10 +288,16 @@ pub(super) struct Cone<'a> {
 
 impl<'a> Cone<'a> {
     pub fn new(sphere: &'a Sphere, nadir: &UnitVector3<f64>) -> Self {
+        // Angles around the nadir begin behind the camera, so that an arc in view is not parted where they do.
+        let behind = nadir.into_inner() * nadir.z - Vector3::z();
+        let across = match behind.try_normalize(LEAST_LEVEL) {
+            Some(behind) => Matrix3x2::from_columns(&[behind, nadir.cross(&behind)]),
+            None => across(nadir),
+        };
         Self {
             sphere,
             nadir: *nadir,
-            across: across(nadir),
+            across,
         }
     }
 
@@ -233,47 +320,29 @@ pub(super) fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
     Matrix3x2::from_columns(&[first, unit.cross(&first)])
 }
 
-/// The half-angle, with its 1-sigma, of the cone of rays to the horizon (Braun and Barf 2022, eq. 5), rad: of a sphere of
-/// [`EARTH_RADIUS_M`] seen from a height above it. The edge that is seen stands `edge` above the sphere. All heights are in m; `None` for a
-/// camera that is not above the edge.
-///
-/// Along a bent ray n r sin(angle to the vertical) is the same everywhere (Bouguer's rule); where the ray grazes the edge the sine is 1.
-pub fn half_angle_rad(
-    height_m: Measured,
-    edge_m: Measured,
-    refraction: Refraction,
-) -> Option<Measured> {
-    let (distance, radius) = (
-        EARTH_RADIUS_M + height_m.value,
-        EARTH_RADIUS_M + edge_m.value,
-    );
-    let bent = refraction.index(edge_m.value) / refraction.index(height_m.value);
-    let sine = bent * radius / distance;
-    if radius >= distance || !(0.0..1.0).contains(&sine) {
-        return None;
-    }
-    let slope_per_m = 1.0 / (distance * (1.0 - sine * sine).sqrt());
-    let sigma = slope_per_m * (sine * height_m.sigma).hypot(edge_m.sigma);
-    Some(Measured::new(sine.asin(), sigma))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn exact(m: f64) -> Measured {
+        Measured::new(m, 0.0)
+    }
+
+    fn straight(height_m: Measured) -> Viewpoint {
+        Viewpoint {
+            height_m,
+            refraction: Refraction::None,
+        }
+    }
 
     #[test]
     fn the_half_angle_of_known_heights() {
         // asin(6371 / 6601), and so on.
         for (height_m, degrees) in [(230_000.0, 74.830_690), (38_000.0, 83.757_636)] {
             let height = Measured::new(height_m, 100.0);
-            let angle = half_angle_rad(height, Measured::new(0.0, 0.0), Refraction::None).unwrap();
+            let angle = straight(height).half_angle_rad(exact(0.0)).unwrap();
             assert!((angle.value.to_degrees() - degrees).abs() < 1e-6);
-            let at = |height_m| {
-                let height = Measured::new(height_m, 0.0);
-                half_angle_rad(height, Measured::new(0.0, 0.0), Refraction::None)
-                    .unwrap()
-                    .value
-            };
+            let at = |m| straight(exact(m)).half_angle_rad(exact(0.0)).unwrap().value;
             let slope = at(height_m + 50.0) - at(height_m - 50.0);
             assert!((angle.sigma + slope).abs() < 1e-6 * angle.sigma);
         }
@@ -295,10 +364,12 @@ mod tests {
             along += gradient(&middle) * STEP_M;
         }
         let traced = at.angle(&along);
-        let exact = |m| Measured::new(m, 0.0);
         let angle = |refraction| {
-            let found = half_angle_rad(exact(camera_m), exact(edge_m), refraction);
-            found.unwrap().value
+            let viewpoint = Viewpoint {
+                height_m: exact(camera_m),
+                refraction,
+            };
+            viewpoint.half_angle_rad(exact(edge_m)).unwrap().value
         };
         let (bent, straight) = (angle(Refraction::StandardAir), angle(Refraction::None));
         assert!(bent > straight);
@@ -309,19 +380,48 @@ mod tests {
     }
 
     #[test]
+    fn an_edges_height_and_its_sigma_are_those_of_its_half_angle() {
+        for refraction in [Refraction::None, Refraction::StandardAir] {
+            for (camera_m, edge_m) in [(38_000.0, 20_000.0), (38_000.0, 300.0), (230e3, 9_000.0)] {
+                let from = |camera_m: f64| Viewpoint {
+                    height_m: Measured::new(camera_m, 100.0),
+                    refraction,
+                };
+                let edge = Measured::new(edge_m, 200.0);
+                let angle = from(camera_m).half_angle_rad(edge).unwrap();
+                let of_edge = from(camera_m).rad_per_m(edge_m, angle.value) * edge.sigma;
+                let found = from(camera_m).edge_m(Measured::new(angle.value, of_edge));
+                assert!((found.value - edge_m).abs() < 0.1, "{found:?}");
+                // Differences for the derivatives.
+                let at = |camera_m: f64, angle: f64| from(camera_m).edge_m(exact(angle)).value;
+                let by_angle = at(camera_m, angle.value + 1e-6) - at(camera_m, angle.value - 1e-6);
+                let by_height = at(camera_m + 1.0, angle.value) - at(camera_m - 1.0, angle.value);
+                let sigma = (by_angle / 2e-6 * of_edge).hypot(by_height / 2.0 * 100.0);
+                assert!(
+                    (found.sigma / sigma - 1.0).abs() < 1e-2,
+                    "{found:?}, {sigma}"
+                );
+                assert!((angle.sigma / of_edge - found.sigma / 200.0).abs() < 0.02);
+            }
+        }
+    }
+
+    #[test]
+    fn an_arc_in_view_is_in_one_piece_whatever_the_roll() {
+        let sphere = Sphere::earth(exact(38_000.0), exact(0.0), Refraction::None).unwrap();
+        for roll_deg in (-180..180).step_by(15) {
+            let roll = f64::from(roll_deg).to_radians();
+            let nadir = UnitVector3::new_normalize(Vector3::new(roll.sin(), roll.cos(), 0.1));
+            let cone = Cone::new(&sphere, &nadir);
+            assert!(cone.ray(0.0, 0.0).z < 0.0, "{roll_deg} deg");
+        }
+    }
+
+    #[test]
     fn there_is_no_horizon_at_or_below_the_edge() {
-        let exact = |m| Measured::new(m, 0.0);
-        assert_eq!(
-            half_angle_rad(exact(0.0), exact(0.0), Refraction::None),
-            None
-        );
-        assert_eq!(
-            half_angle_rad(exact(10_000.0), exact(20_000.0), Refraction::None),
-            None
-        );
-        assert_eq!(
-            half_angle_rad(exact(f64::NAN), exact(0.0), Refraction::None),
-            None
-        );
+        for (height_m, edge_m) in [(0.0, 0.0), (10_000.0, 20_000.0), (f64::NAN, 0.0)] {
+            let seen = straight(exact(height_m)).half_angle_rad(exact(edge_m));
+            assert_eq!(seen, None);
+        }
     }
 }

@@ -14,20 +14,26 @@ use nalgebra::{Rotation3, UnitVector3};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// A camera, what it looks for, and its frames.
+/// A camera, and what it looks for.
 pub(super) struct Mounted {
     pub camera: DirectionCamera,
     pub body_from_camera: Option<Rotation3<f64>>,
     pub sphere: Sphere,
-    pub frames: Vec<PathBuf>,
+}
+
+/// What two cameras look at together.
+pub(super) struct Pair {
+    /// Of each camera.
+    pub frames: [Vec<PathBuf>; 2],
+    /// In the body's frame.
+    pub sphere: Sphere,
 }
 
 /// What all frames share.
 pub(super) struct Batch<'a> {
     /// One, or two of a pair.
     pub cameras: Vec<Mounted>,
-    /// The sphere in the body's frame, for a pair.
-    pub body: Option<Sphere>,
+    pub pair: Option<Pair>,
     pub method: Method,
     pub settings: Settings,
     pub edge_m: f64,
@@ -54,15 +60,15 @@ impl Batch<'_> {
         track: bool,
         mut take: impl FnMut(Answer<Record>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        match (&self.cameras[..], &self.body) {
-            ([one, other], Some(sphere)) => {
-                let moments = matched([&one.frames, &other.frames]);
+        match &self.pair {
+            Some(Pair { frames, sphere }) => {
+                let moments = matched(frames.each_ref().map(Vec::as_slice));
                 let solve = |moment: &[Option<PathBuf>; 2]| self.solve_moment(moment, sphere);
                 let take =
                     |answers: Vec<Answer<Record>>| answers.into_iter().try_for_each(&mut take);
                 self.args.in_order(&moments, solve, take)
             }
-            _ if track => {
+            None if track => {
                 let mut last = None;
                 self.args.frames.iter().try_for_each(|path| {
                     let solved = self.solve_file(path, 0, last.as_ref());
@@ -70,7 +76,7 @@ impl Batch<'_> {
                     take(answer(path, solved))
                 })
             }
-            _ => {
+            None => {
                 let solve = |path: &PathBuf| answer(path, self.solve_file(path, 0, None));
                 self.args.in_order(&self.args.frames, solve, take)
             }
@@ -84,38 +90,48 @@ impl Batch<'_> {
             .filter_map(|(path, camera)| Some((path.as_deref()?, camera)))
             .map(|(path, camera)| (path, self.solve_file(path, camera, None)))
             .collect();
-        let seen: Vec<&Solved> = solved.iter().filter_map(|(_, s)| s.as_ref().ok()).collect();
-        let body = self.in_body(&seen, sphere);
-        for (_, solved) in &mut solved {
-            if let Ok(solved) = solved {
-                solved.record.body = body.clone().unwrap_or_default();
-            }
-        }
+        let mut seen: Vec<&mut Solved> = solved
+            .iter_mut()
+            .filter_map(|(_, s)| s.as_mut().ok())
+            .collect();
+        self.join(&mut seen, sphere);
         solved
             .into_iter()
             .map(|(path, solved)| answer(path, solved))
             .collect()
     }
 
-    /// The nadir of the body by the cameras that see the horizon.
-    fn in_body(&self, seen: &[&Solved], sphere: &Sphere) -> Option<InBody> {
+    /// Replaces what each of two cameras says of the body by what both say.
+    fn join(&self, seen: &mut [&mut Solved], sphere: &Sphere) {
         let turn = |solved: &Solved| self.cameras[solved.camera].body_from_camera;
-        if self.method == Method::Circle {
-            let circles: Vec<(&Circle, Rotation3<f64>)> = seen
-                .iter()
-                .filter_map(|solved| Some((solved.circle()?, turn(solved)?)))
-                .collect();
-            let [one, other] = circles[..] else {
-                return None;
-            };
-            return circle::vertical([one, other]).map(|unit| InBody::of_circles(&unit));
+        let body = match self.method {
+            Method::Cone => {
+                let solutions: Vec<(&Solution, Rotation3<f64>)> = seen
+                    .iter()
+                    .filter_map(|solved| Some((solved.solution()?, turn(solved)?)))
+                    .filter(|(solution, _)| solution.nadir.is_ok())
+                    .collect();
+                if solutions.len() < 2 {
+                    return;
+                }
+                let nadir = horizon::joint(&self.settings, sphere, &solutions);
+                nadir.ok().map(|nadir| InBody::of(&nadir.direction))
+            }
+            Method::Circle => {
+                let circles: Vec<(&Circle, Rotation3<f64>)> = seen
+                    .iter()
+                    .filter_map(|solved| Some((solved.circle()?, turn(solved)?)))
+                    .collect();
+                let [one, other] = circles[..] else {
+                    return;
+                };
+                let vertical = circle::vertical([one, other]);
+                vertical.map(|unit| InBody::of_circles(&unit))
+            }
+        };
+        for solved in seen {
+            solved.record.join(body.as_ref());
         }
-        let solutions: Vec<(&Solution, Rotation3<f64>)> = seen
-            .iter()
-            .filter_map(|solved| Some((solved.solution()?, turn(solved)?)))
-            .collect();
-        let nadir = horizon::joint(&self.settings, sphere, &solutions).ok()?;
-        Some(InBody::of(&nadir.direction))
     }
 
     fn solve_file(
@@ -138,8 +154,11 @@ impl Batch<'_> {
         let time = start.elapsed();
         let name = path.display().to_string();
         let mut record = match &found {
-            Found::Cone(solution) => Record::of(&name, solution, sphere, self.edge_m, time),
-            Found::Circle(circle) => Record::of_circle(&name, circle, self.edge_m, time),
+            Found::Cone(solution) => Record::of(&name, solution, sphere, time),
+            Found::Circle(circle) => {
+                let edge_m = sphere.viewpoint.map(|_| self.edge_m);
+                Record::of_circle(&name, circle, edge_m, time)
+            }
         };
         let direction = match &found {
             Found::Cone(solution) => solution.nadir.as_ref().ok().map(|nadir| nadir.direction),

@@ -9,7 +9,7 @@ use crate::horizon::{EdgeHeight, Refraction, Settings, Sphere};
 use crate::instrument::DirectionCamera;
 use crate::units::{Measured, Place};
 use anyhow::{Context, ensure};
-use batch::{Batch, Mounted};
+use batch::{Batch, Mounted, Pair};
 use clap::{Args, ValueEnum};
 use nalgebra::{Rotation3, UnitVector3, Vector3};
 use record::Record;
@@ -18,7 +18,7 @@ use std::process::ExitCode;
 
 /// Find the nadir in frames of the Earth's horizon: roll and pitch of the camera
 ///
-/// Reads what `solve` reads. One answer per frame, in the order of the arguments. A frame without a horizon is no failure; a
+/// Reads what `solve` reads. One answer per frame, in the order of the arguments; of a pair, moment by moment. A frame without a horizon is no failure; a
 /// file that cannot be read gives an error on its line, the rest go on, and the exit code is 1.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
@@ -36,7 +36,7 @@ pub struct HorizonArgs {
     #[command(flatten)]
     edge: EdgeArgs,
     /// How the nadir is found
-    #[arg(long, value_enum, default_value_t = Method::Cone, conflicts_with_all = ["track", "fit_atmosphere"])]
+    #[arg(long, value_enum, default_value_t = Method::Cone)]
     method: Method,
     /// Pixels of at least this many DN are bright [default: by the frame's own light]
     #[arg(long, value_name = "DN")]
@@ -83,6 +83,9 @@ struct EdgeArgs {
     disc_deg: Option<f64>,
 }
 
+/// A height that is known less well than that is not known.
+const MOST_SIGMA_M: f64 = 1e6;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Method {
     /// Least squares of the cone of rays, by the light across the edge
@@ -96,14 +99,21 @@ pub fn run(args: HorizonArgs) -> anyhow::Result<ExitCode> {
         args.method == Method::Cone || args.frames.overlay.is_none(),
         "--overlay: expected --method cone; a circle is not drawn"
     );
+    ensure!(
+        args.method == Method::Cone || !(args.track || args.edge.fit_atmosphere),
+        "--method circle: expected neither --track nor --fit-atmosphere"
+    );
     let cameras = args.cameras()?;
-    let body = match args.pair {
-        Some(_) => Some(args.edge.sphere(Vector3::x_axis())?),
+    let pair = match &args.pair {
+        Some(files) => Some(Pair {
+            frames: pair::by_camera(&args.frames.frames, files)?,
+            sphere: args.edge.sphere(Vector3::x_axis())?,
+        }),
         None => None,
     };
     let batch = Batch {
         cameras,
-        body,
+        pair,
         method: args.method,
         settings: Settings {
             threshold_dn: args.threshold_dn,
@@ -134,7 +144,7 @@ pub fn run(args: HorizonArgs) -> anyhow::Result<ExitCode> {
 }
 
 impl HorizonArgs {
-    /// The one camera, or the two of a pair, each with its sphere and its frames.
+    /// The one camera, or the two of a pair, each with its sphere.
     fn cameras(&self) -> anyhow::Result<Vec<Mounted>> {
         let Some(files) = &self.pair else {
             let file = self.instrument.as_ref().context("expected --instrument")?;
@@ -142,12 +152,10 @@ impl HorizonArgs {
             return Ok(vec![Mounted {
                 body_from_camera: camera.body_from_camera,
                 sphere: self.edge.sphere(Vector3::z_axis())?,
-                frames: self.frames.frames.clone(),
                 camera,
             }]);
         };
-        let frames = pair::by_camera(&self.frames.frames, files)?;
-        let mounted = |(file, frames): (&PathBuf, Vec<PathBuf>)| {
+        let mounted = |file: &PathBuf| {
             let camera = DirectionCamera::read(file)?;
             let turn: Rotation3<f64> = camera.body_from_camera.with_context(|| {
                 format!(
@@ -158,11 +166,10 @@ impl HorizonArgs {
             Ok(Mounted {
                 body_from_camera: Some(turn),
                 sphere: self.edge.sphere(turn.inverse() * Vector3::x_axis())?,
-                frames,
                 camera,
             })
         };
-        files.iter().zip(frames).map(mounted).collect()
+        files.iter().map(mounted).collect()
     }
 }
 
@@ -179,8 +186,8 @@ impl EdgeArgs {
         let edge = Measured::new(self.atmosphere_m, self.edge_sigma_m);
         for (name, sigma) in [("height", self.height_sigma_m), ("edge", edge.sigma)] {
             ensure!(
-                sigma.is_finite() && sigma >= 0.0,
-                "--{name}-sigma-m: expected 0 or more, found {sigma}"
+                (0.0..=MOST_SIGMA_M).contains(&sigma),
+                "--{name}-sigma-m: expected 0 to {MOST_SIGMA_M} m, found {sigma}"
             );
         }
         let refraction = match self.refraction {

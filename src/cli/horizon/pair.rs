@@ -3,6 +3,7 @@
 use crate::fits;
 use anyhow::ensure;
 use jiff::Timestamp;
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
 /// Frames taken within this time of each other make a pair.
@@ -12,31 +13,32 @@ const TOGETHER_S: f64 = 0.010;
 pub(super) fn by_camera(
     frames: &[PathBuf],
     cameras: &[PathBuf],
-) -> anyhow::Result<Vec<Vec<PathBuf>>> {
-    let begins = |frame: &Path, camera: &Path| {
-        let (frame, camera) = (frame.file_name(), camera.file_stem());
-        frame.zip(camera).is_some_and(|(frame, camera)| {
-            frame
-                .to_string_lossy()
-                .starts_with(&*camera.to_string_lossy())
-        })
+) -> anyhow::Result<[Vec<PathBuf>; 2]> {
+    // Of names that begin alike, the longer one is meant.
+    let camera_of = |frame: &PathBuf| {
+        let name = frame.file_name()?.to_string_lossy().into_owned();
+        let stem = |n: &usize| cameras[*n].file_stem().map(|stem| stem.to_string_lossy());
+        let begins = |n: &usize| stem(n).is_some_and(|stem| name.starts_with(&*stem));
+        (0..cameras.len())
+            .filter(begins)
+            .max_by_key(|n| stem(n).map(|stem| stem.len()))
     };
-    let is_named = |frame: &PathBuf| {
-        cameras
-            .iter()
-            .filter(|camera| begins(frame, camera))
-            .count()
-            == 1
-    };
-    if frames.iter().all(is_named) {
-        let of = |camera: &PathBuf| {
-            frames
+    let owners: Vec<Option<usize>> = frames.iter().map(camera_of).collect();
+    if owners.iter().any(Option::is_some) {
+        if let Some(stray) = owners.iter().position(Option::is_none) {
+            anyhow::bail!(
+                "{}: expected a name that begins as one camera's file does, as others do",
+                frames[stray].display()
+            );
+        }
+        let of = |camera: usize| {
+            let own = frames
                 .iter()
-                .filter(|frame| begins(frame, camera))
-                .cloned()
-                .collect()
+                .zip(&owners)
+                .filter(|(_, owner)| **owner == Some(camera));
+            own.map(|(frame, _)| frame.clone()).collect()
         };
-        return Ok(cameras.iter().map(of).collect());
+        return Ok([0, 1].map(of));
     }
     ensure!(
         frames.len().is_multiple_of(2),
@@ -45,18 +47,20 @@ pub(super) fn by_camera(
         frames.len()
     );
     let (first, second) = frames.split_at(frames.len() / 2);
-    Ok(vec![first.to_vec(), second.to_vec()])
+    Ok([first.to_vec(), second.to_vec()])
 }
 
 /// The frames of two cameras by the moments they belong to, each camera's at its place.
 pub(super) fn matched(frames: [&[PathBuf]; 2]) -> Vec<[Option<PathBuf>; 2]> {
     let [first, second] = frames;
-    let times = |frames: &[PathBuf]| -> Option<Vec<Timestamp>> {
+    let times = |frames: &[PathBuf]| -> Vec<Option<Timestamp>> {
         frames.iter().map(|path| time(path)).collect()
     };
-    let pairs = match (times(first), times(second)) {
-        (Some(one), Some(other)) => by_time(&one, &other),
-        _ => by_order(first.len(), second.len()),
+    let (one, other) = (times(first), times(second));
+    let has_times = |times: &[Option<Timestamp>]| times.iter().any(Option::is_some);
+    let pairs = match has_times(&one) && has_times(&other) {
+        true => by_time(&one, &other),
+        false => by_order(first.len(), second.len()),
     };
     let frame = |frames: &[PathBuf], n: Option<usize>| n.map(|n| frames[n].clone());
     pairs
@@ -77,18 +81,37 @@ fn by_order(first: usize, second: usize) -> Vec<[Option<usize>; 2]> {
         .collect()
 }
 
-/// Each frame of the first camera with the nearest one of the second that is still free; then those that are left.
-fn by_time(first: &[Timestamp], second: &[Timestamp]) -> Vec<[Option<usize>; 2]> {
-    let mut free: Vec<usize> = (0..second.len()).collect();
+/// The moments one after the other; then the frames without a time, each alone.
+fn by_time(first: &[Option<Timestamp>], second: &[Option<Timestamp>]) -> Vec<[Option<usize>; 2]> {
+    let timed = |times: &[Option<Timestamp>]| {
+        let with_time = |(n, time): (usize, &Option<Timestamp>)| Some(((*time)?, n));
+        let mut timed: VecDeque<(Timestamp, usize)> =
+            times.iter().enumerate().filter_map(with_time).collect();
+        timed.make_contiguous().sort();
+        timed
+    };
+    let (mut ones, mut others) = (timed(first), timed(second));
     let mut pairs: Vec<[Option<usize>; 2]> = Vec::new();
-    for (n, time) in first.iter().enumerate() {
-        let apart_s = |m: usize| second[m].duration_since(*time).as_secs_f64().abs();
-        let nearest =
-            (0..free.len()).min_by(|a, b| apart_s(free[*a]).total_cmp(&apart_s(free[*b])));
-        let partner = nearest.filter(|at| apart_s(free[*at]) <= TOGETHER_S);
-        pairs.push([Some(n), partner.map(|at| free.remove(at))]);
+    while let (Some((one, n)), Some((other, m))) = (ones.front(), others.front()) {
+        let (n, m) = (*n, *m);
+        let after_s = other.duration_since(*one).as_secs_f64();
+        let takes = [after_s >= -TOGETHER_S, after_s <= TOGETHER_S];
+        pairs.push([takes[0].then_some(n), takes[1].then_some(m)]);
+        if takes[0] {
+            ones.pop_front();
+        }
+        if takes[1] {
+            others.pop_front();
+        }
     }
-    pairs.extend(free.into_iter().map(|m| [None, Some(m)]));
+    let untimed = |times: &[Option<Timestamp>]| {
+        let without = |n: &usize| times[*n].is_none();
+        (0..times.len()).filter(without).collect::<Vec<_>>()
+    };
+    let alone = ones.into_iter().map(|(_, n)| n).chain(untimed(first));
+    pairs.extend(alone.map(|n| [Some(n), None]));
+    let alone = others.into_iter().map(|(_, m)| m).chain(untimed(second));
+    pairs.extend(alone.map(|m| [None, Some(m)]));
     pairs
 }
 
@@ -96,9 +119,9 @@ fn by_time(first: &[Timestamp], second: &[Timestamp]) -> Vec<[Option<usize>; 2]>
 mod tests {
     use super::*;
 
-    fn at(ms: &[i64]) -> Vec<Timestamp> {
+    fn at(ms: &[i64]) -> Vec<Option<Timestamp>> {
         ms.iter()
-            .map(|ms| Timestamp::from_millisecond(*ms).unwrap())
+            .map(|ms| Some(Timestamp::from_millisecond(*ms).unwrap()))
             .collect()
     }
 
@@ -110,8 +133,8 @@ mod tests {
             [
                 [Some(0), Some(0)],
                 [Some(1), None],
+                [None, Some(1)],
                 [Some(2), Some(2)],
-                [None, Some(1)]
             ]
         );
     }
@@ -131,6 +154,15 @@ mod tests {
         );
         let halves = by_camera(&paths(&["a", "b", "c", "d"]), &cameras).unwrap();
         assert_eq!(halves, [paths(&["a", "b"]), paths(&["c", "d"])]);
+        let alike = paths(&["cam.toml", "cam2.toml"]);
+        let by_name = by_camera(&paths(&["cam2_0.png", "cam_0.png"]), &alike).unwrap();
+        assert_eq!(by_name, [paths(&["cam_0.png"]), paths(&["cam2_0.png"])]);
+        assert!(by_camera(&paths(&["left_0.png", "stray.png"]), &cameras).is_err());
+        let untimed = [None, at(&[100])[0]];
+        assert_eq!(
+            by_time(&untimed, &at(&[101])),
+            [[Some(1), Some(0)], [Some(0), None]]
+        );
         assert!(by_camera(&paths(&["a", "b", "c"]), &cameras).is_err());
     }
 }

@@ -80,6 +80,14 @@ impl Reason {
 }
 
 impl Record {
+    /// Takes what both cameras of a pair say of the body; its own stays where they do not agree.
+    pub fn join(&mut self, body: Option<&InBody>) {
+        match body {
+            Some(body) => self.body = body.clone(),
+            None => self.flags.push(Flag::CamerasDisagree.name()),
+        }
+    }
+
     /// Of a frame that shows nothing.
     fn none(file: &str, stopped: Option<&Stopped>, time: Duration) -> Self {
         Self {
@@ -114,14 +122,7 @@ impl Record {
         }
     }
 
-    /// Of a cone, whose edge is looked for from `edge_m` on.
-    pub fn of(
-        file: &str,
-        solution: &Solution,
-        sphere: &Sphere,
-        edge_m: f64,
-        time: Duration,
-    ) -> Self {
+    pub fn of(file: &str, solution: &Solution, sphere: &Sphere, time: Duration) -> Self {
         let stopped = solution.nadir.as_ref().err();
         let record = Self {
             quality: solution.quality().name(),
@@ -132,21 +133,22 @@ impl Record {
         let Ok(nadir) = &solution.nadir else {
             return record;
         };
-        let edge = nadir.raised_m(sphere);
+        let edge = nadir.edge_m(sphere);
         Self {
             sigma_deg: Some(nadir.direction.sigma_rad().to_degrees()),
             covariance: Some(nadir.direction.covariance_rad2.transpose().into()),
             flags: solution.flags().into_iter().map(Flag::name).collect(),
-            edge_m: edge.map(|raised| edge_m + raised.value),
-            edge_sigma_m: edge.map(|raised| raised.sigma),
+            edge_m: edge.map(|edge| edge.value),
+            edge_sigma_m: edge.map(|edge| edge.sigma),
             ..record.pointing(&nadir.direction.unit, nadir.half_angle_rad.value)
         }
     }
 
+    /// Of a circle, whose edge stands at a height if it is the Earth's.
     pub fn of_circle(
         file: &str,
         circle: &Result<Circle, Stopped>,
-        edge_m: f64,
+        edge_m: Option<f64>,
         time: Duration,
     ) -> Self {
         let record = Self::none(file, circle.as_ref().err(), time);
@@ -155,7 +157,7 @@ impl Record {
         };
         Self {
             quality: Quality::Coarse.name(),
-            height_m: Some(circle.height_m(edge_m)),
+            height_m: edge_m.map(|edge_m| circle.height_m(edge_m)),
             ..record.pointing(&circle.nadir, circle.half_angle_rad)
         }
     }
