@@ -146,7 +146,10 @@ fn a_frame_that_waits_out_a_short_outage_of_the_only_disk_is_not_lost() {
         SLOW,
         |number| match number {
             10 => disk.set(Some(Fault::Step("sync"))),
-            20 => disk.set(None),
+            20 => {
+                disk.wait_until_refused();
+                disk.set(None);
+            }
             _ => {}
         },
     );

@@ -26,6 +26,8 @@ struct State {
     written: usize,
     /// Frames that wait for the disk.
     stuck: u64,
+    /// Frames that it refused.
+    refused: u64,
     /// How often the disk has gone.
     departures: u64,
 }
@@ -67,6 +69,16 @@ impl FaultyDisk {
             .changed
             .wait_while(state, |state| state.stuck == 0);
         drop(stuck.unwrap());
+    }
+
+    /// Waits until it has refused a step of a frame.
+    pub fn wait_until_refused(&self) {
+        let state = self.shared.state.lock().unwrap();
+        let refused = self
+            .shared
+            .changed
+            .wait_while(state, |state| state.refused == 0);
+        drop(refused.unwrap());
     }
 }
 
@@ -202,7 +214,10 @@ impl FaultyFile {
         if self.departures != self.shared.state.lock().unwrap().departures {
             return Err(io::Error::other("the file of a disk that has gone"));
         }
-        self.shared.step(step)
+        self.shared.step(step).inspect_err(|_| {
+            self.shared.state.lock().unwrap().refused += u64::from(self.is_frame);
+            self.shared.changed.notify_all();
+        })
     }
 }
 
