@@ -263,7 +263,7 @@ impl Case {
             utc,
             place,
             &target,
-            Roll::Stated,
+            None,
             &instrument,
             &mut ephemeris,
         );

@@ -33,6 +33,7 @@ mod power_cut;
 mod preflight;
 mod refine;
 mod refined_flights;
+mod roll_in_flight;
 mod service;
 mod simulated_flight;
 mod simulation;

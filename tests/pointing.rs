@@ -281,7 +281,7 @@ fn a_frame_without_an_offset_says_why_and_keeps_its_quality() {
             utc,
             place,
             &target,
-            Roll::Stated,
+            None,
             &instrument,
             &mut ephemeris,
         );

@@ -98,7 +98,7 @@ fn solve(
         utc,
         place,
         &target,
-        Roll::Stated,
+        None,
         instrument,
         ephemeris,
     );

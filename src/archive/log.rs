@@ -64,7 +64,7 @@ impl Row {
 
     /// Names of the columns that the log has before those of [`Record::CSV_COLUMNS`] and after them.
     const BEFORE: [&'static str; 1] = ["frame"];
-    const AFTER: [&'static str; 8] = [
+    const AFTER: [&'static str; 10] = [
         "reason_measured",
         "reason_limit",
         "offset_cross_elevation_deg",
@@ -73,6 +73,8 @@ impl Row {
         "noise_dn",
         "disc_dn",
         "disk",
+        "roll_deg",
+        "roll_sigma_deg",
     ];
 
     /// What the column `disk` says of a picture: it is on the disk of the log itself, or on the other one.
@@ -92,6 +94,7 @@ impl Row {
         };
         let reason = self.record.reason.as_ref();
         let offset = self.record.offset_deg.as_ref();
+        let roll = self.record.roll_deg.as_ref();
         let mut fields = vec![self.number.map_or(String::new(), |n| n.to_string())];
         fields.extend(self.record.csv_row());
         fields.extend([
@@ -107,6 +110,8 @@ impl Row {
                 Some(false) => Self::OTHER_DISK.into(),
                 None => String::new(),
             },
+            number(roll.map(|roll| roll.value)),
+            number(roll.map(|roll| roll.sigma)),
         ]);
         fields
     }

@@ -23,6 +23,6 @@ pub use log::{Log, Row, SolutionLog, Upkeep};
 pub use name::{NameTime, ROLL_CAMERA, name, plain};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{
-    MappingRecord, MarkRecord, OffsetRecord, Reason, Record, instrument_cards, tables,
+    MappingRecord, MarkRecord, OffsetRecord, Reason, Record, RollRecord, instrument_cards, tables,
 };
 pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

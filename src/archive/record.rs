@@ -2,9 +2,11 @@
 
 use crate::aspect::{AdoptedMapping, Aspect, Solution};
 use crate::fits::{Card, Column, Table, Values};
+use crate::horizon;
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::pointing::Offset;
+use crate::units::Measured;
 use jiff::Timestamp;
 use serde::Serialize;
 use std::time::Duration;
@@ -27,6 +29,9 @@ pub struct Record {
     pub marks: Option<Vec<MarkRecord>>,
     pub mapping: Option<MappingRecord>,
     pub offset_deg: Option<OffsetRecord>,
+    /// Of the body that carries the cameras, where the horizon was seen.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub roll_deg: Option<RollRecord>,
     /// Wall time of the solver alone.
     pub solve_us: Option<u64>,
 }
@@ -70,6 +75,22 @@ pub struct OffsetRecord {
     pub sigma: f64,
     /// The same of the calibration: boresight, clocking, plate distance; not part of `sigma`.
     pub calibration_sigma: f64,
+}
+
+/// The body's roll, deg: positive with the right side low.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RollRecord {
+    pub value: f64,
+    pub sigma: f64,
+}
+
+impl From<Measured> for RollRecord {
+    fn from(roll_deg: Measured) -> Self {
+        Self {
+            value: roll_deg.value,
+            sigma: roll_deg.sigma,
+        }
+    }
 }
 
 fn milliseconds<S: serde::Serializer>(
@@ -119,7 +140,30 @@ impl Record {
                 calibration_sigma: offset.calibration_sigma_deg(),
                 sigma: offset.sigma_deg,
             }),
+            roll_deg: None,
             solve_us: solve_time.map(|time| time.as_micros() as u64),
+        }
+    }
+
+    /// What a frame of the horizon says, with the body's roll by it.
+    pub fn of_horizon(
+        utc: Option<Timestamp>,
+        solution: &horizon::Solution,
+        roll_deg: Option<Measured>,
+        solve_time: Duration,
+    ) -> Self {
+        let reason = |(stage, rejected): &horizon::Stopped| Reason {
+            stage: stage.name(),
+            reason: rejected.reason,
+            measured: rejected.measured,
+            limit: rejected.limit,
+        };
+        Self {
+            utc,
+            quality: solution.quality().name(),
+            reason: solution.nadir.as_ref().err().map(reason),
+            roll_deg: roll_deg.map(RollRecord::from),
+            ..Self::new("", None, &Solution::none(), None, Some(solve_time))
         }
     }
 
@@ -233,6 +277,9 @@ impl Record {
         number("OFFSETXE", offset.map(|o| o.cross_elevation));
         number("OFFSETSG", offset.map(|o| o.sigma));
         number("OFFSETCS", offset.map(|o| o.calibration_sigma));
+        let roll = self.roll_deg.as_ref();
+        number("BODYROLL", roll.map(|roll| roll.value));
+        number("BODYRLSG", roll.map(|roll| roll.sigma));
         number("SOLVETIM", self.solve_us.map(|us| us as f64 * 1e-6));
         if let Some(mapping) = mapping {
             cards.push(Card::new("MAPKIND", mapping.kind));

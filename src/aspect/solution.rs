@@ -165,7 +165,7 @@ pub struct Solution {
 }
 
 impl Solution {
-    pub(super) fn none() -> Self {
+    pub fn none() -> Self {
         Self {
             quality: Quality::None,
             stopped: None,

@@ -2,9 +2,10 @@
 
 #[cfg(feature = "gige")]
 use super::gige::GigeCamera;
-use super::{CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera};
-use crate::instrument::Instrument;
-use crate::simulate::{Course, FlightScenes, Pieces, Trajectory};
+use super::{CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera, SimulatedHorizon};
+use crate::instrument::{Instrument, MountedCamera};
+use crate::simulate::earth::SwingingGondola;
+use crate::simulate::{Course, FORT_SUMNER, FlightScenes, Pieces, Trajectory};
 use crate::sky;
 use jiff::Timestamp;
 use std::fmt;
@@ -59,6 +60,8 @@ impl fmt::Display for Source {
 #[derive(Debug, Clone)]
 pub struct Surroundings<'a> {
     pub instrument: &'a Instrument,
+    /// For a roll camera that sees the horizon.
+    pub horizon: Option<&'a MountedCamera>,
     /// Seed of the simulator.
     pub seed: u64,
     /// Length of a simulated run; `None` without end.
@@ -84,10 +87,23 @@ pub fn open(
         Source::Folder(folder) => {
             Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
         }
-        Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, around)?),
+        Source::Simulated(file) => match around.horizon {
+            Some(horizon) => Box::new(simulated_horizon(horizon, settings, around)),
+            None => Box::new(simulated(file.as_deref(), settings, around)?),
+        },
     };
     camera.apply(settings)?;
     Ok(camera)
+}
+
+/// A swinging gondola's roll camera, whatever path the Sun takes on the plate of another.
+fn simulated_horizon(
+    horizon: &MountedCamera,
+    settings: &Settings,
+    around: &Surroundings,
+) -> SimulatedHorizon {
+    let gondola = SwingingGondola::new(horizon, &FORT_SUMNER, around.seed);
+    SimulatedHorizon::new(gondola, settings, Timestamp::now(), around.duration)
 }
 
 fn simulated(

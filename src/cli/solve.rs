@@ -6,7 +6,7 @@ use crate::archive::Record;
 use crate::aspect::{self, Contradiction, Expected, Quantity, Track};
 use crate::fits;
 use crate::instrument::Instrument;
-use crate::pointing::{self, Roll, Target};
+use crate::pointing::{self, Target};
 use crate::sky::Ephemeris;
 use crate::units::Place;
 use clap::Args;
@@ -135,7 +135,7 @@ impl Batch<'_> {
             utc,
             place,
             &self.target,
-            Roll::Stated,
+            None,
             instrument,
             &mut self.ephemeris.clone(),
         );

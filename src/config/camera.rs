@@ -9,7 +9,7 @@ use std::path::PathBuf;
 pub struct Camera {
     /// `None` where nobody plays the role.
     pub source: Option<Source>,
-    /// The instrument's file, for a camera that sees the plate.
+    /// The instrument's file, or that of a camera that sees the horizon.
     pub instrument: Option<PathBuf>,
     pub rate_hz: f64,
     pub exposure_us: u32,

@@ -26,10 +26,12 @@ pub use value::Value;
 use crate::archive::{Overflow, Sharing, SpaceLimits};
 use crate::camera::Source;
 use crate::fits::{Compression, Packing};
-use crate::units::Place;
+use crate::horizon::{Refraction, Sphere};
+use crate::units::{Measured, Place};
 use crate::{aspect, fiducial, limb, registration};
 use jiff::Timestamp;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Everything that a flight may set. `Config::default()` is a valid configuration.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -40,6 +42,7 @@ pub struct Config {
     pub camera: Camera,
     pub second_camera: Camera,
     pub roll_camera: Camera,
+    pub roll: Roll,
     pub link: Link,
     pub archive: Archive,
     pub host: Host,
@@ -131,6 +134,37 @@ pub struct Target {
     pub x_arcsec: f64,
     pub y_arcsec: f64,
     pub epoch_utc: Option<Timestamp>,
+}
+
+/// How the roll camera's horizon is solved and used.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Roll {
+    pub max_age_s: f64,
+    pub atmosphere_m: f64,
+    pub edge_sigma_m: f64,
+}
+
+impl Default for Roll {
+    fn default() -> Self {
+        Self {
+            max_age_s: 1.0,
+            atmosphere_m: 20_000.0,
+            edge_sigma_m: 1_000.0,
+        }
+    }
+}
+
+impl Roll {
+    pub fn max_age(&self) -> Duration {
+        Duration::from_secs_f64(self.max_age_s)
+    }
+
+    /// The Earth about a camera at a height; `None` below the limb's edge. Its ellipsoid moves the roll by a hundredth of a degree at most.
+    pub fn sphere(&self, height_m: f64) -> Option<Sphere> {
+        let edge_m = Measured::new(self.atmosphere_m, self.edge_sigma_m);
+        let air = Refraction::StandardAir;
+        Sphere::earth(Measured::new(height_m, 0.0), edge_m, air)
+    }
 }
 
 /// How the controller is spoken to.

@@ -44,11 +44,10 @@ macro_rules! row {
 /// The rows of one camera. `$rate` is the command number of its rate, if any; the texts after it say by which commands
 /// exposure, analogue gain and pre-amplifier gain are set in flight.
 macro_rules! camera_rows {
-    ($table:ident, rate ($($rate:literal)?), exposure $exposure:literal, analogue $analogue:literal, preamp $preamp:literal) => {[
+    ($table:ident, instrument $file:literal, $instrument:literal, rate ($($rate:literal)?), exposure $exposure:literal, analogue $analogue:literal, preamp $preamp:literal) => {[
         row!($table.source, "", Allowed::Source, sample Sample::Text("gige:192.168.1.20"),
             "Where the camera's frames come from: a GigE Vision camera by IP address or serial number, the frames of a folder, or the simulator. Unset, there is no such camera; [camera] must be set, \"simulated\" for the simulator."),
-        row!($table.instrument, "", Text, sample Sample::Text("calibration/heroes-pyas-f.toml"),
-            "The instrument's file, for a camera that sees a plate; unset, the built-in \"demo\", but for a GigE Vision camera, which needs one."),
+        row!($table.instrument, "", Text, sample Sample::Text($file), $instrument),
         row!($table.rate_hz, "Hz", Number(0.01, 100.0), $(command $rate,)?
             "Frames per second. The 2013 camera gives up to 26; raising it raises the load on solver and disks alike."),
         row!($table.exposure_us, "us", Whole(1, 1_000_000),
@@ -82,23 +81,28 @@ macro_rules! camera_rows {
 fn cameras() -> impl Iterator<Item = Parameter> {
     let camera = camera_rows!(
         camera,
+        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a GigE Vision camera, which needs one.",
         rate (1),
         exposure "Aspect command 0x0451 sets it in flight. ",
         analogue " Aspect command 0x0481 sets it in flight.",
         preamp " Aspect command 0x0491 sets it in flight."
     );
-    let second = camera_rows!(second_camera, rate (), exposure "", analogue "", preamp "");
+    let second = camera_rows!(
+        second_camera,
+        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a GigE Vision camera, which needs one.",
+        rate (),
+        exposure "",
+        analogue "",
+        preamp ""
+    );
     let roll = camera_rows!(
         roll_camera,
+        instrument "calibration/roll.toml", "The file of a camera that sees the horizon (docs/horizon.md), with body_from_camera; unset, its frames are stored and not solved.",
         rate (),
         exposure "Aspect command 0x0551 sets it in flight. ",
         analogue " Aspect command 0x0581 sets it in flight.",
         preamp " Aspect command 0x0591 sets it in flight."
     );
-    // The roll camera sees no plate.
-    let roll = roll
-        .into_iter()
-        .filter(|row| row.key != "roll_camera.instrument");
     camera.into_iter().chain(second).chain(roll)
 }
 
@@ -126,6 +130,13 @@ static BEFORE_CAMERAS: &[Parameter] = &[
 
 #[rustfmt::skip]
 static TABLE: &[Parameter] = &[
+    row!(roll.max_age_s, "s", Number(0.01, 3600.0),
+        "How old the roll by the roll camera's horizon may be. A younger one goes out with solutions and turns their offsets; else the packet says 0, and the instrument's roll holds."),
+    row!(roll.atmosphere_m, "m", Number(0.0, 100_000.0),
+        "The height at which the limb has half of its brightness above the dark sky. An error moves pitch and hardly roll."),
+    row!(roll.edge_sigma_m, "m", Number(0.0, 100_000.0),
+        "Its 1 sigma."),
+
     row!(link.port, "", Text, sample Sample::Text("/dev/serial/by-id/usb-controller"),
         "Where the gondola's controller is: a serial port, best by its by-id name, or udp:HOST:PORT, or udp:HOST:PORT@LOCALPORT with an IP address as HOST (names are not looked up); unset or empty, nothing is sent. A port that is not there, or is lost, is opened again as soon as it is."),
     row!(link.baud, "baud", Whole(300, 4_000_000),

@@ -24,6 +24,14 @@ impl Direction {
         }
     }
 
+    /// The same direction, known less well: with another 1 sigma per axis.
+    pub fn loosened(&self, sigma_rad: f64) -> Self {
+        Self {
+            covariance_rad2: self.covariance_rad2 + Self::new(self.unit, sigma_rad).covariance_rad2,
+            ..*self
+        }
+    }
+
     /// The same direction in another frame.
     pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
         Self {

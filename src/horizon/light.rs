@@ -44,6 +44,11 @@ pub struct Levels {
 }
 
 impl Levels {
+    /// The reason of a frame that is bright all over.
+    pub const TOO_BRIGHT: &'static str = "too_bright";
+    /// Of one that is dark all over.
+    pub const TOO_DARK: &'static str = "too_dark";
+
     /// The levels by a raster of pixels, or why the frame is not worth a look for a sphere of some radius in the picture.
     ///
     /// # Errors
@@ -58,7 +63,7 @@ impl Levels {
         let saturation = f64::from(frame.saturation_dn());
         if mean > MOST_MEAN * saturation {
             return Err(Rejected {
-                reason: "too_bright",
+                reason: Self::TOO_BRIGHT,
                 measured: mean,
                 limit: MOST_MEAN * saturation,
             });
@@ -78,7 +83,7 @@ impl Levels {
         let limit = (LEAST_CONTRAST * saturation).max(LEAST_CONTRAST_SIGMAS * noise_dn);
         if contrast < limit {
             return Err(Rejected {
-                reason: "too_dark",
+                reason: Self::TOO_DARK,
                 measured: contrast,
                 limit,
             });

@@ -75,7 +75,7 @@ pub struct Settings {
 }
 
 /// Where the solution of a frame may end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     Light,
     Detection,
@@ -98,7 +98,7 @@ impl Stage {
 pub type Stopped = (Stage, Rejected);
 
 /// How good a nadir is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quality {
     /// Most of the edge in view is seen.
     Fine,
@@ -155,6 +155,17 @@ pub struct Solution {
 }
 
 impl Solution {
+    /// Of a frame that shows nothing.
+    pub fn none(stopped: Stopped) -> Self {
+        Self {
+            levels: None,
+            places: 0,
+            edge: EdgeRays::default(),
+            clouded: 0.0,
+            nadir: Err(stopped),
+        }
+    }
+
     /// Points that are part of the edge.
     pub fn agreeing(&self) -> usize {
         self.nadir.as_ref().map_or(0, Nadir::agreeing)
@@ -249,13 +260,7 @@ impl Search<'_> {
         view: &View<'_, T>,
         near: Option<UnitVector3<f64>>,
     ) -> Solution {
-        let mut solution = Solution {
-            levels: None,
-            places: 0,
-            edge: EdgeRays::default(),
-            clouded: 0.0,
-            nadir: Err(stopped(Stage::Light, "no_light", 0.0, 0.0)),
-        };
+        let mut solution = Solution::none(stopped(Stage::Light, "no_light", 0.0, 0.0));
         solution.nadir = self.stages(frame, view, near, &mut solution);
         solution
     }

@@ -33,6 +33,39 @@ pub struct DirectionCamera {
     pub mask: Vec<Region>,
 }
 
+/// A camera whose directions are known in the axes of the body that carries it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MountedCamera {
+    pub optics: DirectionCamera,
+    pub body_from_camera: Rotation3<f64>,
+}
+
+impl MountedCamera {
+    /// Reads a camera's file that states how the camera is mounted.
+    ///
+    /// # Errors
+    /// As [`DirectionCamera::read`], and where the file does not say.
+    pub fn read(path: &Path) -> Result<Self, TomlError> {
+        Self::parse(path, &read_text(path)?)
+    }
+
+    /// Reads the text of such a file; `path` is for errors.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
+        let optics = DirectionCamera::parse(path, text)?;
+        let missing = || {
+            let expected = "three rows of a rotation matrix";
+            TomlError::new(path, "camera.body_from_camera", expected, "none")
+        };
+        Ok(Self {
+            body_from_camera: optics.body_from_camera.ok_or_else(missing)?,
+            optics,
+        })
+    }
+}
+
 /// A frame that is not this camera's.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(

@@ -9,10 +9,10 @@ use jiff::Timestamp;
 use std::fmt;
 
 /// The layout that this program writes. Those before are read, too.
-pub const LAYOUT: u8 = 3;
+pub const LAYOUT: u8 = 4;
 
 /// The earlier layouts, and the field that the next one began its additions with.
-const EARLIER: [(u8, &str); 2] = [(1, "takeovers"), (2, "commit")];
+const EARLIER: [(u8, &str); 3] = [(1, "takeovers"), (2, "commit"), (3, "roll_deg")];
 
 /// A field as the page on the protocol shows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -143,6 +143,12 @@ housekeeping! {
     commit: Digits, "", "commit that the program was built from, its first 8 hexadecimal digits";
     modified: bool, "", "the sources of the program were modified after that commit";
     configuration: Digits, "", "SHA-256 of the flight's configuration (`CONFSHA` of the frames), its first 8 hexadecimal digits";
+    roll_deg: Option<f32>, "deg", "roll by the horizon, right side low positive, as it went out with the latest frame's solution";
+    roll_sigma_deg: Option<f32>, "deg", "its 1 sigma";
+    roll_fine: u32, "", "frames of the horizon solved finely";
+    roll_coarse: u32, "", "frames of the horizon solved coarsely";
+    roll_none: u32, "", "frames without a horizon";
+    roll_reasons: [u32; 2], "", "of these, frames that were too bright all over, and too dark";
 }
 
 /// The ids of up to sixteen marks: i and j, each from -7 to 7.
@@ -185,15 +191,14 @@ impl fmt::Debug for Digits {
     }
 }
 
-/// A payload of an earlier layout as one of this: what was added since, from a field on, is zero.
+/// A payload of an earlier layout as one of this: what was added since, from a field on, is nothing or not known.
 fn completed(payload: &[u8], added: &str) -> Option<Vec<u8>> {
     let added = FIELDS.iter().skip_while(|field| field.name != added);
     let added: usize = added.map(|field| field.bytes).sum();
     let mut completed = Housekeeping::default().payload();
     let known = completed.len() - added;
-    let (told, zero) = completed.split_at_mut_checked(known)?;
+    let (told, _) = completed.split_at_mut_checked(known)?;
     told.copy_from_slice(payload.get(..told.len())?);
-    zero.fill(0);
     completed[0] = LAYOUT;
     Some(completed)
 }
@@ -453,7 +458,8 @@ mod tests {
     fn the_table_tells_the_length_and_it_is_short() {
         let length: usize = FIELDS.iter().map(|field| field.bytes).sum();
         assert_eq!(full().payload().len(), 1 + length);
-        assert!(length <= 255, "{length} bytes");
+        // A fortieth of what the line carries in a second.
+        assert!(length <= 288, "{length} bytes");
     }
 
     #[test]

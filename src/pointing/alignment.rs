@@ -11,6 +11,7 @@
 //!   touches the sky at the Sun; roll does not enter.
 
 use super::refusal::PointingError;
+use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, Mounting};
 use crate::sky::sphere::{direction, tangents};
 use crate::units::{MIL_MM, Measured, PlateMil};
@@ -26,7 +27,27 @@ pub enum Roll {
     Measured(Measured),
 }
 
+/// The roll of a body whose axes are forward, right and down, by straight down in them, deg: positive with the right side low.
+pub fn body_roll_deg(nadir: &Direction) -> Measured {
+    let down = &nadir.unit;
+    let by_nadir = Vector3::new(0.0, down.z, -down.y) / (down.y * down.y + down.z * down.z);
+    let variance_rad2 = by_nadir.dot(&(nadir.covariance_rad2 * by_nadir));
+    let sigma_deg = variance_rad2.max(0.0).sqrt().to_degrees();
+    Measured::new(down.y.atan2(down.z).to_degrees(), sigma_deg)
+}
+
 impl Roll {
+    /// The roll of a telescope at an elevation that turns in elevation about the second axis of such a body, or is the body itself: that axis
+    /// dips as much in both, and a roll about the boresight tilts it by sin(roll) cos(elevation). `None` where no roll dips so much.
+    pub fn by_nadir(nadir: &Direction, elevation_deg: f64) -> Option<Self> {
+        let level = elevation_deg.to_radians().cos();
+        let sine = nadir.unit.y / level;
+        let cosine = (1.0 - sine * sine).sqrt();
+        let sigma_deg = (nadir.covariance_rad2.m22.sqrt() / (level * cosine)).to_degrees();
+        let roll = Measured::new(sine.asin().to_degrees(), sigma_deg);
+        (cosine > 0.0).then_some(Self::Measured(roll))
+    }
+
     /// The roll that turns directions on the plate, deg.
     fn turning(self, mounting: &Mounting) -> Measured {
         match (mounting.directions, self) {

@@ -11,11 +11,12 @@ mod alignment;
 mod refusal;
 mod target;
 
-pub use alignment::Roll;
+pub use alignment::{Roll, body_roll_deg};
 pub use refusal::PointingError;
 pub use target::{Feature, Target};
 
 use crate::aspect::{Solution, Stage, Stopped};
+use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
 use crate::sky::sphere::{angles_deg, direction, separation_rad, tangents};
 use crate::sky::{Ephemeris, SunPosition};
@@ -62,6 +63,8 @@ pub struct Offset {
     /// distance and stated roll, by the sigmas that the instrument states, and UT1 behind the table of Earth orientation, which moves Sun
     /// and target alike. It is not part of `covariance_deg2`.
     pub calibration_deg2: Matrix2<f64>,
+    /// The telescope's roll that it rests on.
+    pub roll: Roll,
 }
 
 impl Offset {
@@ -71,7 +74,7 @@ impl Offset {
     }
 }
 
-/// The offset of a solved frame. `None` where the frame has no Sun, or its time or place is not known. Where sky or sphere
+/// The offset of a solved frame, with straight down in the axes of the body that carries the telescope (see [`Roll::by_nadir`]) if it was seen. `None` where the frame has no Sun, or its time or place is not known. Where sky or sphere
 /// give no answer (a date out of range, too near the zenith, a target behind the limb), the solution says so, unless an
 /// earlier stage has had its say, and stays as good as it is.
 pub fn offset_of(
@@ -79,7 +82,7 @@ pub fn offset_of(
     utc: Option<Timestamp>,
     place: Option<Place>,
     target: &Target,
-    roll: Roll,
+    nadir: Option<&Direction>,
     instrument: &Instrument,
     ephemeris: &mut Ephemeris,
 ) -> Option<Offset> {
@@ -90,6 +93,10 @@ pub fn offset_of(
         .map_err(NoOffset::from)
         .and_then(|sun| {
             let target = target.at(utc, &sun)?;
+            let roll = match nadir {
+                Some(nadir) => roll_by_nadir(nadir, sun_plate.position, instrument, &sun)?,
+                None => Roll::Stated,
+            };
             Ok(offset(sun_plate, roll, instrument, &sun, target)?)
         });
     match found {
@@ -101,6 +108,20 @@ pub fn offset_of(
             None
         }
     }
+}
+
+/// The telescope's roll by straight down in the body's axes. It takes the elevation, which depends on the roll, but little.
+fn roll_by_nadir(
+    nadir: &Direction,
+    sun_on_plate: PlateMil,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> Result<Roll, PointingError> {
+    const ROUNDS: usize = 3;
+    (0..ROUNDS).try_fold(Roll::Stated, |roll, _| {
+        let elevation_deg = pointing(sun_on_plate, roll, instrument, sun)?.elevation_deg;
+        Ok(Roll::by_nadir(nadir, elevation_deg).unwrap_or(Roll::Stated))
+    })
 }
 
 /// The telescope's offset from a target, with what the Sun's place on the plate and the calibration leave uncertain.
@@ -129,6 +150,7 @@ pub fn offset(
         sigma_deg: per_axis(&covariance_deg2),
         covariance_deg2,
         calibration_deg2: calibration * 1_f64.to_degrees().powi(2),
+        roll,
     })
 }
 

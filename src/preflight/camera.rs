@@ -1,7 +1,7 @@
 //! Whether a camera answers, with the settings it was given, and what it sees.
 
 use super::bounded::within;
-use super::{Finding, Plan, PlannedCamera};
+use super::{DIM, Finding, Plan, PlannedCamera, SATURATED};
 use crate::aspect::{self, Expected, Quality, Solution};
 use crate::camera::{
     self, CameraError, CameraHealth, FrameSource, PixelFormat, Source, Surroundings, Take,
@@ -10,7 +10,7 @@ use crate::config::Config;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
 use crate::link::CameraRole;
-use crate::pointing::{self, Roll};
+use crate::pointing;
 use std::time::{Duration, Instant};
 
 /// For a camera to be found and to give its first frame.
@@ -19,10 +19,6 @@ const PATIENCE: Duration = Duration::from_secs(15);
 const LONGEST: Duration = Duration::from_secs(30);
 /// Frames are taken for about so long.
 const LOOK_S: f64 = 1.0;
-/// A disc's level from here on, of full scale, is cut off.
-const SATURATED: f64 = 0.985;
-/// A disc this dim, of full scale, gives noisy answers.
-const DIM: f64 = 0.1;
 const PLUG: &str =
     "is it powered and plugged in, on this network, and nobody else's? see docs/camera.md";
 
@@ -43,6 +39,7 @@ pub(super) fn open(
 ) -> Result<Box<dyn FrameSource>, CameraError> {
     let around = Surroundings {
         instrument: &planned.instrument,
+        horizon: planned.horizon.as_ref(),
         seed: config.simulation.seed,
         duration: None,
         speed: 1.0,
@@ -75,7 +72,14 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     ];
     findings.extend(health(check, &trial));
     match (planned.role, planned.instrument.seen_by(frame)) {
-        (CameraRole::Roll, _) => {}
+        (CameraRole::Roll, _) => {
+            let horizon = planned.horizon.as_ref();
+            findings.extend(
+                horizon
+                    .into_iter()
+                    .flat_map(|camera| super::horizon::solves(plan, planned.table, camera, frame)),
+            );
+        }
         (_, Ok(instrument)) => {
             let seen = PlannedCamera {
                 instrument: instrument.into_owned(),
@@ -326,7 +330,7 @@ fn aspect(plan: &Plan, planned: &PlannedCamera, frame: &Frame, mut solution: Sol
         utc,
         place,
         &plan.target,
-        Roll::Stated,
+        None,
         &planned.instrument,
         &mut ephemeris,
     );

@@ -13,6 +13,7 @@ mod camera;
 mod clock;
 mod disks;
 mod finding;
+mod horizon;
 mod link;
 mod plan;
 mod polarity;
@@ -29,6 +30,11 @@ pub use remarks::{Remark, Remarks, Severity, survey};
 use crate::link::PortAddress;
 use std::path::Path;
 use std::time::Duration;
+
+/// Light from here on, of full scale, is cut off.
+const SATURATED: f64 = 0.985;
+/// Light this dim, of full scale, gives noisy answers.
+const DIM: f64 = 0.1;
 
 /// How far the check goes.
 #[derive(Default)]

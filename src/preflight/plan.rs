@@ -2,7 +2,7 @@
 
 use crate::camera::Source;
 use crate::config::{self, Config};
-use crate::instrument::{Dated, Instrument};
+use crate::instrument::{Dated, Instrument, MountedCamera};
 use crate::link::CameraRole;
 use crate::pointing::{Feature, HelioprojectiveArcsec, PointingError, Target};
 use crate::sky::TableError;
@@ -52,6 +52,8 @@ pub struct PlannedCamera {
     pub config: config::Camera,
     /// The camera's own; for roll the demo, for want of one that describes it.
     pub instrument: Instrument,
+    /// What a roll camera sees the horizon with.
+    pub horizon: Option<MountedCamera>,
     /// When the instrument's mounting was measured.
     pub dates: Vec<Dated>,
 }
@@ -99,7 +101,8 @@ impl fmt::Display for PlannedCamera {
         )?;
         match self.role {
             CameraRole::PitchYaw => write!(out, ", instrument \"{}\"", self.instrument.name),
-            CameraRole::Roll => Ok(()),
+            CameraRole::Roll if self.horizon.is_some() => write!(out, ", solved for roll"),
+            CameraRole::Roll => write!(out, ", stored and not solved"),
         }
     }
 }

@@ -8,7 +8,7 @@ use super::{Finding, Plan, PlannedCamera, camera};
 use crate::aspect::{self, Expected, Track};
 use crate::camera::{FrameSource, Take};
 use crate::link::CameraRole;
-use crate::pointing::{self, Offset, Roll};
+use crate::pointing::{self, Offset};
 use crate::sky::Ephemeris;
 use std::time::{Duration, Instant};
 
@@ -251,7 +251,7 @@ impl Watch {
             utc,
             place,
             target,
-            Roll::Stated,
+            None,
             instrument,
             &mut self.ephemeris,
         )

@@ -5,7 +5,7 @@ use super::plan::{self, NoTarget, Options, Plan, PlannedCamera};
 use crate::camera::{CameraError, FolderCamera, Source};
 use crate::config::{self, Config};
 use crate::instrument::toml_file::read_text;
-use crate::instrument::{Instrument, TomlError};
+use crate::instrument::{Instrument, MountedCamera, TomlError};
 use crate::link::CameraRole;
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::simulate::Pieces;
@@ -365,17 +365,20 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
     for (table, role, source, camera) in tables(config) {
         let Some(source) = source else { continue };
         check_source(table, &source, camera, remarks);
-        let file = match role {
-            CameraRole::PitchYaw => camera.instrument.as_deref(),
-            CameraRole::Roll => None,
+        let file = camera.instrument.as_deref();
+        let (plate, horizon) = match role {
+            CameraRole::PitchYaw => (file, None),
+            CameraRole::Roll => (None, file),
         };
-        let instrument = remarks.noted(Instrument::read_with_dates(file));
+        let horizon = horizon.and_then(|file| remarks.noted(MountedCamera::read(file)));
+        let instrument = remarks.noted(Instrument::read_with_dates(plate));
         planned.extend(instrument.map(|(instrument, dates)| PlannedCamera {
             table,
             role,
             source,
             config: camera.clone(),
             instrument,
+            horizon,
             dates,
         }));
     }

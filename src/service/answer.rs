@@ -1,10 +1,12 @@
 //! A solved frame, and what of it waits for the next housekeeping.
 
 use super::flight::Station;
-use crate::archive::{Record, Row};
+use crate::archive::{Record, RollRecord, Row};
 use crate::aspect::Solution;
 use crate::camera::Exposure;
+use crate::horizon;
 use crate::pointing::{Offset, Target};
+use crate::units::Measured;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,6 +19,10 @@ pub struct Answer {
     pub solution: Arc<Solution>,
     /// From `target`.
     pub offset: Option<Offset>,
+    /// Of a roll camera that looks at the horizon.
+    pub horizon: Option<Arc<horizon::Solution>>,
+    /// The body's, deg: by this frame of the horizon, or by the last one before this frame of the Sun.
+    pub roll_deg: Option<Measured>,
     pub target: Target,
     pub solve_time: Duration,
     /// Whether the picture goes to the archive; the row always does.
@@ -29,7 +35,13 @@ impl Answer {
         let info = &self.exposure.frame.info;
         let solution = &self.solution;
         let solve_time = Some(self.solve_time);
-        let record = Record::new("", info.mid_exposure, solution, self.offset, solve_time);
+        let mut record = match &self.horizon {
+            Some(horizon) => {
+                Record::of_horizon(info.mid_exposure, horizon, self.roll_deg, self.solve_time)
+            }
+            None => Record::new("", info.mid_exposure, solution, self.offset, solve_time),
+        };
+        record.roll_deg = self.roll_deg.map(RollRecord::from);
         Row::new(info.number, solution, record)
     }
 }

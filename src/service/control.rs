@@ -91,6 +91,7 @@ pub struct Snapshot {
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
     pub solver: aspect::Settings,
+    pub roll: config::Roll,
 }
 
 impl Snapshot {
@@ -192,6 +193,7 @@ impl Controls {
             clocking_deg: state.own.clocking_deg,
             twist_deg: state.own.twist_deg,
             solver: state.config.solver(),
+            roll: state.config.roll,
         }
     }
 

@@ -4,7 +4,7 @@ use super::archiver::Gauges;
 use super::flight::UnsolvedFrame;
 use super::shared::Shared;
 use super::silence::Silence;
-use super::tally::{CameraTally, FlightTally, LineTally, SolverTally};
+use super::tally::{CameraTally, FlightTally, LineTally, RollTally, SolverTally};
 use crossbeam_channel::Receiver;
 use std::time::Instant;
 
@@ -18,6 +18,7 @@ pub(super) struct Counts {
     pub unsolved: Vec<Receiver<UnsolvedFrame>>,
     pub archive: Gauges,
     pub line: Shared<LineTally>,
+    pub roll: Shared<RollTally>,
 }
 
 impl Counts {
@@ -25,6 +26,7 @@ impl Counts {
         let mut tally = FlightTally {
             archive: self.archive.tally(),
             line: self.line.copy(),
+            roll: self.roll.copy(),
             log_lines_lost: crate::log::lost_lines(),
             ..FlightTally::default()
         };

@@ -1,18 +1,24 @@
 //! What a flight is made of.
 
 use super::control::Seat;
+use super::worker::Life;
 use crate::archive::{Flown, Store};
 use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::Config;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, MountedCamera};
 use crate::link::Connection;
 use crate::pointing::Target;
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
+use crossbeam_channel::{Receiver, RecvTimeoutError};
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How long a solver waits for a frame before it shows that it is at work.
+const PATIENCE: Duration = Duration::from_millis(200);
 
 /// What a flight is made of.
 pub struct Flight {
@@ -69,6 +75,7 @@ impl Flight {
             seat: camera.seat,
             instrument: camera.instrument.clone(),
             folder: camera.folder.clone(),
+            horizon: camera.horizon.clone(),
             flown: Arc::new(Flown::new(
                 configuration.into(),
                 camera.instrument_toml.clone(),
@@ -102,6 +109,8 @@ pub struct Camera {
     pub instrument_toml: Option<String>,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
+    /// What a roll camera sees the horizon with; `None` where its frames are stored and not solved.
+    pub horizon: Option<MountedCamera>,
     /// Where its frames come from, if it is open already.
     pub source: Option<Box<dyn FrameSource>>,
     /// Opens it, and opens it again when its thread has failed.
@@ -116,6 +125,7 @@ impl Camera {
             instrument,
             instrument_toml: None,
             folder: PathBuf::new(),
+            horizon: None,
             source: Some(Box::new(source)),
             open: None,
         }
@@ -131,6 +141,28 @@ pub(super) struct UnsolvedFrame {
     pub arrived: Instant,
 }
 
+impl UnsolvedFrame {
+    /// The next frame to be solved; `None` when the camera has ended, or another thread has taken over.
+    pub fn next(frames: &Receiver<Self>, cameras_ended: &AtomicBool, life: &Life) -> Option<Self> {
+        while !life.is_over() {
+            life.beat();
+            match frames.recv_timeout(PATIENCE) {
+                Ok(frame) => return Some(frame),
+                Err(_) if cameras_ended.load(Ordering::Relaxed) => return None,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return None,
+            }
+        }
+        None
+    }
+
+    /// When the middle of the exposure was.
+    pub fn middle(&self) -> Instant {
+        let half = self.exposure.frame.info.exposure.unwrap_or_default() / 2;
+        self.arrived.checked_sub(half).unwrap_or(self.arrived)
+    }
+}
+
 /// A camera's place in the flight.
 #[derive(Debug, Clone)]
 pub struct Station {
@@ -140,6 +172,8 @@ pub struct Station {
     pub instrument: Instrument,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
+    /// As [`Camera::horizon`].
+    pub horizon: Option<MountedCamera>,
     /// What its frames are taken and solved with.
     pub flown: Arc<Flown>,
 }
@@ -150,8 +184,8 @@ impl Station {
         self.index as u16 + 1
     }
 
-    /// Whether its frames are solved; a roll camera's wait for a solver of horizons.
-    pub(super) fn is_solved(&self) -> bool {
+    /// Whether its frames show the Sun on the plate: of these the controller hears.
+    pub(super) fn sees_plate(&self) -> bool {
         self.seat != Seat::Roll
     }
 }

@@ -8,6 +8,7 @@ use super::tally::{FlightTally, quantile};
 use crate::aspect::{Origin, Quality};
 use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
+use crate::horizon::{self, Levels};
 use crate::link::housekeeping::{Digits, MarkIds};
 use crate::link::{CameraRole, Housekeeping};
 use crate::log;
@@ -129,6 +130,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     let FlightTally {
         camera,
         solver,
+        roll,
         archive,
         line,
         ..
@@ -146,6 +148,11 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
         // The layout wants these to begin again after 65535.
         *stopped = stopped.wrapping_add(*count as u16);
     }
+    told.roll_fine = small(roll.of(horizon::Quality::Fine));
+    told.roll_coarse = small(roll.of(horizon::Quality::Coarse));
+    told.roll_none = small(roll.of(horizon::Quality::None));
+    told.roll_reasons =
+        [Levels::TOO_BRIGHT, Levels::TOO_DARK].map(|reason| small(roll.because(reason)));
     told.calibration_contradicted = solver.contradicted;
     told.stored = small(archive.stored);
     told.unstored = small(archive.unstored);
@@ -188,6 +195,8 @@ fn tell_solution(told: &mut Housekeeping, answer: &Answer) {
         told.elevation_deg = Some(offset.elevation_deg as f32);
         told.offset_sigma_deg = Some(offset.sigma_deg as f32);
     }
+    told.roll_deg = answer.roll_deg.map(|roll| roll.value as f32);
+    told.roll_sigma_deg = answer.roll_deg.map(|roll| roll.sigma as f32);
     let Some((aspect, adopted)) = solution.aspect.as_ref().zip(solution.mapping.as_ref()) else {
         return;
     };

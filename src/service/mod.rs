@@ -13,7 +13,7 @@
 //! ```
 //!
 //! Each camera has a thread and a solver of its own; camera and solver of the second pitch-yaw camera and of the roll camera
-//! are numbered on. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
+//! are numbered on. The roll camera's solver tells no controller: it leaves the latest nadir where the other solvers look. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
@@ -44,8 +44,10 @@ pub mod demo;
 mod flight;
 mod housekeeping;
 mod line;
+mod outlet;
 pub mod priority;
 mod protocol;
+mod roll;
 mod shared;
 mod shutter;
 mod silence;
@@ -60,10 +62,11 @@ pub use command_log::CommandNote;
 pub use control::Seat;
 pub use flight::{Camera, CameraFactory, Flight, Station};
 pub use protocol::protocol_page;
-pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, SolverTally};
+pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, RollTally, SolverTally};
 
 use crate::camera::FrameSource;
 use crate::config::Host;
+use crate::instrument::MountedCamera;
 use crate::link::{Connection, Housekeeping};
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
@@ -74,6 +77,8 @@ use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use flight::UnsolvedFrame;
 use housekeeping::HousekeepingSource;
 use line::{Line, LinkEvent};
+use outlet::Outlet;
+use roll::{LatestNadir, RollSolver};
 use shared::Shared;
 use shutter::{Glimpse, Shutter};
 use solver::Solver;
@@ -82,7 +87,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 use watch::{Signals, Watch};
-use worker::Worker;
+use worker::{Life, Worker};
 
 /// Frames that may wait for the solver: a third of a second at 26 frames/s.
 const UNSOLVED: usize = 8;
@@ -143,6 +148,7 @@ impl Service {
             unsolved: Vec::new(),
             archive: gauges.clone(),
             line: Shared::default(),
+            roll: Shared::default(),
         };
         let host = flight.config.host;
         host.hold();
@@ -157,6 +163,7 @@ impl Service {
             signals: Arc::clone(&signals),
             counts,
             recent: Vec::new(),
+            nadir: LatestNadir::default(),
             cameras: Vec::new(),
             solvers: Vec::new(),
         };
@@ -293,6 +300,7 @@ struct Workers {
     signals: Arc<Signals>,
     counts: Counts,
     recent: Vec<Shared<Recent>>,
+    nadir: LatestNadir,
     cameras: Vec<Worker>,
     solvers: Vec<Worker>,
 }
@@ -301,38 +309,70 @@ impl Workers {
     fn add(&mut self, station: &Arc<Station>, camera: Camera) -> std::io::Result<()> {
         let (to_solver, unsolved) = bounded(UNSOLVED);
         let glimpse = Glimpse::default();
-        self.add_solver(station, &glimpse, unsolved)?;
+        let outlet = Outlet {
+            controls: self.controls.clone(),
+            archive: self.archive.clone(),
+            to_line: self.to_line.clone(),
+            watcher: self.watcher.clone(),
+            glimpse: glimpse.clone(),
+            recent: Shared::default(),
+        };
+        self.recent.push(outlet.recent.clone());
+        self.counts.unsolved.push(unsolved.clone());
+        match station.horizon.clone() {
+            Some(camera) => self.add_roll_solver(station, camera, outlet, unsolved)?,
+            None => self.add_solver(station, outlet, unsolved)?,
+        }
         self.add_camera(station, &glimpse, to_solver, camera.source, camera.open)
     }
 
     fn add_solver(
         &mut self,
         station: &Arc<Station>,
-        glimpse: &Glimpse,
+        outlet: Outlet,
         unsolved: Receiver<UnsolvedFrame>,
     ) -> std::io::Result<()> {
         let solver = Solver {
             station: Arc::clone(station),
             ephemeris: self.ephemeris.clone(),
-            controls: self.controls.clone(),
-            archive: self.archive.clone(),
-            to_line: self.to_line.clone(),
-            watcher: self.watcher.clone(),
-            glimpse: glimpse.clone(),
+            outlet,
             cameras_ended: Arc::clone(&self.signals.cameras_ended),
-            recent: Shared::default(),
+            nadir: self.nadir.clone(),
             calibration: Shared::default(),
             tally: Shared::default(),
         };
-        self.recent.push(solver.recent.clone());
         self.counts.solvers.push(solver.tally.clone());
-        self.counts.unsolved.push(unsolved.clone());
+        self.start_solver(station, move |life| solver.clone().run(&unsolved, life))
+    }
+
+    fn add_roll_solver(
+        &mut self,
+        station: &Arc<Station>,
+        camera: MountedCamera,
+        outlet: Outlet,
+        unsolved: Receiver<UnsolvedFrame>,
+    ) -> std::io::Result<()> {
+        let solver = RollSolver {
+            station: Arc::clone(station),
+            camera,
+            outlet,
+            cameras_ended: Arc::clone(&self.signals.cameras_ended),
+            latest: self.nadir.clone(),
+            tally: self.counts.roll.clone(),
+        };
+        self.start_solver(station, move |life| solver.clone().run(&unsolved, life))
+    }
+
+    fn start_solver(
+        &mut self,
+        station: &Station,
+        run: impl Fn(&Life) + Clone + Send + 'static,
+    ) -> std::io::Result<()> {
         let host = self.host;
         let name = format!("solver-{}", station.camera_number());
         self.solvers
             .push(Worker::start(name, Some(SOLVER_PATIENCE), move || {
-                let (solver, unsolved) = (solver.clone(), unsolved.clone());
-                host.hurried(move |life| solver.run(&unsolved, life))
+                host.hurried(run.clone())
             })?);
         Ok(())
     }

@@ -128,7 +128,7 @@ impl Shutter {
 
     fn announce(&self, start: Timestamp) {
         let camera = self.station.camera_number();
-        if !self.station.is_solved() {
+        if !self.station.sees_plate() {
             return;
         }
         let event = LinkEvent::ExposureStarts(link::Exposure { camera, start });

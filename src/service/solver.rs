@@ -1,47 +1,38 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
-use super::answer::{Answer, Recent};
-use super::archiver::Archive;
-use super::control::{Controls, Seat, Snapshot, Topic};
+use super::answer::Answer;
+use super::control::{Seat, Snapshot, Topic};
 use super::flight::{Station, UnsolvedFrame};
 use super::line::{LinkEvent, Outcome};
+use super::outlet::Outlet;
+use super::roll::LatestNadir;
 use super::shared::Shared;
-use super::shutter::Glimpse;
 use super::tally::{SolverTally, worth_a_line};
 use super::worker::Life;
 use crate::aspect::{self, CalibrationCheck, Expected, Solution, Stage, Track};
 use crate::camera::{Brightness, Exposure};
-use crate::frame::FrameInfo;
 use crate::instrument::Instrument;
-use crate::link::picture::{Tag, TagValue};
-use crate::link::{self, Picture};
-use crate::pointing::{self, Roll};
+use crate::link;
+use crate::pointing;
 use crate::sky::Ephemeris;
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use crossbeam_channel::Receiver;
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 #[derive(Clone)]
 pub(super) struct Solver {
     pub station: Arc<Station>,
     pub ephemeris: Ephemeris,
-    pub controls: Controls,
-    pub archive: Archive,
-    pub to_line: Sender<LinkEvent>,
-    pub watcher: Option<Sender<Answer>>,
-    /// Where the camera learns of its frames' brightness.
-    pub glimpse: Glimpse,
+    pub outlet: Outlet,
     pub cameras_ended: Arc<AtomicBool>,
-    pub recent: Shared<Recent>,
+    /// What the roll camera's solver has found.
+    pub nadir: LatestNadir,
     /// Outlives a thread that fails, as the counts do.
     pub calibration: Shared<CalibrationCheck>,
     pub tally: Shared<SolverTally>,
 }
-
-/// How long the thread waits for a frame before it shows that it is at work.
-const PATIENCE: Duration = Duration::from_millis(200);
 
 impl Solver {
     /// Solves until the camera ends, or another thread has taken over.
@@ -51,16 +42,11 @@ impl Solver {
         let mut mounted = stated.clone();
         let mut mounting_version = None;
         let mut sun = SunSize::default();
-        while !life.is_over() {
-            life.beat();
-            let UnsolvedFrame { exposure, arrived } = match frames.recv_timeout(PATIENCE) {
-                Ok(frame) => frame,
-                Err(_) if self.cameras_ended.load(Ordering::Relaxed) => return,
-                Err(RecvTimeoutError::Timeout) => continue,
-                Err(RecvTimeoutError::Disconnected) => return,
-            };
-            let version = self.controls.version(Topic::Mounting);
-            let snapshot = self.controls.snapshot();
+        while let Some(frame) = UnsolvedFrame::next(frames, &self.cameras_ended, life) {
+            let middle = frame.middle();
+            let UnsolvedFrame { exposure, arrived } = frame;
+            let version = self.outlet.controls.version(Topic::Mounting);
+            let snapshot = self.outlet.controls.snapshot();
             // Commands about the mounting are about the first camera's.
             let commanded = self.station.seat == Seat::PitchYaw;
             if commanded && mounting_version.replace(version) != Some(version) {
@@ -69,7 +55,7 @@ impl Solver {
             if !self.fit(&exposure, &mounted, &mut track) {
                 continue;
             }
-            let answer = self.solve(exposure, &snapshot, &mut track, &mut sun);
+            let answer = self.solve(exposure, middle, &snapshot, &mut track, &mut sun);
             if life.is_over() {
                 return;
             }
@@ -94,7 +80,7 @@ impl Solver {
         mounted: &Instrument,
         track: &mut Option<Track>,
     ) -> bool {
-        if !self.station.is_solved() {
+        if !self.station.sees_plate() {
             return true;
         }
         match mounted.seen_by(&exposure.frame) {
@@ -120,6 +106,7 @@ impl Solver {
     fn solve(
         &mut self,
         mut exposure: Exposure,
+        middle: Instant,
         commanded: &Snapshot,
         track: &mut Option<Track>,
         sun: &mut SunSize,
@@ -136,7 +123,7 @@ impl Solver {
             false => self.calibration.lock().corrected(stated),
         };
         let instrument = corrected.as_ref().unwrap_or(stated);
-        let mut solution = match self.station.is_solved() {
+        let mut solution = match self.station.sees_plate() {
             true => aspect::solve_with(&commanded.solver, frame, instrument, size, prior),
             false => aspect::levels_only(&commanded.solver, frame, instrument),
         };
@@ -147,12 +134,15 @@ impl Solver {
         // The file tells the place that its offset and its coordinates rest on.
         let place = exposure.frame.info.place.or(commanded.place);
         exposure.frame.info.place = place;
+        let max_age = commanded.roll.max_age();
+        let seen = self.nadir.copy();
+        let nadir = seen.and_then(|seen| seen.at(middle, max_age));
         let offset = pointing::offset_of(
             &mut solution,
             utc,
             place,
             &commanded.target,
-            Roll::Stated,
+            nadir.as_ref(),
             &self.station.instrument,
             &mut self.ephemeris,
         );
@@ -161,9 +151,11 @@ impl Solver {
             exposure: Arc::new(exposure),
             solution: Arc::new(solution),
             offset,
+            horizon: None,
+            roll_deg: nadir.as_ref().map(pointing::body_roll_deg),
             target: commanded.target,
             solve_time,
-            to_be_stored: self.controls.stores(self.station.seat.role()),
+            to_be_stored: self.outlet.stores(&self.station),
         }
     }
 
@@ -183,46 +175,14 @@ impl Solver {
         }
     }
 
-    /// What the ground has asked for, from the camera that the controller hears of.
-    fn send_picture(&self, answer: &Answer) {
-        let info = &answer.exposure.frame.info;
-        let tags = picture_tags(&self.station.instrument, info);
-        let time = info.mid_exposure.unwrap_or_else(Timestamp::now);
-        match Picture::new(
-            &answer.exposure.frame,
-            self.station.camera_number() as u8,
-            tags,
-            time,
-        ) {
-            Ok(Some(picture)) => {
-                // A line that is stuck carries no pictures.
-                let _ = self.to_line.try_send(LinkEvent::Picture(Box::new(picture)));
-            }
-            Ok(None) => tracing::warn!("the frame is too large for a picture"),
-            Err(error) => tracing::warn!(%error, "no picture"),
-        }
-    }
-
     /// The line first: a solution does not wait for a disk.
     fn hand_on(&self, answer: Answer, arrived: Instant) {
-        if self.station.is_solved() {
+        if self.station.sees_plate() {
             self.tell_line(&answer, arrived);
         }
-        if self.controls.takes_picture(self.station.seat.role()) {
-            self.send_picture(&answer);
-        }
-        let info = &answer.exposure.frame.info;
-        if let Some(exposure) = info.exposure {
-            let saturation_dn = answer.exposure.frame.saturation_dn();
-            let seen = Brightness::of(answer.solution.levels.as_ref(), saturation_dn);
-            *self.glimpse.lock() = Some((seen, exposure.as_micros() as u32));
-        }
-        self.recent.lock().note(&answer);
-        self.archive.offer(&answer);
-        if let Some(watcher) = &self.watcher {
-            // A watcher that has left misses nothing that matters.
-            let _ = watcher.send(answer);
-        }
+        let saturation_dn = answer.exposure.frame.saturation_dn();
+        let seen = Brightness::of(answer.solution.levels.as_ref(), saturation_dn);
+        self.outlet.hand_on(answer, seen);
     }
 
     fn tell_line(&self, answer: &Answer, arrived: Instant) {
@@ -234,9 +194,15 @@ impl Solver {
             arrived,
             shutter: answer.exposure.frame.info.exposure,
             offset: answer.offset,
+            roll_deg: answer.roll_deg,
             stopped: answer.solution.stopped,
         };
-        if self.to_line.try_send(LinkEvent::Outcome(outcome)).is_err() {
+        if self
+            .outlet
+            .to_line
+            .try_send(LinkEvent::Outcome(outcome))
+            .is_err()
+        {
             let mut tally = self.tally.lock();
             tally.unsent += 1;
             if worth_a_line(tally.unsent) {
@@ -247,31 +213,6 @@ impl Solver {
             }
         }
     }
-}
-
-fn picture_tags(instrument: &Instrument, info: &FrameInfo) -> Vec<Tag> {
-    let tag = |name, value, comment| Tag {
-        name,
-        value,
-        comment,
-    };
-    let mut tags = vec![tag(
-        "INSTRUME",
-        TagValue::Text(instrument.name.clone()),
-        "instrument",
-    )];
-    if let Some(exposure) = info.exposure {
-        let seconds = TagValue::Number(exposure.as_secs_f64());
-        tags.push(tag("EXPTIME", seconds, "exposure, s"));
-    }
-    if let Some(camera) = &info.camera {
-        tags.push(tag("CAMERA", TagValue::Text(camera.clone()), "camera"));
-    }
-    if let Some(number) = info.number {
-        let number = TagValue::Whole(number as i32);
-        tags.push(tag("FRAMENUM", number, "number of the frame"));
-    }
-    tags
 }
 
 fn count(tally: &mut SolverTally, solution: &Solution) {

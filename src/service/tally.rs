@@ -2,6 +2,7 @@
 
 use crate::aspect::{Quality, Stage};
 use crate::camera::CameraHealth;
+use crate::horizon;
 use crate::link::{LinkState, Rejected};
 use crate::units::counted;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -135,6 +136,42 @@ impl SolverTally {
     }
 }
 
+/// What the roll camera's solver counts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RollTally {
+    pub solved: BTreeMap<horizon::Quality, u64>,
+    /// Why frames show no horizon.
+    pub reasons: BTreeMap<(horizon::Stage, &'static str), u64>,
+    /// Frames of the wrong size.
+    pub misfits: u64,
+}
+
+impl RollTally {
+    pub fn of(&self, quality: horizon::Quality) -> u64 {
+        self.solved.get(&quality).copied().unwrap_or(0)
+    }
+
+    /// Frames that show no horizon for a reason.
+    pub fn because(&self, reason: &str) -> u64 {
+        let same = self.reasons.iter().filter(|((_, why), _)| *why == reason);
+        same.map(|(_, count)| count).sum()
+    }
+
+    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use horizon::Quality;
+        if self.solved.is_empty() {
+            return Ok(());
+        }
+        let [fine, coarse, none] =
+            [Quality::Fine, Quality::Coarse, Quality::None].map(|quality| self.of(quality));
+        writeln!(out, "horizon    {fine} fine, {coarse} coarse, {none} none")?;
+        for ((stage, reason), count) in &self.reasons {
+            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
+        }
+        Ok(())
+    }
+}
+
 /// What the archive's threads count.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArchiveTally {
@@ -258,6 +295,7 @@ pub struct FlightTally {
     /// Of all cameras.
     pub camera: CameraTally,
     pub solver: SolverTally,
+    pub roll: RollTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
     /// Threads that panicked or hung, and were started again.
@@ -275,7 +313,7 @@ impl FlightTally {
     /// refused and another has is not lost.
     pub fn lost(&self) -> u64 {
         let camera = self.camera.lost + self.camera.failed + self.camera.silences;
-        let frames = camera + self.solver.misfits;
+        let frames = camera + self.solver.misfits + self.roll.misfits;
         let files = self.archive.unstored + self.archive.rows_lost;
         let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
         let line = u64::from(self.line.never_open);
@@ -297,6 +335,7 @@ impl fmt::Display for FlightTally {
             writeln!(out, "log        {} lines lost", self.log_lines_lost)?;
         }
         self.solver.tell(out)?;
+        self.roll.tell(out)?;
         self.archive.tell(out)?;
         self.line.tell(out)
     }

@@ -4,7 +4,8 @@ use crate::archive::{self, ROLL_CAMERA};
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
-use crate::instrument::{Instrument, SECOND};
+use crate::instrument::toml_file::read_text;
+use crate::instrument::{Instrument, MountedCamera, SECOND};
 use crate::service::{Camera, CameraFactory, Seat};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -64,20 +65,28 @@ struct Common {
 
 impl Common {
     fn camera(self, seat: Seat, table: &config::Camera, source: Source) -> anyhow::Result<Camera> {
-        let file = match seat {
-            // It looks at the horizon: no instrument describes it yet.
-            Seat::Roll => None,
-            _ => table.instrument.as_deref(),
+        let (plate, horizon) = match seat {
+            Seat::Roll => (None, table.instrument.as_deref()),
+            _ => (table.instrument.as_deref(), None),
         };
-        let (instrument, text) = options::instrument_with_text(file)?;
+        let (instrument, text) = options::instrument_with_text(plate)?;
+        let horizon_text = horizon.map(read_text).transpose()?;
+        let parsed = horizon.zip(horizon_text.as_deref());
+        let horizon = parsed.map(|(path, text)| MountedCamera::parse(path, text));
+        let horizon = horizon.transpose()?;
         let settings = table.settings();
-        let again = instrument.clone();
-        let open: CameraFactory = Arc::new(move || self.open(&source, &settings, &again));
+        let again = (instrument.clone(), horizon.clone());
+        let open: CameraFactory =
+            Arc::new(move || self.open(&source, &settings, &again.0, again.1.as_ref()));
         Ok(Camera {
             seat,
             instrument,
-            instrument_toml: (seat != Seat::Roll).then_some(text),
+            instrument_toml: match seat {
+                Seat::Roll => horizon_text,
+                _ => Some(text),
+            },
             folder: PathBuf::new(),
+            horizon,
             source: None,
             open: Some(open),
         })
@@ -88,9 +97,11 @@ impl Common {
         source: &Source,
         settings: &Settings,
         instrument: &Instrument,
+        horizon: Option<&MountedCamera>,
     ) -> Result<Box<dyn FrameSource>, CameraError> {
         let around = Surroundings {
             instrument,
+            horizon,
             seed: self.seed,
             duration: self.duration,
             speed: self.speed,

@@ -6,12 +6,12 @@ mod record;
 
 use super::frames::{FramesArgs, Printer};
 use crate::horizon::{EdgeHeight, Refraction, Settings, Sphere};
-use crate::instrument::DirectionCamera;
+use crate::instrument::{DirectionCamera, MountedCamera};
 use crate::units::{Measured, Place};
 use anyhow::{Context, ensure};
 use batch::{Batch, Mounted, Pair};
 use clap::{Args, ValueEnum};
-use nalgebra::{Rotation3, UnitVector3, Vector3};
+use nalgebra::{UnitVector3, Vector3};
 use record::Record;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -156,17 +156,15 @@ impl HorizonArgs {
             }]);
         };
         let mounted = |file: &PathBuf| {
-            let camera = DirectionCamera::read(file)?;
-            let turn: Rotation3<f64> = camera.body_from_camera.with_context(|| {
-                format!(
-                    "{}: camera.body_from_camera: expected three rows of a rotation matrix, found none",
-                    file.display()
-                )
-            })?;
+            let MountedCamera {
+                optics,
+                body_from_camera,
+            } = MountedCamera::read(file)?;
+            let forward = body_from_camera.inverse() * Vector3::x_axis();
             Ok(Mounted {
-                body_from_camera: Some(turn),
-                sphere: self.edge.sphere(turn.inverse() * Vector3::x_axis())?,
-                camera,
+                body_from_camera: Some(body_from_camera),
+                sphere: self.edge.sphere(forward)?,
+                camera: optics,
             })
         };
         files.iter().map(mounted).collect()

@@ -204,6 +204,8 @@ const SOLUTION: Group = Group {
         row("OFFSETXE", Float, "deg", Written, "true angle across, to larger azimuth"),
         row("OFFSETSG", Float, "deg", Written, "1 sigma per axis of true angle"),
         row("OFFSETCS", Float, "deg", Written, "the same, left by the calibration"),
+        row("BODYROLL", Float, "deg", Written, "roll by the horizon, right low"),
+        row("BODYRLSG", Float, "deg", Written, "1 sigma of BODYROLL"),
         row("SOLVETIM", Float, "s", Written, "wall time of the solver"),
     ],
 };

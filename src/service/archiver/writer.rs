@@ -143,13 +143,13 @@ impl Writer {
         let instrument = &answer.station.instrument;
         let mut cards = answer.row().record.cards();
         cards.extend(answer.station.flown.cards());
-        if answer.station.is_solved() {
+        if answer.station.sees_plate() {
             cards.extend(instrument_cards(instrument));
             cards.extend(self.clock.iter().flat_map(clock_cards));
             cards.extend(sky_cards(
                 &frame.info,
                 solution,
-                Roll::Stated,
+                answer.offset.map_or(Roll::Stated, |offset| offset.roll),
                 instrument,
                 &answer.target,
                 &mut self.ephemeris,

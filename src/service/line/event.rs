@@ -3,6 +3,7 @@
 use crate::aspect::Stopped;
 use crate::link::{Exposure, Housekeeping, Picture, Solution};
 use crate::pointing::Offset;
+use crate::units::Measured;
 use std::time::{Duration, Instant};
 
 /// Error code of a frame whose Sun was found but whose time or place is not known.
@@ -39,6 +40,8 @@ pub struct Outcome {
     /// How long the shutter was open, where it is known.
     pub shutter: Option<Duration>,
     pub offset: Option<Offset>,
+    /// The body's, where it is known.
+    pub roll_deg: Option<Measured>,
     pub stopped: Option<Stopped>,
 }
 
@@ -54,7 +57,8 @@ impl Outcome {
         numbers.iter().all(|n| n.is_finite()).then_some(Solution {
             azimuth_deg: offset.azimuth_deg,
             elevation_deg: offset.elevation_deg,
-            roll_deg: 0.0,
+            // The packet has no other word for a roll that is not known.
+            roll_deg: self.roll_deg.map_or(0.0, |roll| roll.value),
             error_deg: offset.sigma_deg,
             time: self.exposure.start,
         })

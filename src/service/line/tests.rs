@@ -8,8 +8,8 @@ use crate::instrument::builtin;
 use crate::link::ground::order;
 use crate::link::picture::Section;
 use crate::link::{BytePort, Guard, Key, Message, Packet, Picture, SerialPort, Telemetry, id};
-use crate::pointing::{Offset, Target};
-use crate::units::Rejected;
+use crate::pointing::{Offset, Roll, Target};
+use crate::units::{Measured, Rejected};
 use crossbeam_channel::{Sender, unbounded};
 use nalgebra::Matrix2;
 use std::collections::VecDeque;
@@ -92,6 +92,7 @@ fn offset(sigma_deg: f64) -> Offset {
         sigma_deg,
         covariance_deg2: Matrix2::identity(),
         calibration_deg2: Matrix2::identity(),
+        roll: Roll::Stated,
     }
 }
 
@@ -101,6 +102,7 @@ fn solved(exposure: Exposure) -> Outcome {
         arrived: Instant::now(),
         shutter: None,
         offset: Some(offset(1.5e-5)),
+        roll_deg: None,
         stopped: None,
     }
 }
@@ -734,4 +736,15 @@ fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
     lines.store(0, Ordering::Relaxed);
     heard(&controls, None, noise);
     assert_eq!(lines.load(Ordering::Relaxed), 0, "counted as rejected");
+}
+
+#[test]
+fn a_solution_says_the_roll_where_it_is_known_and_zero_where_it_is_not() {
+    for (roll_deg, said) in [(Some(Measured::new(-2.5, 0.01)), -2.5), (None, 0.0)] {
+        let outcome = Outcome {
+            roll_deg,
+            ..solved(exposure(0))
+        };
+        assert_eq!(outcome.solution().unwrap().roll_deg, said);
+    }
 }

@@ -6,9 +6,11 @@
 
 mod glare;
 mod sky;
+mod swing;
 mod texture;
 
 pub use sky::{Air, Clouds, Shape};
+pub use swing::SwingingGondola;
 
 use super::blur::Kernel;
 use super::noise::{Readings, read_out};

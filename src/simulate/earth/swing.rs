@@ -1,0 +1,79 @@
+//! The Earth's limb as a camera of a swinging gondola sees it.
+
+use super::{Aim, Air, EarthConditions, EarthScene};
+use crate::instrument::MountedCamera;
+use crate::units::Place;
+use nalgebra::{Matrix3, Rotation3};
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+/// Swings of a balloon's gondola: amplitude, deg, and period, s. The long one is the whole flight train's, the short one its own.
+const ROLL: [(f64, f64); 2] = [(0.8, 12.3), (0.2, 3.7)];
+const PITCH: [(f64, f64); 1] = [(0.3, 12.3)];
+/// It hangs a little askew, deg.
+const TILT_DEG: f64 = 1.5;
+/// Of the body's first axis, from north over east.
+const HEADING_DEG: f64 = 180.0;
+
+/// A gondola that swings under its balloon.
+#[derive(Debug, Clone)]
+pub struct SwingingGondola {
+    conditions: EarthConditions,
+    latitude_deg: f64,
+    body_from_camera: Rotation3<f64>,
+    seed: u64,
+}
+
+impl SwingingGondola {
+    /// With a camera on it, at a place, over a limb that varies by 2 % and 100 m.
+    pub fn new(camera: &MountedCamera, place: &Place, seed: u64) -> Self {
+        let clear = EarthConditions::clear(place.height_m);
+        Self {
+            conditions: EarthConditions {
+                camera: camera.optics.lens,
+                width_px: camera.optics.width_px,
+                height_px: camera.optics.height_px,
+                aim: Aim::Horizon { most_roll_deg: 0.0 },
+                air: Air {
+                    varies_by: 0.02,
+                    varies_by_m: 100.0,
+                    ..clear.air
+                },
+                ..clear
+            },
+            latitude_deg: place.latitude_deg,
+            body_from_camera: camera.body_from_camera,
+            seed,
+        }
+    }
+
+    /// The body's roll, some time after the start.
+    pub fn roll_deg(&self, after: Duration) -> f64 {
+        TILT_DEG + swing_deg(&ROLL, after)
+    }
+
+    /// What the camera sees then; `brightness` times as bright as usual.
+    pub fn scene(&self, number: u64, after: Duration, brightness: f64) -> EarthScene {
+        let mut conditions = self.conditions.clone();
+        conditions.air.brightness_dn *= brightness;
+        // Seen along the body's first axis, and from there by the camera.
+        let forward = EarthScene {
+            conditions,
+            latitude_deg: self.latitude_deg,
+            heading_deg: HEADING_DEG,
+            roll_deg: self.roll_deg(after),
+            pitch_deg: swing_deg(&PITCH, after),
+            seed: self.seed,
+            number,
+            camera: 0,
+        };
+        let body_from_forward =
+            Rotation3::from_matrix_unchecked(Matrix3::new(0., 0., 1., 1., 0., 0., 0., 1., 0.));
+        forward.seen_by(&(body_from_forward.inverse() * self.body_from_camera))
+    }
+}
+
+fn swing_deg(swings: &[(f64, f64)], after: Duration) -> f64 {
+    let swing = |(deg, period_s): &(f64, f64)| deg * (TAU * after.as_secs_f64() / period_s).sin();
+    swings.iter().map(swing).sum()
+}

@@ -1,0 +1,333 @@
+//! The roll camera's horizon tells the gondola's roll to the solutions of the Sun, and costs them nothing when it is lost.
+
+use crate::common::flight::frames_in;
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
+use jiff::Timestamp;
+use nalgebra::{Matrix3, Rotation3};
+use solaspect::archive::{ROLL_CAMERA, Store};
+use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
+use solaspect::config::Switch;
+use solaspect::fits::{Compression, FitsFile, Value};
+use solaspect::frame::{Frame, Pixels};
+use solaspect::horizon::{Levels, Quality};
+use solaspect::instrument::{DirectionCamera, MountedCamera, builtin};
+use solaspect::pointing::Roll;
+use solaspect::service::{Answer, Camera, Flight, FlightTally, Seat, Service};
+use solaspect::simulate::earth::{Aim, Air, EarthConditions, EarthScene, SwingingGondola};
+use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// Gives its next frame when it is told to, and notes the exposures that it is set to, us.
+struct Stepped {
+    frames: VecDeque<Frame>,
+    go: Receiver<()>,
+    told_us: Arc<Mutex<Vec<u32>>>,
+}
+
+impl FrameSource for Stepped {
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        match self.go.recv_timeout(Duration::from_millis(20)) {
+            Err(RecvTimeoutError::Timeout) => return Ok(Take::NotYet),
+            Err(RecvTimeoutError::Disconnected) => return Ok(Take::End),
+            Ok(()) => {}
+        }
+        let announced = Timestamp::now();
+        starts(announced);
+        Ok(match self.frames.pop_front() {
+            Some(frame) => Take::Exposure(Box::new(Exposure { frame, announced })),
+            None => Take::End,
+        })
+    }
+
+    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+        self.told_us.lock().unwrap().push(settings.exposure_us);
+        Ok(())
+    }
+
+    fn frames_wait(&self) -> bool {
+        true
+    }
+}
+
+/// A gondola that rolls by some degrees, over a limb that varies by 2 % and 100 m.
+fn gondola(number: u64) -> EarthScene {
+    let clear = EarthConditions::clear(38_405.0);
+    let conditions = EarthConditions {
+        aim: Aim::Horizon { most_roll_deg: 3.0 },
+        air: Air {
+            varies_by: 0.02,
+            varies_by_m: 100.0,
+            ..clear.air
+        },
+        ..clear
+    };
+    conditions.scene(7, number)
+}
+
+/// Looks along the gondola's first axis.
+fn roll_camera() -> MountedCamera {
+    let conditions = gondola(0).conditions;
+    let forward = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+    MountedCamera {
+        optics: DirectionCamera {
+            width_px: conditions.width_px,
+            height_px: conditions.height_px,
+            lens: conditions.camera,
+            body_from_camera: None,
+            mask: Vec::new(),
+        },
+        body_from_camera: Rotation3::from_matrix_unchecked(forward),
+    }
+}
+
+/// Frames of the Sun on the plate, all of a time.
+fn suns(count: usize) -> VecDeque<Frame> {
+    let demo = builtin("demo").unwrap();
+    let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 5).unwrap();
+    let frame = |number| {
+        let mut frame = scenes.scene(number).unwrap().frame().unwrap();
+        frame.info.mid_exposure = Some("2013-09-21T18:00:00Z".parse().unwrap());
+        frame
+    };
+    (0..count as u64).map(frame).collect()
+}
+
+/// A picture that is as bright as can be.
+fn white(like: &Frame) -> Frame {
+    let pixels = Pixels::U8(vec![255; like.width() * like.height()]);
+    Frame::new(like.width(), like.height(), pixels, 255, like.info.clone()).unwrap()
+}
+
+/// A flight with a roll camera whose cameras are told when to take a frame.
+struct Stepwise {
+    service: Service,
+    answers: Receiver<Answer>,
+    take: [Sender<()>; 2],
+    told_us: Arc<Mutex<Vec<u32>>>,
+}
+
+impl Stepwise {
+    fn start(horizons: VecDeque<Frame>, max_age_s: f64, archive: Option<&Path>) -> Self {
+        let told_us = Arc::<Mutex<Vec<u32>>>::default();
+        let (to_sun, sun) = unbounded();
+        let (to_roll, roll) = unbounded();
+        let source = |frames, go, told_us: &Arc<Mutex<Vec<u32>>>| Stepped {
+            frames,
+            go,
+            told_us: Arc::clone(told_us),
+        };
+        let demo = builtin("demo").unwrap();
+        let camera = Camera {
+            folder: PathBuf::from("sun"),
+            ..Camera::new(demo.clone(), source(suns(4), sun, &Arc::default()))
+        };
+        let mut flight = Flight::of(camera);
+        flight.other_cameras = vec![Camera {
+            seat: Seat::Roll,
+            folder: PathBuf::from(ROLL_CAMERA),
+            horizon: Some(roll_camera()),
+            ..Camera::new(demo, source(horizons, roll, &told_us))
+        }];
+        let open = |root| Store::open(root, "demo", Compression::Rice).unwrap();
+        flight.stores = archive.map(open).into_iter().collect();
+        flight.config.roll.max_age_s = max_age_s;
+        flight.config.roll_camera.auto_exposure = Switch::On;
+        let (service, answers) = Service::start_watched(flight).unwrap();
+        Self {
+            service,
+            answers,
+            take: [to_sun, to_roll],
+            told_us,
+        }
+    }
+
+    fn next(&self, camera: usize) -> Answer {
+        self.take[camera].send(()).unwrap();
+        let answer = self.answers.recv_timeout(Duration::from_secs(60)).unwrap();
+        assert_eq!(answer.station.index, camera);
+        answer
+    }
+
+    fn sun(&self) -> Answer {
+        self.next(0)
+    }
+
+    fn horizon(&self) -> Answer {
+        self.next(1)
+    }
+
+    fn end(self) -> FlightTally {
+        drop(self.take);
+        self.service.join().unwrap()
+    }
+}
+
+fn number(path: &Path, keyword: &str) -> Option<f64> {
+    match FitsFile::open(path)
+        .unwrap()
+        .keywords()
+        .unwrap()
+        .get(keyword)
+    {
+        Some(Value::Float(value)) => Some(*value),
+        _ => None,
+    }
+}
+
+#[test]
+fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
+    let root = tempfile::tempdir().unwrap();
+    let scenes = [0, 1, 2].map(gondola);
+    let frames = scenes.iter().map(|scene| scene.frame().unwrap()).collect();
+    let flight = Stepwise::start(frames, 3600.0, Some(root.path()));
+    let before = flight.sun();
+    assert_eq!(before.roll_deg, None);
+    assert_eq!(before.offset.unwrap().roll, Roll::Stated);
+    let mut told = Vec::new();
+    for scene in &scenes {
+        let seen = flight.horizon();
+        let roll = seen.roll_deg.unwrap();
+        let off_deg = roll.value - scene.roll_deg;
+        assert!(off_deg.abs() < 0.04, "{roll:?} for {}", scene.roll_deg);
+        assert!(off_deg.abs() < 5.0 * roll.sigma, "{roll:?}");
+        let sun = flight.sun();
+        assert_eq!(sun.roll_deg.unwrap().value, roll.value);
+        // The telescope stands higher than the horizon camera looks, so that its roll about the boresight is larger.
+        let Roll::Measured(about_boresight) = sun.offset.unwrap().roll else {
+            panic!("{:?}", sun.offset);
+        };
+        assert!(about_boresight.value / roll.value > 1.2);
+        told.push(roll.value);
+    }
+    let tally = flight.end();
+    assert_eq!(tally.roll.of(Quality::Fine), 3, "{tally}");
+    assert_eq!((tally.solver.frames(), tally.lost()), (4, 0), "{tally}");
+    for (folder, missing) in [("sun", 1), (ROLL_CAMERA, 0)] {
+        let files = frames_in(&root.path().join(folder));
+        let rolls: Vec<f64> = files
+            .iter()
+            .filter_map(|file| number(file, "BODYROLL"))
+            .collect();
+        assert_eq!(files.len() - rolls.len(), missing, "{folder}");
+        assert_eq!(rolls, told, "{folder}");
+    }
+    let log = std::fs::read_dir(root.path().join("sun")).unwrap();
+    let mut logs = log.map(|entry| entry.unwrap().path());
+    let log = logs
+        .find(|path| path.extension().is_some_and(|e| e == "csv"))
+        .unwrap();
+    let mut log = csv::Reader::from_path(log).unwrap();
+    let columns = log.headers().unwrap().clone();
+    let column = columns.iter().position(|name| name == "roll_deg").unwrap();
+    let rows = log.records().map(|row| row.unwrap()[column].to_owned());
+    let rolls: Vec<f64> = rows.filter_map(|text| text.parse().ok()).collect();
+    assert_eq!(rolls, told);
+}
+
+#[test]
+fn a_horizon_that_is_overexposed_or_old_costs_the_sun_nothing() {
+    let horizon = gondola(3).frame().unwrap();
+    let frames = VecDeque::from([horizon.clone(), white(&horizon)]);
+    let flight = Stepwise::start(frames, 0.01, None);
+    assert!(flight.horizon().roll_deg.is_some());
+    std::thread::sleep(Duration::from_millis(50));
+    let sun = flight.sun();
+    assert_eq!(sun.roll_deg, None, "older than roll.max_age_s");
+    assert_eq!(sun.offset.unwrap().roll, Roll::Stated);
+    assert_eq!(flight.horizon().roll_deg, None);
+    assert!(flight.sun().offset.is_some());
+    // The exposure follows the limb's light, and falls at once where there is too much.
+    let falls = |told_us: &[u32]| told_us.last().is_some_and(|us| *us < 15_000);
+    let start = Instant::now();
+    while !falls(&flight.told_us.lock().unwrap()) {
+        assert!(start.elapsed() < Duration::from_secs(60), "it never falls");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let tally = flight.end();
+    assert_eq!(tally.roll.because(Levels::TOO_BRIGHT), 1, "{tally}");
+    assert!(
+        tally.to_string().contains("1 x light: too_bright"),
+        "{tally}"
+    );
+    assert_eq!(tally.lost(), 0, "{tally}");
+}
+
+/// A small camera that looks along the gondola's first axis.
+const SMALL_CAMERA: &str = "[camera]
+width_px = 480
+height_px = 270
+centre_px = [239.5, 134.5]
+focal_px = [222.2, 222.2]
+body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+";
+
+fn solaspect(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+    command
+        .args(arguments)
+        .env_remove("RUST_LOG")
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_flight_of_two_simulated_cameras_tells_the_gondolas_roll() {
+    let root = tempfile::tempdir().unwrap();
+    let at = |name: &str| root.path().join(name).display().to_string();
+    std::fs::write(at("roll.toml"), SMALL_CAMERA).unwrap();
+    let config = format!(
+        "[site]\nlatitude_deg = {}\nlongitude_deg = {}\nheight_m = {}\n\
+         [camera]\nsource = \"simulated\"\n\
+         [roll_camera]\nsource = \"simulated\"\ninstrument = {:?}\n\
+         [archive]\ndirectory = {:?}\n",
+        FORT_SUMNER.latitude_deg,
+        FORT_SUMNER.longitude_deg,
+        FORT_SUMNER.height_m,
+        at("roll.toml"),
+        at("archive"),
+    );
+    std::fs::write(at("flight.toml"), config).unwrap();
+    std::fs::create_dir(at("archive")).unwrap();
+    let preflight = solaspect(&["preflight", "--config", &at("flight.toml")]);
+    let page = String::from_utf8(preflight.stdout).unwrap();
+    assert!(page.contains("roll_camera solves"), "{page}");
+    assert!(page.contains("fine: roll "), "{page}");
+    let flown = solaspect(&["fly", "--config", &at("flight.toml"), "--duration", "3s"]);
+    let said = String::from_utf8(flown.stdout).unwrap();
+    assert!(flown.status.success(), "{said}");
+    assert!(
+        said.contains("horizon    12 fine, 0 coarse, 0 none"),
+        "{said}"
+    );
+    let camera = MountedCamera::parse(Path::new("roll.toml"), SMALL_CAMERA).unwrap();
+    let gondola = SwingingGondola::new(&camera, &FORT_SUMNER, 1);
+    let files = frames_in(&root.path().join("archive").join(ROLL_CAMERA));
+    assert_eq!(files.len(), 12);
+    let mut squares = 0.0;
+    for file in &files {
+        let of = |keyword| number(file, keyword).unwrap();
+        let truth_deg = gondola.roll_deg(Duration::from_secs_f64(of("MONOTIME")));
+        squares += ((of("BODYROLL") - truth_deg) / of("BODYRLSG")).powi(2);
+    }
+    let ratio = (squares / files.len() as f64).sqrt();
+    assert!((0.4..1.7).contains(&ratio), "{ratio}");
+    // What the roll camera was flown with is in the archive.
+    let kept = std::fs::read_dir(root.path().join("archive").join(ROLL_CAMERA)).unwrap();
+    let kept = kept.map(|entry| entry.unwrap().path());
+    let instrument = kept.filter(|path| path.extension().is_some_and(|e| e == "toml"));
+    let texts: Vec<String> = instrument
+        .map(|path| std::fs::read_to_string(path).unwrap())
+        .collect();
+    assert!(texts.iter().any(|text| text == SMALL_CAMERA));
+    // Its refinement leaves the roll camera's frames alone.
+    let refined = solaspect(&["refine", &at("archive"), "--out", &at("refined")]);
+    assert!(
+        refined.status.success(),
+        "{}",
+        String::from_utf8_lossy(&refined.stderr)
+    );
+}
