@@ -200,7 +200,7 @@ impl Solver {
         if self
             .outlet
             .to_line
-            .try_send(LinkEvent::Outcome(outcome))
+            .try_send(LinkEvent::Outcome(Box::new(outcome)))
             .is_err()
         {
             let mut tally = self.tally.lock();

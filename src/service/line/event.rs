@@ -25,7 +25,7 @@ pub const ERROR_CODES: &[(u16, &str)] = &[
 /// What the link is told.
 pub enum LinkEvent {
     ExposureStarts(Exposure),
-    Outcome(Outcome),
+    Outcome(Box<Outcome>),
     /// The second's housekeeping.
     Housekeeping(Box<Housekeeping>),
     /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.

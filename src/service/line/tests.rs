@@ -124,7 +124,9 @@ impl Bench {
     }
 
     fn ends(&mut self, outcome: Outcome) {
-        self.events.send(LinkEvent::Outcome(outcome)).unwrap();
+        self.events
+            .send(LinkEvent::Outcome(Box::new(outcome)))
+            .unwrap();
     }
 
     fn expose(&mut self, exposure: Exposure) {
