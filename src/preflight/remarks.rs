@@ -215,15 +215,18 @@ fn exposure(table: &str, camera: &config::Camera, remarks: &mut Remarks) {
 /// A camera can be opened once; a folder or the simulator may serve twice, if that is meant.
 fn same_sources(config: &Config, remarks: &mut Remarks) {
     let tables = tables(config);
-    for (n, (table, _, source, _)) in tables.iter().enumerate() {
+    for (n, (table, role, source, camera)) in tables.iter().enumerate() {
         let namesake = |(_, _, other, _): &&(_, _, Option<Source>, _)| other == source;
         let Some((other, ..)) = tables[..n].iter().find(namesake) else {
             continue;
         };
         let key = format!("{table}.source");
         let expected = format!("another source than that of {other}");
+        let sees_horizon = *role == CameraRole::Roll && camera.instrument.is_some();
         match source {
             None => {}
+            // The simulator then draws the horizon.
+            Some(Source::Simulated(_)) if sees_horizon => {}
             Some(source @ Source::Gige(_)) => remarks.error(&key, expected, source.to_string()),
             Some(source) => remarks.warn(&key, expected, source.to_string()),
         }
