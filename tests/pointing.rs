@@ -2,14 +2,15 @@
 //! HEROES flight program had it.
 
 use jiff::Timestamp;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Rotation3, UnitVector3, Vector2, Vector3};
 use proptest::prelude::*;
 use solaspect::aspect::{self, Expected, Quality};
 use solaspect::fits;
+use solaspect::geometry::attitude::Direction;
 use solaspect::instrument::{Directions, Instrument, builtin};
 use solaspect::pointing::{
-    Feature, HelioprojectiveArcsec, Horizontal, PointingError, Roll, Target, helioprojective,
-    offset, offset_of, pointing, sun_on_plate, sun_on_plate_for,
+    Feature, HelioprojectiveArcsec, Horizontal, PointingError, Roll, Target, body_roll_deg,
+    helioprojective, offset, offset_of, pointing, roll_by_nadir, sun_on_plate, sun_on_plate_for,
 };
 use solaspect::sky::sphere::{direction, separation_rad};
 use solaspect::sky::{Ephemeris, SunPosition};
@@ -58,6 +59,13 @@ fn exact_roll(roll_deg: f64) -> Roll {
     Roll::Measured(Measured::new(roll_deg, 0.0))
 }
 
+/// Straight down in the axes of a telescope: along the boresight, right, and across both.
+fn nadir(roll_deg: f64, elevation_deg: f64) -> UnitVector3<f64> {
+    let [(sin_roll, cos_roll), (sin, cos)] =
+        [roll_deg, elevation_deg].map(|deg| deg.to_radians().sin_cos());
+    UnitVector3::new_normalize(Vector3::new(-sin, cos * sin_roll, cos * cos_roll))
+}
+
 /// The angle between two pointings, arcsec.
 fn apart_arcsec(a: Horizontal, b: Horizontal) -> f64 {
     let [a, b] = [a, b].map(|p| direction(p.azimuth_deg, p.elevation_deg));
@@ -101,8 +109,17 @@ fn offsets_by_directions_at_the_telescope_are_those_of_a_plate_fixed_in_it() {
         let mut instrument = instrument(Directions::Telescope, row[3], (row[4], row[5]));
         instrument.mounting.roll_deg.value = row[2];
         let sun = sun(row[0], row[1], 0.0);
-        for roll in [Roll::Stated, exact_roll(row[2])] {
-            let seen = on_plate(row[6], row[7]);
+        let seen = on_plate(row[6], row[7]);
+        // Straight down as the telescope has it, and as the gondola does under which it is raised.
+        let nadir = nadir(row[2], row[1] + row[9]);
+        let lowered = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.7) * nadir;
+        let level = self::instrument(Directions::Telescope, row[3], (row[4], row[5]));
+        let by_horizon = |nadir| {
+            let seen_down = Direction::new(nadir, 0.0);
+            roll_by_nadir(&seen_down, seen.position, &level, &sun).unwrap()
+        };
+        let rolls = [nadir, lowered].map(by_horizon);
+        for roll in [Roll::Stated, exact_roll(row[2]), rolls[0], rolls[1]] {
             let found = offset(seen, roll, &instrument, &sun, CENTRE).unwrap();
             let off = [
                 found.azimuth_deg - row[8],
@@ -117,6 +134,43 @@ fn offsets_by_directions_at_the_telescope_are_those_of_a_plate_fixed_in_it() {
         }
     }
     println!("off by {:.1e} arcsec at most", largest_deg / ARCSEC);
+}
+
+#[test]
+fn a_rolls_sigma_is_by_how_much_an_error_of_the_nadir_turns_it() {
+    const SIGMA_RAD: f64 = 1e-4;
+    for (roll_deg, elevation_deg) in [(0.0, 0.0), (3.0, 54.0), (-20.0, 30.0)] {
+        let nadir = nadir(roll_deg, elevation_deg);
+        let known = Direction::new(nadir, SIGMA_RAD);
+        let body = body_roll_deg(&known);
+        assert!((body.value - roll_deg).abs() < 1e-9);
+        let Some(Roll::Measured(telescope)) = Roll::by_nadir(&known, elevation_deg) else {
+            panic!("no roll")
+        };
+        assert!((telescope.value - roll_deg).abs() < 1e-9);
+        // Each axis of the nadir's error by itself.
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let moved = axes.map(|axis| {
+            let across = axis - nadir.into_inner() * nadir.dot(&axis);
+            let off = UnitVector3::new_normalize(nadir.into_inner() + across * SIGMA_RAD);
+            let off = Direction::new(off, 0.0);
+            let Some(Roll::Measured(telescope)) = Roll::by_nadir(&off, elevation_deg) else {
+                panic!("no roll")
+            };
+            [body_roll_deg(&off).value, telescope.value]
+        });
+        for (n, told) in [body, telescope].iter().enumerate() {
+            let squares = moved.map(|values| (values[n] - roll_deg).powi(2));
+            let sigma_deg = squares.iter().sum::<f64>().sqrt();
+            assert!(
+                (told.sigma / sigma_deg - 1.0).abs() < 1e-2,
+                "{told:?}, {sigma_deg}"
+            );
+        }
+    }
+    // What dips more than a telescope so high can is no roll of it.
+    let level = Direction::new(nadir(30.0, 0.0), SIGMA_RAD);
+    assert_eq!(Roll::by_nadir(&level, 80.0), None);
 }
 
 /// Steps of 1 deg around the boresight at an angle from it: where the Sun is seen.

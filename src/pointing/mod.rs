@@ -110,8 +110,12 @@ pub fn offset_of(
     }
 }
 
-/// The telescope's roll by straight down in the body's axes. It takes the elevation, which depends on the roll, but little.
-fn roll_by_nadir(
+/// The telescope's roll by straight down in the axes of the body that carries it ([`Roll::by_nadir`]). It takes the elevation, which depends on
+/// the roll, but little.
+///
+/// # Errors
+/// As [`pointing`].
+pub fn roll_by_nadir(
     nadir: &Direction,
     sun_on_plate: PlateMil,
     instrument: &Instrument,
