@@ -8,13 +8,14 @@ use solaspect::archive::{ROLL_CAMERA, Store};
 use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
 use solaspect::config::Switch;
 use solaspect::fits::{Compression, FitsFile, Value};
-use solaspect::frame::{Frame, Pixels};
+use solaspect::frame::{Frame, Pixels, Region};
 use solaspect::horizon::{Levels, Quality};
 use solaspect::instrument::{DirectionCamera, MountedCamera, builtin};
 use solaspect::pointing::Roll;
 use solaspect::service::{Answer, Camera, Flight, FlightTally, Seat, Service};
 use solaspect::simulate::earth::{Aim, Air, EarthConditions, EarthScene, SwingingGondola};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
+use solaspect::units::Place;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -256,6 +257,36 @@ fn a_horizon_that_is_overexposed_or_old_costs_the_sun_nothing() {
     assert_eq!(tally.lost(), 0, "{tally}");
 }
 
+#[test]
+fn a_frame_of_another_size_or_from_below_the_limb_is_stored_with_the_reason() {
+    let root = tempfile::tempdir().unwrap();
+    let horizon = gondola(4).frame().unwrap();
+    let mut low = horizon.clone();
+    low.info.place = Some(Place {
+        height_m: 1_200.0,
+        ..FORT_SUMNER
+    });
+    let part = horizon.cropped(Region::sized(640, 300, 640, 780)).unwrap();
+    let frames = VecDeque::from([low, part, horizon]);
+    let flight = Stepwise::start(frames, 3600.0, Some(root.path()));
+    let reason = |answer: &Answer| {
+        let horizon = answer.horizon.as_ref().unwrap();
+        horizon
+            .nadir
+            .as_ref()
+            .err()
+            .map(|(_, rejected)| rejected.reason)
+    };
+    for expected in [Some("not_above_the_limb"), Some("wrong_size"), None] {
+        let answer = flight.horizon();
+        assert_eq!(reason(&answer), expected);
+        // The exposure follows the light of all of them.
+        assert!(answer.solution.levels.is_some());
+    }
+    let tally = flight.end();
+    assert_eq!((tally.archive.stored, tally.lost()), (3, 0), "{tally}");
+}
+
 /// A small camera that looks along the gondola's first axis.
 const SMALL_CAMERA: &str = "[camera]
 width_px = 480
@@ -314,7 +345,8 @@ fn a_flight_of_two_simulated_cameras_tells_the_gondolas_roll() {
         squares += ((of("BODYROLL") - truth_deg) / of("BODYRLSG")).powi(2);
     }
     let ratio = (squares / files.len() as f64).sqrt();
-    assert!((0.4..1.7).contains(&ratio), "{ratio}");
+    // Few places tell little of how the limb departs from its sphere, so that a small picture's sigma is careful.
+    assert!((0.2..1.7).contains(&ratio), "{ratio}");
     // What the roll camera was flown with is in the archive.
     let kept = std::fs::read_dir(root.path().join("archive").join(ROLL_CAMERA)).unwrap();
     let kept = kept.map(|entry| entry.unwrap().path());

@@ -140,6 +140,8 @@ pub struct Target {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Roll {
     pub max_age_s: f64,
+    pub height_m: Option<f64>,
+    pub height_sigma_m: f64,
     pub atmosphere_m: f64,
     pub edge_sigma_m: f64,
 }
@@ -148,6 +150,8 @@ impl Default for Roll {
     fn default() -> Self {
         Self {
             max_age_s: 1.0,
+            height_m: None,
+            height_sigma_m: 500.0,
             atmosphere_m: 20_000.0,
             edge_sigma_m: 1_000.0,
         }
@@ -159,11 +163,13 @@ impl Roll {
         Duration::from_secs_f64(self.max_age_s)
     }
 
-    /// The Earth about a camera at a height; `None` below the limb's edge. Its ellipsoid moves the roll by a hundredth of a degree at most.
-    pub fn sphere(&self, height_m: f64) -> Option<Sphere> {
+    /// The Earth about a camera, at the stated height or else that of its place; `None` below the limb's edge. Its ellipsoid moves the roll by a
+    /// hundredth of a degree at most.
+    pub fn sphere(&self, height_m: Option<f64>) -> Option<Sphere> {
+        let height = Measured::new(self.height_m.or(height_m)?, self.height_sigma_m);
         let edge_m = Measured::new(self.atmosphere_m, self.edge_sigma_m);
         let air = Refraction::StandardAir;
-        Sphere::earth(Measured::new(height_m, 0.0), edge_m, air)
+        Sphere::earth(height, edge_m, air)
     }
 }
 

@@ -132,6 +132,10 @@ static BEFORE_CAMERAS: &[Parameter] = &[
 static TABLE: &[Parameter] = &[
     row!(roll.max_age_s, "s", Number(0.01, 3600.0),
         "How old the roll by the roll camera's horizon may be. A younger one goes out with solutions and turns their offsets; else the packet says 0, and the instrument's roll holds."),
+    row!(roll.height_m, "m", Number(0.0, 2e6), sample Sample::Number(38_000.0),
+        "The height at which the roll camera flies; unset, that of the frame's place or of the site, which GPS and commands do not set. An error tilts the cone of the horizon: roll hardly feels it where the camera looks forward, and by 0.12 deg a km where it looks sideways."),
+    row!(roll.height_sigma_m, "m", Number(0.0, 100_000.0),
+        "Its 1 sigma."),
     row!(roll.atmosphere_m, "m", Number(0.0, 100_000.0),
         "The height at which the limb has half of its brightness above the dark sky. An error moves pitch and hardly roll."),
     row!(roll.edge_sigma_m, "m", Number(0.0, 100_000.0),

@@ -143,7 +143,7 @@ housekeeping! {
     commit: Digits, "", "commit that the program was built from, its first 8 hexadecimal digits";
     modified: bool, "", "the sources of the program were modified after that commit";
     configuration: Digits, "", "SHA-256 of the flight's configuration (`CONFSHA` of the frames), its first 8 hexadecimal digits";
-    roll_deg: Option<f32>, "deg", "roll by the horizon, right side low positive, as it went out with the latest frame's solution";
+    roll_deg: Option<f32>, "deg", "roll by the horizon at the latest frame, right side low positive";
     roll_sigma_deg: Option<f32>, "deg", "its 1 sigma";
     roll_fine: u32, "", "frames of the horizon solved finely";
     roll_coarse: u32, "", "frames of the horizon solved coarsely";

@@ -43,7 +43,7 @@ impl Roll {
         let level = elevation_deg.to_radians().cos();
         let sine = nadir.unit.y / level;
         let cosine = (1.0 - sine * sine).sqrt();
-        let sigma_deg = (nadir.covariance_rad2.m22.sqrt() / (level * cosine)).to_degrees();
+        let sigma_deg = (nadir.covariance_rad2.m22.max(0.0).sqrt() / (level * cosine)).to_degrees();
         let roll = Measured::new(sine.asin().to_degrees(), sigma_deg);
         (cosine > 0.0).then_some(Self::Measured(roll))
     }

@@ -1,6 +1,6 @@
 //! Whether a camera answers, with the settings it was given, and what it sees.
 
-use super::bounded::within;
+use super::bounded::{findings_within, within};
 use super::{DIM, Finding, Plan, PlannedCamera, SATURATED};
 use crate::aspect::{self, Expected, Quality, Solution};
 use crate::camera::{
@@ -73,12 +73,15 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     findings.extend(health(check, &trial));
     match (planned.role, planned.instrument.seen_by(frame)) {
         (CameraRole::Roll, _) => {
-            let horizon = planned.horizon.as_ref();
-            findings.extend(
-                horizon
-                    .into_iter()
-                    .flat_map(|camera| super::horizon::solves(plan, planned.table, camera, frame)),
-            );
+            if let Some(camera) = planned.horizon.clone() {
+                let (plan, table, frame) = (plan.clone(), planned.table, frame.clone());
+                findings.extend(findings_within(
+                    PATIENCE,
+                    &format!("{table} solves"),
+                    "tell the program's makers",
+                    move || super::horizon::solves(&plan, table, &camera, &frame),
+                ));
+            }
         }
         (_, Ok(instrument)) => {
             let seen = PlannedCamera {
@@ -237,7 +240,7 @@ fn solves(plan: &Plan, planned: &PlannedCamera, frame: &Frame) -> Vec<Finding> {
         findings.push(aspect(&plan, &planned_too, &frame, solution));
         findings
     };
-    super::bounded::findings_within(
+    findings_within(
         PATIENCE,
         &format!("{table} solves"),
         "tell the program's makers",

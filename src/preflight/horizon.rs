@@ -6,6 +6,9 @@ use crate::horizon::{self, Quality, Settings, Solution};
 use crate::instrument::MountedCamera;
 use crate::pointing::body_roll_deg;
 
+/// No gondola hangs so much askew.
+const MOST_ROLL_DEG: f64 = 15.0;
+
 /// Solves a frame, and judges its light.
 pub(super) fn solves(
     plan: &Plan,
@@ -18,10 +21,10 @@ pub(super) fn solves(
         return vec![Finding::fail(table, wrong.to_string(), remedy)];
     }
     let place = frame.info.place.or(plan.config.site.place());
-    let sphere = place.and_then(|place| plan.config.roll.sphere(place.height_m));
+    let sphere = plan.config.roll.sphere(place.map(|place| place.height_m));
     let Some(sphere) = sphere else {
         let found = "the camera is not above the limb, or its height is not known";
-        let remedy = "no matter on the ground; else set [site] or roll.atmosphere_m";
+        let remedy = "no matter on the ground; else set roll.height_m";
         return vec![Finding::warn(format!("{table} solves"), found, remedy)];
     };
     let settings = Settings::default();
@@ -57,6 +60,9 @@ fn nadir(table: &str, camera: &MountedCamera, solution: &Solution) -> Finding {
         solution.places
     );
     match solution.quality() {
+        _ if roll.value.abs() > MOST_ROLL_DEG => {
+            Finding::warn(check, found, "is body_from_camera right?")
+        }
         Quality::Fine => Finding::pass(check, found),
         _ => Finding::warn(check, found, "is the limb in view, and mask_px right?"),
     }

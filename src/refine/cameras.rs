@@ -65,7 +65,7 @@ fn named(path: &Path) -> Option<Named> {
     Some(Named(name, sha256))
 }
 
-/// The roll camera has no instrument that its headers could name; its files are named after it.
+/// The roll camera has no instrument of the plate that its headers could name; its files are named after it.
 fn is_of_roll_camera(path: &Path) -> bool {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let rest = stem.strip_prefix(ROLL_CAMERA);

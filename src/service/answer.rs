@@ -2,7 +2,7 @@
 
 use super::flight::Station;
 use crate::archive::{Record, RollRecord, Row};
-use crate::aspect::Solution;
+use crate::aspect::{Quality, Solution};
 use crate::camera::Exposure;
 use crate::horizon;
 use crate::pointing::{Offset, Target};
@@ -21,7 +21,7 @@ pub struct Answer {
     pub offset: Option<Offset>,
     /// Of a roll camera that looks at the horizon.
     pub horizon: Option<Arc<horizon::Solution>>,
-    /// The body's, deg: by this frame of the horizon, or by the last one before this frame of the Sun.
+    /// The body's, deg: by this frame of the horizon, or by the one nearest to this frame of the Sun.
     pub roll_deg: Option<Measured>,
     pub target: Target,
     pub solve_time: Duration,
@@ -42,7 +42,22 @@ impl Answer {
             None => Record::new("", info.mid_exposure, solution, self.offset, solve_time),
         };
         record.roll_deg = self.roll_deg.map(RollRecord::from);
-        Row::new(info.number, solution, record)
+        let row = Row::new(info.number, solution, record);
+        match &self.horizon {
+            Some(horizon) => Row {
+                quality: quality(horizon.quality()),
+                ..row
+            },
+            None => row,
+        }
+    }
+}
+
+fn quality(horizon: horizon::Quality) -> Quality {
+    match horizon {
+        horizon::Quality::Fine => Quality::Fine,
+        horizon::Quality::Coarse => Quality::Coarse,
+        horizon::Quality::None => Quality::None,
     }
 }
 

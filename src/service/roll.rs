@@ -9,9 +9,9 @@ use super::tally::{RollTally, worth_a_line};
 use super::worker::Life;
 use crate::aspect;
 use crate::camera::{Brightness, Exposure};
-use crate::frame;
+use crate::frame::{self, Frame};
 use crate::geometry::attitude::Direction;
-use crate::horizon::{self, Levels, Settings, Solution, Stage, Stopped};
+use crate::horizon::{self, Levels, Settings, Solution, Stage};
 use crate::instrument::MountedCamera;
 use crate::pointing::body_roll_deg;
 use crate::units::Rejected;
@@ -21,8 +21,12 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-/// Frames are not nearer to each other than that.
-const LEAST_S: f64 = 1e-3;
+/// A gondola turns by so much where no frames have told, 1 sigma: half a degree a second.
+const USUAL_RAD_PER_S: f64 = 0.009;
+/// Frames this near to each other or further apart than that tell no rate; from frame to frame so much of it is kept.
+const LEAST_S: f64 = 0.03;
+const RATE_VALID_S: f64 = 1.5;
+const RATE_KEPT: f64 = 0.95;
 
 /// What the horizon said last; the solvers of the other cameras look.
 pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
@@ -33,21 +37,23 @@ pub(super) struct SeenNadir {
     pub direction: Direction,
     /// Middle of the exposure.
     at: Instant,
-    /// How fast it has moved since the frame before, if there was one.
+    /// How fast the body turns, by the latest frames.
     rad_per_s: f64,
 }
 
 impl SeenNadir {
-    /// What comes next; the body has gone on turning in between.
+    /// What comes next. A swing is slow where it turns back, so that its rate is kept for a while.
     fn next(last: Option<Self>, direction: Direction, at: Instant) -> Self {
-        let speed = |last: Self| {
-            let angle_rad = last.direction.unit.angle(&direction.unit);
-            angle_rad / apart(last.at, at).as_secs_f64().max(LEAST_S)
+        let rate = |last: Self| {
+            let seconds = apart(last.at, at).as_secs_f64();
+            let turned_rad = last.direction.unit.angle(&direction.unit);
+            let rad_per_s = turned_rad / seconds.max(LEAST_S);
+            (seconds < RATE_VALID_S).then(|| rad_per_s.max(RATE_KEPT * last.rad_per_s))
         };
         Self {
             direction,
             at,
-            rad_per_s: last.map_or(0.0, speed),
+            rad_per_s: last.and_then(rate).unwrap_or(USUAL_RAD_PER_S),
         }
     }
 
@@ -81,11 +87,11 @@ impl RollSolver {
         let mut last = None;
         while let Some(frame) = UnsolvedFrame::next(frames, &self.cameras_ended, life) {
             let middle = frame.middle();
-            let exposure = frame.exposure;
-            if !self.is_own(&exposure) {
-                continue;
-            }
+            let mut exposure = frame.exposure;
             let snapshot = self.outlet.controls.snapshot();
+            // The file tells the place that its nadir rests on.
+            let info = &mut exposure.frame.info;
+            info.place = info.place.or(snapshot.place);
             let start = Instant::now();
             let solution = self.solve(&exposure, &snapshot, last.as_ref());
             let solve_time = start.elapsed();
@@ -121,35 +127,31 @@ impl RollSolver {
         }
     }
 
-    /// Whether a frame has the camera's size.
-    fn is_own(&self, exposure: &Exposure) -> bool {
-        let Err(error) = self.camera.optics.check(&exposure.frame) else {
-            return true;
-        };
-        let mut tally = self.tally.lock();
-        tally.misfits += 1;
-        if worth_a_line(tally.misfits) {
-            tracing::error!(%error, misfits = tally.misfits, "not the roll camera's frame");
-        }
-        false
-    }
-
+    /// The horizon of a frame. One of another size than the camera's is stored, and not solved.
     fn solve(
         &self,
         exposure: &Exposure,
         commanded: &Snapshot,
         last: Option<&UnitVector3<f64>>,
     ) -> Solution {
-        let place = exposure.frame.info.place.or(commanded.place);
-        let sphere = place.and_then(|place| commanded.roll.sphere(place.height_m));
-        let Some(sphere) = sphere else {
-            return Solution::none(no_height(
-                place.map_or(0.0, |place| place.height_m),
-                commanded,
-            ));
-        };
-        let camera = &self.camera.optics;
-        horizon::solve(&Settings::default(), &exposure.frame, camera, &sphere, last)
+        let (frame, camera) = (&exposure.frame, &self.camera.optics);
+        if camera.check(frame).is_err() {
+            return unsolved(
+                frame,
+                "wrong_size",
+                frame.width() as f64,
+                camera.width_px as f64,
+            );
+        }
+        let height_m = exposure.frame.info.place.map(|place| place.height_m);
+        match commanded.roll.sphere(height_m) {
+            Some(sphere) => horizon::solve(&Settings::default(), frame, camera, &sphere, last),
+            None => {
+                let limit_m = commanded.roll.atmosphere_m;
+                let height_m = commanded.roll.height_m.or(height_m).unwrap_or_default();
+                unsolved(frame, "not_above_the_limb", height_m, limit_m)
+            }
+        }
     }
 
     fn note(&self, solution: &Solution) {
@@ -174,14 +176,21 @@ impl RollSolver {
     }
 }
 
-/// The camera is not known to be above the limb's edge.
-fn no_height(height_m: f64, commanded: &Snapshot) -> Stopped {
+/// A frame that is not searched, with its light: the exposure follows that all the same.
+fn unsolved(frame: &Frame, reason: &'static str, measured: f64, limit: f64) -> Solution {
+    let whole_px = frame.width().max(frame.height()) as f64;
     let rejected = Rejected {
-        reason: "not_above_the_limb",
-        measured: height_m,
-        limit: commanded.roll.atmosphere_m,
+        reason,
+        measured,
+        limit,
     };
-    (Stage::Light, rejected)
+    match Levels::of(frame, whole_px) {
+        Ok(levels) => Solution {
+            levels: Some(levels),
+            ..Solution::none((Stage::Light, rejected))
+        },
+        Err(light) => Solution::none((Stage::Light, light)),
+    }
 }
 
 /// The limb's light for the exposure that follows it: the Sun in the picture is too small to count. A picture that is bright all over has too
@@ -211,5 +220,43 @@ fn levels_alone(solution: &Solution) -> aspect::Solution {
     aspect::Solution {
         levels,
         ..aspect::Solution::none()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn down(roll_rad: f64) -> Direction {
+        let unit = Vector3::new(0.0, roll_rad.sin(), roll_rad.cos());
+        Direction::new(UnitVector3::new_normalize(unit), 1e-4)
+    }
+
+    #[test]
+    fn a_nadir_is_less_certain_the_more_the_body_turns_until_a_frame_and_serves_for_a_while() {
+        let start = Instant::now();
+        let after = |ms| start + Duration::from_millis(ms);
+        let sigma_at = |seen: SeenNadir, ms| {
+            let direction = seen.at(after(ms), Duration::from_secs(1))?;
+            Some((direction.sigma_rad().powi(2) - 1e-8).max(0.0).sqrt())
+        };
+        let is = |sigma: Option<f64>, expected: f64| (sigma.unwrap() - expected).abs() < 1e-9;
+        // Nothing tells a rate yet.
+        let first = SeenNadir::next(None, down(0.0), after(1000));
+        assert!(is(sigma_at(first, 1000), 0.0));
+        assert!(is(sigma_at(first, 1500), 0.5 * USUAL_RAD_PER_S));
+        // An exposure before it is as far away as one after it.
+        assert!(is(sigma_at(first, 500), 0.5 * USUAL_RAD_PER_S));
+        assert_eq!(sigma_at(first, 2001), None);
+        // Faster than usual.
+        let second = SeenNadir::next(Some(first), down(0.01), after(1500));
+        assert!(is(sigma_at(second, 2000), 0.5 * 0.02));
+        // Where the swing turns back, its rate is kept.
+        let third = SeenNadir::next(Some(second), down(0.01), after(2000));
+        assert!(is(sigma_at(third, 2500), 0.5 * RATE_KEPT * 0.02));
+        // After a gap nothing is known of it.
+        let fourth = SeenNadir::next(Some(third), down(0.01), after(9000));
+        assert!(is(sigma_at(fourth, 9500), 0.5 * USUAL_RAD_PER_S));
     }
 }

@@ -142,8 +142,6 @@ pub struct RollTally {
     pub solved: BTreeMap<horizon::Quality, u64>,
     /// Why frames show no horizon.
     pub reasons: BTreeMap<(horizon::Stage, &'static str), u64>,
-    /// Frames of the wrong size.
-    pub misfits: u64,
 }
 
 impl RollTally {
@@ -313,7 +311,7 @@ impl FlightTally {
     /// refused and another has is not lost.
     pub fn lost(&self) -> u64 {
         let camera = self.camera.lost + self.camera.failed + self.camera.silences;
-        let frames = camera + self.solver.misfits + self.roll.misfits;
+        let frames = camera + self.solver.misfits;
         let files = self.archive.unstored + self.archive.rows_lost;
         let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
         let line = u64::from(self.line.never_open);

@@ -2,7 +2,7 @@
 
 use crate::aspect::Stopped;
 use crate::link::{Exposure, Housekeeping, Picture, Solution};
-use crate::pointing::Offset;
+use crate::pointing::{Offset, Roll};
 use crate::units::Measured;
 use std::time::{Duration, Instant};
 
@@ -53,12 +53,21 @@ impl Outcome {
 
     pub fn solution(&self) -> Option<Solution> {
         let offset = self.offset?;
-        let numbers = [offset.azimuth_deg, offset.elevation_deg, offset.sigma_deg];
+        // The packet has no other word for a roll that is not known, or that the offset does not rest on.
+        let roll_deg = match (offset.roll, self.roll_deg) {
+            (Roll::Measured(_), Some(roll)) => roll.value,
+            _ => 0.0,
+        };
+        let numbers = [
+            offset.azimuth_deg,
+            offset.elevation_deg,
+            roll_deg,
+            offset.sigma_deg,
+        ];
         numbers.iter().all(|n| n.is_finite()).then_some(Solution {
             azimuth_deg: offset.azimuth_deg,
             elevation_deg: offset.elevation_deg,
-            // The packet has no other word for a roll that is not known.
-            roll_deg: self.roll_deg.map_or(0.0, |roll| roll.value),
+            roll_deg,
             error_deg: offset.sigma_deg,
             time: self.exposure.start,
         })

@@ -743,8 +743,13 @@ fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
 #[test]
 fn a_solution_says_the_roll_where_it_is_known_and_zero_where_it_is_not() {
     for (roll_deg, said) in [(Some(Measured::new(-2.5, 0.01)), -2.5), (None, 0.0)] {
+        let offset = Offset {
+            roll: roll_deg.map_or(Roll::Stated, Roll::Measured),
+            ..offset(1.0)
+        };
         let outcome = Outcome {
             roll_deg,
+            offset: Some(offset),
             ..solved(exposure(0))
         };
         assert_eq!(outcome.solution().unwrap().roll_deg, said);
