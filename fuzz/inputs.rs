@@ -8,7 +8,7 @@ use solaspect::instrument::{Instrument, Mounting, builtin};
 use solaspect::link::describe::describe;
 use solaspect::link::{Direction, Parser};
 use solaspect::pointing::Target;
-use solaspect::refine::Journal;
+use solaspect::refine::{FrameRecord, Journal};
 use solaspect::service::control::{Controls, restore};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -121,7 +121,7 @@ pub fn journal(bytes: &[u8]) {
     for bytes in [bytes, &record] {
         let (_folder, path) = file("journal", bytes);
         let mut places = Vec::new();
-        if let Ok(journal) = Journal::read(&path, |_, place| places.push(place)) {
+        if let Ok(journal) = Journal::<FrameRecord>::read(&path, |_, place| places.push(place)) {
             for place in places {
                 let again = journal.record(place);
                 assert!(again.is_ok(), "a record that was read once");

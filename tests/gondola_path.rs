@@ -136,11 +136,11 @@ impl Errors {
         let mut errors = Self::default();
         for n in (0..flown.len()).filter(|n| wanted(*n)) {
             for axis in 0..2 {
-                let error = path.points[n].place_mil[axis] - flown[n].at_mil[axis];
+                let error = path.points[n].place[axis] - flown[n].at_mil[axis];
                 errors.mil.push(error);
                 errors
                     .pulls
-                    .push(error / path.points[n].variance_mil2[axis].sqrt());
+                    .push(error / path.points[n].variance[axis].sqrt());
             }
         }
         errors
@@ -218,7 +218,7 @@ fn where_nothing_was_seen_the_sigma_grows_with_the_gap() {
     let path = path(&measured(&flown, 8)).unwrap();
     let sigma = |time_s: f64| {
         let n = flown.partition_point(|truth| truth.time_s < time_s);
-        path.points[n].variance_mil2[0].sqrt()
+        path.points[n].variance[0].sqrt()
     };
     let (frame, early, middle) = (sigma(30.0), sigma(38.25), sigma(39.5));
     assert!(frame < SIGMA_MIL, "{frame}");

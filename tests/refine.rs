@@ -11,6 +11,7 @@ use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{self, Instrument};
 use solaspect::provenance;
+use solaspect::refine::FrameRecord;
 use solaspect::simulate::{FORT_SUMNER, Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
 use solaspect::units::PlateMil;
 use std::f64::consts::TAU;
@@ -545,7 +546,10 @@ fn a_run_that_is_killed_and_run_again_gives_the_same_bytes_and_does_nothing_twic
     for entry in fs::read_dir(killed.path()).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|end| end == "journal") {
-            solaspect::refine::Journal::read(&path, |r, _| records.push(r.input.file)).unwrap();
+            solaspect::refine::Journal::<FrameRecord>::read(&path, |r, _| {
+                records.push(r.input.file)
+            })
+            .unwrap();
         }
     }
     let count = records.len();
@@ -711,12 +715,12 @@ fn memory_kb(what: &str) -> u64 {
 }
 
 /// The records of the small flight that have a disc, up to its jump, in the order of time.
-fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record> {
+fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record<FrameRecord>> {
     let mut entries = fs::read_dir(out)
         .unwrap()
         .map(|entry| entry.unwrap().path());
     let journal = entries.find(|path| path.extension().is_some_and(|end| end == "journal"));
-    let mut records: Vec<solaspect::refine::Record> = Vec::new();
+    let mut records: Vec<solaspect::refine::Record<FrameRecord>> = Vec::new();
     solaspect::refine::Journal::read(&journal.unwrap(), |record, _| records.push(record)).unwrap();
     records.retain(|r| r.outcome.as_ref().is_ok_and(|frame| frame.disc.is_some()));
     records.sort_by_key(|record| record.input.file.clone());
@@ -746,7 +750,7 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
             n / 14_400
         );
         if let Ok(frame) = &mut record.outcome {
-            frame.utc_ns = Some(time(0).as_nanosecond() as i64 + n as i64 * 250_000_000);
+            frame.facts.utc_ns = Some(time(0).as_nanosecond() as i64 + n as i64 * 250_000_000);
         }
         journal.append(&record).unwrap();
         inputs.push(record.input);

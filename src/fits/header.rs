@@ -146,7 +146,10 @@ impl Header {
     }
 
     /// A finite number, integer or not.
-    pub(super) fn number(&self, keyword: &str) -> Result<Option<f64>, Problem> {
+    ///
+    /// # Errors
+    /// A value that is none.
+    pub fn number(&self, keyword: &str) -> Result<Option<f64>, Problem> {
         self.typed(keyword, "a finite number", |value| match value {
             Value::Integer(number) => Some(*number as f64),
             Value::Float(number) if number.is_finite() => Some(*number),

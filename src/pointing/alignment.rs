@@ -15,7 +15,7 @@ use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, Mounting};
 use crate::sky::sphere::{direction, tangents};
 use crate::units::{MIL_MM, Measured, PlateMil};
-use nalgebra::{Matrix2, Matrix3x2, Rotation3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3x2, Rotation3, UnitVector3, Vector2, Vector3};
 use std::f64::consts::FRAC_PI_2;
 
 /// The telescope's roll: its turn about the boresight, positive with the right side low.
@@ -36,6 +36,32 @@ pub fn body_roll_deg(nadir: &Direction) -> Measured {
     Measured::new(down.y.atan2(down.z).to_degrees(), sigma_deg)
 }
 
+/// The pitch of such a body, deg: positive with the forward end high.
+pub fn body_pitch_deg(nadir: &Direction) -> Measured {
+    let sine = nadir.unit.x;
+    let cosine = (1.0 - sine * sine).sqrt();
+    let sigma_rad = nadir.covariance_rad2.m11.max(0.0).sqrt() / cosine;
+    Measured::new(-sine.asin().to_degrees(), sigma_rad.to_degrees())
+}
+
+/// Straight down in the axes of a body of some roll and pitch, deg.
+pub fn body_nadir(roll_deg: Measured, pitch_deg: Measured) -> Direction {
+    let (sin_roll, cos_roll) = roll_deg.value.to_radians().sin_cos();
+    let (sin_pitch, cos_pitch) = pitch_deg.value.to_radians().sin_cos();
+    let by_roll = Vector3::new(0.0, cos_pitch * cos_roll, -cos_pitch * sin_roll);
+    let by_pitch = Vector3::new(-cos_pitch, -sin_pitch * sin_roll, -sin_pitch * cos_roll);
+    let part =
+        |by: Vector3<f64>, sigma_deg: f64| by * by.transpose() * sigma_deg.to_radians().powi(2);
+    Direction {
+        unit: UnitVector3::new_normalize(Vector3::new(
+            -sin_pitch,
+            cos_pitch * sin_roll,
+            cos_pitch * cos_roll,
+        )),
+        covariance_rad2: part(by_roll, roll_deg.sigma) + part(by_pitch, pitch_deg.sigma),
+    }
+}
+
 impl Roll {
     /// The roll of a telescope at an elevation that turns in elevation about the second axis of such a body, or is the body itself: that axis
     /// dips as much in both, and a roll about the boresight tilts it by sin(roll) cos(elevation). `None` where no roll dips so much.
@@ -46,6 +72,14 @@ impl Roll {
         let sigma_deg = (nadir.covariance_rad2.m22.max(0.0).sqrt() / (level * cosine)).to_degrees();
         let roll = Measured::new(sine.asin().to_degrees(), sigma_deg);
         (cosine > 0.0).then_some(Self::Measured(roll))
+    }
+
+    /// The roll in numbers, deg.
+    pub fn about_boresight_deg(self, instrument: &Instrument) -> Measured {
+        match self {
+            Self::Stated => instrument.mounting.roll_deg,
+            Self::Measured(roll) => roll,
+        }
     }
 
     /// The roll that turns directions on the plate, deg.

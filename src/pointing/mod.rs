@@ -11,7 +11,7 @@ mod alignment;
 mod refusal;
 mod target;
 
-pub use alignment::{Roll, body_roll_deg};
+pub use alignment::{Roll, body_nadir, body_pitch_deg, body_roll_deg};
 pub use refusal::PointingError;
 pub use target::{Feature, Target};
 
@@ -94,7 +94,7 @@ pub fn offset_of(
         .and_then(|sun| {
             let target = target.at(utc, &sun)?;
             let roll = match nadir {
-                Some(nadir) => roll_by_nadir(nadir, sun_plate.position, instrument, &sun)?,
+                Some(nadir) => roll_by_nadir(nadir, sun_plate.position, instrument, &sun),
                 None => Roll::Stated,
             };
             Ok(offset(sun_plate, roll, instrument, &sun, target)?)
@@ -111,21 +111,19 @@ pub fn offset_of(
 }
 
 /// The telescope's roll by straight down in the axes of the body that carries it ([`Roll::by_nadir`]). It takes the elevation, which depends on
-/// the roll, but little.
-///
-/// # Errors
-/// As [`pointing`].
+/// the roll, but little. The roll is as stated where the body tells none: near the zenith.
 pub fn roll_by_nadir(
     nadir: &Direction,
     sun_on_plate: PlateMil,
     instrument: &Instrument,
     sun: &SunPosition,
-) -> Result<Roll, PointingError> {
+) -> Roll {
     const ROUNDS: usize = 3;
-    (0..ROUNDS).try_fold(Roll::Stated, |roll, _| {
-        let elevation_deg = pointing(sun_on_plate, roll, instrument, sun)?.elevation_deg;
-        Ok(Roll::by_nadir(nadir, elevation_deg).unwrap_or(Roll::Stated))
-    })
+    let found = (0..ROUNDS).try_fold(Roll::Stated, |roll, _| {
+        let towards = pointing(sun_on_plate, roll, instrument, sun).ok()?;
+        Roll::by_nadir(nadir, towards.elevation_deg)
+    });
+    found.unwrap_or(Roll::Stated)
 }
 
 /// The telescope's offset from a target, with what the Sun's place on the plate and the calibration leave uncertain.

@@ -27,6 +27,17 @@ impl CameraFrames {
     }
 }
 
+impl CameraFrames {
+    /// The frames of several cameras as if they were one's; `None` of none.
+    pub fn together(cameras: Vec<Self>) -> Option<Self> {
+        cameras.into_iter().reduce(|mut all, camera| {
+            all.inputs.extend(camera.inputs);
+            all.instruments_sha256.extend(camera.instruments_sha256);
+            all
+        })
+    }
+}
+
 /// What a header says of camera and instrument's file.
 struct Named(TakenBy, Option<String>);
 

@@ -38,6 +38,20 @@ pub struct Reading {
     pub monotonic_s: f64,
 }
 
+impl Reading {
+    pub fn of(utc_ns: Option<i64>, monotonic_s: Option<f64>) -> Option<Self> {
+        Some(Self {
+            utc_ns: utc_ns?,
+            monotonic_s: monotonic_s?,
+        })
+    }
+}
+
+/// A time with its correction.
+pub fn corrected_ns(utc_ns: i64, correction_s: &Measured) -> i64 {
+    utc_ns + (correction_s.value * 1e9).round() as i64
+}
+
 /// A step of UTC.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockStep {

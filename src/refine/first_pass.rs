@@ -5,11 +5,13 @@ use super::record::{FrameRecord, Input, Record};
 use crate::archive::check::Tree;
 use crate::archive::{Flown, FlownFiles};
 use crate::aspect::{self, Expected};
-use crate::fits::{FileError, FitsFile};
+use crate::fits::{FileError, FitsFile, Header};
+use crate::frame::{Frame, FrameInfo};
 use crate::instrument::{Instrument, WrongSize};
 use crate::provenance;
 use jiff::Timestamp;
 use rayon::prelude::*;
+use serde::{Serialize, de::DeserializeOwned};
 use std::collections::HashMap;
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -27,9 +29,10 @@ pub struct Recipe {
     pub archived: FlownFiles,
 }
 
-impl Recipe {
-    /// A number that changes with the program's version, the instrument and the settings.
-    pub fn hash(&self) -> u64 {
+impl FirstPass for Recipe {
+    type Frame = FrameRecord;
+
+    fn hash(&self) -> u64 {
         let text = format!(
             "{} {JOURNAL_VERSION} {:?} {:?}",
             provenance::VERSION,
@@ -38,10 +41,25 @@ impl Recipe {
         );
         hash_of(text.as_bytes())
     }
+
+    fn solve(&self, path: &Path, span: &Span) -> Result<Option<FrameRecord>, Unsolved> {
+        let Some(taken) = Taken::open(path, span)? else {
+            return Ok(None);
+        };
+        taken.check(&self.archived)?;
+        let expected = taken.info.mid_exposure.and_then(Expected::at);
+        taken.with_frame(|frame, header| {
+            let (instrument, settings) = (&self.instrument, &self.settings);
+            let unreadable = |error: WrongSize| Unsolved::Unreadable(error.to_string());
+            instrument.check_size(frame).map_err(unreadable)?;
+            let solution = aspect::solve_with(settings, frame, instrument, expected, None);
+            Ok(FrameRecord::new(&frame.info, header, &solution, instrument))
+        })
+    }
 }
 
 /// Counts with every change of what a record holds or how it is made.
-const JOURNAL_VERSION: u32 = 3;
+pub(super) const JOURNAL_VERSION: u32 = 4;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
 pub(super) fn hash_of(bytes: &[u8]) -> u64 {
@@ -123,14 +141,29 @@ fn input(archive: &Path, path: &Path) -> Input {
     }
 }
 
+/// How frames of one kind of camera are solved, each on its own.
+pub trait FirstPass: Sync {
+    /// What a frame gives.
+    type Frame: Serialize + DeserializeOwned + Clone + Send;
+
+    /// A number that changes with the program's version, the camera and the settings.
+    fn hash(&self) -> u64;
+
+    /// What a file's frame gives; none where its time lies outside the span.
+    ///
+    /// # Errors
+    /// Why there is no frame, in words.
+    fn solve(&self, path: &Path, span: &Span) -> Result<Option<Self::Frame>, Unsolved>;
+}
+
 /// Where the record of each input stands.
 #[derive(Debug)]
-pub struct Done {
-    journals: Vec<Journal>,
+pub struct Done<T> {
+    journals: Vec<Journal<T>>,
     /// The journal's number and the place in it.
     places: HashMap<u64, (usize, Place)>,
     /// Frames that contradict their archive: in no journal, for another run may be told to use them.
-    contradicting: HashMap<u64, Record>,
+    contradicting: HashMap<u64, Record<T>>,
 }
 
 /// An input's key: what the record must match.
@@ -153,7 +186,7 @@ impl Hasher for Fnv {
     }
 }
 
-impl Done {
+impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     /// Opens the run's own journal and reads those of other runs.
     ///
     /// # Errors
@@ -186,12 +219,12 @@ impl Done {
     ///
     /// # Errors
     /// A journal that cannot be read.
-    pub fn record(&self, input: &Input) -> Result<Option<Record>, JournalError> {
+    pub fn record(&self, input: &Input) -> Result<Option<Record<T>>, JournalError> {
         self.record_of(key(input))
     }
 
     /// The same by the input's key.
-    pub(super) fn record_of(&self, key: u64) -> Result<Option<Record>, JournalError> {
+    pub(super) fn record_of(&self, key: u64) -> Result<Option<Record<T>>, JournalError> {
         let Some((journal, place)) = self.places.get(&key) else {
             return Ok(self.contradicting.get(&key).cloned());
         };
@@ -207,7 +240,7 @@ impl Done {
         &mut self,
         archive: &Path,
         inputs: &[Input],
-        recipe: &Recipe,
+        recipe: &impl FirstPass<Frame = T>,
         span: &Span,
         each: &(dyn Fn() + Sync),
     ) -> Result<(), JournalError> {
@@ -217,7 +250,7 @@ impl Done {
             .par_iter()
             .filter(|input| !self.places.contains_key(&key(input)))
             .filter_map(|input| {
-                let outcome = solve(&archive.join(&input.file), recipe, span).transpose()?;
+                let outcome = recipe.solve(&archive.join(&input.file), span).transpose()?;
                 each();
                 let (outcome, is_lasting) = match outcome {
                     Ok(frame) => (Ok(frame), true),
@@ -247,37 +280,51 @@ impl Done {
 }
 
 /// Why a frame has no record of its own, in words.
-enum Unsolved {
+pub enum Unsolved {
     Unreadable(String),
     /// It names another instrument or configuration than its archive's.
     Contradicting(String),
 }
 
-/// A frame's record, none where its time lies outside the span.
-fn solve(path: &Path, recipe: &Recipe, span: &Span) -> Result<Option<FrameRecord>, Unsolved> {
-    let read = || -> Result<_, FileError> {
-        let file = FitsFile::open(path)?;
-        let (info, header) = file.info()?;
-        Ok((file, info, header))
-    };
-    // The row names the file already.
-    let told = |error: FileError| Unsolved::Unreadable(error.problem.to_string());
-    let (file, info, header) = read().map_err(told)?;
-    if !span.holds(info.mid_exposure) {
-        return Ok(None);
+/// A file whose headers are read.
+pub(super) struct Taken {
+    file: FitsFile,
+    pub info: FrameInfo,
+    pub header: Header,
+}
+
+impl Taken {
+    /// `None` where the frame's time lies outside the span.
+    pub fn open(path: &Path, span: &Span) -> Result<Option<Self>, Unsolved> {
+        let read = || -> Result<_, FileError> {
+            let file = FitsFile::open(path)?;
+            let (info, header) = file.info()?;
+            Ok(Self { file, info, header })
+        };
+        let taken = read().map_err(unreadable)?;
+        Ok(span.holds(taken.info.mid_exposure).then_some(taken))
     }
-    let named = recipe.archived.check(&header);
-    named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))?;
-    let instrument = &recipe.instrument;
-    let expected = info.mid_exposure.and_then(Expected::at);
-    let record = file.with_frame(|frame| {
-        let unreadable = |error: WrongSize| Unsolved::Unreadable(error.to_string());
-        instrument.check_size(frame).map_err(unreadable)?;
-        let solution = aspect::solve_with(&recipe.settings, frame, instrument, expected, None);
-        let record = FrameRecord::new(&frame.info, &header, &solution, instrument);
-        Ok(Some(record))
-    });
-    record.map_err(told)?
+
+    /// Refuses a frame that contradicts its archive.
+    pub fn check(&self, archived: &FlownFiles) -> Result<(), Unsolved> {
+        let named = archived.check(&self.header);
+        named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))
+    }
+
+    /// What is made of the frame.
+    pub fn with_frame<T>(
+        self,
+        make: impl FnOnce(&Frame, &Header) -> Result<T, Unsolved>,
+    ) -> Result<Option<T>, Unsolved> {
+        let header = &self.header;
+        let made = self.file.with_frame(|frame| make(frame, header));
+        made.map_err(unreadable)?.map(Some)
+    }
+}
+
+/// The row names the file already.
+fn unreadable(error: FileError) -> Unsolved {
+    Unsolved::Unreadable(error.problem.to_string())
 }
 
 #[cfg(test)]

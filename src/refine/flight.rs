@@ -12,7 +12,7 @@ use super::load::{ClockFacts, Loaded, load};
 use super::look::{Known, Look};
 use super::mapping::MappingFacts;
 use super::motion;
-use super::record::{Grade, Input};
+use super::record::{FrameRecord, Grade, Input};
 use super::row::{Oddity, Row};
 use super::work::{LOOSE_RADIUS, TELLING_LIMB, Work};
 use crate::fits::FitsFile;
@@ -52,7 +52,7 @@ pub struct Flight {
 /// # Errors
 /// A journal that cannot be read.
 pub fn second_pass(
-    done: &Done,
+    done: &Done<FrameRecord>,
     archive: &Path,
     inputs: &[Input],
     recipe: &Recipe,

@@ -10,7 +10,7 @@ use crate::units::PlateMil;
 use nalgebra::Vector2;
 
 /// Off the path, chi^2 of two.
-const ODD_PATH_CHI2: f64 = 100.0;
+pub(super) const ODD_PATH_CHI2: f64 = 100.0;
 
 /// The Sun's path.
 pub(super) struct Followed {
@@ -25,7 +25,7 @@ impl Followed {
     /// Where the path most likely has the disc at a row, and 1 sigma, mil.
     pub fn place(&self, row: usize) -> Option<(PlateMil, f64)> {
         let point = self.path.as_ref()?.likeliest[self.at[row]];
-        let ([x, y], variance) = (point.place_mil, point.variance_mil2);
+        let ([x, y], variance) = (point.place, point.variance);
         let sigma = ((variance[0] + variance[1]) / 2.0).sqrt();
         Some((PlateMil::new(x, y), sigma))
     }
@@ -102,7 +102,7 @@ impl Work<'_> {
                 variance = found;
                 next = of_rows.next();
             }
-            for (of_point, shared) in point.variance_mil2.iter_mut().zip(variance) {
+            for (of_point, shared) in point.variance.iter_mut().zip(variance) {
                 *of_point += shared.max(0.0);
             }
         }
@@ -114,10 +114,9 @@ fn is_off(row: &Row, point: &PathPoint) -> bool {
     let Some(sun) = row.sun else {
         return false;
     };
-    let off = sun.position.vector() - Vector2::from(point.place_mil);
+    let off = sun.position.vector() - Vector2::from(point.place);
     let [x, y] = sun.variance();
-    let chi2 =
-        off.x.powi(2) / (x + point.variance_mil2[0]) + off.y.powi(2) / (y + point.variance_mil2[1]);
+    let chi2 = off.x.powi(2) / (x + point.variance[0]) + off.y.powi(2) / (y + point.variance[1]);
     chi2 > ODD_PATH_CHI2
 }
 

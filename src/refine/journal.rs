@@ -5,8 +5,10 @@
 
 use super::record::Record;
 use crc::{CRC_32_ISO_HDLC, Crc};
+use serde::{Serialize, de::DeserializeOwned};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::marker::PhantomData;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -44,20 +46,21 @@ pub struct Place {
     bytes: usize,
 }
 
-/// A journal that is open for reading, and for adding to where it is one's own.
+/// A journal of what frames gave, open for reading, and for adding to where it is one's own.
 #[derive(Debug)]
-pub struct Journal {
+pub struct Journal<T> {
     path: PathBuf,
     file: File,
     end: Mutex<u64>,
+    of: PhantomData<fn() -> T>,
 }
 
-impl Journal {
+impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// Opens a journal to add to, made if it is not there; `each` sees every whole record. A torn end is cut off.
     ///
     /// # Errors
     /// A file that cannot be read or written, is no journal, or in which another program writes.
-    pub fn open(path: &Path, each: impl FnMut(Record, Place)) -> Result<Self, JournalError> {
+    pub fn open(path: &Path, each: impl FnMut(Record<T>, Place)) -> Result<Self, JournalError> {
         let io = |action| move |cause| io_error(path, action, cause);
         let mut options = OpenOptions::new();
         let options = options.read(true).write(true).create(true).truncate(false);
@@ -78,6 +81,7 @@ impl Journal {
             path: path.into(),
             file,
             end: Mutex::new(end),
+            of: PhantomData,
         })
     }
 
@@ -85,13 +89,14 @@ impl Journal {
     ///
     /// # Errors
     /// A file that cannot be read or is no journal.
-    pub fn read(path: &Path, each: impl FnMut(Record, Place)) -> Result<Self, JournalError> {
+    pub fn read(path: &Path, each: impl FnMut(Record<T>, Place)) -> Result<Self, JournalError> {
         let file = File::open(path).map_err(|cause| io_error(path, "open the journal", cause))?;
         let end = Mutex::new(read_all(path, &file, each)?);
         Ok(Self {
             path: path.into(),
             file,
             end,
+            of: PhantomData,
         })
     }
 
@@ -99,7 +104,7 @@ impl Journal {
     ///
     /// # Errors
     /// A disk that refuses; a later record takes the place of what was half written.
-    pub fn append(&self, record: &Record) -> Result<Place, JournalError> {
+    pub fn append(&self, record: &Record<T>) -> Result<Place, JournalError> {
         let refused = |cause| io_error(&self.path, "add to the journal", cause);
         let body = postcard::to_stdvec(record).map_err(|error| refused(io::Error::other(error)))?;
         let mut bytes = Vec::with_capacity(HEAD + body.len());
@@ -120,7 +125,7 @@ impl Journal {
     ///
     /// # Errors
     /// A disk that refuses, or bytes that have changed.
-    pub fn record(&self, place: Place) -> Result<Record, JournalError> {
+    pub fn record(&self, place: Place) -> Result<Record<T>, JournalError> {
         let mut body = vec![0; place.bytes];
         let read = self.file.read_exact_at(&mut body, place.start);
         read.map_err(|cause| io_error(&self.path, "read a record", cause))?;
@@ -140,10 +145,10 @@ fn io_error(path: &Path, action: &'static str, cause: io::Error) -> JournalError
 }
 
 /// Reads every whole record; where the last of them ends.
-fn read_all(
+fn read_all<T: DeserializeOwned>(
     path: &Path,
     mut file: &File,
-    mut each: impl FnMut(Record, Place),
+    mut each: impl FnMut(Record<T>, Place),
 ) -> Result<u64, JournalError> {
     let refused = |cause| io_error(path, "read the journal", cause);
     file.seek(SeekFrom::Start(0)).map_err(refused)?;
@@ -163,7 +168,7 @@ fn read_all(
 }
 
 /// The next record with the length of its body; none at the end, and none where it is torn.
-fn next(file: &mut impl Read) -> Option<(Record, usize)> {
+fn next<T: DeserializeOwned>(file: &mut impl Read) -> Option<(Record<T>, usize)> {
     let mut word = || {
         let mut bytes = [0; 4];
         file.read_exact(&mut bytes).ok()?;
@@ -186,7 +191,7 @@ mod tests {
     use super::super::record::Input;
     use super::*;
 
-    fn record(n: u64) -> Record {
+    fn record(n: u64) -> Record<u32> {
         let input = Input {
             file: format!("frame_{n}.fits"),
             bytes: n,
@@ -198,7 +203,7 @@ mod tests {
 
     fn names(path: &Path) -> Vec<String> {
         let mut names = Vec::new();
-        Journal::read(path, |record, _| names.push(record.input.file)).unwrap();
+        Journal::read(path, |record: Record<u32>, _| names.push(record.input.file)).unwrap();
         names
     }
 
@@ -206,7 +211,7 @@ mod tests {
     fn a_torn_last_record_is_dropped_and_written_anew() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("j");
-        let journal = Journal::open(&path, |_, _| {}).unwrap();
+        let journal = Journal::<u32>::open(&path, |_, _| {}).unwrap();
         let place = journal.append(&record(1)).unwrap();
         journal.append(&record(2)).unwrap();
         assert_eq!(journal.record(place).unwrap(), record(1));
@@ -215,7 +220,7 @@ mod tests {
         for cut in 1..20 {
             std::fs::write(&path, &whole[..whole.len() - cut]).unwrap();
             let mut seen = 0;
-            let journal = Journal::open(&path, |_, _| seen += 1).unwrap();
+            let journal = Journal::<u32>::open(&path, |_, _| seen += 1).unwrap();
             assert_eq!(seen, 1);
             journal.append(&record(2)).unwrap();
             drop(journal);
@@ -231,12 +236,12 @@ mod tests {
     fn two_programs_do_not_write_to_one_journal_and_other_files_are_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("j");
-        let _first = Journal::open(&path, |_, _| {}).unwrap();
-        let second = Journal::open(&path, |_, _| {});
+        let _first = Journal::<u32>::open(&path, |_, _| {}).unwrap();
+        let second = Journal::<u32>::open(&path, |_, _| {});
         assert!(matches!(second, Err(JournalError::Taken { .. })));
         let other = folder.path().join("notes");
         std::fs::write(&other, "a file of somebody else").unwrap();
-        let opened = Journal::open(&other, |_, _| {});
+        let opened = Journal::<u32>::open(&other, |_, _| {});
         assert!(matches!(opened, Err(JournalError::Foreign { .. })));
         let text = std::fs::read_to_string(&other).unwrap();
         assert_eq!(text, "a file of somebody else");

@@ -1,6 +1,6 @@
 //! The records of the first pass, without what the second pass does not hold for all frames at once.
 
-use super::clock::{self, Clocks, Reading};
+use super::clock::{self, Clocks, Reading, corrected_ns};
 use super::drift::MarkObservation;
 use super::first_pass::{Done, Span, key};
 use super::journal::JournalError;
@@ -63,7 +63,7 @@ pub struct ClockStep {
 /// # Errors
 /// A journal that cannot be read.
 pub(super) fn load(
-    done: &Done,
+    done: &Done<FrameRecord>,
     inputs: &[Input],
     instrument: &Instrument,
     span: &Span,
@@ -128,13 +128,7 @@ fn contradiction(entries: &[Entry]) -> Option<String> {
 
 /// Holds UTC against the monotonic clock.
 fn correct_times(entries: &mut [Entry]) -> ClockFacts {
-    let reading = |entry: &Entry| {
-        let (utc_ns, monotonic_s) = entry.row.utc_ns.zip(entry.row.monotonic_s)?;
-        Some(Reading {
-            utc_ns,
-            monotonic_s,
-        })
-    };
+    let reading = |entry: &Entry| Reading::of(entry.row.utc_ns, entry.row.monotonic_s);
     let readings: Vec<Option<Reading>> = entries.iter().map(reading).collect();
     let clocks = Clocks::of(&readings);
     let step = |step: &clock::ClockStep| ClockStep {
@@ -144,8 +138,7 @@ fn correct_times(entries: &mut [Entry]) -> ClockFacts {
     let steps = clocks.steps.iter().map(step).collect();
     for (entry, shift_s) in entries.iter_mut().zip(&clocks.corrections_s) {
         if let Some(shift_s) = shift_s {
-            let shift_ns = (shift_s.value * 1e9).round() as i64;
-            entry.row.utc_ns = entry.row.utc_ns.map(|utc_ns| utc_ns + shift_ns);
+            entry.row.utc_ns = entry.row.utc_ns.map(|utc_ns| corrected_ns(utc_ns, shift_s));
             entry.row.utc_correction_s = Some(*shift_s);
             entry.row.note(Oddity::Clock);
         }
@@ -162,10 +155,10 @@ fn correct_times(entries: &mut [Entry]) -> ClockFacts {
 type One = Result<(Entry, Vec<MarkObservation>), Row>;
 
 /// What a record gives; none where it lies outside the span.
-fn one(record: Record, instrument: &Instrument, span: &Span) -> Option<One> {
+fn one(record: Record<FrameRecord>, instrument: &Instrument, span: &Span) -> Option<One> {
     let Record { input, outcome } = record;
     match outcome {
-        Ok(frame) if !span.holds(frame.utc()) => None,
+        Ok(frame) if !span.holds(frame.facts.utc()) => None,
         Ok(frame) => Some(Ok(entry(input, &frame, instrument))),
         Err(error) => Some(Err(Row::unread(input, error))),
     }
@@ -184,7 +177,7 @@ fn entry(
     let entry = Entry {
         key,
         row,
-        place: frame.place(),
+        place: frame.facts.place(),
         own_mapping: own.and_then(|disc| disc.to_plate),
         marks: 0..0,
         contradiction: frame.contradiction.clone(),

@@ -28,6 +28,7 @@ mod oddities;
 mod output;
 mod record;
 mod report;
+mod roll;
 mod row;
 mod sky;
 pub mod spectrum;
@@ -37,7 +38,7 @@ mod work;
 
 pub use cameras::{CameraFrames, cameras};
 pub use disc::PlateDisc;
-pub use first_pass::{Done, Recipe, Shard, Span, inputs};
+pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved, inputs};
 pub use flight::{Flight, second_pass};
 pub use journal::{Journal, JournalError};
 pub use load::{ClockFacts, ClockStep};
@@ -46,8 +47,9 @@ pub use mapping::{
 };
 pub use output::{OutputError, Summary, write};
 pub use record::{
-    DiscRecord, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
+    DiscRecord, FrameFacts, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
 };
 pub use report::Report;
+pub use roll::{RollHistory, RollRecipe, RollRow, RollSummary, write_roll};
 pub use row::{Oddity, OwnRow, Row, SkyRow};
 pub use sky::Sky;

@@ -1,4 +1,7 @@
-//! The Sun's path over the plate between frames: place, speed and acceleration, each axis on its own.
+//! A path between frames: place, speed and acceleration, each axis on its own. The Sun moves so over the plate, and the gondola's body in
+//! roll and pitch.
+//!
+//! Its unit is about the size of the frames' errors: a mil on the plate, a hundredth of a degree in roll and pitch.
 //!
 //! The acceleration is a random walk. How far it walks, the process noise, changes with what the gondola does: it rests, swings, begins
 //! and ends a slew, steps. So each axis has a process noise of its own at every frame:
@@ -15,20 +18,20 @@ use crate::estimation::{Gaussian, Process, Step, median, smooth};
 use nalgebra::{Matrix1, Matrix3, RowVector3, Vector1, Vector3};
 use rayon::prelude::*;
 
-/// A moment of the path, with what was measured then, if anything was: place and variance in each axis, mil and mil^2. Errors of
-/// moments are independent.
+/// A moment of the path, with what was measured then, if anything was: place and variance in each axis. Errors of moments are
+/// independent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
     pub time_s: f64,
     pub measured: Option<[(f64, f64); 2]>,
 }
 
-/// The path at a moment, per axis: place (mil), its variance, and speed (mil/s).
+/// The path at a moment, per axis: place, its variance, and speed a second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathPoint {
-    pub place_mil: [f64; 2],
-    pub variance_mil2: [f64; 2],
-    pub speed_mil_per_s: [f64; 2],
+    pub place: [f64; 2],
+    pub variance: [f64; 2],
+    pub speed: [f64; 2],
 }
 
 /// The path of a flight.
@@ -37,12 +40,12 @@ pub struct Path {
     pub points: Vec<PathPoint>,
     /// The same with the likeliest process noise: where to look, not what to state.
     pub likeliest: Vec<PathPoint>,
-    /// The likeliest process noise, the median over moments and axes: square root of its density, mil/s^2.5. The acceleration walks by so
-    /// many mil/s^2 in a second.
+    /// The likeliest process noise, the median over moments and axes: square root of its density, unit/s^2.5. The acceleration walks
+    /// by so many unit/s^2 in a second.
     pub process_noise: f64,
 }
 
-/// The process noises that gondolas may have, mil/s^2.5: the least, the factor from each to the next, and how many.
+/// The process noises that gondolas may have, unit/s^2.5: the least, the factor from each to the next, and how many.
 const LEAST_NOISE: f64 = 0.1;
 const NOISE_FACTOR: f64 = 3.0;
 const NOISES: usize = 20;
@@ -55,7 +58,7 @@ const CAUTION: f64 = 9.0;
 const GAP_REACH: f64 = 5.0;
 /// Frames so many usual steps apart make a gap.
 const GAP_STEPS: f64 = 2.5;
-/// What is known of place (mil), speed (mil/s) and acceleration (mil/s^2) before the first frame.
+/// What is known of place, speed (unit/s) and acceleration (unit/s^2) before the first frame.
 const FIRST_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
 /// Over longer gaps nothing is said about the path.
 const LONGEST_GAP_S: f64 = 10.0;
@@ -83,9 +86,9 @@ fn points(moments: &[Moment], [x_noise, y_noise]: &[Vec<f64>; 2]) -> Option<Vec<
         smoothed(moments, 1, y_noise)?,
     );
     let point = |(x, y): (Gaussian<3>, Gaussian<3>)| PathPoint {
-        place_mil: [x.mean.x, y.mean.x],
-        variance_mil2: [x.covariance.m11, y.covariance.m11],
-        speed_mil_per_s: [x.mean.y, y.mean.y],
+        place: [x.mean.x, y.mean.x],
+        variance: [x.covariance.m11, y.covariance.m11],
+        speed: [x.mean.y, y.mean.y],
     };
     Some(x.into_iter().zip(y).map(point).collect())
 }

@@ -1,8 +1,8 @@
 //! What a refinement leaves: `aspect.fits`, `aspect.csv`, `summary.json`. The same archive, instrument and settings give the
 //! same bytes: nothing in them tells when they were made.
 
-use super::columns::{self, ASPECT, ASPECT_COLUMNS, SMOOTHED, SMOOTHED_COLUMNS};
-use super::first_pass::Recipe;
+use super::columns::{self, ASPECT, ASPECT_COLUMNS, ColumnRow, SMOOTHED, SMOOTHED_COLUMNS};
+use super::first_pass::{FirstPass, Recipe};
 use super::flight::Flight;
 use super::load::ClockStep;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
@@ -26,6 +26,15 @@ use std::path::{Path, PathBuf};
 pub struct OutputError {
     path: PathBuf,
     cause: io::Error,
+}
+
+impl OutputError {
+    pub(super) fn of(path: &Path, problem: &impl ToString) -> Self {
+        Self {
+            path: path.into(),
+            cause: io::Error::other(problem.to_string()),
+        }
+    }
 }
 
 /// The summary: counts, and what the numbers rest on.
@@ -159,14 +168,13 @@ pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary,
     let expected_bytes = flight.rows.len() * ROW_BYTES + flight.path_times_s.len() * MOMENT_BYTES;
     let cards: Vec<Card> = recipe.flown.cards().collect();
     let bytes = fits::encode_tables(expected_bytes, &cards, aspect.chain(path_table));
-    let bytes = bytes.map_err(|problem| OutputError {
-        path: path.clone(),
-        cause: io::Error::other(problem.to_string()),
-    })?;
+    let bytes = bytes.map_err(|problem| OutputError::of(&path, &problem))?;
     let table_hash = hex(super::first_pass::hash_of(&bytes));
     whole(&path, |file| file.write_all(&bytes))?;
     drop(bytes);
-    whole(&folder.join("aspect.csv"), |file| csv(file, &flight.rows))?;
+    whole(&folder.join("aspect.csv"), |file| {
+        csv(file, ASPECT_COLUMNS, &flight.rows)
+    })?;
     let summary = summary(flight, recipe, table_hash);
     whole(&folder.join("summary.json"), |file| {
         serde_json::to_writer_pretty(&mut *file, &summary)?;
@@ -193,11 +201,15 @@ pub(super) fn whole(
     })
 }
 
-fn csv(file: &mut BufWriter<File>, rows: &[Row]) -> io::Result<()> {
+pub(super) fn csv<T>(
+    file: &mut BufWriter<File>,
+    columns: &[ColumnRow<T>],
+    rows: &[T],
+) -> io::Result<()> {
     let mut csv = csv::Writer::from_writer(file);
-    csv.write_record(ASPECT_COLUMNS.iter().map(|column| column.name))?;
+    csv.write_record(columns.iter().map(|column| column.name))?;
     for row in rows {
-        let cells = ASPECT_COLUMNS.iter().map(|column| (column.value)(row));
+        let cells = columns.iter().map(|column| (column.value)(row));
         csv.write_record(cells.map(|cell| columns::text(&cell)))?;
     }
     csv.flush()

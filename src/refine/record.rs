@@ -23,22 +23,28 @@ pub struct Input {
 
 /// One file's row of the journal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Record {
+pub struct Record<T> {
     pub input: Input,
-    /// The frame, or what is wrong with the file.
-    pub outcome: Result<FrameRecord, String>,
+    /// What the frame gave, or what is wrong with the file.
+    pub outcome: Result<T, String>,
 }
 
-/// What one frame gave.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FrameRecord {
+/// When and where a frame was taken.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct FrameFacts {
     /// Mid-exposure, ns since 1970.
     pub utc_ns: Option<i64>,
     pub monotonic_s: Option<f64>,
     pub number: Option<u64>,
     pub temperature_c: Option<f64>,
     /// Latitude and longitude (deg) and height (m).
-    pub place: Option<[f64; 3]>,
+    place: Option<[f64; 3]>,
+}
+
+/// What one frame gave.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    pub facts: FrameFacts,
     /// What the flight's program wrote into the header.
     pub in_flight: InFlight,
     pub quality: Grade,
@@ -76,6 +82,8 @@ pub struct InFlight {
     pub sun_mil: Option<[f64; 2]>,
     pub sigma_mil: Option<[f64; 2]>,
     pub offset_deg: Option<[f64; 2]>,
+    /// The body's roll, and 1 sigma.
+    pub roll_deg: Option<[f64; 2]>,
     pub quality: Option<String>,
 }
 
@@ -171,13 +179,7 @@ impl FrameRecord {
             solution.limb.iter().map(packed).collect()
         });
         Self {
-            utc_ns: info.mid_exposure.and_then(nanoseconds),
-            monotonic_s: info.monotonic.map(|time| time.as_secs_f64()),
-            number: info.number,
-            temperature_c: info.camera_temperature_c,
-            place: info
-                .place
-                .map(|place| [place.latitude_deg, place.longitude_deg, place.height_m]),
+            facts: FrameFacts::of(info),
             in_flight: InFlight::of(header),
             quality: match solution.quality {
                 crate::aspect::Quality::None => Grade::None,
@@ -196,6 +198,21 @@ impl FrameRecord {
             limb,
         }
     }
+}
+
+impl FrameFacts {
+    pub(super) fn of(info: &FrameInfo) -> Self {
+        let nanoseconds = |utc: Timestamp| i64::try_from(utc.as_nanosecond()).ok();
+        Self {
+            utc_ns: info.mid_exposure.and_then(nanoseconds),
+            monotonic_s: info.monotonic.map(|time| time.as_secs_f64()),
+            number: info.number,
+            temperature_c: info.camera_temperature_c,
+            place: info
+                .place
+                .map(|place| [place.latitude_deg, place.longitude_deg, place.height_m]),
+        }
+    }
 
     pub fn utc(&self) -> Option<Timestamp> {
         Timestamp::from_nanosecond(self.utc_ns?.into()).ok()
@@ -205,10 +222,6 @@ impl FrameRecord {
         let [latitude, longitude, height] = self.place?;
         Place::new(latitude, longitude, height).ok()
     }
-}
-
-fn nanoseconds(utc: Timestamp) -> Option<i64> {
-    i64::try_from(utc.as_nanosecond()).ok()
 }
 
 fn disc(aspect: &Aspect, solution: &Solution) -> DiscRecord {
@@ -229,12 +242,8 @@ fn disc(aspect: &Aspect, solution: &Solution) -> DiscRecord {
 }
 
 impl InFlight {
-    fn of(header: &Header) -> Self {
-        let number = |keyword| match header.get(keyword) {
-            Some(Value::Float(number)) if number.is_finite() => Some(*number),
-            Some(Value::Integer(number)) => Some(*number as f64),
-            _ => None,
-        };
+    pub(super) fn of(header: &Header) -> Self {
+        let number = |keyword| header.number(keyword).ok().flatten();
         let pair = |x, y| Some([number(x)?, number(y)?]);
         Self {
             sun_mil: pair("SUNMIL-X", "SUNMIL-Y"),
@@ -243,6 +252,7 @@ impl InFlight {
                 // What HEROES sent; two zeroes where there was nothing to send.
                 pair("CTL_AZIM", "CTL_ELEV").filter(|offset| *offset != [0.0; 2])
             }),
+            roll_deg: pair("BODYROLL", "BODYRLSG"),
             quality: match header.get("QUALITY") {
                 Some(Value::Text(text)) => Some(text.clone()),
                 _ => None,

@@ -17,7 +17,7 @@ use std::io::Write;
 use std::path::Path;
 
 /// Pictures of a reason.
-const PICTURES: usize = 3;
+pub(super) const PICTURES: usize = 3;
 /// Pixels of the frame that make one of a picture.
 const SHRUNK: usize = 8;
 /// Frames further apart than so many usual steps end a run.
@@ -26,7 +26,7 @@ const GAP_STEPS: f64 = 1.5;
 /// The page of a refinement: a part for each camera.
 #[derive(Default)]
 pub struct Report {
-    page: Page,
+    pub(super) page: Page,
     instruments: Vec<String>,
 }
 

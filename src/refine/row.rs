@@ -3,6 +3,7 @@
 use super::disc::PlateDisc;
 use super::mapping::MappingNumbers;
 use super::record::{FrameRecord, Grade, InFlight, Input};
+use crate::geometry::attitude::Direction;
 use crate::units::{Estimate, Measured, PlateMil};
 use jiff::Timestamp;
 use std::fmt;
@@ -77,6 +78,8 @@ pub struct SkyRow {
     pub helioprojective_arcsec: [f64; 2],
     /// Pointing minus target: azimuth, elevation, and true angle across.
     pub offset_deg: Option<[f64; 3]>,
+    /// The telescope's roll that the offset rests on.
+    pub roll_deg: Measured,
     /// 1 sigma per axis of true angle: of the frame, and of the calibration.
     pub sigma_deg: Option<[f64; 2]>,
     pub sun_azimuth_deg: f64,
@@ -120,6 +123,8 @@ pub struct Row {
     pub jump_px: Option<f64>,
     pub own: OwnRow,
     pub sky: Option<SkyRow>,
+    /// Straight down in the axes of the body, where the roll camera saw the horizon.
+    pub body_nadir: Option<Direction>,
     pub in_flight: InFlight,
 }
 
@@ -176,6 +181,7 @@ impl Row {
                 levels_dn: None,
             },
             sky: None,
+            body_nadir: None,
             in_flight: InFlight::default(),
         }
     }
@@ -188,10 +194,10 @@ impl Row {
             covariance: super::record::symmetric(disc.covariance_mil2),
         });
         Self {
-            utc_ns: frame.utc_ns,
-            monotonic_s: frame.monotonic_s,
-            number: frame.number,
-            temperature_c: frame.temperature_c,
+            utc_ns: frame.facts.utc_ns,
+            monotonic_s: frame.facts.monotonic_s,
+            number: frame.facts.number,
+            temperature_c: frame.facts.temperature_c,
             quality: frame.quality,
             own_reason: frame.reason.clone().unwrap_or_default(),
             own: OwnRow {

@@ -43,7 +43,10 @@ impl Sky {
         let (sun_on_plate, utc) = (row.sun?, row.utc()?);
         let sun = ephemeris.sun(utc, place?).ok()?;
         let at = sun_on_plate.position;
-        let roll = Roll::Stated;
+        let roll = match &row.body_nadir {
+            Some(nadir) => pointing::roll_by_nadir(nadir, at, instrument, &sun),
+            None => Roll::Stated,
+        };
         let towards = pointing::pointing(at, roll, instrument, &sun).ok()?;
         let boresight = pointing::helioprojective(at, roll, instrument, &sun).ok()?;
         let target = self.target.at(utc, &sun).ok();
@@ -55,6 +58,7 @@ impl Sky {
             helioprojective_arcsec: [boresight.x, boresight.y],
             offset_deg: offset.map(|o| [o.azimuth_deg, o.elevation_deg, o.cross_elevation_deg]),
             sigma_deg: offset.map(|o| [o.sigma_deg, o.calibration_sigma_deg()]),
+            roll_deg: roll.about_boresight_deg(instrument),
             sun_azimuth_deg: sun.azimuth_deg,
             sun_elevation_deg: sun.elevation_deg,
         })

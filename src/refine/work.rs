@@ -6,7 +6,7 @@ use super::first_pass::{Done, Recipe};
 use super::journal::JournalError;
 use super::load::Entry;
 use super::mapping::FlightMapping;
-use super::record::Grade;
+use super::record::{FrameRecord, Grade};
 use super::row::Row;
 use crate::estimation::{median, median_and_scatter};
 use crate::units::{Estimate, Measured, Place};
@@ -31,7 +31,7 @@ const SHARED_LIMB: f64 = 0.1;
 
 /// The flight as far as the second pass has got.
 pub(super) struct Work<'a> {
-    done: &'a Done,
+    done: &'a Done<FrameRecord>,
     pub recipe: &'a Recipe,
     /// Of each row.
     keys: Vec<u64>,
@@ -44,7 +44,7 @@ pub(super) struct Work<'a> {
 
 impl<'a> Work<'a> {
     pub(super) fn new(
-        done: &'a Done,
+        done: &'a Done<FrameRecord>,
         recipe: &'a Recipe,
         entries: Vec<Entry>,
         marks: Vec<MarkObservation>,

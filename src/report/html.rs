@@ -1,9 +1,10 @@
 //! A page that needs nothing beside itself: text, tables, figures as SVG and pictures as PNG, all in one file.
 
 use base64::prelude::{BASE64_STANDARD, Engine};
-use image::{GrayImage, ImageFormat};
+use image::{EncodableLayout, ImageBuffer, ImageFormat, PixelWithColorType};
 use std::fmt::Write;
 use std::io::Cursor;
+use std::ops::Deref;
 
 /// A page in the making.
 #[derive(Debug, Clone, Default)]
@@ -64,7 +65,12 @@ impl Page {
     }
 
     /// A small picture with a caption; a picture that cannot be encoded is skipped.
-    pub fn picture(&mut self, picture: &GrayImage, caption: &str) {
+    pub fn picture<P, C>(&mut self, picture: &ImageBuffer<P, C>, caption: &str)
+    where
+        P: PixelWithColorType<Subpixel = u8>,
+        [P::Subpixel]: EncodableLayout,
+        C: Deref<Target = [u8]>,
+    {
         let mut png = Cursor::new(Vec::new());
         if picture.write_to(&mut png, ImageFormat::Png).is_ok() {
             let caption = escaped(caption);
@@ -88,6 +94,7 @@ impl Page {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use image::GrayImage;
 
     #[test]
     fn texts_cannot_break_the_page_and_pictures_stand_in_it() {

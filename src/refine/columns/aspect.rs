@@ -1,6 +1,7 @@
 //! The columns of the history itself, a row for every input file.
 
 use super::{Cell, ColumnRow, column};
+use crate::pointing::body_roll_deg;
 use crate::refine::row::{Row, SkyRow};
 
 fn sky(row: &Row, value: impl Fn(&SkyRow) -> f64) -> Cell {
@@ -174,6 +175,30 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
         "helioprojective latitude of the boresight, to solar north",
         |r| sky(r, |s| s.helioprojective_arcsec[1]),
     ),
+    column(
+        "TELESCOPE_ROLL_DEG",
+        "deg",
+        "roll about the boresight that the offsets rest on: by the horizon where it was seen, else as stated",
+        |r| sky(r, |s| s.roll_deg.value),
+    ),
+    column(
+        "TELESCOPE_ROLL_SIGMA_DEG",
+        "deg",
+        "1 sigma of TELESCOPE_ROLL_DEG",
+        |r| sky(r, |s| s.roll_deg.sigma),
+    ),
+    column(
+        "BODY_ROLL_DEG",
+        "deg",
+        "roll of the body by the horizon, smoothed, right side low positive",
+        |r| Cell::Float(r.body_nadir.map(|nadir| body_roll_deg(&nadir).value)),
+    ),
+    column(
+        "BODY_ROLL_SIGMA_DEG",
+        "deg",
+        "1 sigma of BODY_ROLL_DEG",
+        |r| Cell::Float(r.body_nadir.map(|nadir| body_roll_deg(&nadir).sigma)),
+    ),
     column("SUN_AZ_DEG", "deg", "azimuth of the Sun", |r| {
         sky(r, |s| s.sun_azimuth_deg)
     }),
@@ -305,6 +330,18 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
         "deg",
         "OFFSETEL of the header, or CTL_ELEV of HEROES",
         |r| part(r.in_flight.offset_deg, 1),
+    ),
+    column(
+        "FLIGHT_ROLL_DEG",
+        "deg",
+        "BODYROLL of the header: the body's roll in flight",
+        |r| part(r.in_flight.roll_deg, 0),
+    ),
+    column(
+        "FLIGHT_ROLL_SIGMA_DEG",
+        "deg",
+        "BODYRLSG of the header",
+        |r| part(r.in_flight.roll_deg, 1),
     ),
     column("FLIGHT_QUALITY", "", "QUALITY of the header", |r| {
         Cell::Text(r.in_flight.quality.clone().unwrap_or_default())

@@ -1,9 +1,11 @@
 //! The columns of the history, in one place: `aspect.fits`, `aspect.csv` and `docs/refine.md` are made from these tables.
 
 mod aspect;
+mod roll;
 mod smoothed;
 
 pub use aspect::{ASPECT, ASPECT_COLUMNS};
+pub use roll::{ROLL, ROLL_COLUMNS};
 pub use smoothed::{SMOOTHED, SMOOTHED_COLUMNS, SmoothedRow};
 
 use crate::fits::{Column, Table, Values};
@@ -93,9 +95,10 @@ pub fn markdown() -> String {
         head.to_owned() + &columns.iter().map(line).collect::<String>()
     }
     format!(
-        "### {ASPECT}\n\n{}\n### {SMOOTHED}\n\n{}",
+        "### {ASPECT}\n\n{}\n### {SMOOTHED}\n\n{}\n### {ROLL}\n\n{}",
         lines(ASPECT_COLUMNS),
-        lines(SMOOTHED_COLUMNS)
+        lines(SMOOTHED_COLUMNS),
+        lines(ROLL_COLUMNS)
     )
 }
 

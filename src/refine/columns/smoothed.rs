@@ -59,9 +59,9 @@ impl Flight {
         points
             .zip(&self.path_times_s)
             .map(|(point, unix_s)| {
-                let sigma = point.variance_mil2.map(f64::sqrt);
+                let sigma = point.variance.map(f64::sqrt);
                 let known = sigma.iter().all(|sigma| *sigma < MOST_SIGMA_MIL);
-                let told = [point.place_mil, sigma, point.speed_mil_per_s];
+                let told = [point.place, sigma, point.speed];
                 SmoothedRow {
                     unix_s: *unix_s,
                     point: known.then_some(told),

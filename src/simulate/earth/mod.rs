@@ -107,6 +107,7 @@ impl EarthConditions {
             pitch_deg,
             seed,
             number,
+            weather: number,
             camera: 0,
         }
     }
@@ -152,6 +153,8 @@ pub struct EarthScene {
     pub pitch_deg: f64,
     pub seed: u64,
     pub number: u64,
+    /// Which limb and which clouds: frames of one flight share them.
+    pub weather: u64,
     /// Of those of the vehicle: each has its own noise.
     pub camera: u64,
 }

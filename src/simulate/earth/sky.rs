@@ -123,7 +123,7 @@ impl<'a> Sky<'a> {
         ]);
         let scaled_from_local = Matrix3::from_diagonal(&axes.map(f64::recip)) * local;
         let length_deg = conditions.air.length_deg;
-        let along = |purpose| AlongLimb::new(length_deg, purpose, scene.seed, scene.number);
+        let along = |purpose| AlongLimb::new(length_deg, purpose, scene.seed, scene.weather);
         // Low above the horizon, to the right of where the camera looks: the terminator crosses the limb.
         let bearing = (scene.heading_deg + 60.0).to_radians();
         let sun = scaled_from_local * Vector3::new(bearing.cos(), bearing.sin(), 0.1);
@@ -133,7 +133,7 @@ impl<'a> Sky<'a> {
                 .place(latitude, conditions.height_m)
                 .component_div(&axes),
             scaled_from_local,
-            pattern: Pattern::new(scene.seed, scene.number),
+            pattern: Pattern::new(scene.seed, scene.weather),
             brightness: along(Purpose::LimbBrightness),
             height: along(Purpose::LimbHeight),
             sun: sun.normalize(),

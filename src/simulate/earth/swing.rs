@@ -65,6 +65,7 @@ impl SwingingGondola {
             pitch_deg: swing_deg(&PITCH, after),
             seed: self.seed,
             number,
+            weather: 0,
             camera: 0,
         };
         let body_from_forward =

@@ -1,0 +1,288 @@
+//! `solaspect refine`: the best aspect history from a flight's archive.
+
+mod files;
+
+use super::options;
+use super::output::{make_folder, progress_bar, say};
+use crate::archive::FlownFiles;
+use crate::archive::check::Tree;
+use crate::refine::{
+    self, CameraFrames, Done, FirstPass, Flight, FrameRecord, Input, Recipe, Report, RollHistory,
+    RollRecipe, RollSummary, Shard, Sky, Span, Summary,
+};
+use crate::units::Place;
+use anyhow::{bail, ensure};
+use clap::Args;
+use jiff::Timestamp;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Make the best aspect history from a flight's archive
+///
+/// The first pass solves every frame on its own and notes each in a journal in --out: killed and run again, it goes on where it
+/// was. The second looks at the flight as a whole and writes aspect.fits, aspect.csv, summary.json and report.html. On a cluster
+/// each machine does its --shard, and a last run with --merge takes their journals together.
+/// Files that cannot be read have a row that says why, and are no failure. Frames of several cameras make a history each, in a
+/// folder of --out, and one report. Frames of the roll camera make roll.fits, roll.csv and roll.json, and turn the others' offsets.
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub struct RefineArgs {
+    /// A folder tree of FITS frames
+    #[arg(value_name = "ARCHIVE")]
+    archive: PathBuf,
+    /// Where journal and results go; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The instrument's TOML file; for several cameras, once for each [default: the archive's, else the built-in one that the
+    /// frames name, else "demo"]
+    #[arg(long, value_name = "FILE")]
+    instrument: Vec<PathBuf>,
+    /// The roll camera's TOML file, with body_from_camera [default: the archive's]
+    #[arg(long, value_name = "CAM.toml")]
+    roll_camera: Option<PathBuf>,
+    /// The configuration's TOML file [default: the archive's solver, place and target, if it holds a configuration]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Frames at a time [default: as many as there are cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Only every Nth frame from the Ith on, and only the first pass
+    #[arg(long, value_name = "I/N", conflicts_with = "merge")]
+    shard: Option<Shard>,
+    /// Take the journals of other runs of the same archive, instrument and settings together
+    #[arg(long, value_name = "DIR", num_args = 1..)]
+    merge: Vec<PathBuf>,
+    /// Only frames whose mid-exposure is not before this, UTC
+    #[arg(long, value_name = "TIME")]
+    since: Option<Timestamp>,
+    /// Only frames whose mid-exposure is not after this, UTC
+    #[arg(long, value_name = "TIME")]
+    until: Option<Timestamp>,
+    /// Where the frames were taken, for frames that do not say so
+    #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
+    place: Option<Place>,
+}
+
+pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
+    let tree = Tree::of(&args.archive)?;
+    let archived = FlownFiles::read(&tree.flown)?;
+    let config = args.configuration(&archived)?;
+    let jobs = args.jobs.map_or(0, usize::from);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
+    pool.install(|| {
+        let cameras = refine::cameras(&args.archive, args.inputs(tree));
+        let (roll, cameras): (Vec<_>, Vec<_>) = cameras
+            .into_iter()
+            .partition(|camera| camera.is_roll_camera());
+        let several = cameras.len() > 1;
+        // What may be missing is told before hours of work.
+        let recipes = cameras
+            .iter()
+            .map(|camera| args.recipe(camera, &archived, &config));
+        let recipes = recipes.collect::<anyhow::Result<Vec<_>>>()?;
+        let roll = CameraFrames::together(roll);
+        let roll_recipe = roll
+            .as_ref()
+            .map(|camera| args.roll_recipe(camera, &archived, &config));
+        let roll_recipe = roll_recipe.transpose()?.flatten();
+        ensure!(
+            !cameras.is_empty() || roll_recipe.is_some(),
+            "{}: expected frames of a camera that sees the plate or the file of the roll camera (--roll-camera), found the roll camera's frames \
+             alone",
+            args.archive.display()
+        );
+        let mut ephemeris = options::ephemeris(&config)?;
+        let sky = Sky {
+            target: options::target(&config, &mut ephemeris)?,
+            place: config.site.place(),
+            ephemeris,
+        };
+        make_folder(&args.out)?;
+        let mut report = Report::default();
+        let history = match (&roll, &roll_recipe) {
+            (Some(camera), Some(recipe)) => args.refine_roll(camera, recipe, &mut report)?,
+            (Some(camera), None) => {
+                let frames = camera.inputs.len();
+                let text = format!(
+                    "{frames} frames of the roll camera: its file is not in the archive; --roll-camera names it"
+                );
+                say(format_args!("{text}"))?;
+                report.note(&text);
+                None
+            }
+            (None, _) => None,
+        };
+        for (camera, recipe) in cameras.iter().zip(recipes) {
+            let label = several.then_some(camera.label.as_str());
+            args.refine(camera, label, &recipe, &sky, history.as_ref(), &mut report)?;
+        }
+        if args.shard.is_none() {
+            report.write(&args.out)?;
+        }
+        Ok(ExitCode::SUCCESS)
+    })
+}
+
+impl RefineArgs {
+    /// Makes the history of one camera; of several, in a folder of its own.
+    fn refine(
+        &self,
+        camera: &CameraFrames,
+        label: Option<&str>,
+        recipe: &Recipe,
+        sky: &Sky,
+        roll: Option<&RollHistory>,
+        report: &mut Report,
+    ) -> anyhow::Result<()> {
+        let inputs = &camera.inputs;
+        let done = self.first_pass(recipe, inputs)?;
+        if self.shard.is_some() {
+            return Ok(());
+        }
+        let mut flight = self.second_pass(&done, inputs, recipe)?;
+        if let Some(roll) = roll {
+            roll.fill(&mut flight.rows);
+        }
+        sky.fill(&recipe.instrument, &mut flight.rows, &flight.places);
+        let folder = label.map_or(self.out.clone(), |label| self.out.join(label));
+        make_folder(&folder)?;
+        let summary = refine::write(&folder, &flight, recipe)?;
+        report.add(label, &self.archive, &flight, &summary, &recipe.instrument);
+        if let Some(label) = label {
+            say(format_args!("{label}:"))?;
+        }
+        print(&summary)
+    }
+
+    /// Makes the history of the roll camera; none of a shard.
+    fn refine_roll(
+        &self,
+        camera: &CameraFrames,
+        recipe: &RollRecipe,
+        report: &mut Report,
+    ) -> anyhow::Result<Option<RollHistory>> {
+        let done = self.first_pass(recipe, &camera.inputs)?;
+        if self.shard.is_some() {
+            return Ok(None);
+        }
+        let history = RollHistory::new(&done, &camera.inputs, recipe, &self.span())?;
+        let summary = refine::write_roll(&self.out, &history, recipe)?;
+        report.add_roll(&self.archive, &history, &summary, recipe);
+        print_roll(&summary)?;
+        Ok(Some(history))
+    }
+
+    fn inputs(&self, tree: Tree) -> Vec<Input> {
+        let inputs = refine::inputs(&tree, &self.archive, &self.out);
+        let Some(shard) = self.shard else {
+            return inputs;
+        };
+        let (skip, every) = (shard.number as usize - 1, shard.of as usize);
+        inputs.into_iter().skip(skip).step_by(every).collect()
+    }
+
+    fn span(&self) -> Span {
+        Span {
+            since: self.since,
+            until: self.until,
+        }
+    }
+
+    fn first_pass<R: FirstPass>(
+        &self,
+        recipe: &R,
+        inputs: &[Input],
+    ) -> anyhow::Result<Done<R::Frame>> {
+        let name = format!("{:016x}.journal", recipe.hash());
+        let others = journals(&self.merge, &name)?;
+        let mut done = Done::open(&self.out.join(&name), &others)?;
+        let left = inputs.iter().filter(|input| !done.holds(input)).count();
+        let progress = progress_bar(left, "frames");
+        let each = || progress.inc(1);
+        done.work(&self.archive, inputs, recipe, &self.span(), &each)?;
+        progress.finish_and_clear();
+        Ok(done)
+    }
+
+    fn second_pass(
+        &self,
+        done: &Done<FrameRecord>,
+        inputs: &[Input],
+        recipe: &Recipe,
+    ) -> anyhow::Result<Flight> {
+        let flight = refine::second_pass(done, &self.archive, inputs, recipe, &self.span())?;
+        ensure!(
+            !flight.rows.is_empty(),
+            "{}: expected frames from --since to --until, found none",
+            self.archive.display()
+        );
+        if let Some(contradiction) = &flight.contradiction {
+            bail!("{}: {contradiction}", self.archive.display());
+        }
+        Ok(flight)
+    }
+}
+
+/// The journals of other runs: one in each folder, of the same name, for it tells instrument and settings.
+fn journals(folders: &[PathBuf], name: &str) -> anyhow::Result<Vec<PathBuf>> {
+    let journal = |folder: &PathBuf| -> anyhow::Result<PathBuf> {
+        let path = folder.join(name);
+        let found = path.is_file();
+        ensure!(
+            found,
+            "{}: expected a journal of the same version, instrument and settings ({name}), found none",
+            folder.display()
+        );
+        Ok(path)
+    };
+    folders.iter().map(journal).collect()
+}
+
+fn print(summary: &Summary) -> anyhow::Result<()> {
+    say(format_args!(
+        "{} files: {} fine ({} by themselves), {} coarse, {} none",
+        summary.files, summary.fine, summary.own_fine, summary.coarse, summary.none
+    ))?;
+    for (odd, count) in &summary.odd {
+        say(format_args!("  {count} odd: {odd}"))?;
+    }
+    if let Some(sigma) = summary.median_sigma_mil {
+        say(format_args!("median sigma {sigma:.4} mil per axis"))?;
+    }
+    for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
+        say(format_args!("the mapping jumps by {}", jump.text()))?;
+    }
+    for [name, value] in summary.clock.lines() {
+        say(format_args!("{name}: {value}"))?;
+    }
+    Ok(())
+}
+
+fn print_roll(summary: &RollSummary) -> anyhow::Result<()> {
+    say(format_args!(
+        "roll camera: {} files: {} fine, {} coarse, {} none",
+        summary.files, summary.fine, summary.coarse, summary.none
+    ))?;
+    for (remark, count) in &summary.remarks {
+        say(format_args!("  {count} not fine: {remark}"))?;
+    }
+    if let Some((frame, smoothed)) = summary.frame_sigma_deg.zip(summary.smoothed_sigma_deg) {
+        say(format_args!(
+            "  median sigma of the roll {frame:.4} deg, smoothed {smoothed:.4} deg"
+        ))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_without_the_journal_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = journals(&[folder.path().into()], "x.journal").unwrap_err();
+        let name = folder.path().display().to_string();
+        assert!(error.to_string().starts_with(&name), "{error}");
+    }
+}

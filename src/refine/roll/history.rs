@@ -1,0 +1,348 @@
+//! The body's roll and pitch over the flight.
+
+use super::super::clock::{Clocks, Reading, corrected_ns};
+use super::super::first_pass::{Done, Span};
+use super::super::follow::ODD_PATH_CHI2;
+use super::super::journal::JournalError;
+use super::super::motion::{self, Moment, Path};
+use super::super::record::{FrameFacts, Grade, Input, Record};
+use super::super::row::{Oddity, Row};
+use super::{HorizonRecord, RollRecipe};
+use crate::estimation::{SIGMA_PER_MEDIAN, median};
+use crate::geometry::attitude::Direction;
+use crate::pointing::{body_nadir, body_pitch_deg, body_roll_deg};
+use crate::units::Measured;
+use rayon::prelude::*;
+
+/// What the path counts in: about the error of a frame.
+const UNIT_DEG: f64 = 0.01;
+/// A roll known worse than this, 1 sigma, is not told.
+const MOST_SIGMA_DEG: f64 = 0.5;
+/// Fewer differences of neighbours tell nothing, nor do frames of which one step is so many times another.
+const LEAST_DIFFERENCES: usize = 20;
+const EVEN_STEPS: f64 = 1.5;
+
+/// One input file's row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RollRow {
+    pub file: String,
+    /// Its time is corrected where the clock had stepped.
+    pub facts: FrameFacts,
+    pub utc_correction_s: Option<Measured>,
+    pub quality: Grade,
+    /// Why there is no nadir; empty where nothing is to be said.
+    pub reason: String,
+    /// What stands beside the edge, or hides it.
+    pub flags: String,
+    /// Straight down in the body's axes, by this frame alone.
+    pub nadir: Option<Direction>,
+    /// Places of the edge that are in view, and those that agree with the nadir.
+    pub places: usize,
+    pub agreeing: usize,
+    /// The body's roll in flight, and 1 sigma.
+    pub in_flight_deg: Option<[f64; 2]>,
+    pub smoothed: Option<SmoothedRoll>,
+}
+
+/// Roll and pitch of the body as the frames about a moment have them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SmoothedRoll {
+    pub roll_deg: Measured,
+    pub pitch_deg: Measured,
+    /// Of roll and pitch.
+    pub rates_deg_per_s: [f64; 2],
+}
+
+impl RollRow {
+    fn unread(input: Input, error: &str) -> Self {
+        Self {
+            file: input.file,
+            facts: FrameFacts::default(),
+            utc_correction_s: None,
+            quality: Grade::None,
+            reason: format!("file: {error}"),
+            flags: String::new(),
+            nadir: None,
+            places: 0,
+            agreeing: 0,
+            in_flight_deg: None,
+            smoothed: None,
+        }
+    }
+
+    fn of(input: Input, record: HorizonRecord) -> Self {
+        Self {
+            facts: record.facts,
+            quality: record.quality,
+            reason: record.reason.unwrap_or_default(),
+            flags: record.flags,
+            nadir: record.nadir.map(|nadir| nadir.direction()),
+            places: record.places,
+            agreeing: record.agreeing,
+            in_flight_deg: record.in_flight_deg,
+            ..Self::unread(input, "")
+        }
+    }
+
+    /// Seconds since 1970.
+    pub fn unix_s(&self) -> Option<f64> {
+        Some(self.facts.utc_ns? as f64 / 1e9)
+    }
+
+    /// Roll and pitch by this frame alone.
+    pub fn angles_deg(&self) -> Option<[Measured; 2]> {
+        let nadir = self.nadir.as_ref()?;
+        Some([body_roll_deg(nadir), body_pitch_deg(nadir)])
+    }
+
+    /// Why the frame is not fine; empty where it is.
+    pub fn remark(&self) -> String {
+        match self.quality {
+            Grade::Coarse if self.reason.is_empty() => {
+                format!("little of the edge is seen: {}", self.flags)
+            }
+            _ => self.reason.clone(),
+        }
+    }
+}
+
+/// The body's roll and pitch over the flight.
+#[derive(Debug, Clone)]
+pub struct RollHistory {
+    /// In the order of time; frames without a time and files that could not be read come last, by name.
+    pub rows: Vec<RollRow>,
+    /// How many rows have a time: the first ones.
+    pub dated: usize,
+    /// Which part of the stated sigmas changes from frame to frame, of roll and pitch. The rest is the limb's own shape and the camera's
+    /// height, alike in neighbours.
+    pub changing: [f64; 2],
+    max_age_s: f64,
+}
+
+impl RollHistory {
+    /// The history of all frames that are done.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn new(
+        done: &Done<HorizonRecord>,
+        inputs: &[Input],
+        recipe: &RollRecipe,
+        span: &Span,
+    ) -> Result<Self, JournalError> {
+        let records = inputs.par_iter().map(|input| done.record(input));
+        let records: Vec<Option<Record<HorizonRecord>>> = records.collect::<Result<_, _>>()?;
+        let row = |Record { input, outcome }| match outcome {
+            Ok(HorizonRecord { ref facts, .. }) if !span.holds(facts.utc()) => None,
+            Ok(record) => Some(RollRow::of(input, record)),
+            Err(error) => Some(RollRow::unread(input, &error)),
+        };
+        let rows = records.into_iter().flatten().filter_map(row).collect();
+        Ok(Self::of(rows, recipe.settings.max_age_s))
+    }
+
+    fn of(mut rows: Vec<RollRow>, max_age_s: f64) -> Self {
+        correct_times(&mut rows);
+        let key = |row: &RollRow| (row.facts.utc_ns.is_none(), row.facts.utc_ns);
+        rows.sort_by(|a, b| key(a).cmp(&key(b)).then_with(|| a.file.cmp(&b.file)));
+        let dated = rows.partition_point(|row| row.facts.utc_ns.is_some());
+        let mut history = Self {
+            changing: changing(&rows[..dated]),
+            rows,
+            dated,
+            max_age_s,
+        };
+        history.refuse_what_is_off();
+        history.smooth();
+        history
+    }
+
+    /// Takes the place of coarse frames away that lie off the path of the fine ones.
+    fn refuse_what_is_off(&mut self) {
+        let is_coarse = |row: &RollRow| row.quality == Grade::Coarse && row.nadir.is_some();
+        let coarse: Vec<usize> = (0..self.dated)
+            .filter(|n| is_coarse(&self.rows[*n]))
+            .collect();
+        let times: Vec<f64> = coarse
+            .iter()
+            .filter_map(|n| self.rows[*n].unix_s())
+            .collect();
+        let by_fine = self.smoothed_at(&times, |row| row.quality == Grade::Fine);
+        for (n, expected) in coarse.into_iter().zip(by_fine) {
+            let row = &mut self.rows[n];
+            let Some((expected, [roll, pitch])) = expected.zip(row.angles_deg()) else {
+                continue;
+            };
+            let chi2 = |found: Measured, expected: Measured| {
+                let sigma = found.sigma.hypot(expected.sigma);
+                ((found.value - expected.value) / sigma).powi(2)
+            };
+            if chi2(roll, expected.roll_deg) + chi2(pitch, expected.pitch_deg) > ODD_PATH_CHI2 {
+                row.quality = Grade::None;
+                row.nadir = None;
+                row.reason = format!("refine: {}", Oddity::Path);
+            }
+        }
+    }
+
+    fn smooth(&mut self) {
+        let rows = &self.rows[..self.dated];
+        let times: Vec<f64> = rows.iter().filter_map(RollRow::unix_s).collect();
+        let smoothed = self.smoothed_at(&times, |_| true);
+        for (row, smoothed) in self.rows.iter_mut().zip(smoothed) {
+            row.smoothed = smoothed;
+        }
+    }
+
+    /// Tells rows of a camera that sees the plate where straight down was in the body's axes when they were taken.
+    pub fn fill(&self, rows: &mut [Row]) {
+        let of_row = rows.iter().enumerate();
+        let dated: Vec<(usize, f64)> = of_row
+            .filter_map(|(n, row)| Some((n, row.unix_s()?)))
+            .collect();
+        let times: Vec<f64> = dated.iter().map(|(_, time_s)| *time_s).collect();
+        let smoothed = self.smoothed_at(&times, |_| true);
+        for ((n, _), smoothed) in dated.iter().zip(smoothed) {
+            let nadir = smoothed.map(|s| body_nadir(s.roll_deg, s.pitch_deg));
+            rows[*n].body_nadir = nadir;
+        }
+    }
+
+    /// The body at times, s since 1970 and in order, by the frames that count; `None` where none of these is near.
+    fn smoothed_at(
+        &self,
+        times_s: &[f64],
+        counts: impl Fn(&RollRow) -> bool,
+    ) -> Vec<Option<SmoothedRoll>> {
+        let measured: Vec<Seen> = self.rows[..self.dated]
+            .iter()
+            .filter(|row| counts(row))
+            .filter_map(Seen::of)
+            .collect();
+        let (moments, at) = self.moments(&measured, times_s);
+        let Some(path) = motion::path(&moments) else {
+            return vec![None; times_s.len()];
+        };
+        let point = |(time_s, at): (&f64, usize)| {
+            let nearest = Seen::nearest(&measured, *time_s)?;
+            let near = (nearest.time_s - time_s).abs() <= self.max_age_s;
+            let smoothed = self.smoothed(&path, at, nearest);
+            let known = smoothed.roll_deg.sigma < MOST_SIGMA_DEG;
+            (near && known).then_some(smoothed)
+        };
+        times_s.iter().zip(at).map(point).collect()
+    }
+
+    /// Frames and times together, in the order of time, and where each of the times stands.
+    fn moments(&self, measured: &[Seen], times_s: &[f64]) -> (Vec<Moment>, Vec<usize>) {
+        let first_s = measured.first().map_or(0.0, |seen| seen.time_s);
+        let mut moments = Vec::with_capacity(measured.len() + times_s.len());
+        let frame = |seen: &Seen| {
+            let axis = |axis: usize| {
+                let sigma = seen.angles_deg[axis].sigma * self.changing[axis];
+                let unit = seen.angles_deg[axis].value / UNIT_DEG;
+                (unit, (sigma / UNIT_DEG).powi(2))
+            };
+            Moment {
+                time_s: seen.time_s - first_s,
+                measured: Some([axis(0), axis(1)]),
+            }
+        };
+        let (mut next, mut at) = (measured.iter().peekable(), Vec::new());
+        for time_s in times_s {
+            while let Some(seen) = next.next_if(|seen| seen.time_s <= *time_s) {
+                moments.push(frame(seen));
+            }
+            at.push(moments.len());
+            moments.push(Moment {
+                time_s: time_s - first_s,
+                measured: None,
+            });
+        }
+        moments.extend(next.map(frame));
+        (moments, at)
+    }
+
+    /// A point of the path, with the errors that are alike in neighbours.
+    fn smoothed(&self, path: &Path, at: usize, nearest: &Seen) -> SmoothedRoll {
+        let point = &path.points[at];
+        let angle = |axis: usize| {
+            let changing = point.variance[axis].max(0.0).sqrt() * UNIT_DEG;
+            let alike = (1.0 - self.changing[axis].powi(2)).max(0.0).sqrt();
+            let sigma = changing.hypot(nearest.angles_deg[axis].sigma * alike);
+            Measured::new(point.place[axis] * UNIT_DEG, sigma)
+        };
+        SmoothedRoll {
+            roll_deg: angle(0),
+            pitch_deg: angle(1),
+            rates_deg_per_s: point.speed.map(|speed| speed * UNIT_DEG),
+        }
+    }
+}
+
+/// A frame that tells roll and pitch.
+struct Seen {
+    time_s: f64,
+    angles_deg: [Measured; 2],
+}
+
+impl Seen {
+    fn of(row: &RollRow) -> Option<Self> {
+        Some(Self {
+            time_s: row.unix_s()?,
+            angles_deg: row.angles_deg()?,
+        })
+    }
+
+    fn nearest(all: &[Self], time_s: f64) -> Option<&Self> {
+        let next = all.partition_point(|seen| seen.time_s < time_s);
+        let both = [next.checked_sub(1), Some(next)];
+        let both = both.into_iter().flatten().filter_map(|n| all.get(n));
+        let away = |seen: &&Self| (seen.time_s - time_s).abs();
+        both.min_by(|a, b| away(a).total_cmp(&away(b)))
+    }
+}
+
+/// Holds UTC against the monotonic clock.
+fn correct_times(rows: &mut [RollRow]) {
+    let reading = |row: &RollRow| Reading::of(row.facts.utc_ns, row.facts.monotonic_s);
+    let readings: Vec<Option<Reading>> = rows.iter().map(reading).collect();
+    let corrections_s = Clocks::of(&readings).corrections_s;
+    for (row, correction_s) in rows.iter_mut().zip(corrections_s) {
+        let utc_ns = row.facts.utc_ns.zip(correction_s);
+        if let Some((utc_ns, correction_s)) = utc_ns {
+            row.facts.utc_ns = Some(corrected_ns(utc_ns, &correction_s));
+        }
+        row.utc_correction_s = correction_s;
+    }
+}
+
+/// Which part of the stated sigmas changes from frame to frame, of roll and pitch: third differences tell, in which slow motion is
+/// nothing. All of it, where too few frames tell or the motion is too fast.
+fn changing(rows: &[RollRow]) -> [f64; 2] {
+    let seen: Vec<Seen> = rows.iter().filter_map(Seen::of).collect();
+    let evenly = |four: &&[Seen]| {
+        let steps = four.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
+        let (least, most) = steps.fold((f64::INFINITY, 0.0_f64), |(least, most), step| {
+            (least.min(step), most.max(step))
+        });
+        least > 0.0 && most < EVEN_STEPS * least
+    };
+    [0, 1].map(|axis| {
+        let difference = |four: &[Seen]| {
+            let weights = [1.0, -3.0, 3.0, -1.0];
+            let angles = four.iter().map(|seen| seen.angles_deg[axis]);
+            let (sum, variance) = angles
+                .zip(weights)
+                .fold((0.0, 0.0), |(sum, variance), (a, w)| {
+                    (sum + w * a.value, variance + (w * a.sigma).powi(2))
+                });
+            (sum * sum / variance).sqrt()
+        };
+        let differences = seen.windows(4).filter(evenly).map(difference);
+        let differences: Vec<f64> = differences.collect();
+        let told = differences.len() >= LEAST_DIFFERENCES;
+        let scatter = median(&differences).filter(|_| told);
+        scatter.map_or(1.0, |scatter| (scatter * SIGMA_PER_MEDIAN).min(1.0))
+    })
+}

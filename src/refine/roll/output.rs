@@ -1,0 +1,111 @@
+//! What a refinement leaves of the roll camera: `roll.fits`, `roll.csv`, `roll.json`.
+
+use super::super::columns::{self, ROLL, ROLL_COLUMNS};
+use super::super::first_pass::hash_of;
+use super::super::output::{OutputError, csv, whole};
+use super::super::record::Grade;
+use super::{RollHistory, RollRecipe, RollRow};
+use crate::archive::{CONFIGURATION, INSTRUMENT};
+use crate::estimation::median;
+use crate::fits::{self, Card};
+use crate::provenance::{COMMIT, PROGRAM};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::iter;
+use std::path::Path;
+
+/// Hardly a row takes more bytes in the table.
+const ROW_BYTES: usize = 512;
+
+/// The summary: counts, and what the numbers rest on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RollSummary {
+    pub program: &'static str,
+    /// That the program was built from, where it is known.
+    pub commit: Option<&'static str>,
+    pub times: &'static str,
+    /// SHA-256 of the effective configuration and of the camera's file.
+    pub configuration_sha256: Option<String>,
+    pub camera_sha256: Option<String>,
+    /// Of `roll.fits`, hexadecimal.
+    pub table_hash: String,
+    pub files: usize,
+    pub fine: usize,
+    pub coarse: usize,
+    pub none: usize,
+    /// Frames by why they are not fine.
+    pub remarks: BTreeMap<String, usize>,
+    pub first_utc: Option<String>,
+    pub last_utc: Option<String>,
+    /// Median 1 sigma of the roll: of a frame by itself, and smoothed.
+    pub frame_sigma_deg: Option<f64>,
+    pub smoothed_sigma_deg: Option<f64>,
+    /// Which part of the frames' sigmas changes from one to the next, of roll and pitch.
+    pub changing_part: [f64; 2],
+}
+
+/// Writes table, CSV and summary to a folder.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_roll(
+    folder: &Path,
+    history: &RollHistory,
+    recipe: &RollRecipe,
+) -> Result<RollSummary, OutputError> {
+    let path = folder.join("roll.fits");
+    let table = iter::once_with(|| columns::table(ROLL, ROLL_COLUMNS, &history.rows));
+    let cards: Vec<Card> = recipe.flown.cards().collect();
+    let bytes = fits::encode_tables(history.rows.len() * ROW_BYTES, &cards, table);
+    let bytes = bytes.map_err(|problem| OutputError::of(&path, &problem))?;
+    whole(&path, |file| file.write_all(&bytes))?;
+    whole(&folder.join("roll.csv"), |file| {
+        csv(file, ROLL_COLUMNS, &history.rows)
+    })?;
+    let summary = summary(history, recipe, format!("{:016x}", hash_of(&bytes)));
+    whole(&folder.join("roll.json"), |file| {
+        serde_json::to_writer_pretty(&mut *file, &summary)?;
+        file.write_all(b"\n")
+    })?;
+    Ok(summary)
+}
+
+fn summary(history: &RollHistory, recipe: &RollRecipe, table_hash: String) -> RollSummary {
+    let rows = &history.rows;
+    let count = |grade| rows.iter().filter(|row| row.quality == grade).count();
+    let mut remarks = BTreeMap::new();
+    for remark in rows.iter().map(RollRow::remark) {
+        if !remark.is_empty() {
+            *remarks.entry(kind(&remark)).or_default() += 1;
+        }
+    }
+    let dated = &rows[..history.dated];
+    let time = |row: &RollRow| row.facts.utc().map(|utc| format!("{utc:.6}"));
+    let own = |row: &RollRow| row.angles_deg().map(|[roll, _]| roll.sigma);
+    let smoothed = |row: &RollRow| row.smoothed.map(|s| s.roll_deg.sigma);
+    RollSummary {
+        program: PROGRAM,
+        commit: COMMIT,
+        times: "UTC at mid-exposure",
+        configuration_sha256: recipe.flown.sha256(CONFIGURATION),
+        camera_sha256: recipe.flown.sha256(INSTRUMENT),
+        table_hash,
+        files: rows.len(),
+        fine: count(Grade::Fine),
+        coarse: count(Grade::Coarse),
+        none: count(Grade::None),
+        remarks,
+        first_utc: dated.first().and_then(time),
+        last_utc: dated.last().and_then(time),
+        frame_sigma_deg: median(rows.iter().filter_map(own)),
+        smoothed_sigma_deg: median(rows.iter().filter_map(smoothed)),
+        changing_part: history.changing,
+    }
+}
+
+/// A remark without its numbers.
+pub(super) fn kind(remark: &str) -> String {
+    let kind = remark.split_once(" (measured");
+    kind.map_or(remark, |(kind, _)| kind).into()
+}

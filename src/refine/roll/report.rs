@@ -1,0 +1,123 @@
+//! The roll camera's part of the report.
+
+use super::super::record::Grade;
+use super::super::report::{PICTURES, Report, TIME, labels};
+use super::output::kind;
+use super::{RollHistory, RollRecipe, RollRow, RollSummary};
+use crate::fits::read_frame;
+use crate::horizon;
+use crate::report::plot::{self, Mark, Series};
+use image::RgbImage;
+use image::imageops::thumbnail;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Pictures are so wide at most.
+const WIDTH_PX: u32 = 480;
+
+impl Report {
+    /// Adds the roll camera's part.
+    pub fn add_roll(
+        &mut self,
+        archive: &Path,
+        history: &RollHistory,
+        summary: &RollSummary,
+        recipe: &RollRecipe,
+    ) {
+        self.page.heading("Roll and pitch of the body");
+        let sigma = |sigma_deg: Option<f64>| {
+            sigma_deg.map_or("not known".into(), |sigma_deg| {
+                format!("{sigma_deg:.4} deg")
+            })
+        };
+        let rows = [
+            ("frames of the roll camera", summary.files.to_string()),
+            ("fine", summary.fine.to_string()),
+            ("coarse", summary.coarse.to_string()),
+            ("none", summary.none.to_string()),
+            (
+                "1 sigma of a frame's roll, median",
+                sigma(summary.frame_sigma_deg),
+            ),
+            ("1 sigma, smoothed", sigma(summary.smoothed_sigma_deg)),
+        ];
+        let rows = rows.map(|(name, value)| vec![name.to_owned(), value]);
+        self.page.table(&[], &rows);
+        self.figures(history);
+        self.odd_frames(archive, history, recipe);
+    }
+
+    fn figures(&mut self, history: &RollHistory) {
+        let first_s = history.rows.first().and_then(RollRow::unix_s);
+        let first_s = first_s.unwrap_or(0.0);
+        let series = |name: &str, mark, value: &dyn Fn(&RollRow) -> Option<f64>| Series {
+            name: name.into(),
+            points: history
+                .rows
+                .iter()
+                .filter_map(|row| Some((row.unix_s()? - first_s, value(row)?)))
+                .collect(),
+            mark,
+        };
+        let own = |axis: usize| move |row: &RollRow| Some(row.angles_deg()?[axis].value);
+        let roll = |row: &RollRow| Some(row.smoothed?.roll_deg.value);
+        let pitch = |row: &RollRow| Some(row.smoothed?.pitch_deg.value);
+        let angles = [
+            series("roll", Mark::Dots, &own(0)),
+            series("pitch", Mark::Dots, &own(1)),
+            series("roll, smoothed", Mark::Line, &roll),
+            series("pitch, smoothed", Mark::Line, &pitch),
+        ];
+        let in_flight = |row: &RollRow| Some(row.in_flight_deg?[0] - row.smoothed?.roll_deg.value);
+        let alone = |row: &RollRow| Some(row.angles_deg()?[0].value - row.smoothed?.roll_deg.value);
+        let differences = [
+            series("frame by itself", Mark::Dots, &alone),
+            series("in flight", Mark::Dots, &in_flight),
+        ];
+        let titles = ["Roll and pitch of the body", "Roll minus smoothed roll"];
+        for (title, series) in titles.iter().zip([&angles[..], &differences[..]]) {
+            match plot::series(&labels(title, TIME, "deg"), series) {
+                Ok(svg) => self.page.figure(&svg),
+                Err(error) => self.page.note(&error.to_string()),
+            }
+        }
+    }
+
+    /// How many frames are not fine, by what is odd about them, and pictures of some with what was taken for the horizon.
+    fn odd_frames(&mut self, archive: &Path, history: &RollHistory, recipe: &RollRecipe) {
+        let mut odd: BTreeMap<String, Vec<&RollRow>> = BTreeMap::new();
+        for row in history.rows.iter().filter(|row| row.quality != Grade::Fine) {
+            odd.entry(kind(&row.remark())).or_default().push(row);
+        }
+        if odd.is_empty() {
+            return;
+        }
+        let counts: Vec<Vec<String>> = odd
+            .iter()
+            .map(|(remark, rows)| vec![remark.clone(), rows.len().to_string()])
+            .collect();
+        self.page.table(&["what is odd", "frames"], &counts);
+        for (remark, rows) in &odd {
+            for row in rows.iter().take(PICTURES) {
+                if let Some(picture) = overlay(archive, row, recipe) {
+                    let caption = format!("{}: {remark}", row.file);
+                    self.page.picture(&picture, &caption);
+                }
+            }
+        }
+    }
+}
+
+/// A frame with what was taken for the horizon, made small. `None` where it cannot be read.
+fn overlay(archive: &Path, row: &RollRow, recipe: &RollRecipe) -> Option<RgbImage> {
+    let frame = read_frame(&archive.join(&row.file)).ok()?;
+    let (solution, sphere) = recipe.solve_again(&frame)?;
+    let picture = horizon::overlay(&frame, &solution, &recipe.camera.optics, &sphere, "");
+    let (width, height) = picture.dimensions();
+    let shrunk = WIDTH_PX.min(width);
+    Some(thumbnail(
+        &picture,
+        shrunk,
+        (height * shrunk / width).max(1),
+    ))
+}
