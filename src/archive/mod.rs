@@ -20,7 +20,7 @@ pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
 pub use flown::{CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT};
 pub use log::{Log, Row, SolutionLog, Upkeep};
-pub use name::{NameTime, ROLL_CAMERA, name, plain};
+pub use name::{NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{
     MappingRecord, MarkRecord, OffsetRecord, Reason, Record, RollRecord, instrument_cards, tables,

@@ -1,10 +1,17 @@
 //! The names of archived frames: they sort by time, and a folder holds an hour.
 
 use jiff::Timestamp;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The roll camera: its frames and logs go into a folder of this name under the archive's root, and name it as their instrument.
 pub const ROLL_CAMERA: &str = "roll";
+
+/// Whether a file is of the roll camera, by its name.
+pub fn is_of_roll_camera(path: &Path) -> bool {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let rest = stem.strip_prefix(ROLL_CAMERA);
+    rest.is_some_and(|rest| rest.starts_with('_'))
+}
 
 /// The time that a frame's name tells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

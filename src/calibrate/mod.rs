@@ -2,7 +2,7 @@
 //! frames do not determine, and leaves the rest of the file as it was.
 //!
 //! ```text
-//! numbers <- revision <- quantity, frames <- camera, mounting, plate; compare
+//! numbers <- revision <- quantity, frames <- camera, mounting, plate; compare; mounting <- roll_camera
 //! ```
 
 pub mod camera;
@@ -13,3 +13,4 @@ pub mod numbers;
 pub mod plate;
 pub mod quantity;
 pub mod revision;
+pub mod roll_camera;

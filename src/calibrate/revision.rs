@@ -78,7 +78,12 @@ impl Revision {
         if let Some(camera) = &provenance.camera {
             self.set("camera.name", camera.into(), None, provenance);
         }
-        let mut table = Table::new();
+        self.note(provenance, Table::new());
+    }
+
+    /// Notes what the calibration rests on, with more that it found.
+    pub fn note(&mut self, provenance: &Provenance, more: Table) {
+        let mut table = more;
         table["frames"] = value(provenance.frames as i64);
         table["frames_sha256"] = value(&provenance.frames_sha256);
         if let Ok(date) = provenance.date.to_string().parse::<Value>() {
@@ -123,12 +128,17 @@ impl Revision {
         }
     }
 
+    /// The new text.
+    pub fn text(&self) -> String {
+        self.document.to_string()
+    }
+
     /// The new text and the instrument that it describes.
     ///
     /// # Errors
     /// A value out of its range; the error names it.
     pub fn finish(&self) -> Result<(String, Instrument), TomlError> {
-        let text = self.document.to_string();
+        let text = self.text();
         let instrument = Instrument::parse(&self.path, &text)?;
         Ok((text, instrument))
     }

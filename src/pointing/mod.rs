@@ -20,10 +20,10 @@ use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
 use crate::sky::sphere::{angles_deg, direction, separation_rad, tangents};
 use crate::sky::{Ephemeris, SunPosition};
-use crate::units::{ARCSEC_PER_RAD, Estimate, Place, PlateMil};
+use crate::units::{ARCSEC_PER_RAD, Estimate, Measured, Place, PlateMil};
 use alignment::{Alignment, gnomonic};
 use jiff::Timestamp;
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, UnitVector3, Vector2, Vector3};
 use refusal::NoOffset;
 
 /// Above this elevation a difference of azimuths says nothing of use.
@@ -227,6 +227,14 @@ pub fn sun_on_plate(
     }
     let alignment = Alignment::new(instrument, roll);
     Ok(alignment.on_plate(&alignment.towards(&towards, &centre)))
+}
+
+/// The Sun in the telescope's own axes: forward along the boresight, right and down.
+pub fn sun_in_telescope(sun_on_plate: PlateMil, instrument: &Instrument) -> UnitVector3<f64> {
+    let level = Roll::Measured(Measured::new(0.0, 0.0));
+    // From the Sun to the boresight.
+    let [up, right] = Alignment::new(instrument, level).on_plane(sun_on_plate).into();
+    UnitVector3::new_normalize(Vector3::new(1.0, -right, up))
 }
 
 /// Where on the plate the Sun stands when the telescope is off its target by an offset: the inverse of

@@ -1,7 +1,7 @@
 //! Which camera took which frames of an archive, by their headers.
 
 use super::record::Input;
-use crate::archive::{INSTRUMENT, ROLL_CAMERA, plain};
+use crate::archive::{INSTRUMENT, ROLL_CAMERA, is_of_roll_camera, plain};
 use crate::fits::{self, Value};
 use crate::frame::TakenBy;
 use rayon::prelude::*;
@@ -67,6 +67,7 @@ fn named(path: &Path) -> Option<Named> {
         Some(Value::Text(sha256)) => Some(sha256.clone()),
         _ => None,
     };
+    // The roll camera has no instrument of the plate that its headers could name.
     let name = TakenBy {
         instrument: info
             .instrument
@@ -74,13 +75,6 @@ fn named(path: &Path) -> Option<Named> {
         camera: info.camera,
     };
     Some(Named(name, sha256))
-}
-
-/// The roll camera has no instrument of the plate that its headers could name; its files are named after it.
-fn is_of_roll_camera(path: &Path) -> bool {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let rest = stem.strip_prefix(ROLL_CAMERA);
-    rest.is_some_and(|rest| rest.starts_with('_'))
 }
 
 /// Each with a label of its own: the instrument's name; the camera's, where that does not tell them apart; both; and a number at last.

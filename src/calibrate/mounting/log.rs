@@ -1,4 +1,4 @@
-//! Where the telescope pointed: a CSV file of UTC, azimuth and elevation.
+//! Logs of angles in CSV files: where the telescope pointed, or how the body lay.
 
 use crate::calibrate::numbers::median;
 use crate::pointing::Horizontal;
@@ -13,7 +13,7 @@ const SAME_TIME_S: f64 = 0.02;
 /// Rows farther apart than so many median spacings leave a gap.
 const GAP_SPACINGS: f64 = 5.0;
 
-/// Why a file is no log of pointings.
+/// Why a file is no such log.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LogError {
     #[error("{}: cannot read: {cause}", .path.display())]
@@ -26,21 +26,45 @@ pub enum LogError {
         expected: &'static str,
         found: String,
     },
-    #[error("{}: expected rows of UTC, azimuth and elevation, found none", .0.display())]
-    Empty(PathBuf),
+    #[error("{}: expected rows of UTC, {columns}, found none", .path.display())]
+    Empty { path: PathBuf, columns: String },
 }
 
-/// Pointings in the order of time.
+/// What the columns of a log hold beside UTC: the beginnings of their headings, their names and ranges.
+struct Columns {
+    headings: [&'static [&'static str]; 2],
+    names: [&'static str; 2],
+    expected: [&'static str; 2],
+    limits_deg: [f64; 2],
+}
+
+const POINTING: Columns = Columns {
+    headings: [&["az"], &["el", "alt"]],
+    names: ["azimuth", "elevation"],
+    expected: [
+        "a number from -360 to 360 deg",
+        "a number from -90 to 90 deg",
+    ],
+    limits_deg: [360.0, 90.0],
+};
+const ATTITUDE: Columns = Columns {
+    headings: [&["roll"], &["pitch"]],
+    names: ["roll", "pitch"],
+    expected: ["a number from -80 to 80 deg", "a number from -80 to 80 deg"],
+    limits_deg: [80.0, 80.0],
+};
+
+/// Pairs of angles, deg, in the order of time.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PointingLog {
-    rows: Vec<(Timestamp, Horizontal)>,
+struct AngleLog {
+    rows: Vec<(Timestamp, [f64; 2])>,
     gap_s: f64,
 }
 
-impl PointingLog {
-    /// Reads a CSV file of UTC (ISO 8601, with or without Z), azimuth and elevation in deg: its first three columns, or those that a
-    /// heading names utc or time, az... and el...; lines that begin with # are comments.
-    pub fn read(path: &Path) -> Result<Self, LogError> {
+impl AngleLog {
+    /// Reads a CSV file of UTC (ISO 8601, with or without Z) and two angles: its first three columns, or those that a heading
+    /// names; lines that begin with # are comments.
+    fn read(path: &Path, columns: &Columns) -> Result<Self, LogError> {
         let unreadable = |cause: String| LogError::Unreadable {
             path: path.into(),
             cause,
@@ -52,21 +76,23 @@ impl PointingLog {
             .trim(csv::Trim::All)
             .from_path(path)
             .map_err(|error| unreadable(error.to_string()))?;
-        let (mut rows, mut columns) = (Vec::new(), [0, 1, 2]);
+        let (mut rows, mut places) = (Vec::new(), [0, 1, 2]);
         for (n, record) in reader.records().enumerate() {
             let record = record.map_err(|error| unreadable(error.to_string()))?;
             let first = record.get(0).unwrap_or_default();
             if n == 0 && first.starts_with(char::is_alphabetic) {
-                columns = named(&record).unwrap_or(columns);
+                places = named(&record, columns).unwrap_or(places);
                 continue;
             }
-            rows.push(row(path, &record, columns)?);
+            rows.push(row(path, &record, places, columns)?);
         }
-        Self::new(rows).ok_or_else(|| LogError::Empty(path.into()))
+        Self::new(rows).ok_or_else(|| LogError::Empty {
+            path: path.into(),
+            columns: columns.names.join(" and "),
+        })
     }
 
-    /// A log of pointings; `None` without any.
-    pub fn new(mut rows: Vec<(Timestamp, Horizontal)>) -> Option<Self> {
+    fn new(mut rows: Vec<(Timestamp, [f64; 2])>) -> Option<Self> {
         rows.sort_by_key(|row| row.0);
         rows.dedup_by_key(|row| row.0);
         let spacing_s = median(rows.windows(2).map(|w| seconds(w[0].0, w[1].0)));
@@ -76,31 +102,79 @@ impl PointingLog {
         })
     }
 
-    /// The pointing at an instant, along the great circle between the rows about it; else the reason why it is not known.
-    pub fn at(&self, utc: Timestamp) -> Result<Horizontal, String> {
+    /// The rows about an instant, and which part of the way from one to the other it lies; else the reason why that is not known.
+    fn about(&self, utc: Timestamp) -> Result<([f64; 2], [f64; 2], f64), String> {
         let after = self.rows.partition_point(|row| row.0 < utc);
         let before = after.checked_sub(1).and_then(|n| self.rows.get(n));
         let after = self.rows.get(after);
-        let near = |row: &&(Timestamp, Horizontal)| seconds(row.0, utc).abs() <= SAME_TIME_S;
+        let near = |row: &&(Timestamp, [f64; 2])| seconds(row.0, utc).abs() <= SAME_TIME_S;
         if let Some(row) = before.into_iter().chain(after).find(near) {
-            return Ok(row.1);
+            return Ok((row.1, row.1, 0.0));
         }
         match (before, after) {
             (Some(before), Some(after)) => {
                 let apart_s = seconds(before.0, after.0);
                 if apart_s > self.gap_s {
                     return Err(format!(
-                        "in a gap of {apart_s:.1} s of the pointings, from {}",
+                        "in a gap of {apart_s:.1} s of the log, from {}",
                         before.0
                     ));
                 }
-                let part = seconds(before.0, utc) / apart_s;
-                Ok(between(&before.1, &after.1, part))
+                Ok((before.1, after.1, seconds(before.0, utc) / apart_s))
             }
-            (None, Some(first)) => Err(format!("before the pointings begin, {}", first.0)),
-            (Some(last), None) => Err(format!("after the pointings end, {}", last.0)),
-            (None, None) => Err("there are no pointings".into()),
+            (None, Some(first)) => Err(format!("before the log begins, {}", first.0)),
+            (Some(last), None) => Err(format!("after the log ends, {}", last.0)),
+            (None, None) => Err("the log is empty".into()),
         }
+    }
+}
+
+/// Where the telescope pointed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PointingLog(AngleLog);
+
+impl PointingLog {
+    /// Reads a CSV file of UTC (ISO 8601, with or without Z), azimuth and elevation in deg: its first three columns, or those that a
+    /// heading names utc or time, az... and el...; lines that begin with # are comments.
+    ///
+    /// # Errors
+    /// The file, the line and the field, and what was expected there.
+    pub fn read(path: &Path) -> Result<Self, LogError> {
+        AngleLog::read(path, &POINTING).map(Self)
+    }
+
+    /// A log of pointings; `None` without any.
+    pub fn new(rows: Vec<(Timestamp, Horizontal)>) -> Option<Self> {
+        let rows = rows.into_iter();
+        let rows = rows.map(|(utc, h)| (utc, [h.azimuth_deg, h.elevation_deg]));
+        AngleLog::new(rows.collect()).map(Self)
+    }
+
+    /// The pointing at an instant, along the great circle between the rows about it; else the reason why it is not known.
+    pub fn at(&self, utc: Timestamp) -> Result<Horizontal, String> {
+        let (before, after, part) = self.0.about(utc)?;
+        Ok(between(before, after, part))
+    }
+}
+
+/// How the body lay.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AttitudeLog(AngleLog);
+
+impl AttitudeLog {
+    /// Reads a CSV file of UTC, roll (right side low positive) and pitch (forward end high positive) in deg, as
+    /// [`PointingLog::read`] does.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn read(path: &Path) -> Result<Self, LogError> {
+        AngleLog::read(path, &ATTITUDE).map(Self)
+    }
+
+    /// Roll and pitch at an instant, deg, half-way between the rows about it where it is; else the reason why they are not known.
+    pub fn at(&self, utc: Timestamp) -> Result<[f64; 2], String> {
+        let (before, after, part) = self.0.about(utc)?;
+        Ok([0, 1].map(|n| before[n] + (after[n] - before[n]) * part))
     }
 }
 
@@ -109,8 +183,8 @@ fn seconds(from: Timestamp, to: Timestamp) -> f64 {
 }
 
 /// On the great circle between two near directions.
-fn between(a: &Horizontal, b: &Horizontal, part: f64) -> Horizontal {
-    let [a, b] = [a, b].map(|h| direction(h.azimuth_deg, h.elevation_deg));
+fn between(a: [f64; 2], b: [f64; 2], part: f64) -> Horizontal {
+    let [a, b] = [a, b].map(|[azimuth_deg, elevation_deg]| direction(azimuth_deg, elevation_deg));
     let (azimuth_deg, elevation_deg) = angles_deg(&(a * (1.0 - part) + b * part));
     Horizontal {
         azimuth_deg,
@@ -118,45 +192,44 @@ fn between(a: &Horizontal, b: &Horizontal, part: f64) -> Horizontal {
     }
 }
 
-/// The columns of UTC, azimuth and elevation by their headings; `None` where one has none.
-fn named(heading: &csv::StringRecord) -> Option<[usize; 3]> {
+/// The columns of UTC and both angles by their headings; `None` where one has none.
+fn named(heading: &csv::StringRecord, columns: &Columns) -> Option<[usize; 3]> {
     let column = |names: &[&str]| {
         heading.iter().position(|text| {
             let text = text.to_lowercase();
             names.iter().any(|name| text.starts_with(name))
         })
     };
+    let [first, second] = columns.headings;
     Some([
         column(&["utc", "time", "date"])?,
-        column(&["az"])?,
-        column(&["el", "alt"])?,
+        column(first)?,
+        column(second)?,
     ])
 }
 
 fn row(
     path: &Path,
     record: &csv::StringRecord,
-    columns: [usize; 3],
-) -> Result<(Timestamp, Horizontal), LogError> {
-    const FIELDS: [(&str, &str); 3] = [
-        ("UTC", "a time such as 2013-09-21T18:00:00.250Z"),
-        ("azimuth", "a number from -360 to 360 deg"),
-        ("elevation", "a number from -90 to 90 deg"),
-    ];
-    let texts = columns.map(|n| record.get(n).unwrap_or_default());
-    let wrong = |n: usize| LogError::Row {
+    places: [usize; 3],
+    columns: &Columns,
+) -> Result<(Timestamp, [f64; 2]), LogError> {
+    let texts = places.map(|n| record.get(n).unwrap_or_default());
+    let wrong = |field, expected, found: &str| LogError::Row {
         path: path.into(),
         line: record.position().map_or(0, csv::Position::line),
-        field: FIELDS[n].0,
-        expected: FIELDS[n].1,
-        found: texts[n].into(),
+        field,
+        expected,
+        found: found.into(),
     };
-    let utc = time(texts[0]).ok_or_else(|| wrong(0))?;
-    let pointing = Horizontal {
-        azimuth_deg: angle(texts[1], 360.0).ok_or_else(|| wrong(1))?,
-        elevation_deg: angle(texts[2], 90.0).ok_or_else(|| wrong(2))?,
+    let an_instant = "a time such as 2013-09-21T18:00:00.250Z";
+    let utc = time(texts[0]).ok_or_else(|| wrong("UTC", an_instant, texts[0]))?;
+    let angle = |n: usize| {
+        let found = texts[n + 1];
+        angle(found, columns.limits_deg[n])
+            .ok_or_else(|| wrong(columns.names[n], columns.expected[n], found))
     };
-    Ok((utc, pointing))
+    Ok((utc, [angle(0)?, angle(1)?]))
 }
 
 fn time(text: &str) -> Option<Timestamp> {
@@ -222,9 +295,9 @@ mod tests {
             ("2013-09-21T18:01:00Z", 180.0, 40.0),
         ]);
         for (utc, wanted) in [
-            ("2013-09-21T17:59:59Z", "before the pointings begin"),
+            ("2013-09-21T17:59:59Z", "before the log begins"),
             ("2013-09-21T18:00:30Z", "in a gap of 58.0 s"),
-            ("2013-09-21T18:02:00Z", "after the pointings end"),
+            ("2013-09-21T18:02:00Z", "after the log ends"),
         ] {
             let reason = log.at(utc.parse().unwrap()).unwrap_err();
             assert!(reason.contains(wanted), "{reason}");

@@ -54,20 +54,25 @@ pub(super) fn extra_variance(residuals: &[Residual]) -> f64 {
 /// How many times more a mean of the residuals varies than if each were on its own: 1 + 2 sum of the autocorrelation, in the
 /// order of time, up to where it drowns in noise; the larger of the two axes.
 pub(super) fn correlation(taken: &[&Residual]) -> f64 {
-    let count = taken.len();
+    let along = |axis: usize| {
+        let values = taken.iter().map(|r| r.off[axis] / r.sigma_mil);
+        correlation_of(&values.collect::<Vec<_>>())
+    };
+    along(0).max(along(1))
+}
+
+/// The same of one axis.
+pub fn correlation_of(values: &[f64]) -> f64 {
+    let count = values.len();
     if count < 20 {
         return 1.0;
     }
     let drowned = 2.0 / (count as f64).sqrt();
-    let along = |axis: usize| {
-        let values: Vec<f64> = taken.iter().map(|r| r.off[axis] / r.sigma_mil).collect();
-        let square: f64 = values.iter().map(|v| v * v).sum();
-        let at_lag = |lag: usize| {
-            let products = values.iter().zip(&values[lag..]).map(|(a, b)| a * b);
-            products.sum::<f64>() / square
-        };
-        let lags = (1..count / 3).map(at_lag);
-        1.0 + 2.0 * lags.take_while(|rho| *rho > drowned).sum::<f64>()
+    let square: f64 = values.iter().map(|v| v * v).sum();
+    let at_lag = |lag: usize| {
+        let products = values.iter().zip(&values[lag..]).map(|(a, b)| a * b);
+        products.sum::<f64>() / square
     };
-    along(0).max(along(1))
+    let lags = (1..count / 3).map(at_lag);
+    1.0 + 2.0 * lags.take_while(|rho| *rho > drowned).sum::<f64>()
 }

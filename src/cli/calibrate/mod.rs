@@ -5,6 +5,7 @@ mod compare;
 mod edition;
 mod mounting;
 mod plate;
+mod roll_camera;
 
 use clap::{Args, Subcommand};
 use std::process::ExitCode;

@@ -1,6 +1,7 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance, rule of directions and mirror.
 
 use super::edition::{Edition, print_rejected};
+use super::roll_camera;
 use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings};
 use crate::calibrate::revision::Provenance;
@@ -18,41 +19,53 @@ use std::process::ExitCode;
 /// Measure centre, clocking, plate distance, rule of directions and mirror from the Sun on the plate
 ///
 /// Either the pointing is known (--pointing), or the gondola stands still while the Sun crosses the plate (--drift): the ephemeris
-/// is the truth. What the frames do not determine keeps the instrument's value, and the program says so.
+/// is the truth. What the frames do not determine keeps the instrument's value, and the program says so. With --roll-camera it is that
+/// camera's place on the body that is measured.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub struct MountingArgs {
     /// Frames, or folders of them
     #[arg(required = true, value_name = "FRAME|DIR")]
-    frames: Vec<PathBuf>,
+    pub(super) frames: Vec<PathBuf>,
     #[command(flatten)]
-    edition: Edition,
+    pub(super) edition: Edition,
     /// CSV file of where the telescope pointed: UTC, azimuth, elevation in deg, elevation without refraction
     #[arg(
         long,
         value_name = "CSV",
-        required_unless_present = "drift",
-        conflicts_with = "drift"
+        required_unless_present_any = ["drift", "roll_camera"],
+        conflicts_with_all = ["drift", "roll_camera"]
     )]
-    pointing: Option<PathBuf>,
+    pub(super) pointing: Option<PathBuf>,
     /// The elevations of --pointing hold refraction, as a theodolite reads them
     #[arg(long, requires = "pointing")]
-    apparent: bool,
+    pub(super) apparent: bool,
     /// The gondola stood still, its direction unknown, while the Sun crossed
-    #[arg(long)]
-    drift: bool,
+    #[arg(long, conflicts_with = "roll_camera")]
+    pub(super) drift: bool,
+    /// Measure body_from_camera of the camera that sees the horizon instead, whose file this is: --out is its new file. From a flight in
+    /// which the Sun was seen, too (frames of the roll camera are named roll_*), by a telescope whose boresight is the body's forward axis;
+    /// or from frames of the horizon alone with --attitude
+    #[arg(long, value_name = "CAM.toml")]
+    pub(super) roll_camera: Option<PathBuf>,
+    /// CSV file of the body's attitude: UTC, roll (right side low positive) and pitch (forward end high positive) in deg
+    #[arg(long, value_name = "CSV", requires = "roll_camera")]
+    pub(super) attitude: Option<PathBuf>,
     /// Where the frames were taken, for frames that do not say so
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
-    place: Option<Place>,
+    pub(super) place: Option<Place>,
     /// Pressure and temperature of the air about the observer; 0,0 for none [default: the standard atmosphere's at the height]
     #[arg(long, value_name = "HPA,DEG_C", allow_hyphen_values = true)]
-    air: Option<Air>,
+    pub(super) air: Option<Air>,
     /// The configuration's TOML file
     #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    pub(super) config: Option<PathBuf>,
 }
 
 pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
+    if let Some(camera) = &args.roll_camera {
+        return roll_camera::run(&args, camera);
+    }
     let (mut revision, stated) = args.edition.open()?;
     let config = options::config(args.config.as_deref())?;
     let log = args

@@ -1,0 +1,121 @@
+//! From frames to sightings.
+
+use super::sighting::{Horizon, Known, Sighting};
+use crate::calibrate::frames::RejectedFrame;
+use crate::calibrate::mounting::{AttitudeLog, SunObservation};
+use crate::config;
+use crate::fits;
+use crate::horizon::{self, Settings};
+use crate::instrument::{DirectionCamera, Instrument};
+use crate::pointing::{body_nadir, sun_in_telescope};
+use crate::units::{Measured, Place};
+use jiff::Timestamp;
+use nalgebra::UnitVector3;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// Frames of the Sun further apart tell nothing of the moments between, s.
+const LONGEST_STEP_S: f64 = 1.5;
+
+/// With what frames of the horizon are solved.
+#[derive(Debug, Clone)]
+pub struct Horizons<'a> {
+    pub camera: &'a DirectionCamera,
+    pub settings: config::Roll,
+    /// For frames that do not say where they were taken.
+    pub place: Option<Place>,
+}
+
+impl Horizons<'_> {
+    fn solve(&self, file: &Path) -> Result<Horizon, String> {
+        let frame = fits::read_frame(file).map_err(|error| error.problem.to_string())?;
+        self.camera.check(&frame).map_err(|error| error.to_string())?;
+        let utc = frame.info.mid_exposure.ok_or("no time")?;
+        let place = frame.info.place.or(self.place);
+        let height_m = place.map(|place| place.height_m);
+        let sphere = self.settings.sphere(height_m);
+        let sphere = sphere.ok_or("no height above the limb's edge: expected OBSGEO-H, or --place LAT,LON,HEIGHT_M")?;
+        let solution = horizon::solve(&Settings::default(), &frame, self.camera, &sphere, None);
+        match solution.nadir {
+            Ok(nadir) => Ok(Horizon {
+                file: file.into(),
+                utc,
+                nadir: nadir.direction,
+            }),
+            Err((stage, rejected)) => Err(format!("{}: {}", stage.name(), rejected.reason)),
+        }
+    }
+}
+
+/// Solves frames of the horizon: those that show one, in the order of time, and the others.
+pub fn collect(files: &[PathBuf], horizons: &Horizons<'_>) -> (Vec<Horizon>, Vec<RejectedFrame>) {
+    let solved = files.par_iter().map(|file| {
+        let solved = horizons.solve(file);
+        solved.map_err(|reason| RejectedFrame::new(file, reason))
+    });
+    let (mut seen, rejected) = parted(solved.collect());
+    seen.sort_by_key(|horizon| horizon.utc);
+    (seen, rejected)
+}
+
+/// Sightings at moments of which the body's attitude is known.
+pub fn with_attitude(
+    horizons: Vec<Horizon>,
+    log: &AttitudeLog,
+) -> (Vec<Sighting>, Vec<RejectedFrame>) {
+    let known = |utc: Timestamp| {
+        let [roll_deg, pitch_deg] = log.at(utc)?.map(|deg| Measured::new(deg, 0.0));
+        Ok(Known::Nadir(body_nadir(roll_deg, pitch_deg).unit))
+    };
+    sightings(horizons, known)
+}
+
+/// Sightings at moments at which a telescope on the same body saw the Sun; `suns` in the order of time.
+pub fn with_sun(
+    horizons: Vec<Horizon>,
+    suns: &[SunObservation],
+    telescope: &Instrument,
+) -> (Vec<Sighting>, Vec<RejectedFrame>) {
+    let unit = |sun: &SunObservation| sun_in_telescope(sun.sun_plate.position, telescope).into_inner();
+    let known = |utc: Timestamp| {
+        let next = suns.partition_point(|sun| sun.utc < utc);
+        let after = suns.get(next).ok_or("no frame of the Sun after it")?;
+        let before = suns.get(next.saturating_sub(1));
+        let before = before.filter(|sun| sun.utc <= utc).unwrap_or(after);
+        let step_s = after.utc.duration_since(before.utc).as_secs_f64();
+        let since_s = utc.duration_since(before.utc).as_secs_f64();
+        if step_s > LONGEST_STEP_S || since_s < 0.0 {
+            return Err("no frames of the Sun about it".into());
+        }
+        let part = if step_s > 0.0 { since_s / step_s } else { 0.0 };
+        let between = unit(before) * (1.0 - part) + unit(after) * part;
+        let elevations = [before, after].map(|sun| sun.sun.elevation_deg);
+        Ok(Known::Sun {
+            unit: UnitVector3::new_normalize(between),
+            elevation_deg: elevations[0] * (1.0 - part) + elevations[1] * part,
+        })
+    };
+    sightings(horizons, known)
+}
+
+fn sightings(
+    horizons: Vec<Horizon>,
+    known: impl Fn(Timestamp) -> Result<Known, String>,
+) -> (Vec<Sighting>, Vec<RejectedFrame>) {
+    let sighting = |horizon: Horizon| match known(horizon.utc) {
+        Ok(known) => Ok(Sighting { horizon, known }),
+        Err(reason) => Err(RejectedFrame::new(horizon.file, reason)),
+    };
+    parted(horizons.into_iter().map(sighting).collect())
+}
+
+fn parted<T>(all: Vec<Result<T, RejectedFrame>>) -> (Vec<T>, Vec<RejectedFrame>) {
+    let (mut good, mut bad) = (Vec::new(), Vec::new());
+    for one in all {
+        match one {
+            Ok(one) => good.push(one),
+            Err(one) => bad.push(one),
+        }
+    }
+    (good, bad)
+}

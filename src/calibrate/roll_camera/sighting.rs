@@ -1,0 +1,33 @@
+//! One frame's nadir beside what is known of it.
+
+use crate::geometry::attitude::Direction;
+use jiff::Timestamp;
+use nalgebra::UnitVector3;
+use std::path::PathBuf;
+
+/// A frame of the horizon.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Horizon {
+    pub file: PathBuf,
+    pub utc: Timestamp,
+    /// In the camera's axes.
+    pub nadir: Direction,
+}
+
+/// What is known of the nadir in the body's axes: forward, right, down.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Known {
+    Nadir(UnitVector3<f64>),
+    /// The Sun in these axes, and its elevation as seen through the air.
+    Sun {
+        unit: UnitVector3<f64>,
+        elevation_deg: f64,
+    },
+}
+
+/// A frame of the horizon at a moment of which something is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sighting {
+    pub horizon: Horizon,
+    pub known: Known,
+}
