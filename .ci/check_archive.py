@@ -8,7 +8,7 @@ from astropy.table import Table
 
 files = sorted(pathlib.Path(sys.argv[1]).rglob("*.fits"))
 assert files, "expected FITS files in the archive, found none"
-fine = 0
+fine = rolls = 0
 for path in files:
     with fits.open(path, disable_image_compression=True, checksum=True) as hdus:
         hdus.verify("exception")
@@ -16,8 +16,13 @@ for path in files:
             assert "CHECKSUM" in hdu.header and "DATASUM" in hdu.header, (path, hdu.name)
     with fits.open(path) as hdus:
         frame = hdus["FRAME"]
-        assert frame.data.shape == (966, 1296), path
         header = frame.header
+        if path.name.startswith("roll_"):
+            assert frame.data.shape == (360, 640), path
+            assert header["QUALITY"] == "fine" and abs(header["BODYROLL"]) < 5 and header["BODYRLSG"] > 0, path
+            rolls += 1
+            continue
+        assert frame.data.shape == (966, 1296), path
         for keyword in ("DATE-OBS", "DATE-AVG", "EXPTIME", "FRAMENUM", "OBSGEO-X", "QUALITY"):
             assert keyword in header, (path, keyword)
         if header["QUALITY"] == "fine":
@@ -28,4 +33,5 @@ for path in files:
             about = frame.data[y - 20 : y + 20, x - 20 : x + 20]
             assert about.max() > 10 * frame.data.mean(), path
 assert fine, "expected fine frames, found none"
-print(f"{len(files)} files, {fine} of them fine: all good")
+assert rolls, "expected frames of the roll camera, found none"
+print(f"{len(files)} files, {fine} of them fine frames of the Sun, {rolls} of the horizon: all good")

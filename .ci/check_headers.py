@@ -253,7 +253,7 @@ def main(archive, spots):
     for path in files:
         header, said = check_structure(path, accepted)
         remarks += said
-        if header["QUALITY"] == "none":
+        if header["QUALITY"] == "none" or path.name.startswith("roll_"):
             assert not any(keyword in header for keyword in WORLD), path
             continue
         assert not said, (path, said)

@@ -55,9 +55,26 @@ def plain(column):
     return np.ma.filled(np.ma.asarray(column, dtype=float), np.nan)
 
 
+def frames_of(archive):
+    return sorted(str(p.relative_to(archive)) for p in archive.rglob("*.fits"))
+
+
+def check_roll(out, archive):
+    """The roll camera's table: every frame of it, with the roll in flight and the smoothed one."""
+    path = out / "roll.fits"
+    with fits.open(path, checksum=True) as hdus:
+        hdus.verify("exception")
+    rows = table(path, "ROLL")
+    assert sorted(rows["FILE"]) == [file for file in frames_of(archive) if "roll_" in file]
+    own, smoothed = plain(rows["ROLL_DEG"]), plain(rows["SMOOTHED_ROLL_DEG"])
+    assert np.isfinite(own).all() and np.abs(own - smoothed).max() < 0.1
+    assert (plain(rows["SMOOTHED_ROLL_SIGMA_DEG"]) <= 1.01 * plain(rows["ROLL_SIGMA_DEG"])).all()
+    assert np.nanmax(np.abs(plain(rows["FLIGHT_ROLL_DEG"]) - own)) < 0.1
+    return len(rows)
+
+
 def check_rows(rows, archive):
-    files = sorted(str(p.relative_to(archive)) for p in archive.rglob("*.fits"))
-    assert sorted(rows["FILE"]) == files
+    assert sorted(rows["FILE"]) == [file for file in frames_of(archive) if "roll_" not in file]
     assert set(rows["QUALITY"]) <= {"fine", "coarse", "none"}
     placed = np.isfinite(plain(rows["SUN_X_MIL"]))
     assert (placed == (rows["QUALITY"] != "none")).all()
@@ -106,9 +123,10 @@ def main(out, archive):
     fine = check_rows(rows, archive)
     check_smoothed(rows, smoothed)
     check_same(rows, out)
+    rolls = check_roll(out, archive)
     page = (out / "report.html").read_text()
     assert "<svg" in page and not re.search(r"(src|href)=\"(?!data:)", page)
-    print(f"{len(rows)} rows, {fine} of them fine, {len(smoothed)} moments of the path: all good")
+    print(f"{len(rows)} rows, {fine} of them fine, {len(smoothed)} moments of the path, {rolls} rolls: all good")
 
 
 main(*map(pathlib.Path, sys.argv[1:3]))

@@ -268,7 +268,7 @@ impl Case {
             &mut ephemeris,
         );
         let mut cards = Record::new("", utc, &solution, offset, None).cards();
-        cards.extend(instrument_cards(&instrument));
+        cards.extend(instrument_cards(&instrument, Roll::Stated));
         cards.extend(sky_cards(
             &frame.info,
             &solution,

@@ -182,7 +182,8 @@ fn number(path: &Path, keyword: &str) -> Option<f64> {
 #[test]
 fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
     let root = tempfile::tempdir().unwrap();
-    let scenes = [0, 1, 2].map(gondola);
+    // A body that does not turn has the same roll until the next frame.
+    let scenes = [1, 1, 1].map(gondola);
     let frames = scenes.iter().map(|scene| scene.frame().unwrap()).collect();
     let flight = Stepwise::start(frames, 3600.0, Some(root.path()));
     let before = flight.sun();

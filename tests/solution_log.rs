@@ -112,7 +112,7 @@ fn agree(a: f64, b: f64, tolerance: f64) -> bool {
 }
 
 /// Column of the log, field of the telemetry, keyword of the file, half a unit of the log's last digit.
-const SAME: [(&str, &str, &str, f64); 23] = [
+const SAME: [(&str, &str, &str, f64); 24] = [
     ("sun_x_px", "PIXEL_X", "SUNPX-X", 5e-7),
     ("sun_y_px", "PIXEL_Y", "SUNPX-Y", 5e-7),
     ("sun_radius_px", "RADIUS", "SUNPX-R", 5e-7),
@@ -138,6 +138,7 @@ const SAME: [(&str, &str, &str, f64); 23] = [
         0.0,
     ),
     ("frame", "FRAME", "FRAMENUM", 0.0),
+    ("roll_deg", "ROLL", "BODYROLL", 5e-7),
     ("sun_sigma_x_px", "", "SUNPX-SX", 5e-7),
     ("reason_measured", "", "REASONIS", 0.0),
     ("reason_limit", "", "REASONLM", 0.0),

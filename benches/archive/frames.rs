@@ -103,7 +103,7 @@ fn solve(
         ephemeris,
     );
     let mut cards = Record::new("", utc, &solution, offset, None).cards();
-    cards.extend(instrument_cards(instrument));
+    cards.extend(instrument_cards(instrument, Roll::Stated));
     cards.extend(sky_cards(
         &frame.info,
         &solution,

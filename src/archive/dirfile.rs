@@ -83,7 +83,7 @@ const fn number(
 
 /// The fields in the order in which they are written; a file of that name holds the samples of each.
 #[rustfmt::skip]
-const FIELDS: [Field; 32] = [
+const FIELDS: [Field; 34] = [
     number("FRAME", "", "number of the frame", |r| r.number.map(|n| n as f64)),
     code("QUALITY", "quality: 0 none, 1 coarse, 2 fine", |r| quality_code(r.quality)),
     code("STOPPED", "stopped at: 0 nowhere, 1 levels, 2 limb, 3 marks, 4 identification, 5 registration, 6 aspect, 7 pointing",
@@ -110,6 +110,8 @@ const FIELDS: [Field; 32] = [
     number("OFFSET_SIGMA", "deg", "1 sigma of the offset per axis, noise", |r| r.record.offset_deg.as_ref().map(|o| o.sigma)),
     number("OFFSET_CALSIGMA", "deg", "1 sigma of the offset per axis, calibration",
         |r| r.record.offset_deg.as_ref().map(|o| o.calibration_sigma)),
+    number("ROLL", "deg", "body's roll by the horizon", |r| r.record.roll_deg.as_ref().map(|roll| roll.value)),
+    number("ROLL_SIGMA", "deg", "1 sigma of ROLL", |r| r.record.roll_deg.as_ref().map(|roll| roll.sigma)),
     number("LEVEL_BACKGROUND", "DN", "level of the background", |r| r.levels.map(|l| l.background_dn)),
     number("LEVEL_NOISE", "DN", "1 sigma of the background", |r| r.levels.map(|l| l.noise_dn)),
     number("LEVEL_DISC", "DN", "level of the disc", |r| r.levels.map(|l| l.disc_dn)),

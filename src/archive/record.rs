@@ -5,7 +5,7 @@ use crate::fits::{Card, Column, Table, Values};
 use crate::horizon;
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
-use crate::pointing::Offset;
+use crate::pointing::{Offset, Roll};
 use crate::units::Measured;
 use jiff::Timestamp;
 use serde::Serialize;
@@ -291,9 +291,10 @@ impl Record {
     }
 }
 
-/// The keywords of what a frame was taken with.
-pub fn instrument_cards(instrument: &Instrument) -> Vec<Card> {
+/// The keywords of what a frame was taken with, and of the roll that its directions rest on.
+pub fn instrument_cards(instrument: &Instrument, roll: Roll) -> Vec<Card> {
     let mounting = &instrument.mounting;
+    let roll_deg = roll.about_boresight_deg(instrument);
     vec![
         Card::new("OBSRVTRY", instrument.name.as_str()),
         Card::new("TELESCOP", instrument.name.as_str()),
@@ -302,7 +303,8 @@ pub fn instrument_cards(instrument: &Instrument) -> Vec<Card> {
         Card::new("WAVEUNIT", "nm"),
         Card::new("CLOCKANG", mounting.clocking_deg.value),
         Card::new("PLATEDIR", mounting.directions.name()),
-        Card::new("ROLLANG", mounting.roll_deg.value),
+        Card::new("ROLLANG", roll_deg.value),
+        Card::new("ROLLANSG", roll_deg.sigma),
         Card::new("BORE-X", mounting.boresight_mil.x),
         Card::new("BORE-Y", mounting.boresight_mil.y),
         Card::new("PLATEDST", instrument.optics.plate_distance_mm.value),

@@ -12,7 +12,7 @@ mod raw;
 mod sensor;
 pub mod toml_file;
 
-pub use builtin::{builtin, builtin_names, builtin_text};
+pub use builtin::{DEMO_HORIZON, builtin, builtin_names, builtin_text};
 pub use dates::Dated;
 pub use direction_camera::{DirectionCamera, MountedCamera, WrongFrameSize};
 pub use directions::Directions;

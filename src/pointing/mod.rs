@@ -233,7 +233,9 @@ pub fn sun_on_plate(
 pub fn sun_in_telescope(sun_on_plate: PlateMil, instrument: &Instrument) -> UnitVector3<f64> {
     let level = Roll::Measured(Measured::new(0.0, 0.0));
     // From the Sun to the boresight.
-    let [up, right] = Alignment::new(instrument, level).on_plane(sun_on_plate).into();
+    let [up, right] = Alignment::new(instrument, level)
+        .on_plane(sun_on_plate)
+        .into();
     UnitVector3::new_normalize(Vector3::new(1.0, -right, up))
 }
 

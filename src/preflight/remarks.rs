@@ -167,6 +167,7 @@ fn cross_check(config: &Config, remarks: &mut Remarks) {
             exposure(table, camera, remarks);
         }
     }
+    roll(config, remarks);
     same_sources(config, remarks);
     archive(&config.archive, remarks);
     link(config, remarks);
@@ -175,6 +176,21 @@ fn cross_check(config: &Config, remarks: &mut Remarks) {
             "site",
             "a place, for offsets where neither frames nor GPS tell one",
             "none",
+        );
+    }
+}
+
+/// A roll that is too old for the next frame of the Sun before the next of the horizon comes.
+fn roll(config: &Config, remarks: &mut Remarks) {
+    let camera = &config.roll_camera;
+    let period_s = 1.0 / camera.rate_hz;
+    if camera.instrument.is_some() && config.roll.max_age_s < period_s {
+        let expected =
+            format!("{period_s:.3} s or more, as from frame to frame at roll_camera.rate_hz");
+        remarks.warn(
+            "roll.max_age_s",
+            expected,
+            config.roll.max_age_s.to_string(),
         );
     }
 }

@@ -8,7 +8,7 @@ use crate::horizon;
 use crate::pointing::{Offset, Target};
 use crate::units::Measured;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A solved frame.
 #[derive(Debug, Clone)]
@@ -23,6 +23,8 @@ pub struct Answer {
     pub horizon: Option<Arc<horizon::Solution>>,
     /// The body's, deg: by this frame of the horizon, or by the one nearest to this frame of the Sun.
     pub roll_deg: Option<Measured>,
+    /// When that frame of the horizon was there.
+    pub roll_arrived: Option<Instant>,
     pub target: Target,
     pub solve_time: Duration,
     /// Whether the picture goes to the archive; the row always does.

@@ -1,23 +1,24 @@
-//! The whole system on one machine with nothing attached: a simulated camera, the real service, a real archive, and
+//! The whole system on one machine with nothing attached: simulated cameras of Sun and horizon, the real service, a real archive, and
 //! a simulated controller at the other end of a pseudo-terminal.
 
 use super::tally::{FlightTally, quantile};
-use super::{Answer, Camera, Flight, Service};
-use crate::archive::Store;
+use super::{Answer, Camera, Flight, Seat, Service};
+use crate::archive::{ROLL_CAMERA, Store};
 use crate::aspect::Quality;
-use crate::camera::{SimulatedCamera, TruthLog};
+use crate::camera::{SimulatedCamera, SimulatedHorizon, TruthLog};
 use crate::config::Config;
 use crate::fits::Compression;
-use crate::instrument::{self, Instrument, builtin_text};
+use crate::instrument::{self, DEMO_HORIZON, Instrument, MountedCamera, builtin_text};
 use crate::link::{Connection, Message, SerialPort};
 use crate::simulate::controller::{Controller, Report};
-use crate::simulate::{FlightScenes, Trajectory};
+use crate::simulate::earth::SwingingGondola;
+use crate::simulate::{FORT_SUMNER, FlightScenes, Trajectory};
 use crate::sky;
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::{Timestamp, civil};
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -48,6 +49,8 @@ pub struct Summary {
     pub controller: Report,
     /// Errors of the aspect against the truth, fine frames, arcsec.
     pub fine_errors_arcsec: Vec<f64>,
+    /// Errors of the body's roll against the truth, frames of the horizon, deg.
+    pub roll_errors_deg: Vec<f64>,
     /// Frames called fine or coarse in which there was no Sun at all.
     pub false_suns: u64,
     pub archive: PathBuf,
@@ -63,6 +66,7 @@ pub fn run(
     let start = launch_day()?;
     let camera = camera(demo, &instrument, start)?;
     let truth = camera.truth();
+    let (roll_camera, gondola) = roll_camera(demo, &instrument, start)?;
     let (near, mut far) = SerialPort::pair()?;
     let store = Store::open(&demo.archive, &instrument.name, Compression::Rice)?;
     let mut config = Config::default();
@@ -72,6 +76,7 @@ pub fn run(
         config,
         line: Connection::over(near),
         stores: vec![store],
+        other_cameras: vec![roll_camera],
         ..Flight::of(Camera {
             instrument_toml: builtin_text("demo").map(str::to_owned),
             ..Camera::new(instrument, camera)
@@ -97,8 +102,18 @@ pub fn run(
             })?
     };
     let (service, answers) = Service::start_watched(flight)?;
-    let mut judge = Judge::new(truth, arcsec_per_mil);
+    let mut judge = Judge {
+        truth,
+        gondola,
+        arcsec_per_mil,
+        fine_errors_arcsec: Vec::new(),
+        roll_errors_deg: Vec::new(),
+        false_suns: 0,
+    };
     watch(&service, &answers, stopped, |answer| {
+        if answer.horizon.is_some() {
+            return judge.hear_horizon(&answer);
+        }
         judge.hear(&answer);
         let received = *received.lock().unwrap_or_else(PoisonError::into_inner);
         show(&Glimpse { answer, received });
@@ -112,6 +127,7 @@ pub fn run(
         tally,
         controller,
         fine_errors_arcsec: judge.fine_errors_arcsec,
+        roll_errors_deg: judge.roll_errors_deg,
         false_suns: judge.false_suns,
         archive: demo.archive.clone(),
     })
@@ -137,6 +153,27 @@ fn camera(
     Ok(camera)
 }
 
+/// A camera that sees the horizon, and the gondola on which it swings.
+fn roll_camera(
+    demo: &Demo,
+    instrument: &Instrument,
+    start: Timestamp,
+) -> anyhow::Result<(Camera, SwingingGondola)> {
+    let text = DEMO_HORIZON;
+    let mounted = MountedCamera::parse(Path::new("demo-horizon"), text)?;
+    let gondola = SwingingGondola::new(&mounted, &FORT_SUMNER, demo.seed);
+    let settings = Config::default().roll_camera.settings();
+    let source = SimulatedHorizon::new(gondola.clone(), &settings, start, Some(demo.duration));
+    let camera = Camera {
+        seat: Seat::Roll,
+        folder: PathBuf::from(ROLL_CAMERA),
+        instrument_toml: Some(text.into()),
+        horizon: Some(mounted),
+        ..Camera::new(instrument.clone(), source)
+    };
+    Ok((camera, gondola))
+}
+
 fn watch(
     service: &Service,
     answers: &Receiver<Answer>,
@@ -158,18 +195,19 @@ fn watch(
 /// Holds answers against the simulator's truth.
 struct Judge {
     truth: TruthLog,
+    gondola: SwingingGondola,
     arcsec_per_mil: f64,
     fine_errors_arcsec: Vec<f64>,
+    roll_errors_deg: Vec<f64>,
     false_suns: u64,
 }
 
 impl Judge {
-    fn new(truth: TruthLog, arcsec_per_mil: f64) -> Self {
-        Self {
-            truth,
-            arcsec_per_mil,
-            fine_errors_arcsec: Vec::new(),
-            false_suns: 0,
+    fn hear_horizon(&mut self, answer: &Answer) {
+        let since_start = answer.exposure.frame.info.monotonic;
+        if let Some((roll_deg, since_start)) = answer.roll_deg.zip(since_start) {
+            let error_deg = roll_deg.value - self.gondola.roll_deg(since_start);
+            self.roll_errors_deg.push(error_deg.abs());
         }
     }
 
@@ -222,6 +260,14 @@ impl fmt::Display for Summary {
             writeln!(
                 out,
                 "aspect     error of fine frames: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
+            )?;
+        }
+        let mut errors = self.roll_errors_deg.clone();
+        let mut deg = |fraction| quantile(&mut errors, fraction);
+        if let (Some(median), Some(most), Some(max)) = (deg(0.5), deg(0.95), deg(1.0)) {
+            writeln!(
+                out,
+                "roll       error by the horizon: median {median:.4}, 95 % {most:.4}, max {max:.4} deg"
             )?;
         }
         match self.lost() {

@@ -17,7 +17,7 @@ pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
 
 use super::control::{Controls, Topic};
 use super::shared::Shared;
-use super::tally::{LineTally, worth_a_line};
+use super::tally::{LineTally, note_latency, worth_a_line};
 use super::worker::Life;
 use crate::config;
 use crate::link::{
@@ -53,6 +53,8 @@ pub(super) struct Line<'a> {
     stopping_since: Option<Instant>,
     picture: Option<PictureUnderWay>,
     tally: Shared<LineTally>,
+    /// The frame of the horizon whose roll went out last.
+    last_roll: Option<Instant>,
 }
 
 impl<'a> Line<'a> {
@@ -77,6 +79,7 @@ impl<'a> Line<'a> {
             version,
             start: Instant::now(),
             outcomes: 0,
+            last_roll: None,
             unsaid: 0,
             repeated: 0,
             stalled: false,
@@ -220,8 +223,7 @@ impl<'a> Line<'a> {
             Ok(Some(packet)) => {
                 if !self.send(&packet) {
                 } else if outcome.solution().is_some() {
-                    self.tally.lock().solutions += 1;
-                    self.tally.lock().note_latency(outcome.arrived.elapsed());
+                    self.note_sent(outcome);
                 } else {
                     self.tally.lock().errors += 1;
                 }
@@ -229,6 +231,17 @@ impl<'a> Line<'a> {
             Ok(None) => {}
             Err(error) => self.note_unsaid(&error, "a solution was not sent"),
         }
+    }
+
+    fn note_sent(&mut self, outcome: &Outcome) {
+        let mut tally = self.tally.lock();
+        tally.solutions += 1;
+        note_latency(&mut tally.latencies, outcome.arrived.elapsed());
+        let roll = outcome.roll_arrived;
+        if let Some(arrived) = roll.filter(|_| roll != self.last_roll) {
+            note_latency(&mut tally.roll_latencies, arrived.elapsed());
+        }
+        self.last_roll = roll;
     }
 
     /// The packet that concludes an exposure: its solution, or why there is none.

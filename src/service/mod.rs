@@ -62,7 +62,9 @@ pub use command_log::CommandNote;
 pub use control::Seat;
 pub use flight::{Camera, CameraFactory, Flight, Station};
 pub use protocol::protocol_page;
-pub use tally::{ArchiveTally, CameraTally, FlightTally, LineTally, RollTally, SolverTally};
+pub use tally::{
+    ArchiveTally, CameraTally, FlightTally, LineTally, RollTally, SolverTally, quantile,
+};
 
 use crate::camera::FrameSource;
 use crate::config::Host;

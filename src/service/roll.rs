@@ -16,17 +16,19 @@ use crate::instrument::MountedCamera;
 use crate::pointing::body_roll_deg;
 use crate::units::Rejected;
 use crossbeam_channel::Receiver;
-use nalgebra::UnitVector3;
+use nalgebra::{Rotation3, UnitVector3, Vector3};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-/// A gondola turns by so much where no frames have told, 1 sigma: half a degree a second.
+/// A gondola turns by so much in a second where no frames have told, 1 sigma: half a degree.
 const USUAL_RAD_PER_S: f64 = 0.009;
-/// Frames this near to each other or further apart than that tell no rate; from frame to frame so much of it is kept.
-const LEAST_S: f64 = 0.03;
+/// Frames further apart than that tell no rate.
 const RATE_VALID_S: f64 = 1.5;
-const RATE_KEPT: f64 = 0.95;
+/// The rate follows the frames in this time.
+const RATE_FOLLOWS_S: f64 = 0.15;
+/// From frame to frame so much is kept of how far the frames before missed.
+const MISS_KEPT: f64 = 0.9;
 
 /// What the horizon said last; the solvers of the other cameras look.
 pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
@@ -37,38 +39,87 @@ pub(super) struct SeenNadir {
     pub direction: Direction,
     /// Middle of the exposure.
     at: Instant,
-    /// How fast the body turns, by the latest frames.
-    rad_per_s: f64,
+    /// When the frame was there.
+    pub arrived: Instant,
+    /// How it turns in these axes, by the latest frames.
+    turn_rad_per_s: Vector3<f64>,
+    /// How far such a turn has missed the frame that came, 1 sigma per axis, and after how long.
+    missed_rad: f64,
+    after_s: f64,
 }
 
 impl SeenNadir {
-    /// What comes next. A swing is slow where it turns back, so that its rate is kept for a while.
-    fn next(last: Option<Self>, direction: Direction, at: Instant) -> Self {
-        let rate = |last: Self| {
-            let seconds = apart(last.at, at).as_secs_f64();
-            let turned_rad = last.direction.unit.angle(&direction.unit);
-            let rad_per_s = turned_rad / seconds.max(LEAST_S);
-            (seconds < RATE_VALID_S).then(|| rad_per_s.max(RATE_KEPT * last.rad_per_s))
-        };
+    /// A direction, where no frames before tell how it turns.
+    fn first(direction: Direction, at: Instant) -> Self {
         Self {
             direction,
             at,
-            rad_per_s: last.and_then(rate).unwrap_or(USUAL_RAD_PER_S),
+            arrived: at,
+            turn_rad_per_s: Vector3::zeros(),
+            missed_rad: USUAL_RAD_PER_S,
+            after_s: 1.0,
         }
     }
 
-    /// The direction for an exposure whose middle was at a moment, less certain by what the body turns in between; `None` where the two
+    /// What comes after it.
+    fn next(last: Option<Self>, direction: Direction, at: Instant) -> Self {
+        let Some(last) = last else {
+            return Self::first(direction, at);
+        };
+        let step_s = seconds(last.at, at);
+        if step_s <= 0.0 || step_s > RATE_VALID_S {
+            return Self::first(direction, at);
+        }
+        let foretold = last.turned(step_s).direction;
+        let miss_rad = foretold.unit.angle(&direction.unit);
+        let kept = MISS_KEPT * last.miss_rad(step_s).powi(2);
+        let rate = last.direction.unit.cross(&direction.unit) / step_s;
+        let follows = (step_s / RATE_FOLLOWS_S).min(1.0);
+        Self {
+            direction,
+            at,
+            arrived: at,
+            turn_rad_per_s: last.turn_rad_per_s.lerp(&rate, follows),
+            missed_rad: (kept + (1.0 - MISS_KEPT) * miss_rad.powi(2) / 2.0).sqrt(),
+            after_s: step_s,
+        }
+    }
+
+    /// The direction at the middle of another exposure, by how it turns, and less certain by what such a turn misses; `None` where the two
     /// are too far apart.
     pub fn at(self, moment: Instant, max_age: Duration) -> Option<Direction> {
-        let apart = apart(self.at, moment);
-        let turned_rad = self.rad_per_s * apart.as_secs_f64();
-        (apart <= max_age).then(|| self.direction.loosened(turned_rad))
+        let after_s = seconds(self.at, moment);
+        let near = after_s.abs() <= max_age.as_secs_f64();
+        near.then(|| {
+            self.turned(after_s)
+                .direction
+                .loosened(self.miss_rad(after_s))
+        })
+    }
+
+    fn turned(self, after_s: f64) -> Self {
+        let turn = Rotation3::new(self.turn_rad_per_s * after_s);
+        Self {
+            direction: self.direction.turned(&turn),
+            ..self
+        }
+    }
+
+    /// By how much a turn misses after some time, 1 sigma per axis: in proportion to it, and to its square beyond the time that frames have told
+    /// of. It cannot be worse than no turn at all.
+    fn miss_rad(self, after_s: f64) -> f64 {
+        let part = after_s.abs() / self.after_s;
+        let still = (self.turn_rad_per_s.norm() + USUAL_RAD_PER_S) * after_s.abs();
+        (self.missed_rad * part.max(part.powi(2))).min(still)
     }
 }
 
-fn apart(one: Instant, other: Instant) -> Duration {
-    let after = other.saturating_duration_since(one);
-    after.max(one.saturating_duration_since(other))
+/// From one moment to another, which may be before it.
+fn seconds(from: Instant, to: Instant) -> f64 {
+    match to.checked_duration_since(from) {
+        Some(after) => after.as_secs_f64(),
+        None => -from.saturating_duration_since(to).as_secs_f64(),
+    }
 }
 
 #[derive(Clone)]
@@ -86,7 +137,7 @@ impl RollSolver {
     pub fn run(self, frames: &Receiver<UnsolvedFrame>, life: &Life) {
         let mut last = None;
         while let Some(frame) = UnsolvedFrame::next(frames, &self.cameras_ended, life) {
-            let middle = frame.middle();
+            let (middle, arrived) = (frame.middle(), frame.arrived);
             let mut exposure = frame.exposure;
             let snapshot = self.outlet.controls.snapshot();
             // The file tells the place that its nadir rests on.
@@ -103,7 +154,10 @@ impl RollSolver {
             let before = self.latest.copy();
             let seen = nadir.map(|nadir| {
                 let in_body = nadir.direction.turned(&self.camera.body_from_camera);
-                SeenNadir::next(before, in_body, middle)
+                SeenNadir {
+                    arrived,
+                    ..SeenNadir::next(before, in_body, middle)
+                }
             });
             if seen.is_some() {
                 *self.latest.lock() = seen;
@@ -119,6 +173,7 @@ impl RollSolver {
                 offset: None,
                 horizon: Some(Arc::new(solution)),
                 roll_deg,
+                roll_arrived: Some(arrived),
                 target: snapshot.target,
                 solve_time,
                 to_be_stored: self.outlet.stores(&self.station),
@@ -226,37 +281,61 @@ fn levels_alone(solution: &Solution) -> aspect::Solution {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
 
     fn down(roll_rad: f64) -> Direction {
         let unit = Vector3::new(0.0, roll_rad.sin(), roll_rad.cos());
         Direction::new(UnitVector3::new_normalize(unit), 1e-4)
     }
 
-    #[test]
-    fn a_nadir_is_less_certain_the_more_the_body_turns_until_a_frame_and_serves_for_a_while() {
+    fn swing_rad(time_s: f64) -> f64 {
+        0.02 * (std::f64::consts::TAU * time_s / 3.7).sin()
+    }
+
+    fn after(start: Instant, time_s: f64) -> Instant {
+        start + Duration::from_secs_f64(time_s)
+    }
+
+    /// How far the direction of some frames is off a swing, and its sigma beside the frames' own, at a time.
+    fn error_and_sigma(frames_s: &[f64], time_s: f64) -> Option<(f64, f64)> {
         let start = Instant::now();
-        let after = |ms| start + Duration::from_millis(ms);
-        let sigma_at = |seen: SeenNadir, ms| {
-            let direction = seen.at(after(ms), Duration::from_secs(1))?;
-            Some((direction.sigma_rad().powi(2) - 1e-8).max(0.0).sqrt())
-        };
+        let mut seen = None;
+        for frame_s in frames_s {
+            let direction = down(swing_rad(*frame_s));
+            seen = Some(SeenNadir::next(seen, direction, after(start, *frame_s)));
+        }
+        let found = seen?.at(after(start, time_s), Duration::from_secs(1))?;
+        let error = found.unit.y.asin() - swing_rad(time_s);
+        Some((
+            error.abs(),
+            (found.sigma_rad().powi(2) - 1e-8).max(0.0).sqrt(),
+        ))
+    }
+
+    #[test]
+    fn a_nadir_turns_on_as_the_body_does_and_is_as_certain_as_it_says() {
+        let frames: Vec<f64> = (0..60).map(|n| f64::from(n) * 0.25).collect();
+        let mut sum = 0.0;
+        for count in 20..60 {
+            let last_s = frames[count - 1];
+            let (error, sigma) = error_and_sigma(&frames[..count], last_s + 0.25).unwrap();
+            // Less than half of what it turns where it is fastest.
+            assert!(error < 0.45 * 0.25 * 0.034, "{error}");
+            sum += (error / sigma).powi(2);
+        }
+        let ratio = (sum / 40.0).sqrt();
+        assert!((0.5..1.6).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn a_nadir_is_less_certain_the_further_away_it_is_and_serves_for_a_while() {
+        let sigma = |frames_s: &[f64], time_s| Some(error_and_sigma(frames_s, time_s)?.1);
         let is = |sigma: Option<f64>, expected: f64| (sigma.unwrap() - expected).abs() < 1e-9;
-        // Nothing tells a rate yet.
-        let first = SeenNadir::next(None, down(0.0), after(1000));
-        assert!(is(sigma_at(first, 1000), 0.0));
-        assert!(is(sigma_at(first, 1500), 0.5 * USUAL_RAD_PER_S));
+        assert!(is(sigma(&[1.0], 1.0), 0.0));
+        assert!(is(sigma(&[1.0], 1.5), 0.5 * USUAL_RAD_PER_S));
         // An exposure before it is as far away as one after it.
-        assert!(is(sigma_at(first, 500), 0.5 * USUAL_RAD_PER_S));
-        assert_eq!(sigma_at(first, 2001), None);
-        // Faster than usual.
-        let second = SeenNadir::next(Some(first), down(0.01), after(1500));
-        assert!(is(sigma_at(second, 2000), 0.5 * 0.02));
-        // Where the swing turns back, its rate is kept.
-        let third = SeenNadir::next(Some(second), down(0.01), after(2000));
-        assert!(is(sigma_at(third, 2500), 0.5 * RATE_KEPT * 0.02));
-        // After a gap nothing is known of it.
-        let fourth = SeenNadir::next(Some(third), down(0.01), after(9000));
-        assert!(is(sigma_at(fourth, 9500), 0.5 * USUAL_RAD_PER_S));
+        assert!(is(sigma(&[1.0], 0.5), 0.5 * USUAL_RAD_PER_S));
+        assert_eq!(sigma(&[1.0], 2.001), None);
+        // After a gap nothing is known of how it turns.
+        assert!(is(sigma(&[1.0, 1.5, 9.0], 9.5), 0.5 * USUAL_RAD_PER_S));
     }
 }

@@ -72,8 +72,8 @@ impl Solver {
     }
 
     /// Fits the station's instrument to the frame. Where it changes - the ground has turned camera or plate, or another
-    /// part of the sensor is read - what the last frames taught no longer holds. False for a frame of another camera; a
-    /// roll camera's may have any size.
+    /// part of the sensor is read - what the last frames taught no longer holds. False for a frame of another camera; one
+    /// that sees no plate may have any size.
     fn fit(
         &mut self,
         exposure: &Exposure,
@@ -153,6 +153,7 @@ impl Solver {
             offset,
             horizon: None,
             roll_deg: nadir.as_ref().map(pointing::body_roll_deg),
+            roll_arrived: nadir.and(seen).map(|seen| seen.arrived),
             target: commanded.target,
             solve_time,
             to_be_stored: self.outlet.stores(&self.station),
@@ -195,6 +196,7 @@ impl Solver {
             shutter: answer.exposure.frame.info.exposure,
             offset: answer.offset,
             roll_deg: answer.roll_deg,
+            roll_arrived: answer.roll_arrived,
             stopped: answer.solution.stopped,
         };
         if self

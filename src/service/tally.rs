@@ -243,17 +243,20 @@ pub struct LineTally {
     pub conversation: LinkState,
     /// From a frame's arrival to its solution's last byte: the latest ten thousand.
     pub latencies: VecDeque<Duration>,
+    /// From the arrival of a frame of the horizon to the last byte of the first solution that has its roll: as many.
+    pub roll_latencies: VecDeque<Duration>,
+}
+
+/// Keeps the latest of them.
+pub(super) fn note_latency(latencies: &mut VecDeque<Duration>, latency: Duration) {
+    const KEPT: usize = 10_000;
+    if latencies.len() == KEPT {
+        latencies.pop_front();
+    }
+    latencies.push_back(latency);
 }
 
 impl LineTally {
-    pub(super) fn note_latency(&mut self, latency: Duration) {
-        const KEPT: usize = 10_000;
-        if self.latencies.len() == KEPT {
-            self.latencies.pop_front();
-        }
-        self.latencies.push_back(latency);
-    }
-
     fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
@@ -274,14 +277,20 @@ impl LineTally {
             let refused = counted(self.datagrams_refused, "datagram");
             write!(out, "\nrefused    {refused}")?;
         }
-        let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
-        let mut latencies: Vec<f64> = self.latencies.iter().map(milliseconds).collect();
-        let mut ms = |fraction| quantile(&mut latencies, fraction);
-        if let [Some(median), Some(most), Some(nearly_all)] = [0.5, 0.99, 0.999].map(&mut ms) {
-            write!(
-                out,
-                "\nlatency    frame to packet: median {median:.1}, 99 % {most:.1}, 99.9 % {nearly_all:.1} ms"
-            )?;
+        let both = [
+            ("frame", &self.latencies),
+            ("horizon", &self.roll_latencies),
+        ];
+        for (name, latencies) in both {
+            let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
+            let mut latencies: Vec<f64> = latencies.iter().map(milliseconds).collect();
+            let mut ms = |fraction| quantile(&mut latencies, fraction);
+            if let [Some(median), Some(most), Some(nearly_all)] = [0.5, 0.99, 0.999].map(&mut ms) {
+                write!(
+                    out,
+                    "\nlatency    {name} to packet: median {median:.1}, 99 % {most:.1}, 99.9 % {nearly_all:.1} ms"
+                )?;
+            }
         }
         Ok(())
     }

@@ -23,11 +23,11 @@ pub struct Columns(pub Table);
 
 impl Columns {
     pub fn read(out: &Path, name: &str) -> Self {
-        Self(
-            fits::read_table(&out.join("aspect.fits"), name)
-                .unwrap()
-                .unwrap(),
-        )
+        Self::of(&out.join("aspect.fits"), name)
+    }
+
+    pub fn of(file: &Path, name: &str) -> Self {
+        Self(fits::read_table(file, name).unwrap().unwrap())
     }
 
     pub fn values(&self, name: &str) -> &Values {

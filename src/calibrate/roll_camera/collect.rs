@@ -29,12 +29,16 @@ pub struct Horizons<'a> {
 impl Horizons<'_> {
     fn solve(&self, file: &Path) -> Result<Horizon, String> {
         let frame = fits::read_frame(file).map_err(|error| error.problem.to_string())?;
-        self.camera.check(&frame).map_err(|error| error.to_string())?;
+        self.camera
+            .check(&frame)
+            .map_err(|error| error.to_string())?;
         let utc = frame.info.mid_exposure.ok_or("no time")?;
         let place = frame.info.place.or(self.place);
         let height_m = place.map(|place| place.height_m);
         let sphere = self.settings.sphere(height_m);
-        let sphere = sphere.ok_or("no height above the limb's edge: expected OBSGEO-H, or --place LAT,LON,HEIGHT_M")?;
+        let sphere = sphere.ok_or(
+            "no height above the limb's edge: expected OBSGEO-H, or --place LAT,LON,HEIGHT_M",
+        )?;
         let solution = horizon::solve(&Settings::default(), &frame, self.camera, &sphere, None);
         match solution.nadir {
             Ok(nadir) => Ok(Horizon {
@@ -76,7 +80,8 @@ pub fn with_sun(
     suns: &[SunObservation],
     telescope: &Instrument,
 ) -> (Vec<Sighting>, Vec<RejectedFrame>) {
-    let unit = |sun: &SunObservation| sun_in_telescope(sun.sun_plate.position, telescope).into_inner();
+    let unit =
+        |sun: &SunObservation| sun_in_telescope(sun.sun_plate.position, telescope).into_inner();
     let known = |utc: Timestamp| {
         let next = suns.partition_point(|sun| sun.utc < utc);
         let after = suns.get(next).ok_or("no frame of the Sun after it")?;

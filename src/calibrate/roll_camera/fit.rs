@@ -4,9 +4,9 @@ use super::sighting::{Known, Sighting};
 use crate::calibrate::mounting::correlation_of;
 use crate::estimation::{FitError, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::geometry::attitude::Direction;
-use nalgebra::{Matrix3, RowVector3, Rotation3, Vector1, Vector3};
+use nalgebra::{Matrix3, Rotation3, RowVector3, Vector1, Vector3};
 
-/// An axis whose turn is known less well is not determined, 1 sigma.
+/// An axis whose turn the frames tell less well, beside what all of them share, is not determined, 1 sigma.
 pub const LIMIT_DEG: f64 = 0.1;
 /// Fewer sightings tell no outliers.
 const LEAST_SIGHTINGS: usize = 20;
@@ -52,8 +52,7 @@ pub enum TurnError {
 impl Turn {
     /// 1 sigma about the body's forward, right and down axes.
     pub fn sigmas_deg(&self) -> [f64; 3] {
-        let variances = self.covariance_rad2.diagonal();
-        variances.map(|v| v.max(0.0).sqrt().to_degrees()).into()
+        sigmas_deg(&self.covariance_rad2)
     }
 }
 
@@ -95,16 +94,16 @@ pub fn fit(sightings: &[Sighting], start: &Rotation3<f64>) -> Result<Turn, TurnE
         .collect();
     let residuals: Vec<f64> = taken.iter().map(|row| row.residual[0]).collect();
     let correlation = correlation_of(&residuals);
-    let found = Turn {
+    let own_rad2 = fitted.covariance * correlation;
+    check_determined(&own_rad2, by_sun)?;
+    Ok(Turn {
         body_from_camera: turn,
-        covariance_rad2: fitted.covariance * correlation + shared(sightings, &turn),
+        covariance_rad2: own_rad2 + shared(sightings, &turn),
         scatter_deg: scatter_deg(sightings, &turn, &fitted.weights),
         taken: taken.len() * sightings.len() / left.len(),
         sightings: sightings.len(),
         correlation,
-    };
-    determined(&found, by_sun)?;
-    Ok(found)
+    })
 }
 
 /// A turn, turned on by a small one about the body's axes.
@@ -169,20 +168,30 @@ fn scatter_deg(sightings: &[Sighting], turn: &Rotation3<f64>, weights: &[f64]) -
 /// What all frames have alike of their error turns the camera with it: the median frame's.
 fn shared(sightings: &[Sighting], turn: &Rotation3<f64>) -> Matrix3<f64> {
     let mut nadirs: Vec<&Direction> = sightings.iter().map(|s| &s.horizon.nadir).collect();
-    nadirs.sort_by(|a, b| a.covariance_rad2.trace().total_cmp(&b.covariance_rad2.trace()));
+    nadirs.sort_by(|a, b| {
+        a.covariance_rad2
+            .trace()
+            .total_cmp(&b.covariance_rad2.trace())
+    });
     let nadir = nadirs[nadirs.len() / 2].turned(turn);
     let cross = nadir.unit.cross_matrix();
     cross * nadir.covariance_rad2 * cross.transpose()
 }
 
-fn determined(turn: &Turn, by_sun: bool) -> Result<(), TurnError> {
+fn sigmas_deg(covariance_rad2: &Matrix3<f64>) -> [f64; 3] {
+    let variances = covariance_rad2.diagonal();
+    variances.map(|v| v.max(0.0).sqrt().to_degrees()).into()
+}
+
+fn check_determined(covariance_rad2: &Matrix3<f64>, by_sun: bool) -> Result<(), TurnError> {
     let instead = match by_sun {
         true => {
             "let the telescope sweep over the Sun, half a degree to each side, while the gondola rolls"
         }
         false => "tilt the body by some degrees in roll and in pitch",
     };
-    let axes = ["forward", "right", "down"].into_iter().zip(turn.sigmas_deg());
+    let sigmas_deg = sigmas_deg(covariance_rad2);
+    let axes = ["forward", "right", "down"].into_iter().zip(sigmas_deg);
     let worst = axes.max_by(|a, b| a.1.total_cmp(&b.1));
     match worst {
         Some((axis, found_deg)) if found_deg > LIMIT_DEG => Err(TurnError::NotDetermined {

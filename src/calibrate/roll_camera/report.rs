@@ -19,18 +19,32 @@ impl Turn {
     /// Writes the turn with its sigmas and covariance into a camera's file.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         let sigmas_deg = self.sigmas_deg();
-        let rows: Array = self.body_from_camera.matrix().row_iter().map(|row| {
-            row.iter().copied().collect::<Array>()
-        }).map(Value::Array).collect();
+        let rows: Array = self
+            .body_from_camera
+            .matrix()
+            .row_iter()
+            .map(|row| row.iter().copied().collect::<Array>())
+            .map(Value::Array)
+            .collect();
         let worst_deg = sigmas_deg.into_iter().fold(0.0, f64::max);
-        revision.set("camera.body_from_camera", Value::Array(rows), Some(worst_deg), provenance);
+        revision.set(
+            "camera.body_from_camera",
+            Value::Array(rows),
+            Some(worst_deg),
+            provenance,
+        );
         let mut table = Table::new();
-        let sigmas: Array = sigmas_deg.iter().map(|sigma| number(*sigma, *sigma)).collect();
+        let sigmas: Array = sigmas_deg
+            .iter()
+            .map(|sigma| number(*sigma, *sigma))
+            .collect();
         table["sigmas_deg"] = value(sigmas);
         let covariance = self.covariance_rad2.map(|c| c * 1_f64.to_degrees().powi(2));
-        let rows: Array = covariance.row_iter().map(|row| {
-            row.iter().copied().collect::<Array>()
-        }).map(Value::Array).collect();
+        let rows: Array = covariance
+            .row_iter()
+            .map(|row| row.iter().copied().collect::<Array>())
+            .map(Value::Array)
+            .collect();
         table["covariance_deg2"] = value(rows);
         revision.note(provenance, table);
     }
@@ -38,7 +52,15 @@ impl Turn {
 
 impl fmt::Display for Turn {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { taken, sightings, scatter_deg, .. } = self;
-        write!(out, "{taken} of {sightings} sightings agree, scattering by {scatter_deg:.4} deg rms")
+        let Self {
+            taken,
+            sightings,
+            scatter_deg,
+            ..
+        } = self;
+        write!(
+            out,
+            "{taken} of {sightings} sightings agree, scattering by {scatter_deg:.4} deg rms"
+        )
     }
 }

@@ -29,7 +29,10 @@ pub fn run(args: CalibrateArgs) -> anyhow::Result<ExitCode> {
     match args.part {
         Part::Camera(args) => camera::run(args),
         Part::Compare(args) => compare::run(&args),
-        Part::Mounting(args) => mounting::run(args),
+        Part::Mounting(args) => match &args.roll_camera {
+            Some(camera) => roll_camera::run(&args, camera),
+            None => mounting::run(args),
+        },
         Part::Plate(args) => plate::run(&args),
     }
 }

@@ -1,7 +1,6 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance, rule of directions and mirror.
 
 use super::edition::{Edition, print_rejected};
-use super::roll_camera;
 use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings};
 use crate::calibrate::revision::Provenance;
@@ -63,9 +62,6 @@ pub struct MountingArgs {
 }
 
 pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
-    if let Some(camera) = &args.roll_camera {
-        return roll_camera::run(&args, camera);
-    }
     let (mut revision, stated) = args.edition.open()?;
     let config = options::config(args.config.as_deref())?;
     let log = args

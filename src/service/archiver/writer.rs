@@ -144,12 +144,13 @@ impl Writer {
         let mut cards = answer.row().record.cards();
         cards.extend(answer.station.flown.cards());
         if answer.station.sees_plate() {
-            cards.extend(instrument_cards(instrument));
+            let roll = answer.offset.map_or(Roll::Stated, |offset| offset.roll);
+            cards.extend(instrument_cards(instrument, roll));
             cards.extend(self.clock.iter().flat_map(clock_cards));
             cards.extend(sky_cards(
                 &frame.info,
                 solution,
-                answer.offset.map_or(Roll::Stated, |offset| offset.roll),
+                roll,
                 instrument,
                 &answer.target,
                 &mut self.ephemeris,

@@ -42,6 +42,8 @@ pub struct Outcome {
     pub offset: Option<Offset>,
     /// The body's, where it is known.
     pub roll_deg: Option<Measured>,
+    /// When the frame was there that it rests on.
+    pub roll_arrived: Option<Instant>,
     pub stopped: Option<Stopped>,
 }
 

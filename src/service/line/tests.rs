@@ -103,6 +103,7 @@ fn solved(exposure: Exposure) -> Outcome {
         shutter: None,
         offset: Some(offset(1.5e-5)),
         roll_deg: None,
+        roll_arrived: None,
         stopped: None,
     }
 }

@@ -3,8 +3,9 @@
 use jiff::{SignedDuration, Timestamp};
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
 use solaspect::frame::{Frame, Pixels};
-use solaspect::instrument::Instrument;
-use solaspect::simulate::{Depth, EXPOSURE, FlightScenes, Trajectory};
+use solaspect::instrument::{Instrument, MountedCamera};
+use solaspect::simulate::earth::SwingingGondola;
+use solaspect::simulate::{Depth, EXPOSURE, FORT_SUMNER, FlightScenes, Trajectory};
 use solaspect::sky;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -84,12 +85,30 @@ impl Ring {
         scenes.template.depth = depth;
         let period = Duration::from_secs_f64(1.0 / rate_hz);
         let draw = |n: usize| Ok(scenes.scene(n as u64, period * n as u32)?.picture()?.frame);
-        Ok(Self {
-            drawn: (0..DRAWN).map(draw).collect::<anyhow::Result<_>>()?,
-            period,
+        let drawn = (0..DRAWN).map(draw).collect::<anyhow::Result<_>>()?;
+        Ok(Self::of(drawn, rate_hz, duration))
+    }
+
+    /// A camera that sees the horizon from a swinging gondola, at the same rate.
+    pub fn of_horizon(
+        camera: &MountedCamera,
+        rate_hz: f64,
+        duration: Duration,
+    ) -> anyhow::Result<Self> {
+        let gondola = SwingingGondola::new(camera, &FORT_SUMNER, SEED);
+        let period = Duration::from_secs_f64(1.0 / rate_hz);
+        let draw = |n: usize| Ok(gondola.scene(n as u64, period * n as u32, 1.0).frame()?);
+        let drawn = (0..DRAWN).map(draw).collect::<anyhow::Result<_>>()?;
+        Ok(Self::of(drawn, rate_hz, duration))
+    }
+
+    fn of(drawn: Vec<Frame>, rate_hz: f64, duration: Duration) -> Self {
+        Self {
+            drawn,
+            period: Duration::from_secs_f64(1.0 / rate_hz),
             end: (duration.as_secs_f64() * rate_hz).round() as u64,
             state: Mutex::default(),
-        })
+        }
     }
 
     /// Memory that the drawn frames take; no camera has them.

@@ -18,16 +18,17 @@ use camera::Ring;
 use clap::{Parser, ValueEnum};
 use faults::Fault;
 use judge::Trial;
-use report::{Run, Trials};
-use rig::{Parts, Rig};
+use report::{RollRun, Run, Trials};
+use rig::{Parts, Rig, RollParts};
 use schedule::{REST, Schedule};
 use solaspect::config::Config;
-use solaspect::instrument;
+use solaspect::instrument::{self, MountedCamera};
 use solaspect::log;
 use solaspect::simulate::Depth;
 use std::fs;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use stderr::Stderr;
 
@@ -49,6 +50,9 @@ struct Args {
     /// Keep every file; otherwise older ones are removed as the run goes on
     #[arg(long)]
     keep: bool,
+    /// A second camera of the same rate, 1920 x 1080 px, that sees the horizon
+    #[arg(long, conflicts_with = "faults")]
+    roll: bool,
     /// Inject faults, one after the other: all, or those named
     #[arg(long, value_enum, value_name = "FAULT", value_delimiter = ',', num_args = 0.., require_equals = true)]
     faults: Option<Vec<Fault>>,
@@ -102,7 +106,11 @@ fn fly(
     };
     let duration = Duration::from_secs(args.seconds);
     let ring = Ring::new(&instrument, depth, args.rate, duration)?;
+    let roll = args.roll.then(|| roll_parts(args.rate, duration));
+    let roll = roll.transpose()?;
+    let roll_ring = roll.as_ref().map(|roll| Arc::clone(&roll.ring));
     let queue_bytes = Config::default().archive.queue_frames as f64 * ring.frame_bytes();
+    let roll_drawn_bytes = roll_ring.as_ref().map_or(0.0, |ring| ring.drawn_bytes());
     let (stderr, _log) = match args.faults {
         Some(_) => (
             Some(Stderr::capture(args.log.as_deref())?),
@@ -115,6 +123,7 @@ fn fly(
     let rig = Rig::start(Parts {
         ring,
         instrument,
+        roll,
         roots,
         values,
         keep: args.keep,
@@ -135,7 +144,18 @@ fn fly(
     let (heard, _far) = rig.gondola.end();
     let tally = rig.service.join()?;
     let mut files = rig.files.into_inner();
+    let roll_in_files = rig.roll_files.into_inner();
+    let roll_in_files = roll_in_files.map(|mut files| files.count()).transpose()?;
+    let roll = roll_ring
+        .zip(roll_in_files)
+        .map(|(ring, in_files)| RollRun {
+            due: ring.end(),
+            frames: ring.frames(),
+            in_files,
+        });
+    let drawn_bytes = drawn_bytes + roll_drawn_bytes;
     Ok(Run {
+        roll,
         seconds: args.seconds,
         due,
         frames,
@@ -148,6 +168,16 @@ fn fly(
         drawn_bytes,
         queue_bytes,
         processor,
+    })
+}
+
+fn roll_parts(rate_hz: f64, duration: Duration) -> anyhow::Result<RollParts> {
+    const CAMERA: &str = include_str!("roll_camera.toml");
+    let camera = MountedCamera::parse("roll_camera.toml".as_ref(), CAMERA)?;
+    let ring = Ring::of_horizon(&camera, rate_hz, duration)?;
+    Ok(RollParts {
+        ring: Arc::new(ring),
+        camera,
     })
 }
 

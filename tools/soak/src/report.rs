@@ -5,7 +5,8 @@ use crate::files::LogRows;
 use crate::judge::Trial;
 use crate::line::Heard;
 use crate::machine::{MemoryLog, Sample};
-use solaspect::service::FlightTally;
+use solaspect::horizon::Quality;
+use solaspect::service::{FlightTally, quantile};
 use std::fmt;
 use std::io::{self, Write};
 use std::time::Duration;
@@ -18,6 +19,9 @@ const LEAK_MB_PER_H: f64 = 1.0;
 const LEAK_SHOWS: Duration = Duration::from_secs(1800);
 /// What is made once is made by then.
 const SETTLED: Duration = Duration::from_secs(300);
+
+/// Frame to packet, of 99 % (HORACE 2014, requirements of the flight segment).
+const MOST_ROLL_LATENCY: Duration = Duration::from_millis(50);
 
 /// One number of a sample, bytes.
 type Quantity = fn(&Sample) -> f64;
@@ -77,8 +81,18 @@ impl Trials {
     }
 }
 
+/// What became of the frames of the horizon.
+pub struct RollRun {
+    /// Frames that were due.
+    pub due: u64,
+    pub frames: Frames,
+    /// Frames that are or were in a file.
+    pub in_files: u64,
+}
+
 /// A run that is over.
 pub struct Run {
+    pub roll: Option<RollRun>,
     pub seconds: u64,
     /// Frames that were due.
     pub due: u64,
@@ -116,6 +130,16 @@ impl Run {
         say(format_args!(
             "camera     {due} frames due: {given} given, {failed} failed, {not_taken} not taken"
         ));
+        if let Some(RollRun {
+            due,
+            frames: Frames { given, .. },
+            in_files,
+        }) = self.roll
+        {
+            say(format_args!(
+                "horizon    {due} frames due: {given} given, {in_files} in files"
+            ));
+        }
         self.report_files();
         let cpu_ms = 1e3 * self.processor.as_secs_f64() / given as f64;
         say(format_args!(
@@ -188,6 +212,10 @@ impl Run {
             && self
                 .growth_mb_per_h(|s| s.resident)
                 .is_none_or(|growth| growth > LEAK_MB_PER_H);
+        let roll = self.roll.as_ref();
+        let roll_given = roll.map_or(0, |roll| roll.frames.given);
+        let roll_in_files = roll.map_or(0, |roll| roll.in_files);
+        let rolls_solved = tally.roll.solved.values().sum::<u64>();
         let mut wrong = vec![
             (
                 "faults that cost more than they may",
@@ -203,24 +231,24 @@ impl Run {
             ),
             (
                 "frames given, less taken",
-                difference(self.frames.given, tally.camera.taken),
+                difference(self.frames.given + roll_given, tally.camera.taken),
             ),
             (
                 "frames taken, less solved, of another size and lost",
                 difference(
                     tally.camera.taken,
-                    solved + tally.solver.misfits + tally.camera.lost,
+                    solved + rolls_solved + tally.solver.misfits + tally.camera.lost,
                 ),
             ),
             ("frames not solved", tally.camera.lost as i64),
             (
                 "frames solved, less stored and not stored",
-                difference(solved, archive.stored + archive.unstored),
+                difference(solved + rolls_solved, archive.stored + archive.unstored),
             ),
             ("frames not stored", archive.unstored as i64),
             (
                 "frames stored, less those in files",
-                difference(archive.stored, self.in_files),
+                difference(archive.stored, self.in_files + roll_in_files),
             ),
             (
                 "solutions not received, without a fault",
@@ -231,11 +259,34 @@ impl Run {
             ("a leak", i64::from(leak)),
         ];
         wrong.extend(self.wrong_rows(solved));
+        wrong.extend(self.wrong_roll());
         if self.trials.injected == 0 {
             wrong.push(("lost", tally.lost() as i64));
             wrong.push(("faults of the line", self.heard.faults.total() as i64));
         }
         wrong
+    }
+
+    /// What is wrong with the frames of the horizon: each is given and shows one, and its roll goes out in time.
+    fn wrong_roll(&self) -> Vec<(&'static str, i64)> {
+        let Some(roll) = &self.roll else {
+            return Vec::new();
+        };
+        let tally = &self.tally;
+        let fine = tally.roll.solved.get(&Quality::Fine).copied();
+        let mut latencies: Vec<Duration> = tally.line.roll_latencies.iter().copied().collect();
+        let late = quantile(&mut latencies, 0.99).is_none_or(|most| most > MOST_ROLL_LATENCY);
+        vec![
+            (
+                "frames of the horizon due, less given",
+                roll.due as i64 - roll.frames.given as i64,
+            ),
+            (
+                "frames of the horizon that are not fine",
+                roll.frames.given as i64 - fine.unwrap_or_default() as i64,
+            ),
+            ("roll that went out late", i64::from(late)),
+        ]
     }
 
     /// What is wrong with the logs: every frame must be in one of them, no frame twice in the same, and no more rows may be

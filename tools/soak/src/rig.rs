@@ -7,12 +7,12 @@ use crate::line::{Gondola, Heard};
 use crate::machine::{self, MemoryLog};
 use crate::stderr::Stderr;
 use anyhow::Context;
-use solaspect::archive::Store;
+use solaspect::archive::{ROLL_CAMERA, Store};
 use solaspect::camera::FrameSource;
 use solaspect::config::Config;
 use solaspect::fits::Compression;
-use solaspect::instrument::Instrument;
-use solaspect::service::{Camera, Flight, FlightTally, Service};
+use solaspect::instrument::{Instrument, MountedCamera};
+use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -32,6 +32,7 @@ pub struct Rig {
     pub values: PathBuf,
     pub memory: RefCell<MemoryLog>,
     pub files: RefCell<Files>,
+    pub roll_files: RefCell<Option<Files>>,
     ring: Arc<Ring>,
     disks: Vec<(PathBuf, FaultyDisk)>,
     stderr: Option<Stderr>,
@@ -62,10 +63,17 @@ impl Counts {
     }
 }
 
+/// The camera that sees the horizon.
+pub struct RollParts {
+    pub ring: Arc<Ring>,
+    pub camera: MountedCamera,
+}
+
 /// What a rig is made of.
 pub struct Parts {
     pub ring: Ring,
     pub instrument: Instrument,
+    pub roll: Option<RollParts>,
     pub roots: Vec<PathBuf>,
     pub values: PathBuf,
     pub keep: bool,
@@ -76,6 +84,7 @@ pub struct Parts {
 impl Rig {
     pub fn start(parts: Parts) -> anyhow::Result<Self> {
         let ring = Arc::new(parts.ring);
+        let instrument = parts.instrument.clone();
         let name = parts.instrument.name.clone();
         let with_disk = |root: &PathBuf| (root.clone(), FaultyDisk::default());
         let disks: Vec<_> = parts.roots.iter().map(with_disk).collect();
@@ -93,15 +102,26 @@ impl Rig {
         };
         let camera = Camera {
             open: Some(Arc::new(open)),
-            ..Camera::new(parts.instrument, RingCamera(Arc::clone(&ring)))
+            ..Camera::new(parts.instrument.clone(), RingCamera(Arc::clone(&ring)))
         };
+        let roll_frames = parts.roll.as_ref().map(|roll| roll.ring.end());
+        let roll_camera = parts.roll.map(|RollParts { ring, camera }| Camera {
+            seat: Seat::Roll,
+            folder: PathBuf::from(ROLL_CAMERA),
+            horizon: Some(camera),
+            ..Camera::new(instrument, RingCamera(ring))
+        });
         let flight = Flight {
             config,
             line,
             stores,
+            other_cameras: roll_camera.into_iter().collect(),
             ..Flight::of(camera)
         };
         let frames = ring.end();
+        let in_roll_folder = parts.roots.iter().map(|root| root.join(ROLL_CAMERA));
+        let roll_files =
+            roll_frames.map(|frames| Files::new(in_roll_folder.collect(), parts.keep, frames));
         Ok(Self {
             service: Service::start(flight)?,
             gondola,
@@ -109,6 +129,7 @@ impl Rig {
             values: parts.values,
             memory: RefCell::new(MemoryLog::new((frames as f64 / parts.rate_hz) as usize)),
             files: RefCell::new(Files::new(parts.roots, parts.keep, frames)),
+            roll_files: RefCell::new(roll_files),
             ring,
             disks,
             stderr: parts.stderr,
@@ -173,6 +194,9 @@ impl Rig {
             self.memory.borrow_mut().note(kept)?;
             self.processor.set(machine::processor_time()?);
             self.files.borrow_mut().clear()?;
+            if let Some(files) = self.roll_files.borrow_mut().as_mut() {
+                files.clear()?;
+            }
         }
         Ok(())
     }
