@@ -12,7 +12,7 @@ use solaspect::frame::{Frame, Pixels, Region};
 use solaspect::horizon::{Levels, Quality};
 use solaspect::instrument::{DirectionCamera, MountedCamera, builtin};
 use solaspect::pointing::Roll;
-use solaspect::service::{Answer, Camera, Flight, FlightTally, Seat, Service};
+use solaspect::service::{Answer, Camera, Flight, FlightTally, Service};
 use solaspect::simulate::earth::{Aim, Air, EarthConditions, EarthScene, SwingingGondola};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
 use solaspect::units::Place;
@@ -127,12 +127,8 @@ impl Stepwise {
             ..Camera::new(demo.clone(), source(suns(4), sun, &Arc::default()))
         };
         let mut flight = Flight::of(camera);
-        flight.other_cameras = vec![Camera {
-            seat: Seat::Roll,
-            folder: PathBuf::from(ROLL_CAMERA),
-            horizon: Some(roll_camera()),
-            ..Camera::new(demo, source(horizons, roll, &told_us))
-        }];
+        let source = source(horizons, roll, &told_us);
+        flight.other_cameras = vec![Camera::of_horizon(demo, roll_camera(), source)];
         let open = |root| Store::open(root, "demo", Compression::Rice).unwrap();
         flight.stores = archive.map(open).into_iter().collect();
         flight.config.roll.max_age_s = max_age_s;
@@ -197,7 +193,8 @@ fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
         assert!(off_deg.abs() < 0.04, "{roll:?} for {}", scene.roll_deg);
         assert!(off_deg.abs() < 5.0 * roll.sigma, "{roll:?}");
         let sun = flight.sun();
-        assert_eq!(sun.roll_deg.unwrap().value, roll.value);
+        let turned_deg = sun.roll_deg.unwrap().value - roll.value;
+        assert!(turned_deg.abs() < 0.001, "{turned_deg}");
         // The telescope stands higher than the horizon camera looks, so that its roll about the boresight is larger.
         let Roll::Measured(about_boresight) = sun.offset.unwrap().roll else {
             panic!("{:?}", sun.offset);
@@ -215,7 +212,7 @@ fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
             .filter_map(|file| number(file, "BODYROLL"))
             .collect();
         assert_eq!(files.len() - rolls.len(), missing, "{folder}");
-        assert_eq!(rolls, told, "{folder}");
+        assert!(agree(&rolls, &told), "{folder}");
     }
     let log = std::fs::read_dir(root.path().join("sun")).unwrap();
     let mut logs = log.map(|entry| entry.unwrap().path());
@@ -227,7 +224,13 @@ fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
     let column = columns.iter().position(|name| name == "roll_deg").unwrap();
     let rows = log.records().map(|row| row.unwrap()[column].to_owned());
     let rolls: Vec<f64> = rows.filter_map(|text| text.parse().ok()).collect();
-    assert_eq!(rolls, told);
+    assert!(agree(&rolls, &told), "{rolls:?} {told:?}");
+}
+
+/// A body that does not turn has rolls as good as its frames' noise.
+fn agree(rolls: &[f64], told: &[f64]) -> bool {
+    let both = rolls.iter().zip(told);
+    rolls.len() == told.len() && both.into_iter().all(|(a, b)| (a - b).abs() < 0.001)
 }
 
 #[test]

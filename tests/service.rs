@@ -1,5 +1,6 @@
 //! The demonstration: camera, solver, link and archive together, with nothing lost between them.
 
+use solaspect::archive::is_of_roll_camera;
 use solaspect::aspect::Quality;
 use solaspect::fits;
 use solaspect::service::demo::{self, Demo};
@@ -34,7 +35,7 @@ fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
     let summary = demo::run(&settings, |_| shown += 1, || false).unwrap();
     println!("{summary}");
     assert_eq!(summary.lost(), 0, "{summary}");
-    assert_eq!(summary.tally.camera.taken, 20);
+    assert_eq!(summary.tally.camera.taken, 40);
     assert_eq!(shown, 20);
 
     let solver = &summary.tally.solver;
@@ -46,10 +47,15 @@ fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
         .copied()
         .fold(0.0, f64::max);
     assert!(largest < 2.0, "{summary}");
+    let rolls_deg = &summary.roll_errors_deg;
+    assert_eq!(rolls_deg.len(), 20, "{summary}");
+    assert!(rolls_deg.iter().all(|deg| *deg < 0.04), "{summary}");
     assert!(summary.controller.tracking_on >= 1 && summary.controller.tracking_off >= 1);
 
-    let stored = files(folder.path());
-    assert_eq!(stored.len(), 20);
+    let (rolls, stored): (Vec<PathBuf>, Vec<PathBuf>) = files(folder.path())
+        .into_iter()
+        .partition(|file| is_of_roll_camera(file));
+    assert_eq!((rolls.len(), stored.len()), (20, 20));
     for (number, path) in stored.iter().enumerate() {
         let frame = fits::read_frame(path).unwrap();
         assert_eq!(frame.info.number, Some(number as u64));

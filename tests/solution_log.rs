@@ -2,7 +2,7 @@
 
 use crate::common::flight::{self, dark_frame};
 use jiff::Timestamp;
-use solaspect::archive::{Dirfile, Record, Row, SolutionLog, Store};
+use solaspect::archive::{Dirfile, ROLL_CAMERA, Record, Row, SolutionLog, Store};
 use solaspect::aspect::{self, Expected, Settings};
 use solaspect::config;
 use solaspect::fits::{self, Compression, Header, Value};
@@ -320,10 +320,14 @@ fn a_disk_that_refuses_says_so_and_is_tried_again_with_the_next_row() {
 #[test]
 fn frames_whose_picture_no_disk_took_are_in_the_log() {
     let root = tempfile::tempdir().unwrap();
-    // Where the hour's folder should be.
-    fs::write(root.path().join("20130921T18"), "occupied").unwrap();
+    // Where the hours' folders should be.
+    let rolls = root.path().join(ROLL_CAMERA);
+    fs::create_dir(&rolls).unwrap();
+    for folder in [root.path(), &rolls] {
+        fs::write(folder.join("20130921T18"), "occupied").unwrap();
+    }
     let summary = demonstration(root.path());
-    assert_eq!(summary.tally.archive.unstored, 20, "{summary}");
+    assert_eq!(summary.tally.archive.unstored, 40, "{summary}");
     let log = log_of(root.path());
     assert_eq!(log.len(), 20);
     assert!(log.iter().all(|row| row["file"].is_empty()));

@@ -2,8 +2,8 @@
 //! a simulated controller at the other end of a pseudo-terminal.
 
 use super::tally::{FlightTally, quantile};
-use super::{Answer, Camera, Flight, Seat, Service};
-use crate::archive::{ROLL_CAMERA, Store};
+use super::{Answer, Camera, Flight, Service};
+use crate::archive::Store;
 use crate::aspect::Quality;
 use crate::camera::{SimulatedCamera, SimulatedHorizon, TruthLog};
 use crate::config::Config;
@@ -165,11 +165,8 @@ fn roll_camera(
     let settings = Config::default().roll_camera.settings();
     let source = SimulatedHorizon::new(gondola.clone(), &settings, start, Some(demo.duration));
     let camera = Camera {
-        seat: Seat::Roll,
-        folder: PathBuf::from(ROLL_CAMERA),
         instrument_toml: Some(text.into()),
-        horizon: Some(mounted),
-        ..Camera::new(instrument.clone(), source)
+        ..Camera::of_horizon(instrument.clone(), mounted, source)
     };
     Ok((camera, gondola))
 }

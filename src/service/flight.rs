@@ -2,7 +2,7 @@
 
 use super::control::Seat;
 use super::worker::Life;
-use crate::archive::{Flown, Store};
+use crate::archive::{Flown, ROLL_CAMERA, Store};
 use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::Config;
 use crate::instrument::{Instrument, MountedCamera};
@@ -128,6 +128,21 @@ impl Camera {
             horizon: None,
             source: Some(Box::new(source)),
             open: None,
+        }
+    }
+
+    /// A roll camera that cannot be opened again; its frames and logs stand in a folder of their own and are named after it.
+    pub fn of_horizon(
+        mut instrument: Instrument,
+        horizon: MountedCamera,
+        source: impl FrameSource + 'static,
+    ) -> Self {
+        instrument.name = ROLL_CAMERA.into();
+        Self {
+            seat: Seat::Roll,
+            folder: ROLL_CAMERA.into(),
+            horizon: Some(horizon),
+            ..Self::new(instrument, source)
         }
     }
 }

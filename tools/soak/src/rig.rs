@@ -12,7 +12,7 @@ use solaspect::camera::FrameSource;
 use solaspect::config::Config;
 use solaspect::fits::Compression;
 use solaspect::instrument::{Instrument, MountedCamera};
-use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -105,11 +105,8 @@ impl Rig {
             ..Camera::new(parts.instrument.clone(), RingCamera(Arc::clone(&ring)))
         };
         let roll_frames = parts.roll.as_ref().map(|roll| roll.ring.end());
-        let roll_camera = parts.roll.map(|RollParts { ring, camera }| Camera {
-            seat: Seat::Roll,
-            folder: PathBuf::from(ROLL_CAMERA),
-            horizon: Some(camera),
-            ..Camera::new(instrument, RingCamera(ring))
+        let roll_camera = parts.roll.map(|RollParts { ring, camera }| {
+            Camera::of_horizon(instrument, camera, RingCamera(ring))
         });
         let flight = Flight {
             config,
