@@ -99,8 +99,8 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         };
         make_folder(&args.out)?;
         let mut report = Report::default();
-        let history = match (&roll, &roll_recipe) {
-            (Some(camera), Some(recipe)) => args.refine_roll(camera, recipe, &mut report)?,
+        let refined_roll = match (&roll, &roll_recipe) {
+            (Some(camera), Some(recipe)) => args.refine_roll(camera, recipe)?,
             (Some(camera), None) => {
                 let frames = camera.inputs.len();
                 let text = format!(
@@ -112,9 +112,13 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
             }
             (None, _) => None,
         };
+        let history = refined_roll.as_ref().map(|(history, _)| history);
         for (camera, recipe) in cameras.iter().zip(recipes) {
             let label = several.then_some(camera.label.as_str());
-            args.refine(camera, label, &recipe, &sky, history.as_ref(), &mut report)?;
+            args.refine(camera, label, &recipe, &sky, history, &mut report)?;
+        }
+        if let Some(((history, summary), recipe)) = refined_roll.as_ref().zip(roll_recipe) {
+            report.add_roll(&args.archive, history, summary, &recipe);
         }
         if args.shard.is_none() {
             report.write(&args.out)?;
@@ -159,17 +163,15 @@ impl RefineArgs {
         &self,
         camera: &CameraFrames,
         recipe: &RollRecipe,
-        report: &mut Report,
-    ) -> anyhow::Result<Option<RollHistory>> {
+    ) -> anyhow::Result<Option<(RollHistory, RollSummary)>> {
         let done = self.first_pass(recipe, &camera.inputs)?;
         if self.shard.is_some() {
             return Ok(None);
         }
         let history = RollHistory::new(&done, &camera.inputs, recipe, &self.span())?;
         let summary = refine::write_roll(&self.out, &history, recipe)?;
-        report.add_roll(&self.archive, &history, &summary, recipe);
         print_roll(&summary)?;
-        Ok(Some(history))
+        Ok(Some((history, summary)))
     }
 
     fn inputs(&self, tree: Tree) -> Vec<Input> {
