@@ -43,11 +43,19 @@ pub trait Disk: Debug + Send + Sync {
     /// What stands in a folder.
     fn list(&self, folder: &Path) -> io::Result<Vec<Entry>>;
 
-    /// Makes the file if need be, and takes it for this program alone; [`ErrorKind::ResourceBusy`] while
-    /// another holds it.
-    fn lock(&self, file: &Path) -> io::Result<Lock>;
+    /// Takes a file for this program alone; [`ErrorKind::ResourceBusy`] while another holds it.
+    fn lock(&self, file: &Path, absent: Absent) -> io::Result<Lock>;
 
     fn space(&self, folder: &Path) -> io::Result<Space>;
+}
+
+/// What becomes of a file that is to be locked and is not there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Absent {
+    /// It is made.
+    Made,
+    /// It is an error.
+    Refused,
 }
 
 /// A file that is being written.
@@ -184,9 +192,9 @@ impl Disk for LocalDisk {
         fs::read_dir(folder)?.map(entry).collect()
     }
 
-    fn lock(&self, file: &Path) -> io::Result<Lock> {
+    fn lock(&self, file: &Path, absent: Absent) -> io::Result<Lock> {
         let file = File::options()
-            .create(true)
+            .create(absent == Absent::Made)
             .truncate(false)
             .write(true)
             .open(file)?;
@@ -222,5 +230,21 @@ impl DiskFile for File {
             self.set_len(length)?;
         }
         self.seek(SeekFrom::Start(length)).map(drop)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_that_goes_before_its_mark_is_locked_gets_none_in_its_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let mark = folder.path().join("mark");
+        let gone = LocalDisk.lock(&mark, Absent::Refused).unwrap_err();
+        assert_eq!(gone.kind(), ErrorKind::NotFound);
+        assert!(!mark.exists());
+        drop(LocalDisk.lock(&mark, Absent::Made).unwrap());
+        assert!(LocalDisk.lock(&mark, Absent::Refused).is_ok());
     }
 }

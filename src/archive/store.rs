@@ -5,7 +5,7 @@
 //! A power cut at any moment leaves whole files and at most a temporary, which begins with a dot, does not end in
 //! `.fits`, and is swept away when the store is next opened.
 
-use super::disk::{Disk, Entry, EntryKind, LocalDisk, Lock, Space};
+use super::disk::{Absent, Disk, Entry, EntryKind, LocalDisk, Lock, Space};
 use super::name::{NameTime, name};
 use crate::fits::{Card, FileError, Packing, Problem, Table, encode_frame};
 use crate::frame::Frame;
@@ -167,16 +167,19 @@ impl Store {
     pub fn prepare(&self) -> Result<(), ArchiveError> {
         let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
         let mark = self.root.join(MARK);
-        if self.visits() == 0 {
+        let absent = if self.visits() == 0 {
             self.make_folder_in_place()?;
+            Absent::Made
         } else {
             self.present()?;
-        }
+            // It may go until it is locked.
+            Absent::Refused
+        };
         if claim.as_ref().is_some_and(|lock| lock.is_of(&mark)) {
             return Ok(());
         }
         *claim = None;
-        let lock = self.disk.lock(&mark).map_err(|cause| {
+        let lock = self.disk.lock(&mark, absent).map_err(|cause| {
             let action = match cause.kind() {
                 ErrorKind::ResourceBusy => "be the only program that writes to this archive",
                 _ => "make the disk's mark",

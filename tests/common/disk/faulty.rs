@@ -1,6 +1,6 @@
 //! A disk that fails as it is told to.
 
-use solaspect::archive::disk::{Disk, DiskFile, Entry, Lock, Space};
+use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, Lock, Space};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex};
@@ -183,9 +183,9 @@ impl Disk for FaultyDisk {
         self.disk.list(folder)
     }
 
-    fn lock(&self, file: &Path) -> io::Result<Lock> {
+    fn lock(&self, file: &Path, absent: Absent) -> io::Result<Lock> {
         self.shared.step("lock")?;
-        self.disk.lock(file)
+        self.disk.lock(file, absent)
     }
 
     fn space(&self, folder: &Path) -> io::Result<Space> {

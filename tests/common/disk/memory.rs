@@ -1,6 +1,6 @@
 //! A disk without power.
 
-use solaspect::archive::disk::{Disk, DiskFile, Entry, EntryKind, Lock, Space};
+use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, EntryKind, Lock, Space};
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -186,7 +186,10 @@ impl Disk for Memory {
         Ok(within.map(entry).collect())
     }
 
-    fn lock(&self, file: &Path) -> io::Result<Lock> {
+    fn lock(&self, file: &Path, absent: Absent) -> io::Result<Lock> {
+        if absent == Absent::Refused && !self.exists(file) {
+            return Err(ErrorKind::NotFound.into());
+        }
         drop(self.create(file)?);
         Ok(Lock::unguarded())
     }

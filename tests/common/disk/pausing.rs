@@ -1,6 +1,6 @@
 //! A disk that stops before a step, so that its writer may be killed there.
 
-use solaspect::archive::disk::{Disk, DiskFile, Entry, LocalDisk, Lock, Space};
+use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, LocalDisk, Lock, Space};
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -96,8 +96,8 @@ impl Disk for PausingDisk {
         self.disk.list(folder)
     }
 
-    fn lock(&self, file: &Path) -> io::Result<Lock> {
-        self.disk.lock(file)
+    fn lock(&self, file: &Path, absent: Absent) -> io::Result<Lock> {
+        self.disk.lock(file, absent)
     }
 
     fn space(&self, folder: &Path) -> io::Result<Space> {

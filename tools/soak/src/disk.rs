@@ -1,6 +1,6 @@
 //! A disk that fails when told to.
 
-use solaspect::archive::disk::{Disk, DiskFile, Entry, LocalDisk, Lock, Space};
+use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, LocalDisk, Lock, Space};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -180,9 +180,9 @@ impl Disk for FaultyDisk {
         LocalDisk.list(folder)
     }
 
-    fn lock(&self, file: &Path) -> io::Result<Lock> {
+    fn lock(&self, file: &Path, absent: Absent) -> io::Result<Lock> {
         self.shared.pass(Step::Lock)?;
-        LocalDisk.lock(file)
+        LocalDisk.lock(file, absent)
     }
 
     fn space(&self, folder: &Path) -> io::Result<Space> {
