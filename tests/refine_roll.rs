@@ -205,3 +205,36 @@ fn offsets_are_turned_by_the_smoothed_roll_and_what_is_odd_is_told_with_pictures
     let page = fs::read_to_string(without.path().join("report.html")).unwrap();
     assert_eq!(pictures, page.matches("<img").count() + 1);
 }
+
+#[test]
+fn parts_merge_to_the_same_bytes_though_some_hold_no_frame_of_the_horizon() {
+    let folder = temporary();
+    let flight = Swinging::new(9);
+    let store = roll_store(folder.path());
+    for n in 0..3 {
+        let frame = flight.frame(n, n as f64 / RATE_HZ);
+        store.write(&frame, &[], &[]).unwrap();
+    }
+    let camera = camera_file(folder.path());
+    let camera = ["--roll-camera", camera.to_str().unwrap()];
+    let [whole, merged] = [temporary(), temporary()];
+    refine(folder.path(), whole.path(), &camera);
+    let parts: Vec<_> = (1..=4).map(|_| temporary()).collect();
+    let mut merge = vec!["--merge"];
+    for (part, out) in (1..).zip(&parts) {
+        let shard = format!("{part}/4");
+        let more = [&camera[..], &["--shard", &shard]].concat();
+        // The last has no frame at all, and nothing to do.
+        refine(folder.path(), out.path(), &more);
+        merge.push(out.path().to_str().unwrap());
+    }
+    refine(
+        folder.path(),
+        merged.path(),
+        &[&camera[..], &merge].concat(),
+    );
+    for name in ["roll.fits", "roll.csv", "roll.json"] {
+        let [a, b] = [&whole, &merged].map(|out| fs::read(out.path().join(name)).unwrap());
+        assert!(a == b, "{name}");
+    }
+}

@@ -86,7 +86,7 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
             .map(|camera| args.roll_recipe(camera, &archived, &config));
         let roll_recipe = roll_recipe.transpose()?.flatten();
         ensure!(
-            !cameras.is_empty() || roll_recipe.is_some(),
+            !cameras.is_empty() || roll.is_none() || roll_recipe.is_some(),
             "{}: expected frames of a camera that sees the plate or the file of the roll camera (--roll-camera), found the roll camera's frames \
              alone",
             args.archive.display()
@@ -139,7 +139,7 @@ impl RefineArgs {
         report: &mut Report,
     ) -> anyhow::Result<()> {
         let inputs = &camera.inputs;
-        let done = self.first_pass(recipe, inputs)?;
+        let done = self.first_pass(recipe, inputs, &self.merge)?;
         if self.shard.is_some() {
             return Ok(());
         }
@@ -164,7 +164,14 @@ impl RefineArgs {
         camera: &CameraFrames,
         recipe: &RollRecipe,
     ) -> anyhow::Result<Option<(RollHistory, RollSummary)>> {
-        let done = self.first_pass(recipe, &camera.inputs)?;
+        // A part of few frames may have held none of this camera.
+        let name = journal_name(recipe);
+        let with_roll = self
+            .merge
+            .iter()
+            .filter(|folder| folder.join(&name).is_file());
+        let merged: Vec<PathBuf> = with_roll.cloned().collect();
+        let done = self.first_pass(recipe, &camera.inputs, &merged)?;
         if self.shard.is_some() {
             return Ok(None);
         }
@@ -194,9 +201,10 @@ impl RefineArgs {
         &self,
         recipe: &R,
         inputs: &[Input],
+        merged: &[PathBuf],
     ) -> anyhow::Result<Done<R::Frame>> {
-        let name = format!("{:016x}.journal", recipe.hash());
-        let others = journals(&self.merge, &name)?;
+        let name = journal_name(recipe);
+        let others = journals(merged, &name)?;
         let mut done = Done::open(&self.out.join(&name), &others)?;
         let left = inputs.iter().filter(|input| !done.holds(input)).count();
         let progress = progress_bar(left, "frames");
@@ -223,6 +231,10 @@ impl RefineArgs {
         }
         Ok(flight)
     }
+}
+
+fn journal_name(recipe: &impl FirstPass) -> String {
+    format!("{:016x}.journal", recipe.hash())
 }
 
 /// The journals of other runs: one in each folder, of the same name, for it tells instrument and settings.
