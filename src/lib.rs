@@ -56,6 +56,7 @@ mod kernels;
 pub mod limb;
 pub mod link;
 pub mod log;
+pub mod moon;
 pub mod plate;
 pub mod pointing;
 pub mod preflight;

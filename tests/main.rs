@@ -29,6 +29,7 @@ mod link;
 mod link_cli;
 mod link_service;
 mod marks;
+mod moon;
 mod pointing;
 mod power_cut;
 mod preflight;

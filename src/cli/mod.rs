@@ -9,6 +9,7 @@ pub mod fly;
 mod frames;
 pub mod horizon;
 pub mod link;
+pub mod moon;
 mod options;
 mod output;
 pub mod preflight;

@@ -53,7 +53,7 @@ pub struct SkyArgs {
 }
 
 /// An instant in UTC; the closing Z may be left out.
-fn parse_utc(text: &str) -> Result<Timestamp, String> {
+pub(super) fn parse_utc(text: &str) -> Result<Timestamp, String> {
     let expected = |_| format!("expected a time such as 2013-09-21T18:00:00Z, found \"{text}\"");
     if let Ok(instant) = text.parse() {
         return Ok(instant);

@@ -110,6 +110,11 @@ impl Camera {
         self.lens.radius(0.0).1 * (self.focal_px.x + self.focal_px.y) / 2.0
     }
 
+    /// The horizontal focal length over the vertical one: how many times as high as wide pixels are.
+    pub fn aspect(&self) -> f64 {
+        self.focal_px.x / self.focal_px.y
+    }
+
     /// The pixel that sees a ray. `None` beyond the limit of the lens.
     pub fn pixel(&self, ray: &UnitVector3<f64>) -> Option<SensorPx> {
         let (theta, outward) = polar(ray);

@@ -26,6 +26,7 @@ mod drift;
 pub mod earth;
 mod flight;
 mod grid;
+pub mod moon;
 mod noise;
 mod optics;
 mod pieces;
@@ -34,6 +35,7 @@ mod random;
 mod render;
 mod scene;
 mod surface;
+mod texture;
 mod trajectory;
 
 pub use blemish::Counts;
@@ -98,6 +100,10 @@ enum Purpose {
     LimbBrightness,
     LimbHeight,
     Glare,
+    Moon,
+    Craters,
+    Albedo,
+    Stars,
 }
 
 /// A seed for one purpose and one frame of a run.

@@ -1,6 +1,7 @@
 //! `solaspect simulate`: frames of random scenes, and the truth about them.
 
 mod horizon;
+mod moon;
 
 use super::options;
 use super::output::{make_folder, progress_bar};
@@ -64,6 +65,8 @@ pub struct SimulateArgs {
     pub camera: CameraArgs,
     #[command(flatten)]
     pub horizon: horizon::HorizonArgs,
+    #[command(flatten)]
+    pub moon: moon::MoonArgs,
 }
 
 #[derive(Debug, Clone, Args)]
@@ -231,6 +234,9 @@ fn position(text: &str) -> Result<SensorPx, String> {
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     if args.horizon.horizon {
         return horizon::run(args);
+    }
+    if args.moon.moon {
+        return moon::run(args);
     }
     let instrument = options::instrument(args.instrument.as_deref())?;
     let radius_arcsec = match args.sun.sun_radius {

@@ -7,7 +7,6 @@
 mod glare;
 mod sky;
 mod swing;
-mod texture;
 
 pub use sky::{Air, Clouds, Shape};
 pub use swing::SwingingGondola;

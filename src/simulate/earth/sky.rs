@@ -1,8 +1,8 @@
 //! The light of air, clouds and ground along a ray.
 
 use super::super::Purpose;
+use super::super::texture::{AlongLimb, Pattern};
 use super::EarthScene;
-use super::texture::{AlongLimb, Pattern};
 use crate::units::EARTH_RADIUS_M;
 use libm::{erf, erfc};
 use nalgebra::{Matrix3, Vector3};
@@ -133,7 +133,7 @@ impl<'a> Sky<'a> {
                 .place(latitude, conditions.height_m)
                 .component_div(&axes),
             scaled_from_local,
-            pattern: Pattern::new(scene.seed, scene.weather),
+            pattern: Pattern::new(Purpose::Clouds, scene.seed, scene.weather),
             brightness: along(Purpose::LimbBrightness),
             height: along(Purpose::LimbHeight),
             sun: sun.normalize(),

@@ -1,22 +1,50 @@
-//! Smooth random patterns: of clouds in space, and of a limb along its circle.
+//! Random patterns: numbers at the corners of a grid in space, smooth ones between them, and along a limb's circle.
 
-use super::super::{Purpose, derived_seed, generator};
+use super::{Purpose, derived_seed, generator};
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
+/// A random number at every corner of a grid in space.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Random {
+    seed: u64,
+}
+
+impl Random {
+    pub fn new(purpose: Purpose, seed: u64, number: u64) -> Self {
+        Self {
+            seed: derived_seed(seed, purpose, number),
+        }
+    }
+
+    /// 0 to 1; each `which` has numbers of its own.
+    pub fn at(&self, corner: &Vector3<f64>, which: u64) -> f64 {
+        // The mixing of SplitMix64 (Steele, Lea and Flood 2014).
+        let mix = |bits: u64| {
+            let bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            let bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+            bits ^ bits >> 31
+        };
+        let bits = corner.iter().fold(mix(self.seed ^ which), |bits, v| {
+            mix(bits.wrapping_add(0x9e37_79b9_7f4a_7c15) ^ (*v as i64 as u64))
+        });
+        (bits >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
 /// Value noise in several octaves, each half as strong and twice as fine as the one before.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pattern {
-    seed: u64,
+    random: Random,
 }
 
 impl Pattern {
     const OCTAVES: i32 = 5;
 
-    pub fn new(seed: u64, number: u64) -> Self {
+    pub fn new(purpose: Purpose, seed: u64, number: u64) -> Self {
         Self {
-            seed: derived_seed(seed, Purpose::Clouds, number),
+            random: Random::new(purpose, seed, number),
         }
     }
 
@@ -36,23 +64,9 @@ impl Pattern {
         let corner = |n: u32| {
             let offset = Vector3::new(n & 1, n >> 1 & 1, n >> 2 & 1).map(f64::from);
             let weights = offset.zip_map(&smooth, |o, t| if o > 0.5 { t } else { 1.0 - t });
-            weights.product() * self.value(&(cell + offset), octave)
+            weights.product() * self.random.at(&(cell + offset), octave)
         };
         (0..8).map(corner).sum()
-    }
-
-    /// 0 to 1 at a corner of the cells.
-    fn value(&self, corner: &Vector3<f64>, octave: u64) -> f64 {
-        // The mixing of SplitMix64 (Steele, Lea and Flood 2014).
-        let mix = |bits: u64| {
-            let bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-            bits ^ bits >> 31
-        };
-        let bits = corner.iter().fold(mix(self.seed ^ octave), |bits, v| {
-            mix(bits.wrapping_add(0x9e37_79b9_7f4a_7c15) ^ (*v as i64 as u64))
-        });
-        (bits >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
 

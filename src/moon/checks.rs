@@ -1,0 +1,126 @@
+//! What is no Moon, or not the one that is expected.
+
+use super::limb::{Limb, LimbFit, circle_of};
+use super::shading::lit;
+use super::{Candidate, Levels, MOST_RADIUS_DEVIATION, MOST_SATURATED, Stage, Stopped, stopped};
+use crate::estimation::regression;
+use crate::frame::Frame;
+use crate::geometry::Circle;
+use nalgebra::SVector;
+
+/// An oval is no Moon: longest axis over shortest.
+const MOST_AXIS_RATIO: f64 = 1.15;
+/// An oval is one where it is seen so many sigmas long.
+const OVAL_SIGMAS: f64 = 4.0;
+/// A lit share that differs by more from the expected one is another thing's; of light that is saturated, and of a disc that is.
+const MOST_LIT_DEVIATION: f64 = 0.2;
+/// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
+const GLARE: std::ops::Range<f64> = 1.2..1.6;
+const MOST_GLARE: f64 = 0.2;
+/// Limb points off the circle by more than their sigmas tell: this share of the radius, rms, is no circle.
+const MOST_ROUGHNESS: f64 = 0.05;
+
+/// Whether what was found may be the Moon.
+pub(super) fn check(
+    candidate: &Candidate,
+    frame: &Frame,
+    levels: &Levels,
+    found: &LimbFit,
+    limb: &Limb,
+) -> Result<(), Stopped> {
+    let circle = circle_of(&found.fitted.parameters);
+    check_radius(candidate, &circle)?;
+    if limb.saturated > MOST_SATURATED {
+        let glare = glare(candidate, frame, levels, &circle);
+        at_most("glare", glare, MOST_GLARE)?;
+    }
+    if candidate.radius().is_some() {
+        at_most("oval", axis_ratio(found), MOST_AXIS_RATIO)?;
+    }
+    at_most("rough", roughness(found), MOST_ROUGHNESS)?;
+    check_lit(candidate, &circle)
+}
+
+fn at_most(reason: &'static str, measured: f64, limit: f64) -> Result<(), Stopped> {
+    match measured <= limit {
+        true => Ok(()),
+        false => Err(stopped(Stage::Checks, reason, measured, limit)),
+    }
+}
+
+fn check_radius(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
+    let Some(expected) = candidate.radius() else {
+        return Ok(());
+    };
+    let deviation = (circle.radius / expected.value - 1.0).abs();
+    at_most("radius", deviation, MOST_RADIUS_DEVIATION)
+}
+
+/// Whether the light lies where the expected phase puts it.
+fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
+    let Some(expected) = candidate.expected.phase_angle_deg else {
+        return Ok(());
+    };
+    if candidate.outline.is_cut {
+        return Ok(());
+    }
+    let seen = lit(candidate.phase_by_middle_deg(circle));
+    at_most(
+        "lit",
+        (seen - lit(expected.value)).abs(),
+        MOST_LIT_DEVIATION,
+    )
+}
+
+/// How bright the sky around a disc is, of the saturated level.
+fn glare(candidate: &Candidate, frame: &Frame, levels: &Levels, circle: &Circle) -> f64 {
+    const PLACES: usize = 48;
+    const DISTANCES: usize = 4;
+    let (mut sum, mut count) = (0.0, 0);
+    for n in 0..PLACES * DISTANCES {
+        let angle = (n / DISTANCES) as f64 / PLACES as f64 * std::f64::consts::TAU;
+        let part = (n % DISTANCES) as f64 / DISTANCES as f64;
+        let distance = (GLARE.start + (GLARE.end - GLARE.start) * part) * circle.radius;
+        let (sin, cos) = angle.sin_cos();
+        let at = circle.centre + nalgebra::Vector2::new(cos, sin) * distance;
+        let seen = candidate.plane.sensor(at);
+        let (x, y) = (seen.x.round(), seen.y.round());
+        if x >= 0.0 && y >= 0.0 && x < frame.width() as f64 && y < frame.height() as f64 {
+            sum += f64::from(frame.dn(x as usize, y as usize)) - levels.dark_dn;
+            count += 1;
+        }
+    }
+    sum / f64::from(count.max(1)) / (levels.saturated_dn - levels.dark_dn).max(1.0)
+}
+
+/// Longest axis over shortest, by how the limb departs from a circle of a known radius; 1 where that is not seen.
+fn axis_ratio(found: &LimbFit) -> f64 {
+    let terms = |angle: f64| {
+        let ((sin, cos), (sin2, cos2)) = (angle.sin_cos(), (2.0 * angle).sin_cos());
+        SVector::from([cos, sin, cos2, sin2])
+    };
+    let points = &found.points;
+    let terms: Vec<SVector<f64, 4>> = points.iter().map(|p| terms(p.angle_rad)).collect();
+    let excess: Vec<f64> = points.iter().map(|p| p.excess_px.value).collect();
+    let sigmas: Vec<f64> = points.iter().map(|p| p.excess_px.sigma).collect();
+    let Ok(fit) = regression(&terms, &excess, &sigmas) else {
+        return 1.0;
+    };
+    let oval = fit.parameters.fixed_rows::<2>(2).norm();
+    let variance = fit.covariance.fixed_view::<2, 2>(2, 2).trace();
+    let radius = found.fitted.parameters[2];
+    match oval > OVAL_SIGMAS * variance.max(0.0).sqrt() && oval < radius {
+        true => (radius + oval) / (radius - oval),
+        false => 1.0,
+    }
+}
+
+/// How far the limb lies off the circle beyond what its sigmas tell, rms, in radii.
+fn roughness(found: &LimbFit) -> f64 {
+    let count = found.points.len() as f64;
+    let squares = found.points.iter().map(|p| {
+        let excess = p.excess_px;
+        (excess.value.powi(2) - excess.sigma.powi(2)).min(4.0 * found.fitted.parameters[2].powi(2))
+    });
+    (squares.sum::<f64>() / count).max(0.0).sqrt() / found.fitted.parameters[2]
+}

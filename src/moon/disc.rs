@@ -1,0 +1,142 @@
+//! The circle of the whole disc, roughly, through an outline of which a part is the terminator.
+
+use super::extremities;
+use super::patch::Outline;
+use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
+use crate::geometry::Circle;
+use nalgebra::{Rotation2, RowVector3, Vector1, Vector2, Vector3};
+use std::f64::consts::PI;
+use std::ops::Range;
+
+/// A point this near a circle lies on it: so many pixels, or this share of the radius.
+const ON_PX: f64 = 0.8;
+const ON_SHARE: f64 = 0.015;
+/// Circles are tried through points this far apart, as shares of the outline's points, from so many places each.
+const APART: [f64; 4] = [0.33, 0.2, 0.12, 0.06];
+const PLACES: usize = 24;
+/// Circles are judged by at most so many points.
+const MOST_JUDGES: usize = 160;
+/// No point may lie further out but this share: the rest is of stars and hot pixels.
+const MOST_OUTSIDE: f64 = 0.1;
+/// The radius of a disc that is not cut, in extents of its light: the horns of a crescent may be too dim.
+const WHOLE: Range<f64> = 0.45..0.75;
+
+/// The circle that most of an outline lies on, with the rest inside it: the terminator lies within the disc. `None` where none has a radius
+/// that is allowed or too much lies outside.
+pub(super) fn circle(outline: &Outline, radii: &Range<f64>) -> Option<Circle> {
+    let points = in_order(outline);
+    let radii = match outline.is_cut {
+        true => radii.clone(),
+        false => {
+            // A straight terminator is no part of a large disc: the lit limb is half a circle, and longer than the terminator.
+            let extent = extent(&points);
+            radii.start.max(WHOLE.start * extent)..radii.end.min(WHOLE.end * extent)
+        }
+    };
+    let judges: Vec<Vector2<f64>> = points
+        .iter()
+        .step_by(points.len().div_ceil(MOST_JUDGES).max(1))
+        .copied()
+        .collect();
+    let tried = APART
+        .iter()
+        .flat_map(|apart| through_points(&points, *apart));
+    tried
+        .chain(extremities::circle(&points))
+        .filter(|circle| radii.contains(&circle.radius))
+        .filter_map(|circle| Some((circle, agreeing(&circle, &judges)?)))
+        .max_by_key(|(_, agreeing)| *agreeing)
+        .map(|(circle, _)| refined(circle, &points))
+}
+
+/// The circle of least squares through the points near a circle.
+fn refined(circle: Circle, points: &[Vector2<f64>]) -> Circle {
+    let on = ON_PX.max(ON_SHARE * circle.radius);
+    let near = points
+        .iter()
+        .filter(|point| circle.excess(**point).abs() < 2.0 * on);
+    let near: Vec<Vector2<f64>> = near.copied().collect();
+    let fit = LeastSquares {
+        start: Vector3::new(circle.centre.x, circle.centre.y, circle.radius),
+        prior: Prior::none(),
+        loss: Loss::Tukey(TUKEY_SIGMAS),
+        scale: Scale::Median,
+        tolerance_sigmas: 0.1,
+    };
+    let linearise = |at: &Vector3<f64>| {
+        let circle = circle_of(at);
+        let row = |point: &Vector2<f64>| {
+            let outwards = (point - circle.centre)
+                .try_normalize(1e-9)
+                .unwrap_or_default();
+            Linearised {
+                residual: Vector1::new(circle.excess(*point)),
+                jacobian: RowVector3::new(outwards.x, outwards.y, 1.0),
+            }
+        };
+        Some(near.iter().map(row).collect())
+    };
+    let fitted = fit.fit(linearise);
+    fitted.map_or(circle, |fitted| circle_of(&fitted.parameters))
+}
+
+fn circle_of(at: &Vector3<f64>) -> Circle {
+    Circle {
+        centre: at.xy(),
+        radius: at.z,
+    }
+}
+
+/// The longest distance between two extremities.
+fn extent(points: &[Vector2<f64>]) -> f64 {
+    let span = |n: u32| {
+        let axis = Rotation2::new(f64::from(n) / 8.0 * PI) * Vector2::x();
+        let places = || points.iter().map(|point| axis.dot(point));
+        let (low, high) = (
+            places().fold(f64::INFINITY, f64::min),
+            places().fold(f64::NEG_INFINITY, f64::max),
+        );
+        high - low
+    };
+    (0..8).map(span).fold(0.0, f64::max)
+}
+
+/// How many points lie on a circle; `None` where too many lie outside.
+fn agreeing(circle: &Circle, points: &[Vector2<f64>]) -> Option<usize> {
+    let on = ON_PX.max(ON_SHARE * circle.radius);
+    let (mut agreeing, mut outside) = (0, 0);
+    for point in points {
+        let excess = circle.excess(*point);
+        agreeing += usize::from(excess.abs() < on);
+        outside += usize::from(excess >= on);
+    }
+    (outside as f64 <= MOST_OUTSIDE * points.len() as f64).then_some(agreeing)
+}
+
+/// The outline's points around the middle of its box.
+fn in_order(outline: &Outline) -> Vec<Vector2<f64>> {
+    let mut points = outline.points.clone();
+    let lowest = points
+        .iter()
+        .fold(Vector2::repeat(f64::INFINITY), |a, b| a.inf(b));
+    let highest = points
+        .iter()
+        .fold(Vector2::repeat(f64::NEG_INFINITY), |a, b| a.sup(b));
+    let middle = (lowest + highest) / 2.0;
+    let angle = |point: &Vector2<f64>| (point.y - middle.y).atan2(point.x - middle.x);
+    points.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+    points
+}
+
+fn through_points(points: &[Vector2<f64>], apart: f64) -> Vec<Circle> {
+    let count = points.len();
+    let step = (apart * count as f64) as usize;
+    if step == 0 {
+        return Vec::new();
+    }
+    let starts = (0..count).step_by(count.div_ceil(PLACES));
+    let at = |n: usize| points[n % count];
+    starts
+        .filter_map(|n| Circle::through(at(n), at(n + step), at(n + 2 * step)))
+        .collect()
+}

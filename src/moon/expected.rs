@@ -1,0 +1,104 @@
+//! What is known of the Moon before a frame is looked at.
+
+use crate::geometry::camera::Camera;
+use crate::sky::MoonPosition;
+use crate::sky::sphere::{direction, tangents, travel};
+use crate::units::{ARCSEC_PER_RAD, Measured};
+use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
+
+/// A lens's scale is known this well, and so the radius in px; the Moon's own radius and distance far better.
+const SCALE_SIGMA: f64 = 3e-3;
+/// The ephemeris's phase, and the side of the light where an attitude is stated, 1 sigma, deg.
+const PHASE_SIGMA_DEG: f64 = 0.1;
+const SIDE_SIGMA_DEG: f64 = 2.0;
+
+/// What is known of the Moon before a frame is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Expected {
+    pub radius: Option<Radius>,
+    /// 0 full, 180 new.
+    pub phase_angle_deg: Option<Measured>,
+    /// The middle of the bright limb in the picture, from +x towards +y.
+    pub bright_limb_deg: Option<Measured>,
+}
+
+/// A radius that is known beforehand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Radius {
+    /// Vertical half axis in the picture, px.
+    Pixels(Measured),
+    /// Angular radius, rad, where the camera is known.
+    Angle(Measured),
+}
+
+impl Expected {
+    /// By the ephemeris.
+    pub fn of(moon: &MoonPosition) -> Self {
+        let radius_rad = moon.radius_arcsec / ARCSEC_PER_RAD;
+        let radius = Measured::new(radius_rad, SCALE_SIGMA * radius_rad);
+        Self {
+            radius: Some(Radius::Angle(radius)),
+            phase_angle_deg: Some(Measured::new(moon.phase_angle_deg, PHASE_SIGMA_DEG)),
+            bright_limb_deg: None,
+        }
+    }
+
+    /// The same with the side of the light as a camera of a known attitude sees it.
+    pub fn seen_by(
+        self,
+        moon: &MoonPosition,
+        camera: &Camera,
+        local_from_camera: &Rotation3<f64>,
+    ) -> Self {
+        const STEP_RAD: f64 = 1e-3;
+        let towards = direction(moon.azimuth_deg, moon.elevation_deg);
+        let bearing = moon.zenith_to_bright_limb_deg.to_radians();
+        let pixel = |local: Vector3<f64>| {
+            let local = Vector3::new(local.y, local.x, local.z);
+            let ray = UnitVector3::new_normalize(local_from_camera.inverse() * local);
+            Some(camera.pixel(&ray)?.vector())
+        };
+        let centre = pixel(towards);
+        let beside = pixel(travel(&towards, bearing, STEP_RAD));
+        let angle_deg = centre.zip(beside).map(|(centre, beside)| {
+            let along = beside - centre;
+            along.y.atan2(along.x).to_degrees()
+        });
+        Self {
+            bright_limb_deg: angle_deg.map(|angle| Measured::new(angle, SIDE_SIGMA_DEG)),
+            ..self
+        }
+    }
+}
+
+/// Takes directions of the camera frame (x right, y down, z forward) to the local one (east, north, up), for a camera whose axis points to an
+/// azimuth and an elevation and which is turned about it by a roll, positive with its right side low.
+pub fn local_from_camera(azimuth_deg: f64, elevation_deg: f64, roll_deg: f64) -> Rotation3<f64> {
+    let forward = direction(azimuth_deg, elevation_deg);
+    let (up, right) = tangents(&forward);
+    let (sin, cos) = roll_deg.to_radians().sin_cos();
+    let x = right * cos - up * sin;
+    let y = -up * cos - right * sin;
+    // The sky's vectors are of north, east and up.
+    let axes = [x, y, forward].map(|axis| Vector3::new(axis.y, axis.x, axis.z));
+    Rotation3::from_matrix_unchecked(Matrix3::from_columns(&axes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::horizon::{pitch_deg, roll_deg};
+
+    #[test]
+    fn an_attitudes_roll_and_elevation_are_those_that_the_horizon_would_tell() {
+        for (azimuth, elevation, roll) in
+            [(0.0, 0.0, 0.0), (130.0, 35.0, 20.0), (300.0, -5.0, -50.0)]
+        {
+            let turn = local_from_camera(azimuth, elevation, roll);
+            assert!((turn.matrix().determinant() - 1.0).abs() < 1e-12);
+            let nadir = UnitVector3::new_normalize(turn.inverse() * -Vector3::z());
+            assert!((roll_deg(&nadir) - roll).abs() < 1e-9);
+            assert!((pitch_deg(&nadir) - elevation).abs() < 1e-9);
+        }
+    }
+}

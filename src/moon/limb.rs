@@ -1,0 +1,511 @@
+//! The lit limb to a part of a pixel: the circle whose shaded, blurred light the pixels along the limb show.
+//!
+//! How bright the ground is at a place nobody knows, and how bright the sky before it: each few pixels of the limb have a brightness and a sky
+//! of their own. What is left is the shape of the light across the limb.
+
+use super::light::Levels;
+use super::plane::Plane;
+use super::profile::{Depths, PIXEL_VARIANCE, Profiles};
+use super::shading::{Shading, Sphere};
+use crate::estimation::{
+    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, SIGMA_PER_MEDIAN, Scale, median,
+};
+use crate::frame::Frame;
+use crate::geometry::Circle;
+use crate::units::Measured;
+use nalgebra::{SMatrix, SVector, Vector1, Vector2};
+use std::f64::consts::{PI, TAU};
+
+/// Pixels of the limb that share a brightness, and how many such sectors a limb has at least.
+const SECTOR_PX: f64 = 3.0;
+const LEAST_SECTORS: f64 = 24.0;
+/// Fewer pixels tell nothing of a sector.
+const LEAST_PIXELS: usize = 6;
+/// A sector is seen where its brightest pixel stands so many sigmas of a pixel's noise above the sky.
+const SEEN_SIGMAS: f64 = 4.0;
+/// Pixels count so far before and behind the limb, px.
+const PIXELS: Depths = -4.0..4.5;
+/// A fit moves the limb by at most so much, px; then it is read anew.
+const SLACK_PX: f64 = 2.0;
+/// The limb is lit where the sphere shows this share of the light in the middle of the bright limb, this far behind the limb. Further on it is
+/// the terminator that is seen, and mountains move that.
+const LIT_SHARE: f64 = 0.2;
+const LIT_DEPTH_PX: f64 = 1.5;
+const LIT_DEPTH: f64 = 0.1;
+/// A sector lies off the circle by so many sigmas, or so many times the usual.
+const OFF_SIGMAS: f64 = 5.0;
+/// The circle takes so many degrees of freedom from the limb.
+const CIRCLE_PARAMETERS: f64 = 3.0;
+/// Neighbours agree so well at most, and less than that is not at all.
+const MOST_ALIKE: f64 = 0.95;
+const LEAST_ALIKE: f64 = 0.01;
+/// Blur of the optics beside that of the pixels, px, as far as it is known before.
+const BLUR_PX: Measured = Measured::new(0.8, 0.4);
+const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
+/// The derivative by the phase is taken over so much, rad.
+const PHASE_STEP_RAD: f64 = 0.02;
+/// A phase that is known as well as this is not fitted, rad.
+const KNOWN_PHASE_RAD: f64 = 0.01;
+
+/// Centre x and y (round px), radius (px), blur (px), phase angle, and angle of the bright limb's middle (rad).
+pub(super) const PARAMETERS: usize = 6;
+pub(super) type Parameters = SVector<f64, PARAMETERS>;
+
+/// What is known of a limb before it is looked at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Known {
+    pub radius: Option<Measured>,
+    pub phase_rad: Measured,
+    pub bright_limb_rad: Measured,
+}
+
+/// A pixel near the limb.
+struct Pixel {
+    /// In round px.
+    at: Vector2<f64>,
+    /// From the middle of the bright limb, as the circle was when it was read.
+    angle_rad: f64,
+    /// By blur, phase and side of the light, there too.
+    by_others: [f64; 3],
+    light_dn: f64,
+}
+
+/// Pixels of a few px of the limb.
+struct Sector {
+    /// From +x towards +y.
+    angle_rad: f64,
+    pixels: Vec<Pixel>,
+}
+
+/// The pixels along a lit limb.
+pub(super) struct Limb {
+    known: Known,
+    start: Parameters,
+    lights: Lights,
+    sectors: Vec<Sector>,
+    noise_dn: f64,
+    /// Sectors of the lit limb, whether they are seen or not.
+    pub lit: usize,
+    /// Share of its pixels on the disc that tell nothing.
+    pub saturated: f64,
+}
+
+/// A circle with what its limb shows.
+pub(super) struct LimbFit {
+    pub fitted: Fitted<PARAMETERS>,
+    pub points: Vec<LimbPoint>,
+}
+
+/// A few pixels' limb.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LimbPoint {
+    /// From +x towards +y, in round px.
+    pub angle_rad: f64,
+    /// How far the limb lies outwards of the circle there.
+    pub excess_px: Measured,
+}
+
+impl Limb {
+    /// Reads the pixels along the lit limb of a disc.
+    pub fn read(
+        frame: &Frame,
+        plane: &Plane,
+        start: Parameters,
+        levels: &Levels,
+        shading: Shading,
+        known: Known,
+    ) -> Self {
+        let circle = circle_of(&start);
+        let lit = Lit::new(shading, &start);
+        let lights = Lights::new(shading, &start, &known, lit.most_rad);
+        let count = (circle.radius * TAU / SECTOR_PX).max(LEAST_SECTORS) as usize;
+        let width = TAU / count as f64;
+        let angle = |n: usize| (n as f64 + 0.5) * width;
+        let mut sectors: Vec<Sector> = (0..count)
+            .map(|n| Sector {
+                angle_rad: angle(n),
+                pixels: Vec::new(),
+            })
+            .collect();
+        let (mut on_disc, mut saturated) = (0_u32, 0_u32);
+        for (at, dn) in band(frame, plane, &circle) {
+            let away = at - circle.centre;
+            let direction = away.y.atan2(away.x);
+            let n = direction.rem_euclid(TAU) / width;
+            let sector = &mut sectors[(n as usize).min(count - 1)];
+            if !lit.has(sector.angle_rad) {
+                continue;
+            }
+            let angle_rad = from_middle(direction, start[5]);
+            on_disc += u32::from(away.norm() < circle.radius);
+            if f64::from(dn) >= levels.saturated_dn {
+                saturated += 1;
+                continue;
+            }
+            sector.pixels.push(Pixel {
+                at,
+                angle_rad,
+                by_others: lights.by_others(angle_rad, circle.radius, away.norm()),
+                light_dn: f64::from(dn) - levels.dark_dn,
+            });
+        }
+        let lit_sectors = sectors.iter().filter(|sector| lit.has(sector.angle_rad));
+        let lit_count = lit_sectors.count();
+        sectors.retain(|sector| sector.is_seen(SEEN_SIGMAS * levels.noise_dn));
+        Self {
+            known,
+            start,
+            lights,
+            sectors,
+            noise_dn: levels.noise_dn,
+            lit: lit_count,
+            saturated: f64::from(saturated) / f64::from(on_disc.max(1_u32)),
+        }
+    }
+
+    /// Sectors in which the limb is seen.
+    pub fn seen(&self) -> usize {
+        self.sectors.len()
+    }
+
+    /// The circle of least squares, with the blur, the phase and the side of the light. Sectors that lie far off it count no longer: a star is
+    /// there, or a piece of the vehicle.
+    ///
+    /// # Errors
+    /// A limb that does not determine it.
+    pub fn fit(&self) -> Result<LimbFit, FitError> {
+        let all: Vec<&Sector> = self.sectors.iter().collect();
+        let first = self.fit_through(&all)?;
+        let off = |point: &LimbPoint| point.excess_px.value / point.excess_px.sigma;
+        let sizes = first.points.iter().map(|point| off(point).abs());
+        let most = OFF_SIGMAS * (SIGMA_PER_MEDIAN * median(sizes).unwrap_or(0.0)).max(1.0);
+        let kept = all.iter().zip(&first.points);
+        let kept: Vec<&Sector> = kept
+            .filter(|(_, point)| off(point).abs() < most)
+            .map(|(sector, _)| *sector)
+            .collect();
+        match kept.len() == all.len() {
+            true => Ok(first),
+            false => self.fit_through(&kept),
+        }
+    }
+
+    fn fit_through(&self, sectors: &[&Sector]) -> Result<LimbFit, FitError> {
+        let rows_at = |at: &Parameters| -> Vec<Vec<Linearised<1, PARAMETERS>>> {
+            let sectors = sectors.iter();
+            let rows = sectors.map(|sector| sector.rows(at, &self.lights, self.noise_dn));
+            rows.collect()
+        };
+        let fit = LeastSquares {
+            start: self.start,
+            prior: self.prior(),
+            loss: Loss::Squares,
+            scale: Scale::Inflated,
+            tolerance_sigmas: 0.05,
+        };
+        let mut fitted = fit.fit(|at: &Parameters| {
+            let moved = (at - self.start).fixed_rows::<3>(0).amax();
+            let is_possible = moved < SLACK_PX && POSSIBLE_BLUR_PX.contains(&at[3]);
+            is_possible.then(|| rows_at(at).into_iter().flatten().collect())
+        })?;
+        let rows = rows_at(&fitted.parameters);
+        let pulls: Vec<Pull> = rows.iter().map(|rows| Pull::of(rows)).collect();
+        let points = sectors.iter().zip(&pulls).map(|(sector, pull)| LimbPoint {
+            angle_rad: sector.angle_rad,
+            excess_px: pull.excess(fitted.scatter),
+        });
+        let points: Vec<LimbPoint> = points.collect();
+        fitted.covariance += of_rough_limb(&points, &pulls, &fitted);
+        Ok(LimbFit { fitted, points })
+    }
+
+    fn prior(&self) -> Prior<PARAMETERS> {
+        let Known {
+            radius,
+            phase_rad,
+            bright_limb_rad,
+        } = self.known;
+        let mut prior = Prior::none();
+        let known = [
+            radius,
+            Some(BLUR_PX),
+            Some(phase_rad),
+            Some(bright_limb_rad),
+        ];
+        for (n, known) in (2..).zip(known) {
+            if let Some(known) = known {
+                prior.mean[n] = known.value;
+                prior.information[n] = known.sigma.powi(-2);
+            }
+        }
+        prior
+    }
+}
+
+/// What the ground adds to the covariance. Mountains move the limb, and neighbours alike: the variance of the limb's excess beyond that of the
+/// noise, and how it agrees from one sector to the next, tell a process of first order along the limb.
+fn of_rough_limb(
+    points: &[LimbPoint],
+    pulls: &[Pull],
+    fitted: &Fitted<PARAMETERS>,
+) -> SMatrix<f64, PARAMETERS, PARAMETERS> {
+    let count = points.len();
+    let freedom = (count as f64 - CIRCLE_PARAMETERS).max(1.0);
+    let excess = |n: usize| points[n % count].excess_px;
+    let beyond = |n: usize| excess(n).value.powi(2) - excess(n).sigma.powi(2);
+    let variance = (0..count).map(beyond).sum::<f64>() / freedom;
+    if variance <= 0.0 {
+        return SMatrix::zeros();
+    }
+    let next_to = |n: usize| excess(n).value * excess(n + 1).value;
+    let alike = (0..count).map(next_to).sum::<f64>() / freedom / variance;
+    let alike = alike.clamp(0.0, MOST_ALIKE);
+    // How the parameters move with each sector's limb.
+    let inverse = fitted.covariance / fitted.scatter.powi(2);
+    let moves: Vec<Parameters> = pulls.iter().map(|pull| inverse * pull.by_excess).collect();
+    let mut sum = SMatrix::zeros();
+    for (n, one) in moves.iter().enumerate() {
+        sum += one * one.transpose();
+        for (lag, other) in (1..).zip(&moves[n + 1..]) {
+            let weight = alike.powi(lag);
+            if weight < LEAST_ALIKE {
+                break;
+            }
+            let both = one * other.transpose() * weight;
+            sum += both + both.transpose();
+        }
+    }
+    sum * variance
+}
+
+/// Where the limb is lit.
+struct Lit {
+    bright_limb_rad: f64,
+    most_rad: f64,
+}
+
+impl Lit {
+    fn new(shading: Shading, at: &Parameters) -> Self {
+        const STEPS: u32 = 180;
+        let sphere = sphere(shading, at[4]);
+        let depth = LIT_DEPTH.min(LIT_DEPTH_PX / at[2]);
+        let light = |angle: f64| sphere.light(1.0 - depth, angle);
+        let least = LIT_SHARE * light(0.0);
+        let angles = (0..=STEPS).map(|n| f64::from(n) / f64::from(STEPS) * PI);
+        let lit = angles.take_while(|angle| light(*angle) > least);
+        Self {
+            bright_limb_rad: at[5],
+            most_rad: lit.last().unwrap_or(0.0),
+        }
+    }
+
+    fn has(&self, angle_rad: f64) -> bool {
+        from_middle(angle_rad, self.bright_limb_rad).abs() <= self.most_rad
+    }
+}
+
+/// An angle from the middle of the bright limb, -pi to pi.
+fn from_middle(angle_rad: f64, bright_limb_rad: f64) -> f64 {
+    (angle_rad - bright_limb_rad + PI).rem_euclid(TAU) - PI
+}
+
+/// The light along a limb about some parameters: linear in blur, phase and the side of the light.
+struct Lights {
+    here: Profiles,
+    /// At a phase that is a step further; none where the phase is known.
+    stepped: Option<Profiles>,
+    blur_px: f64,
+    phase_rad: f64,
+    bright_limb_rad: f64,
+}
+
+impl Lights {
+    fn new(shading: Shading, at: &Parameters, known: &Known, most_rad: f64) -> Self {
+        // The table ends behind the last sector.
+        let most_rad = most_rad + 0.2;
+        let profiles = |phase_rad: f64| {
+            let depths = PIXELS.start - SLACK_PX..PIXELS.end + SLACK_PX;
+            let sphere = sphere(shading, phase_rad);
+            Profiles::new(&sphere, at[2], at[3], &depths, most_rad)
+        };
+        Self {
+            here: profiles(at[4]),
+            stepped: (known.phase_rad.sigma > KNOWN_PHASE_RAD)
+                .then(|| profiles(at[4] + PHASE_STEP_RAD)),
+            blur_px: at[3],
+            phase_rad: at[4],
+            bright_limb_rad: at[5],
+        }
+    }
+
+    /// A blurred circle looks smaller than a blurred straight edge does, by so many px at a distance from its centre.
+    fn shrinks(&self, distance: f64) -> f64 {
+        (self.blur_px.powi(2) + PIXEL_VARIANCE) / (2.0 * distance)
+    }
+
+    /// How the light at an angle and a distance from the centre changes with blur, phase and side.
+    fn by_others(&self, angle_rad: f64, radius: f64, distance: f64) -> [f64; 3] {
+        let distance = distance.max(1.0);
+        let depth = radius - distance - self.shrinks(distance);
+        let here = self.here.at(angle_rad, depth);
+        let stepped = self.stepped.as_ref();
+        let stepped = stepped.map(|stepped| stepped.at(angle_rad, depth).light);
+        [
+            // Blurred light obeys the heat equation.
+            self.blur_px * (here.curve - here.slope / distance),
+            stepped.map_or(0.0, |light| (light - here.light) / PHASE_STEP_RAD),
+            -here.by_angle,
+        ]
+    }
+}
+
+fn sphere(shading: Shading, phase_rad: f64) -> Sphere {
+    Sphere {
+        shading,
+        phase_angle_deg: phase_rad.to_degrees(),
+    }
+}
+
+pub(super) fn circle_of(at: &Parameters) -> Circle {
+    Circle {
+        centre: at.fixed_rows::<2>(0).into_owned(),
+        radius: at[2],
+    }
+}
+
+/// Where a search begins: a circle, and what else is known.
+pub(super) fn begin(circle: &Circle, known: &Known) -> Parameters {
+    Parameters::from([
+        circle.centre.x,
+        circle.centre.y,
+        circle.radius,
+        BLUR_PX.value,
+        known.phase_rad.value,
+        known.bright_limb_rad.value,
+    ])
+}
+
+impl Sector {
+    fn is_seen(&self, least_dn: f64) -> bool {
+        let brightest = self
+            .pixels
+            .iter()
+            .map(|pixel| pixel.light_dn)
+            .fold(0.0, f64::max);
+        self.pixels.len() >= LEAST_PIXELS && brightest > least_dn
+    }
+
+    /// The pixels without what the sector's own sky and brightness explain.
+    fn rows(
+        &self,
+        at: &Parameters,
+        lights: &Lights,
+        noise_dn: f64,
+    ) -> Vec<Linearised<1, PARAMETERS>> {
+        let modelled = self.pixels.iter().map(|pixel| pixel.modelled(at, lights));
+        let mut modelled: Vec<(f64, Parameters)> = modelled.collect();
+        let count = self.pixels.len() as f64;
+        let mean_light = modelled.iter().map(|(light, _)| light).sum::<f64>() / count;
+        let mean_by = modelled.iter().map(|(_, by)| by).sum::<Parameters>() / count;
+        let mean_dn = self.pixels.iter().map(|pixel| pixel.light_dn).sum::<f64>() / count;
+        let (mut norm, mut product, mut along) = (f64::MIN_POSITIVE, 0.0, Parameters::zeros());
+        for (pixel, (light, by)) in self.pixels.iter().zip(&mut modelled) {
+            *light -= mean_light;
+            *by -= mean_by;
+            norm += *light * *light;
+            product += *light * (pixel.light_dn - mean_dn);
+            along += *by * *light;
+        }
+        let brightness_dn = (product / norm).max(0.0);
+        along /= norm;
+        let both = self.pixels.iter().zip(&modelled);
+        let row = |(pixel, (light, by)): (&Pixel, &(f64, Parameters))| {
+            let left_dn = pixel.light_dn - mean_dn - brightness_dn * light;
+            Linearised {
+                residual: Vector1::new(left_dn / noise_dn),
+                jacobian: (by - along * *light).transpose() * (brightness_dn / noise_dn),
+            }
+        };
+        both.map(row).collect()
+    }
+}
+
+impl Pixel {
+    /// The pixel's light where the ground's brightness is 1, and its derivatives.
+    fn modelled(&self, at: &Parameters, lights: &Lights) -> (f64, Parameters) {
+        let away = self.at - Vector2::new(at[0], at[1]);
+        let distance = away.norm().max(1.0);
+        let unit = away / distance;
+        let depth = at[2] - distance - lights.shrinks(distance);
+        let here = lights.here.at(self.angle_rad, depth);
+        let [by_blur, by_phase, by_side] = self.by_others;
+        let light = here.light
+            + by_blur * (at[3] - lights.blur_px)
+            + by_phase * (at[4] - lights.phase_rad)
+            + by_side * (at[5] - lights.bright_limb_rad);
+        let by = [
+            here.slope * unit.x,
+            here.slope * unit.y,
+            here.slope,
+            by_blur,
+            by_phase,
+            by_side,
+        ];
+        (light, by.into())
+    }
+}
+
+/// How a sector pulls at the parameters.
+struct Pull {
+    /// At the radius alone.
+    radial: f64,
+    /// By how much that changes with the limb's place, 1/px^2.
+    information: f64,
+    /// How the pulls at all parameters change with the limb's place, 1/px.
+    by_excess: Parameters,
+}
+
+impl Pull {
+    fn of(rows: &[Linearised<1, PARAMETERS>]) -> Self {
+        let (mut radial, mut by_excess) = (0.0, Parameters::zeros());
+        for row in rows {
+            radial += row.jacobian[2] * row.residual[0];
+            by_excess += row.jacobian.transpose() * row.jacobian[2];
+        }
+        Self {
+            radial,
+            information: by_excess[2].max(1e-9),
+            by_excess,
+        }
+    }
+
+    /// How far the limb lies outwards of the circle.
+    fn excess(&self, scatter: f64) -> Measured {
+        Measured::new(
+            self.radial / self.information,
+            scatter / self.information.sqrt(),
+        )
+    }
+}
+
+/// The pixels near a circle, in round px, with their DN.
+fn band<'a>(
+    frame: &'a Frame,
+    plane: &'a Plane,
+    circle: &'a Circle,
+) -> impl Iterator<Item = (Vector2<f64>, f32)> + 'a {
+    let (inner, outer) = (circle.radius - PIXELS.end, circle.radius - PIXELS.start);
+    let region = plane.region(circle, outer, frame);
+    let rows = region.map(|region| (region.y0..region.y1, region.x0..region.x1));
+    rows.into_iter().flat_map(move |(rows, columns)| {
+        rows.flat_map(move |y| {
+            let row = frame.row_dn(y, columns.clone());
+            columns.clone().zip(row).filter_map(move |(x, dn)| {
+                let at = plane.round(x as f64, y as f64);
+                let square = (at - circle.centre).norm_squared();
+                let is_near = square < outer * outer && (inner < 0.0 || square > inner * inner);
+                is_near.then_some((at, dn))
+            })
+        })
+    })
+}

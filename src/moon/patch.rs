@@ -1,0 +1,199 @@
+//! Bright patches of a frame, and their outlines.
+
+use super::light::Levels;
+use crate::frame::{Frame, Region};
+use nalgebra::Vector2;
+
+/// Columns that are looked at together: most of the sky is dark.
+const BLOCK_PX: usize = 48;
+/// A patch's outline stands at this share of what so many of its pixels exceed, above the sky.
+const OUTLINE_SHARE: f64 = 0.4;
+const BRIGHT_SHARE: f64 = 0.1;
+/// The outline is looked for so far around the patch.
+const MARGIN_PX: usize = 2;
+
+/// Bright pixels that touch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Patch {
+    pub pixels: usize,
+    region: Region,
+}
+
+/// A run of bright pixels in a row, first and last column.
+struct Run {
+    first: usize,
+    last: usize,
+    patch: usize,
+}
+
+impl Run {
+    fn touches(&self, (first, last): (usize, usize)) -> bool {
+        self.first <= last + 1 && first <= self.last + 1
+    }
+}
+
+/// The patches of pixels above a threshold, the largest first.
+pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Vec<Patch> {
+    let mut patches: Vec<Option<Patch>> = Vec::new();
+    let mut above: Vec<Run> = Vec::new();
+    for y in 0..frame.height() {
+        let mut here: Vec<Run> = Vec::new();
+        for run in runs(frame, y, threshold_dn) {
+            let mut patch = Patch {
+                pixels: run.1 + 1 - run.0,
+                region: Region {
+                    x0: run.0,
+                    y0: y,
+                    x1: run.1 + 1,
+                    y1: y + 1,
+                },
+            };
+            let number = patches.len();
+            let touched = above.iter().filter(|other| other.touches(run));
+            for other in touched.map(|other| other.patch).collect::<Vec<_>>() {
+                patch = joined(patch, patches[other].take());
+                let same = above.iter_mut().chain(&mut here);
+                same.filter(|run| run.patch == other)
+                    .for_each(|run| run.patch = number);
+            }
+            patches.push(Some(patch));
+            here.push(Run {
+                first: run.0,
+                last: run.1,
+                patch: number,
+            });
+        }
+        above = here;
+    }
+    let mut patches: Vec<Patch> = patches.into_iter().flatten().collect();
+    patches.sort_by_key(|patch| std::cmp::Reverse(patch.pixels));
+    patches
+}
+
+fn joined(one: Patch, other: Option<Patch>) -> Patch {
+    let Some(other) = other else {
+        return one;
+    };
+    let (a, b) = (one.region, other.region);
+    Patch {
+        pixels: one.pixels + other.pixels,
+        region: Region {
+            x0: a.x0.min(b.x0),
+            y0: a.y0.min(b.y0),
+            x1: a.x1.max(b.x1),
+            y1: a.y1.max(b.y1),
+        },
+    }
+}
+
+/// First and last columns of a row's runs.
+fn runs(frame: &Frame, y: usize, threshold_dn: f64) -> Vec<(usize, usize)> {
+    let mut runs: Vec<(usize, usize)> = Vec::new();
+    let width = frame.width();
+    for first in (0..width).step_by(BLOCK_PX) {
+        let columns = first..(first + BLOCK_PX).min(width);
+        if !frame.is_brighter(y, columns.clone(), threshold_dn) {
+            continue;
+        }
+        let row = frame.row_dn(y, columns.clone());
+        for (x, _) in columns
+            .zip(row)
+            .filter(|(_, dn)| f64::from(*dn) > threshold_dn)
+        {
+            match runs.last_mut().filter(|run| run.1 + 1 == x) {
+                Some(run) => run.1 = x,
+                None => runs.push((x, x)),
+            }
+        }
+    }
+    runs
+}
+
+/// The outline of a patch and its light.
+#[derive(Debug, Clone)]
+pub(super) struct Outline {
+    /// Where its rows and columns first and last cross a level, px.
+    pub points: Vec<Vector2<f64>>,
+    /// Where its light is, on the whole, px.
+    pub middle: Vector2<f64>,
+    /// Whether the picture's edge cuts it.
+    pub is_cut: bool,
+}
+
+impl Outline {
+    pub fn of(frame: &Frame, patch: &Patch, levels: &Levels) -> Self {
+        let Region { x0, y0, x1, y1 } = patch.region;
+        let region = Region {
+            x0: x0.saturating_sub(MARGIN_PX),
+            y0: y0.saturating_sub(MARGIN_PX),
+            x1: (x1 + MARGIN_PX).min(frame.width()),
+            y1: (y1 + MARGIN_PX).min(frame.height()),
+        };
+        let level = level_dn(frame, &region, patch.pixels, levels);
+        let mut points = Vec::new();
+        for y in region.y0..region.y1 {
+            let ends = ends(&frame.row_dn(y, region.x0..region.x1), level);
+            points.extend(ends.map(|x| Vector2::new(region.x0 as f64 + x, y as f64)));
+        }
+        for x in region.x0..region.x1 {
+            let ends = ends(&frame.column_dn(x, region.y0..region.y1), level);
+            points.extend(ends.map(|y| Vector2::new(x as f64, region.y0 as f64 + y)));
+        }
+        Self {
+            points,
+            middle: middle(frame, &region, level, levels.dark_dn),
+            is_cut: x0 == 0 || y0 == 0 || x1 == frame.width() || y1 == frame.height(),
+        }
+    }
+
+    /// The same in another plane.
+    pub fn seen_by(self, plane: impl Fn(Vector2<f64>) -> Vector2<f64>) -> Self {
+        Self {
+            points: self.points.into_iter().map(&plane).collect(),
+            middle: plane(self.middle),
+            ..self
+        }
+    }
+}
+
+/// The level of a patch's outline.
+fn level_dn(frame: &Frame, region: &Region, pixels: usize, levels: &Levels) -> f64 {
+    let rows = (region.y0..region.y1).flat_map(|y| frame.row_dn(y, region.x0..region.x1));
+    let mut light: Vec<f32> = rows.collect();
+    let rank = ((BRIGHT_SHARE * pixels as f64) as usize).min(light.len() - 1);
+    let (_, bright, _) = light.select_nth_unstable_by(rank, |a, b| b.total_cmp(a));
+    let above_sky = f64::from(*bright) - levels.dark_dn;
+    levels.dark_dn + (OUTLINE_SHARE * above_sky).max(levels.least_dn())
+}
+
+/// Where a line of pixels first rises above a level and last falls below it, to a part of a pixel; not where the picture cuts it.
+fn ends(line: &[f32], level: f64) -> impl Iterator<Item = f64> + use<> {
+    let level = level as f32;
+    let crossing = |dark: f32, bright: f32| f64::from((level - dark) / (bright - dark));
+    let first = line.iter().position(|dn| *dn > level);
+    let last = line.iter().rposition(|dn| *dn > level);
+    let rise = first
+        .filter(|n| *n > 0)
+        .map(|n| n as f64 - 1.0 + crossing(line[n - 1], line[n]));
+    let fall = last
+        .filter(|n| n + 1 < line.len())
+        .map(|n| n as f64 + 1.0 - crossing(line[n + 1], line[n]));
+    rise.into_iter().chain(fall)
+}
+
+/// The middle of the light above a level.
+fn middle(frame: &Frame, region: &Region, level: f64, dark_dn: f64) -> Vector2<f64> {
+    let (mut sum, mut moment) = (0.0, Vector2::zeros());
+    for y in region.y0..region.y1 {
+        let row = frame.row_dn(y, region.x0..region.x1);
+        for (x, dn) in (region.x0..)
+            .zip(row)
+            .filter(|(_, dn)| f64::from(*dn) > level)
+        {
+            let light = f64::from(dn) - dark_dn;
+            sum += light;
+            moment += Vector2::new(x as f64, y as f64) * light;
+        }
+    }
+    moment / f64::max(sum, f64::MIN_POSITIVE)
+}

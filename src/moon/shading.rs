@@ -1,0 +1,101 @@
+//! How the Moon's ground scatters the Sun's light.
+
+use nalgebra::Vector3;
+
+/// How a surface scatters light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shading {
+    /// As dark ground does: mu0 / (mu0 + mu). The full Moon is as bright at its limb as in its middle, half as bright as a thin crescent's limb.
+    #[default]
+    LommelSeeliger,
+    /// As chalk does: mu0.
+    Lambert,
+}
+
+impl Shading {
+    /// Light of a place from whose normal the Sun and the observer stand at angles of these cosines; 1 at most.
+    pub fn light(self, to_sun: f64, to_observer: f64) -> f64 {
+        let to_sun = to_sun.max(0.0);
+        match self {
+            Self::LommelSeeliger => {
+                let sum = to_sun + to_observer.max(0.0);
+                if sum > 0.0 { to_sun / sum } else { 0.0 }
+            }
+            Self::Lambert => to_sun,
+        }
+    }
+}
+
+/// A smooth sphere that the Sun shines on. Lengths are in its radius.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sphere {
+    pub shading: Shading,
+    /// 0 full, 180 new.
+    pub phase_angle_deg: f64,
+}
+
+impl Sphere {
+    /// The share of its disc that the Sun shines on.
+    pub fn lit(&self) -> f64 {
+        lit(self.phase_angle_deg)
+    }
+
+    /// Light of the disc at a distance from its centre and an angle from the middle of the bright limb; 0 beside it.
+    pub fn light(&self, distance: f64, angle_rad: f64) -> f64 {
+        if distance >= 1.0 {
+            return 0.0;
+        }
+        let to_observer = (1.0 - distance * distance).sqrt();
+        let (sin, cos) = self.phase_angle_deg.to_radians().sin_cos();
+        let to_sun = distance * angle_rad.cos() * sin + to_observer * cos;
+        self.shading.light(to_sun, to_observer)
+    }
+
+    /// How far the light's middle lies from the disc's, towards the bright limb.
+    pub fn offset_of_light(&self) -> f64 {
+        const RINGS: usize = 12;
+        const ANGLES: usize = 20;
+        let (mut sum, mut moment) = (0.0, 0.0);
+        for ring in 0..RINGS {
+            // Rings of the same area.
+            let distance = ((ring as f64 + 0.5) / RINGS as f64).sqrt();
+            for n in 0..ANGLES {
+                let angle = (n as f64 + 0.5) / ANGLES as f64 * std::f64::consts::PI;
+                let light = self.light(distance, angle);
+                sum += light;
+                moment += light * distance * angle.cos();
+            }
+        }
+        if sum > 0.0 { moment / sum } else { 1.0 }
+    }
+
+    /// The sphere whose light's middle lies so far off its disc's.
+    pub fn of_offset(shading: Shading, offset: f64) -> Self {
+        let at = |phase_angle_deg| Self {
+            shading,
+            phase_angle_deg,
+        };
+        let (mut low, mut high) = (0.0, 179.0);
+        for _ in 0..12 {
+            let middle = (low + high) / 2.0;
+            match at(middle).offset_of_light() < offset {
+                true => low = middle,
+                false => high = middle,
+            }
+        }
+        at((low + high) / 2.0)
+    }
+}
+
+/// The share of a sphere's disc that the Sun shines on.
+pub(super) fn lit(phase_angle_deg: f64) -> f64 {
+    (1.0 + phase_angle_deg.to_radians().cos()) / 2.0
+}
+
+/// Towards the Sun from a sphere: x to the right, y down, z to the observer; the middle of the bright limb stands at an angle from +x towards
+/// +y.
+pub fn towards_sun(phase_angle_deg: f64, bright_limb_deg: f64) -> Vector3<f64> {
+    let (sin, cos) = phase_angle_deg.to_radians().sin_cos();
+    let (sin_limb, cos_limb) = bright_limb_deg.to_radians().sin_cos();
+    Vector3::new(sin * cos_limb, sin * sin_limb, cos)
+}

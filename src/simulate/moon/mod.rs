@@ -1,0 +1,239 @@
+//! Pictures of the Moon at any phase: a shaded sphere with or without craters, its truth beside it.
+//!
+//! Lengths on the disc are in its radius: x to the right, y down, z to the observer.
+
+mod surface;
+
+use super::blur::Kernel;
+use super::noise::{Readings, read_out};
+use super::scene::{Depth, Noise};
+use super::{Purpose, derived_seed, frame_info, generator};
+use crate::frame::{Frame, FrameError};
+use crate::moon::{Shading, towards_sun};
+use crate::units::SensorPx;
+use nalgebra::{Vector2, Vector3};
+use rand::RngExt;
+use std::ops::Range;
+use surface::Surface;
+
+/// A disc of so few pixels is drawn with so many sub-samples in each axis; a larger one with fewer.
+const SUBSAMPLED_PX: f64 = 120.0;
+const SUBSAMPLES: Range<usize> = 2..9;
+
+/// What pictures of the Moon have in common.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MoonConditions {
+    pub width_px: usize,
+    pub height_px: usize,
+    /// Horizontal half axis of the disc over its vertical one.
+    pub pixel_aspect: f64,
+    /// Vertical half axis.
+    pub radius_px: f64,
+    /// Lit shares of the disc, from which each picture draws its own.
+    pub lit: Range<f64>,
+    pub shading: Shading,
+    pub craters: bool,
+    /// Of the brightest place above the background.
+    pub peak_dn: f64,
+    pub background_dn: f64,
+    pub noise: Noise,
+    pub blur_px: f64,
+    /// Light of the dark side, in that of the brightest place.
+    pub earthshine: f64,
+    pub stars: usize,
+    /// Whether the picture's edge cuts the disc.
+    pub cut: bool,
+    pub depth: Depth,
+}
+
+impl MoonConditions {
+    /// A camera of 720 x 578 px; noise of 5 DN, 200 DN of Moon, no craters, any lit share from a tenth to the whole.
+    pub fn clear(radius_px: f64) -> Self {
+        Self {
+            width_px: 720,
+            height_px: 578,
+            pixel_aspect: 1.0,
+            radius_px,
+            lit: 0.1..1.0,
+            shading: Shading::LommelSeeliger,
+            craters: false,
+            peak_dn: 200.0,
+            background_dn: 10.0,
+            noise: Noise {
+                read_dn: 5.0,
+                electrons_per_dn: None,
+            },
+            blur_px: 0.8,
+            earthshine: 0.0,
+            stars: 0,
+            cut: false,
+            depth: Depth::Eight,
+        }
+    }
+
+    /// The scene of a seed and a number: the disc's place, lit share and turn drawn. The whole disc is in view, or its centre within half a radius
+    /// of the picture's left or right edge.
+    pub fn scene(&self, seed: u64, number: u64) -> MoonScene {
+        let mut random = generator(seed, Purpose::Moon, number);
+        let half = Vector2::new(self.radius_px * self.pixel_aspect, self.radius_px);
+        let mut place = |pixels: usize, half: f64| {
+            let room = half + 4.0 * self.blur_px + 2.0;
+            random.random_range(room..pixels as f64 - room)
+        };
+        let whole = SensorPx::new(place(self.width_px, half.x), place(self.height_px, half.y));
+        let centre = match self.cut {
+            false => whole,
+            true => {
+                let inside = random.random_range(-0.2..0.5) * half.x;
+                let x = match random.random() {
+                    true => inside,
+                    false => self.width_px as f64 - 1.0 - inside,
+                };
+                SensorPx::new(x, whole.y)
+            }
+        };
+        let lit = match self.lit.is_empty() {
+            true => self.lit.start,
+            false => random.random_range(self.lit.clone()),
+        };
+        MoonScene {
+            conditions: self.clone(),
+            centre,
+            phase_angle_deg: (2.0 * lit - 1.0).acos().to_degrees(),
+            bright_limb_deg: random.random_range(0.0..360.0),
+            turn_deg: random.random_range(0.0..360.0),
+            seed,
+            number,
+        }
+    }
+}
+
+/// Everything that a picture of the Moon consists of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MoonScene {
+    pub conditions: MoonConditions,
+    /// Of the whole disc.
+    pub centre: SensorPx,
+    /// 0 full, 180 new.
+    pub phase_angle_deg: f64,
+    /// The middle of the bright limb, from +x towards +y, on the disc as it is in the sky: pixels as high as wide.
+    pub bright_limb_deg: f64,
+    /// Of the surface.
+    pub turn_deg: f64,
+    pub seed: u64,
+    pub number: u64,
+}
+
+impl MoonScene {
+    /// The share of the disc that the Sun shines on.
+    pub fn lit(&self) -> f64 {
+        (1.0 + self.phase_angle_deg.to_radians().cos()) / 2.0
+    }
+
+    /// The middle of the bright limb in the picture, from +x towards +y.
+    pub fn bright_limb_in_picture_deg(&self) -> f64 {
+        let (sin, cos) = self.bright_limb_deg.to_radians().sin_cos();
+        sin.atan2(cos * self.conditions.pixel_aspect).to_degrees()
+    }
+
+    /// The frame: rendered, with noise, digitised.
+    ///
+    /// # Errors
+    /// A picture without pixels.
+    pub fn frame(&self) -> Result<Frame, FrameError> {
+        let conditions = &self.conditions;
+        let readings = Readings {
+            width_px: conditions.width_px,
+            noise: conditions.noise,
+            depth: conditions.depth,
+            seed: derived_seed(self.seed, Purpose::Noise, self.number),
+        };
+        let pixels = read_out(&self.light(), &readings);
+        Frame::new(
+            conditions.width_px,
+            conditions.height_px,
+            pixels,
+            conditions.depth.saturation_dn(),
+            frame_info(self.number),
+        )
+    }
+
+    /// Light on the sensor in 8-bit DN, row by row: before noise and digitising.
+    fn light(&self) -> Vec<f32> {
+        let conditions = &self.conditions;
+        let (width, height) = (conditions.width_px, conditions.height_px);
+        let mut light = vec![conditions.background_dn as f32; width * height];
+        self.add_stars(&mut light);
+        self.add_disc(&mut light);
+        light
+    }
+
+    fn add_disc(&self, light: &mut [f32]) {
+        let conditions = &self.conditions;
+        let samples = (SUBSAMPLED_PX / conditions.radius_px).ceil() as usize;
+        let samples = samples.clamp(SUBSAMPLES.start, SUBSAMPLES.end - 1);
+        let kernel = Kernel::new(conditions.blur_px, samples);
+        let margin = kernel.margin_px();
+        let half = Vector2::new(
+            conditions.radius_px * conditions.pixel_aspect,
+            conditions.radius_px,
+        );
+        // The surface stands up by a few thousandths at most.
+        let reach = half * 1.02 + Vector2::repeat(margin as f64 + 1.0);
+        let span = |centre: f64, reach: f64, pixels: usize| {
+            let first = (centre - reach).floor().clamp(0.0, pixels as f64) as usize;
+            first..(centre + reach).ceil().clamp(0.0, pixels as f64) as usize
+        };
+        let columns = span(self.centre.x, reach.x, conditions.width_px);
+        let rows = span(self.centre.y, reach.y, conditions.height_px);
+        let sides = [&columns, &rows].map(|span| (span.len() + 2 * margin) * samples);
+        let surface = Surface::new(conditions, self);
+        let place = |n: usize, first: usize, centre: f64, half: f64| {
+            let px = (n as f64 + 0.5) / samples as f64 - 0.5 - margin as f64 + first as f64;
+            (px - centre) / half
+        };
+        let field: Vec<f32> = (0..sides[0] * sides[1])
+            .map(|n| {
+                let x = place(n % sides[0], columns.start, self.centre.x, half.x);
+                let y = place(n / sides[0], rows.start, self.centre.y, half.y);
+                (conditions.peak_dn * surface.light(x, y)) as f32
+            })
+            .collect();
+        let blurred = kernel.apply(&field, sides[0], columns.len(), rows.len());
+        for (row, y) in blurred.chunks_exact(columns.len().max(1)).zip(rows) {
+            let pixels = &mut light[y * conditions.width_px..][columns.clone()];
+            pixels
+                .iter_mut()
+                .zip(row)
+                .for_each(|(dn, more)| *dn += more);
+        }
+    }
+
+    fn add_stars(&self, light: &mut [f32]) {
+        let conditions = &self.conditions;
+        let mut random = generator(self.seed, Purpose::Stars, self.number);
+        for _ in 0..conditions.stars {
+            let at = Vector2::new(
+                random.random_range(0.0..conditions.width_px as f64),
+                random.random_range(0.0..conditions.height_px as f64),
+            );
+            let peak_dn = 150.0 * random.random::<f64>().powi(3);
+            let near = |centre: f64, pixels: usize| {
+                let first = (centre - 5.0).max(0.0) as usize;
+                first..((centre + 6.0) as usize).min(pixels)
+            };
+            for y in near(at.y, conditions.height_px) {
+                for x in near(at.x, conditions.width_px) {
+                    let away = Vector2::new(x as f64, y as f64) - at;
+                    let part = (-0.5 * away.norm_squared() / conditions.blur_px.powi(2)).exp();
+                    light[y * conditions.width_px + x] += (peak_dn * part) as f32;
+                }
+            }
+        }
+    }
+
+    /// Towards the Sun.
+    fn sun(&self) -> Vector3<f64> {
+        towards_sun(self.phase_angle_deg, self.bright_limb_deg)
+    }
+}

@@ -1,0 +1,182 @@
+//! The Moon's surface: its light from every place of the disc.
+
+use super::{MoonConditions, MoonScene};
+use crate::moon::Shading;
+use crate::simulate::Purpose;
+use crate::simulate::texture::{Pattern, Random};
+use nalgebra::{Rotation3, Vector3};
+
+/// Albedo goes so far either way; its largest pattern has so many cells across the radius. Value noise in five octaves goes so far about a half.
+const ALBEDO: f64 = 0.25;
+const ALBEDO_CELLS: f64 = 3.0;
+const PATTERN_REACH: f64 = 0.3;
+
+pub(super) struct Surface {
+    sun: Vector3<f64>,
+    shading: Shading,
+    earthshine: f64,
+    ground: Option<Ground>,
+}
+
+/// Craters, and dark and bright ground.
+struct Ground {
+    craters: Craters,
+    albedo: Pattern,
+    turn: Rotation3<f64>,
+}
+
+impl Surface {
+    pub fn new(conditions: &MoonConditions, scene: &MoonScene) -> Self {
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), scene.turn_deg.to_radians());
+        Self {
+            sun: scene.sun(),
+            shading: conditions.shading,
+            earthshine: conditions.earthshine,
+            ground: conditions.craters.then(|| Ground {
+                craters: Craters::new(scene.seed, scene.number),
+                albedo: Pattern::new(Purpose::Albedo, scene.seed, scene.number),
+                turn,
+            }),
+        }
+    }
+
+    /// Light of a place on the disc; 0 beside it.
+    pub fn light(&self, x: f64, y: f64) -> f64 {
+        /// Nearer to the limb than that, craters and mountains may hide a place or show it.
+        const NEAR_LIMB: f64 = 0.02;
+        let distance = x.hypot(y);
+        let radius = match &self.ground {
+            Some(ground) if (distance - 1.0).abs() < NEAR_LIMB => {
+                1.0 + ground.relief(&(Vector3::new(x, y, 0.0) / distance)).0
+            }
+            _ => 1.0,
+        };
+        let square = (distance / radius).powi(2);
+        if square >= 1.0 {
+            return 0.0;
+        }
+        let place = Vector3::new(x / radius, y / radius, (1.0 - square).sqrt());
+        let (normal, albedo) = match &self.ground {
+            Some(ground) => (ground.normal(&place), ground.albedo(&place)),
+            None => (place, 1.0),
+        };
+        albedo * (self.shading.light(normal.dot(&self.sun), place.z) + self.earthshine)
+    }
+}
+
+impl Ground {
+    /// Height in radii, and how it changes with the place.
+    fn relief(&self, place: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let (height, slope) = self.craters.at(&(self.turn * place));
+        (height, self.turn.inverse() * slope)
+    }
+
+    fn albedo(&self, place: &Vector3<f64>) -> f64 {
+        let off = self.albedo.at(&(self.turn * place * ALBEDO_CELLS)) - 0.5;
+        1.0 + (off * (ALBEDO / PATTERN_REACH)).clamp(-ALBEDO, ALBEDO)
+    }
+
+    /// The ground's normal, which leans by its slope along the sphere.
+    fn normal(&self, place: &Vector3<f64>) -> Vector3<f64> {
+        let (_, slope) = self.relief(place);
+        (place - (slope - place * slope.dot(place))).normalize()
+    }
+}
+
+/// Craters of some sizes: where the sphere cuts a ball that stands somewhere in a cell of space. A bowl with a rim.
+struct Craters {
+    random: Random,
+}
+
+impl Craters {
+    /// Cells of the largest craters, in radii; each size is half the one before.
+    const CELL: f64 = 0.2;
+    const SIZES: u32 = 3;
+    /// Radii of the balls, in cells.
+    const RADII: [f64; 2] = [0.25, 0.5];
+    /// Depth over radius, so that the ground's rms height is a thousandth of the Moon's radius.
+    const DEPTH: f64 = 0.108;
+
+    fn new(seed: u64, number: u64) -> Self {
+        Self {
+            random: Random::new(Purpose::Craters, seed, number),
+        }
+    }
+
+    /// Height in radii, and how it changes with the place.
+    fn at(&self, place: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let (mut height, mut slope) = (0.0, Vector3::zeros());
+        for size in 0..Self::SIZES {
+            let cell = Self::CELL / f64::from(1 << size);
+            let first = (place / cell).map(|v| (v - 0.5).floor());
+            for n in 0..8 {
+                let offset = Vector3::new(n & 1, n >> 1 & 1, n >> 2 & 1).map(f64::from);
+                let crater = self.crater(&(first + offset), size, cell);
+                let (deeper, steeper) = crater.at(place);
+                height += deeper;
+                slope += steeper;
+            }
+        }
+        (height, slope)
+    }
+
+    fn crater(&self, corner: &Vector3<f64>, size: u32, cell: f64) -> Crater {
+        let draw = |n: u64| self.random.at(corner, 4 * u64::from(size) + n);
+        let [least, most] = Self::RADII;
+        Crater {
+            centre: (corner + Vector3::new(draw(0), draw(1), draw(2))) * cell,
+            radius: (least + (most - least) * draw(3)) * cell,
+        }
+    }
+}
+
+struct Crater {
+    centre: Vector3<f64>,
+    radius: f64,
+}
+
+impl Crater {
+    /// Height at a place, and how it changes.
+    fn at(&self, place: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let away = (place - self.centre) / self.radius;
+        let square = away.norm_squared();
+        if square >= 1.0 {
+            return (0.0, Vector3::zeros());
+        }
+        let depth = Craters::DEPTH * self.radius;
+        let inner = 1.0 - square;
+        let height = -depth * inner * inner * (1.0 - 3.0 * square);
+        let slope = away * (2.0 * depth / self.radius * inner * (5.0 - 9.0 * square));
+        (height, slope)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sky::sphere::direction;
+
+    #[test]
+    fn the_grounds_relief_is_a_thousandth_of_the_radius_about_none_and_its_slope_is_its_heights() {
+        let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
+        for number in 0..20 {
+            let craters = Craters::new(5, number);
+            for n in 0..5000 {
+                // A spiral that covers the sphere evenly.
+                let latitude = (1.0 - (f64::from(n) + 0.5) / 2500.0).asin().to_degrees();
+                let place = direction(137.507_764 * f64::from(n), latitude);
+                let (height, slope) = craters.at(&place);
+                sum += height;
+                squares += height * height;
+                count += 1.0;
+                let step = Vector3::new(1e-6, -2e-6, 1.5e-6);
+                let (there, _) = craters.at(&(place + step));
+                assert!((there - height - slope.dot(&step)).abs() < 1e-9);
+            }
+        }
+        let (mean, rms) = (sum / count, f64::sqrt(squares / count));
+        println!("mean {mean:.6}, rms {rms:.6}");
+        assert!(mean.abs() < 5e-5, "{mean}");
+        assert!((rms - 0.001).abs() < 1e-4, "{rms}");
+    }
+}

@@ -1,0 +1,262 @@
+//! The Moon's centre in a picture, whatever its phase and however it is turned, as good as it says.
+
+use nalgebra::Vector2;
+use rayon::prelude::*;
+use solaspect::frame::{Frame, Pixels};
+use solaspect::moon::{Disc, Expected, Optics, Radius, Settings, Stopped, by_extremities, solve};
+use solaspect::simulate::moon::{MoonConditions, MoonScene};
+use solaspect::units::Measured;
+use std::ops::Range;
+
+/// What is known beforehand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Known {
+    Nothing,
+    Radius,
+    RadiusAndPhase,
+}
+
+fn expected(scene: &MoonScene, known: Known) -> Expected {
+    let radius_px = scene.conditions.radius_px;
+    let radius = Radius::Pixels(Measured::new(radius_px, 2e-4 * radius_px));
+    let phase = Measured::new(scene.phase_angle_deg, 0.1);
+    Expected {
+        radius: (known != Known::Nothing).then_some(radius),
+        phase_angle_deg: (known == Known::RadiusAndPhase).then_some(phase),
+        bright_limb_deg: None,
+    }
+}
+
+fn look(scene: &MoonScene, known: Known) -> Result<Disc, Stopped> {
+    let settings = Settings {
+        shading: scene.conditions.shading,
+        optics: Optics::Aspect(scene.conditions.pixel_aspect),
+    };
+    solve(&settings, &scene.frame().unwrap(), &expected(scene, known))
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let squares: Vec<f64> = values.map(|v| v * v).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+/// A disc's error across the bright limb, px, and its length over its sigma, in each axis.
+struct Error {
+    across_px: f64,
+    over_sigma: f64,
+}
+
+/// The errors of some scenes, all of which show the Moon.
+fn errors(conditions: &MoonConditions, scenes: u64, known: Known) -> Vec<Error> {
+    let error = |number: u64| {
+        let scene = conditions.scene(1, number);
+        let disc = look(&scene, known)
+            .unwrap_or_else(|(stage, why)| panic!("{known:?} {number}: {stage:?} {why:?}"));
+        let off = disc.centre.position.vector() - scene.centre.vector();
+        let (sin, cos) = scene.bright_limb_in_picture_deg().to_radians().sin_cos();
+        let inverse = disc.centre.covariance.try_inverse().unwrap();
+        Error {
+            across_px: off.dot(&Vector2::new(cos, sin)),
+            over_sigma: (off.dot(&(inverse * off)) / 2.0).sqrt(),
+        }
+    };
+    (0..scenes).into_par_iter().map(error).collect()
+}
+
+/// Rms of the errors across the bright limb, px, and of the errors over their sigmas.
+fn across_and_over_sigma(conditions: &MoonConditions, scenes: u64, known: Known) -> (f64, f64) {
+    let errors = errors(conditions, scenes, known);
+    let across = rms(errors.iter().map(|e| e.across_px));
+    let over = rms(errors.iter().map(|e| e.over_sigma));
+    println!(
+        "radius {} px, lit {:?}, {known:?}: {across:.3} px, {over:.2} sigma",
+        conditions.radius_px, conditions.lit
+    );
+    (across, over)
+}
+
+fn lit(radius_px: f64, lit: Range<f64>) -> MoonConditions {
+    MoonConditions {
+        lit,
+        ..MoonConditions::clear(radius_px)
+    }
+}
+
+/// A table of lit shares with the largest rms across the bright limb, px, for a known radius and a free one.
+fn hold(
+    conditions: impl Fn(Range<f64>) -> MoonConditions,
+    scenes: u64,
+    rows: &[(Range<f64>, f64, f64)],
+    sigmas: Range<f64>,
+) {
+    for (lit, known, free) in rows {
+        let conditions = conditions(lit.clone());
+        for (radius, most) in [(Known::Radius, known), (Known::Nothing, free)] {
+            let (across, over) = across_and_over_sigma(&conditions, scenes, radius);
+            assert!(across < *most, "lit {lit:?}, {radius:?}: {across} px");
+            assert!(
+                sigmas.contains(&over),
+                "lit {lit:?}, {radius:?}: {over} sigma"
+            );
+        }
+    }
+}
+
+const SMOOTH: [(Range<f64>, f64, f64); 3] = [
+    (0.10..0.25, 0.06, 0.20),
+    (0.25..0.60, 0.03, 0.10),
+    (0.60..1.00, 0.03, 0.05),
+];
+
+#[test]
+fn a_smooth_moons_centre_is_found_to_a_part_of_a_pixel_at_any_phase() {
+    // 2 sigma of an rms of 80 values.
+    hold(
+        |range| lit(15.0, range),
+        40,
+        &SMOOTH,
+        0.8 - 0.16..1.25 + 0.16,
+    );
+}
+
+#[test]
+fn a_moon_with_craters_is_found_to_a_quarter_of_a_pixel() {
+    let craters = |range| MoonConditions {
+        craters: true,
+        ..lit(15.0, range)
+    };
+    hold(craters, 24, &[(0.10..1.00, 0.25, 0.45)], 0.6..2.2);
+}
+
+#[test]
+fn a_large_moons_centre_is_found_to_hundredths_of_a_pixel() {
+    let (across, _) = across_and_over_sigma(&lit(227.0, 0.1..1.0), 10, Known::RadiusAndPhase);
+    assert!(across < 0.025, "{across}");
+}
+
+#[test]
+fn a_full_moon_is_where_it_is_whatever_its_turn() {
+    let full = lit(15.0, 0.999..1.0);
+    let errors = errors(&full, 60, Known::Nothing);
+    let mean = errors.iter().map(|e| e.across_px).sum::<f64>() / 60.0;
+    println!("mean {mean:.4} px");
+    assert!(mean.abs() < 0.02, "{mean}");
+}
+
+#[test]
+fn pixels_that_are_not_square_an_earthshine_and_stars_change_little() {
+    let hard = MoonConditions {
+        pixel_aspect: 0.808,
+        earthshine: 0.03,
+        stars: 40,
+        ..lit(15.0, 0.25..1.0)
+    };
+    let (across, _) = across_and_over_sigma(&hard, 30, Known::RadiusAndPhase);
+    assert!(across < 0.05, "{across}");
+}
+
+#[test]
+fn a_disc_that_the_picture_cuts_and_one_that_is_over_exposed_are_found() {
+    let cut = MoonConditions {
+        cut: true,
+        ..lit(30.0, 0.4..1.0)
+    };
+    let over_exposed = MoonConditions {
+        peak_dn: 500.0,
+        ..lit(30.0, 0.2..1.0)
+    };
+    for (name, conditions, most_px) in [("cut", cut, 0.3), ("over-exposed", over_exposed, 0.5)] {
+        let scenes: Vec<MoonScene> = (0..60)
+            .map(|number| conditions.scene(4, number))
+            .filter(|scene| bright_limb_in_view(scene) > 0.4)
+            .collect();
+        let found = |scene: &MoonScene| {
+            let disc = look(scene, Known::RadiusAndPhase).ok()?;
+            Some(disc.centre.position.distance(scene.centre))
+        };
+        let errors: Vec<f64> = scenes.par_iter().filter_map(found).collect();
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        let error = rms(errors.iter().copied());
+        println!(
+            "{name}: {} of {}, rms {error:.3}, worst {worst:.3} px",
+            errors.len(),
+            scenes.len()
+        );
+        assert!(errors.len() as f64 > 0.9 * scenes.len() as f64, "{name}");
+        assert!(error < most_px, "{name}: {error}");
+    }
+}
+
+/// Which part of the bright limb, a quarter of a turn either way, lies in the picture.
+fn bright_limb_in_view(scene: &MoonScene) -> f64 {
+    let conditions = &scene.conditions;
+    let in_view = |n: &i32| {
+        let angle = scene.bright_limb_deg + f64::from(*n);
+        let (sin, cos) = angle.to_radians().sin_cos();
+        let x = scene.centre.x + cos * conditions.radius_px * conditions.pixel_aspect;
+        let y = scene.centre.y + sin * conditions.radius_px;
+        (0.0..conditions.width_px as f64 - 1.0).contains(&x)
+            && (0.0..conditions.height_px as f64 - 1.0).contains(&y)
+    };
+    (-90..=90).filter(in_view).count() as f64 / 181.0
+}
+
+#[test]
+fn the_circle_by_eight_extremities_is_within_seven_hundredths_of_the_radius() {
+    for radius_px in [15.0, 60.0] {
+        let conditions = lit(radius_px, 0.15..1.0);
+        let errors = (0..40).map(|number| {
+            let scene = conditions.scene(2, number);
+            let frame = scene.frame().unwrap();
+            let (centre, _) = by_extremities(&Settings::default(), &frame).unwrap();
+            centre.distance(scene.centre) / radius_px
+        });
+        let found = rms(errors);
+        println!("radius {radius_px} px: {found:.3}");
+        assert!(found < 0.07, "{found}");
+    }
+}
+
+#[test]
+fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
+    let stars = MoonConditions {
+        stars: 60,
+        peak_dn: 0.0,
+        ..MoonConditions::clear(15.0)
+    };
+    for number in 0..40 {
+        let found = look(&stars.scene(3, number), Known::RadiusAndPhase);
+        assert!(found.is_err(), "{number}: {found:?}");
+    }
+    let reason = |scene: &MoonScene, expected: &Expected| {
+        let frame = scene.frame().unwrap();
+        let (_, why) = solve(&Settings::default(), &frame, expected).unwrap_err();
+        why.reason
+    };
+    // A lamp is a whole disc; the ephemeris has a crescent, or another size.
+    let lamp = lit(15.0, 0.999..1.0).scene(3, 0);
+    let with = |radius_px: f64, phase_deg: f64| Expected {
+        radius: Some(Radius::Pixels(Measured::new(radius_px, 0.05))),
+        phase_angle_deg: Some(Measured::new(phase_deg, 0.1)),
+        bright_limb_deg: None,
+    };
+    assert!(
+        solve(
+            &Settings::default(),
+            &lamp.frame().unwrap(),
+            &with(15.0, 5.0)
+        )
+        .is_ok()
+    );
+    assert_eq!(reason(&lamp, &with(15.0, 110.0)), "lit");
+    assert_eq!(reason(&lamp, &with(19.0, 5.0)), "radius");
+    let oval = MoonConditions {
+        pixel_aspect: 1.2,
+        ..lit(15.0, 0.999..1.0)
+    };
+    assert_eq!(reason(&oval.scene(3, 1), &with(15.5, 5.0)), "oval");
+    let white = Pixels::U8(vec![255; 720 * 578]);
+    let white = Frame::new(720, 578, white, 255, Default::default()).unwrap();
+    let (_, why) = solve(&Settings::default(), &white, &Expected::default()).unwrap_err();
+    assert_eq!(why.reason, "too_bright");
+}
