@@ -1,12 +1,13 @@
 //! `solaspect sky`: where the Sun and the Moon stand.
 
 mod report;
+mod visibility;
 
 use super::options;
 use crate::sky::Air;
 use crate::units::Place;
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, Subcommand};
 use jiff::{Timestamp, civil::DateTime, tz::Offset};
 use report::{View, card, table};
 use serde::Serialize;
@@ -21,14 +22,25 @@ use std::time::Duration;
 /// table for planning a flight, with rise (upper limb on the horizon of the place's height, 34 arcmin of refraction),
 /// transit and set.
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
+#[command(
+    allow_negative_numbers = true,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub struct SkyArgs {
+    #[command(subcommand)]
+    command: Option<SkyCommand>,
     /// The instant, UTC, ISO 8601: 2013-09-21T18:00:00.25Z
     #[arg(long, value_name = "UTC", value_parser = parse_utc, required_unless_present = "from", conflicts_with = "from")]
     at: Option<Timestamp>,
     /// Geodetic latitude and longitude (deg, east positive) and height (m)
-    #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
-    place: Place,
+    #[arg(
+        long,
+        value_name = "LAT,LON,HEIGHT_M",
+        allow_hyphen_values = true,
+        required = true
+    )]
+    place: Option<Place>,
     /// Apparent elevations, lifted by the standard atmosphere of the height, or by this pressure (hPa) and temperature (deg C)
     #[arg(long, value_name = "HPA,DEG_C", num_args = 0..=1)]
     refraction: Option<Option<Air>>,
@@ -72,14 +84,23 @@ fn parse_band(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
+#[derive(Debug, Subcommand)]
+enum SkyCommand {
+    Visibility(visibility::VisibilityArgs),
+}
+
 pub fn run(args: SkyArgs) -> anyhow::Result<()> {
+    if let Some(SkyCommand::Visibility(args)) = &args.command {
+        return visibility::run(args);
+    }
+    let place = args.place.context("expected --place")?;
     let config = options::config(args.config.as_deref())?;
     let mut sky = View {
         ephemeris: options::ephemeris(&config)?,
-        place: args.place,
+        place,
         air: args
             .refraction
-            .map(|air| air.unwrap_or_else(|| Air::standard(args.place.height_m))),
+            .map(|air| air.unwrap_or_else(|| Air::standard(place.height_m))),
     };
     let latest = args.at.or(args.to);
     if let Some(extrapolated) = latest.and_then(|utc| sky.ephemeris.extrapolates(utc)) {
@@ -131,7 +152,7 @@ mod tests {
     #[test]
     fn southern_places_and_times_without_a_zone_are_read() {
         let args = parse("--at 2016-01-19T02:00:00.5 --place -77.85,166.67,36500").unwrap();
-        assert_eq!(args.place.latitude_deg, -77.85);
+        assert_eq!(args.place.map(|place| place.latitude_deg), Some(-77.85));
         assert_eq!(args.at, "2016-01-19T02:00:00.5Z".parse().ok());
     }
 

@@ -90,6 +90,9 @@ fn joined(one: Patch, other: Option<Patch>) -> Patch {
 fn runs(frame: &Frame, y: usize, threshold_dn: f64) -> Vec<(usize, usize)> {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     let width = frame.width();
+    if !frame.is_brighter(y, 0..width, threshold_dn) {
+        return runs;
+    }
     for first in (0..width).step_by(BLOCK_PX) {
         let columns = first..(first + BLOCK_PX).min(width);
         if !frame.is_brighter(y, columns.clone(), threshold_dn) {

@@ -53,8 +53,8 @@ impl Sphere {
 
     /// How far the light's middle lies from the disc's, towards the bright limb.
     pub fn offset_of_light(&self) -> f64 {
-        const RINGS: usize = 12;
-        const ANGLES: usize = 20;
+        const RINGS: usize = 8;
+        const ANGLES: usize = 12;
         let (mut sum, mut moment) = (0.0, 0.0);
         for ring in 0..RINGS {
             // Rings of the same area.
@@ -76,7 +76,7 @@ impl Sphere {
             phase_angle_deg,
         };
         let (mut low, mut high) = (0.0, 179.0);
-        for _ in 0..12 {
+        for _ in 0..10 {
             let middle = (low + high) / 2.0;
             match at(middle).offset_of_light() < offset {
                 true => low = middle,

@@ -30,9 +30,13 @@ pub struct Crossing {
 /// its way up to the observer, by up to another 34 arcmin, which is left out: a balloon sees the Sun some minutes longer.
 pub fn horizon_deg(place: Place) -> f64 {
     const LIMB_AND_REFRACTION_DEG: f64 = 50.0 / 60.0;
-    let height = place.height_m.max(0.0);
-    let dip = (EARTH_RADIUS_M / (EARTH_RADIUS_M + height)).acos();
-    -dip.to_degrees() - LIMB_AND_REFRACTION_DEG
+    -horizon_dip_deg(place.height_m) - LIMB_AND_REFRACTION_DEG
+}
+
+/// How far below the horizontal the limb of a smooth Earth without air lies from a height, deg.
+pub fn horizon_dip_deg(height_m: f64) -> f64 {
+    let dip = (EARTH_RADIUS_M / (EARTH_RADIUS_M + height_m.max(0.0))).acos();
+    dip.to_degrees()
 }
 
 /// Where a value goes through zero between two instants, in order.

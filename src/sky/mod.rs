@@ -14,8 +14,9 @@ mod observer;
 mod orientation;
 mod refraction;
 pub mod sphere;
+pub mod visibility;
 
-pub use events::{Crossing, Rising, crossings, horizon_deg, spells};
+pub use events::{Crossing, Rising, crossings, horizon_deg, horizon_dip_deg, spells};
 pub use orientation::{EarthOrientation, Extrapolated, OrientationTable, TableError};
 pub use refraction::Air;
 
@@ -223,6 +224,17 @@ impl Ephemeris {
             bright_limb_deg: bright_limb_deg.rem_euclid(360.0),
             zenith_to_bright_limb_deg: bearing_rad(&moon_up, &sun_up).to_degrees(),
         })
+    }
+
+    /// The Moon and the Sun from the Earth's centre, au, axes of the ICRS: where they are, without light time.
+    ///
+    /// # Errors
+    /// A date before the table of Earth orientation.
+    pub fn geocentric(&mut self, utc: Timestamp) -> Result<[Vector3<f64>; 2], SkyError> {
+        let orientation = self.table.at(utc)?;
+        let earth = self.second(utc, &orientation)?.earth(utc);
+        let moon = Vector3::from(moon98(earth.tt.0, earth.tt.1)[0]);
+        Ok([moon, -earth.heliocentric[0]])
     }
 
     /// How the Sun is turned to the Earth's centre.
