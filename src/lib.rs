@@ -23,7 +23,7 @@
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
 //! | [`limb`], [`fiducial`] | the disc's edge; the marks and their ids |
-//! | [`aspect`], [`horizon`] | the pipeline on one page; the nadir by the edge of the Earth |
+//! | [`aspect`], [`horizon`], [`moon`] | the pipeline on one page; the nadir by the edge of the Earth; the Moon's centre at any phase |
 //! | [`pointing`] | from the Sun on the plate to an offset on the sky |
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |

@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use solaspect::archive::Store;
-use solaspect::calibrate::roll_camera::{Horizon, Known, Sighting, TurnError, fit};
+use solaspect::calibrate::roll_camera::{Horizon, Known, Sighting, fit};
 use solaspect::fits::Compression;
 use solaspect::geometry::attitude::Direction;
 use solaspect::geometry::camera::Camera;
@@ -159,10 +159,9 @@ fn a_sun_that_stays_in_one_place_does_not_tell_the_turn_about_it_and_the_error_s
         sighting.horizon.nadir = Direction::new(UnitVector3::new_normalize(down), 1e-4);
     }
     let error = fit(&still, &body_from_camera(40.0, [0.0; 3])).unwrap_err();
-    assert!(
-        matches!(error, TurnError::NotDetermined { .. } | TurnError::NoFit(_)),
-        "{error}"
-    );
+    let error = error.to_string();
+    assert!(error.contains("not determined"), "{error}");
+    assert!(error.contains("sweep over the Sun"), "{error}");
 }
 
 /// A flight whose frames are rendered: the truth of its camera, and its folder.

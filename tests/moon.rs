@@ -1,12 +1,16 @@
 //! The Moon's centre in a picture, whatever its phase and however it is turned, as good as it says.
 
 use nalgebra::Vector2;
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
+use serde_json::Value;
 use solaspect::frame::{Frame, Pixels};
 use solaspect::moon::{Disc, Expected, Optics, Radius, Settings, Stopped, by_extremities, solve};
 use solaspect::simulate::moon::{MoonConditions, MoonScene};
 use solaspect::units::Measured;
 use std::ops::Range;
+use std::process::{Command, Output};
 
 /// What is known beforehand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -259,4 +263,172 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     let white = Frame::new(720, 578, white, 255, Default::default()).unwrap();
     let (_, why) = solve(&Settings::default(), &white, &Expected::default()).unwrap_err();
     assert_eq!(why.reason, "too_bright");
+}
+
+/// A street lamp: an oval disc with glow on a pole.
+fn lamp(number: u64) -> Frame {
+    let mut random = StdRng::seed_from_u64(number);
+    let (width, height) = (720, 578);
+    let centre = Vector2::new(
+        random.random_range(60.0..660.0),
+        random.random_range(60.0..500.0),
+    );
+    let radius: f64 = random.random_range(5.0..40.0);
+    let ratio: f64 = random.random_range(1.0..1.6);
+    let level: f64 = random.random_range(80.0..400.0);
+    let pole: f64 = random.random_range(0.0..40.0);
+    let pixel = |n: usize| {
+        let away = Vector2::new((n % width) as f64, (n / width) as f64) - centre;
+        let distance = Vector2::new(away.x, away.y / ratio).norm() / radius;
+        let is_pole = away.x.abs() < 2.0 && away.y > 0.0;
+        let light = match distance {
+            d if d < 1.0 => level,
+            d if is_pole => pole.max(0.1 * level * (1.0 - d).exp()),
+            d => 0.1 * level * (2.0 * (1.0 - d)).exp(),
+        };
+        12.0 + light
+    };
+    let field: Vec<f64> = (0..width * height).map(pixel).collect();
+    let mut noisy = |dn: f64| {
+        let noise: f64 = (0..4).map(|_| random.random_range(-0.5..0.5)).sum();
+        (dn + 8.7 * noise).round().clamp(0.0, 255.0) as u8
+    };
+    let pixels = Pixels::U8(field.into_iter().map(&mut noisy).collect());
+    Frame::new(width, height, pixels, 255, Default::default()).unwrap()
+}
+
+/// How many of some frames of stars and of lamps pass for the Moon, where its size and phase are known.
+fn false_moons(frames: u64) -> usize {
+    let stars = MoonConditions {
+        stars: 60,
+        peak_dn: 0.0,
+        ..MoonConditions::clear(15.0)
+    };
+    let is_found = |number: &u64| {
+        let scene = MoonConditions::clear(15.0).scene(5, *number);
+        let frame = match number % 2 {
+            0 => stars.scene(5, *number).frame().unwrap(),
+            _ => lamp(*number),
+        };
+        solve(
+            &Settings::default(),
+            &frame,
+            &expected(&scene, Known::RadiusAndPhase),
+        )
+        .is_ok()
+    };
+    (0..frames).into_par_iter().filter(is_found).count()
+}
+
+#[test]
+fn stars_and_lamps_hardly_ever_pass_for_the_moon() {
+    let found = false_moons(300);
+    println!("{found} of 300");
+    assert!(found <= 1, "{found}");
+}
+
+fn solaspect(args: &[&str]) -> Output {
+    let program = env!("CARGO_BIN_EXE_solaspect");
+    Command::new(program).args(args).output().unwrap()
+}
+
+#[test]
+fn the_command_tells_what_the_simulator_drew_and_where_it_is_in_the_sky() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    // A place and a time at which the Moon is up and half lit.
+    let at = "2026-01-10T10:00:00Z";
+    let made = solaspect(&[
+        "simulate",
+        "--moon",
+        "--out",
+        &path(""),
+        "--frames",
+        "2",
+        "--lit",
+        "0.5,0.54",
+        "--utc",
+        at,
+    ]);
+    assert!(made.status.success(), "{made:?}");
+    let camera = path("cam.toml");
+    let said = solaspect(&[
+        "moon",
+        "--instrument",
+        &camera,
+        "--place",
+        "34.49,-104.2218,38405",
+        "--attitude",
+        "100,30,0",
+        "--overlay",
+        &path("overlays"),
+        &path("frame_00000.fits"),
+        &path("frame_00001.fits"),
+        "/dev/null",
+    ]);
+    assert_eq!(said.status.code(), Some(1), "{said:?}");
+    let lines: Vec<Value> = std::str::from_utf8(&said.stdout)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let truth = std::fs::read_to_string(path("truth.csv")).unwrap();
+    for (line, truth) in lines.iter().zip(truth.lines().skip(1)) {
+        let truth: Vec<f64> = truth
+            .split(',')
+            .map(|v| v.parse().unwrap_or(f64::NAN))
+            .collect();
+        let number = |field: &str, n: usize| line[field][n].as_f64().unwrap();
+        // The ephemeris's size and phase are not quite those of the picture.
+        assert!((number("centre_px", 0) - truth[3]).abs() < 1.0, "{line}");
+        assert!((number("centre_px", 1) - truth[4]).abs() < 1.0, "{line}");
+        let off_deg = (line["bright_limb_deg"].as_f64().unwrap() - truth[9] + 540.0)
+            .rem_euclid(360.0)
+            - 180.0;
+        assert!(off_deg.abs() < 20.0, "{line}");
+        let length = |field: &str| (0..3).map(|n| number(field, n).powi(2)).sum::<f64>();
+        assert!((length("direction") - 1.0).abs() < 1e-9);
+        assert!((length("direction_local") - 1.0).abs() < 1e-9);
+        // The camera looks 30 deg up, and its field is 12 deg wide.
+        assert!((number("direction_local", 2).asin().to_degrees() - 30.0).abs() < 8.0);
+        assert!(line["covariance_px2"][0][0].as_f64().unwrap() > 0.0);
+    }
+    assert!(
+        lines[2]["error"].as_str().unwrap().contains("FITS"),
+        "{}",
+        lines[2]
+    );
+    assert_eq!(std::fs::read_dir(path("overlays")).unwrap().count(), 2);
+    // Thirteen hours later the Moon has set.
+    let set = solaspect(&[
+        "moon",
+        "--instrument",
+        &camera,
+        "--place",
+        "34.49,-104.2218,38405",
+        "--at",
+        "2026-01-10T23:00:00Z",
+        &path("frame_00000.fits"),
+    ]);
+    let line: Value = serde_json::from_slice(&set.stdout).unwrap();
+    assert_eq!(line["reason"]["reason"], "below_horizon", "{line}");
+}
+
+#[test]
+#[ignore = "two minutes; cargo test --release --test promises moon -- --ignored --nocapture"]
+fn the_moon_at_full_size() {
+    for craters in [false, true] {
+        for range in [0.10..0.25, 0.25..0.60, 0.60..1.00] {
+            for known in [Known::Radius, Known::RadiusAndPhase, Known::Nothing] {
+                print!("craters {craters}, ");
+                let conditions = |radius_px| MoonConditions {
+                    craters,
+                    ..lit(radius_px, range.clone())
+                };
+                across_and_over_sigma(&conditions(15.0), 400, known);
+                across_and_over_sigma(&conditions(227.0), 40, known);
+            }
+        }
+    }
+    println!("{} of 2000 frames without a Moon", false_moons(2000));
 }

@@ -87,18 +87,18 @@ pub fn local_from_camera(azimuth_deg: f64, elevation_deg: f64, roll_deg: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::horizon::{pitch_deg, roll_deg};
 
     #[test]
-    fn an_attitudes_roll_and_elevation_are_those_that_the_horizon_would_tell() {
+    fn straight_down_lies_in_the_camera_as_roll_and_elevation_say() {
         for (azimuth, elevation, roll) in
             [(0.0, 0.0, 0.0), (130.0, 35.0, 20.0), (300.0, -5.0, -50.0)]
         {
             let turn = local_from_camera(azimuth, elevation, roll);
             assert!((turn.matrix().determinant() - 1.0).abs() < 1e-12);
             let nadir = UnitVector3::new_normalize(turn.inverse() * -Vector3::z());
-            assert!((roll_deg(&nadir) - roll).abs() < 1e-9);
-            assert!((pitch_deg(&nadir) - elevation).abs() < 1e-9);
+            // Roll is positive with the right side low.
+            assert!((nadir.x.atan2(nadir.y).to_degrees() - roll).abs() < 1e-9);
+            assert!((-nadir.z.asin().to_degrees() - elevation).abs() < 1e-9);
         }
     }
 }

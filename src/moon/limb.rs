@@ -373,12 +373,15 @@ pub(super) fn circle_of(at: &Parameters) -> Circle {
     }
 }
 
-/// Where a search begins: a circle, and what else is known.
+/// Where a search begins: at a circle with its radius, if that is known, and the middle of its bright limb where it is.
 pub(super) fn begin(circle: &Circle, known: &Known) -> Parameters {
+    let radius = known.radius.map_or(circle.radius, |radius| radius.value);
+    let (sin, cos) = known.bright_limb_rad.value.sin_cos();
+    let centre = circle.centre - Vector2::new(cos, sin) * (radius - circle.radius);
     Parameters::from([
-        circle.centre.x,
-        circle.centre.y,
-        circle.radius,
+        centre.x,
+        centre.y,
+        radius,
         BLUR_PX.value,
         known.phase_rad.value,
         known.bright_limb_rad.value,

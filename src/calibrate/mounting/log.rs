@@ -8,7 +8,7 @@ use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 use std::path::{Path, PathBuf};
 
-/// A frame this near a row takes it as it is, s.
+/// Where the rows about a frame do not belong together, a row this near is taken as it is, s.
 const SAME_TIME_S: f64 = 0.02;
 /// Rows farther apart than so many median spacings leave a gap.
 const GAP_SPACINGS: f64 = 5.0;
@@ -54,10 +54,13 @@ const ATTITUDE: Columns = Columns {
     limits_deg: [80.0, 80.0],
 };
 
+/// An instant and two angles, deg.
+type Row = (Timestamp, [f64; 2]);
+
 /// Pairs of angles, deg, in the order of time.
 #[derive(Debug, Clone, PartialEq)]
 struct AngleLog {
-    rows: Vec<(Timestamp, [f64; 2])>,
+    rows: Vec<Row>,
     gap_s: f64,
 }
 
@@ -92,7 +95,7 @@ impl AngleLog {
         })
     }
 
-    fn new(mut rows: Vec<(Timestamp, [f64; 2])>) -> Option<Self> {
+    fn new(mut rows: Vec<Row>) -> Option<Self> {
         rows.sort_by_key(|row| row.0);
         rows.dedup_by_key(|row| row.0);
         let spacing_s = median(rows.windows(2).map(|w| seconds(w[0].0, w[1].0)));
@@ -107,24 +110,32 @@ impl AngleLog {
         let after = self.rows.partition_point(|row| row.0 < utc);
         let before = after.checked_sub(1).and_then(|n| self.rows.get(n));
         let after = self.rows.get(after);
-        let near = |row: &&(Timestamp, [f64; 2])| seconds(row.0, utc).abs() <= SAME_TIME_S;
-        if let Some(row) = before.into_iter().chain(after).find(near) {
-            return Ok((row.1, row.1, 0.0));
+        if let Some((before, after)) = before.zip(after) {
+            let apart_s = seconds(before.0, after.0);
+            if apart_s <= self.gap_s {
+                return Ok((before.1, after.1, seconds(before.0, utc) / apart_s));
+            }
         }
+        // Beside a gap, and at the log's ends.
+        let away_s = |row: &&Row| seconds(row.0, utc).abs();
+        let nearest = before.into_iter().chain(after);
+        let nearest = nearest.min_by(|a, b| away_s(a).total_cmp(&away_s(b)));
+        match nearest.filter(|row| away_s(row) <= SAME_TIME_S) {
+            Some(row) => Ok((row.1, row.1, 0.0)),
+            None => Err(Self::nothing_about(before, after)),
+        }
+    }
+
+    /// Why an instant between two neighbouring rows, or beyond one, is not known.
+    fn nothing_about(before: Option<&Row>, after: Option<&Row>) -> String {
         match (before, after) {
             (Some(before), Some(after)) => {
                 let apart_s = seconds(before.0, after.0);
-                if apart_s > self.gap_s {
-                    return Err(format!(
-                        "in a gap of {apart_s:.1} s of the log, from {}",
-                        before.0
-                    ));
-                }
-                Ok((before.1, after.1, seconds(before.0, utc) / apart_s))
+                format!("in a gap of {apart_s:.1} s of the log, from {}", before.0)
             }
-            (None, Some(first)) => Err(format!("before the log begins, {}", first.0)),
-            (Some(last), None) => Err(format!("after the log ends, {}", last.0)),
-            (None, None) => Err("the log is empty".into()),
+            (None, Some(first)) => format!("before the log begins, {}", first.0),
+            (Some(last), None) => format!("after the log ends, {}", last.0),
+            (None, None) => "the log is empty".into(),
         }
     }
 }
@@ -213,7 +224,7 @@ fn row(
     record: &csv::StringRecord,
     places: [usize; 3],
     columns: &Columns,
-) -> Result<(Timestamp, [f64; 2]), LogError> {
+) -> Result<Row, LogError> {
     let texts = places.map(|n| record.get(n).unwrap_or_default());
     let wrong = |field, expected, found: &str| LogError::Row {
         path: path.into(),
@@ -273,6 +284,22 @@ mod tests {
     }
 
     #[test]
+    fn a_dense_log_does_not_lag() {
+        let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+        let after = |time_s: f64| start + jiff::SignedDuration::from_secs_f64(time_s);
+        // At 100 Hz, an angle that runs by 1 deg/s.
+        let row = |n: u32| {
+            let time_s = f64::from(n) * 0.01;
+            (after(time_s), [180.0 + time_s, 40.0])
+        };
+        let log = AttitudeLog(AngleLog::new((0..100).map(row).collect()).unwrap());
+        for time_s in [0.0, 0.5, 0.5025, 0.509, 0.99] {
+            let [angle_deg, _] = log.at(after(time_s)).unwrap();
+            assert!((angle_deg - 180.0 - time_s).abs() < 1e-6, "{time_s}");
+        }
+    }
+
+    #[test]
     fn columns_are_found_by_their_headings_and_a_bad_field_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.csv");
@@ -302,6 +329,9 @@ mod tests {
             let reason = log.at(utc.parse().unwrap()).unwrap_err();
             assert!(reason.contains(wanted), "{reason}");
         }
-        assert!(log.at("2013-09-21T18:01:00.010Z".parse().unwrap()).is_ok());
+        for beside in ["18:00:02.010", "18:00:59.990", "18:01:00", "18:01:00.010"] {
+            let utc = format!("2013-09-21T{beside}Z").parse().unwrap();
+            assert!(log.at(utc).is_ok(), "{beside}");
+        }
     }
 }

@@ -2,7 +2,9 @@
 
 use super::sighting::{Known, Sighting};
 use crate::calibrate::mounting::correlation_of;
-use crate::estimation::{FitError, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
+use crate::estimation::{
+    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS,
+};
 use crate::geometry::attitude::Direction;
 use nalgebra::{Matrix3, Rotation3, RowVector3, Vector1, Vector3};
 
@@ -45,8 +47,23 @@ pub enum TurnError {
         found_deg: f64,
         instead: &'static str,
     },
+    #[error(
+        "the turn is not determined: expected frames that tell it about every axis, found an axis of which they tell nothing; {instead}"
+    )]
+    Undetermined { instead: &'static str },
     #[error("no turn fits the frames: {0}; check times, place and camera")]
-    NoFit(#[from] FitError),
+    NoFit(FitError),
+}
+
+impl TurnError {
+    fn of(error: FitError, by_sun: bool) -> Self {
+        match error {
+            FitError::Undetermined => Self::Undetermined {
+                instead: what_would(by_sun),
+            },
+            FitError::NotConverged => Self::NoFit(error),
+        }
+    }
 }
 
 impl Turn {
@@ -70,6 +87,27 @@ pub fn fit(sightings: &[Sighting], start: &Rotation3<f64>) -> Result<Turn, TurnE
         let found = sightings.len();
         return Err(TurnError::TooFew { found, wanted });
     }
+    let (turn, fitted) = settled(sightings, start).map_err(|error| TurnError::of(error, by_sun))?;
+    let correlation = correlation(sightings, &turn, &fitted.weights);
+    let own_rad2 = fitted.covariance * correlation;
+    check_determined(&own_rad2, by_sun)?;
+    let is_taken = |weight: &&f64| **weight > LEAST_WEIGHT;
+    let taken = fitted.weights.iter().filter(is_taken).count();
+    Ok(Turn {
+        body_from_camera: turn,
+        covariance_rad2: own_rad2 + shared(sightings, &turn),
+        scatter_deg: scatter_deg(sightings, &turn, &fitted.weights),
+        taken: taken * sightings.len() / fitted.weights.len(),
+        sightings: sightings.len(),
+        correlation,
+    })
+}
+
+/// The turn of least squares, and the last step's fit to it.
+fn settled(
+    sightings: &[Sighting],
+    start: &Rotation3<f64>,
+) -> Result<(Rotation3<f64>, Fitted<3>), FitError> {
     let mut turn = *start;
     let mut fitted = None;
     for _ in 0..ROUNDS {
@@ -84,26 +122,24 @@ pub fn fit(sightings: &[Sighting], start: &Rotation3<f64>) -> Result<Turn, TurnE
         turn = moved(&found.parameters, &turn);
         fitted = Some(found);
     }
-    let fitted = fitted.ok_or(FitError::NotConverged)?;
-    let left = rows(sightings, &turn);
-    let taken: Vec<&Linearised<1, 3>> = left
-        .iter()
-        .zip(&fitted.weights)
-        .filter(|(_, weight)| **weight > LEAST_WEIGHT)
-        .map(|(row, _)| row)
-        .collect();
-    let residuals: Vec<f64> = taken.iter().map(|row| row.residual[0]).collect();
-    let correlation = correlation_of(&residuals);
-    let own_rad2 = fitted.covariance * correlation;
-    check_determined(&own_rad2, by_sun)?;
-    Ok(Turn {
-        body_from_camera: turn,
-        covariance_rad2: own_rad2 + shared(sightings, &turn),
-        scatter_deg: scatter_deg(sightings, &turn, &fitted.weights),
-        taken: taken.len() * sightings.len() / left.len(),
-        sightings: sightings.len(),
-        correlation,
-    })
+    Ok((turn, fitted.ok_or(FitError::NotConverged)?))
+}
+
+/// How many times more the mean of what is left varies than if each angle were on its own. An error that lasts over frames stays in its own
+/// axis, so that each axis is looked at alone; the larger of them.
+fn correlation(sightings: &[Sighting], turn: &Rotation3<f64>, weights: &[f64]) -> f64 {
+    let angles: Vec<(Angle, &f64)> = angles(sightings, turn).zip(weights).collect();
+    let along = |axis: Axis| {
+        let taken = angles
+            .iter()
+            .filter(|(angle, weight)| angle.axis == axis && **weight > LEAST_WEIGHT);
+        let residuals: Vec<f64> = taken
+            .map(|(angle, _)| angle.left / angle.sigma_rad)
+            .collect();
+        correlation_of(&residuals)
+    };
+    let axes = [Axis::Right, Axis::Forward, Axis::Sun];
+    axes.map(along).into_iter().fold(1.0, f64::max)
 }
 
 /// A turn, turned on by a small one about the body's axes.
@@ -121,8 +157,17 @@ fn rows(sightings: &[Sighting], turn: &Rotation3<f64>) -> Vec<Linearised<1, 3>> 
         .collect()
 }
 
+/// Along what an angle is counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Axis {
+    Right,
+    Forward,
+    Sun,
+}
+
 /// One angle that is known, and what a turn makes of it.
 struct Angle {
+    axis: Axis,
     /// Known less found, rad.
     left: f64,
     sigma_rad: f64,
@@ -135,22 +180,27 @@ fn angles<'a>(
 ) -> impl Iterator<Item = Angle> + 'a {
     sightings.iter().flat_map(|sighting| {
         let found = sighting.horizon.nadir.turned(turn);
-        let along = |axis: Vector3<f64>, known: f64| Angle {
-            left: known - axis.dot(&found.unit),
-            sigma_rad: axis.dot(&(found.covariance_rad2 * axis)).max(0.0).sqrt(),
-            by_turn: found.unit.cross(&axis).transpose(),
+        let along = |axis: Axis, unit: Vector3<f64>, known: f64| Angle {
+            axis,
+            left: known - unit.dot(&found.unit),
+            sigma_rad: unit.dot(&(found.covariance_rad2 * unit)).max(0.0).sqrt(),
+            by_turn: found.unit.cross(&unit).transpose(),
         };
         match &sighting.known {
             Known::Nadir(known) => {
                 let right = known.cross(&Vector3::x()).normalize();
                 let forward = right.cross(known);
-                vec![along(right, 0.0), along(forward, 0.0)]
+                vec![
+                    along(Axis::Right, right, 0.0),
+                    along(Axis::Forward, forward, 0.0),
+                ]
             }
             Known::Sun {
                 unit,
                 elevation_deg,
             } => {
-                vec![along(unit.into_inner(), -elevation_deg.to_radians().sin())]
+                let known = -elevation_deg.to_radians().sin();
+                vec![along(Axis::Sun, unit.into_inner(), known)]
             }
         }
     })
@@ -183,13 +233,17 @@ fn sigmas_deg(covariance_rad2: &Matrix3<f64>) -> [f64; 3] {
     variances.map(|v| v.max(0.0).sqrt().to_degrees()).into()
 }
 
-fn check_determined(covariance_rad2: &Matrix3<f64>, by_sun: bool) -> Result<(), TurnError> {
-    let instead = match by_sun {
+/// What would tell a turn that the frames do not.
+fn what_would(by_sun: bool) -> &'static str {
+    match by_sun {
         true => {
             "let the telescope sweep over the Sun, half a degree to each side, while the gondola rolls"
         }
         false => "tilt the body by some degrees in roll and in pitch",
-    };
+    }
+}
+
+fn check_determined(covariance_rad2: &Matrix3<f64>, by_sun: bool) -> Result<(), TurnError> {
     let sigmas_deg = sigmas_deg(covariance_rad2);
     let axes = ["forward", "right", "down"].into_iter().zip(sigmas_deg);
     let worst = axes.max_by(|a, b| a.1.total_cmp(&b.1));
@@ -197,8 +251,85 @@ fn check_determined(covariance_rad2: &Matrix3<f64>, by_sun: bool) -> Result<(), 
         Some((axis, found_deg)) if found_deg > LIMIT_DEG => Err(TurnError::NotDetermined {
             axis,
             found_deg,
-            instead,
+            instead: what_would(by_sun),
         }),
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sighting::Horizon;
+    use super::*;
+    use crate::pointing::body_nadir;
+    use crate::units::Measured;
+    use jiff::{SignedDuration, Timestamp};
+    use nalgebra::UnitVector3;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    const OWN_RAD: f64 = 1e-4;
+
+    /// Five minutes of a body that tilts slowly, seen by a camera that is not turned in it; each error keeps a part of the one before.
+    fn sightings(seed: u64, kept: f64) -> Vec<Sighting> {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut error = Vector3::zeros();
+        let sighting = |n: u32| {
+            let time_s = f64::from(n) * 0.25;
+            let roll_deg = 5.0 * (time_s / 9.0).sin();
+            let pitch_deg = 3.0 * (time_s / 7.0).sin();
+            let down = body_nadir(Measured::new(roll_deg, 0.0), Measured::new(pitch_deg, 0.0));
+            let parts: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(&mut random));
+            let fresh_rad = OWN_RAD * (1.0 - kept.powi(2)).sqrt();
+            error = error * kept + Vector3::from(parts) * fresh_rad;
+            let seen = UnitVector3::new_normalize(down.unit.into_inner() + error);
+            Sighting {
+                horizon: Horizon {
+                    file: format!("{n}").into(),
+                    utc: Timestamp::UNIX_EPOCH + SignedDuration::from_secs_f64(time_s),
+                    nadir: Direction::new(seen, OWN_RAD),
+                },
+                known: Known::Nadir(down.unit),
+            }
+        };
+        (0..1200).map(sighting).collect()
+    }
+
+    /// Error of the heading over its sigma, rms of some flights, and the mean correlation. The frames' sigma counts as alike in all of
+    /// them, but not in the heading of a level body.
+    fn heading_and_correlation(kept: f64) -> (f64, f64) {
+        const FLIGHTS: u64 = 24;
+        let (mut squares, mut correlation) = (0.0, 0.0);
+        for seed in 0..FLIGHTS {
+            let turn = fit(&sightings(seed, kept), &Rotation3::identity()).unwrap();
+            let error_deg = turn.body_from_camera.scaled_axis().z.to_degrees();
+            squares += (error_deg / turn.sigmas_deg()[2]).powi(2);
+            correlation += turn.correlation;
+        }
+        let flights = FLIGHTS as f64;
+        ((squares / flights).sqrt(), correlation / flights)
+    }
+
+    #[test]
+    fn errors_that_last_over_frames_make_the_sigma_larger() {
+        let (ratio, correlation) = heading_and_correlation(0.0);
+        assert!((0.7..1.4).contains(&ratio), "{ratio}");
+        assert!(correlation < 1.3, "{correlation}");
+        let (ratio, correlation) = heading_and_correlation(0.9);
+        assert!((0.6..1.6).contains(&ratio), "{ratio}");
+        assert!(correlation > 8.0, "{correlation}");
+    }
+
+    #[test]
+    fn a_body_that_never_tilts_is_told_to_tilt() {
+        let mut still = sightings(1, 0.0);
+        for sighting in &mut still {
+            sighting.known = Known::Nadir(Vector3::z_axis());
+            sighting.horizon.nadir = Direction::new(Vector3::z_axis(), OWN_RAD);
+        }
+        let error = fit(&still, &Rotation3::identity()).unwrap_err().to_string();
+        assert!(error.contains("not determined"), "{error}");
+        assert!(error.contains("tilt the body"), "{error}");
     }
 }

@@ -45,10 +45,16 @@ pub struct MountingArgs {
     /// Measure body_from_camera of the camera that sees the horizon instead, whose file this is: --out is its new file. From a flight in
     /// which the Sun was seen, too (frames of the roll camera are named roll_*), by a telescope whose boresight is the body's forward axis;
     /// or from frames of the horizon alone with --attitude
-    #[arg(long, value_name = "CAM.toml")]
+    #[arg(long, value_name = "CAM.toml", conflicts_with = "report")]
     pub(super) roll_camera: Option<PathBuf>,
     /// CSV file of the body's attitude: UTC, roll (right side low positive) and pitch (forward end high positive) in deg
-    #[arg(long, value_name = "CSV", requires = "roll_camera")]
+    // Neither telescope nor Sun takes part.
+    #[arg(
+        long,
+        value_name = "CSV",
+        requires = "roll_camera",
+        conflicts_with_all = ["instrument", "air"]
+    )]
     pub(super) attitude: Option<PathBuf>,
     /// Where the frames were taken, for frames that do not say so
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
@@ -133,5 +139,38 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
         frames_sha256: sha256(files),
         // The Sun's path tells how the plate sits, not which camera sees it.
         camera: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: MountingArgs,
+    }
+
+    fn parse(options: &str) -> Result<Line, clap::Error> {
+        let line = "mounting --out new.toml --roll-camera cam.toml flight";
+        Line::try_parse_from(line.split(' ').chain(options.split_whitespace()))
+    }
+
+    #[test]
+    fn what_a_roll_camera_has_no_use_for_is_refused_by_name() {
+        assert!(parse("--instrument a.toml --air 0,0").is_ok());
+        assert!(parse("--attitude log.csv").is_ok());
+        for (options, named) in [
+            ("--report page", "--report"),
+            ("--attitude log.csv --report page", "--report"),
+            ("--attitude log.csv --instrument a.toml", "--instrument"),
+            ("--attitude log.csv --air 0,0", "--air"),
+        ] {
+            let error = parse(options).unwrap_err();
+            assert_eq!(error.kind(), clap::error::ErrorKind::ArgumentConflict);
+            assert!(error.to_string().contains(named), "{error}");
+        }
     }
 }

@@ -21,6 +21,9 @@ const MOST_SIGMA_DEG: f64 = 0.5;
 /// Fewer differences of neighbours tell nothing, nor do frames of which one step is so many times another.
 const LEAST_DIFFERENCES: usize = 20;
 const EVEN_STEPS: f64 = 1.5;
+/// At least this part of the stated sigmas changes from frame to frame: a camera that repeats a picture has differences of 0, and a path
+/// through frames without an error cannot be found.
+const LEAST_CHANGING: f64 = 0.05;
 
 /// One input file's row.
 #[derive(Debug, Clone, PartialEq)]
@@ -342,7 +345,46 @@ fn changing(rows: &[RollRow]) -> [f64; 2] {
         let differences = seen.windows(4).filter(evenly).map(difference);
         let differences: Vec<f64> = differences.collect();
         let told = differences.len() >= LEAST_DIFFERENCES;
-        let scatter = median(&differences).filter(|_| told);
-        scatter.map_or(1.0, |scatter| (scatter * SIGMA_PER_MEDIAN).min(1.0))
+        let scatter = median(&differences).filter(|scatter| told && scatter.is_finite());
+        scatter.map_or(1.0, |scatter| {
+            (scatter * SIGMA_PER_MEDIAN).clamp(LEAST_CHANGING, 1.0)
+        })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A fine frame, four a second.
+    fn fine(number: u32, roll_deg: f64) -> RollRow {
+        let input = Input {
+            file: format!("roll_{number:04}.fits"),
+            bytes: 0,
+            written_ns: 0,
+        };
+        let [roll, pitch] = [roll_deg, 1.0].map(|deg| Measured::new(deg, 0.01));
+        let mut row = RollRow {
+            quality: Grade::Fine,
+            nadir: Some(body_nadir(roll, pitch)),
+            ..RollRow::unread(input, "")
+        };
+        row.facts.utc_ns = Some(i64::from(number) * 250_000_000);
+        row
+    }
+
+    #[test]
+    fn a_camera_that_repeats_a_picture_still_has_a_smoothed_roll() {
+        let stuck = (0..200).map(|number| fine(number, 2.0));
+        let swings =
+            (200..300).map(|number| fine(number, 2.0 + (f64::from(number - 200) / 9.0).sin()));
+        let history = RollHistory::of(stuck.chain(swings).collect(), 1.0);
+        assert_eq!(history.changing, [LEAST_CHANGING; 2]);
+        for row in &history.rows {
+            let roll = row.smoothed.unwrap().roll_deg;
+            let own = row.angles_deg().unwrap()[0];
+            assert!((roll.value - own.value).abs() < 0.01, "{row:?}");
+            assert!(roll.sigma > 0.0099, "{row:?}");
+        }
+    }
 }

@@ -18,10 +18,10 @@ use crate::archive::{Flown, FlownFiles};
 use crate::config;
 use crate::fits::Header;
 use crate::frame::Frame;
-use crate::horizon::{self, Settings, Solution, Sphere};
+use crate::horizon::{self, Settings, Solution, Sphere, Stage, Stopped};
 use crate::instrument::MountedCamera;
 use crate::provenance;
-use crate::units::Place;
+use crate::units::{Place, Rejected};
 use std::path::Path;
 
 /// What the roll camera's frames are solved with; everything that a frame's own record depends on.
@@ -64,30 +64,95 @@ impl RollRecipe {
     fn record(&self, frame: &Frame, header: &Header) -> Result<HorizonRecord, String> {
         let optics = &self.camera.optics;
         optics.check(frame).map_err(|error| error.to_string())?;
-        let sphere = self.sphere(frame)?;
-        let solution = horizon::solve(&Settings::default(), frame, optics, &sphere, None);
+        let solution = match self.sphere(frame) {
+            Some(sphere) => horizon::solve(&Settings::default(), frame, optics, &sphere, None),
+            None => Solution::none(self.not_above_the_limb(frame)),
+        };
         let turn = &self.camera.body_from_camera;
         Ok(HorizonRecord::new(&frame.info, header, &solution, turn))
     }
 
-    /// The Earth about the camera when it took a frame.
-    fn sphere(&self, frame: &Frame) -> Result<Sphere, String> {
+    /// The Earth about the camera when it took a frame; `None` where that was not above the limb's edge.
+    fn sphere(&self, frame: &Frame) -> Option<Sphere> {
+        self.settings.sphere(self.height_m(frame))
+    }
+
+    /// Where a frame was taken; the settings may state another height.
+    fn height_m(&self, frame: &Frame) -> Option<f64> {
         let place = frame.info.place.or(self.place);
-        let height_m = place.map(|place| place.height_m);
-        self.settings.sphere(height_m).ok_or_else(|| {
-            let found = self.settings.height_m.or(height_m);
-            let found = found.map_or("none".into(), |height_m| format!("{height_m} m"));
-            let limb_m = self.settings.atmosphere_m;
-            format!("OBSGEO-H: expected a height above the limb's edge ({limb_m} m), found {found}; --place tells one")
-        })
+        place.map(|place| place.height_m)
+    }
+
+    /// Why such a frame has no nadir, as in flight: a height that nobody tells counts as 0.
+    fn not_above_the_limb(&self, frame: &Frame) -> Stopped {
+        let height_m = self.settings.height_m.or(self.height_m(frame));
+        let rejected = Rejected {
+            reason: "not_above_the_limb",
+            measured: height_m.unwrap_or_default(),
+            limit: self.settings.atmosphere_m,
+        };
+        (Stage::Light, rejected)
     }
 
     /// The solution of a frame, once more: for a picture of it. `None` where it cannot be solved.
     fn solve_again(&self, frame: &Frame) -> Option<(Solution, Sphere)> {
         let optics = &self.camera.optics;
         optics.check(frame).ok()?;
-        let sphere = self.sphere(frame).ok()?;
+        let sphere = self.sphere(frame)?;
         let solution = horizon::solve(&Settings::default(), frame, optics, &sphere, None);
         Some((solution, sphere))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::record::Grade;
+    use super::*;
+    use crate::frame::{FrameInfo, Pixels};
+
+    const CAMERA: &str = "[camera]
+width_px = 64
+height_px = 48
+centre_px = [31.5, 23.5]
+focal_px = [60.0, 60.0]
+body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+";
+
+    /// Of a dark frame from some height, where settings may state another.
+    fn record(of_frame_m: f64, stated_m: Option<f64>) -> HorizonRecord {
+        let recipe = RollRecipe {
+            camera: MountedCamera::parse(Path::new("roll.toml"), CAMERA).unwrap(),
+            settings: config::Roll {
+                height_m: stated_m,
+                ..config::Roll::default()
+            },
+            place: None,
+            flown: Flown::default(),
+            archived: FlownFiles::default(),
+        };
+        let info = FrameInfo {
+            number: Some(7),
+            mid_exposure: Some("2013-09-21T18:00:00Z".parse().unwrap()),
+            place: Place::new(34.49, -104.2218, of_frame_m).ok(),
+            ..FrameInfo::default()
+        };
+        let pixels = Pixels::U8(vec![0; 64 * 48]);
+        let frame = Frame::new(64, 48, pixels, 255, info).unwrap();
+        recipe.record(&frame, &Header::default()).unwrap()
+    }
+
+    #[test]
+    fn a_frame_from_below_the_limb_keeps_its_time_and_says_why_it_has_no_nadir() {
+        let low = record(1_200.0, None);
+        assert_eq!((low.quality, low.facts.number), (Grade::None, Some(7)));
+        assert!(low.facts.utc().is_some());
+        let [low, lower] = [low, record(900.0, None)].map(|low| low.reason.unwrap());
+        assert!(
+            low.starts_with("light: not_above_the_limb (measured 1200.0000"),
+            "{low}"
+        );
+        assert_eq!(output::kind(&low), output::kind(&lower));
+        let stated = record(1_200.0, Some(38_000.0)).reason.unwrap();
+        assert!(!stated.contains("not_above_the_limb"), "{stated}");
     }
 }
