@@ -1,6 +1,6 @@
 //! What is no Moon, or not the one that is expected.
 
-use super::limb::{Limb, LimbFit, circle_of};
+use super::limb::{Limb, LimbFit, LimbPoint, circle_of};
 use super::shading::lit;
 use super::{Candidate, Levels, MOST_RADIUS_DEVIATION, MOST_SATURATED, Stage, Stopped, stopped};
 use crate::estimation::regression;
@@ -12,13 +12,18 @@ use nalgebra::SVector;
 const MOST_AXIS_RATIO: f64 = 1.15;
 /// An oval is one where it is seen so many sigmas long.
 const OVAL_SIGMAS: f64 = 4.0;
-/// A lit share that differs by more from the expected one is another thing's; of light that is saturated, and of a disc that is.
+/// A lit share that differs by more from the expected one is another thing's.
 const MOST_LIT_DEVIATION: f64 = 0.2;
 /// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
 const GLARE: std::ops::Range<f64> = 1.2..1.6;
 const MOST_GLARE: f64 = 0.2;
 /// Limb points off the circle by more than their sigmas tell: this share of the radius, rms, is no circle.
-const MOST_ROUGHNESS: f64 = 0.05;
+const MOST_ROUGHNESS: f64 = 0.02;
+/// A centre that is known less well is of no disc of that radius, 1 sigma in radii.
+const MOST_SIGMA: f64 = 0.02;
+/// A limb point that is known less well has no edge, 1 sigma in radii; so many of the limb's points may be such.
+const MOST_POINT_SIGMA: f64 = 0.05;
+const MOST_BLUNT: f64 = 0.2;
 
 /// Whether what was found may be the Moon.
 pub(super) fn check(
@@ -34,11 +39,28 @@ pub(super) fn check(
         let glare = glare(candidate, frame, levels, &circle);
         at_most("glare", glare, MOST_GLARE)?;
     }
-    if candidate.radius().is_some() {
-        at_most("oval", axis_ratio(found), MOST_AXIS_RATIO)?;
+    check_lit(candidate, &circle)?;
+    match candidate.radius() {
+        Some(_) => check_limb(found, limb),
+        None => Ok(()),
     }
+}
+
+/// Whether the limb is a circle of the expected radius all along its lit part, and not a piece of another thing's outline.
+fn check_limb(found: &LimbFit, limb: &Limb) -> Result<(), Stopped> {
+    let radius = found.fitted.parameters[2];
+    let covariance = found.fitted.covariance.fixed_view::<2, 2>(0, 0);
+    let sigma = covariance.trace().max(0.0).sqrt() / radius;
+    let is_sharp = |point: &&LimbPoint| point.excess_px.sigma < MOST_POINT_SIGMA * radius;
+    let sharp = found.points.iter().filter(is_sharp).count();
+    at_most("oval", axis_ratio(found), MOST_AXIS_RATIO)?;
     at_most("rough", roughness(found), MOST_ROUGHNESS)?;
-    check_lit(candidate, &circle)
+    at_most("uncertain", sigma, MOST_SIGMA)?;
+    at_most(
+        "blunt",
+        1.0 - sharp as f64 / limb.seen().max(1) as f64,
+        MOST_BLUNT,
+    )
 }
 
 fn at_most(reason: &'static str, measured: f64, limit: f64) -> Result<(), Stopped> {

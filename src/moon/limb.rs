@@ -94,6 +94,14 @@ pub(super) struct Limb {
 pub(super) struct LimbFit {
     pub fitted: Fitted<PARAMETERS>,
     pub points: Vec<LimbPoint>,
+    pub radius_contradiction: Option<Contradiction>,
+}
+
+/// How far the radius that the picture tells lies from the one that was known: px, and sigmas of both.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Contradiction {
+    pub off_px: f64,
+    pub sigmas: f64,
 }
 
 /// A few pixels' limb.
@@ -215,8 +223,24 @@ impl Limb {
             excess_px: pull.excess(fitted.scatter),
         });
         let points: Vec<LimbPoint> = points.collect();
+        let radius_contradiction = self.radius_contradiction(&fitted);
         fitted.covariance += of_rough_limb(&points, &pulls, &fitted);
-        Ok(LimbFit { fitted, points })
+        Ok(LimbFit {
+            fitted,
+            points,
+            radius_contradiction,
+        })
+    }
+
+    /// What is known and what comes out differ by as much as the variance shrinks, where they agree.
+    fn radius_contradiction(&self, fitted: &Fitted<PARAMETERS>) -> Option<Contradiction> {
+        let known = self.known.radius?;
+        let off = (fitted.parameters[2] - known.value).abs();
+        let shrinks = known.sigma.powi(2) - fitted.covariance[(2, 2)];
+        (shrinks > 0.0).then(|| Contradiction {
+            off_px: off * known.sigma.powi(2) / shrinks,
+            sigmas: off / shrinks.sqrt(),
+        })
     }
 
     fn prior(&self) -> Prior<PARAMETERS> {

@@ -33,7 +33,7 @@ use crate::frame::Frame;
 use crate::geometry::Circle;
 use crate::geometry::camera::Camera;
 use crate::units::{Estimate, Measured, Rejected, SensorPx};
-use limb::{Known, Limb, LimbFit};
+use limb::{Contradiction, Known, Limb, LimbFit};
 use patch::{Outline, Patch, patches};
 use plane::Plane;
 use std::ops::Range;
@@ -45,6 +45,10 @@ const LEAST_RADIUS_PX: f64 = 4.0;
 const MOST_PATCHES: usize = 4;
 /// A radius that differs by more from the expected one is another thing's.
 const MOST_RADIUS_DEVIATION: f64 = 0.12;
+/// A radius that the picture contradicts by so many sigmas and so much, relative to it, is known only this well, 1 sigma relative to it.
+const CONTRADICTION_SIGMAS: f64 = 5.0;
+const CONTRADICTION: f64 = 0.015;
+const LOOSE_RADIUS: f64 = 0.06;
 /// Fewer sectors of the limb make no circle.
 const LEAST_SECTORS: usize = 6;
 /// The limb is read anew while the circle or the blur moves by more, or the light turns by more, so often at most.
@@ -273,6 +277,11 @@ impl<'a> Candidate<'a> {
             let is_settled = step.fixed_rows::<4>(0).amax() < SETTLED_PX
                 && step.fixed_rows::<2>(4).amax() < SETTLED_RAD;
             at = found.fitted.parameters;
+            let loose = known.contradicted(found.radius_contradiction);
+            if is_settled && loose != known {
+                known = loose;
+                continue;
+            }
             if is_settled || round == MOST_ROUNDS {
                 checks::check(self, frame, levels, &found, &limb)?;
                 return Ok(self.disc(&found, &limb));
@@ -369,6 +378,26 @@ impl<'a> Candidate<'a> {
 }
 
 impl Known {
+    /// The same where the picture shows another radius: then that is told by the picture, within what is allowed.
+    fn contradicted(self, by: Option<Contradiction>) -> Self {
+        let loose = |radius: Measured| {
+            let sigma = LOOSE_RADIUS * radius.value;
+            Measured::new(radius.value, radius.sigma.max(sigma))
+        };
+        let is_other = |radius: Measured| {
+            by.is_some_and(|by| {
+                by.sigmas > CONTRADICTION_SIGMAS && by.off_px > CONTRADICTION * radius.value
+            })
+        };
+        Self {
+            radius: self.radius.map(|radius| match is_other(radius) {
+                true => loose(radius),
+                false => radius,
+            }),
+            ..self
+        }
+    }
+
     /// The same where so much of the limb is saturated.
     fn loosened(self, saturated: f64) -> Self {
         let loose = |radius: Measured| Measured::new(radius.value, radius.sigma.max(SPILLED_PX));
