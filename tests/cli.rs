@@ -68,6 +68,8 @@ fn that_print(folder: &Path) -> Vec<Vec<String>> {
         format!("solve --format table {frame}"),
         format!("solve --format csv {frame}"),
         "sky --at 2013-09-21T18:00:00Z --place 34.49,-104.2218,38405".into(),
+        "sky visibility --orbit leo550 --days 1".into(),
+        "sky visibility --orbit leo550 --simplified --json".into(),
         format!("simulate --frames 1 --out {}", at("simulated")),
         format!("refine {} --out {}", archive.display(), at("refined")),
         format!("archive check {}", archive.display()),

@@ -489,3 +489,85 @@ fn a_target_that_turns_with_the_sun_moves_the_offset() {
     assert_eq!(refused.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("on the disc"));
 }
+
+const FROM_THE_BALLOON: [&str; 4] = [
+    "sky",
+    "visibility",
+    "--orbit",
+    "balloon:34.49,-104.2218,38405",
+];
+
+#[test]
+fn when_the_moon_can_be_seen_is_one_object_or_a_table() {
+    let report = json(&[&FROM_THE_BALLOON[..], &["--step", "10m", "--json"]].concat());
+    let number = |key: &str| report[key].as_f64().unwrap();
+    // astropy 6.1: 0.5500 above the limb, 0.5029 also clear of the Sun, 0.4540 for the Sun.
+    for (key, expected) in [
+        ("above_limb", 0.5500),
+        ("seen", 0.5029),
+        ("sun_above_limb", 0.4540),
+    ] {
+        assert!((number(key) - expected).abs() < 1e-3, "{key}: {report}");
+    }
+    let rows = report["by_lit"].as_array().unwrap();
+    let time: f64 = rows.iter().map(|row| row["time"].as_f64().unwrap()).sum();
+    assert!((time - 1.0).abs() < 1e-9);
+    // A day on which the Moon is nearly full: other lit shares have no time, hence no share of it.
+    let day = [&FROM_THE_BALLOON[..], &["--days", "1"]].concat();
+    let nearly_full = json(&[&day[..], &["--json"]].concat());
+    assert_eq!(nearly_full["by_lit"][0]["time"], 0.0);
+    assert!(nearly_full["by_lit"][0]["seen"].is_null());
+    let table = String::from_utf8(solaspect(&day).stdout).unwrap();
+    let empty = table.lines().find(|line| line.starts_with("0 to 25 %"));
+    assert!(empty.unwrap().ends_with(" -"), "{table}");
+}
+
+#[test]
+fn the_studys_table_of_visibility_is_printed_on_request() {
+    let simplified = ["sky", "visibility", "--orbit", "leo550", "--simplified"];
+    let report = json(&[&simplified[..], &["--json"]].concat());
+    // "The Development of a Moon Sensor" (2005), table 3.1 and the text below it.
+    let edges = [0.0, 15.0, 98.0, 142.0, 180.0, 278.0, 322.0, 345.0, 360.0];
+    let lit_percent = [0.0, 1.7, 57.0, 89.4, 100.0, 43.0, 10.6, 1.7, 0.0];
+    let rows = report["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 8);
+    for (n, row) in rows.iter().enumerate() {
+        for end in 0..2 {
+            let from_new = row["from_new_deg"][end].as_f64().unwrap();
+            let lit = 100.0 * row["lit"][end].as_f64().unwrap();
+            assert!((from_new - edges[n + end]).abs() < 0.2, "{row}");
+            assert!((lit - lit_percent[n + end]).abs() < 0.2, "{row}");
+        }
+    }
+    assert!((report["seen_of_path"].as_f64().unwrap() - 0.916).abs() < 1e-3);
+    let table = String::from_utf8(solaspect(&simplified).stdout).unwrap();
+    assert_eq!(table.lines().count(), 13, "{table}");
+}
+
+#[test]
+fn visibility_names_the_option_that_it_cannot_take() {
+    let leo = ["sky", "visibility", "--orbit", "leo550"];
+    for (command, options, said) in [
+        (&leo, &["--from", "1950-01-01T00:00:00Z"][..], "--from"),
+        (&leo, &["--days", "0"], "--days: expected"),
+        (&leo, &["--days", "400", "--step", "1s"], "--step: expected"),
+        (&leo, &["--step", "0s"], "--step: expected"),
+        (&leo, &["--node-h", "25"], "--node-h: expected"),
+        (
+            &leo,
+            &["--clear-of-sun-deg", "181"],
+            "--clear-of-sun-deg: expected",
+        ),
+        (&FROM_THE_BALLOON, &["--node-h", "3"], "--node-h: expected"),
+        (
+            &FROM_THE_BALLOON,
+            &["--simplified"],
+            "--simplified: expected",
+        ),
+    ] {
+        let refused = solaspect(&[&command[..], options].concat());
+        assert_eq!(refused.status.code(), Some(1), "{options:?}");
+        let text = String::from_utf8(refused.stderr).unwrap();
+        assert!(text.contains(said), "{options:?}: {text}");
+    }
+}

@@ -10,7 +10,7 @@
 //!    radius, phase and side takes part with its sigma. Then the limb is read anew along that circle, until it stays.
 //! 6. `checks`: what is no Moon, or not the one that is expected, is refused.
 //!
-//! Inside, columns are drawn together so that the disc is round ([`plane`]).
+//! Inside, columns are drawn together so that the disc is round (`plane`).
 
 mod checks;
 mod disc;

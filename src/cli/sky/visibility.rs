@@ -1,31 +1,37 @@
 //! `solaspect sky visibility`: when the Moon can be seen.
 
 use crate::cli::options;
-use crate::sky::visibility::{Sight, Simplified, SunSynchronous, Vantage, sights};
+use crate::sky::visibility::{Observation, Simplified, SunSynchronous, Vantage, observations};
 use crate::units::Place;
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use clap::Args;
 use jiff::{SignedDuration, Timestamp};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::io::Write as _;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// Rows of the table, by the share of the disc that is lit.
 const ROWS: usize = 4;
 const LEO_HEIGHT_KM: f64 = 550.0;
+/// At 10 h the Sun stands some 30 deg off the orbit's plane, as in the study of 2005.
+const NODE_H: f64 = 10.0;
+/// Enough for one every minute of a year.
+const MOST_SAMPLES: f64 = 1e6;
 
 /// For which share of a month the Moon is above the Earth's limb, clear of the Sun, and how much of it is lit
 ///
-/// The Moon counts by its centre, the Earth is a sphere, and air neither bends light nor hides it.
+/// Seen is the Moon that is above the limb and clear of the Sun. Moon and Sun count by their centres, the Earth is a sphere of
+/// mean radius, and air neither bends light nor hides it.
 #[derive(Debug, Args)]
 pub struct VisibilityArgs {
     /// leo550 (a sun-synchronous orbit 550 km up), or balloon:LAT,LON,HEIGHT_M
     #[arg(long, value_name = "ORBIT", allow_hyphen_values = true, value_parser = parse_vantage)]
     orbit: Vantage,
-    /// Local solar time at which leo550 crosses the equator northwards, h; at 10 the Sun stands some 30 deg off the orbit's plane
-    #[arg(long, value_name = "H", default_value_t = 10.0)]
-    node_h: f64,
+    /// Local solar time at which leo550 crosses the equator northwards, h [default: 10, the Sun some 30 deg off the orbit's plane]
+    #[arg(long, value_name = "H")]
+    node_h: Option<f64>,
     /// The beginning
     #[arg(long, value_name = "UTC", value_parser = super::parse_utc, default_value = "2026-01-01T00:00:00Z")]
     from: Timestamp,
@@ -35,7 +41,7 @@ pub struct VisibilityArgs {
     /// How far the Moon must be from the Sun, deg
     #[arg(long, value_name = "DEG", default_value_t = 15.0)]
     clear_of_sun_deg: f64,
-    /// Time between two looks
+    /// Time between two samples
     #[arg(long, value_name = "TIME", default_value = "2m", value_parser = options::duration)]
     step: Duration,
     /// What the study of 2005 assumed instead: Moon and Sun far away in one plane, at right angles to the orbit's
@@ -51,7 +57,7 @@ fn parse_vantage(text: &str) -> Result<Vantage, String> {
     match text.split_once(':') {
         None if text == "leo550" => Ok(Vantage::Orbit(SunSynchronous {
             height_km: LEO_HEIGHT_KM,
-            node_h: 10.0,
+            node_h: NODE_H,
         })),
         Some(("balloon", place)) => {
             let place: Place = place.parse().map_err(|error| format!("{error}"))?;
@@ -61,14 +67,22 @@ fn parse_vantage(text: &str) -> Result<Vantage, String> {
     }
 }
 
-/// What was counted over the time.
+/// What was counted over the time. Shares are of 0 to 1.
 #[derive(Serialize)]
 struct Report {
-    looks: usize,
-    /// Shares of the time: above the limb, and clear of the Sun, too.
-    above_limb: f64,
-    seen: f64,
+    from_utc: String,
+    days: f64,
     clear_of_sun_deg: f64,
+    samples: usize,
+    /// The share of the time that the Sun is above the limb.
+    sun_above_limb: f64,
+    /// The same of the Moon.
+    above_limb: f64,
+    /// The share of the time that it is also clear of the Sun.
+    seen: f64,
+    /// The mean lit share of its disc, and that while it is seen, if it is.
+    mean_lit: f64,
+    mean_lit_seen: Option<f64>,
     by_lit: Vec<LitRow>,
 }
 
@@ -78,12 +92,12 @@ struct LitRow {
     lit: [f64; 2],
     /// Of the whole time.
     time: f64,
-    /// Of the time in this row.
-    above_limb: f64,
-    seen: f64,
+    /// Of the time in this row, if there is any.
+    above_limb: Option<f64>,
+    seen: Option<f64>,
 }
 
-/// A row of the study's table.
+/// A row of the study's table. Lit shares are those at its two ends; shares of an orbit the least and the greatest in it.
 #[derive(Serialize)]
 struct SimplifiedRow {
     from_new_deg: [f64; 2],
@@ -93,82 +107,112 @@ struct SimplifiedRow {
 
 #[derive(Serialize)]
 struct SimplifiedReport {
+    clear_of_sun_deg: f64,
+    hidden_deg: f64,
     sun_of_orbit: f64,
+    /// The share of the Moon's path on which it is seen in a part of each orbit.
+    seen_of_path: f64,
+    /// The share on which it is seen for as long as the Sun is above the limb, and longer.
+    seen_as_long_as_sun_of_path: f64,
     rows: Vec<SimplifiedRow>,
 }
 
 pub fn run(args: &VisibilityArgs) -> anyhow::Result<()> {
-    let in_range = |name: &str, value: f64, range: std::ops::RangeInclusive<f64>| {
-        ensure!(
-            range.contains(&value),
-            "--{name}: expected a number from {} to {}, found {value}",
-            range.start(),
-            range.end()
-        );
-        Ok(())
-    };
-    in_range("days", args.days, 0.01..=400.0)?;
     in_range("clear-of-sun-deg", args.clear_of_sun_deg, 0.0..=180.0)?;
-    in_range("node-h", args.node_h, 0.0..=24.0)?;
-    let step = SignedDuration::try_from(args.step).context("--step")?;
-    ensure!(
-        step >= SignedDuration::from_secs(1),
-        "--step: expected 1s or more, found {step}"
-    );
     let text = match (args.simplified, args.json) {
         (true, true) => serde_json::to_string(&simplified(args)?)?,
         (true, false) => simplified_table(&simplified(args)?),
-        (false, true) => serde_json::to_string(&report(args, step)?)?,
-        (false, false) => table(&report(args, step)?),
+        (false, true) => serde_json::to_string(&report(args)?)?,
+        (false, false) => table(&report(args)?),
     };
     writeln!(std::io::stdout(), "{text}")?;
     Ok(())
 }
 
-fn report(args: &VisibilityArgs, step: SignedDuration) -> anyhow::Result<Report> {
-    let length = SignedDuration::try_from_secs_f64(args.days * 86_400.0)?;
-    let to = args.from.checked_add(length).context("--days")?;
-    let vantage = match args.orbit {
-        Vantage::Orbit(orbit) => Vantage::Orbit(SunSynchronous {
-            node_h: args.node_h,
-            ..orbit
-        }),
-        place => place,
-    };
-    let mut ephemeris = options::ephemeris(&options::config(None)?)?;
-    let sights = sights(&mut ephemeris, &vantage, (args.from, to), step)?;
-    let all: Vec<&Sight> = sights.iter().collect();
-    let (above_limb, seen) = shares(&all, args.clear_of_sun_deg);
-    let row = |n: usize| {
-        let lit = [n, n + 1].map(|n| n as f64 / ROWS as f64);
-        let place = |sight: &Sight| ((sight.lit * ROWS as f64) as usize).min(ROWS - 1);
-        let inside = sights.iter().filter(|sight| place(sight) == n);
-        let inside: Vec<&Sight> = inside.collect();
-        let (above_limb, seen) = shares(&inside, args.clear_of_sun_deg);
-        LitRow {
-            lit,
-            time: inside.len() as f64 / sights.len().max(1) as f64,
-            above_limb,
-            seen,
-        }
-    };
-    Ok(Report {
-        looks: sights.len(),
-        above_limb,
-        seen,
-        clear_of_sun_deg: args.clear_of_sun_deg,
-        by_lit: (0..ROWS).map(row).collect(),
-    })
+fn in_range(name: &str, value: f64, range: RangeInclusive<f64>) -> anyhow::Result<()> {
+    ensure!(
+        range.contains(&value),
+        "--{name}: expected a number from {} to {}, found {value}",
+        range.start(),
+        range.end()
+    );
+    Ok(())
 }
 
-/// Shares of some looks: above the limb, and clear of the Sun, too.
-fn shares(sights: &[&Sight], clear_of_sun_deg: f64) -> (f64, f64) {
-    let above = sights.iter().filter(|sight| sight.above_limb_deg > 0.0);
-    let seen = above
-        .clone()
-        .filter(|sight| sight.from_sun_deg > clear_of_sun_deg);
-    let share = |count: usize| count as f64 / sights.len().max(1) as f64;
-    (share(above.count()), share(seen.count()))
+/// `--orbit` with `--node-h`.
+fn vantage(args: &VisibilityArgs) -> anyhow::Result<Vantage> {
+    match (args.orbit, args.node_h) {
+        (vantage, None) => Ok(vantage),
+        (Vantage::Orbit(orbit), Some(node_h)) => {
+            in_range("node-h", node_h, 0.0..=24.0)?;
+            Ok(Vantage::Orbit(SunSynchronous { node_h, ..orbit }))
+        }
+        (Vantage::Place(_), Some(_)) => {
+            bail!("--node-h: expected --orbit leo550; a balloon has no node")
+        }
+    }
+}
+
+fn report(args: &VisibilityArgs) -> anyhow::Result<Report> {
+    in_range("days", args.days, 0.01..=400.0)?;
+    ensure!(
+        args.step.as_secs_f64() * MOST_SAMPLES >= args.days * 86_400.0,
+        "--step: expected at most {MOST_SAMPLES} samples in {} days, found a step of {:?}",
+        args.days,
+        args.step
+    );
+    let step = SignedDuration::try_from(args.step).context("--step")?;
+    let length = SignedDuration::try_from_secs_f64(args.days * 86_400.0).context("--days")?;
+    let to = args.from.checked_add(length).context("--days")?;
+    let mut ephemeris = options::ephemeris(&options::config(None)?)?;
+    let all =
+        observations(&mut ephemeris, &vantage(args)?, (args.from, to), step).context("--from")?;
+    Ok(counted(args, &all))
+}
+
+fn counted(args: &VisibilityArgs, all: &[Observation]) -> Report {
+    let above = |one: &Observation| one.moon_above_limb_deg > 0.0;
+    let seen = |one: &Observation| above(one) && one.moon_from_sun_deg > args.clear_of_sun_deg;
+    let row = |number: usize| {
+        let place = |one: &Observation| ((one.lit * ROWS as f64) as usize).min(ROWS - 1);
+        let inside = |one: &Observation| place(one) == number;
+        let within = |keep: &dyn Fn(&Observation) -> bool| {
+            mean(
+                all.iter()
+                    .filter(|one| inside(one))
+                    .map(|one| f64::from(keep(one))),
+            )
+        };
+        LitRow {
+            lit: [number, number + 1].map(|n| n as f64 / ROWS as f64),
+            time: share(all, inside),
+            above_limb: within(&above),
+            seen: within(&seen),
+        }
+    };
+    Report {
+        from_utc: args.from.to_string(),
+        days: args.days,
+        clear_of_sun_deg: args.clear_of_sun_deg,
+        samples: all.len(),
+        sun_above_limb: share(all, |one| one.sun_above_limb_deg > 0.0),
+        above_limb: share(all, above),
+        seen: share(all, seen),
+        mean_lit: all.iter().map(|one| one.lit).sum::<f64>() / all.len() as f64,
+        mean_lit_seen: mean(all.iter().filter(|one| seen(one)).map(|one| one.lit)),
+        by_lit: (0..ROWS).map(row).collect(),
+    }
+}
+
+/// None of no values.
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+/// The share of all samples that are kept; there is always one.
+fn share(all: &[Observation], keep: impl Fn(&Observation) -> bool) -> f64 {
+    all.iter().filter(|one| keep(one)).count() as f64 / all.len() as f64
 }
 
 fn simplified(args: &VisibilityArgs) -> anyhow::Result<SimplifiedReport> {
@@ -180,20 +224,20 @@ fn simplified(args: &VisibilityArgs) -> anyhow::Result<SimplifiedReport> {
         clear_of_sun_deg: args.clear_of_sun_deg,
         ..Simplified::STUDY_OF_2005
     };
-    let edges = study.edges_deg();
-    let row = |ends: &[f64]| {
-        let inside = |n: u32| ends[0] + (ends[1] - ends[0]) * (f64::from(n) + 0.5) / 200.0;
-        let shares = (0..200).map(|n| study.moon_share(inside(n)));
-        let low = shares.clone().fold(1.0, f64::min);
-        SimplifiedRow {
-            from_new_deg: [ends[0], ends[1]],
-            lit: [0, 1].map(|n| (1.0 - ends[n].to_radians().cos()) / 2.0),
-            seen_of_orbit: [low, shares.fold(0.0, f64::max)],
-        }
+    let sun_of_orbit = study.share(0.0);
+    let row = |ends: &[f64]| SimplifiedRow {
+        from_new_deg: [ends[0], ends[1]],
+        // Eq. 3.3.
+        lit: [0, 1].map(|n| (1.0 - ends[n].to_radians().cos()) / 2.0),
+        seen_of_orbit: study.moon_share_range(ends[0]..ends[1]),
     };
     Ok(SimplifiedReport {
-        sun_of_orbit: study.share(0.0),
-        rows: edges.windows(2).map(row).collect(),
+        clear_of_sun_deg: args.clear_of_sun_deg,
+        hidden_deg: 2.0 * study.hidden_deg(),
+        sun_of_orbit,
+        seen_of_path: 1.0 - args.clear_of_sun_deg / 180.0,
+        seen_as_long_as_sun_of_path: study.path_with(sun_of_orbit),
+        rows: study.edges_deg().windows(2).map(row).collect(),
     })
 }
 
@@ -201,38 +245,59 @@ fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
 }
 
+fn percent_if_any(share: Option<f64>) -> String {
+    share.map_or("-".to_owned(), percent)
+}
+
 fn table(report: &Report) -> String {
     let mut text = format!(
-        "The Moon is above the limb for {} of the time, and more than {} deg from the Sun, too, for {}\n\n{:<14}{:>10}{:>16}{:>10}",
-        percent(report.above_limb),
-        report.clear_of_sun_deg,
-        percent(report.seen),
-        "lit",
-        "of all",
-        "above the limb",
-        "seen",
+        "{} days from {} on, {} samples; seen: more than {} deg from the Sun\n\n",
+        report.days, report.from_utc, report.samples, report.clear_of_sun_deg
     );
+    let whole = [
+        ("Sun above the limb", percent(report.sun_above_limb)),
+        ("Moon above the limb", percent(report.above_limb)),
+        ("Moon seen", percent(report.seen)),
+        ("mean lit share", percent(report.mean_lit)),
+        ("the same while seen", percent_if_any(report.mean_lit_seen)),
+    ];
+    for (name, value) in whole {
+        let _ = writeln!(text, "{name:24} {value:>10}");
+    }
+    let names = ["of all", "above the limb", "seen"];
+    let line = |lit: &str, [time, above, seen]: [String; 3]| {
+        format!("\n{lit:24} {time:>10} {above:>15} {seen:>10}")
+    };
+    text.push_str(&line("lit share", names.map(str::to_owned)));
     for row in &report.by_lit {
-        let lit = format!("{:.2} to {:.2}", row.lit[0], row.lit[1]);
-        let shares = [row.time, row.above_limb, row.seen].map(percent);
-        let [time, above, seen] = shares;
-        let _ = write!(text, "\n{lit:<14}{time:>10}{above:>16}{seen:>10}");
+        let lit = row.lit.map(|share| format!("{:.0}", 100.0 * share));
+        let [above, seen] = [row.above_limb, row.seen].map(percent_if_any);
+        let lit = format!("{} %", lit.join(" to "));
+        text.push_str(&line(&lit, [percent(row.time), above, seen]));
     }
     text
 }
 
 fn simplified_table(report: &SimplifiedReport) -> String {
-    let mut text = format!(
-        "The Sun is above the limb for {} of each orbit\n\n{:<20}{:>18}{:>22}",
-        percent(report.sun_of_orbit),
-        "from new Moon, deg",
-        "lit",
-        "seen of each orbit",
-    );
+    let mut text = String::new();
+    let whole = [
+        ("Sun above the limb, of each orbit", report.sun_of_orbit),
+        ("Moon seen, of its path", report.seen_of_path),
+        (
+            "as long as the Sun, of its path",
+            report.seen_as_long_as_sun_of_path,
+        ),
+    ];
+    for (name, share) in whole {
+        let _ = writeln!(text, "{name:34} {:>10}", percent(share));
+    }
+    let names = ["from new Moon, deg", "lit", "seen of each orbit"];
+    let line = |[from_new, lit, seen]: [&str; 3]| format!("\n{from_new:24} {lit:>20} {seen:>20}");
+    text.push_str(&line(names));
     for row in &report.rows {
         let from_new = row.from_new_deg.map(|deg| format!("{deg:.1}")).join(" to ");
         let [lit, seen] = [row.lit, row.seen_of_orbit].map(|ends| ends.map(percent).join(" to "));
-        let _ = write!(text, "\n{from_new:<20}{lit:>18}{seen:>22}");
+        text.push_str(&line([&from_new, &lit, &seen]));
     }
     text
 }
