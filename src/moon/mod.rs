@@ -211,7 +211,8 @@ pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<
 
 /// The patches that may be the Moon: at least one, the largest first.
 fn candidates(frame: &Frame, levels: &Levels) -> Result<Vec<Patch>, Stopped> {
-    let mut found = patches(frame, levels.dark_dn + levels.least_dn());
+    let found = patches(frame, levels.dark_dn + levels.least_dn());
+    let mut found = found.map_err(|rejected| (Stage::Detection, rejected))?;
     let largest = found.first().map_or(0, |patch| patch.pixels);
     found.retain(|patch| patch.pixels >= LEAST_PIXELS);
     match found.is_empty() {

@@ -2,8 +2,11 @@
 
 use super::light::Levels;
 use crate::frame::{Frame, Region};
+use crate::units::Rejected;
 use nalgebra::Vector2;
 
+/// A frame with more runs of bright pixels shows a pattern, and is no night sky.
+const MOST_RUNS: usize = 20_000;
 /// Columns that are looked at together: most of the sky is dark.
 const BLOCK_PX: usize = 48;
 /// A patch's outline stands at this share of what so many of its pixels exceed, above the sky.
@@ -33,7 +36,10 @@ impl Run {
 }
 
 /// The patches of pixels above a threshold, the largest first.
-pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Vec<Patch> {
+///
+/// # Errors
+/// More than [`MOST_RUNS`] runs of bright pixels.
+pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Rejected> {
     let mut patches: Vec<Option<Patch>> = Vec::new();
     let mut above: Vec<Run> = Vec::new();
     for y in 0..frame.height() {
@@ -64,10 +70,17 @@ pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Vec<Patch> {
             });
         }
         above = here;
+        if patches.len() > MOST_RUNS {
+            return Err(Rejected {
+                reason: "too_many_lights",
+                measured: patches.len() as f64,
+                limit: MOST_RUNS as f64,
+            });
+        }
     }
     let mut patches: Vec<Patch> = patches.into_iter().flatten().collect();
     patches.sort_by_key(|patch| std::cmp::Reverse(patch.pixels));
-    patches
+    Ok(patches)
 }
 
 fn joined(one: Patch, other: Option<Patch>) -> Patch {
