@@ -136,7 +136,7 @@ fn a_region_that_reaches_over_the_sensor_is_an_error_and_a_good_one_mends_it() {
 fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError> {
     let instrument = instrument::builtin("demo").unwrap();
     let around = Surroundings {
-        horizon: None,
+        sky: None,
         instrument: &instrument,
         seed: 1,
         duration: None,

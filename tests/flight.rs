@@ -64,7 +64,7 @@ fn scripted(deed: Deed) -> Camera {
         instrument: instrument::builtin("demo").unwrap(),
         instrument_toml: None,
         folder: PathBuf::new(),
-        horizon: None,
+        sky: None,
         source: None,
         open: Some(Arc::new(move || {
             let calls = Arc::clone(&calls);

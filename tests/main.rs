@@ -30,6 +30,7 @@ mod link_cli;
 mod link_service;
 mod marks;
 mod moon;
+mod moon_in_flight;
 mod pointing;
 mod power_cut;
 mod preflight;

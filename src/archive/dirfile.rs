@@ -83,7 +83,7 @@ const fn number(
 
 /// The fields in the order in which they are written; a file of that name holds the samples of each.
 #[rustfmt::skip]
-const FIELDS: [Field; 34] = [
+const FIELDS: [Field; 39] = [
     number("FRAME", "", "number of the frame", |r| r.number.map(|n| n as f64)),
     code("QUALITY", "quality: 0 none, 1 coarse, 2 fine", |r| quality_code(r.quality)),
     code("STOPPED", "stopped at: 0 nowhere, 1 levels, 2 limb, 3 marks, 4 identification, 5 registration, 6 aspect, 7 pointing",
@@ -112,6 +112,11 @@ const FIELDS: [Field; 34] = [
         |r| r.record.offset_deg.as_ref().map(|o| o.calibration_sigma)),
     number("ROLL", "deg", "body's roll by the horizon", |r| r.record.roll_deg.as_ref().map(|roll| roll.value)),
     number("ROLL_SIGMA", "deg", "1 sigma of ROLL", |r| r.record.roll_deg.as_ref().map(|roll| roll.sigma)),
+    number("MOON_X", "px", "Moon's centre, x", |r| r.record.moon.as_ref().map(|m| m.centre_px[0])),
+    number("MOON_Y", "px", "Moon's centre, y", |r| r.record.moon.as_ref().map(|m| m.centre_px[1])),
+    number("MOON_SIGMA_X", "px", "1 sigma of MOON_X", |r| r.record.moon.as_ref().map(|m| m.centre_sigma_px[0])),
+    number("MOON_SIGMA_Y", "px", "1 sigma of MOON_Y", |r| r.record.moon.as_ref().map(|m| m.centre_sigma_px[1])),
+    number("MOON_RADIUS", "px", "Moon's vertical half axis", |r| r.record.moon.as_ref().map(|m| m.radius_px)),
     number("LEVEL_BACKGROUND", "DN", "level of the background", |r| r.levels.map(|l| l.background_dn)),
     number("LEVEL_NOISE", "DN", "1 sigma of the background", |r| r.levels.map(|l| l.noise_dn)),
     number("LEVEL_DISC", "DN", "level of the disc", |r| r.levels.map(|l| l.disc_dn)),

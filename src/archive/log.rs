@@ -64,7 +64,7 @@ impl Row {
 
     /// Names of the columns that the log has before those of [`Record::CSV_COLUMNS`] and after them.
     const BEFORE: [&'static str; 1] = ["frame"];
-    const AFTER: [&'static str; 10] = [
+    const AFTER: [&'static str; 15] = [
         "reason_measured",
         "reason_limit",
         "offset_cross_elevation_deg",
@@ -75,6 +75,11 @@ impl Row {
         "disk",
         "roll_deg",
         "roll_sigma_deg",
+        "moon_x_px",
+        "moon_y_px",
+        "moon_sigma_x_px",
+        "moon_sigma_y_px",
+        "moon_radius_px",
     ];
 
     /// What the column `disk` says of a picture: it is on the disk of the log itself, or on the other one.
@@ -95,6 +100,7 @@ impl Row {
         let reason = self.record.reason.as_ref();
         let offset = self.record.offset_deg.as_ref();
         let roll = self.record.roll_deg.as_ref();
+        let moon = self.record.moon.as_ref();
         let mut fields = vec![self.number.map_or(String::new(), |n| n.to_string())];
         fields.extend(self.record.csv_row());
         fields.extend([
@@ -112,6 +118,11 @@ impl Row {
             },
             number(roll.map(|roll| roll.value)),
             number(roll.map(|roll| roll.sigma)),
+            number(moon.map(|moon| moon.centre_px[0])),
+            number(moon.map(|moon| moon.centre_px[1])),
+            number(moon.map(|moon| moon.centre_sigma_px[0])),
+            number(moon.map(|moon| moon.centre_sigma_px[1])),
+            number(moon.map(|moon| moon.radius_px)),
         ]);
         fields
     }

@@ -20,9 +20,10 @@ pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
 pub use flown::{CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT};
 pub use log::{Log, Row, SolutionLog, Upkeep};
-pub use name::{NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain};
+pub use name::{MOON_CAMERA, NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain, sky_camera};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use record::{
-    MappingRecord, MarkRecord, OffsetRecord, Reason, Record, RollRecord, instrument_cards, tables,
+    MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord,
+    instrument_cards, tables,
 };
 pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

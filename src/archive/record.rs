@@ -2,11 +2,13 @@
 
 use crate::aspect::{AdoptedMapping, Aspect, Solution};
 use crate::fits::{Card, Column, Table, Values};
+use crate::geometry::attitude::Direction;
 use crate::horizon;
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
+use crate::moon;
 use crate::pointing::{Offset, Roll};
-use crate::units::Measured;
+use crate::units::{Measured, Rejected};
 use jiff::Timestamp;
 use serde::Serialize;
 use std::time::Duration;
@@ -32,6 +34,9 @@ pub struct Record {
     /// Of the body that carries the cameras, where the horizon was seen.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_deg: Option<RollRecord>,
+    /// Of a frame in which the Moon was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moon: Option<MoonRecord>,
     /// Wall time of the solver alone.
     pub solve_us: Option<u64>,
 }
@@ -43,6 +48,17 @@ pub struct Reason {
     pub reason: &'static str,
     pub measured: f64,
     pub limit: f64,
+}
+
+impl Reason {
+    fn new(stage: &'static str, rejected: &Rejected) -> Self {
+        Self {
+            stage,
+            reason: rejected.reason,
+            measured: rejected.measured,
+            limit: rejected.limit,
+        }
+    }
 }
 
 /// A mark that was read.
@@ -93,6 +109,39 @@ impl From<Measured> for RollRecord {
     }
 }
 
+/// The Moon's disc: its whole one, whatever is lit of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MoonRecord {
+    pub centre_px: [f64; 2],
+    pub centre_sigma_px: [f64; 2],
+    /// Vertical half axis.
+    pub radius_px: f64,
+    pub radius_sigma_px: f64,
+    /// 0 full, 180 new.
+    pub phase_angle_deg: f64,
+    /// The middle of the bright limb in the picture, from +x towards +y.
+    pub bright_limb_deg: f64,
+    /// Unit vector in the camera's axes.
+    pub direction: Option<[f64; 3]>,
+    /// Per axis.
+    pub direction_sigma_deg: Option<f64>,
+}
+
+impl MoonRecord {
+    fn new(disc: &moon::Disc, direction: Option<&Direction>) -> Self {
+        Self {
+            centre_px: [disc.centre.position.x, disc.centre.position.y],
+            centre_sigma_px: disc.centre.sigma(),
+            radius_px: disc.radius_px.value,
+            radius_sigma_px: disc.radius_px.sigma,
+            phase_angle_deg: disc.phase_angle_deg,
+            bright_limb_deg: disc.bright_limb_deg,
+            direction: direction.map(|direction| direction.unit.into_inner().into()),
+            direction_sigma_deg: direction.map(|direction| direction.sigma_rad().to_degrees()),
+        }
+    }
+}
+
 fn milliseconds<S: serde::Serializer>(
     utc: &Option<Timestamp>,
     serializer: S,
@@ -117,12 +166,9 @@ impl Record {
             file: file.into(),
             utc,
             quality: solution.quality.name(),
-            reason: solution.stopped.map(|stopped| Reason {
-                stage: stopped.stage.name(),
-                reason: stopped.rejected.reason,
-                measured: stopped.rejected.measured,
-                limit: stopped.rejected.limit,
-            }),
+            reason: solution
+                .stopped
+                .map(|stopped| Reason::new(stopped.stage.name(), &stopped.rejected)),
             sun_px: aspect.map(|a| [a.sun_px.position.x, a.sun_px.position.y]),
             sun_px_sigma: aspect.map(|a| a.sun_px.sigma()),
             sun_radius_px: aspect.map(|a| a.sun_radius_px.value),
@@ -141,6 +187,7 @@ impl Record {
                 sigma: offset.sigma_deg,
             }),
             roll_deg: None,
+            moon: None,
             solve_us: solve_time.map(|time| time.as_micros() as u64),
         }
     }
@@ -152,18 +199,37 @@ impl Record {
         roll_deg: Option<Measured>,
         solve_time: Duration,
     ) -> Self {
-        let reason = |(stage, rejected): &horizon::Stopped| Reason {
-            stage: stage.name(),
-            reason: rejected.reason,
-            measured: rejected.measured,
-            limit: rejected.limit,
-        };
+        let reason = |(stage, rejected): &horizon::Stopped| Reason::new(stage.name(), rejected);
         Self {
             utc,
             quality: solution.quality().name(),
             reason: solution.nadir.as_ref().err().map(reason),
             roll_deg: roll_deg.map(RollRecord::from),
             ..Self::new("", None, &Solution::none(), None, Some(solve_time))
+        }
+    }
+
+    /// What a frame of the Moon says.
+    pub fn of_moon(
+        utc: Option<Timestamp>,
+        found: &Result<moon::Disc, moon::Stopped>,
+        direction: Option<&Direction>,
+        solve_time: Duration,
+    ) -> Self {
+        let none = Self::new("", None, &Solution::none(), None, Some(solve_time));
+        match found {
+            Ok(disc) => Self {
+                utc,
+                quality: disc.quality.name(),
+                reason: None,
+                moon: Some(MoonRecord::new(disc, direction)),
+                ..none
+            },
+            Err((stage, rejected)) => Self {
+                utc,
+                reason: Some(Reason::new(stage.name(), rejected)),
+                ..none
+            },
         }
     }
 
@@ -280,6 +346,20 @@ impl Record {
         let roll = self.roll_deg.as_ref();
         number("BODYROLL", roll.map(|roll| roll.value));
         number("BODYRLSG", roll.map(|roll| roll.sigma));
+        let moon = self.moon.as_ref();
+        number("MOONPX-X", moon.map(|moon| moon.centre_px[0]));
+        number("MOONPX-Y", moon.map(|moon| moon.centre_px[1]));
+        number("MOONPXSX", moon.map(|moon| moon.centre_sigma_px[0]));
+        number("MOONPXSY", moon.map(|moon| moon.centre_sigma_px[1]));
+        number("MOONPX-R", moon.map(|moon| moon.radius_px));
+        number("MOONPXSR", moon.map(|moon| moon.radius_sigma_px));
+        number("MOONPHAS", moon.map(|moon| moon.phase_angle_deg));
+        number("MOONLIMB", moon.map(|moon| moon.bright_limb_deg));
+        let towards = moon.and_then(|moon| moon.direction);
+        number("MOONDIRX", towards.map(|towards| towards[0]));
+        number("MOONDIRY", towards.map(|towards| towards[1]));
+        number("MOONDIRZ", towards.map(|towards| towards[2]));
+        number("MOONDIRS", moon.and_then(|moon| moon.direction_sigma_deg));
         number("SOLVETIM", self.solve_us.map(|us| us as f64 * 1e-6));
         if let Some(mapping) = mapping {
             cards.push(Card::new("MAPKIND", mapping.kind));

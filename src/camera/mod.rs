@@ -7,14 +7,14 @@ pub mod gige;
 mod pace;
 mod settings;
 mod simulated;
-mod simulated_horizon;
+mod simulated_sky;
 mod source;
 
 pub use auto_exposure::{AutoExposure, AutoExposureSettings, Brightness};
 pub use folder::FolderCamera;
 pub use settings::{PixelFormat, Settings};
 pub use simulated::{SimulatedCamera, TruthLog};
-pub use simulated_horizon::SimulatedHorizon;
+pub use simulated_sky::{SimulatedSky, SkyView};
 pub use source::{NoSource, Source, Surroundings, open};
 
 use crate::fits::FileError;

@@ -2,9 +2,12 @@
 
 #[cfg(feature = "gige")]
 use super::gige::GigeCamera;
-use super::{CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera, SimulatedHorizon};
-use crate::instrument::{Instrument, MountedCamera};
+use super::{
+    CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera, SimulatedSky, SkyView,
+};
+use crate::instrument::{Instrument, SkyCamera};
 use crate::simulate::earth::SwingingGondola;
+use crate::simulate::moon::FollowedMoon;
 use crate::simulate::{Course, FORT_SUMNER, FlightScenes, Pieces, Trajectory};
 use crate::sky;
 use jiff::Timestamp;
@@ -60,8 +63,8 @@ impl fmt::Display for Source {
 #[derive(Debug, Clone)]
 pub struct Surroundings<'a> {
     pub instrument: &'a Instrument,
-    /// For a roll camera that sees the horizon.
-    pub horizon: Option<&'a MountedCamera>,
+    /// For a camera that looks at the sky.
+    pub sky: Option<&'a SkyCamera>,
     /// Seed of the simulator.
     pub seed: u64,
     /// Length of a simulated run; `None` without end.
@@ -87,8 +90,13 @@ pub fn open(
         Source::Folder(folder) => {
             Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
         }
-        Source::Simulated(file) => match around.horizon {
-            Some(horizon) => Box::new(simulated_horizon(horizon, settings, around)),
+        Source::Simulated(file) => match around.sky {
+            Some(camera) => Box::new(SimulatedSky::new(
+                sky_view(camera, around.seed),
+                settings,
+                Timestamp::now(),
+                around.duration,
+            )),
             None => Box::new(simulated(file.as_deref(), settings, around)?),
         },
     };
@@ -96,14 +104,17 @@ pub fn open(
     Ok(camera)
 }
 
-/// A swinging gondola's roll camera, whatever path the Sun takes on the plate of another.
-fn simulated_horizon(
-    horizon: &MountedCamera,
-    settings: &Settings,
-    around: &Surroundings,
-) -> SimulatedHorizon {
-    let gondola = SwingingGondola::new(horizon, &FORT_SUMNER, around.seed);
-    SimulatedHorizon::new(gondola, settings, Timestamp::now(), around.duration)
+/// What a camera sees that looks at the sky above Fort Sumner, now: the limb from a swinging gondola, whatever path the Sun takes on the plate of
+/// another camera; or the Moon, which it follows.
+fn sky_view(camera: &SkyCamera, seed: u64) -> SkyView {
+    match camera {
+        SkyCamera::Horizon(camera) => {
+            SkyView::Horizon(SwingingGondola::new(camera, &FORT_SUMNER, seed))
+        }
+        SkyCamera::Moon(camera) => {
+            SkyView::Moon(Box::new(FollowedMoon::new(camera, FORT_SUMNER, seed)))
+        }
+    }
 }
 
 fn simulated(

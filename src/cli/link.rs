@@ -3,10 +3,10 @@
 use super::options;
 use super::output::say;
 use crate::link::byte_log::{self, Burst};
-use crate::link::describe::{describe, from_hex, result_in_words};
-use crate::link::ground::{ask, order};
+use crate::link::describe::{describe, from_hex, message_in_words, result_in_words};
+use crate::link::ground::{ask, ask_for_moon, order};
 use crate::link::port::BAUD;
-use crate::link::{AnyPort, Computer, Direction, Key, LocalEnd, PortAddress, UdpPort};
+use crate::link::{AnyPort, Computer, Direction, Key, LocalEnd, Message, PortAddress, UdpPort};
 use crate::units::counted;
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};
@@ -75,10 +75,10 @@ struct SendArgs {
     /// The computer that is addressed, 1 or 2
     #[arg(long, default_value = "1", value_parser = computer)]
     computer: Computer,
-    /// How long to wait for the answer
+    /// How long to wait for the answer; a request for the Moon is answered when a picture has been taken
     #[arg(long, value_name = "TIME", default_value = "2s", value_parser = options::duration)]
     timeout: Duration,
-    /// Name or key of the command table (docs/protocol.md), start_tracking, stop_tracking or gps
+    /// Name or key of the command table (docs/protocol.md), start_tracking, stop_tracking, gps or moon
     command: String,
     /// Its values in natural units: angles in deg, signed numbers with their sign, 1 or 0 for on or off
     #[arg(allow_negative_numbers = true)]
@@ -153,7 +153,18 @@ fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
     // Over UDP a sender's numbers must rise until it has been silent for 30 s. Those of two commands from one port,
     // less than 32.7 s apart, do: the numbers begin again after 65.5 s.
     let sequence = Timestamp::now().as_millisecond() as u16;
-    let answer = ask(port.as_mut(), &message, sequence, args.timeout)?;
+    let answer = match message {
+        Message::MoonRequest(request) => {
+            match ask_for_moon(port.as_mut(), request, sequence, args.timeout)? {
+                Ok(answer) => {
+                    say(message_in_words(&Message::Moon(answer)))?;
+                    return Ok(ExitCode::SUCCESS);
+                }
+                Err(refused) => refused,
+            }
+        }
+        _ => ask(port.as_mut(), &message, sequence, args.timeout)?,
+    };
     say(result_in_words(answer.key, answer.value))?;
     Ok(match answer.is_done() {
         true => ExitCode::SUCCESS,

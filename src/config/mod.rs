@@ -42,7 +42,9 @@ pub struct Config {
     pub camera: Camera,
     pub second_camera: Camera,
     pub roll_camera: Camera,
+    pub moon_camera: Camera,
     pub roll: Roll,
+    pub moon: Moon,
     pub link: Link,
     pub archive: Archive,
     pub host: Host,
@@ -78,6 +80,12 @@ impl Config {
             if matches!(camera.source, Some(Source::Gige(_))) && camera.instrument.is_none() {
                 needs(key, "the instrument's file, for a real camera");
             }
+        }
+        if self.moon_camera.source.is_some() && self.moon_camera.instrument.is_none() {
+            needs(
+                "moon_camera.instrument",
+                "the file of the camera that sees the Moon",
+            );
         }
         missing
     }
@@ -170,6 +178,28 @@ impl Roll {
         let edge_m = Measured::new(self.atmosphere_m, self.edge_sigma_m);
         let air = Refraction::StandardAir;
         Sphere::earth(height, edge_m, air)
+    }
+}
+
+/// When the Moon camera's frames are solved, and how requests for the Moon are answered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moon {
+    pub clear_of_sun_deg: f64,
+    pub answer_within_s: f64,
+}
+
+impl Default for Moon {
+    fn default() -> Self {
+        Self {
+            clear_of_sun_deg: 15.0,
+            answer_within_s: 5.0,
+        }
+    }
+}
+
+impl Moon {
+    pub fn answer_within(&self) -> Duration {
+        Duration::from_secs_f64(self.answer_within_s)
     }
 }
 

@@ -63,7 +63,7 @@ macro_rules! camera_rows {
         row!($table.auto_exposure, "", Name(&["off", "on"]),
             "Whether the exposure follows the light; it then begins with exposure_us."),
         row!($table.auto_exposure_target, "", Number(0.1, 0.95),
-            "Where the disc's 99th percentile is held, or the limb's light of a camera that sees the horizon, as a fraction of full scale. Raising it lowers the noise and leaves less room for glints."),
+            "Where the disc's 99th percentile is held, or the limb's light of a camera that sees the horizon, or the Moon's, as a fraction of full scale. Raising it lowers the noise and leaves less room for glints."),
         row!($table.auto_exposure_band, "", Number(0.01, 0.5),
             "How far, relatively, the exposure may be from the best one before it is changed."),
         row!($table.auto_exposure_max_factor, "", Number(1.05, 10.0),
@@ -77,7 +77,7 @@ macro_rules! camera_rows {
     ]};
 }
 
-/// The cameras by role: two that see a plate, and the one for roll.
+/// The cameras by role: two that see a plate, the one for roll, and the one that sees the Moon.
 fn cameras() -> impl Iterator<Item = Parameter> {
     let camera = camera_rows!(
         camera,
@@ -103,7 +103,15 @@ fn cameras() -> impl Iterator<Item = Parameter> {
         analogue " Aspect command 0x0581 sets it in flight.",
         preamp " Aspect command 0x0591 sets it in flight."
     );
-    camera.into_iter().chain(second).chain(roll)
+    let moon = camera_rows!(
+        moon_camera,
+        instrument "calibration/moon.toml", "The file of a camera that sees the Moon (docs/moon.md).",
+        rate (),
+        exposure "Aspect command 0x05B1 sets it in flight. ",
+        analogue "",
+        preamp ""
+    );
+    camera.into_iter().chain(second).chain(roll).chain(moon)
 }
 
 #[rustfmt::skip]
@@ -140,6 +148,11 @@ static TABLE: &[Parameter] = &[
         "The height at which the limb has half of its brightness above the dark sky. An error moves pitch and hardly roll."),
     row!(roll.edge_sigma_m, "m", Number(0.0, 100_000.0),
         "Its 1 sigma."),
+
+    row!(moon.clear_of_sun_deg, "deg", Number(0.0, 180.0),
+        "By day the Moon is looked for no nearer to the Sun than this; by night, with the Sun below the Earth's limb, anywhere above the limb."),
+    row!(moon.answer_within_s, "s", Number(0.05, 3600.0),
+        "How long a request for the Moon may wait for a picture that was begun after it; then it is answered with \"not found\"."),
 
     row!(link.port, "", Text, sample Sample::Text("/dev/serial/by-id/usb-controller"),
         "Where the gondola's controller is: a serial port, best by its by-id name, or udp:HOST:PORT, or udp:HOST:PORT@LOCALPORT with an IP address as HOST (names are not looked up); unset or empty, nothing is sent. A port that is not there, or is lost, is opened again as soon as it is."),

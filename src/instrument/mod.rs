@@ -14,7 +14,7 @@ pub mod toml_file;
 
 pub use builtin::{DEMO_HORIZON, builtin, builtin_names, builtin_text};
 pub use dates::Dated;
-pub use direction_camera::{DirectionCamera, MountedCamera, WrongFrameSize};
+pub use direction_camera::{DirectionCamera, MountedCamera, SkyCamera, WrongFrameSize};
 pub use directions::Directions;
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;

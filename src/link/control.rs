@@ -2,6 +2,7 @@
 
 use super::command::Command;
 use super::message::GpsFix;
+use super::moon::MoonRequest;
 
 /// Results of commands; a read answers with its value instead.
 pub mod result {
@@ -51,6 +52,9 @@ pub trait Control {
 
     /// A place from GPS.
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult;
+
+    /// A request for the Moon: whether it will be answered.
+    fn look_for_moon(&mut self, request: &MoonRequest) -> CommandResult;
 }
 
 /// A fix this far from the last one is taken for an error, deg.

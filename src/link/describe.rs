@@ -4,6 +4,7 @@ use super::command::{CommandRow, Kind, row_of};
 use super::control::result;
 use super::housekeeping::Housekeeping;
 use super::message::{self, AspectCommand, Message, Messages, Telemetry};
+use super::moon::{MoonAnswer, MoonSight, NOT_FOUND, NOT_VISIBLE};
 use super::packet::{CommandPacket, Packet, TelemetryPacket, telemetry_type};
 use super::picture::Section;
 use crate::units::counted;
@@ -39,12 +40,20 @@ impl CommandInWords {
                     .collect()
             }),
             Some(Message::Gps(fix)) => vec![fix.latitude_deg.into(), fix.longitude_deg.into()],
+            Some(Message::MoonRequest(request)) => {
+                vec![
+                    request.latitude_deg,
+                    request.longitude_deg,
+                    request.height_m,
+                ]
+            }
             _ => Vec::new(),
         };
         let name = match message {
             Some(Message::StartTracking) => "start_tracking",
             Some(Message::StopTracking) => "stop_tracking",
             Some(Message::Gps(_)) => "gps",
+            Some(Message::MoonRequest(_)) => "moon",
             _ => row_of(key).map_or("", |row| row.name),
         };
         let values: Vec<String> = values.iter().map(f64::to_string).collect();
@@ -94,7 +103,8 @@ fn command(packet: &CommandPacket) -> String {
     format!("to {target:02x} seq {sequence}: {}", said.join("; "))
 }
 
-fn message_in_words(message: &Message) -> String {
+/// A message in words.
+pub fn message_in_words(message: &Message) -> String {
     match message {
         Message::TrackingOn => "tracking is on".into(),
         Message::TrackingOff => "tracking is off".into(),
@@ -110,8 +120,33 @@ fn message_in_words(message: &Message) -> String {
             "GPS latitude {} longitude {} deg",
             fix.latitude_deg, fix.longitude_deg
         ),
+        Message::MoonRequest(request) => format!(
+            "where is the Moon from latitude {} longitude {} deg height {} m",
+            request.latitude_deg, request.longitude_deg, request.height_m
+        ),
+        Message::Moon(answer) => moon(answer),
         Message::Aspect(command) => aspect(command),
     }
+}
+
+fn moon(answer: &MoonAnswer) -> String {
+    let because = |codes: &[(u16, &'static str)], code| {
+        let row = codes.iter().find(|(number, _)| *number == code);
+        row.map_or("unknown reason", |(_, meaning)| *meaning)
+    };
+    let said = match answer.sight {
+        MoonSight::Found(fix) => format!(
+            "found at {} {} px, towards {:?}, at {}",
+            fix.x_px, fix.y_px, fix.direction, fix.time
+        ),
+        MoonSight::NotVisible { code } => {
+            format!("not visible ({code}): {}", because(NOT_VISIBLE, code))
+        }
+        MoonSight::NotFound { code } => {
+            format!("not found ({code}): {}", because(NOT_FOUND, code))
+        }
+    };
+    format!("Moon of seq {}: {said}", answer.request)
 }
 
 fn aspect(command: &AspectCommand) -> String {
@@ -188,6 +223,7 @@ fn name_of(key: u16) -> &'static str {
         message::key::START_TRACKING => "start_tracking or no_op",
         message::key::STOP_TRACKING => "stop_tracking",
         message::key::GPS => "gps",
+        message::key::MOON_REQUEST => "moon",
         key => row_of(key).map_or("", |row| row.name),
     }
 }

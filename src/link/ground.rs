@@ -2,10 +2,12 @@
 
 use super::command::{COMMANDS, CommandRow, Computer, row_named};
 use super::control::result;
-use super::message::{AspectCommand, GpsFix, Message, MessageError, Telemetry};
+use super::message::{AspectCommand, GpsFix, Message, MessageError, Messages, Telemetry};
+use super::moon::{MoonAnswer, MoonRequest};
 use super::packet::{Direction, Packet, id};
 use super::parser::Parser;
 use super::port::{BytePort, PortError};
+use std::str::FromStr;
 use std::time::{Duration, Instant};
 
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
@@ -14,7 +16,7 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 #[derive(Debug, thiserror::Error)]
 pub enum OrderError {
     #[error(
-        "command: expected a name or key of the command table, start_tracking, stop_tracking or gps; found \"{found}\"{nearest}"
+        "command: expected a name or key of the command table, start_tracking, stop_tracking, gps or moon; found \"{found}\"{nearest}"
     )]
     Unknown { found: String, nearest: String },
     #[error("{name}: expected {expected} ({}), found {found} values", .variables.join(", "))]
@@ -48,6 +50,7 @@ pub fn order(name: &str, values: &[String], computer: Computer) -> Result<Messag
         "start_tracking" => no_values(name, values).map(|()| Message::StartTracking),
         "stop_tracking" => no_values(name, values).map(|()| Message::StopTracking),
         "gps" => gps(values),
+        "moon" => moon(values),
         _ => {
             let row = row(name)?;
             Ok(Message::Aspect(command(row, values, computer)?))
@@ -96,18 +99,34 @@ fn command(
 fn gps(values: &[String]) -> Result<Message, OrderError> {
     let names = ["latitude, deg".to_owned(), "longitude, deg".to_owned()];
     count("gps", &names, values)?;
-    let degrees = |at: usize, variable| {
-        values[at].parse().map_err(|_| OrderError::Value {
-            name: "gps".into(),
-            variable,
-            expected: "a number, deg",
-            found: values[at].clone(),
-        })
-    };
     Ok(Message::Gps(GpsFix {
-        latitude_deg: degrees(0, "latitude")?,
-        longitude_deg: degrees(1, "longitude")?,
+        latitude_deg: number("gps", values, 0, "latitude")?,
+        longitude_deg: number("gps", values, 1, "longitude")?,
     }))
+}
+
+fn moon(values: &[String]) -> Result<Message, OrderError> {
+    let names = ["latitude, deg", "longitude, deg", "height, m"].map(str::to_owned);
+    count("moon", &names, values)?;
+    Ok(Message::MoonRequest(MoonRequest {
+        latitude_deg: number("moon", values, 0, "latitude")?,
+        longitude_deg: number("moon", values, 1, "longitude")?,
+        height_m: number("moon", values, 2, "height")?,
+    }))
+}
+
+fn number<T: FromStr>(
+    name: &str,
+    values: &[String],
+    at: usize,
+    variable: &'static str,
+) -> Result<T, OrderError> {
+    values[at].parse().map_err(|_| OrderError::Value {
+        name: name.into(),
+        variable,
+        expected: "a number",
+        found: values[at].clone(),
+    })
 }
 
 fn no_values(name: &str, values: &[String]) -> Result<(), OrderError> {
@@ -154,32 +173,79 @@ pub fn ask(
     sequence: u16,
     timeout: Duration,
 ) -> Result<Answered, OrderError> {
+    let mut received = false;
+    let answered = converse(port, message, sequence, timeout, |packet| {
+        let Packet::Telemetry(packet) = packet else {
+            return None;
+        };
+        match Telemetry::decode(packet) {
+            Ok(Telemetry::Receipt { sequence: of }) if of == sequence => received = true,
+            Ok(Telemetry::Result {
+                sequence: of,
+                key,
+                value,
+            }) if of == sequence && received => return Some(Answered { key, value }),
+            _ => {}
+        }
+        None
+    })?;
+    let what = if received { "result" } else { "receipt" };
+    answered.ok_or(OrderError::NoAnswer { what, timeout })
+}
+
+/// Sends a request for the Moon and waits for what was found, or for the result of one that is not carried out.
+///
+/// # Errors
+/// As [`ask`].
+pub fn ask_for_moon(
+    port: &mut dyn BytePort,
+    request: MoonRequest,
+    sequence: u16,
+    timeout: Duration,
+) -> Result<Result<MoonAnswer, Answered>, OrderError> {
+    let message = Message::MoonRequest(request);
+    let answered = converse(port, &message, sequence, timeout, |packet| match packet {
+        Packet::Telemetry(packet) => match Telemetry::decode(packet) {
+            Ok(Telemetry::Result {
+                sequence: of,
+                key,
+                value,
+            }) if of == sequence && value != result::DONE => Some(Err(Answered { key, value })),
+            _ => None,
+        },
+        Packet::Command(packet) => Messages::of(packet.payload())
+            .filter_map(|(_, message)| match message {
+                Ok(Message::Moon(answer)) if answer.request == sequence => Some(Ok(answer)),
+                _ => None,
+            })
+            .next(),
+    })?;
+    let what = "answer to the request for the Moon";
+    answered.ok_or(OrderError::NoAnswer { what, timeout })
+}
+
+/// Sends a message and listens until a packet is what is waited for; `None` where none comes in time.
+fn converse<T>(
+    port: &mut dyn BytePort,
+    message: &Message,
+    sequence: u16,
+    timeout: Duration,
+    mut is_awaited: impl FnMut(&Packet) -> Option<T>,
+) -> Result<Option<T>, OrderError> {
     let packet = message.packet(id::ASPECT, sequence)?;
     port.write(&packet.encode(), WRITE_TIMEOUT)?;
     let start = Instant::now();
     let mut parser = Parser::new(Direction::ToController);
-    let mut received = false;
     let mut buffer = [0; 2048];
     while start.elapsed() < timeout {
         let left = timeout.saturating_sub(start.elapsed());
         let count = port.read(&mut buffer, left.min(Duration::from_millis(50)))?;
-        for packet in parser.feed(&buffer[..count], start.elapsed()) {
-            let Packet::Telemetry(packet) = packet else {
-                continue;
-            };
-            match Telemetry::decode(&packet) {
-                Ok(Telemetry::Receipt { sequence: of }) if of == sequence => received = true,
-                Ok(Telemetry::Result {
-                    sequence: of,
-                    key,
-                    value,
-                }) if of == sequence && received => return Ok(Answered { key, value }),
-                _ => {}
-            }
+        let packets = parser.feed(&buffer[..count], start.elapsed());
+        if let Some(awaited) = packets.iter().find_map(&mut is_awaited) {
+            return Ok(Some(awaited));
         }
     }
-    let what = if received { "result" } else { "receipt" };
-    Err(OrderError::NoAnswer { what, timeout })
+    Ok(None)
 }
 
 #[cfg(test)]
@@ -231,6 +297,7 @@ mod tests {
             ("store_frames", &["2"], &["1 (on) or 0 (off)", "2"]),
             ("set_twist", &["north"], &["angle", "north"]),
             ("gps", &["1", "x"], &["longitude", "x"]),
+            ("moon", &["1", "2"], &["expected 3", "height, m"]),
             ("stop_tracking", &["1"], &["expected 0"]),
         ] {
             let message = say(name, values).unwrap_err();

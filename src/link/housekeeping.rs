@@ -9,10 +9,15 @@ use jiff::Timestamp;
 use std::fmt;
 
 /// The layout that this program writes. Those before are read, too.
-pub const LAYOUT: u8 = 4;
+pub const LAYOUT: u8 = 5;
 
 /// The earlier layouts, and the field that the next one began its additions with.
-const EARLIER: [(u8, &str); 3] = [(1, "takeovers"), (2, "commit"), (3, "roll_deg")];
+const EARLIER: [(u8, &str); 4] = [
+    (1, "takeovers"),
+    (2, "commit"),
+    (3, "roll_deg"),
+    (4, "night"),
+];
 
 /// A field as the page on the protocol shows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -149,6 +154,12 @@ housekeeping! {
     roll_coarse: u32, "", "frames of the horizon solved coarsely";
     roll_none: u32, "", "frames without a horizon";
     roll_reasons: [u32; 2], "", "of these, frames that were too bright all over, and too dark";
+    night: Option<u8>, "", "at the Moon camera's latest frame, by the ephemeris: 1 night, 0 day";
+    moon_found: u32, "", "frames in which the Moon was found";
+    moon_none: u32, "", "frames that should show the Moon and do not";
+    moon_hidden: u32, "", "frames taken while the Moon could not be seen";
+    moon_x_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
+    moon_y_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
 }
 
 /// The ids of up to sixteen marks: i and j, each from -7 to 7.
@@ -458,8 +469,8 @@ mod tests {
     fn the_table_tells_the_length_and_it_is_short() {
         let length: usize = FIELDS.iter().map(|field| field.bytes).sum();
         assert_eq!(full().payload().len(), 1 + length);
-        // A fortieth of what the line carries in a second.
-        assert!(length <= 288, "{length} bytes");
+        // A thirty-sixth of what the line carries in a second.
+        assert!(length <= 320, "{length} bytes");
     }
 
     #[test]
@@ -486,7 +497,9 @@ mod tests {
             simulated: false,
             ..layout_2.clone()
         };
-        for (layout, stated_length, told) in [(1, 207, layout_1), (2, 245, layout_2)] {
+        for (layout, stated_length, told) in
+            [(1, 207, layout_1), (2, 245, layout_2), (4, 282, full())]
+        {
             let added = EARLIER.iter().find(|(number, _)| *number == layout);
             let (_, added) = added.unwrap();
             let known = FIELDS.iter().take_while(|field| field.name != *added);

@@ -7,6 +7,7 @@
 pub use super::fields::MessageError;
 
 use super::fields::{Reader, Writer, unix_time};
+use super::moon::{self, MoonAnswer, MoonRequest};
 use super::packet::{CommandPacket, TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 
@@ -15,12 +16,16 @@ pub mod key {
     pub const GPS: u16 = 0x000A;
     pub const START_TRACKING: u16 = 0x1000;
     pub const STOP_TRACKING: u16 = 0x1001;
+    pub const MOON_REQUEST: u16 = 0x1010;
     pub const ASPECT_COMMAND: u16 = 0x10FF;
     pub const TRACKING_ON: u16 = 0x1100;
     pub const TRACKING_OFF: u16 = 0x1101;
     pub const SOLUTION: u16 = 0x1102;
     pub const ERROR: u16 = 0x1103;
     pub const EXPOSURE_START: u16 = 0x1104;
+    pub const MOON_FOUND: u16 = 0x1110;
+    pub const MOON_NOT_VISIBLE: u16 = 0x1111;
+    pub const MOON_NOT_FOUND: u16 = 0x1112;
 }
 
 /// The camera's number in an exposure packet: 1, whichever computer sends it.
@@ -104,10 +109,12 @@ pub enum Message {
         code: u16,
     },
     ExposureStart(ExposureStart),
+    Moon(MoonAnswer),
     // To us, from the controller or the ground.
     StartTracking,
     StopTracking,
     Gps(GpsFix),
+    MoonRequest(MoonRequest),
     Aspect(AspectCommand),
 }
 
@@ -122,6 +129,8 @@ impl Message {
             Self::StartTracking => key::START_TRACKING,
             Self::StopTracking => key::STOP_TRACKING,
             Self::Gps(_) => key::GPS,
+            Self::MoonRequest(_) => key::MOON_REQUEST,
+            Self::Moon(answer) => answer.sight.key(),
             Self::Aspect(_) => key::ASPECT_COMMAND,
         }
     }
@@ -152,6 +161,8 @@ impl Message {
                 out.f32("latitude", fix.latitude_deg)?;
                 out.f32("longitude", fix.longitude_deg)?;
             }
+            Self::MoonRequest(request) => request.write(&mut out)?,
+            Self::Moon(answer) => answer.write(&mut out)?,
             Self::Aspect(command) => {
                 out.u16(command.key);
                 command.variables.iter().for_each(|&v| out.u16(v));
@@ -184,6 +195,10 @@ impl Message {
                 latitude_deg: input.f32("latitude")?,
                 longitude_deg: input.f32("longitude")?,
             }),
+            key::MOON_REQUEST => Self::MoonRequest(MoonRequest::read(&mut input)?),
+            key::MOON_FOUND | key::MOON_NOT_VISIBLE | key::MOON_NOT_FOUND => {
+                Self::Moon(MoonAnswer::read(&mut input)?)
+            }
             key::ASPECT_COMMAND => Self::Aspect(AspectCommand::read(&mut input)?),
             key => return Err(MessageError::UnknownKey { key }),
         })
@@ -257,6 +272,9 @@ fn stated_length(payload: &[u8]) -> Option<usize> {
         key::ERROR => 2,
         key::EXPOSURE_START => 2 + 8,
         key::GPS => 2 * 4,
+        key::MOON_REQUEST => moon::REQUEST_BYTES,
+        key::MOON_FOUND => moon::FOUND_BYTES,
+        key::MOON_NOT_VISIBLE | key::MOON_NOT_FOUND => moon::CODE_BYTES,
         key::ASPECT_COMMAND => 2 + 2 * variable_count(first_word(payload.get(2..)?)?),
         _ => return None,
     };
@@ -318,6 +336,7 @@ pub fn variable_count(key: u16) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::moon::{MoonFix, MoonSight};
 
     fn every_message() -> Vec<Message> {
         let time = Timestamp::from_second(1_379_786_400).unwrap();
@@ -337,6 +356,29 @@ mod tests {
             Message::Gps(GpsFix {
                 latitude_deg: 34.5,
                 longitude_deg: -104.25,
+            }),
+            Message::MoonRequest(MoonRequest {
+                latitude_deg: 34.5,
+                longitude_deg: -104.25,
+                height_m: 38_000.0,
+            }),
+            Message::Moon(MoonAnswer {
+                request: 9,
+                sight: MoonSight::Found(MoonFix {
+                    x_px: 359.5,
+                    y_px: 288.25,
+                    covariance_px2: [1e-3, -2e-4, 4e-3],
+                    direction: [0.0, 0.6, 0.8],
+                    time,
+                }),
+            }),
+            Message::Moon(MoonAnswer {
+                request: 10,
+                sight: MoonSight::NotVisible { code: 2 },
+            }),
+            Message::Moon(MoonAnswer {
+                request: 11,
+                sight: MoonSight::NotFound { code: 1 },
             }),
             Message::StartTracking,
             Message::StopTracking,

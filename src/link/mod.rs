@@ -20,6 +20,7 @@ pub mod guard;
 pub mod housekeeping;
 pub mod key;
 pub mod message;
+pub mod moon;
 pub mod packet;
 pub mod parser;
 pub mod picture;
@@ -36,6 +37,7 @@ pub use key::Key;
 pub use message::{
     AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, Solution, Telemetry,
 };
+pub use moon::{MoonAnswer, MoonFix, MoonRequest, MoonSight};
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
 pub use parser::{Parser, Rejected};
 pub use picture::Picture;

@@ -14,6 +14,8 @@
 //!    out, once, and never after one of a later exposure; an error takes its place where there is none.
 //! 5. Sending changes between exposures: a command that disables it is done, and its result sent, when the announced
 //!    exposure has been concluded, so that a hand-over to the other computer leaves neither a gap nor a double.
+//! 6. A request for the Moon is answered by its result at once, and by what was found when a picture has been looked at, whoever
+//!    tracks or sends.
 
 use super::command::{Action, Command, CommandError, Computer, row_of};
 use super::control::{CommandResult, Control};
@@ -21,6 +23,7 @@ use super::describe::{CommandInWords, result_in_words};
 use super::message::{
     AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, Solution, Telemetry, key,
 };
+use super::moon::{MoonAnswer, MoonRequest};
 use super::packet::{CommandPacket, id};
 use jiff::Timestamp;
 use std::collections::VecDeque;
@@ -43,6 +46,8 @@ pub struct Reply {
     pub packets: Vec<Vec<u8>>,
     /// The commands to this computer that the packet held, and what came of each.
     pub commands: Vec<(CommandInWords, String)>,
+    /// Requests for the Moon that wait for a picture, each with its packet's sequence number.
+    pub moon_requests: Vec<(u16, MoonRequest)>,
     pub changed: bool,
 }
 
@@ -135,6 +140,7 @@ impl Responder {
         let before = self.state;
         let sequence = packet.sequence();
         let (mut answers, mut commands) = (Vec::new(), Vec::new());
+        let mut moon_requests = Vec::new();
         for (bytes, message) in Messages::of(packet.payload()) {
             let Some(key) = self.key_for_us(bytes) else {
                 continue;
@@ -145,6 +151,11 @@ impl Responder {
             };
             let words = CommandInWords::of(key, message.as_ref().ok());
             commands.push((words, answer.in_words(key, control)));
+            if let (Ok(Message::MoonRequest(request)), Answer::Result(CommandResult::Done)) =
+                (&message, &answer)
+            {
+                moon_requests.push((sequence, *request));
+            }
             answers.push((key, answer));
         }
         if answers.is_empty() {
@@ -152,6 +163,7 @@ impl Responder {
         }
         Ok(Reply {
             commands,
+            moon_requests,
             changed: self.state != before,
             packets: self.answered(sequence, answers, now)?,
         })
@@ -221,6 +233,11 @@ impl Responder {
         code: u16,
     ) -> Result<Option<Vec<u8>>, MessageError> {
         self.conclude(exposure, &Message::Error { code })
+    }
+
+    /// The packet that answers a request for the Moon.
+    pub fn moon(&mut self, answer: MoonAnswer) -> Result<Vec<u8>, MessageError> {
+        self.numbered(&Message::Moon(answer))
     }
 
     /// Takes an announcement back: its packet could not be written, or nothing will be said of it.
@@ -301,6 +318,7 @@ impl Responder {
                 Answer::Message(Message::TrackingOff)
             }
             Message::Gps(fix) => Answer::Result(control.take_fix(*fix)),
+            Message::MoonRequest(request) => Answer::Result(control.look_for_moon(request)),
             Message::Aspect(command) => self.command(command, stop, control),
             // Messages of our own side are no commands to us.
             _ => Answer::Result(CommandResult::Unknown),

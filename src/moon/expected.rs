@@ -1,9 +1,9 @@
 //! What is known of the Moon before a frame is looked at.
 
 use crate::geometry::camera::Camera;
-use crate::sky::MoonPosition;
-use crate::sky::sphere::{direction, tangents, travel};
-use crate::units::{ARCSEC_PER_RAD, Measured};
+use crate::sky::sphere::{direction, separation_rad, tangents, travel};
+use crate::sky::{MoonPosition, SunPosition, horizon_deg};
+use crate::units::{ARCSEC_PER_RAD, Measured, Place, Rejected};
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 
 /// A lens's scale is known this well, and so the radius in px; the Moon's own radius and distance far better.
@@ -11,6 +11,8 @@ const SCALE_SIGMA: f64 = 3e-3;
 /// The ephemeris's phase, and the side of the light where an attitude is stated, 1 sigma, deg.
 const PHASE_SIGMA_DEG: f64 = 0.1;
 const SIDE_SIGMA_DEG: f64 = 2.0;
+/// What is farther below the horizon is not in the picture, deg: air bends light by less.
+const BELOW_DEG: f64 = 1.0;
 
 /// What is known of the Moon before a frame is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -69,6 +71,45 @@ impl Expected {
             ..self
         }
     }
+}
+
+/// That the Moon is below the horizon of a place: no picture from there shows it.
+pub fn below_horizon(moon: &MoonPosition, place: Place) -> Option<Rejected> {
+    let (measured, limit) = (moon.elevation_deg, horizon_deg(place) - BELOW_DEG);
+    (measured < limit).then_some(Rejected {
+        reason: "below_horizon",
+        measured,
+        limit,
+    })
+}
+
+/// The reason of [`near_sun`].
+pub const NEAR_SUN: &str = "near_sun";
+
+/// That the Moon stands nearer to the Sun than some angle, and the Sun is up.
+pub fn near_sun(
+    moon: &MoonPosition,
+    sun: &SunPosition,
+    place: Place,
+    clear_of_sun_deg: f64,
+) -> Option<Rejected> {
+    let towards_moon = direction(moon.azimuth_deg, moon.elevation_deg);
+    let towards_sun = direction(sun.azimuth_deg, sun.elevation_deg);
+    let (measured, limit) = (
+        separation_rad(&towards_moon, &towards_sun).to_degrees(),
+        clear_of_sun_deg,
+    );
+    let is_near = !is_night(sun, place) && measured < limit;
+    is_near.then_some(Rejected {
+        reason: NEAR_SUN,
+        measured,
+        limit,
+    })
+}
+
+/// Whether the whole Sun is below the horizon of a place.
+pub fn is_night(sun: &SunPosition, place: Place) -> bool {
+    sun.elevation_deg < horizon_deg(place)
 }
 
 /// Takes directions of the camera frame (x right, y down, z forward) to the local one (east, north, up), for a camera whose axis points to an

@@ -1,7 +1,7 @@
 //! Sky and noise of a frame.
 
 use crate::estimation::{QUARTILE_SIGMAS, SIGMA_PER_MEDIAN, median};
-use crate::frame::Frame;
+use crate::frame::{Frame, Region};
 use crate::units::Rejected;
 use std::f64::consts::SQRT_2;
 
@@ -13,6 +13,20 @@ const BRIGHT_SIGMAS: f64 = 6.0;
 const MOST_SKY: f64 = 0.7;
 /// Steps of one DN hide less than that.
 const LEAST_NOISE_DN: f64 = 0.5;
+
+/// The brightest pixels of a light: a crescent has so many.
+const BRIGHTEST: usize = 20;
+
+/// What the brightest pixels of a region exceed, DN: what an exposure may follow. `None` of a region of fewer pixels.
+pub fn bright_dn(frame: &Frame, region: Region) -> Option<f64> {
+    let rows = (region.y0..region.y1).flat_map(|y| frame.row_dn(y, region.x0..region.x1));
+    let mut light: Vec<f32> = rows.collect();
+    if light.len() <= BRIGHTEST {
+        return None;
+    }
+    let (_, bright, _) = light.select_nth_unstable_by(BRIGHTEST, |a, b| b.total_cmp(a));
+    Some(f64::from(*bright))
+}
 
 /// Levels of a frame, DN.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,7 +78,7 @@ impl Levels {
     }
 
     /// Less light above the sky may be noise.
-    pub(super) fn least_dn(&self) -> f64 {
+    pub fn least_dn(&self) -> f64 {
         BRIGHT_SIGMAS * self.noise_dn
     }
 }

@@ -24,8 +24,10 @@ mod plane;
 mod profile;
 mod shading;
 
-pub use expected::{Expected, Radius, local_from_camera};
-pub use light::Levels;
+pub use expected::{
+    Expected, NEAR_SUN, Radius, below_horizon, is_night, local_from_camera, near_sun,
+};
+pub use light::{Levels, bright_dn};
 pub use overlay::overlay;
 pub use shading::{Shading, Sphere, towards_sun};
 
@@ -128,7 +130,7 @@ impl Stage {
 pub type Stopped = (Stage, Rejected);
 
 /// How good a find is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quality {
     /// Most of the lit limb is seen.
     Fine,

@@ -16,7 +16,7 @@ const PERISHABLE: [&str; 5] = [
 pub(super) fn check(plan: &Plan, camera: &PlannedCamera) -> Vec<Finding> {
     match camera.role {
         CameraRole::PitchYaw => vec![age(plan, camera, Timestamp::now()), sigmas(camera)],
-        CameraRole::Roll => Vec::new(),
+        CameraRole::Roll | CameraRole::Moon => Vec::new(),
     }
 }
 

@@ -8,7 +8,7 @@ use crate::camera::{
 };
 use crate::config::Config;
 use crate::frame::Frame;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, SkyCamera};
 use crate::link::CameraRole;
 use crate::pointing;
 use std::time::{Duration, Instant};
@@ -39,7 +39,7 @@ pub(super) fn open(
 ) -> Result<Box<dyn FrameSource>, CameraError> {
     let around = Surroundings {
         instrument: &planned.instrument,
-        horizon: planned.horizon.as_ref(),
+        sky: planned.sky.as_ref(),
         seed: config.simulation.seed,
         duration: None,
         speed: 1.0,
@@ -72,25 +72,32 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     ];
     findings.extend(health(check, &trial));
     match (planned.role, planned.instrument.seen_by(frame)) {
-        (CameraRole::Roll, _) => {
-            if let Some(camera) = planned.horizon.clone() {
+        (CameraRole::Roll | CameraRole::Moon, _) => {
+            if let Some(camera) = planned.sky.clone() {
                 let (plan, table, frame) = (plan.clone(), planned.table, frame.clone());
                 findings.extend(findings_within(
                     PATIENCE,
                     &format!("{table} solves"),
                     "tell the program's makers",
-                    move || super::horizon::solves(&plan, table, &camera, &frame),
+                    move || match camera {
+                        SkyCamera::Horizon(camera) => {
+                            super::horizon::solves(&plan, table, &camera, &frame)
+                        }
+                        SkyCamera::Moon(camera) => {
+                            super::moon::solves(&plan, table, &camera, &frame)
+                        }
+                    },
                 ));
             }
         }
-        (_, Ok(instrument)) => {
+        (CameraRole::PitchYaw, Ok(instrument)) => {
             let seen = PlannedCamera {
                 instrument: instrument.into_owned(),
                 ..planned.clone()
             };
             findings.extend(solves(plan, &seen, frame));
         }
-        (_, Err(wrong)) => findings.push(Finding::fail(
+        (CameraRole::PitchYaw, Err(wrong)) => findings.push(Finding::fail(
             check,
             wrong.to_string(),
             "give the camera its own instrument file",

@@ -15,6 +15,7 @@ mod disks;
 mod finding;
 mod horizon;
 mod link;
+mod moon;
 mod plan;
 mod polarity;
 mod remarks;

@@ -2,7 +2,7 @@
 
 use crate::camera::Source;
 use crate::config::{self, Config};
-use crate::instrument::{Dated, Instrument, MountedCamera};
+use crate::instrument::{Dated, Instrument, SkyCamera};
 use crate::link::CameraRole;
 use crate::pointing::{Feature, HelioprojectiveArcsec, PointingError, Target};
 use crate::sky::TableError;
@@ -50,10 +50,10 @@ pub struct PlannedCamera {
     pub role: CameraRole,
     pub source: Source,
     pub config: config::Camera,
-    /// The camera's own; for roll the demo, for want of one that describes it.
+    /// The camera's own; of a camera that sees no plate the demo, for want of one that describes it.
     pub instrument: Instrument,
-    /// What a roll camera sees the horizon with.
-    pub horizon: Option<MountedCamera>,
+    /// What a roll or Moon camera sees the sky with.
+    pub sky: Option<SkyCamera>,
     /// When the instrument's mounting was measured.
     pub dates: Vec<Dated>,
 }
@@ -101,8 +101,9 @@ impl fmt::Display for PlannedCamera {
         )?;
         match self.role {
             CameraRole::PitchYaw => write!(out, ", instrument \"{}\"", self.instrument.name),
-            CameraRole::Roll if self.horizon.is_some() => write!(out, ", solved for roll"),
-            CameraRole::Roll => write!(out, ", stored and not solved"),
+            CameraRole::Roll if self.sky.is_some() => write!(out, ", solved for roll"),
+            CameraRole::Moon if self.sky.is_some() => write!(out, ", solved for the Moon"),
+            CameraRole::Roll | CameraRole::Moon => write!(out, ", stored and not solved"),
         }
     }
 }

@@ -5,7 +5,7 @@ use super::plan::{self, NoTarget, Options, Plan, PlannedCamera};
 use crate::camera::{CameraError, FolderCamera, Source};
 use crate::config::{self, Config};
 use crate::instrument::toml_file::read_text;
-use crate::instrument::{Instrument, MountedCamera, TomlError};
+use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera, TomlError};
 use crate::link::CameraRole;
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::simulate::Pieces;
@@ -143,9 +143,13 @@ pub(super) fn survey_anyway(file: Option<&Path>, options: &Options) -> (Plan, Re
 }
 
 /// The cameras' tables.
-fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &config::Camera); 3] {
+fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &config::Camera); 4] {
     let first = &config.camera;
-    let (second, roll) = (&config.second_camera, &config.roll_camera);
+    let (second, roll, moon) = (
+        &config.second_camera,
+        &config.roll_camera,
+        &config.moon_camera,
+    );
     [
         ("camera", CameraRole::PitchYaw, first.source.clone(), first),
         (
@@ -155,6 +159,7 @@ fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &confi
             second,
         ),
         ("roll_camera", CameraRole::Roll, roll.source.clone(), roll),
+        ("moon_camera", CameraRole::Moon, moon.source.clone(), moon),
     ]
 }
 
@@ -168,6 +173,7 @@ fn cross_check(config: &Config, remarks: &mut Remarks) {
         }
     }
     roll(config, remarks);
+    moon(config, remarks);
     same_sources(config, remarks);
     archive(&config.archive, remarks);
     link(config, remarks);
@@ -191,6 +197,20 @@ fn roll(config: &Config, remarks: &mut Remarks) {
             "roll.max_age_s",
             expected,
             config.roll.max_age_s.to_string(),
+        );
+    }
+}
+
+/// A request for the Moon waits for the exposure that runs, the next one, and its reading.
+fn moon(config: &Config, remarks: &mut Remarks) {
+    let camera = &config.moon_camera;
+    let least_s = 2.0 / camera.rate_hz;
+    if camera.source.is_some() && config.moon.answer_within_s < least_s {
+        let expected = format!("{least_s:.3} s or more, two periods of moon_camera.rate_hz");
+        remarks.warn(
+            "moon.answer_within_s",
+            expected,
+            config.moon.answer_within_s.to_string(),
         );
     }
 }
@@ -238,11 +258,11 @@ fn same_sources(config: &Config, remarks: &mut Remarks) {
         };
         let key = format!("{table}.source");
         let expected = format!("another source than that of {other}");
-        let sees_horizon = *role == CameraRole::Roll && camera.instrument.is_some();
+        let sees_sky = *role != CameraRole::PitchYaw && camera.instrument.is_some();
         match source {
             None => {}
-            // The simulator then draws the horizon.
-            Some(Source::Simulated(_)) if sees_horizon => {}
+            // The simulator then draws the horizon or the Moon.
+            Some(Source::Simulated(_)) if sees_sky => {}
             Some(source @ Source::Gige(_)) => remarks.error(&key, expected, source.to_string()),
             Some(source) => remarks.warn(&key, expected, source.to_string()),
         }
@@ -385,11 +405,18 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
         let Some(source) = source else { continue };
         check_source(table, &source, camera, remarks);
         let file = camera.instrument.as_deref();
-        let (plate, horizon) = match role {
-            CameraRole::PitchYaw => (file, None),
-            CameraRole::Roll => (None, file),
-        };
-        let horizon = horizon.and_then(|file| remarks.noted(MountedCamera::read(file)));
+        let plate = file.filter(|_| role == CameraRole::PitchYaw);
+        let sky = file.and_then(|file| match role {
+            CameraRole::PitchYaw => None,
+            CameraRole::Roll => {
+                let camera = MountedCamera::read(file).map(SkyCamera::Horizon);
+                remarks.noted(camera)
+            }
+            CameraRole::Moon => {
+                let camera = DirectionCamera::read(file).map(SkyCamera::Moon);
+                remarks.noted(camera)
+            }
+        });
         let instrument = remarks.noted(Instrument::read_with_dates(plate));
         planned.extend(instrument.map(|(instrument, dates)| PlannedCamera {
             table,
@@ -397,7 +424,7 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
             source,
             config: camera.clone(),
             instrument,
-            horizon,
+            sky,
             dates,
         }));
     }

@@ -1,7 +1,7 @@
 //! Which camera took which frames of an archive, by their headers.
 
 use super::record::Input;
-use crate::archive::{INSTRUMENT, ROLL_CAMERA, is_of_roll_camera, plain};
+use crate::archive::{INSTRUMENT, MOON_CAMERA, ROLL_CAMERA, plain, sky_camera};
 use crate::fits::{self, Value};
 use crate::frame::TakenBy;
 use rayon::prelude::*;
@@ -24,6 +24,10 @@ impl CameraFrames {
     /// Whether this is the camera that sees the horizon: no plate, no Sun.
     pub fn is_roll_camera(&self) -> bool {
         self.taken_by.instrument.as_deref() == Some(ROLL_CAMERA)
+    }
+
+    pub fn is_moon_camera(&self) -> bool {
+        self.taken_by.instrument.as_deref() == Some(MOON_CAMERA)
     }
 }
 
@@ -67,11 +71,9 @@ fn named(path: &Path) -> Option<Named> {
         Some(Value::Text(sha256)) => Some(sha256.clone()),
         _ => None,
     };
-    // The roll camera has no instrument of the plate that its headers could name.
+    // Roll and Moon camera have no instrument of the plate that their headers could name.
     let name = TakenBy {
-        instrument: info
-            .instrument
-            .or(is_of_roll_camera(path).then(|| ROLL_CAMERA.into())),
+        instrument: info.instrument.or(sky_camera(path).map(str::to_owned)),
         camera: info.camera,
     };
     Some(Named(name, sha256))

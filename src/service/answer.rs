@@ -4,7 +4,9 @@ use super::flight::Station;
 use crate::archive::{Record, RollRecord, Row};
 use crate::aspect::{Quality, Solution};
 use crate::camera::Exposure;
+use crate::geometry::attitude::Direction;
 use crate::horizon;
+use crate::moon::{self, Disc, Stopped};
 use crate::pointing::{Offset, Target};
 use crate::units::Measured;
 use std::sync::Arc;
@@ -21,6 +23,8 @@ pub struct Answer {
     pub offset: Option<Offset>,
     /// Of a roll camera that looks at the horizon.
     pub horizon: Option<Arc<horizon::Solution>>,
+    /// Of a Moon camera.
+    pub moon: Option<Arc<SolvedMoon>>,
     /// The body's, deg: by this frame of the horizon, or by the one nearest to this frame of the Sun.
     pub roll_deg: Option<Measured>,
     /// When that frame of the horizon was there.
@@ -31,26 +35,45 @@ pub struct Answer {
     pub to_be_stored: bool,
 }
 
+/// What a frame of the Moon camera shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SolvedMoon {
+    pub found: Result<Disc, Stopped>,
+    /// In the camera's axes.
+    pub direction: Option<Direction>,
+}
+
 impl Answer {
     /// What the logs tell of it, before its picture is stored.
     pub(super) fn row(&self) -> Row {
         let info = &self.exposure.frame.info;
         let solution = &self.solution;
         let solve_time = Some(self.solve_time);
-        let mut record = match &self.horizon {
-            Some(horizon) => {
-                Record::of_horizon(info.mid_exposure, horizon, self.roll_deg, self.solve_time)
+        let utc = info.mid_exposure;
+        let mut record = match (&self.horizon, &self.moon) {
+            (Some(horizon), _) => Record::of_horizon(utc, horizon, self.roll_deg, self.solve_time),
+            (_, Some(moon)) => {
+                Record::of_moon(utc, &moon.found, moon.direction.as_ref(), self.solve_time)
             }
-            None => Record::new("", info.mid_exposure, solution, self.offset, solve_time),
+            _ => Record::new("", utc, solution, self.offset, solve_time),
         };
         record.roll_deg = self.roll_deg.map(RollRecord::from);
         let row = Row::new(info.number, solution, record);
-        match &self.horizon {
-            Some(horizon) => Row {
-                quality: quality(horizon.quality()),
-                ..row
-            },
-            None => row,
+        let quality = match (&self.horizon, &self.moon) {
+            (Some(horizon), _) => quality(horizon.quality()),
+            (_, Some(moon)) => moon.quality(),
+            _ => row.quality,
+        };
+        Row { quality, ..row }
+    }
+}
+
+impl SolvedMoon {
+    fn quality(&self) -> Quality {
+        match self.found.as_ref().map(|disc| disc.quality) {
+            Ok(moon::Quality::Fine) => Quality::Fine,
+            Ok(moon::Quality::Coarse) => Quality::Coarse,
+            Err(_) => Quality::None,
         }
     }
 }

@@ -35,6 +35,7 @@ pub enum Seat {
     PitchYaw,
     SecondPitchYaw,
     Roll,
+    Moon,
 }
 
 impl Seat {
@@ -42,6 +43,7 @@ impl Seat {
         match self {
             Self::PitchYaw | Self::SecondPitchYaw => CameraRole::PitchYaw,
             Self::Roll => CameraRole::Roll,
+            Self::Moon => CameraRole::Moon,
         }
     }
 }
@@ -73,7 +75,7 @@ impl Topic {
             "target" | "site" | "gps" => Self::Aim,
             "mounting" => Self::Mounting,
             "limb" | "fiducial" | "registration" => Self::Solver,
-            "camera" | "second_camera" | "roll_camera" => Self::Cameras,
+            "camera" | "second_camera" | "roll_camera" | "moon_camera" => Self::Cameras,
             "store" => Self::Storing,
             "link" => Self::Link,
             _ => Self::Other,
@@ -92,6 +94,7 @@ pub struct Snapshot {
     pub twist_deg: Option<f64>,
     pub solver: aspect::Settings,
     pub roll: config::Roll,
+    pub moon: config::Moon,
 }
 
 impl Snapshot {
@@ -124,7 +127,7 @@ struct Shared {
     state: Mutex<State>,
     versions: [AtomicU64; Topic::COUNT],
     quits: AtomicBool,
-    pictures: [AtomicBool; 2],
+    pictures: [AtomicBool; CameraRole::COUNT],
     /// Tells the thread that saves values that something has changed; one such word is enough.
     changed: (Sender<()>, Receiver<()>),
     /// Rows for the command log.
@@ -194,6 +197,7 @@ impl Controls {
             twist_deg: state.own.twist_deg,
             solver: state.config.solver(),
             roll: state.config.roll,
+            moon: state.config.moon,
         }
     }
 
@@ -338,6 +342,7 @@ impl State {
             Seat::PitchYaw => &self.config.camera,
             Seat::SecondPitchYaw => &self.config.second_camera,
             Seat::Roll => &self.config.roll_camera,
+            Seat::Moon => &self.config.moon_camera,
         }
     }
 

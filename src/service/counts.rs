@@ -4,7 +4,7 @@ use super::archiver::Gauges;
 use super::flight::UnsolvedFrame;
 use super::shared::Shared;
 use super::silence::Silence;
-use super::tally::{CameraTally, FlightTally, LineTally, RollTally, SolverTally};
+use super::tally::{CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally};
 use crossbeam_channel::Receiver;
 use std::time::Instant;
 
@@ -19,6 +19,7 @@ pub(super) struct Counts {
     pub archive: Gauges,
     pub line: Shared<LineTally>,
     pub roll: Shared<RollTally>,
+    pub moon: Shared<MoonTally>,
 }
 
 impl Counts {
@@ -27,6 +28,7 @@ impl Counts {
             archive: self.archive.tally(),
             line: self.line.copy(),
             roll: self.roll.copy(),
+            moon: self.moon.copy(),
             log_lines_lost: crate::log::lost_lines(),
             ..FlightTally::default()
         };

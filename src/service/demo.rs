@@ -5,7 +5,7 @@ use super::tally::{FlightTally, quantile};
 use super::{Answer, Camera, Flight, Service};
 use crate::archive::Store;
 use crate::aspect::Quality;
-use crate::camera::{SimulatedCamera, SimulatedHorizon, TruthLog};
+use crate::camera::{SimulatedCamera, SimulatedSky, SkyView, TruthLog};
 use crate::config::Config;
 use crate::fits::Compression;
 use crate::instrument::{self, DEMO_HORIZON, Instrument, MountedCamera, builtin_text};
@@ -163,7 +163,8 @@ fn roll_camera(
     let mounted = MountedCamera::parse(Path::new("demo-horizon"), text)?;
     let gondola = SwingingGondola::new(&mounted, &FORT_SUMNER, demo.seed);
     let settings = Config::default().roll_camera.settings();
-    let source = SimulatedHorizon::new(gondola.clone(), &settings, start, Some(demo.duration));
+    let view = SkyView::Horizon(gondola.clone());
+    let source = SimulatedSky::new(view, &settings, start, Some(demo.duration));
     let camera = Camera {
         instrument_toml: Some(text.into()),
         ..Camera::of_horizon(instrument.clone(), mounted, source)

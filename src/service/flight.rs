@@ -2,11 +2,11 @@
 
 use super::control::Seat;
 use super::worker::Life;
-use crate::archive::{Flown, ROLL_CAMERA, Store};
+use crate::archive::{Flown, MOON_CAMERA, ROLL_CAMERA, Store};
 use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::Config;
-use crate::instrument::{Instrument, MountedCamera};
-use crate::link::Connection;
+use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera};
+use crate::link::{Connection, picture};
 use crate::pointing::Target;
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
@@ -75,7 +75,7 @@ impl Flight {
             seat: camera.seat,
             instrument: camera.instrument.clone(),
             folder: camera.folder.clone(),
-            horizon: camera.horizon.clone(),
+            sky: camera.sky.clone(),
             flown: Arc::new(Flown::new(
                 configuration.into(),
                 camera.instrument_toml.clone(),
@@ -109,8 +109,8 @@ pub struct Camera {
     pub instrument_toml: Option<String>,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
-    /// What a roll camera sees the horizon with; `None` where its frames are stored and not solved.
-    pub horizon: Option<MountedCamera>,
+    /// What a roll or Moon camera sees the sky with; `None` where it sees a plate, or its frames are stored and not solved.
+    pub sky: Option<SkyCamera>,
     /// Where its frames come from, if it is open already.
     pub source: Option<Box<dyn FrameSource>>,
     /// Opens it, and opens it again when its thread has failed.
@@ -125,7 +125,7 @@ impl Camera {
             instrument,
             instrument_toml: None,
             folder: PathBuf::new(),
-            horizon: None,
+            sky: None,
             source: Some(Box::new(source)),
             open: None,
         }
@@ -133,17 +133,37 @@ impl Camera {
 
     /// A roll camera that cannot be opened again; its frames and logs stand in a folder of their own and are named after it.
     pub fn of_horizon(
-        mut instrument: Instrument,
+        instrument: Instrument,
         horizon: MountedCamera,
         source: impl FrameSource + 'static,
     ) -> Self {
-        instrument.name = ROLL_CAMERA.into();
         Self {
             seat: Seat::Roll,
-            folder: ROLL_CAMERA.into(),
-            horizon: Some(horizon),
+            sky: Some(SkyCamera::Horizon(horizon)),
             ..Self::new(instrument, source)
         }
+        .named(ROLL_CAMERA)
+    }
+
+    /// A Moon camera that cannot be opened again; as [`of_horizon`](Self::of_horizon).
+    pub fn of_moon(
+        instrument: Instrument,
+        moon: DirectionCamera,
+        source: impl FrameSource + 'static,
+    ) -> Self {
+        Self {
+            seat: Seat::Moon,
+            sky: Some(SkyCamera::Moon(moon)),
+            ..Self::new(instrument, source)
+        }
+        .named(MOON_CAMERA)
+    }
+
+    /// The same with a folder of its own, by which its frames are named, too.
+    pub fn named(mut self, name: &str) -> Self {
+        self.instrument.name = name.into();
+        self.folder = name.into();
+        self
     }
 }
 
@@ -171,6 +191,12 @@ impl UnsolvedFrame {
         None
     }
 
+    /// When the exposure began.
+    pub fn began(&self) -> Instant {
+        let exposure = self.exposure.frame.info.exposure.unwrap_or_default();
+        self.arrived.checked_sub(exposure).unwrap_or(self.arrived)
+    }
+
     /// When the middle of the exposure was.
     pub fn middle(&self) -> Instant {
         let half = self.exposure.frame.info.exposure.unwrap_or_default() / 2;
@@ -187,8 +213,8 @@ pub struct Station {
     pub instrument: Instrument,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
-    /// As [`Camera::horizon`].
-    pub horizon: Option<MountedCamera>,
+    /// As [`Camera::sky`].
+    pub sky: Option<SkyCamera>,
     /// What its frames are taken and solved with.
     pub flown: Arc<Flown>,
 }
@@ -199,8 +225,17 @@ impl Station {
         self.index as u16 + 1
     }
 
+    /// As pictures for the ground count cameras.
+    pub(super) fn picture_number(&self) -> u8 {
+        match self.seat {
+            Seat::Roll => picture::ROLL_CAMERA,
+            Seat::Moon => picture::MOON_CAMERA,
+            Seat::PitchYaw | Seat::SecondPitchYaw => self.camera_number() as u8,
+        }
+    }
+
     /// Whether its frames show the Sun on the plate: of these the controller hears.
     pub(super) fn sees_plate(&self) -> bool {
-        self.seat != Seat::Roll
+        matches!(self.seat, Seat::PitchYaw | Seat::SecondPitchYaw)
     }
 }

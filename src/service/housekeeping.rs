@@ -3,6 +3,7 @@
 use super::answer::{Answer, Recent};
 use super::control::Controls;
 use super::counts::Counts;
+use super::moon::MoonDesk;
 use super::shared::Shared;
 use super::tally::{FlightTally, quantile};
 use crate::aspect::{Origin, Quality};
@@ -10,7 +11,7 @@ use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
 use crate::horizon::{self, Levels};
 use crate::link::housekeeping::{Digits, MarkIds};
-use crate::link::{CameraRole, Housekeeping};
+use crate::link::{CameraRole, Housekeeping, MoonSight};
 use crate::log;
 use crate::provenance::COMMIT;
 use crossbeam_channel::Receiver;
@@ -32,6 +33,7 @@ pub(super) struct HousekeepingSource {
     controls: Controls,
     /// Of each pitch-yaw camera.
     recent: Vec<Shared<Recent>>,
+    moon_desk: Shared<MoonDesk>,
     /// SHA-256 of the flight's configuration.
     configuration: Digits,
     start: Instant,
@@ -42,11 +44,13 @@ impl HousekeepingSource {
     pub fn new(
         controls: Controls,
         recent: Vec<Shared<Recent>>,
+        moon_desk: Shared<MoonDesk>,
         configuration_sha256: &str,
     ) -> Self {
         Self {
             controls,
             recent,
+            moon_desk,
             configuration: Digits::of(configuration_sha256),
             start: Instant::now(),
             before: FlightTally::default(),
@@ -96,6 +100,7 @@ impl HousekeepingSource {
         told.latency_ms = quantile(&mut latencies, 0.5).map(milliseconds);
         told.latency_99_ms = quantile(&mut latencies, 0.99).map(milliseconds);
         self.tell_answer(&mut told);
+        self.tell_moon(&mut told);
         self.before = tally;
         told
     }
@@ -106,6 +111,16 @@ impl HousekeepingSource {
         told.storing = self.controls.stores(CameraRole::PitchYaw);
         told.gps_refused = small(self.controls.gps_refused());
         told.clock_offset_us = self.controls.clock_offset_us().map(|us| us as f32);
+    }
+
+    fn tell_moon(&self, told: &mut Housekeeping) {
+        let Some(seen) = self.moon_desk.lock().seen else {
+            return;
+        };
+        told.night = seen.is_night.map(u8::from);
+        if let MoonSight::Found(fix) = seen.sight {
+            (told.moon_x_px, told.moon_y_px) = (Some(fix.x_px as f32), Some(fix.y_px as f32));
+        }
     }
 
     fn tell_answer(&self, told: &mut Housekeeping) {
@@ -131,6 +146,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
         camera,
         solver,
         roll,
+        moon,
         archive,
         line,
         ..
@@ -153,6 +169,9 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     told.roll_none = small(roll.of(horizon::Quality::None));
     told.roll_reasons =
         [Levels::TOO_BRIGHT, Levels::TOO_DARK].map(|reason| small(roll.because(reason)));
+    told.moon_found = small(moon.solved.values().sum::<u64>());
+    told.moon_none = small(moon.none());
+    told.moon_hidden = small(moon.hidden());
     told.calibration_contradicted = solver.contradicted;
     told.stored = small(archive.stored);
     told.unstored = small(archive.unstored);

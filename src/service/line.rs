@@ -11,11 +11,13 @@
 
 mod event;
 mod hearing;
+mod moon;
 mod picture;
 
 pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
 
 use super::control::{Controls, Topic};
+use super::moon::MoonDesk;
 use super::shared::Shared;
 use super::tally::{LineTally, note_latency, worth_a_line};
 use super::worker::Life;
@@ -26,6 +28,7 @@ use crate::link::{
 };
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
+use moon::MoonRequests;
 use picture::PictureUnderWay;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -55,6 +58,8 @@ pub(super) struct Line<'a> {
     tally: Shared<LineTally>,
     /// The frame of the horizon whose roll went out last.
     last_roll: Option<Instant>,
+    moon_desk: Shared<MoonDesk>,
+    moon_requests: MoonRequests,
 }
 
 impl<'a> Line<'a> {
@@ -62,6 +67,7 @@ impl<'a> Line<'a> {
         connection: &'a mut Connection,
         controls: Controls,
         tally: Shared<LineTally>,
+        moon_desk: Shared<MoonDesk>,
     ) -> Self {
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
@@ -86,6 +92,8 @@ impl<'a> Line<'a> {
             stopping_since: None,
             picture: None,
             tally,
+            moon_desk,
+            moon_requests: MoonRequests::default(),
         }
     }
 
@@ -101,6 +109,7 @@ impl<'a> Line<'a> {
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
             }
             self.listen();
+            self.answer_moon_requests();
             self.finish_stopping();
             if events.is_empty() {
                 self.send_picture();

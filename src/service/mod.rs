@@ -12,8 +12,9 @@
 //!  watch: looks after all of them, tells link and logs the housekeeping each second, feeds systemd's watchdog
 //! ```
 //!
-//! Each camera has a thread and a solver of its own; camera and solver of the second pitch-yaw camera and of the roll camera
-//! are numbered on. The roll camera's solver tells no controller: it leaves the latest nadir where the other solvers look. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
+//! Each camera has a thread and a solver of its own; camera and solver of the second pitch-yaw camera, the roll camera and the Moon camera
+//! are numbered on. The roll camera's solver tells no controller: it leaves the latest nadir where the other solvers look. The Moon camera's
+//! leaves what it saw where the link looks, which answers requests for the Moon with it. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
@@ -44,6 +45,7 @@ pub mod demo;
 mod flight;
 mod housekeeping;
 mod line;
+mod moon;
 mod outlet;
 pub mod priority;
 mod protocol;
@@ -56,19 +58,19 @@ mod tally;
 mod watch;
 mod worker;
 
-pub use answer::Answer;
+pub use answer::{Answer, SolvedMoon};
 pub use archiver::DiskHealth;
 pub use command_log::CommandNote;
 pub use control::Seat;
 pub use flight::{Camera, CameraFactory, Flight, Station};
 pub use protocol::protocol_page;
 pub use tally::{
-    ArchiveTally, CameraTally, FlightTally, LineTally, RollTally, SolverTally, quantile,
+    ArchiveTally, CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally, quantile,
 };
 
 use crate::camera::FrameSource;
 use crate::config::Host;
-use crate::instrument::MountedCamera;
+use crate::instrument::{DirectionCamera, MountedCamera, SkyCamera};
 use crate::link::{Connection, Housekeeping};
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
@@ -79,12 +81,13 @@ use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use flight::UnsolvedFrame;
 use housekeeping::HousekeepingSource;
 use line::{Line, LinkEvent};
+use moon::{MoonDesk, MoonSolver};
 use outlet::Outlet;
 use roll::{LatestNadir, RollSolver};
 use shared::Shared;
 use shutter::{Glimpse, Shutter};
 use solver::Solver;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -151,10 +154,19 @@ impl Service {
             archive: gauges.clone(),
             line: Shared::default(),
             roll: Shared::default(),
+            moon: Shared::default(),
         };
+        let moon_desk = Shared::<MoonDesk>::default();
         let host = flight.config.host;
         host.hold();
-        let line = start_line(flight.line, host, &controls, &counts.line, events, &signals)?;
+        let line = Talk {
+            controls: controls.clone(),
+            tally: counts.line.clone(),
+            moon_desk: moon_desk.clone(),
+            events,
+            hang_up: Arc::clone(&signals.hang_up),
+        };
+        let line = line.start(flight.line, host)?;
         let mut workers = Workers {
             host,
             controls: controls.clone(),
@@ -166,6 +178,7 @@ impl Service {
             counts,
             recent: Vec::new(),
             nadir: LatestNadir::default(),
+            moon_desk: moon_desk.clone(),
             cameras: Vec::new(),
             solvers: Vec::new(),
         };
@@ -185,6 +198,7 @@ impl Service {
             housekeeping: HousekeepingSource::new(
                 controls.clone(),
                 workers.recent,
+                moon_desk,
                 &sha256(&configuration),
             ),
             counts: workers.counts,
@@ -303,6 +317,7 @@ struct Workers {
     counts: Counts,
     recent: Vec<Shared<Recent>>,
     nadir: LatestNadir,
+    moon_desk: Shared<MoonDesk>,
     cameras: Vec<Worker>,
     solvers: Vec<Worker>,
 }
@@ -321,8 +336,13 @@ impl Workers {
         };
         self.recent.push(outlet.recent.clone());
         self.counts.unsolved.push(unsolved.clone());
-        match station.horizon.clone() {
-            Some(camera) => self.add_roll_solver(station, camera, outlet, unsolved)?,
+        match station.sky.clone() {
+            Some(SkyCamera::Horizon(camera)) => {
+                self.add_roll_solver(station, camera, outlet, unsolved)?;
+            }
+            Some(SkyCamera::Moon(camera)) => {
+                self.add_moon_solver(station, camera, outlet, unsolved)?;
+            }
             None => self.add_solver(station, outlet, unsolved)?,
         }
         self.add_camera(station, &glimpse, to_solver, camera.source, camera.open)
@@ -361,6 +381,25 @@ impl Workers {
             cameras_ended: Arc::clone(&self.signals.cameras_ended),
             latest: self.nadir.clone(),
             tally: self.counts.roll.clone(),
+        };
+        self.start_solver(station, move |life| solver.clone().run(&unsolved, life))
+    }
+
+    fn add_moon_solver(
+        &mut self,
+        station: &Arc<Station>,
+        camera: DirectionCamera,
+        outlet: Outlet,
+        unsolved: Receiver<UnsolvedFrame>,
+    ) -> std::io::Result<()> {
+        let solver = MoonSolver {
+            station: Arc::clone(station),
+            camera,
+            ephemeris: self.ephemeris.clone(),
+            outlet,
+            cameras_ended: Arc::clone(&self.signals.cameras_ended),
+            desk: self.moon_desk.clone(),
+            tally: self.counts.moon.clone(),
         };
         self.start_solver(station, move |life| solver.clone().run(&unsolved, life))
     }
@@ -410,26 +449,30 @@ impl Workers {
     }
 }
 
-fn start_line(
-    connection: Connection,
-    host: Host,
-    controls: &Controls,
-    tally: &Shared<LineTally>,
+/// What the link's thread shares with the others.
+#[derive(Clone)]
+struct Talk {
+    controls: Controls,
+    tally: Shared<LineTally>,
+    moon_desk: Shared<MoonDesk>,
     events: Receiver<LinkEvent>,
-    signals: &Signals,
-) -> std::io::Result<Worker> {
-    let (controls, tally) = (controls.clone(), tally.clone());
-    let hang_up = Arc::clone(&signals.hang_up);
-    // Held by one life after the other: the port outlives a thread that panicked.
-    let connection = Arc::new(Mutex::new(connection));
-    Worker::start("link", None, move || {
-        let (controls, tally, events) = (controls.clone(), tally.clone(), events.clone());
-        let (connection, hang_up) = (Arc::clone(&connection), Arc::clone(&hang_up));
-        host.hurried(move |life| {
-            let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
-            Line::new(&mut connection, controls, tally).run(&events, &hang_up, life);
+    hang_up: Arc<AtomicBool>,
+}
+
+impl Talk {
+    fn start(self, connection: Connection, host: Host) -> std::io::Result<Worker> {
+        // Held by one life after the other: the port outlives a thread that panicked.
+        let connection = Arc::new(Mutex::new(connection));
+        Worker::start("link", None, move || {
+            let (talk, connection) = (self.clone(), Arc::clone(&connection));
+            host.hurried(move |life| {
+                let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
+                let (events, hang_up) = (talk.events, talk.hang_up);
+                Line::new(&mut connection, talk.controls, talk.tally, talk.moon_desk)
+                    .run(&events, &hang_up, life);
+            })
         })
-    })
+    }
 }
 
 fn spawn<T: Send + 'static>(

@@ -47,14 +47,14 @@ impl Outlet {
         }
     }
 
-    /// What the ground has asked for, from the camera that the controller hears of.
+    /// What the ground has asked for.
     fn send_picture(&self, answer: &Answer) {
         let info = &answer.exposure.frame.info;
         let tags = picture_tags(&answer.station.instrument, info);
         let time = info.mid_exposure.unwrap_or_else(Timestamp::now);
         match Picture::new(
             &answer.exposure.frame,
-            answer.station.camera_number() as u8,
+            answer.station.picture_number(),
             tags,
             time,
         ) {

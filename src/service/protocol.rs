@@ -5,9 +5,10 @@ use super::line::{ERROR_CODES, NO_OFFSET};
 use crate::config::{Allowed, parameters};
 use crate::link::describe::{describe, hex};
 use crate::link::ground::order;
+use crate::link::moon::{NOT_FOUND, NOT_VISIBLE};
 use crate::link::{
-    AspectCommand, COMMANDS, Computer, ExposureStart, Message, Packet, Solution, Telemetry,
-    housekeeping, id, picture,
+    AspectCommand, COMMANDS, Computer, ExposureStart, Message, MoonAnswer, MoonFix, MoonSight,
+    Packet, Solution, Telemetry, housekeeping, id, picture,
 };
 use jiff::Timestamp;
 use std::fmt::Write;
@@ -16,6 +17,8 @@ use std::fmt::Write;
 pub fn protocol_page() -> String {
     let mut page = String::from(include_str!("protocol/head.md"));
     page += &error_codes();
+    page += include_str!("protocol/moon.md");
+    page += &moon_codes();
     page += include_str!("protocol/commands.md");
     page += &commands();
     page += include_str!("protocol/parameters.md");
@@ -35,6 +38,18 @@ fn error_codes() -> String {
         let _ = writeln!(text, "| {code} | {meaning} |");
     }
     debug_assert!(ERROR_CODES.iter().any(|(code, _)| *code == NO_OFFSET));
+    text
+}
+
+/// The reasons with which a request for the Moon is answered.
+fn moon_codes() -> String {
+    let mut text = String::from("\n| message | code | meaning |\n|---|---|---|\n");
+    for (message, codes) in [("not visible", NOT_VISIBLE), ("not found", NOT_FOUND)] {
+        for (code, meaning) in codes {
+            // Writing to a String cannot fail.
+            let _ = writeln!(text, "| {message} | {code} | {meaning} |");
+        }
+    }
     text
 }
 
@@ -109,7 +124,8 @@ fn housekeeping_fields() -> String {
 fn pictures() -> String {
     let text = include_str!("protocol/pictures.md");
     let text = text.replace("SECTION_PIXELS", &picture::SECTION_PIXELS.to_string());
-    text.replace("ROLL_CAMERA", &picture::ROLL_CAMERA.to_string())
+    let text = text.replace("ROLL_CAMERA", &picture::ROLL_CAMERA.to_string());
+    text.replace("MOON_CAMERA", &picture::MOON_CAMERA.to_string())
 }
 
 /// Packets with their bytes; each is what this program sends or understands.
@@ -154,6 +170,14 @@ fn example_packets() -> Option<Vec<Packet>> {
         error_deg: 1.5e-5,
         time,
     };
+    let moon = |sight| Message::Moon(MoonAnswer { request: 18, sight });
+    let found = MoonSight::Found(MoonFix {
+        x_px: 351.25,
+        y_px: 290.5,
+        covariance_px2: [0.0004, 0.0, 0.001],
+        direction: [0.0, 0.0, 1.0],
+        time,
+    });
     [
         to_us(7, say("start_tracking", &[])),
         told(Telemetry::Receipt { sequence: 7 }),
@@ -172,6 +196,10 @@ fn example_packets() -> Option<Vec<Packet>> {
         to_us(13, say("set_float", &["1", "12.5"])),
         to_us(14, say("gps", &["34.49", "-104.2218"])),
         to_us(15, say("stop_sending", &[])),
+        to_us(18, say("moon", &["34.49", "-104.2218", "38405"])),
+        from_us(5, moon(found)),
+        from_us(6, moon(MoonSight::NotVisible { code: 1 })),
+        from_us(7, moon(MoonSight::NotFound { code: 1 })),
         to_us(16, Some(Message::Aspect(stop_other))),
         to_us(17, say("stop_tracking", &[])),
     ]
@@ -199,7 +227,7 @@ mod tests {
 
     #[test]
     fn every_example_is_there_and_every_stage_has_its_code() {
-        assert_eq!(example_packets().unwrap().len(), 19);
+        assert_eq!(example_packets().unwrap().len(), 23);
         let codes: Vec<u16> = ERROR_CODES.iter().map(|(code, _)| *code).collect();
         assert_eq!(codes, [1, 2, 3, 4, 5, 6, 7, NO_OFFSET]);
     }

@@ -172,6 +172,7 @@ impl RollSolver {
                 solution: Arc::new(levels_alone(&solution)),
                 offset: None,
                 horizon: Some(Arc::new(solution)),
+                moon: None,
                 roll_deg,
                 roll_arrived: Some(arrived),
                 target: snapshot.target,

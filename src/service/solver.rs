@@ -152,6 +152,7 @@ impl Solver {
             solution: Arc::new(solution),
             offset,
             horizon: None,
+            moon: None,
             roll_deg: nadir.as_ref().map(pointing::body_roll_deg),
             roll_arrived: nadir.and(seen).map(|seen| seen.arrived),
             target: commanded.target,

@@ -4,6 +4,7 @@ use crate::aspect::{Quality, Stage};
 use crate::camera::CameraHealth;
 use crate::horizon;
 use crate::link::{LinkState, Rejected};
+use crate::moon;
 use crate::units::counted;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
@@ -170,6 +171,52 @@ impl RollTally {
     }
 }
 
+/// What the Moon camera's solver counts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct MoonTally {
+    pub solved: BTreeMap<moon::Quality, u64>,
+    /// Why frames show no Moon.
+    pub reasons: BTreeMap<(moon::Stage, &'static str), u64>,
+}
+
+impl MoonTally {
+    pub fn of(&self, quality: moon::Quality) -> u64 {
+        self.solved.get(&quality).copied().unwrap_or(0)
+    }
+
+    /// Frames that were taken while the Moon could not be seen.
+    pub fn hidden(&self) -> u64 {
+        self.without(|stage| stage == moon::Stage::Sky)
+    }
+
+    /// Frames that should show the Moon and do not.
+    pub fn none(&self) -> u64 {
+        self.without(|stage| stage != moon::Stage::Sky)
+    }
+
+    fn without(&self, counts: impl Fn(moon::Stage) -> bool) -> u64 {
+        let reasons = self.reasons.iter().filter(|((stage, _), _)| counts(*stage));
+        reasons.map(|(_, count)| count).sum()
+    }
+
+    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use moon::Quality;
+        if *self == Self::default() {
+            return Ok(());
+        }
+        let [fine, coarse] = [Quality::Fine, Quality::Coarse].map(|quality| self.of(quality));
+        let (none, hidden) = (self.none(), self.hidden());
+        writeln!(
+            out,
+            "Moon       {fine} fine, {coarse} coarse, {none} none, {hidden} while it could not be seen"
+        )?;
+        for ((stage, reason), count) in &self.reasons {
+            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
+        }
+        Ok(())
+    }
+}
+
 /// What the archive's threads count.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArchiveTally {
@@ -239,6 +286,7 @@ pub struct LineTally {
     /// What came in datagrams and was not listened to: unknown senders, replays, no signature.
     pub datagrams_refused: u64,
     pub commands: u64,
+    pub moon_requests: u64,
     /// What the controller and the ground have set.
     pub conversation: LinkState,
     /// From a frame's arrival to its solution's last byte: the latest ten thousand.
@@ -303,6 +351,7 @@ pub struct FlightTally {
     pub camera: CameraTally,
     pub solver: SolverTally,
     pub roll: RollTally,
+    pub moon: MoonTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
     /// Threads that panicked or hung, and were started again.
@@ -343,6 +392,7 @@ impl fmt::Display for FlightTally {
         }
         self.solver.tell(out)?;
         self.roll.tell(out)?;
+        self.moon.tell(out)?;
         self.archive.tell(out)?;
         self.line.tell(out)
     }

@@ -6,8 +6,8 @@
 
 use crate::link::message::CAMERA;
 use crate::link::{
-    BytePort, CommandPacket, Direction, ExposureStart, Message, Messages, Packet, Parser,
-    PortError, Solution, Telemetry, TelemetryPacket, id,
+    BytePort, CommandPacket, Direction, ExposureStart, Message, Messages, MoonAnswer, Packet,
+    Parser, PortError, Solution, Telemetry, TelemetryPacket, id,
 };
 use jiff::{SignedDuration, Timestamp};
 use std::collections::VecDeque;
@@ -59,6 +59,8 @@ pub struct Report {
     /// Every solution in the order of arrival, also the faulty ones.
     pub solutions: Vec<Solution>,
     pub errors: u64,
+    /// Answers to requests for the Moon.
+    pub moon: Vec<MoonAnswer>,
     pub receipts: u64,
     pub results: u64,
     /// Telemetry other than receipts and results.
@@ -296,9 +298,11 @@ impl Controller {
                 self.report.errors += 1;
                 self.check_asked();
             }
+            Message::Moon(answer) => self.report.moon.push(*answer),
             Message::StartTracking
             | Message::StopTracking
             | Message::Gps(_)
+            | Message::MoonRequest(_)
             | Message::Aspect(_) => self.report.faults.unexpected += 1,
         }
     }

@@ -1,17 +1,17 @@
 //! The cameras of a flight, as the configuration names them.
 
-use crate::archive::{self, ROLL_CAMERA};
+use crate::archive::{self, MOON_CAMERA, ROLL_CAMERA};
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
-use crate::instrument::toml_file::read_text;
-use crate::instrument::{Instrument, MountedCamera, SECOND};
+use crate::instrument::toml_file::{TomlError, read_text};
+use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SECOND, SkyCamera};
 use crate::service::{Camera, CameraFactory, Seat};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// The first pitch-yaw camera, and the others that are configured; none is open yet.
+/// The first pitch-yaw camera, and the others that are configured: a second one, the roll camera, the Moon camera; none is open yet.
 ///
 /// With one camera its frames go to the archive's root; with several each has a folder of its own. The simulator ends after
 /// `duration`; a folder is replayed `speed` times faster than it was taken.
@@ -39,10 +39,12 @@ pub(super) fn of(
         others.push(second);
     }
     if let Some(source) = config.roll_camera.source.clone() {
-        let mut roll = common.camera(Seat::Roll, &config.roll_camera, source)?;
-        roll.instrument.name = ROLL_CAMERA.into();
-        roll.folder = ROLL_CAMERA.into();
-        others.push(roll);
+        let roll = common.camera(Seat::Roll, &config.roll_camera, source)?;
+        others.push(roll.named(ROLL_CAMERA));
+    }
+    if let Some(source) = config.moon_camera.source.clone() {
+        let moon = common.camera(Seat::Moon, &config.moon_camera, source)?;
+        others.push(moon.named(MOON_CAMERA));
     }
     if !others.is_empty() {
         first.folder = folder(&first.instrument);
@@ -55,6 +57,14 @@ fn folder(instrument: &Instrument) -> PathBuf {
     archive::plain(&instrument.name).into()
 }
 
+/// The file of a camera that looks at the sky.
+fn sky_camera(seat: Seat, path: &Path, text: &str) -> Result<SkyCamera, TomlError> {
+    match seat {
+        Seat::Moon => DirectionCamera::parse(path, text).map(SkyCamera::Moon),
+        _ => MountedCamera::parse(path, text).map(SkyCamera::Horizon),
+    }
+}
+
 /// What all cameras of a run share.
 #[derive(Clone, Copy)]
 struct Common {
@@ -65,28 +75,33 @@ struct Common {
 
 impl Common {
     fn camera(self, seat: Seat, table: &config::Camera, source: Source) -> anyhow::Result<Camera> {
-        let (plate, horizon) = match seat {
-            Seat::Roll => (None, table.instrument.as_deref()),
-            _ => (table.instrument.as_deref(), None),
+        let file = table.instrument.as_deref();
+        let (instrument, toml, sky) = match seat {
+            Seat::PitchYaw | Seat::SecondPitchYaw => {
+                let (instrument, text) = options::instrument_with_text(file)?;
+                (instrument, Some(text), None)
+            }
+            Seat::Roll | Seat::Moon => {
+                let text = file.map(read_text).transpose()?;
+                let sky = file.zip(text.as_deref());
+                let sky = sky.map(|(path, text)| sky_camera(seat, path, text));
+                (
+                    options::instrument_with_text(None)?.0,
+                    text,
+                    sky.transpose()?,
+                )
+            }
         };
-        let (instrument, text) = options::instrument_with_text(plate)?;
-        let horizon_text = horizon.map(read_text).transpose()?;
-        let parsed = horizon.zip(horizon_text.as_deref());
-        let horizon = parsed.map(|(path, text)| MountedCamera::parse(path, text));
-        let horizon = horizon.transpose()?;
         let settings = table.settings();
-        let again = (instrument.clone(), horizon.clone());
+        let again = (instrument.clone(), sky.clone());
         let open: CameraFactory =
             Arc::new(move || self.open(&source, &settings, &again.0, again.1.as_ref()));
         Ok(Camera {
             seat,
             instrument,
-            instrument_toml: match seat {
-                Seat::Roll => horizon_text,
-                _ => Some(text),
-            },
+            instrument_toml: toml,
             folder: PathBuf::new(),
-            horizon,
+            sky,
             source: None,
             open: Some(open),
         })
@@ -97,11 +112,11 @@ impl Common {
         source: &Source,
         settings: &Settings,
         instrument: &Instrument,
-        horizon: Option<&MountedCamera>,
+        sky: Option<&SkyCamera>,
     ) -> Result<Box<dyn FrameSource>, CameraError> {
         let around = Surroundings {
             instrument,
-            horizon,
+            sky,
             seed: self.seed,
             duration: self.duration,
             speed: self.speed,

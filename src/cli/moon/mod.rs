@@ -8,8 +8,8 @@ use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::DirectionCamera;
 use crate::moon::{self, Disc, Expected, Optics, Radius, Settings, Stopped, local_from_camera};
-use crate::sky::{Ephemeris, MoonPosition, horizon_deg};
-use crate::units::{Measured, Place, Rejected};
+use crate::sky::{Ephemeris, MoonPosition};
+use crate::units::{Measured, Place};
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use jiff::Timestamp;
@@ -21,8 +21,6 @@ use std::time::Instant;
 
 /// A radius that is stated is known this well, relative to it.
 const RADIUS_SIGMA: f64 = 2e-4;
-/// What is farther below the horizon is not in the picture, deg: air bends light by less.
-const BELOW_DEG: f64 = 1.0;
 
 /// Find the Moon in frames: the centre of its whole disc at any phase, and its direction
 ///
@@ -211,14 +209,8 @@ impl Batch<'_> {
 
     /// That the Moon is below the horizon.
     fn not_up(&self, moon: Option<&MoonPosition>) -> Option<Stopped> {
-        let limit = horizon_deg(self.args.place?) - BELOW_DEG;
-        let measured = moon?.elevation_deg;
-        let rejected = Rejected {
-            reason: "below_horizon",
-            measured,
-            limit,
-        };
-        (measured < limit).then_some((moon::Stage::Sky, rejected))
+        let below = moon::below_horizon(moon?, self.args.place?);
+        below.map(|rejected| (moon::Stage::Sky, rejected))
     }
 
     fn find(&self, frame: &Frame, moon: Option<&MoonPosition>) -> Found {

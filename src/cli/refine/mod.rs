@@ -71,6 +71,9 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
     pool.install(|| {
         let cameras = refine::cameras(&args.archive, args.inputs(tree));
+        let (moon, cameras): (Vec<_>, Vec<_>) = cameras
+            .into_iter()
+            .partition(|camera| camera.is_moon_camera());
         let (roll, cameras): (Vec<_>, Vec<_>) = cameras
             .into_iter()
             .partition(|camera| camera.is_roll_camera());
@@ -99,6 +102,12 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         };
         make_folder(&args.out)?;
         let mut report = Report::default();
+        if let Some(camera) = CameraFrames::together(moon) {
+            let frames = camera.inputs.len();
+            let text = format!("{frames} frames of the Moon camera are left alone; `solaspect moon` solves them");
+            say(format_args!("{text}"))?;
+            report.note(&text);
+        }
         let refined_roll = match (&roll, &roll_recipe) {
             (Some(camera), Some(recipe)) => args.refine_roll(camera, recipe)?,
             (Some(camera), None) => {

@@ -6,7 +6,7 @@ use Action::{
     NoOp, Quit, Read, ReadDisk, ReadNumbered, SendPicture, Set, SetNumbered, StartSending,
     StopSending,
 };
-use CameraRole::{PitchYaw, Roll};
+use CameraRole::{Moon, PitchYaw, Roll};
 
 /// The bits of a key that name computers.
 pub(super) const COMPUTERS: u16 = 0xF000;
@@ -58,6 +58,11 @@ impl Computer {
 pub enum CameraRole {
     PitchYaw,
     Roll,
+    Moon,
+}
+
+impl CameraRole {
+    pub const COUNT: usize = 3;
 }
 
 /// What a command does.
@@ -253,8 +258,9 @@ pub const COMMANDS: &[CommandRow] = &[
     set(0x0050, "quit", &[], Quit, "end the flight program"),
     set(0x0210, "send_pitch_yaw_picture", &[], SendPicture(PitchYaw), "send the pitch-yaw camera's next picture to the ground"),
     set(0x0220, "send_roll_picture", &[], SendPicture(Roll), "send the roll camera's next picture to the ground"),
+    set(0x0230, "send_moon_picture", &[], SendPicture(Moon), "send the Moon camera's next picture to the ground"),
     set(0x0412, "set_target", &[X, Y], Set(&["target.x_arcsec", "target.y_arcsec"]), "point at this helioprojective position"),
-    set(0x0421, "store_frames", &[SWITCH], Set(&["store.pitch_yaw", "store.roll"]), "store the frames of both cameras"),
+    set(0x0421, "store_frames", &[SWITCH], Set(&["store.pitch_yaw", "store.roll", "store.moon"]), "store the frames of all cameras"),
     set(0x0431, "accept_gps", &[SWITCH], Set(&["gps.accept"]), "take the gondola's place from GPS messages"),
     set(0x0441, "store_pitch_yaw_frames", &[SWITCH], Set(&["store.pitch_yaw"]), "store the frames of the pitch-yaw camera"),
     set(0x0451, "set_pitch_yaw_exposure", &[EXPOSURE], Set(&["camera.exposure_us"]), "set the pitch-yaw camera's exposure"),
@@ -264,6 +270,8 @@ pub const COMMANDS: &[CommandRow] = &[
     set(0x0551, "set_roll_exposure", &[EXPOSURE], Set(&["roll_camera.exposure_us"]), "set the roll camera's exposure"),
     set(0x0581, "set_roll_analogue_gain", &[ANALOGUE], Set(&["roll_camera.analogue_gain"]), "set the roll camera's analogue gain"),
     set(0x0591, "set_roll_preamp_gain", &[PREAMP], Set(&["roll_camera.preamp_gain"]), "set the roll camera's pre-amplifier gain"),
+    set(0x05A1, "store_moon_frames", &[SWITCH], Set(&["store.moon"]), "store the frames of the Moon camera"),
+    set(0x05B1, "set_moon_exposure", &[EXPOSURE], Set(&["moon_camera.exposure_us"]), "set the Moon camera's exposure"),
     set(0x0621, "set_clocking", &[ANGLE], Set(&["mounting.clocking_deg"]), "set the plate's clocking"),
     set(0x06A2, "set_place", &[LATITUDE, LONGITUDE], Set(&["site.latitude_deg", "site.longitude_deg"]), "set the gondola's place"),
     set(0x0712, "set_integer", &[PARAMETER, INTEGER], SetNumbered, "set an integer parameter"),
@@ -276,6 +284,7 @@ pub const COMMANDS: &[CommandRow] = &[
     get(0x0950, "get_roll_exposure", &[], EXPOSURE, Read("roll_camera.exposure_us"), "read the roll camera's exposure"),
     get(0x0960, "get_roll_analogue_gain", &[], ANALOGUE, Read("roll_camera.analogue_gain"), "read the roll camera's analogue gain"),
     get(0x0970, "get_roll_preamp_gain", &[], PREAMP, Read("roll_camera.preamp_gain"), "read the roll camera's pre-amplifier gain"),
+    get(0x0980, "get_moon_exposure", &[], EXPOSURE, Read("moon_camera.exposure_us"), "read the Moon camera's exposure"),
     get(0x0A10, "get_target_x", &[], X, Read("target.x_arcsec"), "read the target's x"),
     get(0x0A20, "get_target_y", &[], Y, Read("target.y_arcsec"), "read the target's y"),
     get(0x0B11, "get_integer", &[PARAMETER], INTEGER, ReadNumbered, "read an integer parameter"),

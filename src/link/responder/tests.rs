@@ -1,4 +1,5 @@
 use super::*;
+use crate::link::MoonSight;
 use crate::link::control::result;
 use crate::link::message::GpsFix;
 use crate::link::packet::{Direction, Packet};
@@ -47,6 +48,13 @@ impl Control for Desk {
         match fix.may_follow(None) && fix.latitude_deg > 0.0 {
             true => CommandResult::Done,
             false => CommandResult::Refused,
+        }
+    }
+
+    fn look_for_moon(&mut self, request: &MoonRequest) -> CommandResult {
+        match request.place() {
+            Ok(_) => CommandResult::Done,
+            Err(_) => CommandResult::Refused,
         }
     }
 }
@@ -420,4 +428,35 @@ fn packets_to_the_controller_are_numbered_one_by_one() {
         u16::from_le_bytes([packet[4], packet[5]])
     };
     assert_eq!([sequence(1), sequence(2), sequence(3)], [u16::MAX, 0, 1]);
+}
+
+#[test]
+fn a_request_for_the_moon_is_answered_at_once_by_its_result_and_waits_for_what_is_found() {
+    let mut responder = Responder::new(Computer::Two, sending(false));
+    let request = |latitude_deg| MoonRequest {
+        latitude_deg,
+        longitude_deg: -104.25,
+        height_m: 550_000.0,
+    };
+    let ask = |responder: &mut Responder, request| {
+        let packet = Message::MoonRequest(request).packet(id::ASPECT, 5).unwrap();
+        responder.handle(&packet, time(0), &mut Desk).unwrap()
+    };
+    let reply = ask(&mut responder, request(91.0));
+    assert!(reply.moon_requests.is_empty());
+    let said_of = |reply: &Reply| -> Vec<Said> { reply.packets.iter().map(|p| said(p)).collect() };
+    assert_eq!(
+        said_of(&reply),
+        answers(5, key::MOON_REQUEST, result::REFUSED)
+    );
+    let reply = ask(&mut responder, request(34.5));
+    assert_eq!(reply.moon_requests, [(5, request(34.5))]);
+    assert_eq!(said_of(&reply), answers(5, key::MOON_REQUEST, result::DONE));
+    assert_eq!(reply.commands[0].0.values, "34.5 -104.25 550000");
+    let answer = MoonAnswer {
+        request: 5,
+        sight: MoonSight::NotFound { code: 1 },
+    };
+    let packet = responder.moon(answer).unwrap();
+    assert_eq!(said(&packet), Said::Message(Message::Moon(answer)));
 }

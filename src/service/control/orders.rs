@@ -4,7 +4,7 @@ use super::own::{LATITUDE, LONGITUDE};
 use super::{Controls, State};
 use crate::config::{Allowed, Parameter, Value, by_command, by_key};
 use crate::link::command::Kind;
-use crate::link::{Action, CameraRole, Command, CommandResult, Control, GpsFix};
+use crate::link::{Action, CameraRole, Command, CommandResult, Control, GpsFix, MoonRequest};
 use crate::service::tally::worth_a_line;
 use std::sync::atomic::Ordering;
 
@@ -38,6 +38,20 @@ impl Control for Controls {
 
     fn take_reason(&mut self) -> Option<String> {
         self.state().reason.take()
+    }
+
+    fn look_for_moon(&mut self, request: &MoonRequest) -> CommandResult {
+        let mut state = self.state();
+        if !state.cameras.contains(&CameraRole::Moon) {
+            return CommandResult::NotImplemented;
+        }
+        match request.place() {
+            Ok(_) => CommandResult::Done,
+            Err(wrong) => {
+                state.reason = Some(wrong.to_string());
+                CommandResult::Refused
+            }
+        }
     }
 
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult {

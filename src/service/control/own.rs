@@ -2,6 +2,7 @@
 
 use crate::config::{Refused, Value};
 use crate::instrument::TURN_DEG;
+use crate::link::CameraRole;
 
 /// The key that tells whether the controller wants solutions.
 pub(super) const TRACKING: &str = "link.tracking";
@@ -14,7 +15,7 @@ pub(super) const LONGITUDE: &str = "gps.longitude_deg";
 pub(super) struct Own {
     pub accepts_gps: bool,
     /// By role.
-    pub stores: [bool; 2],
+    pub stores: [bool; CameraRole::COUNT],
     pub sending: Option<bool>,
     /// Whether the controller wants solutions.
     pub tracking: bool,
@@ -31,7 +32,7 @@ impl Own {
     pub fn new() -> Self {
         Self {
             accepts_gps: true,
-            stores: [true, true],
+            stores: [true; CameraRole::COUNT],
             sending: None,
             tracking: false,
             stamp_ns: 0,
@@ -48,6 +49,7 @@ impl Own {
             "gps.accept" => self.accepts_gps = switch("gps.accept", value)?,
             "store.pitch_yaw" => self.stores[0] = switch("store.pitch_yaw", value)?,
             "store.roll" => self.stores[1] = switch("store.roll", value)?,
+            "store.moon" => self.stores[2] = switch("store.moon", value)?,
             "link.sending" => self.sending = Some(switch("link.sending", value)?),
             TRACKING => self.tracking = switch(TRACKING, value)?,
             LATITUDE => self.latitude_deg = Some(angle(LATITUDE, value)?),

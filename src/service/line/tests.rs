@@ -64,7 +64,7 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
     let hung_up = Arc::clone(&hang_up);
     let thread = std::thread::spawn(move || {
         let tally = Shared::default();
-        let mut line = Line::new(&mut connection, controls, tally.clone());
+        let mut line = Line::new(&mut connection, controls, tally.clone(), Shared::default());
         line.run(&receiver, &hung_up, &Life::new());
         tally.copy()
     });
@@ -650,7 +650,12 @@ fn heard(
     let guard = Guard::new(vec!["10.0.0.1".parse().unwrap()], key);
     let mut connection = Connection::over(port).guarded(guard);
     let tally = Shared::default();
-    let mut line = Line::new(&mut connection, controls.clone(), tally.clone());
+    let mut line = Line::new(
+        &mut connection,
+        controls.clone(),
+        tally.clone(),
+        Shared::default(),
+    );
     (0..turns).for_each(|_| line.listen());
     let written = written.lock().unwrap().clone();
     (tally.copy(), written)

@@ -2,7 +2,10 @@
 //!
 //! Lengths on the disc are in its radius: x to the right, y down, z to the observer.
 
+mod followed;
 mod surface;
+
+pub use followed::FollowedMoon;
 
 use super::blur::Kernel;
 use super::noise::{Readings, read_out};

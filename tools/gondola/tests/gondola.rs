@@ -69,6 +69,10 @@ impl Control for Desk {
     fn take_fix(&mut self, _: GpsFix) -> CommandResult {
         CommandResult::Refused
     }
+
+    fn look_for_moon(&mut self, _: &link::MoonRequest) -> CommandResult {
+        CommandResult::NotImplemented
+    }
 }
 
 fn exposure(start: jiff::Timestamp) -> Exposure {

@@ -1,18 +1,41 @@
-//! The simulator as a roll camera: the Earth's limb from a swinging gondola.
+//! The simulator as a camera that looks at the sky: the Earth's limb from a swinging gondola, or the Moon.
 
 use super::pace::Pace;
 use super::{CameraError, Exposure, FrameSource, Settings, Take};
+use crate::frame::Frame;
 use crate::simulate::SceneError;
 use crate::simulate::earth::SwingingGondola;
+use crate::simulate::moon::FollowedMoon;
 use jiff::{SignedDuration, Timestamp};
 use std::time::Duration;
 
-/// The exposure at which the limb is as bright as the simulator's usual one.
+/// The exposure at which limb and Moon are as bright as the simulator's usual ones.
 const USUAL_EXPOSURE: Duration = Duration::from_millis(15);
 
-/// A camera that sees the limb, at its own rate and on a clock that starts where it is told. It takes 0.1 s to draw a million pixels.
-pub struct SimulatedHorizon {
-    gondola: SwingingGondola,
+/// What a simulated camera looks at.
+pub enum SkyView {
+    Horizon(SwingingGondola),
+    Moon(Box<FollowedMoon>),
+}
+
+impl SkyView {
+    fn frame(
+        &mut self,
+        number: u64,
+        (middle, utc): (Duration, Timestamp),
+        brightness: f64,
+    ) -> Result<Frame, CameraError> {
+        let frame = match self {
+            Self::Horizon(gondola) => gondola.scene(number, middle, brightness).frame(),
+            Self::Moon(moon) => moon.scene(number, utc, brightness)?.frame(),
+        };
+        Ok(frame.map_err(SceneError::from)?)
+    }
+}
+
+/// A camera that looks at the sky, at its own rate and on a clock that starts where it is told. It takes 0.1 s to draw a million pixels of the limb.
+pub struct SimulatedSky {
+    view: SkyView,
     settings: Settings,
     pace: Pace,
     start: Timestamp,
@@ -21,16 +44,16 @@ pub struct SimulatedHorizon {
     number: u64,
 }
 
-impl SimulatedHorizon {
+impl SimulatedSky {
     /// From `start` on, for `duration` or without end.
     pub fn new(
-        gondola: SwingingGondola,
+        view: SkyView,
         settings: &Settings,
         start: Timestamp,
         duration: Option<Duration>,
     ) -> Self {
         Self {
-            gondola,
+            view,
             settings: settings.clone(),
             pace: Pace::default(),
             start,
@@ -46,7 +69,7 @@ impl SimulatedHorizon {
     }
 }
 
-impl FrameSource for SimulatedHorizon {
+impl FrameSource for SimulatedSky {
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
         if self.is_over() {
             return Ok(Take::End);
@@ -62,9 +85,9 @@ impl FrameSource for SimulatedHorizon {
         starts(announced);
         let middle = due + exposure / 2;
         let brightness = exposure.as_secs_f64() / USUAL_EXPOSURE.as_secs_f64();
-        let scene = self.gondola.scene(number, middle, brightness);
-        let mut frame = scene.frame().map_err(SceneError::from)?;
-        frame.info.mid_exposure = Some(self.start.checked_add(SignedDuration::try_from(middle)?)?);
+        let utc = self.start.checked_add(SignedDuration::try_from(middle)?)?;
+        let mut frame = self.view.frame(number, (middle, utc), brightness)?;
+        frame.info.mid_exposure = Some(utc);
         frame.info.monotonic = Some(middle);
         frame.info.exposure = Some(exposure);
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))

@@ -1,0 +1,131 @@
+//! Requests for the Moon that wait for a picture.
+
+use super::Line;
+use crate::link::moon::NO_PICTURE;
+use crate::link::{MoonAnswer, MoonRequest, MoonSight};
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// More than a platform sends while a picture is taken; of more, the oldest is answered at once.
+const MOST: usize = 16;
+
+/// Requests in the order in which they came.
+#[derive(Default)]
+pub(super) struct MoonRequests(VecDeque<Waiting>);
+
+struct Waiting {
+    sequence: u16,
+    since: Instant,
+}
+
+impl MoonRequests {
+    /// The requests that are answered now: those of which a picture was begun since, and those that have waited too long.
+    fn answers(
+        &mut self,
+        seen: Option<(Instant, MoonSight)>,
+        most: Duration,
+        now: Instant,
+    ) -> Vec<MoonAnswer> {
+        let too_many = self.0.len().saturating_sub(MOST);
+        let mut at = 0;
+        let mut answers = Vec::new();
+        self.0.retain(|request| {
+            at += 1;
+            let fresh = seen.filter(|(began, _)| *began >= request.since);
+            let is_late = now.saturating_duration_since(request.since) > most || at <= too_many;
+            let sight = match fresh {
+                Some((_, sight)) => sight,
+                None if is_late => MoonSight::NotFound { code: NO_PICTURE },
+                None => return true,
+            };
+            answers.push(MoonAnswer {
+                request: request.sequence,
+                sight,
+            });
+            false
+        });
+        answers
+    }
+}
+
+impl Line<'_> {
+    /// Takes requests; a picture that is begun from now on answers them.
+    pub(super) fn look_for_moon(&mut self, requests: &[(u16, MoonRequest)]) {
+        for (sequence, request) in requests {
+            self.tally.lock().moon_requests += 1;
+            if let Ok(place) = request.place() {
+                self.moon_desk.lock().asked_from = Some(place);
+            }
+            self.moon_requests.0.push_back(Waiting {
+                sequence: *sequence,
+                since: Instant::now(),
+            });
+        }
+    }
+
+    /// Answers the requests that can be answered.
+    pub(super) fn answer_moon_requests(&mut self) {
+        if self.moon_requests.0.is_empty() {
+            return;
+        }
+        let seen = self.moon_desk.lock().seen;
+        let most = self.controls.config().moon.answer_within();
+        let seen = seen.map(|seen| (seen.began, seen.sight));
+        for answer in self.moon_requests.answers(seen, most, Instant::now()) {
+            match self.responder.moon(answer) {
+                Ok(packet) => {
+                    self.send(&packet);
+                }
+                Err(error) => self.note_unsaid(&error, "a request for the Moon was not answered"),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOT_VISIBLE: MoonSight = MoonSight::NotVisible { code: 1 };
+    const NO_PICTURE_CAME: MoonSight = MoonSight::NotFound { code: NO_PICTURE };
+
+    fn waiting(since: &[Instant]) -> MoonRequests {
+        let waiting = (1..).zip(since);
+        MoonRequests(
+            waiting
+                .map(|(sequence, &since)| Waiting { sequence, since })
+                .collect(),
+        )
+    }
+
+    fn said(answers: Vec<MoonAnswer>) -> Vec<(u16, MoonSight)> {
+        let said = answers.iter().map(|answer| (answer.request, answer.sight));
+        said.collect()
+    }
+
+    #[test]
+    fn a_picture_answers_the_requests_that_came_before_it_was_begun() {
+        let start = Instant::now();
+        let after = |s| start + Duration::from_secs(s);
+        let mut requests = waiting(&[after(1), after(2), after(3)]);
+        let most = Duration::from_secs(60);
+        assert!(requests.answers(None, most, after(4)).is_empty());
+        let seen = Some((after(2), NOT_VISIBLE));
+        let answers = said(requests.answers(seen, most, after(4)));
+        assert_eq!(answers, [(1, NOT_VISIBLE), (2, NOT_VISIBLE)]);
+        assert!(requests.answers(seen, most, after(4)).is_empty());
+    }
+
+    #[test]
+    fn a_request_without_a_picture_is_answered_in_time_and_the_oldest_of_too_many_at_once() {
+        let start = Instant::now();
+        let after = |s| start + Duration::from_secs(s);
+        let mut requests = waiting(&[start, after(5)]);
+        let most = Duration::from_secs(4);
+        let answers = said(requests.answers(None, most, after(5)));
+        assert_eq!(answers, [(1, NO_PICTURE_CAME)]);
+        let mut requests = waiting(&[start; MOST + 2]);
+        let answers = said(requests.answers(None, most, start));
+        assert_eq!(answers, [(1, NO_PICTURE_CAME), (2, NO_PICTURE_CAME)]);
+    }
+}
