@@ -197,9 +197,17 @@ impl MoonSolver {
         let count = tally.reasons.entry((*stage, rejected.reason)).or_default();
         *count += 1;
         if worth_a_line(*count) {
-            let (stage, reason, frames) = (stage.name(), rejected.reason, *count);
+            let (reason, frames) = (rejected.reason, *count);
             let (measured, limit) = (rejected.measured, rejected.limit);
-            tracing::warn!(stage, reason, measured, limit, frames, "no Moon");
+            match stage {
+                Stage::Sky => {
+                    tracing::info!(reason, measured, limit, frames, "the Moon cannot be seen");
+                }
+                _ => {
+                    let stage = stage.name();
+                    tracing::warn!(stage, reason, measured, limit, frames, "no Moon");
+                }
+            }
         }
     }
 }
