@@ -25,6 +25,7 @@
 //! | [`limb`], [`fiducial`] | the disc's edge; the marks and their ids |
 //! | [`aspect`], [`horizon`], [`moon`] | the pipeline on one page; the nadir by the edge of the Earth; the Moon's centre at any phase |
 //! | [`pointing`] | from the Sun on the plate to an offset on the sky |
+//! | [`navigation`] | the attitude by gyros between and beyond what cameras see |
 //! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
 //! | [`archive`], [`camera`] | how a frame survives; where frames come from |
 //! | [`config`] | the parameter table |
@@ -57,6 +58,7 @@ pub mod limb;
 pub mod link;
 pub mod log;
 pub mod moon;
+pub mod navigation;
 pub mod plate;
 pub mod pointing;
 pub mod preflight;

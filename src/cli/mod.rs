@@ -10,6 +10,7 @@ mod frames;
 pub mod horizon;
 pub mod link;
 pub mod moon;
+pub mod navigate;
 mod options;
 mod output;
 pub mod preflight;

@@ -4,10 +4,12 @@
 //! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter. Fits of
 //!   many pixels or marks per frame (limb, fiducial, registration) and the bundle adjustment of the plate have solvers of their own.
 //! - `kalman`: prediction, update and smoothing of a Gaussian state of any fixed size.
+//! - `schmidt`: the update of an error of many states, some of which are only considered.
 
 mod kalman;
 mod least_squares;
 mod robust;
+mod schmidt;
 
 pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 pub use least_squares::{FitError, Fitted, LeastSquares, Linearised, Prior, Scale, regression};
@@ -15,3 +17,4 @@ pub use robust::{
     Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS, SIGMA_PER_MEDIAN,
     TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_and_scatter, median_size,
 };
+pub use schmidt::{Proposal, Role, ScaledRoot, symmetrise};

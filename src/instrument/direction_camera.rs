@@ -212,7 +212,7 @@ impl DirectionCamera {
                 )
             })?;
         let body_from_camera = match raw.body_from_camera.map(Entry::value) {
-            Some(rows) => Some(rotation(&rows).ok_or_else(|| {
+            Some(rows) => Some(rotation_of_rows(&rows).ok_or_else(|| {
                 let expected =
                     "three rows of a rotation matrix (orthonormal to 1e-4, right-handed)";
                 error("body_from_camera", expected, format!("{rows:?}"))
@@ -259,7 +259,7 @@ impl DirectionCamera {
 }
 
 /// The rotation of three rows, made exact; `None` of what is no rotation.
-fn rotation(rows: &[[f64; 3]; 3]) -> Option<Rotation3<f64>> {
+pub(crate) fn rotation_of_rows(rows: &[[f64; 3]; 3]) -> Option<Rotation3<f64>> {
     const TOLERANCE: f64 = 1e-4;
     let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
     let off = (matrix * matrix.transpose() - Matrix3::identity()).amax();

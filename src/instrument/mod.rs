@@ -14,6 +14,7 @@ pub mod toml_file;
 
 pub use builtin::{DEMO_HORIZON, builtin, builtin_names, builtin_text};
 pub use dates::Dated;
+pub(crate) use direction_camera::rotation_of_rows;
 pub use direction_camera::{DirectionCamera, MountedCamera, SkyCamera, WrongFrameSize};
 pub use directions::Directions;
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};

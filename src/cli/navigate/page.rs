@@ -1,0 +1,151 @@
+//! The page of a navigated flight.
+
+use super::Counts;
+use crate::navigation::{SensorErrors, Settings, Source, Summary, Verdict};
+use crate::report::html::Page;
+use crate::report::plot::{Labels, Mark, Series, series};
+use crate::units::ARCSEC_PER_RAD;
+use nalgebra::Vector3;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// More points than that are thinned.
+const MOST_POINTS: usize = 4000;
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+pub(super) fn page(
+    settings: &Settings,
+    summary: &Summary,
+    counts: &Counts,
+) -> anyhow::Result<String> {
+    let mut page = Page::default();
+    page.heading("Rows");
+    let row = |name: &str, count: u64| vec![name.to_owned(), count.to_string()];
+    page.table(
+        &["status", "rows"],
+        &[
+            row("aligned", counts.aligned),
+            row("coasting", counts.coasting),
+            row("waiting", counts.waiting),
+            row("restarted", counts.restarted),
+        ],
+    );
+    innovations(&mut page, settings, summary)?;
+    sensors(&mut page, settings, &summary.errors)?;
+    Ok(page.finish("Navigation"))
+}
+
+fn innovations(page: &mut Page, settings: &Settings, summary: &Summary) -> anyhow::Result<()> {
+    page.heading("Innovations");
+    page.note("Measured less predicted, over the 1 sigma that was expected; 3 sigma hold 99.7 % of good ones.");
+    let sources: BTreeSet<Source> = summary.innovations.iter().map(|one| one.source).collect();
+    let mut rows = Vec::new();
+    for source in sources {
+        let own = || {
+            summary
+                .innovations
+                .iter()
+                .filter(move |one| one.source == source)
+        };
+        let taken = || own().filter(|one| one.verdict == Verdict::Taken);
+        let axes = taken().map(|one| one.axes.len()).sum::<usize>() as f64;
+        let squares: f64 = taken().map(|one| one.chi2).sum();
+        let name = name(settings, source);
+        rows.push(vec![
+            name.clone(),
+            taken().count().to_string(),
+            (own().count() - taken().count()).to_string(),
+            format!("{:.3}", squares / axes.max(1.0)),
+        ]);
+        let dots = |axis: usize| {
+            let points = taken().filter_map(|one| {
+                let (residual, sigma) = one.axes.get(axis)?;
+                Some((one.t_s, residual / sigma))
+            });
+            Series::dots(AXES[axis], thinned(points.collect()))
+        };
+        let count = taken().map(|one| one.axes.len()).max().unwrap_or(0);
+        let drawn: Vec<Series> = (0..count).map(dots).collect();
+        if !drawn.is_empty() {
+            let labels = Labels::new(name, "t, s", "innovation over its sigma");
+            page.figure(&series(&labels, &drawn)?);
+        }
+    }
+    page.table(
+        &[
+            "measurement",
+            "taken",
+            "refused",
+            "square over covariance, per axis",
+        ],
+        &rows,
+    );
+    Ok(())
+}
+
+fn name(settings: &Settings, source: Source) -> String {
+    match source {
+        Source::Position => "GPS position".into(),
+        Source::Velocity => "GPS velocity".into(),
+        Source::Sighting { camera, target } => {
+            format!(
+                "{} in camera {}",
+                target.name(),
+                settings.cameras[camera].name
+            )
+        }
+    }
+}
+
+/// The estimated errors of the sensors with time, and their 3 sigma.
+fn sensors(page: &mut Page, settings: &Settings, errors: &[SensorErrors]) -> anyhow::Result<()> {
+    type Triad = (Vector3<f64>, Vector3<f64>);
+    page.heading("Sensors");
+    let mut figures: BTreeMap<String, (&str, Vec<(f64, Triad)>)> = BTreeMap::new();
+    for one in errors {
+        let mut add = |name: String, unit, triad: Option<Triad>, scale: f64| {
+            let Some((value, sigma)) = triad else { return };
+            let figure = figures.entry(name).or_insert((unit, Vec::new()));
+            figure.1.push((one.t_s, (value * scale, sigma * scale)));
+        };
+        add("Accelerometer bias".into(), "m/s^2", one.biases[0], 1.0);
+        add(
+            "Gyro bias".into(),
+            "arcsec/s",
+            one.biases[1],
+            ARCSEC_PER_RAD,
+        );
+        for (camera, triad) in settings.cameras.iter().zip(&one.cameras) {
+            let name = format!("Misalignment of camera {}", camera.name);
+            add(name, "deg", *triad, 1f64.to_degrees());
+        }
+    }
+    for (name, (unit, points)) in figures {
+        let mut drawn = Vec::new();
+        for (axis, label) in AXES.iter().enumerate() {
+            let of = |value: fn(f64, f64) -> f64| {
+                let all = points
+                    .iter()
+                    .map(|(t_s, (v, s))| (*t_s, value(v[axis], s[axis])));
+                thinned(all.collect())
+            };
+            for (suffix, points) in [
+                ("", of(|value, _| value)),
+                (" + 3 sigma", of(|value, sigma| value + 3.0 * sigma)),
+                (" - 3 sigma", of(|value, sigma| value - 3.0 * sigma)),
+            ] {
+                drawn.push(Series {
+                    name: format!("{label}{suffix}"),
+                    points,
+                    mark: Mark::Line,
+                });
+            }
+        }
+        page.figure(&series(&Labels::new(name, "t, s", unit), &drawn)?);
+    }
+    Ok(())
+}
+
+fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let every = points.len().div_ceil(MOST_POINTS).max(1);
+    points.into_iter().step_by(every).collect()
+}

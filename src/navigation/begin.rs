@@ -1,0 +1,134 @@
+//! Before the filter runs: it waits for a fix and two directions that were seen at about the same time.
+
+use super::earth;
+use super::estimate::Estimate;
+use super::filter::{Filter, Trust, towards};
+use super::measurement::{Fix, Sighting, Towards};
+use super::motion::{Interval, Motion};
+use super::settings::Settings;
+use super::states::Layout;
+use crate::geometry::attitude::{Direction, Observation, attitude};
+use nalgebra::{UnitQuaternion, UnitVector3};
+
+/// Directions that old serve to begin with, s.
+const FRESH_S: f64 = 1.5;
+/// Sine of the least angle between the two.
+const LEAST_SINE: f64 = 0.05;
+/// The white part of a direction's error is at least this share of it: none is all correlated.
+const LEAST_WHITE: f64 = 0.01;
+
+/// The last direction of each target in each camera, in the body's axes, turned on as the body turns.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Waiting {
+    seen: Vec<Seen>,
+}
+
+#[derive(Debug, Clone)]
+struct Seen {
+    sighting: Sighting,
+    /// In the body's axes, now.
+    body: UnitVector3<f64>,
+    age_s: f64,
+}
+
+impl Seen {
+    /// What has been added to its error since: by the gyro, and by how the target moves.
+    fn added_rad(&self, settings: &Settings, fix: &Fix) -> f64 {
+        let walk = settings.imu.angular_random_walk * self.age_s.sqrt();
+        let moves = match self.sighting.towards {
+            Towards::Known(_) => earth::TURN_RAD_PER_S,
+            Towards::Down => fix.velocity_m_s.norm() / fix.position_m.norm(),
+        };
+        walk.hypot(settings.imu.gyro_bias_rad_s.hypot(moves) * self.age_s)
+    }
+}
+
+impl Waiting {
+    pub fn advance(&mut self, said: &Interval) {
+        let turn = UnitQuaternion::new(-said.rate_rad_s * said.length_s());
+        for seen in &mut self.seen {
+            seen.body = turn * seen.body;
+            seen.age_s += said.length_s();
+        }
+        self.seen.retain(|seen| seen.age_s <= FRESH_S);
+    }
+
+    pub fn note(&mut self, settings: &Settings, sighting: &Sighting) {
+        let same = |seen: &Seen| {
+            (seen.sighting.camera, seen.sighting.target) == (sighting.camera, sighting.target)
+        };
+        self.seen.retain(|seen| !same(seen));
+        let camera = &settings.cameras[sighting.camera];
+        self.seen.push(Seen {
+            sighting: *sighting,
+            body: camera.body_from_camera * sighting.unit,
+            age_s: 0.0,
+        });
+    }
+
+    /// A filter that begins at a fix; `None` until two directions of different targets were seen.
+    pub fn begin<'a>(
+        &self,
+        settings: &'a Settings,
+        layout: &'a Layout,
+        fix: &Fix,
+    ) -> Option<Filter<'a>> {
+        let observation = |seen: &Seen| {
+            let camera = &settings.cameras[seen.sighting.camera];
+            let own = seen.sighting.sigma_rad.hypot(camera.misalignment_rad);
+            let sigma_rad = own.hypot(seen.added_rad(settings, fix));
+            let towards = towards(&seen.sighting.towards, &fix.position_m, settings.vertical);
+            Observation {
+                body: Direction::new(seen.body, sigma_rad.max(f64::EPSILON)),
+                reference: Direction::new(towards, 0.0),
+            }
+        };
+        let (first, second) = self.pair()?;
+        let found = attitude(&[observation(first), observation(second)])?.inverse();
+        let motion = Motion {
+            position_m: fix.position_m - found.rotation * settings.gps.antenna_m,
+            velocity_m_s: fix.velocity_m_s,
+            attitude: found.rotation,
+        };
+        let mut filter = Filter::new(settings, layout, Estimate::new(motion, layout));
+        for seen in [first, second] {
+            let camera = &settings.cameras[seen.sighting.camera];
+            let now = Sighting {
+                t_s: fix.t_s,
+                unit: camera.body_from_camera.inverse() * seen.body,
+                ..seen.sighting
+            };
+            let white = white_rad(settings, layout, &seen.sighting);
+            filter.take_sighting(
+                &now,
+                white.hypot(seen.added_rad(settings, fix)),
+                Trust::Blind,
+            )?;
+        }
+        Some(filter)
+    }
+
+    /// The two directions that tell most together.
+    fn pair(&self) -> Option<(&Seen, &Seen)> {
+        let pairs = self.seen.iter().enumerate().flat_map(|(n, first)| {
+            let rest = self.seen[n + 1..].iter();
+            rest.map(move |second| (first, second))
+        });
+        let sine = |(a, b): &(&Seen, &Seen)| a.body.cross(&b.body).norm();
+        pairs
+            .filter(|(a, b)| a.sighting.target != b.sighting.target)
+            .filter(|pair| sine(pair) > LEAST_SINE)
+            .max_by(|a, b| sine(a).total_cmp(&sine(b)))
+    }
+}
+
+/// The part of a direction's error that is white, 1 sigma of each angle.
+pub(super) fn white_rad(settings: &Settings, layout: &Layout, sighting: &Sighting) -> f64 {
+    let target = sighting.target as usize;
+    let correlated_rad = match layout.correlated[sighting.camera][target] {
+        Some(_) => settings.correlated_rad[target],
+        None => 0.0,
+    };
+    let white2 = sighting.sigma_rad.powi(2) - correlated_rad.powi(2);
+    white2.sqrt().max(LEAST_WHITE * sighting.sigma_rad)
+}

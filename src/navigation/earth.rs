@@ -1,0 +1,84 @@
+//! The Earth that a vehicle moves about: WGS 84, its turning, and gravity with J2.
+
+use nalgebra::Vector3;
+
+/// Of the Earth with its air, m^3/s^2 (WGS 84).
+const GRAVITY_M3_PER_S2: f64 = 3.986_004_418e14;
+pub const EQUATOR_M: f64 = 6_378_137.0;
+const FLATTENING: f64 = 1.0 / 298.257_223_563;
+/// Dynamic form factor (WGS 84).
+const J2: f64 = 1.082_629_82e-3;
+/// Against inertial space, about the z axis of ECEF.
+pub const TURN_RAD_PER_S: f64 = 7.292_115e-5;
+
+/// The Earth's turning, rad/s.
+pub fn turn() -> Vector3<f64> {
+    Vector3::new(0.0, 0.0, TURN_RAD_PER_S)
+}
+
+/// Acceleration by the Earth's mass at a place in ECEF, m/s^2, to the order of J2 (Montenbruck and Gill, "Satellite Orbits", 3.2).
+pub fn gravitation(at_m: &Vector3<f64>) -> Vector3<f64> {
+    let r = at_m.norm();
+    let sine2 = (at_m.z / r).powi(2);
+    let j2 = 1.5 * J2 * (EQUATOR_M / r).powi(2);
+    let across = 1.0 + j2 * (1.0 - 5.0 * sine2);
+    let along = 1.0 + j2 * (3.0 - 5.0 * sine2);
+    let scale = Vector3::new(across, across, along);
+    -GRAVITY_M3_PER_S2 / r.powi(3) * at_m.component_mul(&scale)
+}
+
+/// What a body at a place, with a velocity in ECEF, is accelerated by there without specific force: gravitation, and what the Earth's turning
+/// makes of the axes.
+pub fn acceleration(at_m: &Vector3<f64>, velocity_m_s: &Vector3<f64>) -> Vector3<f64> {
+    let turn = turn();
+    gravitation(at_m) - turn.cross(&(2.0 * velocity_m_s + turn.cross(at_m)))
+}
+
+/// Up by the ellipsoid at a place in ECEF.
+pub fn geodetic_up(at_m: &Vector3<f64>) -> Vector3<f64> {
+    // Bowring's formula (1976), good to a hundredth of an arcsecond up to satellites' heights.
+    let polar_m = EQUATOR_M * (1.0 - FLATTENING);
+    let eccentricity2 = FLATTENING * (2.0 - FLATTENING);
+    let second2 = eccentricity2 / (1.0 - eccentricity2);
+    let axis_m = at_m.x.hypot(at_m.y);
+    let (sin, cos) = (at_m.z * EQUATOR_M).atan2(axis_m * polar_m).sin_cos();
+    let latitude = (at_m.z + second2 * polar_m * sin.powi(3))
+        .atan2(axis_m - eccentricity2 * EQUATOR_M * cos.powi(3));
+    let longitude = at_m.y.atan2(at_m.x);
+    Vector3::new(
+        latitude.cos() * longitude.cos(),
+        latitude.cos() * longitude.sin(),
+        latitude.sin(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gravity_is_that_of_the_ellipsoid() {
+        // Normal gravity at equator and pole (WGS 84), but for the terms beyond J2.
+        for (at, normal) in [
+            (Vector3::new(EQUATOR_M, 0.0, 0.0), 9.780_325),
+            (Vector3::new(0.0, 0.0, 6_356_752.314), 9.832_185),
+        ] {
+            let down = acceleration(&at, &Vector3::zeros());
+            assert!((down.norm() - normal).abs() < 1e-4, "{}", down.norm());
+        }
+    }
+
+    #[test]
+    fn up_by_the_ellipsoid_has_the_latitude_of_maps() {
+        // 45 deg north, 30 deg east, 38 km up.
+        let (latitude, longitude, height) = (45f64.to_radians(), 30f64.to_radians(), 38_000.0);
+        let eccentricity2 = FLATTENING * (2.0 - FLATTENING);
+        let n = EQUATOR_M / (1.0 - eccentricity2 * latitude.sin().powi(2)).sqrt();
+        let axis = (n + height) * latitude.cos();
+        let z = (n * (1.0 - eccentricity2) + height) * latitude.sin();
+        let at = Vector3::new(axis * longitude.cos(), axis * longitude.sin(), z);
+        let up = geodetic_up(&at);
+        assert!((up.z.asin() - latitude).abs() < 1e-9);
+        assert!((up.y.atan2(up.x) - longitude).abs() < 1e-12);
+    }
+}

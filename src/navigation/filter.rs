@@ -1,0 +1,244 @@
+//! The filter while it runs: an estimate with the covariance of its errors, carried on by the IMU and corrected by measurements.
+
+use super::earth;
+use super::estimate::Estimate;
+use super::measurement::{Fix, Innovation, Sighting, Source, Towards, Verdict};
+use super::motion::Interval;
+use super::settings::{Settings, Vertical};
+use super::states::{ATTITUDE, Layout, MOTION, POSITION, VELOCITY};
+use super::transition::Transition;
+use crate::estimation::Proposal;
+use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix3x2, SMatrix, UnitVector3, Vector2, Vector3};
+
+/// An innovation with a larger chi^2 is of another motion: of two axes 1 in 8,000 good ones, of three 1 in 9,000.
+const MOST_CHI2: [f64; 2] = [18.0, 21.0];
+/// So little is known of the attitude before the first directions are taken, rad: nothing, but that they were used to begin.
+const FIRST_ATTITUDE_RAD: f64 = 0.5;
+
+/// Which measurements are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Trust {
+    /// Those whose innovations are of this motion.
+    Tested,
+    /// All: those that the filter begins with.
+    Blind,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Filter<'a> {
+    pub settings: &'a Settings,
+    pub layout: &'a Layout,
+    pub estimate: Estimate,
+    /// Of all errors at the last measurement.
+    pub covariance: DMatrix<f64>,
+    /// Since then.
+    pub since: Transition,
+    /// The body's last rate, rad/s.
+    rate_rad_s: Vector3<f64>,
+}
+
+impl<'a> Filter<'a> {
+    /// Begins with an estimate; position and velocity are a fix's.
+    pub fn new(settings: &'a Settings, layout: &'a Layout, estimate: Estimate) -> Self {
+        let mut covariance = DMatrix::zeros(layout.len(), layout.len());
+        let gps = &settings.gps;
+        for (first, sigma) in [
+            (POSITION, gps.position_sigma_m),
+            (VELOCITY, gps.velocity_sigma_m_s),
+            (ATTITUDE, FIRST_ATTITUDE_RAD),
+        ] {
+            (first..first + 3).for_each(|n| covariance[(n, n)] = sigma * sigma);
+        }
+        for triad in layout.triads() {
+            triad
+                .range()
+                .for_each(|n| covariance[(n, n)] = triad.sigma * triad.sigma);
+        }
+        Self {
+            settings,
+            layout,
+            estimate,
+            covariance,
+            since: Transition::none(),
+            rate_rad_s: Vector3::zeros(),
+        }
+    }
+
+    /// Goes on over an interval, as the IMU has said it.
+    pub fn advance(&mut self, said: &Interval) {
+        let felt = self.estimate.felt(said);
+        self.since
+            .advance(&self.estimate.motion, &felt, &self.settings.imu);
+        self.estimate.advance(&felt, self.layout);
+        self.rate_rad_s = felt.rate_rad_s;
+    }
+
+    /// The covariance of the attitude's errors about the axes of ECEF, rad^2.
+    pub fn attitude_covariance(&self) -> Matrix3<f64> {
+        self.since.attitude(self.layout, &self.covariance)
+    }
+
+    /// Brings the covariance of all errors up to now.
+    pub fn settle(&mut self) {
+        if self.since.time_s > 0.0 {
+            self.covariance = self.since.predicted(self.layout, &self.covariance);
+        }
+        self.since = Transition::none();
+    }
+
+    /// Takes a fix: position and velocity one after the other.
+    pub fn take_fix(&mut self, fix: &Fix) -> [Option<Innovation>; 2] {
+        let gps = &self.settings.gps;
+        let (sigma_m, sigma_m_s) = (gps.position_sigma_m, gps.velocity_sigma_m_s);
+        let motion = &self.estimate.motion;
+        let arm = motion.attitude * gps.antenna_m;
+        let residual = fix.position_m - motion.position_m - arm;
+        let position = self.take_triad(
+            (fix.t_s, Source::Position),
+            residual,
+            (POSITION, arm),
+            sigma_m,
+        );
+        let motion = &self.estimate.motion;
+        let spin = motion.attitude * self.rate_rad_s - earth::turn();
+        let swing = spin.cross(&(motion.attitude * gps.antenna_m));
+        let residual = fix.velocity_m_s - motion.velocity_m_s - swing;
+        let velocity = self.take_triad(
+            (fix.t_s, Source::Velocity),
+            residual,
+            (VELOCITY, swing),
+            sigma_m_s,
+        );
+        [position, velocity]
+    }
+
+    /// Takes three numbers that are three states, and what the attitude makes of an arm.
+    fn take_triad(
+        &mut self,
+        (t_s, source): (f64, Source),
+        residual: Vector3<f64>,
+        (first, arm): (usize, Vector3<f64>),
+        sigma: f64,
+    ) -> Option<Innovation> {
+        let mut jacobian = DMatrix::zeros(3, self.layout.len());
+        jacobian
+            .fixed_view_mut::<3, 3>(0, first)
+            .copy_from(&Matrix3::identity());
+        jacobian
+            .fixed_view_mut::<3, 3>(0, ATTITUDE)
+            .copy_from(&-arm.cross_matrix());
+        let noise = Matrix3::identity() * sigma.powi(2);
+        self.take((t_s, source), residual, &jacobian, noise, Trust::Tested)
+    }
+
+    /// Takes a direction.
+    pub fn take_sighting(
+        &mut self,
+        sighting: &Sighting,
+        white_rad: f64,
+        trust: Trust,
+    ) -> Option<Innovation> {
+        let towards = self.towards(sighting);
+        let (camera, target) = (sighting.camera, sighting.target);
+        let body = self.estimate.motion.attitude.to_rotation_matrix();
+        let true_body = body.inverse() * towards;
+        let correlated = self.estimate.correlated[camera][target as usize];
+        // Where it should be in the body's axes as the camera's file has them.
+        let seen = true_body.into_inner() - self.estimate.cameras[camera].cross(&true_body);
+        let predicted = UnitVector3::new_normalize(seen + correlated);
+        let said = self.settings.cameras[camera].body_from_camera * sighting.unit;
+        let across = across(&predicted);
+        let residual: Vector2<f64> = across.transpose() * said.into_inner();
+        let mut jacobian = DMatrix::zeros(2, self.layout.len());
+        let mut set = |first: usize, by: Matrix3<f64>| {
+            jacobian
+                .fixed_view_mut::<2, 3>(0, first)
+                .copy_from(&(across.transpose() * by));
+        };
+        set(ATTITUDE, body.inverse().matrix() * towards.cross_matrix());
+        if let Some(triad) = self.layout.cameras[camera] {
+            set(triad.first, predicted.cross_matrix());
+        }
+        if let Some(correlated) = self.layout.correlated[camera][target as usize] {
+            set(correlated.triad.first, Matrix3::identity());
+        }
+        let source = Source::Sighting { camera, target };
+        let noise = Matrix2::identity() * white_rad.powi(2);
+        if residual.norm() > 0.5 || said.dot(&predicted) < 0.0 {
+            return Some(Innovation {
+                t_s: sighting.t_s,
+                source,
+                axes: residual.iter().map(|r| (*r, white_rad)).collect(),
+                chi2: f64::MAX,
+                verdict: Verdict::Refused,
+            });
+        }
+        self.take((sighting.t_s, source), residual, &jacobian, noise, trust)
+    }
+
+    /// The direction of a target in ECEF from where the body is.
+    pub fn towards(&self, sighting: &Sighting) -> UnitVector3<f64> {
+        let at_m = &self.estimate.motion.position_m;
+        towards(&sighting.towards, at_m, self.settings.vertical)
+    }
+
+    fn take<const M: usize>(
+        &mut self,
+        (t_s, source): (f64, Source),
+        residual: SMatrix<f64, M, 1>,
+        jacobian: &DMatrix<f64>,
+        noise: SMatrix<f64, M, M>,
+        trust: Trust,
+    ) -> Option<Innovation> {
+        self.settle();
+        let proposal = Proposal::new(&self.covariance, residual, jacobian, noise)?;
+        let chi2 = proposal.chi2();
+        let verdict = match trust == Trust::Blind || chi2 < MOST_CHI2[M - 2] {
+            true => Verdict::Taken,
+            false => Verdict::Refused,
+        };
+        let axes = (0..M).map(|n| (residual[n], proposal.covariance[(n, n)].sqrt()));
+        let axes = axes.collect();
+        if verdict == Verdict::Taken {
+            let errors = proposal.take(&mut self.covariance, &self.layout.roles);
+            self.estimate.correct(&errors, self.layout);
+        }
+        Some(Innovation {
+            t_s,
+            source,
+            axes,
+            chi2,
+            verdict,
+        })
+    }
+
+    /// How large the motion's errors are, 1 sigma of each state.
+    pub fn sigma(&self, state: usize) -> f64 {
+        debug_assert!(state < MOTION || self.since.time_s == 0.0);
+        self.covariance[(state, state)].sqrt()
+    }
+}
+
+/// The direction of a target in ECEF from a place.
+pub(super) fn towards(
+    towards: &Towards,
+    at_m: &Vector3<f64>,
+    vertical: Vertical,
+) -> UnitVector3<f64> {
+    match (towards, vertical) {
+        (Towards::Known(unit), _) => *unit,
+        (Towards::Down, Vertical::Geocentric) => UnitVector3::new_normalize(-at_m),
+        (Towards::Down, Vertical::Geodetic) => {
+            UnitVector3::new_normalize(-earth::geodetic_up(at_m))
+        }
+    }
+}
+
+/// Two unit vectors across a direction.
+fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
+    let least = unit.iamin();
+    let mut axis = Vector3::zeros();
+    axis[least] = 1.0;
+    let first = unit.cross(&axis).normalize();
+    Matrix3x2::from_columns(&[first, unit.cross(&first)])
+}

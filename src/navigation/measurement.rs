@@ -1,0 +1,86 @@
+//! What sensors say of the motion, each at its own time.
+
+use super::settings::Target;
+use nalgebra::{UnitVector3, Vector3};
+
+/// The mean of specific force and rate against inertial space over the interval that ends at a time, in the body's axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImuSample {
+    pub t_s: f64,
+    pub force_m_s2: Vector3<f64>,
+    pub rate_rad_s: Vector3<f64>,
+}
+
+/// A fix of GPS, in ECEF.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fix {
+    pub t_s: f64,
+    pub position_m: Vector3<f64>,
+    pub velocity_m_s: Vector3<f64>,
+}
+
+/// A direction that a camera has seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    pub t_s: f64,
+    /// Among the cameras of the settings.
+    pub camera: usize,
+    pub target: Target,
+    /// In the camera's axes.
+    pub unit: UnitVector3<f64>,
+    /// Of each of the two angles, the part that is correlated in time included.
+    pub sigma_rad: f64,
+    pub towards: Towards,
+}
+
+/// Where a target is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Towards {
+    /// In ECEF, at the time of the sighting.
+    Known(UnitVector3<f64>),
+    /// Straight down from where the body is.
+    Down,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Measurement {
+    Sighting(Sighting),
+    Fix(Fix),
+}
+
+impl Measurement {
+    pub fn t_s(&self) -> f64 {
+        match self {
+            Self::Sighting(sighting) => sighting.t_s,
+            Self::Fix(fix) => fix.t_s,
+        }
+    }
+}
+
+/// What an innovation is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Source {
+    Sighting { camera: usize, target: Target },
+    Position,
+    Velocity,
+}
+
+/// Whether a measurement was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    Taken,
+    /// Its innovation is too large to be of this motion.
+    Refused,
+}
+
+/// Measured minus predicted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Innovation {
+    pub t_s: f64,
+    pub source: Source,
+    /// Along each axis that was measured, and its 1 sigma; rad, m or m/s.
+    pub axes: Vec<(f64, f64)>,
+    /// Its square over its covariance.
+    pub chi2: f64,
+    pub verdict: Verdict,
+}

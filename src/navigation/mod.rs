@@ -1,0 +1,37 @@
+//! Attitude that goes on when Sun and horizon do not: gyros and accelerometers carry it between and beyond what cameras see (Braun and Barf
+//! 2022, sections 6 and 7).
+//!
+//! # The way of a flight
+//! 1. `begin`: the filter waits for a fix of GPS and two directions that were seen at about the same time.
+//! 2. `motion`: from sample to sample of the IMU position, velocity and attitude are carried on in ECEF (`earth`: WGS 84, J2, the Earth's
+//!    turning), cut where a measurement was taken.
+//! 3. `transition`: how errors of motion and IMU grow meanwhile; `states` lists them all.
+//! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are taken away.
+//!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
+//! 5. `run`: many refused measurements in a row, and the filter begins anew.
+//! 6. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight.
+
+mod begin;
+mod earth;
+mod estimate;
+pub mod files;
+mod filter;
+mod measurement;
+mod motion;
+mod run;
+mod settings;
+mod smooth;
+mod solve;
+mod states;
+mod targets;
+mod transition;
+
+pub use measurement::{
+    Fix, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,
+};
+pub use motion::Motion;
+pub use run::Flight;
+pub use settings::{Camera, Gps, Group, Imu, Settings, Target, Vertical};
+pub use smooth::smooth;
+pub use solve::{Row, SensorErrors, Status, Summary, solve};
+pub use targets::{NoDirection, Sky, Targets};

@@ -1,0 +1,245 @@
+//! A flight through the filter: IMU samples in their order, each measurement at its own time between them.
+
+use super::begin::{Waiting, white_rad};
+use super::filter::{Filter, Trust};
+use super::measurement::{ImuSample, Innovation, Measurement, Source, Verdict};
+use super::motion::Interval;
+use super::settings::{Settings, Target};
+use super::states::{Choice, Layout};
+
+/// So many refused measurements of one kind in a row, over so long, and the filter has gone wrong.
+const REFUSED_IN_A_ROW: u32 = 15;
+const REFUSED_S: f64 = 3.0;
+/// It is not begun anew sooner than that after the last time: a camera that slipped would begin it again and again.
+const RESTART_PAUSE_S: f64 = 60.0;
+/// Without a direction for so long the attitude is the gyros' alone.
+pub(super) const COASTING_S: f64 = 10.0;
+/// So long after it has begun anew a row says so.
+pub(super) const RESTARTED_S: f64 = 10.0;
+/// Neighbours that far apart, in intervals, tell nothing of how force and rate change.
+const NEIGHBOUR: f64 = 1.5;
+
+/// All that a flight is solved from, in the order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Flight {
+    pub settings: Settings,
+    pub imu: Vec<ImuSample>,
+    pub measurements: Vec<Measurement>,
+}
+
+impl Flight {
+    pub(super) fn layout(&self, choice: Choice) -> Layout {
+        let mut used = vec![Vec::<Target>::new(); self.settings.cameras.len()];
+        for measurement in &self.measurements {
+            if let Measurement::Sighting(sighting) = measurement {
+                let targets = &mut used[sighting.camera];
+                if !targets.contains(&sighting.target) {
+                    targets.push(sighting.target);
+                }
+            }
+        }
+        Layout::new(&self.settings, &used, choice)
+    }
+
+    /// The interval of a sample. Force and rate change as its neighbours say.
+    fn interval(&self, n: usize) -> Option<Interval> {
+        let sample = self.imu.get(n)?;
+        let length = |n: usize| Some(self.imu.get(n)?.t_s - self.imu.get(n.checked_sub(1)?)?.t_s);
+        let own = length(n).or_else(|| length(1))?;
+        let middle = |n: usize| Some(self.imu.get(n)?.t_s - length(n).unwrap_or(own) / 2.0);
+        let is_near = |other: Option<f64>| other.is_some_and(|other| other < NEIGHBOUR * own);
+        let before = n.checked_sub(1).filter(|_| is_near(Some(own)));
+        let after = Some(n + 1).filter(|n| is_near(length(*n)));
+        let (from, to) = (before.unwrap_or(n), after.unwrap_or(n));
+        let apart = middle(to)? - middle(from)?;
+        let per_s = if apart > 0.0 { apart.recip() } else { 0.0 };
+        let (from, to) = (&self.imu[from], &self.imu[to]);
+        Some(Interval {
+            from_s: sample.t_s - own,
+            to_s: sample.t_s,
+            force_m_s2: sample.force_m_s2,
+            force_change_m_s3: (to.force_m_s2 - from.force_m_s2) * per_s,
+            rate_rad_s: sample.rate_rad_s,
+            rate_change_rad_s2: (to.rate_rad_s - from.rate_rad_s) * per_s,
+        })
+    }
+}
+
+/// What a step of the run has come to.
+pub(super) enum Stop {
+    /// The IMU's sample of a number, all measurements of its time taken.
+    Sample(usize),
+    /// Measurements were taken; the filter has begun anew with the first of them, or gone on from what it was before.
+    Node(Begun),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Begun {
+    Anew,
+    Before,
+}
+
+#[derive(Clone)]
+pub(super) enum Phase<'a> {
+    Waiting(Waiting),
+    Running(Box<Filter<'a>>),
+}
+
+/// A flight on its way through the filter.
+#[derive(Clone)]
+pub(super) struct Run<'a> {
+    flight: &'a Flight,
+    layout: &'a Layout,
+    pub phase: Phase<'a>,
+    /// The next sample and the next measurement.
+    sample: usize,
+    measurement: usize,
+    /// Up to when the filter has gone.
+    pub at_s: f64,
+    interval: Option<Interval>,
+    /// When a direction was last taken, and when the filter last began anew.
+    pub seen_s: f64,
+    pub restarted_s: Option<f64>,
+    pub restarts: u32,
+    refused: Vec<(Source, u32, f64)>,
+}
+
+impl<'a> Run<'a> {
+    pub fn new(flight: &'a Flight, layout: &'a Layout) -> Self {
+        let interval = flight.interval(0);
+        Self {
+            flight,
+            layout,
+            phase: Phase::Waiting(Waiting::default()),
+            sample: 0,
+            measurement: 0,
+            at_s: interval.map_or(0.0, |interval| interval.from_s),
+            interval,
+            seen_s: f64::NEG_INFINITY,
+            restarted_s: None,
+            restarts: 0,
+            refused: Vec::new(),
+        }
+    }
+
+    /// Goes on to the next sample, or to the next time of which there are measurements; `None` at the end. `each` learns of innovations.
+    pub fn step(&mut self, each: &mut impl FnMut(Innovation)) -> Option<Stop> {
+        let interval = self.interval?;
+        let due = self.flight.measurements.get(self.measurement);
+        let due = due.filter(|measurement| measurement.t_s() <= interval.to_s);
+        let Some(due) = due else {
+            self.advance(&interval, interval.to_s);
+            let stop = Stop::Sample(self.sample);
+            self.sample += 1;
+            self.interval = self.flight.interval(self.sample);
+            return Some(stop);
+        };
+        let t_s = due.t_s();
+        self.advance(&interval, t_s);
+        let mut begun = Begun::Before;
+        while let Some(measurement) = self.flight.measurements.get(self.measurement) {
+            if measurement.t_s() > t_s {
+                break;
+            }
+            self.measurement += 1;
+            // What was measured before the IMU began has no time to stand at.
+            if t_s >= self.at_s && self.take(measurement, each) == Begun::Anew {
+                begun = Begun::Anew;
+            }
+        }
+        match &mut self.phase {
+            Phase::Running(filter) => {
+                filter.settle();
+                Some(Stop::Node(begun))
+            }
+            Phase::Waiting(_) => self.step(each),
+        }
+    }
+
+    /// Whether both are at the same place of the same flight.
+    pub fn is_at(&self, other: &Self) -> bool {
+        (self.sample, self.measurement) == (other.sample, other.measurement)
+            && self.at_s == other.at_s
+    }
+
+    /// The filter as it arrives at a time within the present interval, before any measurement.
+    pub fn carried_to(&self, to_s: f64) -> Option<Filter<'a>> {
+        let mut run = self.clone();
+        run.advance(&self.interval?, to_s);
+        match run.phase {
+            Phase::Running(filter) => Some(*filter),
+            Phase::Waiting(_) => None,
+        }
+    }
+
+    fn advance(&mut self, interval: &Interval, to_s: f64) {
+        if to_s <= self.at_s {
+            return;
+        }
+        let part = interval.part(self.at_s, to_s);
+        match &mut self.phase {
+            Phase::Waiting(waiting) => waiting.advance(&part),
+            Phase::Running(filter) => filter.advance(&part),
+        }
+        self.at_s = to_s;
+    }
+
+    fn take(&mut self, measurement: &Measurement, each: &mut impl FnMut(Innovation)) -> Begun {
+        let settings = &self.flight.settings;
+        match (&mut self.phase, measurement) {
+            (Phase::Waiting(waiting), Measurement::Sighting(sighting)) => {
+                waiting.note(settings, sighting);
+            }
+            (Phase::Waiting(waiting), Measurement::Fix(fix)) => {
+                if let Some(filter) = waiting.begin(settings, self.layout, fix) {
+                    self.phase = Phase::Running(Box::new(filter));
+                    self.seen_s = fix.t_s;
+                    return Begun::Anew;
+                }
+            }
+            (Phase::Running(filter), Measurement::Sighting(sighting)) => {
+                let white_rad = white_rad(settings, self.layout, sighting);
+                let innovation = filter.take_sighting(sighting, white_rad, Trust::Tested);
+                innovation.into_iter().for_each(|one| self.note(one, each));
+            }
+            (Phase::Running(filter), Measurement::Fix(fix)) => {
+                let innovations = filter.take_fix(fix);
+                let innovations = innovations.into_iter().flatten();
+                innovations.for_each(|one| self.note(one, each));
+            }
+        }
+        Begun::Before
+    }
+
+    /// Counts what is refused in a row: a filter that has gone wrong waits again.
+    fn note(&mut self, innovation: Innovation, each: &mut impl FnMut(Innovation)) {
+        let (t_s, source) = (innovation.t_s, innovation.source);
+        match (innovation.verdict, source) {
+            (Verdict::Taken, Source::Sighting { .. }) => self.seen_s = t_s,
+            (Verdict::Taken | Verdict::Refused, _) => {}
+        }
+        match innovation.verdict {
+            Verdict::Taken => self.refused.retain(|(other, ..)| *other != source),
+            Verdict::Refused => {
+                let row = self.refused.iter_mut().find(|(other, ..)| *other == source);
+                match row {
+                    Some((_, count, _)) => *count += 1,
+                    None => self.refused.push((source, 1, t_s)),
+                }
+            }
+        }
+        each(innovation);
+        let is_wrong = |(_, count, since_s): &(Source, u32, f64)| {
+            *count >= REFUSED_IN_A_ROW && t_s - since_s >= REFUSED_S
+        };
+        let is_soon = self
+            .restarted_s
+            .is_some_and(|last| t_s - last < RESTART_PAUSE_S);
+        if self.refused.iter().any(is_wrong) && !is_soon {
+            self.refused.clear();
+            self.restarts += 1;
+            self.restarted_s = Some(t_s);
+            self.phase = Phase::Waiting(Waiting::default());
+        }
+    }
+}

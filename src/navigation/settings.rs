@@ -1,0 +1,350 @@
+//! What the filter rests on, as NAV.toml states it.
+
+use crate::instrument::rotation_of_rows;
+use crate::instrument::toml_file::{TomlError, parse_strict, read_text};
+use jiff::Timestamp;
+use nalgebra::{Rotation3, Vector3};
+use serde::Deserialize;
+use std::path::Path;
+
+/// What a vector measurement points at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Target {
+    Sun,
+    Nadir,
+    Moon,
+}
+
+impl Target {
+    pub const ALL: [Self; 3] = [Self::Sun, Self::Nadir, Self::Moon];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sun => "sun",
+            Self::Nadir => "nadir",
+            Self::Moon => "moon",
+        }
+    }
+
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|target| target.name() == name)
+    }
+}
+
+/// Which way is down.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Vertical {
+    /// To the Earth's centre.
+    #[default]
+    Geocentric,
+    /// Across the ellipsoid.
+    Geodetic,
+}
+
+/// Groups of states that are estimated, or considered: their errors count in every covariance, and no measurement changes them (Schmidt).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Group {
+    AccelerometerBias,
+    GyroBias,
+    AccelerometerScale,
+    GyroScale,
+    /// Of both triads of axes.
+    Misalignment,
+    CameraMisalignment,
+    CorrelatedErrors,
+}
+
+/// What the paper considers (table 3), but for the gyro's bias, which a long flight shows.
+const CONSIDERED: [Group; 4] = [
+    Group::AccelerometerScale,
+    Group::GyroScale,
+    Group::Misalignment,
+    Group::CorrelatedErrors,
+];
+
+/// Errors of the inertial measurement unit, 1 sigma.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Imu {
+    pub velocity_random_walk: f64,
+    pub angular_random_walk: f64,
+    pub accelerometer_bias_m_s2: f64,
+    pub gyro_bias_rad_s: f64,
+    pub accelerometer_scale: f64,
+    pub gyro_scale: f64,
+    /// Of each triad of axes.
+    pub misalignment_rad: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gps {
+    pub position_sigma_m: f64,
+    pub velocity_sigma_m_s: f64,
+    /// Of the antenna, from the IMU, in the body's axes.
+    pub antenna_m: Vector3<f64>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    pub name: String,
+    pub body_from_camera: Rotation3<f64>,
+    pub misalignment_rad: f64,
+    pub correlation_time_s: f64,
+}
+
+/// All that NAV.toml states.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// The instant of t_s = 0.
+    pub epoch_utc: Option<Timestamp>,
+    pub imu: Imu,
+    pub gps: Gps,
+    pub cameras: Vec<Camera>,
+    /// Of the directions to Sun, nadir and Moon: the part of their errors that is correlated in time, 1 sigma of each angle.
+    pub correlated_rad: [f64; 3],
+    pub vertical: Vertical,
+    pub considered: Vec<Group>,
+}
+
+#[derive(Deserialize)]
+struct RawFile {
+    epoch_utc: Option<String>,
+    #[serde(default)]
+    imu: RawImu,
+    #[serde(default)]
+    filter: RawFilter,
+    #[serde(default)]
+    gps: RawGps,
+    #[serde(default, rename = "camera")]
+    cameras: Vec<RawCamera>,
+    #[serde(default)]
+    nadir: RawTarget,
+    #[serde(default)]
+    sun: RawTarget,
+    #[serde(default)]
+    moon: RawTarget,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(default)]
+struct RawImu {
+    velocity_random_walk: f64,
+    angular_random_walk: f64,
+    accelerometer_bias_sigma: f64,
+    gyro_bias_sigma: f64,
+    misalignment_sigma_deg: f64,
+    accelerometer_scale_sigma_ppm: f64,
+    gyro_scale_sigma_ppm: f64,
+    extra_velocity_random_walk: f64,
+    extra_angular_random_walk: f64,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(default)]
+struct RawFilter {
+    considered: Option<Vec<Group>>,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(default)]
+struct RawGps {
+    position_sigma_m: f64,
+    velocity_sigma_m_s: f64,
+    antenna_m: [f64; 3],
+}
+
+#[derive(Deserialize)]
+struct RawCamera {
+    name: String,
+    body_from_camera: [[f64; 3]; 3],
+    #[serde(default)]
+    misalignment_sigma_deg: f64,
+    #[serde(default)]
+    correlation_time_s: f64,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(default)]
+struct RawTarget {
+    correlated_sigma_deg: f64,
+    vertical: Option<Vertical>,
+}
+
+const KEYS: &[&str] = &[
+    "epoch_utc",
+    "imu.velocity_random_walk",
+    "imu.angular_random_walk",
+    "imu.accelerometer_bias_sigma",
+    "imu.gyro_bias_sigma",
+    "imu.misalignment_sigma_deg",
+    "imu.accelerometer_scale_sigma_ppm",
+    "imu.gyro_scale_sigma_ppm",
+    "imu.extra_velocity_random_walk",
+    "imu.extra_angular_random_walk",
+    "filter.considered",
+    "gps.position_sigma_m",
+    "gps.velocity_sigma_m_s",
+    "gps.antenna_m",
+    "camera.name",
+    "camera.body_from_camera",
+    "camera.misalignment_sigma_deg",
+    "camera.correlation_time_s",
+    "nadir.correlated_sigma_deg",
+    "nadir.vertical",
+    "sun.correlated_sigma_deg",
+    "moon.correlated_sigma_deg",
+];
+
+impl Settings {
+    /// # Errors
+    /// The file, the field, and what was expected there.
+    pub fn read(path: &Path) -> Result<Self, TomlError> {
+        Self::parse(path, &read_text(path)?)
+    }
+
+    /// Reads the text of such a file; `path` is for errors.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
+        let known: Vec<String> = KEYS.iter().map(|key| (*key).into()).collect();
+        let raw: RawFile = parse_strict(path, text, &known)?;
+        let check = Check(path);
+        if raw.sun.vertical.is_some() || raw.moon.vertical.is_some() {
+            let field = "sun.vertical or moon.vertical";
+            return Err(check.error(field, "it in [nadir] alone", "it here"));
+        }
+        Ok(Self {
+            epoch_utc: raw
+                .epoch_utc
+                .map(|text| {
+                    let parsed = text.parse();
+                    parsed.map_err(|_| {
+                        check.error("epoch_utc", "a time such as 2026-11-22T18:00:00Z", &text)
+                    })
+                })
+                .transpose()?,
+            imu: raw.imu.checked(&check)?,
+            gps: raw.gps.checked(&check)?,
+            correlated_rad: [
+                check.degrees("sun.correlated_sigma_deg", raw.sun.correlated_sigma_deg)?,
+                check.degrees("nadir.correlated_sigma_deg", raw.nadir.correlated_sigma_deg)?,
+                check.degrees("moon.correlated_sigma_deg", raw.moon.correlated_sigma_deg)?,
+            ],
+            vertical: raw.nadir.vertical.unwrap_or_default(),
+            cameras: cameras(raw.cameras, &check)?,
+            considered: raw.filter.considered.unwrap_or(CONSIDERED.into()),
+        })
+    }
+
+    /// The camera of a name.
+    pub fn camera(&self, name: &str) -> Option<usize> {
+        self.cameras.iter().position(|camera| camera.name == name)
+    }
+}
+
+/// Checks the values of a file.
+struct Check<'a>(&'a Path);
+
+impl Check<'_> {
+    fn error(&self, field: &str, expected: &str, found: impl ToString) -> TomlError {
+        TomlError::new(self.0, field, expected, found.to_string())
+    }
+
+    /// A sigma, which is no less than 0 and no more than a limit.
+    fn sigma(&self, field: &str, value: f64, most: f64) -> Result<f64, TomlError> {
+        match (0.0..=most).contains(&value) {
+            true => Ok(value),
+            false => Err(self.error(field, &format!("a number from 0 to {most}"), value)),
+        }
+    }
+
+    fn degrees(&self, field: &str, value: f64) -> Result<f64, TomlError> {
+        Ok(self.sigma(field, value, 30.0)?.to_radians())
+    }
+
+    fn positive(&self, field: &str, value: f64) -> Result<f64, TomlError> {
+        match value > 0.0 && value < 1e6 {
+            true => Ok(value),
+            false => Err(self.error(field, "a number above 0", value)),
+        }
+    }
+}
+
+impl RawImu {
+    fn checked(&self, check: &Check) -> Result<Imu, TomlError> {
+        let walk = |field: &str, value, extra: f64| {
+            let value = check.sigma(field, value, 10.0)?;
+            let field = field.replace("imu.", "imu.extra_");
+            Ok(value.hypot(check.sigma(&field, extra, 10.0)?))
+        };
+        let ppm = |field, value| Ok(check.sigma(field, value, 1e5)? * 1e-6);
+        Ok(Imu {
+            velocity_random_walk: walk(
+                "imu.velocity_random_walk",
+                self.velocity_random_walk,
+                self.extra_velocity_random_walk,
+            )?,
+            angular_random_walk: walk(
+                "imu.angular_random_walk",
+                self.angular_random_walk,
+                self.extra_angular_random_walk,
+            )?,
+            accelerometer_bias_m_s2: check.sigma(
+                "imu.accelerometer_bias_sigma",
+                self.accelerometer_bias_sigma,
+                10.0,
+            )?,
+            gyro_bias_rad_s: check.sigma("imu.gyro_bias_sigma", self.gyro_bias_sigma, 1.0)?,
+            accelerometer_scale: ppm(
+                "imu.accelerometer_scale_sigma_ppm",
+                self.accelerometer_scale_sigma_ppm,
+            )?,
+            gyro_scale: ppm("imu.gyro_scale_sigma_ppm", self.gyro_scale_sigma_ppm)?,
+            misalignment_rad: check
+                .degrees("imu.misalignment_sigma_deg", self.misalignment_sigma_deg)?,
+        })
+    }
+}
+
+impl RawGps {
+    fn checked(&self, check: &Check) -> Result<Gps, TomlError> {
+        if !self.antenna_m.iter().all(|m| m.abs() < 1000.0) {
+            let found = format!("{:?}", self.antenna_m);
+            return Err(check.error("gps.antenna_m", "three numbers within 1000 m", found));
+        }
+        Ok(Gps {
+            position_sigma_m: check.positive("gps.position_sigma_m", self.position_sigma_m)?,
+            velocity_sigma_m_s: check
+                .positive("gps.velocity_sigma_m_s", self.velocity_sigma_m_s)?,
+            antenna_m: self.antenna_m.into(),
+        })
+    }
+}
+
+fn cameras(raw: Vec<RawCamera>, check: &Check) -> Result<Vec<Camera>, TomlError> {
+    let mut cameras: Vec<Camera> = Vec::new();
+    for raw in raw {
+        let field = |name: &str| format!("camera \"{}\": {name}", raw.name);
+        if cameras.iter().any(|camera| camera.name == raw.name) {
+            return Err(check.error("camera.name", "names that differ", raw.name));
+        }
+        cameras.push(Camera {
+            body_from_camera: rotation_of_rows(&raw.body_from_camera).ok_or_else(|| {
+                let expected = "three rows of a rotation (orthonormal to 1e-4, right-handed)";
+                let found = format!("{:?}", raw.body_from_camera);
+                check.error(&field("body_from_camera"), expected, found)
+            })?,
+            misalignment_rad: check
+                .degrees(&field("misalignment_sigma_deg"), raw.misalignment_sigma_deg)?,
+            correlation_time_s: check.sigma(
+                &field("correlation_time_s"),
+                raw.correlation_time_s,
+                1e6,
+            )?,
+            name: raw.name,
+        });
+    }
+    Ok(cameras)
+}

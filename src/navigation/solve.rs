@@ -1,0 +1,119 @@
+//! The attitude at each sample of the IMU, by all measurements up to then.
+
+use super::filter::Filter;
+use super::measurement::Innovation;
+use super::motion::Motion;
+use super::run::{COASTING_S, Flight, Phase, RESTARTED_S, Run, Stop};
+use super::states::{Choice, Layout};
+use nalgebra::{Matrix3, Vector3};
+
+/// Where the attitude comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// There is none yet, or not any more.
+    Waiting,
+    Aligned,
+    /// No direction was taken for 10 s.
+    Coasting,
+    /// The filter had gone wrong, and began anew in the last 10 s.
+    Restarted,
+}
+
+impl Status {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Aligned => "aligned",
+            Self::Coasting => "coasting",
+            Self::Restarted => "restarted",
+        }
+    }
+}
+
+/// The attitude at a sample of the IMU, with the motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Row {
+    pub t_s: f64,
+    /// `None` before the start.
+    pub attitude: Option<(Motion, Matrix3<f64>)>,
+    pub status: Status,
+}
+
+/// The estimated errors of the sensors at a time, each with 1 sigma.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorErrors {
+    pub t_s: f64,
+    /// Of accelerometer and gyro, m/s^2 and rad/s.
+    pub biases: [Option<(Vector3<f64>, Vector3<f64>)>; 2],
+    /// Misalignments, rad.
+    pub cameras: Vec<Option<(Vector3<f64>, Vector3<f64>)>>,
+}
+
+/// What a flight comes to besides its rows.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Summary {
+    pub innovations: Vec<Innovation>,
+    pub errors: Vec<SensorErrors>,
+    /// Times that the filter began anew.
+    pub restarts: u32,
+}
+
+/// Sensor errors are kept so often.
+const ERRORS_EVERY_S: f64 = 1.0;
+
+/// Solves a flight; `each` gets the rows in the order of time.
+pub fn solve(flight: &Flight, mut each: impl FnMut(Row)) -> Summary {
+    let layout = flight.layout(Choice::AsStated);
+    let mut run = Run::new(flight, &layout);
+    let mut summary = Summary::default();
+    let mut told_s = f64::NEG_INFINITY;
+    while let Some(stop) = run.step(&mut |innovation| summary.innovations.push(innovation)) {
+        match (stop, &run.phase) {
+            (Stop::Sample(n), _) => each(row(&run, flight.imu[n].t_s)),
+            (Stop::Node(_), Phase::Running(filter)) if run.at_s - told_s >= ERRORS_EVERY_S => {
+                told_s = run.at_s;
+                summary.errors.push(errors(filter, run.at_s, &layout));
+            }
+            (Stop::Node(_), _) => {}
+        }
+    }
+    summary.restarts = run.restarts;
+    summary
+}
+
+/// What the filter says at a sample.
+pub(super) fn row(run: &Run, t_s: f64) -> Row {
+    let attitude = match &run.phase {
+        Phase::Waiting(_) => None,
+        Phase::Running(filter) => Some((filter.estimate.motion, filter.attitude_covariance())),
+    };
+    Row {
+        t_s,
+        attitude,
+        status: status(run, t_s),
+    }
+}
+
+fn status(run: &Run, t_s: f64) -> Status {
+    let is_new = run.restarted_s.is_some_and(|at_s| t_s - at_s < RESTARTED_S);
+    match &run.phase {
+        Phase::Waiting(_) => Status::Waiting,
+        Phase::Running(_) if is_new => Status::Restarted,
+        Phase::Running(_) if t_s - run.seen_s > COASTING_S => Status::Coasting,
+        Phase::Running(_) => Status::Aligned,
+    }
+}
+
+fn errors(filter: &Filter, t_s: f64, layout: &Layout) -> SensorErrors {
+    let sigma = |first: usize| Vector3::from_fn(|n, _| filter.sigma(first + n));
+    let of = |triad: &Option<super::states::Triad>, value: &Vector3<f64>| {
+        triad.map(|triad| (*value, sigma(triad.first)))
+    };
+    let estimate = &filter.estimate;
+    let cameras = layout.cameras.iter().zip(&estimate.cameras);
+    SensorErrors {
+        t_s,
+        biases: [0, 1].map(|n| of(&layout.imu[n], &estimate.imu[n])),
+        cameras: cameras.map(|(triad, value)| of(triad, value)).collect(),
+    }
+}

@@ -1,0 +1,142 @@
+//! The errors that the filter tells of, in their order.
+//!
+//! | states | unit | axes |
+//! |---|---|---|
+//! | position, velocity | m, m/s | ECEF |
+//! | attitude | rad | ECEF: the true attitude is the estimated one, turned further by it |
+//! | accelerometer bias, gyro bias | m/s^2, rad/s | body |
+//! | accelerometer scale, gyro scale | 1 | body |
+//! | accelerometer axes, gyro axes | rad | body: a small rotation of the triad |
+//! | misalignment of each camera | rad | body: v_body = (1 + mu x) R_body_from_camera v_camera (Braun and Barf 2022, eq. 50) |
+//! | correlated error of each camera and target | rad | body, across the direction |
+//!
+//! States that are known exactly (sigma 0) are left out.
+
+use super::settings::{Group, Settings, Target};
+use crate::estimation::Role;
+use std::ops::Range;
+
+/// Position, velocity, attitude.
+pub(super) const MOTION: usize = 9;
+/// The same with six triads of errors of the IMU, known exactly or not.
+pub(super) const DRIVING: usize = 27;
+pub(super) const POSITION: usize = 0;
+pub(super) const VELOCITY: usize = 3;
+pub(super) const ATTITUDE: usize = 6;
+
+/// Three states that belong together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Triad {
+    pub first: usize,
+    pub sigma: f64,
+    pub role: Role,
+}
+
+impl Triad {
+    pub fn range(&self) -> Range<usize> {
+        self.first..self.first + 3
+    }
+}
+
+/// An error that is correlated in time (Gauss-Markov process of first order).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Correlated {
+    pub triad: Triad,
+    pub time_s: f64,
+}
+
+/// Which states there are.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Layout {
+    /// Of the IMU: accelerometer bias, gyro bias, accelerometer scale, gyro scale, accelerometer axes, gyro axes.
+    pub imu: [Option<Triad>; 6],
+    pub cameras: Vec<Option<Triad>>,
+    /// By camera and [`Target`].
+    pub correlated: Vec<[Option<Correlated>; 3]>,
+    pub roles: Vec<Role>,
+}
+
+impl Layout {
+    /// `used` are the targets that each camera sees; `estimated` says that nothing is only considered.
+    pub fn new(settings: &Settings, used: &[Vec<Target>], choice: Choice) -> Self {
+        let mut layout = Self {
+            imu: [None; 6],
+            cameras: Vec::new(),
+            correlated: Vec::new(),
+            roles: vec![Role::Estimated; MOTION],
+        };
+        let role = |group| match settings.considered.contains(&group) && choice == Choice::AsStated
+        {
+            true => Role::Considered,
+            false => Role::Estimated,
+        };
+        let imu = &settings.imu;
+        for (n, (sigma, group)) in [
+            (imu.accelerometer_bias_m_s2, Group::AccelerometerBias),
+            (imu.gyro_bias_rad_s, Group::GyroBias),
+            (imu.accelerometer_scale, Group::AccelerometerScale),
+            (imu.gyro_scale, Group::GyroScale),
+            (imu.misalignment_rad, Group::Misalignment),
+            (imu.misalignment_rad, Group::Misalignment),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            layout.imu[n] = layout.add(sigma, role(group));
+        }
+        for camera in &settings.cameras {
+            let triad = layout.add(camera.misalignment_rad, role(Group::CameraMisalignment));
+            layout.cameras.push(triad);
+        }
+        for (camera, targets) in settings.cameras.iter().zip(used) {
+            let mut of_camera = [None; 3];
+            for target in targets {
+                let sigma = match camera.correlation_time_s > 0.0 {
+                    true => settings.correlated_rad[*target as usize],
+                    // Errors that last no time are white.
+                    false => 0.0,
+                };
+                let triad = layout.add(sigma, role(Group::CorrelatedErrors));
+                of_camera[*target as usize] = triad.map(|triad| Correlated {
+                    triad,
+                    time_s: camera.correlation_time_s,
+                });
+            }
+            layout.correlated.push(of_camera);
+        }
+        layout
+    }
+
+    fn add(&mut self, sigma: f64, role: Role) -> Option<Triad> {
+        if sigma <= 0.0 {
+            return None;
+        }
+        let first = self.roles.len();
+        self.roles.extend([role; 3]);
+        Some(Triad { first, sigma, role })
+    }
+
+    pub fn len(&self) -> usize {
+        self.roles.len()
+    }
+
+    /// Every triad beyond the motion.
+    pub fn triads(&self) -> impl Iterator<Item = Triad> {
+        let imu = self.imu.iter().flatten().copied();
+        let cameras = self.cameras.iter().flatten().copied();
+        let correlated = self.all_correlated().map(|correlated| correlated.triad);
+        imu.chain(cameras).chain(correlated)
+    }
+
+    pub fn all_correlated(&self) -> impl Iterator<Item = Correlated> {
+        self.correlated.iter().flatten().flatten().copied()
+    }
+}
+
+/// Which states measurements change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Choice {
+    AsStated,
+    /// All of them: what smoothing needs.
+    AllEstimated,
+}

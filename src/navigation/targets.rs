@@ -1,0 +1,124 @@
+//! Where Sun and Moon are, seen from the flight.
+
+use super::earth::geodetic_up;
+use super::measurement::Fix;
+use super::settings::Target;
+use crate::sky::sphere::direction;
+use crate::sky::{Ephemeris, SkyError};
+use crate::units::{EARTH_RADIUS_M, Place};
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::{UnitVector3, Vector3};
+use std::collections::BTreeMap;
+
+/// The sky is asked so often; between, its directions turn evenly to 0.001 arcsec.
+const EVERY_S: f64 = 2.0;
+
+/// What tells where Sun and Moon are.
+pub enum Sky {
+    /// The ephemeris, `epoch` being the instant of t_s = 0.
+    Ephemeris {
+        ephemeris: Box<Ephemeris>,
+        epoch: Timestamp,
+    },
+    /// Directions to the Sun in ECEF by time.
+    Sun(Vec<(f64, UnitVector3<f64>)>),
+    /// Nothing.
+    Unknown,
+}
+
+/// Where Sun and Moon are, as the flight goes on.
+pub struct Targets<'a> {
+    sky: Sky,
+    /// In the order of time.
+    fixes: &'a [Fix],
+    known: BTreeMap<(Target, i64), Vector3<f64>>,
+}
+
+/// Why a direction is not known.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoDirection {
+    #[error("neither epoch_utc in the configuration nor, for the Sun, a table (--sun)")]
+    NoSky,
+    #[error("a table of the Sun that does not reach so far")]
+    BeyondTable,
+    #[error("no fix of GPS")]
+    NoFix,
+    #[error("a time that no calendar has")]
+    Time,
+    #[error(transparent)]
+    Sky(#[from] SkyError),
+}
+
+impl<'a> Targets<'a> {
+    pub fn new(sky: Sky, fixes: &'a [Fix]) -> Self {
+        Self {
+            sky,
+            fixes,
+            known: BTreeMap::new(),
+        }
+    }
+
+    /// The direction to Sun or Moon in ECEF.
+    ///
+    /// # Errors
+    /// Why it is not known.
+    pub fn direction(&mut self, target: Target, t_s: f64) -> Result<UnitVector3<f64>, NoDirection> {
+        if let (Sky::Sun(table), Target::Sun) = (&self.sky, target) {
+            return by_table(table, t_s).ok_or(NoDirection::BeyondTable);
+        }
+        let before = (t_s / EVERY_S).floor();
+        let share = t_s / EVERY_S - before;
+        let from = self.at(target, before as i64)?;
+        let to = self.at(target, before as i64 + 1)?;
+        Ok(UnitVector3::new_normalize(from.lerp(&to, share)))
+    }
+
+    fn at(&mut self, target: Target, step: i64) -> Result<Vector3<f64>, NoDirection> {
+        if let Some(known) = self.known.get(&(target, step)) {
+            return Ok(*known);
+        }
+        let Sky::Ephemeris { ephemeris, epoch } = &mut self.sky else {
+            return Err(NoDirection::NoSky);
+        };
+        let t_s = step as f64 * EVERY_S;
+        let next = self.fixes.partition_point(|fix| fix.t_s < t_s);
+        let fix = self.fixes.get(next).or(self.fixes.last());
+        let at_m = fix.ok_or(NoDirection::NoFix)?.position_m;
+        let up = geodetic_up(&at_m);
+        let since = SignedDuration::try_from_secs_f64(t_s).map_err(|_| NoDirection::Time)?;
+        let utc = epoch.checked_add(since).map_err(|_| NoDirection::Time)?;
+        let longitude_deg = up.y.atan2(up.x).to_degrees();
+        // Their parallax hardly feels a height that is that of a sphere.
+        let height_m = (at_m.norm() - EARTH_RADIUS_M).clamp(-1000.0, 2e6);
+        let place = Place::new(up.z.asin().to_degrees(), longitude_deg, height_m);
+        let place = place.map_err(SkyError::from)?;
+        let (azimuth_deg, elevation_deg) = match target {
+            Target::Moon => {
+                let moon = ephemeris.moon(utc, place)?;
+                (moon.azimuth_deg, moon.elevation_deg)
+            }
+            Target::Sun | Target::Nadir => {
+                let sun = ephemeris.sun(utc, place)?;
+                (sun.azimuth_deg, sun.elevation_deg)
+            }
+        };
+        // North, east and up there.
+        let local = direction(azimuth_deg, elevation_deg);
+        let east = Vector3::z().cross(&up).normalize();
+        let north = up.cross(&east);
+        let towards = north * local.x + east * local.y + up * local.z;
+        self.known.insert((target, step), towards);
+        Ok(towards)
+    }
+}
+
+fn by_table(table: &[(f64, UnitVector3<f64>)], t_s: f64) -> Option<UnitVector3<f64>> {
+    let next = table.partition_point(|(at_s, _)| *at_s < t_s);
+    let (to_s, to) = table.get(next)?;
+    if *to_s == t_s {
+        return Some(*to);
+    }
+    let (from_s, from) = table.get(next.checked_sub(1)?)?;
+    let share = (t_s - from_s) / (to_s - from_s);
+    Some(UnitVector3::new_normalize(from.lerp(to, share)))
+}
