@@ -245,13 +245,13 @@ fn write_row(file: &mut impl Write, row: &Row) -> std::io::Result<()> {
     let q = motion.attitude.quaternion();
     let q = if q.w < 0.0 { -q } else { *q };
     for value in [q.w, q.i, q.j, q.k] {
-        write!(file, ",{value:.12}")?;
+        write!(file, ",{value:.15}")?;
     }
     for n in 0..3 {
-        write!(file, ",{:.6e}", covariance[(n, n)].max(0.0).sqrt())?;
+        write!(file, ",{:.14e}", covariance[(n, n)].max(0.0).sqrt())?;
     }
     for (a, b) in [(0, 1), (0, 2), (1, 2)] {
-        write!(file, ",{:.6e}", covariance[(a, b)])?;
+        write!(file, ",{:.14e}", covariance[(a, b)])?;
     }
     for value in motion.position_m.iter() {
         write!(file, ",{value:.4}")?;

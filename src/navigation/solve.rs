@@ -54,31 +54,61 @@ pub struct SensorErrors {
 pub struct Summary {
     pub innovations: Vec<Innovation>,
     pub errors: Vec<SensorErrors>,
+    /// 1 sigma of the attitude about the axes of ECEF, rad, with its time.
+    pub attitude_sigmas: Vec<(f64, Vector3<f64>)>,
+    /// From when to when no direction was taken, longer than 10 s.
+    pub gaps: Vec<(f64, f64)>,
     /// Times that the filter began anew.
     pub restarts: u32,
 }
 
-/// Sensor errors are kept so often.
-const ERRORS_EVERY_S: f64 = 1.0;
+/// Errors of sensors and sigmas are kept so often.
+const KEPT_EVERY_S: f64 = 1.0;
 
 /// Solves a flight; `each` gets the rows in the order of time.
 pub fn solve(flight: &Flight, mut each: impl FnMut(Row)) -> Summary {
     let layout = flight.layout(Choice::AsStated);
     let mut run = Run::new(flight, &layout);
     let mut summary = Summary::default();
-    let mut told_s = f64::NEG_INFINITY;
+    let mut kept_s = [f64::NEG_INFINITY; 2];
+    let mut seen_s = run.seen_s;
     while let Some(stop) = run.step(&mut |innovation| summary.innovations.push(innovation)) {
         match (stop, &run.phase) {
-            (Stop::Sample(n), _) => each(row(&run, flight.imu[n].t_s)),
-            (Stop::Node(_), Phase::Running(filter)) if run.at_s - told_s >= ERRORS_EVERY_S => {
-                told_s = run.at_s;
+            (Stop::Sample(n), _) => {
+                let row = row(&run, flight.imu[n].t_s);
+                summary.note_sigma(&row, &mut kept_s[0]);
+                each(row);
+            }
+            (Stop::Node(_), Phase::Running(filter)) if run.at_s - kept_s[1] >= KEPT_EVERY_S => {
+                kept_s[1] = run.at_s;
                 summary.errors.push(errors(filter, run.at_s, &layout));
             }
             (Stop::Node(_), _) => {}
         }
+        summary.note_gap(seen_s, run.seen_s);
+        seen_s = run.seen_s;
     }
+    summary.note_gap(seen_s, run.at_s);
     summary.restarts = run.restarts;
     summary
+}
+
+impl Summary {
+    fn note_sigma(&mut self, row: &Row, kept_s: &mut f64) {
+        if let Some((_, covariance)) = row.attitude.filter(|_| row.t_s - *kept_s >= KEPT_EVERY_S) {
+            *kept_s = row.t_s;
+            let sigma = covariance
+                .diagonal()
+                .map(|variance| variance.max(0.0).sqrt());
+            self.attitude_sigmas.push((row.t_s, sigma));
+        }
+    }
+
+    fn note_gap(&mut self, from_s: f64, to_s: f64) {
+        if from_s.is_finite() && to_s - from_s > COASTING_S {
+            self.gaps.push((from_s, to_s));
+        }
+    }
 }
 
 /// What the filter says at a sample.

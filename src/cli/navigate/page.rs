@@ -29,9 +29,54 @@ pub(super) fn page(
             row("restarted", counts.restarted),
         ],
     );
+    sigmas(&mut page, summary)?;
+    gaps(&mut page, summary);
     innovations(&mut page, settings, summary)?;
     sensors(&mut page, settings, &summary.errors)?;
     Ok(page.finish("Navigation"))
+}
+
+fn sigmas(page: &mut Page, summary: &Summary) -> anyhow::Result<()> {
+    page.heading("Attitude");
+    let drawn: Vec<Series> = (0..3)
+        .map(|axis| Series {
+            name: AXES[axis].into(),
+            points: thinned(
+                summary
+                    .attitude_sigmas
+                    .iter()
+                    .map(|(t_s, sigma)| (*t_s, sigma[axis] * ARCSEC_PER_RAD))
+                    .collect(),
+            ),
+            mark: Mark::Line,
+        })
+        .collect();
+    if !summary.attitude_sigmas.is_empty() {
+        let labels = Labels::new(
+            "1 sigma about the axes of ECEF, by the measurements up to each time",
+            "t, s",
+            "arcsec",
+        );
+        page.figure(&series(&labels, &drawn)?);
+    }
+    Ok(())
+}
+
+fn gaps(page: &mut Page, summary: &Summary) {
+    page.heading("Gaps");
+    if summary.gaps.is_empty() {
+        return page.note("Directions were never missing for longer than 10 s.");
+    }
+    let rows: Vec<Vec<String>> = summary
+        .gaps
+        .iter()
+        .map(|(from_s, to_s)| {
+            [*from_s, *to_s, to_s - from_s]
+                .map(|s| format!("{s:.2}"))
+                .into()
+        })
+        .collect();
+    page.table(&["last direction, s", "next one, s", "without, s"], &rows);
 }
 
 fn innovations(page: &mut Page, settings: &Settings, summary: &Summary) -> anyhow::Result<()> {
@@ -64,8 +109,17 @@ fn innovations(page: &mut Page, settings: &Settings, summary: &Summary) -> anyho
             Series::dots(AXES[axis], thinned(points.collect()))
         };
         let count = taken().map(|one| one.axes.len()).max().unwrap_or(0);
-        let drawn: Vec<Series> = (0..count).map(dots).collect();
-        if !drawn.is_empty() {
+        let mut drawn: Vec<Series> = (0..count).map(dots).collect();
+        let times = || taken().map(|one| one.t_s);
+        if let Some((first, last)) = times()
+            .min_by(f64::total_cmp)
+            .zip(times().max_by(f64::total_cmp))
+        {
+            drawn.extend([-3.0, 3.0].map(|bound| Series {
+                name: format!("{bound} sigma"),
+                points: vec![(first, bound), (last, bound)],
+                mark: Mark::Line,
+            }));
             let labels = Labels::new(name, "t, s", "innovation over its sigma");
             page.figure(&series(&labels, &drawn)?);
         }
