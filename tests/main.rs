@@ -31,6 +31,7 @@ mod link_service;
 mod marks;
 mod moon;
 mod moon_in_flight;
+mod navigation;
 mod pointing;
 mod power_cut;
 mod preflight;

@@ -34,11 +34,8 @@ const LIT_DEPTH_PX: f64 = 1.5;
 const LIT_DEPTH: f64 = 0.1;
 /// A sector lies off the circle by so many sigmas, or so many times the usual.
 const OFF_SIGMAS: f64 = 5.0;
-/// The circle takes so many degrees of freedom from the limb.
-const CIRCLE_PARAMETERS: f64 = 3.0;
-/// Neighbours agree so well at most, and less than that is not at all.
-const MOST_ALIKE: f64 = 0.95;
-const LEAST_ALIKE: f64 = 0.01;
+/// The ground along the limb is alike over so much, rad: craters of all sizes, the largest most of all.
+const ALIKE_RAD: f64 = 0.8;
 /// Blur of the optics beside that of the pixels, px, as far as it is known before.
 const BLUR_PX: Measured = Measured::new(0.8, 0.4);
 const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
@@ -266,40 +263,39 @@ impl Limb {
     }
 }
 
-/// What the ground adds to the covariance. Mountains move the limb, and neighbours alike: the variance of the limb's excess beyond that of the
-/// noise, and how it agrees from one sector to the next, tell a process of first order along the limb.
+/// What the ground adds to the covariance. Mountains, and ground that grows brighter or darker across the limb, move it, and neighbours alike: a process
+/// of first order along the limb. Its variance is what the excess shows beyond the noise; of what such a process has, the circle takes a part away.
 fn of_rough_limb(
     points: &[LimbPoint],
     pulls: &[Pull],
     fitted: &Fitted<PARAMETERS>,
 ) -> SMatrix<f64, PARAMETERS, PARAMETERS> {
-    let count = points.len();
-    let freedom = (count as f64 - CIRCLE_PARAMETERS).max(1.0);
-    let excess = |n: usize| points[n % count].excess_px;
-    let beyond = |n: usize| excess(n).value.powi(2) - excess(n).sigma.powi(2);
-    let variance = (0..count).map(beyond).sum::<f64>() / freedom;
-    if variance <= 0.0 {
-        return SMatrix::zeros();
-    }
-    let next_to = |n: usize| excess(n).value * excess(n + 1).value;
-    let alike = (0..count).map(next_to).sum::<f64>() / freedom / variance;
-    let alike = alike.clamp(0.0, MOST_ALIKE);
-    // How the parameters move with each sector's limb.
+    // How the parameters move with each sector's limb, and the limb with the parameters.
     let inverse = fitted.covariance / fitted.scatter.powi(2);
     let moves: Vec<Parameters> = pulls.iter().map(|pull| inverse * pull.by_excess).collect();
-    let mut sum = SMatrix::zeros();
-    for (n, one) in moves.iter().enumerate() {
-        sum += one * one.transpose();
-        for (lag, other) in (1..).zip(&moves[n + 1..]) {
-            let weight = alike.powi(lag);
-            if weight < LEAST_ALIKE {
-                break;
-            }
-            let both = one * other.transpose() * weight;
-            sum += both + both.transpose();
-        }
+    let follows = |n: usize| pulls[n].by_excess / pulls[n].information;
+    let mut covariance = SMatrix::zeros();
+    let (mut shown, mut noise, mut expected) = (0.0, 0.0, 0.0);
+    for (n, point) in points.iter().enumerate() {
+        let together: Parameters = (points.iter().zip(&moves))
+            .map(|(other, moves)| moves * alike(point.angle_rad - other.angle_rad))
+            .sum();
+        covariance += moves[n] * together.transpose();
+        let kept = 1.0 - follows(n).dot(&moves[n]);
+        shown += point.excess_px.value.powi(2);
+        noise += point.excess_px.sigma.powi(2) * kept;
+        expected += 1.0 - 2.0 * follows(n).dot(&together);
     }
-    sum * variance
+    for n in 0..points.len() {
+        expected += follows(n).dot(&(covariance * follows(n)));
+    }
+    covariance * ((shown - noise) / expected.max(1.0)).max(0.0)
+}
+
+/// How well the ground agrees at two places of the limb.
+fn alike(apart_rad: f64) -> f64 {
+    let apart = (apart_rad + PI).rem_euclid(TAU) - PI;
+    (-apart.abs() / ALIKE_RAD).exp()
 }
 
 /// Where the limb is lit.
