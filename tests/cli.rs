@@ -71,6 +71,10 @@ fn that_print(folder: &Path) -> Vec<Vec<String>> {
         "sky visibility --orbit leo550 --days 1".into(),
         "sky visibility --orbit leo550 --simplified --json".into(),
         format!("simulate --frames 1 --out {}", at("simulated")),
+        format!(
+            "simulate --navigation rocket --duration-s 2 --out {}",
+            at("flown")
+        ),
         format!("refine {} --out {}", archive.display(), at("refined")),
         format!("archive check {}", archive.display()),
         "link decode 9ac30104050067b803110800".into(),

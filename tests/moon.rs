@@ -260,7 +260,7 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     };
     let why = reason(&oval.scene(3, 1), &with(15.5, 5.0));
     assert!(["oval", "no_disc"].contains(&why), "{why}");
-    let is_lit = |n: &usize| n % 2048 % 5 == 0 && n / 2048 % 5 == 0;
+    let is_lit = |n: &usize| (n % 2048).is_multiple_of(5) && (n / 2048).is_multiple_of(5);
     let dotted = (0..2048 * 2048).map(|n| if is_lit(&n) { 200 } else { 10 });
     let dotted = Pixels::U8(dotted.collect());
     let dotted = Frame::new(2048, 2048, dotted, 255, Default::default()).unwrap();

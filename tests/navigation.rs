@@ -1,5 +1,14 @@
 //! Attitude by gyros: what goes in is checked, what comes out is as good as it says.
 
+use nalgebra::{Matrix3, UnitVector3, Vector3};
+use rayon::prelude::*;
+use solaspect::navigation::{
+    Fix, Flight, Group, ImuSample, Innovation, Measurement, Row, Settings, Sighting, Sky, Source,
+    Target, Targets, Towards, Verdict, smooth, solve,
+};
+use solaspect::simulate::navigation::{self as simulate, FlightPlan, TruthRow};
+use solaspect::units::ARCSEC_PER_RAD;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -186,4 +195,431 @@ fn a_flight_that_never_begins_has_empty_rows_and_says_so() {
     let rows = std::fs::read_to_string(folder.path().join("out/attitude.csv")).unwrap();
     assert_eq!(rows.lines().nth(1), Some("0.01,,,,,,,,,,,,,,,,,waiting"));
     assert!(folder.path().join("out/report.html").exists());
+}
+
+/// A simulated flight as the filter takes it.
+fn flight(plan: &FlightPlan, seed: u64, change: impl Fn(&mut Settings)) -> (Flight, Vec<TruthRow>) {
+    let flown = plan.fly(seed);
+    let mut settings = Settings::parse("NAV.toml".as_ref(), &flown.config_toml).unwrap();
+    change(&mut settings);
+    let imu = flown.imu.iter().map(|row| ImuSample {
+        t_s: row.t_s,
+        force_m_s2: row.specific_force_m_s2,
+        rate_rad_s: row.rate_rad_s,
+    });
+    let fixes: Vec<Fix> = flown
+        .gps
+        .iter()
+        .map(|row| Fix {
+            t_s: row.t_s,
+            position_m: row.position_m,
+            velocity_m_s: row.velocity_m_s,
+        })
+        .collect();
+    let table = flown.sun.iter();
+    let table = table.map(|row| (row.t_s, UnitVector3::new_normalize(row.direction)));
+    let mut targets = Targets::new(Sky::Sun(table.collect()), &fixes);
+    let sightings = flown.vectors.iter().map(|row| {
+        let target = match row.target {
+            simulate::Target::Sun => Target::Sun,
+            simulate::Target::Nadir => Target::Nadir,
+        };
+        Measurement::Sighting(Sighting {
+            t_s: row.t_s,
+            camera: settings.camera(row.camera).unwrap(),
+            target,
+            unit: UnitVector3::new_normalize(row.direction),
+            sigma_rad: row.sigma_rad,
+            towards: match target {
+                Target::Nadir => Towards::Down,
+                _ => Towards::Known(targets.direction(target, row.t_s).unwrap()),
+            },
+        })
+    });
+    let mut measurements: Vec<Measurement> = sightings.collect();
+    measurements.extend(fixes.iter().map(|fix| Measurement::Fix(*fix)));
+    measurements.sort_by(|a, b| a.t_s().total_cmp(&b.t_s()));
+    let flight = Flight {
+        imu: imu.collect(),
+        measurements,
+        settings,
+    };
+    (flight, flown.truth)
+}
+
+/// The errors of an attitude about the axes of ECEF, rad, with their covariance.
+struct Off {
+    t_s: f64,
+    error: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    sun: Vector3<f64>,
+}
+
+impl Off {
+    fn new(row: &Row, truth: &TruthRow, sun: Vector3<f64>) -> Option<Self> {
+        assert_eq!(row.t_s, truth.t_s);
+        let (motion, covariance) = row.attitude?;
+        let error = truth.ecef_from_body * motion.attitude.inverse();
+        Some(Self {
+            t_s: row.t_s,
+            error: error.scaled_axis(),
+            covariance,
+            sun,
+        })
+    }
+
+    /// The error's square over its covariance, per axis.
+    fn square(&self) -> f64 {
+        let inverse = self.covariance.try_inverse().unwrap();
+        self.error.dot(&(inverse * self.error)) / 3.0
+    }
+
+    fn largest_sigmas(&self) -> f64 {
+        let sigmas = self.covariance.diagonal().map(f64::sqrt);
+        self.error.component_div(&sigmas).amax()
+    }
+
+    /// Two angles across the Sun, arcsec.
+    fn across_arcsec(&self) -> [f64; 2] {
+        let first = self.sun.cross(&Vector3::z()).normalize();
+        let second = self.sun.cross(&first);
+        [first, second].map(|axis| axis.dot(&self.error) * ARCSEC_PER_RAD)
+    }
+
+    fn about_deg(&self) -> f64 {
+        self.sun.dot(&self.error).to_degrees()
+    }
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let squares: Vec<f64> = values.map(|value| value * value).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+/// What some flights come to: errors of the filter and of the smoother at the samples that `wanted` chooses, and innovations.
+struct Flown {
+    filtered: Vec<Off>,
+    smoothed: Vec<Off>,
+    innovations: Vec<Innovation>,
+}
+
+fn fly(
+    plan: &FlightPlan,
+    seeds: std::ops::Range<u64>,
+    change: impl Fn(&mut Settings) + Sync,
+    wanted: impl Fn(f64) -> bool + Sync,
+) -> Flown {
+    let one = |seed: u64| {
+        let (flight, truth) = flight(plan, seed, &change);
+        let sun = plan.fly(seed).sun;
+        let towards = |t_s: f64| {
+            let next = sun.iter().find(|row| row.t_s >= t_s).unwrap();
+            next.direction
+        };
+        let (mut filtered, mut smoothed) = (Vec::new(), Vec::new());
+        let mut at = 0;
+        let summary = solve(&flight, |row| {
+            if wanted(row.t_s) {
+                filtered.extend(Off::new(&row, &truth[at], towards(row.t_s)));
+            }
+            at += 1;
+        });
+        smooth(&flight, |row| {
+            at -= 1;
+            if wanted(row.t_s) {
+                smoothed.extend(Off::new(&row, &truth[at], towards(row.t_s)));
+            }
+        })
+        .unwrap();
+        assert_eq!((at, summary.restarts), (0, 0));
+        Flown {
+            filtered,
+            smoothed,
+            innovations: summary.innovations,
+        }
+    };
+    let all = seeds.into_par_iter().map(one);
+    all.reduce_with(|mut all, one| {
+        all.filtered.extend(one.filtered);
+        all.smoothed.extend(one.smoothed);
+        all.innovations.extend(one.innovations);
+        all
+    })
+    .unwrap()
+}
+
+impl Flown {
+    /// The mean square of the filter's and the smoother's errors over their covariance, and the share beyond 3 sigma.
+    fn honesty(&self) -> [(f64, f64); 2] {
+        [&self.filtered, &self.smoothed].map(|offs| {
+            let count = offs.len() as f64;
+            let square = offs.iter().map(Off::square).sum::<f64>() / count;
+            let beyond = offs.iter().filter(|off| off.largest_sigmas() > 3.0).count();
+            (square, beyond as f64 / count)
+        })
+    }
+
+    /// The normalised innovation squared, per axis, by what was measured.
+    fn innovations(&self) -> Vec<(Source, f64)> {
+        let sources: BTreeSet<Source> = self.innovations.iter().map(|one| one.source).collect();
+        let mean = |source: Source| {
+            let own = || {
+                self.innovations
+                    .iter()
+                    .filter(move |one| one.source == source)
+            };
+            let axes: usize = own().map(|one| one.axes.len()).sum();
+            (source, own().map(|one| one.chi2).sum::<f64>() / axes as f64)
+        };
+        sources.into_iter().map(mean).collect()
+    }
+
+    fn print(&self, name: &str) {
+        let [filtered, smoothed] = self.honesty();
+        println!(
+            "{name}: square over covariance, share beyond 3 sigma: filtered {filtered:.3?}, smoothed {smoothed:.3?}"
+        );
+        for (source, square) in self.innovations() {
+            println!("  {source:?}: normalised innovation squared {square:.3}");
+        }
+    }
+}
+
+/// The rocket's cameras, aligned to a twentieth of a degree.
+fn aligned_rocket() -> FlightPlan {
+    let mut plan = FlightPlan::rocket();
+    for camera in &mut plan.cameras {
+        camera.misalignment_sigma_deg = 0.05;
+    }
+    plan
+}
+
+fn estimate_all(settings: &mut Settings) {
+    settings.considered = vec![
+        Group::Misalignment,
+        Group::AccelerometerScale,
+        Group::GyroScale,
+    ];
+}
+
+fn each_10_s(t_s: f64) -> bool {
+    (t_s / 10.0 - (t_s / 10.0).round()).abs() < 1e-6
+}
+
+/// Within what flights must stay.
+#[derive(Clone)]
+struct Bounds {
+    /// Mean squares of errors over their covariance.
+    squares: std::ops::Range<f64>,
+    /// Share of errors beyond 3 sigma.
+    beyond: f64,
+    /// Normalised innovations squared.
+    innovations: std::ops::Range<f64>,
+    /// Times what is asked of errors.
+    errors: f64,
+}
+
+/// What is asked, of 200 flights.
+const ASKED: Bounds = Bounds {
+    squares: 0.8..1.25,
+    beyond: 0.01,
+    innovations: 0.9..1.1,
+    errors: 1.0,
+};
+
+/// The errors of one flight go together: of so few flights the same holds only within this.
+const OF_FEW: Bounds = Bounds {
+    squares: 0.4..1.8,
+    beyond: 0.03,
+    innovations: 0.6..1.4,
+    errors: 1.4,
+};
+
+/// Checks what flights come to.
+fn hold(flown: &Flown, name: &str, bounds: &Bounds) {
+    flown.print(name);
+    for (square, share) in flown.honesty() {
+        assert!(bounds.squares.contains(&square), "{name}: {square}");
+        assert!(share <= bounds.beyond, "{name}: {share}");
+    }
+    for (source, square) in flown.innovations() {
+        let is_held = bounds.innovations.contains(&square);
+        assert!(is_held, "{name}, {source:?}: {square}");
+    }
+    let sizes = |offs: &[Off]| rms(offs.iter().map(|off| off.error.norm()));
+    let (filtered, smoothed) = (sizes(&flown.filtered), sizes(&flown.smoothed));
+    println!(
+        "  rms {:.4} deg filtered, {:.4} smoothed",
+        filtered.to_degrees(),
+        smoothed.to_degrees()
+    );
+    assert!(
+        smoothed < 1.02 * filtered,
+        "{name}: {smoothed} of {filtered}"
+    );
+}
+
+/// The largest of three rms, deg.
+fn rms_deg(offs: &[Off], at: impl Fn(f64) -> bool) -> f64 {
+    let axis = |n: usize| {
+        let errors = offs.iter().filter(|off| at(off.t_s));
+        rms(errors.map(|off| off.error[n])).to_degrees()
+    };
+    (0..3).map(axis).fold(0.0, f64::max)
+}
+
+fn rockets(seeds: std::ops::Range<u64>, bounds: &Bounds) {
+    let rocket = fly(&FlightPlan::rocket(), seeds.clone(), |_| (), each_10_s);
+    let at_300 = |t_s: f64| t_s == 300.0;
+    let three_sigma = rocket.filtered.iter().filter(|off| at_300(off.t_s));
+    let three_sigma =
+        three_sigma.map(|off| 3.0 * off.covariance.diagonal().max().sqrt().to_degrees());
+    let three_sigma = three_sigma.fold(0.0, f64::max);
+    println!(
+        "rocket at T+300: rms {:.3} deg, 3 sigma {three_sigma:.2} deg",
+        rms_deg(&rocket.filtered, at_300)
+    );
+    assert!(three_sigma < 1.1, "{three_sigma}");
+    hold(&rocket, "rocket", bounds);
+    let late = |t_s: f64| (240.0..=300.0).contains(&t_s);
+    for (name, change, most_deg) in [
+        (
+            "rocket, cameras aligned, correlated errors considered",
+            (|_| ()) as fn(&mut Settings),
+            0.10,
+        ),
+        (
+            "rocket, cameras aligned, correlated errors estimated",
+            estimate_all,
+            0.07,
+        ),
+    ] {
+        let flown = fly(&aligned_rocket(), seeds.clone(), change, each_10_s);
+        let found = rms_deg(&flown.filtered, late);
+        println!("{name}: rms {found:.3} deg from T+240 to T+300");
+        hold(&flown, name, bounds);
+        assert!(found < bounds.errors * most_deg, "{name}: {found}");
+    }
+}
+
+fn balloons(seeds: std::ops::Range<u64>, duration_s: f64, bounds: &Bounds) {
+    let plan = FlightPlan {
+        duration_s,
+        ..FlightPlan::balloon()
+    };
+    // Frames, and the samples just before them.
+    let quarter = |t_s: f64| (4.0 * t_s - (4.0 * t_s).round()) / 4.0;
+    let is_frame = |t_s: f64| quarter(t_s).abs() < 1e-6;
+    let is_before = |t_s: f64| (quarter(t_s) + 0.01).abs() < 1e-6;
+    let flown = fly(&plan, seeds, |_| (), |t_s| is_frame(t_s) || is_before(t_s));
+    let is_seen = |t_s: f64| t_s > 30.0 && t_s % 180.0 < 120.0;
+    let across = |offs: &[Off], at: &dyn Fn(f64) -> bool| {
+        let at = offs.iter().filter(|off| at(off.t_s));
+        rms(at.flat_map(Off::across_arcsec))
+    };
+    let about = |offs: &[Off]| {
+        rms(offs
+            .iter()
+            .filter(|off| off.t_s > 120.0)
+            .map(Off::about_deg))
+    };
+    let at_frames = across(&flown.filtered, &|t_s| is_seen(t_s) && is_frame(t_s));
+    let before = across(&flown.filtered, &|t_s| is_seen(t_s) && is_before(t_s));
+    let smoothed = across(&flown.smoothed, &is_seen);
+    let gap_end = across(&flown.filtered, &|t_s| t_s % 180.0 > 179.0);
+    let gyro = 3e-6 * 59.5_f64.sqrt() * ARCSEC_PER_RAD;
+    println!(
+        "balloon, arcsec across the Sun: {at_frames:.3} at frames, {before:.3} before them, {smoothed:.3} smoothed; {gap_end:.2} after a gap \
+         ({gyro:.2} by the gyro); about it {:.4} deg, {:.4} smoothed",
+        about(&flown.filtered),
+        about(&flown.smoothed)
+    );
+    assert!(at_frames < 0.13 && before < 0.36 && smoothed < 0.2);
+    assert!(gap_end < bounds.errors * 1.2 * gyro);
+    assert!(about(&flown.filtered) < 0.03 && about(&flown.smoothed) < 0.02);
+    hold(&flown, "balloon", bounds);
+}
+
+#[test]
+fn a_rockets_attitude_is_as_good_as_it_says() {
+    rockets(0..6, &OF_FEW);
+}
+
+#[test]
+fn a_balloons_attitude_is_as_good_as_it_says_through_gaps() {
+    balloons(0..4, 400.0, &OF_FEW);
+}
+
+/// The whole table of docs/navigation.md.
+#[test]
+#[ignore = "minutes; cargo test --release --test promises navigation -- --ignored --nocapture"]
+fn attitudes_of_200_flights_are_as_good_as_they_say() {
+    rockets(0..200, &ASKED);
+    balloons(0..200, 1200.0, &ASKED);
+}
+
+#[test]
+fn measurements_that_come_late_give_the_same_answer_and_a_wrong_one_in_a_hundred_does_no_harm() {
+    let plan = FlightPlan {
+        duration_s: 240.0,
+        ..FlightPlan::balloon()
+    };
+    let (flight, truth) = flight(&plan, 3, |_| ());
+    let last = |flight: &Flight| {
+        let mut last = None;
+        let summary = solve(flight, |row| last = Some(row));
+        (last.unwrap(), summary)
+    };
+    let (good, _) = last(&flight);
+    let mut wrong = flight.clone();
+    let mut sightings = 0;
+    for measurement in &mut wrong.measurements {
+        if let Measurement::Sighting(sighting) = measurement {
+            sightings += 1;
+            if sightings % 100 == 50 {
+                let turned = sighting.unit.into_inner() + Vector3::new(0.02, -0.03, 0.01);
+                sighting.unit = UnitVector3::new_normalize(turned);
+            }
+        }
+    }
+    let (row, summary) = last(&wrong);
+    let refused = summary
+        .innovations
+        .iter()
+        .filter(|one| one.verdict == Verdict::Refused)
+        .count();
+    assert!(refused >= sightings / 100, "{refused} of {sightings}");
+    assert_eq!(summary.restarts, 0);
+    let sun = Vector3::x();
+    let off = |row: &Row| Off::new(row, truth.last().unwrap(), sun).unwrap();
+    assert!(off(&row).largest_sigmas() < 4.0);
+    let apart = (off(&row).error - off(&good).error).norm();
+    assert!(apart < 1e-4, "{apart}");
+}
+
+#[test]
+fn a_filter_that_has_gone_wrong_begins_anew() {
+    let plan = FlightPlan {
+        duration_s: 120.0,
+        ..FlightPlan::balloon()
+    };
+    let (mut flight, truth) = flight(&plan, 5, |_| ());
+    // The gyro jumps by half a degree that it does not tell.
+    for sample in flight
+        .imu
+        .iter_mut()
+        .filter(|sample| (60.0..60.1).contains(&sample.t_s))
+    {
+        sample.rate_rad_s += Vector3::new(0.0, 0.1, 0.05);
+    }
+    let mut rows = Vec::new();
+    let summary = solve(&flight, |row| rows.push(row));
+    assert_eq!(summary.restarts, 1);
+    let statuses: BTreeSet<&str> = rows.iter().map(|row| row.status.name()).collect();
+    assert!(
+        statuses.contains("restarted") && statuses.contains("waiting"),
+        "{statuses:?}"
+    );
+    let off = Off::new(rows.last().unwrap(), truth.last().unwrap(), Vector3::x()).unwrap();
+    assert!(off.largest_sigmas() < 4.0);
 }

@@ -14,7 +14,7 @@ const USUAL_EXPOSURE: Duration = Duration::from_millis(15);
 
 /// What a simulated camera looks at.
 pub enum SkyView {
-    Horizon(SwingingGondola),
+    Horizon(Box<SwingingGondola>),
     Moon(Box<FollowedMoon>),
 }
 

@@ -109,7 +109,7 @@ pub fn open(
 fn sky_view(camera: &SkyCamera, seed: u64) -> SkyView {
     match camera {
         SkyCamera::Horizon(camera) => {
-            SkyView::Horizon(SwingingGondola::new(camera, &FORT_SUMNER, seed))
+            SkyView::Horizon(Box::new(SwingingGondola::new(camera, &FORT_SUMNER, seed)))
         }
         SkyCamera::Moon(camera) => {
             SkyView::Moon(Box::new(FollowedMoon::new(camera, FORT_SUMNER, seed)))

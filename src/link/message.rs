@@ -16,16 +16,16 @@ pub mod key {
     pub const GPS: u16 = 0x000A;
     pub const START_TRACKING: u16 = 0x1000;
     pub const STOP_TRACKING: u16 = 0x1001;
-    pub const MOON_REQUEST: u16 = 0x1010;
     pub const ASPECT_COMMAND: u16 = 0x10FF;
     pub const TRACKING_ON: u16 = 0x1100;
     pub const TRACKING_OFF: u16 = 0x1101;
     pub const SOLUTION: u16 = 0x1102;
     pub const ERROR: u16 = 0x1103;
     pub const EXPOSURE_START: u16 = 0x1104;
-    pub const MOON_FOUND: u16 = 0x1110;
-    pub const MOON_NOT_VISIBLE: u16 = 0x1111;
-    pub const MOON_NOT_FOUND: u16 = 0x1112;
+    pub use crate::link::moon::{
+        FOUND as MOON_FOUND, NOT_FOUND_KEY as MOON_NOT_FOUND, NOT_VISIBLE_KEY as MOON_NOT_VISIBLE,
+        REQUEST as MOON_REQUEST,
+    };
 }
 
 /// The camera's number in an exposure packet: 1, whichever computer sends it.

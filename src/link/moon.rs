@@ -1,9 +1,14 @@
 //! The request for the Moon, and its answers: request and response as in "The Development of a Moon Sensor" (2005, section 4.3.4).
 
 use super::fields::{MessageError, Reader, Writer};
-use super::message::key;
 use crate::units::{Place, PlaceError};
 use jiff::Timestamp;
+
+/// The keys of these messages.
+pub const REQUEST: u16 = 0x1010;
+pub const FOUND: u16 = 0x1110;
+pub const NOT_VISIBLE_KEY: u16 = 0x1111;
+pub const NOT_FOUND_KEY: u16 = 0x1112;
 
 /// The platform asks where the Moon is, and says where it is itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -102,9 +107,9 @@ pub const NOT_FOUND: &[(u16, &str)] = &[
 impl MoonSight {
     pub(super) fn key(&self) -> u16 {
         match self {
-            Self::Found(_) => key::MOON_FOUND,
-            Self::NotVisible { .. } => key::MOON_NOT_VISIBLE,
-            Self::NotFound { .. } => key::MOON_NOT_FOUND,
+            Self::Found(_) => FOUND,
+            Self::NotVisible { .. } => NOT_VISIBLE_KEY,
+            Self::NotFound { .. } => NOT_FOUND_KEY,
         }
     }
 }
@@ -132,8 +137,8 @@ impl MoonAnswer {
     pub(super) fn read(input: &mut Reader) -> Result<Self, MessageError> {
         let request = input.u16()?;
         let sight = match input.key() {
-            key::MOON_NOT_VISIBLE => MoonSight::NotVisible { code: input.u16()? },
-            key::MOON_NOT_FOUND => MoonSight::NotFound { code: input.u16()? },
+            NOT_VISIBLE_KEY => MoonSight::NotVisible { code: input.u16()? },
+            NOT_FOUND_KEY => MoonSight::NotFound { code: input.u16()? },
             _ => MoonSight::Found(MoonFix {
                 x_px: input.f64("x")?,
                 y_px: input.f64("y")?,

@@ -34,8 +34,8 @@ const LIT_DEPTH_PX: f64 = 1.5;
 const LIT_DEPTH: f64 = 0.1;
 /// A sector lies off the circle by so many sigmas, or so many times the usual.
 const OFF_SIGMAS: f64 = 5.0;
-/// The ground along the limb is alike over so much, rad: craters of all sizes, the largest most of all.
-const ALIKE_RAD: f64 = 0.8;
+/// What the circle leaves of the ground along the limb is alike over so much, px.
+const ALIKE_PX: f64 = 12.0;
 /// Blur of the optics beside that of the pixels, px, as far as it is known before.
 const BLUR_PX: Measured = Measured::new(0.8, 0.4);
 const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
@@ -274,11 +274,12 @@ fn of_rough_limb(
     let inverse = fitted.covariance / fitted.scatter.powi(2);
     let moves: Vec<Parameters> = pulls.iter().map(|pull| inverse * pull.by_excess).collect();
     let follows = |n: usize| pulls[n].by_excess / pulls[n].information;
+    let radius = fitted.parameters[2];
     let mut covariance = SMatrix::zeros();
     let (mut shown, mut noise, mut expected) = (0.0, 0.0, 0.0);
     for (n, point) in points.iter().enumerate() {
         let together: Parameters = (points.iter().zip(&moves))
-            .map(|(other, moves)| moves * alike(point.angle_rad - other.angle_rad))
+            .map(|(other, moves)| moves * alike(point.angle_rad - other.angle_rad, radius))
             .sum();
         covariance += moves[n] * together.transpose();
         let kept = 1.0 - follows(n).dot(&moves[n]);
@@ -293,9 +294,9 @@ fn of_rough_limb(
 }
 
 /// How well the ground agrees at two places of the limb.
-fn alike(apart_rad: f64) -> f64 {
+fn alike(apart_rad: f64, radius: f64) -> f64 {
     let apart = (apart_rad + PI).rem_euclid(TAU) - PI;
-    (-apart.abs() / ALIKE_RAD).exp()
+    (-apart.abs() * radius / ALIKE_PX).exp()
 }
 
 /// Where the limb is lit.

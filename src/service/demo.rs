@@ -163,7 +163,7 @@ fn roll_camera(
     let mounted = MountedCamera::parse(Path::new("demo-horizon"), text)?;
     let gondola = SwingingGondola::new(&mounted, &FORT_SUMNER, demo.seed);
     let settings = Config::default().roll_camera.settings();
-    let view = SkyView::Horizon(gondola.clone());
+    let view = SkyView::Horizon(Box::new(gondola.clone()));
     let source = SimulatedSky::new(view, &settings, start, Some(demo.duration));
     let camera = Camera {
         instrument_toml: Some(text.into()),

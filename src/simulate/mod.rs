@@ -27,6 +27,7 @@ pub mod earth;
 mod flight;
 mod grid;
 pub mod moon;
+pub mod navigation;
 mod noise;
 mod optics;
 mod pieces;
@@ -104,6 +105,7 @@ enum Purpose {
     Craters,
     Albedo,
     Stars,
+    Navigation,
 }
 
 /// A seed for one purpose and one frame of a run.

@@ -150,11 +150,15 @@ fn name(settings: &Settings, source: Source) -> String {
     }
 }
 
+/// Three errors, and 1 sigma of each.
+type Triad = (Vector3<f64>, Vector3<f64>);
+/// A unit, and errors by time.
+type Figure = (&'static str, Vec<(f64, Triad)>);
+
 /// The estimated errors of the sensors with time, and their 3 sigma.
 fn sensors(page: &mut Page, settings: &Settings, errors: &[SensorErrors]) -> anyhow::Result<()> {
-    type Triad = (Vector3<f64>, Vector3<f64>);
     page.heading("Sensors");
-    let mut figures: BTreeMap<String, (&str, Vec<(f64, Triad)>)> = BTreeMap::new();
+    let mut figures: BTreeMap<String, Figure> = BTreeMap::new();
     for one in errors {
         let mut add = |name: String, unit, triad: Option<Triad>, scale: f64| {
             let Some((value, sigma)) = triad else { return };

@@ -1,7 +1,8 @@
-//! `solaspect simulate`: frames of random scenes, and the truth about them.
+//! `solaspect simulate`: frames of random scenes or a navigation system's flight, and the truth about them.
 
 mod horizon;
 mod moon;
+mod navigation;
 
 use super::options;
 use super::output::{make_folder, progress_bar};
@@ -67,6 +68,8 @@ pub struct SimulateArgs {
     pub horizon: horizon::HorizonArgs,
     #[command(flatten)]
     pub moon: moon::MoonArgs,
+    #[command(flatten)]
+    pub navigation: navigation::NavigationArgs,
 }
 
 #[derive(Debug, Clone, Args)]
@@ -238,6 +241,9 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     if args.moon.moon {
         return moon::run(args);
     }
+    if let Some(flies) = args.navigation.navigation {
+        return navigation::run(args, flies);
+    }
     let instrument = options::instrument(args.instrument.as_deref())?;
     let radius_arcsec = match args.sun.sun_radius {
         Some(radius) => radius,
@@ -406,7 +412,7 @@ mod tests {
         simulate: SimulateArgs,
     }
 
-    fn parse(options: &str) -> Result<SimulateArgs, String> {
+    pub(super) fn parse(options: &str) -> Result<SimulateArgs, String> {
         let words = ["simulate"].into_iter().chain(options.split_whitespace());
         match Program::try_parse_from(words) {
             Ok(program) => Ok(program.simulate),

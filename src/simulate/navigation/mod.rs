@@ -1,0 +1,121 @@
+//! Flights of an inertial navigation system with their truth: an inertial measurement unit (IMU), GPS, and cameras that see the Sun and the nadir.
+//!
+//! A [`FlightPlan`] says what flies and how large the errors are; [`FlightPlan::fly`] draws a [`Flight`], the same from the same seed.
+//! Positions and attitudes are formulas of time, and what the IMU feels follows from their derivatives: nothing is integrated here, so that
+//! no filter shares an error with its truth.
+//!
+//! - Earth-fixed axes (ECEF) and the ellipsoid of WGS 84; gravitation with J2 of the Earth's flattening.
+//! - An attitude takes vectors of the body's axes to Earth-fixed ones: Hamilton's quaternion, q0 >= 0.
+//! - A row of the IMU holds the means over the interval that ends at its time, in the body's axes; the first interval begins with the flight.
+//! - Every camera gives every direction that its [`Camera::targets`] name, whatever its field of view.
+
+mod balloon;
+mod cameras;
+mod config;
+mod earth;
+mod files;
+mod fly;
+mod imu;
+mod motion;
+mod plan;
+mod rocket;
+mod span;
+#[cfg(test)]
+mod tests;
+
+pub use cameras::{Camera, DirectionErrors, Seen, Target};
+pub use files::WriteError;
+pub use imu::ImuErrors;
+pub use plan::{FlightPlan, GpsErrors, Vehicle};
+
+use super::{Generator, Purpose, generator};
+use nalgebra::{UnitQuaternion, Vector3};
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+/// A flight as its instruments saw it, and as it was.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Flight {
+    pub imu: Vec<ImuRow>,
+    pub gps: Vec<GpsRow>,
+    /// By time; those of one time in the order of the plan's cameras.
+    pub vectors: Vec<VectorRow>,
+    /// At the times of the IMU's rows.
+    pub truth: Vec<TruthRow>,
+    /// One a second, 2 s and more beyond both ends of the flight.
+    pub sun: Vec<SunRow>,
+    /// What the navigation is told of the instruments: the text of `NAV.toml`.
+    pub config_toml: String,
+}
+
+/// Means over the interval that ends at `t_s`, in the body's axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImuRow {
+    pub t_s: f64,
+    /// Acceleration less gravitation.
+    pub specific_force_m_s2: Vector3<f64>,
+    /// Against inertial space.
+    pub rate_rad_s: Vector3<f64>,
+}
+
+/// Earth-fixed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GpsRow {
+    pub t_s: f64,
+    pub position_m: Vector3<f64>,
+    pub velocity_m_s: Vector3<f64>,
+}
+
+/// A direction that a camera measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VectorRow {
+    pub t_s: f64,
+    /// By name.
+    pub camera: &'static str,
+    pub target: Target,
+    /// Of length 1, in the axes that the camera really has.
+    pub direction: Vector3<f64>,
+    /// Of each of the two angles across the direction.
+    pub sigma_rad: f64,
+}
+
+/// Where the vehicle was and how it stood.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TruthRow {
+    pub t_s: f64,
+    pub ecef_from_body: UnitQuaternion<f64>,
+    pub position_m: Vector3<f64>,
+    pub velocity_m_s: Vector3<f64>,
+}
+
+/// Where the Sun was: a direction of length 1, Earth-fixed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SunRow {
+    pub t_s: f64,
+    pub direction: Vector3<f64>,
+}
+
+/// What draws random numbers of its own, so that a change to one moves nothing else.
+#[derive(Debug, Clone, Copy)]
+enum Drawn {
+    Motion,
+    Imu,
+    Gps,
+    /// By place in the plan.
+    Camera(usize),
+}
+
+fn random(seed: u64, drawn: Drawn) -> Generator {
+    let number = match drawn {
+        Drawn::Motion => 0,
+        Drawn::Imu => 1,
+        Drawn::Gps => 2,
+        Drawn::Camera(place) => 3 + place as u64,
+    };
+    generator(seed, Purpose::Navigation, number)
+}
+
+/// Three independent normal numbers.
+fn normal(random: &mut Generator, sigma: f64) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| sigma * random.sample::<f64, _>(StandardNormal))
+}
