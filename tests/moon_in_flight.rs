@@ -86,6 +86,8 @@ impl Night {
         flight.stores = archive.map(open).into_iter().collect();
         flight.line = Connection::over(near);
         flight.config.moon.answer_within_s = answer_within_s;
+        // Every frame is solved by the same place, whether it comes before the request or after it.
+        flight.config.site = FORT_SUMNER.into();
         let (service, answers) = Service::start_watched(flight).unwrap();
         Self {
             service,
@@ -202,7 +204,6 @@ fn what_the_moon_camera_saw_is_in_files_log_telemetry_and_housekeeping() {
     let root = tempfile::tempdir().unwrap();
     let mut night = Night::start(Some(root.path()), 60.0);
     let up = scene(UP);
-    // The request tells the place, by which the ephemeris knows the Moon.
     night.ask(&[frame(&up, UP)]);
     let solved = night.answers.try_iter().last().unwrap();
     let found = solved.moon.unwrap();
