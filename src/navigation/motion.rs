@@ -131,7 +131,7 @@ mod tests {
             Vector3::new(
                 -tilt.sin() * speed * (speed * t).sin(),
                 tilt.sin() * speed * (speed * t).cos(),
-                speed * (1.0 - tilt.cos()),
+                speed * (tilt.cos() - 1.0),
             )
         };
         let axis = |t: f64| Vector3::new((speed * t).cos(), (speed * t).sin(), 0.0) * tilt;
