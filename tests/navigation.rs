@@ -623,3 +623,26 @@ fn a_filter_that_has_gone_wrong_begins_anew() {
     let off = Off::new(rows.last().unwrap(), truth.last().unwrap(), Vector3::x()).unwrap();
     assert!(off.largest_sigmas() < 4.0);
 }
+
+#[test]
+fn what_was_measured_long_before_the_imu_began_is_passed_over() {
+    let plan = FlightPlan {
+        duration_s: 20.0,
+        ..FlightPlan::balloon()
+    };
+    let (mut flight, truth) = flight(&plan, 2, |_| ());
+    let fixes = flight.measurements.iter().filter_map(|one| match one {
+        Measurement::Fix(fix) => Some(*fix),
+        Measurement::Sighting(_) => None,
+    });
+    let first = fixes.take(1).last().unwrap();
+    let early = (1..100_000).rev().map(|n| {
+        let t_s = first.t_s - f64::from(n);
+        Measurement::Fix(Fix { t_s, ..first })
+    });
+    flight.measurements.splice(0..0, early);
+    let mut last = None;
+    solve(&flight, |row| last = Some(row));
+    let off = Off::new(&last.unwrap(), truth.last().unwrap(), Vector3::x()).unwrap();
+    assert!(off.largest_sigmas() < 4.0);
+}

@@ -36,7 +36,7 @@ pub struct NavigateArgs {
     /// Directions to Sun, nadir and Moon in the axes of the cameras
     #[arg(long, value_name = "CSV")]
     vectors: PathBuf,
-    /// Directions to the Sun in ECEF, in place of the ephemeris
+    /// Directions to the Sun in ECEF, where no epoch_utc lets the ephemeris tell them
     #[arg(long, value_name = "CSV")]
     sun: Option<PathBuf>,
     /// The folder for attitude.csv and report.html
@@ -124,17 +124,13 @@ impl NavigateArgs {
         fixes: &[Fix],
         seen: &[Seen],
     ) -> anyhow::Result<Vec<Measurement>> {
-        let sky = match (&self.sun, settings.epoch_utc) {
-            (Some(path), None) => Sky::Sun(read_sun(path)?),
-            (None, Some(epoch)) => Sky::Ephemeris {
+        let sky = match (settings.epoch_utc, &self.sun) {
+            (Some(epoch), _) => Sky::Ephemeris {
                 ephemeris: Box::new(options::ephemeris(&options::config(None)?)?),
                 epoch,
             },
+            (None, Some(path)) => Sky::Sun(read_sun(path)?),
             (None, None) => Sky::Unknown,
-            (Some(path), Some(_)) => anyhow::bail!(
-                "{}: expected epoch_utc in the configuration or a table of the Sun, found both",
-                path.display()
-            ),
         };
         let mut targets = Targets::new(sky, fixes);
         let mut measurements = Vec::with_capacity(fixes.len() + seen.len());

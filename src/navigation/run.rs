@@ -125,35 +125,39 @@ impl<'a> Run<'a> {
     /// Goes on to the next sample, or to the next time of which there are measurements; `None` at the end. `each` learns of innovations.
     pub fn step(&mut self, each: &mut impl FnMut(Innovation)) -> Option<Stop> {
         let interval = self.interval?;
-        let due = self.flight.measurements.get(self.measurement);
-        let due = due.filter(|measurement| measurement.t_s() <= interval.to_s);
-        let Some(due) = due else {
-            self.advance(&interval, interval.to_s);
-            let stop = Stop::Sample(self.sample);
-            self.sample += 1;
-            self.interval = self.flight.interval(self.sample);
-            return Some(stop);
-        };
-        let t_s = due.t_s();
-        self.advance(&interval, t_s);
+        loop {
+            let due = self.flight.measurements.get(self.measurement);
+            let due = due.filter(|measurement| measurement.t_s() <= interval.to_s);
+            let Some(due) = due else {
+                self.advance(&interval, interval.to_s);
+                let stop = Stop::Sample(self.sample);
+                self.sample += 1;
+                self.interval = self.flight.interval(self.sample);
+                return Some(stop);
+            };
+            let t_s = due.t_s();
+            self.advance(&interval, t_s);
+            let begun = self.take_all(t_s, each);
+            if let Phase::Running(filter) = &mut self.phase {
+                filter.settle();
+                return Some(Stop::Node(begun));
+            }
+        }
+    }
+
+    /// Takes the measurements of a time. What was measured before the IMU began has no time to stand at.
+    fn take_all(&mut self, t_s: f64, each: &mut impl FnMut(Innovation)) -> Begun {
         let mut begun = Begun::Before;
         while let Some(measurement) = self.flight.measurements.get(self.measurement) {
             if measurement.t_s() > t_s {
                 break;
             }
             self.measurement += 1;
-            // What was measured before the IMU began has no time to stand at.
             if t_s >= self.at_s && self.take(measurement, each) == Begun::Anew {
                 begun = Begun::Anew;
             }
         }
-        match &mut self.phase {
-            Phase::Running(filter) => {
-                filter.settle();
-                Some(Stop::Node(begun))
-            }
-            Phase::Waiting(_) => self.step(each),
-        }
+        begun
     }
 
     /// Whether both are at the same place of the same flight.

@@ -64,6 +64,9 @@ const CONSIDERED: [Group; 4] = [
     Group::CorrelatedErrors,
 ];
 
+/// No fix is better, m and m/s: two of one time would contradict each other.
+const LEAST_FIX: f64 = 1e-4;
+
 /// Errors of the inertial measurement unit, 1 sigma.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Imu {
@@ -109,7 +112,7 @@ pub struct Settings {
 
 #[derive(Deserialize)]
 struct RawFile {
-    epoch_utc: Option<String>,
+    epoch_utc: Option<Epoch>,
     #[serde(default)]
     imu: RawImu,
     #[serde(default)]
@@ -124,6 +127,23 @@ struct RawFile {
     sun: RawTarget,
     #[serde(default)]
     moon: RawTarget,
+}
+
+/// A time, in quotes or not.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "a time such as 2026-11-22T18:00:00Z")]
+enum Epoch {
+    Text(String),
+    Time(toml::value::Datetime),
+}
+
+impl std::fmt::Display for Epoch {
+    fn fmt(&self, out: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::Text(text) => text.fmt(out),
+            Self::Time(time) => time.fmt(out),
+        }
+    }
 }
 
 #[derive(Deserialize, Default)]
@@ -218,7 +238,8 @@ impl Settings {
         Ok(Self {
             epoch_utc: raw
                 .epoch_utc
-                .map(|text| {
+                .map(|epoch| {
+                    let text = epoch.to_string();
                     let parsed = text.parse();
                     parsed.map_err(|_| {
                         check.error("epoch_utc", "a time such as 2026-11-22T18:00:00Z", &text)
@@ -262,13 +283,6 @@ impl Check<'_> {
 
     fn degrees(&self, field: &str, value: f64) -> Result<f64, TomlError> {
         Ok(self.sigma(field, value, 30.0)?.to_radians())
-    }
-
-    fn positive(&self, field: &str, value: f64) -> Result<f64, TomlError> {
-        match value > 0.0 && value < 1e6 {
-            true => Ok(value),
-            false => Err(self.error(field, "a number above 0", value)),
-        }
     }
 }
 
@@ -315,9 +329,12 @@ impl RawGps {
             return Err(check.error("gps.antenna_m", "three numbers within 1000 m", found));
         }
         Ok(Gps {
-            position_sigma_m: check.positive("gps.position_sigma_m", self.position_sigma_m)?,
+            position_sigma_m: check
+                .sigma("gps.position_sigma_m", self.position_sigma_m, 1e6)?
+                .max(LEAST_FIX),
             velocity_sigma_m_s: check
-                .positive("gps.velocity_sigma_m_s", self.velocity_sigma_m_s)?,
+                .sigma("gps.velocity_sigma_m_s", self.velocity_sigma_m_s, 1e4)?
+                .max(LEAST_FIX),
             antenna_m: self.antenna_m.into(),
         })
     }
