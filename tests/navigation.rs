@@ -9,7 +9,6 @@ use solaspect::navigation::{
 use solaspect::simulate::navigation::{self as simulate, FlightPlan, TruthRow};
 use solaspect::units::ARCSEC_PER_RAD;
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::process::{Command, Output};
 
 const NAV: &str = "[imu]\nangular_random_walk = 1e-5\nvelocity_random_walk = 1e-4\n\
@@ -23,45 +22,24 @@ const VECTORS: &str =
     "t_s,camera,target,x,y,z,sigma_rad\n0,pyas,nadir,0,1,0,0.001\n0,pyas,sun,0,0,1,1e-6\n";
 const SUN: &str = "t_s,x,y,z\n-1,0,1,0\n1,0,1,0\n";
 
-/// A flight's files, some of them changed.
-fn navigate(change: &[(&str, &str)], more: &[&str]) -> (Output, tempfile::TempDir) {
+/// Navigates a small flight, one of whose files has another text.
+fn navigate(changed: &str, text: &str) -> (Output, tempfile::TempDir) {
     let folder = tempfile::tempdir().unwrap();
-    for (name, text) in [
-        ("NAV.toml", NAV),
-        ("imu.csv", IMU),
-        ("gps.csv", GPS),
-        ("vectors.csv", VECTORS),
-        ("sun.csv", SUN),
+    let file = |name: &str| folder.path().join(name);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+    command.arg("navigate").arg("--out").arg(file("out"));
+    for (option, name, usual) in [
+        ("--config", "NAV.toml", NAV),
+        ("--imu", "imu.csv", IMU),
+        ("--gps", "gps.csv", GPS),
+        ("--vectors", "vectors.csv", VECTORS),
+        ("--sun", "sun.csv", SUN),
     ] {
-        let changed = change.iter().find(|(changed, _)| *changed == name);
-        let text = changed.map_or(text, |(_, text)| text);
-        std::fs::write(folder.path().join(name), text).unwrap();
+        let text = if name == changed { text } else { usual };
+        std::fs::write(file(name), text).unwrap();
+        command.arg(option).arg(file(name));
     }
-    let output = command(folder.path(), more);
-    (output, folder)
-}
-
-fn command(folder: &Path, more: &[&str]) -> Output {
-    let file = |name: &str| folder.join(name);
-    Command::new(env!("CARGO_BIN_EXE_solaspect"))
-        .arg("navigate")
-        .arg("--config")
-        .arg(file("NAV.toml"))
-        .arg("--imu")
-        .arg(file("imu.csv"))
-        .arg("--gps")
-        .arg(file("gps.csv"))
-        .arg("--vectors")
-        .arg(file("vectors.csv"))
-        .arg("--out")
-        .arg(file("out"))
-        .args(more)
-        .output()
-        .unwrap()
-}
-
-fn with_sun(folder: &tempfile::TempDir) -> String {
-    folder.path().join("sun.csv").display().to_string()
+    (command.output().unwrap(), folder)
 }
 
 #[test]
@@ -161,18 +139,7 @@ fn what_is_wrong_with_a_flights_files_is_named_with_file_line_and_column() {
             vec!["filter.considered", "gyros"],
         ),
     ] {
-        let folder = tempfile::tempdir().unwrap();
-        for (name, text_of) in [
-            ("NAV.toml", NAV),
-            ("imu.csv", IMU),
-            ("gps.csv", GPS),
-            ("vectors.csv", VECTORS),
-            ("sun.csv", SUN),
-        ] {
-            let text = if name == file { text.as_str() } else { text_of };
-            std::fs::write(folder.path().join(name), text).unwrap();
-        }
-        let output = command(folder.path(), &["--sun", &with_sun(&folder)]);
+        let (output, folder) = navigate(file, &text);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success(), "{file}: {said}");
         for word in wanted {
@@ -184,11 +151,7 @@ fn what_is_wrong_with_a_flights_files_is_named_with_file_line_and_column() {
 
 #[test]
 fn a_flight_that_never_begins_has_empty_rows_and_says_so() {
-    let (_, folder) = navigate(
-        &[("vectors.csv", "t_s,camera,target,x,y,z,sigma_rad\n")],
-        &[],
-    );
-    let output = command(folder.path(), &[]);
+    let (output, folder) = navigate("vectors.csv", "t_s,camera,target,x,y,z,sigma_rad\n");
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("3 waiting"), "{said}");
