@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 use rayon::prelude::*;
 use solaspect::navigation::{
-    Fix, Flight, Group, ImuSample, Innovation, Measurement, Row, Settings, Sighting, Sky, Source,
-    Target, Targets, Towards, Verdict, smooth, solve,
+    Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, Row, Settings, Sighting, Sky,
+    Source, Target, Targets, Towards, Verdict, smooth, solve,
 };
 use solaspect::simulate::navigation::{self as simulate, FlightPlan, TruthRow};
 use solaspect::units::ARCSEC_PER_RAD;
@@ -608,4 +608,42 @@ fn what_was_measured_long_before_the_imu_began_is_passed_over() {
     solve(&flight, |row| last = Some(row));
     let off = Off::new(&last.unwrap(), truth.last().unwrap(), Vector3::x()).unwrap();
     assert!(off.largest_sigmas() < 4.0);
+}
+
+#[test]
+fn in_flight_measurements_that_come_late_are_put_where_they_belong() {
+    let plan = FlightPlan {
+        duration_s: 90.0,
+        ..FlightPlan::balloon()
+    };
+    let (flight, _) = flight(&plan, 4, |_| ());
+    let mut offline = None;
+    solve(&flight, |row| offline = Some(row));
+    // Each comes up to a second late, as a hash of its number says.
+    let come = |n: usize| flight.measurements[n].t_s() + (n * 7919 % 1000) as f64 / 1000.0;
+    let mut order: Vec<usize> = (0..flight.measurements.len()).collect();
+    order.sort_by(|a, b| come(*a).total_cmp(&come(*b)));
+    let mut live = Live::new(
+        flight.settings.clone(),
+        &[vec![Target::Sun], vec![Target::Nadir]],
+    );
+    let mut next = order.iter().peekable();
+    for sample in &flight.imu {
+        while let Some(n) = next.next_if(|n| come(**n) <= sample.t_s) {
+            live.measure(flight.measurements[*n]);
+        }
+        live.sample(*sample);
+    }
+    next.for_each(|n| live.measure(flight.measurements[*n]));
+    let (found, expected) = (live.now().unwrap(), offline.unwrap());
+    let ((found, covariance), (expected, _)) =
+        (found.attitude.unwrap(), expected.attitude.unwrap());
+    let off = (found.attitude * expected.attitude.inverse()).scaled_axis();
+    let sigmas = off.dot(&(covariance.try_inverse().unwrap() * off)).sqrt();
+    assert!(sigmas < 0.01, "{sigmas}");
+    assert_eq!((live.counts().too_late, live.restarts()), (0, 0));
+    // What is older than the filter remembers is counted, and changes nothing.
+    live.measure(flight.measurements[10]);
+    assert_eq!(live.counts().too_late, 1);
+    assert_eq!(live.now().unwrap().attitude.unwrap().0, found);
 }

@@ -4,11 +4,13 @@ use super::earth;
 use super::estimate::Estimate;
 use super::filter::{Filter, Trust, towards};
 use super::measurement::{Fix, Sighting, Towards};
+use super::model::Model;
 use super::motion::{Interval, Motion};
 use super::settings::Settings;
 use super::states::Layout;
 use crate::geometry::attitude::{Direction, Observation, attitude};
 use nalgebra::{UnitQuaternion, UnitVector3};
+use std::sync::Arc;
 
 /// Directions that old serve to begin with, s.
 const FRESH_S: f64 = 1.5;
@@ -67,12 +69,8 @@ impl Waiting {
     }
 
     /// A filter that begins at a fix; `None` until two directions of different targets were seen.
-    pub fn begin<'a>(
-        &self,
-        settings: &'a Settings,
-        layout: &'a Layout,
-        fix: &Fix,
-    ) -> Option<Filter<'a>> {
+    pub fn begin(&self, model: &Arc<Model>, fix: &Fix) -> Option<Filter> {
+        let Model { settings, layout } = &**model;
         let observation = |seen: &Seen| {
             let camera = &settings.cameras[seen.sighting.camera];
             let own = seen.sighting.sigma_rad.hypot(camera.misalignment_rad);
@@ -90,7 +88,7 @@ impl Waiting {
             velocity_m_s: fix.velocity_m_s,
             attitude: found.rotation,
         };
-        let mut filter = Filter::new(settings, layout, Estimate::new(motion, layout));
+        let mut filter = Filter::new(Arc::clone(model), Estimate::new(motion, layout));
         for seen in [first, second] {
             let camera = &settings.cameras[seen.sighting.camera];
             let now = Sighting {

@@ -3,12 +3,14 @@
 use super::earth;
 use super::estimate::Estimate;
 use super::measurement::{Fix, Innovation, Sighting, Source, Towards, Verdict};
+use super::model::Model;
 use super::motion::Interval;
-use super::settings::{Settings, Vertical};
-use super::states::{ATTITUDE, Layout, MOTION, POSITION, VELOCITY};
+use super::settings::Vertical;
+use super::states::{ATTITUDE, MOTION, POSITION, VELOCITY};
 use super::transition::Transition;
 use crate::estimation::Proposal;
 use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix3x2, SMatrix, UnitVector3, Vector2, Vector3};
+use std::sync::Arc;
 
 /// An innovation with a larger chi^2 is of another motion: of two axes 1 in 8,000 good ones, of three 1 in 9,000.
 const MOST_CHI2: [f64; 2] = [18.0, 21.0];
@@ -25,9 +27,8 @@ pub(super) enum Trust {
 }
 
 #[derive(Debug, Clone)]
-pub(super) struct Filter<'a> {
-    pub settings: &'a Settings,
-    pub layout: &'a Layout,
+pub(super) struct Filter {
+    pub model: Arc<Model>,
     pub estimate: Estimate,
     /// Of all errors at the last measurement.
     pub covariance: DMatrix<f64>,
@@ -37,9 +38,10 @@ pub(super) struct Filter<'a> {
     rate_rad_s: Vector3<f64>,
 }
 
-impl<'a> Filter<'a> {
+impl Filter {
     /// Begins with an estimate; position and velocity are a fix's.
-    pub fn new(settings: &'a Settings, layout: &'a Layout, estimate: Estimate) -> Self {
+    pub fn new(model: Arc<Model>, estimate: Estimate) -> Self {
+        let Model { settings, layout } = &*model;
         let mut covariance = DMatrix::zeros(layout.len(), layout.len());
         let gps = &settings.gps;
         for (first, sigma) in [
@@ -55,12 +57,11 @@ impl<'a> Filter<'a> {
                 .for_each(|n| covariance[(n, n)] = triad.sigma * triad.sigma);
         }
         Self {
-            settings,
-            layout,
             estimate,
             covariance,
             since: Transition::none(),
             rate_rad_s: Vector3::zeros(),
+            model,
         }
     }
 
@@ -68,27 +69,27 @@ impl<'a> Filter<'a> {
     pub fn advance(&mut self, said: &Interval) {
         let felt = self.estimate.felt(said);
         self.since
-            .advance(&self.estimate.motion, &felt, &self.settings.imu);
-        self.estimate.advance(&felt, self.layout);
+            .advance(&self.estimate.motion, &felt, &self.model.settings.imu);
+        self.estimate.advance(&felt, &self.model.layout);
         self.rate_rad_s = felt.rate_rad_s;
     }
 
     /// The covariance of the attitude's errors about the axes of ECEF, rad^2.
     pub fn attitude_covariance(&self) -> Matrix3<f64> {
-        self.since.attitude(self.layout, &self.covariance)
+        self.since.attitude(&self.model.layout, &self.covariance)
     }
 
     /// Brings the covariance of all errors up to now.
     pub fn settle(&mut self) {
         if self.since.time_s > 0.0 {
-            self.covariance = self.since.predicted(self.layout, &self.covariance);
+            self.covariance = self.since.predicted(&self.model.layout, &self.covariance);
         }
         self.since = Transition::none();
     }
 
     /// Takes a fix: position and velocity one after the other.
     pub fn take_fix(&mut self, fix: &Fix) -> [Option<Innovation>; 2] {
-        let gps = &self.settings.gps;
+        let gps = self.model.settings.gps;
         let (sigma_m, sigma_m_s) = (gps.position_sigma_m, gps.velocity_sigma_m_s);
         let motion = &self.estimate.motion;
         let arm = motion.attitude * gps.antenna_m;
@@ -120,7 +121,7 @@ impl<'a> Filter<'a> {
         (first, arm): (usize, Vector3<f64>),
         sigma: f64,
     ) -> Option<Innovation> {
-        let mut jacobian = DMatrix::zeros(3, self.layout.len());
+        let mut jacobian = DMatrix::zeros(3, self.model.layout.len());
         jacobian
             .fixed_view_mut::<3, 3>(0, first)
             .copy_from(&Matrix3::identity());
@@ -146,20 +147,20 @@ impl<'a> Filter<'a> {
         // Where it should be in the body's axes as the camera's file has them.
         let seen = true_body.into_inner() - self.estimate.cameras[camera].cross(&true_body);
         let predicted = UnitVector3::new_normalize(seen + correlated);
-        let said = self.settings.cameras[camera].body_from_camera * sighting.unit;
+        let said = self.model.settings.cameras[camera].body_from_camera * sighting.unit;
         let across = across(&predicted);
         let residual: Vector2<f64> = across.transpose() * said.into_inner();
-        let mut jacobian = DMatrix::zeros(2, self.layout.len());
+        let mut jacobian = DMatrix::zeros(2, self.model.layout.len());
         let mut set = |first: usize, by: Matrix3<f64>| {
             jacobian
                 .fixed_view_mut::<2, 3>(0, first)
                 .copy_from(&(across.transpose() * by));
         };
         set(ATTITUDE, body.inverse().matrix() * towards.cross_matrix());
-        if let Some(triad) = self.layout.cameras[camera] {
+        if let Some(triad) = self.model.layout.cameras[camera] {
             set(triad.first, predicted.cross_matrix());
         }
-        if let Some(correlated) = self.layout.correlated[camera][target as usize] {
+        if let Some(correlated) = self.model.layout.correlated[camera][target as usize] {
             set(correlated.triad.first, Matrix3::identity());
         }
         let source = Source::Sighting { camera, target };
@@ -179,7 +180,7 @@ impl<'a> Filter<'a> {
     /// The direction of a target in ECEF from where the body is.
     pub fn towards(&self, sighting: &Sighting) -> UnitVector3<f64> {
         let at_m = &self.estimate.motion.position_m;
-        towards(&sighting.towards, at_m, self.settings.vertical)
+        towards(&sighting.towards, at_m, self.model.settings.vertical)
     }
 
     fn take<const M: usize>(
@@ -200,8 +201,8 @@ impl<'a> Filter<'a> {
         let axes = (0..M).map(|n| (residual[n], proposal.covariance[(n, n)].sqrt()));
         let axes = axes.collect();
         if verdict == Verdict::Taken {
-            let errors = proposal.take(&mut self.covariance, &self.layout.roles);
-            self.estimate.correct(&errors, self.layout);
+            let errors = proposal.take(&mut self.covariance, &self.model.layout.roles);
+            self.estimate.correct(&errors, &self.model.layout);
         }
         Some(Innovation {
             t_s,

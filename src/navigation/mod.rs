@@ -9,14 +9,17 @@
 //! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are taken away.
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
 //! 5. `run`: many refused measurements in a row, and the filter begins anew.
-//! 6. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight.
+//! 6. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
+//! 7. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight.
 
 mod begin;
 mod earth;
 mod estimate;
 pub mod files;
 mod filter;
+mod live;
 mod measurement;
+mod model;
 mod motion;
 mod run;
 mod settings;
@@ -26,6 +29,7 @@ mod states;
 mod targets;
 mod transition;
 
+pub use live::{Counts, Live};
 pub use measurement::{
     Fix, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,
 };

@@ -3,9 +3,11 @@
 use super::begin::{Waiting, white_rad};
 use super::filter::{Filter, Trust};
 use super::measurement::{ImuSample, Innovation, Measurement, Source, Verdict};
+use super::model::Model;
 use super::motion::Interval;
 use super::settings::{Settings, Target};
 use super::states::{Choice, Layout};
+use std::sync::Arc;
 
 /// So many refused measurements of one kind in a row, over so long, and the filter has gone wrong.
 const REFUSED_IN_A_ROW: u32 = 15;
@@ -28,7 +30,14 @@ pub struct Flight {
 }
 
 impl Flight {
-    pub(super) fn layout(&self, choice: Choice) -> Layout {
+    pub(super) fn model(&self, choice: Choice) -> Arc<Model> {
+        Arc::new(Model {
+            settings: self.settings.clone(),
+            layout: self.layout(choice),
+        })
+    }
+
+    fn layout(&self, choice: Choice) -> Layout {
         let mut used = vec![Vec::<Target>::new(); self.settings.cameras.len()];
         for measurement in &self.measurements {
             if let Measurement::Sighting(sighting) = measurement {
@@ -79,24 +88,22 @@ pub(super) enum Begun {
     Before,
 }
 
-#[derive(Clone)]
-pub(super) enum Phase<'a> {
+#[derive(Debug, Clone)]
+pub(super) enum Phase {
     Waiting(Waiting),
-    Running(Box<Filter<'a>>),
+    Running(Box<Filter>),
 }
 
 /// A flight on its way through the filter.
-#[derive(Clone)]
-pub(super) struct Run<'a> {
-    flight: &'a Flight,
-    layout: &'a Layout,
-    pub phase: Phase<'a>,
+#[derive(Debug, Clone)]
+pub(super) struct Run {
+    pub model: Arc<Model>,
+    pub phase: Phase,
     /// The next sample and the next measurement.
     sample: usize,
     measurement: usize,
     /// Up to when the filter has gone.
     pub at_s: f64,
-    interval: Option<Interval>,
     /// When a direction was last taken, and when the filter last began anew.
     pub seen_s: f64,
     pub restarted_s: Option<f64>,
@@ -104,17 +111,14 @@ pub(super) struct Run<'a> {
     refused: Vec<(Source, u32, f64)>,
 }
 
-impl<'a> Run<'a> {
-    pub fn new(flight: &'a Flight, layout: &'a Layout) -> Self {
-        let interval = flight.interval(0);
+impl Run {
+    pub fn new(model: Arc<Model>) -> Self {
         Self {
-            flight,
-            layout,
+            model,
             phase: Phase::Waiting(Waiting::default()),
             sample: 0,
             measurement: 0,
-            at_s: interval.map_or(0.0, |interval| interval.from_s),
-            interval,
+            at_s: f64::NEG_INFINITY,
             seen_s: f64::NEG_INFINITY,
             restarted_s: None,
             restarts: 0,
@@ -123,21 +127,21 @@ impl<'a> Run<'a> {
     }
 
     /// Goes on to the next sample, or to the next time of which there are measurements; `None` at the end. `each` learns of innovations.
-    pub fn step(&mut self, each: &mut impl FnMut(Innovation)) -> Option<Stop> {
-        let interval = self.interval?;
+    pub fn step(&mut self, flight: &Flight, each: &mut impl FnMut(Innovation)) -> Option<Stop> {
+        let interval = flight.interval(self.sample)?;
+        self.at_s = self.at_s.max(interval.from_s);
         loop {
-            let due = self.flight.measurements.get(self.measurement);
+            let due = flight.measurements.get(self.measurement);
             let due = due.filter(|measurement| measurement.t_s() <= interval.to_s);
             let Some(due) = due else {
                 self.advance(&interval, interval.to_s);
                 let stop = Stop::Sample(self.sample);
                 self.sample += 1;
-                self.interval = self.flight.interval(self.sample);
                 return Some(stop);
             };
             let t_s = due.t_s();
             self.advance(&interval, t_s);
-            let begun = self.take_all(t_s, each);
+            let begun = self.take_all(flight, t_s, each);
             if let Phase::Running(filter) = &mut self.phase {
                 filter.settle();
                 return Some(Stop::Node(begun));
@@ -146,9 +150,9 @@ impl<'a> Run<'a> {
     }
 
     /// Takes the measurements of a time. What was measured before the IMU began has no time to stand at.
-    fn take_all(&mut self, t_s: f64, each: &mut impl FnMut(Innovation)) -> Begun {
+    fn take_all(&mut self, flight: &Flight, t_s: f64, each: &mut impl FnMut(Innovation)) -> Begun {
         let mut begun = Begun::Before;
-        while let Some(measurement) = self.flight.measurements.get(self.measurement) {
+        while let Some(measurement) = flight.measurements.get(self.measurement) {
             if measurement.t_s() > t_s {
                 break;
             }
@@ -160,6 +164,17 @@ impl<'a> Run<'a> {
         begun
     }
 
+    /// Goes on as if the flight had begun so many samples and measurements later.
+    pub fn forget(&mut self, samples: usize, measurements: usize) {
+        self.sample -= samples;
+        self.measurement -= measurements;
+    }
+
+    /// The samples and measurements that it has passed.
+    pub fn passed(&self) -> (usize, usize) {
+        (self.sample, self.measurement)
+    }
+
     /// Whether both are at the same place of the same flight.
     pub fn is_at(&self, other: &Self) -> bool {
         (self.sample, self.measurement) == (other.sample, other.measurement)
@@ -167,9 +182,9 @@ impl<'a> Run<'a> {
     }
 
     /// The filter as it arrives at a time within the present interval, before any measurement.
-    pub fn carried_to(&self, to_s: f64) -> Option<Filter<'a>> {
+    pub fn carried_to(&self, flight: &Flight, to_s: f64) -> Option<Filter> {
         let mut run = self.clone();
-        run.advance(&self.interval?, to_s);
+        run.advance(&flight.interval(self.sample)?, to_s);
         match run.phase {
             Phase::Running(filter) => Some(*filter),
             Phase::Waiting(_) => None,
@@ -189,20 +204,21 @@ impl<'a> Run<'a> {
     }
 
     fn take(&mut self, measurement: &Measurement, each: &mut impl FnMut(Innovation)) -> Begun {
-        let settings = &self.flight.settings;
+        let model = Arc::clone(&self.model);
+        let settings = &model.settings;
         match (&mut self.phase, measurement) {
             (Phase::Waiting(waiting), Measurement::Sighting(sighting)) => {
                 waiting.note(settings, sighting);
             }
             (Phase::Waiting(waiting), Measurement::Fix(fix)) => {
-                if let Some(filter) = waiting.begin(settings, self.layout, fix) {
+                if let Some(filter) = waiting.begin(&model, fix) {
                     self.phase = Phase::Running(Box::new(filter));
                     self.seen_s = fix.t_s;
                     return Begun::Anew;
                 }
             }
             (Phase::Running(filter), Measurement::Sighting(sighting)) => {
-                let white_rad = white_rad(settings, self.layout, sighting);
+                let white_rad = white_rad(settings, &model.layout, sighting);
                 let innovation = filter.take_sighting(sighting, white_rad, Trust::Tested);
                 innovation.into_iter().for_each(|one| self.note(one, each));
             }

@@ -11,6 +11,7 @@ use super::states::{ATTITUDE, Choice, Layout, MOTION, POSITION, VELOCITY};
 use super::transition::Transition;
 use crate::estimation::{ScaledRoot, symmetrise};
 use nalgebra::{DMatrix, DVector, Matrix3};
+use std::sync::Arc;
 
 /// Measurements from one state of the run that is kept to the next; between them it runs again, which costs less memory than to keep all.
 const BLOCK: usize = 256;
@@ -45,11 +46,12 @@ struct Smoothed {
 
 /// Smoothes a flight: the rows from the last to the first. `None` where a covariance is not positive.
 pub fn smooth(flight: &Flight, mut each: impl FnMut(Row)) -> Option<()> {
-    let layout = flight.layout(Choice::AllEstimated);
-    let mut kept = vec![Run::new(flight, &layout)];
+    let model = flight.model(Choice::AllEstimated);
+    let layout = &model.layout;
+    let mut kept = vec![Run::new(Arc::clone(&model))];
     let mut run = kept[0].clone();
     let mut nodes = 0;
-    while let Some(stop) = run.step(&mut |_| {}) {
+    while let Some(stop) = run.step(flight, &mut |_| {}) {
         if let Stop::Node(_) = stop {
             nodes += 1;
             if nodes % BLOCK == 0 {
@@ -59,11 +61,11 @@ pub fn smooth(flight: &Flight, mut each: impl FnMut(Row)) -> Option<()> {
     }
     let mut later = None;
     let mut backwards = Backwards {
-        layout: &layout,
+        layout,
         later: None,
     };
     for start in kept.into_iter().rev() {
-        let entries = entries(start.clone(), later.as_ref());
+        let entries = entries(flight, start.clone(), later.as_ref());
         backwards.go(&entries, &mut each)?;
         later = Some(start);
     }
@@ -71,7 +73,7 @@ pub fn smooth(flight: &Flight, mut each: impl FnMut(Row)) -> Option<()> {
 }
 
 /// What the run comes to from one kept state up to and with the next.
-fn entries(mut run: Run, until: Option<&Run>) -> Vec<Entry> {
+fn entries(flight: &Flight, mut run: Run, until: Option<&Run>) -> Vec<Entry> {
     let mut entries = Vec::new();
     if let Phase::Running(filter) = &run.phase {
         // Only what goes on from it is needed of the node that it was kept at.
@@ -87,12 +89,12 @@ fn entries(mut run: Run, until: Option<&Run>) -> Vec<Entry> {
         if until.is_some_and(|until| before.is_at(until)) {
             return entries;
         }
-        let Some(stop) = run.step(&mut |_| {}) else {
+        let Some(stop) = run.step(flight, &mut |_| {}) else {
             return entries;
         };
         match stop {
             Stop::Sample(_) => entries.push(sample(&run)),
-            Stop::Node(begun) => entries.extend(node(&before, &run, begun)),
+            Stop::Node(begun) => entries.extend(node(flight, &before, &run, begun)),
         }
     }
 }
@@ -108,11 +110,11 @@ fn sample(run: &Run) -> Entry {
     }))
 }
 
-fn node(before: &Run, after: &Run, begun: Begun) -> Option<Entry> {
+fn node(flight: &Flight, before: &Run, after: &Run, begun: Begun) -> Option<Entry> {
     let Phase::Running(filter) = &after.phase else {
         return None;
     };
-    let arrived = before.carried_to(after.at_s);
+    let arrived = before.carried_to(flight, after.at_s);
     let arrived = arrived.filter(|_| begun == Begun::Before);
     Some(Entry::Node(Box::new(Node {
         predicted: match &arrived {

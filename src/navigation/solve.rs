@@ -4,7 +4,7 @@ use super::filter::Filter;
 use super::measurement::Innovation;
 use super::motion::Motion;
 use super::run::{COASTING_S, Flight, Phase, RESTARTED_S, Run, Stop};
-use super::states::{Choice, Layout};
+use super::states::Choice;
 use nalgebra::{Matrix3, Vector3};
 
 /// Where the attitude comes from.
@@ -67,12 +67,13 @@ const KEPT_EVERY_S: f64 = 1.0;
 
 /// Solves a flight; `each` gets the rows in the order of time.
 pub fn solve(flight: &Flight, mut each: impl FnMut(Row)) -> Summary {
-    let layout = flight.layout(Choice::AsStated);
-    let mut run = Run::new(flight, &layout);
+    let mut run = Run::new(flight.model(Choice::AsStated));
     let mut summary = Summary::default();
     let mut kept_s = [f64::NEG_INFINITY; 2];
     let mut seen_s = run.seen_s;
-    while let Some(stop) = run.step(&mut |innovation| summary.innovations.push(innovation)) {
+    while let Some(stop) = run.step(flight, &mut |innovation| {
+        summary.innovations.push(innovation)
+    }) {
         match (stop, &run.phase) {
             (Stop::Sample(n), _) => {
                 let row = row(&run, flight.imu[n].t_s);
@@ -81,7 +82,7 @@ pub fn solve(flight: &Flight, mut each: impl FnMut(Row)) -> Summary {
             }
             (Stop::Node(_), Phase::Running(filter)) if run.at_s - kept_s[1] >= KEPT_EVERY_S => {
                 kept_s[1] = run.at_s;
-                summary.errors.push(errors(filter, run.at_s, &layout));
+                summary.errors.push(errors(filter, run.at_s));
             }
             (Stop::Node(_), _) => {}
         }
@@ -134,7 +135,8 @@ fn status(run: &Run, t_s: f64) -> Status {
     }
 }
 
-fn errors(filter: &Filter, t_s: f64, layout: &Layout) -> SensorErrors {
+fn errors(filter: &Filter, t_s: f64) -> SensorErrors {
+    let layout = &filter.model.layout;
     let sigma = |first: usize| Vector3::from_fn(|n, _| filter.sigma(first + n));
     let of = |triad: &Option<super::states::Triad>, value: &Vector3<f64>| {
         triad.map(|triad| (*value, sigma(triad.first)))

@@ -1,0 +1,163 @@
+//! The filter in flight: samples and measurements as they come. A measurement that comes late - its exposure, its solving, another camera took
+//! time - is put where it belongs: the filter goes on again from a state that it kept from before.
+
+use super::measurement::{ImuSample, Innovation, Measurement, Verdict};
+use super::model::Model;
+use super::run::{Flight, Run, Stop};
+use super::settings::{Settings, Target};
+use super::solve::{Row, row};
+use super::states::{Choice, Layout};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// A measurement may come so late.
+const HISTORY_S: f64 = 3.0;
+/// A state to go on from is kept so often.
+const KEPT_EVERY_S: f64 = 0.25;
+/// Samples before a state that its next interval rests on.
+const NEIGHBOURS: usize = 3;
+
+/// The filter in flight.
+#[derive(Debug)]
+pub struct Live {
+    /// The samples and measurements of the last seconds.
+    recent: Flight,
+    run: Run,
+    /// In the order of time.
+    kept: VecDeque<Run>,
+    /// Of the last seconds: a late measurement may change them.
+    innovations: VecDeque<Innovation>,
+    row: Option<Row>,
+    counts: Counts,
+}
+
+/// What became of measurements.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    pub taken: u64,
+    /// Their innovations were too large.
+    pub refused: u64,
+    /// They came later than the filter remembers.
+    pub too_late: u64,
+}
+
+impl Live {
+    /// Waits for samples, fixes and directions; `sees` are the targets of each camera of the settings.
+    pub fn new(settings: Settings, sees: &[Vec<Target>]) -> Self {
+        let layout = Layout::new(&settings, sees, Choice::AsStated);
+        let run = Run::new(Arc::new(Model {
+            settings: settings.clone(),
+            layout,
+        }));
+        Self {
+            recent: Flight {
+                settings,
+                imu: Vec::new(),
+                measurements: Vec::new(),
+            },
+            kept: VecDeque::from([run.clone()]),
+            run,
+            innovations: VecDeque::new(),
+            row: None,
+            counts: Counts::default(),
+        }
+    }
+
+    /// Takes a sample of the IMU, which is later than all before; one that is not is passed over. The attitude at its time.
+    pub fn sample(&mut self, sample: ImuSample) -> Option<Row> {
+        if self
+            .recent
+            .imu
+            .last()
+            .is_some_and(|last| sample.t_s <= last.t_s)
+        {
+            return self.row;
+        }
+        self.recent.imu.push(sample);
+        self.go_on();
+        self.forget();
+        self.row
+    }
+
+    /// Takes a measurement. One of a time that the samples have not reached waits for them.
+    pub fn measure(&mut self, measurement: Measurement) {
+        let t_s = measurement.t_s();
+        let is_late = t_s <= self.run.at_s;
+        if is_late {
+            let Some(last) = self.kept.iter().rposition(|run| run.at_s < t_s) else {
+                self.counts.too_late += 1;
+                return;
+            };
+            self.kept.truncate(last + 1);
+            self.run = self.kept[last].clone();
+            let from_s = self.run.at_s;
+            self.innovations
+                .retain(|innovation| innovation.t_s <= from_s);
+        }
+        let measurements = &mut self.recent.measurements;
+        let at = measurements.partition_point(|other| other.t_s() <= t_s);
+        measurements.insert(at, measurement);
+        if is_late {
+            self.go_on();
+        }
+    }
+
+    /// The attitude at the last sample; `None` before the first two.
+    pub fn now(&self) -> Option<Row> {
+        self.row
+    }
+
+    /// What became of the measurements that no late one can change any more, and of those that are too late.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Times that the filter had gone wrong and began anew.
+    pub fn restarts(&self) -> u32 {
+        self.run.restarts
+    }
+
+    fn go_on(&mut self) {
+        let innovations = &mut self.innovations;
+        while let Some(stop) = self
+            .run
+            .step(&self.recent, &mut |one| innovations.push_back(one))
+        {
+            if let Stop::Sample(n) = stop {
+                self.row = Some(row(&self.run, self.recent.imu[n].t_s));
+                let last_s = self.kept.back().map(|run| run.at_s);
+                if last_s.is_none_or(|last_s| self.run.at_s - last_s >= KEPT_EVERY_S) {
+                    self.kept.push_back(self.run.clone());
+                }
+            }
+        }
+    }
+
+    /// Forgets what is older than the filter remembers.
+    fn forget(&mut self) {
+        let oldest_s = self.run.at_s - HISTORY_S;
+        while self.kept.get(1).is_some_and(|run| run.at_s <= oldest_s) {
+            self.kept.pop_front();
+        }
+        let Some(first) = self.kept.front() else {
+            return;
+        };
+        let first_s = first.at_s;
+        while let Some(innovation) = self.innovations.pop_front_if(|one| one.t_s <= first_s) {
+            match innovation.verdict {
+                Verdict::Taken => self.counts.taken += 1,
+                Verdict::Refused => self.counts.refused += 1,
+            }
+        }
+        let (samples, measurements) = first.passed();
+        let samples = samples.saturating_sub(NEIGHBOURS);
+        // In whole blocks: each time is a copy of what is left.
+        const BLOCK: usize = 256;
+        if samples >= BLOCK {
+            self.recent.imu.drain(..samples);
+            self.recent.measurements.drain(..measurements);
+            let runs = self.kept.iter_mut().chain([&mut self.run]);
+            runs.for_each(|run| run.forget(samples, measurements));
+        }
+    }
+}
