@@ -143,7 +143,10 @@ impl Live {
             return;
         };
         let first_s = first.at_s;
-        while let Some(innovation) = self.innovations.pop_front_if(|one| one.t_s <= first_s) {
+        let settled = self
+            .innovations
+            .partition_point(|innovation| innovation.t_s <= first_s);
+        for innovation in self.innovations.drain(..settled) {
             match innovation.verdict {
                 Verdict::Taken => self.counts.taken += 1,
                 Verdict::Refused => self.counts.refused += 1,
