@@ -20,7 +20,7 @@ const MOST_GLARE: f64 = 0.2;
 /// Limb points off the circle by more than their sigmas tell: this share of the radius, rms, is no circle.
 const MOST_ROUGHNESS: f64 = 0.02;
 /// A centre that is known less well is of no disc of that radius, 1 sigma in radii.
-const MOST_SIGMA: f64 = 0.02;
+const MOST_SIGMA: f64 = 0.03;
 /// A limb point that is known less well has no edge, 1 sigma in radii; so many of the limb's points may be such.
 const MOST_POINT_SIGMA: f64 = 0.05;
 const MOST_BLUNT: f64 = 0.2;
@@ -78,20 +78,22 @@ fn check_radius(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     at_most("radius", deviation, MOST_RADIUS_DEVIATION)
 }
 
-/// Whether the light lies where the expected phase puts it.
+/// Whether as much of the disc is light as the expected phase tells, and it lies where that puts it.
 fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     let Some(expected) = candidate.expected.phase_angle_deg else {
         return Ok(());
     };
+    let expected = lit(expected.value);
+    at_most(
+        "lit",
+        candidate.light_area(circle) - expected,
+        MOST_LIT_DEVIATION,
+    )?;
     if candidate.outline.is_cut {
         return Ok(());
     }
-    let seen = lit(candidate.phase_by_middle_deg(circle));
-    at_most(
-        "lit",
-        (seen - lit(expected.value)).abs(),
-        MOST_LIT_DEVIATION,
-    )
+    let seen = candidate.sphere_by_middle(circle).lit();
+    at_most("lit", (seen - expected).abs(), MOST_LIT_DEVIATION)
 }
 
 /// How bright the sky around a disc is, of the saturated level.

@@ -115,7 +115,7 @@ fn agreeing(circle: &Circle, points: &[Vector2<f64>]) -> Option<usize> {
 
 /// The outline's points around the middle of its box.
 fn in_order(outline: &Outline) -> Vec<Vector2<f64>> {
-    let mut points = outline.points.clone();
+    let points = &outline.points;
     let lowest = points
         .iter()
         .fold(Vector2::repeat(f64::INFINITY), |a, b| a.inf(b));
@@ -123,9 +123,10 @@ fn in_order(outline: &Outline) -> Vec<Vector2<f64>> {
         .iter()
         .fold(Vector2::repeat(f64::NEG_INFINITY), |a, b| a.sup(b));
     let middle = (lowest + highest) / 2.0;
-    let angle = |point: &Vector2<f64>| (point.y - middle.y).atan2(point.x - middle.x);
-    points.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
-    points
+    let around = |point: &Vector2<f64>| (point.y - middle.y).atan2(point.x - middle.x);
+    let mut points: Vec<_> = points.iter().map(|point| (around(point), *point)).collect();
+    points.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    points.into_iter().map(|(_, point)| point).collect()
 }
 
 fn through_points(points: &[Vector2<f64>], apart: f64) -> Vec<Circle> {
@@ -139,4 +140,40 @@ fn through_points(points: &[Vector2<f64>], apart: f64) -> Vec<Circle> {
     starts
         .filter_map(|n| Circle::through(at(n), at(n + step), at(n + 2 * step)))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points of a crescent: half a circle, and the terminator, half an ellipse of some width.
+    fn crescent(circle: &Circle, width: f64) -> Outline {
+        let turn = Rotation2::new(0.7);
+        let points = (0..180).map(|n| {
+            let (sin, cos) = (f64::from(n) / 90.0 * PI).sin_cos();
+            let across = if cos > 0.0 { cos } else { cos * width };
+            circle.centre + turn * Vector2::new(across, sin) * circle.radius
+        });
+        Outline {
+            points: points.collect(),
+            middle: circle.centre + turn * Vector2::x() * 0.4 * circle.radius,
+            light_px: 100,
+            is_cut: false,
+        }
+    }
+
+    #[test]
+    fn the_circle_of_a_phase_is_that_of_its_limb() {
+        let circle = Circle {
+            centre: Vector2::new(60.0, 45.0),
+            radius: 20.0,
+        };
+        // A thin crescent, half a Moon, one that is nearly full.
+        for width in [-0.7, 0.0, 0.7] {
+            let found = super::circle(&crescent(&circle, width), &(4.0..100.0)).unwrap();
+            assert!((found.centre - circle.centre).norm() < 0.1, "{width}");
+            assert!((found.radius - circle.radius).abs() < 0.1, "{width}");
+        }
+        assert_eq!(super::circle(&crescent(&circle, 0.7), &(30.0..40.0)), None);
+    }
 }

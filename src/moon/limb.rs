@@ -5,7 +5,7 @@
 
 use super::light::Levels;
 use super::plane::Plane;
-use super::profile::{Depths, PIXEL_VARIANCE, Profiles};
+use super::profile::{Blur, Depths, PIXEL_VARIANCE, Profile};
 use super::shading::{Shading, Sphere};
 use crate::estimation::{
     FitError, Fitted, LeastSquares, Linearised, Loss, Prior, SIGMA_PER_MEDIAN, Scale, median,
@@ -60,9 +60,8 @@ pub(super) struct Known {
 struct Pixel {
     /// In round px.
     at: Vector2<f64>,
-    /// From the middle of the bright limb, as the circle was when it was read.
-    angle_rad: f64,
-    /// By blur, phase and side of the light, there too.
+    /// How its light differs from that of its sector, and changes by blur, phase and side of the light, as the circle was when it was read.
+    beside: f64,
     by_others: [f64; 3],
     light_dn: f64,
 }
@@ -71,6 +70,7 @@ struct Pixel {
 struct Sector {
     /// From +x towards +y.
     angle_rad: f64,
+    light: SectorLight,
     pixels: Vec<Pixel>,
 }
 
@@ -121,41 +121,50 @@ impl Limb {
         known: Known,
     ) -> Self {
         let circle = circle_of(&start);
-        let lit = Lit::new(shading, &start);
-        let lights = Lights::new(shading, &start, &known, lit.most_rad);
+        let lit_rad = lit_rad(shading, &start);
+        let lights = Lights::new(shading, &start, &known);
         let count = (circle.radius * TAU / SECTOR_PX).max(LEAST_SECTORS) as usize;
         let width = TAU / count as f64;
-        let angle = |n: usize| (n as f64 + 0.5) * width;
-        let mut sectors: Vec<Sector> = (0..count)
-            .map(|n| Sector {
-                angle_rad: angle(n),
+        let sector = |n: usize| {
+            let angle_rad = (n as f64 + 0.5) * width;
+            let from_middle = from_middle(angle_rad, start[5]);
+            (from_middle.abs() <= lit_rad).then(|| Sector {
+                angle_rad,
+                light: lights.of_sector(from_middle, width),
                 pixels: Vec::new(),
             })
-            .collect();
+        };
+        let mut lit: Vec<Option<Sector>> = (0..count).map(sector).collect();
         let (mut on_disc, mut saturated) = (0_u32, 0_u32);
-        for (at, dn) in band(frame, plane, &circle) {
+        each_near(frame, plane, &circle, |at, dn| {
             let away = at - circle.centre;
-            let direction = away.y.atan2(away.x);
-            let n = direction.rem_euclid(TAU) / width;
-            let sector = &mut sectors[(n as usize).min(count - 1)];
-            if !lit.has(sector.angle_rad) {
-                continue;
-            }
-            let angle_rad = from_middle(direction, start[5]);
-            on_disc += u32::from(away.norm() < circle.radius);
+            let angle_rad = away.y.atan2(away.x);
+            let around = if angle_rad < 0.0 {
+                angle_rad + TAU
+            } else {
+                angle_rad
+            };
+            let Some(sector) = &mut lit[((around / width) as usize).min(count - 1)] else {
+                return;
+            };
+            let distance = away.norm();
+            on_disc += u32::from(distance < circle.radius);
             if f64::from(dn) >= levels.saturated_dn {
                 saturated += 1;
-                continue;
+                return;
             }
+            let depth = circle.radius - distance - lights.shrinks(distance);
+            let (beside, by_others) =
+                (sector.light).others(around - sector.angle_rad, depth, start[3], distance);
             sector.pixels.push(Pixel {
                 at,
-                angle_rad,
-                by_others: lights.by_others(angle_rad, circle.radius, away.norm()),
+                beside,
+                by_others,
                 light_dn: f64::from(dn) - levels.dark_dn,
             });
-        }
-        let lit_sectors = sectors.iter().filter(|sector| lit.has(sector.angle_rad));
-        let lit_count = lit_sectors.count();
+        });
+        let mut sectors: Vec<Sector> = lit.into_iter().flatten().collect();
+        let lit = sectors.len();
         sectors.retain(|sector| sector.is_seen(SEEN_SIGMAS * levels.noise_dn));
         Self {
             known,
@@ -163,7 +172,7 @@ impl Limb {
             lights,
             sectors,
             noise_dn: levels.noise_dn,
-            lit: lit_count,
+            lit,
             saturated: f64::from(saturated) / f64::from(on_disc.max(1_u32)),
         }
     }
@@ -206,7 +215,7 @@ impl Limb {
             prior: self.prior(),
             loss: Loss::Squares,
             scale: Scale::Inflated,
-            tolerance_sigmas: 0.05,
+            tolerance_sigmas: 0.2,
         };
         let mut fitted = fit.fit(|at: &Parameters| {
             let moved = (at - self.start).fixed_rows::<3>(0).amax();
@@ -299,30 +308,16 @@ fn alike(apart_rad: f64, radius: f64) -> f64 {
     (-apart.abs() * radius / ALIKE_PX).exp()
 }
 
-/// Where the limb is lit.
-struct Lit {
-    bright_limb_rad: f64,
-    most_rad: f64,
-}
-
-impl Lit {
-    fn new(shading: Shading, at: &Parameters) -> Self {
-        const STEPS: u32 = 180;
-        let sphere = sphere(shading, at[4]);
-        let depth = LIT_DEPTH.min(LIT_DEPTH_PX / at[2]);
-        let light = |angle: f64| sphere.light(1.0 - depth, angle);
-        let least = LIT_SHARE * light(0.0);
-        let angles = (0..=STEPS).map(|n| f64::from(n) / f64::from(STEPS) * PI);
-        let lit = angles.take_while(|angle| light(*angle) > least);
-        Self {
-            bright_limb_rad: at[5],
-            most_rad: lit.last().unwrap_or(0.0),
-        }
-    }
-
-    fn has(&self, angle_rad: f64) -> bool {
-        from_middle(angle_rad, self.bright_limb_rad).abs() <= self.most_rad
-    }
+/// How far from the middle of the bright limb it is lit, rad.
+fn lit_rad(shading: Shading, at: &Parameters) -> f64 {
+    const STEPS: u32 = 180;
+    let sphere = Sphere::new(shading, at[4]);
+    let depth = LIT_DEPTH.min(LIT_DEPTH_PX / at[2]);
+    let light = |angle: f64| sphere.light(1.0 - depth, angle);
+    let least = LIT_SHARE * light(0.0);
+    let angles = (0..=STEPS).map(|n| f64::from(n) / f64::from(STEPS) * PI);
+    let lit = angles.take_while(|angle| light(*angle) > least);
+    lit.last().unwrap_or(0.0)
 }
 
 /// An angle from the middle of the bright limb, -pi to pi.
@@ -332,27 +327,24 @@ fn from_middle(angle_rad: f64, bright_limb_rad: f64) -> f64 {
 
 /// The light along a limb about some parameters: linear in blur, phase and the side of the light.
 struct Lights {
-    here: Profiles,
+    here: Sphere,
     /// At a phase that is a step further; none where the phase is known.
-    stepped: Option<Profiles>,
+    stepped: Option<Sphere>,
+    blur: Blur,
+    radius: f64,
     blur_px: f64,
     phase_rad: f64,
     bright_limb_rad: f64,
 }
 
 impl Lights {
-    fn new(shading: Shading, at: &Parameters, known: &Known, most_rad: f64) -> Self {
-        // The table ends behind the last sector.
-        let most_rad = most_rad + 0.2;
-        let profiles = |phase_rad: f64| {
-            let depths = PIXELS.start - SLACK_PX..PIXELS.end + SLACK_PX;
-            let sphere = sphere(shading, phase_rad);
-            Profiles::new(&sphere, at[2], at[3], &depths, most_rad)
-        };
+    fn new(shading: Shading, at: &Parameters, known: &Known) -> Self {
+        let is_fitted = known.phase_rad.sigma > KNOWN_PHASE_RAD;
         Self {
-            here: profiles(at[4]),
-            stepped: (known.phase_rad.sigma > KNOWN_PHASE_RAD)
-                .then(|| profiles(at[4] + PHASE_STEP_RAD)),
+            here: Sphere::new(shading, at[4]),
+            stepped: is_fitted.then(|| Sphere::new(shading, at[4] + PHASE_STEP_RAD)),
+            blur: Blur::new(at[3]),
+            radius: at[2],
             blur_px: at[3],
             phase_rad: at[4],
             bright_limb_rad: at[5],
@@ -361,29 +353,47 @@ impl Lights {
 
     /// A blurred circle looks smaller than a blurred straight edge does, by so many px at a distance from its centre.
     fn shrinks(&self, distance: f64) -> f64 {
-        (self.blur_px.powi(2) + PIXEL_VARIANCE) / (2.0 * distance)
+        (self.blur_px.powi(2) + PIXEL_VARIANCE) / (2.0 * distance.max(1.0))
     }
 
-    /// How the light at an angle and a distance from the centre changes with blur, phase and side.
-    fn by_others(&self, angle_rad: f64, radius: f64, distance: f64) -> [f64; 3] {
-        let distance = distance.max(1.0);
-        let depth = radius - distance - self.shrinks(distance);
-        let here = self.here.at(angle_rad, depth);
+    /// The light of a sector, so wide, at an angle from the middle of the bright limb.
+    fn of_sector(&self, angle_rad: f64, width_rad: f64) -> SectorLight {
+        let depths = PIXELS.start - SLACK_PX..PIXELS.end + SLACK_PX;
+        let profile = |sphere: &Sphere, angle_rad: f64| {
+            Profile::new(sphere, self.radius, &self.blur, &depths, angle_rad)
+        };
+        let here = profile(&self.here, angle_rad);
+        let beside = profile(&self.here, angle_rad + width_rad);
         let stepped = self.stepped.as_ref();
-        let stepped = stepped.map(|stepped| stepped.at(angle_rad, depth).light);
-        [
-            // Blurred light obeys the heat equation.
-            self.blur_px * (here.curve - here.slope / distance),
-            stepped.map_or(0.0, |light| (light - here.light) / PHASE_STEP_RAD),
-            -here.by_angle,
-        ]
+        SectorLight {
+            by_angle: beside.change_from(&here, width_rad),
+            by_phase: stepped
+                .map(|stepped| profile(stepped, angle_rad).change_from(&here, PHASE_STEP_RAD)),
+            here,
+        }
     }
 }
 
-fn sphere(shading: Shading, phase_rad: f64) -> Sphere {
-    Sphere {
-        shading,
-        phase_angle_deg: phase_rad.to_degrees(),
+/// The light across the limb in the middle of a sector, and how it changes.
+struct SectorLight {
+    here: Profile,
+    by_angle: Profile,
+    by_phase: Option<Profile>,
+}
+
+impl SectorLight {
+    /// How the light at an angle from the sector's middle differs from that there, and how it changes with blur, phase and side.
+    fn others(&self, angle_rad: f64, depth: f64, blur_px: f64, distance: f64) -> (f64, [f64; 3]) {
+        let here = self.here.at(depth);
+        let by_angle = self.by_angle.at(depth).light;
+        let by_phase = self.by_phase.as_ref();
+        let by_others = [
+            // Blurred light obeys the heat equation.
+            blur_px * (here.curve - here.slope / distance.max(1.0)),
+            by_phase.map_or(0.0, |by_phase| by_phase.at(depth).light),
+            -by_angle,
+        ];
+        (by_angle * angle_rad, by_others)
     }
 }
 
@@ -426,8 +436,10 @@ impl Sector {
         lights: &Lights,
         noise_dn: f64,
     ) -> Vec<Linearised<1, PARAMETERS>> {
-        let modelled = self.pixels.iter().map(|pixel| pixel.modelled(at, lights));
-        let mut modelled: Vec<(f64, Parameters)> = modelled.collect();
+        let pixels = self.pixels.iter();
+        let mut modelled: Vec<(f64, Parameters)> = pixels
+            .map(|pixel| pixel.modelled(at, lights, &self.light.here))
+            .collect();
         let count = self.pixels.len() as f64;
         let mean_light = modelled.iter().map(|(light, _)| light).sum::<f64>() / count;
         let mean_by = modelled.iter().map(|(_, by)| by).sum::<Parameters>() / count;
@@ -456,14 +468,15 @@ impl Sector {
 
 impl Pixel {
     /// The pixel's light where the ground's brightness is 1, and its derivatives.
-    fn modelled(&self, at: &Parameters, lights: &Lights) -> (f64, Parameters) {
+    fn modelled(&self, at: &Parameters, lights: &Lights, profile: &Profile) -> (f64, Parameters) {
         let away = self.at - Vector2::new(at[0], at[1]);
         let distance = away.norm().max(1.0);
         let unit = away / distance;
         let depth = at[2] - distance - lights.shrinks(distance);
-        let here = lights.here.at(self.angle_rad, depth);
+        let here = profile.at(depth);
         let [by_blur, by_phase, by_side] = self.by_others;
         let light = here.light
+            + self.beside
             + by_blur * (at[3] - lights.blur_px)
             + by_phase * (at[4] - lights.phase_rad)
             + by_side * (at[5] - lights.bright_limb_rad);
@@ -512,24 +525,26 @@ impl Pull {
     }
 }
 
-/// The pixels near a circle, in round px, with their DN.
-fn band<'a>(
-    frame: &'a Frame,
-    plane: &'a Plane,
-    circle: &'a Circle,
-) -> impl Iterator<Item = (Vector2<f64>, f32)> + 'a {
-    let (inner, outer) = (circle.radius - PIXELS.end, circle.radius - PIXELS.start);
-    let region = plane.region(circle, outer, frame);
-    let rows = region.map(|region| (region.y0..region.y1, region.x0..region.x1));
-    rows.into_iter().flat_map(move |(rows, columns)| {
-        rows.flat_map(move |y| {
-            let row = frame.row_dn(y, columns.clone());
-            columns.clone().zip(row).filter_map(move |(x, dn)| {
-                let at = plane.round(x as f64, y as f64);
-                let square = (at - circle.centre).norm_squared();
-                let is_near = square < outer * outer && (inner < 0.0 || square > inner * inner);
-                is_near.then_some((at, dn))
-            })
-        })
-    })
+/// Takes the pixels near a circle, in round px, with their DN.
+fn each_near(
+    frame: &Frame,
+    plane: &Plane,
+    circle: &Circle,
+    mut take: impl FnMut(Vector2<f64>, f32),
+) {
+    let outer = circle.radius - PIXELS.start;
+    let inner = (circle.radius - PIXELS.end).max(0.0);
+    let Some(region) = plane.region(circle, outer, frame) else {
+        return;
+    };
+    for y in region.y0..region.y1 {
+        let row = frame.row_dn(y, region.x0..region.x1);
+        for (x, dn) in (region.x0..region.x1).zip(row) {
+            let at = plane.round(x as f64, y as f64);
+            let square = (at - circle.centre).norm_squared();
+            if (inner * inner..outer * outer).contains(&square) {
+                take(at, dn);
+            }
+        }
+    }
 }

@@ -2,7 +2,7 @@
 //!
 //! # The way of a frame
 //! 1. [`Levels`]: sky and noise by a raster of pixels. A frame that is bright all over is refused.
-//! 2. `patch`: bright pixels that touch, and the outline of the largest ones.
+//! 2. `patch`: bright pixels that touch, and the outline of the largest ones. Where none of them is the Moon, those of a higher level.
 //! 3. `disc`: of the circles through points of the outline, and the one through its eight extremities ("The Development of a Moon Sensor", 2005,
 //!    section 3.3.1), the one on which most of the outline lies with the rest inside.
 //! 4. How the Sun lights it: the middle of the light lies off the circle's centre towards the bright limb, the further the less is lit.
@@ -38,6 +38,7 @@ use crate::units::{Estimate, Measured, Rejected, SensorPx};
 use limb::{Contradiction, Known, Limb, LimbFit};
 use patch::{Outline, Patch, patches};
 use plane::Plane;
+use std::f64::consts::PI;
 use std::ops::Range;
 
 /// A patch of fewer pixels is no Moon, nor is one of a smaller radius, px.
@@ -45,6 +46,8 @@ const LEAST_PIXELS: usize = 20;
 const LEAST_RADIUS_PX: f64 = 4.0;
 /// So many patches are looked at, the largest first.
 const MOST_PATCHES: usize = 4;
+/// Where no light is the Moon, those are looked at that stand so many times higher above the sky.
+const NEXT_LEVEL: f64 = 2.0;
 /// A radius that differs by more from the expected one is another thing's.
 const MOST_RADIUS_DEVIATION: f64 = 0.12;
 /// A radius that the picture contradicts by so many sigmas and so much, relative to it, is known only this well, 1 sigma relative to it.
@@ -54,8 +57,8 @@ const LOOSE_RADIUS: f64 = 0.06;
 /// Fewer sectors of the limb make no circle.
 const LEAST_SECTORS: usize = 6;
 /// The limb is read anew while the circle or the blur moves by more, or the light turns by more, so often at most.
-const SETTLED_PX: f64 = 0.1;
-const SETTLED_RAD: f64 = 0.05;
+const SETTLED_PX: f64 = 0.25;
+const SETTLED_RAD: f64 = 0.15;
 const MOST_ROUNDS: usize = 8;
 /// Phase and side of the light by its middle, rad: 1 sigma of a whole disc, and of one that the picture cuts.
 const BY_MIDDLE_RAD: f64 = 0.2;
@@ -184,10 +187,11 @@ impl Disc {
 /// A frame that shows no light of some size.
 pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f64), Stopped> {
     let levels = Levels::of(frame).map_err(|rejected| (Stage::Light, rejected))?;
-    let largest = candidates(frame, &levels)?[0];
+    let level_dn = levels.least_dn();
+    let largest = candidates(frame, levels.dark_dn + level_dn)?[0];
     let nothing = Expected::default();
-    let candidate = Candidate::new(settings, &nothing, frame, &largest, &levels);
-    let candidate = candidate.ok_or_else(|| stopped(Stage::Detection, "beyond_lens", 0.0, 0.0))?;
+    let candidate = Candidate::new(settings, &nothing, frame, &largest, &levels, level_dn);
+    let candidate = candidate.ok_or_else(beyond_lens)?;
     let circle = extremities::circle(&candidate.outline.points);
     let circle = circle.ok_or_else(|| stopped(Stage::Detection, "no_circle", 0.0, 0.0))?;
     Ok((candidate.plane.sensor(circle.centre), circle.radius))
@@ -200,32 +204,58 @@ pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f
 pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
     let levels = Levels::of(frame).map_err(|rejected| (Stage::Light, rejected))?;
     let mut first = None;
-    for patch in candidates(frame, &levels)?.iter().take(MOST_PATCHES) {
-        let candidate = Candidate::new(settings, expected, frame, patch, &levels);
-        match candidate.map(|candidate| candidate.solve(frame, &levels)) {
+    // What the Sun's glare joins at one level lies apart at a higher one.
+    let mut level_dn = levels.least_dn();
+    while levels.dark_dn + level_dn < levels.saturated_dn {
+        match solve_at(settings, frame, expected, &levels, level_dn) {
+            Ok(disc) => return Ok(disc),
+            Err(stopped) => first = first.or(Some(stopped)),
+        }
+        level_dn *= NEXT_LEVEL;
+    }
+    Err(first.unwrap_or_else(|| no_moon(0)))
+}
+
+/// Finds the Moon among the lights that stand by some DN above the sky.
+fn solve_at(
+    settings: &Settings,
+    frame: &Frame,
+    expected: &Expected,
+    levels: &Levels,
+    level_dn: f64,
+) -> Result<Disc, Stopped> {
+    let mut first = None;
+    let candidates = candidates(frame, levels.dark_dn + level_dn)?;
+    for patch in candidates.iter().take(MOST_PATCHES) {
+        let candidate = Candidate::new(settings, expected, frame, patch, levels, level_dn);
+        match candidate.map(|candidate| candidate.solve(frame, levels)) {
             Some(Ok(disc)) => return Ok(disc),
             Some(Err(stopped)) => first = first.or(Some(stopped)),
             None => {}
         }
     }
-    Err(first.unwrap_or_else(|| stopped(Stage::Detection, "beyond_lens", 0.0, 0.0)))
+    Err(first.unwrap_or_else(beyond_lens))
 }
 
 /// The patches that may be the Moon: at least one, the largest first.
-fn candidates(frame: &Frame, levels: &Levels) -> Result<Vec<Patch>, Stopped> {
-    let found = patches(frame, levels.dark_dn + levels.least_dn());
-    let mut found = found.map_err(|rejected| (Stage::Detection, rejected))?;
+fn candidates(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Stopped> {
+    let mut found =
+        patches(frame, threshold_dn).map_err(|rejected| (Stage::Detection, rejected))?;
     let largest = found.first().map_or(0, |patch| patch.pixels);
     found.retain(|patch| patch.pixels >= LEAST_PIXELS);
     match found.is_empty() {
-        true => Err(stopped(
-            Stage::Detection,
-            "no_moon",
-            largest as f64,
-            LEAST_PIXELS as f64,
-        )),
+        true => Err(no_moon(largest)),
         false => Ok(found),
     }
+}
+
+fn no_moon(largest: usize) -> Stopped {
+    let limit = LEAST_PIXELS as f64;
+    stopped(Stage::Detection, "no_moon", largest as f64, limit)
+}
+
+fn beyond_lens() -> Stopped {
+    stopped(Stage::Detection, "beyond_lens", 0.0, 0.0)
 }
 
 /// A light that may be the Moon.
@@ -245,8 +275,9 @@ impl<'a> Candidate<'a> {
         frame: &Frame,
         patch: &Patch,
         levels: &Levels,
+        level_dn: f64,
     ) -> Option<Self> {
-        let outline = Outline::of(frame, patch, levels);
+        let outline = Outline::of(frame, patch, levels, level_dn);
         let plane = settings.plane(expected, outline.middle.into())?;
         Some(Self {
             settings,
@@ -325,7 +356,6 @@ impl<'a> Candidate<'a> {
             false => BY_MIDDLE_RAD,
         };
         let radians = |deg: Measured| Measured::new(deg.value.to_radians(), deg.sigma.to_radians());
-        let by_middle = self.phase_by_middle_deg(circle).to_radians();
         let phase = self.expected.phase_angle_deg.map(radians);
         let side = self
             .expected
@@ -334,15 +364,22 @@ impl<'a> Candidate<'a> {
             .map(|known| Measured::new(self.plane.round_angle_rad(known.value), known.sigma));
         Known {
             radius: self.radius(),
-            phase_rad: phase.unwrap_or(Measured::new(by_middle, sigma)),
+            phase_rad: phase
+                .unwrap_or_else(|| Measured::new(self.sphere_by_middle(circle).phase_rad(), sigma)),
             bright_limb_rad: side.unwrap_or(Measured::new(off.y.atan2(off.x), sigma)),
         }
     }
 
-    /// The phase angle of a sphere whose light's middle lies as far off.
-    fn phase_by_middle_deg(&self, circle: &Circle) -> f64 {
+    /// The sphere whose light's middle lies as far off.
+    fn sphere_by_middle(&self, circle: &Circle) -> Sphere {
         let off = (self.outline.middle - circle.centre).norm() / circle.radius;
-        Sphere::of_offset(self.settings.shading, off).phase_angle_deg
+        Sphere::of_offset(self.settings.shading, off)
+    }
+
+    /// The area of the light, in that of a disc.
+    fn light_area(&self, circle: &Circle) -> f64 {
+        let disc_px = PI * circle.radius.powi(2) * self.plane.sensor_area();
+        self.outline.light_px as f64 / disc_px
     }
 
     fn disc(&self, found: &LimbFit, limb: &Limb) -> Disc {

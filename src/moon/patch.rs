@@ -132,12 +132,15 @@ pub(super) struct Outline {
     pub points: Vec<Vector2<f64>>,
     /// Where its light is, on the whole, px.
     pub middle: Vector2<f64>,
+    /// Pixels above the level.
+    pub light_px: usize,
     /// Whether the picture's edge cuts it.
     pub is_cut: bool,
 }
 
 impl Outline {
-    pub fn of(frame: &Frame, patch: &Patch, levels: &Levels) -> Self {
+    /// Of a patch of pixels that stand by so many DN above the sky.
+    pub fn of(frame: &Frame, patch: &Patch, levels: &Levels, least_dn: f64) -> Self {
         let Region { x0, y0, x1, y1 } = patch.region;
         let region = Region {
             x0: x0.saturating_sub(MARGIN_PX),
@@ -145,7 +148,7 @@ impl Outline {
             x1: (x1 + MARGIN_PX).min(frame.width()),
             y1: (y1 + MARGIN_PX).min(frame.height()),
         };
-        let level = level_dn(frame, &region, patch.pixels, levels);
+        let level = outline_dn(frame, &region, patch.pixels, levels.dark_dn, least_dn);
         let mut points = Vec::new();
         for y in region.y0..region.y1 {
             let ends = ends(&frame.row_dn(y, region.x0..region.x1), level);
@@ -155,9 +158,11 @@ impl Outline {
             let ends = ends(&frame.column_dn(x, region.y0..region.y1), level);
             points.extend(ends.map(|y| Vector2::new(x as f64, region.y0 as f64 + y)));
         }
+        let (middle, light_px) = light(frame, &region, level, levels.dark_dn);
         Self {
             points,
-            middle: middle(frame, &region, level, levels.dark_dn),
+            middle,
+            light_px,
             is_cut: x0 == 0 || y0 == 0 || x1 == frame.width() || y1 == frame.height(),
         }
     }
@@ -173,13 +178,13 @@ impl Outline {
 }
 
 /// The level of a patch's outline.
-fn level_dn(frame: &Frame, region: &Region, pixels: usize, levels: &Levels) -> f64 {
+fn outline_dn(frame: &Frame, region: &Region, pixels: usize, dark_dn: f64, least_dn: f64) -> f64 {
     let rows = (region.y0..region.y1).flat_map(|y| frame.row_dn(y, region.x0..region.x1));
     let mut light: Vec<f32> = rows.collect();
     let rank = ((BRIGHT_SHARE * pixels as f64) as usize).min(light.len() - 1);
     let (_, bright, _) = light.select_nth_unstable_by(rank, |a, b| b.total_cmp(a));
-    let above_sky = f64::from(*bright) - levels.dark_dn;
-    levels.dark_dn + (OUTLINE_SHARE * above_sky).max(levels.least_dn())
+    let above_sky = f64::from(*bright) - dark_dn;
+    dark_dn + (OUTLINE_SHARE * above_sky).max(least_dn)
 }
 
 /// Where a line of pixels first rises above a level and last falls below it, to a part of a pixel; not where the picture cuts it.
@@ -197,9 +202,9 @@ fn ends(line: &[f32], level: f64) -> impl Iterator<Item = f64> + use<> {
     rise.into_iter().chain(fall)
 }
 
-/// The middle of the light above a level.
-fn middle(frame: &Frame, region: &Region, level: f64, dark_dn: f64) -> Vector2<f64> {
-    let (mut sum, mut moment) = (0.0, Vector2::zeros());
+/// The middle of the light above a level, and its pixels.
+fn light(frame: &Frame, region: &Region, level: f64, dark_dn: f64) -> (Vector2<f64>, usize) {
+    let (mut sum, mut moment, mut count) = (0.0, Vector2::zeros(), 0);
     for y in region.y0..region.y1 {
         let row = frame.row_dn(y, region.x0..region.x1);
         for (x, dn) in (region.x0..)
@@ -209,7 +214,63 @@ fn middle(frame: &Frame, region: &Region, level: f64, dark_dn: f64) -> Vector2<f
             let light = f64::from(dn) - dark_dn;
             sum += light;
             moment += Vector2::new(x as f64, y as f64) * light;
+            count += 1;
         }
     }
-    moment / f64::max(sum, f64::MIN_POSITIVE)
+    (moment / f64::max(sum, f64::MIN_POSITIVE), count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Pixels;
+
+    /// A frame whose pixels are lit where a picture has a '#'.
+    fn frame(rows: &[&str]) -> Frame {
+        let dn = |symbol: u8| if symbol == b'#' { 110 } else { 10 };
+        let pixels = rows.iter().flat_map(|row| row.bytes().map(dn)).collect();
+        let (width, height) = (rows[0].len(), rows.len());
+        Frame::new(width, height, Pixels::U8(pixels), 255, Default::default()).unwrap()
+    }
+
+    #[test]
+    fn pixels_that_touch_are_one_patch_and_the_largest_is_the_first() {
+        let frame = frame(&[
+            "#.....###.", //
+            "......#.#.",
+            "..#.....#.",
+            ".#........",
+            "..#....##.",
+        ]);
+        let found = patches(&frame, 60.0).unwrap();
+        let sizes: Vec<usize> = found.iter().map(|patch| patch.pixels).collect();
+        assert_eq!(sizes, [6, 3, 2, 1]);
+        let Region { x0, y0, x1, y1 } = found[0].region;
+        assert_eq!((x0, y0, x1, y1), (6, 0, 9, 3));
+    }
+
+    #[test]
+    fn an_outline_lies_where_rows_and_columns_cross_its_level() {
+        let frame = frame(&[
+            "........", //
+            "........", "..####..", "..####..", "..####..", "........", "........",
+        ]);
+        let levels = Levels {
+            dark_dn: 10.0,
+            noise_dn: 1.0,
+            saturated_dn: 255.0,
+        };
+        let patch = patches(&frame, 60.0).unwrap()[0];
+        let outline = Outline::of(&frame, &patch, &levels, 6.0);
+        assert!(!outline.is_cut);
+        assert!((outline.middle - Vector2::new(3.5, 3.0)).norm() < 1e-9);
+        // 0.4 of the light: 0.4 of a pixel beside the first that is lit.
+        let (left, right) = (1.0 + OUTLINE_SHARE, 6.0 - OUTLINE_SHARE);
+        assert_eq!(outline.points.len(), 2 * (3 + 4));
+        for point in &outline.points {
+            let is_side = (point.x - left).abs() < 1e-5 || (point.x - right).abs() < 1e-5;
+            let is_end = (point.y - 1.4).abs() < 1e-5 || (point.y - 4.6).abs() < 1e-5;
+            assert!(is_side || is_end, "{point}");
+        }
+    }
 }

@@ -60,6 +60,11 @@ impl Plane {
         self.to_sensor.row(0).norm()
     }
 
+    /// Area in the picture of a unit of area.
+    pub fn sensor_area(&self) -> f64 {
+        self.to_sensor.determinant().abs()
+    }
+
     /// The same direction in the picture, from +x towards +y.
     pub fn sensor_angle_rad(&self, round_rad: f64) -> f64 {
         let (sin, cos) = round_rad.sin_cos();

@@ -1,6 +1,7 @@
 //! How the Moon's ground scatters the Sun's light.
 
 use nalgebra::Vector3;
+use std::f64::consts::PI;
 
 /// How a surface scatters light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -26,28 +27,50 @@ impl Shading {
     }
 }
 
+/// The thinnest crescent that a light's middle tells.
+const MOST_PHASE_RAD: f64 = 3.12;
+
 /// A smooth sphere that the Sun shines on. Lengths are in its radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sphere {
-    pub shading: Shading,
-    /// 0 full, 180 new.
-    pub phase_angle_deg: f64,
+    shading: Shading,
+    phase_rad: f64,
+    /// Sine and cosine of that.
+    phase: (f64, f64),
 }
 
 impl Sphere {
+    /// At a phase angle: 0 full, half a turn new.
+    pub fn new(shading: Shading, phase_rad: f64) -> Self {
+        Self {
+            shading,
+            phase_rad,
+            phase: phase_rad.sin_cos(),
+        }
+    }
+
+    pub fn phase_rad(&self) -> f64 {
+        self.phase_rad
+    }
+
     /// The share of its disc that the Sun shines on.
     pub fn lit(&self) -> f64 {
-        lit(self.phase_angle_deg)
+        (1.0 + self.phase.1) / 2.0
     }
 
     /// Light of the disc at a distance from its centre and an angle from the middle of the bright limb; 0 beside it.
     pub fn light(&self, distance: f64, angle_rad: f64) -> f64 {
+        self.light_along(distance, angle_rad.cos())
+    }
+
+    /// The same where the cosine of the angle is known.
+    pub fn light_along(&self, distance: f64, cos_angle: f64) -> f64 {
         if distance >= 1.0 {
             return 0.0;
         }
         let to_observer = (1.0 - distance * distance).sqrt();
-        let (sin, cos) = self.phase_angle_deg.to_radians().sin_cos();
-        let to_sun = distance * angle_rad.cos() * sin + to_observer * cos;
+        let (sin, cos) = self.phase;
+        let to_sun = distance * cos_angle * sin + to_observer * cos;
         self.shading.light(to_sun, to_observer)
     }
 
@@ -56,14 +79,14 @@ impl Sphere {
         const RINGS: usize = 8;
         const ANGLES: usize = 12;
         let (mut sum, mut moment) = (0.0, 0.0);
-        for ring in 0..RINGS {
-            // Rings of the same area.
-            let distance = ((ring as f64 + 0.5) / RINGS as f64).sqrt();
-            for n in 0..ANGLES {
-                let angle = (n as f64 + 0.5) / ANGLES as f64 * std::f64::consts::PI;
-                let light = self.light(distance, angle);
+        for n in 0..ANGLES {
+            let cos = ((n as f64 + 0.5) / ANGLES as f64 * PI).cos();
+            for ring in 0..RINGS {
+                // Rings of the same area.
+                let distance = ((ring as f64 + 0.5) / RINGS as f64).sqrt();
+                let light = self.light_along(distance, cos);
                 sum += light;
-                moment += light * distance * angle.cos();
+                moment += light * distance * cos;
             }
         }
         if sum > 0.0 { moment / sum } else { 1.0 }
@@ -71,11 +94,8 @@ impl Sphere {
 
     /// The sphere whose light's middle lies so far off its disc's.
     pub fn of_offset(shading: Shading, offset: f64) -> Self {
-        let at = |phase_angle_deg| Self {
-            shading,
-            phase_angle_deg,
-        };
-        let (mut low, mut high) = (0.0, 179.0);
+        let at = |phase_rad| Self::new(shading, phase_rad);
+        let (mut low, mut high) = (0.0, MOST_PHASE_RAD);
         for _ in 0..10 {
             let middle = (low + high) / 2.0;
             match at(middle).offset_of_light() < offset {

@@ -45,9 +45,14 @@ impl Footprint {
 }
 
 impl Edge {
+    /// Within this of it a sub-sample sees the edge.
+    pub(super) fn reach(&self) -> f64 {
+        self.long + self.short
+    }
+
     /// The share of a sub-sample inside the edge, its middle `inside` mil behind it.
     pub(super) fn coverage(&self, inside: f64) -> f64 {
-        let reach = self.long + self.short;
+        let reach = self.reach();
         if inside >= reach {
             1.0
         } else if inside <= -reach {

@@ -25,6 +25,7 @@ mod disc;
 mod drift;
 pub mod earth;
 mod flight;
+mod glare;
 mod grid;
 pub mod moon;
 pub mod navigation;
@@ -105,6 +106,7 @@ enum Purpose {
     Craters,
     Albedo,
     Stars,
+    Lamp,
     Navigation,
 }
 

@@ -5,7 +5,7 @@ use crate::cli::output::{make_folder, progress_bar};
 use crate::fits::{self, Compression};
 use crate::instrument::DirectionCamera;
 use crate::moon::Shading;
-use crate::simulate::moon::{MoonConditions, MoonScene};
+use crate::simulate::moon::{MoonConditions, MoonScene, Shown};
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use std::fmt::Write;
@@ -44,9 +44,18 @@ pub struct MoonArgs {
     /// The picture's edge cuts the disc
     #[arg(long, requires = "moon")]
     cut: bool,
-    /// Stars alone
+    /// So many planets, brighter than any star
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "moon", value_parser = super::count())]
+    planets: u16,
+    /// Light that the lens spreads around the Moon, one radius from its limb, in that of the brightest limb
+    #[arg(long, value_name = "F", default_value_t = 0.0, requires = "moon", value_parser = Within(0.0, 1.0, ""))]
+    glow: f64,
+    /// The Sun shines into the lens from beside the picture
     #[arg(long, requires = "moon")]
-    no_moon: bool,
+    sun_glare: bool,
+    /// What the picture shows
+    #[arg(long, value_enum, value_name = "WHAT", default_value_t = Shows::Moon, requires = "moon")]
+    shows: Shows,
 }
 
 /// A range of lit shares.
@@ -67,6 +76,17 @@ enum Scatters {
     LommelSeeliger,
     /// As chalk does
     Lambert,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Shows {
+    Moon,
+    /// Sky and stars alone
+    Nothing,
+    /// A street lamp of another size, oval, or saturated with glow
+    Lamp,
+    /// The unfiltered Sun
+    Sun,
 }
 
 /// Makes the frames, `truth.csv` and the camera's file `cam.toml`.
@@ -94,7 +114,7 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<()> {
 
 fn truth_line(number: u64, name: &str, scene: &MoonScene) -> String {
     let conditions = &scene.conditions;
-    if conditions.peak_dn <= 0.0 {
+    if conditions.shown != Shown::Moon {
         return format!("{number},{name},0,,,,,,,");
     }
     format!(
@@ -145,10 +165,16 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(MoonConditions, String)> {
         earthshine: moon.earthshine,
         stars: moon.stars.into(),
         cut: moon.cut,
-        peak_dn: match moon.no_moon {
-            true => 0.0,
-            false => plain.peak_dn * moon.exposure,
+        planets: moon.planets.into(),
+        glow: moon.glow,
+        sun_glare: moon.sun_glare,
+        shown: match moon.shows {
+            Shows::Moon => Shown::Moon,
+            Shows::Nothing => Shown::Nothing,
+            Shows::Lamp => Shown::Lamp,
+            Shows::Sun => Shown::Sun,
         },
+        peak_dn: plain.peak_dn * moon.exposure,
         background_dn: args.camera.background,
         noise: args.noise(),
         depth: args.depth(),

@@ -4,7 +4,6 @@
 //! optical depth along the ray, which falls off exponentially with the ray's lowest height (Chapman's grazing incidence, for a layer that is
 //! thin against the Earth). Rays are straight.
 
-mod glare;
 mod sky;
 mod swing;
 
@@ -12,13 +11,13 @@ pub use sky::{Air, Clouds, Shape};
 pub use swing::SwingingGondola;
 
 use super::blur::Kernel;
+use super::glare::{Glare, SUN_RAD};
 use super::noise::{Readings, read_out};
 use super::{Depth, Generator, Noise, Purpose, frame_info, generator};
 use crate::frame::{Frame, FrameError};
 use crate::geometry::camera::Camera;
 use crate::units::SensorPx;
-use glare::Glare;
-use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector2, Vector3};
 use rand::RngExt;
 use sky::Sky;
 
@@ -254,10 +253,37 @@ impl EarthScene {
         light
             .iter_mut()
             .for_each(|dn| *dn += conditions.background_dn as f32);
-        if let Some(glare) = Glare::of(self) {
+        if let Some(glare) = self.glare() {
             glare.add(width, &mut light);
         }
         light
+    }
+
+    /// The Sun in view, where the sky is: a picture without any has no Sun in it.
+    fn glare(&self) -> Option<Glare> {
+        const MOST_TRIES: u32 = 50;
+        const FLARES: usize = 7;
+        let conditions = &self.conditions;
+        if !conditions.sun {
+            return None;
+        }
+        let mut random = generator(self.seed, Purpose::Glare, self.number);
+        let picture = Vector2::new(conditions.width_px as f64, conditions.height_px as f64);
+        let place = |_| {
+            SensorPx::new(
+                random.random_range(0.1..0.9) * picture.x,
+                random.random_range(0.1..0.9) * picture.y,
+            )
+        };
+        let sun = (0..MOST_TRIES).map(place).find(|at| self.shows_sky(*at))?;
+        let radius_px = SUN_RAD * conditions.camera.mean_focal_px();
+        Some(Glare::new(
+            sun,
+            radius_px,
+            picture / 2.0,
+            FLARES,
+            &mut random,
+        ))
     }
 
     /// Whether a pixel sees what is above the ground.

@@ -1,6 +1,6 @@
 //! The Moon in a camera that follows it across the sky.
 
-use super::{MoonConditions, MoonScene};
+use super::{MoonConditions, MoonScene, Shown};
 use crate::geometry::camera::Camera;
 use crate::instrument::DirectionCamera;
 use crate::sky::{Ephemeris, SkyError, horizon_dip_deg};
@@ -52,10 +52,11 @@ impl FollowedMoon {
             width_px: self.camera.width_px,
             height_px: self.camera.height_px,
             pixel_aspect: self.camera.lens.aspect(),
-            peak_dn: match is_up {
-                true => brightness * plain.peak_dn,
-                false => 0.0,
+            shown: match is_up {
+                true => Shown::Moon,
+                false => Shown::Nothing,
             },
+            peak_dn: brightness * plain.peak_dn,
             craters: true,
             stars: STARS,
             ..plain
@@ -109,7 +110,7 @@ mod tests {
             let scene = followed.scene(7, utc, 1.0).unwrap();
             let moon = Ephemeris::default().moon(utc, FORT_SUMNER).unwrap();
             let found = solve(&settings, &scene.frame().unwrap(), &Expected::of(&moon));
-            match scene.conditions.peak_dn > 0.0 {
+            match scene.conditions.shown == Shown::Moon {
                 true => {
                     let centre = found.unwrap().centre.position;
                     let off = centre.vector() - scene.centre.vector();

@@ -1,19 +1,23 @@
-//! Pictures of the Moon at any phase: a shaded sphere with or without craters, its truth beside it.
+//! Pictures of the Moon at any phase, a shaded sphere with or without craters, and of what is no Moon; the truth beside them.
 //!
 //! Lengths on the disc are in its radius: x to the right, y down, z to the observer.
 
 mod followed;
+mod lights;
 mod surface;
 
 pub use followed::FollowedMoon;
 
 use super::blur::Kernel;
+use super::coverage::Footprint;
+use super::glare::Glare;
 use super::noise::{Readings, read_out};
 use super::scene::{Depth, Noise};
 use super::{Purpose, derived_seed, frame_info, generator};
 use crate::frame::{Frame, FrameError};
-use crate::moon::{Shading, towards_sun};
+use crate::moon::{Shading, Sphere, towards_sun};
 use crate::units::SensorPx;
+use lights::{Lamp, add_points};
 use nalgebra::{Vector2, Vector3};
 use rand::RngExt;
 use std::ops::Range;
@@ -23,6 +27,18 @@ use surface::Surface;
 const SUBSAMPLED_PX: f64 = 120.0;
 const SUBSAMPLES: Range<usize> = 2..9;
 
+/// What a picture shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shown {
+    Moon,
+    /// The sky alone.
+    Nothing,
+    /// A street lamp, which differs from the Moon in size, in roundness, or by its glow.
+    Lamp,
+    /// The unfiltered Sun, about as large as the Moon.
+    Sun,
+}
+
 /// What pictures of the Moon have in common.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MoonConditions {
@@ -30,6 +46,7 @@ pub struct MoonConditions {
     pub height_px: usize,
     /// Horizontal half axis of the disc over its vertical one.
     pub pixel_aspect: f64,
+    pub shown: Shown,
     /// Vertical half axis.
     pub radius_px: f64,
     /// Lit shares of the disc, from which each picture draws its own.
@@ -44,6 +61,12 @@ pub struct MoonConditions {
     /// Light of the dark side, in that of the brightest place.
     pub earthshine: f64,
     pub stars: usize,
+    /// Brighter than any star.
+    pub planets: usize,
+    /// Light that the lens spreads around the Moon, one radius from its limb, in that of the brightest place.
+    pub glow: f64,
+    /// Whether the Sun shines into the lens from beside the picture.
+    pub sun_glare: bool,
     /// Whether the picture's edge cuts the disc.
     pub cut: bool,
     pub depth: Depth,
@@ -56,6 +79,7 @@ impl MoonConditions {
             width_px: 720,
             height_px: 578,
             pixel_aspect: 1.0,
+            shown: Shown::Moon,
             radius_px,
             lit: 0.1..1.0,
             shading: Shading::LommelSeeliger,
@@ -69,13 +93,16 @@ impl MoonConditions {
             blur_px: 0.8,
             earthshine: 0.0,
             stars: 0,
+            planets: 0,
+            glow: 0.0,
+            sun_glare: false,
             cut: false,
             depth: Depth::Eight,
         }
     }
 
     /// The scene of a seed and a number: the disc's place, lit share and turn drawn. The whole disc is in view, or its centre within half a radius
-    /// of the picture's left or right edge.
+    /// of one of the picture's edges.
     pub fn scene(&self, seed: u64, number: u64) -> MoonScene {
         let mut random = generator(seed, Purpose::Moon, number);
         let half = Vector2::new(self.radius_px * self.pixel_aspect, self.radius_px);
@@ -87,12 +114,14 @@ impl MoonConditions {
         let centre = match self.cut {
             false => whole,
             true => {
-                let inside = random.random_range(-0.2..0.5) * half.x;
-                let x = match random.random() {
-                    true => inside,
-                    false => self.width_px as f64 - 1.0 - inside,
-                };
-                SensorPx::new(x, whole.y)
+                let inside = random.random_range(-0.2..0.5);
+                let last = |pixels: usize| pixels as f64 - 1.0;
+                match random.random_range(0..4) {
+                    0 => SensorPx::new(inside * half.x, whole.y),
+                    1 => SensorPx::new(last(self.width_px) - inside * half.x, whole.y),
+                    2 => SensorPx::new(whole.x, inside * half.y),
+                    _ => SensorPx::new(whole.x, last(self.height_px) - inside * half.y),
+                }
             }
         };
         let lit = match self.lit.is_empty() {
@@ -166,9 +195,62 @@ impl MoonScene {
         let conditions = &self.conditions;
         let (width, height) = (conditions.width_px, conditions.height_px);
         let mut light = vec![conditions.background_dn as f32; width * height];
-        self.add_stars(&mut light);
-        self.add_disc(&mut light);
+        add_points(self, &mut light);
+        match conditions.shown {
+            Shown::Moon => self.add_disc(&mut light),
+            Shown::Nothing => {}
+            Shown::Lamp => Lamp::of(self).add(width, &mut light),
+            Shown::Sun => self.glare(self.centre).add(width, &mut light),
+        }
+        if conditions.glow > 0.0 {
+            self.add_glow(&mut light);
+        }
+        if conditions.sun_glare {
+            self.glare(self.sun_beside()).add(width, &mut light);
+        }
         light
+    }
+
+    /// Light that falls off with the square of the distance from the middle of the disc's light.
+    fn add_glow(&self, light: &mut [f32]) {
+        let conditions = &self.conditions;
+        let sphere = Sphere::new(conditions.shading, self.phase_angle_deg.to_radians());
+        let (sin, cos) = self.bright_limb_deg.to_radians().sin_cos();
+        let middle = Vector2::new(cos, sin) * sphere.offset_of_light();
+        let near_dn = conditions.peak_dn * conditions.glow * 5.0;
+        for (n, dn) in light.iter_mut().enumerate() {
+            let (x, y) = (n % conditions.width_px, n / conditions.width_px);
+            let away = Vector2::new(
+                (x as f64 - self.centre.x) / conditions.pixel_aspect,
+                y as f64 - self.centre.y,
+            ) / conditions.radius_px;
+            *dn += (near_dn / (1.0 + (away - middle).norm_squared())) as f32;
+        }
+    }
+
+    /// The glare of a Sun at a place, with some flares.
+    fn glare(&self, sun: SensorPx) -> Glare {
+        let conditions = &self.conditions;
+        let mut random = generator(self.seed, Purpose::Glare, self.number);
+        let radius_px = conditions.radius_px * random.random_range(0.95..1.1);
+        let picture = Vector2::new(conditions.width_px as f64, conditions.height_px as f64);
+        let flares = random.random_range(0..4);
+        Glare::new(sun, radius_px, picture / 2.0, flares, &mut random)
+    }
+
+    /// A place beside the picture, 8 to 20 radii of the disc from it.
+    fn sun_beside(&self) -> SensorPx {
+        let conditions = &self.conditions;
+        let mut random = generator(self.seed, Purpose::Sun, self.number);
+        let picture = Vector2::new(conditions.width_px as f64, conditions.height_px as f64);
+        let away = random.random_range(8.0..20.0) * conditions.radius_px;
+        let along = random.random_range(0.0..1.0) * picture;
+        match random.random_range(0..4) {
+            0 => SensorPx::new(-away, along.y),
+            1 => SensorPx::new(picture.x + away, along.y),
+            2 => SensorPx::new(along.x, -away),
+            _ => SensorPx::new(along.x, picture.y + away),
+        }
     }
 
     fn add_disc(&self, light: &mut [f32]) {
@@ -191,6 +273,11 @@ impl MoonScene {
         let rows = span(self.centre.y, reach.y, conditions.height_px);
         let sides = [&columns, &rows].map(|span| (span.len() + 2 * margin) * samples);
         let surface = Surface::new(conditions, self);
+        let step = half.map(|half| 1.0 / (samples as f64 * half));
+        let footprint = Footprint {
+            column: Vector2::new(step.x, 0.0),
+            row: Vector2::new(0.0, step.y),
+        };
         let place = |n: usize, first: usize, centre: f64, half: f64| {
             let px = (n as f64 + 0.5) / samples as f64 - 0.5 - margin as f64 + first as f64;
             (px - centre) / half
@@ -199,7 +286,7 @@ impl MoonScene {
             .map(|n| {
                 let x = place(n % sides[0], columns.start, self.centre.x, half.x);
                 let y = place(n / sides[0], rows.start, self.centre.y, half.y);
-                (conditions.peak_dn * surface.light(x, y)) as f32
+                (conditions.peak_dn * surface.light(x, y, &footprint)) as f32
             })
             .collect();
         let blurred = kernel.apply(&field, sides[0], columns.len(), rows.len());
@@ -209,29 +296,6 @@ impl MoonScene {
                 .iter_mut()
                 .zip(row)
                 .for_each(|(dn, more)| *dn += more);
-        }
-    }
-
-    fn add_stars(&self, light: &mut [f32]) {
-        let conditions = &self.conditions;
-        let mut random = generator(self.seed, Purpose::Stars, self.number);
-        for _ in 0..conditions.stars {
-            let at = Vector2::new(
-                random.random_range(0.0..conditions.width_px as f64),
-                random.random_range(0.0..conditions.height_px as f64),
-            );
-            let peak_dn = 150.0 * random.random::<f64>().powi(3);
-            let near = |centre: f64, pixels: usize| {
-                let first = (centre - 5.0).max(0.0) as usize;
-                first..((centre + 6.0) as usize).min(pixels)
-            };
-            for y in near(at.y, conditions.height_px) {
-                for x in near(at.x, conditions.width_px) {
-                    let away = Vector2::new(x as f64, y as f64) - at;
-                    let part = (-0.5 * away.norm_squared() / conditions.blur_px.powi(2)).exp();
-                    light[y * conditions.width_px + x] += (peak_dn * part) as f32;
-                }
-            }
         }
     }
 

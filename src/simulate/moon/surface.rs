@@ -3,8 +3,9 @@
 use super::{MoonConditions, MoonScene};
 use crate::moon::Shading;
 use crate::simulate::Purpose;
+use crate::simulate::coverage::Footprint;
 use crate::simulate::texture::{Pattern, Random};
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Rotation3, Vector2, Vector3};
 
 /// Albedo goes so far either way; its largest pattern has so many cells across the radius. Value noise in five octaves goes so far about a half.
 const ALBEDO: f64 = 0.25;
@@ -40,8 +41,8 @@ impl Surface {
         }
     }
 
-    /// Light of a place on the disc; 0 beside it.
-    pub fn light(&self, x: f64, y: f64) -> f64 {
+    /// Light of a sub-sample around a place on the disc; 0 beside it. One that the limb crosses counts by its share within.
+    pub fn light(&self, x: f64, y: f64, footprint: &Footprint) -> f64 {
         /// Nearer to the limb than that, craters and mountains may hide a place or show it.
         const NEAR_LIMB: f64 = 0.02;
         let distance = x.hypot(y);
@@ -51,16 +52,25 @@ impl Surface {
             }
             _ => 1.0,
         };
-        let square = (distance / radius).powi(2);
-        if square >= 1.0 {
+        let outwards = Vector2::new(x, y) / distance.max(f64::MIN_POSITIVE);
+        let edge = footprint.edge(outwards);
+        let within = edge.coverage(radius - distance);
+        if within == 0.0 {
             return 0.0;
         }
-        let place = Vector3::new(x / radius, y / radius, (1.0 - square).sqrt());
+        // The middle of what lies within.
+        let middle = distance.min(radius - edge.reach() * within / 2.0) / radius;
+        let scale = middle.max(0.0) / distance.max(f64::MIN_POSITIVE);
+        let place = Vector3::new(
+            x * scale,
+            y * scale,
+            (1.0 - middle * middle).max(0.0).sqrt(),
+        );
         let (normal, albedo) = match &self.ground {
             Some(ground) => (ground.normal(&place), ground.albedo(&place)),
             None => (place, 1.0),
         };
-        albedo * (self.shading.light(normal.dot(&self.sun), place.z) + self.earthshine)
+        within * albedo * (self.shading.light(normal.dot(&self.sun), place.z) + self.earthshine)
     }
 }
 

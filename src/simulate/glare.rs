@@ -1,13 +1,12 @@
-//! The Sun in the picture: its disc, glow and rays, and the flares of the lens on the line through the picture's middle.
+//! The unfiltered Sun in a picture, or beside it: its disc, glow and rays, and the flares of the lens on the line through the picture's middle.
 
-use super::super::{Purpose, generator};
-use super::EarthScene;
+use super::Generator;
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 use rand::RngExt;
 
 /// Angular radius of the Sun, rad.
-const SUN_RAD: f64 = 0.00465;
+pub(super) const SUN_RAD: f64 = 0.00465;
 /// Brightness of the disc: any sensor saturates.
 const SUN_DN: f64 = 5000.0;
 /// Of the glow, one radius from the disc.
@@ -16,8 +15,6 @@ const GLOW_DN: f64 = 120.0;
 const RAY_PX: f64 = 4.0;
 const RAY_REACH_PX: f64 = 200.0;
 const RAYS: u32 = 6;
-const FLARES: usize = 7;
-const MOST_TRIES: u32 = 50;
 
 /// A reflection within the lens.
 struct Flare {
@@ -36,35 +33,26 @@ pub(super) struct Glare {
 }
 
 impl Glare {
-    /// `None` for a scene without the Sun in view.
-    pub fn of(scene: &EarthScene) -> Option<Self> {
-        let conditions = &scene.conditions;
-        if !conditions.sun {
-            return None;
-        }
-        let mut random = generator(scene.seed, Purpose::Glare, scene.number);
-        let (width, height) = (conditions.width_px as f64, conditions.height_px as f64);
-        let place = |_| {
-            SensorPx::new(
-                random.random_range(0.1..0.9) * width,
-                random.random_range(0.1..0.9) * height,
-            )
-        };
-        // Where the sky is: a picture without any has no Sun in it.
-        let sun = (0..MOST_TRIES).map(place).find(|at| scene.shows_sky(*at))?;
-        let middle = Vector2::new(width, height) / 2.0;
+    /// Of a Sun at a place, in the picture or beside it, with so many flares on the line through the picture's middle.
+    pub fn new(
+        sun: SensorPx,
+        radius_px: f64,
+        middle: Vector2<f64>,
+        flares: usize,
+        random: &mut Generator,
+    ) -> Self {
         let flare = |_| Flare {
             at: (middle + (sun.vector() - middle) * random.random_range(-1.2..0.8)).into(),
             radius_px: random.random_range(20.0..120.0),
             light_dn: random.random_range(15.0..90.0),
             is_ring: random.random_bool(0.5),
         };
-        Some(Self {
+        Self {
             sun,
-            radius_px: SUN_RAD * conditions.camera.mean_focal_px(),
-            flares: (0..FLARES).map(flare).collect(),
+            radius_px,
+            flares: (0..flares).map(flare).collect(),
             turn_rad: random.random_range(0.0..1.0),
-        })
+        }
     }
 
     /// Adds its light to a picture's, row by row.
