@@ -1,12 +1,12 @@
 //! What is no Moon, or not the one that is expected.
 
-use super::limb::{Limb, LimbFit, LimbPoint, circle_of};
-use super::shading::lit;
+use super::limb::{Limb, LimbFit, LimbPoint, Parameters, circle_of};
+use super::shading::{Sphere, lit};
 use super::{Candidate, Levels, MOST_RADIUS_DEVIATION, MOST_SATURATED, Stage, Stopped, stopped};
 use crate::estimation::regression;
 use crate::frame::Frame;
 use crate::geometry::Circle;
-use nalgebra::SVector;
+use nalgebra::{Matrix2, SVector, Vector2};
 
 /// An oval is no Moon: longest axis over shortest.
 const MOST_AXIS_RATIO: f64 = 1.15;
@@ -14,6 +14,13 @@ const MOST_AXIS_RATIO: f64 = 1.15;
 const OVAL_SIGMAS: f64 = 4.0;
 /// A lit share that differs by more from the expected one is another thing's.
 const MOST_LIT_DEVIATION: f64 = 0.2;
+/// So much of the light's variance within and around a disc may be other than the shading tells, and so far out it counts, in radii.
+const MOST_UNLIKE: f64 = 0.25;
+const AROUND: f64 = 1.25;
+/// The edge, which is blurred, tells nothing.
+const EDGE_PX: f64 = 1.5;
+/// About so many pixels tell it.
+const TELLING_PX: f64 = 1500.0;
 /// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
 const GLARE: std::ops::Range<f64> = 1.2..1.6;
 const MOST_GLARE: f64 = 0.2;
@@ -40,6 +47,10 @@ pub(super) fn check(
         at_most("glare", glare, MOST_GLARE)?;
     }
     check_lit(candidate, &circle)?;
+    if candidate.expected.phase_angle_deg.is_some() {
+        let unlike = unlike(candidate, frame, levels, &found.fitted.parameters);
+        at_most("unlike", unlike, MOST_UNLIKE)?;
+    }
     match candidate.radius() {
         Some(_) => check_limb(found, limb),
         None => Ok(()),
@@ -96,6 +107,37 @@ fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     at_most("lit", (seen - expected).abs(), MOST_LIT_DEVIATION)
 }
 
+/// The share of the light's variance around a disc that is neither noise nor the shading of its sphere.
+fn unlike(candidate: &Candidate, frame: &Frame, levels: &Levels, at: &Parameters) -> f64 {
+    let circle = circle_of(at);
+    let sphere = Sphere::new(candidate.settings.shading, at[4]);
+    let reach = AROUND * circle.radius;
+    let step = (2.0 * reach / TELLING_PX.sqrt()).max(1.0) as usize;
+    let Some(region) = candidate.plane.region(&circle, reach, frame) else {
+        return 0.0;
+    };
+    let rows = (region.y0..region.y1).step_by(step);
+    let places = rows.flat_map(|y| (region.x0..region.x1).step_by(step).map(move |x| (x, y)));
+    let seen = places.filter_map(|(x, y)| {
+        let away = candidate.plane.round(x as f64, y as f64) - circle.centre;
+        let dn = f64::from(frame.dn(x, y));
+        let is_edge = (away.norm() - circle.radius).abs() < EDGE_PX;
+        let is_telling = away.norm() < reach && !is_edge && dn < levels.saturated_dn;
+        let angle = away.y.atan2(away.x) - at[5];
+        is_telling.then(|| Vector2::new(sphere.light(away.norm() / circle.radius, angle), dn))
+    });
+    let seen: Vec<Vector2<f64>> = seen.collect();
+    let count = seen.len().max(1) as f64;
+    let mean = seen.iter().sum::<Vector2<f64>>() / count;
+    let squares: Matrix2<f64> = seen
+        .iter()
+        .map(|seen| (seen - mean) * (seen - mean).transpose())
+        .sum();
+    let noise = count * levels.noise_dn.powi(2);
+    let left = squares.m22 - squares.m12.powi(2) / squares.m11.max(f64::MIN_POSITIVE) - noise;
+    (left / (squares.m22 - noise).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+}
+
 /// How bright the sky around a disc is, of the saturated level.
 fn glare(candidate: &Candidate, frame: &Frame, levels: &Levels, circle: &Circle) -> f64 {
     const PLACES: usize = 48;
@@ -106,7 +148,7 @@ fn glare(candidate: &Candidate, frame: &Frame, levels: &Levels, circle: &Circle)
         let part = (n % DISTANCES) as f64 / DISTANCES as f64;
         let distance = (GLARE.start + (GLARE.end - GLARE.start) * part) * circle.radius;
         let (sin, cos) = angle.sin_cos();
-        let at = circle.centre + nalgebra::Vector2::new(cos, sin) * distance;
+        let at = circle.centre + Vector2::new(cos, sin) * distance;
         let seen = candidate.plane.sensor(at);
         let (x, y) = (seen.x.round(), seen.y.round());
         if x >= 0.0 && y >= 0.0 && x < frame.width() as f64 && y < frame.height() as f64 {

@@ -8,7 +8,7 @@ use std::f64::consts::SQRT_2;
 /// One pixel in so many, in each axis, tells the sky.
 const RASTER_PX: usize = 16;
 /// What is brighter than the sky by so many sigmas of a pixel's noise is of a light.
-const BRIGHT_SIGMAS: f64 = 6.0;
+const BRIGHT_SIGMAS: f64 = 4.0;
 /// A frame whose sky is brighter than this share of the saturated level is lost in glare.
 const MOST_SKY: f64 = 0.7;
 /// Steps of one DN hide less than that.

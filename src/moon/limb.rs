@@ -47,6 +47,8 @@ const KNOWN_PHASE_RAD: f64 = 0.01;
 /// Centre x and y (round px), radius (px), blur (px), phase angle, and angle of the bright limb's middle (rad).
 pub(super) const PARAMETERS: usize = 6;
 pub(super) type Parameters = SVector<f64, PARAMETERS>;
+type Row = Linearised<1, PARAMETERS>;
+type RowVector = SMatrix<f64, 1, PARAMETERS>;
 
 /// What is known of a limb before it is looked at.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -125,12 +127,24 @@ impl Limb {
         let lights = Lights::new(shading, &start, &known);
         let count = (circle.radius * TAU / SECTOR_PX).max(LEAST_SECTORS) as usize;
         let width = TAU / count as f64;
+        let angle = |n: usize| (n as f64 + 0.5) * width;
+        let from_middle = |n: usize| from_middle(angle(n), start[5]);
+        // Of the lit sectors, and one further.
+        let profile = |n: usize| {
+            let is_needed = from_middle(n).abs() <= lit_rad + 1.01 * width;
+            is_needed.then(|| lights.profile(&lights.here, from_middle(n)))
+        };
+        let profiles: Vec<Option<Profile>> = (0..count).map(profile).collect();
         let sector = |n: usize| {
-            let angle_rad = (n as f64 + 0.5) * width;
-            let from_middle = from_middle(angle_rad, start[5]);
-            (from_middle.abs() <= lit_rad).then(|| Sector {
-                angle_rad,
-                light: lights.of_sector(from_middle, width),
+            let here = profiles[n].as_ref()?;
+            let next = profiles[(n + 1) % count].as_ref()?;
+            (from_middle(n).abs() <= lit_rad).then(|| Sector {
+                angle_rad: angle(n),
+                light: SectorLight {
+                    here: here.clone(),
+                    by_angle: next.change_from(here, width),
+                    by_phase: lights.by_phase(here, from_middle(n)),
+                },
                 pixels: Vec::new(),
             })
         };
@@ -205,10 +219,13 @@ impl Limb {
     }
 
     fn fit_through(&self, sectors: &[&Sector]) -> Result<LimbFit, FitError> {
-        let rows_at = |at: &Parameters| -> Vec<Vec<Linearised<1, PARAMETERS>>> {
-            let sectors = sectors.iter();
-            let rows = sectors.map(|sector| sector.rows(at, &self.lights, self.noise_dn));
-            rows.collect()
+        let rows_at = |at: &Parameters| {
+            let pixels = sectors.iter().map(|sector| sector.pixels.len());
+            let mut rows = Vec::with_capacity(pixels.sum());
+            for sector in sectors {
+                sector.add_rows(at, &self.lights, self.noise_dn, &mut rows);
+            }
+            rows
         };
         let fit = LeastSquares {
             start: self.start,
@@ -220,10 +237,16 @@ impl Limb {
         let mut fitted = fit.fit(|at: &Parameters| {
             let moved = (at - self.start).fixed_rows::<3>(0).amax();
             let is_possible = moved < SLACK_PX && POSSIBLE_BLUR_PX.contains(&at[3]);
-            is_possible.then(|| rows_at(at).into_iter().flatten().collect())
+            is_possible.then(|| rows_at(at))
         })?;
         let rows = rows_at(&fitted.parameters);
-        let pulls: Vec<Pull> = rows.iter().map(|rows| Pull::of(rows)).collect();
+        let mut rest = &rows[..];
+        let pull = |sector: &&Sector| {
+            let (of_sector, others) = rest.split_at(sector.pixels.len());
+            rest = others;
+            Pull::of(of_sector)
+        };
+        let pulls: Vec<Pull> = sectors.iter().map(pull).collect();
         let points = sectors.iter().zip(&pulls).map(|(sector, pull)| LimbPoint {
             angle_rad: sector.angle_rad,
             excess_px: pull.excess(fitted.scatter),
@@ -356,21 +379,16 @@ impl Lights {
         (self.blur_px.powi(2) + PIXEL_VARIANCE) / (2.0 * distance.max(1.0))
     }
 
-    /// The light of a sector, so wide, at an angle from the middle of the bright limb.
-    fn of_sector(&self, angle_rad: f64, width_rad: f64) -> SectorLight {
+    /// The light across the limb at an angle from the middle of the bright limb.
+    fn profile(&self, sphere: &Sphere, angle_rad: f64) -> Profile {
         let depths = PIXELS.start - SLACK_PX..PIXELS.end + SLACK_PX;
-        let profile = |sphere: &Sphere, angle_rad: f64| {
-            Profile::new(sphere, self.radius, &self.blur, &depths, angle_rad)
-        };
-        let here = profile(&self.here, angle_rad);
-        let beside = profile(&self.here, angle_rad + width_rad);
-        let stepped = self.stepped.as_ref();
-        SectorLight {
-            by_angle: beside.change_from(&here, width_rad),
-            by_phase: stepped
-                .map(|stepped| profile(stepped, angle_rad).change_from(&here, PHASE_STEP_RAD)),
-            here,
-        }
+        Profile::new(sphere, self.radius, &self.blur, &depths, angle_rad)
+    }
+
+    /// How it changes with the phase, 1/rad.
+    fn by_phase(&self, here: &Profile, angle_rad: f64) -> Option<Profile> {
+        let stepped = self.profile(self.stepped.as_ref()?, angle_rad);
+        Some(stepped.change_from(here, PHASE_STEP_RAD))
     }
 }
 
@@ -429,46 +447,42 @@ impl Sector {
         self.pixels.len() >= LEAST_PIXELS && brightest > least_dn
     }
 
-    /// The pixels without what the sector's own sky and brightness explain.
-    fn rows(
-        &self,
-        at: &Parameters,
-        lights: &Lights,
-        noise_dn: f64,
-    ) -> Vec<Linearised<1, PARAMETERS>> {
+    /// Adds the pixels without what the sector's own sky and brightness explain.
+    fn add_rows(&self, at: &Parameters, lights: &Lights, noise_dn: f64, rows: &mut Vec<Row>) {
         let pixels = self.pixels.iter();
-        let mut modelled: Vec<(f64, Parameters)> = pixels
-            .map(|pixel| pixel.modelled(at, lights, &self.light.here))
-            .collect();
-        let count = self.pixels.len() as f64;
-        let mean_light = modelled.iter().map(|(light, _)| light).sum::<f64>() / count;
-        let mean_by = modelled.iter().map(|(_, by)| by).sum::<Parameters>() / count;
-        let mean_dn = self.pixels.iter().map(|pixel| pixel.light_dn).sum::<f64>() / count;
-        let (mut norm, mut product, mut along) = (f64::MIN_POSITIVE, 0.0, Parameters::zeros());
-        for (pixel, (light, by)) in self.pixels.iter().zip(&mut modelled) {
-            *light -= mean_light;
-            *by -= mean_by;
-            norm += *light * *light;
-            product += *light * (pixel.light_dn - mean_dn);
-            along += *by * *light;
+        let first = rows.len();
+        rows.extend(pixels.map(|pixel| pixel.modelled(at, lights, &self.light.here)));
+        let rows = &mut rows[first..];
+        let count = rows.len() as f64;
+        let (mut light, mut by, mut dn) = (0.0, RowVector::zeros(), 0.0);
+        for (row, pixel) in rows.iter().zip(&self.pixels) {
+            light += row.residual[0];
+            by += row.jacobian;
+            dn += pixel.light_dn;
+        }
+        let (light, by, dn) = (light / count, by / count, dn / count);
+        let (mut norm, mut product, mut along) = (f64::MIN_POSITIVE, 0.0, RowVector::zeros());
+        for (row, pixel) in rows.iter_mut().zip(&self.pixels) {
+            row.residual[0] -= light;
+            row.jacobian -= by;
+            let light = row.residual[0];
+            norm += light * light;
+            product += light * (pixel.light_dn - dn);
+            along += row.jacobian * light;
         }
         let brightness_dn = (product / norm).max(0.0);
         along /= norm;
-        let both = self.pixels.iter().zip(&modelled);
-        let row = |(pixel, (light, by)): (&Pixel, &(f64, Parameters))| {
-            let left_dn = pixel.light_dn - mean_dn - brightness_dn * light;
-            Linearised {
-                residual: Vector1::new(left_dn / noise_dn),
-                jacobian: (by - along * *light).transpose() * (brightness_dn / noise_dn),
-            }
-        };
-        both.map(row).collect()
+        for (row, pixel) in rows.iter_mut().zip(&self.pixels) {
+            let light = row.residual[0];
+            row.residual[0] = (pixel.light_dn - dn - brightness_dn * light) / noise_dn;
+            row.jacobian = (row.jacobian - along * light) * (brightness_dn / noise_dn);
+        }
     }
 }
 
 impl Pixel {
-    /// The pixel's light where the ground's brightness is 1, and its derivatives.
-    fn modelled(&self, at: &Parameters, lights: &Lights, profile: &Profile) -> (f64, Parameters) {
+    /// The pixel's light where the ground's brightness is 1, in the residual's place, and its derivatives.
+    fn modelled(&self, at: &Parameters, lights: &Lights, profile: &Profile) -> Row {
         let away = self.at - Vector2::new(at[0], at[1]);
         let distance = away.norm().max(1.0);
         let unit = away / distance;
@@ -480,15 +494,18 @@ impl Pixel {
             + by_blur * (at[3] - lights.blur_px)
             + by_phase * (at[4] - lights.phase_rad)
             + by_side * (at[5] - lights.bright_limb_rad);
-        let by = [
-            here.slope * unit.x,
-            here.slope * unit.y,
-            here.slope,
-            by_blur,
-            by_phase,
-            by_side,
-        ];
-        (light, by.into())
+        let slope = here.slope;
+        Row {
+            residual: Vector1::new(light),
+            jacobian: RowVector::from([
+                slope * unit.x,
+                slope * unit.y,
+                slope,
+                by_blur,
+                by_phase,
+                by_side,
+            ]),
+        }
     }
 }
 
@@ -503,7 +520,7 @@ struct Pull {
 }
 
 impl Pull {
-    fn of(rows: &[Linearised<1, PARAMETERS>]) -> Self {
+    fn of(rows: &[Row]) -> Self {
         let (mut radial, mut by_excess) = (0.0, Parameters::zeros());
         for row in rows {
             radial += row.jacobian[2] * row.residual[0];
