@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 use rayon::prelude::*;
+use solaspect::fits::Values;
 use solaspect::navigation::{
     Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, Row, Settings, Sighting, Sky,
     Source, Target, Targets, Towards, Verdict, smooth, solve,
@@ -24,10 +25,15 @@ const SUN: &str = "t_s,x,y,z\n-1,0,1,0\n1,0,1,0\n";
 
 /// Navigates a small flight, one of whose files has another text.
 fn navigate(changed: &str, text: &str) -> (Output, tempfile::TempDir) {
+    navigate_with(&[], changed, text)
+}
+
+fn navigate_with(options: &[&str], changed: &str, text: &str) -> (Output, tempfile::TempDir) {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
-    command.arg("navigate").arg("--out").arg(file("out"));
+    command.arg("navigate").args(options);
+    command.arg("--out").arg(file("out"));
     for (option, name, usual) in [
         ("--config", "NAV.toml", NAV),
         ("--imu", "imu.csv", IMU),
@@ -160,6 +166,46 @@ fn a_flight_that_never_begins_has_empty_rows_and_says_so() {
     assert!(folder.path().join("out/report.html").exists());
 }
 
+#[test]
+fn an_attitude_is_the_same_in_all_its_forms() {
+    let nav = format!("epoch_utc = \"2026-06-21T18:00:00Z\"\n{NAV}");
+    for smooth in [&["--fits", "--aem"][..], &["--fits", "--aem", "--smooth"]] {
+        let (output, folder) = navigate_with(smooth, "NAV.toml", &nav);
+        assert!(output.status.success(), "{output:?}");
+        let path = |name: &str| folder.path().join("out").join(name);
+        let csv = std::fs::read_to_string(path("attitude.csv")).unwrap();
+        let csv: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+        let table = solaspect::fits::read_table(&path("attitude.fits"), "ATTITUDE");
+        let table = table.unwrap().unwrap();
+        for (n, name) in csv[0].iter().enumerate() {
+            let column = table.columns.iter().find(|column| column.name == *name);
+            let Values::Float(values) = &column.unwrap().values else {
+                assert_eq!(*name, "status");
+                continue;
+            };
+            assert_eq!(values.len(), 3);
+            for (value, row) in values.iter().zip(&csv[1..]) {
+                let told: f64 = row[n].parse().unwrap();
+                assert!(
+                    (value - told).abs() <= 1e-4 * told.abs().max(1e-9),
+                    "{name}"
+                );
+            }
+        }
+        let aem = std::fs::read_to_string(path("attitude.aem")).unwrap();
+        let data = aem
+            .lines()
+            .filter(|line| line.starts_with("2026-06-21T18:00:00"));
+        for (line, row) in data.zip(&csv[1..]) {
+            assert!(line.ends_with(&row[1..5].join(" ")), "{line}");
+        }
+        assert_eq!(aem.matches("META_START").count(), 1);
+    }
+    let (output, _) = navigate_with(&["--aem"], "NAV.toml", NAV);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(said.contains("epoch_utc: expected a time"), "{said}");
+}
+
 /// A simulated flight as the filter takes it.
 fn flight(plan: &FlightPlan, seed: u64, change: impl Fn(&mut Settings)) -> (Flight, Vec<TruthRow>) {
     let flown = plan.fly(seed);
@@ -237,9 +283,14 @@ impl Off {
         self.error.dot(&(inverse * self.error)) / 3.0
     }
 
-    fn largest_sigmas(&self) -> f64 {
+    /// Of each axis, how many sigmas it is off.
+    fn sigmas(&self) -> [f64; 3] {
         let sigmas = self.covariance.diagonal().map(f64::sqrt);
-        self.error.component_div(&sigmas).amax()
+        self.error.component_div(&sigmas).abs().into()
+    }
+
+    fn largest_sigmas(&self) -> f64 {
+        self.sigmas().into_iter().fold(0.0, f64::max)
     }
 
     /// Two angles across the Sun, arcsec.
@@ -312,13 +363,14 @@ fn fly(
 }
 
 impl Flown {
-    /// The mean square of the filter's and the smoother's errors over their covariance, and the share beyond 3 sigma.
+    /// The mean square of the filter's and the smoother's errors over their covariance, and the share of axes beyond 3 sigma.
     fn honesty(&self) -> [(f64, f64); 2] {
         [&self.filtered, &self.smoothed].map(|offs| {
             let count = offs.len() as f64;
             let square = offs.iter().map(Off::square).sum::<f64>() / count;
-            let beyond = offs.iter().filter(|off| off.largest_sigmas() > 3.0).count();
-            (square, beyond as f64 / count)
+            let axes = offs.iter().flat_map(Off::sigmas);
+            let beyond = axes.filter(|sigmas| *sigmas > 3.0).count();
+            (square, beyond as f64 / count / 3.0)
         })
     }
 

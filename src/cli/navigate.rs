@@ -1,27 +1,27 @@
 //! `solaspect navigate`: the attitude by gyros between and beyond what cameras see.
 
 mod page;
+mod table;
 
 use super::options;
 use super::output::{make_folder, say};
+use crate::navigation::aem::Stretches;
 use crate::navigation::files::{Seen, read_gps, read_imu, read_sun, read_vectors};
 use crate::navigation::{
-    Fix, Flight, Measurement, Row, Settings, Sighting, Sky, Target, Targets, Towards, Verdict,
-    smooth, solve,
+    Fix, Flight, Measurement, Row, Settings, Sighting, Sky, Spool, Target, Targets, Towards,
+    Verdict, smooth, solve,
 };
 use anyhow::{Context, ensure};
 use clap::Args;
-use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use jiff::Timestamp;
+use std::path::PathBuf;
 use std::process::ExitCode;
-
-const COLUMNS: &str = "t_s,q0,q1,q2,q3,sx_rad,sy_rad,sz_rad,pxy_rad2,pxz_rad2,pyz_rad2,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,status";
+use table::{write_aem, write_csv, write_fits};
 
 /// Find a vehicle's attitude from its gyros, GPS, and the directions that cameras have seen
 ///
 /// Writes attitude.csv (the attitude at each sample of the IMU: v_ecef = R(q) v_body, its errors about the axes of ECEF) and
-/// report.html to the folder. docs/navigation.md has the files' columns.
+/// report.html to the folder, and other forms of it on request. docs/navigation.md has the files' columns.
 #[derive(Debug, Args)]
 pub struct NavigateArgs {
     /// What the sensors are: NAV.toml (docs/navigation.md)
@@ -48,6 +48,12 @@ pub struct NavigateArgs {
     /// Rows a second [default: each sample of the IMU]
     #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     rate: Option<f64>,
+    /// Write attitude.fits, too: the table ATTITUDE
+    #[arg(long)]
+    fits: bool,
+    /// Write attitude.aem, too: an Attitude Ephemeris Message of CCSDS; epoch_utc must be known
+    #[arg(long)]
+    aem: bool,
 }
 
 fn parse_rate(text: &str) -> Result<f64, String> {
@@ -58,28 +64,36 @@ fn parse_rate(text: &str) -> Result<f64, String> {
 
 pub fn run(args: &NavigateArgs) -> anyhow::Result<ExitCode> {
     let flight = args.read()?;
+    let epoch = flight.settings.epoch_utc;
+    ensure!(
+        !args.aem || epoch.is_some(),
+        "{}: epoch_utc: expected a time, for --aem, found none",
+        args.config.display()
+    );
     make_folder(&args.out)?;
-    let mut table = AttitudeTable::create(&args.out.join("attitude.csv"), args.rate)?;
-    let mut rows = Vec::new();
-    let mut written = Ok(());
+    let on_disk = || format!("{}: cannot keep the attitude there", args.out.display());
+    let mut spool = Spool::in_folder(&args.out).with_context(on_disk)?;
+    let mut kept = Ok(());
     let summary = solve(&flight, |row| {
-        if args.smooth {
-            rows.push(row);
-        } else if written.is_ok() {
-            written = table.add(&row);
+        if kept.is_ok() {
+            kept = spool.push(&row);
         }
     });
-    written?;
+    kept.with_context(on_disk)?;
+    ensure!(!spool.is_empty(), "{}: no rows", args.imu.display());
     if args.smooth {
-        let mut at = rows.len();
+        let (mut at, mut kept) = (spool.len(), Ok(()));
         let smoothed = smooth(&flight, |row| {
             at -= 1;
-            rows[at] = row;
+            if kept.is_ok() {
+                kept = spool.replace(at, &row);
+            }
         });
         smoothed.context("the flight cannot be smoothed: a covariance is not positive")?;
-        rows.iter().try_for_each(|row| table.add(row))?;
+        kept.with_context(on_disk)?;
     }
-    let counts = table.finish()?;
+    let (counts, stretches) = args.look_over(&mut spool).with_context(on_disk)?;
+    args.write(&mut spool, &counts, stretches, epoch)?;
     let page = page::page(&flight.settings, &summary, &counts)?;
     let path = args.out.join("report.html");
     std::fs::write(&path, page).with_context(|| format!("{}: cannot write", path.display()))?;
@@ -115,6 +129,54 @@ impl NavigateArgs {
             imu,
             measurements,
         })
+    }
+
+    /// Counts all rows, and the stretches of those that are written.
+    fn look_over(&self, spool: &mut Spool) -> std::io::Result<(Counts, Stretches)> {
+        let (mut counts, mut stretches) = (Counts::default(), Stretches::default());
+        let mut due = Due::every(self.rate);
+        for row in spool.rows()? {
+            let row = row?;
+            counts.count(&row);
+            if due.takes(&row) {
+                counts.written += 1;
+                stretches.note(&row);
+            }
+        }
+        Ok((counts, stretches))
+    }
+
+    /// The rows that are written.
+    fn due<'a>(
+        &self,
+        spool: &'a mut Spool,
+    ) -> anyhow::Result<impl Iterator<Item = std::io::Result<Row>> + use<'a>> {
+        let mut due = Due::every(self.rate);
+        let rows = spool.rows().context("the attitude cannot be read again")?;
+        Ok(rows.filter(move |row| row.as_ref().map_or(true, |row| due.takes(row))))
+    }
+
+    fn write(
+        &self,
+        spool: &mut Spool,
+        counts: &Counts,
+        stretches: Stretches,
+        epoch: Option<Timestamp>,
+    ) -> anyhow::Result<()> {
+        write_csv(&self.out.join("attitude.csv"), self.due(spool)?)?;
+        if self.fits {
+            let path = self.out.join("attitude.fits");
+            write_fits(&path, epoch, counts.written, self.due(spool)?)?;
+        }
+        match epoch.filter(|_| self.aem) {
+            Some(epoch) => write_aem(
+                &self.out.join("attitude.aem"),
+                epoch,
+                stretches,
+                self.due(spool)?,
+            ),
+            None => Ok(()),
+        }
     }
 
     /// All measurements in the order of time; of the same time the directions first.
@@ -163,6 +225,8 @@ pub(super) struct Counts {
     pub coasting: u64,
     pub waiting: u64,
     pub restarted: u64,
+    /// At the rate that is wanted.
+    pub written: u64,
 }
 
 impl Counts {
@@ -181,79 +245,31 @@ impl Counts {
     }
 }
 
-/// attitude.csv while it is written.
-struct AttitudeTable {
-    path: PathBuf,
-    file: BufWriter<File>,
+/// Which rows are due at a rate.
+struct Due {
     period_s: Option<f64>,
     /// From when on the next row is due.
-    due_s: f64,
-    counts: Counts,
+    from_s: f64,
 }
 
-impl AttitudeTable {
-    fn create(path: &Path, rate_hz: Option<f64>) -> anyhow::Result<Self> {
-        let file =
-            File::create(path).with_context(|| format!("{}: cannot write", path.display()))?;
-        let mut table = Self {
-            path: path.into(),
-            file: BufWriter::with_capacity(1 << 20, file),
+impl Due {
+    /// All rows, where no rate is stated.
+    fn every(rate_hz: Option<f64>) -> Self {
+        Self {
             period_s: rate_hz.map(f64::recip),
-            due_s: f64::NEG_INFINITY,
-            counts: Counts::default(),
-        };
-        table.write(|file| writeln!(file, "{COLUMNS}"))?;
-        Ok(table)
-    }
-
-    fn write(
-        &mut self,
-        write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
-    ) -> anyhow::Result<()> {
-        let path = &self.path;
-        write(&mut self.file).with_context(|| format!("{}: cannot write", path.display()))
-    }
-
-    fn add(&mut self, row: &Row) -> anyhow::Result<()> {
-        self.counts.count(row);
-        if let Some(period_s) = self.period_s {
-            // A hundredth of a period early is in time: times are rounded.
-            if row.t_s < self.due_s - 0.01 * period_s {
-                return Ok(());
-            }
-            self.due_s = (row.t_s / period_s + 0.01).floor() * period_s + period_s;
+            from_s: f64::NEG_INFINITY,
         }
-        self.write(|file| write_row(file, row))
     }
 
-    fn finish(mut self) -> anyhow::Result<Counts> {
-        ensure!(self.counts.rows() > 0, "{}: no rows", self.path.display());
-        self.write(BufWriter::flush)?;
-        Ok(self.counts)
+    fn takes(&mut self, row: &Row) -> bool {
+        let Some(period_s) = self.period_s else {
+            return true;
+        };
+        // A hundredth of a period early is in time: times are rounded.
+        let is_due = row.t_s >= self.from_s - 0.01 * period_s;
+        if is_due {
+            self.from_s = (row.t_s / period_s + 0.01).floor() * period_s + period_s;
+        }
+        is_due
     }
-}
-
-fn write_row(file: &mut impl Write, row: &Row) -> std::io::Result<()> {
-    write!(file, "{}", row.t_s)?;
-    let Some((motion, covariance)) = &row.attitude else {
-        return writeln!(file, ",,,,,,,,,,,,,,,,,{}", row.status.name());
-    };
-    let q = motion.attitude.quaternion();
-    let q = if q.w < 0.0 { -q } else { *q };
-    for value in [q.w, q.i, q.j, q.k] {
-        write!(file, ",{value:.15}")?;
-    }
-    for n in 0..3 {
-        write!(file, ",{:.14e}", covariance[(n, n)].max(0.0).sqrt())?;
-    }
-    for (a, b) in [(0, 1), (0, 2), (1, 2)] {
-        write!(file, ",{:.14e}", covariance[(a, b)])?;
-    }
-    for value in motion.position_m.iter() {
-        write!(file, ",{value:.4}")?;
-    }
-    for value in motion.velocity_m_s.iter() {
-        write!(file, ",{value:.6}")?;
-    }
-    writeln!(file, ",{}", row.status.name())
 }

@@ -20,7 +20,7 @@ const AROUND: f64 = 1.25;
 /// The edge, which is blurred, tells nothing.
 const EDGE_PX: f64 = 1.5;
 /// About so many pixels tell it.
-const TELLING_PX: f64 = 1500.0;
+const TELLING_PX: f64 = 400.0;
 /// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
 const GLARE: std::ops::Range<f64> = 1.2..1.6;
 const MOST_GLARE: f64 = 0.2;
@@ -111,6 +111,7 @@ fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
 fn unlike(candidate: &Candidate, frame: &Frame, levels: &Levels, at: &Parameters) -> f64 {
     let circle = circle_of(at);
     let sphere = Sphere::new(candidate.settings.shading, at[4]);
+    let bright_limb = Vector2::new(at[5].cos(), at[5].sin());
     let reach = AROUND * circle.radius;
     let step = (2.0 * reach / TELLING_PX.sqrt()).max(1.0) as usize;
     let Some(region) = candidate.plane.region(&circle, reach, frame) else {
@@ -123,8 +124,9 @@ fn unlike(candidate: &Candidate, frame: &Frame, levels: &Levels, at: &Parameters
         let dn = f64::from(frame.dn(x, y));
         let is_edge = (away.norm() - circle.radius).abs() < EDGE_PX;
         let is_telling = away.norm() < reach && !is_edge && dn < levels.saturated_dn;
-        let angle = away.y.atan2(away.x) - at[5];
-        is_telling.then(|| Vector2::new(sphere.light(away.norm() / circle.radius, angle), dn))
+        let cos_angle = away.dot(&bright_limb) / away.norm().max(f64::MIN_POSITIVE);
+        let light = sphere.light_along(away.norm() / circle.radius, cos_angle);
+        is_telling.then(|| Vector2::new(light, dn))
     });
     let seen: Vec<Vector2<f64>> = seen.collect();
     let count = seen.len().max(1) as f64;

@@ -10,8 +10,10 @@
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
 //! 5. `run`: many refused measurements in a row, and the filter begins anew.
 //! 6. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
-//! 7. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight.
+//! 7. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
+//!    on disk meanwhile, and `aem` writes them for others' programs.
 
+pub mod aem;
 mod begin;
 mod earth;
 mod estimate;
@@ -25,6 +27,7 @@ mod run;
 mod settings;
 mod smooth;
 mod solve;
+mod spool;
 mod states;
 mod targets;
 mod transition;
@@ -38,4 +41,5 @@ pub use run::Flight;
 pub use settings::{Camera, Gps, Group, Imu, Settings, Target, Vertical};
 pub use smooth::smooth;
 pub use solve::{Row, SensorErrors, Status, Summary, solve};
+pub use spool::Spool;
 pub use targets::{NoDirection, Sky, Targets};

@@ -1,0 +1,201 @@
+//! An attitude as an Attitude Ephemeris Message in keyword-value notation (CCSDS 504.0-B-1, section 4): what flight dynamics programs read.
+//!
+//! The quaternion takes vectors of the Earth-fixed frame to the body's, scalar first; the standard's rotations turn the frame, so that its
+//! components are those of the Hamilton quaternion that turns the body's vectors to the Earth's.
+
+use super::solve::Row;
+use jiff::{SignedDuration, Timestamp};
+use std::io::{self, Write};
+
+/// What the head of the message says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Head<'a> {
+    /// The instant of t_s = 0.
+    pub epoch: Timestamp,
+    pub created: Timestamp,
+    pub object: &'a str,
+}
+
+/// The stretches of rows that have an attitude, by the first row's time and the last one's, s.
+#[derive(Debug, Clone, Default)]
+pub struct Stretches {
+    ended: Vec<(f64, f64)>,
+    under_way: Option<(f64, f64)>,
+}
+
+impl Stretches {
+    /// Notes the next row.
+    pub fn note(&mut self, row: &Row) {
+        match (&mut self.under_way, &row.attitude) {
+            (Some((_, last)), Some(_)) => *last = row.t_s,
+            (None, Some(_)) => self.under_way = Some((row.t_s, row.t_s)),
+            (_, None) => self.ended.extend(self.under_way.take()),
+        }
+    }
+
+    fn all(self) -> Vec<(f64, f64)> {
+        self.ended.into_iter().chain(self.under_way).collect()
+    }
+}
+
+/// A message while it is written: each stretch of rows is a segment of its own.
+pub struct Aem<'a, W> {
+    out: W,
+    head: Head<'a>,
+    segments: Vec<(f64, f64)>,
+    /// Those that are begun.
+    begun: usize,
+    is_open: bool,
+}
+
+impl<'a, W: Write> Aem<'a, W> {
+    /// Begins a message of the rows that `stretches` has noted.
+    ///
+    /// # Errors
+    /// What takes the bytes fails.
+    pub fn begin(mut out: W, head: Head<'a>, stretches: Stretches) -> io::Result<Self> {
+        writeln!(out, "CCSDS_AEM_VERS = 1.0")?;
+        writeln!(out, "CREATION_DATE = {}", utc(head.created))?;
+        writeln!(out, "ORIGINATOR = SOLASPECT")?;
+        Ok(Self {
+            out,
+            head,
+            segments: stretches.all(),
+            begun: 0,
+            is_open: false,
+        })
+    }
+
+    /// Adds the next row.
+    ///
+    /// # Errors
+    /// What takes the bytes fails, or a time that no calendar has.
+    pub fn add(&mut self, row: &Row) -> io::Result<()> {
+        let Some((motion, _)) = &row.attitude else {
+            return self.close();
+        };
+        if !self.is_open {
+            self.open()?;
+        }
+        let q = motion.attitude.quaternion();
+        let q = if q.w < 0.0 { -q } else { *q };
+        let at = self.at(row.t_s)?;
+        let [w, i, j, k] = [q.w, q.i, q.j, q.k];
+        writeln!(self.out, "{at} {w:.15} {i:.15} {j:.15} {k:.15}")
+    }
+
+    /// Ends the message.
+    ///
+    /// # Errors
+    /// What takes the bytes fails.
+    pub fn finish(mut self) -> io::Result<()> {
+        self.close()?;
+        self.out.flush()
+    }
+
+    fn open(&mut self) -> io::Result<()> {
+        let segment = self.segments.get(self.begun);
+        let (from_s, to_s) =
+            *segment.ok_or_else(|| io::Error::other("more rows than were noted"))?;
+        let (from, to) = (self.at(from_s)?, self.at(to_s)?);
+        let object = self.head.object;
+        self.begun += 1;
+        self.is_open = true;
+        write!(
+            self.out,
+            "\nMETA_START\nOBJECT_NAME = {object}\nOBJECT_ID = {object}\nCENTER_NAME = EARTH\nREF_FRAME_A = ITRF2000\nREF_FRAME_B = SC_BODY_1\n\
+             ATTITUDE_DIR = A2B\nTIME_SYSTEM = UTC\nSTART_TIME = {from}\nSTOP_TIME = {to}\nATTITUDE_TYPE = QUATERNION\nQUATERNION_TYPE = FIRST\n\
+             META_STOP\n\nDATA_START\n"
+        )
+    }
+
+    fn close(&mut self) -> io::Result<()> {
+        match std::mem::take(&mut self.is_open) {
+            true => writeln!(self.out, "DATA_STOP"),
+            false => Ok(()),
+        }
+    }
+
+    fn at(&self, t_s: f64) -> io::Result<String> {
+        let since = SignedDuration::try_from_secs_f64(t_s).map_err(io::Error::other)?;
+        let at = self.head.epoch.checked_add(since);
+        Ok(utc(at.map_err(io::Error::other)?))
+    }
+}
+
+/// A time as the standard has it: UTC without a zone, to the microsecond.
+fn utc(time: Timestamp) -> String {
+    format!("{time:.6}").trim_end_matches('Z').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::navigation::{Motion, Status};
+    use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+    fn row(t_s: f64, attitude: Option<UnitQuaternion<f64>>) -> Row {
+        let motion = |attitude| Motion {
+            position_m: Vector3::zeros(),
+            velocity_m_s: Vector3::zeros(),
+            attitude,
+        };
+        Row {
+            t_s,
+            attitude: attitude.map(|attitude| (motion(attitude), Matrix3::identity())),
+            status: Status::Aligned,
+        }
+    }
+
+    #[test]
+    fn each_stretch_of_rows_is_a_segment_with_its_times_and_the_quaternion_is_the_standards() {
+        let turn = UnitQuaternion::from_euler_angles(0.3, -1.1, 2.0);
+        let rows = [
+            row(0.0, None),
+            row(0.5, Some(turn)),
+            row(1.25, Some(turn)),
+            row(2.0, None),
+            row(3.0, Some(turn)),
+        ];
+        let mut stretches = Stretches::default();
+        rows.iter().for_each(|row| stretches.note(row));
+        let head = Head {
+            epoch: "2026-11-22T18:00:00Z".parse().unwrap(),
+            created: "2026-11-23T00:00:00Z".parse().unwrap(),
+            object: "GONDOLA",
+        };
+        let mut bytes = Vec::new();
+        let mut message = Aem::begin(&mut bytes, head, stretches).unwrap();
+        rows.iter().for_each(|row| message.add(row).unwrap());
+        message.finish().unwrap();
+        let text = String::from_utf8(bytes).unwrap();
+        let times = |key: &str| -> Vec<String> {
+            let lines = text.lines().filter_map(|line| line.strip_prefix(key));
+            lines.map(str::to_owned).collect()
+        };
+        let [start, stop] = ["START_TIME = ", "STOP_TIME = "].map(times);
+        assert_eq!(
+            start,
+            ["2026-11-22T18:00:00.500000", "2026-11-22T18:00:03.000000"]
+        );
+        assert_eq!(
+            stop,
+            ["2026-11-22T18:00:01.250000", "2026-11-22T18:00:03.000000"]
+        );
+        assert_eq!(text.matches("DATA_STOP").count(), 2);
+        let data = text.lines().find(|line| line.starts_with("2026-11-22"));
+        let q: Vec<f64> = data
+            .unwrap()
+            .split(' ')
+            .skip(1)
+            .map(|q| q.parse().unwrap())
+            .collect();
+        // The standard's matrix from A to B by its quaternion (504.0-B-1, annex): (qc^2 - q.q) 1 + 2 q q^T - 2 qc [q x].
+        let (scalar, vector) = (q[0], Vector3::new(q[1], q[2], q[3]));
+        let matrix = Matrix3::identity() * (scalar * scalar - vector.norm_squared())
+            + vector * vector.transpose() * 2.0
+            - vector.cross_matrix() * (2.0 * scalar);
+        let body_from_earth = turn.inverse().to_rotation_matrix();
+        assert!((matrix - body_from_earth.matrix()).amax() < 1e-12);
+    }
+}
