@@ -389,13 +389,34 @@ impl Flown {
         sources.into_iter().map(mean).collect()
     }
 
+    /// How alike an innovation and the next of its source are, axis by axis: their correlation, 0 where they are white.
+    fn colour(&self, source: Source) -> f64 {
+        let own: Vec<&Innovation> = self
+            .innovations
+            .iter()
+            .filter(|one| one.source == source)
+            .collect();
+        let (mut both, mut each) = (0.0, 0.0);
+        for pair in own.windows(2).filter(|pair| pair[0].t_s < pair[1].t_s) {
+            for ((first, first_sigma), (next, next_sigma)) in pair[0].axes.iter().zip(&pair[1].axes)
+            {
+                both += first / first_sigma * next / next_sigma;
+                each += (first / first_sigma).powi(2);
+            }
+        }
+        both / each
+    }
+
     fn print(&self, name: &str) {
         let [filtered, smoothed] = self.honesty();
         println!(
             "{name}: square over covariance, share beyond 3 sigma: filtered {filtered:.3?}, smoothed {smoothed:.3?}"
         );
         for (source, square) in self.innovations() {
-            println!("  {source:?}: normalised innovation squared {square:.3}");
+            let colour = self.colour(source);
+            println!(
+                "  {source:?}: normalised innovation squared {square:.3}, correlation {colour:.3}"
+            );
         }
     }
 }
@@ -432,6 +453,8 @@ struct Bounds {
     innovations: std::ops::Range<f64>,
     /// Times what is asked of errors.
     errors: f64,
+    /// Correlation of an innovation and the next, either way.
+    colour: f64,
 }
 
 /// What is asked, of 200 flights.
@@ -440,6 +463,7 @@ const ASKED: Bounds = Bounds {
     beyond: 0.01,
     innovations: 0.9..1.1,
     errors: 1.0,
+    colour: 0.05,
 };
 
 /// The errors of one flight go together: of so few flights the same holds only within this.
@@ -448,6 +472,7 @@ const OF_FEW: Bounds = Bounds {
     beyond: 0.03,
     innovations: 0.6..1.4,
     errors: 1.4,
+    colour: 0.15,
 };
 
 /// Checks what flights come to.
@@ -472,6 +497,15 @@ fn hold(flown: &Flown, name: &str, bounds: &Bounds) {
         smoothed < 1.02 * filtered,
         "{name}: {smoothed} of {filtered}"
     );
+}
+
+/// Checks that innovations are white.
+fn hold_white(flown: &Flown, name: &str, bounds: &Bounds, is_white: impl Fn(&Source) -> bool) {
+    for (source, _) in flown.innovations() {
+        let colour = flown.colour(source);
+        let is_held = colour.abs() < bounds.colour || !is_white(&source);
+        assert!(is_held, "{name}, {source:?}: {colour}");
+    }
 }
 
 /// The largest of three rms, deg.
@@ -511,8 +545,15 @@ fn rockets(seeds: std::ops::Range<u64>, bounds: &Bounds) {
     ] {
         let flown = fly(&aligned_rocket(), seeds.clone(), change, each_10_s);
         let found = rms_deg(&flown.filtered, late);
-        println!("{name}: rms {found:.3} deg from T+240 to T+300");
+        let all = flown.filtered.iter().filter(|off| late(off.t_s));
+        let per_axis = rms(all.flat_map(|off| off.error.iter().copied())).to_degrees();
+        println!(
+            "{name}: from T+240 to T+300 rms {per_axis:.3} deg per axis, {found:.3} of the worst axis"
+        );
         hold(&flown, name, bounds);
+        if name.ends_with("estimated") {
+            hold_white(&flown, name, bounds, |_| true);
+        }
         assert!(found < bounds.errors * most_deg, "{name}: {found}");
     }
 }
@@ -553,6 +594,16 @@ fn balloons(seeds: std::ops::Range<u64>, duration_s: f64, bounds: &Bounds) {
     assert!(gap_end < bounds.errors * 1.2 * gyro);
     assert!(about(&flown.filtered) < 0.03 && about(&flown.smoothed) < 0.02);
     hold(&flown, "balloon", bounds);
+    // The nadir's correlated errors are considered.
+    hold_white(&flown, "balloon", bounds, |source| {
+        !matches!(
+            source,
+            Source::Sighting {
+                target: Target::Nadir,
+                ..
+            }
+        )
+    });
 }
 
 #[test]
