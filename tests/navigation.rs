@@ -554,7 +554,7 @@ fn rockets(seeds: std::ops::Range<u64>, bounds: &Bounds) {
         if name.ends_with("estimated") {
             hold_white(&flown, name, bounds, |_| true);
         }
-        assert!(found < bounds.errors * most_deg, "{name}: {found}");
+        assert!(per_axis < bounds.errors * most_deg, "{name}: {per_axis}");
     }
 }
 

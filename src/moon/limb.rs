@@ -23,8 +23,8 @@ const LEAST_SECTORS: f64 = 24.0;
 const LEAST_PIXELS: usize = 6;
 /// A sector is seen where its brightest pixel stands so many sigmas of a pixel's noise above the sky.
 const SEEN_SIGMAS: f64 = 4.0;
-/// Pixels count so far before and behind the limb, px.
-const PIXELS: Depths = -4.0..4.5;
+/// Pixels count so far before and behind the limb, px: further behind it the ground's own light and shade would move it.
+const PIXELS: Depths = -4.0..3.0;
 /// A fit moves the limb by at most so much, px; then it is read anew.
 const SLACK_PX: f64 = 2.0;
 /// The limb is lit where the sphere shows this share of the light in the middle of the bright limb, this far behind the limb. Further on it is
@@ -322,7 +322,12 @@ fn of_rough_limb(
     for n in 0..points.len() {
         expected += follows(n).dot(&(covariance * follows(n)));
     }
-    covariance * ((shown - noise) / expected.max(1.0)).max(0.0)
+    // Noise alone shows more or less than that, 1 sigma.
+    let by_chance = noise * (2.0 / points.len().max(1) as f64).sqrt();
+    match shown - noise > by_chance {
+        true => covariance * ((shown - noise) / expected.max(1.0)),
+        false => SMatrix::zeros(),
+    }
 }
 
 /// How well the ground agrees at two places of the limb.
