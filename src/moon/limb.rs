@@ -322,12 +322,7 @@ fn of_rough_limb(
     for n in 0..points.len() {
         expected += follows(n).dot(&(covariance * follows(n)));
     }
-    // Noise alone shows more or less than that, 1 sigma.
-    let by_chance = noise * (2.0 / points.len().max(1) as f64).sqrt();
-    match shown - noise > by_chance {
-        true => covariance * ((shown - noise) / expected.max(1.0)),
-        false => SMatrix::zeros(),
-    }
+    covariance * ((shown - noise) / expected.max(1.0)).max(0.0)
 }
 
 /// How well the ground agrees at two places of the limb.
