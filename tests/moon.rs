@@ -55,6 +55,9 @@ fn errors(conditions: &MoonConditions, scenes: u64, known: Known) -> Vec<Error> 
         let disc = look(&scene, known)
             .unwrap_or_else(|(stage, why)| panic!("{known:?} {number}: {stage:?} {why:?}"));
         let off = disc.centre.position.vector() - scene.centre.vector();
+        if off.norm() > 2.0 {
+            println!("scene {number}: off by {:.1} px", off.norm());
+        }
         let (sin, cos) = scene.bright_limb_in_picture_deg().to_radians().sin_cos();
         let inverse = disc.centre.covariance.try_inverse().unwrap();
         Error {

@@ -2,7 +2,8 @@
 //!
 //! # The way of a frame
 //! 1. [`Levels`]: sky and noise by a raster of pixels. A frame that is bright all over is refused.
-//! 2. `patch`: bright pixels that touch, and the outline of the largest ones. Where none of them is the Moon, those of a higher level.
+//! 2. `patch`: bright pixels that touch, and the outline of the largest ones. Where none of them is the
+//!    Moon, and its radius is known, those of a higher level.
 //! 3. `disc`: of the circles through points of the outline, and the one through its eight extremities ("The Development of a Moon Sensor", 2005,
 //!    section 3.3.1), the one on which most of the outline lies with the rest inside.
 //! 4. How the Sun lights it: the middle of the light lies off the circle's centre towards the bright limb, the further the less is lit.
@@ -210,6 +211,10 @@ pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<
         match solve_at(settings, frame, expected, &levels, level_dn) {
             Ok(disc) => return Ok(disc),
             Err(stopped) => first = first.or(Some(stopped)),
+        }
+        // Where no radius tells, a bright part of the Moon may pass for all of it.
+        if expected.radius.is_none() {
+            break;
         }
         level_dn *= NEXT_LEVEL;
     }
