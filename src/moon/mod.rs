@@ -45,7 +45,7 @@ use std::ops::Range;
 /// A patch of fewer pixels is no Moon, nor is one of a smaller radius, px.
 const LEAST_PIXELS: usize = 20;
 const LEAST_RADIUS_PX: f64 = 4.0;
-/// So many patches are looked at, the largest first.
+/// So many patches are looked at, the largest first, where the radius is known; else the largest alone.
 const MOST_PATCHES: usize = 4;
 /// Where no light is the Moon, those are looked at that stand so many times higher above the sky.
 const NEXT_LEVEL: f64 = 2.0;
@@ -212,7 +212,6 @@ pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<
             Ok(disc) => return Ok(disc),
             Err(stopped) => first = first.or(Some(stopped)),
         }
-        // Where no radius tells, a bright part of the Moon may pass for all of it.
         if expected.radius.is_none() {
             break;
         }
@@ -231,7 +230,12 @@ fn solve_at(
 ) -> Result<Disc, Stopped> {
     let mut first = None;
     let candidates = candidates(frame, levels.dark_dn + level_dn)?;
-    for patch in candidates.iter().take(MOST_PATCHES) {
+    // Where no radius tells, a crater beyond the terminator may pass for the Moon.
+    let most = match expected.radius {
+        Some(_) => MOST_PATCHES,
+        None => 1,
+    };
+    for patch in candidates.iter().take(most) {
         let candidate = Candidate::new(settings, expected, frame, patch, levels, level_dn);
         match candidate.map(|candidate| candidate.solve(frame, levels)) {
             Some(Ok(disc)) => return Ok(disc),
