@@ -193,7 +193,7 @@ fn parse_asctime(text: &str) -> Option<Timestamp> {
 }
 
 /// The time as FITS writes it: no Z, microseconds, and nanoseconds where there are any.
-pub(super) fn format_time(time: Timestamp) -> String {
+pub fn format_time(time: Timestamp) -> String {
     let digits = if time.subsec_nanosecond() % 1000 == 0 {
         6
     } else {

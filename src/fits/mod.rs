@@ -34,7 +34,7 @@ pub use checksum::Checksums;
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Card, Header, Value};
-pub use info::clock_cards;
+pub use info::{clock_cards, format_time};
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use pack::{Compression, Packing};
 pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame};

@@ -204,37 +204,34 @@ pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f
 /// Where the frame shows none: the stage, and why. Of several lights, the reason of the largest.
 pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
     let levels = Levels::of(frame).map_err(|rejected| (Stage::Light, rejected))?;
+    let mut level_dn = levels.least_dn();
+    if expected.radius.is_none() {
+        // A crater beyond the terminator, or a bright part of the Moon, may pass for all of it.
+        return solve_at(settings, frame, expected, &levels, level_dn, 1);
+    }
     let mut first = None;
     // What the Sun's glare joins at one level lies apart at a higher one.
-    let mut level_dn = levels.least_dn();
     while levels.dark_dn + level_dn < levels.saturated_dn {
-        match solve_at(settings, frame, expected, &levels, level_dn) {
+        match solve_at(settings, frame, expected, &levels, level_dn, MOST_PATCHES) {
             Ok(disc) => return Ok(disc),
             Err(stopped) => first = first.or(Some(stopped)),
-        }
-        if expected.radius.is_none() {
-            break;
         }
         level_dn *= NEXT_LEVEL;
     }
     Err(first.unwrap_or_else(|| no_moon(0)))
 }
 
-/// Finds the Moon among the lights that stand by some DN above the sky.
+/// Finds the Moon among so many of the lights that stand by some DN above the sky, the largest first.
 fn solve_at(
     settings: &Settings,
     frame: &Frame,
     expected: &Expected,
     levels: &Levels,
     level_dn: f64,
+    most: usize,
 ) -> Result<Disc, Stopped> {
     let mut first = None;
     let candidates = candidates(frame, levels.dark_dn + level_dn)?;
-    // Where no radius tells, a crater beyond the terminator may pass for the Moon.
-    let most = match expected.radius {
-        Some(_) => MOST_PATCHES,
-        None => 1,
-    };
     for patch in candidates.iter().take(most) {
         let candidate = Candidate::new(settings, expected, frame, patch, levels, level_dn);
         match candidate.map(|candidate| candidate.solve(frame, levels)) {

@@ -55,7 +55,7 @@ impl Sphere {
 
     /// The share of its disc that the Sun shines on.
     pub fn lit(&self) -> f64 {
-        (1.0 + self.phase.1) / 2.0
+        lit(self.phase_rad.to_degrees())
     }
 
     /// Light of the disc at a distance from its centre and an angle from the middle of the bright limb; 0 beside it.

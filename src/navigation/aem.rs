@@ -77,10 +77,8 @@ impl<'a, W: Write> Aem<'a, W> {
         if !self.is_open {
             self.open()?;
         }
-        let q = motion.attitude.quaternion();
-        let q = if q.w < 0.0 { -q } else { *q };
         let at = self.at(row.t_s)?;
-        let [w, i, j, k] = [q.w, q.i, q.j, q.k];
+        let [w, i, j, k] = motion.quaternion();
         writeln!(self.out, "{at} {w:.15} {i:.15} {j:.15} {k:.15}")
     }
 

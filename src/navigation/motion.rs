@@ -55,6 +55,13 @@ impl Interval {
 }
 
 impl Motion {
+    /// The attitude's quaternion, scalar first and not negative.
+    pub fn quaternion(&self) -> [f64; 4] {
+        let q = self.attitude.quaternion();
+        let q = if q.w < 0.0 { -q } else { *q };
+        [q.w, q.i, q.j, q.k]
+    }
+
     /// The motion at an interval's end from that at its begin: position and velocity by Runge and Kutta's fourth order, the attitude by the
     /// body's turn and the Earth's.
     pub fn advanced(&self, interval: &Interval) -> Self {

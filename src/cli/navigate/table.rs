@@ -1,6 +1,6 @@
 //! The tables that an attitude is written to: attitude.csv, attitude.fits, attitude.aem.
 
-use crate::fits::{Card, Column, Table, Values, encode_tables};
+use crate::fits::{Card, Column, Table, Values, encode_tables, format_time};
 use crate::navigation::Row;
 use crate::navigation::aem::{Aem, Head, Stretches};
 use anyhow::Context;
@@ -34,13 +34,12 @@ const STATUS: &str = "status";
 /// The numbers of a row after its time; `None` before the start.
 fn numbers(row: &Row) -> Option<[f64; 16]> {
     let (motion, covariance) = row.attitude.as_ref()?;
-    let q = motion.attitude.quaternion();
-    let q = if q.w < 0.0 { -q } else { *q };
+    let [w, i, j, k] = motion.quaternion();
     let sigma = |n: usize| covariance[(n, n)].max(0.0).sqrt();
     let (at, v) = (&motion.position_m, &motion.velocity_m_s);
     #[rustfmt::skip]
     let numbers = [
-        q.w, q.i, q.j, q.k,
+        w, i, j, k,
         sigma(0), sigma(1), sigma(2),
         covariance[(0, 1)], covariance[(0, 2)], covariance[(1, 2)],
         at.x, at.y, at.z, v.x, v.y, v.z,
@@ -51,12 +50,12 @@ fn numbers(row: &Row) -> Option<[f64; 16]> {
 /// Writes `attitude.csv`.
 pub fn write_csv(
     path: &Path,
-    rows: impl Iterator<Item = std::io::Result<Row>>,
+    mut rows: impl Iterator<Item = std::io::Result<Row>>,
 ) -> anyhow::Result<()> {
     write_file(path, |file| {
         let names = COLUMNS.map(|(name, ..)| name);
         writeln!(file, "{},{STATUS}", names.join(","))?;
-        rows.into_iter().try_for_each(|row| write_row(file, &row?))
+        rows.try_for_each(|row| write_row(file, &row?))
     })
 }
 
@@ -65,11 +64,10 @@ fn write_row(file: &mut impl Write, row: &Row) -> std::io::Result<()> {
     let Some(numbers) = numbers(row) else {
         return writeln!(file, ",,,,,,,,,,,,,,,,,{}", row.status.name());
     };
-    let [turn @ .., _, _, _, _, _, _] = &numbers;
-    for value in &turn[..4] {
+    for value in &numbers[..4] {
         write!(file, ",{value:.15}")?;
     }
-    for value in &turn[4..] {
+    for value in &numbers[4..10] {
         write!(file, ",{value:.14e}")?;
     }
     for value in &numbers[10..13] {
@@ -112,7 +110,7 @@ pub fn write_fits(
         name: "ATTITUDE".into(),
         columns: numbers.chain([status]).collect(),
     };
-    let dated = epoch.map(|epoch| Card::new("DATEREF", epoch.to_string().trim_end_matches('Z')));
+    let dated = epoch.map(|epoch| Card::new("DATEREF", format_time(epoch)));
     let cards: Vec<Card> = dated.into_iter().collect();
     let bytes = encode_tables(count as usize * 160, &cards, [table])?;
     std::fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
@@ -123,7 +121,7 @@ pub fn write_aem(
     path: &Path,
     epoch: Timestamp,
     stretches: Stretches,
-    rows: impl Iterator<Item = std::io::Result<Row>>,
+    mut rows: impl Iterator<Item = std::io::Result<Row>>,
 ) -> anyhow::Result<()> {
     let head = Head {
         epoch,
@@ -132,7 +130,7 @@ pub fn write_aem(
     };
     write_file(path, |file| {
         let mut message = Aem::begin(file, head, stretches)?;
-        rows.into_iter().try_for_each(|row| message.add(&row?))?;
+        rows.try_for_each(|row| message.add(&row?))?;
         message.finish()
     })
 }
