@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, UnitVector3, Vector3};
 use rayon::prelude::*;
 use solaspect::fits::Values;
 use solaspect::navigation::{
-    Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, Row, Settings, Sighting, Sky,
-    Source, Target, Targets, Towards, Verdict, smooth, solve,
+    Climb, Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, Row, Settings, Sighting,
+    Sky, Source, Target, Targets, Towards, Verdict, smooth, solve,
 };
 use solaspect::simulate::navigation::{self as simulate, FlightPlan, TruthRow};
 use solaspect::units::ARCSEC_PER_RAD;
@@ -226,11 +226,12 @@ fn flight(plan: &FlightPlan, seed: u64, change: impl Fn(&mut Settings)) -> (Flig
             t_s: row.t_s,
             position_m: row.position_m,
             velocity_m_s: row.velocity_m_s,
+            climb: Climb::Measured,
         })
         .collect();
     let table = flown.sun.iter();
     let table = table.map(|row| (row.t_s, UnitVector3::new_normalize(row.direction)));
-    let mut targets = Targets::new(Sky::Sun(table.collect()), &fixes);
+    let mut targets = Targets::new(Sky::Sun(table.collect()), fixes.clone());
     let sightings = flown.vectors.iter().map(|row| {
         let target = match row.target {
             simulate::Target::Sun => Target::Sun,

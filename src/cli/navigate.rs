@@ -120,8 +120,8 @@ pub fn run(args: &NavigateArgs) -> anyhow::Result<ExitCode> {
 impl NavigateArgs {
     fn read(&self) -> anyhow::Result<Flight> {
         let settings = Settings::read(&self.config)?;
-        let imu = read_imu(&self.imu)?;
-        let fixes = read_gps(&self.gps)?;
+        let imu = read_imu(&self.imu, &settings)?;
+        let fixes = read_gps(&self.gps, &settings)?;
         let seen = read_vectors(&self.vectors, &settings)?;
         let measurements = self.measurements(&settings, &fixes, &seen)?;
         Ok(Flight {
@@ -194,7 +194,7 @@ impl NavigateArgs {
             (None, Some(path)) => Sky::Sun(read_sun(path)?),
             (None, None) => Sky::Unknown,
         };
-        let mut targets = Targets::new(sky, fixes);
+        let mut targets = Targets::new(sky, fixes.to_vec());
         let mut measurements = Vec::with_capacity(fixes.len() + seen.len());
         for one in seen {
             let towards = match one.target {

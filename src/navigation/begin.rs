@@ -1,4 +1,5 @@
-//! Before the filter runs: it waits for a fix and two directions that were seen at about the same time.
+//! Before the filter runs: it waits for a fix and two directions that were seen at about the same time, of which one may be straight down as
+//! the accelerometers feel it.
 
 use super::earth;
 use super::estimate::Estimate;
@@ -9,7 +10,7 @@ use super::motion::{Interval, Motion};
 use super::settings::Settings;
 use super::states::Layout;
 use crate::geometry::attitude::{Direction, Observation, attitude};
-use nalgebra::{UnitQuaternion, UnitVector3};
+use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
 use std::sync::Arc;
 
 /// Directions that old serve to begin with, s.
@@ -19,10 +20,41 @@ const LEAST_SINE: f64 = 0.05;
 /// The white part of a direction's error is at least this share of it: none is all correlated.
 const LEAST_WHITE: f64 = 0.01;
 
+/// The accelerometers' mean over so long is straight down, s, where it is gravity's but for this share of it.
+const PLUMB_S: f64 = 2.0;
+const PLUMB_SHARE: f64 = 0.05;
+
 /// The last direction of each target in each camera, in the body's axes, turned on as the body turns.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Waiting {
     seen: Vec<Seen>,
+    felt: Felt,
+}
+
+/// What the accelerometers have felt in the last seconds, in the body's axes, turned on as the body turns.
+#[derive(Debug, Clone, Copy, Default)]
+struct Felt {
+    sum_m_s: Vector3<f64>,
+    time_s: f64,
+}
+
+impl Felt {
+    fn advance(&mut self, turn: &UnitQuaternion<f64>, said: &Interval) {
+        let kept = 1.0 - (said.length_s() / PLUMB_S).min(1.0) * f64::from(self.is_whole());
+        self.sum_m_s = turn * self.sum_m_s * kept + said.force_m_s2 * said.length_s();
+        self.time_s = self.time_s * kept + said.length_s();
+    }
+
+    fn is_whole(&self) -> bool {
+        self.time_s >= PLUMB_S
+    }
+
+    /// Straight down, where what was felt is gravity.
+    fn down(&self, gravity_m_s2: f64) -> Option<UnitVector3<f64>> {
+        let force = self.sum_m_s / self.time_s;
+        let is_gravity = (force.norm() / gravity_m_s2 - 1.0).abs() < PLUMB_SHARE;
+        (self.is_whole() && is_gravity).then(|| UnitVector3::new_normalize(-force))
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -52,6 +84,7 @@ impl Waiting {
             seen.body = turn * seen.body;
             seen.age_s += said.length_s();
         }
+        self.felt.advance(&turn, said);
         self.seen.retain(|seen| seen.age_s <= FRESH_S);
     }
 
@@ -81,15 +114,20 @@ impl Waiting {
                 reference: Direction::new(towards, 0.0),
             }
         };
-        let (first, second) = self.pair()?;
-        let found = attitude(&[observation(first), observation(second)])?.inverse();
+        let begun_by = self.pair(settings, fix)?;
+        let (first, second) = match &begun_by {
+            Pair::Seen(first, second) => (observation(first), observation(second)),
+            Pair::WithPlumb(seen, plumb) => (observation(seen), *plumb),
+        };
+        let found = attitude(&[first, second])?.inverse();
         let motion = Motion {
             position_m: fix.position_m - found.rotation * settings.gps.antenna_m,
             velocity_m_s: fix.velocity_m_s,
             attitude: found.rotation,
         };
-        let mut filter = Filter::new(Arc::clone(model), Estimate::new(motion, layout));
-        for seen in [first, second] {
+        let estimate = Estimate::new(motion, layout);
+        let mut filter = Filter::new(Arc::clone(model), estimate, fix.climb);
+        for seen in begun_by.seen() {
             let camera = &settings.cameras[seen.sighting.camera];
             let now = Sighting {
                 t_s: fix.t_s,
@@ -103,11 +141,31 @@ impl Waiting {
                 Trust::Blind,
             )?;
         }
+        if let Pair::WithPlumb(_, plumb) = &begun_by {
+            filter.take_plumb(fix.t_s, &plumb.body.unit, settings.plumb_rad)?;
+        }
         Some(filter)
     }
 
-    /// The two directions that tell most together.
-    fn pair(&self) -> Option<(&Seen, &Seen)> {
+    /// The two directions that tell most together: seen both, else one and straight down as it is felt.
+    fn pair(&self, settings: &Settings, fix: &Fix) -> Option<Pair<'_>> {
+        if let Some((first, second)) = self.seen_pair() {
+            return Some(Pair::Seen(first, second));
+        }
+        let gravity = earth::acceleration(&fix.position_m, &Vector3::zeros());
+        let down = self.felt.down(gravity.norm());
+        let down = down.filter(|_| settings.plumb_rad > 0.0)?;
+        let plumb = Observation {
+            body: Direction::new(down, settings.plumb_rad),
+            reference: Direction::new(earth::plumb(&fix.position_m), 0.0),
+        };
+        let sine = |seen: &&Seen| seen.body.cross(&down).norm();
+        let seen = self.seen.iter().filter(|seen| sine(seen) > LEAST_SINE);
+        let best = seen.max_by(|a, b| sine(a).total_cmp(&sine(b)))?;
+        Some(Pair::WithPlumb(best, plumb))
+    }
+
+    fn seen_pair(&self) -> Option<(&Seen, &Seen)> {
         let pairs = self.seen.iter().enumerate().flat_map(|(n, first)| {
             let rest = self.seen[n + 1..].iter();
             rest.map(move |second| (first, second))
@@ -117,6 +175,22 @@ impl Waiting {
             .filter(|(a, b)| a.sighting.target != b.sighting.target)
             .filter(|pair| sine(pair) > LEAST_SINE)
             .max_by(|a, b| sine(a).total_cmp(&sine(b)))
+    }
+}
+
+/// What a filter begins with.
+enum Pair<'a> {
+    Seen(&'a Seen, &'a Seen),
+    WithPlumb(&'a Seen, Observation),
+}
+
+impl<'a> Pair<'a> {
+    fn seen(&self) -> impl Iterator<Item = &'a Seen> + use<'a> {
+        let (first, second) = match *self {
+            Self::Seen(first, second) => (first, Some(second)),
+            Self::WithPlumb(seen, _) => (seen, None),
+        };
+        std::iter::once(first).chain(second)
     }
 }
 

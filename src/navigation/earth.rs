@@ -1,6 +1,7 @@
 //! The Earth that a vehicle moves about: WGS 84, its turning, and gravity with J2.
 
-use nalgebra::Vector3;
+use crate::units::Place;
+use nalgebra::{Matrix3, UnitVector3, Vector3};
 
 /// Of the Earth with its air, m^3/s^2 (WGS 84).
 const GRAVITY_M3_PER_S2: f64 = 3.986_004_418e14;
@@ -32,6 +33,29 @@ pub fn gravitation(at_m: &Vector3<f64>) -> Vector3<f64> {
 pub fn acceleration(at_m: &Vector3<f64>, velocity_m_s: &Vector3<f64>) -> Vector3<f64> {
     let turn = turn();
     gravitation(at_m) - turn.cross(&(2.0 * velocity_m_s + turn.cross(at_m)))
+}
+
+/// Straight down in ECEF as a plumb line hangs at rest.
+pub fn plumb(at_m: &Vector3<f64>) -> UnitVector3<f64> {
+    UnitVector3::new_normalize(acceleration(at_m, &Vector3::zeros()))
+}
+
+/// A place in ECEF, m.
+pub fn ecef_m(place: &Place) -> Vector3<f64> {
+    let (sin, cos) = place.latitude_deg.to_radians().sin_cos();
+    let (sin_east, cos_east) = place.longitude_deg.to_radians().sin_cos();
+    let eccentricity2 = FLATTENING * (2.0 - FLATTENING);
+    let normal_m = EQUATOR_M / (1.0 - eccentricity2 * sin * sin).sqrt();
+    let axis_m = (normal_m + place.height_m) * cos;
+    let z_m = (normal_m * (1.0 - eccentricity2) + place.height_m) * sin;
+    Vector3::new(axis_m * cos_east, axis_m * sin_east, z_m)
+}
+
+/// North, east and up at a place in ECEF, as columns.
+pub fn north_east_up(at_m: &Vector3<f64>) -> Matrix3<f64> {
+    let up = geodetic_up(at_m);
+    let east = Vector3::z().cross(&up).normalize();
+    Matrix3::from_columns(&[up.cross(&east), east, up])
 }
 
 /// Up by the ellipsoid at a place in ECEF.
@@ -77,6 +101,8 @@ mod tests {
         let axis = (n + height) * latitude.cos();
         let z = (n * (1.0 - eccentricity2) + height) * latitude.sin();
         let at = Vector3::new(axis * longitude.cos(), axis * longitude.sin(), z);
+        let place = Place::new(45.0, 30.0, height).unwrap();
+        assert!((ecef_m(&place) - at).norm() < 1e-6);
         let up = geodetic_up(&at);
         assert!((up.z.asin() - latitude).abs() < 1e-9);
         assert!((up.y.atan2(up.x) - longitude).abs() < 1e-12);

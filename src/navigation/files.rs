@@ -1,6 +1,6 @@
 //! The tables of a flight: IMU, GPS, directions and Sun.
 
-use super::measurement::{Fix, ImuSample};
+use super::measurement::{Climb, Fix, ImuSample};
 use super::settings::{Settings, Target};
 use csv::ByteRecord;
 use nalgebra::{UnitVector3, Vector3};
@@ -10,6 +10,8 @@ const IMU: [&str; 7] = [
     "t_s", "fx_m_s2", "fy_m_s2", "fz_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s",
 ];
 const GPS: [&str; 7] = ["t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
+/// A further column of GPS, which may be missing.
+const CLIMB: &str = "climb";
 const VECTORS: [&str; 7] = ["t_s", "camera", "target", "x", "y", "z", "sigma_rad"];
 const SUN: [&str; 4] = ["t_s", "x", "y", "z"];
 
@@ -66,7 +68,9 @@ impl<'a, const N: usize> Table<'a, N> {
         let mut reader = reader.map_err(|error| unreadable(&table, error))?;
         let heads = reader.byte_headers();
         let heads = heads.map_err(|error| unreadable(&table, error))?;
-        if !heads.iter().eq(columns.iter().map(|name| name.as_bytes())) {
+        let further = heads.iter().skip(N).all(|name| name == CLIMB.as_bytes());
+        let named = columns.iter().map(|name| name.as_bytes());
+        if !heads.iter().take(N).eq(named) || !further {
             let found = heads.iter().map(String::from_utf8_lossy);
             let found: Vec<_> = found.collect();
             return Err(table.error("columns", columns.join(","), found.join(",")));
@@ -135,11 +139,11 @@ impl<'a, const N: usize> Table<'a, N> {
 ///
 /// # Errors
 /// File, line and column; times that do not rise, gaps, numbers in other units.
-pub fn read_imu(path: &Path) -> Result<Vec<ImuSample>, TableError> {
+pub fn read_imu(path: &Path, settings: &Settings) -> Result<Vec<ImuSample>, TableError> {
     let mut samples: Vec<ImuSample> = Vec::new();
     Table::read(path, IMU, |table, row| {
         let sample = ImuSample {
-            t_s: table.number(row, 0)?,
+            t_s: table.number(row, 0)? - settings.imu.delay_s,
             force_m_s2: table.vector(row, 1)?,
             rate_rad_s: table.vector(row, 4)?,
         };
@@ -208,14 +212,19 @@ fn check_gaps(path: &Path, samples: &[ImuSample]) -> Result<(), TableError> {
 ///
 /// # Errors
 /// As [`read_imu`].
-pub fn read_gps(path: &Path) -> Result<Vec<Fix>, TableError> {
+pub fn read_gps(path: &Path, settings: &Settings) -> Result<Vec<Fix>, TableError> {
     let mut fixes = Vec::new();
     let mut newest = f64::NEG_INFINITY;
     Table::read(path, GPS, |table, row| {
         let fix = Fix {
-            t_s: table.number(row, 0)?,
+            t_s: table.number(row, 0)? - settings.gps.delay_s,
             position_m: table.vector(row, 1)?,
             velocity_m_s: table.vector(row, 4)?,
+            climb: match table.text(row, GPS.len()) {
+                "" | "measured" => Climb::Measured,
+                "unknown" => Climb::Unknown,
+                found => return Err(table.error(CLIMB, "measured or unknown", found)),
+            },
         };
         newest = not_late(table, newest, fix.t_s)?;
         let distance_m = fix.position_m.norm();
@@ -266,8 +275,8 @@ pub fn read_vectors(path: &Path, settings: &Settings) -> Result<Vec<Seen>, Table
     let mut vectors = Vec::new();
     let mut newest = f64::NEG_INFINITY;
     Table::read(path, VECTORS, |table, row| {
-        let t_s = table.number(row, 0)?;
-        newest = not_late(table, newest, t_s)?;
+        let said_s = table.number(row, 0)?;
+        newest = not_late(table, newest, said_s)?;
         let name = table.text(row, 1);
         let camera = settings.camera(name).ok_or_else(|| {
             let names: Vec<_> = settings.cameras.iter().map(|c| c.name.as_str()).collect();
@@ -296,7 +305,7 @@ pub fn read_vectors(path: &Path, settings: &Settings) -> Result<Vec<Seen>, Table
         }
         vectors.push(Seen {
             line: table.line,
-            t_s,
+            t_s: said_s - settings.cameras[camera].delay_s,
             camera,
             target,
             unit: table.unit(row, 3)?,

@@ -2,7 +2,7 @@
 
 use super::earth;
 use super::estimate::Estimate;
-use super::measurement::{Fix, Innovation, Sighting, Source, Towards, Verdict};
+use super::measurement::{Climb, Fix, Innovation, Sighting, Source, Towards, Verdict};
 use super::model::Model;
 use super::motion::Interval;
 use super::settings::Vertical;
@@ -16,6 +16,9 @@ use std::sync::Arc;
 const MOST_CHI2: [f64; 2] = [18.0, 21.0];
 /// So little is known of the attitude before the first directions are taken, rad: nothing, but that they were used to begin.
 const FIRST_ATTITUDE_RAD: f64 = 0.5;
+
+/// A balloon rises or falls no faster, 1 sigma.
+const MOST_CLIMB_M_S: f64 = 20.0;
 
 /// Which measurements are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +43,7 @@ pub(super) struct Filter {
 
 impl Filter {
     /// Begins with an estimate; position and velocity are a fix's.
-    pub fn new(model: Arc<Model>, estimate: Estimate) -> Self {
+    pub fn new(model: Arc<Model>, estimate: Estimate, climb: Climb) -> Self {
         let Model { settings, layout } = &*model;
         let mut covariance = DMatrix::zeros(layout.len(), layout.len());
         let gps = &settings.gps;
@@ -51,6 +54,8 @@ impl Filter {
         ] {
             (first..first + 3).for_each(|n| covariance[(n, n)] = sigma * sigma);
         }
+        let mut velocity = covariance.fixed_view_mut::<3, 3>(VELOCITY, VELOCITY);
+        velocity += unknown_climb(climb, &estimate.motion.position_m);
         for triad in layout.triads() {
             triad
                 .range()
@@ -98,7 +103,7 @@ impl Filter {
             (fix.t_s, Source::Position),
             residual,
             (POSITION, arm),
-            sigma_m,
+            Matrix3::identity() * sigma_m.powi(2),
         );
         let motion = &self.estimate.motion;
         let spin = motion.attitude * self.rate_rad_s - earth::turn();
@@ -108,7 +113,7 @@ impl Filter {
             (fix.t_s, Source::Velocity),
             residual,
             (VELOCITY, swing),
-            sigma_m_s,
+            Matrix3::identity() * sigma_m_s.powi(2) + unknown_climb(fix.climb, &fix.position_m),
         );
         [position, velocity]
     }
@@ -119,7 +124,7 @@ impl Filter {
         (t_s, source): (f64, Source),
         residual: Vector3<f64>,
         (first, arm): (usize, Vector3<f64>),
-        sigma: f64,
+        noise: Matrix3<f64>,
     ) -> Option<Innovation> {
         let mut jacobian = DMatrix::zeros(3, self.model.layout.len());
         jacobian
@@ -128,8 +133,35 @@ impl Filter {
         jacobian
             .fixed_view_mut::<3, 3>(0, ATTITUDE)
             .copy_from(&-arm.cross_matrix());
-        let noise = Matrix3::identity() * sigma.powi(2);
         self.take((t_s, source), residual, &jacobian, noise, Trust::Tested)
+    }
+
+    /// Takes straight down in the body's axes, as the accelerometers feel it at rest.
+    pub fn take_plumb(
+        &mut self,
+        t_s: f64,
+        down: &UnitVector3<f64>,
+        sigma_rad: f64,
+    ) -> Option<Innovation> {
+        let motion = &self.estimate.motion;
+        let towards = earth::plumb(&motion.position_m);
+        let body = motion.attitude.to_rotation_matrix();
+        let predicted = body.inverse() * towards;
+        let across = across(&predicted);
+        let residual: Vector2<f64> = across.transpose() * down.into_inner();
+        let by_attitude = across.transpose() * body.inverse().matrix() * towards.cross_matrix();
+        let mut jacobian = DMatrix::zeros(2, self.model.layout.len());
+        jacobian
+            .fixed_view_mut::<2, 3>(0, ATTITUDE)
+            .copy_from(&by_attitude);
+        let noise = Matrix2::identity() * sigma_rad.powi(2);
+        self.take(
+            (t_s, Source::Plumb),
+            residual,
+            &jacobian,
+            noise,
+            Trust::Blind,
+        )
     }
 
     /// Takes a direction.
@@ -217,6 +249,17 @@ impl Filter {
     pub fn sigma(&self, state: usize) -> f64 {
         debug_assert!(state < MOTION || self.since.time_s == 0.0);
         self.covariance[(state, state)].sqrt()
+    }
+}
+
+/// What a fix leaves unknown of the velocity in ECEF, m^2/s^2.
+fn unknown_climb(climb: Climb, at_m: &Vector3<f64>) -> Matrix3<f64> {
+    match climb {
+        Climb::Measured => Matrix3::zeros(),
+        Climb::Unknown => {
+            let up = earth::geodetic_up(at_m);
+            up * up.transpose() * MOST_CLIMB_M_S.powi(2)
+        }
     }
 }
 

@@ -16,6 +16,8 @@ const HISTORY_S: f64 = 3.0;
 const KEPT_EVERY_S: f64 = 0.25;
 /// Samples before a state that its next interval rests on.
 const NEIGHBOURS: usize = 3;
+/// Longer than this without samples, or back by it, and the filter begins anew: nothing tells how the body turned.
+const MOST_GAP_S: f64 = 1.0;
 
 /// The filter in flight.
 #[derive(Debug)]
@@ -37,8 +39,8 @@ pub struct Counts {
     pub taken: u64,
     /// Their innovations were too large.
     pub refused: u64,
-    /// They came later than the filter remembers.
-    pub too_late: u64,
+    /// They came later than the filter remembers, or are of a time that is still to come.
+    pub out_of_time: u64,
 }
 
 impl Live {
@@ -65,13 +67,13 @@ impl Live {
 
     /// Takes a sample of the IMU, which is later than all before; one that is not is passed over. The attitude at its time.
     pub fn sample(&mut self, sample: ImuSample) -> Option<Row> {
-        if self
-            .recent
-            .imu
-            .last()
-            .is_some_and(|last| sample.t_s <= last.t_s)
-        {
-            return self.row;
+        if let Some(last) = self.recent.imu.last() {
+            let step_s = sample.t_s - last.t_s;
+            if step_s.abs() > MOST_GAP_S {
+                self.break_off();
+            } else if step_s <= 0.0 {
+                return self.row;
+            }
         }
         self.recent.imu.push(sample);
         self.go_on();
@@ -79,13 +81,29 @@ impl Live {
         self.row
     }
 
-    /// Takes a measurement. One of a time that the samples have not reached waits for them.
+    /// Begins anew with the next sample.
+    fn break_off(&mut self) {
+        let restarts = self.run.restarts + 1;
+        self.run = Run::new(Arc::clone(&self.run.model));
+        self.run.restarts = restarts;
+        self.recent.imu.clear();
+        self.recent.measurements.clear();
+        self.kept = VecDeque::from([self.run.clone()]);
+        self.row = None;
+    }
+
+    /// Takes a measurement. One of a time that the samples have not quite reached waits for them.
     pub fn measure(&mut self, measurement: Measurement) {
         let t_s = measurement.t_s();
+        let newest_s = self.recent.imu.last().map(|last| last.t_s);
+        if newest_s.is_none_or(|newest_s| t_s > newest_s + HISTORY_S) {
+            self.counts.out_of_time += 1;
+            return;
+        }
         let is_late = t_s <= self.run.at_s;
         if is_late {
             let Some(last) = self.kept.iter().rposition(|run| run.at_s < t_s) else {
-                self.counts.too_late += 1;
+                self.counts.out_of_time += 1;
                 return;
             };
             self.kept.truncate(last + 1);
@@ -112,7 +130,7 @@ impl Live {
         self.counts
     }
 
-    /// Times that the filter had gone wrong and began anew.
+    /// Times that the filter had gone wrong, or the samples were broken off, and it began anew.
     pub fn restarts(&self) -> u32 {
         self.run.restarts
     }

@@ -17,6 +17,15 @@ pub struct Fix {
     pub t_s: f64,
     pub position_m: Vector3<f64>,
     pub velocity_m_s: Vector3<f64>,
+    pub climb: Climb,
+}
+
+/// Whether a fix tells how fast its receiver rises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Climb {
+    Measured,
+    /// As of NMEA 0183: the velocity is level.
+    Unknown,
 }
 
 /// A direction that a camera has seen.
@@ -60,7 +69,12 @@ impl Measurement {
 /// What an innovation is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Source {
-    Sighting { camera: usize, target: Target },
+    Sighting {
+        camera: usize,
+        target: Target,
+    },
+    /// Straight down as the accelerometers feel it, to begin with.
+    Plumb,
     Position,
     Velocity,
 }

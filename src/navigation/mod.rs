@@ -10,7 +10,8 @@
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
 //! 5. `run`: many refused measurements in a row, and the filter begins anew.
 //! 6. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
-//! 7. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
+//! 7. `offset` tells from the attitude how far the telescope is from its target.
+//! 8. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
 //!    on disk meanwhile, and `aem` writes them for others' programs.
 
 pub mod aem;
@@ -23,6 +24,8 @@ mod live;
 mod measurement;
 mod model;
 mod motion;
+pub mod nmea;
+mod offset;
 mod run;
 mod settings;
 mod smooth;
@@ -34,9 +37,10 @@ mod transition;
 
 pub use live::{Counts, Live};
 pub use measurement::{
-    Fix, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,
+    Climb, Fix, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,
 };
 pub use motion::Motion;
+pub use offset::{PropagatedOffset, offset};
 pub use run::Flight;
 pub use settings::{Camera, Gps, Group, Imu, Settings, Target, Vertical};
 pub use smooth::smooth;

@@ -23,6 +23,17 @@ pub struct Interval {
     pub force_change_m_s3: Vector3<f64>,
     pub rate_rad_s: Vector3<f64>,
     pub rate_change_rad_s2: Vector3<f64>,
+    /// What lost samples add to the noise.
+    pub lost: Lost,
+}
+
+/// What is not known of an interval in which samples were lost, as random walks beside those of the IMU.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Lost {
+    /// m/s/sqrt(s)
+    pub velocity_random_walk: f64,
+    /// rad/sqrt(s)
+    pub angular_random_walk: f64,
 }
 
 impl Interval {
@@ -127,6 +138,7 @@ mod tests {
             force_change_m_s3: Vector3::zeros(),
             rate_rad_s: mean,
             rate_change_rad_s2: (rate(to_s) - rate(from_s)) / h,
+            lost: Lost::default(),
         }
     }
 
@@ -167,6 +179,7 @@ mod tests {
             force_change_m_s3: Vector3::new(3.0, 1.0, -2.0),
             rate_rad_s: Vector3::new(0.2, -0.1, 0.4),
             rate_change_rad_s2: Vector3::new(1.0, 2.0, -3.0),
+            lost: Lost::default(),
         };
         let start = Motion {
             position_m: Vector3::new(1e6, -5e6, 4e6),

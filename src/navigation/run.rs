@@ -4,9 +4,10 @@ use super::begin::{Waiting, white_rad};
 use super::filter::{Filter, Trust};
 use super::measurement::{ImuSample, Innovation, Measurement, Source, Verdict};
 use super::model::Model;
-use super::motion::Interval;
+use super::motion::{Interval, Lost};
 use super::settings::{Settings, Target};
 use super::states::{Choice, Layout};
+use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// So many refused measurements of one kind in a row, over so long, and the filter has gone wrong.
@@ -62,6 +63,11 @@ impl Flight {
         let (from, to) = (before.unwrap_or(n), after.unwrap_or(n));
         let apart = middle(to)? - middle(from)?;
         let per_s = if apart > 0.0 { apart.recip() } else { 0.0 };
+        let usual = n.checked_sub(1).and_then(length).unwrap_or(own);
+        let lost = match before.filter(|_| own > NEIGHBOUR * usual) {
+            Some(before) => lost(&self.imu[before], sample, own),
+            None => Lost::default(),
+        };
         let (from, to) = (&self.imu[from], &self.imu[to]);
         Some(Interval {
             from_s: sample.t_s - own,
@@ -70,7 +76,18 @@ impl Flight {
             force_change_m_s3: (to.force_m_s2 - from.force_m_s2) * per_s,
             rate_rad_s: sample.rate_rad_s,
             rate_change_rad_s2: (to.rate_rad_s - from.rate_rad_s) * per_s,
+            lost,
         })
+    }
+}
+
+/// What is not known of an interval so long, s, whose last sample stands for those that were lost: 1 sigma of the mean is by how much the
+/// sample differs from the one before.
+fn lost(before: &ImuSample, sample: &ImuSample, length_s: f64) -> Lost {
+    let sigma = |before: &Vector3<f64>, after: &Vector3<f64>| (after - before).norm();
+    Lost {
+        velocity_random_walk: sigma(&before.force_m_s2, &sample.force_m_s2) * length_s.sqrt(),
+        angular_random_walk: sigma(&before.rate_rad_s, &sample.rate_rad_s) * length_s.sqrt(),
     }
 }
 

@@ -67,6 +67,9 @@ const CONSIDERED: [Group; 4] = [
 /// No fix is better, m and m/s: two of one time would contradict each other.
 const LEAST_FIX: f64 = 1e-4;
 
+/// No sensor's times are off by more.
+const MOST_DELAY_S: f64 = 1.0;
+
 /// Errors of the inertial measurement unit, 1 sigma.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Imu {
@@ -78,6 +81,8 @@ pub struct Imu {
     pub gyro_scale: f64,
     /// Of each triad of axes.
     pub misalignment_rad: f64,
+    /// Its times are late by this.
+    pub delay_s: f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,6 +91,8 @@ pub struct Gps {
     pub velocity_sigma_m_s: f64,
     /// Of the antenna, from the IMU, in the body's axes.
     pub antenna_m: Vector3<f64>,
+    /// Its times are late by this.
+    pub delay_s: f64,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -94,6 +101,8 @@ pub struct Camera {
     pub body_from_camera: Rotation3<f64>,
     pub misalignment_rad: f64,
     pub correlation_time_s: f64,
+    /// Its times are late by this.
+    pub delay_s: f64,
 }
 
 /// All that NAV.toml states.
@@ -108,6 +117,8 @@ pub struct Settings {
     pub correlated_rad: [f64; 3],
     pub vertical: Vertical,
     pub considered: Vec<Group>,
+    /// How far the accelerometers' mean over 2 s lies off straight down, 1 sigma; 0 where it is not used to begin with.
+    pub plumb_rad: f64,
 }
 
 #[derive(Deserialize)]
@@ -158,12 +169,14 @@ struct RawImu {
     gyro_scale_sigma_ppm: f64,
     extra_velocity_random_walk: f64,
     extra_angular_random_walk: f64,
+    delay_s: f64,
 }
 
 #[derive(Deserialize, Default)]
 #[serde(default)]
 struct RawFilter {
     considered: Option<Vec<Group>>,
+    plumb_sigma_deg: f64,
 }
 
 #[derive(Deserialize, Default)]
@@ -172,6 +185,7 @@ struct RawGps {
     position_sigma_m: f64,
     velocity_sigma_m_s: f64,
     antenna_m: [f64; 3],
+    delay_s: f64,
 }
 
 #[derive(Deserialize)]
@@ -182,6 +196,8 @@ struct RawCamera {
     misalignment_sigma_deg: f64,
     #[serde(default)]
     correlation_time_s: f64,
+    #[serde(default)]
+    delay_s: f64,
 }
 
 #[derive(Deserialize, Default)]
@@ -202,14 +218,18 @@ const KEYS: &[&str] = &[
     "imu.gyro_scale_sigma_ppm",
     "imu.extra_velocity_random_walk",
     "imu.extra_angular_random_walk",
+    "imu.delay_s",
     "filter.considered",
+    "filter.plumb_sigma_deg",
     "gps.position_sigma_m",
     "gps.velocity_sigma_m_s",
     "gps.antenna_m",
+    "gps.delay_s",
     "camera.name",
     "camera.body_from_camera",
     "camera.misalignment_sigma_deg",
     "camera.correlation_time_s",
+    "camera.delay_s",
     "nadir.correlated_sigma_deg",
     "nadir.vertical",
     "sun.correlated_sigma_deg",
@@ -255,6 +275,7 @@ impl Settings {
             ],
             vertical: raw.nadir.vertical.unwrap_or_default(),
             cameras: cameras(raw.cameras, &check)?,
+            plumb_rad: check.degrees("filter.plumb_sigma_deg", raw.filter.plumb_sigma_deg)?,
             considered: raw.filter.considered.unwrap_or(CONSIDERED.into()),
         })
     }
@@ -278,6 +299,16 @@ impl Check<'_> {
         match (0.0..=most).contains(&value) {
             true => Ok(value),
             false => Err(self.error(field, &format!("a number from 0 to {most}"), value)),
+        }
+    }
+
+    fn delay(&self, field: &str, value: f64) -> Result<f64, TomlError> {
+        match value.abs() <= MOST_DELAY_S {
+            true => Ok(value),
+            false => {
+                let expected = format!("a number within {MOST_DELAY_S} s");
+                Err(self.error(field, &expected, value))
+            }
         }
     }
 
@@ -318,6 +349,7 @@ impl RawImu {
             gyro_scale: ppm("imu.gyro_scale_sigma_ppm", self.gyro_scale_sigma_ppm)?,
             misalignment_rad: check
                 .degrees("imu.misalignment_sigma_deg", self.misalignment_sigma_deg)?,
+            delay_s: check.delay("imu.delay_s", self.delay_s)?,
         })
     }
 }
@@ -336,6 +368,7 @@ impl RawGps {
                 .sigma("gps.velocity_sigma_m_s", self.velocity_sigma_m_s, 1e4)?
                 .max(LEAST_FIX),
             antenna_m: self.antenna_m.into(),
+            delay_s: check.delay("gps.delay_s", self.delay_s)?,
         })
     }
 }
@@ -360,6 +393,7 @@ fn cameras(raw: Vec<RawCamera>, check: &Check) -> Result<Vec<Camera>, TomlError>
                 raw.correlation_time_s,
                 1e6,
             )?,
+            delay_s: check.delay(&field("delay_s"), raw.delay_s)?,
             name: raw.name,
         });
     }

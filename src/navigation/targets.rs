@@ -1,13 +1,14 @@
 //! Where Sun and Moon are, seen from the flight.
 
-use super::earth::geodetic_up;
+use super::earth::{geodetic_up, north_east_up};
 use super::measurement::Fix;
 use super::settings::Target;
+use crate::pointing::{self, PointingError, target_direction};
 use crate::sky::sphere::direction;
 use crate::sky::{Ephemeris, SkyError};
 use crate::units::{EARTH_RADIUS_M, Place};
 use jiff::{SignedDuration, Timestamp};
-use nalgebra::{UnitVector3, Vector3};
+use nalgebra::{Matrix3, UnitVector3, Vector3};
 use std::collections::BTreeMap;
 
 /// The sky is asked so often; between, its directions turn evenly to 0.001 arcsec.
@@ -26,12 +27,20 @@ pub enum Sky {
     Unknown,
 }
 
-/// Where Sun and Moon are, as the flight goes on.
-pub struct Targets<'a> {
+/// Where Sun, Moon and the telescope's target are, as the flight goes on.
+pub struct Targets {
     sky: Sky,
     /// In the order of time.
-    fixes: &'a [Fix],
+    fixes: Vec<Fix>,
     known: BTreeMap<(Target, i64), Vector3<f64>>,
+    aimed: Option<Aimed>,
+}
+
+/// Where the telescope's target is at a step and the next.
+struct Aimed {
+    target: pointing::Target,
+    step: i64,
+    towards: [Vector3<f64>; 2],
 }
 
 /// Why a direction is not known.
@@ -47,14 +56,25 @@ pub enum NoDirection {
     Time,
     #[error(transparent)]
     Sky(#[from] SkyError),
+    #[error(transparent)]
+    Pointing(#[from] PointingError),
 }
 
-impl<'a> Targets<'a> {
-    pub fn new(sky: Sky, fixes: &'a [Fix]) -> Self {
+impl Targets {
+    pub fn new(sky: Sky, fixes: Vec<Fix>) -> Self {
         Self {
             sky,
             fixes,
             known: BTreeMap::new(),
+            aimed: None,
+        }
+    }
+
+    /// Takes a further fix. It serves for what is asked of its time and later.
+    pub fn note(&mut self, fix: Fix) {
+        let is_due = |last: &Fix| fix.t_s >= last.t_s + EVERY_S;
+        if self.fixes.last().is_none_or(is_due) {
+            self.fixes.push(fix);
         }
     }
 
@@ -73,10 +93,68 @@ impl<'a> Targets<'a> {
         Ok(UnitVector3::new_normalize(from.lerp(&to, share)))
     }
 
+    /// The direction in ECEF to what the telescope is to point at.
+    ///
+    /// # Errors
+    /// Why it is not known.
+    pub fn aim(
+        &mut self,
+        target: &pointing::Target,
+        t_s: f64,
+    ) -> Result<UnitVector3<f64>, NoDirection> {
+        let step = (t_s / EVERY_S).floor();
+        let share = t_s / EVERY_S - step;
+        let step = step as i64;
+        let is_of = |aimed: &&Aimed| aimed.step == step && aimed.target == *target;
+        let towards = match self.aimed.as_ref().filter(is_of) {
+            Some(aimed) => aimed.towards,
+            None => [self.aim_at(target, step)?, self.aim_at(target, step + 1)?],
+        };
+        self.aimed = Some(Aimed {
+            target: *target,
+            step,
+            towards,
+        });
+        let [from, to] = &towards;
+        Ok(UnitVector3::new_normalize(from.lerp(to, share)))
+    }
+
+    fn aim_at(
+        &mut self,
+        target: &pointing::Target,
+        step: i64,
+    ) -> Result<Vector3<f64>, NoDirection> {
+        let (ephemeris, utc, place, axes) = self.looking(step)?;
+        let sun = ephemeris.sun(utc, place)?;
+        let target = target.at(utc, &sun)?;
+        Ok(axes * target_direction(target, &sun))
+    }
+
     fn at(&mut self, target: Target, step: i64) -> Result<Vector3<f64>, NoDirection> {
         if let Some(known) = self.known.get(&(target, step)) {
             return Ok(*known);
         }
+        let (ephemeris, utc, place, axes) = self.looking(step)?;
+        let (azimuth_deg, elevation_deg) = match target {
+            Target::Moon => {
+                let moon = ephemeris.moon(utc, place)?;
+                (moon.azimuth_deg, moon.elevation_deg)
+            }
+            Target::Sun | Target::Nadir => {
+                let sun = ephemeris.sun(utc, place)?;
+                (sun.azimuth_deg, sun.elevation_deg)
+            }
+        };
+        let towards = axes * direction(azimuth_deg, elevation_deg);
+        self.known.insert((target, step), towards);
+        Ok(towards)
+    }
+
+    /// The ephemeris, with time and place of a step, and the axes north, east and up there.
+    fn looking(
+        &mut self,
+        step: i64,
+    ) -> Result<(&mut Ephemeris, Timestamp, Place, Matrix3<f64>), NoDirection> {
         let Sky::Ephemeris { ephemeris, epoch } = &mut self.sky else {
             return Err(NoDirection::NoSky);
         };
@@ -92,23 +170,7 @@ impl<'a> Targets<'a> {
         let height_m = (at_m.norm() - EARTH_RADIUS_M).clamp(-1000.0, 2e6);
         let place = Place::new(up.z.asin().to_degrees(), longitude_deg, height_m);
         let place = place.map_err(SkyError::from)?;
-        let (azimuth_deg, elevation_deg) = match target {
-            Target::Moon => {
-                let moon = ephemeris.moon(utc, place)?;
-                (moon.azimuth_deg, moon.elevation_deg)
-            }
-            Target::Sun | Target::Nadir => {
-                let sun = ephemeris.sun(utc, place)?;
-                (sun.azimuth_deg, sun.elevation_deg)
-            }
-        };
-        // North, east and up there.
-        let local = direction(azimuth_deg, elevation_deg);
-        let east = Vector3::z().cross(&up).normalize();
-        let north = up.cross(&east);
-        let towards = north * local.x + east * local.y + up * local.z;
-        self.known.insert((target, step), towards);
-        Ok(towards)
+        Ok((ephemeris, utc, place, north_east_up(&at_m)))
     }
 }
 

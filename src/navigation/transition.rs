@@ -68,10 +68,10 @@ impl Transition {
             add(VELOCITY, column, -cross * turned * (h * h / 2.0));
         }
         self.noise = step * self.noise * step.transpose();
-        let (v, a) = (
-            imu.velocity_random_walk.powi(2) * h,
-            imu.angular_random_walk.powi(2) * h,
-        );
+        let lost = &interval.lost;
+        let velocity_walk = imu.velocity_random_walk.hypot(lost.velocity_random_walk);
+        let angular_walk = imu.angular_random_walk.hypot(lost.angular_random_walk);
+        let (v, a) = (velocity_walk.powi(2) * h, angular_walk.powi(2) * h);
         for n in 0..3 {
             self.noise[(VELOCITY + n, VELOCITY + n)] += v;
             self.noise[(ATTITUDE + n, ATTITUDE + n)] += a;

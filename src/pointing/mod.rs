@@ -139,20 +139,44 @@ pub fn offset(
     target: HelioprojectiveArcsec,
 ) -> Result<Offset, PointingError> {
     let boresight = boresight(sun_on_plate.position, roll, instrument, sun)?;
-    let pointing = away_from_zenith(&boresight)?;
-    let target = away_from_zenith(&target_direction(target, sun))?;
-    let azimuth_deg = wrapped_deg(pointing.azimuth_deg - target.azimuth_deg);
-    let across = pointing.elevation_deg.to_radians().cos() * azimuth_deg.to_radians().sin();
+    let difference = difference(&boresight, &target_direction(target, sun))?;
     let [frame, calibration] = covariances_rad2(&sun_on_plate, roll, instrument, sun)?;
     let covariance_deg2 = frame * 1_f64.to_degrees().powi(2);
     Ok(Offset {
-        azimuth_deg,
-        elevation_deg: pointing.elevation_deg - target.elevation_deg,
-        cross_elevation_deg: across.asin().to_degrees(),
+        azimuth_deg: difference.azimuth_deg,
+        elevation_deg: difference.elevation_deg,
+        cross_elevation_deg: difference.cross_elevation_deg,
         sigma_deg: per_axis(&covariance_deg2),
         covariance_deg2,
         calibration_deg2: calibration * 1_f64.to_degrees().powi(2),
         roll,
+    })
+}
+
+/// A direction minus another, as [`Offset`] has them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Difference {
+    pub azimuth_deg: f64,
+    pub elevation_deg: f64,
+    pub cross_elevation_deg: f64,
+}
+
+/// Where a telescope points, minus its target: unit vectors towards north, east and up.
+///
+/// # Errors
+/// [`PointingError::NearZenith`] when one of them stands above 85 deg.
+pub fn difference(
+    boresight: &Vector3<f64>,
+    target: &Vector3<f64>,
+) -> Result<Difference, PointingError> {
+    let pointing = away_from_zenith(boresight)?;
+    let target = away_from_zenith(target)?;
+    let azimuth_deg = wrapped_deg(pointing.azimuth_deg - target.azimuth_deg);
+    let across = pointing.elevation_deg.to_radians().cos() * azimuth_deg.to_radians().sin();
+    Ok(Difference {
+        azimuth_deg,
+        elevation_deg: pointing.elevation_deg - target.elevation_deg,
+        cross_elevation_deg: across.asin().to_degrees(),
     })
 }
 
@@ -277,8 +301,8 @@ fn boresight(
     alignment.boresight(&alignment.on_plane(sun_on_plate), &sun_direction(sun))
 }
 
-/// The direction of a target, by the definition of helioprojective longitude and latitude (Thompson 2006).
-fn target_direction(target: HelioprojectiveArcsec, sun: &SunPosition) -> Vector3<f64> {
+/// The direction of a target, towards north, east and up, by the definition of helioprojective longitude and latitude (Thompson 2006).
+pub fn target_direction(target: HelioprojectiveArcsec, sun: &SunPosition) -> Vector3<f64> {
     let centre = sun_direction(sun);
     let (west, north) = west_and_north(&centre, sun);
     let (sin_x, cos_x) = (target.x / ARCSEC_PER_RAD).sin_cos();

@@ -138,6 +138,7 @@ fn innovations(page: &mut Page, settings: &Settings, summary: &Summary) -> anyho
 
 fn name(settings: &Settings, source: Source) -> String {
     match source {
+        Source::Plumb => "gravity".into(),
         Source::Position => "GPS position".into(),
         Source::Velocity => "GPS velocity".into(),
         Source::Sighting { camera, target } => {
