@@ -755,9 +755,9 @@ fn in_flight_measurements_that_come_late_are_put_where_they_belong() {
     let off = (found.attitude * expected.attitude.inverse()).scaled_axis();
     let sigmas = off.dot(&(covariance.try_inverse().unwrap() * off)).sqrt();
     assert!(sigmas < 0.01, "{sigmas}");
-    assert_eq!((live.counts().too_late, live.restarts()), (0, 0));
+    assert_eq!((live.counts().out_of_time, live.restarts()), (0, 0));
     // What is older than the filter remembers is counted, and changes nothing.
     live.measure(flight.measurements[10]);
-    assert_eq!(live.counts().too_late, 1);
+    assert_eq!(live.counts().out_of_time, 1);
     assert_eq!(live.now().unwrap().attitude.unwrap().0, found);
 }

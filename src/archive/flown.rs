@@ -74,6 +74,15 @@ impl Flown {
     }
 }
 
+/// What the navigation of a start of the program rests on: `navigation_<start>.toml`.
+pub fn navigation_file(text: &str, start: Timestamp) -> Encoded {
+    let start = start.strftime("%Y%m%dT%H%M%S");
+    Encoded {
+        name: format!("navigation_{start}.toml").into(),
+        bytes: text.as_bytes().into(),
+    }
+}
+
 impl FlownKind {
     /// Whether a file of this name is of this kind.
     pub fn names(self, file: &Path) -> bool {

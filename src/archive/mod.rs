@@ -18,7 +18,9 @@ mod store;
 
 pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
-pub use flown::{CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT};
+pub use flown::{
+    CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT, navigation_file,
+};
 pub use log::{Log, Row, SolutionLog, Upkeep};
 pub use name::{MOON_CAMERA, NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain, sky_camera};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};

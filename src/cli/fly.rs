@@ -10,8 +10,11 @@ use crate::archive::disk::LocalDisk;
 use crate::camera::Source;
 use crate::config::{self, Config};
 use crate::instrument::Instrument;
-use crate::link::Connection;
+use crate::instrument::toml_file::read_text;
+use crate::link::{Connection, LocalEnd, PortAddress};
+use crate::navigation;
 use crate::provenance;
+use crate::service::navigation::{Navigation, checked};
 use crate::service::{Flight, Service};
 use clap::Args;
 use jiff::Timestamp;
@@ -63,6 +66,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     flight.target = options::target(&flight.config, &mut ephemeris)?;
     flight.ephemeris = ephemeris;
     flight.line = line(&flight.config.link)?;
+    flight.navigation = navigation(&flight.config)?;
     flight.stores = stores(&flight.config, &flight.camera.instrument);
     flight.open_cameras()?;
     let interrupted = options::interrupted()?;
@@ -111,6 +115,29 @@ fn line(link: &config::Link) -> anyhow::Result<Connection> {
         return Ok(Connection::none());
     };
     Ok(Connection::to(address, link.baud, link.local_end()?).guarded(link.guard()?))
+}
+
+/// The navigation that the configuration enables, with its sensors' lines.
+fn navigation(config: &Config) -> anyhow::Result<Option<Navigation>> {
+    let own = &config.navigation;
+    let Some(path) = own.settings.as_deref().filter(|_| own.is_enabled()) else {
+        return Ok(None);
+    };
+    let settings_toml = read_text(path)?;
+    let settings = navigation::Settings::parse(path, &settings_toml)?;
+    let connection = |address: Option<PortAddress>, baud| -> anyhow::Result<Option<Connection>> {
+        let end = LocalEnd {
+            port: 0,
+            ..config.link.local_end()?
+        };
+        Ok(address.map(|address| Connection::to(address, baud, end)))
+    };
+    Ok(Some(Navigation {
+        imu: connection(own.imu_address()?, config.link.baud)?,
+        gps: connection(own.gps_address()?, own.gps_baud)?,
+        settings: checked(path, settings)?,
+        settings_toml,
+    }))
 }
 
 /// The archives on the configured disks. They are opened in flight: a disk that hangs keeps nothing from starting.

@@ -11,6 +11,7 @@ mod camera;
 mod documents;
 mod host;
 mod link;
+mod navigation;
 mod parameter;
 mod read;
 mod table;
@@ -19,6 +20,7 @@ mod value;
 pub use camera::{Camera, Switch};
 pub use documents::{example, parameters_page};
 pub use host::{Host, Memory};
+pub use navigation::Navigation;
 pub use parameter::{Allowed, Parameter, Refused};
 pub use table::{by_command, by_key, parameters};
 pub use value::Value;
@@ -46,6 +48,7 @@ pub struct Config {
     pub roll: Roll,
     pub moon: Moon,
     pub link: Link,
+    pub navigation: Navigation,
     pub archive: Archive,
     pub host: Host,
     pub preflight: Preflight,
@@ -85,6 +88,12 @@ impl Config {
             needs(
                 "moon_camera.instrument",
                 "the file of the camera that sees the Moon",
+            );
+        }
+        if self.navigation.is_enabled() && self.navigation.settings.is_none() {
+            needs(
+                "navigation.settings",
+                "the file that states IMU, GPS and cameras: NAV.toml (docs/navigation.md)",
             );
         }
         missing

@@ -3,6 +3,7 @@
 use super::command::{CommandRow, Kind, row_of};
 use super::control::result;
 use super::housekeeping::Housekeeping;
+use super::imu::ImuPacket;
 use super::message::{self, AspectCommand, Message, Messages, Telemetry};
 use super::moon::{MoonAnswer, MoonSight, NOT_FOUND, NOT_VISIBLE};
 use super::packet::{CommandPacket, Packet, TelemetryPacket, telemetry_type};
@@ -114,6 +115,15 @@ pub fn message_in_words(message: &Message) -> String {
             "solution azimuth {} elevation {} roll {} error {} deg at {}",
             s.azimuth_deg, s.elevation_deg, s.roll_deg, s.error_deg, s.time
         ),
+        Message::Propagated(p) => format!(
+            "by gyros azimuth {} elevation {} roll {} error {} deg at {}, {} ms after a frame",
+            p.solution.azimuth_deg,
+            p.solution.elevation_deg,
+            p.solution.roll_deg,
+            p.solution.error_deg,
+            p.solution.time,
+            p.age_ms
+        ),
         Message::Error { code } => format!("no solution, error {code}"),
         Message::ExposureStart(e) => format!("exposure of camera {} at {}", e.camera, e.time),
         Message::Gps(fix) => format!(
@@ -196,6 +206,13 @@ fn telemetry(packet: &TelemetryPacket) -> String {
             format!("picture tag {}", name.trim_end_matches('\0'))
         }
         telemetry_type::IDLE => "idle".into(),
+        telemetry_type::IMU => match ImuPacket::decode(packet) {
+            Ok(s) => format!(
+                "IMU sample {}: force {:?} m/s^2, rate {:?} rad/s",
+                s.counter, s.force_m_s2, s.rate_rad_s
+            ),
+            Err(error) => format!("IMU: {error}"),
+        },
         kind => format!("type {kind:02x}"),
     };
     format!("telemetry of {:02x} at {time}: {said}", packet.source())

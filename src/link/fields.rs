@@ -59,6 +59,14 @@ impl Writer {
         Self { key, bytes }
     }
 
+    /// Writes fields alone: the key is for errors.
+    pub fn after_key(key: u16) -> Self {
+        Self {
+            key,
+            bytes: Vec::new(),
+        }
+    }
+
     pub fn finish(self) -> Vec<u8> {
         self.bytes
     }

@@ -9,14 +9,15 @@ use jiff::Timestamp;
 use std::fmt;
 
 /// The layout that this program writes. Those before are read, too.
-pub const LAYOUT: u8 = 5;
+pub const LAYOUT: u8 = 6;
 
 /// The earlier layouts, and the field that the next one began its additions with.
-const EARLIER: [(u8, &str); 4] = [
+const EARLIER: [(u8, &str); 5] = [
     (1, "takeovers"),
     (2, "commit"),
     (3, "roll_deg"),
     (4, "night"),
+    (5, "navigation"),
 ];
 
 /// A field as the page on the protocol shows it.
@@ -160,6 +161,21 @@ housekeeping! {
     moon_hidden: u32, "", "frames taken while the Moon could not be seen";
     moon_x_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
     moon_y_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
+    navigation: u8, "", "the filter by gyros: 0 none or without samples, 1 waiting, 2 aligned, 3 coasting, 4 restarted";
+    propagated_azimuth_deg: Option<f32>, "deg", "its latest offset in azimuth";
+    propagated_elevation_deg: Option<f32>, "deg", "its latest offset in elevation";
+    propagated_sigma_deg: Option<f32>, "deg", "the offset's 1 sigma per axis of true angle";
+    propagated_roll_deg: Option<f32>, "deg", "roll about the boresight, right side low positive";
+    propagated_roll_sigma_deg: Option<f32>, "deg", "its 1 sigma";
+    propagated: u32, "", "offsets by the gyros that were sent";
+    imu_samples: u32, "", "samples of the IMU";
+    imu_lost: u32, "", "samples that are missing by their counter, or cannot be read";
+    gps_fixes: u32, "", "fixes of the GPS receiver";
+    gps_without_fix: u32, "", "times that it had none";
+    navigation_refused: u32, "", "fixes and directions that contradict the filter";
+    navigation_out_of_time: u32, "", "fixes and directions that came too late or too early";
+    navigation_lost: u32, "", "inputs that the filter had no room for";
+    navigation_restarts: u16, "", "times that the filter began anew";
 }
 
 /// The ids of up to sixteen marks: i and j, each from -7 to 7.

@@ -22,6 +22,7 @@ pub mod key {
     pub const SOLUTION: u16 = 0x1102;
     pub const ERROR: u16 = 0x1103;
     pub const EXPOSURE_START: u16 = 0x1104;
+    pub const PROPAGATED: u16 = 0x1105;
     pub use crate::link::moon::{
         FOUND as MOON_FOUND, NOT_FOUND_KEY as MOON_NOT_FOUND, NOT_VISIBLE_KEY as MOON_NOT_VISIBLE,
         REQUEST as MOON_REQUEST,
@@ -42,6 +43,37 @@ pub struct Solution {
     pub error_deg: f64,
     /// The time its exposure packet announced; sent to the nearest millisecond.
     pub time: Timestamp,
+}
+
+impl Solution {
+    const BYTES: usize = 4 * 8 + 4 + 2;
+
+    fn write(&self, out: &mut Writer) -> Result<(), MessageError> {
+        out.f64("azimuth", self.azimuth_deg)?;
+        out.f64("elevation", self.elevation_deg)?;
+        out.f64("roll", self.roll_deg)?;
+        out.f64("error", self.error_deg)?;
+        out.time_to_millisecond(self.time)
+    }
+
+    fn read(input: &mut Reader) -> Result<Self, MessageError> {
+        Ok(Self {
+            azimuth_deg: input.f64("azimuth")?,
+            elevation_deg: input.f64("elevation")?,
+            roll_deg: input.f64("roll")?,
+            error_deg: input.f64("error")?,
+            time: input.time_to_millisecond()?,
+        })
+    }
+}
+
+/// Where the telescope points, minus the target, by the gyros since a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Propagated {
+    /// Its time is that of the attitude.
+    pub solution: Solution,
+    /// Of the last frame that the attitude rests on; 65535 stands for more.
+    pub age_ms: u16,
 }
 
 /// An exposure is about to start.
@@ -109,6 +141,7 @@ pub enum Message {
         code: u16,
     },
     ExposureStart(ExposureStart),
+    Propagated(Propagated),
     Moon(MoonAnswer),
     // To us, from the controller or the ground.
     StartTracking,
@@ -126,6 +159,7 @@ impl Message {
             Self::Solution(_) => key::SOLUTION,
             Self::Error { .. } => key::ERROR,
             Self::ExposureStart(_) => key::EXPOSURE_START,
+            Self::Propagated(_) => key::PROPAGATED,
             Self::StartTracking => key::START_TRACKING,
             Self::StopTracking => key::STOP_TRACKING,
             Self::Gps(_) => key::GPS,
@@ -144,12 +178,10 @@ impl Message {
         let mut out = Writer::new(self.key());
         match self {
             Self::TrackingOn | Self::TrackingOff | Self::StartTracking | Self::StopTracking => {}
-            Self::Solution(solution) => {
-                out.f64("azimuth", solution.azimuth_deg)?;
-                out.f64("elevation", solution.elevation_deg)?;
-                out.f64("roll", solution.roll_deg)?;
-                out.f64("error", solution.error_deg)?;
-                out.time_to_millisecond(solution.time)?;
+            Self::Solution(solution) => solution.write(&mut out)?,
+            Self::Propagated(propagated) => {
+                propagated.solution.write(&mut out)?;
+                out.u16(propagated.age_ms);
             }
             Self::Error { code } => out.u16(*code),
             Self::ExposureStart(exposure) => {
@@ -177,12 +209,10 @@ impl Message {
         Ok(match input.key() {
             key::TRACKING_ON => Self::TrackingOn,
             key::TRACKING_OFF => Self::TrackingOff,
-            key::SOLUTION => Self::Solution(Solution {
-                azimuth_deg: input.f64("azimuth")?,
-                elevation_deg: input.f64("elevation")?,
-                roll_deg: input.f64("roll")?,
-                error_deg: input.f64("error")?,
-                time: input.time_to_millisecond()?,
+            key::SOLUTION => Self::Solution(Solution::read(&mut input)?),
+            key::PROPAGATED => Self::Propagated(Propagated {
+                solution: Solution::read(&mut input)?,
+                age_ms: input.u16()?,
             }),
             key::ERROR => Self::Error { code: input.u16()? },
             key::EXPOSURE_START => Self::ExposureStart(ExposureStart {
@@ -268,7 +298,8 @@ impl<'a> Iterator for Messages<'a> {
 fn stated_length(payload: &[u8]) -> Option<usize> {
     let fields = match first_word(payload)? {
         key::TRACKING_ON | key::TRACKING_OFF | key::START_TRACKING | key::STOP_TRACKING => 0,
-        key::SOLUTION => 4 * 8 + 4 + 2,
+        key::SOLUTION => Solution::BYTES,
+        key::PROPAGATED => Solution::BYTES + 2,
         key::ERROR => 2,
         key::EXPOSURE_START => 2 + 8,
         key::GPS => 2 * 4,
@@ -351,6 +382,16 @@ mod tests {
                 time,
             }),
             Message::Error { code: 8 },
+            Message::Propagated(Propagated {
+                solution: Solution {
+                    azimuth_deg: -0.1,
+                    elevation_deg: 0.2,
+                    roll_deg: 1.5,
+                    error_deg: 2e-5,
+                    time,
+                },
+                age_ms: 1250,
+            }),
             Message::Aspect(AspectCommand::new(0x1412, vec![11, 22]).unwrap()),
             Message::Aspect(AspectCommand::new(0x1FF1, vec![7]).unwrap()),
             Message::Gps(GpsFix {

@@ -18,6 +18,7 @@ mod fields;
 pub mod ground;
 pub mod guard;
 pub mod housekeeping;
+pub mod imu;
 pub mod key;
 pub mod message;
 pub mod moon;
@@ -33,9 +34,11 @@ pub use connection::{AnyPort, Connection, PortAddress};
 pub use control::{CommandResult, Control};
 pub use guard::{Guard, Peer};
 pub use housekeeping::Housekeeping;
+pub use imu::ImuPacket;
 pub use key::Key;
 pub use message::{
-    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, Solution, Telemetry,
+    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, Propagated, Solution,
+    Telemetry,
 };
 pub use moon::{MoonAnswer, MoonFix, MoonRequest, MoonSight};
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};

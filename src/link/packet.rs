@@ -8,7 +8,7 @@
 //! | command | sync | target | payload length | sequence number | checksum | payload |
 //! | telemetry | sync | type | source | payload length | checksum | nanoseconds (u32), seconds (u32), payload |
 //!
-//! Source: HEROES flight program, 2013.
+//! Source: HEROES flight program, 2013; samples of an IMU are this project's.
 
 use crc::{CRC_16_MODBUS, Crc, Table};
 
@@ -35,12 +35,13 @@ pub mod telemetry_type {
     pub const RECEIPT: u8 = 0x01;
     pub const IDLE: u8 = 0x03;
     pub const HOUSEKEEPING: u8 = 0x70;
+    pub const IMU: u8 = 0x71;
     pub const PICTURE: u8 = 0x82;
     pub const PICTURE_TAG: u8 = 0x83;
     pub const RESULT: u8 = 0xE1;
 }
 
-/// Which way the bytes of a line run. Telemetry runs to the controller only, so this decides how headers read.
+/// Which way the bytes of a line run. Telemetry runs to the controller only, but for samples of the IMU, so this decides how headers read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     ToController,
@@ -224,7 +225,7 @@ impl Packet {
 fn is_telemetry(direction: Direction, kind: u8, source: u8) -> bool {
     use telemetry_type::*;
     match (direction, kind) {
-        (Direction::ToAspect, _) => false,
+        (Direction::ToAspect, kind) => kind == IMU,
         (Direction::ToController, RECEIPT) => source == id::ASPECT,
         (Direction::ToController, kind) => {
             matches!(kind, IDLE | HOUSEKEEPING | PICTURE | PICTURE_TAG | RESULT)
@@ -296,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn telemetry_is_known_by_its_type_and_only_on_the_way_to_the_controller() {
+    fn telemetry_is_known_by_its_type_and_its_way() {
         let header = |kind, source| [SYNC[0], SYNC[1], kind, source, 7, 1];
         for kind in [0x03, 0x70, 0x82, 0x83, 0xE1] {
             assert_eq!(
@@ -305,6 +306,8 @@ mod tests {
             );
             assert_eq!(Packet::length(ToAspect, &header(kind, 0x30)), Some(8 + 48));
         }
+        assert_eq!(Packet::length(ToAspect, &header(0x71, 1)), Some(16 + 263));
+        assert_eq!(Packet::length(ToController, &header(0x71, 1)), Some(8 + 1));
         assert_eq!(
             Packet::length(ToController, &header(0x01, 0x30)),
             Some(16 + 263)

@@ -14,14 +14,16 @@
 //!    out, once, and never after one of a later exposure; an error takes its place where there is none.
 //! 5. Sending changes between exposures: a command that disables it is done, and its result sent, when the announced
 //!    exposure has been concluded, so that a hand-over to the other computer leaves neither a gap nor a double.
-//! 6. A request for the Moon is answered by its result at once, and by what was found when a picture has been looked at, whoever
+//! 6. An offset by the gyros goes out while tracking is on and sending is enabled, whatever was announced.
+//! 7. A request for the Moon is answered by its result at once, and by what was found when a picture has been looked at, whoever
 //!    tracks or sends.
 
 use super::command::{Action, Command, CommandError, Computer, row_of};
 use super::control::{CommandResult, Control};
 use super::describe::{CommandInWords, result_in_words};
 use super::message::{
-    AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, Solution, Telemetry, key,
+    AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, Propagated, Solution,
+    Telemetry, key,
 };
 use super::moon::{MoonAnswer, MoonRequest};
 use super::packet::{CommandPacket, id};
@@ -233,6 +235,14 @@ impl Responder {
         code: u16,
     ) -> Result<Option<Vec<u8>>, MessageError> {
         self.conclude(exposure, &Message::Error { code })
+    }
+
+    /// The packet with an offset by the gyros; `None` where it must not go.
+    pub fn propagated(&mut self, propagated: Propagated) -> Result<Option<Vec<u8>>, MessageError> {
+        match self.state.tracking && self.state.sending && !self.stopping {
+            true => self.numbered(&Message::Propagated(propagated)).map(Some),
+            false => Ok(None),
+        }
     }
 
     /// The packet that answers a request for the Moon.

@@ -125,6 +125,11 @@ impl Live {
         self.row
     }
 
+    /// When a direction was last taken; minus infinity before.
+    pub fn seen_s(&self) -> f64 {
+        self.run.seen_s
+    }
+
     /// What became of the measurements that no late one can change any more, and of those that are too late.
     pub fn counts(&self) -> Counts {
         self.counts

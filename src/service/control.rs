@@ -15,7 +15,7 @@ use super::command_log::CommandNote;
 use crate::aspect;
 use crate::config::{self, Config, Value, by_key};
 use crate::instrument::Mounting;
-use crate::link::{CameraRole, GpsFix};
+use crate::link::{CameraRole, CommandResult, Control, GpsFix};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -323,6 +323,17 @@ impl Controls {
     /// The rows that the command log has not been given yet.
     pub fn command_notes(&self) -> impl Iterator<Item = CommandNote> {
         self.0.notes.1.try_iter()
+    }
+
+    /// Takes the place of a GPS receiver of our own, where it is believed.
+    pub fn follow(&self, place: Place) {
+        let fix = GpsFix {
+            latitude_deg: place.latitude_deg as f32,
+            longitude_deg: place.longitude_deg as f32,
+        };
+        if self.clone().take_fix(fix) == CommandResult::Done {
+            self.state().place = Some(place);
+        }
     }
 
     /// GPS fixes that were not believed.

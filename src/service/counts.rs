@@ -2,6 +2,7 @@
 
 use super::archiver::Gauges;
 use super::flight::UnsolvedFrame;
+use super::navigation::NavigationTally;
 use super::shared::Shared;
 use super::silence::Silence;
 use super::tally::{CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally};
@@ -20,6 +21,7 @@ pub(super) struct Counts {
     pub line: Shared<LineTally>,
     pub roll: Shared<RollTally>,
     pub moon: Shared<MoonTally>,
+    pub navigation: Shared<NavigationTally>,
 }
 
 impl Counts {
@@ -29,6 +31,7 @@ impl Counts {
             line: self.line.copy(),
             roll: self.roll.copy(),
             moon: self.moon.copy(),
+            navigation: self.navigation.copy(),
             log_lines_lost: crate::log::lost_lines(),
             ..FlightTally::default()
         };

@@ -1,6 +1,7 @@
 //! What a flight is made of.
 
 use super::control::Seat;
+use super::navigation::Navigation;
 use super::worker::Life;
 use crate::archive::{Flown, MOON_CAMERA, ROLL_CAMERA, Store};
 use crate::camera::{CameraError, Exposure, FrameSource};
@@ -31,6 +32,8 @@ pub struct Flight {
     pub other_cameras: Vec<Camera>,
     /// The line to the controller.
     pub line: Connection,
+    /// How the attitude goes on between frames; `None` where no filter flies.
+    pub navigation: Option<Navigation>,
     /// The archives on the disks; none where frames are not kept.
     pub stores: Vec<Store>,
 }
@@ -45,6 +48,7 @@ impl Flight {
             camera,
             other_cameras: Vec::new(),
             line: Connection::none(),
+            navigation: None,
             stores: Vec::new(),
         }
     }
@@ -64,6 +68,10 @@ impl Flight {
                 "# camera {number}: instrument {:?}, {sha256}",
                 camera.instrument.name
             );
+        }
+        if let Some(navigation) = &self.navigation {
+            let sha256 = sha256(&navigation.settings_toml);
+            let _ = writeln!(text, "# navigation: SHA-256 {sha256}");
         }
         text + &self.config.to_toml()
     }

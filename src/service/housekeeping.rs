@@ -4,6 +4,7 @@ use super::answer::{Answer, Recent};
 use super::control::Controls;
 use super::counts::Counts;
 use super::moon::MoonDesk;
+use super::navigation::NavigationTally;
 use super::shared::Shared;
 use super::tally::{FlightTally, quantile};
 use crate::aspect::{Origin, Quality};
@@ -147,10 +148,13 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
         solver,
         roll,
         moon,
+        navigation,
         archive,
         line,
         ..
     } = tally;
+    tell_navigation(told, navigation);
+    told.propagated = small(line.propagated);
     told.taken = small(camera.taken);
     told.lost = small(camera.lost + camera.failed + solver.misfits);
     told.silent_s = small(camera.silent.as_secs());
@@ -186,6 +190,25 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     told.reopened = small(line.reopened);
     told.rejected = small(line.rejected.packets);
     told.datagrams_refused = small(line.datagrams_refused);
+}
+
+fn tell_navigation(told: &mut Housekeeping, tally: &NavigationTally) {
+    told.navigation = tally.status.map_or(0, |status| status as u8 + 1);
+    if let Some(offset) = &tally.latest {
+        told.propagated_azimuth_deg = Some(offset.difference.azimuth_deg as f32);
+        told.propagated_elevation_deg = Some(offset.difference.elevation_deg as f32);
+        told.propagated_sigma_deg = Some(offset.sigma_deg as f32);
+        told.propagated_roll_deg = Some(offset.roll_deg.value as f32);
+        told.propagated_roll_sigma_deg = Some(offset.roll_deg.sigma as f32);
+    }
+    told.imu_samples = small(tally.samples);
+    told.imu_lost = small(tally.lost_samples + tally.unreadable);
+    told.gps_fixes = small(tally.sentences.fixes);
+    told.gps_without_fix = small(tally.sentences.without_fix);
+    told.navigation_refused = small(tally.refused);
+    told.navigation_out_of_time = small(tally.out_of_time);
+    told.navigation_lost = small(tally.overflowed);
+    told.navigation_restarts = small(tally.restarts);
 }
 
 fn tell_frame(told: &mut Housekeeping, answer: &Answer) {

@@ -18,6 +18,7 @@ pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
 
 use super::control::{Controls, Topic};
 use super::moon::MoonDesk;
+use super::navigation::{Inputs, PropagatedEvent};
 use super::shared::Shared;
 use super::tally::{LineTally, note_latency, worth_a_line};
 use super::worker::Life;
@@ -60,6 +61,8 @@ pub(super) struct Line<'a> {
     last_roll: Option<Instant>,
     moon_desk: Shared<MoonDesk>,
     moon_requests: MoonRequests,
+    /// Where samples of the IMU go; `None` where no filter flies.
+    navigation: Option<Inputs>,
 }
 
 impl<'a> Line<'a> {
@@ -68,6 +71,7 @@ impl<'a> Line<'a> {
         controls: Controls,
         tally: Shared<LineTally>,
         moon_desk: Shared<MoonDesk>,
+        navigation: Option<Inputs>,
     ) -> Self {
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
@@ -94,6 +98,7 @@ impl<'a> Line<'a> {
             tally,
             moon_desk,
             moon_requests: MoonRequests::default(),
+            navigation,
         }
     }
 
@@ -142,6 +147,7 @@ impl<'a> Line<'a> {
         match event {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
+            LinkEvent::Propagated(event) => self.propagate(&event),
             LinkEvent::Housekeeping(told) => self.tell(&told),
             LinkEvent::Picture(picture) => {
                 self.picture = Some(PictureUnderWay::new(picture, Instant::now()));
@@ -239,6 +245,23 @@ impl<'a> Line<'a> {
             }
             Ok(None) => {}
             Err(error) => self.note_unsaid(&error, "a solution was not sent"),
+        }
+    }
+
+    fn propagate(&mut self, event: &PropagatedEvent) {
+        if self.backlog() > BACKLOG {
+            return;
+        }
+        match self.responder.propagated(event.propagated) {
+            Ok(Some(packet)) => {
+                if self.send(&packet) {
+                    let mut tally = self.tally.lock();
+                    tally.propagated += 1;
+                    note_latency(&mut tally.propagated_latencies, event.read.elapsed());
+                }
+            }
+            Ok(None) => {}
+            Err(error) => self.note_unsaid(&error, "an offset by the gyros was not sent"),
         }
     }
 

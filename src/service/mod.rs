@@ -8,13 +8,18 @@
 //!     |     LinkEvent (256)       |
 //!     +---------------------------+---> link <----> controller, over a byte port
 //!                                 |
+//!                                 |  ^ \___ IMU ____
+//!     solvers' directions, GPS ___|__|______________v
+//!                                 |   \__ offsets _ navigation (1024)     gps, imu: sensors with lines of their own
+//!                                 |
 //!                 Controls (shared): what the ground sets; values: saves it
 //!  watch: looks after all of them, tells link and logs the housekeeping each second, feeds systemd's watchdog
 //! ```
 //!
 //! Each camera has a thread and a solver of its own; camera and solver of the second pitch-yaw camera, the roll camera and the Moon camera
 //! are numbered on. The roll camera's solver tells no controller: it leaves the latest nadir where the other solvers look. The Moon camera's
-//! leaves what it saw where the link looks, which answers requests for the Moon with it. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
+//! leaves what it saw where the link looks, which answers requests for the Moon with it. The navigation's thread filters what IMU, GPS and
+//! cameras say, and tells the link an offset at the IMU's samples. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
@@ -23,6 +28,8 @@
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
+//! | navigation | samples, fixes and directions (1024) | the input is lost and counted: no solver and no line waits for the filter |
+//! | navigation's rows | what the archive keeps of them, a second at a time (64), to watch and on among the rows | the rows are lost and counted |
 //! | LinkEvent | exposures about to start, solutions, housekeeping | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
@@ -46,6 +53,7 @@ mod flight;
 mod housekeeping;
 mod line;
 mod moon;
+pub mod navigation;
 mod outlet;
 pub mod priority;
 mod protocol;
@@ -82,6 +90,7 @@ use flight::UnsolvedFrame;
 use housekeeping::HousekeepingSource;
 use line::{Line, LinkEvent};
 use moon::{MoonDesk, MoonSolver};
+use navigation::{Inputs, Navigation, Navigator, SensorKind, SensorLine};
 use outlet::Outlet;
 use roll::{LatestNadir, RollSolver};
 use shared::Shared;
@@ -102,6 +111,10 @@ const LINK_EVENTS: usize = 256;
 const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
 /// So does a solver. It takes a hundredth of a second for a frame.
 const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
+/// So do the filter and the sensors' threads.
+const NAVIGATION_PATIENCE: Duration = Duration::from_secs(5);
+/// Of the navigation, for the archive: seconds of three logs.
+const NAVIGATION_ROWS: usize = 64;
 
 /// How long the start waits for the saved values, and the end for the last of them to be saved.
 const SAVED_VALUES: Duration = Duration::from_millis(500);
@@ -142,8 +155,11 @@ impl Service {
             .transpose()?;
         let configuration = flight.configuration_toml();
         let stations: Vec<Arc<Station>> = flight.stations(&configuration).map(Arc::new).collect();
+        let navigation_toml = flight.navigation.as_ref();
+        let navigation_toml = navigation_toml.map(|navigation| &*navigation.settings_toml);
+        let (stores, ephemeris) = (flight.stores, &flight.ephemeris);
         let (archive, disks) =
-            archiver::start(flight.stores, &stations, &controls, &flight.ephemeris)?;
+            archiver::start(stores, &stations, &controls, ephemeris, navigation_toml)?;
         let gauges = archive.gauges();
         let (to_line, events) = bounded(LINK_EVENTS);
         let counts = Counts {
@@ -155,7 +171,10 @@ impl Service {
             line: Shared::default(),
             roll: Shared::default(),
             moon: Shared::default(),
+            navigation: Shared::default(),
         };
+        let (inputs, navigation_inputs) = Inputs::new(counts.navigation.clone());
+        let inputs = flight.navigation.is_some().then_some(inputs);
         let moon_desk = Shared::<MoonDesk>::default();
         let host = flight.config.host;
         host.hold();
@@ -163,10 +182,27 @@ impl Service {
             controls: controls.clone(),
             tally: counts.line.clone(),
             moon_desk: moon_desk.clone(),
+            navigation: inputs.clone(),
             events,
             hang_up: Arc::clone(&signals.hang_up),
         };
         let line = line.start(flight.line, host)?;
+        let (to_rows, navigation_rows) = bounded(NAVIGATION_ROWS);
+        let navigation = match (flight.navigation, &inputs) {
+            (Some(navigation), Some(inputs)) => {
+                let navigator = Navigator {
+                    settings: navigation.settings.clone(),
+                    ephemeris: flight.ephemeris.clone(),
+                    controls: controls.clone(),
+                    to_line: to_line.clone(),
+                    rows: to_rows,
+                    tally: counts.navigation.clone(),
+                    ended: Arc::clone(&signals.cameras_ended),
+                };
+                start_navigation(navigation, navigator, inputs, &navigation_inputs, host)?
+            }
+            _ => Vec::new(),
+        };
         let mut workers = Workers {
             host,
             controls: controls.clone(),
@@ -179,6 +215,7 @@ impl Service {
             recent: Vec::new(),
             nadir: LatestNadir::default(),
             moon_desk: moon_desk.clone(),
+            inputs,
             cameras: Vec::new(),
             solvers: Vec::new(),
         };
@@ -190,6 +227,8 @@ impl Service {
         let watch = Watch {
             cameras: workers.cameras,
             solvers: workers.solvers,
+            navigation,
+            navigation_rows,
             disks,
             line,
             archive: Some(archive),
@@ -204,6 +243,7 @@ impl Service {
             counts: workers.counts,
             signals: Arc::clone(&signals),
             gave_up: false,
+            landed: None,
         };
         Ok(Self {
             watch: spawn("watch", move || watch.run())?,
@@ -318,6 +358,7 @@ struct Workers {
     recent: Vec<Shared<Recent>>,
     nadir: LatestNadir,
     moon_desk: Shared<MoonDesk>,
+    inputs: Option<Inputs>,
     cameras: Vec<Worker>,
     solvers: Vec<Worker>,
 }
@@ -333,6 +374,7 @@ impl Workers {
             watcher: self.watcher.clone(),
             glimpse: glimpse.clone(),
             recent: Shared::default(),
+            navigation: self.inputs.clone(),
         };
         self.recent.push(outlet.recent.clone());
         self.counts.unsolved.push(unsolved.clone());
@@ -455,6 +497,7 @@ struct Talk {
     controls: Controls,
     tally: Shared<LineTally>,
     moon_desk: Shared<MoonDesk>,
+    navigation: Option<Inputs>,
     events: Receiver<LinkEvent>,
     hang_up: Arc<AtomicBool>,
 }
@@ -468,11 +511,52 @@ impl Talk {
             host.hurried(move |life| {
                 let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
                 let (events, hang_up) = (talk.events, talk.hang_up);
-                Line::new(&mut connection, talk.controls, talk.tally, talk.moon_desk)
+                let (controls, tally) = (talk.controls, talk.tally);
+                let (moon_desk, navigation) = (talk.moon_desk, talk.navigation);
+                Line::new(&mut connection, controls, tally, moon_desk, navigation)
                     .run(&events, &hang_up, life);
             })
         })
     }
+}
+
+/// Starts the filter's thread, and one for each sensor that has a line of its own.
+fn start_navigation(
+    navigation: Navigation,
+    navigator: Navigator,
+    inputs: &Inputs,
+    queue: &Receiver<navigation::Input>,
+    host: Host,
+) -> std::io::Result<Vec<Worker>> {
+    let mut workers = Vec::new();
+    let lines = [
+        (SensorKind::Imu, navigation.imu),
+        (SensorKind::Gps, navigation.gps),
+    ];
+    for (kind, connection) in lines {
+        let Some(connection) = connection else {
+            continue;
+        };
+        let line = SensorLine {
+            connection: Arc::new(Mutex::new(connection)),
+            kind,
+            inputs: inputs.clone(),
+            tally: navigator.tally.clone(),
+            ended: Arc::clone(&navigator.ended),
+        };
+        let listen = move |life: &worker::Life| line.clone().listen(life);
+        let patience = Some(NAVIGATION_PATIENCE);
+        workers.push(Worker::start(kind.name(), patience, move || {
+            host.hurried(listen.clone())
+        })?);
+    }
+    let queue = queue.clone();
+    let filter = move |life: &worker::Life| navigator.clone().run(&queue, life);
+    let patience = Some(NAVIGATION_PATIENCE);
+    workers.push(Worker::start("navigation", patience, move || {
+        host.hurried(filter.clone())
+    })?);
+    Ok(workers)
 }
 
 fn spawn<T: Send + 'static>(

@@ -5,6 +5,7 @@ use super::archiver::Archive;
 use super::control::Controls;
 use super::flight::Station;
 use super::line::LinkEvent;
+use super::navigation::Inputs;
 use super::shared::Shared;
 use super::shutter::Glimpse;
 use crate::camera::Brightness;
@@ -24,6 +25,8 @@ pub(super) struct Outlet {
     /// Where the camera learns of its frames' brightness.
     pub glimpse: Glimpse,
     pub recent: Shared<Recent>,
+    /// `None` where no filter flies.
+    pub navigation: Option<Inputs>,
 }
 
 impl Outlet {
@@ -38,6 +41,9 @@ impl Outlet {
         }
         if let Some(exposure) = answer.exposure.frame.info.exposure {
             *self.glimpse.lock() = Some((seen, exposure.as_micros() as u32));
+        }
+        if let Some(navigation) = &self.navigation {
+            navigation.tell_seen(&answer);
         }
         self.recent.lock().note(&answer);
         self.archive.offer(&answer);

@@ -1,5 +1,6 @@
 //! What each thread counts, and what a flight comes to.
 
+use super::navigation::NavigationTally;
 use crate::aspect::{Quality, Stage};
 use crate::camera::CameraHealth;
 use crate::horizon;
@@ -291,6 +292,10 @@ pub struct LineTally {
     pub conversation: LinkState,
     /// From a frame's arrival to its solution's last byte: the latest ten thousand.
     pub latencies: VecDeque<Duration>,
+    /// Offsets by the gyros.
+    pub propagated: u64,
+    /// From the arrival of a sample of the IMU to the last byte of the offset that rests on it: as many.
+    pub propagated_latencies: VecDeque<Duration>,
     /// From the arrival of a frame of the horizon to the last byte of the first solution that has its roll: as many.
     pub roll_latencies: VecDeque<Duration>,
 }
@@ -325,18 +330,23 @@ impl LineTally {
             let refused = counted(self.datagrams_refused, "datagram");
             write!(out, "\nrefused    {refused}")?;
         }
-        let both = [
+        if self.propagated > 0 {
+            let offsets = counted(self.propagated, "offset");
+            write!(out, "\nsent       {offsets} by the gyros")?;
+        }
+        let all = [
             ("frame", &self.latencies),
             ("horizon", &self.roll_latencies),
+            ("sample", &self.propagated_latencies),
         ];
-        for (name, latencies) in both {
+        for (name, latencies) in all {
             let milliseconds = |latency: &Duration| 1e3 * latency.as_secs_f64();
             let mut latencies: Vec<f64> = latencies.iter().map(milliseconds).collect();
             let mut ms = |fraction| quantile(&mut latencies, fraction);
             if let [Some(median), Some(most), Some(nearly_all)] = [0.5, 0.99, 0.999].map(&mut ms) {
                 write!(
                     out,
-                    "\nlatency    {name} to packet: median {median:.1}, 99 % {most:.1}, 99.9 % {nearly_all:.1} ms"
+                    "\nlatency    {name} to packet: median {median:.2}, 99 % {most:.2}, 99.9 % {nearly_all:.2} ms"
                 )?;
             }
         }
@@ -352,6 +362,7 @@ pub struct FlightTally {
     pub solver: SolverTally,
     pub roll: RollTally,
     pub moon: MoonTally,
+    pub navigation: NavigationTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
     /// Threads that panicked or hung, and were started again.
@@ -393,6 +404,7 @@ impl fmt::Display for FlightTally {
         self.solver.tell(out)?;
         self.roll.tell(out)?;
         self.moon.tell(out)?;
+        self.navigation.tell(out)?;
         self.archive.tell(out)?;
         self.line.tell(out)
     }

@@ -5,12 +5,13 @@ use super::control::Controls;
 use super::counts::Counts;
 use super::housekeeping::{HousekeepingSource, Restarts};
 use super::line::LinkEvent;
+use super::navigation::NavigationRows;
 use super::shared::Shared;
 use super::silence;
 use super::tally::FlightTally;
 use super::worker::{self, Worker};
 use crate::link::Housekeeping;
-use crossbeam_channel::Sender;
+use crossbeam_channel::{Receiver, Sender};
 use sd_notify::NotifyState;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -26,6 +27,8 @@ const STOPPED: Duration = Duration::from_secs(1);
 const ENDING: Duration = Duration::from_millis(1500);
 /// A line that shows no sign of life for so long is left to systemd: only a new process gets a new port.
 const LINE_PATIENCE: Duration = Duration::from_secs(10);
+/// How long the archive waits for the filter's last rows after the last frame.
+const NAVIGATION_ENDING: Duration = Duration::from_millis(500);
 /// How long the line may take to hang up.
 const HANGING_UP: Duration = Duration::from_millis(300);
 
@@ -53,6 +56,9 @@ pub(super) struct Signals {
 pub(super) struct Watch {
     pub cameras: Vec<Worker>,
     pub solvers: Vec<Worker>,
+    /// The filter, and sensors with lines of their own. Nothing waits for them.
+    pub navigation: Vec<Worker>,
+    pub navigation_rows: Receiver<NavigationRows>,
     pub disks: archiver::Threads,
     pub line: Worker,
     /// Held until the last solver has ended.
@@ -64,6 +70,8 @@ pub(super) struct Watch {
     pub signals: Arc<Signals>,
     /// Whether the flight was ended because threads could not be helped any more.
     pub gave_up: bool,
+    /// When frames were last solved.
+    pub landed: Option<Instant>,
 }
 
 impl Watch {
@@ -79,6 +87,7 @@ impl Watch {
             }
             looked = now;
             self.note_commands();
+            self.note_navigation();
             if self.is_over(now) {
                 break;
             }
@@ -122,11 +131,21 @@ impl Watch {
         self.counts.archive.note_lost_commands(lost);
     }
 
+    /// Hands on what the archive keeps of the navigation.
+    fn note_navigation(&self) {
+        for rows in self.navigation_rows.try_iter() {
+            if let Some(archive) = &self.archive {
+                archive.note_navigation(&rows);
+            }
+        }
+    }
+
     /// The threads were stopped like everything else: nobody is to be blamed for it.
     fn excuse(&self, stopped: Duration) {
         let stopped_s = stopped.as_secs_f64();
         tracing::warn!(stopped_s, "the whole program was stopped for a while");
-        let workers = self.cameras.iter().chain(&self.solvers).chain([&self.line]);
+        let workers = self.cameras.iter().chain(&self.solvers);
+        let workers = workers.chain(&self.navigation).chain([&self.line]);
         workers.for_each(Worker::excuse);
     }
 
@@ -153,8 +172,16 @@ impl Watch {
             self.signals.cameras_ended.store(true, Ordering::Relaxed);
         }
         let flying = worker::look(&mut self.solvers, now) || taking;
-        if !flying && let Some(archive) = self.archive.take() {
-            archive.close();
+        let navigating = worker::look(&mut self.navigation, now);
+        if flying || self.landed.is_none() {
+            self.landed = Some(now);
+        }
+        let is_late = |landed| now > landed + NAVIGATION_ENDING;
+        let navigating = navigating && !self.landed.is_some_and(is_late);
+        if !flying && !navigating {
+            // The last rows.
+            self.note_navigation();
+            self.archive.take().into_iter().for_each(Archive::close);
         }
         let storing = self.disks.look(now);
         self.line.look(now);
@@ -165,7 +192,7 @@ impl Watch {
         if late && (flying || storing) && !self.signals.finished.load(Ordering::Relaxed) {
             tracing::error!("not everything could be finished in time");
         }
-        if late || !(flying || storing) {
+        if late || !(flying || storing || self.archive.is_some()) {
             self.signals.finished.store(true, Ordering::Release);
         }
         self.signals.finished.load(Ordering::Relaxed)
@@ -189,11 +216,13 @@ impl Watch {
 
     fn takeovers(&self) -> u64 {
         let workers = self.cameras.iter().chain(&self.solvers);
+        let workers = workers.chain(&self.navigation);
         workers.map(Worker::takeovers).sum()
     }
 
     fn restarts(&self) -> u64 {
         let workers = self.cameras.iter().chain(&self.solvers);
+        let workers = workers.chain(&self.navigation);
         workers.map(Worker::restarts).sum::<u64>() + self.line.restarts() + self.disks.restarts()
     }
 }

@@ -7,7 +7,7 @@
 use crate::link::message::CAMERA;
 use crate::link::{
     BytePort, CommandPacket, Direction, ExposureStart, Message, Messages, MoonAnswer, Packet,
-    Parser, PortError, Solution, Telemetry, TelemetryPacket, id,
+    Parser, PortError, Propagated, Solution, Telemetry, TelemetryPacket, id,
 };
 use jiff::{SignedDuration, Timestamp};
 use std::collections::VecDeque;
@@ -59,6 +59,8 @@ pub struct Report {
     /// Every solution in the order of arrival, also the faulty ones.
     pub solutions: Vec<Solution>,
     pub errors: u64,
+    /// Offsets by the gyros, in the order of arrival.
+    pub propagated: Vec<Propagated>,
     /// Answers to requests for the Moon.
     pub moon: Vec<MoonAnswer>,
     pub receipts: u64,
@@ -77,9 +79,10 @@ impl fmt::Display for Report {
         } = self;
         writeln!(
             out,
-            "received: {} solutions, {} errors, {} announcements, {} tracking on, {} tracking off, \
+            "received: {} solutions, {} by gyros, {} errors, {} announcements, {} tracking on, {} tracking off, \
              {} receipts, {} results, {} other telemetry",
             solutions.len(),
+            self.propagated.len(),
             self.errors,
             self.announcements,
             self.tracking_on,
@@ -296,6 +299,10 @@ impl Controller {
             Message::Solution(solution) => self.take_solution(solution),
             Message::Error { .. } => {
                 self.report.errors += 1;
+                self.check_asked();
+            }
+            Message::Propagated(propagated) => {
+                self.report.propagated.push(*propagated);
                 self.check_asked();
             }
             Message::Moon(answer) => self.report.moon.push(*answer),

@@ -36,7 +36,8 @@ impl From<Pieces> for Course {
 }
 
 impl Course {
-    fn position(&self, since_start: Duration) -> PlateMil {
+    /// Where on the plate the Sun is, perhaps outside what the camera sees.
+    pub fn position(&self, since_start: Duration) -> PlateMil {
         match self {
             Self::Trajectory(trajectory) => trajectory.position(since_start),
             Self::Pieces(pieces) => pieces.position(since_start.as_secs_f64()),

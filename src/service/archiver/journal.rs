@@ -9,6 +9,7 @@ use crate::backoff::Backoff;
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::service::command_log::CommandNote;
+use crate::service::navigation::{NavigationLog, NavigationRows};
 use crate::service::tally::worth_a_line;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
@@ -26,6 +27,7 @@ pub(super) enum Entry {
     Row(RowEntry),
     Housekeeping(Box<Housekeeping>),
     Command(Box<CommandNote>),
+    Navigation(NavigationRows),
 }
 
 /// A row on its way to the log.
@@ -100,6 +102,8 @@ pub(super) struct Journal {
     books: Vec<Book>,
     housekeeping: Log,
     commands: Log,
+    /// In the order of [`NavigationLog::ALL`].
+    navigation: [Log; NavigationLog::ALL.len()],
     /// The disk's visit in which the files were opened.
     visit: u64,
     /// Says nothing, and is closed when the flight ends.
@@ -149,6 +153,16 @@ impl Journal {
                 CommandNote::COLUMNS.map(str::to_owned).to_vec(),
                 start,
             ),
+            navigation: NavigationLog::ALL.map(|log| {
+                let columns = log.columns().iter().map(|name| (*name).to_owned());
+                Log::new(
+                    store.disk(),
+                    store.root(),
+                    log.name(),
+                    columns.collect(),
+                    start,
+                )
+            }),
             visit: store.visits(),
             store,
             number,
@@ -177,6 +191,7 @@ impl Journal {
             Entry::Row(entry) => self.write_row(entry),
             Entry::Housekeeping(told) => self.write_housekeeping(told),
             Entry::Command(note) => self.write_command(note),
+            Entry::Navigation(rows) => self.write_navigation(rows),
         }
     }
 
@@ -224,6 +239,18 @@ impl Journal {
         self.commands.append(&note.fields())
     }
 
+    /// Writes the rows, and leaves those that are not written yet.
+    fn write_navigation(&mut self, rows: &mut NavigationRows) -> Result<(), ArchiveError> {
+        self.store.prepare()?;
+        self.reopen_after_a_mount();
+        let log = &mut self.navigation[rows.log as usize];
+        while let Some(row) = rows.rows.front() {
+            log.append(row)?;
+            rows.rows.pop_front();
+        }
+        Ok(())
+    }
+
     /// What was open when the disk was mounted before leads nowhere.
     fn reopen_after_a_mount(&mut self) {
         let visit = self.store.visits();
@@ -236,6 +263,7 @@ impl Journal {
     fn close(&mut self) {
         self.housekeeping.close();
         self.commands.close();
+        self.navigation.iter_mut().for_each(Log::close);
         for book in &mut self.books {
             book.log.close();
             book.dirfile.close();

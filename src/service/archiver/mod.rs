@@ -24,9 +24,10 @@ use super::answer::Answer;
 use super::command_log::CommandNote;
 use super::control::Controls;
 use super::flight::Station;
+use super::navigation::NavigationRows;
 use super::tally::{ArchiveTally, worth_a_line};
 use super::worker::{self, Job, Worker};
-use crate::archive::{Sharing, Store, Upkeep};
+use crate::archive::{Sharing, Store, Upkeep, navigation_file};
 use crate::config;
 use crate::link::Housekeeping;
 use crate::sky::Ephemeris;
@@ -79,6 +80,7 @@ pub(super) fn start(
     stations: &[Arc<Station>],
     controls: &Controls,
     ephemeris: &Ephemeris,
+    navigation_toml: Option<&str>,
 ) -> std::io::Result<(Archive, Threads)> {
     let settings = controls.config().archive;
     let queues = queues(&settings, stores.len());
@@ -98,6 +100,7 @@ pub(super) fn start(
         for station in stations {
             store.add_flight_files(station.flown.files(&station.folder, start));
         }
+        store.add_flight_files(navigation_toml.map(|text| navigation_file(text, start)));
         let store = Arc::new(store);
         let health = Arc::new(Mutex::new(DiskHealth {
             root: store.root().into(),
@@ -195,6 +198,13 @@ impl Archive {
     pub fn note_command(&self, note: &CommandNote) {
         for log in &self.logs {
             self.log(log, Entry::Command(Box::new(note.clone())));
+        }
+    }
+
+    /// Keeps rows of the navigation.
+    pub fn note_navigation(&self, rows: &NavigationRows) {
+        for log in &self.logs {
+            self.log(log, Entry::Navigation(rows.clone()));
         }
     }
 

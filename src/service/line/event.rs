@@ -3,6 +3,7 @@
 use crate::aspect::Stopped;
 use crate::link::{Exposure, Housekeeping, Picture, Solution};
 use crate::pointing::{Offset, Roll};
+use crate::service::navigation::PropagatedEvent;
 use crate::units::Measured;
 use std::time::{Duration, Instant};
 
@@ -26,6 +27,8 @@ pub const ERROR_CODES: &[(u16, &str)] = &[
 pub enum LinkEvent {
     ExposureStarts(Exposure),
     Outcome(Box<Outcome>),
+    /// An offset by the gyros.
+    Propagated(PropagatedEvent),
     /// The second's housekeeping.
     Housekeeping(Box<Housekeeping>),
     /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.

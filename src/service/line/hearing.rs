@@ -5,7 +5,7 @@ use super::super::tally::worth_a_line;
 use super::Line;
 use crate::link::describe::CommandInWords;
 use crate::link::guard::Refusal;
-use crate::link::{CommandPacket, Packet};
+use crate::link::{CommandPacket, Packet, TelemetryPacket};
 use jiff::Timestamp;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -38,10 +38,20 @@ impl Line<'_> {
 
     fn hear_wire(&mut self, bytes: &[u8]) {
         for packet in self.parser.feed(bytes, self.start.elapsed()) {
-            if let Packet::Command(packet) = packet {
-                let sender = self.settings.port.clone();
-                self.obey(&packet, &sender.unwrap_or_else(|| "line".to_owned()));
+            match packet {
+                Packet::Command(packet) => {
+                    let sender = self.settings.port.clone();
+                    self.obey(&packet, &sender.unwrap_or_else(|| "line".to_owned()));
+                }
+                Packet::Telemetry(packet) => self.hear_telemetry(&packet),
             }
+        }
+    }
+
+    /// Samples of the IMU; where no filter flies they are for nobody.
+    fn hear_telemetry(&self, packet: &TelemetryPacket) {
+        if let Some(inputs) = &self.navigation {
+            inputs.tell_imu(packet, Instant::now());
         }
     }
 
@@ -59,8 +69,9 @@ impl Line<'_> {
         // No packet goes on in the next datagram.
         self.parser.abandon();
         for packet in packets {
-            if let Packet::Command(packet) = packet {
-                self.obey_once(packet, sender, opened.is_new);
+            match packet {
+                Packet::Command(packet) => self.obey_once(packet, sender, opened.is_new),
+                Packet::Telemetry(packet) => self.hear_telemetry(&packet),
             }
         }
     }

@@ -64,7 +64,13 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
     let hung_up = Arc::clone(&hang_up);
     let thread = std::thread::spawn(move || {
         let tally = Shared::default();
-        let mut line = Line::new(&mut connection, controls, tally.clone(), Shared::default());
+        let mut line = Line::new(
+            &mut connection,
+            controls,
+            tally.clone(),
+            Shared::default(),
+            None,
+        );
         line.run(&receiver, &hung_up, &Life::new());
         tally.copy()
     });
@@ -655,6 +661,7 @@ fn heard(
         controls.clone(),
         tally.clone(),
         Shared::default(),
+        None,
     );
     (0..turns).for_each(|_| line.listen());
     let written = written.lock().unwrap().clone();

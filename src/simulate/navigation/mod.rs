@@ -20,6 +20,7 @@ mod motion;
 mod plan;
 mod rocket;
 mod span;
+mod telescope;
 #[cfg(test)]
 mod tests;
 
@@ -27,6 +28,7 @@ pub use cameras::{Camera, DirectionErrors, Seen, Target};
 pub use files::WriteError;
 pub use imu::ImuErrors;
 pub use plan::{FlightPlan, GpsErrors, Vehicle};
+pub use telescope::{NoFlight, TelescopeFlight, TelescopeTruth};
 
 use super::{Generator, Purpose, generator};
 use nalgebra::{UnitQuaternion, Vector3};

@@ -1,0 +1,70 @@
+//! How the attitude goes on between frames.
+
+use super::{Refused, Switch};
+use crate::link::PortAddress;
+use crate::link::connection::EXPECTED;
+use std::path::PathBuf;
+
+/// Whether and how the navigation filter flies.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Navigation {
+    pub enabled: Switch,
+    /// NAV.toml.
+    pub settings: Option<PathBuf>,
+    pub imu_port: Option<String>,
+    pub gps_port: Option<String>,
+    pub gps_baud: u32,
+    pub rate_hz: f64,
+    pub send: Switch,
+    pub max_sigma_arcsec: f64,
+}
+
+impl Default for Navigation {
+    fn default() -> Self {
+        Self {
+            enabled: Switch::Off,
+            settings: None,
+            imu_port: None,
+            gps_port: None,
+            gps_baud: 9600,
+            rate_hz: 20.0,
+            send: Switch::Off,
+            max_sigma_arcsec: 60.0,
+        }
+    }
+}
+
+impl Navigation {
+    pub fn is_enabled(&self) -> bool {
+        self.enabled == Switch::On
+    }
+
+    pub fn max_sigma_deg(&self) -> f64 {
+        self.max_sigma_arcsec / 3600.0
+    }
+
+    /// The IMU's own line; `None` where it speaks on the controller's.
+    ///
+    /// # Errors
+    /// What was expected of `navigation.imu_port`, and what was found.
+    pub fn imu_address(&self) -> Result<Option<PortAddress>, Refused> {
+        address("navigation.imu_port", self.imu_port.as_deref())
+    }
+
+    /// The GPS receiver's line.
+    ///
+    /// # Errors
+    /// As [`imu_address`](Self::imu_address).
+    pub fn gps_address(&self) -> Result<Option<PortAddress>, Refused> {
+        address("navigation.gps_port", self.gps_port.as_deref())
+    }
+}
+
+fn address(key: &'static str, text: Option<&str>) -> Result<Option<PortAddress>, Refused> {
+    let parsed = text.map(str::parse).transpose();
+    parsed.map_err(|_: String| Refused {
+        key,
+        expected: EXPECTED.into(),
+        found: format!("\"{}\"", text.unwrap_or_default()),
+    })
+}

@@ -1,0 +1,110 @@
+//! Samples of the gondola's inertial measurement unit (IMU), which come to the aspect system as telemetry, a packet each.
+
+use super::fields::{MessageError, Reader, Writer, unix_time};
+use super::packet::{TelemetryPacket, id, telemetry_type};
+use jiff::Timestamp;
+
+const KIND: u16 = telemetry_type::IMU as u16;
+
+/// Means over the interval that ends at a time, in the body's axes: forward, right and down.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImuPacket {
+    pub time: Timestamp,
+    /// Counts the samples; after 65535 comes 0.
+    pub counter: u16,
+    /// Specific force, m/s^2: acceleration less gravitation.
+    pub force_m_s2: [f32; 3],
+    /// Against inertial space, rad/s.
+    pub rate_rad_s: [f32; 3],
+}
+
+impl ImuPacket {
+    /// The packet, as the controller sends it.
+    ///
+    /// # Errors
+    /// Numbers that are not finite, times that do not fit.
+    pub fn packet(&self) -> Result<TelemetryPacket, MessageError> {
+        let mut out = Writer::after_key(KIND);
+        out.u16(self.counter);
+        for value in self.force_m_s2 {
+            out.f32("specific force", value)?;
+        }
+        for value in self.rate_rad_s {
+            out.f32("rate", value)?;
+        }
+        let time = unix_time(KIND, self.time)?;
+        let payload = out.finish();
+        Ok(TelemetryPacket::new(
+            telemetry_type::IMU,
+            id::CONTROLLER,
+            time,
+            payload,
+        )?)
+    }
+
+    /// Reads a sample.
+    ///
+    /// # Errors
+    /// Another type of telemetry, a payload that is too short, numbers that are not finite, a time that is none.
+    pub fn decode(packet: &TelemetryPacket) -> Result<Self, MessageError> {
+        if packet.kind() != telemetry_type::IMU {
+            let kind = packet.kind();
+            return Err(MessageError::UnknownTelemetry { kind });
+        }
+        let mut input = Reader::after_key(KIND, packet.payload());
+        let counter = input.u16()?;
+        let mut three = |field| -> Result<[f32; 3], MessageError> {
+            Ok([input.f32(field)?, input.f32(field)?, input.f32(field)?])
+        };
+        let (force_m_s2, rate_rad_s) = (three("specific force")?, three("rate")?);
+        let (seconds, nanoseconds) = packet.time();
+        let time = i32::try_from(nanoseconds).ok();
+        let time = time.and_then(|ns| Timestamp::new(seconds.into(), ns).ok());
+        let time = time.ok_or_else(|| MessageError::Time {
+            key: KIND,
+            found: format!("{seconds} s and {nanoseconds} ns"),
+        })?;
+        Ok(Self {
+            time,
+            counter,
+            force_m_s2,
+            rate_rad_s,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::packet::{Direction, Packet};
+
+    #[test]
+    fn a_sample_is_read_as_it_was_sent_and_a_bad_one_is_an_error() {
+        let sample = ImuPacket {
+            time: Timestamp::new(1_379_786_400, 250_000_000).unwrap(),
+            counter: 65_535,
+            force_m_s2: [0.1, -0.2, -9.7],
+            rate_rad_s: [1e-5, -7e-5, 4e-3],
+        };
+        let bytes = sample.packet().unwrap().encode();
+        assert_eq!(bytes.len(), 42);
+        let Ok(Packet::Telemetry(packet)) = Packet::decode(Direction::ToAspect, &bytes) else {
+            panic!("no telemetry");
+        };
+        assert_eq!(ImuPacket::decode(&packet), Ok(sample));
+        for (kind, time, length) in [
+            (telemetry_type::IDLE, (0, 0), 26),
+            (telemetry_type::IMU, (0, 2_000_000_000), 26),
+            (telemetry_type::IMU, (0, 0), 25),
+        ] {
+            let packet = TelemetryPacket::new(kind, 1, time, vec![0; length]).unwrap();
+            assert!(
+                ImuPacket::decode(&packet).is_err(),
+                "{kind} {time:?} {length}"
+            );
+        }
+        let nan = [&[0, 0][..], &f32::NAN.to_le_bytes(), &[0; 20]].concat();
+        let packet = TelemetryPacket::new(telemetry_type::IMU, 1, (0, 0), nan).unwrap();
+        assert!(ImuPacket::decode(&packet).is_err());
+    }
+}

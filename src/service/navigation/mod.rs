@@ -1,0 +1,412 @@
+//! The navigation filter's thread: samples, fixes and directions in, offsets between frames out.
+//!
+//! Its clock is the samples' own time. A measurement stands at its own time, less its sensor's delay; it may come up to 3 s late.
+
+mod inputs;
+mod rows;
+mod sensor;
+mod tally;
+
+pub(super) use inputs::{Input, Inputs, Seen};
+pub(super) use rows::{NavigationLog, NavigationRows};
+pub use tally::NavigationTally;
+
+use super::control::{Controls, Seat};
+use super::line::LinkEvent;
+use super::shared::Shared;
+use super::worker::Life;
+use crate::config;
+use crate::instrument::TomlError;
+use crate::link::{Connection, ImuPacket, Propagated, Solution};
+use crate::navigation::nmea::TimedFix;
+use crate::navigation::{
+    Fix, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row, Settings, Sighting, Sky,
+    Status, Target, Targets, Towards, offset,
+};
+use crate::sky::Ephemeris;
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::{Rotation3, Vector3};
+use rows::{gps_row, imu_row, propagated_row};
+use sensor::{Sensor, Speech};
+use std::collections::VecDeque;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How long the filter waits for an input before it shows that it is at work.
+const PATIENCE: Duration = Duration::from_millis(100);
+/// The archive gets rows of so much time at once.
+const ROWS_S: f64 = 1.0;
+
+/// The navigation of a flight.
+pub struct Navigation {
+    pub settings: Settings,
+    /// The file of the settings, letter by letter, for the archive.
+    pub settings_toml: String,
+    /// The IMU's own line; none where it speaks on the controller's.
+    pub imu: Option<Connection>,
+    pub gps: Option<Connection>,
+}
+
+/// The name by which the settings know a camera: that of its table in the configuration.
+pub fn camera_name(seat: Seat) -> &'static str {
+    match seat {
+        Seat::PitchYaw => "camera",
+        Seat::SecondPitchYaw => "second_camera",
+        Seat::Roll => "roll_camera",
+        Seat::Moon => "moon_camera",
+    }
+}
+
+/// Settings that can fly: the first camera's axes are what offsets rest on.
+///
+/// # Errors
+/// The file, the field, and what was expected there.
+pub fn checked(path: &Path, settings: Settings) -> Result<Settings, TomlError> {
+    let seats = [Seat::PitchYaw, Seat::SecondPitchYaw, Seat::Roll, Seat::Moon];
+    let names = seats.map(camera_name);
+    let error = |field: &str, expected: &str, found: &str| {
+        Err(TomlError::new(path, field, expected, found))
+    };
+    for camera in &settings.cameras {
+        if !names.contains(&camera.name.as_str()) {
+            return error(
+                "camera.name",
+                &format!("one of {}", names.join(", ")),
+                &camera.name,
+            );
+        }
+    }
+    match settings.camera(names[0]).map(|n| &settings.cameras[n]) {
+        None => error(
+            "camera",
+            "one named \"camera\", the telescope's own",
+            "none",
+        ),
+        Some(camera) if camera.misalignment_rad > 0.0 => error(
+            "camera \"camera\": misalignment_sigma_deg",
+            "0: what is sent is where this camera's telescope points",
+            &camera.misalignment_rad.to_degrees().to_string(),
+        ),
+        Some(_) => Ok(settings),
+    }
+}
+
+/// What an offset by the gyros tells the line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct PropagatedEvent {
+    pub propagated: Propagated,
+    /// When the sample was read that it rests on.
+    pub read: Instant,
+}
+
+/// What the filter's thread shares with the others. It outlives a thread that fails; the filter does not.
+#[derive(Clone)]
+pub(super) struct Navigator {
+    pub settings: Settings,
+    pub ephemeris: Ephemeris,
+    pub controls: Controls,
+    pub to_line: Sender<LinkEvent>,
+    pub rows: Sender<NavigationRows>,
+    pub tally: Shared<NavigationTally>,
+    pub ended: Arc<AtomicBool>,
+}
+
+impl Navigator {
+    /// Filters until the flight ends, or another thread has taken over.
+    pub fn run(self, inputs: &Receiver<Input>, life: &Life) {
+        let mut filter = None;
+        while !life.is_over() {
+            life.beat();
+            match inputs.recv_timeout(PATIENCE) {
+                Ok(Input::Imu(sample, read)) => {
+                    let filter = filter.get_or_insert_with(|| Filter::new(&self, sample.time));
+                    filter.sample(&sample, read);
+                }
+                Ok(Input::Fix(fix)) => {
+                    // The place of frames follows the receiver, too.
+                    self.controls.follow(fix.place);
+                    filter
+                        .iter_mut()
+                        .for_each(|filter: &mut Filter| filter.fix(&fix));
+                }
+                Ok(Input::Seen(seen)) => filter.iter_mut().for_each(|filter| filter.seen(&seen)),
+                Err(RecvTimeoutError::Timeout) if !self.ended.load(Ordering::Relaxed) => {}
+                Err(_) => break,
+            }
+        }
+        filter.iter_mut().for_each(Filter::hand_rows_on);
+    }
+}
+
+/// The filter with what it needs to tell offsets.
+struct Filter<'a> {
+    own: &'a Navigator,
+    live: Live,
+    targets: Targets,
+    epoch: Timestamp,
+    body_from_telescope: Rotation3<f64>,
+    /// The counter of the last sample.
+    counter: Option<u16>,
+    /// When the next offset is due.
+    due_s: f64,
+    rows: [VecDeque<Vec<String>>; NavigationLog::ALL.len()],
+    handed_on_s: f64,
+    /// Directions that could not be used for want of the target's.
+    unknown: u64,
+}
+
+impl<'a> Filter<'a> {
+    /// Waits for what comes; `epoch` is about the first sample's time.
+    fn new(own: &'a Navigator, epoch: Timestamp) -> Self {
+        let settings = &own.settings;
+        let sees = |camera: &crate::navigation::Camera| match camera.name.as_str() {
+            "roll_camera" => vec![Target::Nadir],
+            "moon_camera" => vec![Target::Moon],
+            _ => vec![Target::Sun],
+        };
+        let sees: Vec<_> = settings.cameras.iter().map(sees).collect();
+        let sky = Sky::Ephemeris {
+            ephemeris: Box::new(own.ephemeris.clone()),
+            epoch,
+        };
+        let telescope = settings.camera(camera_name(Seat::PitchYaw));
+        let axes = telescope.map(|n| settings.cameras[n].body_from_camera);
+        Self {
+            own,
+            live: Live::new(settings.clone(), &sees),
+            targets: Targets::new(sky, Vec::new()),
+            epoch,
+            body_from_telescope: axes.unwrap_or_default(),
+            counter: None,
+            due_s: f64::NEG_INFINITY,
+            rows: Default::default(),
+            handed_on_s: 0.0,
+            unknown: 0,
+        }
+    }
+
+    fn since_epoch_s(&self, utc: Timestamp) -> f64 {
+        utc.duration_since(self.epoch).as_secs_f64()
+    }
+
+    fn sample(&mut self, sample: &ImuPacket, read: Instant) {
+        let vector = |v: [f32; 3]| Vector3::from(v).cast::<f64>();
+        let t_s = self.since_epoch_s(sample.time) - self.own.settings.imu.delay_s;
+        let row = self.live.sample(ImuSample {
+            t_s,
+            force_m_s2: vector(sample.force_m_s2),
+            rate_rad_s: vector(sample.rate_rad_s),
+        });
+        if let Some(row) = row.filter(|row| row.t_s >= self.due_s || row.t_s < self.handed_on_s) {
+            let period_s = 1.0 / self.own.controls.config().navigation.rate_hz;
+            self.due_s = ((row.t_s / period_s + 0.01).floor() + 1.0) * period_s - 0.01 * period_s;
+            self.tell(&row, read);
+        }
+        self.note_sample(sample, row.map(|row| row.status));
+        self.keep(NavigationLog::Imu, imu_row(sample));
+        if !(0.0..ROWS_S).contains(&(t_s - self.handed_on_s)) {
+            self.handed_on_s = t_s;
+            self.hand_rows_on();
+        }
+    }
+
+    fn note_sample(&mut self, sample: &ImuPacket, status: Option<Status>) {
+        let mut tally = self.own.tally.lock();
+        tally.samples += 1;
+        if let Some(last) = self.counter.replace(sample.counter) {
+            tally.lost_samples += u64::from(sample.counter.wrapping_sub(last).saturating_sub(1));
+        }
+        let counts = self.live.counts();
+        tally.refused = counts.refused;
+        tally.out_of_time = counts.out_of_time;
+        tally.restarts = self.live.restarts().into();
+        if status.is_none_or(|status| status == Status::Waiting) {
+            tally.latest = None;
+        }
+        if let Some(status) = status
+            && tally.status.replace(status) != Some(status)
+        {
+            tracing::info!(status = status.name(), "navigation");
+        }
+    }
+
+    fn fix(&mut self, timed: &TimedFix) {
+        let t_s = self.since_epoch_s(timed.utc) - self.own.settings.gps.delay_s;
+        let fix = timed.fix(t_s);
+        let motion = self.live.now().and_then(|row| row.attitude);
+        self.targets.note(Fix {
+            // A fix that jumps does not move the Sun.
+            position_m: motion.map_or(fix.position_m, |(motion, _)| motion.position_m),
+            ..fix
+        });
+        self.live.measure(Measurement::Fix(fix));
+        self.keep(NavigationLog::Gps, gps_row(timed.utc, &fix));
+    }
+
+    fn seen(&mut self, seen: &Seen) {
+        let settings = &self.own.settings;
+        let Some(camera) = settings.camera(camera_name(seen.seat)) else {
+            return;
+        };
+        let t_s = self.since_epoch_s(seen.utc) - settings.cameras[camera].delay_s;
+        let towards = match self.towards(seen.target, t_s) {
+            Ok(towards) => towards,
+            Err(error) => {
+                self.unknown += 1;
+                if super::tally::worth_a_line(self.unknown) {
+                    tracing::warn!(%error, "a direction cannot be used");
+                }
+                return;
+            }
+        };
+        // What the settings state to be correlated is part of it.
+        let correlated_rad = settings.correlated_rad[seen.target as usize];
+        let own_rad = (seen.direction.covariance_rad2.trace() / 2.0)
+            .max(0.0)
+            .sqrt();
+        self.live.measure(Measurement::Sighting(Sighting {
+            t_s,
+            camera,
+            target: seen.target,
+            unit: seen.direction.unit,
+            sigma_rad: own_rad.max(correlated_rad),
+            towards,
+        }));
+        self.own.tally.lock().seen += 1;
+    }
+
+    fn towards(&mut self, target: Target, t_s: f64) -> Result<Towards, NoDirection> {
+        Ok(match target {
+            Target::Nadir => Towards::Down,
+            target => Towards::Known(self.targets.direction(target, t_s)?),
+        })
+    }
+
+    /// Tells line and archive the offset at a row.
+    fn tell(&mut self, row: &Row, read: Instant) {
+        if row.attitude.is_none() {
+            return;
+        }
+        let target = self.own.controls.snapshot().target;
+        let Ok(towards) = self.targets.aim(&target, row.t_s) else {
+            return;
+        };
+        let Ok(Some(offset)) = offset(row, &self.body_from_telescope, &towards) else {
+            return;
+        };
+        let since = SignedDuration::try_from_secs_f64(row.t_s).unwrap_or_default();
+        let Ok(utc) = self.epoch.checked_add(since) else {
+            return;
+        };
+        let age_s = row.t_s - self.live.seen_s();
+        let settings = self.own.controls.config().navigation;
+        self.note_offset(&offset, &settings);
+        if settings.sends(&offset) {
+            let event = PropagatedEvent {
+                propagated: propagated(&offset, utc, age_s),
+                read,
+            };
+            // A line that is stuck sends nothing; the next offset is a better one.
+            let _ = self.own.to_line.try_send(LinkEvent::Propagated(event));
+        }
+        let row = propagated_row(utc, &offset, age_s, row.status);
+        self.keep(NavigationLog::Propagated, row);
+    }
+
+    fn note_offset(&self, offset: &PropagatedOffset, settings: &config::Navigation) {
+        let mut tally = self.own.tally.lock();
+        tally.offsets += 1;
+        tally.uncertain += u64::from(offset.sigma_deg > settings.max_sigma_deg());
+        tally.latest = Some(*offset);
+    }
+
+    fn keep(&mut self, log: NavigationLog, row: Vec<String>) {
+        self.rows[log as usize].push_back(row);
+    }
+
+    fn hand_rows_on(&mut self) {
+        for (log, rows) in NavigationLog::ALL.into_iter().zip(&mut self.rows) {
+            let rows = std::mem::take(rows);
+            let count = rows.len() as u64;
+            if count > 0
+                && self
+                    .own
+                    .rows
+                    .try_send(NavigationRows { log, rows })
+                    .is_err()
+            {
+                self.own.tally.lock().rows_lost += count;
+            }
+        }
+    }
+}
+
+impl config::Navigation {
+    fn sends(&self, offset: &PropagatedOffset) -> bool {
+        self.send == config::Switch::On && offset.sigma_deg <= self.max_sigma_deg()
+    }
+}
+
+fn propagated(offset: &PropagatedOffset, utc: Timestamp, age_s: f64) -> Propagated {
+    Propagated {
+        solution: Solution {
+            azimuth_deg: offset.difference.azimuth_deg,
+            elevation_deg: offset.difference.elevation_deg,
+            roll_deg: offset.roll_deg.value,
+            error_deg: offset.sigma_deg,
+            time: utc,
+        },
+        age_ms: (1e3 * age_s).round().clamp(0.0, u16::MAX.into()) as u16,
+    }
+}
+
+/// The line of a sensor, held by one life of its thread after the other.
+#[derive(Clone)]
+pub(super) struct SensorLine {
+    pub connection: Arc<Mutex<Connection>>,
+    pub kind: SensorKind,
+    pub inputs: Inputs,
+    pub tally: Shared<NavigationTally>,
+    pub ended: Arc<AtomicBool>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum SensorKind {
+    Imu,
+    Gps,
+}
+
+impl SensorKind {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Imu => "imu",
+            Self::Gps => "gps",
+        }
+    }
+}
+
+impl SensorLine {
+    pub fn listen(self, life: &Life) {
+        let mut connection = self
+            .connection
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let sensor = Sensor {
+            connection: &mut connection,
+            speech: match self.kind {
+                SensorKind::Imu => Speech::imu(),
+                SensorKind::Gps => Speech::gps(),
+            },
+            inputs: self.inputs,
+            tally: self.tally,
+            ended: self.ended,
+        };
+        sensor.run(life);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,102 @@
+//! What the archive keeps of the navigation: the sensors' words as `solaspect navigate` and `refine` read them, and the offsets by the gyros.
+
+use crate::link::ImuPacket;
+use crate::navigation::{Climb, Fix, PropagatedOffset, Status};
+use jiff::Timestamp;
+use std::collections::VecDeque;
+
+/// A log of the navigation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::service) enum NavigationLog {
+    Imu,
+    Gps,
+    Propagated,
+}
+
+/// Rows of a log, of a second or so.
+#[derive(Debug, Clone, PartialEq)]
+pub(in crate::service) struct NavigationRows {
+    pub log: NavigationLog,
+    pub rows: VecDeque<Vec<String>>,
+}
+
+impl NavigationLog {
+    pub const ALL: [Self; 3] = [Self::Imu, Self::Gps, Self::Propagated];
+
+    /// The first word of its files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Imu => "imu",
+            Self::Gps => "gps",
+            Self::Propagated => "propagated",
+        }
+    }
+
+    /// `t_s` counts from 1970, UTC, as the sensors have said it.
+    pub fn columns(self) -> &'static [&'static str] {
+        match self {
+            Self::Imu => &[
+                "t_s", "fx_m_s2", "fy_m_s2", "fz_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s",
+            ],
+            Self::Gps => &[
+                "t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "climb",
+            ],
+            Self::Propagated => &[
+                "t_s",
+                "azimuth_deg",
+                "elevation_deg",
+                "cross_elevation_deg",
+                "sigma_deg",
+                "roll_deg",
+                "roll_sigma_deg",
+                "age_s",
+                "status",
+            ],
+        }
+    }
+}
+
+pub(super) fn imu_row(sample: &ImuPacket) -> Vec<String> {
+    let numbers = sample.force_m_s2.iter().chain(&sample.rate_rad_s);
+    let mut row = vec![since_1970(sample.time)];
+    row.extend(numbers.map(f32::to_string));
+    row
+}
+
+pub(super) fn gps_row(utc: Timestamp, fix: &Fix) -> Vec<String> {
+    let (at, velocity) = (&fix.position_m, &fix.velocity_m_s);
+    let mut row = vec![since_1970(utc)];
+    row.extend(at.iter().map(|m| format!("{m:.3}")));
+    row.extend(velocity.iter().map(|m_s| format!("{m_s:.4}")));
+    row.push(match fix.climb {
+        Climb::Measured => "measured".into(),
+        Climb::Unknown => "unknown".into(),
+    });
+    row
+}
+
+pub(super) fn propagated_row(
+    utc: Timestamp,
+    offset: &PropagatedOffset,
+    age_s: f64,
+    status: Status,
+) -> Vec<String> {
+    let difference = &offset.difference;
+    let numbers = [
+        difference.azimuth_deg,
+        difference.elevation_deg,
+        difference.cross_elevation_deg,
+        offset.sigma_deg,
+        offset.roll_deg.value,
+        offset.roll_deg.sigma,
+    ];
+    let mut row = vec![since_1970(utc)];
+    row.extend(numbers.map(|number| format!("{number:.7}")));
+    row.extend([format!("{age_s:.3}"), status.name().into()]);
+    row
+}
+
+fn since_1970(time: Timestamp) -> String {
+    let micros = time.as_microsecond();
+    format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000)
+}

@@ -1,0 +1,65 @@
+//! What the navigation counts, and what it knows now.
+
+use crate::navigation::nmea::SentenceCounts;
+use crate::navigation::{PropagatedOffset, Status};
+use std::fmt;
+
+/// What the navigation's threads count.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct NavigationTally {
+    /// Samples of the IMU that the filter has taken.
+    pub samples: u64,
+    /// Samples that are missing by their counter.
+    pub lost_samples: u64,
+    /// Packets of the IMU and datagrams that are no good.
+    pub unreadable: u64,
+    /// Inputs that the filter had no room for.
+    pub overflowed: u64,
+    /// Of the GPS receiver.
+    pub sentences: SentenceCounts,
+    /// Directions of cameras.
+    pub seen: u64,
+    /// Measurements that contradict the filter, and that came too late or too early.
+    pub refused: u64,
+    pub out_of_time: u64,
+    /// Times that the filter began anew.
+    pub restarts: u64,
+    /// Offsets that were made, and of them those that are too uncertain to be sent.
+    pub offsets: u64,
+    pub uncertain: u64,
+    /// Rows for the archive that found no room.
+    pub rows_lost: u64,
+    /// `None` before the first sample.
+    pub status: Option<Status>,
+    pub latest: Option<PropagatedOffset>,
+}
+
+impl NavigationTally {
+    pub(in crate::service) fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if *self == Self::default() {
+            return Ok(());
+        }
+        writeln!(
+            out,
+            "navigation {} samples ({} lost, {} unreadable), {} fixes ({} sentences without one), {} directions, \
+             {} refused, {} out of time, {} overflowed",
+            self.samples,
+            self.lost_samples,
+            self.unreadable,
+            self.sentences.fixes,
+            self.sentences.without_fix,
+            self.seen,
+            self.refused,
+            self.out_of_time,
+            self.overflowed,
+        )?;
+        writeln!(
+            out,
+            "           {} offsets, {} of them too uncertain to be sent, {} restarts, at last {}",
+            self.offsets,
+            self.uncertain,
+            self.restarts,
+            self.status.map_or("without samples", Status::name),
+        )
+    }
+}

@@ -1,0 +1,244 @@
+//! IMU and GPS of the telescope whose camera a simulated flight shows: where the Sun stands on the plate tells how the telescope is turned.
+//!
+//! The telescope hangs still above one place and does not roll.
+
+use super::earth::{earth_rate_rad_s, ecef_from_north_east_down, gravitation_m_s2, position_m};
+use super::imu::{Imu, RATE_HZ};
+use super::{Drawn, ImuErrors, ImuRow, random};
+use crate::instrument::Instrument;
+use crate::link::ImuPacket;
+use crate::pointing::{self, Difference, PointingError, Roll};
+use crate::simulate::Generator;
+use crate::simulate::flight::Course;
+use crate::sky::sphere::direction;
+use crate::sky::{Ephemeris, SkyError, SunPosition};
+use crate::units::{Measured, Place, PlateMil};
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use std::time::Duration;
+
+const KNOT_M_S: f64 = 1852.0 / 3600.0;
+/// Errors of the GPS receiver, of each axis.
+const POSITION_SIGMA_M: f64 = 5.0;
+const VELOCITY_SIGMA_M_S: f64 = 0.05;
+/// Between two looks at the ephemeris the Sun moves evenly to a thousandth of an arcsecond.
+const LOOK_EVERY_S: i64 = 1;
+
+/// Why a flight cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum NoFlight {
+    #[error(transparent)]
+    Sky(#[from] SkyError),
+    #[error(transparent)]
+    Pointing(#[from] PointingError),
+    #[error("a time that no calendar has")]
+    Time,
+}
+
+/// Where a telescope pointed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TelescopeTruth {
+    pub elevation_deg: f64,
+    pub offset: Difference,
+}
+
+/// The telescope of a simulated flight.
+pub struct TelescopeFlight {
+    course: Course,
+    instrument: Instrument,
+    place: Place,
+    start: Timestamp,
+    ephemeris: Ephemeris,
+    /// The Sun at a second since the start, and at the next look.
+    looked: Option<(i64, [SunPosition; 2])>,
+    imu: Imu,
+    gps: Generator,
+    /// How the telescope was turned at the end of the last sample.
+    last: Option<(u64, UnitQuaternion<f64>)>,
+}
+
+impl TelescopeFlight {
+    /// A flight that begins at `start`; the errors are the seed's.
+    pub fn new(
+        course: impl Into<Course>,
+        instrument: &Instrument,
+        place: Place,
+        start: Timestamp,
+        seed: u64,
+    ) -> Self {
+        Self {
+            course: course.into(),
+            instrument: instrument.clone(),
+            place,
+            start,
+            ephemeris: Ephemeris::default(),
+            looked: None,
+            imu: Imu::drawn(&ImuErrors::balloon(), seed),
+            gps: random(seed, Drawn::Gps),
+            last: None,
+        }
+    }
+
+    /// Samples a second.
+    pub fn rate_hz(&self) -> u64 {
+        RATE_HZ
+    }
+
+    /// The n-th sample of the IMU, whose interval ends n hundredths of a second after the start; from 1 on.
+    ///
+    /// # Errors
+    /// Where nothing tells how the telescope is turned then.
+    pub fn sample(&mut self, n: u64) -> Result<ImuPacket, NoFlight> {
+        let interval_s = 1.0 / RATE_HZ as f64;
+        let at = |n: u64| Duration::from_nanos(n * 1_000_000_000 / RATE_HZ);
+        let before = match self.last.filter(|(last, _)| *last + 1 == n) {
+            Some((_, before)) => before,
+            None => self.attitude(at(n.saturating_sub(1)))?,
+        };
+        let after = self.attitude(at(n))?;
+        self.last = Some((n, after));
+        let turn = (before.inverse() * after).scaled_axis();
+        let middle = before * UnitQuaternion::new(turn / 2.0);
+        let to_body = |v: Vector3<f64>| middle.inverse_transform_vector(&v);
+        let at_m = position_m(&self.place);
+        let spin = earth_rate_rad_s();
+        let felt_m_s2 = spin.cross(&spin.cross(&at_m)) - gravitation_m_s2(&at_m);
+        let row = self.imu.measured(&ImuRow {
+            t_s: at(n).as_secs_f64(),
+            specific_force_m_s2: to_body(felt_m_s2),
+            rate_rad_s: turn / interval_s + to_body(spin),
+        });
+        Ok(ImuPacket {
+            time: self.utc(at(n))?,
+            counter: n as u16,
+            force_m_s2: row.specific_force_m_s2.cast::<f32>().into(),
+            rate_rad_s: row.rate_rad_s.cast::<f32>().into(),
+        })
+    }
+
+    /// What the GPS receiver says of a whole second after the start: a sentence GGA and a sentence RMC.
+    ///
+    /// # Errors
+    /// A time that no calendar has.
+    pub fn sentences(&mut self, second: u64) -> Result<String, NoFlight> {
+        let utc = self.utc(Duration::from_secs(second))?;
+        let mut normal = |sigma: f64| sigma * self.gps.sample::<f64, _>(StandardNormal);
+        let axes = ecef_from_north_east_down(&self.place);
+        let [north_m, east_m, up_m] = [(); 3].map(|()| normal(POSITION_SIGMA_M));
+        let metres_per_deg = position_m(&self.place).norm().to_radians();
+        let level = axes.matrix().column(2).xy().norm().max(0.01);
+        let latitude_deg = self.place.latitude_deg + north_m / metres_per_deg;
+        let longitude_deg = self.place.longitude_deg + east_m / (metres_per_deg * level);
+        let height_m = self.place.height_m + up_m;
+        let (north_m_s, east_m_s) = (normal(VELOCITY_SIGMA_M_S), normal(VELOCITY_SIGMA_M_S));
+        let speed = north_m_s.hypot(east_m_s) / KNOT_M_S;
+        let course_deg = east_m_s.atan2(north_m_s).to_degrees().rem_euclid(360.0);
+        let time = utc.strftime("%H%M%S.00");
+        let at = format!(
+            "{},{}",
+            degrees_and_minutes(latitude_deg, 2, ["N", "S"]),
+            degrees_and_minutes(longitude_deg, 3, ["E", "W"])
+        );
+        let date = utc.strftime("%d%m%y");
+        Ok(summed(&format!(
+            "GPGGA,{time},{at},1,09,0.9,{height_m:.2},M,0.0,M,,"
+        )) + &summed(&format!(
+            "GPRMC,{time},A,{at},{speed:.4},{course_deg:.2},{date},,,A"
+        )))
+    }
+
+    /// How the telescope is turned: takes its axes - forward, right, down - to Earth-fixed ones.
+    ///
+    /// # Errors
+    /// Where the ephemeris does not reach, or no telescope points so.
+    pub fn attitude(&mut self, since: Duration) -> Result<UnitQuaternion<f64>, NoFlight> {
+        let sun_on_plate = self.sun_on_plate(since);
+        let sun = self.sun(since)?;
+        let level = Roll::Measured(Measured::new(0.0, 0.0));
+        let towards = pointing::pointing(sun_on_plate, level, &self.instrument, &sun)?;
+        let (sin, cos) = towards.azimuth_deg.to_radians().sin_cos();
+        let (sin_up, cos_up) = towards.elevation_deg.to_radians().sin_cos();
+        // North, east and down.
+        let forward = Vector3::new(cos_up * cos, cos_up * sin, -sin_up);
+        let right = Vector3::new(-sin, cos, 0.0);
+        let axes = Matrix3::from_columns(&[forward, right, forward.cross(&right)]);
+        let local = Rotation3::from_matrix_unchecked(axes);
+        let turned = ecef_from_north_east_down(&self.place) * local;
+        Ok(UnitQuaternion::from_rotation_matrix(&turned))
+    }
+
+    /// Where the telescope points, minus the Sun's centre.
+    ///
+    /// # Errors
+    /// As [`attitude`](Self::attitude).
+    pub fn truth(&mut self, since: Duration) -> Result<TelescopeTruth, NoFlight> {
+        let sun = self.sun(since)?;
+        let level = Roll::Measured(Measured::new(0.0, 0.0));
+        let sun_on_plate = self.sun_on_plate(since);
+        let towards = pointing::pointing(sun_on_plate, level, &self.instrument, &sun)?;
+        let boresight = direction(towards.azimuth_deg, towards.elevation_deg);
+        let centre = direction(sun.azimuth_deg, sun.elevation_deg);
+        Ok(TelescopeTruth {
+            elevation_deg: towards.elevation_deg,
+            offset: pointing::difference(&boresight, &centre)?,
+        })
+    }
+
+    /// Where the Sun stands on the plate.
+    pub fn sun_on_plate(&self, since: Duration) -> PlateMil {
+        self.course.position(since)
+    }
+
+    /// Where the Sun stands in the sky.
+    ///
+    /// # Errors
+    /// Where the ephemeris does not reach.
+    pub fn sun(&mut self, since: Duration) -> Result<SunPosition, NoFlight> {
+        let second = since.as_secs() as i64 / LOOK_EVERY_S * LOOK_EVERY_S;
+        let [from, to] = match self.looked {
+            Some((looked, suns)) if looked == second => suns,
+            _ => {
+                let mut at = |second: i64| {
+                    let utc = self.utc(Duration::from_secs(second as u64))?;
+                    Ok::<_, NoFlight>(self.ephemeris.sun(utc, self.place)?)
+                };
+                let suns = [at(second)?, at(second + LOOK_EVERY_S)?];
+                self.looked = Some((second, suns));
+                suns
+            }
+        };
+        let share = (since.as_secs_f64() - second as f64) / LOOK_EVERY_S as f64;
+        let moved = (to.azimuth_deg - from.azimuth_deg + 180.0).rem_euclid(360.0) - 180.0;
+        Ok(SunPosition {
+            azimuth_deg: from.azimuth_deg + share * moved,
+            elevation_deg: from.elevation_deg + share * (to.elevation_deg - from.elevation_deg),
+            ..from
+        })
+    }
+
+    fn utc(&self, since: Duration) -> Result<Timestamp, NoFlight> {
+        let since = SignedDuration::try_from(since).map_err(|_| NoFlight::Time)?;
+        self.start.checked_add(since).map_err(|_| NoFlight::Time)
+    }
+}
+
+/// An angle as NMEA has it: whole degrees in so many digits, then minutes, then the half of the Earth.
+fn degrees_and_minutes(angle_deg: f64, digits: usize, [plus, minus]: [&str; 2]) -> String {
+    // In units that round without a carry into 60 minutes.
+    const PARTS: f64 = 1e6;
+    let parts = (angle_deg.abs() * 60.0 * PARTS).round();
+    let (degrees, minutes) = (
+        (parts / (60.0 * PARTS)).floor(),
+        parts % (60.0 * PARTS) / PARTS,
+    );
+    let half = if angle_deg < 0.0 { minus } else { plus };
+    format!("{degrees:0digits$.0}{minutes:09.6},{half}")
+}
+
+/// A sentence with its checksum.
+fn summed(body: &str) -> String {
+    let sum = body.bytes().fold(0, |sum, byte| sum ^ byte);
+    format!("${body}*{sum:02X}\r\n")
+}
