@@ -139,6 +139,7 @@ fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError>
         sky: None,
         instrument: &instrument,
         seed: 1,
+        start: None,
         duration: None,
         speed,
     };

@@ -15,7 +15,7 @@ pub use folder::FolderCamera;
 pub use settings::{PixelFormat, Settings};
 pub use simulated::{SimulatedCamera, TruthLog};
 pub use simulated_sky::{SimulatedSky, SkyView};
-pub use source::{NoSource, Source, Surroundings, open};
+pub use source::{NoSource, Source, Surroundings, open, simulated_course};
 
 use crate::fits::FileError;
 use crate::frame::Frame;

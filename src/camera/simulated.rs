@@ -33,6 +33,8 @@ pub struct SimulatedCamera {
     region: Option<Region>,
     pace: Pace,
     start: Timestamp,
+    /// How far the flight was when the first frame was taken.
+    ahead: Duration,
     /// Length of the whole run; `None` without end.
     duration: Option<Duration>,
     number: u64,
@@ -53,10 +55,16 @@ impl SimulatedCamera {
             region: None,
             pace: Pace::default(),
             start,
+            ahead: Duration::ZERO,
             duration,
             number: 0,
             truth: TruthLog::default(),
         }
+    }
+
+    /// The same, begun so long after the flight.
+    pub fn ahead_by(self, ahead: Duration) -> Self {
+        Self { ahead, ..self }
     }
 
     /// The truth of the frames that this camera takes.
@@ -72,7 +80,7 @@ impl SimulatedCamera {
 
     /// The scene that is due, and the start of its exposure.
     fn due_scene(&self) -> Result<(Scene, Timestamp), CameraError> {
-        let since_start = self.pace.due();
+        let since_start = self.ahead + self.pace.due();
         let middle = since_start + self.scenes.exposure / 2;
         let at = |since: Duration| -> Result<Timestamp, jiff::Error> {
             self.start.checked_add(SignedDuration::try_from(since)?)

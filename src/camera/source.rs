@@ -65,8 +65,9 @@ pub struct Surroundings<'a> {
     pub instrument: &'a Instrument,
     /// For a camera that looks at the sky.
     pub sky: Option<&'a SkyCamera>,
-    /// Seed of the simulator.
+    /// Seed of the simulator, and when its flight begins; unset, now.
     pub seed: u64,
+    pub start: Option<Timestamp>,
     /// Length of a simulated run; `None` without end.
     pub duration: Option<Duration>,
     /// How many times faster than it was taken a folder is replayed.
@@ -122,21 +123,35 @@ fn simulated(
     settings: &Settings,
     around: &Surroundings,
 ) -> Result<SimulatedCamera, CameraError> {
-    let start = Timestamp::now();
+    let now = Timestamp::now();
+    let start = around.start.unwrap_or(now);
     let Surroundings {
         instrument, seed, ..
     } = *around;
-    let radius_arcsec = sky::sun_angular_radius(start)?;
-    let radius_mil = instrument.optics.radius_mil(radius_arcsec);
-    let course: Course = match file {
+    let course = simulated_course(file, instrument, start, seed)?;
+    let scenes = FlightScenes::new(instrument, course, radius_mil(instrument, start)?, seed)?;
+    let ahead = Duration::try_from(now.duration_since(start)).unwrap_or_default();
+    let camera = SimulatedCamera::new(scenes, settings.rate_hz, start, around.duration);
+    Ok(camera.ahead_by(ahead))
+}
+
+/// Where the Sun goes in a simulated flight: as a file tells, or on a path of rests and slews without end.
+///
+/// # Errors
+/// A file that tells no flight, and an instrument that has no room for one.
+pub fn simulated_course(
+    file: Option<&Path>,
+    instrument: &Instrument,
+    start: Timestamp,
+    seed: u64,
+) -> Result<Course, CameraError> {
+    Ok(match file {
         Some(file) => Pieces::read(file)?.into(),
-        None => Trajectory::flight(instrument, radius_mil, seed)?.into(),
-    };
-    let scenes = FlightScenes::new(instrument, course, radius_mil, seed)?;
-    Ok(SimulatedCamera::new(
-        scenes,
-        settings.rate_hz,
-        start,
-        around.duration,
-    ))
+        None => Trajectory::flight(instrument, radius_mil(instrument, start)?, seed)?.into(),
+    })
+}
+
+fn radius_mil(instrument: &Instrument, at: Timestamp) -> Result<f64, CameraError> {
+    let radius_arcsec = sky::sun_angular_radius(at)?;
+    Ok(instrument.optics.radius_mil(radius_arcsec))
 }

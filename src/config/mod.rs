@@ -323,10 +323,14 @@ impl Default for Preflight {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulation {
     pub seed: u64,
+    pub start_utc: Option<Timestamp>,
 }
 
 impl Default for Simulation {
     fn default() -> Self {
-        Self { seed: 1 }
+        Self {
+            seed: 1,
+            start_utc: None,
+        }
     }
 }

@@ -18,6 +18,9 @@ const FILES: [(&str, &str); 3] = [
 /// The file of the demonstration's roll camera.
 pub const DEMO_HORIZON: &str = include_str!("../../calibration/demo-horizon.toml");
 
+/// What the demonstration's navigation rests on.
+pub const DEMO_NAVIGATION: &str = include_str!("../../calibration/demo-nav.toml");
+
 /// A built-in instrument by name.
 pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
     let path = Path::new(name);

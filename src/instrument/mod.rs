@@ -12,7 +12,7 @@ mod raw;
 mod sensor;
 pub mod toml_file;
 
-pub use builtin::{DEMO_HORIZON, builtin, builtin_names, builtin_text};
+pub use builtin::{DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text};
 pub use dates::Dated;
 pub(crate) use direction_camera::rotation_of_rows;
 pub use direction_camera::{DirectionCamera, MountedCamera, SkyCamera, WrongFrameSize};

@@ -41,6 +41,7 @@ pub(super) fn open(
         instrument: &planned.instrument,
         sky: planned.sky.as_ref(),
         seed: config.simulation.seed,
+        start: config.simulation.start_utc,
         duration: None,
         speed: 1.0,
     };

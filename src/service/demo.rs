@@ -1,17 +1,23 @@
 //! The whole system on one machine with nothing attached: simulated cameras of Sun and horizon, the real service, a real archive, and
 //! a simulated controller at the other end of a pseudo-terminal.
 
+use super::navigation::{Navigation, checked};
 use super::tally::{FlightTally, quantile};
 use super::{Answer, Camera, Flight, Service};
 use crate::archive::Store;
 use crate::aspect::Quality;
 use crate::camera::{SimulatedCamera, SimulatedSky, SkyView, TruthLog};
-use crate::config::Config;
+use crate::config::{Config, Switch};
 use crate::fits::Compression;
-use crate::instrument::{self, DEMO_HORIZON, Instrument, MountedCamera, builtin_text};
-use crate::link::{Connection, Message, SerialPort};
+use crate::instrument::{
+    self, DEMO_HORIZON, DEMO_NAVIGATION, Instrument, MountedCamera, builtin_text,
+};
+use crate::link::{Connection, Message, Propagated, SerialPort};
+use crate::navigation;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::earth::SwingingGondola;
+use crate::simulate::navigation::TelescopeFlight;
+use crate::simulate::sensors::Sensors;
 use crate::simulate::{FORT_SUMNER, FlightScenes, Trajectory};
 use crate::sky;
 use anyhow::anyhow;
@@ -49,11 +55,40 @@ pub struct Summary {
     pub controller: Report,
     /// Errors of the aspect against the truth, fine frames, arcsec.
     pub fine_errors_arcsec: Vec<f64>,
+    /// Offsets by the gyros against the truth.
+    pub propagated: Vec<JudgedOffset>,
     /// Errors of the body's roll against the truth, frames of the horizon, deg.
     pub roll_errors_deg: Vec<f64>,
     /// Frames called fine or coarse in which there was no Sun at all.
     pub false_suns: u64,
     pub archive: PathBuf,
+}
+
+/// An offset by the gyros, held against the truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JudgedOffset {
+    /// Of the last frame that it rests on.
+    pub age_s: f64,
+    /// True angle across and in elevation, and 1 sigma of each.
+    pub error_arcsec: [f64; 2],
+    pub sigma_arcsec: f64,
+}
+
+impl JudgedOffset {
+    /// `None` where the flight has no truth.
+    pub fn of(said: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) -> Option<Self> {
+        let solution = &said.solution;
+        let since = Duration::try_from(solution.time.duration_since(start)).ok()?;
+        let truth = flown.truth(since).ok()?;
+        let across_deg = (solution.azimuth_deg - truth.offset.azimuth_deg)
+            * truth.elevation_deg.to_radians().cos();
+        let up_deg = solution.elevation_deg - truth.offset.elevation_deg;
+        Some(Self {
+            age_s: f64::from(said.age_ms) / 1e3,
+            error_arcsec: [across_deg * 3600.0, up_deg * 3600.0],
+            sigma_arcsec: solution.error_deg * 3600.0,
+        })
+    }
 }
 
 /// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` says so.
@@ -68,18 +103,26 @@ pub fn run(
     let truth = camera.truth();
     let (roll_camera, gondola) = roll_camera(demo, &instrument, start)?;
     let (near, mut far) = SerialPort::pair()?;
+    let (gps_near, gps_far) = SerialPort::pair()?;
+    let sensors = Sensors::new(
+        telescope(demo, &instrument, start)?,
+        Some(Box::new(gps_far)),
+        Duration::ZERO,
+    );
     let store = Store::open(&demo.archive, &instrument.name, Compression::Rice)?;
     let mut config = Config::default();
     config.camera.rate_hz = demo.rate_hz;
+    config.navigation.send = Switch::On;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {
         config,
         line: Connection::over(near),
         stores: vec![store],
+        navigation: Some(navigation(Connection::over(gps_near))?),
         other_cameras: vec![roll_camera],
         ..Flight::of(Camera {
             instrument_toml: builtin_text("demo").map(str::to_owned),
-            ..Camera::new(instrument, camera)
+            ..Camera::new(instrument.clone(), camera)
         })
     };
     let received = Arc::new(Mutex::new(None));
@@ -94,7 +137,7 @@ pub fn run(
                         *received.lock().unwrap_or_else(PoisonError::into_inner) = Some(*solution);
                     }
                 };
-                let mut controller = Controller::new();
+                let mut controller = Controller::new().with_sensors(sensors);
                 let over = || over.load(Ordering::Relaxed);
                 let report = controller.run(&mut far, over, heard).cloned();
                 // The far end goes back with the report: hanging up first is the service's part.
@@ -123,8 +166,12 @@ pub fn run(
     let tally = service.join()?;
     let (controller, _far_end) =
         controller.map_err(|_| anyhow!("the controller's thread has failed"))??;
+    let mut telescope = telescope(demo, &instrument, start)?;
+    let propagated = controller.propagated.iter();
+    let propagated = propagated.filter_map(|one| JudgedOffset::of(one, &mut telescope, start));
     Ok(Summary {
         tally,
+        propagated: propagated.collect(),
         controller,
         fine_errors_arcsec: judge.fine_errors_arcsec,
         roll_errors_deg: judge.roll_errors_deg,
@@ -144,13 +191,52 @@ fn camera(
     instrument: &Instrument,
     start: Timestamp,
 ) -> anyhow::Result<SimulatedCamera> {
-    let radius_mil = instrument
-        .optics
-        .radius_mil(sky::sun_angular_radius(start)?);
-    let trajectory = Trajectory::demo(instrument, radius_mil, demo.duration, demo.seed)?;
-    let scenes = FlightScenes::new(instrument, trajectory, radius_mil, demo.seed)?;
+    let course = trajectory(demo, instrument, start)?;
+    let radius_mil = radius_mil(instrument, start)?;
+    let scenes = FlightScenes::new(instrument, course, radius_mil, demo.seed)?;
     let camera = SimulatedCamera::new(scenes, demo.rate_hz, start, Some(demo.duration));
     Ok(camera)
+}
+
+fn trajectory(
+    demo: &Demo,
+    instrument: &Instrument,
+    start: Timestamp,
+) -> anyhow::Result<Trajectory> {
+    let radius_mil = radius_mil(instrument, start)?;
+    Ok(Trajectory::demo(
+        instrument,
+        radius_mil,
+        demo.duration,
+        demo.seed,
+    )?)
+}
+
+fn radius_mil(instrument: &Instrument, start: Timestamp) -> anyhow::Result<f64> {
+    Ok(instrument
+        .optics
+        .radius_mil(sky::sun_angular_radius(start)?))
+}
+
+/// The telescope that carries the camera, with its IMU and GPS receiver.
+fn telescope(
+    demo: &Demo,
+    instrument: &Instrument,
+    start: Timestamp,
+) -> anyhow::Result<TelescopeFlight> {
+    let course = trajectory(demo, instrument, start)?;
+    let (place, seed) = (FORT_SUMNER, demo.seed);
+    Ok(TelescopeFlight::new(course, instrument, place, start, seed))
+}
+
+fn navigation(gps: Connection) -> anyhow::Result<Navigation> {
+    let path = Path::new("demo-nav");
+    Ok(Navigation {
+        settings: checked(path, navigation::Settings::parse(path, DEMO_NAVIGATION)?)?,
+        settings_toml: DEMO_NAVIGATION.into(),
+        imu: None,
+        gps: Some(gps),
+    })
 }
 
 /// A camera that sees the horizon, and the gondola on which it swings.
@@ -258,6 +344,24 @@ impl fmt::Display for Summary {
             writeln!(
                 out,
                 "aspect     error of fine frames: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
+            )?;
+        }
+        let mut errors: Vec<f64> = self
+            .propagated
+            .iter()
+            .flat_map(|one| one.error_arcsec)
+            .collect();
+        errors.iter_mut().for_each(|error| *error = error.abs());
+        let oldest_s = self
+            .propagated
+            .iter()
+            .map(|one| one.age_s)
+            .fold(0.0, f64::max);
+        let mut arcsec = |fraction| quantile(&mut errors, fraction);
+        if let (Some(median), Some(most), Some(max)) = (arcsec(0.5), arcsec(0.95), arcsec(1.0)) {
+            writeln!(
+                out,
+                "gyros      error of offsets up to {oldest_s:.1} s after a frame: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
             )?;
         }
         let mut errors = self.roll_errors_deg.clone();

@@ -4,6 +4,7 @@
 //! the controller must be answered. What is wrong is counted by kind in the [`Report`], never fatal: only the
 //! port can fail.
 
+use super::sensors::{SensorError, Sensors};
 use crate::link::message::CAMERA;
 use crate::link::{
     BytePort, CommandPacket, Direction, ExposureStart, Message, Messages, MoonAnswer, Packet,
@@ -115,7 +116,6 @@ enum Wish {
 }
 
 /// The controller's side of the link. It wants tracking from the start.
-#[derive(Debug)]
 pub struct Controller {
     parser: Parser,
     wish: Wish,
@@ -127,6 +127,7 @@ pub struct Controller {
     last_heard: Option<u16>,
     announced: VecDeque<Timestamp>,
     report: Report,
+    sensors: Option<Sensors>,
 }
 
 impl Default for Controller {
@@ -147,6 +148,15 @@ impl Controller {
             last_heard: None,
             announced: VecDeque::new(),
             report: Report::default(),
+            sensors: None,
+        }
+    }
+
+    /// The same with the gondola's IMU and GPS receiver; they begin when it does.
+    pub fn with_sensors(self, sensors: Sensors) -> Self {
+        Self {
+            sensors: Some(sensors),
+            ..self
         }
     }
 
@@ -196,8 +206,16 @@ impl Controller {
         now: Duration,
     ) -> Result<Vec<Message>, PortError> {
         self.ask(port, now)?;
+        let mut wait = POLL;
+        if let Some(sensors) = &mut self.sensors {
+            if let Err(error) = sensors.speak(port, now) {
+                self.silence(error)?;
+            } else {
+                wait = POLL.min(sensors.wait(now));
+            }
+        }
         let mut buffer = [0; 1024];
-        let count = port.read(&mut buffer, POLL)?;
+        let count = port.read(&mut buffer, wait)?;
         let packets = self.parser.feed(&buffer[..count], now);
         let rejected = self.parser.rejected();
         self.report.faults.broken = rejected.packets;
@@ -227,6 +245,18 @@ impl Controller {
                 .for_each(&mut heard);
         }
         Ok(&self.report)
+    }
+
+    /// A flight that cannot be simulated any more silences the sensors; a port that is lost is the caller's.
+    fn silence(&mut self, error: SensorError) -> Result<(), PortError> {
+        match error {
+            SensorError::Port(error) => Err(error),
+            SensorError::Flight(error) => {
+                tracing::error!(%error, "the simulated IMU is silent from now on");
+                self.sensors = None;
+                Ok(())
+            }
+        }
     }
 
     fn ask(&mut self, port: &mut dyn BytePort, now: Duration) -> Result<(), PortError> {

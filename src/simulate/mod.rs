@@ -36,6 +36,7 @@ mod prints;
 mod random;
 mod render;
 mod scene;
+pub mod sensors;
 mod surface;
 mod texture;
 mod trajectory;

@@ -7,6 +7,7 @@ use crate::config::{self, Config};
 use crate::instrument::toml_file::{TomlError, read_text};
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SECOND, SkyCamera};
 use crate::service::{Camera, CameraFactory, Seat};
+use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -25,6 +26,7 @@ pub(super) fn of(
     };
     let common = Common {
         seed: config.simulation.seed,
+        start: config.simulation.start_utc,
         duration,
         speed,
     };
@@ -69,6 +71,7 @@ fn sky_camera(seat: Seat, path: &Path, text: &str) -> Result<SkyCamera, TomlErro
 #[derive(Clone, Copy)]
 struct Common {
     seed: u64,
+    start: Option<Timestamp>,
     duration: Option<Duration>,
     speed: f64,
 }
@@ -118,6 +121,7 @@ impl Common {
             instrument,
             sky,
             seed: self.seed,
+            start: self.start,
             duration: self.duration,
             speed: self.speed,
         };

@@ -3,9 +3,10 @@
 use super::*;
 use crate::config::{Config, Switch};
 use crate::geometry::attitude::Direction;
-use crate::instrument;
+use crate::instrument::{self, DEMO_NAVIGATION};
 use crate::navigation::nmea::Nmea;
 use crate::pointing::sun_in_telescope;
+use crate::service::demo::JudgedOffset;
 use crate::simulate::navigation::TelescopeFlight;
 use crate::simulate::{FORT_SUMNER, SUN_RADIUS_ARCSEC, Trajectory};
 use crate::units::{ARCSEC_PER_RAD, PlateMil};
@@ -19,16 +20,9 @@ const START: &str = "2013-09-21T18:00:00Z";
 const SUN_ARCSEC: f64 = 0.11;
 const FRAMES_HZ: u64 = 4;
 
-/// The simulated IMU's errors, a Sun camera alone.
-const SETTINGS: &str = "[imu]\nvelocity_random_walk = 1e-4\nangular_random_walk = 3e-6\n\
-    accelerometer_bias_sigma = 1e-3\ngyro_bias_sigma = 1e-6\n\
-    [gps]\nposition_sigma_m = 5\nvelocity_sigma_m_s = 0.05\n\
-    [filter]\nplumb_sigma_deg = 2\n\
-    [[camera]]\nname = \"camera\"\nbody_from_camera = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n";
-
 fn settings() -> Settings {
     let path = Path::new("NAV.toml");
-    checked(path, Settings::parse(path, SETTINGS).unwrap()).unwrap()
+    checked(path, Settings::parse(path, DEMO_NAVIGATION).unwrap()).unwrap()
 }
 
 fn navigator(config: Config, to_line: Sender<LinkEvent>) -> (Navigator, Receiver<NavigationRows>) {
@@ -152,19 +146,12 @@ fn fly(
 impl Judged {
     /// Holds an offset against the flight's own attitude.
     fn note(&mut self, said: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) {
-        let solution = &said.solution;
-        let since = solution.time.duration_since(start);
-        let since = Duration::try_from(since).unwrap();
-        let truth = flown.truth(since).unwrap();
-        let elevation_deg: f64 = solution.elevation_deg - truth.offset.elevation_deg;
-        let cos = truth.elevation_deg.to_radians().cos();
-        let across_deg = (solution.azimuth_deg - truth.offset.azimuth_deg) * cos;
-        for error_deg in [across_deg, elevation_deg] {
-            self.sigmas.push(error_deg / solution.error_deg);
-            self.arcsec
-                .push((f64::from(said.age_ms) / 1e3, error_deg * 3600.0));
+        let judged = JudgedOffset::of(said, flown, start).unwrap();
+        for error_arcsec in judged.error_arcsec {
+            self.sigmas.push(error_arcsec / judged.sigma_arcsec);
+            self.arcsec.push((judged.age_s, error_arcsec));
         }
-        self.roll_deg.push(solution.roll_deg);
+        self.roll_deg.push(said.solution.roll_deg);
         self.offsets += 1;
     }
 }

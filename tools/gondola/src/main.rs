@@ -3,13 +3,20 @@
 //!
 //! Exit code 0: tracking was answered and every packet was good; 1: not so, or the port failed; 2: wrong usage.
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Parser;
-use jiff::SignedDuration;
-use solaspect::link::{Message, SerialPort, port::BAUD};
+use jiff::{SignedDuration, Timestamp};
+use solaspect::camera::{Source, simulated_course};
+use solaspect::config::Config;
+use solaspect::instrument::{Instrument, builtin};
+use solaspect::link::{AnyPort, LocalEnd, Message, PortAddress, SerialPort, port::BAUD};
+use solaspect::simulate::FORT_SUMNER;
 use solaspect::simulate::controller::{Controller, Report};
+use solaspect::simulate::navigation::TelescopeFlight;
+use solaspect::simulate::sensors::Sensors;
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,6 +31,12 @@ struct Arguments {
     /// Speed of the line, bit/s.
     #[arg(long, default_value_t = BAUD)]
     baud: u32,
+    /// The configuration of a simulated flight with simulation.start_utc: the IMU speaks, too, as the telescope of that flight feels
+    #[arg(long, value_name = "FLIGHT.toml")]
+    config: Option<PathBuf>,
+    /// Where its GPS receiver speaks: a serial device, or udp:HOST:PORT
+    #[arg(long, value_name = "PORT", requires = "config")]
+    gps: Option<String>,
     /// How long to listen, such as 60s or 10m; Ctrl-C ends it earlier.
     #[arg(long, default_value = "60s", value_parser = duration)]
     duration: Duration,
@@ -46,7 +59,10 @@ fn run(arguments: &Arguments) -> anyhow::Result<Report> {
         signal_hook::flag::register(signal, interrupted.clone()).context("signals")?;
     }
     let mut port = SerialPort::open(&arguments.port, arguments.baud)?;
-    let mut controller = Controller::new();
+    let mut controller = match &arguments.config {
+        Some(path) => Controller::new().with_sensors(sensors(path, arguments.gps.as_deref())?),
+        None => Controller::new(),
+    };
     let start = Instant::now();
     let stopped = || interrupted.load(Ordering::Relaxed) || start.elapsed() >= arguments.duration;
     say(
@@ -75,9 +91,55 @@ fn print(message: &Message) {
                 offset.time, offset.azimuth_deg, offset.elevation_deg, offset.error_deg
             ),
         ),
+        Message::Propagated(by_gyros) => {
+            let offset = &by_gyros.solution;
+            say(
+                io::stdout(),
+                format_args!(
+                    "{:<24.3} {:>12.6} {:>12.6}  {:>12.6} by gyros, {} ms after a frame",
+                    offset.time,
+                    offset.azimuth_deg,
+                    offset.elevation_deg,
+                    offset.error_deg,
+                    by_gyros.age_ms
+                ),
+            );
+        }
         Message::Error { code } => say(io::stdout(), format_args!("no solution: error {code}")),
         _ => {}
     }
+}
+
+/// The sensors of the telescope that a configuration simulates.
+fn sensors(path: &Path, gps: Option<&str>) -> anyhow::Result<Sensors> {
+    let config = Config::read(path)?;
+    let of = |key: &str| format!("{}: {key}", path.display());
+    let start = config.simulation.start_utc.with_context(|| {
+        let key = of("simulation.start_utc");
+        format!("{key}: expected a time, so that camera and IMU fly together; found none")
+    })?;
+    let Some(Source::Simulated(file)) = &config.camera.source else {
+        bail!("{}: expected a simulated camera", of("camera.source"));
+    };
+    let instrument = match &config.camera.instrument {
+        Some(path) => Instrument::read(path)?,
+        None => builtin("demo")?,
+    };
+    let seed = config.simulation.seed;
+    let course = simulated_course(file.as_deref(), &instrument, start, seed)?;
+    let telescope = TelescopeFlight::new(course, &instrument, FORT_SUMNER, start, seed);
+    let gps = gps
+        .map(|port| -> anyhow::Result<AnyPort> {
+            let address: PortAddress = port.parse().map_err(anyhow::Error::msg)?;
+            Ok(address.open(config.navigation.gps_baud, LocalEnd::default())?)
+        })
+        .transpose()?;
+    let ahead = Timestamp::now().duration_since(start);
+    Ok(Sensors::new(
+        telescope,
+        gps,
+        Duration::try_from(ahead).unwrap_or_default(),
+    ))
 }
 
 /// Writes a line; the controller goes on when nobody reads it.
