@@ -32,6 +32,7 @@ mod marks;
 mod moon;
 mod moon_in_flight;
 mod navigation;
+mod navigation_in_flight;
 mod pointing;
 mod power_cut;
 mod preflight;

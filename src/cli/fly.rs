@@ -14,7 +14,7 @@ use crate::instrument::toml_file::read_text;
 use crate::link::{Connection, LocalEnd, PortAddress};
 use crate::navigation;
 use crate::provenance;
-use crate::service::navigation::{Navigation, checked};
+use crate::service::navigation::Navigation;
 use crate::service::{Flight, Service};
 use clap::Args;
 use jiff::Timestamp;
@@ -135,7 +135,7 @@ fn navigation(config: &Config) -> anyhow::Result<Option<Navigation>> {
     Ok(Some(Navigation {
         imu: connection(own.imu_address()?, config.link.baud)?,
         gps: connection(own.gps_address()?, own.gps_baud)?,
-        settings: checked(path, settings)?,
+        settings: settings.for_flight(path)?,
         settings_toml,
     }))
 }

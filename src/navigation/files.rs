@@ -1,6 +1,6 @@
 //! The tables of a flight: IMU, GPS, directions and Sun.
 
-use super::measurement::{Climb, Fix, ImuSample};
+use super::measurement::{Climb, Fix, Implausible, ImuSample};
 use super::settings::{Settings, Target};
 use csv::ByteRecord;
 use nalgebra::{UnitVector3, Vector3};
@@ -15,9 +15,6 @@ const CLIMB: &str = "climb";
 const VECTORS: [&str; 7] = ["t_s", "camera", "target", "x", "y", "z", "sigma_rad"];
 const SUN: [&str; 4] = ["t_s", "x", "y", "z"];
 
-/// A larger specific force (50 g) or rate is in other units.
-const MOST_FORCE_M_S2: f64 = 500.0;
-const MOST_RATE_RAD_S: f64 = 60.0;
 /// From the Earth's centre, m; and the fastest, m/s.
 const DISTANCES_M: std::ops::Range<f64> = 6.3e6..1e8;
 const MOST_SPEED_M_S: f64 = 12_000.0;
@@ -148,19 +145,8 @@ pub fn read_imu(path: &Path, settings: &Settings) -> Result<Vec<ImuSample>, Tabl
             rate_rad_s: table.vector(row, 4)?,
         };
         rises(table, samples.last().map(|last| last.t_s), sample.t_s)?;
-        for (what, unit, size, most) in [
-            (
-                "specific force",
-                "m/s^2",
-                sample.force_m_s2.norm(),
-                MOST_FORCE_M_S2,
-            ),
-            ("rate", "rad/s", sample.rate_rad_s.norm(), MOST_RATE_RAD_S),
-        ] {
-            if size > most {
-                let expected = format!("less than {most} {unit}");
-                return Err(table.error(what, expected, format!("{size} {unit}")));
-            }
+        if let Err(Implausible { what, found, most }) = sample.check() {
+            return Err(table.error(what, format!("less than {most}"), found));
         }
         samples.push(sample);
         Ok(())

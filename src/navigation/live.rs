@@ -15,7 +15,7 @@ const HISTORY_S: f64 = 3.0;
 /// A state to go on from is kept so often.
 const KEPT_EVERY_S: f64 = 0.25;
 /// Samples before a state that its next interval rests on.
-const NEIGHBOURS: usize = 3;
+const NEIGHBOURS: usize = 5;
 /// Longer than this without samples, or back by it, and the filter begins anew: nothing tells how the body turned.
 const MOST_GAP_S: f64 = 1.0;
 

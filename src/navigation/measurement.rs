@@ -11,6 +11,40 @@ pub struct ImuSample {
     pub rate_rad_s: Vector3<f64>,
 }
 
+/// A larger specific force (50 g) or rate is in other units, or none.
+const MOST_FORCE_M_S2: f64 = 500.0;
+const MOST_RATE_RAD_S: f64 = 60.0;
+
+/// What no vehicle feels.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{what}: expected less than {most}, found {found}")]
+pub struct Implausible {
+    pub what: &'static str,
+    pub found: String,
+    pub most: String,
+}
+
+impl ImuSample {
+    /// # Errors
+    /// A force or a rate that no vehicle feels.
+    pub fn check(&self) -> Result<(), Implausible> {
+        let (force, rate) = (self.force_m_s2.norm(), self.rate_rad_s.norm());
+        for (what, unit, size, most) in [
+            ("specific force", "m/s^2", force, MOST_FORCE_M_S2),
+            ("rate", "rad/s", rate, MOST_RATE_RAD_S),
+        ] {
+            if size > most {
+                return Err(Implausible {
+                    what,
+                    found: format!("{size} {unit}"),
+                    most: format!("{most} {unit}"),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// A fix of GPS, in ECEF.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fix {

@@ -37,12 +37,12 @@ mod transition;
 
 pub use live::{Counts, Live};
 pub use measurement::{
-    Climb, Fix, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,
+    Climb, Fix, Implausible, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,
 };
 pub use motion::Motion;
 pub use offset::{PropagatedOffset, offset};
 pub use run::Flight;
-pub use settings::{Camera, Gps, Group, Imu, Settings, Target, Vertical};
+pub use settings::{CAMERAS_IN_FLIGHT, Camera, Gps, Group, Imu, Settings, Target, Vertical};
 pub use smooth::smooth;
 pub use solve::{Row, SensorErrors, Status, Summary, solve};
 pub use spool::Spool;

@@ -63,31 +63,51 @@ impl Flight {
         let (from, to) = (before.unwrap_or(n), after.unwrap_or(n));
         let apart = middle(to)? - middle(from)?;
         let per_s = if apart > 0.0 { apart.recip() } else { 0.0 };
-        let usual = n.checked_sub(1).and_then(length).unwrap_or(own);
-        let lost = match before.filter(|_| own > NEIGHBOUR * usual) {
-            Some(before) => lost(&self.imu[before], sample, own),
-            None => Lost::default(),
-        };
         let (from, to) = (&self.imu[from], &self.imu[to]);
-        Some(Interval {
+        let told = Interval {
             from_s: sample.t_s - own,
             to_s: sample.t_s,
             force_m_s2: sample.force_m_s2,
             force_change_m_s3: (to.force_m_s2 - from.force_m_s2) * per_s,
             rate_rad_s: sample.rate_rad_s,
             rate_change_rad_s2: (to.rate_rad_s - from.rate_rad_s) * per_s,
-            lost,
+            lost: Lost::default(),
+        };
+        // Samples may have been lost just before, too.
+        let usual_s = (n.saturating_sub(3)..n)
+            .filter_map(length)
+            .fold(own, f64::min);
+        Some(match n.checked_sub(1) {
+            Some(before) if own > NEIGHBOUR * usual_s => {
+                self.bridged(told, &self.imu[before], usual_s)
+            }
+            _ => told,
         })
     }
-}
 
-/// What is not known of an interval so long, s, whose last sample stands for those that were lost: 1 sigma of the mean is by how much the
-/// sample differs from the one before.
-fn lost(before: &ImuSample, sample: &ImuSample, length_s: f64) -> Lost {
-    let sigma = |before: &Vector3<f64>, after: &Vector3<f64>| (after - before).norm();
-    Lost {
-        velocity_random_walk: sigma(&before.force_m_s2, &sample.force_m_s2) * length_s.sqrt(),
-        angular_random_walk: sigma(&before.rate_rad_s, &sample.rate_rad_s) * length_s.sqrt(),
+    /// An interval in which samples were lost: what the last one tells holds for its usual length, and for the rest the mean of it and the one
+    /// before, with half their difference as 1 sigma. Their noise counts more than once then.
+    fn bridged(&self, told: Interval, before: &ImuSample, usual_s: f64) -> Interval {
+        let own_s = told.length_s();
+        let lost_s = own_s - usual_s;
+        let half_share = lost_s / own_s / 2.0;
+        let force = (before.force_m_s2 - told.force_m_s2) * half_share;
+        let rate = (before.rate_rad_s - told.rate_rad_s) * half_share;
+        let samples = lost_s / usual_s;
+        let noise = ((samples * samples / 2.0 + samples) * usual_s / own_s).sqrt();
+        let walk = |half: Vector3<f64>, own_walk: f64| {
+            (half.norm() * own_s.sqrt()).hypot(own_walk * noise)
+        };
+        let imu = &self.settings.imu;
+        Interval {
+            force_m_s2: told.force_m_s2 + force,
+            rate_rad_s: told.rate_rad_s + rate,
+            lost: Lost {
+                velocity_random_walk: walk(force, imu.velocity_random_walk),
+                angular_random_walk: walk(rate, imu.angular_random_walk),
+            },
+            ..told
+        }
     }
 }
 

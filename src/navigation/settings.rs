@@ -64,6 +64,9 @@ const CONSIDERED: [Group; 4] = [
     Group::CorrelatedErrors,
 ];
 
+/// What cameras are called in flight: as their tables in the configuration, the telescope's own first.
+pub const CAMERAS_IN_FLIGHT: [&str; 4] = ["camera", "second_camera", "roll_camera", "moon_camera"];
+
 /// No fix is better, m and m/s: two of one time would contradict each other.
 const LEAST_FIX: f64 = 1e-4;
 
@@ -278,6 +281,32 @@ impl Settings {
             plumb_rad: check.degrees("filter.plumb_sigma_deg", raw.filter.plumb_sigma_deg)?,
             considered: raw.filter.considered.unwrap_or(CONSIDERED.into()),
         })
+    }
+
+    /// Settings that can fly: cameras are called as in [`CAMERAS_IN_FLIGHT`], and the axes of the first are what offsets rest on.
+    ///
+    /// # Errors
+    /// The file, the field, and what was expected there.
+    pub fn for_flight(self, path: &Path) -> Result<Self, TomlError> {
+        let (check, names) = (Check(path), CAMERAS_IN_FLIGHT);
+        let is_unknown = |camera: &&Camera| !names.contains(&camera.name.as_str());
+        if let Some(camera) = self.cameras.iter().find(is_unknown) {
+            let expected = format!("one of {}", names.join(", "));
+            return Err(check.error("camera.name", &expected, &camera.name));
+        }
+        let telescope = self.camera(names[0]).map(|n| &self.cameras[n]);
+        match telescope.map(|camera| camera.misalignment_rad) {
+            None => {
+                let expected = "one named \"camera\": the telescope's own";
+                Err(check.error("camera", expected, "none"))
+            }
+            Some(rad) if rad > 0.0 => {
+                let expected = "0: what is sent is where this camera's telescope points";
+                let field = "camera \"camera\": misalignment_sigma_deg";
+                Err(check.error(field, expected, rad.to_degrees()))
+            }
+            Some(_) => Ok(self),
+        }
     }
 
     /// The camera of a name.

@@ -1,7 +1,7 @@
 //! The whole system on one machine with nothing attached: simulated cameras of Sun and horizon, the real service, a real archive, and
 //! a simulated controller at the other end of a pseudo-terminal.
 
-use super::navigation::{Navigation, checked};
+use super::navigation::Navigation;
 use super::tally::{FlightTally, quantile};
 use super::{Answer, Camera, Flight, Service};
 use crate::archive::Store;
@@ -232,7 +232,7 @@ fn telescope(
 fn navigation(gps: Connection) -> anyhow::Result<Navigation> {
     let path = Path::new("demo-nav");
     Ok(Navigation {
-        settings: checked(path, navigation::Settings::parse(path, DEMO_NAVIGATION)?)?,
+        settings: navigation::Settings::parse(path, DEMO_NAVIGATION)?.for_flight(path)?,
         settings_toml: DEMO_NAVIGATION.into(),
         imu: None,
         gps: Some(gps),

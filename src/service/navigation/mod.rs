@@ -14,14 +14,14 @@ pub use tally::NavigationTally;
 use super::control::{Controls, Seat};
 use super::line::LinkEvent;
 use super::shared::Shared;
+use super::tally::worth_a_line;
 use super::worker::Life;
 use crate::config;
-use crate::instrument::TomlError;
 use crate::link::{Connection, ImuPacket, Propagated, Solution};
 use crate::navigation::nmea::TimedFix;
 use crate::navigation::{
-    Fix, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row, Settings, Sighting, Sky,
-    Status, Target, Targets, Towards, offset,
+    CAMERAS_IN_FLIGHT, Fix, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
+    Settings, Sighting, Sky, Status, Target, Targets, Towards, offset,
 };
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
@@ -30,7 +30,6 @@ use nalgebra::{Rotation3, Vector3};
 use rows::{gps_row, imu_row, propagated_row};
 use sensor::{Sensor, Speech};
 use std::collections::VecDeque;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -50,47 +49,14 @@ pub struct Navigation {
     pub gps: Option<Connection>,
 }
 
-/// The name by which the settings know a camera: that of its table in the configuration.
-pub fn camera_name(seat: Seat) -> &'static str {
+/// The name by which the settings know a camera.
+fn camera_name(seat: Seat) -> &'static str {
+    let [first, second, roll, moon] = CAMERAS_IN_FLIGHT;
     match seat {
-        Seat::PitchYaw => "camera",
-        Seat::SecondPitchYaw => "second_camera",
-        Seat::Roll => "roll_camera",
-        Seat::Moon => "moon_camera",
-    }
-}
-
-/// Settings that can fly: the first camera's axes are what offsets rest on.
-///
-/// # Errors
-/// The file, the field, and what was expected there.
-pub fn checked(path: &Path, settings: Settings) -> Result<Settings, TomlError> {
-    let seats = [Seat::PitchYaw, Seat::SecondPitchYaw, Seat::Roll, Seat::Moon];
-    let names = seats.map(camera_name);
-    let error = |field: &str, expected: &str, found: &str| {
-        Err(TomlError::new(path, field, expected, found))
-    };
-    for camera in &settings.cameras {
-        if !names.contains(&camera.name.as_str()) {
-            return error(
-                "camera.name",
-                &format!("one of {}", names.join(", ")),
-                &camera.name,
-            );
-        }
-    }
-    match settings.camera(names[0]).map(|n| &settings.cameras[n]) {
-        None => error(
-            "camera",
-            "one named \"camera\", the telescope's own",
-            "none",
-        ),
-        Some(camera) if camera.misalignment_rad > 0.0 => error(
-            "camera \"camera\": misalignment_sigma_deg",
-            "0: what is sent is where this camera's telescope points",
-            &camera.misalignment_rad.to_degrees().to_string(),
-        ),
-        Some(_) => Ok(settings),
+        Seat::PitchYaw => first,
+        Seat::SecondPitchYaw => second,
+        Seat::Roll => roll,
+        Seat::Moon => moon,
     }
 }
 
@@ -148,8 +114,9 @@ struct Filter<'a> {
     targets: Targets,
     epoch: Timestamp,
     body_from_telescope: Rotation3<f64>,
-    /// The counter of the last sample.
+    /// The counter of the last sample, and the time of the last fix.
     counter: Option<u16>,
+    last_fix: Option<Timestamp>,
     /// When the next offset is due.
     due_s: f64,
     rows: [VecDeque<Vec<String>>; NavigationLog::ALL.len()],
@@ -163,8 +130,8 @@ impl<'a> Filter<'a> {
     fn new(own: &'a Navigator, epoch: Timestamp) -> Self {
         let settings = &own.settings;
         let sees = |camera: &crate::navigation::Camera| match camera.name.as_str() {
-            "roll_camera" => vec![Target::Nadir],
-            "moon_camera" => vec![Target::Moon],
+            name if name == camera_name(Seat::Roll) => vec![Target::Nadir],
+            name if name == camera_name(Seat::Moon) => vec![Target::Moon],
             _ => vec![Target::Sun],
         };
         let sees: Vec<_> = settings.cameras.iter().map(sees).collect();
@@ -181,6 +148,7 @@ impl<'a> Filter<'a> {
             epoch,
             body_from_telescope: axes.unwrap_or_default(),
             counter: None,
+            last_fix: None,
             due_s: f64::NEG_INFINITY,
             rows: Default::default(),
             handed_on_s: 0.0,
@@ -195,17 +163,27 @@ impl<'a> Filter<'a> {
     fn sample(&mut self, sample: &ImuPacket, read: Instant) {
         let vector = |v: [f32; 3]| Vector3::from(v).cast::<f64>();
         let t_s = self.since_epoch_s(sample.time) - self.own.settings.imu.delay_s;
-        let row = self.live.sample(ImuSample {
+        let felt = ImuSample {
             t_s,
             force_m_s2: vector(sample.force_m_s2),
             rate_rad_s: vector(sample.rate_rad_s),
-        });
+        };
+        self.count(sample);
+        if let Err(error) = felt.check() {
+            let mut tally = self.own.tally.lock();
+            tally.unreadable += 1;
+            if worth_a_line(tally.unreadable) {
+                tracing::warn!(%error, "a sample of the IMU is not used");
+            }
+            return;
+        }
+        let row = self.live.sample(felt);
         if let Some(row) = row.filter(|row| row.t_s >= self.due_s || row.t_s < self.handed_on_s) {
             let period_s = 1.0 / self.own.controls.config().navigation.rate_hz;
             self.due_s = ((row.t_s / period_s + 0.01).floor() + 1.0) * period_s - 0.01 * period_s;
             self.tell(&row, read);
         }
-        self.note_sample(sample, row.map(|row| row.status));
+        self.note(row.map(|row| row.status));
         self.keep(NavigationLog::Imu, imu_row(sample));
         if !(0.0..ROWS_S).contains(&(t_s - self.handed_on_s)) {
             self.handed_on_s = t_s;
@@ -213,12 +191,16 @@ impl<'a> Filter<'a> {
         }
     }
 
-    fn note_sample(&mut self, sample: &ImuPacket, status: Option<Status>) {
+    fn count(&mut self, sample: &ImuPacket) {
         let mut tally = self.own.tally.lock();
         tally.samples += 1;
         if let Some(last) = self.counter.replace(sample.counter) {
             tally.lost_samples += u64::from(sample.counter.wrapping_sub(last).saturating_sub(1));
         }
+    }
+
+    fn note(&self, status: Option<Status>) {
+        let mut tally = self.own.tally.lock();
         let counts = self.live.counts();
         tally.refused = counts.refused;
         tally.out_of_time = counts.out_of_time;
@@ -234,6 +216,11 @@ impl<'a> Filter<'a> {
     }
 
     fn fix(&mut self, timed: &TimedFix) {
+        if self.last_fix.replace(timed.utc) == Some(timed.utc) {
+            // A receiver that says the same again has nothing new.
+            self.own.tally.lock().stale_fixes += 1;
+            return;
+        }
         let t_s = self.since_epoch_s(timed.utc) - self.own.settings.gps.delay_s;
         let fix = timed.fix(t_s);
         let motion = self.live.now().and_then(|row| row.attitude);
@@ -254,9 +241,11 @@ impl<'a> Filter<'a> {
         let t_s = self.since_epoch_s(seen.utc) - settings.cameras[camera].delay_s;
         let towards = match self.towards(seen.target, t_s) {
             Ok(towards) => towards,
+            // The filter has not begun yet.
+            Err(NoDirection::NoFix) => return,
             Err(error) => {
                 self.unknown += 1;
-                if super::tally::worth_a_line(self.unknown) {
+                if worth_a_line(self.unknown) {
                     tracing::warn!(%error, "a direction cannot be used");
                 }
                 return;

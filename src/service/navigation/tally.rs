@@ -17,6 +17,8 @@ pub struct NavigationTally {
     pub overflowed: u64,
     /// Of the GPS receiver.
     pub sentences: SentenceCounts,
+    /// Fixes of a time that was told before.
+    pub stale_fixes: u64,
     /// Directions of cameras.
     pub seen: u64,
     /// Measurements that contradict the filter, and that came too late or too early.

@@ -14,6 +14,7 @@ use crossbeam_channel::unbounded;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use std::path::Path;
 
 const START: &str = "2013-09-21T18:00:00Z";
 /// 1 sigma per axis of a frame's Sun.
@@ -22,7 +23,10 @@ const FRAMES_HZ: u64 = 4;
 
 fn settings() -> Settings {
     let path = Path::new("NAV.toml");
-    checked(path, Settings::parse(path, DEMO_NAVIGATION).unwrap()).unwrap()
+    Settings::parse(path, DEMO_NAVIGATION)
+        .unwrap()
+        .for_flight(path)
+        .unwrap()
 }
 
 fn navigator(config: Config, to_line: Sender<LinkEvent>) -> (Navigator, Receiver<NavigationRows>) {
@@ -54,7 +58,6 @@ struct Judged {
     sigmas: Vec<f64>,
     arcsec: Vec<(f64, f64)>,
     roll_deg: Vec<f64>,
-    status: Option<Status>,
 }
 
 impl Judged {
@@ -83,12 +86,13 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Flies the simulated telescope. Frames show the Sun where `is_seen` says so of their time, and are solved 40 ms late; `spoil` may change what
-/// the IMU says, or lose it.
+/// the IMU says, or lose it, and `receive` a fix.
 fn fly(
     duration_s: u64,
     seed: u64,
     is_seen: impl Fn(f64) -> bool,
     mut spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
+    mut receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
 ) -> (Judged, NavigationTally) {
     let start: Timestamp = START.parse().unwrap();
     let instrument = instrument::builtin("demo").unwrap();
@@ -108,7 +112,9 @@ fn fly(
         if n % rate == 0 {
             let sentences = flown.sentences(n / rate).unwrap();
             for fix in receiver.feed(sentences.as_bytes()) {
-                filter.fix(&fix);
+                receive(n / rate, fix)
+                    .iter()
+                    .for_each(|fix| filter.fix(fix));
             }
         }
         if n % (rate / FRAMES_HZ) == 0 && is_seen(since.as_secs_f64()) {
@@ -138,9 +144,7 @@ fn fly(
             }
         }
     }
-    judged.status = navigator.tally.copy().status;
-    let tally = navigator.tally.copy();
-    (judged, tally)
+    (judged, navigator.tally.copy())
 }
 
 impl Judged {
@@ -156,20 +160,161 @@ impl Judged {
     }
 }
 
-#[test]
-fn offsets_between_frames_and_through_gaps_are_as_certain_as_they_say() {
-    let is_seen = |t_s: f64| !(100.0..160.0).contains(&t_s) && !(240.0..360.0).contains(&t_s);
-    let (judged, tally) = fly(420, 1, is_seen, |_, sample| Some(sample));
+/// What a promise prints, so that a failure can be read.
+fn say(judged: &Judged, tally: &NavigationTally) {
     println!(
-        "{} offsets, beyond 3 sigma {:.4}, error/sigma {:.2}, arcsec {:.3} fresh, {:.2} at 50-60 s, {:.2} at 110-120 s, roll {:.4} deg; {tally:?}",
+        "{} offsets, beyond 3 sigma {:.4}, error/sigma {:.2}; arcsec: {:.2} within 0.4 s, {:.2} after 50 to 60 s, {:.2} after more; roll {:.4} deg; {tally:?}",
         judged.offsets,
         judged.beyond_3_sigma(),
         judged.ratio(),
         judged.rms_arcsec(0.0..0.4),
         judged.rms_arcsec(50.0..60.0),
-        judged.rms_arcsec(110.0..120.1),
+        judged.rms_arcsec(60.0..100.0),
         rms(judged.roll_deg.iter().copied()),
     );
-    assert!(judged.offsets > 8000);
+}
+
+/// Every five minutes a gap of 60 s, and once a camera that is dead for two minutes.
+fn with_gaps(t_s: f64) -> bool {
+    !(100.0..160.0).contains(&(t_s % 300.0)) && !(1800.0..1920.0).contains(&t_s)
+}
+
+fn as_received(_: u64, fix: TimedFix) -> Option<TimedFix> {
+    Some(fix)
+}
+
+/// Several flights: the errors of one have much in common, such as the bias of its accelerometers, which turns all offsets about the Sun.
+fn fly_all(
+    duration_s: u64,
+    seeds: u64,
+    spoil: impl Fn(u64) -> bool + Copy,
+) -> (Judged, NavigationTally) {
+    let mut all = Judged::default();
+    let mut counts = NavigationTally::default();
+    for seed in 1..=seeds {
+        let lose = |n: u64, sample| (!spoil(n)).then_some(sample);
+        let (judged, tally) = fly(duration_s, seed, with_gaps, lose, as_received);
+        all.offsets += judged.offsets;
+        all.sigmas.extend(judged.sigmas);
+        all.arcsec.extend(judged.arcsec);
+        all.roll_deg.extend(judged.roll_deg);
+        counts.lost_samples += tally.lost_samples;
+        counts.restarts += tally.restarts;
+        counts.refused += tally.refused;
+        counts.out_of_time += tally.out_of_time;
+    }
+    say(&all, &counts);
+    (all, counts)
+}
+
+#[test]
+fn offsets_between_frames_and_through_gaps_are_as_certain_as_they_say() {
+    let (judged, tally) = fly_all(250, 12, |_| false);
+    // 20 a second, but for the first seconds.
+    assert!(judged.offsets > 12 * 4900);
     assert!(judged.beyond_3_sigma() < 0.01);
+    assert!((0.8..1.25).contains(&judged.ratio()));
+    assert!(judged.rms_arcsec(50.0..60.0) < 10.0);
+    assert_eq!(
+        (tally.restarts, tally.refused, tally.out_of_time),
+        (0, 0, 0)
+    );
+}
+
+/// The full size: an hour each.
+#[test]
+#[ignore = "minutes"]
+fn offsets_of_an_hour_are_as_certain_as_they_say() {
+    let (judged, tally) = fly_all(3600, 24, |_| false);
+    assert!(judged.beyond_3_sigma() < 0.01);
+    assert!((0.8..1.25).contains(&judged.ratio()));
+    assert_eq!(tally.restarts, 0);
+}
+
+#[test]
+fn lost_samples_make_an_offset_less_certain_and_not_wrong() {
+    // One in ten, as by chance, and each half minute a fifth of a second.
+    let is_lost =
+        |n: u64| n % 3000 > 2980 || n.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32 & 0xff < 26;
+    let (judged, tally) = fly_all(250, 12, is_lost);
+    assert!(tally.lost_samples > 12 * 2500);
+    assert!(judged.beyond_3_sigma() < 0.01);
+    assert!((0.8..1.25).contains(&judged.ratio()));
+    assert_eq!(tally.restarts, 0);
+}
+
+#[test]
+fn a_clock_that_steps_and_samples_that_no_vehicle_feels_begin_the_filter_anew_at_most() {
+    let spoil = |n: u64, mut sample: ImuPacket| {
+        if n % 1000 == 500 {
+            sample.force_m_s2[1] = 1e30;
+        }
+        // For two seconds the IMU's clock is of another day.
+        if (5000..5200).contains(&n) {
+            sample.time -= SignedDuration::from_hours(24);
+        }
+        Some(sample)
+    };
+    let (judged, tally) = fly(90, 3, |_| true, spoil, as_received);
+    say(&judged, &tally);
+    assert_eq!((tally.unreadable, tally.restarts), (9, 2));
+    assert_eq!(tally.status, Some(Status::Aligned));
+    assert!(judged.offsets > 1600);
+    assert!(judged.beyond_3_sigma() < 0.01);
+}
+
+#[test]
+fn fixes_that_jump_are_stale_or_do_not_come_move_no_offset() {
+    let mut held = None;
+    let receive = move |second: u64, mut fix: TimedFix| match second {
+        // Five kilometres off for ten seconds.
+        60..70 => {
+            fix.place.latitude_deg += 0.045;
+            Some(fix)
+        }
+        // A receiver that says the same again and again.
+        120..150 => Some(*held.get_or_insert(fix)),
+        180..240 => None,
+        _ => Some(fix),
+    };
+    let (judged, tally) = fly(300, 4, |_| true, |_, sample| Some(sample), receive);
+    say(&judged, &tally);
+    assert!((10..25).contains(&tally.refused), "{tally:?}");
+    assert_eq!(tally.stale_fixes, 29);
+    assert_eq!(tally.restarts, 0);
+    assert!(judged.beyond_3_sigma() < 0.01);
+}
+
+#[test]
+fn inputs_that_the_filter_has_no_room_for_are_counted_and_nobody_waits() {
+    let tally = Shared::default();
+    let (inputs, _queue) = Inputs::new(tally.clone());
+    let start: Timestamp = START.parse().unwrap();
+    let sample = ImuPacket {
+        time: start,
+        counter: 0,
+        force_m_s2: [0.0; 3],
+        rate_rad_s: [0.0; 3],
+    };
+    // The filter hangs.
+    (0..3000).for_each(|_| inputs.tell(Input::Imu(sample, Instant::now())));
+    assert_eq!(tally.copy().overflowed, 3000 - 1024);
+}
+
+#[test]
+fn a_file_that_cannot_fly_is_refused_by_its_field() {
+    let path = Path::new("NAV.toml");
+    let refused = |text: &str| {
+        let settings = Settings::parse(path, text).unwrap();
+        settings.for_flight(path).unwrap_err().to_string()
+    };
+    let camera = |name: &str, more: &str| {
+        format!(
+            "[[camera]]\nname = \"{name}\"\nbody_from_camera = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n{more}"
+        )
+    };
+    assert!(refused("").contains("expected one named \"camera\""));
+    assert!(refused(&camera("pyas", "")).contains("one of camera, second_camera"));
+    let loose = camera("camera", "misalignment_sigma_deg = 0.1\n");
+    assert!(refused(&loose).contains("misalignment_sigma_deg: expected 0"));
 }

@@ -1,0 +1,59 @@
+//! The filter in flight: frames, an IMU on the controller's line and a GPS receiver of its own, with offsets by the gyros while the Sun is away.
+
+use solaspect::navigation::files::{read_gps, read_imu};
+use solaspect::navigation::{Climb, Settings};
+use solaspect::service::demo::{self, Demo};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// The only file of a folder whose name begins so.
+fn only(folder: &Path, begins: &str) -> PathBuf {
+    let files = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let is_one = |path: &PathBuf| {
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        name.starts_with(begins)
+    };
+    let found: Vec<PathBuf> = files.filter(is_one).collect();
+    assert_eq!(found.len(), 1, "{begins}: {found:?}");
+    found[0].clone()
+}
+
+#[test]
+fn offsets_go_on_while_the_sun_is_away_and_the_archive_keeps_what_they_rest_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = Demo {
+        duration: Duration::from_secs(14),
+        rate_hz: 4.0,
+        archive: folder.path().into(),
+        seed: 3,
+    };
+    let summary = demo::run(&settings, |_| {}, || false).unwrap();
+    println!("{summary}");
+    assert_eq!(summary.lost(), 0, "{summary}");
+    let navigation = &summary.tally.navigation;
+    assert!(navigation.samples > 1200, "{summary}");
+    assert_eq!((navigation.lost_samples, navigation.restarts), (0, 0));
+    // From 60 to 75 % of the run no frame shows the Sun.
+    let away = summary.propagated.iter().filter(|one| one.age_s > 1.0);
+    assert!(away.count() > 15, "{summary}");
+    for one in &summary.propagated {
+        for error_arcsec in one.error_arcsec {
+            let sigmas = error_arcsec / one.sigma_arcsec;
+            assert!(sigmas.abs() < 5.0, "{one:?}");
+        }
+    }
+
+    let root = folder.path();
+    let file = only(root, "navigation_");
+    let flown = Settings::read(&file).unwrap();
+    let imu = read_imu(&only(root, "imu_"), &flown).unwrap();
+    assert_eq!(imu.len() as u64, navigation.samples);
+    let fixes = read_gps(&only(root, "gps_"), &flown).unwrap();
+    assert!(fixes.len() > 10 && fixes.iter().all(|fix| fix.climb == Climb::Unknown));
+    let offsets = fs::read_to_string(only(root, "propagated_")).unwrap();
+    assert_eq!(offsets.lines().count() as u64, navigation.offsets + 1);
+    assert!(offsets.starts_with("t_s,azimuth_deg,"), "{offsets}");
+}
