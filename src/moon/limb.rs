@@ -25,8 +25,9 @@ const LEAST_PIXELS: usize = 6;
 const SEEN_SIGMAS: f64 = 4.0;
 /// Pixels count so far before and behind the limb, px: further behind it the ground's own light and shade would move it.
 const PIXELS: Depths = -4.0..3.0;
-/// A fit moves the limb by at most so much, px; then it is read anew.
+/// A fit moves the limb by at most so much, px, and turns the light, in whose phase and side it is linear, by so much; then the limb is read anew.
 const SLACK_PX: f64 = 2.0;
+const SLACK_RAD: f64 = 0.3;
 /// The limb is lit where the sphere shows this share of the light in the middle of the bright limb, this far behind the limb. Further on it is
 /// the terminator that is seen, and mountains move that.
 const LIT_SHARE: f64 = 0.2;
@@ -235,8 +236,10 @@ impl Limb {
             tolerance_sigmas: 0.2,
         };
         let mut fitted = fit.fit(|at: &Parameters| {
-            let moved = (at - self.start).fixed_rows::<3>(0).amax();
-            let is_possible = moved < SLACK_PX && POSSIBLE_BLUR_PX.contains(&at[3]);
+            let moved = at - self.start;
+            let is_possible = moved.fixed_rows::<3>(0).amax() < SLACK_PX
+                && moved.fixed_rows::<2>(4).amax() < SLACK_RAD
+                && POSSIBLE_BLUR_PX.contains(&at[3]);
             is_possible.then(|| rows_at(at))
         })?;
         let rows = rows_at(&fitted.parameters);
