@@ -121,12 +121,15 @@ fn unlike(candidate: &Candidate, frame: &Frame, levels: &Levels, at: &Parameters
     let places = rows.flat_map(|y| (region.x0..region.x1).step_by(step).map(move |x| (x, y)));
     let seen = places.filter_map(|(x, y)| {
         let away = candidate.plane.round(x as f64, y as f64) - circle.centre;
+        let distance = away.norm().max(f64::MIN_POSITIVE);
+        let is_edge = (distance - circle.radius).abs() < EDGE_PX;
+        if is_edge || distance > reach {
+            return None;
+        }
         let dn = f64::from(frame.dn(x, y));
-        let is_edge = (away.norm() - circle.radius).abs() < EDGE_PX;
-        let is_telling = away.norm() < reach && !is_edge && dn < levels.saturated_dn;
-        let cos_angle = away.dot(&bright_limb) / away.norm().max(f64::MIN_POSITIVE);
-        let light = sphere.light_along(away.norm() / circle.radius, cos_angle);
-        is_telling.then(|| Vector2::new(light, dn))
+        let cos_angle = away.dot(&bright_limb) / distance;
+        let light = sphere.light_along(distance / circle.radius, cos_angle);
+        (dn < levels.saturated_dn).then(|| Vector2::new(light, dn))
     });
     let seen: Vec<Vector2<f64>> = seen.collect();
     let count = seen.len().max(1) as f64;

@@ -37,6 +37,8 @@ const LIT_DEPTH: f64 = 0.1;
 const OFF_SIGMAS: f64 = 5.0;
 /// What the circle leaves of the ground along the limb is alike over so much, px.
 const ALIKE_PX: f64 = 12.0;
+/// An outline's circle lies about so far off the disc's, towards the light, px: it runs outside of the bright limb, and inside of the dim horns.
+const OUTLINE_PX: f64 = 0.5;
 /// Blur of the optics beside that of the pixels, px, as far as it is known before.
 const BLUR_PX: Measured = Measured::new(0.8, 0.4);
 const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
@@ -233,7 +235,7 @@ impl Limb {
             prior: self.prior(),
             loss: Loss::Squares,
             scale: Scale::Inflated,
-            tolerance_sigmas: 0.2,
+            tolerance_sigmas: 0.3,
         };
         let mut fitted = fit.fit(|at: &Parameters| {
             let moved = at - self.start;
@@ -429,7 +431,7 @@ pub(super) fn circle_of(at: &Parameters) -> Circle {
 pub(super) fn begin(circle: &Circle, known: &Known) -> Parameters {
     let radius = known.radius.map_or(circle.radius, |radius| radius.value);
     let (sin, cos) = known.bright_limb_rad.value.sin_cos();
-    let centre = circle.centre - Vector2::new(cos, sin) * (radius - circle.radius);
+    let centre = circle.centre + Vector2::new(cos, sin) * (circle.radius - OUTLINE_PX - radius);
     Parameters::from([
         centre.x,
         centre.y,
