@@ -258,7 +258,12 @@ impl Limb {
         });
         let points: Vec<LimbPoint> = points.collect();
         let radius_contradiction = self.radius_contradiction(&fitted);
-        fitted.covariance += of_rough_limb(&points, &pulls, &fitted);
+        // A sector of no light tells nothing of the ground.
+        let telling = points.iter().copied().zip(pulls);
+        let (telling, pulls): (Vec<LimbPoint>, Vec<Pull>) = telling
+            .filter(|(point, _)| point.excess_px.sigma < SLACK_PX)
+            .unzip();
+        fitted.covariance += of_rough_limb(&telling, &pulls, &fitted);
         Ok(LimbFit {
             fitted,
             points,
