@@ -24,7 +24,7 @@ const TELLING_PX: f64 = 400.0;
 /// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
 const GLARE: std::ops::Range<f64> = 1.2..1.6;
 const MOST_GLARE: f64 = 0.2;
-/// Limb points off the circle by more than their sigmas tell: this share of the radius, rms, is no circle.
+/// Sharp limb points off the circle by more than their sigmas tell: this share of the radius, rms, is no circle.
 const MOST_ROUGHNESS: f64 = 0.02;
 /// A centre that is known less well is of no disc of that radius, 1 sigma in radii.
 const MOST_SIGMA: f64 = 0.03;
@@ -63,13 +63,13 @@ fn check_limb(found: &LimbFit, limb: &Limb) -> Result<(), Stopped> {
     let covariance = found.fitted.covariance.fixed_view::<2, 2>(0, 0);
     let sigma = covariance.trace().max(0.0).sqrt() / radius;
     let is_sharp = |point: &&LimbPoint| point.excess_px.sigma < MOST_POINT_SIGMA * radius;
-    let sharp = found.points.iter().filter(is_sharp).count();
+    let sharp: Vec<&LimbPoint> = found.points.iter().filter(is_sharp).collect();
     at_most("oval", axis_ratio(found), MOST_AXIS_RATIO)?;
-    at_most("rough", roughness(found), MOST_ROUGHNESS)?;
+    at_most("rough", roughness_px(&sharp) / radius, MOST_ROUGHNESS)?;
     at_most("uncertain", sigma, MOST_SIGMA)?;
     at_most(
         "blunt",
-        1.0 - sharp as f64 / limb.seen().max(1) as f64,
+        1.0 - sharp.len() as f64 / limb.seen().max(1) as f64,
         MOST_BLUNT,
     )
 }
@@ -121,12 +121,15 @@ fn unlike(candidate: &Candidate, frame: &Frame, levels: &Levels, at: &Parameters
     let places = rows.flat_map(|y| (region.x0..region.x1).step_by(step).map(move |x| (x, y)));
     let seen = places.filter_map(|(x, y)| {
         let away = candidate.plane.round(x as f64, y as f64) - circle.centre;
+        let distance = away.norm().max(f64::MIN_POSITIVE);
+        let is_edge = (distance - circle.radius).abs() < EDGE_PX;
+        if is_edge || distance > reach {
+            return None;
+        }
         let dn = f64::from(frame.dn(x, y));
-        let is_edge = (away.norm() - circle.radius).abs() < EDGE_PX;
-        let is_telling = away.norm() < reach && !is_edge && dn < levels.saturated_dn;
-        let cos_angle = away.dot(&bright_limb) / away.norm().max(f64::MIN_POSITIVE);
-        let light = sphere.light_along(away.norm() / circle.radius, cos_angle);
-        is_telling.then(|| Vector2::new(light, dn))
+        let cos_angle = away.dot(&bright_limb) / distance;
+        let light = sphere.light_along(distance / circle.radius, cos_angle);
+        (dn < levels.saturated_dn).then(|| Vector2::new(light, dn))
     });
     let seen: Vec<Vector2<f64>> = seen.collect();
     let count = seen.len().max(1) as f64;
@@ -183,12 +186,10 @@ fn axis_ratio(found: &LimbFit) -> f64 {
     }
 }
 
-/// How far the limb lies off the circle beyond what its sigmas tell, rms, in radii.
-fn roughness(found: &LimbFit) -> f64 {
-    let count = found.points.len() as f64;
-    let squares = found.points.iter().map(|p| {
-        let excess = p.excess_px;
-        (excess.value.powi(2) - excess.sigma.powi(2)).min(4.0 * found.fitted.parameters[2].powi(2))
-    });
-    (squares.sum::<f64>() / count).max(0.0).sqrt() / found.fitted.parameters[2]
+/// How far the limb lies off the circle beyond what its sigmas tell, rms, px.
+fn roughness_px(points: &[&LimbPoint]) -> f64 {
+    let excess = points.iter().map(|point| point.excess_px);
+    let squares = excess.map(|excess| excess.value.powi(2) - excess.sigma.powi(2));
+    let mean = squares.sum::<f64>() / points.len().max(1) as f64;
+    mean.max(0.0).sqrt()
 }

@@ -13,7 +13,7 @@ const ON_PX: f64 = 0.8;
 const ON_SHARE: f64 = 0.015;
 /// Circles are tried through points this far apart, as shares of the outline's points, from so many places each.
 const APART: [f64; 4] = [0.33, 0.2, 0.12, 0.06];
-const PLACES: usize = 24;
+const PLACES: usize = 12;
 /// Circles are judged by at most so many points.
 const MOST_JUDGES: usize = 160;
 /// No point may lie further out but this share: the rest is of stars and hot pixels.

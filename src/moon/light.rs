@@ -6,7 +6,7 @@ use crate::units::Rejected;
 use std::f64::consts::SQRT_2;
 
 /// One pixel in so many, in each axis, tells the sky.
-const RASTER_PX: usize = 16;
+const RASTER_PX: usize = 24;
 /// What is brighter than the sky by so many sigmas of a pixel's noise is of a light.
 const BRIGHT_SIGMAS: f64 = 4.0;
 /// A frame whose sky is brighter than this share of the saturated level is lost in glare.

@@ -25,8 +25,9 @@ const LEAST_PIXELS: usize = 6;
 const SEEN_SIGMAS: f64 = 4.0;
 /// Pixels count so far before and behind the limb, px: further behind it the ground's own light and shade would move it.
 const PIXELS: Depths = -4.0..3.0;
-/// A fit moves the limb by at most so much, px; then it is read anew.
+/// A fit moves the limb by at most so much, px, and turns the light, in whose phase and side it is linear, by so much; then the limb is read anew.
 const SLACK_PX: f64 = 2.0;
+const SLACK_RAD: f64 = 0.3;
 /// The limb is lit where the sphere shows this share of the light in the middle of the bright limb, this far behind the limb. Further on it is
 /// the terminator that is seen, and mountains move that.
 const LIT_SHARE: f64 = 0.2;
@@ -36,6 +37,8 @@ const LIT_DEPTH: f64 = 0.1;
 const OFF_SIGMAS: f64 = 5.0;
 /// What the circle leaves of the ground along the limb is alike over so much, px.
 const ALIKE_PX: f64 = 12.0;
+/// An outline's circle lies about so far off the disc's, towards the light, px: it runs outside of the bright limb, and inside of the dim horns.
+const OUTLINE_PX: f64 = 0.5;
 /// Blur of the optics beside that of the pixels, px, as far as it is known before.
 const BLUR_PX: Measured = Measured::new(0.8, 0.4);
 const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
@@ -232,11 +235,13 @@ impl Limb {
             prior: self.prior(),
             loss: Loss::Squares,
             scale: Scale::Inflated,
-            tolerance_sigmas: 0.2,
+            tolerance_sigmas: 0.3,
         };
         let mut fitted = fit.fit(|at: &Parameters| {
-            let moved = (at - self.start).fixed_rows::<3>(0).amax();
-            let is_possible = moved < SLACK_PX && POSSIBLE_BLUR_PX.contains(&at[3]);
+            let moved = at - self.start;
+            let is_possible = moved.fixed_rows::<3>(0).amax() < SLACK_PX
+                && moved.fixed_rows::<2>(4).amax() < SLACK_RAD
+                && POSSIBLE_BLUR_PX.contains(&at[3]);
             is_possible.then(|| rows_at(at))
         })?;
         let rows = rows_at(&fitted.parameters);
@@ -253,7 +258,12 @@ impl Limb {
         });
         let points: Vec<LimbPoint> = points.collect();
         let radius_contradiction = self.radius_contradiction(&fitted);
-        fitted.covariance += of_rough_limb(&points, &pulls, &fitted);
+        // A sector of no light tells nothing of the ground.
+        let telling = points.iter().copied().zip(pulls);
+        let (telling, pulls): (Vec<LimbPoint>, Vec<Pull>) = telling
+            .filter(|(point, _)| point.excess_px.sigma < SLACK_PX)
+            .unzip();
+        fitted.covariance += of_rough_limb(&telling, &pulls, &fitted);
         Ok(LimbFit {
             fitted,
             points,
@@ -426,7 +436,7 @@ pub(super) fn circle_of(at: &Parameters) -> Circle {
 pub(super) fn begin(circle: &Circle, known: &Known) -> Parameters {
     let radius = known.radius.map_or(circle.radius, |radius| radius.value);
     let (sin, cos) = known.bright_limb_rad.value.sin_cos();
-    let centre = circle.centre - Vector2::new(cos, sin) * (radius - circle.radius);
+    let centre = circle.centre + Vector2::new(cos, sin) * (circle.radius - OUTLINE_PX - radius);
     Parameters::from([
         centre.x,
         centre.y,

@@ -58,8 +58,8 @@ const LOOSE_RADIUS: f64 = 0.06;
 /// Fewer sectors of the limb make no circle.
 const LEAST_SECTORS: usize = 6;
 /// The limb is read anew while the circle or the blur moves by more, or the light turns by more, so often at most.
-const SETTLED_PX: f64 = 0.25;
-const SETTLED_RAD: f64 = 0.15;
+const SETTLED_PX: f64 = 0.1;
+const SETTLED_RAD: f64 = 0.08;
 const MOST_ROUNDS: usize = 8;
 /// Phase and side of the light by its middle, rad: 1 sigma of a whole disc, and of one that the picture cuts.
 const BY_MIDDLE_RAD: f64 = 0.2;

@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 /// A frame with more runs of bright pixels shows a pattern, and is no night sky.
 const MOST_RUNS: usize = 20_000;
 /// Columns that are looked at together: most of the sky is dark.
-const BLOCK_PX: usize = 48;
+const BLOCK_PX: usize = 96;
 /// A patch's outline stands at this share of what so many of its pixels exceed, above the sky.
 const OUTLINE_SHARE: f64 = 0.4;
 const BRIGHT_SHARE: f64 = 0.1;
