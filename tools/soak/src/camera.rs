@@ -5,7 +5,7 @@ use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
 use solaspect::frame::{Frame, Pixels};
 use solaspect::instrument::{Instrument, MountedCamera};
 use solaspect::simulate::earth::SwingingGondola;
-use solaspect::simulate::{Depth, EXPOSURE, FORT_SUMNER, FlightScenes, Trajectory};
+use solaspect::simulate::{Course, Depth, EXPOSURE, FORT_SUMNER, FlightScenes};
 use solaspect::sky;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -74,14 +74,14 @@ struct State {
 impl Ring {
     pub fn new(
         instrument: &Instrument,
+        course: Course,
         depth: Depth,
         rate_hz: f64,
         duration: Duration,
     ) -> anyhow::Result<Self> {
         let now = Timestamp::now();
         let radius_mil = instrument.optics.radius_mil(sky::sun_angular_radius(now)?);
-        let trajectory = Trajectory::flight(instrument, radius_mil, SEED)?;
-        let mut scenes = FlightScenes::new(instrument, trajectory, radius_mil, SEED)?;
+        let mut scenes = FlightScenes::new(instrument, course, radius_mil, SEED)?;
         scenes.template.depth = depth;
         let period = Duration::from_secs_f64(1.0 / rate_hz);
         let draw = |n: usize| Ok(scenes.scene(n as u64, period * n as u32)?.picture()?.frame);

@@ -1,10 +1,11 @@
 //! The gondola's end of the line: the simulated controller at a pseudo-terminal that misbehaves when told to.
 
 use solaspect::link::{
-    AnyPort, AspectCommand, BytePort, Computer, Connection, GpsFix, Message, PortError, SerialPort,
-    id,
+    AnyPort, AspectCommand, BytePort, Computer, Connection, GpsFix, Message, PortError, Propagated,
+    SerialPort, id,
 };
 use solaspect::simulate::controller::{Controller, Faults};
+use solaspect::simulate::sensors::Sensors;
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -63,7 +64,7 @@ pub struct Heard {
 /// The gondola as the rest of the soak sees it.
 pub struct Gondola {
     shared: Arc<Shared>,
-    thread: JoinHandle<Option<SerialPort>>,
+    thread: JoinHandle<(Vec<Propagated>, Option<SerialPort>)>,
 }
 
 #[derive(Default)]
@@ -84,12 +85,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Gondola {
     /// Starts the controller, and gives the service's connection to it.
-    pub fn start() -> (Self, Connection) {
+    pub fn start(sensors: Option<Sensors>) -> (Self, Connection) {
         let shared = Arc::<Shared>::default();
         let opens = Arc::clone(&shared);
         let connection = Connection::new(move || opens.open());
         let runs = Arc::clone(&shared);
-        let thread = thread::spawn(move || End::new(runs).run());
+        let thread = thread::spawn(move || End::new(runs, sensors).run());
         (Self { shared, thread }, connection)
     }
 
@@ -117,10 +118,10 @@ impl Gondola {
     }
 
     /// Ends the controller. The port goes back: hanging up first is the service's part.
-    pub fn end(self) -> (Heard, Option<SerialPort>) {
+    pub fn end(self) -> (Heard, Vec<Propagated>, Option<SerialPort>) {
         self.shared.over.store(true, Ordering::Relaxed);
-        let port = self.thread.join().ok().flatten();
-        (*lock(&self.shared.heard), port)
+        let (propagated, port) = self.thread.join().unwrap_or_default();
+        (*lock(&self.shared.heard), propagated, port)
     }
 }
 
@@ -197,10 +198,14 @@ struct End {
 }
 
 impl End {
-    fn new(shared: Arc<Shared>) -> Self {
+    fn new(shared: Arc<Shared>, sensors: Option<Sensors>) -> Self {
+        let controller = Controller::new();
         Self {
             shared,
-            controller: Controller::new(),
+            controller: match sensors {
+                Some(sensors) => controller.with_sensors(sensors),
+                None => controller,
+            },
             port: None,
             start: Instant::now(),
             heard: Heard::default(),
@@ -208,7 +213,7 @@ impl End {
         }
     }
 
-    fn run(mut self) -> Option<SerialPort> {
+    fn run(mut self) -> (Vec<Propagated>, Option<SerialPort>) {
         let mut habit = Habit::Good;
         while !self.shared.over.load(Ordering::Relaxed) {
             let before = std::mem::replace(&mut habit, self.shared.habit());
@@ -224,7 +229,7 @@ impl End {
         while !self.controller.is_obeyed() && Instant::now() < end {
             self.step(Habit::Good);
         }
-        self.port
+        (self.controller.report().propagated.clone(), self.port)
     }
 
     fn step(&mut self, habit: Habit) {

@@ -9,6 +9,7 @@ mod files;
 mod judge;
 mod line;
 mod machine;
+mod navigation;
 mod report;
 mod rig;
 mod schedule;
@@ -17,6 +18,7 @@ mod stderr;
 use camera::Ring;
 use clap::{Parser, ValueEnum};
 use faults::Fault;
+use jiff::Timestamp;
 use judge::Trial;
 use report::{RollRun, Run, Trials};
 use rig::{Parts, Rig, RollParts};
@@ -53,6 +55,9 @@ struct Args {
     /// A second camera of the same rate, 1920 x 1080 px, that sees the horizon
     #[arg(long, conflicts_with = "faults")]
     roll: bool,
+    /// The navigation filter flies, too: IMU at 100 Hz on the controller's line, GPS, offsets by the gyros at 20 Hz; the Sun rests on the plate
+    #[arg(long, conflicts_with = "faults")]
+    navigation: bool,
     /// Inject faults, one after the other: all, or those named
     #[arg(long, value_enum, value_name = "FAULT", value_delimiter = ',', num_args = 0.., require_equals = true)]
     faults: Option<Vec<Fault>>,
@@ -70,7 +75,7 @@ fn main() -> anyhow::Result<ExitCode> {
     };
     let schedule = Schedule::new(faults, Duration::from_secs(args.seconds))?;
     let temporary = tempfile::tempdir()?;
-    let start = jiff::Timestamp::now().strftime("soak-%Y%m%dT%H%M%S");
+    let start = Timestamp::now().strftime("soak-%Y%m%dT%H%M%S");
     let mut roots = args.archive.clone();
     if roots.is_empty() {
         let disks = 1 + usize::from(args.faults.is_some());
@@ -105,7 +110,16 @@ fn fly(
         _ => Depth::Eight,
     };
     let duration = Duration::from_secs(args.seconds);
-    let ring = Ring::new(&instrument, depth, args.rate, duration)?;
+    let now = Timestamp::now();
+    let course = match args.navigation {
+        true => navigation::resting(),
+        false => navigation::swaying(&instrument, now)?,
+    };
+    let ring = Ring::new(&instrument, course, depth, args.rate, duration)?;
+    let navigation = args
+        .navigation
+        .then(|| navigation::Parts::new(&instrument, now));
+    let navigation = navigation.transpose()?;
     let roll = args.roll.then(|| roll_parts(args.rate, duration));
     let roll = roll.transpose()?;
     let roll_ring = roll.as_ref().map(|roll| Arc::clone(&roll.ring));
@@ -122,8 +136,9 @@ fn fly(
     let start = Instant::now();
     let rig = Rig::start(Parts {
         ring,
-        instrument,
+        instrument: instrument.clone(),
         roll,
+        navigation,
         roots,
         values,
         keep: args.keep,
@@ -141,7 +156,11 @@ fn fly(
         rig.ring().drawn_bytes(),
         rig.ring().end(),
     );
-    let (heard, _far) = rig.gondola.end();
+    let (heard, propagated, _far) = rig.gondola.end();
+    let navigation = args.navigation.then(|| {
+        let telescope = navigation::telescope(&instrument, now);
+        navigation::NavigationRun::of(&propagated, telescope, now)
+    });
     let tally = rig.service.join()?;
     let mut files = rig.files.into_inner();
     let roll_in_files = rig.roll_files.into_inner();
@@ -156,6 +175,7 @@ fn fly(
     let drawn_bytes = drawn_bytes + roll_drawn_bytes;
     Ok(Run {
         roll,
+        navigation,
         seconds: args.seconds,
         due,
         frames,

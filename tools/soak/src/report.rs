@@ -5,6 +5,7 @@ use crate::files::LogRows;
 use crate::judge::Trial;
 use crate::line::Heard;
 use crate::machine::{MemoryLog, Sample};
+use crate::navigation::NavigationRun;
 use solaspect::horizon::Quality;
 use solaspect::service::{FlightTally, quantile};
 use std::fmt;
@@ -22,6 +23,11 @@ const SETTLED: Duration = Duration::from_secs(300);
 
 /// Frame to packet, of 99 % (HORACE 2014, requirements of the flight segment).
 const MOST_ROLL_LATENCY: Duration = Duration::from_millis(50);
+/// From a sample of the IMU to the offset that rests on it, 99.9 %.
+const MOST_OFFSET_LATENCY: Duration = Duration::from_millis(1);
+/// Offsets by the gyros a second, and how long after the start they come at the latest.
+const RATE_HZ: u64 = 20;
+const FILTER_BEGINS_S: u64 = 6;
 
 /// One number of a sample, bytes.
 type Quantity = fn(&Sample) -> f64;
@@ -93,6 +99,7 @@ pub struct RollRun {
 /// A run that is over.
 pub struct Run {
     pub roll: Option<RollRun>,
+    pub navigation: Option<NavigationRun>,
     pub seconds: u64,
     /// Frames that were due.
     pub due: u64,
@@ -121,6 +128,15 @@ impl Run {
         say(format_args!(
             "received   {solutions} solutions, {faults} faults"
         ));
+        if let Some(run) = &self.navigation {
+            say(format_args!(
+                "gyros      {} offsets received; {} after the first 10 s: {:.3} arcsec rms, {:.2} % beyond 3 sigma",
+                run.received,
+                run.judged,
+                run.rms_arcsec,
+                100.0 * run.beyond_3_sigma,
+            ));
+        }
         let Frames {
             given,
             failed,
@@ -260,6 +276,7 @@ impl Run {
         ];
         wrong.extend(self.wrong_rows(solved));
         wrong.extend(self.wrong_roll());
+        wrong.extend(self.wrong_navigation());
         if self.trials.injected == 0 {
             wrong.push(("lost", tally.lost() as i64));
             wrong.push(("faults of the line", self.heard.faults.total() as i64));
@@ -286,6 +303,35 @@ impl Run {
                 roll.frames.given as i64 - fine.unwrap_or_default() as i64,
             ),
             ("roll that went out late", i64::from(late)),
+        ]
+    }
+
+    /// What is wrong with the offsets by the gyros: none is lost or late, and they are as certain as they say.
+    fn wrong_navigation(&self) -> Vec<(&'static str, i64)> {
+        let Some(run) = &self.navigation else {
+            return Vec::new();
+        };
+        let (tally, line) = (&self.tally.navigation, &self.tally.line);
+        let mut latencies: Vec<Duration> = line.propagated_latencies.iter().copied().collect();
+        let late = quantile(&mut latencies, 0.999).is_none_or(|most| most > MOST_OFFSET_LATENCY);
+        let expected = RATE_HZ * self.seconds.saturating_sub(FILTER_BEGINS_S);
+        vec![
+            ("samples of the IMU lost", tally.lost_samples as i64),
+            ("inputs that the filter lost", tally.overflowed as i64),
+            ("rows of the navigation lost", tally.rows_lost as i64),
+            (
+                "offsets by the gyros sent, less received",
+                line.propagated as i64 - run.received as i64,
+            ),
+            (
+                "offsets by the gyros too few",
+                i64::from(run.received < expected),
+            ),
+            (
+                "offsets by the gyros beyond 3 sigma",
+                i64::from(run.beyond_3_sigma > 0.01),
+            ),
+            ("offsets by the gyros that went out late", i64::from(late)),
         ]
     }
 

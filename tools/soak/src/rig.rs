@@ -5,11 +5,12 @@ use crate::disk::FaultyDisk;
 use crate::files::{Files, LogBytes};
 use crate::line::{Gondola, Heard};
 use crate::machine::{self, MemoryLog};
+use crate::navigation;
 use crate::stderr::Stderr;
 use anyhow::Context;
 use solaspect::archive::{ROLL_CAMERA, Store};
 use solaspect::camera::FrameSource;
-use solaspect::config::Config;
+use solaspect::config::{Config, Switch};
 use solaspect::fits::Compression;
 use solaspect::instrument::{Instrument, MountedCamera};
 use solaspect::service::{Camera, Flight, FlightTally, Service};
@@ -74,6 +75,7 @@ pub struct Parts {
     pub ring: Ring,
     pub instrument: Instrument,
     pub roll: Option<RollParts>,
+    pub navigation: Option<navigation::Parts>,
     pub roots: Vec<PathBuf>,
     pub values: PathBuf,
     pub keep: bool,
@@ -94,7 +96,14 @@ impl Rig {
         let stores = disks.iter().map(store).collect();
         let mut config = Config::default();
         config.link.saved_values = Some(parts.values.join("values.toml"));
-        let (gondola, line) = Gondola::start();
+        let (flies, sensors) = parts
+            .navigation
+            .map(|navigation| (navigation.flies, navigation.sensors))
+            .unzip();
+        if flies.is_some() {
+            config.navigation.send = Switch::On;
+        }
+        let (gondola, line) = Gondola::start(sensors);
         let opens = Arc::clone(&ring);
         let open = move || {
             let camera = RingCamera(Arc::clone(&opens));
@@ -111,6 +120,7 @@ impl Rig {
         let flight = Flight {
             config,
             line,
+            navigation: flies,
             stores,
             other_cameras: roll_camera.into_iter().collect(),
             ..Flight::of(camera)
