@@ -193,7 +193,7 @@ static TABLE: &[Parameter] = &[
         "Offsets by the gyros per second, no more than the IMU's samples."),
     row!(navigation.send, "", Name(&["off", "on"]),
         "Whether they go to the controller, as 0x1105, while solutions do. Off, they are in log and housekeeping alone."),
-    row!(navigation.max_sigma_arcsec, "arcsec", Number(0.01, 8000.0), command 51,
+    row!(navigation.max_sigma_arcsec, "arcsec", Number(0.25, 7000.0), command 51,
         "An offset by the gyros that is less certain than this, 1 sigma per axis, is not sent."),
 
     row!(host.realtime_priority, "", Whole(1, 99), sample Sample::Number(10.0),

@@ -16,6 +16,7 @@ mod finding;
 mod horizon;
 mod link;
 mod moon;
+mod navigation;
 mod plan;
 mod polarity;
 mod remarks;
@@ -85,8 +86,12 @@ fn check(plan: &Plan, extent: Extent, tell: &mut dyn FnMut(Finding)) {
             .for_each(&mut *tell);
         camera::check(plan, camera).into_iter().for_each(&mut *tell);
     }
+    navigation::check(plan).into_iter().for_each(&mut *tell);
     if let Some(operator) = extent.operator {
         polarity::check(plan, operator)
+            .into_iter()
+            .for_each(&mut *tell);
+        navigation::check_axes(plan, operator)
             .into_iter()
             .for_each(&mut *tell);
     }

@@ -7,6 +7,7 @@ use crate::config::{self, Config};
 use crate::instrument::toml_file::read_text;
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera, TomlError};
 use crate::link::CameraRole;
+use crate::navigation::Settings;
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::simulate::Pieces;
 use crate::sky::{Ephemeris, OrientationTable};
@@ -163,6 +164,29 @@ fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &confi
     ]
 }
 
+fn navigation(config: &Config, remarks: &mut Remarks) {
+    let own = &config.navigation;
+    let Some(path) = own.settings.as_deref().filter(|_| own.is_enabled()) else {
+        return;
+    };
+    let settings = Settings::read(path).and_then(|settings| settings.for_flight(path));
+    let settings = remarks.noted(settings);
+    for address in [own.imu_address(), own.gps_address()] {
+        if let Err(refused) = address {
+            remarks.error(refused.key, refused.expected, refused.found);
+        }
+    }
+    if own.gps_port.is_none() {
+        let expected = "a GPS receiver: without a fix the filter never begins";
+        remarks.warn("navigation.gps_port", expected, "none");
+    }
+    let begins = |settings: &Settings| settings.plumb_rad > 0.0 || settings.cameras.len() > 1;
+    if settings.is_some_and(|settings| !begins(&settings)) {
+        let expected = "filter.plumb_sigma_deg in its file, or a second camera: one direction tells no attitude";
+        remarks.warn("navigation.settings", expected, "neither");
+    }
+}
+
 fn cross_check(config: &Config, remarks: &mut Remarks) {
     for missing in config.missing() {
         remarks.error(missing.key, missing.expected, missing.found);
@@ -177,6 +201,7 @@ fn cross_check(config: &Config, remarks: &mut Remarks) {
     same_sources(config, remarks);
     archive(&config.archive, remarks);
     link(config, remarks);
+    navigation(config, remarks);
     if config.site.place().is_none() {
         remarks.warn(
             "site",

@@ -199,12 +199,11 @@ fn tell_navigation(told: &mut Housekeeping, tally: &NavigationTally) {
         told.propagated_elevation_deg = Some(offset.difference.elevation_deg as f32);
         told.propagated_sigma_deg = Some(offset.sigma_deg as f32);
         told.propagated_roll_deg = Some(offset.roll_deg.value as f32);
-        told.propagated_roll_sigma_deg = Some(offset.roll_deg.sigma as f32);
     }
     told.imu_samples = small(tally.samples);
     told.imu_lost = small(tally.lost_samples + tally.unreadable);
     told.gps_fixes = small(tally.sentences.fixes);
-    told.gps_without_fix = small(tally.sentences.without_fix);
+    told.gps_without_fix = small(tally.sentences.without_fix + tally.stale_fixes);
     told.navigation_refused = small(tally.refused);
     told.navigation_out_of_time = small(tally.out_of_time);
     told.navigation_lost = small(tally.overflowed);

@@ -116,10 +116,6 @@ fn fly(
         false => navigation::swaying(&instrument, now)?,
     };
     let ring = Ring::new(&instrument, course, depth, args.rate, duration)?;
-    let navigation = args
-        .navigation
-        .then(|| navigation::Parts::new(&instrument, now));
-    let navigation = navigation.transpose()?;
     let roll = args.roll.then(|| roll_parts(args.rate, duration));
     let roll = roll.transpose()?;
     let roll_ring = roll.as_ref().map(|roll| Arc::clone(&roll.ring));
@@ -134,6 +130,11 @@ fn fly(
     };
     let before = machine::processor_time()?;
     let start = Instant::now();
+    // The sensors speak from now on.
+    let navigation = args
+        .navigation
+        .then(|| navigation::Parts::new(&instrument, now));
+    let navigation = navigation.transpose()?;
     let rig = Rig::start(Parts {
         ring,
         instrument: instrument.clone(),

@@ -1,0 +1,460 @@
+//! Whether the IMU speaks, feels gravity and turns the right way, and whether the GPS receiver has a fix.
+
+use super::bounded::within;
+use super::polarity::Operator;
+use super::{Finding, Plan};
+use crate::config::Refused;
+use crate::link::{
+    AnyPort, Direction, ImuPacket, LocalEnd, Packet, Parser, PortAddress, PortError,
+};
+use crate::navigation::nmea::{Nmea, TimedFix};
+use crate::sky::sphere::direction;
+use crate::sky::sphere::separation_rad;
+use jiff::Timestamp;
+use nalgebra::Vector3;
+use std::time::{Duration, Instant};
+
+/// How long the IMU at rest, a tilt and the receiver are listened to.
+const REST: Duration = Duration::from_secs(3);
+const TILT: Duration = Duration::from_secs(15);
+const GPS: Duration = Duration::from_secs(5);
+/// For opening a port.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Fewer samples make no rate.
+const LEAST_SAMPLES: usize = 20;
+/// Offsets by the gyros rest on samples at least so often.
+const LEAST_HZ: f64 = 50.0;
+/// Standard gravity; it differs by a quarter of a percent over the ground.
+const GRAVITY_M_S2: f64 = 9.806_65;
+/// The mean force at rest differs from gravity by no more, relatively: beyond the first one should know, beyond the second a scale is wrong.
+const GOOD_SCALE: f64 = 0.005;
+const POSSIBLE_SCALE: f64 = 0.05;
+/// Faster than this, rad/s, is no rest.
+const REST_RAD_S: f64 = 0.02;
+/// A tilt of this much is one; gyros and accelerometers agree on it but for this share.
+const TILT_RAD: f64 = 0.05;
+const TILT_AGREES: f64 = 0.2;
+/// A fix this far from the configured site is of another one.
+const FAR_DEG: f64 = 1.0;
+
+const IMU_PORT: &str = "is the IMU on, does the controller send telemetry of type 0x71 (docs/protocol.md), is navigation.imu_port its line?";
+const AXES: &str = "check the IMU's axes and signs: forward, right and down, as body_from_camera of NAV.toml has them";
+const GPS_PORT: &str =
+    "is the receiver on, is navigation.gps_port its line and navigation.gps_baud its speed?";
+
+pub(super) fn check(plan: &Plan) -> Vec<Finding> {
+    if !plan.config.navigation.is_enabled() {
+        return Vec::new();
+    }
+    let mut findings = at_rest(plan);
+    findings.push(gps(plan));
+    findings
+}
+
+/// The tilts by hand.
+pub(super) fn check_axes(plan: &Plan, operator: &mut dyn Operator) -> Vec<Finding> {
+    if !plan.config.navigation.is_enabled() {
+        return Vec::new();
+    }
+    let tilts = [Tilt::ForwardUp, Tilt::RightLow];
+    tilts.map(|tilt| tilt.check(plan, operator)).into()
+}
+
+/// What the IMU said for a while.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Heard {
+    samples: Vec<ImuPacket>,
+    unreadable: usize,
+}
+
+impl Heard {
+    fn mean(&self, of: impl Fn(&ImuPacket) -> [f32; 3]) -> Vector3<f64> {
+        let vectors = self
+            .samples
+            .iter()
+            .map(|sample| Vector3::from(of(sample)).cast::<f64>());
+        vectors.sum::<Vector3<f64>>() / self.samples.len().max(1) as f64
+    }
+
+    fn force_m_s2(&self) -> Vector3<f64> {
+        self.mean(|sample| sample.force_m_s2)
+    }
+
+    /// Samples a second by their own times; `None` of too few.
+    fn rate_hz(&self) -> Option<f64> {
+        let (first, last) = (self.samples.first()?, self.samples.last()?);
+        let time_s = last.time.duration_since(first.time).as_secs_f64();
+        let count = self.samples.len();
+        (count >= LEAST_SAMPLES && time_s > 0.0).then(|| (count - 1) as f64 / time_s)
+    }
+
+    fn missing(&self) -> usize {
+        let pairs = self.samples.windows(2);
+        let gaps = pairs.map(|pair| pair[1].counter.wrapping_sub(pair[0].counter));
+        gaps.map(|gap| usize::from(gap.saturating_sub(1))).sum()
+    }
+
+    /// By how much the body has turned about its axes, rad, its mean rate before taken away.
+    fn turned_rad(&self, rate_before_rad_s: &Vector3<f64>) -> Vector3<f64> {
+        let steps = self.samples.windows(2).map(|pair| {
+            let time_s = pair[1].time.duration_since(pair[0].time).as_secs_f64();
+            (Vector3::from(pair[1].rate_rad_s).cast::<f64>() - rate_before_rad_s) * time_s
+        });
+        steps.sum()
+    }
+}
+
+fn at_rest(plan: &Plan) -> Vec<Finding> {
+    let heard = match listen_to_imu(plan, REST) {
+        Ok(heard) => heard,
+        Err(why) => return vec![Finding::fail("imu", why, IMU_PORT)],
+    };
+    let Some(rate_hz) = heard.rate_hz() else {
+        let found = format!(
+            "{} samples in {:.0} s",
+            heard.samples.len(),
+            REST.as_secs_f64()
+        );
+        return vec![Finding::fail("imu", found, IMU_PORT)];
+    };
+    vec![rate(plan, &heard, rate_hz), scale(&heard), rest(&heard)]
+}
+
+fn rate(plan: &Plan, heard: &Heard, rate_hz: f64) -> Finding {
+    let off_s = heard.samples.last().map_or(0.0, |last| {
+        Timestamp::now().duration_since(last.time).as_secs_f64()
+    });
+    let found = format!(
+        "{rate_hz:.1} samples a second, {} missing, {} unreadable; their clock is {off_s:+.2} s behind this one",
+        heard.missing(),
+        heard.unreadable
+    );
+    let needed = plan.config.navigation.rate_hz.max(LEAST_HZ);
+    if rate_hz < needed {
+        let expected = format!("expected {needed:.0} samples a second or more");
+        return Finding::fail("imu", format!("{found}: {expected}"), IMU_PORT);
+    }
+    match heard.missing() + heard.unreadable > 0 || off_s.abs() > 1.0 {
+        true => Finding::warn(
+            "imu",
+            found,
+            "a line that loses samples, or clocks that differ, cost accuracy in gaps",
+        ),
+        false => Finding::pass("imu", found),
+    }
+}
+
+fn scale(heard: &Heard) -> Finding {
+    let force = heard.force_m_s2();
+    let off = force.norm() / GRAVITY_M_S2 - 1.0;
+    let found = format!(
+        "at rest ({:+.3}, {:+.3}, {:+.3}) m/s^2, which is {:+.2} % of gravity off it",
+        force.x,
+        force.y,
+        force.z,
+        100.0 * off
+    );
+    let remedy = "the IMU must rest, and give specific force in m/s^2";
+    match off.abs() {
+        off if off > POSSIBLE_SCALE => Finding::fail("imu scale", found, remedy),
+        _ if force.z > 0.0 => Finding::fail("imu scale", format!("{found}; it points down"), AXES),
+        off if off > GOOD_SCALE => Finding::warn("imu scale", found, remedy),
+        _ => Finding::pass("imu scale", found),
+    }
+}
+
+fn rest(heard: &Heard) -> Finding {
+    let rate = heard.mean(|sample| sample.rate_rad_s);
+    let deg_s = rate.map(f64::to_degrees);
+    let found = format!(
+        "turns by ({:+.4}, {:+.4}, {:+.4}) deg/s",
+        deg_s.x, deg_s.y, deg_s.z
+    );
+    match rate.norm() > REST_RAD_S {
+        true => Finding::warn("imu at rest", found, "let it rest; is its rate in rad/s?"),
+        false => Finding::pass("imu at rest", found),
+    }
+}
+
+/// A turn by hand about one of the body's axes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Tilt {
+    ForwardUp,
+    RightLow,
+}
+
+impl Tilt {
+    fn check_name(self) -> &'static str {
+        match self {
+            Self::ForwardUp => "imu axes: pitch",
+            Self::RightLow => "imu axes: roll",
+        }
+    }
+
+    fn request(self) -> &'static str {
+        match self {
+            Self::ForwardUp => {
+                "tilt the telescope with the IMU by hand: its forward end UP by about 5 deg, and hold it"
+            }
+            Self::RightLow => {
+                "tilt the telescope with the IMU by hand: its right side LOW by about 5 deg, and hold it"
+            }
+        }
+    }
+
+    /// By how much straight down, as it is felt, has turned that way, rad.
+    fn felt_rad(self, before: &Vector3<f64>, after: &Vector3<f64>) -> f64 {
+        let angle = |force: &Vector3<f64>| match self {
+            Self::ForwardUp => force.x.atan2(-force.z),
+            Self::RightLow => (-force.y).atan2(-force.z),
+        };
+        angle(after) - angle(before)
+    }
+
+    fn turned_rad(self, turned: &Vector3<f64>) -> f64 {
+        match self {
+            Self::ForwardUp => turned.y,
+            Self::RightLow => turned.x,
+        }
+    }
+
+    fn check(self, plan: &Plan, operator: &mut dyn Operator) -> Finding {
+        let name = self.check_name();
+        let before = match listen_to_imu(plan, REST) {
+            Ok(heard) => heard,
+            Err(why) => return Finding::fail(name, why, IMU_PORT),
+        };
+        if !operator.is_ready(self.request()) {
+            let remedy = "tilt it when asked, so that the signs are known before the flight";
+            return Finding::warn(name, "not tested: nobody tilted it", remedy);
+        }
+        match listen_to_imu(plan, TILT) {
+            Ok(after) => self.judge(&before, &after),
+            Err(why) => Finding::fail(name, why, IMU_PORT),
+        }
+    }
+
+    fn judge(self, before: &Heard, after: &Heard) -> Finding {
+        let name = self.check_name();
+        let rate = before.mean(|sample| sample.rate_rad_s);
+        let turned = self.turned_rad(&after.turned_rad(&rate));
+        let last_second = Heard {
+            samples: after.samples[after.samples.len().saturating_sub(LEAST_SAMPLES)..].into(),
+            unreadable: 0,
+        };
+        let felt = self.felt_rad(&before.force_m_s2(), &last_second.force_m_s2());
+        let found = format!(
+            "by the gyros {:+.2} deg, by gravity {:+.2} deg",
+            turned.to_degrees(),
+            felt.to_degrees()
+        );
+        let agree = (turned - felt).abs() < TILT_AGREES * felt.abs().max(TILT_RAD);
+        match (felt > TILT_RAD, turned > TILT_RAD) {
+            (true, true) if agree => Finding::pass(name, found),
+            (false, false) if felt.abs() < TILT_RAD && turned.abs() < TILT_RAD => Finding::fail(
+                name,
+                format!("{found}: no tilt beyond doubt"),
+                "tilt it further",
+            ),
+            _ => Finding::fail(
+                name,
+                format!("{found}: both must be positive and agree"),
+                AXES,
+            ),
+        }
+    }
+}
+
+/// Listens to the IMU where it speaks, for so long.
+fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
+    let open = imu_port(plan)?;
+    let tried = within(PATIENCE + time, move || -> Result<Heard, PortError> {
+        let mut port = open()?;
+        let mut parser = Parser::new(Direction::ToAspect);
+        let mut heard = Heard::default();
+        let mut buffer = [0; 2048];
+        let start = Instant::now();
+        while start.elapsed() < time {
+            let count = port.read(&mut buffer, Duration::from_millis(100))?;
+            for packet in parser.feed(&buffer[..count], start.elapsed()) {
+                if let Packet::Telemetry(packet) = packet {
+                    match ImuPacket::decode(&packet) {
+                        Ok(sample) => heard.samples.push(sample),
+                        Err(_) => heard.unreadable += 1,
+                    }
+                }
+            }
+        }
+        Ok(heard)
+    });
+    match tried {
+        Ok(Ok(heard)) => Ok(heard),
+        Ok(Err(error)) => Err(error.to_string()),
+        Err(no_answer) => Err(no_answer.to_string()),
+    }
+}
+
+/// The IMU's own line, else the controller's.
+fn imu_port(
+    plan: &Plan,
+) -> Result<impl FnOnce() -> Result<AnyPort, PortError> + Send + use<>, String> {
+    let words = |refused: Refused| refused.to_string();
+    let link = &plan.config.link;
+    let own = plan.config.navigation.imu_address().map_err(words)?;
+    let is_own = own.is_some();
+    let shared = link.address().map_err(words)?;
+    let address = own
+        .or(shared)
+        .ok_or("neither navigation.imu_port nor link.port is set")?;
+    let local = link.local_end().map_err(words)?;
+    let local = LocalEnd {
+        port: if is_own { 0 } else { local.port },
+        ..local
+    };
+    let baud = link.baud;
+    Ok(move || address.open(baud, local))
+}
+
+fn gps(plan: &Plan) -> Finding {
+    let address = match plan.config.navigation.gps_address() {
+        Ok(Some(address)) => address,
+        Ok(None) => {
+            let found = "no receiver: the filter never begins";
+            return Finding::fail("gps", found, "set navigation.gps_port");
+        }
+        Err(refused) => return Finding::fail("gps", refused.to_string(), GPS_PORT),
+    };
+    let baud = plan.config.navigation.gps_baud;
+    let tried = within(PATIENCE + GPS, move || hear_gps(&address, baud));
+    match tried {
+        Ok(Ok((Some(fix), _))) => place(plan, &fix),
+        Ok(Ok((None, receiver))) => {
+            let counts = receiver.counts();
+            let found = format!(
+                "no fix in {:.0} s; {} times the receiver said that it has none, {} lines unreadable",
+                GPS.as_secs_f64(),
+                counts.without_fix,
+                counts.unreadable
+            );
+            match counts.without_fix {
+                0 => Finding::fail("gps", found, GPS_PORT),
+                _ => Finding::warn("gps", found, "give its antenna the sky"),
+            }
+        }
+        Ok(Err(error)) => Finding::fail("gps", error.to_string(), GPS_PORT),
+        Err(no_answer) => Finding::fail("gps", no_answer.to_string(), GPS_PORT),
+    }
+}
+
+/// The first fix, or what the receiver said instead.
+fn hear_gps(address: &PortAddress, baud: u32) -> Result<(Option<TimedFix>, Nmea), PortError> {
+    let mut port = address.open(baud, LocalEnd::default())?;
+    let mut receiver = Nmea::default();
+    let mut buffer = [0; 2048];
+    let start = Instant::now();
+    while start.elapsed() < GPS {
+        let count = port.read(&mut buffer, Duration::from_millis(100))?;
+        if let Some(fix) = receiver.feed(&buffer[..count]).into_iter().next() {
+            return Ok((Some(fix), receiver));
+        }
+    }
+    Ok((None, receiver))
+}
+
+fn place(plan: &Plan, fix: &TimedFix) -> Finding {
+    let place = fix.place;
+    let found = format!(
+        "latitude {:.5}, longitude {:.5} deg, height {:.0} m at {}",
+        place.latitude_deg, place.longitude_deg, place.height_m, fix.utc
+    );
+    let on_sphere = |longitude_deg, latitude_deg| direction(longitude_deg, latitude_deg);
+    let away_deg = plan.config.site.place().map(|site| {
+        let here = on_sphere(place.longitude_deg, place.latitude_deg);
+        let there = on_sphere(site.longitude_deg, site.latitude_deg);
+        separation_rad(&here, &there).to_degrees()
+    });
+    match away_deg.filter(|away_deg| *away_deg > FAR_DEG) {
+        Some(away_deg) => {
+            let found = format!("{found}: {away_deg:.1} deg from [site]");
+            Finding::warn("gps", found, "set [site] to where the flight begins")
+        }
+        None => Finding::pass("gps", found),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::preflight::Verdict;
+    use jiff::SignedDuration;
+
+    /// A second and a half of samples of a body that turns about an axis by an angle, from rest.
+    fn heard(axis: Vector3<f64>, turned_rad: f64) -> Heard {
+        let start: Timestamp = "2026-06-01T12:00:00Z".parse().unwrap();
+        let up = Vector3::new(0.0, 0.0, -1.0);
+        let samples = (0..150).map(|n| {
+            let done = (f64::from(n) / 100.0).min(1.0);
+            let turn = nalgebra::Rotation3::new(axis * turned_rad * done);
+            let rate = if n > 0 && n <= 100 { turned_rad } else { 0.0 };
+            ImuPacket {
+                time: start + SignedDuration::from_millis(10 * i64::from(n)),
+                counter: n as u16,
+                force_m_s2: (turn.inverse() * up * GRAVITY_M_S2).cast::<f32>().into(),
+                rate_rad_s: (axis * rate).cast::<f32>().into(),
+            }
+        });
+        Heard {
+            samples: samples.collect(),
+            unreadable: 0,
+        }
+    }
+
+    #[test]
+    fn a_tilt_by_hand_tells_axes_and_signs() {
+        let rest = heard(Vector3::x(), 0.0);
+        for (tilt, axis) in [
+            (Tilt::ForwardUp, Vector3::y()),
+            (Tilt::RightLow, Vector3::x()),
+        ] {
+            let verdict = |after: &Heard| tilt.judge(&rest, after).verdict;
+            let good = heard(axis, 0.09);
+            assert_eq!(
+                verdict(&good),
+                Verdict::Pass,
+                "{:?}",
+                tilt.judge(&rest, &good)
+            );
+            assert_eq!(verdict(&heard(-axis, 0.09)), Verdict::Fail, "the other way");
+            assert_eq!(verdict(&heard(axis, 0.01)), Verdict::Fail, "hardly");
+            // Gyros whose sign is wrong.
+            let mut wrong = good.clone();
+            wrong
+                .samples
+                .iter_mut()
+                .for_each(|s| s.rate_rad_s = s.rate_rad_s.map(|rate| -rate));
+            assert_eq!(verdict(&wrong), Verdict::Fail);
+        }
+    }
+
+    #[test]
+    fn gravity_tells_scale_and_sign_of_the_accelerometers() {
+        let scaled = |by: f32| {
+            let mut heard = heard(Vector3::x(), 0.0);
+            let forces = heard.samples.iter_mut();
+            forces.for_each(|s| s.force_m_s2 = s.force_m_s2.map(|force| by * force));
+            scale(&heard).verdict
+        };
+        assert_eq!(scaled(1.0), Verdict::Pass);
+        assert_eq!(scaled(1.01), Verdict::Warn);
+        assert_eq!(scaled(1.0 / 9.80665), Verdict::Fail, "in g");
+        assert_eq!(scaled(-1.0), Verdict::Fail, "down instead of up");
+    }
+
+    #[test]
+    fn missing_samples_are_counted_by_their_numbers() {
+        let mut heard = heard(Vector3::x(), 0.0);
+        heard.samples.drain(40..45);
+        assert_eq!(heard.missing(), 5);
+        assert!((heard.rate_hz().unwrap() - 96.6).abs() < 0.1);
+    }
+}
