@@ -3,7 +3,7 @@
 /// Nothing unless set: a flight must not fail, nor a laptop stall, for want of a privilege.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Host {
-    /// Priority of the threads from frame to packet among real-time threads; none where they are scheduled like all others.
+    /// Priority of the solvers among real-time threads, other threads from frame to packet having one more; none where they are scheduled like all others.
     pub realtime_priority: Option<u8>,
     pub memory: Memory,
 }

@@ -197,7 +197,7 @@ static TABLE: &[Parameter] = &[
         "An offset by the gyros that is less certain than this, 1 sigma per axis, is not sent."),
 
     row!(host.realtime_priority, "", Whole(1, 99), sample Sample::Number(10.0),
-        "Priority of the camera's, solver's and link's threads among the real-time threads of the computer (FIFO); unset, they are scheduled like all others. Needs CAP_SYS_NICE or LimitRTPRIO of the unit; without it the flight goes on and says so."),
+        "Priority of the solvers' threads among the real-time threads of the computer (FIFO); those of cameras, link, filter and sensors, which take microseconds, have one more; unset, they are scheduled like all others. Needs CAP_SYS_NICE or LimitRTPRIO of the unit; without it the flight goes on and says so."),
     row!(host.memory, "", Name(Memory::NAMES),
         "What may become of the program's memory: locked, it is never swapped out. Needs CAP_IPC_LOCK or LimitMEMLOCK of the unit; without it the flight goes on and says so."),
 

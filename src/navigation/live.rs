@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// A measurement may come so late.
 const HISTORY_S: f64 = 3.0;
 /// A state to go on from is kept so often.
-const KEPT_EVERY_S: f64 = 0.25;
+const KEPT_EVERY_S: f64 = 0.05;
 /// Samples before a state that its next interval rests on.
 const NEIGHBOURS: usize = 5;
 /// Longer than this without samples, or back by it, and the filter begins anew: nothing tells how the body turned.

@@ -92,6 +92,7 @@ use line::{Line, LinkEvent};
 use moon::{MoonDesk, MoonSolver};
 use navigation::{Inputs, Navigation, Navigator, SensorKind, SensorLine};
 use outlet::Outlet;
+use priority::Rank;
 use roll::{LatestNadir, RollSolver};
 use shared::Shared;
 use shutter::{Glimpse, Shutter};
@@ -455,7 +456,7 @@ impl Workers {
         let name = format!("solver-{}", station.camera_number());
         self.solvers
             .push(Worker::start(name, Some(SOLVER_PATIENCE), move || {
-                host.hurried(run.clone())
+                host.hurried(Rank::Solver, run.clone())
             })?);
         Ok(())
     }
@@ -485,7 +486,7 @@ impl Workers {
         self.cameras
             .push(Worker::start(name, Some(CAMERA_PATIENCE), move || {
                 let (shutter, source, open) = (shutter.clone(), source.take(), open.clone());
-                host.hurried(move |life| shutter.run(source, open, life))
+                host.hurried(Rank::First, move |life| shutter.run(source, open, life))
             })?);
         Ok(())
     }
@@ -508,7 +509,7 @@ impl Talk {
         let connection = Arc::new(Mutex::new(connection));
         Worker::start("link", None, move || {
             let (talk, connection) = (self.clone(), Arc::clone(&connection));
-            host.hurried(move |life| {
+            host.hurried(Rank::First, move |life| {
                 let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
                 let (events, hang_up) = (talk.events, talk.hang_up);
                 let (controls, tally) = (talk.controls, talk.tally);
@@ -547,14 +548,14 @@ fn start_navigation(
         let listen = move |life: &worker::Life| line.clone().listen(life);
         let patience = Some(NAVIGATION_PATIENCE);
         workers.push(Worker::start(kind.name(), patience, move || {
-            host.hurried(listen.clone())
+            host.hurried(Rank::First, listen.clone())
         })?);
     }
     let queue = queue.clone();
     let filter = move |life: &worker::Life| navigator.clone().run(&queue, life);
     let patience = Some(NAVIGATION_PATIENCE);
     workers.push(Worker::start("navigation", patience, move || {
-        host.hurried(filter.clone())
+        host.hurried(Rank::First, filter.clone())
     })?);
     Ok(workers)
 }

@@ -45,11 +45,31 @@ pub fn lock_memory() -> Result<(), NotGranted> {
     mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(NotGranted::Memory)
 }
 
+/// Which of the hurried threads goes first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Rank {
+    /// Solvers, which take milliseconds.
+    Solver,
+    /// Cameras, link, filter and sensors, which take microseconds and hand on.
+    First,
+}
+
+impl Rank {
+    fn above(self, priority: u8) -> u8 {
+        const MOST: u8 = 99;
+        match self {
+            Self::Solver => priority,
+            Self::First => (priority + 1).min(MOST),
+        }
+    }
+}
+
 impl Host {
     /// Work for a thread that is scheduled as the configuration asks; what is not granted is logged.
-    pub(super) fn hurried(self, work: impl FnOnce(&Life) + Send + 'static) -> Job {
+    pub(super) fn hurried(self, rank: Rank, work: impl FnOnce(&Life) + Send + 'static) -> Job {
         Box::new(move |life| {
-            if let Some(Err(error)) = self.realtime_priority.map(run_in_real_time) {
+            let priority = self.realtime_priority.map(|own| rank.above(own));
+            if let Some(Err(error)) = priority.map(run_in_real_time) {
                 tracing::warn!(%error, "the thread is scheduled like all others");
             }
             work(life);

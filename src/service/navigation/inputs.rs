@@ -12,7 +12,7 @@ use crate::service::control::Seat;
 use crate::service::shared::Shared;
 use crate::service::tally::worth_a_line;
 use crate::units::ARCSEC_PER_RAD;
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use jiff::Timestamp;
 use std::time::Instant;
 
@@ -54,7 +54,8 @@ impl Inputs {
 
     /// Tells the filter. Where its queue is full the input is lost and counted: later ones are worth more.
     pub fn tell(&self, input: Input) {
-        if self.queue.try_send(input).is_err() {
+        // A filter that has ended with the cameras needs no more.
+        if let Err(TrySendError::Full(_)) = self.queue.try_send(input) {
             let mut tally = self.tally.lock();
             tally.overflowed += 1;
             if worth_a_line(tally.overflowed) {

@@ -58,6 +58,9 @@ struct Args {
     /// The navigation filter flies, too: IMU at 100 Hz on the controller's line, GPS, offsets by the gyros at 20 Hz; the Sun rests on the plate
     #[arg(long, conflicts_with = "faults")]
     navigation: bool,
+    /// Real-time priority of the hurried threads; needs CAP_SYS_NICE
+    #[arg(long)]
+    realtime: Option<u8>,
     /// Inject faults, one after the other: all, or those named
     #[arg(long, value_enum, value_name = "FAULT", value_delimiter = ',', num_args = 0.., require_equals = true)]
     faults: Option<Vec<Fault>>,
@@ -140,6 +143,7 @@ fn fly(
         instrument: instrument.clone(),
         roll,
         navigation,
+        realtime: args.realtime,
         roots,
         values,
         keep: args.keep,

@@ -76,6 +76,7 @@ pub struct Parts {
     pub instrument: Instrument,
     pub roll: Option<RollParts>,
     pub navigation: Option<navigation::Parts>,
+    pub realtime: Option<u8>,
     pub roots: Vec<PathBuf>,
     pub values: PathBuf,
     pub keep: bool,
@@ -96,6 +97,7 @@ impl Rig {
         let stores = disks.iter().map(store).collect();
         let mut config = Config::default();
         config.link.saved_values = Some(parts.values.join("values.toml"));
+        config.host.realtime_priority = parts.realtime;
         let (flies, sensors) = parts
             .navigation
             .map(|navigation| (navigation.flies, navigation.sensors))
