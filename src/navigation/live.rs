@@ -96,7 +96,7 @@ impl Live {
     pub fn measure(&mut self, measurement: Measurement) {
         let t_s = measurement.t_s();
         let newest_s = self.recent.imu.last().map(|last| last.t_s);
-        if newest_s.is_none_or(|newest_s| t_s > newest_s + HISTORY_S) {
+        if newest_s.is_some_and(|newest_s| t_s > newest_s + HISTORY_S) {
             self.counts.out_of_time += 1;
             return;
         }

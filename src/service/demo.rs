@@ -1,9 +1,8 @@
 //! The whole system on one machine with nothing attached: simulated cameras of Sun and horizon, the real service, a real archive, and
 //! a simulated controller at the other end of a pseudo-terminal.
 
-use super::navigation::Navigation;
 use super::tally::{FlightTally, quantile};
-use super::{Answer, Camera, Flight, Service};
+use super::{Answer, Camera, Flight, Navigation, Service};
 use crate::archive::Store;
 use crate::aspect::Quality;
 use crate::camera::{SimulatedCamera, SimulatedSky, SkyView, TruthLog};

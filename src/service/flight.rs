@@ -1,13 +1,13 @@
 //! What a flight is made of.
 
 use super::control::Seat;
-use super::navigation::Navigation;
 use super::worker::Life;
 use crate::archive::{Flown, MOON_CAMERA, ROLL_CAMERA, Store};
 use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::Config;
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera};
 use crate::link::{Connection, picture};
+use crate::navigation::Settings;
 use crate::pointing::Target;
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
@@ -107,6 +107,16 @@ impl Flight {
     pub(super) fn cameras(&self) -> impl Iterator<Item = &Camera> {
         std::iter::once(&self.camera).chain(&self.other_cameras)
     }
+}
+
+/// The navigation of a flight.
+pub struct Navigation {
+    pub settings: Settings,
+    /// The file of the settings, letter by letter, for the archive.
+    pub settings_toml: String,
+    /// The IMU's own line; none where it speaks on the controller's.
+    pub imu: Option<Connection>,
+    pub gps: Option<Connection>,
 }
 
 /// A camera of a flight.

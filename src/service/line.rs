@@ -14,11 +14,11 @@ mod hearing;
 mod moon;
 mod picture;
 
-pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome};
+pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome, PropagatedEvent};
 
 use super::control::{Controls, Topic};
 use super::moon::MoonDesk;
-use super::navigation::{Inputs, PropagatedEvent};
+use super::navigation::Inputs;
 use super::shared::Shared;
 use super::tally::{LineTally, note_latency, worth_a_line};
 use super::worker::Life;

@@ -70,7 +70,7 @@ pub use answer::{Answer, SolvedMoon};
 pub use archiver::DiskHealth;
 pub use command_log::CommandNote;
 pub use control::Seat;
-pub use flight::{Camera, CameraFactory, Flight, Station};
+pub use flight::{Camera, CameraFactory, Flight, Navigation, Station};
 pub use protocol::protocol_page;
 pub use tally::{
     ArchiveTally, CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally, quantile,
@@ -90,7 +90,7 @@ use flight::UnsolvedFrame;
 use housekeeping::HousekeepingSource;
 use line::{Line, LinkEvent};
 use moon::{MoonDesk, MoonSolver};
-use navigation::{Inputs, Navigation, Navigator, SensorKind, SensorLine};
+use navigation::{Inputs, Navigator, SensorKind, SensorLine};
 use outlet::Outlet;
 use priority::Rank;
 use roll::{LatestNadir, RollSolver};

@@ -1,9 +1,8 @@
 //! What the link is told, and what it says of a frame without a solution.
 
 use crate::aspect::Stopped;
-use crate::link::{Exposure, Housekeeping, Picture, Solution};
+use crate::link::{Exposure, Housekeeping, Picture, Propagated, Solution};
 use crate::pointing::{Offset, Roll};
-use crate::service::navigation::PropagatedEvent;
 use crate::units::Measured;
 use std::time::{Duration, Instant};
 
@@ -33,6 +32,14 @@ pub enum LinkEvent {
     Housekeeping(Box<Housekeeping>),
     /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
     Picture(Box<Picture>),
+}
+
+/// An offset by the gyros.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PropagatedEvent {
+    pub propagated: Propagated,
+    /// When the sample was read that it rests on.
+    pub read: Instant,
 }
 
 /// What came of an exposure.

@@ -12,7 +12,7 @@ pub(super) use rows::{NavigationLog, NavigationRows};
 pub use tally::NavigationTally;
 
 use super::control::{Controls, Seat};
-use super::line::LinkEvent;
+use super::line::{LinkEvent, PropagatedEvent};
 use super::shared::Shared;
 use super::tally::worth_a_line;
 use super::worker::Life;
@@ -39,16 +39,6 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// The archive gets rows of so much time at once.
 const ROWS_S: f64 = 1.0;
 
-/// The navigation of a flight.
-pub struct Navigation {
-    pub settings: Settings,
-    /// The file of the settings, letter by letter, for the archive.
-    pub settings_toml: String,
-    /// The IMU's own line; none where it speaks on the controller's.
-    pub imu: Option<Connection>,
-    pub gps: Option<Connection>,
-}
-
 /// The name by which the settings know a camera.
 fn camera_name(seat: Seat) -> &'static str {
     let [first, second, roll, moon] = CAMERAS_IN_FLIGHT;
@@ -58,14 +48,6 @@ fn camera_name(seat: Seat) -> &'static str {
         Seat::Roll => roll,
         Seat::Moon => moon,
     }
-}
-
-/// What an offset by the gyros tells the line.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PropagatedEvent {
-    pub propagated: Propagated,
-    /// When the sample was read that it rests on.
-    pub read: Instant,
 }
 
 /// What the filter's thread shares with the others. It outlives a thread that fails; the filter does not.

@@ -3,8 +3,8 @@
 use solaspect::instrument::{DEMO_NAVIGATION, Instrument};
 use solaspect::link::{Connection, Propagated, SerialPort};
 use solaspect::navigation::Settings;
+use solaspect::service::Navigation;
 use solaspect::service::demo::JudgedOffset;
-use solaspect::service::navigation::Navigation;
 use solaspect::simulate::navigation::TelescopeFlight;
 use solaspect::simulate::sensors::Sensors;
 use solaspect::simulate::{Course, FORT_SUMNER, Piece, Pieces, Trajectory};
