@@ -181,6 +181,7 @@ fn fly(
     Ok(Run {
         roll,
         navigation,
+        realtime: args.realtime,
         seconds: args.seconds,
         due,
         frames,
