@@ -40,6 +40,11 @@ pub fn plumb(at_m: &Vector3<f64>) -> UnitVector3<f64> {
     UnitVector3::new_normalize(acceleration(at_m, &Vector3::zeros()))
 }
 
+/// What accelerometers feel at rest at a place, m/s^2.
+pub fn gravity_m_s2(place: &Place) -> f64 {
+    acceleration(&ecef_m(place), &Vector3::zeros()).norm()
+}
+
 /// A place in ECEF, m.
 pub fn ecef_m(place: &Place) -> Vector3<f64> {
     let (sin, cos) = place.latitude_deg.to_radians().sin_cos();

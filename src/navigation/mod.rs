@@ -35,6 +35,7 @@ mod states;
 mod targets;
 mod transition;
 
+pub use earth::gravity_m_s2;
 pub use live::{Counts, Live};
 pub use measurement::{
     Climb, Fix, Implausible, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,

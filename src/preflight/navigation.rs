@@ -7,6 +7,7 @@ use crate::config::Refused;
 use crate::link::{
     AnyPort, Direction, ImuPacket, LocalEnd, Packet, Parser, PortAddress, PortError,
 };
+use crate::navigation::gravity_m_s2;
 use crate::navigation::nmea::{Nmea, TimedFix};
 use crate::sky::sphere::direction;
 use crate::sky::sphere::separation_rad;
@@ -24,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const LEAST_SAMPLES: usize = 20;
 /// Offsets by the gyros rest on samples at least so often.
 const LEAST_HZ: f64 = 50.0;
-/// Standard gravity; it differs by a quarter of a percent over the ground.
+/// Standard gravity, where no site is known; it differs by a quarter of a percent over the ground.
 const GRAVITY_M_S2: f64 = 9.806_65;
 /// The mean force at rest differs from gravity by no more, relatively: beyond the first one should know, beyond the second a scale is wrong.
 const GOOD_SCALE: f64 = 0.005;
@@ -117,7 +118,10 @@ fn at_rest(plan: &Plan) -> Vec<Finding> {
         );
         return vec![Finding::fail("imu", found, IMU_PORT)];
     };
-    vec![rate(plan, &heard, rate_hz), scale(&heard), rest(&heard)]
+    let site = plan.config.site.place();
+    let gravity_m_s2 = site.map_or(GRAVITY_M_S2, |site| gravity_m_s2(&site));
+    let scale = scale(&heard, gravity_m_s2);
+    vec![rate(plan, &heard, rate_hz), scale, rest(&heard)]
 }
 
 fn rate(plan: &Plan, heard: &Heard, rate_hz: f64) -> Finding {
@@ -144,9 +148,9 @@ fn rate(plan: &Plan, heard: &Heard, rate_hz: f64) -> Finding {
     }
 }
 
-fn scale(heard: &Heard) -> Finding {
+fn scale(heard: &Heard, gravity_m_s2: f64) -> Finding {
     let force = heard.force_m_s2();
-    let off = force.norm() / GRAVITY_M_S2 - 1.0;
+    let off = force.norm() / gravity_m_s2 - 1.0;
     let found = format!(
         "at rest ({:+.3}, {:+.3}, {:+.3}) m/s^2, which is {:+.2} % of gravity off it",
         force.x,
@@ -442,7 +446,7 @@ mod tests {
             let mut heard = heard(Vector3::x(), 0.0);
             let forces = heard.samples.iter_mut();
             forces.for_each(|s| s.force_m_s2 = s.force_m_s2.map(|force| by * force));
-            scale(&heard).verdict
+            scale(&heard, GRAVITY_M_S2).verdict
         };
         assert_eq!(scaled(1.0), Verdict::Pass);
         assert_eq!(scaled(1.01), Verdict::Warn);

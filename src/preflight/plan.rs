@@ -1,7 +1,7 @@
 //! What a configuration and the options of the command line make fly.
 
 use crate::camera::Source;
-use crate::config::{self, Config};
+use crate::config::{self, Config, Switch};
 use crate::instrument::{Dated, Instrument, SkyCamera};
 use crate::link::CameraRole;
 use crate::pointing::{Feature, HelioprojectiveArcsec, PointingError, Target};
@@ -122,6 +122,20 @@ impl fmt::Display for Plan {
                 link.baud, link.computer
             )?,
             None => writeln!(out, "link: none")?,
+        }
+        let navigation = &self.config.navigation;
+        if navigation.is_enabled() {
+            writeln!(
+                out,
+                "navigation: {} Hz, IMU by {}, GPS by {}, offsets {}",
+                navigation.rate_hz,
+                navigation.imu_port.as_deref().unwrap_or("link"),
+                navigation.gps_port.as_deref().unwrap_or("nobody"),
+                match navigation.send {
+                    Switch::On => "sent",
+                    Switch::Off => "not sent",
+                }
+            )?;
         }
         let archive = &self.config.archive;
         let folders: Vec<String> = self
