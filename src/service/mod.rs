@@ -3,23 +3,23 @@
 //! ```text
 //!             frames (8)               pictures (queue_frames)
 //!  camera-1 ---------------> solver-1 ------------------------> archive-1, archive-2    frames
-//!     |  ^                     |  | \______ rows (10,000) ______> log-1, log-2            log, telemetry, housekeeping
-//!     |  \__ Glimpse __________/  |
-//!     |     LinkEvent (256)       |
-//!     +---------------------------+---> link <----> controller, over a byte port
-//!                                 |
-//!                                 |  ^ \___ IMU ____
-//!     solvers' directions, GPS ___|__|______________v
-//!                                 |   \__ offsets _ navigation (1024)     gps, imu: sensors with lines of their own
-//!                                 |
-//!                 Controls (shared): what the ground sets; values: saves it
+//!     |  ^                     | |  | \_______ rows (10,000) ______> log-1, log-2         log, telemetry, housekeeping
+//!     |  \__ Glimpse __________/ |  |
+//!     |                          |  \___ directions __
+//!     |     LinkEvent (256)      |                    v
+//!     +--------------------------+-> link --- IMU --> navigation <--- gps, imu     sensors with lines of their own
+//!                                    ^ ^     inputs (1024)  |
+//!        controller, over a byte port| \_____ offsets ______/
+//!
+//!  Controls (shared): what the ground sets; values: saves it
 //!  watch: looks after all of them, tells link and logs the housekeeping each second, feeds systemd's watchdog
 //! ```
 //!
 //! Each camera has a thread and a solver of its own; camera and solver of the second pitch-yaw camera, the roll camera and the Moon camera
 //! are numbered on. The roll camera's solver tells no controller: it leaves the latest nadir where the other solvers look. The Moon camera's
-//! leaves what it saw where the link looks, which answers requests for the Moon with it. The navigation's thread filters what IMU, GPS and
-//! cameras say, and tells the link an offset at the IMU's samples. Every disk of the archive has two threads; while it compresses a picture, the first may start `archive.threads` less one for it.
+//! leaves what it saw where the link looks, which answers requests for the Moon with it. Where a navigation filter flies, its thread takes what
+//! IMU, GPS and solvers say, and tells the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
+//! compresses a picture, the first may start `archive.threads` less one for it.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
@@ -28,15 +28,15 @@
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
-//! | navigation | samples, fixes and directions (1024) | the input is lost and counted: no solver and no line waits for the filter |
-//! | navigation's rows | what the archive keeps of them, a second at a time (64), to watch and on among the rows | the rows are lost and counted |
-//! | LinkEvent | exposures about to start, solutions, housekeeping | the event is dropped and counted: the line is stuck |
+//! | inputs | samples, fixes and directions for the filter | the input is lost and counted: no solver and no line waits for the filter |
+//! | navigation's rows | what the archive keeps of it, a second at a time, from navigation to watch (64), and on among the rows | the rows are lost and counted |
+//! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
 //! the last of its work. The link goes on answering commands until the service is joined.
 //!
-//! A thread that panics is started again. So is a camera or a solver that shows no sign of life for a while, with the same
-//! channels; the one that hangs is left alone. While three of them hang, the next is not replaced; where no camera is solved
+//! A thread that panics is started again. So is a camera, a solver or the filter that shows no sign of life for a while, with the
+//! same channels; the one that hangs is left alone. While three of them hang, the next is not replaced; where no camera is solved
 //! any more, the program ends in order, and systemd starts it again. A stop of the whole program counts against no thread. A
 //! thread blocked on a disk is not restarted: the other disk's goes on. Where watch or link hang, systemd's watchdog is not
 //! fed, and it starts the program again.
@@ -90,7 +90,7 @@ use flight::UnsolvedFrame;
 use housekeeping::HousekeepingSource;
 use line::{Line, LinkEvent};
 use moon::{MoonDesk, MoonSolver};
-use navigation::{Inputs, Navigator, SensorKind, SensorLine};
+use navigation::{Inputs, Navigator};
 use outlet::Outlet;
 use priority::Rank;
 use roll::{LatestNadir, RollSolver};
@@ -112,8 +112,6 @@ const LINK_EVENTS: usize = 256;
 const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
 /// So does a solver. It takes a hundredth of a second for a frame.
 const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
-/// So do the filter and the sensors' threads.
-const NAVIGATION_PATIENCE: Duration = Duration::from_secs(5);
 /// Of the navigation, for the archive: seconds of three logs.
 const NAVIGATION_ROWS: usize = 64;
 
@@ -174,7 +172,7 @@ impl Service {
             moon: Shared::default(),
             navigation: Shared::default(),
         };
-        let (inputs, navigation_inputs) = Inputs::new(counts.navigation.clone());
+        let (inputs, queue) = Inputs::new(counts.navigation.clone());
         let inputs = flight.navigation.is_some().then_some(inputs);
         let moon_desk = Shared::<MoonDesk>::default();
         let host = flight.config.host;
@@ -200,7 +198,7 @@ impl Service {
                     tally: counts.navigation.clone(),
                     ended: Arc::clone(&signals.cameras_ended),
                 };
-                start_navigation(navigation, navigator, inputs, &navigation_inputs, host)?
+                navigator.start(navigation.imu, navigation.gps, inputs, &queue, host)?
             }
             _ => Vec::new(),
         };
@@ -519,45 +517,6 @@ impl Talk {
             })
         })
     }
-}
-
-/// Starts the filter's thread, and one for each sensor that has a line of its own.
-fn start_navigation(
-    navigation: Navigation,
-    navigator: Navigator,
-    inputs: &Inputs,
-    queue: &Receiver<navigation::Input>,
-    host: Host,
-) -> std::io::Result<Vec<Worker>> {
-    let mut workers = Vec::new();
-    let lines = [
-        (SensorKind::Imu, navigation.imu),
-        (SensorKind::Gps, navigation.gps),
-    ];
-    for (kind, connection) in lines {
-        let Some(connection) = connection else {
-            continue;
-        };
-        let line = SensorLine {
-            connection: Arc::new(Mutex::new(connection)),
-            kind,
-            inputs: inputs.clone(),
-            tally: navigator.tally.clone(),
-            ended: Arc::clone(&navigator.ended),
-        };
-        let listen = move |life: &worker::Life| line.clone().listen(life);
-        let patience = Some(NAVIGATION_PATIENCE);
-        workers.push(Worker::start(kind.name(), patience, move || {
-            host.hurried(Rank::First, listen.clone())
-        })?);
-    }
-    let queue = queue.clone();
-    let filter = move |life: &worker::Life| navigator.clone().run(&queue, life);
-    let patience = Some(NAVIGATION_PATIENCE);
-    workers.push(Worker::start("navigation", patience, move || {
-        host.hurried(Rank::First, filter.clone())
-    })?);
-    Ok(workers)
 }
 
 fn spawn<T: Send + 'static>(

@@ -13,10 +13,11 @@ pub use tally::NavigationTally;
 
 use super::control::{Controls, Seat};
 use super::line::{LinkEvent, PropagatedEvent};
+use super::priority::Rank;
 use super::shared::Shared;
 use super::tally::worth_a_line;
-use super::worker::Life;
-use crate::config;
+use super::worker::{Life, Worker};
+use crate::config::{self, Host};
 use crate::link::{Connection, ImuPacket, Propagated, Solution};
 use crate::navigation::nmea::TimedFix;
 use crate::navigation::{
@@ -28,14 +29,16 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Rotation3, Vector3};
 use rows::{gps_row, imu_row, propagated_row};
-use sensor::{Sensor, Speech};
+use sensor::{Sensor, Speaks};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// How long the filter waits for an input before it shows that it is at work.
 const PATIENCE: Duration = Duration::from_millis(100);
+/// A filter that gives no word for so long hangs.
+const PATIENT_FOR: Duration = Duration::from_secs(5);
 /// The archive gets rows of so much time at once.
 const ROWS_S: f64 = 1.0;
 
@@ -63,14 +66,47 @@ pub(super) struct Navigator {
 }
 
 impl Navigator {
+    /// Starts the filter's thread, and one for each sensor that has a line of its own.
+    ///
+    /// # Errors
+    /// The operating system gives no thread.
+    pub fn start(
+        self,
+        imu: Option<Connection>,
+        gps: Option<Connection>,
+        inputs: &Inputs,
+        queue: &Receiver<Input>,
+        host: Host,
+    ) -> std::io::Result<Vec<Worker>> {
+        let mut workers = Vec::new();
+        for (speaks, connection) in [(Speaks::Imu, imu), (Speaks::Gps, gps)] {
+            if let Some(connection) = connection {
+                let sensor = Sensor {
+                    connection: Arc::new(Mutex::new(connection)),
+                    speaks,
+                    inputs: inputs.clone(),
+                    tally: self.tally.clone(),
+                    ended: Arc::clone(&self.ended),
+                };
+                let listen = move |life: &Life| sensor.run(life);
+                // Another thread would wait for the same port.
+                workers.push(hurried(speaks.name(), None, listen, host)?);
+            }
+        }
+        let queue = queue.clone();
+        let filter = move |life: &Life| self.run(&queue, life);
+        workers.push(hurried("navigation", Some(PATIENT_FOR), filter, host)?);
+        Ok(workers)
+    }
+
     /// Filters until the flight ends, or another thread has taken over.
-    pub fn run(self, inputs: &Receiver<Input>, life: &Life) {
+    fn run(&self, inputs: &Receiver<Input>, life: &Life) {
         let mut filter = None;
         while !life.is_over() {
             life.beat();
             match inputs.recv_timeout(PATIENCE) {
                 Ok(Input::Imu(sample, read)) => {
-                    let filter = filter.get_or_insert_with(|| Filter::new(&self, sample.time));
+                    let filter = filter.get_or_insert_with(|| Filter::new(self, sample.time));
                     filter.sample(&sample, read);
                 }
                 Ok(Input::Fix(fix)) => {
@@ -87,6 +123,17 @@ impl Navigator {
         }
         filter.iter_mut().for_each(Filter::hand_rows_on);
     }
+}
+
+fn hurried(
+    name: &str,
+    patience: Option<Duration>,
+    work: impl Fn(&Life) + Clone + Send + 'static,
+    host: Host,
+) -> std::io::Result<Worker> {
+    Worker::start(name, patience, move || {
+        host.hurried(Rank::First, work.clone())
+    })
 }
 
 /// The filter with what it needs to tell offsets.
@@ -331,51 +378,6 @@ fn propagated(offset: &PropagatedOffset, utc: Timestamp, age_s: f64) -> Propagat
             time: utc,
         },
         age_ms: (1e3 * age_s).round().clamp(0.0, u16::MAX.into()) as u16,
-    }
-}
-
-/// The line of a sensor, held by one life of its thread after the other.
-#[derive(Clone)]
-pub(super) struct SensorLine {
-    pub connection: Arc<Mutex<Connection>>,
-    pub kind: SensorKind,
-    pub inputs: Inputs,
-    pub tally: Shared<NavigationTally>,
-    pub ended: Arc<AtomicBool>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum SensorKind {
-    Imu,
-    Gps,
-}
-
-impl SensorKind {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Imu => "imu",
-            Self::Gps => "gps",
-        }
-    }
-}
-
-impl SensorLine {
-    pub fn listen(self, life: &Life) {
-        let mut connection = self
-            .connection
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let sensor = Sensor {
-            connection: &mut connection,
-            speech: match self.kind {
-                SensorKind::Imu => Speech::imu(),
-                SensorKind::Gps => Speech::gps(),
-            },
-            inputs: self.inputs,
-            tally: self.tally,
-            ended: self.ended,
-        };
-        sensor.run(life);
     }
 }
 

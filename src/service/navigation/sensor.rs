@@ -8,8 +8,8 @@ use crate::navigation::nmea::Nmea;
 use crate::service::shared::Shared;
 use crate::service::tally::worth_a_line;
 use crate::service::worker::Life;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How long a thread waits for bytes before it shows that it is at work.
@@ -18,52 +18,80 @@ const PATIENCE: Duration = Duration::from_millis(100);
 const READ_BYTES: usize = 2048;
 
 /// What a sensor speaks.
-pub(super) enum Speech {
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Speaks {
     /// Telemetry packets of type 0x71.
-    Imu(Parser),
-    Gps(Nmea),
+    Imu,
+    /// NMEA 0183.
+    Gps,
 }
 
-impl Speech {
-    pub fn imu() -> Self {
-        Self::Imu(Parser::new(Direction::ToAspect))
-    }
-
-    pub fn gps() -> Self {
-        Self::Gps(Nmea::default())
+impl Speaks {
+    /// The name of its thread.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Imu => "imu",
+            Self::Gps => "gps",
+        }
     }
 }
 
-/// Listens to a sensor.
-pub(super) struct Sensor<'a> {
-    pub connection: &'a mut Connection,
-    pub speech: Speech,
+/// A sensor's thread. The line is held by one life after the other: the port outlives a thread that panicked.
+#[derive(Clone)]
+pub(super) struct Sensor {
+    pub connection: Arc<Mutex<Connection>>,
+    pub speaks: Speaks,
     pub inputs: Inputs,
     pub tally: Shared<NavigationTally>,
     pub ended: Arc<AtomicBool>,
 }
 
-impl Sensor<'_> {
+impl Sensor {
     /// Listens until the flight ends, or another thread has taken over.
-    pub fn run(mut self, life: &Life) {
+    pub fn run(&self, life: &Life) {
+        let mut connection = self
+            .connection
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let mut packets = Parser::new(Direction::ToAspect);
+        let mut sentences = Nmea::default();
         let start = Instant::now();
         let mut buffer = [0; READ_BYTES];
         while !life.is_over() && !self.ended.load(Ordering::Relaxed) {
             life.beat();
-            self.connection.revive(start.elapsed());
-            match self.read(&mut buffer) {
-                Ok(count) => self.hear(&buffer[..count], start.elapsed()),
+            connection.revive(start.elapsed());
+            let count = match self.read(&mut connection, &mut buffer) {
+                Ok(count) => count,
                 Err(error) => {
-                    tracing::error!(%error, "a sensor's line is lost");
-                    self.connection.lose(start.elapsed());
+                    tracing::error!(sensor = self.speaks.name(), %error, "a sensor's line is lost");
+                    connection.lose(start.elapsed());
+                    continue;
+                }
+            };
+            let bytes = &buffer[..count];
+            match self.speaks {
+                Speaks::Imu => {
+                    let read = Instant::now();
+                    for packet in packets.feed(bytes, start.elapsed()) {
+                        if let Packet::Telemetry(packet) = packet {
+                            self.inputs.tell_imu(&packet, read);
+                        }
+                    }
+                }
+                Speaks::Gps => {
+                    let fixes = sentences.feed(bytes);
+                    fixes
+                        .into_iter()
+                        .for_each(|fix| self.inputs.tell(Input::Fix(fix)));
+                    self.tally.lock().sentences = sentences.counts();
                 }
             }
         }
     }
 
     /// Reads what has come; of datagrams those of the sensor alone.
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, PortError> {
-        let Some(port) = self.connection.port() else {
+    fn read(&self, connection: &mut Connection, buffer: &mut [u8]) -> Result<usize, PortError> {
+        let Some(port) = connection.port() else {
             std::thread::sleep(PATIENCE);
             return Ok(0);
         };
@@ -71,8 +99,7 @@ impl Sensor<'_> {
         let Some(sender) = port.sender() else {
             return Ok(count);
         };
-        let guard = self.connection.guard();
-        match guard.open(&buffer[..count], sender) {
+        match connection.guard().open(&buffer[..count], sender) {
             Ok(_) => Ok(count),
             Err(refusal) => {
                 let mut tally = self.tally.lock();
@@ -81,25 +108,6 @@ impl Sensor<'_> {
                     tracing::warn!(%sender, %refusal, "a sensor's datagram was refused");
                 }
                 Ok(0)
-            }
-        }
-    }
-
-    fn hear(&mut self, bytes: &[u8], now: Duration) {
-        match &mut self.speech {
-            Speech::Imu(parser) => {
-                let read = Instant::now();
-                for packet in parser.feed(bytes, now) {
-                    if let Packet::Telemetry(packet) = packet {
-                        self.inputs.tell_imu(&packet, read);
-                    }
-                }
-            }
-            Speech::Gps(receiver) => {
-                for fix in receiver.feed(bytes) {
-                    self.inputs.tell(Input::Fix(fix));
-                }
-                self.tally.lock().sentences = receiver.counts();
             }
         }
     }
