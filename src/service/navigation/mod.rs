@@ -2,11 +2,15 @@
 //!
 //! Its clock is the samples' own time. A measurement stands at its own time, less its sensor's delay; it may come up to 3 s late.
 
+mod equipment;
+mod event;
 mod inputs;
 mod rows;
 mod sensor;
 mod tally;
 
+pub use equipment::Navigation;
+pub(super) use event::PropagatedEvent;
 pub(super) use inputs::{Input, Inputs, Seen};
 pub(super) use rows::{NavigationLog, NavigationRows};
 pub use tally::NavigationTally;
@@ -39,16 +43,6 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// The archive gets rows of so much time at once.
 const ROWS_S: f64 = 1.0;
 
-/// The navigation of a flight.
-pub struct Navigation {
-    pub settings: Settings,
-    /// The file of the settings, letter by letter, for the archive.
-    pub settings_toml: String,
-    /// The IMU's own line; none where it speaks on the controller's.
-    pub imu: Option<Connection>,
-    pub gps: Option<Connection>,
-}
-
 /// The name by which the settings know a camera.
 fn camera_name(seat: Seat) -> &'static str {
     let [first, second, roll, moon] = CAMERAS_IN_FLIGHT;
@@ -58,14 +52,6 @@ fn camera_name(seat: Seat) -> &'static str {
         Seat::Roll => roll,
         Seat::Moon => moon,
     }
-}
-
-/// What an offset by the gyros tells the line.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PropagatedEvent {
-    pub propagated: Propagated,
-    /// When the sample was read that it rests on.
-    pub read: Instant,
 }
 
 /// What the filter's thread shares with the others. It outlives a thread that fails; the filter does not.
