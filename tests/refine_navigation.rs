@@ -194,8 +194,7 @@ fn refuse_what_does_not_belong_together(archive: &Path, [imu, gps]: [&str; 2]) {
     let text = fs::read_to_string(imu).unwrap();
     let lines: Vec<&str> = text.lines().collect();
     let write = |name: &str, lines: &[&str]| {
-        let all: Vec<&str> = lines.iter().copied().collect();
-        fs::write(file(name), all.join("\n") + "\n").unwrap();
+        fs::write(file(name), lines.join("\n") + "\n").unwrap();
     };
     let head = [lines[0]];
     write("first.csv", &lines[..600]);

@@ -1,6 +1,7 @@
 //! The attitude between frames: the refined directions together with the flight's IMU and GPS.
 
 use crate::cli::attitude::{Attitude, AttitudeArgs, Basis, NavigationFile, add_attitude};
+use crate::cli::output::say;
 use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, SECOND};
 use crate::navigation::files::{read_gps_files, read_imu_runs};
@@ -14,6 +15,9 @@ use clap::Args;
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+/// A FITS table is made in memory: more rows than that are left to attitude.csv.
+const MOST_FITS_ROWS: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Attitude by gyros")]
@@ -167,7 +171,15 @@ impl Sensors<'_> {
         let sightings = self.sightings(&mut targets)?;
         let runs = self.cut(Measurement::in_order(sightings, &self.fixes));
         let mut attitude = Attitude::solve(&runs, Basis::WholeFlight, out, &self.args.wanted)?;
-        attitude.write(Some(self.epoch), true)?;
+        drop(runs);
+        let count = attitude.counts.written;
+        let with_fits = count <= MOST_FITS_ROWS;
+        if !with_fits {
+            say(format_args!(
+                "attitude.fits: expected at most {MOST_FITS_ROWS} rows, found {count}: not written; --rate thins them"
+            ))?;
+        }
+        attitude.write(Some(self.epoch), with_fits)?;
         attitude.write_calibrated(&self.given, Some(self.epoch), self.files(archive))?;
         self.write_offsets(&mut attitude, &mut targets, sky, out)?;
         let (summary, counts) = (&attitude.summary, &attitude.counts);
