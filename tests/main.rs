@@ -37,6 +37,7 @@ mod pointing;
 mod power_cut;
 mod preflight;
 mod refine;
+mod refine_navigation;
 mod refine_roll;
 mod refined_flights;
 mod roll_in_flight;

@@ -2,10 +2,11 @@
 
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 use rayon::prelude::*;
+use solaspect::calibrate::navigation::{Source as Rests, calibrated};
 use solaspect::fits::Values;
 use solaspect::navigation::{
-    Climb, Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, Row, Settings, Sighting,
-    Sky, Source, Target, Targets, Towards, Verdict, smooth, solve,
+    Climb, Constant, Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, Row, Settings,
+    Sighting, Sky, Source, Target, Targets, Towards, Verdict, smooth, solve,
 };
 use solaspect::simulate::navigation::{self as simulate, FlightPlan, TruthRow};
 use solaspect::units::ARCSEC_PER_RAD;
@@ -760,4 +761,108 @@ fn in_flight_measurements_that_come_late_are_put_where_they_belong() {
     live.measure(flight.measurements[10]);
     assert_eq!(live.counts().out_of_time, 1);
     assert_eq!(live.now().unwrap().attitude.unwrap().0, found);
+}
+
+/// Solves flights with the errors that the filter found compared with those that were drawn, and again with what it has learnt.
+fn hold_calibrations(plan: &FlightPlan, seeds: std::ops::Range<u64>) {
+    let rests = Rests {
+        date: "2026-11-22".parse().unwrap(),
+        text: "a test".into(),
+        files: vec!["imu.csv".into()],
+    };
+    let (mut most, mut squares) = (0.0f64, Vec::new());
+    for seed in seeds {
+        let flown = plan.fly(seed);
+        let drawn = |constant: Constant| match constant {
+            Constant::AccelerometerBias => flown.biases[0],
+            Constant::GyroBias => flown.biases[1],
+            Constant::Misalignment(camera) => flown.misalignments_rad[camera],
+        };
+        let (first, _) = flight(plan, seed, |_| {});
+        let found = solve(&first, |_| {}).constants.unwrap();
+        assert!(!found.values.is_empty());
+        for (n, (constant, value)) in found.values.iter().enumerate() {
+            let error = value - drawn(*constant);
+            for axis in 0..3 {
+                let sigma = found.covariance[(3 * n + axis, 3 * n + axis)].sqrt();
+                most = most.max(error[axis].abs() / sigma);
+            }
+        }
+        let path = "NAV.toml".as_ref();
+        let (text, settings) = (&flown.config_toml, &first.settings);
+        let text = calibrated(path, text, settings, &found, &rests).unwrap();
+        let learnt = Settings::parse(path, &text).unwrap();
+        for (own, before) in learnt.cameras.iter().zip(&settings.cameras) {
+            assert!(own.misalignment_rad <= before.misalignment_rad);
+            let aligned = before.misalignment_rad == 0.0;
+            assert!(!aligned || own == before, "{own:?}");
+        }
+        let (again, _) = flight(plan, seed, |settings| settings.clone_from(&learnt));
+        let summary = solve(&again, |_| {});
+        let second = summary.constants.unwrap();
+        for (n, (constant, value)) in second.values.iter().enumerate() {
+            assert!(second.sigma(n) <= 1.01 * found.sigma(n), "{constant:?}");
+            // What the file holds has gone into the cameras' axes, and the biases are begun with.
+            let from = match constant {
+                Constant::AccelerometerBias => learnt.imu.accelerometer_bias_m_s2,
+                Constant::GyroBias => learnt.imu.gyro_bias_rad_s,
+                Constant::Misalignment(_) => Vector3::zeros(),
+            };
+            let moved = (value - from).amax() / found.sigma(n);
+            assert!(moved < 2.0, "{constant:?} {moved}");
+        }
+        let axes: usize = summary.innovations.iter().map(|one| one.axes.len()).sum();
+        let chi2: f64 = summary.innovations.iter().map(|one| one.chi2).sum();
+        squares.push(chi2 / axes as f64);
+    }
+    let square = squares.iter().sum::<f64>() / squares.len() as f64;
+    println!(
+        "found errors up to {most:.2} sigma off, normalised innovation squared after {square:.3}"
+    );
+    assert!(most < 4.0, "{most}");
+    assert!((0.8..1.2).contains(&square), "{square}");
+}
+
+#[test]
+fn a_flight_teaches_biases_and_misalignments() {
+    hold_calibrations(&FlightPlan::balloon(), 0..2);
+    hold_calibrations(&FlightPlan::rocket(), 0..6);
+}
+
+#[test]
+fn a_calibrated_file_is_one_that_the_next_flight_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = FlightPlan {
+        duration_s: 60.0,
+        ..FlightPlan::balloon()
+    };
+    plan.fly(3).write(folder.path()).unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let navigate = |config: &str, calibrated: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+        command.arg("navigate").arg("--config").arg(file(config));
+        for name in ["imu", "gps", "vectors", "sun"] {
+            command
+                .arg(format!("--{name}"))
+                .arg(file(&format!("{name}.csv")));
+        }
+        command.arg("--out").arg(file("out"));
+        command.arg("--calibrated").arg(file(calibrated));
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        std::fs::read_to_string(file(calibrated)).unwrap()
+    };
+    let first = navigate("NAV.toml", "first.toml");
+    let second = navigate("first.toml", "second.toml");
+    for text in [&first, &second] {
+        let table: toml::Table = text.parse().unwrap();
+        let rests = &table["calibration"];
+        let states = rests["states"].as_array().unwrap();
+        assert_eq!(states.len(), 9, "{text}");
+        assert_eq!(states[8].as_str(), Some("misalignment_roll_z_rad"));
+        let rows = rests["covariance"].as_array().unwrap();
+        assert!(rows.len() == 9 && rows.iter().all(|row| row.as_array().unwrap().len() == 9));
+        assert!(rests["date"].is_datetime() && rests["program"].is_str());
+    }
+    assert_eq!(second.matches("[calibration]").count(), 1);
 }

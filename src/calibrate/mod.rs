@@ -2,13 +2,14 @@
 //! frames do not determine, and leaves the rest of the file as it was.
 //!
 //! ```text
-//! numbers <- revision <- quantity, frames <- camera, mounting, plate; compare; mounting <- roll_camera
+//! numbers <- revision <- quantity, frames <- camera, mounting, plate; compare; mounting <- roll_camera; revision <- navigation
 //! ```
 
 pub mod camera;
 pub mod compare;
 pub mod frames;
 pub mod mounting;
+pub mod navigation;
 pub mod numbers;
 pub mod plate;
 pub mod quantity;

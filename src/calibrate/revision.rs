@@ -1,4 +1,4 @@
-//! A new edition of an instrument's file: some entries renewed, every other line, comment and order as it was.
+//! A new edition of an instrument's file, or of NAV.toml: some entries renewed, every other line, comment and order as it was.
 
 use crate::calibrate::numbers::value_text;
 use crate::instrument::{Instrument, TomlError};
@@ -6,7 +6,7 @@ use crate::provenance::{self, COMMIT, PROGRAM};
 use crate::units::Measured;
 use jiff::civil::Date;
 use std::path::{Path, PathBuf};
-use toml_edit::{DocumentMut, InlineTable, Item, Table, Value, value};
+use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, Value, value};
 
 /// Where new values come from, for people: it stands beside each.
 #[derive(Debug, Clone, PartialEq)]
@@ -128,6 +128,46 @@ impl Revision {
         }
     }
 
+    /// Renews a bare value of a table; a comment behind it stays.
+    pub fn renew(&mut self, table: &str, key: &str, value: Value) {
+        let table = self.document.entry(table);
+        let table = table.or_insert(Item::Table(Table::new()));
+        if let Some(table) = table.as_table_like_mut() {
+            renew(table, key, value);
+        }
+    }
+
+    /// The same in that table of an array whose name is this.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn renew_named(
+        &mut self,
+        array: &str,
+        name: &str,
+        key: &str,
+        value: Value,
+    ) -> Result<(), TomlError> {
+        let tables = self.document.get_mut(array);
+        let mut tables = tables.and_then(Item::as_array_of_tables_mut).into_iter();
+        let is_named = |table: &&mut Table| {
+            let own = table.get("name").and_then(Item::as_str);
+            own == Some(name)
+        };
+        let table = tables.find_map(|tables| tables.iter_mut().find(is_named));
+        let table = table.ok_or_else(|| {
+            let expected = format!("[[{array}]] with name = \"{name}\"");
+            TomlError::new(&self.path, array, expected, "none of this form")
+        })?;
+        renew(table, key, value);
+        Ok(())
+    }
+
+    /// SHA-256 of the text before.
+    pub fn sha256(&self) -> &str {
+        &self.sha256
+    }
+
     /// The new text.
     pub fn text(&self) -> String {
         self.document.to_string()
@@ -141,6 +181,16 @@ impl Revision {
         let text = self.text();
         let instrument = Instrument::parse(&self.path, &text)?;
         Ok((text, instrument))
+    }
+}
+
+fn renew(table: &mut dyn TableLike, key: &str, mut value: Value) {
+    if let Some(old) = table.get(key).and_then(Item::as_value) {
+        *value.decor_mut() = old.decor().clone();
+    }
+    match table.get_mut(key) {
+        Some(old) => *old = Item::Value(value),
+        None => _ = table.insert(key, Item::Value(value)),
     }
 }
 

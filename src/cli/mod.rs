@@ -2,6 +2,7 @@
 
 pub mod accuracy;
 pub mod archive;
+mod attitude;
 pub mod calibrate;
 pub mod config;
 pub mod demo;

@@ -1,10 +1,11 @@
 //! What several commands write, their answers and beside them.
 
+use crate::instrument::TomlError;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Writes a line to standard output. A reader that has left does not want the rest: that is no error.
 ///
@@ -31,4 +32,19 @@ pub(super) fn progress_bar(count: usize, what: &str) -> ProgressBar {
 pub(super) fn make_folder(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("{}: cannot make the folder", folder.display()))
+}
+
+/// Writes a file if it is one that everything else can read; else what stood there stays.
+pub(super) fn write_if(
+    path: &Path,
+    text: &str,
+    read: impl FnOnce(&Path) -> Result<(), TomlError>,
+) -> anyhow::Result<()> {
+    let cannot_write = || format!("{}: cannot write", path.display());
+    let mut name = path.as_os_str().to_owned();
+    name.push(".part");
+    let part = PathBuf::from(name);
+    std::fs::write(&part, text).with_context(cannot_write)?;
+    read(&part)?;
+    std::fs::rename(&part, path).with_context(cannot_write)
 }

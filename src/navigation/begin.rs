@@ -7,7 +7,7 @@ use super::filter::{Filter, Trust, towards};
 use super::measurement::{Fix, Sighting, Towards};
 use super::model::Model;
 use super::motion::{Interval, Motion};
-use super::settings::Settings;
+use super::settings::{Imu, Settings};
 use super::states::Layout;
 use crate::geometry::attitude::{Direction, Observation, attitude};
 use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
@@ -73,12 +73,17 @@ impl Seen {
             Towards::Known(_) => earth::TURN_RAD_PER_S,
             Towards::Down => fix.velocity_m_s.norm() / fix.position_m.norm(),
         };
-        walk.hypot(settings.imu.gyro_bias_rad_s.hypot(moves) * self.age_s)
+        walk.hypot(settings.imu.gyro_bias_sigma_rad_s.hypot(moves) * self.age_s)
     }
 }
 
 impl Waiting {
-    pub fn advance(&mut self, said: &Interval) {
+    pub fn advance(&mut self, said: &Interval, imu: &Imu) {
+        let said = &Interval {
+            force_m_s2: said.force_m_s2 - imu.accelerometer_bias_m_s2,
+            rate_rad_s: said.rate_rad_s - imu.gyro_bias_rad_s,
+            ..*said
+        };
         let turn = UnitQuaternion::new(-said.rate_rad_s * said.length_s());
         for seen in &mut self.seen {
             seen.body = turn * seen.body;
@@ -125,7 +130,7 @@ impl Waiting {
             velocity_m_s: fix.velocity_m_s,
             attitude: found.rotation,
         };
-        let estimate = Estimate::new(motion, layout);
+        let estimate = Estimate::new(motion, model);
         let mut filter = Filter::new(Arc::clone(model), estimate, fix.climb);
         for seen in begun_by.seen() {
             let camera = &settings.cameras[seen.sighting.camera];

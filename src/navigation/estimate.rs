@@ -1,5 +1,6 @@
 //! What the filter holds for true, and how its errors are taken away.
 
+use super::model::Model;
 use super::motion::{Interval, Motion};
 use super::states::{ATTITUDE, Layout, POSITION, VELOCITY};
 use nalgebra::{DVector, UnitQuaternion, Vector3};
@@ -16,12 +17,14 @@ pub(super) struct Estimate {
 }
 
 impl Estimate {
-    /// A motion, with sensors that have no errors.
-    pub fn new(motion: Motion, layout: &Layout) -> Self {
-        let zero = Vector3::zeros();
+    /// A motion, with sensors that have no errors but the biases that are stated.
+    pub fn new(motion: Motion, model: &Model) -> Self {
+        let Model { settings, layout } = model;
+        let (imu, zero) = (&settings.imu, Vector3::zeros());
+        let biases = [imu.accelerometer_bias_m_s2, imu.gyro_bias_rad_s];
         Self {
             motion,
-            imu: [zero; 6],
+            imu: [biases[0], biases[1], zero, zero, zero, zero],
             cameras: vec![zero; layout.cameras.len()],
             correlated: vec![[zero; 3]; layout.correlated.len()],
         }

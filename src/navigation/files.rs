@@ -36,6 +36,19 @@ pub struct TableError {
     found: String,
 }
 
+impl TableError {
+    /// A wrong time.
+    fn of_time(path: &Path, line: u64, expected: String, found_s: f64) -> Self {
+        Self {
+            path: path.into(),
+            line,
+            column: "t_s".into(),
+            expected,
+            found: found_s.to_string(),
+        }
+    }
+}
+
 /// A table that is being read.
 struct Table<'a, const N: usize> {
     path: &'a Path,
@@ -137,6 +150,81 @@ impl<'a, const N: usize> Table<'a, N> {
 /// # Errors
 /// File, line and column; times that do not rise, gaps, numbers in other units.
 pub fn read_imu(path: &Path, settings: &Settings) -> Result<Vec<ImuSample>, TableError> {
+    let samples = read_samples(path, settings)?;
+    let most_s = longest_step_s(path, &samples)?;
+    let gap = gaps(&samples, most_s).next();
+    match gap {
+        None => Ok(samples),
+        Some(at) => {
+            // Behind the head, and counted from 1.
+            let line = at as u64 + 2;
+            let expected = format!("a time within {most_s:.4} s of that of the line before");
+            Err(TableError::of_time(path, line, expected, samples[at].t_s))
+        }
+    }
+}
+
+/// The samples of a flight's files, in the order of time, in runs: one ends where the IMU was silent for longer than ten samples.
+///
+/// # Errors
+/// As [`read_imu`], but for gaps; files that overlap.
+pub fn read_imu_runs(
+    paths: &[PathBuf],
+    settings: &Settings,
+) -> Result<Vec<Vec<ImuSample>>, TableError> {
+    let read = |path: &Path| read_samples(path, settings);
+    let mut samples = joined(paths, read, |sample| sample.t_s)?;
+    let first = paths.first().map_or(Path::new(""), PathBuf::as_path);
+    let most_s = longest_step_s(first, &samples)?;
+    let cuts: Vec<usize> = gaps(&samples, most_s).collect();
+    let later = cuts.into_iter().rev().map(|at| samples.split_off(at));
+    let mut runs: Vec<Vec<ImuSample>> = later.collect();
+    runs.push(samples);
+    runs.reverse();
+    // One sample alone has no length.
+    runs.retain(|run| run.len() > 1);
+    Ok(runs)
+}
+
+/// The fixes of a flight's files, in the order of time.
+///
+/// # Errors
+/// As [`read_gps`]; files that overlap.
+pub fn read_gps_files(paths: &[PathBuf], settings: &Settings) -> Result<Vec<Fix>, TableError> {
+    joined(paths, |path| read_gps(path, settings), |fix| fix.t_s)
+}
+
+/// What files hold, one after the other in the order of time.
+fn joined<T>(
+    paths: &[PathBuf],
+    read: impl Fn(&Path) -> Result<Vec<T>, TableError>,
+    t_s: impl Fn(&T) -> f64,
+) -> Result<Vec<T>, TableError> {
+    let mut parts: Vec<(&Path, Vec<T>)> = Vec::new();
+    for path in paths {
+        parts.push((path, read(path)?));
+    }
+    parts.retain(|(_, part)| !part.is_empty());
+    parts.sort_by(|(_, a), (_, b)| t_s(&a[0]).total_cmp(&t_s(&b[0])));
+    let mut all: Vec<T> = Vec::new();
+    let mut before = Path::new("");
+    for (path, part) in parts {
+        let first_s = t_s(&part[0]);
+        if let Some(last_s) = all.last().map(&t_s).filter(|last_s| first_s <= *last_s) {
+            let expected = format!("a time after {last_s} s, the last of {}", before.display());
+            return Err(TableError::of_time(path, 2, expected, first_s));
+        }
+        match all.is_empty() {
+            // A flight of one file is not copied.
+            true => all = part,
+            false => all.extend(part),
+        }
+        before = path;
+    }
+    Ok(all)
+}
+
+fn read_samples(path: &Path, settings: &Settings) -> Result<Vec<ImuSample>, TableError> {
     let mut samples: Vec<ImuSample> = Vec::new();
     Table::read(path, IMU, |table, row| {
         let sample = ImuSample {
@@ -151,7 +239,6 @@ pub fn read_imu(path: &Path, settings: &Settings) -> Result<Vec<ImuSample>, Tabl
         samples.push(sample);
         Ok(())
     })?;
-    check_gaps(path, &samples)?;
     Ok(samples)
 }
 
@@ -169,29 +256,30 @@ fn rises<const N: usize>(
     }
 }
 
-fn check_gaps(path: &Path, samples: &[ImuSample]) -> Result<(), TableError> {
-    let gaps = || samples.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
-    let mut lengths: Vec<f64> = gaps().collect();
-    let table = Table {
-        path,
-        columns: IMU,
-        line: 1,
-    };
-    let Some(half) = lengths.len().checked_sub(1).map(|last| last / 2) else {
+/// The longest step between two samples that is none of an IMU that was silent, s.
+fn longest_step_s(path: &Path, samples: &[ImuSample]) -> Result<f64, TableError> {
+    let steps = samples.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
+    let mut steps: Vec<f64> = steps.collect();
+    let Some(half) = steps.len().checked_sub(1).map(|last| last / 2) else {
         let rows = samples.len();
+        let table = Table {
+            path,
+            columns: IMU,
+            line: 1,
+        };
         return Err(table.error("table", "two rows or more", format!("{rows}")));
     };
-    let (_, usual, _) = lengths.select_nth_unstable_by(half, f64::total_cmp);
-    let most = MOST_MISSING * *usual;
-    match gaps().position(|gap| gap > most) {
-        None => Ok(()),
-        Some(at) => {
-            // Behind the head, and counted from 1.
-            let line = at as u64 + 3;
-            let expected = format!("a time within {most:.4} s of that of the line before");
-            Err(Table { line, ..table }.error("t_s", expected, samples[at + 1].t_s))
-        }
-    }
+    let (_, usual_s, _) = steps.select_nth_unstable_by(half, f64::total_cmp);
+    Ok(MOST_MISSING * *usual_s)
+}
+
+/// The samples before which the IMU was silent for longer.
+fn gaps(samples: &[ImuSample], most_s: f64) -> impl Iterator<Item = usize> {
+    let steps = samples.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
+    let after = steps
+        .enumerate()
+        .filter(move |(_, step_s)| *step_s > most_s);
+    after.map(|(before, _)| before + 1)
 }
 
 /// The fixes of GPS, in the order of time.

@@ -92,6 +92,14 @@ pub enum Measurement {
 }
 
 impl Measurement {
+    /// All in the order of time; of one time the directions first.
+    pub fn in_order(sightings: impl IntoIterator<Item = Sighting>, fixes: &[Fix]) -> Vec<Self> {
+        let mut all: Vec<Self> = sightings.into_iter().map(Self::Sighting).collect();
+        all.extend(fixes.iter().map(|fix| Self::Fix(*fix)));
+        all.sort_by(|a, b| a.t_s().total_cmp(&b.t_s()));
+        all
+    }
+
     pub fn t_s(&self) -> f64 {
         match self {
             Self::Sighting(sighting) => sighting.t_s,

@@ -13,9 +13,11 @@
 //! 7. `offset` tells from the attitude how far the telescope is from its target.
 //! 8. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
 //!    on disk meanwhile, and `aem` writes them for others' programs.
+//! 9. `constants` are the sensors' errors that stay: what a flight teaches the next one.
 
 pub mod aem;
 mod begin;
+mod constants;
 mod earth;
 mod estimate;
 pub mod files;
@@ -35,6 +37,7 @@ mod states;
 mod targets;
 mod transition;
 
+pub use constants::{Constant, ConstantErrors};
 pub use earth::gravity_m_s2;
 pub use live::{Counts, Live};
 pub use measurement::{

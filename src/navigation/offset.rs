@@ -17,6 +17,32 @@ pub struct PropagatedOffset {
     pub roll_deg: Measured,
 }
 
+impl PropagatedOffset {
+    /// What tables call its numbers.
+    pub const COLUMNS: [&str; 6] = [
+        "azimuth_deg",
+        "elevation_deg",
+        "cross_elevation_deg",
+        "sigma_deg",
+        "roll_deg",
+        "roll_sigma_deg",
+    ];
+
+    /// The numbers as tables have them.
+    pub fn cells(&self) -> [String; 6] {
+        let difference = &self.difference;
+        let numbers = [
+            difference.azimuth_deg,
+            difference.elevation_deg,
+            difference.cross_elevation_deg,
+            self.sigma_deg,
+            self.roll_deg.value,
+            self.roll_deg.sigma,
+        ];
+        numbers.map(|number| format!("{number:.7}"))
+    }
+}
+
 /// The offset of a telescope from a target in ECEF, at a row; `None` before the start. The telescope's own axes are forward, right and down.
 ///
 /// # Errors

@@ -234,7 +234,7 @@ impl Run {
         }
         let part = interval.part(self.at_s, to_s);
         match &mut self.phase {
-            Phase::Waiting(waiting) => waiting.advance(&part),
+            Phase::Waiting(waiting) => waiting.advance(&part, &self.model.settings.imu),
             Phase::Running(filter) => filter.advance(&part),
         }
         self.at_s = to_s;

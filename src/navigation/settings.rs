@@ -1,5 +1,6 @@
 //! What the filter rests on, as NAV.toml states it.
 
+use crate::geometry::attitude::Direction;
 use crate::instrument::rotation_of_rows;
 use crate::instrument::toml_file::{TomlError, parse_strict, read_text};
 use jiff::Timestamp;
@@ -70,20 +71,28 @@ pub const CAMERAS_IN_FLIGHT: [&str; 4] = ["camera", "second_camera", "roll_camer
 /// No fix is better, m and m/s: two of one time would contradict each other.
 const LEAST_FIX: f64 = 1e-4;
 
+/// No bias is larger, m/s^2 and rad/s, and no antenna is further away.
+const MOST_ACCELEROMETER_BIAS: f64 = 10.0;
+const MOST_GYRO_BIAS: f64 = 1.0;
+const MOST_ANTENNA_M: f64 = 1000.0;
+
 /// No sensor's times are off by more.
 const MOST_DELAY_S: f64 = 1.0;
 
-/// Errors of the inertial measurement unit, 1 sigma.
+/// Errors of the inertial measurement unit, 1 sigma where nothing else is said.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Imu {
     pub velocity_random_walk: f64,
     pub angular_random_walk: f64,
-    pub accelerometer_bias_m_s2: f64,
-    pub gyro_bias_rad_s: f64,
+    pub accelerometer_bias_sigma_m_s2: f64,
+    pub gyro_bias_sigma_rad_s: f64,
     pub accelerometer_scale: f64,
     pub gyro_scale: f64,
     /// Of each triad of axes.
     pub misalignment_rad: f64,
+    /// What the filter begins with; about each axis.
+    pub accelerometer_bias_m_s2: Vector3<f64>,
+    pub gyro_bias_rad_s: Vector3<f64>,
     /// Its times are late by this.
     pub delay_s: f64,
 }
@@ -141,6 +150,9 @@ struct RawFile {
     sun: RawTarget,
     #[serde(default)]
     moon: RawTarget,
+    /// What a calibration rests on; for people.
+    #[serde(default, rename = "calibration")]
+    _calibration: Option<toml::Table>,
 }
 
 /// A time, in quotes or not.
@@ -165,6 +177,8 @@ impl std::fmt::Display for Epoch {
 struct RawImu {
     velocity_random_walk: f64,
     angular_random_walk: f64,
+    accelerometer_bias: [f64; 3],
+    gyro_bias: [f64; 3],
     accelerometer_bias_sigma: f64,
     gyro_bias_sigma: f64,
     misalignment_sigma_deg: f64,
@@ -214,6 +228,8 @@ const KEYS: &[&str] = &[
     "epoch_utc",
     "imu.velocity_random_walk",
     "imu.angular_random_walk",
+    "imu.accelerometer_bias",
+    "imu.gyro_bias",
     "imu.accelerometer_bias_sigma",
     "imu.gyro_bias_sigma",
     "imu.misalignment_sigma_deg",
@@ -237,6 +253,7 @@ const KEYS: &[&str] = &[
     "nadir.vertical",
     "sun.correlated_sigma_deg",
     "moon.correlated_sigma_deg",
+    "calibration",
 ];
 
 impl Settings {
@@ -309,6 +326,12 @@ impl Settings {
         }
     }
 
+    /// 1 sigma of each of the two angles of a direction: what is stated to be correlated in time is part of it.
+    pub fn sigma_rad(&self, target: Target, direction: &Direction) -> f64 {
+        let own_rad = (direction.covariance_rad2.trace() / 2.0).max(0.0).sqrt();
+        own_rad.max(self.correlated_rad[target as usize])
+    }
+
     /// The camera of a name.
     pub fn camera(&self, name: &str) -> Option<usize> {
         self.cameras.iter().position(|camera| camera.name == name)
@@ -328,6 +351,17 @@ impl Check<'_> {
         match (0.0..=most).contains(&value) {
             true => Ok(value),
             false => Err(self.error(field, &format!("a number from 0 to {most}"), value)),
+        }
+    }
+
+    /// Three numbers, none of which is larger than a limit.
+    fn within(&self, field: &str, value: [f64; 3], most: f64) -> Result<Vector3<f64>, TomlError> {
+        match value.iter().all(|one| one.abs() <= most) {
+            true => Ok(value.into()),
+            false => {
+                let expected = format!("three numbers from -{most} to {most}");
+                Err(self.error(field, &expected, format!("{value:?}")))
+            }
         }
     }
 
@@ -365,12 +399,22 @@ impl RawImu {
                 self.angular_random_walk,
                 self.extra_angular_random_walk,
             )?,
-            accelerometer_bias_m_s2: check.sigma(
+            accelerometer_bias_sigma_m_s2: check.sigma(
                 "imu.accelerometer_bias_sigma",
                 self.accelerometer_bias_sigma,
-                10.0,
+                MOST_ACCELEROMETER_BIAS,
             )?,
-            gyro_bias_rad_s: check.sigma("imu.gyro_bias_sigma", self.gyro_bias_sigma, 1.0)?,
+            gyro_bias_sigma_rad_s: check.sigma(
+                "imu.gyro_bias_sigma",
+                self.gyro_bias_sigma,
+                MOST_GYRO_BIAS,
+            )?,
+            accelerometer_bias_m_s2: check.within(
+                "imu.accelerometer_bias",
+                self.accelerometer_bias,
+                MOST_ACCELEROMETER_BIAS,
+            )?,
+            gyro_bias_rad_s: check.within("imu.gyro_bias", self.gyro_bias, MOST_GYRO_BIAS)?,
             accelerometer_scale: ppm(
                 "imu.accelerometer_scale_sigma_ppm",
                 self.accelerometer_scale_sigma_ppm,
@@ -385,10 +429,6 @@ impl RawImu {
 
 impl RawGps {
     fn checked(&self, check: &Check) -> Result<Gps, TomlError> {
-        if !self.antenna_m.iter().all(|m| m.abs() < 1000.0) {
-            let found = format!("{:?}", self.antenna_m);
-            return Err(check.error("gps.antenna_m", "three numbers within 1000 m", found));
-        }
         Ok(Gps {
             position_sigma_m: check
                 .sigma("gps.position_sigma_m", self.position_sigma_m, 1e6)?
@@ -396,7 +436,7 @@ impl RawGps {
             velocity_sigma_m_s: check
                 .sigma("gps.velocity_sigma_m_s", self.velocity_sigma_m_s, 1e4)?
                 .max(LEAST_FIX),
-            antenna_m: self.antenna_m.into(),
+            antenna_m: check.within("gps.antenna_m", self.antenna_m, MOST_ANTENNA_M)?,
             delay_s: check.delay("gps.delay_s", self.delay_s)?,
         })
     }

@@ -1,5 +1,6 @@
 //! The attitude at each sample of the IMU, by all measurements up to then.
 
+use super::constants::ConstantErrors;
 use super::filter::Filter;
 use super::measurement::Innovation;
 use super::motion::Motion;
@@ -60,6 +61,8 @@ pub struct Summary {
     pub gaps: Vec<(f64, f64)>,
     /// Times that the filter began anew.
     pub restarts: u32,
+    /// What the filter ended with; `None` where it waited at the end.
+    pub constants: Option<ConstantErrors>,
 }
 
 /// Errors of sensors and sigmas are kept so often.
@@ -91,10 +94,24 @@ pub fn solve(flight: &Flight, mut each: impl FnMut(Row)) -> Summary {
     }
     summary.note_gap(seen_s, run.at_s);
     summary.restarts = run.restarts;
+    summary.constants = match &run.phase {
+        Phase::Waiting(_) => None,
+        Phase::Running(filter) => Some(ConstantErrors::of(filter)),
+    };
     summary
 }
 
 impl Summary {
+    /// Adds what a later flight of the same sensors comes to.
+    pub fn append(&mut self, later: Self) {
+        self.innovations.extend(later.innovations);
+        self.errors.extend(later.errors);
+        self.attitude_sigmas.extend(later.attitude_sigmas);
+        self.gaps.extend(later.gaps);
+        self.restarts += later.restarts;
+        self.constants = later.constants.or(self.constants.take());
+    }
+
     fn note_sigma(&mut self, row: &Row, kept_s: &mut f64) {
         if let Some((_, covariance)) = row.attitude.filter(|_| row.t_s - *kept_s >= KEPT_EVERY_S) {
             *kept_s = row.t_s;

@@ -72,8 +72,8 @@ impl Layout {
         };
         let imu = &settings.imu;
         for (n, (sigma, group)) in [
-            (imu.accelerometer_bias_m_s2, Group::AccelerometerBias),
-            (imu.gyro_bias_rad_s, Group::GyroBias),
+            (imu.accelerometer_bias_sigma_m_s2, Group::AccelerometerBias),
+            (imu.gyro_bias_sigma_rad_s, Group::GyroBias),
             (imu.accelerometer_scale, Group::AccelerometerScale),
             (imu.gyro_scale, Group::GyroScale),
             (imu.misalignment_rad, Group::Misalignment),

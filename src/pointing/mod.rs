@@ -263,6 +263,20 @@ pub fn sun_in_telescope(sun_on_plate: PlateMil, instrument: &Instrument) -> Unit
     UnitVector3::new_normalize(Vector3::new(1.0, -right, up))
 }
 
+/// The same with its uncertainty: the rms of the two axes of the Sun's place on the plate.
+pub fn measured_sun_in_telescope(
+    sun_on_plate: &Estimate<PlateMil>,
+    instrument: &Instrument,
+) -> Direction {
+    let [sx, sy] = sun_on_plate.sigma();
+    let sigma_mil = ((sx * sx + sy * sy) / 2.0).sqrt();
+    let sigma_rad = sigma_mil * instrument.optics.arcsec_per_mil() / ARCSEC_PER_RAD;
+    Direction::new(
+        sun_in_telescope(sun_on_plate.position, instrument),
+        sigma_rad,
+    )
+}
+
 /// Where on the plate the Sun stands when the telescope is off its target by an offset: the inverse of
 /// [`offset`].
 ///

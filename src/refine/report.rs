@@ -60,6 +60,11 @@ impl Report {
         part.jitter();
     }
 
+    /// What others add to.
+    pub fn page(&mut self) -> &mut Page {
+        &mut self.page
+    }
+
     /// Says what is not in it.
     pub fn note(&mut self, text: &str) {
         self.page.note(text);

@@ -3,8 +3,8 @@
 use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::revision::Revision;
 use crate::cli::options;
-use crate::cli::output::{make_folder, say};
-use crate::instrument::{Instrument, TomlError};
+use crate::cli::output::{make_folder, say, write_if};
+use crate::instrument::Instrument;
 use crate::report::plot::PlotError;
 use anyhow::Context;
 use clap::Args;
@@ -38,22 +38,7 @@ impl Edition {
     /// Writes the new instrument if it is one that everything else can read; else what stood there stays.
     pub fn write(&self, revision: &Revision) -> anyhow::Result<()> {
         let (text, _) = revision.finish()?;
-        self.write_if(&text, |part| Instrument::read(part).map(drop))
-    }
-
-    /// Writes a file if it is one that everything else can read.
-    pub fn write_if(
-        &self,
-        text: &str,
-        read: impl FnOnce(&Path) -> Result<(), TomlError>,
-    ) -> anyhow::Result<()> {
-        let cannot_write = || format!("{}: cannot write", self.out.display());
-        let mut name = self.out.as_os_str().to_owned();
-        name.push(".part");
-        let part = PathBuf::from(name);
-        std::fs::write(&part, text).with_context(cannot_write)?;
-        read(&part)?;
-        std::fs::rename(&part, &self.out).with_context(cannot_write)
+        write_if(&self.out, &text, |part| Instrument::read(part).map(drop))
     }
 
     /// Writes the page of the report if one is wanted.

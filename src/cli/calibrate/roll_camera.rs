@@ -8,7 +8,7 @@ use crate::calibrate::mounting::{self, AttitudeLog, Frames, SunObservation};
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::calibrate::roll_camera::{self, Horizon, Horizons, NAME, Sighting, Turn};
 use crate::cli::options;
-use crate::cli::output::say;
+use crate::cli::output::{say, write_if};
 use crate::config::Config;
 use crate::instrument::toml_file::read_text;
 use crate::instrument::{Directions, MountedCamera};
@@ -27,8 +27,9 @@ pub(super) fn run(args: &MountingArgs, camera_file: &Path) -> anyhow::Result<Exi
     let turn = roll_camera::fit(&sightings, &camera.body_from_camera)
         .with_context(|| RejectedFrame::count_and_first(&rejected))?;
     turn.revise(&mut revision, &provenance(args, &turn, &sightings, &files));
-    args.edition
-        .write_if(&revision.text(), |part| MountedCamera::read(part).map(drop))?;
+    write_if(&args.edition.out, &revision.text(), |part| {
+        MountedCamera::read(part).map(drop)
+    })?;
     say(&turn)?;
     let more = turn.from_stated_deg(&camera.body_from_camera);
     for ((axis, deg), sigma) in ["forward", "right", "down"]

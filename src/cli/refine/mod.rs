@@ -1,6 +1,7 @@
 //! `solaspect refine`: the best aspect history from a flight's archive.
 
 mod files;
+mod navigation;
 
 use super::options;
 use super::output::{make_folder, progress_bar, say};
@@ -14,6 +15,7 @@ use crate::units::Place;
 use anyhow::{bail, ensure};
 use clap::Args;
 use jiff::Timestamp;
+use navigation::NavigationArgs;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -24,6 +26,7 @@ use std::process::ExitCode;
 /// each machine does its --shard, and a last run with --merge takes their journals together.
 /// Files that cannot be read have a row that says why, and are no failure. Frames of several cameras make a history each, in a
 /// folder of --out, and one report. Frames of the roll camera make roll.fits, roll.csv and roll.json, and turn the others' offsets.
+/// With --imu and --gps the attitude at every sample of the IMU is found by all frames of the flight together.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub struct RefineArgs {
@@ -61,6 +64,8 @@ pub struct RefineArgs {
     /// Where the frames were taken, for frames that do not say so
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
     place: Option<Place>,
+    #[command(flatten)]
+    navigation: NavigationArgs,
 }
 
 pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
@@ -83,6 +88,10 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
             .iter()
             .map(|camera| args.recipe(camera, &archived, &config));
         let recipes = recipes.collect::<anyhow::Result<Vec<_>>>()?;
+        let mut sensors = args.navigation.read(&args.archive)?;
+        if let Some(sensors) = &sensors {
+            sensors.check(&cameras)?;
+        }
         let roll = CameraFrames::together(roll);
         let roll_recipe = roll
             .as_ref()
@@ -124,20 +133,28 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         let history = refined_roll.as_ref().map(|(history, _)| history);
         for (camera, recipe) in cameras.iter().zip(recipes) {
             let label = several.then_some(camera.label.as_str());
-            args.refine(camera, label, &recipe, &sky, history, &mut report)?;
+            let flight = args.refine(camera, label, &recipe, &sky, history, &mut report)?;
+            if let Some((sensors, flight)) = sensors.as_mut().zip(flight) {
+                sensors.see_sun(camera, &flight, &recipe.instrument)?;
+            }
         }
         if let Some(((history, summary), recipe)) = refined_roll.as_ref().zip(roll_recipe) {
             report.add_roll(&args.archive, history, summary, &recipe);
         }
+        let mut code = ExitCode::SUCCESS;
+        if let Some(mut sensors) = sensors {
+            history.into_iter().for_each(|history| sensors.see_nadir(history));
+            code = sensors.find_attitude(&sky, [&args.archive, &args.out], &mut report)?;
+        }
         if args.shard.is_none() {
             report.write(&args.out)?;
         }
-        Ok(ExitCode::SUCCESS)
+        Ok(code)
     })
 }
 
 impl RefineArgs {
-    /// Makes the history of one camera; of several, in a folder of its own.
+    /// Makes the history of one camera; of several, in a folder of its own. None of a shard.
     fn refine(
         &self,
         camera: &CameraFrames,
@@ -146,11 +163,11 @@ impl RefineArgs {
         sky: &Sky,
         roll: Option<&RollHistory>,
         report: &mut Report,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Option<Flight>> {
         let inputs = &camera.inputs;
         let done = self.first_pass(recipe, inputs, &self.merge)?;
         if self.shard.is_some() {
-            return Ok(());
+            return Ok(None);
         }
         let mut flight = self.second_pass(&done, inputs, recipe)?;
         if let Some(roll) = roll {
@@ -164,7 +181,8 @@ impl RefineArgs {
         if let Some(label) = label {
             say(format_args!("{label}:"))?;
         }
-        print(&summary)
+        print(&summary)?;
+        Ok(Some(flight))
     }
 
     /// Makes the history of the roll camera; none of a shard.

@@ -6,12 +6,11 @@ use crate::instrument::SkyCamera;
 use crate::link::{ImuPacket, TelemetryPacket};
 use crate::navigation::Target;
 use crate::navigation::nmea::TimedFix;
-use crate::pointing::sun_in_telescope;
+use crate::pointing::measured_sun_in_telescope;
 use crate::service::answer::Answer;
 use crate::service::control::Seat;
 use crate::service::shared::Shared;
 use crate::service::tally::worth_a_line;
-use crate::units::ARCSEC_PER_RAD;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use jiff::Timestamp;
 use std::time::Instant;
@@ -93,12 +92,10 @@ fn seen(answer: &Answer) -> Option<Seen> {
     let (target, direction) = match station.seat {
         Seat::PitchYaw | Seat::SecondPitchYaw => {
             let sun = answer.solution.aspect?.sun_plate;
-            let instrument = &station.instrument;
-            let [sx, sy] = sun.sigma();
-            let sigma_mil = ((sx * sx + sy * sy) / 2.0).sqrt();
-            let sigma_rad = sigma_mil * instrument.optics.arcsec_per_mil() / ARCSEC_PER_RAD;
-            let unit = sun_in_telescope(sun.position, instrument);
-            (Target::Sun, Direction::new(unit, sigma_rad))
+            (
+                Target::Sun,
+                measured_sun_in_telescope(&sun, &station.instrument),
+            )
         }
         Seat::Roll => {
             let Some(SkyCamera::Horizon(camera)) = &station.sky else {

@@ -280,17 +280,13 @@ impl<'a> Filter<'a> {
                 return;
             }
         };
-        // What the settings state to be correlated is part of it.
-        let correlated_rad = settings.correlated_rad[seen.target as usize];
-        let own_rad = (seen.direction.covariance_rad2.trace() / 2.0)
-            .max(0.0)
-            .sqrt();
+        let sigma_rad = settings.sigma_rad(seen.target, &seen.direction);
         self.live.measure(Measurement::Sighting(Sighting {
             t_s,
             camera,
             target: seen.target,
             unit: seen.direction.unit,
-            sigma_rad: own_rad.max(correlated_rad),
+            sigma_rad,
             towards,
         }));
         self.own.tally.lock().seen += 1;

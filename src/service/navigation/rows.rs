@@ -81,17 +81,8 @@ pub(super) fn propagated_row(
     age_s: f64,
     status: Status,
 ) -> Vec<String> {
-    let difference = &offset.difference;
-    let numbers = [
-        difference.azimuth_deg,
-        difference.elevation_deg,
-        difference.cross_elevation_deg,
-        offset.sigma_deg,
-        offset.roll_deg.value,
-        offset.roll_deg.sigma,
-    ];
     let mut row = vec![since_1970(utc)];
-    row.extend(numbers.map(|number| format!("{number:.7}")));
+    row.extend(offset.cells());
     row.extend([format!("{age_s:.3}"), status.name().into()]);
     row
 }

@@ -129,6 +129,17 @@ pub(super) fn measured(
     rows
 }
 
+/// By how much a seed has turned each camera, about the body's axes.
+pub(super) fn misalignments_rad(cameras: &[Camera], seed: u64) -> Vec<Vector3<f64>> {
+    let cameras = cameras.iter().enumerate();
+    let drawn = |(place, camera)| misalignment_rad(camera, &mut random(seed, Drawn::Camera(place)));
+    cameras.map(drawn).collect()
+}
+
+fn misalignment_rad(camera: &Camera, random: &mut Generator) -> Vector3<f64> {
+    normal(random, camera.misalignment_sigma_deg.to_radians())
+}
+
 /// A camera as a seed has mounted it.
 struct Mounted<'a> {
     camera: &'a Camera,
@@ -142,7 +153,6 @@ struct Mounted<'a> {
 
 impl<'a> Mounted<'a> {
     fn drawn(camera: &'a Camera, sky: &'a Sky, mut random: Generator) -> Self {
-        let sigma_rad = camera.misalignment_sigma_deg.to_radians();
         let correlated = |target: &Target| Correlated {
             sigma_rad: sky.errors(*target).correlated_sigma_deg.to_radians(),
             time_s: camera.correlation_time_s,
@@ -152,7 +162,7 @@ impl<'a> Mounted<'a> {
         Self {
             camera,
             sky,
-            misalignment_rad: normal(&mut random, sigma_rad),
+            misalignment_rad: misalignment_rad(camera, &mut random),
             correlated: camera.targets.iter().map(correlated).collect(),
             random,
         }

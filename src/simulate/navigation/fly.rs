@@ -18,6 +18,8 @@ impl FlightPlan {
         let times_s = || self.span().ticks_s(imu::RATE_HZ).skip(1);
         let vectors = cameras::measured(&self.cameras, &self.span(), &self.sky(), &*motion, seed);
         Flight {
+            biases: imu.biases(),
+            misalignments_rad: cameras::misalignments_rad(&self.cameras, seed),
             imu: times_s()
                 .map(|t_s| imu.measured(&true_means(&*motion, t_s)))
                 .collect(),

@@ -113,6 +113,11 @@ impl Imu {
         }
     }
 
+    /// Of accelerometers and gyroscopes, m/s^2 and rad/s.
+    pub fn biases(&self) -> [Vector3<f64>; 2] {
+        [self.accelerometers.bias, self.gyroscopes.bias]
+    }
+
     /// The row with its errors.
     pub fn measured(&mut self, truth: &ImuRow) -> ImuRow {
         let force = &truth.specific_force_m_s2;

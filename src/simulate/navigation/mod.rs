@@ -44,6 +44,10 @@ pub struct Flight {
     pub vectors: Vec<VectorRow>,
     /// At the times of the IMU's rows.
     pub truth: Vec<TruthRow>,
+    /// Of accelerometers (m/s^2) and gyroscopes (rad/s).
+    pub biases: [Vector3<f64>; 2],
+    /// By how much each camera of the plan is turned, about the body's axes.
+    pub misalignments_rad: Vec<Vector3<f64>>,
     /// One a second, 2 s and more beyond both ends of the flight.
     pub sun: Vec<SunRow>,
     /// What the navigation is told of the instruments: the text of `NAV.toml`.

@@ -1,4 +1,4 @@
-//! The page of a navigated flight.
+//! What a page shows of an attitude.
 
 use super::Counts;
 use crate::navigation::{SensorErrors, Settings, Source, Summary, Verdict};
@@ -12,13 +12,14 @@ use std::collections::{BTreeMap, BTreeSet};
 const MOST_POINTS: usize = 4000;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-pub(super) fn page(
+/// Adds what there is to see of an attitude.
+pub(in crate::cli) fn add_attitude(
+    page: &mut Page,
     settings: &Settings,
     summary: &Summary,
     counts: &Counts,
-) -> anyhow::Result<String> {
-    let mut page = Page::default();
-    page.heading("Rows");
+) -> anyhow::Result<()> {
+    page.heading("Rows of the attitude");
     let row = |name: &str, count: u64| vec![name.to_owned(), count.to_string()];
     page.table(
         &["status", "rows"],
@@ -29,11 +30,10 @@ pub(super) fn page(
             row("restarted", counts.restarted),
         ],
     );
-    sigmas(&mut page, summary)?;
-    gaps(&mut page, summary);
-    innovations(&mut page, settings, summary)?;
-    sensors(&mut page, settings, &summary.errors)?;
-    Ok(page.finish("Navigation"))
+    sigmas(page, summary)?;
+    gaps(page, summary);
+    innovations(page, settings, summary)?;
+    sensors(page, settings, &summary.errors)
 }
 
 fn sigmas(page: &mut Page, summary: &Summary) -> anyhow::Result<()> {

@@ -1,8 +1,8 @@
 //! The tables that an attitude is written to: attitude.csv, attitude.fits, attitude.aem.
 
 use crate::fits::{Card, Column, Table, Values, encode_tables, format_time};
-use crate::navigation::Row;
 use crate::navigation::aem::{Aem, Head, Stretches};
+use crate::navigation::{PropagatedOffset, Row};
 use anyhow::Context;
 use jiff::Timestamp;
 use std::fs::File;
@@ -56,6 +56,24 @@ pub fn write_csv(
         let names = COLUMNS.map(|(name, ..)| name);
         writeln!(file, "{},{STATUS}", names.join(","))?;
         rows.try_for_each(|row| write_row(file, &row?))
+    })
+}
+
+/// Writes `offsets.csv`.
+pub fn write_offsets(
+    path: &Path,
+    mut rows: impl Iterator<Item = std::io::Result<Row>>,
+    mut offset: impl FnMut(&Row) -> Option<PropagatedOffset>,
+) -> anyhow::Result<()> {
+    write_file(path, |file| {
+        let names = PropagatedOffset::COLUMNS.join(",");
+        writeln!(file, "t_s,{names},{STATUS}")?;
+        rows.try_for_each(|row| {
+            let row = row?;
+            let cells = offset(&row).map_or_else(Default::default, |offset| offset.cells());
+            let status = row.status.name();
+            writeln!(file, "{},{},{status}", row.t_s, cells.join(","))
+        })
     })
 }
 
@@ -135,6 +153,7 @@ pub fn write_aem(
     })
 }
 
+/// Writes a file through a buffer.
 fn write_file(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,

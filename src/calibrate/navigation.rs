@@ -1,0 +1,123 @@
+//! NAV.toml as a flight has taught it: biases of the IMU and misalignments of the cameras.
+
+use super::revision::{Revision, number};
+use crate::instrument::TomlError;
+use crate::navigation::{Constant, ConstantErrors, Settings};
+use crate::provenance::{COMMIT, PROGRAM};
+use jiff::civil::Date;
+use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
+use std::path::Path;
+use toml_edit::{Array, Item, Table, Value, value};
+
+/// What the new values rest on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Source {
+    /// Of the flight, UTC.
+    pub date: Date,
+    /// What was done, for people.
+    pub text: String,
+    /// Those that the flight was read from.
+    pub files: Vec<String>,
+}
+
+/// The text of a NAV.toml whose biases and misalignments are those that the filter ended with. Every other line stays as it was.
+///
+/// # Errors
+/// A text whose cameras are no tables `[[camera]]`, or that cannot be read again; `path` is what errors name.
+pub fn calibrated(
+    path: &Path,
+    text: &str,
+    settings: &Settings,
+    found: &ConstantErrors,
+    source: &Source,
+) -> Result<String, TomlError> {
+    let mut revision = Revision::of(path, text)?;
+    for (n, (constant, errors)) in found.values.iter().enumerate() {
+        let sigma = found.sigma(n);
+        match constant {
+            Constant::AccelerometerBias => {
+                revision.renew("imu", "accelerometer_bias", triad(errors, sigma));
+                let sigma = number(sigma, sigma);
+                revision.renew("imu", "accelerometer_bias_sigma", sigma);
+            }
+            Constant::GyroBias => {
+                revision.renew("imu", "gyro_bias", triad(errors, sigma));
+                revision.renew("imu", "gyro_bias_sigma", number(sigma, sigma));
+            }
+            Constant::Misalignment(camera) => {
+                let camera = &settings.cameras[*camera];
+                // The true direction is the camera's file's, turned further by the misalignment.
+                let turned = Rotation3::new(*errors) * camera.body_from_camera;
+                let sigma_deg = sigma.to_degrees();
+                for (key, value) in [
+                    ("body_from_camera", rows(turned.matrix())),
+                    ("misalignment_sigma_deg", number(sigma_deg, sigma_deg)),
+                ] {
+                    revision.renew_named("camera", &camera.name, key, value)?;
+                }
+            }
+        }
+    }
+    let signed = signature(settings, found, source, revision.sha256());
+    revision.put("calibration", Item::Table(signed));
+    let text = revision.text();
+    Settings::parse(path, &text)?;
+    Ok(text)
+}
+
+/// The table `[calibration]`.
+fn signature(settings: &Settings, found: &ConstantErrors, source: &Source, sha256: &str) -> Table {
+    let mut table = Table::new();
+    if let Ok(date) = source.date.to_string().parse::<Value>() {
+        table["date"] = value(date);
+    }
+    table["source"] = value(&source.text);
+    table["files"] = value(source.files.iter().collect::<Array>());
+    table["program"] = value(PROGRAM);
+    if let Some(commit) = COMMIT {
+        table["commit"] = value(commit);
+    }
+    table["navigation_sha256"] = value(sha256);
+    let constants = found.values.iter();
+    let names = constants.flat_map(|(constant, _)| names(*constant, settings));
+    table["states"] = value(names.collect::<Array>());
+    table["covariance"] = value(lines(&found.covariance));
+    table
+}
+
+/// The states of an error: what it is, its axis, its unit.
+fn names(constant: Constant, settings: &Settings) -> [String; 3] {
+    let (name, unit) = match constant {
+        Constant::AccelerometerBias => ("accelerometer_bias".into(), "m_s2"),
+        Constant::GyroBias => ("gyro_bias".into(), "rad_s"),
+        Constant::Misalignment(camera) => {
+            let camera = &settings.cameras[camera].name;
+            (format!("misalignment_{camera}"), "rad")
+        }
+    };
+    ["x", "y", "z"].map(|axis| format!("{name}_{axis}_{unit}"))
+}
+
+fn triad(errors: &Vector3<f64>, sigma: f64) -> Value {
+    let numbers = errors.iter().map(|error| number(*error, sigma));
+    Value::Array(numbers.collect())
+}
+
+fn rows(matrix: &Matrix3<f64>) -> Value {
+    let row = |n: usize| Value::Array(matrix.row(n).iter().copied().collect());
+    Value::Array((0..3).map(row).collect())
+}
+
+/// A matrix, a line for each of its rows.
+fn lines(matrix: &DMatrix<f64>) -> Array {
+    let exact = |x: &f64| format!("{x:e}").parse().unwrap_or(Value::from(*x));
+    let row = |n: usize| {
+        let row: Array = matrix.row(n).iter().map(exact).collect();
+        Value::Array(row).decorated("\n    ", "")
+    };
+    let mut lines = Array::new();
+    (0..matrix.nrows()).for_each(|n| lines.push_formatted(row(n)));
+    lines.set_trailing_comma(true);
+    lines.set_trailing("\n");
+    lines
+}

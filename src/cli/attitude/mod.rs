@@ -1,0 +1,287 @@
+//! The attitude of a flight, from measurements to files: what `navigate` and `refine` share.
+
+mod page;
+mod table;
+
+pub(super) use page::add_attitude;
+
+use super::output::{say, write_if};
+use crate::calibrate::navigation::{Source, calibrated};
+use crate::instrument::toml_file::read_text;
+use crate::navigation::aem::Stretches;
+use crate::navigation::{
+    Flight, PropagatedOffset, Row, Settings, Spool, Status, Summary, Verdict, smooth, solve,
+};
+use anyhow::Context;
+use clap::Args;
+use jiff::tz::TimeZone;
+use jiff::{SignedDuration, Timestamp};
+use std::path::{Path, PathBuf};
+use table::{write_aem, write_csv, write_fits, write_offsets};
+
+/// Which rows and files of an attitude are wanted.
+#[derive(Debug, Clone, Args)]
+pub(super) struct AttitudeArgs {
+    /// Rows a second [default: each sample of the IMU]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate, requires = "imu")]
+    rate: Option<f64>,
+    /// Write attitude.aem, too: an Attitude Ephemeris Message of CCSDS; the epoch must be known
+    #[arg(long, requires = "imu")]
+    pub aem: bool,
+    /// Write NAV.toml anew, with the biases and misalignments that the filter ended with
+    #[arg(long, value_name = "OUT.toml", requires = "imu")]
+    calibrated: Option<PathBuf>,
+}
+
+/// NAV.toml as it was read.
+pub(super) struct NavigationFile {
+    pub path: PathBuf,
+    pub text: String,
+    pub settings: Settings,
+}
+
+impl NavigationFile {
+    pub fn read(path: &Path) -> anyhow::Result<Self> {
+        let text = read_text(path)?;
+        Ok(Self {
+            settings: Settings::parse(path, &text)?,
+            path: path.into(),
+            text,
+        })
+    }
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    let rate: Option<f64> = text.parse().ok();
+    rate.filter(|rate| (1e-3..=1e5).contains(rate))
+        .ok_or_else(|| format!("expected a number from 0.001 to 100000 Hz, found \"{text}\""))
+}
+
+/// By which measurements the attitude is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Basis {
+    UpToThen,
+    WholeFlight,
+}
+
+/// The attitude of a flight; its rows wait on disk.
+pub(super) struct Attitude<'a> {
+    folder: &'a Path,
+    wanted: &'a AttitudeArgs,
+    spool: Spool,
+    stretches: Stretches,
+    pub summary: Summary,
+    pub counts: Counts,
+    /// Of the last sample.
+    end_s: f64,
+}
+
+impl<'a> Attitude<'a> {
+    /// Solves the runs of a flight, one after the other.
+    pub fn solve(
+        runs: &[Flight],
+        basis: Basis,
+        folder: &'a Path,
+        wanted: &'a AttitudeArgs,
+    ) -> anyhow::Result<Self> {
+        let on_disk = || format!("{}: cannot keep the attitude there", folder.display());
+        let mut spool = Spool::in_folder(folder).with_context(on_disk)?;
+        let mut summary = Summary::default();
+        for run in runs {
+            summary.append(solve_run(run, &mut spool).with_context(on_disk)?);
+            if basis == Basis::WholeFlight {
+                let kept = smooth_run(run, &mut spool);
+                kept.context("the flight cannot be smoothed: a covariance is not positive")?
+                    .with_context(on_disk)?;
+            }
+        }
+        let (counts, stretches) = look_over(&mut spool, wanted).with_context(on_disk)?;
+        Ok(Self {
+            folder,
+            wanted,
+            spool,
+            stretches,
+            summary,
+            counts,
+            end_s: runs
+                .iter()
+                .filter_map(|run| run.imu.last())
+                .fold(0.0, |_, last| last.t_s),
+        })
+    }
+
+    /// The rows that are wanted.
+    pub fn rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<Row>>> {
+        let mut due = Due::every(self.wanted.rate);
+        let rows = self.spool.rows();
+        let rows = rows.context("the attitude cannot be read again")?;
+        Ok(rows.filter(move |row| row.as_ref().map_or(true, |row| due.takes(row))))
+    }
+
+    /// Writes attitude.csv and, where they are wanted, attitude.fits and attitude.aem.
+    pub fn write(&mut self, epoch: Option<Timestamp>, with_fits: bool) -> anyhow::Result<()> {
+        let file = |name: &str| self.folder.join(name);
+        let [csv, fits, aem] = ["attitude.csv", "attitude.fits", "attitude.aem"].map(file);
+        write_csv(&csv, self.rows()?)?;
+        if with_fits {
+            let count = self.counts.written;
+            write_fits(&fits, epoch, count, self.rows()?)?;
+        }
+        if let Some(epoch) = epoch.filter(|_| self.wanted.aem) {
+            let stretches = self.stretches.clone();
+            write_aem(&aem, epoch, stretches, self.rows()?)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the telescope's offsets from its target; those that `offset` does not know are empty.
+    pub fn write_offsets(
+        &mut self,
+        path: &Path,
+        offset: impl FnMut(&Row) -> Option<PropagatedOffset>,
+    ) -> anyhow::Result<()> {
+        write_offsets(path, self.rows()?, offset)
+    }
+
+    /// Writes NAV.toml as this flight has taught it, where that is wanted; `files` are those that it was read from.
+    pub fn write_calibrated(
+        &self,
+        given: &NavigationFile,
+        epoch: Option<Timestamp>,
+        files: Vec<String>,
+    ) -> anyhow::Result<()> {
+        let Some(path) = &self.wanted.calibrated else {
+            return Ok(());
+        };
+        let constants = self.summary.constants.as_ref();
+        let constants =
+            constants.context("--calibrated: expected an attitude, found a filter that waits")?;
+        let flown = epoch.zip(SignedDuration::try_from_secs_f64(self.end_s).ok());
+        let flown = flown.and_then(|(epoch, since)| epoch.checked_add(since).ok());
+        // A flight whose time nobody knows is dated by its calibration.
+        let day = flown.unwrap_or_else(Timestamp::now);
+        let measurements = self.summary.innovations.len();
+        let source = Source {
+            date: TimeZone::UTC.to_datetime(day).date(),
+            text: format!(
+                "navigation filter, {} samples of the IMU and {measurements} measurements",
+                self.counts.rows()
+            ),
+            files,
+        };
+        let (text, settings) = (&given.text, &given.settings);
+        let text = calibrated(&given.path, text, settings, constants, &source)?;
+        write_if(path, &text, |part| Settings::read(part).map(drop))
+    }
+
+    /// Says in a line what came out.
+    pub fn print(&self) -> anyhow::Result<()> {
+        let (counts, summary) = (&self.counts, &self.summary);
+        let innovations = summary.innovations.iter();
+        let refused = innovations.filter(|one| one.verdict == Verdict::Refused);
+        say(format_args!(
+            "{} rows: {} aligned, {} coasting, {} waiting, {} after {} restarts; {} of {} measurements refused",
+            counts.rows(),
+            counts.aligned,
+            counts.coasting,
+            counts.waiting,
+            counts.restarted,
+            summary.restarts,
+            refused.count(),
+            summary.innovations.len()
+        ))
+    }
+}
+
+/// The rows by the measurements up to each time.
+fn solve_run(run: &Flight, spool: &mut Spool) -> std::io::Result<Summary> {
+    let mut kept = Ok(());
+    let summary = solve(run, |row| {
+        if kept.is_ok() {
+            kept = spool.push(&row);
+        }
+    });
+    kept.map(|()| summary)
+}
+
+/// The same rows by those of the whole run; `None` where a covariance is not positive.
+fn smooth_run(run: &Flight, spool: &mut Spool) -> Option<std::io::Result<()>> {
+    let (mut at, mut kept) = (spool.len(), Ok(()));
+    smooth(run, |row| {
+        at -= 1;
+        if kept.is_ok() {
+            kept = spool.replace(at, &row);
+        }
+    })?;
+    Some(kept)
+}
+
+/// Counts all rows, and the stretches of those that are written.
+fn look_over(spool: &mut Spool, wanted: &AttitudeArgs) -> std::io::Result<(Counts, Stretches)> {
+    let (mut counts, mut stretches) = (Counts::default(), Stretches::default());
+    let mut due = Due::every(wanted.rate);
+    for row in spool.rows()? {
+        let row = row?;
+        counts.count(&row);
+        if due.takes(&row) {
+            counts.written += 1;
+            stretches.note(&row);
+        }
+    }
+    Ok((counts, stretches))
+}
+
+/// Rows by their status.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Counts {
+    pub aligned: u64,
+    pub coasting: u64,
+    pub waiting: u64,
+    pub restarted: u64,
+    /// At the rate that is wanted.
+    pub written: u64,
+}
+
+impl Counts {
+    pub fn rows(&self) -> u64 {
+        self.aligned + self.coasting + self.waiting + self.restarted
+    }
+
+    fn count(&mut self, row: &Row) {
+        match row.status {
+            Status::Aligned => self.aligned += 1,
+            Status::Coasting => self.coasting += 1,
+            Status::Waiting => self.waiting += 1,
+            Status::Restarted => self.restarted += 1,
+        }
+    }
+}
+
+/// Which rows are due at a rate.
+struct Due {
+    period_s: Option<f64>,
+    /// From when on the next row is due.
+    from_s: f64,
+}
+
+impl Due {
+    /// All rows, where no rate is stated.
+    fn every(rate_hz: Option<f64>) -> Self {
+        Self {
+            period_s: rate_hz.map(f64::recip),
+            from_s: f64::NEG_INFINITY,
+        }
+    }
+
+    fn takes(&mut self, row: &Row) -> bool {
+        let Some(period_s) = self.period_s else {
+            return true;
+        };
+        // A hundredth of a period early is in time: times are rounded.
+        let is_due = row.t_s >= self.from_s - 0.01 * period_s;
+        if is_due {
+            self.from_s = (row.t_s / period_s + 0.01).floor() * period_s + period_s;
+        }
+        is_due
+    }
+}

@@ -1,0 +1,284 @@
+//! The attitude between frames: the refined directions together with the flight's IMU and GPS.
+
+use crate::cli::attitude::{Attitude, AttitudeArgs, Basis, NavigationFile, add_attitude};
+use crate::cli::output::say;
+use crate::geometry::attitude::Direction;
+use crate::instrument::{Directions, Instrument, SECOND};
+use crate::navigation::files::{read_gps_files, read_imu_runs};
+use crate::navigation::{
+    self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Row, Sighting, Target, Targets, Towards,
+};
+use crate::pointing::measured_sun_in_telescope;
+use crate::refine::{CameraFrames, Flight, Report, RollHistory, Sky};
+use anyhow::{Context, ensure};
+use clap::Args;
+use jiff::Timestamp;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// A FITS table is made in memory: more rows than that are left to attitude.csv.
+const MOST_FITS_ROWS: u64 = 1_000_000;
+
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Attitude by gyros")]
+pub(super) struct NavigationArgs {
+    /// Samples of the IMU: attitude.csv, attitude.fits and offsets.csv tell the attitude between frames, too
+    #[arg(long, value_name = "CSV", num_args = 1.., requires = "gps", conflicts_with = "shard")]
+    imu: Vec<PathBuf>,
+    /// Fixes of GPS
+    #[arg(long, value_name = "CSV", num_args = 1.., requires = "imu")]
+    gps: Vec<PathBuf>,
+    /// What the sensors are [default: the archive's newest navigation_*.toml]
+    #[arg(long, value_name = "NAV.toml", requires = "imu")]
+    navigation: Option<PathBuf>,
+    #[command(flatten)]
+    wanted: AttitudeArgs,
+}
+
+impl NavigationArgs {
+    /// The flight's sensors; `None` where none are named. Times count from 1970 where NAV.toml states no epoch.
+    pub fn read(&self, archive: &Path) -> anyhow::Result<Option<Sensors<'_>>> {
+        if self.imu.is_empty() {
+            return Ok(None);
+        }
+        let path = match &self.navigation {
+            Some(path) => path.clone(),
+            None => newest(archive)?,
+        };
+        let mut given = NavigationFile::read(&path)?;
+        given.settings = given.settings.for_flight(&path)?;
+        Ok(Some(Sensors {
+            epoch: given.settings.epoch_utc.unwrap_or(Timestamp::UNIX_EPOCH),
+            runs: read_imu_runs(&self.imu, &given.settings)?,
+            fixes: read_gps_files(&self.gps, &given.settings)?,
+            seen: Vec::new(),
+            given,
+            args: self,
+        }))
+    }
+}
+
+/// The NAV.toml of the archive's last start of the program.
+fn newest(archive: &Path) -> anyhow::Result<PathBuf> {
+    let listed = || format!("{}: expected to list the folder", archive.display());
+    let mut files = Vec::new();
+    for entry in archive.read_dir().with_context(listed)? {
+        let path = entry.with_context(listed)?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.starts_with("navigation_") && name.ends_with(".toml") {
+            files.push(path);
+        }
+    }
+    // Their names tell when the program was started.
+    files.into_iter().max().with_context(|| {
+        format!(
+            "{}: expected navigation_*.toml, found none: name a NAV.toml with --navigation",
+            archive.display()
+        )
+    })
+}
+
+/// A direction that a frame shows.
+struct Seen {
+    t_s: f64,
+    camera: usize,
+    target: Target,
+    direction: Direction,
+}
+
+/// IMU and GPS of a flight, and the directions that its frames show.
+pub(super) struct Sensors<'a> {
+    args: &'a NavigationArgs,
+    given: NavigationFile,
+    /// The instant of t_s = 0.
+    epoch: Timestamp,
+    runs: Vec<Vec<ImuSample>>,
+    fixes: Vec<Fix>,
+    seen: Vec<Seen>,
+}
+
+impl Sensors<'_> {
+    /// Refuses cameras of which nothing tells which one is the telescope's own.
+    pub fn check(&self, cameras: &[CameraFrames]) -> anyhow::Result<()> {
+        let first = cameras.iter().filter(|camera| !is_second(camera));
+        let first: Vec<&str> = first.map(|camera| camera.label.as_str()).collect();
+        let second = cameras.len() - first.len();
+        ensure!(
+            first.len() <= 1 && second <= 1,
+            "--imu: expected one camera, and a second one whose name ends in \"{SECOND}\", found {} and {second} of these: refine the folder of one",
+            first.join(", ")
+        );
+        Ok(())
+    }
+
+    /// Notes the Sun of a camera's refined frames.
+    pub fn see_sun(
+        &mut self,
+        camera: &CameraFrames,
+        flight: &Flight,
+        instrument: &Instrument,
+    ) -> anyhow::Result<()> {
+        let directions = instrument.mounting.directions;
+        ensure!(
+            directions == Directions::Telescope,
+            "{}: mounting.directions: expected \"telescope\", for --imu, found \"{}\"",
+            instrument.name,
+            directions.name()
+        );
+        let [first, second, ..] = CAMERAS_IN_FLIGHT;
+        let name = if is_second(camera) { second } else { first };
+        for row in &flight.rows {
+            if let Some((utc, sun)) = row.utc().zip(row.sun.as_ref()) {
+                let direction = measured_sun_in_telescope(sun, instrument);
+                self.see(name, Target::Sun, utc, direction);
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes the nadir of the roll camera's frames.
+    pub fn see_nadir(&mut self, history: &RollHistory) {
+        let [_, _, roll_camera, _] = CAMERAS_IN_FLIGHT;
+        for row in &history.rows {
+            if let Some((utc, nadir)) = row.facts.utc().zip(row.nadir) {
+                self.see(roll_camera, Target::Nadir, utc, nadir);
+            }
+        }
+    }
+
+    /// Directions of a camera that NAV.toml does not name are not used.
+    fn see(&mut self, name: &str, target: Target, utc: Timestamp, direction: Direction) {
+        if let Some(camera) = self.given.settings.camera(name) {
+            let delay_s = self.given.settings.cameras[camera].delay_s;
+            self.seen.push(Seen {
+                t_s: utc.duration_since(self.epoch).as_secs_f64() - delay_s,
+                camera,
+                target,
+                direction,
+            });
+        }
+    }
+
+    /// Finds the attitude by all of them, and writes it with the telescope's offsets.
+    pub fn find_attitude(
+        mut self,
+        sky: &Sky,
+        [archive, out]: [&Path; 2],
+        report: &mut Report,
+    ) -> anyhow::Result<ExitCode> {
+        self.expect_frames()?;
+        let mut targets = self.targets(sky);
+        let sightings = self.sightings(&mut targets)?;
+        let runs = self.cut(Measurement::in_order(sightings, &self.fixes));
+        let mut attitude = Attitude::solve(&runs, Basis::WholeFlight, out, &self.args.wanted)?;
+        drop(runs);
+        let count = attitude.counts.written;
+        let with_fits = count <= MOST_FITS_ROWS;
+        if !with_fits {
+            say(format_args!(
+                "attitude.fits: expected at most {MOST_FITS_ROWS} rows, found {count}: not written; --rate thins them"
+            ))?;
+        }
+        attitude.write(Some(self.epoch), with_fits)?;
+        attitude.write_calibrated(&self.given, Some(self.epoch), self.files(archive))?;
+        self.write_offsets(&mut attitude, &mut targets, sky, out)?;
+        let (summary, counts) = (&attitude.summary, &attitude.counts);
+        add_attitude(report.page(), &self.given.settings, summary, counts)?;
+        attitude.print()?;
+        Ok(match counts.waiting < counts.rows() {
+            true => ExitCode::SUCCESS,
+            false => ExitCode::FAILURE,
+        })
+    }
+
+    fn files(&self, archive: &Path) -> Vec<String> {
+        let files = self.args.imu.iter().chain(&self.args.gps);
+        let files = files.map(PathBuf::as_path).chain([archive]);
+        files.map(|path| path.display().to_string()).collect()
+    }
+
+    /// Times from another epoch would leave the IMU alone.
+    fn expect_frames(&self) -> anyhow::Result<()> {
+        let first = self.runs.first().and_then(|run| run.first());
+        let last = self.runs.last().and_then(|run| run.last());
+        let (first, last) = first
+            .zip(last)
+            .context("--imu: expected samples, found none")?;
+        let during = first.t_s..=last.t_s;
+        let is_during = |seen: &Seen| during.contains(&seen.t_s);
+        ensure!(
+            self.seen.iter().any(is_during),
+            "--imu: expected frames that show a direction from {} to {} s since {}, found none of {}",
+            first.t_s,
+            last.t_s,
+            self.epoch,
+            self.seen.len()
+        );
+        Ok(())
+    }
+
+    fn targets(&self, sky: &Sky) -> Targets {
+        let sky = navigation::Sky::Ephemeris {
+            ephemeris: Box::new(sky.ephemeris.clone()),
+            epoch: self.epoch,
+        };
+        Targets::new(sky, self.fixes.clone())
+    }
+
+    fn sightings(&self, targets: &mut Targets) -> anyhow::Result<Vec<Sighting>> {
+        let settings = &self.given.settings;
+        let sighting = |seen: &Seen| {
+            Ok(Sighting {
+                t_s: seen.t_s,
+                camera: seen.camera,
+                target: seen.target,
+                unit: seen.direction.unit,
+                sigma_rad: settings.sigma_rad(seen.target, &seen.direction),
+                towards: match seen.target {
+                    Target::Nadir => Towards::Down,
+                    target => Towards::Known(targets.direction(target, seen.t_s)?),
+                },
+            })
+        };
+        self.seen.iter().map(sighting).collect()
+    }
+
+    /// Each run of the IMU with what was measured up to its end.
+    fn cut(&mut self, mut measurements: Vec<Measurement>) -> Vec<navigation::Flight> {
+        let mut flights = Vec::new();
+        for imu in std::mem::take(&mut self.runs) {
+            let end_s = imu.last().map_or(f64::NEG_INFINITY, |last| last.t_s);
+            let own = measurements.partition_point(|one| one.t_s() <= end_s);
+            let later = measurements.split_off(own);
+            flights.push(navigation::Flight {
+                settings: self.given.settings.clone(),
+                imu,
+                measurements: std::mem::replace(&mut measurements, later),
+            });
+        }
+        flights
+    }
+
+    fn write_offsets(
+        &self,
+        attitude: &mut Attitude,
+        targets: &mut Targets,
+        sky: &Sky,
+        out: &Path,
+    ) -> anyhow::Result<()> {
+        let settings = &self.given.settings;
+        let telescope = settings.camera(CAMERAS_IN_FLIGHT[0]);
+        let axes = telescope.map(|n| settings.cameras[n].body_from_camera);
+        let axes = axes.unwrap_or_default();
+        let offset = |row: &Row| {
+            let towards = targets.aim(&sky.target, row.t_s).ok()?;
+            navigation::offset(row, &axes, &towards).ok()?
+        };
+        attitude.write_offsets(&out.join("offsets.csv"), offset)
+    }
+}
+
+fn is_second(camera: &CameraFrames) -> bool {
+    let name = camera.taken_by.instrument.as_deref();
+    name.is_some_and(|name| name.ends_with(SECOND))
+}

@@ -1,0 +1,242 @@
+//! A flight refined with its IMU: the attitude at the frames and between them, also while no frame shows the Sun.
+
+use crate::common::refined::{Columns, command, refine, rms, temporary};
+use jiff::Timestamp;
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use solaspect::instrument::{Instrument, builtin};
+use solaspect::pointing::sun_in_telescope;
+use solaspect::service::demo::{self, Demo};
+use solaspect::simulate::navigation::TelescopeFlight;
+use solaspect::simulate::{FORT_SUMNER, Trajectory};
+use solaspect::sky::sun_angular_radius;
+use solaspect::units::ARCSEC_PER_RAD;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+const START: &str = "2013-09-21T18:00:00Z";
+const SEED: u64 = 5;
+
+/// What `solaspect demo` flies.
+fn telescope(instrument: &Instrument, duration: Duration) -> TelescopeFlight {
+    let start: Timestamp = START.parse().unwrap();
+    let radius_arcsec = sun_angular_radius(start).unwrap();
+    let radius_mil = instrument.optics.radius_mil(radius_arcsec);
+    let course = Trajectory::demo(instrument, radius_mil, duration, SEED).unwrap();
+    TelescopeFlight::new(course, instrument, FORT_SUMNER, start, SEED)
+}
+
+/// Since the flight began; times count from 1970.
+fn since(unix_s: f64) -> Duration {
+    let start: Timestamp = START.parse().unwrap();
+    Duration::from_secs_f64(unix_s - start.as_second() as f64)
+}
+
+/// The files of an archive's root whose names begin so.
+fn files(folder: &Path, begins: &str) -> Vec<PathBuf> {
+    let listed = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
+    let named = listed.filter(|entry| entry.file_name().to_string_lossy().starts_with(begins));
+    named.map(|entry| entry.path()).collect()
+}
+
+/// The numbers of a table's rows, its last column's words left out; rows without numbers are not there.
+fn numbers(file: &Path) -> Vec<Vec<f64>> {
+    let text = fs::read_to_string(file).unwrap();
+    let row = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let (_, cells) = cells.split_last().unwrap();
+        cells.iter().map(|cell| cell.parse().ok()).collect()
+    };
+    text.lines().skip(1).filter_map(row).collect()
+}
+
+/// The attitude's error across the Sun, arcsec: of two axes, each with 1 sigma.
+fn across_sun(row: &[f64], truth: &UnitQuaternion<f64>, sun: &Vector3<f64>) -> [[f64; 2]; 2] {
+    let found = UnitQuaternion::from_quaternion(Quaternion::new(row[1], row[2], row[3], row[4]));
+    let error = (truth * found.inverse()).scaled_axis();
+    #[rustfmt::skip]
+    let covariance = Matrix3::new(
+        row[5].powi(2), row[8], row[9],
+        row[8], row[6].powi(2), row[10],
+        row[9], row[10], row[7].powi(2),
+    );
+    let first = sun.cross(&Vector3::z()).normalize();
+    [first, sun.cross(&first)].map(|axis| {
+        let sigma = axis.dot(&(covariance * axis)).sqrt();
+        [axis.dot(&error), sigma].map(|rad| rad * ARCSEC_PER_RAD)
+    })
+}
+
+#[test]
+fn between_frames_the_gyros_tell_where_the_telescope_points() {
+    let (archive, out) = (temporary(), temporary());
+    let duration = Duration::from_secs(14);
+    let settings = Demo {
+        duration,
+        rate_hz: 4.0,
+        archive: archive.path().into(),
+        seed: SEED,
+    };
+    demo::run(&settings, |_| {}, || false).unwrap();
+    let [imu, gps] = ["imu_", "gps_"].map(|begins| files(archive.path(), begins).remove(0));
+    let calibrated = out.path().join("calibrated.toml");
+    let [imu, gps, calibrated] = [&imu, &gps, &calibrated].map(|path| path.to_str().unwrap());
+    let more = [
+        "--imu",
+        imu,
+        "--gps",
+        gps,
+        "--aem",
+        "--calibrated",
+        calibrated,
+    ];
+    let output = refine(archive.path(), out.path(), &more);
+    println!("{}", String::from_utf8_lossy(&output.stdout));
+
+    let instrument = builtin("demo").unwrap();
+    let mut flown = telescope(&instrument, duration);
+    let attitude = numbers(&out.path().join("attitude.csv"));
+    let frames = Columns::read(out.path(), "ASPECT");
+    let columns = ["UNIX_S", "SUN_X_MIL", "SUN_Y_MIL"];
+    let [times, x, y] = columns.map(|name| frames.floats(name));
+    let qualities = frames.texts("QUALITY");
+    let (mut alone, mut smoothed) = (Vec::new(), Vec::new());
+    for (n, t_s) in times
+        .iter()
+        .enumerate()
+        .filter(|(n, _)| qualities[*n] == "fine")
+    {
+        let nearest =
+            |a: &&Vec<f64>, b: &&Vec<f64>| (a[0] - t_s).abs().total_cmp(&(b[0] - t_s).abs());
+        let Some(row) = attitude.iter().min_by(nearest) else {
+            continue;
+        };
+        if (row[0] - t_s).abs() > 0.01 {
+            // Before the filter began.
+            continue;
+        }
+        let true_place = flown.sun_on_plate(since(*t_s));
+        let scale = instrument.optics.arcsec_per_mil();
+        alone.extend([(x[n] - true_place.x) * scale, (y[n] - true_place.y) * scale]);
+        let truth = flown.attitude(since(row[0])).unwrap();
+        let seen = sun_in_telescope(flown.sun_on_plate(since(row[0])), &instrument);
+        let errors = across_sun(row, &truth, &(truth * seen.into_inner()));
+        smoothed.extend(errors.map(|[error, _]| error));
+    }
+    println!(
+        "{} axes at frames: alone {:.3} arcsec rms, with the gyros {:.3}",
+        alone.len(),
+        rms(&alone),
+        rms(&smoothed)
+    );
+    assert!(alone.len() > 60, "{}", alone.len());
+    assert!(rms(&smoothed) <= rms(&alone));
+
+    let offsets = numbers(&out.path().join("offsets.csv"));
+    assert_eq!(offsets.len(), attitude.len());
+    let (mut most, mut away, mut ratios) = (0.0f64, 0, Vec::new());
+    for row in &offsets {
+        let truth = flown.truth(since(row[0])).unwrap();
+        let errors = [
+            row[3] - truth.offset.cross_elevation_deg,
+            row[2] - truth.offset.elevation_deg,
+        ];
+        for error in errors {
+            most = most.max((error / row[4]).abs());
+            ratios.push(error / row[4]);
+        }
+        let part = since(row[0]).as_secs_f64() / duration.as_secs_f64();
+        away += usize::from((0.62..0.73).contains(&part));
+    }
+    println!(
+        "{} offsets, {away} without the Sun: up to {most:.2} sigma off, rms {:.2} sigma",
+        offsets.len(),
+        rms(&ratios)
+    );
+    // 14 s at 100 Hz: the Sun is away for 2.1 s.
+    assert!(offsets.len() > 1100 && away > 140, "{away}");
+    assert!(most < 5.0, "{most}");
+
+    for name in ["attitude.fits", "attitude.aem"] {
+        assert!(out.path().join(name).exists(), "{name}");
+    }
+    let page = fs::read_to_string(out.path().join("report.html")).unwrap();
+    assert!(page.contains("Rows of the attitude"));
+    let learnt = fs::read_to_string(calibrated).unwrap();
+    assert!(
+        learnt.contains("gyro_bias = [") && learnt.contains("[calibration]"),
+        "{learnt}"
+    );
+    assert!(learnt.contains("date = 2013-09-21"), "{learnt}");
+
+    let thinned = temporary();
+    let more = [
+        "--imu",
+        imu,
+        "--gps",
+        gps,
+        "--navigation",
+        calibrated,
+        "--rate",
+        "10",
+    ];
+    refine(archive.path(), thinned.path(), &more);
+    let rows = numbers(&thinned.path().join("offsets.csv"));
+    assert!((rows.len() as f64 / offsets.len() as f64 - 0.1).abs() < 0.01);
+
+    refuse_what_does_not_belong_together(archive.path(), [imu, gps]);
+}
+
+/// One flight's files joined wrongly, or of another time.
+fn refuse_what_does_not_belong_together(archive: &Path, [imu, gps]: [&str; 2]) {
+    let folder = temporary();
+    let file = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let text = fs::read_to_string(imu).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    let write = |name: &str, lines: &[&str]| {
+        fs::write(file(name), lines.join("\n") + "\n").unwrap();
+    };
+    let head = [lines[0]];
+    write("first.csv", &lines[..600]);
+    write("second.csv", &[&head, &lines[600..]].concat());
+    write("late.csv", &[&head, &lines[590..]].concat());
+    let nav = file("NAV.toml");
+    let flown = files(archive, "navigation_").remove(0);
+    let flown = fs::read_to_string(flown).unwrap();
+    fs::write(
+        &nav,
+        format!("epoch_utc = \"2013-09-20T18:00:00Z\"\n{flown}"),
+    )
+    .unwrap();
+    let (first, second, late) = (file("first.csv"), file("second.csv"), file("late.csv"));
+    for (more, wanted) in [
+        (
+            &["--imu", &late, &first, "--gps", gps][..],
+            vec!["late.csv, line 2: t_s", "first.csv"],
+        ),
+        (
+            &["--imu", imu, "--gps", gps, "--navigation", &nav][..],
+            vec!["expected frames", "2013-09-20T18:00:00Z"],
+        ),
+        (&["--imu", imu][..], vec!["--gps"]),
+    ] {
+        let output = command(archive, &folder.path().join("out"), more)
+            .output()
+            .unwrap();
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success(), "{more:?}");
+        for word in wanted {
+            assert!(told.contains(word), "{told} lacks {word}");
+        }
+    }
+    let [whole, parts] = [temporary(), temporary()];
+    refine(archive, whole.path(), &["--imu", imu, "--gps", gps]);
+    refine(
+        archive,
+        parts.path(),
+        &["--imu", &second, &first, "--gps", gps],
+    );
+    let [whole, parts] =
+        [whole, parts].map(|out| fs::read(out.path().join("offsets.csv")).unwrap());
+    assert!(whole == parts);
+}
