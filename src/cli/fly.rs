@@ -124,16 +124,12 @@ fn navigation(config: &Config) -> anyhow::Result<Option<Navigation>> {
     };
     let settings_toml = read_text(path)?;
     let settings = navigation::Settings::parse(path, &settings_toml)?;
-    let connection = |address: Option<PortAddress>, baud| -> anyhow::Result<Option<Connection>> {
-        let end = LocalEnd {
-            port: 0,
-            ..config.link.local_end()?
-        };
-        Ok(address.map(|address| Connection::to(address, baud, end)))
+    let connection = |address: Option<PortAddress>, baud| {
+        address.map(|address| Connection::to(address, baud, LocalEnd::default()))
     };
     Ok(Some(Navigation {
-        imu: connection(own.imu_address()?, config.link.baud)?,
-        gps: connection(own.gps_address()?, own.gps_baud)?,
+        imu: connection(own.imu_address()?, config.link.baud),
+        gps: connection(own.gps_address()?, own.gps_baud),
         settings: settings.for_flight(path)?,
         settings_toml,
     }))

@@ -61,10 +61,19 @@ impl Navigation {
 }
 
 fn address(key: &'static str, text: Option<&str>) -> Result<Option<PortAddress>, Refused> {
-    let parsed = text.map(str::parse).transpose();
-    parsed.map_err(|_: String| Refused {
+    let refused = |expected: &str| Refused {
         key,
-        expected: EXPECTED.into(),
+        expected: expected.into(),
         found: format!("\"{}\"", text.unwrap_or_default()),
-    })
+    };
+    let parsed = text.map(str::parse).transpose();
+    match parsed.map_err(|_: String| refused(EXPECTED))? {
+        // Nobody knows a port that is any free one.
+        Some(PortAddress::Udp {
+            local_port: None, ..
+        }) => Err(refused(
+            "udp:HOST:PORT@LOCALPORT, LOCALPORT being where the sensor sends to",
+        )),
+        address => Ok(address),
+    }
 }

@@ -184,7 +184,7 @@ static TABLE: &[Parameter] = &[
     row!(navigation.settings, "", Text, sample Sample::Text("/etc/solaspect/nav.toml"),
         "The file that states the errors of IMU, GPS and cameras, their axes and delays (docs/navigation.md). Its cameras are called as the tables here: camera, second_camera, roll_camera, moon_camera; those that it does not name are not used."),
     row!(navigation.imu_port, "", Text, sample Sample::Text("udp:192.168.2.1:3000@3000"),
-        "Where the IMU's samples (telemetry packets of type 0x71, docs/protocol.md) come from; unset, over the controller's line. As link.port."),
+        "Where the IMU's samples (telemetry packets of type 0x71, docs/protocol.md) come from; unset, over the controller's line. As link.port; over UDP with the local port that the IMU sends to."),
     row!(navigation.gps_port, "", Text, sample Sample::Text("/dev/serial/by-id/usb-gps"),
         "Where a GPS receiver speaks NMEA 0183 (GGA and RMC); its fixes set the place of frames, too. As link.port; unset, there is none, and the filter never starts."),
     row!(navigation.gps_baud, "baud", Whole(300, 4_000_000),

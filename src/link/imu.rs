@@ -6,7 +6,7 @@ use jiff::Timestamp;
 
 const KIND: u16 = telemetry_type::IMU as u16;
 
-/// Means over the interval that ends at a time, in the body's axes: forward, right and down.
+/// Means over the interval that ends at a time, in the IMU's own axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuPacket {
     pub time: Timestamp,
@@ -19,6 +19,15 @@ pub struct ImuPacket {
 }
 
 impl ImuPacket {
+    /// Samples that are missing between this and a later one, by their counters; none where they came in another order, or the IMU began anew.
+    pub fn missing_before(&self, later: &Self) -> u64 {
+        let step = later.counter.wrapping_sub(self.counter);
+        match step {
+            1..0x8000 => u64::from(step) - 1,
+            _ => 0,
+        }
+    }
+
     /// The packet, as the controller sends it.
     ///
     /// # Errors
@@ -92,6 +101,9 @@ mod tests {
             panic!("no telemetry");
         };
         assert_eq!(ImuPacket::decode(&packet), Ok(sample));
+        let counted = |counter| ImuPacket { counter, ..sample };
+        assert_eq!(counted(65_535).missing_before(&counted(2)), 2);
+        assert_eq!(counted(7).missing_before(&counted(6)), 0, "out of order");
         for (kind, time, length) in [
             (telemetry_type::IDLE, (0, 0), 26),
             (telemetry_type::IMU, (0, 2_000_000_000), 26),

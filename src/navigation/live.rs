@@ -31,6 +31,8 @@ pub struct Live {
     innovations: VecDeque<Innovation>,
     row: Option<Row>,
     counts: Counts,
+    /// The last sample, if its time is another than the clock's so far: one alone is a slip, two are a gap or a clock that was set.
+    stray: Option<ImuSample>,
 }
 
 /// What became of measurements.
@@ -62,16 +64,23 @@ impl Live {
             innovations: VecDeque::new(),
             row: None,
             counts: Counts::default(),
+            stray: None,
         }
     }
 
     /// Takes a sample of the IMU, which is later than all before; one that is not is passed over. The attitude at its time.
     pub fn sample(&mut self, sample: ImuSample) -> Option<Row> {
         if let Some(last) = self.recent.imu.last() {
-            let step_s = sample.t_s - last.t_s;
-            if step_s.abs() > MOST_GAP_S {
+            let is_near = |other: &ImuSample| (sample.t_s - other.t_s).abs() <= MOST_GAP_S;
+            let stray = self.stray.take();
+            if is_near(last) {
+                if sample.t_s <= last.t_s {
+                    return self.row;
+                }
+            } else if stray.as_ref().is_some_and(is_near) {
                 self.break_off();
-            } else if step_s <= 0.0 {
+            } else {
+                self.stray = Some(sample);
                 return self.row;
             }
         }
@@ -86,6 +95,7 @@ impl Live {
         let restarts = self.run.restarts + 1;
         self.run = Run::new(Arc::clone(&self.run.model));
         self.run.restarts = restarts;
+        self.innovations.clear();
         self.recent.imu.clear();
         self.recent.measurements.clear();
         self.kept = VecDeque::from([self.run.clone()]);
@@ -95,7 +105,7 @@ impl Live {
     /// Takes a measurement. One of a time that the samples have not quite reached waits for them.
     pub fn measure(&mut self, measurement: Measurement) {
         let t_s = measurement.t_s();
-        let newest_s = self.recent.imu.last().map(|last| last.t_s);
+        let newest_s = self.newest_s();
         if newest_s.is_some_and(|newest_s| t_s > newest_s + HISTORY_S) {
             self.counts.out_of_time += 1;
             return;
@@ -123,6 +133,11 @@ impl Live {
     /// The attitude at the last sample; `None` before the first two.
     pub fn now(&self) -> Option<Row> {
         self.row
+    }
+
+    /// The time of the last sample that was taken.
+    pub fn newest_s(&self) -> Option<f64> {
+        self.recent.imu.last().map(|last| last.t_s)
     }
 
     /// When a direction was last taken; minus infinity before.

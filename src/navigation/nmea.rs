@@ -12,6 +12,8 @@ use nmea::{ParseResult, parse_str};
 /// A sentence has at most 82 characters; some receivers exceed that.
 const LONGEST: usize = 200;
 const KNOT_M_S: f64 = 1852.0 / 3600.0;
+/// Slower than this a receiver stands.
+const STANDS_M_S: f64 = 0.2;
 
 /// The receiver's words, as they come.
 #[derive(Debug, Default)]
@@ -126,9 +128,12 @@ fn timed_fix(gga: &GgaData, rmc: &RmcData) -> Option<TimedFix> {
     let utc = format!("{}T{}Z", rmc.fix_date?, rmc.fix_time?);
     // GGA counts the height from the geoid.
     let height_m = f64::from(gga.altitude?) + f64::from(gga.geoid_separation.unwrap_or(0.0));
-    let speed_m_s = f64::from(rmc.speed_over_ground.unwrap_or(0.0)) * KNOT_M_S;
+    let speed_m_s = f64::from(rmc.speed_over_ground?) * KNOT_M_S;
     // A receiver that stands tells no course.
-    let course = f64::from(rmc.true_course.unwrap_or(0.0)).to_radians();
+    let course_deg = rmc
+        .true_course
+        .or((speed_m_s < STANDS_M_S).then_some(0.0))?;
+    let course = f64::from(course_deg).to_radians();
     Some(TimedFix {
         utc: utc.parse().ok()?,
         place: Place::new(gga.latitude?, gga.longitude?, height_m).ok()?,

@@ -312,6 +312,21 @@ impl Settings {
             return Err(check.error("camera.name", &expected, &camera.name));
         }
         let telescope = self.camera(names[0]).map(|n| &self.cameras[n]);
+        for (field, value, least) in [
+            (
+                "imu.velocity_random_walk",
+                self.imu.velocity_random_walk,
+                0.0,
+            ),
+            ("imu.angular_random_walk", self.imu.angular_random_walk, 0.0),
+            ("gps.position_sigma_m", self.gps.position_sigma_m, 0.01),
+            ("gps.velocity_sigma_m_s", self.gps.velocity_sigma_m_s, 0.001),
+        ] {
+            if value <= least {
+                let expected = format!("more than {least}: offsets that are sent rest on it");
+                return Err(check.error(field, &expected, value));
+            }
+        }
         match telescope.map(|camera| camera.misalignment_rad) {
             None => {
                 let expected = "one named \"camera\": the telescope's own";
@@ -326,10 +341,10 @@ impl Settings {
         }
     }
 
-    /// 1 sigma of each of the two angles of a direction: what is stated to be correlated in time is part of it.
+    /// 1 sigma of each of the two angles of a direction: its own, and what is stated to be correlated in time, of which a frame knows nothing.
     pub fn sigma_rad(&self, target: Target, direction: &Direction) -> f64 {
         let own_rad = (direction.covariance_rad2.trace() / 2.0).max(0.0).sqrt();
-        own_rad.max(self.correlated_rad[target as usize])
+        own_rad.hypot(self.correlated_rad[target as usize])
     }
 
     /// The camera of a name.

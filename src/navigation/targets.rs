@@ -13,6 +13,8 @@ use std::collections::BTreeMap;
 
 /// The sky is asked so often; between, its directions turn evenly to 0.001 arcsec.
 const EVERY_S: f64 = 2.0;
+/// In flight directions are asked no later than this after their time.
+const KEPT_S: f64 = 20.0;
 
 /// What tells where Sun and Moon are.
 pub enum Sky {
@@ -70,12 +72,11 @@ impl Targets {
         }
     }
 
-    /// Takes a further fix. It serves for what is asked of its time and later.
+    /// Takes the place of the body as it flies: it serves for what is asked from now on, and what is long past is forgotten.
     pub fn note(&mut self, fix: Fix) {
-        let is_due = |last: &Fix| fix.t_s >= last.t_s + EVERY_S;
-        if self.fixes.last().is_none_or(is_due) {
-            self.fixes.push(fix);
-        }
+        self.fixes = vec![fix];
+        let oldest = ((fix.t_s - KEPT_S) / EVERY_S) as i64;
+        self.known.retain(|(_, step), _| *step >= oldest);
     }
 
     /// The direction to Sun or Moon in ECEF.

@@ -7,12 +7,12 @@ use crate::config::Refused;
 use crate::link::{
     AnyPort, Direction, ImuPacket, LocalEnd, Packet, Parser, PortAddress, PortError,
 };
-use crate::navigation::gravity_m_s2;
 use crate::navigation::nmea::{Nmea, TimedFix};
+use crate::navigation::{CAMERAS_IN_FLIGHT, Settings, gravity_m_s2};
 use crate::sky::sphere::direction;
 use crate::sky::sphere::separation_rad;
 use jiff::Timestamp;
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use std::time::{Duration, Instant};
 
 /// How long the IMU at rest, a tilt and the receiver are listened to.
@@ -39,7 +39,7 @@ const TILT_AGREES: f64 = 0.2;
 const FAR_DEG: f64 = 1.0;
 
 const IMU_PORT: &str = "is the IMU on, does the controller send telemetry of type 0x71 (docs/protocol.md), is navigation.imu_port its line?";
-const AXES: &str = "check the IMU's axes and signs: forward, right and down, as body_from_camera of NAV.toml has them";
+const AXES: &str = "check the IMU's axes and signs, and how body_from_camera of NAV.toml has the telescope lie in them";
 const GPS_PORT: &str =
     "is the receiver on, is navigation.gps_port its line and navigation.gps_baud its speed?";
 
@@ -61,7 +61,7 @@ pub(super) fn check_axes(plan: &Plan, operator: &mut dyn Operator) -> Vec<Findin
     tilts.map(|tilt| tilt.check(plan, operator)).into()
 }
 
-/// What the IMU said for a while.
+/// What the IMU said for a while, in the telescope's axes.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Heard {
     samples: Vec<ImuPacket>,
@@ -89,10 +89,9 @@ impl Heard {
         (count >= LEAST_SAMPLES && time_s > 0.0).then(|| (count - 1) as f64 / time_s)
     }
 
-    fn missing(&self) -> usize {
+    fn missing(&self) -> u64 {
         let pairs = self.samples.windows(2);
-        let gaps = pairs.map(|pair| pair[1].counter.wrapping_sub(pair[0].counter));
-        gaps.map(|gap| usize::from(gap.saturating_sub(1))).sum()
+        pairs.map(|pair| pair[0].missing_before(&pair[1])).sum()
     }
 
     /// By how much the body has turned about its axes, rad, its mean rate before taken away.
@@ -138,7 +137,7 @@ fn rate(plan: &Plan, heard: &Heard, rate_hz: f64) -> Finding {
         let expected = format!("expected {needed:.0} samples a second or more");
         return Finding::fail("imu", format!("{found}: {expected}"), IMU_PORT);
     }
-    match heard.missing() + heard.unreadable > 0 || off_s.abs() > 1.0 {
+    match heard.missing() > 0 || heard.unreadable > 0 || off_s.abs() > 1.0 {
         true => Finding::warn(
             "imu",
             found,
@@ -272,6 +271,7 @@ impl Tilt {
 /// Listens to the IMU where it speaks, for so long.
 fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
     let open = imu_port(plan)?;
+    let telescope = telescope_from_body(plan)?;
     let tried = within(PATIENCE + time, move || -> Result<Heard, PortError> {
         let mut port = open()?;
         let mut parser = Parser::new(Direction::ToAspect);
@@ -283,7 +283,7 @@ fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
             for packet in parser.feed(&buffer[..count], start.elapsed()) {
                 if let Packet::Telemetry(packet) = packet {
                     match ImuPacket::decode(&packet) {
-                        Ok(sample) => heard.samples.push(sample),
+                        Ok(sample) => heard.samples.push(turned(sample, &telescope)),
                         Err(_) => heard.unreadable += 1,
                     }
                 }
@@ -295,6 +295,30 @@ fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
         Ok(Ok(heard)) => Ok(heard),
         Ok(Err(error)) => Err(error.to_string()),
         Err(no_answer) => Err(no_answer.to_string()),
+    }
+}
+
+/// From the IMU's axes to the telescope's: forward, right and down.
+fn telescope_from_body(plan: &Plan) -> Result<Rotation3<f64>, String> {
+    let path = plan.config.navigation.settings.as_deref();
+    let path = path.ok_or("navigation.settings is not set")?;
+    let settings = Settings::read(path).and_then(|settings| settings.for_flight(path));
+    let settings = settings.map_err(|error| error.to_string())?;
+    let camera = settings.camera(CAMERAS_IN_FLIGHT[0]);
+    let axes = camera.map(|n| settings.cameras[n].body_from_camera);
+    Ok(axes.unwrap_or_default().inverse())
+}
+
+fn turned(sample: ImuPacket, telescope: &Rotation3<f64>) -> ImuPacket {
+    let turn = |v: [f32; 3]| {
+        (telescope * Vector3::from(v).cast::<f64>())
+            .cast::<f32>()
+            .into()
+    };
+    ImuPacket {
+        force_m_s2: turn(sample.force_m_s2),
+        rate_rad_s: turn(sample.rate_rad_s),
+        ..sample
     }
 }
 

@@ -40,6 +40,8 @@ const PATIENCE: Duration = Duration::from_millis(1);
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 /// More bytes than this in the system's buffer, and the line cannot follow: 45 ms at 115200 baud.
 const BACKLOG: usize = 512;
+/// An offset by the gyros that has waited for longer is not sent: the next one is better.
+const OLDEST_OFFSET: Duration = Duration::from_millis(100);
 
 pub(super) struct Line<'a> {
     connection: &'a mut Connection,
@@ -249,7 +251,7 @@ impl<'a> Line<'a> {
     }
 
     fn propagate(&mut self, event: &PropagatedEvent) {
-        if self.backlog() > BACKLOG {
+        if self.backlog() > BACKLOG || event.read.elapsed() > OLDEST_OFFSET {
             return;
         }
         match self.responder.propagated(event.propagated) {

@@ -62,17 +62,27 @@ impl Line<'_> {
             Ok(opened) => opened,
             Err(refusal) => return self.refuse(refusal, None, sender),
         };
-        if guard.newest_stamp() > self.controls.stamp_ns() {
-            self.controls.note_stamp_ns(guard.newest_stamp());
-        }
         let packets = self.parser.feed(opened.bytes, self.start.elapsed());
         // No packet goes on in the next datagram.
         self.parser.abandon();
         for packet in packets {
             match packet {
-                Packet::Command(packet) => self.obey_once(packet, sender, opened.is_new),
-                Packet::Telemetry(packet) => self.hear_telemetry(&packet),
+                Packet::Command(packet) => {
+                    self.note_stamp();
+                    self.obey_once(packet, sender, opened.is_new);
+                }
+                // A sample that comes again has nothing new.
+                Packet::Telemetry(packet) if opened.is_new => self.hear_telemetry(&packet),
+                Packet::Telemetry(_) => {}
             }
+        }
+    }
+
+    /// Keeps the newest stamp over a restart. Those of samples are too many for a file.
+    fn note_stamp(&mut self) {
+        let newest = self.connection.guard().newest_stamp();
+        if newest > self.controls.stamp_ns() {
+            self.controls.note_stamp_ns(newest);
         }
     }
 

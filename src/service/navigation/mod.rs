@@ -39,6 +39,12 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_millis(100);
 /// A filter that gives no word for so long hangs.
 const PATIENT_FOR: Duration = Duration::from_secs(5);
+/// A fix of a time that is further from the IMU's is of another day, or stale.
+const FIX_WITHIN_S: f64 = 3.0;
+/// An IMU that is silent for so long leaves nothing that is true now.
+const SILENCE: Duration = Duration::from_secs(1);
+/// Offsets are left out where so many events wait for the line: frames come first.
+const MOST_EVENTS: usize = 32;
 /// The archive gets rows of so much time at once.
 const ROWS_S: f64 = 1.0;
 
@@ -102,10 +108,23 @@ impl Navigator {
     /// Filters until the flight ends, or another thread has taken over.
     fn run(&self, inputs: &Receiver<Input>, life: &Life) {
         let mut filter = None;
+        let mut ending = None;
+        let mut heard = Instant::now();
         while !life.is_over() {
             life.beat();
+            if self.ended.load(Ordering::Relaxed) {
+                // An IMU on the controller's line goes on until that is hung up.
+                let since = *ending.get_or_insert_with(Instant::now);
+                if since.elapsed() > PATIENCE {
+                    break;
+                }
+            }
+            if heard.elapsed() > SILENCE {
+                self.tally.lock().forget();
+            }
             match inputs.recv_timeout(PATIENCE) {
                 Ok(Input::Imu(sample, read)) => {
+                    heard = Instant::now();
                     let filter = filter.get_or_insert_with(|| Filter::new(self, sample.time));
                     filter.sample(&sample, read);
                 }
@@ -117,8 +136,8 @@ impl Navigator {
                         .for_each(|filter: &mut Filter| filter.fix(&fix));
                 }
                 Ok(Input::Seen(seen)) => filter.iter_mut().for_each(|filter| filter.seen(&seen)),
-                Err(RecvTimeoutError::Timeout) if !self.ended.load(Ordering::Relaxed) => {}
-                Err(_) => break,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
             }
         }
         filter.iter_mut().for_each(Filter::hand_rows_on);
@@ -143,8 +162,8 @@ struct Filter<'a> {
     targets: Targets,
     epoch: Timestamp,
     body_from_telescope: Rotation3<f64>,
-    /// The counter of the last sample, and the time of the last fix.
-    counter: Option<u16>,
+    /// The last sample, and the time of the last fix.
+    last_sample: Option<ImuPacket>,
     last_fix: Option<Timestamp>,
     /// When the next offset is due.
     due_s: f64,
@@ -176,7 +195,7 @@ impl<'a> Filter<'a> {
             targets: Targets::new(sky, Vec::new()),
             epoch,
             body_from_telescope: axes.unwrap_or_default(),
-            counter: None,
+            last_sample: None,
             last_fix: None,
             due_s: f64::NEG_INFINITY,
             rows: Default::default(),
@@ -207,12 +226,18 @@ impl<'a> Filter<'a> {
             return;
         }
         let row = self.live.sample(felt);
+        self.note(row.map(|row| row.status));
+        if self.live.newest_s() != Some(t_s) {
+            return;
+        }
+        // The clock may have been set back.
         if let Some(row) = row.filter(|row| row.t_s >= self.due_s || row.t_s < self.handed_on_s) {
             let period_s = 1.0 / self.own.controls.config().navigation.rate_hz;
             self.due_s = ((row.t_s / period_s + 0.01).floor() + 1.0) * period_s - 0.01 * period_s;
             self.tell(&row, read);
+        } else if row.is_none() {
+            self.due_s = f64::NEG_INFINITY;
         }
-        self.note(row.map(|row| row.status));
         self.keep(NavigationLog::Imu, imu_row(sample));
         if !(0.0..ROWS_S).contains(&(t_s - self.handed_on_s)) {
             self.handed_on_s = t_s;
@@ -223,8 +248,8 @@ impl<'a> Filter<'a> {
     fn count(&mut self, sample: &ImuPacket) {
         let mut tally = self.own.tally.lock();
         tally.samples += 1;
-        if let Some(last) = self.counter.replace(sample.counter) {
-            tally.lost_samples += u64::from(sample.counter.wrapping_sub(last).saturating_sub(1));
+        if let Some(last) = self.last_sample.replace(*sample) {
+            tally.lost_samples += last.missing_before(sample);
         }
     }
 
@@ -252,6 +277,11 @@ impl<'a> Filter<'a> {
         }
         let t_s = self.since_epoch_s(timed.utc) - self.own.settings.gps.delay_s;
         let fix = timed.fix(t_s);
+        let newest_s = self.live.newest_s();
+        if newest_s.is_some_and(|newest_s| (t_s - newest_s).abs() > FIX_WITHIN_S) {
+            self.own.tally.lock().stale_fixes += 1;
+            return;
+        }
         let motion = self.live.now().and_then(|row| row.attitude);
         self.targets.note(Fix {
             // A fix that jumps does not move the Sun.
@@ -301,24 +331,14 @@ impl<'a> Filter<'a> {
 
     /// Tells line and archive the offset at a row.
     fn tell(&mut self, row: &Row, read: Instant) {
-        if row.attitude.is_none() {
-            return;
-        }
-        let target = self.own.controls.snapshot().target;
-        let Ok(towards) = self.targets.aim(&target, row.t_s) else {
-            return;
-        };
-        let Ok(Some(offset)) = offset(row, &self.body_from_telescope, &towards) else {
-            return;
-        };
-        let since = SignedDuration::try_from_secs_f64(row.t_s).unwrap_or_default();
-        let Ok(utc) = self.epoch.checked_add(since) else {
+        let Some((utc, offset)) = self.offset(row) else {
+            self.own.tally.lock().latest = None;
             return;
         };
         let age_s = row.t_s - self.live.seen_s();
         let settings = self.own.controls.config().navigation;
         self.note_offset(&offset, &settings);
-        if settings.sends(&offset) {
+        if settings.sends(&offset) && self.own.to_line.len() < MOST_EVENTS {
             let event = PropagatedEvent {
                 propagated: propagated(&offset, utc, age_s),
                 read,
@@ -328,6 +348,16 @@ impl<'a> Filter<'a> {
         }
         let row = propagated_row(utc, &offset, age_s, row.status);
         self.keep(NavigationLog::Propagated, row);
+    }
+
+    /// The offset at a row and its time; `None` before the start, and where the target cannot be pointed at.
+    fn offset(&mut self, row: &Row) -> Option<(Timestamp, PropagatedOffset)> {
+        row.attitude?;
+        let target = self.own.controls.snapshot().target;
+        let towards = self.targets.aim(&target, row.t_s).ok()?;
+        let offset = offset(row, &self.body_from_telescope, &towards).ok()??;
+        let since = SignedDuration::try_from_secs_f64(row.t_s).ok()?;
+        Some((self.epoch.checked_add(since).ok()?, offset))
     }
 
     fn note_offset(&self, offset: &PropagatedOffset, settings: &config::Navigation) {

@@ -37,6 +37,11 @@ pub struct NavigationTally {
 }
 
 impl NavigationTally {
+    /// Nothing is known of now.
+    pub(super) fn forget(&mut self) {
+        (self.status, self.latest) = (None, None);
+    }
+
     pub(in crate::service) fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         if *self == Self::default() {
             return Ok(());
@@ -57,10 +62,12 @@ impl NavigationTally {
         )?;
         writeln!(
             out,
-            "           {} offsets, {} of them too uncertain to be sent, {} restarts, at last {}",
+            "           {} offsets, {} of them too uncertain to be sent, {} restarts, {} rows and {} sentences unreadable or lost, at last {}",
             self.offsets,
             self.uncertain,
             self.restarts,
+            self.rows_lost,
+            self.sentences.unreadable,
             self.status.map_or("without samples", Status::name),
         )
     }

@@ -91,8 +91,20 @@ fn fly(
     duration_s: u64,
     seed: u64,
     is_seen: impl Fn(f64) -> bool,
+    spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
+    receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
+) -> (Judged, NavigationTally) {
+    fly_judged(duration_s, seed, is_seen, spoil, receive, |_| true)
+}
+
+/// The same; only offsets of which `is_judged` says so count.
+fn fly_judged(
+    duration_s: u64,
+    seed: u64,
+    is_seen: impl Fn(f64) -> bool,
     mut spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
     mut receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
+    is_judged: impl Fn(&Propagated) -> bool,
 ) -> (Judged, NavigationTally) {
     let start: Timestamp = START.parse().unwrap();
     let instrument = instrument::builtin("demo").unwrap();
@@ -139,7 +151,9 @@ fn fly(
             filter.sample(&sample, Instant::now());
         }
         for event in line.try_iter() {
-            if let LinkEvent::Propagated(event) = event {
+            if let LinkEvent::Propagated(event) = event
+                && is_judged(&event.propagated)
+            {
                 judged.note(&event.propagated, &mut flown, start);
             }
         }
@@ -249,8 +263,8 @@ fn a_clock_that_steps_and_samples_that_no_vehicle_feels_begin_the_filter_anew_at
         if n % 1000 == 500 {
             sample.force_m_s2[1] = 1e30;
         }
-        // For two seconds the IMU's clock is of another day.
-        if (5000..5200).contains(&n) {
+        // For two seconds the IMU's clock is of another day, and once for one sample.
+        if (5000..5200).contains(&n) || n == 7000 {
             sample.time -= SignedDuration::from_hours(24);
         }
         Some(sample)
@@ -286,6 +300,21 @@ fn fixes_that_jump_are_stale_or_do_not_come_move_no_offset() {
 }
 
 #[test]
+fn a_clock_that_is_set_back_for_good_silences_no_offset() {
+    let spoil = |n: u64, mut sample: ImuPacket| {
+        if n < 3000 {
+            sample.time += SignedDuration::from_secs(600);
+        }
+        Some(sample)
+    };
+    let start: Timestamp = START.parse().unwrap();
+    let is_judged = |said: &Propagated| said.solution.time < start + SignedDuration::from_secs(90);
+    let (judged, tally) = fly_judged(60, 5, |_| true, spoil, as_received, is_judged);
+    assert_eq!((tally.restarts, tally.status), (1, Some(Status::Aligned)));
+    assert!(judged.offsets > 480, "{}", judged.offsets);
+}
+
+#[test]
 fn inputs_that_the_filter_has_no_room_for_are_counted_and_nobody_waits() {
     let tally = Shared::default();
     let (inputs, _queue) = Inputs::new(tally.clone());
@@ -313,8 +342,10 @@ fn a_file_that_cannot_fly_is_refused_by_its_field() {
             "[[camera]]\nname = \"{name}\"\nbody_from_camera = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n{more}"
         )
     };
-    assert!(refused("").contains("expected one named \"camera\""));
+    let noise = "[imu]\nvelocity_random_walk = 1e-4\nangular_random_walk = 3e-6\n[gps]\nposition_sigma_m = 5\nvelocity_sigma_m_s = 0.05\n";
+    assert!(refused(noise).contains("expected one named \"camera\""));
+    assert!(refused("").contains("imu.velocity_random_walk: expected more than 0"));
     assert!(refused(&camera("pyas", "")).contains("one of camera, second_camera"));
-    let loose = camera("camera", "misalignment_sigma_deg = 0.1\n");
+    let loose = noise.to_owned() + &camera("camera", "misalignment_sigma_deg = 0.1\n");
     assert!(refused(&loose).contains("misalignment_sigma_deg: expected 0"));
 }
