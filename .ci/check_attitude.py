@@ -1,4 +1,4 @@
-"""An attitude that `solaspect navigate --fits --aem` has written, read by astropy and by ccsds-ndm: the same numbers as in attitude.csv."""
+"""An attitude that `solaspect navigate --fits --aem` or `refine --imu --aem` has written, read by astropy and by ccsds-ndm: the same numbers as in attitude.csv."""
 
 import csv
 import sys
@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 from astropy.table import Table
-from astropy.time import Time
 from ccsds_ndm.ndm_io import NdmIo
 
 folder = Path(sys.argv[1])
@@ -16,7 +15,8 @@ with open(folder / "attitude.csv", newline="") as file:
     rows = list(csv.DictReader(file))
 table = Table.read(folder / "attitude.fits", hdu="ATTITUDE")
 assert len(table) == len(rows) > 0
-epoch = Time(fits.getheader(folder / "attitude.fits")["DATEREF"], scale="utc")
+# As t_s does, numpy counts no leap seconds.
+epoch = np.datetime64(fits.getheader(folder / "attitude.fits")["DATEREF"], "ns")
 with_attitude = [row for row in rows if row["q0"]]
 for name in ("t_s", "q0", "q1", "q2", "q3", "sx_rad", "pxy_rad2"):
     told = np.array([float(row[name]) if row[name] else np.nan for row in rows])
@@ -32,7 +32,7 @@ for segment in segments:
     states += segment.data.attitude_state
 assert len(states) == len(with_attitude)
 for state, row in list(zip(states, with_attitude))[:: max(1, len(states) // 200)]:
-    seconds = (Time(state.quaternion_state.epoch, scale="utc") - epoch).sec
+    seconds = (np.datetime64(state.quaternion_state.epoch.rstrip("Z"), "ns") - epoch) / np.timedelta64(1, "s")
     assert abs(seconds - float(row["t_s"])) < 2e-6, (seconds, row["t_s"])
     q = state.quaternion_state.quaternion
     told = [float(value) for value in (q.qc, q.q1, q.q2, q.q3)]
