@@ -1,7 +1,7 @@
 //! Flights of simulated sensors through the filter, at the speed of the computer.
 
 use super::*;
-use crate::config::{Config, Switch};
+use crate::config::{Config, Switch, Value};
 use crate::geometry::attitude::Direction;
 use crate::instrument::{self, DEMO_NAVIGATION};
 use crate::navigation::nmea::Nmea;
@@ -94,10 +94,10 @@ fn fly(
     spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
     receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
 ) -> (Judged, NavigationTally) {
-    fly_judged(duration_s, seed, is_seen, spoil, receive, |_| true)
+    fly_judged(duration_s, seed, is_seen, spoil, receive, |_| true, &[])
 }
 
-/// The same; only offsets of which `is_judged` says so count.
+/// The same after commands; only offsets of which `is_judged` says so count.
 fn fly_judged(
     duration_s: u64,
     seed: u64,
@@ -105,6 +105,7 @@ fn fly_judged(
     mut spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
     mut receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
     is_judged: impl Fn(&Propagated) -> bool,
+    commanded: &[(&str, Value)],
 ) -> (Judged, NavigationTally) {
     let start: Timestamp = START.parse().unwrap();
     let instrument = instrument::builtin("demo").unwrap();
@@ -115,6 +116,7 @@ fn fly_judged(
     let mut normal = move || random.sample::<f64, _>(StandardNormal);
     let (to_line, line) = unbounded();
     let (navigator, _rows) = navigator(sending(), to_line);
+    navigator.controls.set(commanded).unwrap();
     let mut filter = Filter::new(&navigator, start);
     let mut receiver = Nmea::default();
     let mut judged = Judged::default();
@@ -309,9 +311,26 @@ fn a_clock_that_is_set_back_for_good_silences_no_offset() {
     };
     let start: Timestamp = START.parse().unwrap();
     let is_judged = |said: &Propagated| said.solution.time < start + SignedDuration::from_secs(90);
-    let (judged, tally) = fly_judged(60, 5, |_| true, spoil, as_received, is_judged);
+    let (judged, tally) = fly_judged(60, 5, |_| true, spoil, as_received, is_judged, &[]);
     assert_eq!((tally.restarts, tally.status), (1, Some(Status::Aligned)));
     assert!(judged.offsets > 480, "{}", judged.offsets);
+}
+
+#[test]
+fn what_commands_set_of_the_filter_changes_what_is_sent() {
+    let sent = |commanded: &[(&str, Value)]| {
+        let spoil = |_, sample| Some(sample);
+        let (judged, tally) = fly_judged(40, 6, |_| true, spoil, as_received, |_| true, commanded);
+        (judged.offsets, tally.uncertain)
+    };
+    let (as_it_is, _) = sent(&[]);
+    let (slow, _) = sent(&[("navigation.rate_hz", Value::Number(5.0))]);
+    assert!((as_it_is / 4).abs_diff(slow) < 3, "{as_it_is} and {slow}");
+    let (strict, uncertain) = sent(&[("navigation.max_sigma_arcsec", Value::Number(0.25))]);
+    assert!(
+        strict < as_it_is / 2 && uncertain > 100,
+        "{strict}, {uncertain}"
+    );
 }
 
 #[test]
