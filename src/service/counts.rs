@@ -25,10 +25,19 @@ pub(super) struct Counts {
 }
 
 impl Counts {
+    /// All that has happened.
     pub fn tally(&self) -> FlightTally {
+        FlightTally {
+            line: self.line.copy(),
+            ..self.brief()
+        }
+    }
+
+    /// The same, with the latencies of the last moment alone.
+    pub fn brief(&self) -> FlightTally {
         let mut tally = FlightTally {
             archive: self.archive.tally(),
-            line: self.line.copy(),
+            line: self.line.lock().brief(),
             roll: self.roll.copy(),
             moon: self.moon.copy(),
             navigation: self.navigation.copy(),

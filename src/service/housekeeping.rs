@@ -65,7 +65,7 @@ impl HousekeepingSource {
         restarts: Restarts,
         events: usize,
     ) -> Box<Housekeeping> {
-        let tally = counts.tally();
+        let tally = counts.brief();
         let mut told = Box::<Housekeeping>::default();
         let clock = ClockStatus::read().ok();
         let offset_us = clock.map(|clock| clock.offset_us.round() as i64);

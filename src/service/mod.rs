@@ -283,9 +283,9 @@ impl Service {
         self.signals.housekeeping.copy()
     }
 
-    /// What has happened so far.
+    /// What has happened so far, with the latencies of the last moment.
     pub fn tally(&self) -> FlightTally {
-        let mut tally = self.counts.tally();
+        let mut tally = self.counts.brief();
         tally.restarts = self.signals.restarts.load(Ordering::Relaxed);
         tally
     }

@@ -310,6 +310,22 @@ pub(super) fn note_latency(latencies: &mut VecDeque<Duration>, latency: Duration
 }
 
 impl LineTally {
+    /// The counts, with the latencies of the last moment alone: the line waits while they are copied.
+    pub(super) fn brief(&self) -> Self {
+        const MOMENT: usize = 64;
+        let latest = |all: &VecDeque<Duration>| {
+            let from = all.len().saturating_sub(MOMENT);
+            all.range(from..).copied().collect()
+        };
+        Self {
+            rejected: self.rejected,
+            latencies: latest(&self.latencies),
+            propagated_latencies: latest(&self.propagated_latencies),
+            roll_latencies: latest(&self.roll_latencies),
+            ..*self
+        }
+    }
+
     fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,

@@ -154,7 +154,7 @@ impl Journal {
                 start,
             ),
             navigation: NavigationLog::ALL.map(|log| {
-                let columns = log.columns().iter().map(|name| (*name).to_owned());
+                let columns = log.columns().into_iter().map(str::to_owned);
                 Log::new(
                     store.disk(),
                     store.root(),

@@ -33,25 +33,20 @@ impl NavigationLog {
     }
 
     /// `t_s` counts from 1970, UTC, as the sensors have said it.
-    pub fn columns(self) -> &'static [&'static str] {
+    pub fn columns(self) -> Vec<&'static str> {
         match self {
-            Self::Imu => &[
+            Self::Imu => vec![
                 "t_s", "fx_m_s2", "fy_m_s2", "fz_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s",
             ],
-            Self::Gps => &[
+            Self::Gps => vec![
                 "t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "climb",
             ],
-            Self::Propagated => &[
-                "t_s",
-                "azimuth_deg",
-                "elevation_deg",
-                "cross_elevation_deg",
-                "sigma_deg",
-                "roll_deg",
-                "roll_sigma_deg",
-                "age_s",
-                "status",
-            ],
+            Self::Propagated => [
+                &["t_s"][..],
+                &PropagatedOffset::COLUMNS,
+                &["age_s", "status"],
+            ]
+            .concat(),
         }
     }
 }
