@@ -4,9 +4,7 @@ use super::attitude::{Attitude, AttitudeArgs, Basis, NavigationFile, add_attitud
 use super::options;
 use super::output::make_folder;
 use crate::navigation::files::{Seen, read_gps, read_imu, read_sun, read_vectors};
-use crate::navigation::{
-    Fix, Flight, Measurement, Settings, Sighting, Sky, Target, Targets, Towards,
-};
+use crate::navigation::{Fix, Flight, Measurement, Settings, Sighting, Sky, Targets};
 use crate::report::html::Page;
 use anyhow::{Context, ensure};
 use clap::Args;
@@ -115,12 +113,9 @@ impl NavigateArgs {
         let mut targets = Targets::new(sky, fixes.to_vec());
         let mut sightings = Vec::with_capacity(seen.len());
         for one in seen {
-            let towards = match one.target {
-                Target::Nadir => Towards::Down,
-                target => Towards::Known(targets.direction(target, one.t_s).map_err(|why| {
-                    one.without(&self.vectors, "a target whose direction is known", why)
-                })?),
-            };
+            let towards = targets.towards(one.target, one.t_s).map_err(|why| {
+                one.without(&self.vectors, "a target whose direction is known", why)
+            })?;
             sightings.push(Sighting {
                 t_s: one.t_s,
                 camera: one.camera,

@@ -6,12 +6,13 @@ use csv::ByteRecord;
 use nalgebra::{UnitVector3, Vector3};
 use std::path::{Path, PathBuf};
 
-const IMU: [&str; 7] = [
+/// The columns of an IMU's table, and of that of GPS.
+pub const IMU: [&str; 7] = [
     "t_s", "fx_m_s2", "fy_m_s2", "fz_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s",
 ];
-const GPS: [&str; 7] = ["t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
+pub const GPS: [&str; 7] = ["t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
 /// A further column of GPS, which may be missing.
-const CLIMB: &str = "climb";
+pub const CLIMB: &str = "climb";
 const VECTORS: [&str; 7] = ["t_s", "camera", "target", "x", "y", "z", "sigma_rad"];
 const SUN: [&str; 4] = ["t_s", "x", "y", "z"];
 
@@ -295,9 +296,9 @@ pub fn read_gps(path: &Path, settings: &Settings) -> Result<Vec<Fix>, TableError
             position_m: table.vector(row, 1)?,
             velocity_m_s: table.vector(row, 4)?,
             climb: match table.text(row, GPS.len()) {
-                "" | "measured" => Climb::Measured,
-                "unknown" => Climb::Unknown,
-                found => return Err(table.error(CLIMB, "measured or unknown", found)),
+                "" => Climb::Measured,
+                name => Climb::named(name)
+                    .ok_or_else(|| table.error(CLIMB, "measured or unknown", name))?,
             },
         };
         newest = not_late(table, newest, fix.t_s)?;

@@ -62,6 +62,20 @@ pub enum Climb {
     Unknown,
 }
 
+impl Climb {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    pub fn named(name: &str) -> Option<Self> {
+        let both = [Self::Measured, Self::Unknown];
+        both.into_iter().find(|climb| climb.name() == name)
+    }
+}
+
 /// A direction that a camera has seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {

@@ -18,6 +18,7 @@
 pub mod aem;
 mod begin;
 mod constants;
+mod due;
 mod earth;
 mod estimate;
 pub mod files;
@@ -38,6 +39,7 @@ mod targets;
 mod transition;
 
 pub use constants::{Constant, ConstantErrors};
+pub use due::Due;
 pub use earth::gravity_m_s2;
 pub use live::{Counts, Live};
 pub use measurement::{

@@ -347,6 +347,12 @@ impl Settings {
         own_rad.hypot(self.correlated_rad[target as usize])
     }
 
+    /// From the telescope's axes - forward, right, down - to the body's: those of the first camera in flight; the same axes where none is named.
+    pub fn body_from_telescope(&self) -> Rotation3<f64> {
+        let telescope = self.camera(CAMERAS_IN_FLIGHT[0]);
+        telescope.map_or_else(Rotation3::identity, |n| self.cameras[n].body_from_camera)
+    }
+
     /// The camera of a name.
     pub fn camera(&self, name: &str) -> Option<usize> {
         self.cameras.iter().position(|camera| camera.name == name)

@@ -1,7 +1,7 @@
 //! Where Sun and Moon are, seen from the flight.
 
 use super::earth::{geodetic_up, north_east_up};
-use super::measurement::Fix;
+use super::measurement::{Fix, Towards};
 use super::settings::Target;
 use crate::pointing::{self, PointingError, target_direction};
 use crate::sky::sphere::direction;
@@ -77,6 +77,17 @@ impl Targets {
         self.fixes = vec![fix];
         let oldest = ((fix.t_s - KEPT_S) / EVERY_S) as i64;
         self.known.retain(|(_, step), _| *step >= oldest);
+    }
+
+    /// Where a target is.
+    ///
+    /// # Errors
+    /// As [`direction`](Self::direction).
+    pub fn towards(&mut self, target: Target, t_s: f64) -> Result<Towards, NoDirection> {
+        Ok(match target {
+            Target::Nadir => Towards::Down,
+            target => Towards::Known(self.direction(target, t_s)?),
+        })
     }
 
     /// The direction to Sun or Moon in ECEF.

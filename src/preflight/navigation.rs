@@ -8,9 +8,8 @@ use crate::link::{
     AnyPort, Direction, ImuPacket, LocalEnd, Packet, Parser, PortAddress, PortError,
 };
 use crate::navigation::nmea::{Nmea, TimedFix};
-use crate::navigation::{CAMERAS_IN_FLIGHT, Settings, gravity_m_s2};
-use crate::sky::sphere::direction;
-use crate::sky::sphere::separation_rad;
+use crate::navigation::{Settings, gravity_m_s2};
+use crate::sky::sphere::{direction, separation_rad};
 use jiff::Timestamp;
 use nalgebra::{Rotation3, Vector3};
 use std::time::{Duration, Instant};
@@ -304,9 +303,7 @@ fn telescope_from_body(plan: &Plan) -> Result<Rotation3<f64>, String> {
     let path = path.ok_or("navigation.settings is not set")?;
     let settings = Settings::read(path).and_then(|settings| settings.for_flight(path));
     let settings = settings.map_err(|error| error.to_string())?;
-    let camera = settings.camera(CAMERAS_IN_FLIGHT[0]);
-    let axes = camera.map(|n| settings.cameras[n].body_from_camera);
-    Ok(axes.unwrap_or_default().inverse())
+    Ok(settings.body_from_telescope().inverse())
 }
 
 fn turned(sample: ImuPacket, telescope: &Rotation3<f64>) -> ImuPacket {
@@ -329,15 +326,10 @@ fn imu_port(
     let words = |refused: Refused| refused.to_string();
     let link = &plan.config.link;
     let own = plan.config.navigation.imu_address().map_err(words)?;
-    let is_own = own.is_some();
-    let shared = link.address().map_err(words)?;
-    let address = own
-        .or(shared)
-        .ok_or("neither navigation.imu_port nor link.port is set")?;
-    let local = link.local_end().map_err(words)?;
-    let local = LocalEnd {
-        port: if is_own { 0 } else { local.port },
-        ..local
+    let (address, local) = match (own, link.address().map_err(words)?) {
+        (Some(own), _) => (own, LocalEnd::default()),
+        (None, Some(shared)) => (shared, link.local_end().map_err(words)?),
+        (None, None) => return Err("neither navigation.imu_port nor link.port is set".into()),
     };
     let baud = link.baud;
     Ok(move || address.open(baud, local))

@@ -10,7 +10,7 @@ use crate::calibrate::navigation::{Source, calibrated};
 use crate::instrument::toml_file::read_text;
 use crate::navigation::aem::Stretches;
 use crate::navigation::{
-    Flight, PropagatedOffset, Row, Settings, Spool, Status, Summary, Verdict, smooth, solve,
+    Due, Flight, PropagatedOffset, Row, Settings, Spool, Status, Summary, Verdict, smooth, solve,
 };
 use anyhow::Context;
 use clap::Args;
@@ -31,6 +31,14 @@ pub(super) struct AttitudeArgs {
     /// Write NAV.toml anew, with the biases and misalignments that the filter ended with
     #[arg(long, value_name = "OUT.toml", requires = "imu")]
     calibrated: Option<PathBuf>,
+}
+
+impl AttitudeArgs {
+    /// Which rows are wanted: all, where no rate is stated.
+    fn due(&self) -> impl FnMut(&Row) -> bool + use<> {
+        let (rate_hz, mut due) = (self.rate, Due::default());
+        move |row| rate_hz.is_none_or(|rate_hz| due.takes(row.t_s, rate_hz))
+    }
 }
 
 /// NAV.toml as it was read.
@@ -112,10 +120,10 @@ impl<'a> Attitude<'a> {
 
     /// The rows that are wanted.
     pub fn rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<Row>>> {
-        let mut due = Due::every(self.wanted.rate);
+        let mut is_due = self.wanted.due();
         let rows = self.spool.rows();
         let rows = rows.context("the attitude cannot be read again")?;
-        Ok(rows.filter(move |row| row.as_ref().map_or(true, |row| due.takes(row))))
+        Ok(rows.filter(move |row| row.as_ref().map_or(true, &mut is_due)))
     }
 
     /// Writes attitude.csv and, where they are wanted, attitude.fits and attitude.aem.
@@ -219,11 +227,11 @@ fn smooth_run(run: &Flight, spool: &mut Spool) -> Option<std::io::Result<()>> {
 /// Counts all rows, and the stretches of those that are written.
 fn look_over(spool: &mut Spool, wanted: &AttitudeArgs) -> std::io::Result<(Counts, Stretches)> {
     let (mut counts, mut stretches) = (Counts::default(), Stretches::default());
-    let mut due = Due::every(wanted.rate);
+    let mut is_due = wanted.due();
     for row in spool.rows()? {
         let row = row?;
         counts.count(&row);
-        if due.takes(&row) {
+        if is_due(&row) {
             counts.written += 1;
             stretches.note(&row);
         }
@@ -254,34 +262,5 @@ impl Counts {
             Status::Waiting => self.waiting += 1,
             Status::Restarted => self.restarted += 1,
         }
-    }
-}
-
-/// Which rows are due at a rate.
-struct Due {
-    period_s: Option<f64>,
-    /// From when on the next row is due.
-    from_s: f64,
-}
-
-impl Due {
-    /// All rows, where no rate is stated.
-    fn every(rate_hz: Option<f64>) -> Self {
-        Self {
-            period_s: rate_hz.map(f64::recip),
-            from_s: f64::NEG_INFINITY,
-        }
-    }
-
-    fn takes(&mut self, row: &Row) -> bool {
-        let Some(period_s) = self.period_s else {
-            return true;
-        };
-        // A hundredth of a period early is in time: times are rounded.
-        let is_due = row.t_s >= self.from_s - 0.01 * period_s;
-        if is_due {
-            self.from_s = (row.t_s / period_s + 0.01).floor() * period_s + period_s;
-        }
-        is_due
     }
 }

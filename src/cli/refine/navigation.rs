@@ -6,7 +6,7 @@ use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, SECOND};
 use crate::navigation::files::{read_gps_files, read_imu_runs};
 use crate::navigation::{
-    self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Row, Sighting, Target, Targets, Towards,
+    self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Row, Sighting, Target, Targets,
 };
 use crate::pointing::measured_sun_in_telescope;
 use crate::refine::{CameraFrames, Flight, Report, RollHistory, Sky};
@@ -234,10 +234,7 @@ impl Sensors<'_> {
                 target: seen.target,
                 unit: seen.direction.unit,
                 sigma_rad: settings.sigma_rad(seen.target, &seen.direction),
-                towards: match seen.target {
-                    Target::Nadir => Towards::Down,
-                    target => Towards::Known(targets.direction(target, seen.t_s)?),
-                },
+                towards: targets.towards(seen.target, seen.t_s)?,
             })
         };
         self.seen.iter().map(sighting).collect()
@@ -266,10 +263,7 @@ impl Sensors<'_> {
         sky: &Sky,
         out: &Path,
     ) -> anyhow::Result<()> {
-        let settings = &self.given.settings;
-        let telescope = settings.camera(CAMERAS_IN_FLIGHT[0]);
-        let axes = telescope.map(|n| settings.cameras[n].body_from_camera);
-        let axes = axes.unwrap_or_default();
+        let axes = self.given.settings.body_from_telescope();
         let offset = |row: &Row| {
             let towards = targets.aim(&sky.target, row.t_s).ok()?;
             navigation::offset(row, &axes, &towards).ok()?

@@ -11,7 +11,7 @@ pub(super) use inputs::{Input, Inputs, Seen};
 pub(super) use rows::{NavigationLog, NavigationRows};
 pub use tally::NavigationTally;
 
-use super::control::{Controls, Seat};
+use super::control::{Controls, Seat, Topic};
 use super::line::{LinkEvent, PropagatedEvent};
 use super::priority::Rank;
 use super::shared::Shared;
@@ -21,8 +21,8 @@ use crate::config::{self, Host};
 use crate::link::{Connection, ImuPacket, Propagated, Solution};
 use crate::navigation::nmea::TimedFix;
 use crate::navigation::{
-    CAMERAS_IN_FLIGHT, Fix, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
-    Settings, Sighting, Sky, Status, Target, Targets, Towards, offset,
+    CAMERAS_IN_FLIGHT, Due, Fix, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
+    Settings, Sighting, Sky, Status, Target, Targets, offset,
 };
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
@@ -165,8 +165,10 @@ struct Filter<'a> {
     /// The last sample, and the time of the last fix.
     last_sample: Option<ImuPacket>,
     last_fix: Option<Timestamp>,
-    /// When the next offset is due.
-    due_s: f64,
+    /// What the ground has set, and its version.
+    settings: config::Navigation,
+    version: u64,
+    due: Due,
     rows: [VecDeque<Vec<String>>; NavigationLog::ALL.len()],
     handed_on_s: f64,
     /// Directions that could not be used for want of the target's.
@@ -187,17 +189,17 @@ impl<'a> Filter<'a> {
             ephemeris: Box::new(own.ephemeris.clone()),
             epoch,
         };
-        let telescope = settings.camera(camera_name(Seat::PitchYaw));
-        let axes = telescope.map(|n| settings.cameras[n].body_from_camera);
         Self {
             own,
             live: Live::new(settings.clone(), &sees),
             targets: Targets::new(sky, Vec::new()),
             epoch,
-            body_from_telescope: axes.unwrap_or_default(),
+            body_from_telescope: settings.body_from_telescope(),
             last_sample: None,
             last_fix: None,
-            due_s: f64::NEG_INFINITY,
+            version: own.controls.version(Topic::Other),
+            settings: own.controls.config().navigation,
+            due: Due::default(),
             rows: Default::default(),
             handed_on_s: 0.0,
             unknown: 0,
@@ -230,13 +232,9 @@ impl<'a> Filter<'a> {
         if self.live.newest_s() != Some(t_s) {
             return;
         }
-        // The clock may have been set back.
-        if let Some(row) = row.filter(|row| row.t_s >= self.due_s || row.t_s < self.handed_on_s) {
-            let period_s = 1.0 / self.own.controls.config().navigation.rate_hz;
-            self.due_s = ((row.t_s / period_s + 0.01).floor() + 1.0) * period_s - 0.01 * period_s;
+        self.look_at_settings();
+        if let Some(row) = row.filter(|row| self.due.takes(row.t_s, self.settings.rate_hz)) {
             self.tell(&row, read);
-        } else if row.is_none() {
-            self.due_s = f64::NEG_INFINITY;
         }
         self.keep(NavigationLog::Imu, imu_row(sample));
         if !(0.0..ROWS_S).contains(&(t_s - self.handed_on_s)) {
@@ -298,7 +296,7 @@ impl<'a> Filter<'a> {
             return;
         };
         let t_s = self.since_epoch_s(seen.utc) - settings.cameras[camera].delay_s;
-        let towards = match self.towards(seen.target, t_s) {
+        let towards = match self.targets.towards(seen.target, t_s) {
             Ok(towards) => towards,
             // The filter has not begun yet.
             Err(NoDirection::NoFix) => return,
@@ -322,13 +320,6 @@ impl<'a> Filter<'a> {
         self.own.tally.lock().seen += 1;
     }
 
-    fn towards(&mut self, target: Target, t_s: f64) -> Result<Towards, NoDirection> {
-        Ok(match target {
-            Target::Nadir => Towards::Down,
-            target => Towards::Known(self.targets.direction(target, t_s)?),
-        })
-    }
-
     /// Tells line and archive the offset at a row.
     fn tell(&mut self, row: &Row, read: Instant) {
         let Some((utc, offset)) = self.offset(row) else {
@@ -336,9 +327,8 @@ impl<'a> Filter<'a> {
             return;
         };
         let age_s = row.t_s - self.live.seen_s();
-        let settings = self.own.controls.config().navigation;
-        self.note_offset(&offset, &settings);
-        if settings.sends(&offset) && self.own.to_line.len() < MOST_EVENTS {
+        self.note_offset(&offset);
+        if self.settings.sends(&offset) && self.own.to_line.len() < MOST_EVENTS {
             let event = PropagatedEvent {
                 propagated: propagated(&offset, utc, age_s),
                 read,
@@ -360,10 +350,18 @@ impl<'a> Filter<'a> {
         Some((self.epoch.checked_add(since).ok()?, offset))
     }
 
-    fn note_offset(&self, offset: &PropagatedOffset, settings: &config::Navigation) {
+    fn look_at_settings(&mut self) {
+        let version = self.own.controls.version(Topic::Other);
+        if version != self.version {
+            self.version = version;
+            self.settings = self.own.controls.config().navigation;
+        }
+    }
+
+    fn note_offset(&self, offset: &PropagatedOffset) {
         let mut tally = self.own.tally.lock();
         tally.offsets += 1;
-        tally.uncertain += u64::from(offset.sigma_deg > settings.max_sigma_deg());
+        tally.uncertain += u64::from(offset.sigma_deg > self.settings.max_sigma_deg());
         tally.latest = Some(*offset);
     }
 

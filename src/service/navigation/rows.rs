@@ -1,7 +1,7 @@
 //! What the archive keeps of the navigation: the sensors' words as `solaspect navigate` and `refine` read them, and the offsets by the gyros.
 
 use crate::link::ImuPacket;
-use crate::navigation::{Climb, Fix, PropagatedOffset, Status};
+use crate::navigation::{Fix, PropagatedOffset, Status, files};
 use jiff::Timestamp;
 use std::collections::VecDeque;
 
@@ -35,12 +35,8 @@ impl NavigationLog {
     /// `t_s` counts from 1970, UTC, as the sensors have said it.
     pub fn columns(self) -> Vec<&'static str> {
         match self {
-            Self::Imu => vec![
-                "t_s", "fx_m_s2", "fy_m_s2", "fz_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s",
-            ],
-            Self::Gps => vec![
-                "t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "climb",
-            ],
+            Self::Imu => files::IMU.to_vec(),
+            Self::Gps => [&files::GPS[..], &[files::CLIMB]].concat(),
             Self::Propagated => [
                 &["t_s"][..],
                 &PropagatedOffset::COLUMNS,
@@ -63,10 +59,7 @@ pub(super) fn gps_row(utc: Timestamp, fix: &Fix) -> Vec<String> {
     let mut row = vec![since_1970(utc)];
     row.extend(at.iter().map(|m| format!("{m:.3}")));
     row.extend(velocity.iter().map(|m_s| format!("{m_s:.4}")));
-    row.push(match fix.climb {
-        Climb::Measured => "measured".into(),
-        Climb::Unknown => "unknown".into(),
-    });
+    row.push(fix.climb.name().into());
     row
 }
 
