@@ -311,7 +311,7 @@ fn a_determined_rule_of_directions_is_written_and_another_is_kept() {
     let provenance = Provenance {
         name: "mounting",
         source: "a test".into(),
-        date: "2013-09-21".parse().unwrap(),
+        date: "2013-09-21".parse().ok(),
         frames: 50,
         frames_sha256: "0af3".into(),
         camera: None,

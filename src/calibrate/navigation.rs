@@ -12,8 +12,8 @@ use toml_edit::{Array, Item, Table, Value, value};
 /// What the new values rest on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
-    /// Of the flight, UTC.
-    pub date: Date,
+    /// Of the flight, UTC; none where nobody knows.
+    pub date: Option<Date>,
     /// What was done, for people.
     pub text: String,
     /// Those that the flight was read from.
@@ -68,7 +68,8 @@ pub fn calibrated(
 /// The table `[calibration]`.
 fn signature(settings: &Settings, found: &ConstantErrors, source: &Source, sha256: &str) -> Table {
     let mut table = Table::new();
-    if let Ok(date) = source.date.to_string().parse::<Value>() {
+    let date = source.date.map(|date| date.to_string().parse::<Value>());
+    if let Some(Ok(date)) = date {
         table["date"] = value(date);
     }
     table["source"] = value(&source.text);

@@ -15,13 +15,19 @@ pub struct Provenance {
     pub name: &'static str,
     /// What was done, with how many frames.
     pub source: String,
-    /// When the frames were taken.
-    pub date: Date,
+    /// When the frames were taken; none where they do not tell.
+    pub date: Option<Date>,
     pub frames: usize,
     /// Over the sorted SHA-256 of the files.
     pub frames_sha256: String,
     /// The camera's name, as the frames have it.
     pub camera: Option<String>,
+}
+
+impl Provenance {
+    fn date_value(&self) -> Option<Value> {
+        self.date?.to_string().parse().ok()
+    }
 }
 
 /// An instrument's file, open for new entries.
@@ -67,7 +73,7 @@ impl Revision {
             entry.insert("sigma", number(sigma, sigma));
         }
         entry.insert("source", provenance.source.as_str().into());
-        if let Ok(date) = provenance.date.to_string().parse::<Value>() {
+        if let Some(date) = provenance.date_value() {
             entry.insert("date", date);
         }
         self.put(key, Item::Value(Value::InlineTable(entry)));
@@ -86,7 +92,7 @@ impl Revision {
         let mut table = more;
         table["frames"] = value(provenance.frames as i64);
         table["frames_sha256"] = value(&provenance.frames_sha256);
-        if let Ok(date) = provenance.date.to_string().parse::<Value>() {
+        if let Some(date) = provenance.date_value() {
             table["date"] = value(date);
         }
         table["program"] = value(PROGRAM);
@@ -163,6 +169,13 @@ impl Revision {
         Ok(())
     }
 
+    /// A value of the text before, by its dotted key.
+    pub fn get(&self, key: &str) -> Option<&Item> {
+        let mut names = key.split('.');
+        let first = self.document.get(names.next()?);
+        names.try_fold(first?, |table, name| table.get(name))
+    }
+
     /// SHA-256 of the text before.
     pub fn sha256(&self) -> &str {
         &self.sha256
@@ -211,7 +224,7 @@ mod tests {
         let provenance = Provenance {
             name: "test",
             source: "a test".into(),
-            date: "2013-09-21".parse().unwrap(),
+            date: "2013-09-21".parse().ok(),
             frames: 3,
             frames_sha256: "0af3".into(),
             camera: None,

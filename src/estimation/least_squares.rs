@@ -3,7 +3,7 @@
 //! Residuals come in units of their stated sigmas. The loss weights them by their size over the scale; scale and weights are
 //! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
-use super::robust::{Loss, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median};
+use super::robust::{Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median};
 use crate::units::Measured;
 use nalgebra::{SMatrix, SVector};
 
@@ -40,7 +40,7 @@ pub enum Scale {
     Stated,
     /// To the weighted rms of the residuals; never below 1.
     Inflated,
-    /// To what the median of the residuals' lengths in one axis says: stated sigmas are relative.
+    /// To what the median of the residuals' lengths says, in one axis or in two: stated sigmas are relative.
     Median,
 }
 
@@ -222,8 +222,12 @@ impl Scale {
             }
             Self::Median => {
                 let count = rows.len() as f64;
+                let sigma_per_median = match D {
+                    1 => SIGMA_PER_MEDIAN,
+                    _ => 1.0 / MEDIAN_LENGTH_2D,
+                };
                 let middle = median(sizes).unwrap_or_default();
-                SIGMA_PER_MEDIAN * middle * (count / freedom(count)).sqrt()
+                sigma_per_median * middle * (count / freedom(count)).sqrt()
             }
         }
     }

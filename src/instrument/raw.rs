@@ -12,14 +12,15 @@ use std::path::Path;
 mod sensor;
 use sensor::{RawNoise, RawThermal, RawVignetting};
 
-/// A number with what is known of it. Source and date are for people; the program keeps value and sigma.
+/// A number with what is known of it. Source and date are for people; the program keeps value and sigma. A calibration from
+/// frames without times has no date.
 #[derive(Deserialize)]
 struct Entry<T> {
     value: T,
     #[serde(default)]
     sigma: f64,
     source: String,
-    date: toml::value::Datetime,
+    date: Option<toml::value::Datetime>,
 }
 
 #[derive(Deserialize)]
@@ -49,11 +50,15 @@ struct RawCalibration {
     _frames: usize,
     #[serde(default, rename = "poses")]
     _poses: Option<usize>,
+    /// Marks that were lit and never read: ids.
+    #[serde(default, rename = "suspect_marks")]
+    _suspect_marks: Vec<[i32; 2]>,
     /// Over the sorted SHA-256 of the files.
     #[serde(rename = "frames_sha256")]
     _frames_sha256: String,
-    #[serde(rename = "date")]
-    _date: toml::value::Datetime,
+    /// Of the last frame.
+    #[serde(default, rename = "date")]
+    _date: Option<toml::value::Datetime>,
     #[serde(rename = "program")]
     _program: String,
     #[serde(default, rename = "commit")]
@@ -379,8 +384,8 @@ impl Checker<'_> {
                 "nothing",
             ));
         }
-        if entry.date.date.is_none() {
-            return Err(self.error(&format!("{field}.date"), "a date", entry.date.to_string()));
+        if let Some(time) = entry.date.filter(|date| date.date.is_none()) {
+            return Err(self.error(&format!("{field}.date"), "a date", time.to_string()));
         }
         Ok(())
     }

@@ -134,6 +134,16 @@ impl Plate {
         self.sigmas_mil[id.index()]
     }
 
+    /// Whether a mark was measured: it is not where the drawing has it, or known otherwise than the drawing.
+    pub fn is_measured(&self, id: MarkId) -> bool {
+        self.position(id) != drawn_position(id) || self.sigma_mil(id) != [self.drawing_sigma_mil; 2]
+    }
+
+    /// The plate as it was drawn, nothing of it measured.
+    pub fn as_drawn(&self) -> Self {
+        Self::drawn(self.cross, self.drawing_sigma_mil)
+    }
+
     /// By how much the variance of a mark's position exceeds that of the plate's best known mark, mil^2 per axis: nothing on
     /// a plate of which all marks are known alike.
     pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {

@@ -52,6 +52,19 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     assert!(rounded.abs() < 0.1 * fit.distortion_sigma[0]);
     assert!(written.contains("frames_sha256"));
 
+    // What a few frames more do not show stays as the file has it.
+    let few = calibrate(&given[..1], &read).unwrap();
+    assert!(few.fit.marks.len() < fit.marks.len());
+    let mut revision = Revision::of(&path, &written).unwrap();
+    few.revise(&mut revision, &read);
+    let (_, renewed) = revision.finish().unwrap();
+    for mark in &fit.marks {
+        assert!(renewed.plate.is_measured(mark.id), "{}", mark.id);
+        let seen_again = few.fit.marks.iter().any(|other| other.id == mark.id);
+        let same = renewed.plate.position(mark.id) == read.plate.position(mark.id);
+        assert!(seen_again || same, "{}", mark.id);
+    }
+
     // The same files give the same text, in whatever order the folders come.
     let mut turned = given.clone();
     turned.reverse();
@@ -210,4 +223,40 @@ fn a_frame_of_the_lit_plate_measures_all_marks_at_once() {
     let (rms, honest) = errors(&seen_often(&calibration, 3), &truth);
     assert!(rms < 0.15, "{rms} mil");
     assert!((0.7..1.4).contains(&honest), "{honest}");
+
+    // Nobody knows when these frames were taken: the file does not say.
+    let mut revision = Revision::of(Path::new("demo"), builtin_text("demo").unwrap()).unwrap();
+    calibration.revise(&mut revision, &builtin("demo").unwrap());
+    let (written, _) = revision.finish().unwrap();
+    let written: toml_edit::DocumentMut = written.parse().unwrap();
+    assert!(written["calibration"]["plate"].get("date").is_none());
+    assert!(written["mounting"]["plate_centre_px"].get("date").is_none());
+}
+
+#[test]
+fn marks_that_are_lit_and_never_read_are_listed_as_suspect() {
+    let (folder, mut truth) = (tempfile::tempdir().unwrap(), truth(1.0, 0.0, 14));
+    let displaced = [(0, 0), (1, -1), (-2, 1), (2, 2)].map(|(i, j)| MarkId { i, j });
+    for id in displaced {
+        let at = truth.plate.position(id);
+        let moved = PlateMil::new(at.x + 45.0, at.y - 10.0);
+        truth.plate.set(id, moved, [0.01; 2]);
+    }
+    let given: Vec<PathBuf> = (0..2)
+        .map(|pose| pose_folder(folder.path(), pose, 20, &truth, near, |_, _| ()))
+        .collect();
+    let start = builtin("demo").unwrap();
+    let calibration = calibrate(&given, &start).unwrap();
+    let suspects: Vec<MarkId> = calibration.suspects.iter().map(|mark| mark.id).collect();
+    let mut expected = displaced.to_vec();
+    expected.sort();
+    assert_eq!(suspects, expected);
+    assert!(plate::summary(&calibration).contains("suspect    (0, 0) lit in"));
+    let mut revision = Revision::of(Path::new("demo"), builtin_text("demo").unwrap()).unwrap();
+    calibration.revise(&mut revision, &start);
+    let (written, _) = revision.finish().unwrap();
+    assert!(
+        written.contains("suspect_marks = [[-2, 1], [0, 0], "),
+        "{written}"
+    );
 }

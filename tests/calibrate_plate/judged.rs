@@ -8,8 +8,29 @@ use solaspect::units::SensorPx;
 
 /// Root mean square error per axis (mil) and error over sigma, the common shift, rotation and scale removed.
 pub fn errors(marks: &[&MeasuredMark], truth: &Instrument) -> (f64, f64) {
+    let axes = 2.0 * marks.len() as f64;
+    let left = own_errors(marks, truth);
+    let squares: f64 = left.iter().map(|error| error.norm_squared()).sum();
+    let normalised: f64 = sigmas_off(marks, &left).map(|sigmas| sigmas.powi(2)).sum();
+    ((squares / axes).sqrt(), (normalised / axes).sqrt())
+}
+
+/// The largest error of a mark in an axis over its sigma, the common shift, rotation and scale removed.
+pub fn worst(marks: &[&MeasuredMark], truth: &Instrument) -> f64 {
+    let left = own_errors(marks, truth);
+    sigmas_off(marks, &left).fold(0.0, |worst, sigmas| worst.max(sigmas.abs()))
+}
+
+/// Errors in both axes over their sigmas.
+fn sigmas_off(marks: &[&MeasuredMark], errors: &[Vector2<f64>]) -> impl Iterator<Item = f64> {
+    let pairs = marks.iter().zip(errors);
+    pairs.flat_map(|(mark, error)| [error.x / mark.sigma_mil[0], error.y / mark.sigma_mil[1]])
+}
+
+/// The error of each mark, mil, without what all have in common.
+fn own_errors(marks: &[&MeasuredMark], truth: &Instrument) -> Vec<Vector2<f64>> {
     let n = marks.len() as f64;
-    let middle: Vector2<f64> = marks
+    let middle = marks
         .iter()
         .map(|m| m.position.vector())
         .sum::<Vector2<f64>>()
@@ -24,18 +45,12 @@ pub fn errors(marks: &[&MeasuredMark], truth: &Instrument) -> (f64, f64) {
         turn += from.x * e.y - from.y * e.x;
     }
     let (scale, turn) = (scale / size, turn / size);
-    let (mut squares, mut normalised) = (0.0, 0.0);
-    for mark in marks {
+    let left = marks.iter().map(|mark| {
         let from = mark.position.vector() - middle;
         let across = Vector2::new(-from.y, from.x);
-        let left = error(mark) - shift - from * scale - across * turn;
-        squares += left.norm_squared();
-        normalised += (left.x / mark.sigma_mil[0]).powi(2) + (left.y / mark.sigma_mil[1]).powi(2);
-    }
-    (
-        (squares / (2.0 * n)).sqrt(),
-        (normalised / (2.0 * n)).sqrt(),
-    )
+        error(mark) - shift - from * scale - across * turn
+    });
+    left.collect()
 }
 
 pub fn seen_often(calibration: &Calibration, least: usize) -> Vec<&MeasuredMark> {

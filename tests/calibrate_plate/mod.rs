@@ -7,3 +7,4 @@ mod observations;
 mod poses;
 mod refusals;
 mod scenes;
+mod slips;

@@ -56,7 +56,7 @@ fn a_plate_as_drawn_behind_a_straight_lens_is_found_to_be_so() {
 fn a_plate_far_worse_than_its_drawing_states_bends_neither_views_nor_sigmas() {
     let truth = truth(5.0, K1, 8);
     let fit = fit(&sun_frames(&truth, (200, 4), 0.0, 9), 4);
-    assert!((3.5..6.5).contains(&fit.drawing_factor));
+    assert!((3.5..6.5).contains(&fit.prior_factor));
     assert_eq!(fit.choice.kind.name(), "similarity");
     let (rms, honest) = judged(&fit, &truth);
     assert!(rms < 0.15 && (0.7..1.3).contains(&honest), "{rms} {honest}");

@@ -1,7 +1,7 @@
 //! One adjustment of all marks, the lens and every view: Gauss-Newton on normal equations.
 //!
-//! Within a pose camera and plate are one rigid body, so every observation of a mark in a pose is of the same place: the
-//! observations of a mark in a pose are one [`Cell`], their weighted mean, and the work does not grow with the frames.
+//! Within a pose camera and plate are one rigid body, which may drift evenly, so that the observations of a mark in a pose are one
+//! [`Cell`], their weighted mean at its mean time, and the work does not grow with the frames.
 //!
 //! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
 //! measured marks from the drawing have none in common.
@@ -18,6 +18,8 @@ pub(super) struct Cell {
     pub mark: usize,
     /// Their weighted mean, px.
     pub seen: Vector2<f64>,
+    /// When, on the weighted mean; see [`State::drift_px`].
+    pub time: f64,
     /// Inverse of the mean's covariance, px^-2.
     pub weight: Matrix2<f64>,
 }
@@ -25,8 +27,9 @@ pub(super) struct Cell {
 /// A mark before it is measured.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MarkPrior {
-    pub printed: PlateMil,
-    pub sigma_mil: f64,
+    pub place: PlateMil,
+    /// 1 sigma per axis.
+    pub sigma_mil: [f64; 2],
     /// Whether any observation counts; the others take no part in the gauge.
     pub measured: bool,
 }
@@ -37,14 +40,18 @@ pub(super) struct Freedoms {
     pub view: MappingKind,
     pub lens: [bool; LENS],
     pub marks: bool,
+    pub drift: bool,
 }
 
-/// The unknowns. In vectors and matrices: the lens terms, x and y of every mark, the parameters of every view.
+/// The unknowns. In vectors and matrices: the lens terms, x and y of every mark, the parameters of every view, the drifts.
 #[derive(Debug, Clone)]
 pub(super) struct State {
     pub views: Vec<View>,
     pub lens: Lens,
     pub places: Vec<PlateMil>,
+    /// How far the plate's picture moves in half of each pose's duration. Times within a pose count from -1 at its first frame to 1 at
+    /// its last.
+    pub drift_px: Vec<Vector2<f64>>,
 }
 
 /// Index of a mark's x among the unknowns.
@@ -62,6 +69,20 @@ impl State {
         mark_index(self.places.len()) + PARAMETERS * pose
     }
 
+    /// Index of a drift's x among the unknowns.
+    fn drift_index(&self, pose: usize) -> usize {
+        self.view_index(self.views.len()) + 2 * pose
+    }
+
+    fn unknowns(&self) -> usize {
+        self.drift_index(self.views.len())
+    }
+
+    /// How far a pose has drifted at a time within it, px.
+    pub(super) fn drifted(&self, pose: usize, time: f64) -> Vector2<f64> {
+        self.drift_px[pose] * time
+    }
+
     fn advance(&mut self, step: &DVector<f64>) {
         self.lens.terms += step.fixed_rows::<LENS>(0);
         for (mark, place) in self.places.iter_mut().enumerate() {
@@ -71,6 +92,10 @@ impl State {
         for (pose, view) in self.views.iter_mut().enumerate() {
             let step = step.fixed_rows::<PARAMETERS>(first + PARAMETERS * pose);
             *view = view.advanced(&step.into_owned());
+        }
+        let first = self.drift_index(0);
+        for (pose, drift_px) in self.drift_px.iter_mut().enumerate() {
+            *drift_px += step.fixed_rows::<2>(first + 2 * pose);
         }
     }
 }
@@ -114,6 +139,10 @@ impl Settled {
     pub(super) fn view_covariance(&self, pose: usize) -> ParameterCovariance {
         self.block(self.state.view_index(pose))
     }
+
+    pub(super) fn drift_covariance(&self, pose: usize) -> Matrix2<f64> {
+        self.block(self.state.drift_index(pose))
+    }
 }
 
 /// A prior of one unknown: how far it is from its expectation, with 1 sigma.
@@ -128,6 +157,8 @@ const STEPS: usize = 15;
 const SETTLED_STEP: f64 = 1e-6;
 /// Holds what the gauge forbids, against any information from observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
+/// What a camera may drift in half of a pose's duration, 1 sigma per axis.
+const DRIFT_PRIOR_PX: f64 = 1.0;
 
 impl Problem<'_> {
     /// Adjusts from a start. `None` where observations and priors together do not determine the unknowns.
@@ -139,8 +170,11 @@ impl Problem<'_> {
         for n in (0..LENS).filter(|n| !self.freedoms.lens[*n]) {
             state.lens.terms[n] = 0.0;
         }
+        if !self.freedoms.drift {
+            state.drift_px.fill(Vector2::zeros());
+        }
         let free = self.free(&state);
-        let unknowns = state.view_index(state.views.len());
+        let unknowns = state.unknowns();
         for _ in 0..STEPS {
             let (information, gradient) = self.normal(&state, &free);
             let of_free = information.cholesky()?.solve(&gradient);
@@ -178,26 +212,30 @@ impl Problem<'_> {
         let lens = (0..LENS).filter(|n| self.freedoms.lens[*n]);
         let marks = (LENS..state.view_index(0)).filter(|_| self.freedoms.marks);
         let poses = (0..self.cells.len()).filter(|pose| !self.cells[*pose].is_empty());
-        let views = poses.flat_map(|pose| {
+        let views = poses.clone().flat_map(|pose| {
             let free = (state.view_index(pose)..).zip(parameters_of(self.freedoms.view));
             free.filter(|(_, free)| *free).map(|(n, _)| n)
         });
-        lens.chain(marks).chain(views).collect()
+        let drifting = poses.filter(|_| self.freedoms.drift);
+        let drifts = drifting.flat_map(|pose| [0, 1].map(|axis| state.drift_index(pose) + axis));
+        lens.chain(marks).chain(views).chain(drifts).collect()
     }
 
     /// The normal equations of the free unknowns: information and gradient.
     fn normal(&self, state: &State, free: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
-        let unknowns = state.view_index(state.views.len());
+        let unknowns = state.unknowns();
         let mut information = DMatrix::zeros(unknowns, unknowns);
         let mut gradient = DVector::zeros(unknowns);
         for (pose, cells) in self.cells.iter().enumerate() {
             for cell in cells {
                 let p = state.predict(pose, cell.mark);
-                let residual = cell.seen - p.seen;
+                let residual = cell.seen - p.seen - state.drifted(pose, cell.time);
+                let of_drift = Matrix2::identity() * cell.time;
                 let lens = p.lens.column_iter().enumerate();
                 let place = (mark_index(cell.mark)..).zip(p.place.column_iter());
                 let view = (state.view_index(pose)..).zip(p.view.column_iter());
-                let slopes: Vec<_> = lens.chain(place).chain(view).collect();
+                let drift = (state.drift_index(pose)..).zip(of_drift.column_iter());
+                let slopes: Vec<_> = lens.chain(place).chain(view).chain(drift).collect();
                 for (a, slope) in &slopes {
                     let weighted = cell.weight * slope;
                     gradient[*a] += weighted.dot(&residual);
@@ -224,7 +262,7 @@ impl Problem<'_> {
         (of_free, gradient.select_rows(free))
     }
 
-    /// Of the lens terms, the marks and the views, in this order.
+    /// Of the lens terms, the marks, the views and the drifts, in this order.
     fn priors(&self, state: &State) -> Vec<Prior> {
         let lens = (0..LENS).map(|n| Prior {
             unknown: n,
@@ -232,11 +270,11 @@ impl Problem<'_> {
             sigma: self.lens_sigma_px,
         });
         let marks = self.marks.iter().enumerate().flat_map(|(mark, prior)| {
-            let off = state.places[mark].vector() - prior.printed.vector();
+            let off = state.places[mark].vector() - prior.place.vector();
             [0, 1].map(|axis| Prior {
                 unknown: mark_index(mark) + axis,
                 off: off[axis],
-                sigma: prior.sigma_mil,
+                sigma: prior.sigma_mil[axis],
             })
         });
         let views = state.views.iter().enumerate().flat_map(|(pose, view)| {
@@ -249,16 +287,26 @@ impl Problem<'_> {
                 })
             })
         });
-        lens.chain(marks).chain(views).collect()
+        let drifts = state.drift_px.iter().enumerate().flat_map(|(pose, drift)| {
+            [0, 1].map(|axis| Prior {
+                unknown: state.drift_index(pose) + axis,
+                off: drift[axis],
+                sigma: DRIFT_PRIOR_PX,
+            })
+        });
+        lens.chain(marks).chain(views).chain(drifts).collect()
     }
 
-    /// What the displacements of the measured marks must not have in common: shift in x and y, rotation, scale. Each is a
-    /// unit vector over the unknowns, with how much of it the displacements have.
+    /// What the displacements of the measured marks from their priors must not have in common: shift in x and y, rotation, scale.
+    /// Marks count by what the priors know of them, so that those which were measured before keep their place beside those
+    /// which were only drawn. Each is a unit vector over the unknowns, with how much of it the displacements have.
     fn gauge(&self, state: &State) -> Vec<(Vec<(usize, f64)>, f64)> {
         let measured = || self.marks.iter().enumerate().filter(|(_, m)| m.measured);
-        let count = measured().count().max(1) as f64;
-        let sum: Vector2<f64> = measured().map(|(_, m)| m.printed.vector()).sum();
-        let middle = sum / count;
+        let weight =
+            |m: &MarkPrior| 2.0 / m.sigma_mil.map(|sigma| sigma.powi(2)).iter().sum::<f64>();
+        let weights: f64 = measured().map(|(_, m)| weight(m)).sum();
+        let sum: Vector2<f64> = measured().map(|(_, m)| m.place.vector() * weight(m)).sum();
+        let middle = sum / weights.max(f64::MIN_POSITIVE);
         let moves: [fn(Vector2<f64>) -> Vector2<f64>; 4] = [
             |_| Vector2::x(),
             |_| Vector2::y(),
@@ -266,11 +314,12 @@ impl Problem<'_> {
             |from_middle| from_middle,
         ];
         let row = |motion: fn(Vector2<f64>) -> Vector2<f64>| {
-            let along = measured().map(|(n, m)| (n, m, motion(m.printed.vector() - middle)));
+            let along =
+                measured().map(|(n, m)| (n, m, motion(m.place.vector() - middle) * weight(m)));
             let norm = along.clone().map(|(.., v)| v.norm_squared()).sum::<f64>();
             let unit = along.map(|(n, m, v)| (n, m, v / norm.sqrt().max(1e-12)));
             let off = unit.clone().map(|(n, m, v)| {
-                let displacement = state.places[n].vector() - m.printed.vector();
+                let displacement = state.places[n].vector() - m.place.vector();
                 v.dot(&displacement)
             });
             let off: f64 = off.sum();
@@ -283,9 +332,11 @@ impl Problem<'_> {
     /// Each parameter counts by the part of its prior variance that the observations took away, those of a view in full.
     fn determined(&self, state: &State, priors: &[Prior], covariance: &DMatrix<f64>) -> f64 {
         let views = (self.freedoms.view.parameters() * state.views.len()) as f64;
-        let is_free = |n: usize| match n < LENS {
-            true => self.freedoms.lens[n],
-            false => self.freedoms.marks && n < state.view_index(0),
+        let is_free = |n: usize| match n {
+            lens if lens < LENS => self.freedoms.lens[lens],
+            mark if mark < state.view_index(0) => self.freedoms.marks,
+            view if view < state.drift_index(0) => false,
+            _ => self.freedoms.drift,
         };
         let common = priors.iter().filter(|prior| is_free(prior.unknown));
         let part = |prior: &Prior| {

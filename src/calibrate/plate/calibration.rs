@@ -5,12 +5,13 @@ use super::measure::{self, Folder, measure};
 use super::observation::{FrameObservation, take_blurred};
 use super::poses::{self, Pose, Posed};
 use super::refusal::Refusal;
+use super::suspects::{SuspectMark, suspects};
 use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
 use rayon::prelude::*;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A plate calibration: the fit and what it rests on.
 #[derive(Debug, Clone)]
@@ -21,7 +22,9 @@ pub struct Calibration {
     pub read_later: usize,
     pub fit: PlateFit,
     pub rejected: Vec<RejectedFrame>,
-    /// SHA-256 over the sorted SHA-256 of all files read, hexadecimal: whatever their names and order.
+    /// Marks that were lit and not read.
+    pub suspects: Vec<SuspectMark>,
+    /// Of the files that were given; see [`frames_sha256`].
     pub frames_sha256: String,
     /// When the last frame was taken.
     pub last: Option<Timestamp>,
@@ -31,6 +34,23 @@ pub struct Calibration {
     pub mounted_pose: usize,
     /// The sensor's middle.
     pub middle_px: SensorPx,
+}
+
+/// SHA-256 over the sorted SHA-256 of all files among frames and folders, hexadecimal: whatever their names and order.
+///
+/// # Errors
+/// A path that cannot be read, a folder without frames.
+pub fn frames_sha256(given: &[PathBuf]) -> Result<String, Refusal> {
+    Ok(sha256_of(&folders(given)?))
+}
+
+fn folders(given: &[PathBuf]) -> Result<Vec<Folder>, Refusal> {
+    Ok(measure::folders(list(given, Depth::Nearest)?))
+}
+
+fn sha256_of(folders: &[Folder]) -> String {
+    let files: Vec<&PathBuf> = folders.iter().flat_map(|folder| &folder.files).collect();
+    sha256(&files)
 }
 
 /// Calibrates plate, lens and poses from frames and folders; `begin` is called with the number of files, `each` after every
@@ -47,7 +67,7 @@ pub fn calibrate(
 ) -> Result<Calibration, Refusal> {
     /// Later passes over the rejected frames: each uses the plate as the one before measured it.
     const LATER_PASSES: usize = 3;
-    let folders = measure::folders(list(given, Depth::Nearest)?);
+    let folders = folders(given)?;
     begin(folders.iter().map(|folder| folder.files.len()).sum());
     let mut observations = measure(&folders, start, each);
     let mut blurred = take_blurred(&mut observations.frames);
@@ -55,8 +75,7 @@ pub fn calibrate(
     observations.check_coverage(start)?;
     let camera = observations.camera();
     let (mut frames, mut unread) = (observations.frames, observations.rejected);
-    let mut posed = poses::find(&folders, &frames, &start.plate)?;
-    let mut fit = settle(&mut posed, start)?;
+    let (mut posed, mut fit) = settle(&folders, &frames, start)?;
     let mut read_later = 0;
     for _ in 0..LATER_PASSES {
         let mut read = identify_again(&unread, &folders, (&posed, &fit), start);
@@ -67,19 +86,18 @@ pub fn calibrate(
         read_later += read.len();
         frames.append(&mut read);
         blurred.extend(take_blurred(&mut frames));
-        posed = poses::find(&folders, &frames, &start.plate)?;
-        fit = settle(&mut posed, start)?;
+        (posed, fit) = settle(&folders, &frames, start)?;
     }
     check_scales(&posed.poses, &fit)?;
     let mut rejected = [blurred, unread, posed.rejected, fit.rejected.clone()].concat();
     rejected.sort_by(|a, b| a.file.cmp(&b.file));
-    let files: Vec<_> = observations.files.iter().map(|facts| &facts.file).collect();
     Ok(Calibration {
         last: posed.frames.iter().filter_map(|frame| frame.utc).max(),
         camera,
         mounted_pose: mounted_pose(&fit, start),
         middle_px: start.camera.middle_px(),
-        frames_sha256: sha256(&files),
+        suspects: suspects(&posed.frames, &fit, start),
+        frames_sha256: sha256_of(&folders),
         poses: posed.poses,
         frames: posed.frames,
         read_later,
@@ -88,14 +106,42 @@ pub fn calibrate(
     })
 }
 
-/// Fits, without the poses of which most frames contradict the others.
-fn settle(posed: &mut Posed, start: &Instrument) -> Result<PlateFit, Refusal> {
+/// Finds the poses and fits, without the poses of which most frames contradict the others. The frames come with the index of their
+/// folder in the place of the pose.
+fn settle(
+    folders: &[Folder],
+    frames: &[FrameObservation],
+    start: &Instrument,
+) -> Result<(Posed, PlateFit), Refusal> {
+    let mut posed = poses::find(folders, frames, &start.plate)?;
     loop {
         let fit = fit(&posed.frames, posed.poses.len(), start).ok_or(Refusal::Undetermined)?;
         if posed.reject(&fit)? == 0 {
-            return Ok(fit);
+            return Ok((posed, fit));
         }
     }
+}
+
+/// What [`calibrate`] makes of frames of one folder that are read: their poses and the fit.
+///
+/// # Errors
+/// As [`calibrate`].
+pub fn fit_folder(
+    path: &Path,
+    frames: &[FrameObservation],
+    start: &Instrument,
+) -> Result<(Vec<Pose>, PlateFit), Refusal> {
+    let folder = Folder {
+        path: path.into(),
+        files: Vec::new(),
+    };
+    let of_folder = |frame: &FrameObservation| FrameObservation {
+        pose: 0,
+        ..frame.clone()
+    };
+    let frames: Vec<_> = frames.iter().map(of_folder).collect();
+    let (posed, fit) = settle(&[folder], &frames, start)?;
+    Ok((posed.poses, fit))
 }
 
 /// A later pass over rejected frames: with the plate, the lens and the pose as found so far, marks can be identified for which

@@ -1,4 +1,4 @@
-//! The simplest lens and views that the observations support.
+//! The simplest lens, views and drifts that the observations support.
 
 use super::adjust::{Freedoms, Settled, State};
 use super::camera::LENS;
@@ -10,18 +10,20 @@ pub(super) const RICHEST: Freedoms = Freedoms {
     view: MappingKind::Homography,
     lens: [true; LENS],
     marks: true,
+    drift: true,
 };
 /// Groups of lens terms in the order in which they are tried: radial r^2, decentring, radial r^4.
 const LENS_STEPS: [&[usize]; 3] = [&[0], &[2, 3], &[1]];
 /// Least gain in chi^2 for each added parameter, whatever the number of observations.
 const LEAST_GAIN: f64 = 9.0;
 
-/// Which views and lens terms were chosen.
+/// Which views and lens terms were chosen, and whether the camera drifts within a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Choice {
     pub kind: MappingKind,
     /// Radial r^2, radial r^4, decentring.
     pub lens: [bool; LENS],
+    pub drift: bool,
 }
 
 impl Choice {
@@ -30,6 +32,7 @@ impl Choice {
             view: self.kind,
             lens: self.lens,
             marks: true,
+            drift: self.drift,
         }
     }
 }
@@ -47,11 +50,13 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
     };
     let parameters = |choice: Choice| {
         let terms = choice.lens.iter().filter(|free| **free).count();
-        choice.kind.parameters() * bundle.poses + terms
+        let drift = if choice.drift { 2 } else { 0 };
+        (choice.kind.parameters() + drift) * bundle.poses + terms
     };
     let mut best = fit(Choice {
         kind: MappingKind::Similarity,
         lens: RICHEST.lens,
+        drift: RICHEST.drift,
     })?;
     for kind in [MappingKind::Keystone, MappingKind::Homography] {
         let richer = fit(Choice { kind, ..best.0 });
@@ -66,6 +71,11 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
         terms.iter().for_each(|n| choice.lens[*n] = true);
         best = better(best, fit(choice), least_gain, parameters);
     }
+    let at_rest = fit(Choice {
+        drift: false,
+        ..best.0
+    })?;
+    best = better(at_rest, Some(best), least_gain, parameters);
     Some((best.0, best.1))
 }
 

@@ -9,8 +9,9 @@ use crate::calibrate::frames::RejectedFrame;
 use crate::geometry::view::{ParameterCovariance, UNIT_MIL, View};
 use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::instrument::Instrument;
-use crate::plate::{MarkId, drawn_position};
+use crate::plate::MarkId;
 use crate::units::{Measured, PlateMil, SensorPx};
+use jiff::Timestamp;
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -34,6 +35,8 @@ pub struct PoseFit {
     pub plate_centre_sigma_px: f64,
     pub scale_mil_per_px: Measured,
     pub rotation_deg: Measured,
+    /// How fast the plate's picture drifts along x and y; none where the camera rests, as far as the frames tell.
+    pub drift_px_per_h: Option<[Measured; 2]>,
     pub frames: usize,
 }
 
@@ -46,7 +49,7 @@ pub struct Residual {
     pub at: SensorPx,
     /// Observed less predicted.
     pub residual_px: Vector2<f64>,
-    /// The same with the marks where they were drawn, no distortion and similarities alone.
+    /// The same with the marks where the start has them, no distortion and similarities alone.
     pub before_px: Vector2<f64>,
     /// 1 sigma of it as stated by the frame, per axis.
     pub stated_px: f64,
@@ -86,8 +89,8 @@ pub struct PlateFit {
     pub sigma_factor: f64,
     /// Root mean square of the kept residuals, px per axis.
     pub residual_px: f64,
-    /// Inflation of the drawing's sigma to how far the marks were found from the drawing.
-    pub drawing_factor: f64,
+    /// Inflation of the marks' sigmas before they were measured to how far they were found from where they were expected.
+    pub prior_factor: f64,
     /// Frames that do not agree with the others.
     pub rejected: Vec<RejectedFrame>,
 }
@@ -96,16 +99,22 @@ pub struct PlateFit {
 pub const LENS_PRIOR_PX: f64 = 5.0;
 
 /// Nothing of the plate or the lens measured.
-const AS_DRAWN: Freedoms = Freedoms {
+const AS_STATED: Freedoms = Freedoms {
     view: MappingKind::Similarity,
     lens: [false; LENS],
     marks: false,
+    drift: false,
 };
 
 impl PlateFit {
     /// The residuals of the observations that count.
     pub fn kept(&self) -> impl Iterator<Item = &Residual> {
         self.residuals.iter().filter(|r| r.weight > 0.0)
+    }
+
+    /// Which part of the observations does not count.
+    pub fn dropped_share(&self) -> f64 {
+        1.0 - self.kept().count() as f64 / self.residuals.len().max(1) as f64
     }
 }
 
@@ -114,22 +123,22 @@ pub fn fit(frames: &[FrameObservation], poses: usize, start: &Instrument) -> Opt
     let (mut bundle, ids, mut rejected, first) = gather(frames, poses, start)?;
     let by_drawing = bundle.by_drawing(&first, RICHEST)?;
     let rich = bundle.in_full(&by_drawing, RICHEST)?;
-    let drawing_factor = bundle.inflate_drawing_sigma(&rich);
+    let prior_factor = bundle.inflate_priors(&rich);
     let (choice, chosen) = choose(&bundle, &rich.state)?;
     let settled = bundle.in_full(&chosen.state, choice.freedoms())?;
     rejected.extend(disagreeing(frames, &bundle));
-    let before = bundle.settle(&first, AS_DRAWN)?.state;
+    let before = bundle.settle(&first, AS_STATED)?.state;
     let residuals = residuals(&bundle, &settled, &before, &ids);
     Some(PlateFit {
         marks: marks(&bundle, &settled, &ids),
         distortion: settled.state.lens.distortion(),
         distortion_sigma: lens_sigmas(&settled),
         separation: separation(&bundle, &settled, choice.freedoms()),
-        poses: pose_fits(&bundle, &settled, choice)?,
+        poses: pose_fits(&bundle, &settled, choice, frames)?,
         sigma_factor: bundle.variance_factor.sqrt(),
         residual_px: rms_px(&residuals),
         residuals,
-        drawing_factor,
+        prior_factor,
         choice,
         rejected,
     })
@@ -159,20 +168,24 @@ fn gather(
         .values_mut()
         .enumerate()
         .for_each(|(n, slot)| *slot = n);
+    let spans: Vec<Option<Span>> = (0..poses).map(|pose| Span::of(frames, pose)).collect();
     let observe = |n: usize| {
         let (pose, index) = (frames[n].pose, &index);
+        let span = spans[pose].zip(frames[n].utc);
+        let time = span.map_or(0.0, |(span, utc)| span.time(utc));
         frames[n].marks.iter().map(move |mark| Observation {
             frame: n,
             pose,
             mark: index[&mark.id],
             seen: mark.at.vector(),
+            time,
             covariance_px2: mark.covariance_px2,
             weight: 1.0,
         })
     };
     let prior = |id: &MarkId| MarkPrior {
-        printed: drawn_position(*id),
-        sigma_mil: start.plate.drawing_sigma_mil(),
+        place: start.plate.position(*id),
+        sigma_mil: start.plate.sigma_mil(*id),
         measured: true,
     };
     let bundle = Bundle {
@@ -186,9 +199,33 @@ fn gather(
     let state = State {
         views,
         lens: start_lens(start),
-        places: bundle.marks.iter().map(|m| m.printed).collect(),
+        places: bundle.marks.iter().map(|m| m.place).collect(),
+        drift_px: vec![Vector2::zeros(); poses],
     };
     Some((bundle, index.into_keys().collect(), rejected, state))
+}
+
+/// When the frames of a pose were taken.
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    first: Timestamp,
+    half_h: f64,
+}
+
+impl Span {
+    /// `None` where not all tell their times, or all were taken at once.
+    fn of(frames: &[FrameObservation], pose: usize) -> Option<Self> {
+        let of_pose = frames.iter().filter(|frame| frame.pose == pose);
+        let times: Vec<Timestamp> = of_pose.map(|frame| frame.utc).collect::<Option<_>>()?;
+        let (first, last) = (*times.iter().min()?, *times.iter().max()?);
+        let half_h = last.duration_since(first).as_secs_f64() / 7200.0;
+        (half_h > 0.0).then_some(Self { first, half_h })
+    }
+
+    /// From -1 at the first frame to 1 at the last.
+    fn time(&self, utc: Timestamp) -> f64 {
+        utc.duration_since(self.first).as_secs_f64() / 3600.0 / self.half_h - 1.0
+    }
 }
 
 /// The start's lens about its own centre, else about the sensor's.
@@ -254,7 +291,7 @@ fn separation(bundle: &Bundle, settled: &Settled, mut freedoms: Freedoms) -> Sep
         settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s))
     };
     let mut loose = bundle.clone();
-    loose.marks.iter_mut().for_each(|m| m.sigma_mil *= LOOSER);
+    loose.widen_priors(LOOSER);
     loose.lens_sigma_px *= LOOSER;
     Separation {
         lens_sigma_px: sigma_px(bundle),
@@ -262,11 +299,24 @@ fn separation(bundle: &Bundle, settled: &Settled, mut freedoms: Freedoms) -> Sep
     }
 }
 
-fn pose_fits(bundle: &Bundle, settled: &Settled, choice: Choice) -> Option<Vec<PoseFit>> {
-    let mut frames = vec![BTreeSet::new(); bundle.poses];
+fn pose_fits(
+    bundle: &Bundle,
+    settled: &Settled,
+    choice: Choice,
+    frames: &[FrameObservation],
+) -> Option<Vec<PoseFit>> {
+    let mut counting = vec![BTreeSet::new(); bundle.poses];
     for o in bundle.observations.iter().filter(|o| o.weight > 0.0) {
-        frames[o.pose].insert(o.frame);
+        counting[o.pose].insert(o.frame);
     }
+    let drift = |pose: usize| {
+        let span = Span::of(frames, pose).filter(|_| choice.drift)?;
+        let (drift_px, covariance) = (settled.state.drift_px[pose], settled.drift_covariance(pose));
+        Some([0, 1].map(|axis| {
+            let sigma_px = covariance[(axis, axis)].max(0.0).sqrt();
+            Measured::new(drift_px[axis] / span.half_h, sigma_px / span.half_h)
+        }))
+    };
     let distortion = settled.state.lens.distortion();
     let fit = |pose: usize| {
         let (view, covariance) = (&settled.state.views[pose], settled.view_covariance(pose));
@@ -279,7 +329,8 @@ fn pose_fits(bundle: &Bundle, settled: &Settled, choice: Choice) -> Option<Vec<P
             plate_centre_sigma_px: (centre.trace() / 2.0).max(0.0).sqrt(),
             scale_mil_per_px: Measured::new(scale, scale * relative),
             rotation_deg: Measured::new(view.rotation_deg(), relative.to_degrees()),
-            frames: frames[pose].len(),
+            drift_px_per_h: drift(pose),
+            frames: counting[pose].len(),
         })
     };
     (0..bundle.poses).map(fit).collect()
@@ -298,7 +349,7 @@ fn residuals(bundle: &Bundle, settled: &Settled, before: &State, ids: &[MarkId])
         frame: o.frame,
         id: ids[o.mark],
         at: o.seen.into(),
-        residual_px: o.seen - settled.state.predict(o.pose, o.mark).seen,
+        residual_px: o.at_rest(&settled.state) - settled.state.predict(o.pose, o.mark).seen,
         stated_px: (o.covariance_px2.trace() / 2.0).max(0.0).sqrt(),
         weight: o.weight,
     };

@@ -2,18 +2,18 @@
 //! frames with the Sun all over the plate.
 //!
 //! # Method
-//! Within a pose, camera and plate are one rigid body, so all frames of a pose share one mapping. One robust bundle
-//! adjustment estimates the marks' displacements from the drawing, the lens (radial and decentring terms, as many as the
+//! Within a pose, camera and plate are one rigid body, so all frames of a pose share one mapping, which may drift evenly; where the camera
+//! slips, another pose begins. One robust bundle adjustment estimates the marks' displacements, the lens (radial and decentring terms, as many as the
 //! data support) and the mapping of every pose (shift, rotation and one scale; keystone where the data demand it). The
 //! shift, rotation and scale that the measured marks have in common are no property of the plate and are held at zero.
 //!
-//! Priors: marks lie within the drawing's sigma of their drawn place, each term of the lens moves the sensor's corner by
-//! less than [`LENS_PRIOR_PX`]. Where the frames separate the plate's errors from the lens's distortion (the camera was
+//! Priors: marks lie within the sigma that the start's file states of the place that it states, which is the drawing's where they were
+//! not measured; each term of the lens moves the sensor's corner by less than [`LENS_PRIOR_PX`]. Where the frames separate the plate's errors from the lens's distortion (the camera was
 //! moved between poses) these do not matter; where they do not, they split the two, and [`Separation`] says so.
 //!
 //! ```text
-//! refusal, observation <- lit <- measure <- poses <- calibration <- summary, write <- report
-//! camera <- adjust <- robust <- choose <- fit <- poses
+//! refusal, observation <- lit <- measure <- poses <- calibration, suspects <- summary, write <- report
+//! camera <- adjust <- robust <- choose <- fit <- poses; slips <- poses
 //! ```
 
 mod adjust;
@@ -28,10 +28,12 @@ mod poses;
 mod refusal;
 mod report;
 mod robust;
+mod slips;
 mod summary;
+mod suspects;
 mod write;
 
-pub use calibration::{Calibration, calibrate};
+pub use calibration::{Calibration, calibrate, fit_folder, frames_sha256};
 pub use choose::Choice;
 pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual, Separation, fit};
 pub use observation::{FrameObservation, MarkObservation};
@@ -39,3 +41,4 @@ pub use poses::Pose;
 pub use refusal::Refusal;
 pub use report::html;
 pub use summary::summary;
+pub use suspects::SuspectMark;

@@ -3,9 +3,11 @@
 //! # Algorithm
 //! 1. The mapping that most frames of the folder agree with gathers its frames ([`consensus`]); of those left, again the one
 //!    that most agree with, and so on. This separates poses that differ by some 15 px and more anywhere on the plate.
-//! 2. Within a pose a mark that two frames share is in the same place, whatever the lens and wherever the mark is.
+//! 2. Where the camera slipped in the order of time, another pose begins ([`slips`](super::slips)).
+//! 3. Within a pose a mark that two frames share is in the same place, whatever the lens and wherever the mark is.
 //!    Frames that share marks are linked where these agree; frames so linked that contradict the others are another pose.
-//!    Neighbours need to agree, not all frames: a slow drift by less than a pixel is no move.
+//!    Neighbours need to agree, not all frames: a slow drift by less than a pixel is no move. Frames that share too little
+//!    belong to the pose before and after them.
 //!
 //! Fewer than three frames are no pose but outliers, unless one is of the lit plate, which shows all marks.
 
@@ -13,9 +15,11 @@ use super::fit::PlateFit;
 use super::measure::Folder;
 use super::observation::{FrameObservation, consensus};
 use super::refusal::Refusal;
+use super::slips;
 use crate::calibrate::frames::RejectedFrame;
 use crate::plate::{MarkId, Plate};
 use crate::units::SensorPx;
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::PathBuf;
@@ -117,7 +121,8 @@ fn groups(frames: &[FrameObservation], of_folder: &[usize], plate: &Plate) -> Ve
         }
         let gathered: BTreeSet<usize> = agreed.frames.iter().copied().collect();
         rest.retain(|n| !gathered.contains(n));
-        groups.extend(apart(frames, &agreed.frames));
+        let runs = slips::runs(frames, &agreed.frames);
+        groups.extend(runs.iter().flat_map(|run| apart(frames, run)));
     }
     let first = |group: &Vec<usize>| group.iter().map(|n| (frames[*n].utc, *n)).min();
     groups.sort_by_key(first);
@@ -131,21 +136,50 @@ struct Shared {
     other: usize,
 }
 
-/// Parts of some frames of nearly one mapping that contradict each other in the marks that they share.
+/// Parts of some frames of nearly one mapping, in the order of time, that contradict each other in the marks that they share.
+/// Islands, which neither agree with a part nor are one, belong to the part that was taken before and after them.
 fn apart(frames: &[FrameObservation], group: &[usize]) -> Vec<Vec<usize>> {
     let shared = shared(frames, group);
     let mut parts: Vec<Vec<usize>> = Vec::new();
-    for run in linked(group, &shared) {
-        let free = parts
+    let mut islands = Vec::new();
+    for linked in linked(group, &shared) {
+        let found: Vec<Agreement> = parts
             .iter()
-            .position(|part| !contradict(&run, part, &shared));
-        match free {
-            None if parts.is_empty() || run.len() >= LEAST_FRAMES => parts.push(run),
-            // The adjustment judges an outlier.
-            free => parts[free.unwrap_or(0)].extend(run),
+            .map(|part| agreement(&linked, part, &shared))
+            .collect();
+        let same = found.iter().position(|found| *found == Agreement::Same);
+        let other = found.iter().all(|found| *found == Agreement::Other);
+        match same {
+            Some(part) => parts[part].extend(linked),
+            None if parts.is_empty() || (other && linked.len() >= LEAST_FRAMES) => {
+                parts.push(linked)
+            }
+            None => islands.extend(linked),
+        }
+    }
+    if let [only] = parts.as_mut_slice() {
+        // The adjustment judges an outlier.
+        only.append(&mut islands);
+    }
+    let told = islands.iter().map(|n| part_about(*n, &parts, frames));
+    let told: Vec<Option<usize>> = told.collect();
+    for (island, part) in islands.into_iter().zip(told) {
+        if let Some(part) = part {
+            parts[part].push(island);
         }
     }
     parts
+}
+
+/// The part of the last frame before a frame and of the first after it, where both are of the same.
+fn part_about(frame: usize, parts: &[Vec<usize>], frames: &[FrameObservation]) -> Option<usize> {
+    let utc = frames[frame].utc?;
+    let of_parts = parts.iter().enumerate();
+    let times =
+        of_parts.flat_map(|(n, part)| part.iter().filter_map(move |m| Some((frames[*m].utc?, n))));
+    let before = times.clone().filter(|(time, _)| *time < utc).max()?;
+    let after = times.filter(|(time, _)| *time > utc).min()?;
+    (before.1 == after.1).then_some(before.1)
 }
 
 /// Pairs of frames, by index, that share marks.
@@ -196,8 +230,17 @@ fn linked(group: &[usize], shared: &BTreeMap<(usize, usize), Shared>) -> Vec<Vec
     runs
 }
 
-/// Whether more pairs of frames across two parts have their marks in different places than in the same.
-fn contradict(a: &[usize], b: &[usize], shared: &BTreeMap<(usize, usize), Shared>) -> bool {
+/// What the marks that two parts share say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Agreement {
+    Same,
+    Other,
+    /// Too little, or both.
+    Open,
+}
+
+/// Whether more pairs of frames across two parts have their marks in the same place than in different ones.
+fn agreement(a: &[usize], b: &[usize], shared: &BTreeMap<(usize, usize), Shared>) -> Agreement {
     let (mut same, mut other) = (0, 0);
     for (n, m) in a.iter().flat_map(|n| b.iter().map(move |m| (n, m))) {
         if let Some(pair) = shared.get(&(*n.min(m), *n.max(m))) {
@@ -205,7 +248,11 @@ fn contradict(a: &[usize], b: &[usize], shared: &BTreeMap<(usize, usize), Shared
             other += usize::from(pair.other > pair.same);
         }
     }
-    other > same
+    match same.cmp(&other) {
+        Ordering::Greater => Agreement::Same,
+        Ordering::Less => Agreement::Other,
+        Ordering::Equal => Agreement::Open,
+    }
 }
 
 impl Posed {

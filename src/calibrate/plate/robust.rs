@@ -23,9 +23,18 @@ pub(super) struct Observation {
     /// Index into the marks.
     pub mark: usize,
     pub seen: Vector2<f64>,
+    /// Within its pose, from -1 to 1; 0 where frames do not tell their times.
+    pub time: f64,
     pub covariance_px2: Matrix2<f64>,
     /// 0 (rejected) to 1.
     pub weight: f64,
+}
+
+impl Observation {
+    /// Where it would have been seen without the drift of its pose.
+    pub(super) fn at_rest(&self, state: &State) -> Vector2<f64> {
+        self.seen - state.drifted(self.pose, self.time)
+    }
 }
 
 /// All that is adjusted together.
@@ -63,25 +72,34 @@ struct NormalisedResidual {
     checked: bool,
 }
 
+/// Sums over the observations of a [`Cell`], weighted.
+#[derive(Debug, Clone, Copy, Default)]
+struct CellSums {
+    weight: Matrix2<f64>,
+    seen: Vector2<f64>,
+    time: f64,
+}
+
 impl Bundle {
     /// The observations of every mark in every pose, with their common mean.
     pub(super) fn cells(&self) -> Vec<Vec<Cell>> {
-        let mut sums = self.everywhere(|_, _| (Matrix2::zeros(), Vector2::zeros()));
+        let mut sums = self.everywhere(|_, _| CellSums::default());
         for o in self.observations.iter().filter(|o| o.weight > 0.0) {
             let Some(inverse) = o.covariance_px2.try_inverse() else {
                 continue;
             };
             let weight = inverse * (o.weight / self.variance_factor);
             let sum = &mut sums[self.place(o)];
-            sum.0 += weight;
-            sum.1 += weight * o.seen;
+            sum.weight += weight;
+            sum.seen += weight * o.seen;
+            sum.time += weight.trace() * o.time;
         }
-        let cell = |(mark, (weight, moment)): (usize, &(Matrix2<f64>, Vector2<f64>))| {
-            let seen = weight.try_inverse()? * moment;
+        let cell = |(mark, sum): (usize, &CellSums)| {
             Some(Cell {
                 mark,
-                seen,
-                weight: *weight,
+                seen: sum.weight.try_inverse()? * sum.seen,
+                time: sum.time / sum.weight.trace(),
+                weight: sum.weight,
             })
         };
         sums.chunks(self.marks.len().max(1))
@@ -150,7 +168,7 @@ impl Bundle {
         });
         let off = |o: &Observation| {
             let (seen, back) = back[self.place(o)];
-            back * (o.seen - seen)
+            back * (o.at_rest(state) - seen)
         };
         self.observations.iter().map(off).collect()
     }
@@ -205,17 +223,25 @@ impl Bundle {
     }
 
     /// Inflates the marks' prior sigma to how far the observations show them from the drawing; gives the factor.
-    pub(super) fn inflate_drawing_sigma(&mut self, settled: &Settled) -> f64 {
+    pub(super) fn inflate_priors(&mut self, settled: &Settled) -> f64 {
         let off = |(mark, prior): (usize, &MarkPrior)| {
             let covariance = settled.place_covariance(mark);
-            let off = settled.state.places[mark].vector() - prior.printed.vector();
-            let variance = prior.sigma_mil.powi(2);
-            [0, 1].map(|n| off[n].abs() / (variance - covariance[(n, n)]).max(0.0).sqrt())
+            let off = settled.state.places[mark].vector() - prior.place.vector();
+            [0, 1].map(|n| {
+                let variance = prior.sigma_mil[n].powi(2);
+                off[n].abs() / (variance - covariance[(n, n)]).max(0.0).sqrt()
+            })
         };
         let measured = self.marks.iter().enumerate().filter(|(_, m)| m.measured);
         let factor = (median(measured.flat_map(off)) / QUARTILE_SIGMAS).max(1.0);
-        self.marks.iter_mut().for_each(|m| m.sigma_mil *= factor);
+        self.widen_priors(factor);
         factor
+    }
+
+    /// Multiplies the marks' prior sigmas.
+    pub(super) fn widen_priors(&mut self, factor: f64) {
+        let sigmas = self.marks.iter_mut().flat_map(|m| &mut m.sigma_mil);
+        sigmas.for_each(|sigma| *sigma *= factor);
     }
 
     /// By how much the residuals exceed their sigmas; 1 where too few are checked.
@@ -247,7 +273,7 @@ impl Bundle {
                 true => variance,
                 false => stated * 0.05,
             };
-            let residual = o.seen - seen;
+            let residual = o.at_rest(&settled.state) - seen;
             let square = |inverse| residual.dot(&(inverse * residual)).max(0.0);
             NormalisedResidual {
                 size: variance
@@ -278,7 +304,7 @@ impl Bundle {
     pub(super) fn chi2(&self, state: &State) -> f64 {
         let predicted = self.everywhere(|pose, mark| state.predict(pose, mark).seen);
         let one = |o: &Observation| {
-            let residual = o.seen - predicted[self.place(o)];
+            let residual = o.at_rest(state) - predicted[self.place(o)];
             let inverse = o
                 .covariance_px2
                 .try_inverse()

@@ -1,7 +1,7 @@
 //! The result of a calibration as lines of text.
 
 use super::calibration::Calibration;
-use super::fit::{LENS_PRIOR_PX, PlateFit};
+use super::fit::{LENS_PRIOR_PX, PlateFit, PoseFit};
 use crate::plate::{MarkId, drawn_position};
 use crate::units::SensorPx;
 use std::collections::BTreeMap;
@@ -17,8 +17,10 @@ pub fn summary(calibration: &Calibration) -> String {
 
 /// The lines of [`summary`] without the rejected frames.
 pub(super) fn used(calibration: &Calibration) -> Vec<String> {
-    /// A drawing's sigma that is off by so much is worth a line.
+    /// A stated sigma of the marks that is off by so much is worth a line.
     const NOTABLE: f64 = 1.5;
+    /// The same of the part of the observations that is dropped.
+    const MOST_DROPPED: f64 = 0.1;
     let fit = &calibration.fit;
     let used: usize = fit.poses.iter().map(|pose| pose.frames).sum();
     let mut lines = vec![format!(
@@ -38,15 +40,27 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
         fit.residual_px,
         fit.sigma_factor
     ));
+    if fit.dropped_share() > MOST_DROPPED {
+        lines.push(format!(
+            "warning    {:.0} % of the observed positions do not agree with the others: did the camera rest in each pose?",
+            100.0 * fit.dropped_share()
+        ));
+    }
     let (moved, sigma) = displacement_mil(fit);
     lines.push(format!(
-        "marks      {moved:.3} mil rms off the drawing, known to {sigma:.3} mil rms; {} never seen keep the drawing's place",
+        "marks      {moved:.3} mil rms off the drawing, known to {sigma:.3} mil rms; {} never seen keep the place that the file has",
         MarkId::all().count() - fit.marks.len()
     ));
-    if fit.drawing_factor > NOTABLE {
+    let suspects = calibration.suspects.iter();
+    lines.extend(suspects.map(|mark| {
+        format!(
+            "suspect    {mark}: printed elsewhere, or covered; its place is not to be relied on"
+        )
+    }));
+    if fit.prior_factor > NOTABLE {
         lines.push(format!(
-            "drawing    the marks lie {:.1} times as far from it as its sigma states: its sigma is inflated by so much",
-            fit.drawing_factor
+            "prior      the marks lie {:.1} times as far from where the file has them as their sigmas state: these are inflated by so much",
+            fit.prior_factor
         ));
     }
     lines.push(format!("lens       {}", lens(fit)));
@@ -60,10 +74,16 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
             pose.plate_centre_px.y,
             pose.scale_mil_per_px.value,
             pose.rotation_deg.value
-        )
+        ) + &drift(pose)
     }));
     lines.push(format!("separation {}", separation(fit)));
     lines
+}
+
+fn drift(pose: &PoseFit) -> String {
+    pose.drift_px_per_h.map_or(String::new(), |[x, y]| {
+        format!(", drifting by ({:.3}, {:.3}) px/h", x.value, y.value)
+    })
 }
 
 /// The folders that hold several poses, and how many.
@@ -114,7 +134,7 @@ fn separation(fit: &PlateFit) -> String {
     }
     format!(
         "the frames do not separate the plate's errors from the lens's distortion (the camera was not moved enough between \
-         poses): the split rests on the priors, marks within the drawing's sigma and each lens term within \
+         poses): the split rests on the priors, marks within the file's sigmas and each lens term within \
          {LENS_PRIOR_PX} px at the corner; the lens is known to {with:.3} px there, and to {without:.3} px without these. \
          Shift and turn the camera, and take frames in each pose"
     )

@@ -5,9 +5,11 @@ use super::fit::PoseFit;
 use crate::calibrate::revision::{Provenance, Revision, number};
 use crate::geometry::Distortion;
 use crate::instrument::Instrument;
-use crate::units::Measured;
+use crate::plate::MarkId;
+use crate::units::{Measured, PlateMil};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
+use std::collections::BTreeMap;
 use toml_edit::{Array, ArrayOfTables, Item, Table, Value, value};
 
 impl Calibration {
@@ -20,7 +22,7 @@ impl Calibration {
             distortion(revision, self, &provenance);
         }
         mounting(revision, start, self, &provenance);
-        revision.put("plate.mark", Item::ArrayOfTables(marks(self)));
+        revision.put("plate.mark", Item::ArrayOfTables(marks(self, start)));
         let note = match fit.separation.by_data() {
             true => "the frames tell the plate's errors from the lens's distortion",
             false => {
@@ -30,17 +32,24 @@ impl Calibration {
         revision.sign(&provenance.with_source(note));
         let poses = i64::try_from(self.poses.len()).unwrap_or(i64::MAX);
         revision.put("calibration.plate.poses", value(poses));
+        if !self.suspects.is_empty() {
+            let ids = self.suspects.iter().map(|mark| id_value(mark.id));
+            revision.put(
+                "calibration.plate.suspect_marks",
+                value(Array::from_iter(ids)),
+            );
+        }
     }
 }
 
 /// What stands beside every value; how many frames it rests on is said once, in `[calibration.plate]`.
 fn provenance(calibration: &Calibration) -> Provenance {
-    // The day of the frames, so that the same frames give the same file; of frames without time, today.
-    let day = calibration.last.unwrap_or_else(Timestamp::now);
+    // The day of the frames, so that the same frames give the same file.
+    let day = |last: Timestamp| last.to_zoned(TimeZone::UTC).date();
     Provenance {
         name: "plate",
         source: "solaspect calibrate plate".into(),
-        date: day.to_zoned(TimeZone::UTC).date(),
+        date: calibration.last.map(day),
         frames: calibration.fit.poses.iter().map(|pose| pose.frames).sum(),
         frames_sha256: calibration.frames_sha256.clone(),
         camera: calibration.camera.clone(),
@@ -134,7 +143,12 @@ fn mounting(
     );
 }
 
-fn marks(calibration: &Calibration) -> ArrayOfTables {
+fn id_value(id: MarkId) -> Value {
+    Value::Array(Array::from_iter([i64::from(id.i), i64::from(id.j)]))
+}
+
+/// The marks that were measured, and of the others those that the file had measured before.
+fn marks(calibration: &Calibration, start: &Instrument) -> ArrayOfTables {
     const LEAST_SIGMA_MIL: f64 = 0.0001;
     // The long list stands at the file's end.
     const AFTER_ALL_ELSE: isize = 1_000_000;
@@ -143,14 +157,25 @@ fn marks(calibration: &Calibration) -> ArrayOfTables {
         let numbers = pair.map(|v| fixed(v).parse().unwrap_or_else(|_| Value::from(v)));
         value(Array::from_iter(numbers))
     };
+    let found = calibration.fit.marks.iter();
+    let found: BTreeMap<MarkId, (PlateMil, [f64; 2])> = found
+        .map(|mark| (mark.id, (mark.position, mark.sigma_mil)))
+        .collect();
+    let plate = &start.plate;
+    let before = |id: MarkId| {
+        let measured = plate.is_measured(id);
+        measured.then(|| (plate.position(id), plate.sigma_mil(id)))
+    };
     let mut marks = ArrayOfTables::new();
-    for mark in &calibration.fit.marks {
+    for id in MarkId::all() {
+        let Some((position, sigma_mil)) = found.get(&id).copied().or_else(|| before(id)) else {
+            continue;
+        };
         let mut table = Table::new();
         table.set_position(Some(AFTER_ALL_ELSE));
-        let id = [i64::from(mark.id.i), i64::from(mark.id.j)];
-        table["id"] = value(Array::from_iter(id));
-        table["position_mil"] = pair([mark.position.x, mark.position.y]);
-        table["sigma_mil"] = pair(mark.sigma_mil.map(|sigma| sigma.max(LEAST_SIGMA_MIL)));
+        table["id"] = value(id_value(id));
+        table["position_mil"] = pair([position.x, position.y]);
+        table["sigma_mil"] = pair(sigma_mil.map(|sigma| sigma.max(LEAST_SIGMA_MIL)));
         marks.push(table);
     }
     marks

@@ -166,11 +166,9 @@ impl<'a> Attitude<'a> {
             constants.context("--calibrated: expected an attitude, found a filter that waits")?;
         let flown = epoch.zip(SignedDuration::try_from_secs_f64(self.end_s).ok());
         let flown = flown.and_then(|(epoch, since)| epoch.checked_add(since).ok());
-        // A flight whose time nobody knows is dated by its calibration.
-        let day = flown.unwrap_or_else(Timestamp::now);
         let measurements = self.summary.innovations.len();
         let source = Source {
-            date: TimeZone::UTC.to_datetime(day).date(),
+            date: flown.map(|flown| TimeZone::UTC.to_datetime(flown).date()),
             text: format!(
                 "navigation filter, {} samples of the IMU and {measurements} measurements",
                 self.counts.rows()

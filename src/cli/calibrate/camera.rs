@@ -7,7 +7,6 @@ use crate::calibrate::revision::Provenance;
 use crate::cli::output::say;
 use anyhow::Context;
 use clap::Args;
-use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -66,7 +65,6 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
         all.flat_map(|s| &s.frames)
     };
     let last = shots().filter_map(|s| s.frame.info.mid_exposure).max();
-    let last = last.unwrap_or_else(Timestamp::now);
     Provenance {
         name: "camera",
         source: format!(
@@ -75,7 +73,7 @@ fn provenance(inputs: &Inputs, files: &[PathBuf]) -> Provenance {
             inputs.flat.frames.len(),
             inputs.suns.len()
         ),
-        date: TimeZone::UTC.to_datetime(last).date(),
+        date: last.map(|last| TimeZone::UTC.to_datetime(last).date()),
         frames: files.len(),
         frames_sha256: sha256(files),
         camera: shots().find_map(|s| s.frame.info.camera.clone()),

@@ -134,7 +134,7 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
     Provenance {
         name: "mounting",
         source: format!("mounting calibration, {way}, {taken} frames from {first:.0} to {last:.0}"),
-        date: TimeZone::UTC.to_datetime(last).date(),
+        date: Some(TimeZone::UTC.to_datetime(last).date()),
         frames: taken,
         frames_sha256: sha256(files),
         // The Sun's path tells how the plate sits, not which camera sees it.

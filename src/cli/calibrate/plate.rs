@@ -6,6 +6,7 @@ use crate::cli::output::{progress_bar, say};
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use toml_edit::Item;
 
 /// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
 ///
@@ -17,12 +18,27 @@ pub struct PlateArgs {
     /// Frames, or folders of frames; the poses of the camera are found within each folder
     #[arg(required = true, value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
+    /// Forget the marks that the file has measured: begin with the drawing
+    ///
+    /// Otherwise they count as what is known before these frames. A file that rests on these very frames begins with the
+    /// drawing in any case, so that no frame counts twice.
+    #[arg(long)]
+    from_drawing: bool,
     #[command(flatten)]
     edition: Edition,
 }
 
 pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
-    let (mut revision, start) = args.edition.open()?;
+    let (mut revision, mut start) = args.edition.open()?;
+    let rests_on = revision.get("calibration.plate.frames_sha256");
+    let rests_on = rests_on.and_then(Item::as_str).map(str::to_owned);
+    let again = rests_on == Some(plate::frames_sha256(&args.frames)?);
+    if args.from_drawing || again {
+        start.plate = start.plate.as_drawn();
+    }
+    if again {
+        say("the file rests on these very frames: its marks begin with the drawing")?;
+    }
     let progress = progress_bar(0, "frames");
     let begin = |frames: usize| progress.set_length(frames as u64);
     let calibration = plate::calibrate(&args.frames, &start, &begin, &|| progress.inc(1));

@@ -128,7 +128,7 @@ fn provenance(
     Provenance {
         name: NAME,
         source: format!("body_from_camera, {way}, {frames} frames from {first:.0} to {last:.0}"),
-        date: TimeZone::UTC.to_datetime(last).date(),
+        date: Some(TimeZone::UTC.to_datetime(last).date()),
         frames,
         frames_sha256: sha256(files),
         camera: None,

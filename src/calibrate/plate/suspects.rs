@@ -1,0 +1,63 @@
+//! Marks that were lit and not read: where they are printed is not where they were looked for, or something covers them.
+
+use super::fit::PlateFit;
+use super::observation::FrameObservation;
+use crate::instrument::Instrument;
+use crate::plate::MarkId;
+use crate::units::PlateMil;
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// A mark that was lit and hardly ever read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SuspectMark {
+    pub id: MarkId,
+    /// In how many frames the Sun or a lamp lit all of it.
+    pub lit: usize,
+    /// In how many of them it was read in the place that the others say.
+    pub read: usize,
+}
+
+impl fmt::Display for SuspectMark {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { id, lit, read } = self;
+        write!(out, "{id} lit in {lit} frames, read in {read}")
+    }
+}
+
+/// Fewest frames that lit a suspect.
+const LEAST_LIT: usize = 3;
+/// A mark is read in more than this share of the frames that light it.
+const LEAST_READ: f64 = 0.1;
+/// The Sun is never smaller, arcsec.
+const LEAST_SUN_ARCSEC: f64 = 943.0;
+/// What is nearer to the sensor's border may be cut off, px.
+const BORDER_PX: f64 = 20.0;
+
+/// The marks that are suspect, by id.
+pub(super) fn suspects(
+    frames: &[FrameObservation],
+    fit: &PlateFit,
+    start: &Instrument,
+) -> Vec<SuspectMark> {
+    let mut read: BTreeMap<MarkId, usize> = BTreeMap::new();
+    for residual in fit.kept() {
+        *read.entry(residual.id).or_default() += 1;
+    }
+    let suspect = |(id, at): (MarkId, PlateMil)| {
+        let lit = frames.iter().filter(|frame| is_lit(at, frame, fit, start));
+        let (lit, read) = (lit.count(), read.get(&id).copied().unwrap_or(0));
+        let is_suspect = lit >= LEAST_LIT && (read as f64) < LEAST_READ * lit as f64;
+        is_suspect.then_some(SuspectMark { id, lit, read })
+    };
+    start.plate.marks().filter_map(suspect).collect()
+}
+
+/// Whether all of a mark is lit and on the sensor.
+fn is_lit(at: PlateMil, frame: &FrameObservation, fit: &PlateFit, start: &Instrument) -> bool {
+    let reach_mil = start.optics.radius_mil(LEAST_SUN_ARCSEC) - start.plate.cross.arm_length_mil;
+    let by_sun = frame.sun.is_none_or(|sun| sun.distance(at) < reach_mil);
+    let seen = fit.poses[frame.pose].mapping.to_sensor(at);
+    let inside = |along: f64, size: usize| along > BORDER_PX && along < size as f64 - BORDER_PX;
+    by_sun && inside(seen.x, start.camera.width_px) && inside(seen.y, start.camera.height_px)
+}
