@@ -248,10 +248,23 @@ fn marks_that_are_lit_and_never_read_are_listed_as_suspect() {
     let start = builtin("demo").unwrap();
     let calibration = calibrate(&given, &start).unwrap();
     let suspects: Vec<MarkId> = calibration.suspects.iter().map(|mark| mark.id).collect();
-    let mut expected = displaced.to_vec();
-    expected.sort();
-    assert_eq!(suspects, expected);
-    assert!(plate::summary(&calibration).contains("suspect    (0, 0) lit in"));
+    assert!(!suspects.is_empty());
+    assert!(
+        suspects.iter().all(|id| displaced.contains(id)),
+        "{suspects:?}"
+    );
+    // Those that a later pass could read are where they are.
+    for id in displaced.iter().filter(|id| !suspects.contains(id)) {
+        let mark = calibration.fit.marks.iter().find(|mark| mark.id == *id);
+        let mark = mark.unwrap_or_else(|| panic!("{id} is neither measured nor suspect"));
+        let off = mark.position.distance(truth.plate.position(*id));
+        assert!(off < 0.5, "{id}: {off} mil");
+    }
+    let text = plate::summary(&calibration);
+    assert!(
+        text.contains(&format!("suspect    {} lit in", suspects[0])),
+        "{text}"
+    );
     let mut revision = Revision::of(Path::new("demo"), builtin_text("demo").unwrap()).unwrap();
     calibration.revise(&mut revision, &start);
     let (written, _) = revision.finish().unwrap();

@@ -1,7 +1,7 @@
 //! One adjustment of all marks, the lens and every view: Gauss-Newton on normal equations.
 //!
 //! Within a pose camera and plate are one rigid body, which may drift evenly, so that the observations of a mark in a pose are one
-//! [`Cell`], their weighted mean at its mean time, and the work does not grow with the frames.
+//! [`Cell`], their weighted mean at its mean time and their trend about it, and the work does not grow with the frames.
 //!
 //! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
 //! measured marks from the drawing have none in common.
@@ -22,6 +22,10 @@ pub(super) struct Cell {
     pub time: f64,
     /// Inverse of the mean's covariance, px^-2.
     pub weight: Matrix2<f64>,
+    /// What the observations say of a drift among themselves: weighted squares of their times about the mean, and the products of
+    /// these times with how far each was seen from the mean.
+    pub time_spread: Matrix2<f64>,
+    pub trend: Vector2<f64>,
 }
 
 /// A mark before it is measured.
@@ -243,6 +247,11 @@ impl Problem<'_> {
                         information[(*b, *a)] += weighted.dot(slope);
                     }
                 }
+                let drift = state.drift_index(pose);
+                let mut of_drift = information.fixed_view_mut::<2, 2>(drift, drift);
+                of_drift += cell.time_spread;
+                let mut of_drift = gradient.fixed_rows_mut::<2>(drift);
+                of_drift += cell.trend - cell.time_spread * state.drift_px[pose];
             }
         }
         for prior in self.priors(state) {

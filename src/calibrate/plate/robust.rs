@@ -77,7 +77,32 @@ struct NormalisedResidual {
 struct CellSums {
     weight: Matrix2<f64>,
     seen: Vector2<f64>,
-    time: f64,
+    time: Matrix2<f64>,
+    time_squared: Matrix2<f64>,
+    time_seen: Vector2<f64>,
+}
+
+impl CellSums {
+    fn add(&mut self, weight: Matrix2<f64>, o: &Observation) {
+        self.weight += weight;
+        self.seen += weight * o.seen;
+        self.time += weight * o.time;
+        self.time_squared += weight * o.time.powi(2);
+        self.time_seen += weight * o.seen * o.time;
+    }
+
+    fn cell(&self, mark: usize) -> Option<Cell> {
+        let seen = self.weight.try_inverse()? * self.seen;
+        let time = self.time.trace() / self.weight.trace();
+        Some(Cell {
+            mark,
+            seen,
+            time,
+            weight: self.weight,
+            time_spread: self.time_squared - self.time * time,
+            trend: self.time_seen - self.time * seen,
+        })
+    }
 }
 
 impl Bundle {
@@ -89,19 +114,9 @@ impl Bundle {
                 continue;
             };
             let weight = inverse * (o.weight / self.variance_factor);
-            let sum = &mut sums[self.place(o)];
-            sum.weight += weight;
-            sum.seen += weight * o.seen;
-            sum.time += weight.trace() * o.time;
+            sums[self.place(o)].add(weight, o);
         }
-        let cell = |(mark, sum): (usize, &CellSums)| {
-            Some(Cell {
-                mark,
-                seen: sum.weight.try_inverse()? * sum.seen,
-                time: sum.time / sum.weight.trace(),
-                weight: sum.weight,
-            })
-        };
+        let cell = |(mark, sum): (usize, &CellSums)| sum.cell(mark);
         sums.chunks(self.marks.len().max(1))
             .map(|pose| pose.iter().enumerate().filter_map(cell).collect())
             .collect()

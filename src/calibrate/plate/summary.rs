@@ -19,8 +19,9 @@ pub fn summary(calibration: &Calibration) -> String {
 pub(super) fn used(calibration: &Calibration) -> Vec<String> {
     /// A stated sigma of the marks that is off by so much is worth a line.
     const NOTABLE: f64 = 1.5;
-    /// The same of the part of the observations that is dropped.
+    /// The same of the part of the observations that is dropped, and of the scatter of the others over what they state.
     const MOST_DROPPED: f64 = 0.1;
+    const MOST_SCATTER: f64 = 2.0;
     let fit = &calibration.fit;
     let used: usize = fit.poses.iter().map(|pose| pose.frames).sum();
     let mut lines = vec![format!(
@@ -44,6 +45,12 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
         lines.push(format!(
             "warning    {:.0} % of the observed positions do not agree with the others: did the camera rest in each pose?",
             100.0 * fit.dropped_share()
+        ));
+    }
+    if fit.sigma_factor > MOST_SCATTER {
+        lines.push(format!(
+            "warning    the observed positions scatter {:.1} times as much as the frames state: did the camera rest, and do the frames tell their times?",
+            fit.sigma_factor
         ));
     }
     let (moved, sigma) = displacement_mil(fit);
