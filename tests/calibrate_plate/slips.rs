@@ -71,29 +71,27 @@ fn drift(px_per_h: f64) -> impl Fn(f64) -> (f64, f64) {
     move |at| (0.6 * px_per_h * at, -0.8 * px_per_h * at)
 }
 
-/// A row of the table: error over sigma of all seeds, and the worst mark's.
-fn row(name: &str, seeds: u64, motion: &Motion) -> (f64, f64) {
+/// A row of the table: error over sigma of all seeds, and the worst mark's. Whether both are as promised.
+fn row(name: &str, seeds: u64, motion: &Motion) -> bool {
     let all: Vec<Found> = (1..=seeds).map(|seed| found(seed, motion)).collect();
     let squares: f64 = all.iter().map(|found| found.honesty.powi(2)).sum();
     let honesty = (squares / seeds as f64).sqrt();
     let worst = all.iter().map(|found| found.worst).fold(0.0, f64::max);
     let poses: Vec<usize> = all.iter().map(|found| found.poses.len()).collect();
     println!("| {name} | {honesty:.2} | {worst:.1} | {poses:?} |");
-    assert!((0.8..1.25).contains(&honesty), "{name}: {honesty}");
-    assert!(worst < 6.0, "{name}: {worst}");
-    for found in &all {
-        assert_eq!(found.fit.choice.kind.name(), "similarity", "{name}");
-    }
-    (honesty, worst)
+    let rigid = all
+        .iter()
+        .all(|found| found.fit.choice.kind.name() == "similarity");
+    (0.8..1.25).contains(&honesty) && worst < 6.0 && rigid
 }
 
 #[test]
 fn a_camera_that_slips_or_drifts_within_a_pose_leaves_the_sigmas_honest() {
-    row("rest", 1, &|_| (0.0, 0.0));
-    row("slip 0.3 px", 1, &slip(0.3));
-    row("slip 1 px", 1, &slip(1.0));
-    row("two slips 0.45 px", 1, &two_slips(0.45));
-    row("drift 0.5 px/h", 1, &drift(0.5));
+    assert!(row("rest", 1, &|_| (0.0, 0.0)));
+    assert!(row("slip 0.3 px", 1, &slip(0.3)));
+    assert!(row("slip 1 px", 1, &slip(1.0)));
+    assert!(row("two slips 0.45 px", 1, &two_slips(0.45)));
+    assert!(row("drift 0.5 px/h", 1, &drift(0.5)));
 }
 
 /// `cargo test --release --test promises calibrate_plate::slips -- --ignored --nocapture` prints the table of docs/calibration.md.
@@ -105,27 +103,26 @@ fn slips_and_drifts_of_all_sizes_leave_the_sigmas_honest() {
         "| one pose of 120 frames in an hour | error / sigma, {SEEDS} plates | worst mark | poses found |"
     );
     println!("|---|---|---|---|");
-    row("rest", SEEDS, &|_| (0.0, 0.0));
+    let mut promised = vec![row("rest", SEEDS, &|_| (0.0, 0.0))];
     for size_px in [0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 2.0, 5.0] {
-        row(&format!("slip {size_px} px"), SEEDS, &slip(size_px));
+        promised.push(row(&format!("slip {size_px} px"), SEEDS, &slip(size_px)));
     }
     for size_px in [0.05, 0.1, 0.3, 0.45, 1.0, 5.0] {
-        row(
-            &format!("two slips {size_px} px"),
-            SEEDS,
-            &two_slips(size_px),
-        );
+        let name = format!("two slips {size_px} px");
+        promised.push(row(&name, SEEDS, &two_slips(size_px)));
     }
     for px_per_h in [0.1, 0.5, 2.0] {
-        row(&format!("drift {px_per_h} px/h"), SEEDS, &drift(px_per_h));
+        let name = format!("drift {px_per_h} px/h");
+        promised.push(row(&name, SEEDS, &drift(px_per_h)));
     }
     let both = |at: f64| {
         let ((x, y), (slipped_x, slipped_y)) = (drift(0.5)(at), slip(0.3)(at));
         (x + slipped_x, y + slipped_y)
     };
-    row("drift 0.5 px/h, slip 0.3 px", SEEDS, &both);
+    promised.push(row("drift 0.5 px/h, slip 0.3 px", SEEDS, &both));
     let curved = |at: f64| (0.5 * at * at, 0.0);
-    row("drift growing to 1 px/h", SEEDS, &curved);
+    promised.push(row("drift growing to 1 px/h", SEEDS, &curved));
+    assert!(promised.iter().all(|kept| *kept), "{promised:?}");
 }
 
 #[test]

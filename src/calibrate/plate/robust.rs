@@ -226,7 +226,7 @@ impl Bundle {
             let scale = self.scale(&residuals);
             self.variance_factor *= scale.powi(2);
             let changed = self.reweigh(|n| residuals[n].size / scale);
-            self.reject_frames();
+            self.reject_frames(&residuals);
             if changed < CONVERGED && (scale - 1.0).abs() < 0.01 {
                 break;
             }
@@ -300,10 +300,12 @@ impl Bundle {
         self.observations.iter().map(normalised).collect()
     }
 
-    /// A frame that has lost half of its observations or more loses the others too.
-    fn reject_frames(&mut self) {
+    /// A frame that has lost half of its observations or more loses the others too. Only those count that other frames check: the
+    /// only observation of a mark is never off.
+    fn reject_frames(&mut self, residuals: &[NormalisedResidual]) {
         let mut counts = vec![(0_usize, 0.0_f64); self.frames];
-        for o in &self.observations {
+        let pairs = self.observations.iter().zip(residuals);
+        for (o, _) in pairs.filter(|(_, residual)| residual.checked) {
             counts[o.frame].0 += 1;
             counts[o.frame].1 += o.weight;
         }
