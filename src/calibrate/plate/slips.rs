@@ -9,6 +9,7 @@
 //! 2. For each moment, what the drift leaves of the pairs about it is fitted by one sudden shift, turn and stretch. The moment at which
 //!    this is the most significant is a slip, if it is significant enough.
 //! 3. The same for the frames before it and for those after it.
+//! 4. Of several slips each is sought again between its neighbours, where no pair shows another slip beside it.
 //!
 //! Both fits are robust: a frame that stands alone, and marks taken for others, do not make a slip.
 
@@ -24,6 +25,8 @@ use std::collections::BTreeMap;
 const LEAST_FRAMES: usize = 3;
 /// Fewest marks seen on both sides of it.
 const LEAST_PAIRS: usize = 8;
+/// Pairs that are farther off than this do not count.
+const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
 /// A slip has chi^2 of four so large. Rest reaches 40 at one moment in 20 million.
 const SLIP_CHI2: f64 = 40.0;
 /// Turns and stretches are told as displacements at this distance from the middle of the marks, px.
@@ -50,6 +53,11 @@ impl Pair {
         Matrix2x4::new(1.0, 0.0, -at.y, at.x, 0.0, 1.0, at.x, at.y)
     }
 
+    /// What a sudden motion leaves of it, in its sigmas.
+    fn left_by(&self, motion: &Vector4<f64>) -> Vector2<f64> {
+        (self.moved - self.slopes() * motion) / self.sigma_px
+    }
+
     /// What it says of a motion that the pair shows in part: by the hour, or all at once.
     fn of_motion(&self, share: f64) -> Linearised<2, 4> {
         Linearised {
@@ -63,13 +71,26 @@ impl Pair {
 pub(super) fn runs(frames: &[FrameObservation], of_pose: &[usize]) -> Vec<Vec<usize>> {
     let mut order = of_pose.to_vec();
     order.sort_by_key(|n| (frames[*n].utc, *n));
-    match slip(frames, &order) {
-        None => vec![order],
-        Some(first_after) => {
-            let (before, after) = order.split_at(first_after);
-            [runs(frames, before), runs(frames, after)].concat()
+    let mut runs = parted(frames, order);
+    for later in 1..runs.len() {
+        let both = [runs[later - 1].as_slice(), &runs[later]].concat();
+        if let Some(first_after) = slip(frames, &both) {
+            let (before, after) = both.split_at(first_after);
+            (runs[later - 1], runs[later]) = (before.to_vec(), after.to_vec());
         }
     }
+    runs
+}
+
+/// Parts frames at the most significant slip, then each part again.
+fn parted(frames: &[FrameObservation], order: Vec<usize>) -> Vec<Vec<usize>> {
+    let Some(first_after) = slip(frames, &order) else {
+        return vec![order];
+    };
+    let (before, after) = order.split_at(first_after);
+    [before, after]
+        .map(|part| parted(frames, part.to_vec()))
+        .concat()
 }
 
 /// The first frame after the most significant slip, as its place in the order of time.
@@ -81,7 +102,7 @@ fn slip(frames: &[FrameObservation], order: &[usize]) -> Option<usize> {
         let across = |pair: &&Pair| pair.frames[0] < first_after && first_after <= pair.frames[1];
         let across: Vec<&Pair> = pairs.iter().filter(across).collect();
         let motion = (across.len() >= LEAST_PAIRS).then(|| motion(&across, |_| 1.0))?;
-        Some((first_after, significance(&motion.ok()?)?))
+        Some((first_after, explained(&across, &motion.ok()?.parameters)))
     });
     let best = found.max_by(|a, b| a.1.total_cmp(&b.1))?;
     (best.1 > SLIP_CHI2).then_some(best.0)
@@ -135,7 +156,7 @@ fn motion(pairs: &[&Pair], share: impl Fn(&Pair) -> f64) -> Result<Fitted<4>, Fi
             mean: Vector4::zeros(),
             information: Vector4::repeat(UNKNOWN_PX.powi(-2)),
         },
-        loss: Loss::Tukey(TUKEY_SIGMAS_2D),
+        loss: LOSS,
         scale: Scale::Median,
         tolerance_sigmas: 1e-2,
     };
@@ -151,9 +172,12 @@ fn motion(pairs: &[&Pair], share: impl Fn(&Pair) -> f64) -> Result<Fitted<4>, Fi
     })
 }
 
-/// Chi^2 of a motion: its square over its covariance, which is not less than the pairs' sigmas make it.
-fn significance(motion: &Fitted<4>) -> Option<f64> {
-    let stated = motion.scatter.min(1.0).powi(-2);
-    let inverse = (motion.covariance * stated).try_inverse()?;
-    Some(motion.parameters.dot(&(inverse * motion.parameters)))
+/// By how much a sudden motion lowers the cost of the pairs about a moment, as chi^2. Pairs that it makes worse count against the moment:
+/// this tells on which side of the slip a frame was taken.
+fn explained(pairs: &[&Pair], motion: &Vector4<f64>) -> f64 {
+    let cost = |motion: &Vector4<f64>| -> f64 {
+        let sizes = pairs.iter().map(|pair| pair.left_by(motion).norm());
+        sizes.map(|size| LOSS.cost(size)).sum()
+    };
+    cost(&Vector4::zeros()) - cost(motion)
 }
