@@ -251,6 +251,44 @@ fn frames_that_determine_nothing_or_do_not_belong_together_are_refused() {
 }
 
 #[test]
+fn frames_of_the_sun_are_refused_as_flat_and_as_dark_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for n in 0..3 {
+        save(&at("dark"), n, &covered(n as u64).frame().unwrap());
+    }
+    let mut sun = lit(150.0, 7);
+    sun.sun = Some(Sun::new(PlateMil::new(300.0, -200.0), 550.0));
+    sun.mark_contrast = 0.8;
+    save(&at("sun"), 3, &sun.frame().unwrap());
+    let (dark, sun, new) = (at("dark"), at("sun"), at("new.toml"));
+    for (options, wanted) in [
+        (
+            vec!["--flat", text(&sun)],
+            "expected an evenly lit frame (--flat)",
+        ),
+        (
+            vec!["--dark", text(&dark), "--flat", text(&sun)],
+            "expected an evenly lit frame (--flat)",
+        ),
+        (
+            vec!["--dark", text(&sun)],
+            "expected a frame without light (--dark)",
+        ),
+    ] {
+        let done =
+            solaspect(&[&["calibrate", "camera", "--out", text(&new)], &options[..]].concat());
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(1), "{done:?}");
+        assert!(
+            said.contains(wanted) && said.contains("frame_00003.fits"),
+            "{said}"
+        );
+        assert!(!new.exists());
+    }
+}
+
+#[test]
 fn an_instrument_that_states_its_pixels_is_read_strictly() {
     let demo = builtin_text("demo").unwrap();
     let read = |more: &str| Instrument::parse(Path::new("a.toml"), &format!("{demo}\n{more}"));
