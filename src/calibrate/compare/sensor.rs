@@ -91,10 +91,12 @@ impl SensorChange {
     }
 }
 
+/// To two digits of the sigma; to six where there is none, as in the truth of a simulation.
 fn text([value, sigma]: [f64; 2]) -> String {
-    let value = value_text(Measured::new(value, sigma));
-    match sigma > 0.0 {
-        true => format!("{value} +- {}", sigma_text(sigma)),
-        false => value,
+    if sigma > 0.0 {
+        let digits = value_text(Measured::new(value, sigma));
+        return format!("{digits} +- {}", sigma_text(sigma));
     }
+    let rounded = format!("{value:.5e}").parse::<f64>();
+    rounded.unwrap_or(value).to_string()
 }
