@@ -45,7 +45,8 @@ for folder in sys.argv[1:]:
         files += 1
         with fits.open(path) as hdus:
             for index, hdu in enumerate(hdus):
-                if isinstance(hdu, fits.BinTableHDU):
+                # In older astropy a compressed image is a table, too.
+                if isinstance(hdu, fits.BinTableHDU) and not isinstance(hdu, fits.CompImageHDU):
                     units += check_table(path, hdu)
                     tables += 1
                 elif hdu.data is not None:
