@@ -250,6 +250,125 @@ fn frames_that_determine_nothing_or_do_not_belong_together_are_refused() {
     }
 }
 
+/// The commands of docs/calibration-camera.md.
+#[test]
+fn a_camera_is_simulated_calibrated_and_compared_with_its_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| text(&folder.path().join(name)).to_owned();
+    let camera = "--seed 4 --bits 12 --noise 2 --electrons 40 --background 16 --hot-pixels 25 --vignetting 0.3";
+    let run = |command: &str| {
+        let done = solaspect(&command.split_whitespace().collect::<Vec<_>>());
+        assert!(done.status.success(), "{command}: {done:?}");
+        String::from_utf8(done.stdout).unwrap()
+    };
+    let (darks, flats, new) = (at("darks"), at("flats"), at("new.toml"));
+    run(&format!(
+        "simulate --dark --out {darks} --frames 4 {camera}"
+    ));
+    run(&format!(
+        "simulate --flat --out {flats} --frames 6 {camera}"
+    ));
+    run(&format!(
+        "calibrate camera --out {new} --dark {darks} --flat {flats}"
+    ));
+    let compared = run(&format!(
+        "calibrate compare {flats}/truth.toml {new} --json"
+    ));
+    let compared: serde_json::Value = serde_json::from_str(&compared).unwrap();
+    let sensor = &compared["sensor"];
+    for (name, most_sigma) in [
+        ("dark_dn", 0.003),
+        ("read_noise_dn", 0.01),
+        ("gain_dn_per_electron", 0.005),
+    ] {
+        let number = |side: usize, n: usize| sensor[name][side][n].as_f64().unwrap();
+        let (truth, found, sigma) = (number(0, 0), number(1, 0), number(1, 1));
+        assert!(sigma < most_sigma * truth, "{name}: {sensor}");
+        assert!((found - truth).abs() < 4.0 * sigma, "{name}: {sensor}");
+    }
+    let loss = |side: usize| sensor["corner_loss"][side].as_f64().unwrap();
+    assert!((loss(1) - loss(0)).abs() < 0.005, "{sensor}");
+    assert_eq!(sensor["hot_pixels_before"], 25);
+    assert_eq!(sensor["hot_pixels_in_both"], 25);
+    assert_eq!(sensor["hot_pixels_after"], 25);
+    let truth = std::fs::read_to_string(format!("{flats}/truth.csv")).unwrap();
+    assert_eq!(truth.lines().next(), Some("n,exposure_s,light_dn"));
+    assert_eq!(truth.lines().last(), Some("5,0.015000000,3280.000000"));
+    let mixed = solaspect(&["simulate", "--out", &at("no"), "--flat", "--moon"]);
+    assert_eq!(mixed.status.code(), Some(2), "{mixed:?}");
+}
+
+/// A frame's row is on the disk when the next frame is begun, however the program ends.
+#[test]
+fn an_interrupted_simulation_leaves_a_row_for_each_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes: [&[&str]; 4] = [&[], &["--flat"], &["--horizon"], &["--moon"]];
+    for (n, scene) in scenes.into_iter().enumerate() {
+        let out = folder.path().join(n.to_string());
+        let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+        command.args(["simulate", "--frames", "100000", "--out", text(&out)]);
+        let mut program = command.args(scene).spawn().unwrap();
+        let frames = || {
+            let files = std::fs::read_dir(&out).into_iter().flatten().flatten();
+            let is_frame = |name: &str| name.ends_with(".fits");
+            files
+                .filter(|f| is_frame(&f.file_name().to_string_lossy()))
+                .count()
+        };
+        while frames() < 3 {
+            assert!(program.try_wait().unwrap().is_none(), "{scene:?}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        program.kill().unwrap();
+        program.wait().unwrap();
+        let truth = std::fs::read_to_string(out.join("truth.csv")).unwrap();
+        let rows = truth.lines().count() - 1;
+        // The row of the last frame may not be there yet.
+        assert!(
+            truth.ends_with('\n') && (frames() - 1..=frames()).contains(&rows),
+            "{scene:?}: {rows}"
+        );
+    }
+}
+
+#[test]
+fn frames_of_the_sun_are_refused_as_flat_and_as_dark_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for n in 0..3 {
+        save(&at("dark"), n, &covered(n as u64).frame().unwrap());
+    }
+    let mut sun = lit(150.0, 7);
+    sun.sun = Some(Sun::new(PlateMil::new(300.0, -200.0), 550.0));
+    sun.mark_contrast = 0.8;
+    save(&at("sun"), 3, &sun.frame().unwrap());
+    let (dark, sun, new) = (at("dark"), at("sun"), at("new.toml"));
+    for (options, wanted) in [
+        (
+            vec!["--flat", text(&sun)],
+            "expected an evenly lit frame (--flat)",
+        ),
+        (
+            vec!["--dark", text(&dark), "--flat", text(&sun)],
+            "expected an evenly lit frame (--flat)",
+        ),
+        (
+            vec!["--dark", text(&sun)],
+            "expected a frame without light (--dark)",
+        ),
+    ] {
+        let done =
+            solaspect(&[&["calibrate", "camera", "--out", text(&new)], &options[..]].concat());
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(1), "{done:?}");
+        assert!(
+            said.contains(wanted) && said.contains("frame_00003.fits"),
+            "{said}"
+        );
+        assert!(!new.exists());
+    }
+}
+
 #[test]
 fn an_instrument_that_states_its_pixels_is_read_strictly() {
     let demo = builtin_text("demo").unwrap();

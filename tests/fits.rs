@@ -132,7 +132,7 @@ mod round_trips {
             |name: &str| hdu.read_key::<String>(&mut fitsio::FitsFile::open(&path).unwrap(), name);
         assert_eq!(text("DATE-AVG").unwrap(), "2013-09-21T18:00:00.007500001");
         assert_eq!(text("TIMESYS").unwrap(), "UTC");
-        assert_eq!(text("BUNIT").unwrap(), "DN");
+        assert_eq!(text("BUNIT").unwrap(), "adu");
         let mut number = |name: &str| hdu.read_key::<f64>(&mut file, name).unwrap();
         assert_eq!(number("EXPTIME"), 0.015_001);
         assert_eq!(number("XPOSURE"), 0.015_001);

@@ -33,6 +33,7 @@ mod moon;
 mod moon_in_flight;
 mod navigation;
 mod navigation_in_flight;
+mod photon_transfer;
 mod pointing;
 mod power_cut;
 mod preflight;

@@ -50,6 +50,8 @@ struct Plan {
     wind: Vec<[f64; 2]>,
     /// Hard times instead of spoiled frames and sunset.
     hard: bool,
+    /// What a degree of the camera's temperature adds to the disc on the plate, as a part of it.
+    radius_per_degc: f64,
 }
 
 /// What makes a frame hard to solve by itself.
@@ -90,6 +92,7 @@ impl Plan {
             frames,
             seed,
             hard: false,
+            radius_per_degc: 0.0,
         }
     }
 
@@ -179,7 +182,9 @@ impl Plan {
 
     fn frame(&self, n: usize) -> Frame {
         let spoiled = self.spoiled(n);
+        let warmth = self.temperature_c(n) - 20.0;
         let radius = self.instrument.optics.radius_mil(SUN_RADIUS_ARCSEC);
+        let radius = radius * (1.0 + self.radius_per_degc * warmth);
         let mut sun = Sun::new(self.sun(n), radius);
         sun.peak_dn *= self.light(n);
         let mut scene = Scene {
@@ -398,6 +403,38 @@ fn a_flight_is_refined_to_its_truth() {
         .collect();
     assert_eq!(found, [plan.jump()]);
     assert!((jumps[plan.jump()] - 0.5).abs() < 0.1);
+}
+
+/// A plate that moves away by 6e-5 of its distance per degree, and one that stays: in both the camera's picture follows the temperature.
+#[test]
+fn what_the_temperature_does_to_the_radius_is_determined_only_where_it_does_something() {
+    const PER_DEGC: f64 = 6e-5;
+    let (still, archive) = flight();
+    assert_eq!(still.radius_per_degc, 0.0);
+    let out = temporary();
+    refine(archive, out.path(), &[]);
+    let found = |folder: &Path| summary(folder)["radius_by_temperature"].clone();
+    let stays = found(out.path());
+    println!("{stays}");
+    assert_eq!(stays["determined"], false, "{stays}");
+    let text = stays["text"].as_str().unwrap();
+    assert!(text.starts_with("not determined"), "{stays}");
+    let breathing = Plan {
+        radius_per_degc: PER_DEGC,
+        ..Plan::new(240, 6)
+    };
+    let flown = temporary();
+    breathing.write(flown.path());
+    let out = temporary();
+    refine(flown.path(), out.path(), &[]);
+    let breathes = found(out.path());
+    println!("{breathes}");
+    assert_eq!(breathes["determined"], true, "{breathes}");
+    let [value, sigma] = [0, 1].map(|n| breathes["per_degc"][n].as_f64().unwrap());
+    assert!((value - PER_DEGC).abs() < 3.0 * sigma, "{breathes}");
+    assert!(sigma < 0.2 * PER_DEGC, "{breathes}");
+    let page = fs::read_to_string(out.path().join("report.html")).unwrap();
+    assert!(page.contains("parts in a million per degC"));
 }
 
 #[test]

@@ -1,5 +1,9 @@
 //! What changed from one instrument to another, in arcsec on the sky, of a turn or a scale in arcsec at the plate's edge.
 
+mod sensor;
+
+pub use sensor::{Renewed, SensorChange};
+
 use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
 use crate::plate::{MarkId, drawn_position};
@@ -81,6 +85,7 @@ pub struct Comparison {
     /// A plate farther away makes every offset smaller.
     pub plate_distance_mm: Turn,
     pub blur_px: [f64; 2],
+    pub sensor: SensorChange,
 }
 
 /// Compares instrument `b` with `a`, which was before it.
@@ -131,6 +136,7 @@ pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
             b.optics.plate_distance_mm.value,
         ),
         blur_px: [a.optics.blur_px.value, b.optics.blur_px.value],
+        sensor: sensor::change(a, b),
     }
 }
 
@@ -248,6 +254,7 @@ impl fmt::Display for Comparison {
         }
         let [before, after] = self.blur_px;
         lines.push(format!("blur          {before} -> {after} px"));
+        lines.extend(self.sensor.lines());
         out.write_str(&lines.join("\n"))
     }
 }

@@ -243,6 +243,26 @@ pub fn regression<const N: usize>(
     values: &[f64],
     sigmas: &[f64],
 ) -> Result<Fitted<N>, FitError> {
+    regression_by(
+        Loss::Tukey(TUKEY_SIGMAS),
+        Scale::Median,
+        terms,
+        values,
+        sigmas,
+    )
+}
+
+/// Linear regression with a loss and a scale of its own. Plain squares have no bias where errors are skewed; a robust loss has.
+///
+/// # Errors
+/// As [`regression`].
+pub fn regression_by<const N: usize>(
+    loss: Loss,
+    scale: Scale,
+    terms: &[SVector<f64, N>],
+    values: &[f64],
+    sigmas: &[f64],
+) -> Result<Fitted<N>, FitError> {
     if values.len() <= N {
         return Err(FitError::Undetermined);
     }
@@ -254,14 +274,14 @@ pub fn regression<const N: usize>(
         };
         Some(rows.map(row).collect())
     };
-    let robust = LeastSquares {
+    let fit = LeastSquares {
         start: SVector::zeros(),
         prior: Prior::none(),
-        loss: Loss::Tukey(TUKEY_SIGMAS),
-        scale: Scale::Median,
+        loss,
+        scale,
         tolerance_sigmas: 1e-6,
     };
-    robust.fit_after_plain(linearise)
+    fit.fit_after_plain(linearise)
 }
 
 #[cfg(test)]

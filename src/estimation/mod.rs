@@ -12,7 +12,9 @@ mod robust;
 mod schmidt;
 
 pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
-pub use least_squares::{FitError, Fitted, LeastSquares, Linearised, Prior, Scale, regression};
+pub use least_squares::{
+    FitError, Fitted, LeastSquares, Linearised, Prior, Scale, regression, regression_by,
+};
 pub use robust::{
     Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS, SIGMA_PER_MEDIAN,
     TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_and_scatter, median_size,

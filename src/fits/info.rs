@@ -271,7 +271,7 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
         Some(Value::Integer(frame.saturation_dn().into())),
     );
     add("BTYPE", Some("Intensity".into()));
-    add("BUNIT", Some("DN".into()));
+    add("BUNIT", Some("adu".into()));
     cards.extend(info.place.map(place_cards).unwrap_or_default());
     cards
 }

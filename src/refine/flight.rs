@@ -12,6 +12,7 @@ use super::load::{ClockFacts, Loaded, load};
 use super::look::{Known, Look};
 use super::mapping::MappingFacts;
 use super::motion;
+use super::radius::RadiusDependence;
 use super::record::{FrameRecord, Grade, Input};
 use super::row::{Oddity, Row};
 use super::work::{LOOSE_RADIUS, TELLING_LIMB, Work};
@@ -39,6 +40,7 @@ pub struct Flight {
     pub path: Option<motion::Path>,
     /// The flight's radius over the expected one.
     pub radius_ratio: Option<Measured>,
+    pub radius_by_temperature: RadiusDependence,
     /// How many rows have a time: the first ones, and those that `mapping` knows.
     pub dated: usize,
     /// Of each point of `path`, s since 1970.
@@ -79,6 +81,7 @@ pub fn second_pass(
         mut places,
         ..
     } = work;
+    let radius_by_temperature = RadiusDependence::of(&rows[..work.dated]);
     rows.extend(unread);
     places.resize(rows.len(), None);
     Ok(Flight {
@@ -88,6 +91,7 @@ pub fn second_pass(
         contradiction,
         path: followed.path,
         radius_ratio: work.radius_ratio,
+        radius_by_temperature,
         dated: work.dated,
         path_times_s: followed.times_s,
         places,

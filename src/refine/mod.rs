@@ -26,6 +26,7 @@ mod mapping;
 pub mod motion;
 mod oddities;
 mod output;
+mod radius;
 mod record;
 mod report;
 mod roll;
@@ -46,6 +47,7 @@ pub use mapping::{
     FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, TemperatureDependence,
 };
 pub use output::{OutputError, Summary, write};
+pub use radius::RadiusDependence;
 pub use record::{
     DiscRecord, FrameFacts, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
 };

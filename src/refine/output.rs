@@ -6,6 +6,7 @@ use super::first_pass::{FirstPass, Recipe};
 use super::flight::Flight;
 use super::load::ClockStep;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
+use super::radius::RadiusDependence;
 use super::record::Grade;
 use super::row::{Oddity, Row};
 use crate::archive::{CONFIGURATION, INSTRUMENT};
@@ -67,10 +68,31 @@ pub struct Summary {
     pub last_utc: Option<String>,
     pub median_sigma_mil: Option<f64>,
     pub radius_over_expected: Option<f64>,
+    pub radius_by_temperature: RadiusSummary,
     pub mapping: Option<MappingSummary>,
     pub clock: ClockSummary,
     /// Random walk of the gondola's acceleration, mil/s^2 after a second.
     pub restless_mil_per_s2: Option<f64>,
+}
+
+/// What a degree of the camera's temperature does to the disc's radius on the plate.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RadiusSummary {
+    /// As a part of the radius: value and 1 sigma. None where there is nothing to tell it by.
+    pub per_degc: Option<[f64; 2]>,
+    pub determined: bool,
+    /// For people: the slope, or "not determined" and why.
+    pub text: String,
+}
+
+impl RadiusSummary {
+    fn of(found: &RadiusDependence) -> Self {
+        Self {
+            per_degc: found.per_degc().map(|slope| [slope.value, slope.sigma]),
+            determined: matches!(found, RadiusDependence::Linear { .. }),
+            text: found.text(),
+        }
+    }
 }
 
 /// What the computer's clock did.
@@ -258,6 +280,7 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         last_utc: dated.last().and_then(time),
         median_sigma_mil: median(sigmas.flatten()),
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
+        radius_by_temperature: RadiusSummary::of(&flight.radius_by_temperature),
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
         clock: clock(flight),
         restless_mil_per_s2: flight.path.as_ref().map(|path| path.process_noise),

@@ -53,7 +53,7 @@ impl Report {
         part.path(&flight.smoothed_rows());
         part.budget();
         part.in_flight();
-        part.radius();
+        part.radius(summary);
         part.mapping(summary);
         part.refusals(archive);
         part.pointing();
@@ -256,7 +256,7 @@ impl Part<'_> {
         ));
     }
 
-    fn radius(&mut self) {
+    fn radius(&mut self, summary: &Summary) {
         self.heading("Radius against ephemeris");
         let ratio = |row: &Row| Some(row.disc?.radius_mil.value / row.expected_radius_mil?);
         let series = [self.dots("seen over expected", ratio)];
@@ -264,6 +264,9 @@ impl Part<'_> {
             &labels("The disc's radius", TIME, "seen / expected"),
             &series,
         ));
+        let text = &summary.radius_by_temperature.text;
+        self.page
+            .note(&format!("With the camera's temperature: {text}."));
     }
 
     fn refusals(&mut self, archive: &Path) {

@@ -2,6 +2,7 @@
 //!
 //! A [`Scene`] is everything a picture consists of; [`Scene::picture`] renders it to a [`Frame`](crate::frame::Frame) and states its
 //! [`Truth`]. The same scene gives the same frame, bit for bit. [`RandomScenes`] draws scenes by condition,
+//! [`RandomScenes::covered`] and [`RandomScenes::evenly_lit`] show the same camera without Sun,
 //! [`FlightScenes`] follows a [`Trajectory`], [`DriftScenes`] the Sun past a gondola that stands still. Beside them the gondola's side of the link: [`controller`];
 //! and what another camera sees, the Earth's limb: [`earth`].
 //!
@@ -27,6 +28,7 @@ pub mod earth;
 mod flight;
 mod glare;
 mod grid;
+mod lamp;
 pub mod moon;
 pub mod navigation;
 mod noise;
@@ -109,6 +111,8 @@ enum Purpose {
     Stars,
     Lamp,
     Navigation,
+    Covered,
+    EvenLamp,
 }
 
 /// A seed for one purpose and one frame of a run.

@@ -157,6 +157,24 @@ impl RandomScenes {
         }
     }
 
+    /// The scene of a frame that only the camera makes: no Sun, nothing of the plate, no stray light; its noise is that of a purpose.
+    pub(super) fn without_sun(&self, purpose: Purpose, number: u64) -> Scene {
+        let mut scene = Scene {
+            stray: StrayLight::default(),
+            seed: derived_seed(self.seed, purpose, number),
+            info: frame_info(number),
+            ..self.template.clone()
+        };
+        scene.blemishes.leaks.clear();
+        scene.blemishes.scratches.clear();
+        scene
+    }
+
+    /// Light at the disc's centre, 8-bit DN.
+    pub(super) fn peak_dn(&self) -> f64 {
+        self.sun.peak_dn
+    }
+
     /// The mapping that all scenes share.
     pub(super) fn mapping(&self) -> &Mapping {
         &self.template.mapping

@@ -264,7 +264,7 @@ impl Depth {
     }
 
     /// The camera's own DN in one 8-bit DN.
-    pub(super) fn steps_per_dn(self) -> f32 {
+    pub fn steps_per_dn(self) -> f32 {
         match self {
             Self::Eight => 1.0,
             Self::Twelve => 16.0,

@@ -3,6 +3,7 @@
 use super::dark;
 use super::flat;
 use super::focus;
+use super::light::{self, WrongLight};
 use super::shots::{Shot, Shots, SunShot};
 use super::transfer;
 use crate::calibrate::frames::{Setting, WrongFrames, check_settings};
@@ -50,12 +51,14 @@ pub enum CameraError {
     },
     #[error(transparent)]
     WrongFrames(#[from] WrongFrames),
+    #[error(transparent)]
+    WrongLight(#[from] WrongLight),
 }
 
 /// Calibrates the camera of an instrument from its frames.
 ///
 /// # Errors
-/// Too few frames, or frames of several cameras or settings.
+/// Too few frames, frames of several cameras or settings, frames that are not dark or not evenly lit.
 pub fn calibrate(inputs: &Inputs, stated: &Instrument) -> Result<CameraCalibration, CameraError> {
     let all = || {
         inputs
@@ -80,7 +83,9 @@ pub fn calibrate(inputs: &Inputs, stated: &Instrument) -> Result<CameraCalibrati
     } else {
         &inputs.dark
     };
+    light::check_dark(&inputs.dark)?;
     let dark = dark::measure(unlit);
+    light::check_even(&inputs.flat, &dark)?;
     let ((gain, transfer), (vignetting, map)) = match inputs.flat.frames.is_empty() {
         true => (
             transfer::by_suns(&inputs.sun, stated, &dark),

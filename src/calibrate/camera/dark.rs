@@ -143,7 +143,7 @@ pub(super) fn clipped_variance(values: &[f64]) -> f64 {
             squares += v * v;
         }
         let mean: f64 = sum / f64::max(count, 1.0);
-        variance = squares / f64::max(count, 1.0) - mean * mean;
+        variance = (squares - count * mean * mean) / f64::max(count - 1.0, 1.0);
         limit = mean.abs() + 5.0 * variance.max(0.0).sqrt();
     }
     variance

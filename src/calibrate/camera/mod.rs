@@ -9,20 +9,24 @@
 //! - `flat`: how the light of evenly lit frames, else the brightness of the Sun's disc, falls off from the middle.
 //! - `focus`: the blur of the Sun's limb, and how blur and scale depend on the camera's temperature.
 //!
+//! `light` refuses dark frames that something lights, and flat ones that are not evenly lit: frames of the Sun.
+//!
 //! What the frames do not determine keeps the instrument's value, with the reason.
 //!
 //! ```text
-//! shots <- dark <- transfer, flat; shots <- focus; all <- calibration <- report
+//! shots <- dark <- light, transfer, flat; shots <- focus; all <- calibration <- report
 //! ```
 
 mod calibration;
 mod dark;
 mod flat;
 mod focus;
+mod light;
 mod report;
 mod shots;
 mod transfer;
 
 pub use calibration::{CameraCalibration, CameraError, Inputs, calibrate};
+pub use light::WrongLight;
 pub use report::page;
-pub use shots::{Shots, SunShot, load, solve};
+pub use shots::{Shot, Shots, SunShot, load, solve};

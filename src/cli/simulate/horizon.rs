@@ -1,14 +1,14 @@
 //! `solaspect simulate --horizon`: frames of the Earth's limb.
 
+use super::truth::{TruthFile, write_file};
 use super::{SimulateArgs, Within};
-use crate::cli::output::{make_folder, progress_bar};
+use crate::cli::output::progress_bar;
 use crate::fits::{self, Compression};
 use crate::instrument::DirectionCamera;
 use crate::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene, Shape};
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use clap::{Args, ValueEnum};
 use nalgebra::{Matrix3, Rotation3};
-use std::fmt::Write;
 
 /// The first line of `truth.csv`. The nadir is in the camera frame (x right, y down, z forward); `in_view` is 1 where some of the
 /// limb's edge is in the picture; `edge_m` is the height of that edge; bx, by, bz is the nadir in the body's axes, for a pair.
@@ -110,10 +110,12 @@ fn cameras(args: &SimulateArgs, toml: &str) -> anyhow::Result<Vec<Camera>> {
 /// Makes the frames, `truth.csv` and the camera's file `cam.toml`, or those of both cameras of a pair.
 pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let (conditions, camera_toml) = conditions(args)?;
-    make_folder(&args.out)?;
     let cameras = cameras(args, &camera_toml)?;
+    let mut truth = TruthFile::create(&args.out, TRUTH_HEADER)?;
+    for camera in &cameras {
+        write_file(&args.out, &camera.file, &camera.toml)?;
+    }
     let progress = progress_bar(args.frames as usize, "frames");
-    let mut truth = format!("{TRUTH_HEADER}\n");
     for number in 0..args.frames {
         let first = conditions.scene(args.seed, number);
         for camera in &cameras {
@@ -128,18 +130,11 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<()> {
             frame.info.mid_exposure = Some(args.utc_at(number as f64)?);
             fits::write_frame(&args.out.join(&name), &frame, &[], &[], Compression::Rice)?;
             let line = truth_line(number, &name, &scene, camera.body_from_camera.as_ref());
-            writeln!(truth, "{line}")?;
+            truth.row(&line)?;
         }
         progress.inc(1);
     }
     progress.finish_and_clear();
-    let files = cameras
-        .iter()
-        .map(|camera| (camera.file.as_str(), &camera.toml));
-    for (name, text) in files.chain([("truth.csv", &truth)]) {
-        let path = args.out.join(name);
-        std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))?;
-    }
     Ok(())
 }
 

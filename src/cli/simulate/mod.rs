@@ -1,11 +1,13 @@
 //! `solaspect simulate`: frames of random scenes or a navigation system's flight, and the truth about them.
 
 mod horizon;
+mod lamp;
 mod moon;
 mod navigation;
+mod truth;
 
 use super::options;
-use super::output::{make_folder, progress_bar};
+use super::output::progress_bar;
 use crate::fits::{self, Compression};
 use crate::instrument::Instrument;
 use crate::simulate::{
@@ -17,14 +19,18 @@ use crate::units::{Place, SensorPx};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use jiff::{SignedDuration, Timestamp};
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::PathBuf;
+use truth::{TruthFile, write_file};
 
 /// The first line of `truth.csv`: px, px, mil, mil, px.
-pub const TRUTH_HEADER: &str = "n,sun_x,sun_y,plate_x,plate_y,radius";
+const TRUTH_HEADER: &str = "n,sun_x,sun_y,plate_x,plate_y,radius";
 
 /// Make frames of random scenes, with the truth about them in truth.csv
+///
+/// truth.csv has a row for each frame, which is on the disk when the frame is: its number n; sun_x, sun_y, the image of the Sun's centre
+/// on the sensor, px, the middle of the first pixel is 0; plate_x, plate_y, the same on the plate, mil (25.4 um); radius, the disc's
+/// radius, px. Without Sun all but n are empty. With --dark or --flat: exposure_s, s; light_dn, the light in the middle of the picture
+/// above the dark level, DN of the camera. The columns of other scenes: docs/simulate.md.
 #[derive(Debug, Clone, Args)]
 #[command(allow_negative_numbers = true)]
 pub struct SimulateArgs {
@@ -64,6 +70,8 @@ pub struct SimulateArgs {
     pub optics: OpticsArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
+    #[command(flatten)]
+    pub lamp: lamp::LampArgs,
     #[command(flatten)]
     pub horizon: horizon::HorizonArgs,
     #[command(flatten)]
@@ -235,6 +243,9 @@ fn position(text: &str) -> Result<SensorPx, String> {
 
 /// Makes the frames and `truth.csv`.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
+    if args.lamp.dark || args.lamp.flat {
+        return lamp::run(args);
+    }
     if args.horizon.horizon {
         return horizon::run(args);
     }
@@ -251,21 +262,16 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     };
     let conditions = args.conditions(&instrument, radius_arcsec);
     let mut scenes = args.scenes(&instrument, &conditions)?;
-    make_folder(&args.out)?;
-    let path = args.out.join("truth.csv");
-    let cannot_write = || format!("{}: cannot write", path.display());
-    let mut truth = BufWriter::new(File::create(&path).with_context(cannot_write)?);
-    writeln!(truth, "{TRUTH_HEADER}").with_context(cannot_write)?;
+    let mut truth = TruthFile::create(&args.out, TRUTH_HEADER)?;
     let progress = progress_bar(args.frames as usize, "frames");
     for number in 0..args.frames {
         let picture = args.picture(&mut scenes, number)?;
         let file = args.out.join(format!("frame_{number:05}.fits"));
         fits::write_frame(&file, &picture.frame, &[], &[], Compression::Rice)?;
-        writeln!(truth, "{}", truth_line(number, &picture.truth)).with_context(cannot_write)?;
+        truth.row(&truth_line(number, &picture.truth))?;
         progress.inc(1);
     }
     progress.finish_and_clear();
-    truth.flush().with_context(cannot_write)?;
     match &scenes {
         Scenes::Random(_) => Ok(()),
         Scenes::Drift(drift) => args.write_pointing(drift),
@@ -319,14 +325,13 @@ impl SimulateArgs {
 
     /// The one direction of a drift scan at the time of every frame, without refraction.
     fn write_pointing(&self, drift: &DriftScenes) -> anyhow::Result<()> {
-        let path = self.out.join("pointing.csv");
         let (azimuth, elevation) = (drift.pointing.azimuth_deg, drift.pointing.elevation_deg);
         let mut text = String::from("utc,azimuth_deg,elevation_deg\n");
         for number in 0..self.frames {
             let utc = self.utc_at(number as f64)?;
             text += &format!("{utc},{azimuth:.7},{elevation:.7}\n");
         }
-        std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))
+        write_file(&self.out, "pointing.csv", &text)
     }
 
     fn conditions(&self, instrument: &Instrument, sun_radius_arcsec: f64) -> Conditions {

@@ -1,14 +1,14 @@
 //! `solaspect simulate --moon`: frames of the Moon.
 
+use super::truth::{TruthFile, write_file};
 use super::{SimulateArgs, Within};
-use crate::cli::output::{make_folder, progress_bar};
+use crate::cli::output::progress_bar;
 use crate::fits::{self, Compression};
 use crate::instrument::DirectionCamera;
 use crate::moon::Shading;
 use crate::simulate::moon::{MoonConditions, MoonScene, Shown};
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use clap::{Args, ValueEnum};
-use std::fmt::Write;
 
 /// The first line of `truth.csv`. x and y are of the whole disc's centre, radius is its vertical half axis and rx the horizontal one, px; the middle of
 /// the bright limb lies in the picture at chi_deg, from +x towards +y; in_view is 1 where some of the disc is in the picture.
@@ -92,23 +92,19 @@ enum Shows {
 /// Makes the frames, `truth.csv` and the camera's file `cam.toml`.
 pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let (conditions, camera_toml) = conditions(args)?;
-    make_folder(&args.out)?;
+    let mut truth = TruthFile::create(&args.out, TRUTH_HEADER)?;
+    write_file(&args.out, "cam.toml", &camera_toml)?;
     let progress = progress_bar(args.frames as usize, "frames");
-    let mut truth = format!("{TRUTH_HEADER}\n");
     for number in 0..args.frames {
         let scene = conditions.scene(args.seed, number);
         let name = format!("frame_{number:05}.fits");
         let mut frame = scene.frame()?;
         frame.info.mid_exposure = Some(args.utc_at(number as f64)?);
         fits::write_frame(&args.out.join(&name), &frame, &[], &[], Compression::Rice)?;
-        writeln!(truth, "{}", truth_line(number, &name, &scene))?;
+        truth.row(&truth_line(number, &name, &scene))?;
         progress.inc(1);
     }
     progress.finish_and_clear();
-    for (name, text) in [("cam.toml", &camera_toml), ("truth.csv", &truth)] {
-        let path = args.out.join(name);
-        std::fs::write(&path, text).with_context(|| format!("{}: cannot write", path.display()))?;
-    }
     Ok(())
 }
 

@@ -1,0 +1,199 @@
+//! The disc's radius on the plate against the ephemeris, and what the camera's temperature does to it: the Sun does not breathe, plate
+//! and focus do.
+//!
+//! The mapping from camera to plate is that of the marks, so what the camera's own scale does is not in the radius. What is: a plate that
+//! is farther away makes the disc larger, a plate that expands makes it smaller in the plate's own mil.
+
+use super::row::Row;
+use super::temperature;
+use super::work::TELLING_LIMB;
+use crate::estimation::regression;
+use crate::units::Measured;
+use nalgebra::Vector2;
+
+/// The discs are told in so many blocks, one after the other: neighbours share the mapping's error, and a block's scatter holds it.
+const BLOCKS: usize = 40;
+/// Fewer discs than this for each block tell nothing.
+const LEAST_PER_BLOCK: usize = 2;
+/// A slope below so many sigmas is none.
+const SIGNIFICANT: f64 = 4.0;
+
+/// What a degree of the camera's temperature does to the radius on the plate, as a part of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum RadiusDependence {
+    NoTemperature,
+    TooFewDiscs {
+        found: usize,
+        least: usize,
+    },
+    /// The slope is within its errors.
+    Insignificant {
+        per_degc: Measured,
+    },
+    Linear {
+        per_degc: Measured,
+    },
+}
+
+impl RadiusDependence {
+    /// By the rows of a flight that have a time, in its order. A change with time that goes as the temperature does is not told apart.
+    pub(super) fn of(rows: &[Row]) -> Self {
+        let times_s: Vec<f64> = rows.iter().map(|row| row.unix_s().unwrap_or(0.0)).collect();
+        let readings: Vec<Option<f64>> = rows.iter().map(|row| row.temperature_c).collect();
+        let Some(temperature_c) = temperature::from_the_middle(&times_s, &readings) else {
+            return Self::NoTemperature;
+        };
+        let discs = rows.iter().zip(temperature_c);
+        let discs: Vec<(f64, f64)> = discs
+            .filter_map(|(row, c)| Some((c, ratio(row)?)))
+            .collect();
+        Self::through(&discs)
+    }
+
+    /// Temperatures and radii over the expected ones, in the order of time.
+    fn through(discs: &[(f64, f64)]) -> Self {
+        let least = LEAST_PER_BLOCK * BLOCKS;
+        let few = Self::TooFewDiscs {
+            found: discs.len(),
+            least,
+        };
+        if discs.len() < least {
+            return few;
+        }
+        let Some(per_degc) = slope(discs) else {
+            return few;
+        };
+        match per_degc.value.abs() > SIGNIFICANT * per_degc.sigma {
+            true => Self::Linear { per_degc },
+            false => Self::Insignificant { per_degc },
+        }
+    }
+
+    /// The slope, where there is one, determined or not.
+    pub fn per_degc(&self) -> Option<Measured> {
+        match self {
+            Self::Insignificant { per_degc } | Self::Linear { per_degc } => Some(*per_degc),
+            Self::NoTemperature | Self::TooFewDiscs { .. } => None,
+        }
+    }
+
+    /// For people.
+    pub fn text(&self) -> String {
+        let ppm = |m: &Measured| format!("{:+.1} \u{b1} {:.1}", 1e6 * m.value, 1e6 * m.sigma);
+        match self {
+            Self::NoTemperature => {
+                "not determined: the headers hold no temperature of the camera that changes".into()
+            }
+            Self::TooFewDiscs { found, least } => {
+                format!("not determined: expected at least {least} whole discs, found {found}")
+            }
+            Self::Insignificant { per_degc } => format!(
+                "not determined: {} parts in a million per degC do not explain the radius",
+                ppm(per_degc)
+            ),
+            Self::Linear { per_degc } => {
+                format!("{} parts in a million per degC", ppm(per_degc))
+            }
+        }
+    }
+}
+
+/// The radius over the expected one, of fine frames that show enough of the limb to tell it.
+fn ratio(row: &Row) -> Option<f64> {
+    let tells = row.is_fine() && row.limb_part? >= TELLING_LIMB;
+    let ratio = row.disc?.radius_mil.value / row.expected_radius_mil?;
+    tells.then_some(ratio)
+}
+
+/// The slope of the blocks' means, as a part of the radius; its sigma is inflated by what successive blocks have in common.
+fn slope(discs: &[(f64, f64)]) -> Option<Measured> {
+    let size = discs.len().div_ceil(BLOCKS);
+    let blocks: Vec<(Vector2<f64>, f64, f64)> = discs.chunks(size).map(mean_of_block).collect();
+    let terms: Vec<_> = blocks.iter().map(|(at, ..)| *at).collect();
+    let radii: Vec<f64> = blocks.iter().map(|(_, radius, _)| *radius).collect();
+    let sigmas: Vec<f64> = blocks.iter().map(|(.., sigma)| *sigma).collect();
+    let fitted = regression(&terms, &radii, &sigmas).ok()?;
+    let residuals = terms.iter().zip(&radii).zip(&fitted.weights);
+    let residuals: Vec<f64> = residuals
+        .map(|((at, radius), weight)| weight * (radius - at.dot(&fitted.parameters)))
+        .collect();
+    let slope = fitted.measured(1);
+    let middle = fitted.parameters[0];
+    let inflated = slope.sigma * inflation(&residuals);
+    (middle > 0.0).then(|| Measured::new(slope.value / middle, inflated / middle))
+}
+
+/// One and the temperature, the radius and its relative sigma.
+fn mean_of_block(discs: &[(f64, f64)]) -> (Vector2<f64>, f64, f64) {
+    let count = discs.len() as f64;
+    let sum = discs.iter().fold((0.0, 0.0), |s, d| (s.0 + d.0, s.1 + d.1));
+    let at = Vector2::new(1.0, sum.0 / count);
+    (at, sum.1 / count, 1.0 / count.sqrt())
+}
+
+/// By how much a sigma grows where each residual resembles the one before (a first-order process), never below 1.
+fn inflation(residuals: &[f64]) -> f64 {
+    const MOST_ALIKE: f64 = 0.9;
+    let squares: f64 = residuals.iter().map(|r| r * r).sum();
+    let products: f64 = residuals.windows(2).map(|pair| pair[0] * pair[1]).sum();
+    let alike = match squares > 0.0 {
+        true => (products / squares).clamp(0.0, MOST_ALIKE),
+        false => 0.0,
+    };
+    ((1.0 + alike) / (1.0 - alike)).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    /// A flight that cools by 15 degC, radii to 2e-4 each; `alike` is what an error has of the one before.
+    fn flight(per_degc: f64, alike: f64, seed: u64) -> Vec<(f64, f64)> {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut error = 0.0;
+        let disc = |n: usize| {
+            let fresh: f64 = rng.sample(StandardNormal);
+            error = alike * error + (1.0 - alike * alike).sqrt() * fresh;
+            let c = 7.5 - 15.0 * n as f64 / 800.0;
+            (c, 1.001 * (1.0 + per_degc * c) + 2e-4 * error)
+        };
+        (0..800).map(disc).collect()
+    }
+
+    #[test]
+    fn sigmas_of_the_slope_are_honest_though_neighbours_share_errors() {
+        for alike in [0.0, 0.9] {
+            let error = |seed| {
+                let found = RadiusDependence::through(&flight(2.3e-5, alike, seed));
+                let found = found.per_degc().unwrap();
+                (found.value - 2.3e-5) / found.sigma
+            };
+            let squares: f64 = (0..200).map(|seed| f64::powi(error(seed), 2)).sum();
+            let rms = (squares / 200.0).sqrt();
+            assert!((0.8..1.25).contains(&rms), "{alike}: {rms}");
+        }
+    }
+
+    #[test]
+    fn a_radius_that_does_not_follow_the_temperature_is_not_determined() {
+        for seed in 0..100 {
+            let found = RadiusDependence::through(&flight(0.0, 0.9, seed));
+            assert!(
+                matches!(found, RadiusDependence::Insignificant { .. }),
+                "{seed}: {found:?}"
+            );
+            assert!(found.text().starts_with("not determined"));
+        }
+        let few = RadiusDependence::through(&flight(2.3e-5, 0.0, 1)[..79]);
+        assert_eq!(
+            few,
+            RadiusDependence::TooFewDiscs {
+                found: 79,
+                least: 80
+            }
+        );
+    }
+}
