@@ -9,12 +9,18 @@ use crate::report::plot::{self, Curve, Labels, Stroke};
 /// Frames further apart than so many usual steps end a run.
 const GAP_STEPS: f64 = 1.5;
 
+/// The colour of what belongs to no axis.
+const GREY: usize = 5;
+
 /// A motion along one axis, arcsec, at times in s.
 struct Motion {
     name: &'static str,
     points: Vec<(f64, f64)>,
-    /// 1 sigma of a frame along the axis, the median of all, arcsec.
+    /// 1 sigma of a frame along the axis, the median of all, arcsec; none where it is not known or stands with another motion.
     frame_sigma: Option<f64>,
+    /// What the line of that noise is called.
+    noise: &'static str,
+    noise_hue: usize,
     hue: usize,
 }
 
@@ -54,7 +60,9 @@ impl Part<'_> {
                 .iter()
                 .map(|(t, offset)| (*t, offset[hue]))
                 .collect(),
-            frame_sigma: mean,
+            frame_sigma: mean.filter(|_| hue == 0),
+            noise: "noise of the frames",
+            noise_hue: GREY,
             hue,
         };
         if !offsets.is_empty() {
@@ -69,6 +77,8 @@ impl Part<'_> {
             name,
             points: self.over_time(|row| place(row, hue)),
             frame_sigma: frame_sigma(hue),
+            noise: ["noise of the frames, x", "noise of the frames, y"][hue],
+            noise_hue: hue,
             hue,
         };
         (
@@ -88,9 +98,8 @@ impl Part<'_> {
         curves.extend(motions.iter().filter_map(|motion| {
             let (points, step_s) = motion.spectrum()?;
             let floor = spectrum::floor(motion.frame_sigma?, step_s);
-            let name = format!("noise of the frames, {}", motion.name);
             let points = points.iter().map(|(hertz, _)| (*hertz, floor));
-            Some(Curve::new(name, Stroke::Limit, points).in_hue(motion.hue))
+            Some(Curve::new(motion.noise, Stroke::Limit, points).in_hue(motion.noise_hue))
         }));
         let title = format!("Spectrum of {what}");
         let labels = Labels::new(title, "frequency, Hz", "arcsec\u{b2}/Hz");
@@ -105,8 +114,8 @@ fn cumulative(what: &str, motions: &[Motion]) -> Result<String, plot::PlotError>
         let floor = motion.frame_sigma.map(|sigma| {
             let floor = spectrum::floor(sigma, step_s);
             let floor: Vec<(f64, f64)> = points.iter().map(|(hertz, _)| (*hertz, floor)).collect();
-            let name = format!("noise of the frames, {}", motion.name);
-            Curve::new(name, Stroke::Limit, spectrum::rms_above(&floor)).in_hue(motion.hue)
+            Curve::new(motion.noise, Stroke::Limit, spectrum::rms_above(&floor))
+                .in_hue(motion.noise_hue)
         });
         let measured = Curve::new(motion.name, Stroke::Known, measured).in_hue(motion.hue);
         Some([Some(measured), floor].into_iter().flatten())
@@ -124,8 +133,7 @@ fn allan_figure(what: &str, motions: &[Motion]) -> Result<String, plot::PlotErro
         let white = motion.frame_sigma.map(|sigma| {
             let at = |time_s: f64| sigma * (step_s / time_s).sqrt();
             let points = found.iter().map(|(time_s, _)| (*time_s, at(*time_s)));
-            let name = format!("noise of the frames, {}", motion.name);
-            Curve::new(name, Stroke::Limit, points).in_hue(motion.hue)
+            Curve::new(motion.noise, Stroke::Limit, points).in_hue(motion.noise_hue)
         });
         let found = Curve::new(motion.name, Stroke::Measured, found.clone()).in_hue(motion.hue);
         Some([Some(found), white].into_iter().flatten())

@@ -244,7 +244,7 @@ pub(super) fn short(value: f64, digits: i32) -> String {
 fn power_text(digit: f64, decade: i32) -> String {
     match decade {
         -3..0 => fixed(digit * 10_f64.powi(decade), decade.unsigned_abs() as usize),
-        0..5 => fixed(digit * 10_f64.powi(decade), 0),
+        0..4 => fixed(digit * 10_f64.powi(decade), 0),
         _ if digit == 1.0 => format!("10{}", superscript(decade)),
         _ => format!("{digit}\u{b7}10{}", superscript(decade)),
     }

@@ -24,7 +24,7 @@ const SIDE_PX: f64 = 620.0;
 const HEIGHT_PX: f64 = 629.0;
 /// All but a twentieth of the arrows are no longer than this, and none longer than that.
 const USUAL_PX: f64 = 36.0;
-const LONGEST_PX: f64 = 150.0;
+const LONGEST_PX: f64 = 90.0;
 /// Space for the scale of colours.
 const SCALE_PX: f64 = 90.0;
 
@@ -119,11 +119,12 @@ fn scale(sheet: &mut Sheet, of_value: Axis, unit: &str) {
     const STEPS: u32 = 100;
     let [_, top, right, bottom] = sheet.panel();
     let (left, right) = (right + 18.0, right + 34.0);
-    let top = top + 16.0;
+    let top = top + 26.0;
     let at = |fraction: f64| bottom - fraction * (bottom - top);
     for n in 0..STEPS {
         let [from, to] = [n, n + 1].map(|n| f64::from(n) / f64::from(STEPS));
-        let overlap = if n + 1 < STEPS { 0.5 } else { 0.0 };
+        // The next covers it, so that no gap shows between two.
+        let overlap = if n + 1 < STEPS { 1.5 } else { 0.0 };
         sheet.rectangle((left, at(from)), (right, at(to) - overlap), &colour(from));
     }
     let corners = [
@@ -146,7 +147,11 @@ fn scale(sheet: &mut Sheet, of_value: Axis, unit: &str) {
         0 => String::new(),
         power => format!(" \u{d7} 10{}", super::axis::superscript(power)),
     };
-    sheet.text((left, top - 7.0), Anchor::Start, &format!("{unit}{power}"));
+    sheet.text(
+        (left - 6.0, top - 14.0),
+        Anchor::Start,
+        &format!("{unit}{power}"),
+    );
 }
 
 /// From light yellow to dark blue, even in lightness (ColorBrewer's YlGnBu): distinct for the colour-blind and in grey.

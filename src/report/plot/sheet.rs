@@ -322,7 +322,7 @@ impl Sheet {
                 dates.push(date);
             }
         }
-        for tick in self.y.ticks(((bottom - top) / 48.0) as usize) {
+        for tick in self.y.ticks(((bottom - top) / 38.0) as usize) {
             let (_, y) = self.place((self.x.low, tick.at));
             self.line(&[(left, y), (right, y)], grid);
             self.text((left - 7.0, y + 4.0), Anchor::End, &tick.label);
