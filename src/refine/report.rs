@@ -251,6 +251,9 @@ impl Part<'_> {
             reasons.entry(row.reason()).or_default().push(row);
         }
         reasons.remove("");
+        if reasons.is_empty() {
+            return self.page.note("Every frame is fine, and none is odd.");
+        }
         let count = |(reason, rows): (&String, &Vec<&Row>)| {
             let qualities = ["fine", "coarse", "none"].map(|quality| {
                 rows.iter()

@@ -15,13 +15,13 @@ pub struct Page {
 /// Light on every screen; on A4 nothing is cut in two that fits a sheet.
 const STYLE: &str = ":root{color-scheme:light}\
 body{font-family:system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222;background:#fff}\
-table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #ccc;padding:.3em .7em;text-align:left;vertical-align:top;\
-overflow-wrap:anywhere}svg,img{max-width:100%;height:auto}figure{display:inline-block;margin:.5em;vertical-align:top}\
+table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #ccc;padding:.3em .7em;text-align:left;vertical-align:top}\
+td:last-child{overflow-wrap:anywhere}svg,img{max-width:100%;height:auto}figure{display:inline-block;margin:.5em;vertical-align:top}\
 figcaption{font-size:.85em;color:#555;overflow-wrap:anywhere}figure.picture figcaption{max-width:200px}\
 figure.plot{display:block;margin:1em 0}.note{color:#555}\
 pre{background:#f5f5f5;padding:1em;white-space:pre-wrap;overflow-wrap:anywhere}\
 @page{size:A4;margin:15mm}\
-@media print{body{max-width:none;margin:0;padding:0;font-size:9.5pt}h2{break-after:avoid}figure,tr{break-inside:avoid}\
+@media print{body{max-width:none;margin:0;padding:0;font-size:9.5pt}h2,thead{break-after:avoid}figure,tr{break-inside:avoid}\
 figure.plot svg{max-height:120mm}td,th{padding:.15em .4em}pre{font-size:8pt}.note,figcaption{color:#222}}";
 
 /// A text as it may stand in a page.
@@ -57,7 +57,8 @@ impl Page {
             format!("<tr>{cells}</tr>\n")
         };
         if !heads.is_empty() {
-            self.body += &line(heads.iter().map(|head| (*head).to_owned()).collect(), "th");
+            let heads = heads.iter().map(|head| (*head).to_owned()).collect();
+            self.body += &format!("<thead>{}</thead>\n", line(heads, "th"));
         }
         for row in rows {
             self.body += &line(row.clone(), "td");
