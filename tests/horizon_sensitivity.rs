@@ -5,7 +5,7 @@ use solaspect::geometry::camera::Camera;
 use solaspect::horizon::{
     Departure, EdgeHeight, EdgePoint, EdgeRay, EdgeRays, Refraction, Sphere, nadir,
 };
-use solaspect::report::plot::{Labels, Mark, Series, series};
+use solaspect::report::plot::{Labels, Series, series};
 use solaspect::units::{Measured, SensorPx};
 use std::f64::consts::TAU;
 
@@ -80,15 +80,8 @@ fn figure(name: &str, axis: &str, values: &[f64], case: impl Fn(f64) -> Case) ->
         .map(|v| case(*v).errors_deg().unwrap())
         .collect();
     if std::env::var_os("SOLASPECT_WRITE_DOCS").is_some() {
-        let line = |name: &str, of: usize| Series {
-            name: name.into(),
-            points: values
-                .iter()
-                .zip(&errors)
-                .map(|(v, e)| (*v, e[of]))
-                .collect(),
-            mark: Mark::Line,
-        };
+        let points = |of: usize| values.iter().zip(&errors).map(move |(v, e)| (*v, e[of]));
+        let line = |name: &str, of: usize| Series::curve(name, points(of));
         let title = "an edge with errors of 1 px";
         let labels = Labels::new(title, axis, "1 sigma, deg");
         let svg = series(&labels, &[line("roll", 0), line("pitch", 1)]).unwrap();

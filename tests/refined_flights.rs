@@ -351,6 +351,13 @@ fn two_cameras_of_one_archive_have_a_history_each_and_one_report() {
     let report = fs::read_to_string(out.path().join("report.html")).unwrap();
     assert!(report.contains("<h2>demo: The Sun on the plate</h2>"));
     assert!(report.contains("<h2>demo-2: The Sun on the plate</h2>"));
+    for figure in ["Spectrum of", "Cumulative jitter of", "Allan deviation of"] {
+        assert_eq!(
+            report.matches(&format!("aria-label=\"{figure}")).count(),
+            2,
+            "{figure}"
+        );
+    }
 }
 
 #[test]

@@ -207,8 +207,8 @@ fn the_picture_of_a_frame_shows_its_marks_though_they_were_predicted() {
     let flight = flight(2);
     let prior = flight.solve(&flight.frames[0], None).track;
     let drawn = |solution: &Solution| {
-        let plate = &flight.instrument.plate;
-        let picture = overlay(&flight.frames[1], solution, plate, "a frame");
+        let instrument = &flight.instrument;
+        let picture = overlay(&flight.frames[1], solution, instrument, "a frame");
         let coloured = |pixel: &&image::Rgb<u8>| pixel.0 == [110, 190, 255];
         picture.pixels().filter(coloured).count()
     };

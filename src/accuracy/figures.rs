@@ -2,7 +2,7 @@
 //! sub-pixel phases.
 
 use super::conditions::noise;
-use super::marks::{BIAS_PX, BiasMap, PHASES};
+use super::marks::{BIAS_PX, BiasMap};
 use super::outcome::{About, MOST, Summary};
 use super::recipe::{ENOUGH_MARKS, Recipe, View};
 use super::rows::Size;
@@ -87,11 +87,7 @@ fn at(
 
 fn curve(name: &str, sweep: &Sweep, stroke: Stroke, of: fn(&Summary) -> Option<f64>) -> Curve {
     let points = sweep.iter().filter_map(|(x, found)| Some((*x, of(found)?)));
-    Curve {
-        name: name.into(),
-        points: points.collect(),
-        stroke,
-    }
+    Curve::new(name, stroke, points)
 }
 
 fn curves_of(sweep: &Sweep) -> [Curve; 3] {
@@ -131,13 +127,11 @@ pub fn histogram(outcomes: &[Outcome], title: &str) -> Result<String, PlotError>
     let lines = [("median", 0.5), ("99.7 %", MOST)]
         .map(|(name, part)| Some((name, super::chance::quantile(errors.clone(), part)?)));
     let lines: Vec<_> = lines.into_iter().flatten().collect();
-    plot::histogram(&labels, &errors, 40, &lines)
+    plot::histogram(&labels, &errors, 40, &lines, None)
 }
 
 /// The bias of a mark over the sub-pixel phases.
 pub fn bias_figure(map: &BiasMap) -> Result<String, PlotError> {
-    /// An arrow of a hundredth of a pixel is as long as a cell is wide.
-    const MAGNIFIED: f64 = 1.0 / PHASES as f64 / BIAS_PX;
     let arrows: Vec<Arrow> = map
         .cells
         .iter()
@@ -149,9 +143,8 @@ pub fn bias_figure(map: &BiasMap) -> Result<String, PlotError> {
             })
         })
         .collect();
-    let title = format!("Bias of a mark; full shade, and an arrow as long as a cell: {BIAS_PX} px");
+    let title = format!("Bias of a mark, allowed to {BIAS_PX} px");
     let x = "place of the mark from the middle of a pixel, x, px";
     let labels = Labels::new(title, x, "y, px");
-    let cell = 1.0 / PHASES as f64;
-    plot::vector_map(&labels, -0.5..0.5, cell, &arrows, MAGNIFIED, BIAS_PX)
+    plot::vector_map(&labels, -0.5..0.5, &arrows, "px")
 }

@@ -4,6 +4,7 @@ use super::{Mark, Solution};
 use crate::fiducial::Lighting;
 use crate::frame::{Frame, Region};
 use crate::geometry::Mapping;
+use crate::instrument::Instrument;
 use crate::plate::Plate;
 use crate::report::{Canvas, Colour};
 use crate::units::{PlateMil, SensorPx};
@@ -15,12 +16,29 @@ const AXIS_MIL: f64 = 350.0;
 const SAME_MARK_PX: f64 = 2.0;
 /// Of the circle about a mark.
 const MARK_RADIUS_PX: f64 = 11.0;
+/// Captions, two lines of legend, the scale.
 const CAPTION_LINES: u32 = 4;
+const STRIP_LINES: u32 = CAPTION_LINES + 3;
+/// The scale's bar is the longest of these that takes no more than a quarter of the picture's width.
+const SCALES_ARCSEC: [f64; 7] = [3000.0, 1000.0, 500.0, 200.0, 100.0, 50.0, 20.0];
+const LEGEND: [(&str, Colour); 6] = [
+    ("limb points", Colour::YELLOW),
+    ("fitted disc", Colour::GREEN),
+    ("marks", Colour::BLUE),
+    ("cut by the limb", Colour::ORANGE),
+    ("not identified", Colour::RED),
+    ("plate's axes", Colour::MAGENTA),
+];
 
 /// The disc magnified, with points of the limb (yellow), the fitted disc (green), marks
-/// with their ids (blue; red when cut by the limb or not read) and the plate's axes (magenta). A frame without a disc
-/// is shown whole, with the reason.
-pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -> RgbImage {
+/// with their ids (blue; orange when cut by the limb), detections that are no mark (red) and the plate's axes (magenta); below it what
+/// the colours mean and a scale in arcsec. A frame without a disc is shown whole, with the reason.
+pub fn overlay(
+    frame: &Frame,
+    solution: &Solution,
+    instrument: &Instrument,
+    title: &str,
+) -> RgbImage {
     let levels = solution.levels;
     let stretch = levels.map_or((0.0, f64::from(frame.saturation_dn())), |levels| {
         (levels.background_dn, 1.5 * levels.disc_dn)
@@ -33,7 +51,7 @@ pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -
         Some(region) => (region, 4),
         None => (frame.region(), 1),
     };
-    let mut canvas = Canvas::of_frame(frame, region, zoom, stretch, CAPTION_LINES);
+    let mut canvas = Canvas::of_frame(frame, region, zoom, stretch, STRIP_LINES);
     for point in &solution.limb {
         canvas.dot(point.at, Colour::YELLOW);
     }
@@ -46,11 +64,40 @@ pub fn overlay(frame: &Frame, solution: &Solution, plate: &Plate, title: &str) -
         );
         draw_axes(&mut canvas, &adopted.mapping, aspect.sun_plate.position);
     }
-    draw_marks(&mut canvas, solution, plate);
+    draw_marks(&mut canvas, solution, &instrument.plate);
     for (line, text) in captions(solution, title).iter().enumerate() {
         canvas.caption(line as u32, text, Colour::WHITE);
     }
+    let free = canvas.legend(CAPTION_LINES, &LEGEND);
+    draw_scale(
+        &mut canvas,
+        free,
+        region.width() as f64,
+        solution,
+        instrument,
+    );
     canvas.into_image()
+}
+
+/// By the frame's own scale where it has one, else by the stated one.
+fn draw_scale(
+    canvas: &mut Canvas,
+    line: u32,
+    width_px: f64,
+    solution: &Solution,
+    instrument: &Instrument,
+) {
+    let own = solution.aspect.zip(solution.mapping.as_ref());
+    let own = own.map(|(aspect, adopted)| {
+        let seen = adopted.mapping.to_sensor(aspect.sun_plate.position);
+        adopted.mapping.scale_mil_per_px(seen)
+    });
+    let mil_per_px = own.unwrap_or(instrument.mounting.scale_mil_per_px.value);
+    let arcsec_per_px = mil_per_px * instrument.optics.arcsec_per_mil();
+    let fits = |arcsec: &&f64| **arcsec <= width_px / 4.0 * arcsec_per_px;
+    if let Some(arcsec) = SCALES_ARCSEC.iter().find(fits) {
+        canvas.scale_bar(line, arcsec / arcsec_per_px, &format!("{arcsec} arcsec"));
+    }
 }
 
 /// The limb as the mapping shows it: a circle on the plate, not always one on the sensor.
@@ -87,7 +134,7 @@ fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
     for mark in &solution.marks {
         let colour = match mark.lighting {
             Lighting::Full => Colour::BLUE,
-            Lighting::Cut => Colour::RED,
+            Lighting::Cut => Colour::ORANGE,
         };
         canvas.circle(mark.at, MARK_RADIUS_PX, colour);
         let beside = SensorPx::new(mark.at.x + 8.0, mark.at.y - 8.0);

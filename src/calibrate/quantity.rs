@@ -101,11 +101,14 @@ impl CalibratedQuantity {
                 "" => numbers,
                 _ => format!("{numbers} {}", q.unit),
             };
-            let sigma = match q.found.is_empty() {
-                true => String::new(),
-                false => sigma_text(q.sigma),
+            // What is not determined gives no number.
+            let (found, sigma) = match q.verdict {
+                Verdict::Determined if !q.found.is_empty() => {
+                    (with_unit(q.found_text()), sigma_text(q.sigma))
+                }
+                Verdict::Determined | Verdict::Kept => Default::default(),
             };
-            let (stated, found) = (with_unit(numbers(&q.stated)), with_unit(q.found_text()));
+            let stated = with_unit(numbers(&q.stated));
             vec![q.name.into(), stated, found, sigma, q.remark.clone()]
         };
         let rows: Vec<_> = quantities.iter().map(row).collect();

@@ -141,7 +141,7 @@ impl Batch<'_> {
         );
         let name = path.display().to_string();
         self.args.draw(path, |title| {
-            aspect::overlay(&frame, &solution, &self.instrument.plate, title)
+            aspect::overlay(&frame, &solution, &self.instrument, title)
         })?;
         let record = Record::new(&name, utc, &solution, offset, Some(solve_time));
         Ok(Solved {

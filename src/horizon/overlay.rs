@@ -10,7 +10,16 @@ use crate::units::SensorPx;
 use image::RgbImage;
 use std::f64::consts::TAU;
 
+/// Below them two lines of legend.
 const CAPTION_LINES: u32 = 3;
+const STRIP_LINES: u32 = CAPTION_LINES + 2;
+const LEGEND: [(&str, Colour); 5] = [
+    ("edge as seen", Colour::YELLOW),
+    ("does not agree", Colour::RED),
+    ("edge of the sphere", Colour::GREEN),
+    ("down", Colour::MAGENTA),
+    ("own parts", Colour::BLUE),
+];
 const ARROW_PX: f64 = 120.0;
 
 /// The whole frame with the edge as it was seen (yellow; red where it does not agree), the edge of the sphere that was found (green), the
@@ -27,7 +36,7 @@ pub fn overlay(
         .map_or((0.0, f64::from(frame.saturation_dn())), |levels| {
             (levels.dark_dn, levels.bright_dn)
         });
-    let mut canvas = Canvas::of_frame(frame, frame.region(), 1, stretch, CAPTION_LINES);
+    let mut canvas = Canvas::of_frame(frame, frame.region(), 1, stretch, STRIP_LINES);
     for region in &camera.mask {
         let [x0, x1, y0, y1] = [region.x0, region.x1, region.y0, region.y1].map(|v| v as f64);
         let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)];
@@ -51,6 +60,7 @@ pub fn overlay(
     for (line, text) in captions(solution, title).iter().enumerate() {
         canvas.caption(line as u32, text, Colour::WHITE);
     }
+    canvas.legend(CAPTION_LINES, &LEGEND);
     canvas.into_image()
 }
 

@@ -7,20 +7,29 @@ use crate::units::SensorPx;
 use image::RgbImage;
 use std::f64::consts::TAU;
 
+/// Below them two lines of legend.
 const CAPTION_LINES: u32 = 3;
+const STRIP_LINES: u32 = CAPTION_LINES + 2;
+const LEGEND: [(&str, Colour); 4] = [
+    ("limb as seen", Colour::YELLOW),
+    ("does not agree", Colour::RED),
+    ("disc", Colour::GREEN),
+    ("centre, bright limb", Colour::MAGENTA),
+];
 
 /// The whole frame with the limb as it was seen (yellow; red where it does not agree), the whole disc (green), its centre, and an arrow to the
 /// middle of the bright limb (magenta).
 pub fn overlay(frame: &Frame, found: &Result<Disc, Stopped>, title: &str) -> RgbImage {
     let saturated = f64::from(frame.saturation_dn());
     let dark = Levels::of(frame).map_or(0.0, |levels| levels.dark_dn);
-    let mut canvas = Canvas::of_frame(frame, frame.region(), 1, (dark, saturated), CAPTION_LINES);
+    let mut canvas = Canvas::of_frame(frame, frame.region(), 1, (dark, saturated), STRIP_LINES);
     if let Ok(disc) = found {
         draw(&mut canvas, disc);
     }
     for (line, text) in captions(found, title).iter().enumerate() {
         canvas.caption(line as u32, text, Colour::WHITE);
     }
+    canvas.legend(CAPTION_LINES, &LEGEND);
     canvas.into_image()
 }
 

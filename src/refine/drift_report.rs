@@ -1,9 +1,9 @@
 //! The report's part on the mapping: its drift over time and with the camera's temperature.
 
 use super::output::{MappingSummary, Summary, ThermalSummary};
-use super::report::{Part, TIME, labels};
+use super::report::Part;
 use super::row::Row;
-use crate::report::plot::{self, Mark, Series};
+use crate::report::plot::{self, Labels, Series};
 
 impl Part<'_> {
     pub(super) fn mapping(&mut self, summary: &Summary) {
@@ -17,11 +17,8 @@ impl Part<'_> {
         ));
         let centre = |axis: usize| move |row: &Row| Some(row.mapping?.centre_px[axis].value);
         let [x, y] = [0, 1].map(|axis| self.over_time(centre(axis)));
-        let labels = labels(
-            "The plate's centre on the sensor",
-            TIME,
-            "px since the first frame",
-        );
+        let title = "The plate's centre on the sensor";
+        let labels = Labels::over_utc(title, "px since the first frame");
         let series = [from_first("x", &x), from_first("y", &y)];
         self.figure(plot::series(&labels, &series));
         self.temperature(mapping);
@@ -35,18 +32,26 @@ impl Part<'_> {
                 .note("The headers hold no temperature of the camera, or only one.");
         };
         match (&mapping.by_temperature, mapping.temperature_gain) {
-            (Some(thermal), _) => self.degrees(thermal),
+            (Some(thermal), _) => {
+                self.degrees(thermal);
+                self.page.note(&format!(
+                    "The slopes of the figure, jumps taken off: {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
+                ));
+            }
+            // What is not determined gives no number.
             (None, Some(_)) => self.page.note(
-                "The camera's temperature does not explain the marks any better than process noise does, so it does not count.",
+                "How the mapping depends on the camera's temperature is not determined: temperature explains the marks no better than process noise does.",
             ),
             (None, None) => self.page.note(
-                "Too few headers hold the camera's temperature, so it does not count.",
+                "How the mapping depends on the camera's temperature is not determined: too few headers hold it.",
             ),
         }
-        self.page.note(&format!(
-            "The slopes of the figure, jumps taken off: {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
-        ));
-        let labels = labels("The same over the camera's temperature", "degC", "px");
+        let title = "The plate's centre over the camera's temperature";
+        let labels = Labels::new(
+            title,
+            "camera's temperature, degC",
+            "px since the first frame",
+        );
         let series = [from_first("x", &x), from_first("y", &y)];
         self.figure(plot::series(&labels, &series));
     }
@@ -87,11 +92,7 @@ impl Part<'_> {
 
 fn from_first(name: &str, points: &[(f64, f64)]) -> Series {
     let first = points.first().map_or(0.0, |point| point.1);
-    Series {
-        name: name.into(),
-        points: points.iter().map(|(at, v)| (*at, v - first)).collect(),
-        mark: Mark::Dots,
-    }
+    Series::dots(name, points.iter().map(|(at, v)| (*at, v - first)))
 }
 
 /// The common slope of straight lines, one through each part's points; none where x does not vary.

@@ -9,6 +9,7 @@
 //! What comes out ([`write()`], [`Report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
 //! which frames were done, by how many cores or machines, nor on how often the run was killed.
 
+mod allan;
 mod cameras;
 mod clock;
 pub mod columns;
@@ -19,6 +20,7 @@ mod estimate;
 mod first_pass;
 mod flight;
 mod follow;
+mod jitter_report;
 mod journal;
 mod load;
 mod look;

@@ -4,12 +4,11 @@ use super::columns::SmoothedRow;
 use super::flight::Flight;
 use super::output::{OutputError, Summary, whole};
 use super::row::Row;
-use super::spectrum;
 use crate::estimation::median;
 use crate::fits::read_frame;
 use crate::instrument::Instrument;
 use crate::report::html::Page;
-use crate::report::plot::{self, Curve, Labels, Mark, PlotError, Series, Stroke};
+use crate::report::plot::{self, Labels, PlotError, Series};
 use crate::with_view;
 use image::{GrayImage, Luma};
 use std::collections::BTreeMap;
@@ -20,8 +19,6 @@ use std::path::Path;
 pub(super) const PICTURES: usize = 3;
 /// Pixels of the frame that make one of a picture.
 const SHRUNK: usize = 8;
-/// Frames further apart than so many usual steps end a run.
-const GAP_STEPS: f64 = 1.5;
 
 /// The page of a refinement: a part for each camera.
 #[derive(Default)]
@@ -45,8 +42,8 @@ impl Report {
         let mut part = Part {
             page: &mut self.page,
             label: label.map_or(String::new(), |label| format!("{label}: ")),
+            source: source(archive),
             rows: &flight.rows,
-            first_s: flight.rows.first().and_then(Row::unix_s).unwrap_or(0.0),
             arcsec_per_mil: instrument.optics.arcsec_per_mil(),
         };
         part.summary(summary);
@@ -88,20 +85,17 @@ pub(super) struct Part<'a> {
     pub page: &'a mut Page,
     /// What headings begin with.
     label: String,
+    /// What captions of figures begin with.
+    source: String,
     pub rows: &'a [Row],
-    first_s: f64,
-    arcsec_per_mil: f64,
+    pub arcsec_per_mil: f64,
 }
 
-pub(super) fn labels(title: &str, x: &str, y: &str) -> Labels {
-    Labels {
-        title: title.into(),
-        x: x.into(),
-        y: y.into(),
-    }
+/// The archive that a figure is of: its folder's name, so that a report does not depend on where the archive lies.
+pub(super) fn source(archive: &Path) -> String {
+    let name = archive.file_name().map(|name| name.display().to_string());
+    name.map_or_else(String::new, |name| format!("Archive {name}."))
 }
-
-pub(super) const TIME: &str = "time since the first frame, s";
 
 impl Part<'_> {
     pub(super) fn heading(&mut self, text: &str) {
@@ -111,7 +105,7 @@ impl Part<'_> {
     /// A figure, or a line that says why there is none.
     pub(super) fn figure(&mut self, figure: Result<String, PlotError>) {
         match figure {
-            Ok(svg) => self.page.figure(&svg),
+            Ok(svg) => self.page.figure(&svg, &self.source),
             Err(error) => self.page.note(&error.to_string()),
         }
     }
@@ -119,16 +113,12 @@ impl Part<'_> {
     /// A value of the fine rows over time.
     pub(super) fn over_time(&self, value: impl Fn(&Row) -> Option<f64>) -> Vec<(f64, f64)> {
         let fine = self.rows.iter().filter(|row| row.is_fine());
-        fine.filter_map(|row| Some((row.unix_s()? - self.first_s, value(row)?)))
+        fine.filter_map(|row| Some((row.unix_s()?, value(row)?)))
             .collect()
     }
 
     fn dots(&self, name: &str, value: impl Fn(&Row) -> Option<f64>) -> Series {
-        Series {
-            name: name.into(),
-            points: self.over_time(value),
-            mark: Mark::Dots,
-        }
+        Series::dots(name, self.over_time(value))
     }
 
     /// The same without what is more than so many times the median, which would flatten the rest.
@@ -177,15 +167,12 @@ impl Part<'_> {
         self.heading("The Sun on the plate");
         let dots = [("x", 0), ("y", 1)]
             .map(|(name, axis)| self.dots(name, |row| Some(row.sun?.position.vector()[axis])));
-        let lines = [("x, smoothed", 0), ("y, smoothed", 1)].map(|(name, axis)| Series {
-            name: name.into(),
-            points: smoothed
-                .iter()
-                .filter_map(|row| Some((row.unix_s - self.first_s, row.point?[0][axis])))
-                .collect(),
-            mark: Mark::Line,
+        let lines = [("x, smoothed", 0), ("y, smoothed", 1)].map(|(name, axis)| {
+            // Where nothing is known there is no number, and the line stops.
+            let value = move |row: &SmoothedRow| row.point.map_or(f64::NAN, |p| p[0][axis]);
+            Series::line(name, smoothed.iter().map(|row| (row.unix_s, value(row)))).in_hue(axis)
         });
-        let labels = labels("The Sun's centre on the plate", TIME, "mil");
+        let labels = Labels::over_utc("The Sun's centre on the plate", "mil");
         self.figure(plot::series(&labels, &[dots, lines].concat()));
     }
 
@@ -225,14 +212,9 @@ impl Part<'_> {
             self.usual("refined", all),
             self.usual("of the mapping", mapping),
         ];
-        self.figure(plot::series(
-            &labels(
-                "Stated uncertainty, up to five times the median",
-                TIME,
-                "1 sigma per axis, arcsec",
-            ),
-            &series,
-        ));
+        let title = "Stated uncertainty, up to five times the median";
+        let labels = Labels::over_utc(title, "1 sigma per axis, arcsec");
+        self.figure(plot::series(&labels, &series));
     }
 
     fn in_flight(&mut self) {
@@ -250,20 +232,16 @@ impl Part<'_> {
                 .page
                 .note("The headers hold no answers from the flight.");
         }
-        self.figure(plot::series(
-            &labels("In flight minus refined", TIME, "arcsec"),
-            &series,
-        ));
+        let labels = Labels::over_utc("In flight minus refined", "arcsec");
+        self.figure(plot::series(&labels, &series));
     }
 
     fn radius(&mut self, summary: &Summary) {
         self.heading("Radius against ephemeris");
         let ratio = |row: &Row| Some(row.disc?.radius_mil.value / row.expected_radius_mil?);
         let series = [self.dots("seen over expected", ratio)];
-        self.figure(plot::series(
-            &labels("The disc's radius", TIME, "seen / expected"),
-            &series,
-        ));
+        let labels = Labels::over_utc("The disc's radius", "seen / expected");
+        self.figure(plot::series(&labels, &series));
         let text = &summary.radius_by_temperature.text;
         self.page
             .note(&format!("With the camera's temperature: {text}."));
@@ -276,6 +254,9 @@ impl Part<'_> {
             reasons.entry(row.reason()).or_default().push(row);
         }
         reasons.remove("");
+        if reasons.is_empty() {
+            return self.page.note("Every frame is fine, and none is odd.");
+        }
         let count = |(reason, rows): (&String, &Vec<&Row>)| {
             let qualities = ["fine", "coarse", "none"].map(|quality| {
                 rows.iter()
@@ -299,7 +280,7 @@ impl Part<'_> {
     }
 
     /// Offsets across and in elevation, arcsec, of fine rows.
-    fn offsets(&self) -> Vec<(f64, [f64; 2])> {
+    pub(super) fn offsets(&self) -> Vec<(f64, [f64; 2])> {
         let fine = self.rows.iter().filter(|row| row.is_fine());
         let offset = |row: &Row| {
             let [_, elevation, across] = row.sky?.offset_deg?;
@@ -334,57 +315,12 @@ impl Part<'_> {
         let heads = ["within", "in elevation", "across", "of the target"];
         self.page.table(&heads, &[10.0, 30.0, 60.0].map(row));
         self.page.note("Part of the fine frames.");
-        let series = [("across", 0), ("elevation", 1)].map(|(name, axis)| Series {
-            name: name.into(),
-            points: offsets
-                .iter()
-                .map(|(t, offset)| (t - self.first_s, offset[axis]))
-                .collect(),
-            mark: Mark::Dots,
+        let series = [("across", 0), ("elevation", 1)].map(|(name, axis)| {
+            Series::dots(name, offsets.iter().map(|(t, offset)| (*t, offset[axis])))
         });
-        self.figure(plot::series(
-            &labels("Offset from the target", TIME, "arcsec"),
-            &series,
-        ));
+        let labels = Labels::over_utc("Offset from the target", "arcsec");
+        self.figure(plot::series(&labels, &series));
     }
-
-    fn jitter(&mut self) {
-        self.heading("Jitter");
-        let scale = self.arcsec_per_mil;
-        let [x, y] =
-            [0, 1].map(|axis| self.over_time(|row| Some(row.sun?.position.vector()[axis] * scale)));
-        let curve = |name: &str, points: &[(f64, f64)]| {
-            let (runs, step_s) = runs(points)?;
-            let mut points = spectrum::density(&runs, step_s);
-            points.retain(|(_, density)| *density > 0.0);
-            (!points.is_empty()).then(|| Curve {
-                name: name.into(),
-                points,
-                stroke: Stroke::Known,
-            })
-        };
-        let curves: Vec<Curve> = [("x", &x), ("y", &y)]
-            .into_iter()
-            .filter_map(|(n, p)| curve(n, p))
-            .collect();
-        self.figure(plot::curves(
-            &labels(
-                "Spectrum of the Sun's motion on the plate",
-                "Hz",
-                "arcsec^2/Hz",
-            ),
-            &curves,
-        ));
-    }
-}
-
-/// Runs without gaps, and their usual step.
-fn runs(points: &[(f64, f64)]) -> Option<(Vec<Vec<f64>>, f64)> {
-    let steps = points.windows(2).map(|pair| pair[1].0 - pair[0].0);
-    let step_s = median(steps).filter(|step_s| *step_s > 0.0)?;
-    let runs = points.chunk_by(|a, b| b.0 - a.0 < GAP_STEPS * step_s);
-    let values = |run: &[(f64, f64)]| run.iter().map(|(_, value)| *value).collect();
-    Some((runs.map(values).collect(), step_s))
 }
 
 /// A frame, small and stretched to its brightest pixel; none where it cannot be read.

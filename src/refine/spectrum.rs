@@ -47,6 +47,26 @@ pub fn density(runs: &[Vec<f64>], step_s: f64) -> Vec<(f64, f64)> {
     found.map(|(n, sum)| (frequency(n), density(sum))).collect()
 }
 
+/// The one-sided density of white noise of 1 sigma per value, values so many seconds apart (unit^2/Hz): its variance spread evenly
+/// up to half the rate of the values.
+pub fn floor(sigma: f64, step_s: f64) -> f64 {
+    2.0 * sigma.powi(2) * step_s
+}
+
+/// The rms of all that is at a frequency or above: the square root of the density integrated from the highest frequency down.
+/// Frequencies of `density` (Hz, unit^2/Hz) are even steps from the first, each of which stands for a step.
+pub fn rms_above(density: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let step_hz = density.first().map_or(0.0, |first| first.0);
+    let mut variance = 0.0;
+    let from_above = density.iter().rev().map(|(hertz, density)| {
+        variance += density * step_hz;
+        (*hertz, variance.sqrt())
+    });
+    let mut rms: Vec<(f64, f64)> = from_above.collect();
+    rms.reverse();
+    rms
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -62,5 +82,18 @@ mod tests {
         let power: f64 = spectrum.iter().map(|(_, density)| density * width).sum();
         assert!((power - 4.5).abs() < 0.05, "{power}");
         assert!(density(&[vec![1.0; 5]], step_s).is_empty());
+    }
+    #[test]
+    fn the_cumulative_rms_of_white_noise_and_a_swing_is_theirs() {
+        let flat: Vec<(f64, f64)> = (1..=512)
+            .map(|n| (f64::from(n) * 2.0 / 512.0, floor(3.0, 0.25)))
+            .collect();
+        let rms = rms_above(&flat);
+        assert!((rms[0].1 - 3.0).abs() < 1e-9 && (rms[256].1 - 4.5_f64.sqrt()).abs() < 0.01);
+        let swing = |n: i32| 3.0 * (TAU * 0.5 * f64::from(n) * 0.25).sin();
+        let rms = rms_above(&density(&[(0..2000).map(swing).collect()], 0.25));
+        assert!((rms[0].1 - 4.5_f64.sqrt()).abs() < 0.02);
+        let above = rms.iter().find(|(hertz, _)| *hertz > 0.6).unwrap();
+        assert!(above.1 < 0.02, "{above:?}");
     }
 }

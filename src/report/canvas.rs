@@ -7,7 +7,7 @@ use embedded_graphics::mono_font::ascii::{FONT_9X15, FONT_9X15_BOLD};
 use embedded_graphics::mono_font::{MonoTextStyle, MonoTextStyleBuilder};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle};
+use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle, Rectangle};
 use embedded_graphics::text::Text;
 use image::{Rgb, RgbImage};
 use std::convert::Infallible;
@@ -23,6 +23,7 @@ impl Colour {
     pub const BLUE: Self = Self(110, 190, 255);
     pub const YELLOW: Self = Self(255, 220, 60);
     pub const MAGENTA: Self = Self(255, 90, 255);
+    pub const ORANGE: Self = Self(255, 150, 30);
 
     fn rgb(self) -> Rgb888 {
         Rgb888::new(self.0, self.1, self.2)
@@ -114,14 +115,55 @@ impl Canvas {
 
     /// A line of text in the strip below the picture, counted from 0.
     pub fn caption(&mut self, line: u32, text: &str, colour: Colour) {
-        let below = self.region.height() as u32 * self.zoom;
-        let y = below + (line + 1) * TEXT_LINE_PX - 5;
-        let place = Point::new(6, y as i32);
+        let place = Point::new(6, self.baseline(line));
         self.draw(&Text::new(
             text,
             place,
             MonoTextStyle::new(&FONT_9X15, colour.rgb()),
         ));
+    }
+
+    /// What the colours mean, in the strip below the picture from a line on; goes on in the next line where one is full. Gives the
+    /// first free line.
+    pub fn legend(&mut self, first_line: u32, entries: &[(&str, Colour)]) -> u32 {
+        const LETTER_PX: i32 = 9;
+        const SWATCH_PX: u32 = 12;
+        let (mut line, mut x) = (first_line, 6);
+        for (text, colour) in entries {
+            let width = SWATCH_PX as i32 + LETTER_PX * (text.chars().count() as i32 + 2);
+            if x > 6 && x + width > self.image.width() as i32 {
+                (line, x) = (line + 1, 6);
+            }
+            let y = self.baseline(line);
+            let corner = Point::new(x, y - SWATCH_PX as i32 + 1);
+            let swatch = Rectangle::new(corner, Size::new(SWATCH_PX, SWATCH_PX));
+            self.draw(&swatch.into_styled(PrimitiveStyle::with_fill(colour.rgb())));
+            let style = MonoTextStyle::new(&FONT_9X15, Colour::WHITE.rgb());
+            let place = Point::new(x + SWATCH_PX as i32 + 5, y);
+            self.draw(&Text::new(text, place, style));
+            x += width;
+        }
+        line + 1
+    }
+
+    /// A bar as long as so many sensor pixels in the strip below the picture, with the length it stands for.
+    pub fn scale_bar(&mut self, line: u32, length_px: f64, text: &str) {
+        let y = self.baseline(line) - 5;
+        let length = (length_px * f64::from(self.zoom)).round() as i32;
+        let (left, right) = (Point::new(6, y), Point::new(6 + length, y));
+        let ends = [left, right].map(|at| (at - Point::new(0, 4), at + Point::new(0, 4)));
+        for (from, to) in [(left, right), ends[0], ends[1]] {
+            let stroke = PrimitiveStyle::with_stroke(Colour::WHITE.rgb(), 2);
+            self.draw(&Line::new(from, to).into_styled(stroke));
+        }
+        let style = MonoTextStyle::new(&FONT_9X15, Colour::WHITE.rgb());
+        self.draw(&Text::new(text, Point::new(6 + length + 10, y + 5), style));
+    }
+
+    /// Where the text of a line in the strip stands.
+    fn baseline(&self, line: u32) -> i32 {
+        let below = self.region.height() as u32 * self.zoom;
+        (below + (line + 1) * TEXT_LINE_PX) as i32 - 5
     }
 
     /// The picture's pixel of a sensor position: pixel (0, 0) of the sensor has its centre in the middle of its

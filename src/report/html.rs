@@ -12,11 +12,17 @@ pub struct Page {
     body: String,
 }
 
-const STYLE: &str = "body{font-family:system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
+/// Light on every screen; on A4 nothing is cut in two that fits a sheet.
+const STYLE: &str = ":root{color-scheme:light}\
+body{font-family:system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222;background:#fff}\
 table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #ccc;padding:.3em .7em;text-align:left;vertical-align:top}\
-svg,img{max-width:100%;height:auto}figure{display:inline-block;margin:.5em;vertical-align:top}figcaption{font-size:.8em;\
-color:#555;max-width:200px;overflow-wrap:anywhere}.note{color:#555}\
-pre{background:#f5f5f5;padding:1em;white-space:pre-wrap}";
+td:last-child{overflow-wrap:anywhere}svg,img{max-width:100%;height:auto}figure{display:inline-block;margin:.5em;vertical-align:top}\
+figcaption{font-size:.85em;color:#555;overflow-wrap:anywhere}figure.picture figcaption{max-width:200px}\
+figure.plot{display:block;margin:1em 0}.note{color:#555}\
+pre{background:#f5f5f5;padding:1em;white-space:pre-wrap;overflow-wrap:anywhere}\
+@page{size:A4;margin:15mm}\
+@media print{body{max-width:none;margin:0;padding:0;font-size:9.5pt}h2,thead{break-after:avoid}figure,tr{break-inside:avoid}\
+figure.plot svg{max-height:120mm}td,th{padding:.15em .4em}pre{font-size:8pt}.note,figcaption{color:#222}}";
 
 /// A text as it may stand in a page.
 fn escaped(text: &str) -> String {
@@ -51,7 +57,8 @@ impl Page {
             format!("<tr>{cells}</tr>\n")
         };
         if !heads.is_empty() {
-            self.body += &line(heads.iter().map(|head| (*head).to_owned()).collect(), "th");
+            let heads = heads.iter().map(|head| (*head).to_owned()).collect();
+            self.body += &format!("<thead>{}</thead>\n", line(heads, "th"));
         }
         for row in rows {
             self.body += &line(row.clone(), "td");
@@ -59,9 +66,13 @@ impl Page {
         self.body += "</table>\n";
     }
 
-    /// A figure, as [`plot`](super::plot) draws it.
-    pub fn figure(&mut self, svg: &str) {
-        let _ = writeln!(self.body, "<div>{svg}</div>");
+    /// A figure, as [`plot`](super::plot) draws it, with what a reader has to know of it.
+    pub fn figure(&mut self, svg: &str, caption: &str) {
+        let caption = match caption {
+            "" => String::new(),
+            caption => format!("<figcaption>{}</figcaption>", escaped(caption)),
+        };
+        let _ = writeln!(self.body, "<figure class=\"plot\">{svg}{caption}</figure>");
     }
 
     /// A small picture with a caption; a picture that cannot be encoded is skipped.
@@ -76,7 +87,9 @@ impl Page {
             let caption = escaped(caption);
             let data = BASE64_STANDARD.encode(png.into_inner());
             let image = format!("<img alt=\"{caption}\" src=\"data:image/png;base64,{data}\">");
-            self.body += &format!("<figure>{image}<figcaption>{caption}</figcaption></figure>\n");
+            self.body += &format!(
+                "<figure class=\"picture\">{image}<figcaption>{caption}</figcaption></figure>\n"
+            );
         }
     }
 

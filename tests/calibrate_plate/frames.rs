@@ -7,6 +7,7 @@ use solaspect::calibrate::revision::Revision;
 use solaspect::fits::{self, Compression};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
 use solaspect::plate::{MarkId, drawn_position};
+use solaspect::provenance::PROGRAM;
 use solaspect::simulate::{Conditions, RandomScenes, Sun};
 use solaspect::units::PlateMil;
 use std::path::{Path, PathBuf};
@@ -74,8 +75,21 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
         assert!(a.id == b.id && a.position.distance(b.position) < 1e-3);
     }
 
-    let page = plate::html(&calibration).unwrap();
-    assert_eq!(page.matches("<svg").count(), 7);
+    let page = plate::html(&calibration, &start, "0123abcd").unwrap();
+    assert_eq!(page.matches("<svg").count(), 9);
+    // A certificate: of what, by what, from which frames.
+    let program = PROGRAM;
+    for stated in [
+        start.name.as_str(),
+        program,
+        &calibration.frames_sha256,
+        "0123abcd",
+    ] {
+        assert!(page.contains(stated), "{stated}");
+    }
+    for heading in ["Suspect marks", "Correlations"] {
+        assert!(page.contains(&format!("<h2>{heading}")), "{heading}");
+    }
     assert!(!page.contains("http://") || !page.contains("<script"));
 }
 

@@ -131,17 +131,19 @@ fn conclude(
     let b = fourth.map_or(0.0, |f| f.value);
     let model = |r2: f64| 1.0 + r2 * (square.value + r2 * b);
     let radius = |l: &Light| l.x.hypot(l.y);
-    let fitted = lights.iter().map(|l| (radius(l), model(radius(l).powi(2))));
+    let reach = lights.iter().map(radius).fold(0.0, f64::max);
+    let fitted = (0..=100).map(|n| reach * f64::from(n) / 100.0);
+    let fitted = fitted.map(|r| (r, model(r * r)));
     let measured = lights.iter().map(|l| (radius(l), l.dn / middle));
     let figure = Figure {
         labels: Labels::new(
             "Light over the distance from the middle",
-            "px",
+            "distance from the middle, px",
             "light over that in the middle",
         ),
         series: vec![
-            Series::dots("fitted share", fitted),
             Series::dots("measured", measured),
+            Series::curve("fitted", fitted),
         ],
     };
     (quantities, Some(figure))

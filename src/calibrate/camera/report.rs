@@ -39,7 +39,7 @@ pub fn page(
         None => "Hot pixels: not determined, at least 3 frames are needed".into(),
     });
     for figure in &calibration.figures {
-        page.figure(&plot::series(&figure.labels, &figure.series)?);
+        page.figure(&plot::series(&figure.labels, &figure.series)?, source);
     }
     RejectedFrame::section(&mut page, rejected);
     Ok(page.finish(&format!("Camera of {name}")))

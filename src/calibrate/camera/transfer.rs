@@ -144,7 +144,7 @@ fn grain(shot: &Shot, mark_reach_px: f64, dark: &Dark) -> Vec<Point> {
         .collect()
 }
 
-/// The slope of variance over light.
+/// The gain: the slope of variance over light.
 fn conclude(
     points: Vec<Point>,
     dark: &Dark,
@@ -153,22 +153,31 @@ fn conclude(
     systematic: f64,
 ) -> (CalibratedQuantity, Option<Figure>) {
     let measured = points.iter().map(|p| (p.light, p.variance));
+    let line = line(&points, dark, none);
+    let fitted = line.iter().flat_map(|(dark, gain)| {
+        let brightest = points.iter().map(|p| p.light).fold(0.0, f64::max);
+        [0.0, brightest].map(|light| (light, dark + gain.value * light))
+    });
     let figure = Figure {
         labels: Labels::new(
             "Photon transfer",
             "light above the dark level, DN",
             "variance of a pixel, DN^2",
         ),
-        series: vec![Series::dots("measured", measured)],
+        series: vec![
+            Series::dots("measured", measured),
+            Series::curve("fitted", fitted),
+        ],
     };
-    let found = slope(&points, dark, none)
-        .map(|gain| Measured::new(gain.value, gain.sigma.hypot(systematic * gain.value)));
+    let found =
+        line.map(|(_, gain)| Measured::new(gain.value, gain.sigma.hypot(systematic * gain.value)));
     let key = "camera.noise.gain_dn_per_electron";
     let gain = CalibratedQuantity::measured(("gain", key, "DN/electron"), found, how);
     (gain, (points.len() > 1).then_some(figure))
 }
 
-fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> {
+/// The variance without light, and the slope.
+fn line(points: &[Point], dark: &Dark, none: &str) -> Result<(f64, Measured), String> {
     if points.len() < 4 {
         return Err(none.into());
     }
@@ -192,7 +201,7 @@ fn slope(points: &[Point], dark: &Dark, none: &str) -> Result<Measured, String> 
             gain.value, gain.sigma
         ));
     }
-    Ok(gain)
+    Ok((fitted.parameters[0], gain))
 }
 
 /// Variance over light as a straight line, without outliers.

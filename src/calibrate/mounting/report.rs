@@ -7,7 +7,7 @@ use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::quantity::CalibratedQuantity;
 use crate::instrument::Instrument;
 use crate::report::html::Page;
-use crate::report::plot::{self, Arrow, Labels, PlotError, Series};
+use crate::report::plot::{self, Arrow, Density, Labels, PlotError, Series};
 
 impl Mounting {
     /// How many observations agree, and how well.
@@ -48,8 +48,9 @@ pub fn page(
     page.note(&format!("{}{inflated}.", mounting.agreement(stated)));
     CalibratedQuantity::table(&mut page, &mounting.quantities);
     page.heading("Residuals: observed less fitted place of the Sun");
-    page.figure(&over_time(fit)?);
-    page.figure(&on_plate(fit)?);
+    page.figure(&over_time(fit)?, source);
+    page.figure(&on_plate(fit)?, source);
+    page.figure(&along_the_axes(fit)?, source);
     RejectedFrame::section(&mut page, rejected);
     Ok(page.finish(&format!("Mounting of {}", stated.name)))
 }
@@ -59,15 +60,13 @@ fn accepted(fit: &MountingFit) -> Vec<&Residual> {
 }
 
 fn over_time(fit: &MountingFit) -> Result<String, PlotError> {
-    let first = fit.residuals.first().map(|r| r.utc);
-    let minutes =
-        |r: &Residual| first.map_or(0.0, |f| r.utc.duration_since(f).as_secs_f64() / 60.0);
+    let unix_s = |r: &Residual| r.utc.as_nanosecond() as f64 / 1e9;
     let along = |name, axis: usize| {
         let residuals = accepted(fit).into_iter();
-        Series::dots(name, residuals.map(|r| (minutes(r), r.off[axis])))
+        Series::dots(name, residuals.map(|r| (unix_s(r), r.off[axis])))
     };
     let title = "Residuals over time (observations that agree)";
-    let labels = Labels::new(title, "minutes since the first", "mil");
+    let labels = Labels::over_utc(title, "mil");
     plot::series(&labels, &[along("X", 0), along("Y", 1)])
 }
 
@@ -76,8 +75,6 @@ fn on_plate(fit: &MountingFit) -> Result<String, PlotError> {
     let accepted = accepted(fit);
     let reaches = accepted.iter().map(|r| r.at.x.abs().max(r.at.y.abs()));
     let reach = reaches.fold(500.0, f64::max);
-    let longest = accepted.iter().map(|r| r.off.norm()).fold(1e-6, f64::max);
-    let magnified = 0.1 * reach / longest;
     let some = accepted
         .iter()
         .step_by(accepted.len().div_ceil(MOST_ARROWS).max(1));
@@ -86,8 +83,18 @@ fn on_plate(fit: &MountingFit) -> Result<String, PlotError> {
         vector: (r.off.x, r.off.y),
     };
     let arrows: Vec<Arrow> = some.map(arrow).collect();
-    let title = format!("Residuals on the plate, magnified {magnified:.0} times");
-    let labels = Labels::new(title, "X, mil", "Y, mil");
-    let range = -1.1 * reach..1.1 * reach;
-    plot::vector_map(&labels, range, 0.0, &arrows, magnified, longest)
+    let labels = Labels::new("Residuals on the plate", "X, mil", "Y, mil");
+    plot::vector_map(&labels, -1.1 * reach..1.1 * reach, &arrows, "mil")
+}
+
+fn along_the_axes(fit: &MountingFit) -> Result<String, PlotError> {
+    let off: Vec<f64> = accepted(fit)
+        .iter()
+        .flat_map(|r| [r.off.x, r.off.y])
+        .collect();
+    let squares: f64 = off.iter().map(|off| off * off).sum();
+    let sigma = (squares / off.len().max(1) as f64).sqrt();
+    let labels = Labels::new("Residuals along both axes", "mil", "residuals");
+    let normal = (sigma > 0.0).then_some(("normal, of the same rms", Density::Normal { sigma }));
+    plot::histogram(&labels, &off, 40, &[], normal)
 }

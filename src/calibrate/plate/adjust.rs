@@ -126,7 +126,35 @@ pub(super) struct Settled {
     pub determined: f64,
 }
 
+/// An unknown by what it is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unknown {
+    Lens(usize),
+    /// Mark and axis.
+    Mark(usize, usize),
+    /// Pose and parameter.
+    View(usize, usize),
+    /// Pose and axis.
+    Drift(usize, usize),
+}
+
 impl Settled {
+    /// Of all unknowns; zero for those that are held.
+    pub(super) fn covariance(&self) -> &DMatrix<f64> {
+        &self.covariance
+    }
+
+    /// What the n-th row of the covariance is of.
+    pub(super) fn unknown(&self, n: usize) -> Unknown {
+        let (views, drifts) = (self.state.view_index(0), self.state.drift_index(0));
+        match n {
+            n if n < LENS => Unknown::Lens(n),
+            n if n < views => Unknown::Mark((n - LENS) / 2, (n - LENS) % 2),
+            n if n < drifts => Unknown::View((n - views) / PARAMETERS, (n - views) % PARAMETERS),
+            n => Unknown::Drift((n - drifts) / 2, (n - drifts) % 2),
+        }
+    }
+
     fn block<const N: usize>(&self, first: usize) -> SMatrix<f64, N, N> {
         let block = self.covariance.fixed_view::<N, N>(first, first);
         block.into_owned()

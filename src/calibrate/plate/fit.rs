@@ -3,6 +3,7 @@
 use super::adjust::{Freedoms, MarkPrior, Settled, State};
 use super::camera::{LENS, Lens};
 use super::choose::{Choice, RICHEST, choose};
+use super::correlations::{Correlation, largest};
 use super::observation::{FrameObservation, consensus};
 use super::robust::{Bundle, Observation};
 use crate::calibrate::frames::RejectedFrame;
@@ -91,9 +92,14 @@ pub struct PlateFit {
     pub residual_px: f64,
     /// Inflation of the marks' sigmas before they were measured to how far they were found from where they were expected.
     pub prior_factor: f64,
+    /// The largest.
+    pub correlations: Vec<Correlation>,
     /// Frames that do not agree with the others.
     pub rejected: Vec<RejectedFrame>,
 }
+
+/// So many correlations with lens or poses are listed, and so many between marks.
+const LISTED_CORRELATIONS: usize = 8;
 
 /// What the lens may do at its reach, 1 sigma of each term, px: a stated prior, wide enough for any lens in use.
 pub const LENS_PRIOR_PX: f64 = 5.0;
@@ -134,6 +140,7 @@ pub fn fit(frames: &[FrameObservation], poses: usize, start: &Instrument) -> Opt
         distortion: settled.state.lens.distortion(),
         distortion_sigma: lens_sigmas(&settled),
         separation: separation(&bundle, &settled, choice.freedoms()),
+        correlations: largest(&settled, &ids, LISTED_CORRELATIONS),
         poses: pose_fits(&bundle, &settled, choice, frames)?,
         sigma_factor: bundle.variance_factor.sqrt(),
         residual_px: rms_px(&residuals),

@@ -12,14 +12,16 @@
 //! moved between poses) these do not matter; where they do not, they split the two, and [`Separation`] says so.
 //!
 //! ```text
-//! refusal, observation <- lit <- measure <- poses <- calibration, suspects <- summary, write <- report
-//! camera <- adjust <- robust <- choose <- fit <- poses; slips <- poses
+//! refusal, observation <- lit <- measure <- poses <- calibration, suspects <- summary, write, certificate <- report
+//! camera <- adjust <- robust <- choose, correlations <- fit <- poses; slips <- poses
 //! ```
 
 mod adjust;
 mod calibration;
 mod camera;
+mod certificate;
 mod choose;
+mod correlations;
 mod fit;
 mod lit;
 mod measure;
@@ -35,6 +37,7 @@ mod write;
 
 pub use calibration::{Calibration, calibrate, fit_folder, frames_sha256};
 pub use choose::Choice;
+pub use correlations::{Correlation, Parameter};
 pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual, Separation, fit};
 pub use observation::{FrameObservation, MarkObservation};
 pub use poses::Pose;

@@ -1,32 +1,73 @@
-//! The report of a calibration: one HTML page with its figures inside.
+//! The report of a calibration: one HTML page with its figures inside, a certificate of the plate.
 
 use super::calibration::Calibration;
-use super::fit::Residual;
+use super::certificate;
+use super::fit::{MeasuredMark, Residual};
 use super::summary::used;
 use crate::calibrate::frames::RejectedFrame;
+use crate::estimation::{MEDIAN_LENGTH_2D, median};
+use crate::instrument::Instrument;
 use crate::plate::drawn_position;
 use crate::report::html::Page;
-use crate::report::plot::{self, Arrow, Labels, PlotError, Series};
-use crate::units::SensorPx;
+use crate::report::plot::{self, Arrow, Cell, Density, Labels, PlotError, Series};
 use nalgebra::Vector2;
 use std::collections::BTreeMap;
 
-/// The report as one HTML page that needs nothing beside it.
+/// The report as one HTML page that needs nothing beside it. `start` is the instrument that the calibration began with,
+/// `file_sha256` that of the file it made.
 ///
 /// # Errors
 /// A figure that cannot be drawn.
-pub fn html(calibration: &Calibration) -> Result<String, PlotError> {
+pub fn html(
+    calibration: &Calibration,
+    start: &Instrument,
+    file_sha256: &str,
+) -> Result<String, PlotError> {
     let mut page = Page::default();
+    certificate::identity(&mut page, calibration, start, file_sha256);
+    page.heading("Result");
     page.preformatted(&used(calibration).join("\n"));
-    poses(&mut page, calibration);
-    let figures = [
+    certificate::suspects(&mut page, calibration);
+    certificate::poses(&mut page, calibration);
+    certificate::correlations(&mut page, &calibration.fit.correlations);
+    page.heading("Marks");
+    let source = certificate::folders(calibration).join(", ");
+    for (figure, caption) in marks(calibration) {
+        page.figure(&figure?, &format!("{caption} Frames of {source}."));
+    }
+    page.heading("Residuals");
+    for (figure, caption) in residuals(calibration) {
+        page.figure(&figure?, &format!("{caption} Frames of {source}."));
+    }
+    RejectedFrame::section(&mut page, &calibration.rejected);
+    Ok(page.finish(&format!("Plate calibration of {}", start.name)))
+}
+
+/// A figure and what it shows.
+type Captioned = (Result<String, PlotError>, &'static str);
+
+fn marks(calibration: &Calibration) -> [Captioned; 3] {
+    [
         (
             displacements(calibration),
             "Each mark's displacement from the drawing. Shift, rotation and scale common to the measured marks are removed.",
         ),
         (
+            coverage(calibration),
+            "How many observations of each mark count. Marks without a square were never read.",
+        ),
+        (
+            sigmas(calibration),
+            "How well each mark's place is known, the mean of both axes.",
+        ),
+    ]
+}
+
+fn residuals(calibration: &Calibration) -> [Captioned; 6] {
+    [
+        (
             residual_map(calibration),
-            "The mean residual of each mark over all its observations, drawn to the same scale.",
+            "The mean residual of each mark over all its observations.",
         ),
         (
             by_radius(calibration, "", &[BEFORE, AFTER]),
@@ -38,76 +79,39 @@ pub fn html(calibration: &Calibration) -> Result<String, PlotError> {
         ),
         (
             lengths(calibration),
-            "Length of the residuals of all observations that count, with their root mean square per axis.",
+            "Length of the residuals of all observations that count, beside what normal errors of the same scatter have (Rayleigh).",
         ),
         (
             normalised_lengths(calibration),
-            "The same in units of the sigma that each frame states: the median of two normal axes is 1.18.",
+            "The same in units of the sigma that each frame states, beside what honest sigmas have.",
         ),
         (
             over_time(calibration),
             "Mean residual of each frame: how far its marks are from where the mapping of its pose puts them. Camera and plate hold still where this is level.",
         ),
-    ];
-    page.heading("Marks, residuals, mapping over time");
-    for (figure, caption) in figures {
-        page.figure(&figure?);
-        page.note(caption);
-    }
-    RejectedFrame::section(&mut page, &calibration.rejected);
-    Ok(page.finish("Plate calibration"))
+    ]
 }
 
-fn poses(page: &mut Page, calibration: &Calibration) {
-    let heads = [
-        "pose",
-        "frames",
-        "plate's centre, px",
-        "sigma, px",
-        "scale, mil/px",
-        "sigma",
-        "rotation, deg",
-        "sigma, deg",
-    ];
-    let poses = calibration.poses.iter().zip(&calibration.fit.poses);
-    let rows = poses.map(|(pose, fit)| {
-        let SensorPx { x, y } = fit.plate_centre_px;
-        let (scale, rotation) = (fit.scale_mil_per_px, fit.rotation_deg);
-        vec![
-            pose.to_string(),
-            fit.frames.to_string(),
-            format!("{x:.3}, {y:.3}"),
-            format!("{:.4}", fit.plate_centre_sigma_px),
-            format!("{:.6}", scale.value),
-            format!("{:.6}", scale.sigma),
-            format!("{:.5}", rotation.value),
-            format!("{:.5}", rotation.sigma),
-        ]
-    });
-    page.heading("Poses");
-    page.table(&heads, &rows.collect::<Vec<_>>());
+/// Half the width of a map, mil.
+const PLATE_MIL: f64 = 3700.0;
+/// Width of a mark's square.
+const CELL_MIL: f64 = 240.0;
+
+fn plate_labels(title: &str) -> Labels {
+    Labels::new(title, "plate X, mil", "plate Y, mil")
 }
 
 fn plate_map(
     title: &str,
     arrows: impl Iterator<Item = ((f64, f64), Vector2<f64>)>,
 ) -> Result<String, PlotError> {
-    /// Half the width of the map, mil.
-    const PLATE_MIL: f64 = 3700.0;
-    /// Width of a mark's cell.
-    const CELL_MIL: f64 = 260.0;
-    /// This many mil on the plate show 1 mil.
-    const MAGNIFIED: f64 = 130.0;
     let arrows: Vec<Arrow> = arrows
         .map(|(at, vector)| Arrow {
             at,
             vector: (vector.x, vector.y),
         })
         .collect();
-    let title = format!("{title} (x {MAGNIFIED:.0}; full shade 3 mil)");
-    let labels = Labels::new(title, "plate X, mil", "plate Y, mil");
-    let range = -PLATE_MIL..PLATE_MIL;
-    plot::vector_map(&labels, range, CELL_MIL, &arrows, MAGNIFIED, 3.0)
+    plot::vector_map(&plate_labels(title), -PLATE_MIL..PLATE_MIL, &arrows, "mil")
 }
 
 fn displacements(calibration: &Calibration) -> Result<String, PlotError> {
@@ -116,6 +120,40 @@ fn displacements(calibration: &Calibration) -> Result<String, PlotError> {
         ((drawn.x, drawn.y), mark.position.vector() - drawn.vector())
     });
     plate_map("Marks, measured less drawn", arrows)
+}
+
+/// A number of each mark.
+fn mark_map(
+    calibration: &Calibration,
+    title: &str,
+    unit: &str,
+    value: impl Fn(&MeasuredMark) -> f64,
+) -> Result<String, PlotError> {
+    let cell = |mark: &MeasuredMark| {
+        let at = drawn_position(mark.id);
+        Cell {
+            at: (at.x, at.y),
+            value: value(mark),
+        }
+    };
+    let cells: Vec<Cell> = calibration.fit.marks.iter().map(cell).collect();
+    let range = -PLATE_MIL..PLATE_MIL;
+    plot::scalar_map(&plate_labels(title), range, &cells, CELL_MIL, unit)
+}
+
+fn coverage(calibration: &Calibration) -> Result<String, PlotError> {
+    let count = |mark: &MeasuredMark| mark.observations as f64;
+    mark_map(
+        calibration,
+        "Observations of each mark",
+        "observations",
+        count,
+    )
+}
+
+fn sigmas(calibration: &Calibration) -> Result<String, PlotError> {
+    let sigma = |mark: &MeasuredMark| mark.sigma_mil[0].hypot(mark.sigma_mil[1]) / 2_f64.sqrt();
+    mark_map(calibration, "1 sigma of each mark per axis", "mil", sigma)
 }
 
 /// The mean of vectors by key.
@@ -165,37 +203,44 @@ fn by_radius(calibration: &Calibration, which: &str, kinds: &[Kind]) -> Result<S
 }
 
 fn lengths(calibration: &Calibration) -> Result<String, PlotError> {
-    let fit = &calibration.fit;
-    let lengths: Vec<f64> = fit.kept().map(|r| r.residual_px.norm()).collect();
+    let lengths: Vec<f64> = calibration
+        .fit
+        .kept()
+        .map(|r| r.residual_px.norm())
+        .collect();
     let labels = Labels::new("Length of the residuals", "px", "observations");
-    plot::histogram(&labels, &lengths, 40, &[("rms per axis", fit.residual_px)])
+    // By the median: the scatter of most, whatever a few do.
+    let sigma = median(&lengths).unwrap_or(0.0) / MEDIAN_LENGTH_2D;
+    let rayleigh = Density::Rayleigh { sigma };
+    let expected = (sigma > 0.0).then_some(("Rayleigh, of the same median", rayleigh));
+    let rms = calibration.fit.residual_px;
+    plot::histogram(&labels, &lengths, 40, &[("rms per axis", rms)], expected)
 }
 
 fn normalised_lengths(calibration: &Calibration) -> Result<String, PlotError> {
     let normalised = |r: &Residual| r.residual_px.norm() / r.stated_px;
     let lengths: Vec<f64> = calibration.fit.kept().map(normalised).collect();
     let labels = Labels::new("Residuals over their stated sigma", "sigma", "observations");
-    plot::histogram(&labels, &lengths, 40, &[("median of normal errors", 1.18)])
+    let expected = ("Rayleigh, sigma 1", Density::Rayleigh { sigma: 1.0 });
+    plot::histogram(&labels, &lengths, 40, &[], Some(expected))
 }
 
 fn over_time(calibration: &Calibration) -> Result<String, PlotError> {
-    let kept = calibration.fit.kept();
-    let means = means(kept.map(|r| (r.frame, r.residual_px)));
-    let times = calibration.frames.iter().filter_map(|frame| frame.utc);
-    let first = times.min();
-    // Frames without time count one after the other.
-    let minutes = |frame: usize| match (calibration.frames[frame].utc, first) {
-        (Some(utc), Some(first)) => utc.duration_since(first).as_secs_f64() / 60.0,
-        _ => frame as f64,
+    let means = means(calibration.fit.kept().map(|r| (r.frame, r.residual_px)));
+    let unix_s = |frame: usize| Some(calibration.frames[frame].utc?.as_nanosecond() as f64 / 1e9);
+    let times: Option<Vec<f64>> = means.keys().map(|frame| unix_s(*frame)).collect();
+    let title = "Each frame against the mapping of its pose";
+    let (labels, x) = match times {
+        Some(times) => (Labels::over_utc(title, "mean residual, px"), times),
+        // Frames without time count one after the other.
+        None => (
+            Labels::new(title, "frame", "mean residual, px"),
+            means.keys().map(|frame| *frame as f64).collect(),
+        ),
     };
     let axis = |name, n: usize| {
-        let points = means.iter().map(|(frame, mean)| (minutes(*frame), mean[n]));
+        let points = x.iter().zip(means.values()).map(|(x, mean)| (*x, mean[n]));
         Series::dots(name, points)
     };
-    let labels = Labels::new(
-        "Each frame against the mapping of its pose",
-        "minutes since the first frame",
-        "mean residual, px",
-    );
     plot::series(&labels, &[axis("x", 0), axis("y", 1)])
 }

@@ -3,14 +3,15 @@
 use super::Counts;
 use crate::navigation::{SensorErrors, Settings, Source, Summary, Verdict};
 use crate::report::html::Page;
-use crate::report::plot::{Labels, Mark, Series, series};
+use crate::report::plot::{Labels, Series, series};
 use crate::units::ARCSEC_PER_RAD;
+use jiff::Timestamp;
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// More points than that are thinned.
-const MOST_POINTS: usize = 4000;
 const AXES: [&str; 3] = ["x", "y", "z"];
+/// The colour of limits, grey.
+const LIMIT_HUE: usize = 5;
 
 /// Adds what there is to see of an attitude.
 pub(in crate::cli) fn add_attitude(
@@ -30,34 +31,54 @@ pub(in crate::cli) fn add_attitude(
             row("restarted", counts.restarted),
         ],
     );
-    sigmas(page, summary)?;
+    let clock = Clock::of(settings);
+    sigmas(page, clock, summary)?;
     gaps(page, summary);
-    innovations(page, settings, summary)?;
-    sensors(page, settings, &summary.errors)
+    innovations(page, clock, settings, summary)?;
+    sensors(page, clock, settings, &summary.errors)
 }
 
-fn sigmas(page: &mut Page, summary: &Summary) -> anyhow::Result<()> {
+/// What a time axis counts from.
+#[derive(Clone, Copy)]
+struct Clock {
+    /// When t_s is 0, s since 1970-01-01; none where the epoch is not known.
+    epoch_unix_s: Option<f64>,
+}
+
+impl Clock {
+    fn of(settings: &Settings) -> Self {
+        let unix_s = |epoch: Timestamp| epoch.as_nanosecond() as f64 / 1e9;
+        Self {
+            epoch_unix_s: settings.epoch_utc.map(unix_s),
+        }
+    }
+
+    fn labels(self, title: impl Into<String>, y: &str) -> Labels {
+        match self.epoch_unix_s {
+            Some(_) => Labels::over_utc(title, y),
+            None => Labels::new(title, "t, s", y),
+        }
+    }
+
+    /// A time as the axis counts it.
+    fn at(self, t_s: f64) -> f64 {
+        self.epoch_unix_s.unwrap_or(0.0) + t_s
+    }
+}
+
+fn sigmas(page: &mut Page, clock: Clock, summary: &Summary) -> anyhow::Result<()> {
     page.heading("Attitude");
-    let drawn: Vec<Series> = (0..3)
-        .map(|axis| Series {
-            name: AXES[axis].into(),
-            points: thinned(
-                summary
-                    .attitude_sigmas
-                    .iter()
-                    .map(|(t_s, sigma)| (*t_s, sigma[axis] * ARCSEC_PER_RAD))
-                    .collect(),
-            ),
-            mark: Mark::Line,
-        })
-        .collect();
-    if !summary.attitude_sigmas.is_empty() {
-        let labels = Labels::new(
-            "1 sigma about the axes of ECEF, by the measurements up to each time",
-            "t, s",
-            "arcsec",
-        );
-        page.figure(&series(&labels, &drawn)?);
+    let sigmas = &summary.attitude_sigmas;
+    let along = |axis: usize| {
+        let point = move |(t_s, sigma): &(f64, Vector3<f64>)| {
+            (clock.at(*t_s), sigma[axis] * ARCSEC_PER_RAD)
+        };
+        Series::line(AXES[axis], sigmas.iter().map(point))
+    };
+    if !sigmas.is_empty() {
+        let title = "1 sigma about the axes of ECEF, by the measurements up to each time";
+        let drawn = [0, 1, 2].map(along);
+        page.figure(&series(&clock.labels(title, "arcsec"), &drawn)?, "");
     }
     Ok(())
 }
@@ -79,7 +100,12 @@ fn gaps(page: &mut Page, summary: &Summary) {
     page.table(&["last direction, s", "next one, s", "without, s"], &rows);
 }
 
-fn innovations(page: &mut Page, settings: &Settings, summary: &Summary) -> anyhow::Result<()> {
+fn innovations(
+    page: &mut Page,
+    clock: Clock,
+    settings: &Settings,
+    summary: &Summary,
+) -> anyhow::Result<()> {
     page.heading("Innovations");
     page.note("Measured less predicted, over the 1 sigma that was expected; 3 sigma hold 99.7 % of good ones.");
     let sources: BTreeSet<Source> = summary.innovations.iter().map(|one| one.source).collect();
@@ -104,9 +130,9 @@ fn innovations(page: &mut Page, settings: &Settings, summary: &Summary) -> anyho
         let dots = |axis: usize| {
             let points = taken().filter_map(|one| {
                 let (residual, sigma) = one.axes.get(axis)?;
-                Some((one.t_s, residual / sigma))
+                Some((clock.at(one.t_s), residual / sigma))
             });
-            Series::dots(AXES[axis], thinned(points.collect()))
+            Series::dots(AXES[axis], points)
         };
         let count = taken().map(|one| one.axes.len()).max().unwrap_or(0);
         let mut drawn: Vec<Series> = (0..count).map(dots).collect();
@@ -115,13 +141,12 @@ fn innovations(page: &mut Page, settings: &Settings, summary: &Summary) -> anyho
             .min_by(f64::total_cmp)
             .zip(times().max_by(f64::total_cmp))
         {
-            drawn.extend([-3.0, 3.0].map(|bound| Series {
-                name: format!("{bound} sigma"),
-                points: vec![(first, bound), (last, bound)],
-                mark: Mark::Line,
+            let ends = [first, last].map(|t_s| clock.at(t_s));
+            drawn.extend([(3.0, "\u{b1} 3 sigma"), (-3.0, "")].map(|(bound, name)| {
+                Series::limit(name, ends.map(|at| (at, bound))).in_hue(LIMIT_HUE)
             }));
-            let labels = Labels::new(name, "t, s", "innovation over its sigma");
-            page.figure(&series(&labels, &drawn)?);
+            let labels = clock.labels(name, "innovation over its sigma");
+            page.figure(&series(&labels, &drawn)?, "");
         }
     }
     page.table(
@@ -157,7 +182,12 @@ type Triad = (Vector3<f64>, Vector3<f64>);
 type Figure = (&'static str, Vec<(f64, Triad)>);
 
 /// The estimated errors of the sensors with time, and their 3 sigma.
-fn sensors(page: &mut Page, settings: &Settings, errors: &[SensorErrors]) -> anyhow::Result<()> {
+fn sensors(
+    page: &mut Page,
+    clock: Clock,
+    settings: &Settings,
+    errors: &[SensorErrors],
+) -> anyhow::Result<()> {
     page.heading("Sensors");
     let mut figures: BTreeMap<String, Figure> = BTreeMap::new();
     for one in errors {
@@ -182,29 +212,19 @@ fn sensors(page: &mut Page, settings: &Settings, errors: &[SensorErrors]) -> any
         let mut drawn = Vec::new();
         for (axis, label) in AXES.iter().enumerate() {
             let of = |value: fn(f64, f64) -> f64| {
-                let all = points
-                    .iter()
-                    .map(|(t_s, (v, s))| (*t_s, value(v[axis], s[axis])));
-                thinned(all.collect())
+                let point =
+                    move |(t_s, (v, s)): &(f64, Triad)| (clock.at(*t_s), value(v[axis], s[axis]));
+                points.iter().map(point).collect::<Vec<_>>()
             };
-            for (suffix, points) in [
-                ("", of(|value, _| value)),
-                (" + 3 sigma", of(|value, sigma| value + 3.0 * sigma)),
-                (" - 3 sigma", of(|value, sigma| value - 3.0 * sigma)),
-            ] {
-                drawn.push(Series {
-                    name: format!("{label}{suffix}"),
-                    points,
-                    mark: Mark::Line,
-                });
-            }
+            let limits = format!("{label} \u{b1} 3 sigma");
+            let series = [
+                Series::line(*label, of(|value, _| value)),
+                Series::limit(limits, of(|value, sigma| value + 3.0 * sigma)),
+                Series::limit("", of(|value, sigma| value - 3.0 * sigma)),
+            ];
+            drawn.extend(series.map(|series| series.in_hue(axis)));
         }
-        page.figure(&series(&Labels::new(name, "t, s", unit), &drawn)?);
+        page.figure(&series(&clock.labels(name, unit), &drawn)?, "");
     }
     Ok(())
-}
-
-fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
-    let every = points.len().div_ceil(MOST_POINTS).max(1);
-    points.into_iter().step_by(every).collect()
 }

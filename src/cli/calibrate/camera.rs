@@ -48,13 +48,17 @@ pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
     };
     let calibration = camera::calibrate(&inputs, &stated)
         .with_context(|| RejectedFrame::count_and_first(&rejected))?;
+    let given = args.frames.iter().chain(&args.dark).chain(&args.flat);
+    let given: Vec<String> = given.map(|path| path.display().to_string()).collect();
+    let given = given.join(", ");
     let provenance = provenance(&inputs, &[dark, flat, sun].concat());
     calibration.revise(&mut revision, &provenance);
     args.edition.write(&revision)?;
     say(calibration.summary())?;
     print_rejected(&rejected)?;
     args.edition.write_page("camera.html", || {
-        camera::page(&calibration, &stated.name, &provenance.source, &rejected)
+        let source = format!("{} ({given})", provenance.source);
+        camera::page(&calibration, &stated.name, &source, &rejected)
     })?;
     Ok(ExitCode::SUCCESS)
 }

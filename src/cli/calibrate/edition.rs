@@ -5,6 +5,7 @@ use crate::calibrate::revision::Revision;
 use crate::cli::options;
 use crate::cli::output::{make_folder, say, write_if};
 use crate::instrument::Instrument;
+use crate::provenance::sha256;
 use crate::report::plot::PlotError;
 use anyhow::Context;
 use clap::Args;
@@ -35,10 +36,12 @@ impl Edition {
         ))
     }
 
-    /// Writes the new instrument if it is one that everything else can read; else what stood there stays.
-    pub fn write(&self, revision: &Revision) -> anyhow::Result<()> {
+    /// Writes the new instrument if it is one that everything else can read; else what stood there stays. Gives the SHA-256 of
+    /// the new file.
+    pub fn write(&self, revision: &Revision) -> anyhow::Result<String> {
         let (text, _) = revision.finish()?;
-        write_if(&self.out, &text, |part| Instrument::read(part).map(drop))
+        write_if(&self.out, &text, |part| Instrument::read(part).map(drop))?;
+        Ok(sha256(text))
     }
 
     /// Writes the page of the report if one is wanted.

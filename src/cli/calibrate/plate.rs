@@ -45,9 +45,10 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     progress.finish_and_clear();
     let calibration = calibration?;
     calibration.revise(&mut revision, &start);
-    args.edition.write(&revision)?;
-    args.edition
-        .write_page("index.html", || plate::html(&calibration))?;
+    let file_sha256 = args.edition.write(&revision)?;
+    args.edition.write_page("index.html", || {
+        plate::html(&calibration, &start, &file_sha256)
+    })?;
     say(plate::summary(&calibration))?;
     say(format_args!("written to {}", args.edition.out.display()))?;
     Ok(ExitCode::SUCCESS)

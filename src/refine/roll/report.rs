@@ -1,12 +1,12 @@
 //! The roll camera's part of the report.
 
 use super::super::record::Grade;
-use super::super::report::{PICTURES, Report, TIME, labels};
+use super::super::report::{PICTURES, Report, source};
 use super::output::kind;
 use super::{RollHistory, RollRecipe, RollRow, RollSummary};
 use crate::fits::read_frame;
 use crate::horizon;
-use crate::report::plot::{self, Mark, Series};
+use crate::report::plot::{self, Labels, Mark, Series};
 use image::RgbImage;
 use image::imageops::thumbnail;
 use std::collections::BTreeMap;
@@ -43,21 +43,15 @@ impl Report {
         ];
         let rows = rows.map(|(name, value)| vec![name.to_owned(), value]);
         self.page.table(&[], &rows);
-        self.figures(history);
+        self.figures(archive, history);
         self.odd_frames(archive, history, recipe);
     }
 
-    fn figures(&mut self, history: &RollHistory) {
-        let first_s = history.rows.first().and_then(RollRow::unix_s);
-        let first_s = first_s.unwrap_or(0.0);
-        let series = |name: &str, mark, value: &dyn Fn(&RollRow) -> Option<f64>| Series {
-            name: name.into(),
-            points: history
-                .rows
-                .iter()
-                .filter_map(|row| Some((row.unix_s()? - first_s, value(row)?)))
-                .collect(),
-            mark,
+    fn figures(&mut self, archive: &Path, history: &RollHistory) {
+        let series = |name: &str, mark, value: &dyn Fn(&RollRow) -> Option<f64>| {
+            let rows = history.rows.iter();
+            let points = rows.filter_map(|row| Some((row.unix_s()?, value(row)?)));
+            Series::new(name, mark, points)
         };
         let own = |axis: usize| move |row: &RollRow| Some(row.angles_deg()?[axis].value);
         let roll = |row: &RollRow| Some(row.smoothed?.roll_deg.value);
@@ -65,8 +59,8 @@ impl Report {
         let angles = [
             series("roll", Mark::Dots, &own(0)),
             series("pitch", Mark::Dots, &own(1)),
-            series("roll, smoothed", Mark::Line, &roll),
-            series("pitch, smoothed", Mark::Line, &pitch),
+            series("roll, smoothed", Mark::Line, &roll).in_hue(0),
+            series("pitch, smoothed", Mark::Line, &pitch).in_hue(1),
         ];
         let in_flight = |row: &RollRow| Some(row.in_flight_deg?[0] - row.smoothed?.roll_deg.value);
         let alone = |row: &RollRow| Some(row.angles_deg()?[0].value - row.smoothed?.roll_deg.value);
@@ -76,8 +70,8 @@ impl Report {
         ];
         let titles = ["Roll and pitch of the body", "Roll minus smoothed roll"];
         for (title, series) in titles.iter().zip([&angles[..], &differences[..]]) {
-            match plot::series(&labels(title, TIME, "deg"), series) {
-                Ok(svg) => self.page.figure(&svg),
+            match plot::series(&Labels::over_utc(*title, "deg"), series) {
+                Ok(svg) => self.page.figure(&svg, &source(archive)),
                 Err(error) => self.page.note(&error.to_string()),
             }
         }

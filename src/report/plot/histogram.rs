@@ -1,0 +1,155 @@
+//! Histograms, beside the distribution that is expected.
+
+use super::axis::{Axis, extent};
+use super::labels::{Labels, PlotError};
+use super::sheet::{Entry, Sheet, Stroke, Swatch, hue};
+use std::f64::consts::PI;
+
+/// A distribution to compare with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Density {
+    /// Normal about zero.
+    Normal { sigma: f64 },
+    /// Lengths of vectors of which both components are normal about zero (Rayleigh 1880).
+    Rayleigh { sigma: f64 },
+}
+
+impl Density {
+    /// Probability per unit of the value.
+    fn at(self, value: f64) -> f64 {
+        match self {
+            Self::Normal { sigma } => {
+                (-(value / sigma).powi(2) / 2.0).exp() / (sigma * (2.0 * PI).sqrt())
+            }
+            Self::Rayleigh { sigma } if value >= 0.0 => {
+                value / sigma.powi(2) * (-(value / sigma).powi(2) / 2.0).exp()
+            }
+            Self::Rayleigh { .. } => 0.0,
+        }
+    }
+}
+
+const SIZE: (f64, f64) = (760.0, 420.0);
+/// The axis ends at so many times the value that all but a thousandth keep below; what lies beyond is counted in the title.
+const REACH: f64 = 1.5;
+
+/// A histogram of as many bins, with named upright lines and, by name, a distribution of the same area.
+///
+/// # Errors
+/// Nothing to draw.
+pub fn histogram(
+    labels: &Labels,
+    values: &[f64],
+    bins: usize,
+    lines: &[(&str, f64)],
+    expected: Option<(&str, Density)>,
+) -> Result<String, PlotError> {
+    let (low, high) = span(values, lines).ok_or_else(|| labels.empty())?;
+    let bins = bins.max(1);
+    let width = (high - low) / bins as f64;
+    let mut counts = vec![0_u32; bins];
+    for value in values.iter().filter(|value| (low..=high).contains(value)) {
+        let bin = ((value - low) / width) as usize;
+        counts[bin.min(bins - 1)] += 1;
+    }
+    let inside: u32 = counts.iter().sum();
+    let curve: Vec<(f64, f64)> = expected.map_or(Vec::new(), |(_, density)| {
+        let area = values.len() as f64 * width;
+        let at = |n: u32| low + (high - low) * f64::from(n) / 300.0;
+        (0..=300)
+            .map(|n| (at(n), area * density.at(at(n))))
+            .collect()
+    });
+    let most = counts.iter().copied().map(f64::from);
+    let most = most.chain(curve.iter().map(|p| p.1)).fold(1.0, f64::max);
+    let beyond = values.len() - inside as usize;
+    let mut labels = labels.clone();
+    if beyond > 0 {
+        labels.title += &format!(" ({beyond} beyond the axis)");
+    }
+    let legend = legend(&labels.y, lines, expected.map(|(name, _)| name));
+    let axes = (Axis::exact(low, high), Axis::exact(0.0, 1.06 * most));
+    let mut sheet = Sheet::new(SIZE, 0.0, &labels, axes, &legend);
+    for (bin, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
+        let left = low + bin as f64 * width;
+        let corners = [(left, 0.0), (left + width, f64::from(*count))].map(|p| sheet.place(p));
+        sheet.rectangle(corners[0], corners[1], "#9ec5de");
+    }
+    let curve: Vec<(f64, f64)> = curve.into_iter().map(|p| sheet.place(p)).collect();
+    sheet.line(&curve, Stroke::solid(hue(1), 1.8));
+    for (n, (_, at)) in lines.iter().enumerate() {
+        let upright = [(*at, 0.0), (*at, 1.06 * most)].map(|p| sheet.place(p));
+        sheet.line(&upright, Stroke::solid(hue(n + 2), 1.4).dashed());
+    }
+    Ok(sheet.finish())
+}
+
+/// What the axis spans: from 0 where no value is negative.
+fn span(values: &[f64], lines: &[(&str, f64)]) -> Option<(f64, f64)> {
+    let (low, high) = extent(values.iter().copied())?;
+    let mut sizes: Vec<f64> = values
+        .iter()
+        .map(|v| v.abs())
+        .filter(|v| v.is_finite())
+        .collect();
+    sizes.sort_by(f64::total_cmp);
+    let usual = sizes[(sizes.len() * 999).div_ceil(1000) - 1];
+    let lines = lines.iter().map(|(_, at)| at.abs());
+    let reach = lines.fold(REACH * usual, f64::max);
+    let end = |end: f64| end.clamp(-reach, reach) * 1.04;
+    let (low, high) = (end(low.min(0.0)), end(high.max(0.0)));
+    Some(if low < high { (low, high) } else { (0.0, 1.0) })
+}
+
+fn legend(counted: &str, lines: &[(&str, f64)], expected: Option<&str>) -> Vec<Entry> {
+    let entry = |name: &str, swatch, colour| Entry {
+        name: name.into(),
+        swatch,
+        colour,
+    };
+    let bars = entry(counted, Swatch::Bars, "");
+    let expected = expected.map(|name| entry(name, Swatch::Line, hue(1)));
+    let lines = lines.iter().enumerate();
+    let lines = lines.map(|(n, (name, _))| entry(name, Swatch::Dashes, hue(n + 2)));
+    [bars].into_iter().chain(expected).chain(lines).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels() -> Labels {
+        Labels::new("Errors", "px", "frames")
+    }
+
+    #[test]
+    fn every_value_is_in_a_bar_or_counted() {
+        let svg = histogram(
+            &labels(),
+            &[0.1, 0.2, 0.25, 0.9],
+            4,
+            &[("limit", 0.5)],
+            None,
+        )
+        .unwrap();
+        assert!(svg.contains("limit") && !svg.contains("beyond"));
+        assert!(histogram(&labels(), &[], 4, &[], None).is_err());
+        let mut values = vec![1.0; 5000];
+        values.push(100.0);
+        let svg = histogram(&labels(), &values, 10, &[], None).unwrap();
+        assert!(svg.contains("Errors (1 beyond the axis)"));
+    }
+
+    #[test]
+    fn densities_have_unit_area() {
+        for density in [
+            Density::Normal { sigma: 0.7 },
+            Density::Rayleigh { sigma: 0.7 },
+        ] {
+            let area: f64 = (-1000..1000)
+                .map(|n| density.at(f64::from(n) * 0.01) * 0.01)
+                .sum();
+            assert!((area - 1.0).abs() < 1e-3, "{density:?} {area}");
+        }
+    }
+}

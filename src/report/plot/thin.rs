@@ -1,0 +1,76 @@
+//! Long series made short without losing what stands out.
+
+use crate::estimation::median;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Points so many median steps apart are not joined: frames are missing between them, or a night.
+const GAP_STEPS: f64 = 3.0;
+
+/// The runs of points in which no step is a gap and every value is finite.
+pub(super) fn runs(points: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
+    let steps = points.windows(2).map(|pair| pair[1].0 - pair[0].0);
+    let longest = median(steps.filter(|s| *s > 0.0)).map_or(f64::INFINITY, |s| GAP_STEPS * s);
+    let finite = |point: &(f64, f64)| point.0.is_finite() && point.1.is_finite();
+    let joined =
+        |a: &(f64, f64), b: &(f64, f64)| finite(a) && finite(b) && (b.0 - a.0).abs() <= longest;
+    let runs = points.chunk_by(joined).filter(|run| finite(&run[0]));
+    runs.map(<[_]>::to_vec).collect()
+}
+
+/// The points of one column of pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Column {
+    pub x: f64,
+    pub least: f64,
+    pub most: f64,
+    pub median: f64,
+}
+
+/// Points on the sheet, px, by columns of a pixel: the least, the most and the median of each.
+pub(super) fn columns(points: impl Iterator<Item = (f64, f64)>) -> Vec<Column> {
+    let mut columns: BTreeMap<i64, Vec<f64>> = BTreeMap::new();
+    for (x, y) in points {
+        columns.entry(x.floor() as i64).or_default().push(y);
+    }
+    let column = |(x, ys): (i64, Vec<f64>)| Column {
+        x: x as f64 + 0.5,
+        least: ys.iter().copied().fold(f64::INFINITY, f64::min),
+        most: ys.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+        median: median(ys).unwrap_or_default(),
+    };
+    columns.into_iter().map(column).collect()
+}
+
+/// Points on the sheet, px, to half a pixel, each once.
+pub(super) fn distinct(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
+    let half = |v: f64| (2.0 * v).round() as i64;
+    let distinct: BTreeSet<(i64, i64)> = points.map(|(x, y)| (half(x), half(y))).collect();
+    let back = |(x, y): (i64, i64)| (x as f64 / 2.0, y as f64 / 2.0);
+    distinct.into_iter().map(back).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_end_at_gaps_and_at_what_is_no_number() {
+        let points = [0.0, 1.0, 2.0, 30.0, 31.0, 32.0, 33.0].map(|x| (x, 1.0));
+        let lengths =
+            |points: &[(f64, f64)]| -> Vec<usize> { runs(points).iter().map(Vec::len).collect() };
+        assert_eq!(lengths(&points), [3, 4]);
+        let mut broken = points;
+        broken[5].1 = f64::NAN;
+        assert_eq!(lengths(&broken), [3, 2, 1]);
+        assert_eq!(lengths(&[(0.0, 1.0), (100.0, 1.0)]), [2]);
+    }
+
+    #[test]
+    fn a_column_keeps_its_least_and_most() {
+        let points = [(3.2, 1.0), (3.9, 5.0), (3.5, 2.0), (4.0, 7.0)];
+        let columns = columns(points.into_iter());
+        assert_eq!((columns.len(), columns[0].x), (2, 3.5));
+        assert_eq!((columns[0].least, columns[0].most), (1.0, 5.0));
+        assert_eq!(columns[0].median, 2.0);
+    }
+}
