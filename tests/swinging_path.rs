@@ -163,3 +163,39 @@ fn a_gondola_at_rest_has_no_swings_and_loses_nothing() {
         assert!((0.9..1.1).contains(&pull), "{pull}");
     }
 }
+
+#[test]
+fn between_frames_the_path_is_told_by_its_swings_and_not_in_long_gaps() {
+    const PER_FRAME: usize = 12;
+    let flown: Vec<Axes> = (0..FRAMES).map(|n| sines(time_s(n))).collect();
+    let gap_s = time_s(600)..time_s(660);
+    let times: Vec<f64> = (0..FRAMES * PER_FRAME)
+        .map(|n| n as f64 / RATE_HZ / PER_FRAME as f64)
+        .collect();
+    let mut pulls = Vec::new();
+    for seed in 300..304 {
+        let mut moments = measured(&flown, seed);
+        for moment in moments.iter_mut().filter(|m| gap_s.contains(&m.time_s)) {
+            moment.measured = None;
+        }
+        let points = path(&moments, &SHARED).unwrap().at(&times);
+        for (time_s, point) in times.iter().zip(points) {
+            let before_s = gap_s.start - 1.0 / RATE_HZ;
+            let in_gap = before_s < *time_s && *time_s < gap_s.end;
+            let after = *time_s > self::time_s(FRAMES - 1);
+            assert_eq!(point.is_none(), in_gap || after, "{time_s}");
+            let Some(point) = point else { continue };
+            let truth = sines(*time_s);
+            pulls.extend(
+                [0, 1].map(|axis| (point.place[axis] - truth[axis]) / point.variance[axis].sqrt()),
+            );
+        }
+    }
+    let largest = pulls
+        .iter()
+        .fold(0.0_f64, |most, pull| most.max(pull.abs()));
+    let pull = rms(pulls.into_iter());
+    println!("between frames: error/sigma {pull:.3}, largest {largest:.2}");
+    assert!((0.8..1.25).contains(&pull));
+    assert!(largest < 6.0);
+}

@@ -24,7 +24,7 @@ mod swings;
 
 use crate::estimation::median;
 use levels::Levels;
-use process::{Axis, Smoothed, Swing};
+use process::{Axis, LONGEST_GAP_S, Smoothed, Swing};
 use swings::{Fit, Stretch};
 
 /// A place along an axis.
@@ -83,6 +83,7 @@ pub struct Path {
     pub process_noise: f64,
     /// The swings of each axis.
     pub swings: [Vec<FoundSwing>; 2],
+    motions: Motions,
 }
 
 /// A swing of the gondola along an axis.
@@ -104,7 +105,16 @@ const CAUTION: f64 = 9.0;
 /// Swings must explain so much of the flight.
 const CALM_PART: f64 = 0.8;
 
+/// How both axes move, and what was measured.
+#[derive(Debug, Clone, PartialEq)]
+struct Motions {
+    axes: [Motion; 2],
+    shared: SharedErrors,
+    measured: Vec<Moment>,
+}
+
 /// How an axis moves.
+#[derive(Debug, Clone, PartialEq)]
 struct Motion {
     swings: Vec<Swing>,
     /// Of the step to each measured moment, the likeliest.
@@ -122,20 +132,77 @@ pub fn path(moments: &[Moment], shared: &SharedErrors) -> Option<Path> {
         || motion(&measured, 0, shared),
         || motion(&measured, 1, shared),
     );
-    let axes = [x, y];
-    let step_to = |moment: &Moment| {
-        let next = measured.partition_point(|m| m.time_s < moment.time_s);
-        next.min(measured.len() - 1)
+    let motions = Motions {
+        axes: [x, y],
+        shared: shared.clone(),
+        measured,
     };
-    let steps: Vec<usize> = moments.iter().map(step_to).collect();
-    let smoothed = |noise: fn(&Motion, f64) -> f64| {
+    let stated = motions.smoothed(moments, Motion::cautious)?;
+    let axes = &motions.axes;
+    Some(Path {
+        likeliest: points(&motions.smoothed(moments, |_, noise| noise)?),
+        process_noise: median(axes.iter().flat_map(|axis| &axis.noise))?,
+        swings: std::array::from_fn(|axis| axes[axis].found(&stated[axis])),
+        points: points(&stated),
+        motions,
+    })
+}
+
+impl Path {
+    /// The path at any times in order, by its own motion; `None` outside what was measured and in gaps that are too long to tell.
+    pub fn at(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
+        let measured = &self.motions.measured;
+        let (mut moments, mut wanted) = (Vec::new(), Vec::with_capacity(times_s.len()));
+        let mut next = measured.iter().peekable();
+        for time_s in times_s {
+            while let Some(moment) = next.next_if(|moment| moment.time_s <= *time_s) {
+                moments.push(*moment);
+            }
+            wanted.push(moments.len());
+            moments.push(Moment {
+                time_s: *time_s,
+                measured: None,
+            });
+        }
+        moments.extend(next);
+        let Some(smoothed) = self.motions.smoothed(&moments, Motion::cautious) else {
+            return vec![None; times_s.len()];
+        };
+        let points = points(&smoothed);
+        let told = |time_s: f64| {
+            let after = measured.partition_point(|moment| moment.time_s < time_s);
+            let last = measured.get(after)?;
+            let first = match last.time_s == time_s {
+                true => last,
+                false => &measured[after.checked_sub(1)?],
+            };
+            (last.time_s - first.time_s <= LONGEST_GAP_S).then_some(())
+        };
+        let at = |(time_s, n): (&f64, usize)| told(*time_s).map(|()| points[n]);
+        times_s.iter().zip(wanted).map(at).collect()
+    }
+}
+
+impl Motions {
+    /// Both axes at moments in order.
+    fn smoothed(
+        &self,
+        moments: &[Moment],
+        noise: fn(&Motion, f64) -> f64,
+    ) -> Option<[Vec<Smoothed>; 2]> {
+        let step_to = |moment: &Moment| {
+            let next = self.measured.partition_point(|m| m.time_s < moment.time_s);
+            next.min(self.measured.len() - 1)
+        };
         let along = |axis: usize| {
-            let motion = &axes[axis];
-            let noises = steps.iter().map(|step| noise(motion, motion.noise[*step]));
+            let motion = &self.axes[axis];
+            let noises = moments
+                .iter()
+                .map(|moment| noise(motion, motion.noise[step_to(moment)]));
             let along = Axis {
                 moments,
                 axis,
-                shared,
+                shared: &self.shared,
                 swings: &motion.swings,
                 process_noise: &noises.collect::<Vec<f64>>(),
             };
@@ -143,14 +210,7 @@ pub fn path(moments: &[Moment], shared: &SharedErrors) -> Option<Path> {
         };
         let (x, y) = rayon::join(|| along(0), || along(1));
         Some([x?, y?])
-    };
-    let stated = smoothed(Motion::cautious)?;
-    Some(Path {
-        likeliest: points(&smoothed(|_, noise| noise)?),
-        process_noise: median(axes.iter().flat_map(|axis| &axis.noise))?,
-        swings: std::array::from_fn(|axis| axes[axis].found(&stated[axis])),
-        points: points(&stated),
-    })
+    }
 }
 
 fn points([x, y]: &[Vec<Smoothed>; 2]) -> Vec<PathPoint> {

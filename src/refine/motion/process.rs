@@ -47,7 +47,7 @@ const FIRST_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
 /// ... and of a swing's place.
 const FIRST_SWING: f64 = 1e2;
 /// Over longer gaps nothing is said about the path.
-const LONGEST_GAP_S: f64 = 10.0;
+pub(super) const LONGEST_GAP_S: f64 = 10.0;
 
 /// The motion along one axis.
 pub(super) struct Axis<'a> {
