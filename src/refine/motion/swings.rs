@@ -196,8 +196,8 @@ impl<'a> Stretch<'a> {
         let finest: Vec<f64> = steps.iter().map(|step| step * FINEST).collect();
         for _ in 0..MOST_ROUNDS {
             let before = best;
-            for n in 0..steps.len() {
-                let tried = [steps[n], -steps[n]].map(|step| {
+            for (n, size) in steps.iter_mut().enumerate() {
+                let tried = [*size, -*size].map(|step| {
                     let tried = fit.moved(n, step, MOST_PERIODS_A_STEP * TAU / self.step_s);
                     Some((self.log_likelihood(&tried)?, tried))
                 });
@@ -208,9 +208,9 @@ impl<'a> Stretch<'a> {
                 match better.max_by(|a, b| a.0.total_cmp(&b.0)) {
                     Some((likelihood, better)) => {
                         (best, fit) = (likelihood, better);
-                        steps[n] *= 1.5;
+                        *size *= 1.5;
                     }
-                    None => steps[n] /= 2.5,
+                    None => *size /= 2.5,
                 }
             }
             let fine = |(n, step): (usize, &f64)| *step < finest[n];
