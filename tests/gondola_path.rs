@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::refine::motion::{Moment, Path, path};
+use solaspect::refine::motion::{Measurement, Moment, Path, SharedErrors, path};
 use std::f64::consts::TAU;
 
 const SIGMA_MIL: f64 = 0.1;
@@ -115,7 +115,11 @@ fn measured(flown: &[Truth], seed: u64) -> Vec<Moment> {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut noisy = |v: f64| {
         let error: f64 = StandardNormal.sample(&mut rng);
-        (v + SIGMA_MIL * error, SIGMA_MIL.powi(2))
+        Measurement {
+            place: v + SIGMA_MIL * error,
+            variance: SIGMA_MIL.powi(2),
+            shared_variance: 0.0,
+        }
     };
     let moment = |truth: &Truth| Moment {
         time_s: truth.time_s,
@@ -161,7 +165,7 @@ fn rms(values: &[f64]) -> f64 {
 fn judge(segments: &[(Segment, f64)], rate_hz: f64, seed: u64) {
     let flown = flight(segments, rate_hz, seed);
     let moments = measured(&flown, seed + 1);
-    let path = path(&moments).unwrap();
+    let path = path(&moments, &SharedErrors::default()).unwrap();
     for (n, (segment, _)) in segments.iter().enumerate() {
         let name = format!("{rate_hz} Hz, seed {seed}, {n}: {segment:?}");
         let errors = |seen: bool| {
@@ -183,7 +187,7 @@ fn judge(segments: &[(Segment, f64)], rate_hz: f64, seed: u64) {
         let own = (0..flown.len()).filter(|m| flown[*m].segment == n);
         let own = own.filter_map(|m| Some((moments[m].measured?, flown[m].at_mil)));
         let own: Vec<f64> = own
-            .flat_map(|(seen, truth)| [0, 1].map(|axis| seen[axis].0 - truth[axis]))
+            .flat_map(|(seen, truth)| [0, 1].map(|axis| seen[axis].place - truth[axis]))
             .collect();
         // Two axes of 200 frames tell which is better.
         assert!(own.len() < 400 || error_mil <= rms(&own), "{name}");
@@ -215,7 +219,7 @@ fn the_path_is_known_as_well_as_it_says_in_rest_swing_slew_steps_and_gaps() {
 #[test]
 fn where_nothing_was_seen_the_sigma_grows_with_the_gap() {
     let flown = flight(&[(Swing, 30.0), (Gap, 20.0), (Swing, 30.0)], 4.0, 7);
-    let path = path(&measured(&flown, 8)).unwrap();
+    let path = path(&measured(&flown, 8), &SharedErrors::default()).unwrap();
     let sigma = |time_s: f64| {
         let n = flown.partition_point(|truth| truth.time_s < time_s);
         path.points[n].variance[0].sqrt()
@@ -234,5 +238,5 @@ fn a_path_without_a_measured_moment_is_none() {
         time_s: 0.0,
         measured: None,
     };
-    assert_eq!(path(&[nothing; 3]), None);
+    assert_eq!(path(&[nothing; 3], &SharedErrors::default()), None);
 }

@@ -47,4 +47,5 @@ mod simulated_flight;
 mod simulation;
 mod sky;
 mod solution_log;
+mod swinging_path;
 mod tracking;

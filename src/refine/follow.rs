@@ -3,9 +3,11 @@
 //! A frame whose limb tells its own radius, which is the flight's, is of the Sun: it makes the path, wherever it is. One that shows
 //! less of the limb is held against the path of those.
 
-use super::motion::{self, Moment, Path, PathPoint};
+use super::motion::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
 use super::row::{Oddity, Row};
 use super::work::{TELLING_LIMB, Work};
+use crate::estimation::median;
+use crate::geometry::view::UNIT_MIL;
 use crate::units::PlateMil;
 use nalgebra::Vector2;
 
@@ -51,11 +53,10 @@ impl Work<'_> {
         if !doubtful.is_empty() {
             followed = self.path_of(Row::is_fine);
         }
-        self.add_shared_errors(&mut followed);
         followed
     }
 
-    /// The path of some of the dated rows. It knows nothing of the errors that neighbours share.
+    /// The path of some of the dated rows.
     fn path_of(&self, counts: impl Fn(&Row) -> bool) -> Followed {
         let first = self.rows.first().and_then(Row::unix_s).unwrap_or(0.0);
         let (mut moments, mut at) = (Vec::new(), Vec::new());
@@ -68,45 +69,54 @@ impl Work<'_> {
                     measured: None,
                 });
             }
-            let sun = row.sun.filter(|_| counts(row));
-            let measured = sun.map(|sun| {
-                let [x, y] = row.own_variance_mil2().unwrap_or(sun.variance());
-                [(sun.position.x, x), (sun.position.y, y)]
-            });
+            let measured = measurements(row).filter(|_| counts(row));
             at.push(moments.len());
             moments.push(Moment { time_s, measured });
             before = Some(time_s);
         }
         Followed {
-            path: motion::path(&moments),
+            path: motion::path(&moments, &self.shared_errors(first)),
             times_s: moments.iter().map(|moment| first + moment.time_s).collect(),
             at,
         }
     }
 
-    /// Errors that are alike in neighbours are not smoothed away, above all the mapping's: each point has those of the last fine row.
-    fn add_shared_errors(&self, followed: &mut Followed) {
-        let Some(path) = &mut followed.path else {
-            return;
+    /// How long the mapping's errors last. Those of a smoothed random walk are correlated over twice their variance over the density of the
+    /// walk; jumps draw them anew.
+    fn shared_errors(&self, first_s: f64) -> SharedErrors {
+        let dated = &self.rows[..self.dated];
+        let Some(facts) = self.mapping.as_ref().map(|mapping| &mapping.facts) else {
+            return SharedErrors::default();
         };
-        let rows = self.rows[..self.dated].iter();
-        let mut of_rows = rows.zip(&followed.at).filter_map(|(row, at)| {
-            let all = row.sun.filter(|_| row.is_fine())?.variance();
-            let own = row.own_variance_mil2()?;
-            Some((*at, [all[0] - own[0], all[1] - own[1]]))
-        });
-        let mut next = of_rows.next();
-        let mut variance = next.map_or([0.0; 2], |(_, variance)| variance);
-        for (n, point) in path.points.iter_mut().enumerate() {
-            if let Some((_, found)) = next.filter(|(at, _)| *at == n) {
-                variance = found;
-                next = of_rows.next();
-            }
-            for (of_point, shared) in point.variance.iter_mut().zip(variance) {
-                *of_point += shared.max(0.0);
-            }
+        let time = |row: &Row| {
+            let scale = row.mapping?.there.scale_mil_per_px.value;
+            let [shift, turn] = facts.process_noise_px.map(|px| (px * scale).powi(2));
+            let [x, y] = measurements(row)?;
+            let away = row.sun?.position.vector().norm_squared() / UNIT_MIL.powi(2);
+            Some((x.shared_variance + y.shared_variance) / (shift + turn * away))
+        };
+        let fine = dated.iter().filter(|row| row.is_fine());
+        let jumps = facts.jumps.iter();
+        SharedErrors {
+            correlation_s: median(fine.filter_map(time)).unwrap_or(0.0),
+            jumps_s: jumps
+                .filter_map(|jump| Some(dated.get(jump.after)?.unix_s()? - first_s))
+                .collect(),
         }
     }
+}
+
+/// What a row measures: its own errors are what the limb's points show; at a jump of the mapping all of them are.
+fn measurements(row: &Row) -> Option<[Measurement; 2]> {
+    let sun = row.sun?;
+    let (place, all) = (sun.position.vector(), sun.variance());
+    let disc = row.disc.filter(|_| row.jump_px.is_none());
+    let own = disc.map_or(all, |disc| disc.centre.variance());
+    Some([0, 1].map(|axis| Measurement {
+        place: place[axis],
+        variance: own[axis],
+        shared_variance: (all[axis] - own[axis]).max(0.0),
+    }))
 }
 
 /// Whether a row's place, which is not of the path, lies off it.
@@ -124,11 +134,5 @@ impl Row {
     /// Whether nothing but another Sun could be where the row has its Sun: most of the limb was seen, and its radius is not odd.
     fn is_sure(&self) -> bool {
         self.is_fine() && self.limb_part.is_some_and(|part| part >= TELLING_LIMB)
-    }
-
-    /// Variance of the place by what the limb's points show, which is the frame's own. At a jump of the mapping all of it is.
-    fn own_variance_mil2(&self) -> Option<[f64; 2]> {
-        let disc = self.disc.filter(|_| self.jump_px.is_none())?;
-        Some(disc.centre.variance())
     }
 }

@@ -6,6 +6,7 @@ use super::first_pass::{FirstPass, Recipe};
 use super::flight::Flight;
 use super::load::ClockStep;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
+use super::motion::FoundSwing;
 use super::radius::RadiusDependence;
 use super::record::Grade;
 use super::row::{Oddity, Row};
@@ -16,6 +17,7 @@ use crate::provenance::{COMMIT, PROGRAM};
 use crate::units::Measured;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::f64::consts::SQRT_2;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::iter;
@@ -73,6 +75,47 @@ pub struct Summary {
     pub clock: ClockSummary,
     /// Random walk of the gondola's acceleration, mil/s^2 after a second.
     pub restless_mil_per_s2: Option<f64>,
+    /// Swings of the gondola along the plate's x and y.
+    pub swings: [Vec<SwingSummary>; 2],
+}
+
+/// A swing of the gondola.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SwingSummary {
+    pub period_s: f64,
+    /// In which its amplitude falls to 1/e where nothing drives it.
+    pub damping_s: f64,
+    pub rms_mil: f64,
+}
+
+impl SwingSummary {
+    fn of(swing: &FoundSwing) -> Self {
+        Self {
+            period_s: swing.period_s,
+            damping_s: swing.damping_s,
+            rms_mil: swing.rms,
+        }
+    }
+
+    /// For people; "none found" where there is none.
+    pub fn text(swings: &[Self]) -> String {
+        let text = |swing: &Self| {
+            let Self {
+                period_s,
+                damping_s,
+                rms_mil,
+            } = swing;
+            let amplitude_mil = rms_mil * SQRT_2;
+            format!(
+                "{period_s:.2} s, amplitude {amplitude_mil:.2} mil, damping time {damping_s:.0} s"
+            )
+        };
+        let all: Vec<String> = swings.iter().map(text).collect();
+        match all.is_empty() {
+            true => "none found".into(),
+            false => all.join("; "),
+        }
+    }
 }
 
 /// What a degree of the camera's temperature does to the disc's radius on the plate.
@@ -284,6 +327,11 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
         clock: clock(flight),
         restless_mil_per_s2: flight.path.as_ref().map(|path| path.process_noise),
+        swings: flight.path.as_ref().map_or_else(Default::default, |path| {
+            path.swings
+                .each_ref()
+                .map(|swings| swings.iter().map(SwingSummary::of).collect())
+        }),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::columns::SmoothedRow;
 use super::flight::Flight;
-use super::output::{OutputError, Summary, whole};
+use super::output::{OutputError, Summary, SwingSummary, whole};
 use super::row::Row;
 use crate::estimation::median;
 use crate::fits::read_frame;
@@ -159,6 +159,12 @@ impl Part<'_> {
             rows.push(vec!["jump of the mapping".into(), jump.text()]);
         }
         rows.extend(summary.clock.lines().map(Vec::from));
+        for (axis, swings) in ["x", "y"].into_iter().zip(&summary.swings) {
+            rows.push(vec![
+                format!("swings along {axis}"),
+                SwingSummary::text(swings),
+            ]);
+        }
         self.page.table(&[], &rows);
         self.page.note("All times are UTC at mid-exposure.");
     }

@@ -153,7 +153,7 @@ fn conclude(
     systematic: f64,
 ) -> (CalibratedQuantity, Option<Figure>) {
     let measured = points.iter().map(|p| (p.light, p.variance));
-    let line = line(&points, dark, none);
+    let line = determined_line(&points, dark, none);
     let fitted = line.iter().flat_map(|(dark, gain)| {
         let brightest = points.iter().map(|p| p.light).fold(0.0, f64::max);
         [0.0, brightest].map(|light| (light, dark + gain.value * light))
@@ -176,8 +176,8 @@ fn conclude(
     (gain, (points.len() > 1).then_some(figure))
 }
 
-/// The variance without light, and the slope.
-fn line(points: &[Point], dark: &Dark, none: &str) -> Result<(f64, Measured), String> {
+/// The variance without light, and the slope, where the light determines them.
+fn determined_line(points: &[Point], dark: &Dark, none: &str) -> Result<(f64, Measured), String> {
     if points.len() < 4 {
         return Err(none.into());
     }

@@ -4,7 +4,7 @@ use super::super::clock::{Clocks, Reading, corrected_ns};
 use super::super::first_pass::{Done, Span};
 use super::super::follow::ODD_PATH_CHI2;
 use super::super::journal::JournalError;
-use super::super::motion::{self, Moment, Path};
+use super::super::motion::{self, Measurement, Moment, Path, SharedErrors};
 use super::super::record::{FrameFacts, Grade, Input, Record};
 use super::super::row::{Oddity, Row};
 use super::{HorizonRecord, RollRecipe};
@@ -223,7 +223,7 @@ impl RollHistory {
             .filter_map(Seen::of)
             .collect();
         let (moments, at) = self.moments(&measured, times_s);
-        let Some(path) = motion::path(&moments) else {
+        let Some(path) = motion::path(&moments, &SharedErrors::default()) else {
             return vec![None; times_s.len()];
         };
         let point = |(time_s, at): (&f64, usize)| {
@@ -243,8 +243,11 @@ impl RollHistory {
         let frame = |seen: &Seen| {
             let axis = |axis: usize| {
                 let sigma = seen.angles_deg[axis].sigma * self.changing[axis];
-                let unit = seen.angles_deg[axis].value / UNIT_DEG;
-                (unit, (sigma / UNIT_DEG).powi(2))
+                Measurement {
+                    place: seen.angles_deg[axis].value / UNIT_DEG,
+                    variance: (sigma / UNIT_DEG).powi(2),
+                    shared_variance: 0.0,
+                }
             };
             Moment {
                 time_s: seen.time_s - first_s,

@@ -1,0 +1,129 @@
+//! The process noise at every frame.
+
+use super::process::{Axis, Smoothed, Swing};
+use super::{Moment, SharedErrors};
+use crate::estimation::median;
+use rayon::prelude::*;
+
+/// The factor from each of the process noises that gondolas may have to the next, and how many there are.
+const NOISE_FACTOR: f64 = 3.0;
+const NOISES: usize = 20;
+/// What a change to the next larger or smaller noise costs, natural logarithm of the likelihood.
+const CHANGE_COST: f64 = 2.0;
+/// In a gap the process noise is that of so many times its length before and after.
+const GAP_REACH: f64 = 5.0;
+/// Frames so many usual steps apart make a gap.
+const GAP_STEPS: f64 = 2.5;
+
+/// What the process noises are chosen for: one axis of the moments that are measured, and its swings.
+pub(super) struct Levels<'a> {
+    pub measured: &'a [Moment],
+    pub axis: usize,
+    pub shared: &'a SharedErrors,
+    pub swings: &'a [Swing],
+    /// The least process noise, unit/s^2.5.
+    pub least: f64,
+}
+
+impl Levels<'_> {
+    /// The likeliest process noise of the step to each moment.
+    pub fn likeliest(&self) -> Vec<f64> {
+        let by_noise: Vec<Vec<f32>> = (0..NOISES)
+            .into_par_iter()
+            .map(|level| self.foretold(self.noise(level)))
+            .collect();
+        let of_moment = |n: usize| std::array::from_fn(|level| by_noise[level][n]);
+        let scores: Vec<Scores> = (0..self.measured.len()).map(of_moment).collect();
+        let levels = likeliest_levels(&scores);
+        // A step's noise is the larger of its two frames'.
+        let steps = (0..levels.len()).map(|n| levels[n].max(levels[n.saturating_sub(1)]));
+        let steps = steps.map(|level| self.noise(level)).collect();
+        over_gaps(self.measured, steps)
+    }
+
+    fn noise(&self, level: usize) -> f64 {
+        self.least * NOISE_FACTOR.powi(level as i32)
+    }
+
+    /// How well a constant process noise foretells each measured moment from all others: logarithm of the likelihood but for a
+    /// constant. One with which the filter fails foretells nothing.
+    fn foretold(&self, noise: f64) -> Vec<f32> {
+        let axis = Axis {
+            moments: self.measured,
+            axis: self.axis,
+            shared: self.shared,
+            swings: self.swings,
+            process_noise: &vec![noise; self.measured.len()],
+        };
+        let Some(states) = axis.smoothed() else {
+            return vec![f32::NEG_INFINITY; self.measured.len()];
+        };
+        let score = |(state, moment): (&Smoothed, &Moment)| {
+            let measured = moment.measured?[self.axis];
+            let variance = measured.variance;
+            // The smoothed place holds this measurement: without it, the residual and its variance grow by the same factor.
+            let left = (variance - state.seen_variance).max(1e-9 * variance);
+            let factor = variance / left;
+            let chi2 = (measured.place - state.seen).powi(2) * factor / variance;
+            let score = -(chi2 + (factor * variance).ln()) / 2.0;
+            score.is_finite().then_some(score as f32)
+        };
+        let scores = states.iter().zip(self.measured).map(score);
+        scores
+            .map(|score| score.unwrap_or(f32::NEG_INFINITY))
+            .collect()
+    }
+}
+
+/// How well each of the process noises foretells a moment.
+type Scores = [f32; NOISES];
+
+/// The level of each moment, whose scores together are greatest, less what changes cost.
+fn likeliest_levels(scores: &[Scores]) -> Vec<usize> {
+    let Some((first, later)) = scores.split_first() else {
+        return Vec::new();
+    };
+    let mut best = first.map(f64::from);
+    let mut came_from: Vec<[u8; NOISES]> = Vec::with_capacity(later.len());
+    for scores in later {
+        let before = best;
+        let from = std::array::from_fn(|level| {
+            let through = |from: usize| before[from] - CHANGE_COST * level.abs_diff(from) as f64;
+            let best_from = (0..NOISES).max_by(|a, b| through(*a).total_cmp(&through(*b)));
+            let best_from = best_from.unwrap_or(level);
+            best[level] = through(best_from) + f64::from(scores[level]);
+            best_from as u8
+        });
+        came_from.push(from);
+    }
+    let last = (0..NOISES).max_by(|a, b| best[*a].total_cmp(&best[*b]));
+    let mut level = last.unwrap_or(0);
+    let mut levels = vec![level];
+    for from in came_from.iter().rev() {
+        level = usize::from(from[level]);
+        levels.push(level);
+    }
+    levels.reverse();
+    levels
+}
+
+/// In a gap the gondola may do what it did before and after: the mean density of the process noise there.
+fn over_gaps(measured: &[Moment], steps: Vec<f64>) -> Vec<f64> {
+    let length_s = |n: usize| measured[n].time_s - measured[n - 1].time_s;
+    let usual_s = median((1..measured.len()).map(length_s)).unwrap_or(f64::INFINITY);
+    let step = |n: usize| {
+        if n == 0 || length_s(n) < GAP_STEPS * usual_s {
+            return steps[n];
+        }
+        let reach_s = GAP_REACH * length_s(n);
+        let (from_s, to_s) = (
+            measured[n - 1].time_s - reach_s,
+            measured[n].time_s + reach_s,
+        );
+        let from = measured.partition_point(|m| m.time_s < from_s);
+        let to = measured.partition_point(|m| m.time_s <= to_s);
+        let densities = steps[from..to].iter().map(|noise| noise.powi(2));
+        (densities.sum::<f64>() / (to - from) as f64).sqrt()
+    };
+    (0..steps.len()).map(step).collect()
+}

@@ -1,0 +1,300 @@
+//! A path between frames: place, speed and acceleration, each axis on its own. The Sun moves so over the plate, and the gondola's body in
+//! roll and pitch.
+//!
+//! Its unit is about the size of the frames' errors: a mil on the plate, a hundredth of a degree in roll and pitch.
+//!
+//! The acceleration is a random walk. How far it walks, the process noise, changes with what the gondola does: it rests, swings, begins
+//! and ends a slew, steps. So each axis has a process noise of its own at every frame:
+//!
+//! 1. The path is smoothed with each of a scale of constant process noises.
+//! 2. Each frame says how well each of them foretells it from all other frames: the logarithm of its likelihood.
+//! 3. The noise of greatest likelihood over the flight, where every change has a price (Viterbi 1967), times nine
+//!    for caution.
+//!
+//! 4. Swings of the gondola are sought beside it, each with a frequency, a damping time and a drive of its own, by maximum likelihood. Where
+//!    they pay for themselves and explain most of the flight, they are part of the axis's motion, and the noise is chosen anew from the least
+//!    that suffices beside them.
+//!
+//! Too much process noise costs little at a frame, for the place then follows the frame's own; too little is wrong with
+//! confidence.
+
+mod levels;
+mod process;
+mod swings;
+
+use crate::estimation::median;
+use levels::Levels;
+use process::{Axis, LONGEST_GAP_S, Smoothed, Swing};
+use swings::{Fit, Stretch};
+
+/// A place along an axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    pub place: f64,
+    /// Of the moment's own error.
+    pub variance: f64,
+    /// Of the error that it shares with its neighbours.
+    pub shared_variance: f64,
+}
+
+/// A moment of the path, with what was measured then, if anything was, in each axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moment {
+    pub time_s: f64,
+    pub measured: Option<[Measurement; 2]>,
+}
+
+/// How long errors that neighbours share last: a Gauss-Markov process.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SharedErrors {
+    /// In which their correlation falls to 1/e.
+    pub correlation_s: f64,
+    /// When they are drawn anew, in order.
+    pub jumps_s: Vec<f64>,
+}
+
+impl SharedErrors {
+    /// The correlation of the errors at two times, the earlier one first.
+    fn kept(&self, before_s: f64, now_s: f64) -> f64 {
+        let jumps = |until_s: f64| self.jumps_s.partition_point(|jump_s| *jump_s <= until_s);
+        if self.correlation_s <= 0.0 || jumps(before_s) != jumps(now_s) {
+            return 0.0;
+        }
+        ((before_s - now_s) / self.correlation_s).exp()
+    }
+}
+
+/// The path at a moment, per axis: place, its variance, and speed a second.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PathPoint {
+    pub place: [f64; 2],
+    pub variance: [f64; 2],
+    pub speed: [f64; 2],
+}
+
+/// The path of a flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Path {
+    pub points: Vec<PathPoint>,
+    /// The same with the likeliest process noise: where to look, not what to state.
+    pub likeliest: Vec<PathPoint>,
+    /// The likeliest process noise, the median over moments and axes: square root of its density, unit/s^2.5. The acceleration walks
+    /// by so many unit/s^2 in a second.
+    pub process_noise: f64,
+    /// The swings of each axis.
+    pub swings: [Vec<FoundSwing>; 2],
+    motions: Motions,
+}
+
+/// A swing of the gondola along an axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FoundSwing {
+    pub period_s: f64,
+    /// In which its amplitude falls to 1/e where nothing drives it.
+    pub damping_s: f64,
+    /// Of its place over the flight.
+    pub rms: f64,
+}
+
+/// The least process noise that gondolas without swings may have, unit/s^2.5.
+const LEAST_NOISE: f64 = 0.1;
+/// The noise that foretells best leaves a path that is off by as much by its stiffness as by the frames' errors: so many times
+/// it, and only the errors are left.
+const CAUTION: f64 = 9.0;
+
+/// Swings must explain so much of the flight.
+const CALM_PART: f64 = 0.8;
+
+/// How both axes move, and what was measured.
+#[derive(Debug, Clone, PartialEq)]
+struct Motions {
+    axes: [Motion; 2],
+    shared: SharedErrors,
+    measured: Vec<Moment>,
+}
+
+/// How an axis moves.
+#[derive(Debug, Clone, PartialEq)]
+struct Motion {
+    swings: Vec<Swing>,
+    /// Of the step to each measured moment, the likeliest.
+    noise: Vec<f64>,
+    /// The least of these that is thought of.
+    least: f64,
+}
+
+/// The smoothed path through moments in the order of time. `None` where nothing was measured.
+pub fn path(moments: &[Moment], shared: &SharedErrors) -> Option<Path> {
+    let measured = moments.iter().filter(|moment| moment.measured.is_some());
+    let measured: Vec<Moment> = measured.copied().collect();
+    measured.first()?;
+    let (x, y) = rayon::join(
+        || motion(&measured, 0, shared),
+        || motion(&measured, 1, shared),
+    );
+    let motions = Motions {
+        axes: [x, y],
+        shared: shared.clone(),
+        measured,
+    };
+    let stated = motions.smoothed(moments, Motion::cautious)?;
+    let axes = &motions.axes;
+    Some(Path {
+        likeliest: points(&motions.smoothed(moments, |_, noise| noise)?),
+        process_noise: median(axes.iter().flat_map(|axis| &axis.noise))?,
+        swings: std::array::from_fn(|axis| axes[axis].found(&stated[axis])),
+        points: points(&stated),
+        motions,
+    })
+}
+
+impl Path {
+    /// The path at any times in order, by its own motion; `None` outside what was measured and in gaps that are too long to tell.
+    pub fn at(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
+        let measured = &self.motions.measured;
+        let (mut moments, mut wanted) = (Vec::new(), Vec::with_capacity(times_s.len()));
+        let mut next = measured.iter().peekable();
+        for time_s in times_s {
+            while let Some(moment) = next.next_if(|moment| moment.time_s <= *time_s) {
+                moments.push(*moment);
+            }
+            wanted.push(moments.len());
+            moments.push(Moment {
+                time_s: *time_s,
+                measured: None,
+            });
+        }
+        moments.extend(next);
+        let Some(smoothed) = self.motions.smoothed(&moments, Motion::cautious) else {
+            return vec![None; times_s.len()];
+        };
+        let points = points(&smoothed);
+        let told = |time_s: f64| {
+            let after = measured.partition_point(|moment| moment.time_s < time_s);
+            let last = measured.get(after)?;
+            let first = match last.time_s == time_s {
+                true => last,
+                false => &measured[after.checked_sub(1)?],
+            };
+            (last.time_s - first.time_s <= LONGEST_GAP_S).then_some(())
+        };
+        let at = |(time_s, n): (&f64, usize)| told(*time_s).map(|()| points[n]);
+        times_s.iter().zip(wanted).map(at).collect()
+    }
+}
+
+impl Motions {
+    /// Both axes at moments in order.
+    fn smoothed(
+        &self,
+        moments: &[Moment],
+        noise: fn(&Motion, f64) -> f64,
+    ) -> Option<[Vec<Smoothed>; 2]> {
+        let step_to = |moment: &Moment| {
+            let next = self.measured.partition_point(|m| m.time_s < moment.time_s);
+            next.min(self.measured.len() - 1)
+        };
+        let along = |axis: usize| {
+            let motion = &self.axes[axis];
+            let noises = moments
+                .iter()
+                .map(|moment| noise(motion, motion.noise[step_to(moment)]));
+            let along = Axis {
+                moments,
+                axis,
+                shared: &self.shared,
+                swings: &motion.swings,
+                process_noise: &noises.collect::<Vec<f64>>(),
+            };
+            along.smoothed()
+        };
+        let (x, y) = rayon::join(|| along(0), || along(1));
+        Some([x?, y?])
+    }
+}
+
+fn points([x, y]: &[Vec<Smoothed>; 2]) -> Vec<PathPoint> {
+    let point = |(x, y): (&Smoothed, &Smoothed)| PathPoint {
+        place: [x.place, y.place],
+        variance: [x.variance, y.variance],
+        speed: [x.speed, y.speed],
+    };
+    x.iter().zip(y).map(point).collect()
+}
+
+impl Motion {
+    /// Where swings suffice, the walk's noise beside them is not doubted.
+    fn cautious(&self, noise: f64) -> f64 {
+        match !self.swings.is_empty() && self.suffices(noise) {
+            true => noise,
+            false => CAUTION * noise,
+        }
+    }
+
+    /// The swings, as they are along the path.
+    fn found(&self, along: &[Smoothed]) -> Vec<FoundSwing> {
+        let found = |(k, swing): (usize, &Swing)| {
+            let sum: f64 = along.iter().map(|point| point.swings[k].powi(2)).sum();
+            FoundSwing {
+                period_s: swing.period_s(),
+                damping_s: swing.damping_s,
+                rms: (sum / along.len() as f64).sqrt(),
+            }
+        };
+        self.swings.iter().enumerate().map(found).collect()
+    }
+
+    fn suffices(&self, noise: f64) -> bool {
+        noise < 1.01 * self.least
+    }
+}
+
+/// How the measured moments say that an axis moves.
+fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
+    let with = |swings: Vec<Swing>, least: f64| {
+        let levels = Levels {
+            measured,
+            axis,
+            shared,
+            swings: &swings,
+            least,
+        };
+        let noise = levels.likeliest();
+        Motion {
+            swings,
+            noise,
+            least,
+        }
+    };
+    let without = with(Vec::new(), LEAST_NOISE);
+    let fit = Stretch::of(measured, &without.noise, axis, shared).and_then(|stretch| stretch.fit());
+    let Some(Fit {
+        process_noise,
+        swings,
+    }) = fit.filter(|fit| !fit.swings.is_empty())
+    else {
+        return without;
+    };
+    let swinging = with(swings, process_noise);
+    let likelihood = |motion: &Motion| {
+        let along = Axis {
+            moments: measured,
+            axis,
+            shared,
+            swings: &motion.swings,
+            process_noise: &motion.noise,
+        };
+        along.log_likelihood().unwrap_or(f64::NEG_INFINITY)
+    };
+    // Swings of a part of the flight would loosen the path in the rest of it.
+    let calm = swinging
+        .noise
+        .iter()
+        .filter(|noise| swinging.suffices(**noise));
+    match calm.count() as f64 > CALM_PART * measured.len() as f64
+        && likelihood(&swinging) > likelihood(&without)
+    {
+        true => swinging,
+        false => without,
+    }
+}

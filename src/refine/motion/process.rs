@@ -1,0 +1,213 @@
+//! What moves along an axis: a place whose acceleration is a random walk, swings, and the error that neighbours share.
+
+use super::{Moment, SharedErrors};
+use crate::estimation::{Gaussian, Process, Step, log_likelihood, smooth};
+use nalgebra::{Matrix1, Matrix2, Matrix3, SMatrix, SVector, Vector1};
+
+/// A swing of the gondola: a damped harmonic oscillator that white noise drives, x'' + 2 x' / damping_s + rate^2 x = noise.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Swing {
+    pub rate_rad_per_s: f64,
+    /// In which its amplitude falls to 1/e where nothing drives it.
+    pub damping_s: f64,
+    /// Square root of the noise's density, unit/s^1.5.
+    pub drive: f64,
+}
+
+impl Swing {
+    pub fn period_s(&self) -> f64 {
+        std::f64::consts::TAU / self.rate_rad_per_s
+    }
+
+    /// Of place and speed.
+    fn transition(&self, step_s: f64) -> Matrix2<f64> {
+        let (rate2, decay) = (self.rate_rad_per_s.powi(2), 1.0 / self.damping_s);
+        let damped = (rate2 - decay * decay).max(1e-12 * rate2).sqrt();
+        let (sin, cos) = (damped * step_s).sin_cos();
+        let sin = sin / damped;
+        Matrix2::new(cos + decay * sin, sin, -rate2 * sin, cos - decay * sin)
+            * (-decay * step_s).exp()
+    }
+
+    /// What the noise leaves after a step: what it leaves in the long run, but for what remains of that after the step.
+    fn noise(&self, transition: &Matrix2<f64>) -> Matrix2<f64> {
+        let speed2 = self.drive.powi(2) * self.damping_s / 4.0;
+        let lasting = Matrix2::new(speed2 / self.rate_rad_per_s.powi(2), 0.0, 0.0, speed2);
+        lasting - transition * lasting * transition.transpose()
+    }
+}
+
+/// At most so many swings of an axis.
+pub(super) const MOST_SWINGS: usize = 3;
+/// Place, speed and acceleration; the shared error in its own sigma.
+const WITHOUT_SWINGS: usize = 4;
+const SHARED: usize = 3;
+/// What is known of place, speed (unit/s) and acceleration (unit/s^2) before the first frame.
+const FIRST_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
+/// ... and of a swing's place.
+const FIRST_SWING: f64 = 1e2;
+/// Over longer gaps nothing is said about the path.
+pub(super) const LONGEST_GAP_S: f64 = 10.0;
+
+/// The motion along one axis.
+pub(super) struct Axis<'a> {
+    pub moments: &'a [Moment],
+    pub axis: usize,
+    pub shared: &'a SharedErrors,
+    pub swings: &'a [Swing],
+    /// Of the step to each moment: square root of the density of the acceleration's walk, unit/s^2.5.
+    pub process_noise: &'a [f64],
+}
+
+/// What all frames say of a moment, along an axis.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Smoothed {
+    pub place: f64,
+    pub variance: f64,
+    pub speed: f64,
+    /// What a frame measures there: the place with the error that neighbours share.
+    pub seen: f64,
+    pub seen_variance: f64,
+    /// Place of each swing.
+    pub swings: [f64; MOST_SWINGS],
+}
+
+impl Axis<'_> {
+    /// Logarithm of the likelihood of all measurements but for a constant. `None` where the filter fails.
+    pub fn log_likelihood(&self) -> Option<f64> {
+        match self.swings.len() {
+            0 => log_likelihood::<WITHOUT_SWINGS>(self),
+            1 => log_likelihood::<{ WITHOUT_SWINGS + 2 }>(self),
+            2 => log_likelihood::<{ WITHOUT_SWINGS + 4 }>(self),
+            _ => log_likelihood::<{ WITHOUT_SWINGS + 6 }>(self),
+        }
+    }
+
+    /// The motion at all moments. `None` where the filter fails.
+    pub fn smoothed(&self) -> Option<Vec<Smoothed>> {
+        match self.swings.len() {
+            0 => self.smoothed_as::<WITHOUT_SWINGS>(),
+            1 => self.smoothed_as::<{ WITHOUT_SWINGS + 2 }>(),
+            2 => self.smoothed_as::<{ WITHOUT_SWINGS + 4 }>(),
+            _ => self.smoothed_as::<{ WITHOUT_SWINGS + 6 }>(),
+        }
+    }
+
+    fn smoothed_as<const N: usize>(&self) -> Option<Vec<Smoothed>> {
+        let mut all = Vec::with_capacity(self.moments.len());
+        let place = places::<N>(0.0);
+        smooth::<N>(self, |moment, state, _| {
+            let variance = |of: &SVector<f64, N>| of.dot(&(state.covariance * of));
+            let seen = places::<N>(self.shared_sigma(moment));
+            all.push(Smoothed {
+                place: place.dot(&state.mean),
+                variance: variance(&place),
+                speed: (1..N)
+                    .step_by(2)
+                    .filter(|n| *n != SHARED)
+                    .map(|n| state.mean[n])
+                    .sum(),
+                seen: seen.dot(&state.mean),
+                seen_variance: variance(&seen),
+                swings: std::array::from_fn(|k| {
+                    state
+                        .mean
+                        .get(WITHOUT_SWINGS + 2 * k)
+                        .copied()
+                        .unwrap_or(0.0)
+                }),
+            });
+        })?;
+        all.reverse();
+        Some(all)
+    }
+
+    fn shared_sigma(&self, moment: usize) -> f64 {
+        let measured = self.moments[moment].measured;
+        measured.map_or(0.0, |seen| seen[self.axis].shared_variance.max(0.0).sqrt())
+    }
+}
+
+/// The derivatives of what a frame measures by the state.
+fn places<const N: usize>(shared_sigma: f64) -> SVector<f64, N> {
+    SVector::from_fn(|n, _| match n {
+        SHARED => shared_sigma,
+        0 => 1.0,
+        n if n > SHARED && n % 2 == 0 => 1.0,
+        _ => 0.0,
+    })
+}
+
+/// The random walk of the acceleration: place, speed and acceleration after a step, and its noise for a density of one.
+fn walk(step_s: f64) -> (Matrix3<f64>, Matrix3<f64>) {
+    let [t, t2, t3, t4, t5] = [1, 2, 3, 4, 5].map(|n| step_s.powi(n));
+    let transition = Matrix3::new(1.0, t, t2 / 2.0, 0.0, 1.0, t, 0.0, 0.0, 1.0);
+    let noise = Matrix3::new(
+        t5 / 20.0,
+        t4 / 8.0,
+        t3 / 6.0, //
+        t4 / 8.0,
+        t3 / 3.0,
+        t2 / 2.0, //
+        t3 / 6.0,
+        t2 / 2.0,
+        t,
+    );
+    (transition, noise)
+}
+
+impl<const N: usize> Process<N> for Axis<'_> {
+    fn moments(&self) -> usize {
+        self.moments.len()
+    }
+
+    fn initial(&self) -> Gaussian<N> {
+        let mut sigma = SVector::<f64, N>::from_element(1.0);
+        sigma.fixed_rows_mut::<3>(0).copy_from_slice(&FIRST_SIGMA);
+        for (k, swing) in self.swings.iter().enumerate() {
+            let at = WITHOUT_SWINGS + 2 * k;
+            sigma[at] = FIRST_SWING;
+            sigma[at + 1] = FIRST_SWING * swing.rate_rad_per_s;
+        }
+        Gaussian::new(SVector::zeros(), &sigma.component_mul(&sigma))
+    }
+
+    fn step(&self, moment: usize) -> Option<Step<N>> {
+        let [before, now] = [moment - 1, moment].map(|n| self.moments[n].time_s);
+        let step_s = (now - before).max(0.0);
+        if step_s > LONGEST_GAP_S {
+            return None;
+        }
+        let mut transition = SMatrix::<f64, N, N>::zeros();
+        let mut noise = SMatrix::<f64, N, N>::zeros();
+        let (walk, walked) = walk(step_s);
+        let density = self.process_noise[moment].powi(2);
+        transition.fixed_view_mut::<3, 3>(0, 0).copy_from(&walk);
+        noise
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&(walked * density));
+        let kept = self.shared.kept(before, now);
+        transition[(SHARED, SHARED)] = kept;
+        noise[(SHARED, SHARED)] = 1.0 - kept * kept;
+        for (k, swing) in self.swings.iter().enumerate() {
+            let at = WITHOUT_SWINGS + 2 * k;
+            let swung = swing.transition(step_s);
+            transition.fixed_view_mut::<2, 2>(at, at).copy_from(&swung);
+            noise
+                .fixed_view_mut::<2, 2>(at, at)
+                .copy_from(&swing.noise(&swung));
+        }
+        Some(Step { transition, noise })
+    }
+
+    fn observe(&self, moment: usize, state: &mut Gaussian<N>) -> Option<f64> {
+        let Some(measured) = self.moments[moment].measured else {
+            return Some(0.0);
+        };
+        let measured = measured[self.axis];
+        let jacobian = places::<N>(self.shared_sigma(moment)).transpose();
+        let residual = Vector1::new(measured.place - (jacobian * state.mean).x);
+        let innovation = state.update(&residual, &jacobian, &Matrix1::new(measured.variance))?;
+        Some(innovation.likelihood.log(f64::INFINITY))
+    }
+}

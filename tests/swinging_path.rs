@@ -1,0 +1,201 @@
+//! The path of a gondola that swings is better than its frames by what a swing leaves free, and as good as it says.
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use solaspect::refine::motion::{Measurement, Moment, Path, SharedErrors, path};
+use std::f64::consts::TAU;
+
+/// Of a frame's own place.
+const OWN_SIGMA_MIL: f64 = 0.037;
+/// Of the mapping, alike in frames that are near.
+const MAPPING_SIGMA_MIL: f64 = 0.008;
+const MAPPING_S: f64 = 5.0;
+const RATE_HZ: f64 = 4.0;
+const FRAMES: usize = 1200;
+const PERIODS_S: [f64; 2] = [12.3, 3.7];
+
+type Axes = [f64; 2];
+
+struct Random(Xoshiro256PlusPlus);
+
+impl Random {
+    fn new(seed: u64) -> Self {
+        Self(Xoshiro256PlusPlus::seed_from_u64(seed))
+    }
+
+    fn normal(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+}
+
+fn time_s(frame: usize) -> f64 {
+    frame as f64 / RATE_HZ
+}
+
+/// Swings that nothing damps.
+fn sines(time_s: f64) -> Axes {
+    let swing =
+        |mil: f64, phase: f64, which: usize| mil * (TAU * time_s / PERIODS_S[which] + phase).sin();
+    [
+        300.0 + swing(80.0, 0.4, 0) + swing(20.0, 1.0, 1),
+        -150.0 + swing(60.0, 2.0, 0) + swing(15.0, 0.3, 1),
+    ]
+}
+
+/// Pendulums that die away within minutes and that the wind drives, by many small steps in time.
+fn pendulums(seed: u64) -> Vec<Axes> {
+    const STEPS: usize = 250;
+    const DAMPING_S: [f64; 2] = [300.0, 150.0];
+    const DRIVE: [f64; 2] = [0.01, 0.02];
+    let mut random = Random::new(seed);
+    let step_s = 1.0 / RATE_HZ / STEPS as f64;
+    let mut states = [[(40.0, 10.0), (8.0, -5.0)], [(-30.0, 5.0), (3.0, 9.0)]];
+    let mut flown = Vec::new();
+    for n in 0..FRAMES * STEPS {
+        if n % STEPS == 0 {
+            flown.push(states.map(|swings| swings.iter().map(|(place, _)| place).sum()));
+        }
+        for swings in &mut states {
+            for (k, (place, speed)) in swings.iter_mut().enumerate() {
+                let rate = TAU / PERIODS_S[k];
+                let pull = -rate * rate * *place - 2.0 / DAMPING_S[k] * *speed;
+                *speed += pull * step_s + DRIVE[k] * step_s.sqrt() * random.normal();
+                *place += *speed * step_s;
+            }
+        }
+    }
+    flown
+}
+
+/// What the frames measure of a path.
+fn measured(flown: &[Axes], seed: u64) -> Vec<Moment> {
+    let mut random = Random::new(seed);
+    let mut mapping = [0, 1].map(|_| random.normal() * MAPPING_SIGMA_MIL);
+    let kept = (-1.0 / RATE_HZ / MAPPING_S).exp();
+    let moment = |(n, truth): (usize, &Axes)| Moment {
+        time_s: time_s(n),
+        measured: Some([0, 1].map(|axis| {
+            let step = MAPPING_SIGMA_MIL * (1.0 - kept * kept).sqrt();
+            mapping[axis] = kept * mapping[axis] + step * random.normal();
+            Measurement {
+                place: truth[axis] + mapping[axis] + OWN_SIGMA_MIL * random.normal(),
+                variance: OWN_SIGMA_MIL.powi(2),
+                shared_variance: MAPPING_SIGMA_MIL.powi(2),
+            }
+        })),
+    };
+    flown.iter().enumerate().map(moment).collect()
+}
+
+const SHARED: SharedErrors = SharedErrors {
+    correlation_s: MAPPING_S,
+    jumps_s: Vec::new(),
+};
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0), |(sum, count), v| (sum + v * v, count + 1));
+    (sum / f64::from(count)).sqrt()
+}
+
+/// Rms error, mil, and rms of error over sigma, of both axes.
+fn errors(path: &Path, flown: &[Axes]) -> (f64, f64) {
+    let both = || {
+        path.points.iter().zip(flown).flat_map(|(p, truth)| {
+            [0, 1].map(|axis| (p.place[axis] - truth[axis], p.variance[axis].sqrt()))
+        })
+    };
+    (
+        rms(both().map(|(error, _)| error)),
+        rms(both().map(|(error, sigma)| error / sigma)),
+    )
+}
+
+/// The same of many flights together.
+fn together(found: &[(f64, f64)]) -> (f64, f64) {
+    (
+        rms(found.iter().map(|f| f.0)),
+        rms(found.iter().map(|f| f.1)),
+    )
+}
+
+/// The rms error of a path whose acceleration is a random walk and no more.
+const WITHOUT_SWINGS_MIL: f64 = 0.034;
+
+/// That of a gondola at rest.
+const RESTING_MIL: f64 = 0.026;
+
+#[test]
+fn a_swinging_gondola_is_smoothed_by_its_swings() {
+    let ideal = |_| (0..FRAMES).map(|n| sines(time_s(n))).collect::<Vec<_>>();
+    for (name, flown) in [
+        ("sines", &ideal as &dyn Fn(u64) -> Vec<Axes>),
+        ("pendulums", &pendulums),
+    ] {
+        let found: Vec<(f64, f64)> = (0..3)
+            .map(|seed| {
+                let flown = flown(seed);
+                let path = path(&measured(&flown, 100 + seed), &SHARED).unwrap();
+                println!(
+                    "{name} {seed}: {:?} {:?}",
+                    errors(&path, &flown),
+                    path.swings
+                );
+                errors(&path, &flown)
+            })
+            .collect();
+        let (error_mil, pull) = together(&found);
+        println!("{name}: rms {error_mil:.4} mil, error/sigma {pull:.3}");
+        assert!(error_mil < WITHOUT_SWINGS_MIL / 2.0, "{name}");
+        assert!((0.9..1.1).contains(&pull), "{name}");
+    }
+}
+
+#[test]
+fn a_gondola_at_rest_has_no_swings_and_loses_nothing() {
+    for seed in 0..3 {
+        let flown = vec![[300.0, -150.0]; FRAMES];
+        let path = path(&measured(&flown, 200 + seed), &SHARED).unwrap();
+        let (error_mil, pull) = errors(&path, &flown);
+        println!("rest {seed}: rms {error_mil:.4} mil, error/sigma {pull:.3}");
+        assert_eq!(path.swings, [vec![], vec![]]);
+        assert!(error_mil < RESTING_MIL, "{error_mil}");
+        assert!((0.9..1.1).contains(&pull), "{pull}");
+    }
+}
+
+#[test]
+fn between_frames_the_path_is_told_by_its_swings_and_not_in_long_gaps() {
+    const PER_FRAME: usize = 12;
+    let flown: Vec<Axes> = (0..FRAMES).map(|n| sines(time_s(n))).collect();
+    let gap_s = time_s(600)..time_s(660);
+    let times: Vec<f64> = (0..FRAMES * PER_FRAME)
+        .map(|n| n as f64 / RATE_HZ / PER_FRAME as f64)
+        .collect();
+    let mut pulls = Vec::new();
+    for seed in 300..304 {
+        let mut moments = measured(&flown, seed);
+        for moment in moments.iter_mut().filter(|m| gap_s.contains(&m.time_s)) {
+            moment.measured = None;
+        }
+        let points = path(&moments, &SHARED).unwrap().at(&times);
+        for (time_s, point) in times.iter().zip(points) {
+            let before_s = gap_s.start - 1.0 / RATE_HZ;
+            let in_gap = before_s < *time_s && *time_s < gap_s.end;
+            let after = *time_s > self::time_s(FRAMES - 1);
+            assert_eq!(point.is_none(), in_gap || after, "{time_s}");
+            let Some(point) = point else { continue };
+            let truth = sines(*time_s);
+            pulls.extend(
+                [0, 1].map(|axis| (point.place[axis] - truth[axis]) / point.variance[axis].sqrt()),
+            );
+        }
+    }
+    let largest = pulls
+        .iter()
+        .fold(0.0_f64, |most, pull| most.max(pull.abs()));
+    let pull = rms(pulls.into_iter());
+    println!("between frames: error/sigma {pull:.3}, largest {largest:.2}");
+    assert!((0.8..1.25).contains(&pull));
+    assert!(largest < 6.0);
+}
