@@ -4,6 +4,7 @@ use super::adjust::{Freedoms, Settled, State};
 use super::camera::LENS;
 use super::robust::Bundle;
 use crate::geometry::MappingKind;
+use nalgebra::Vector2;
 
 /// Everything free.
 pub(super) const RICHEST: Freedoms = Freedoms {
@@ -12,8 +13,10 @@ pub(super) const RICHEST: Freedoms = Freedoms {
     marks: true,
     drift: true,
 };
-/// Groups of lens terms in the order in which they are tried: radial r^2, decentring, radial r^4.
-const LENS_STEPS: [&[usize]; 3] = [&[0], &[2, 3], &[1]];
+/// The lens's radial term r^2 alone: the first to be tried.
+const RADIAL: [bool; LENS] = [true, false, false, false];
+/// Groups of lens terms in the order in which they are tried after it: decentring, radial r^4.
+const LENS_STEPS: [&[usize]; 2] = [&[2, 3], &[1]];
 /// Least gain in chi^2 for each added parameter, whatever the number of observations.
 const LEAST_GAIN: f64 = 9.0;
 
@@ -37,10 +40,53 @@ impl Choice {
     }
 }
 
+/// How well the frames separate the plate's errors from the lens's distortion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Separation {
+    /// 1 sigma of the lens's displacement at the sensor's corner, px.
+    pub lens_sigma_px: f64,
+    /// The same with priors ten times as wide.
+    pub without_priors_px: f64,
+}
+
+impl Separation {
+    /// Compares the lens's sigma with what it were if the marks might be anywhere near their place. A lens that needs no
+    /// terms still is one that might have them: the first is always free here.
+    pub(super) fn of(bundle: &Bundle, settled: &Settled, choice: Choice) -> Self {
+        const LOOSER: f64 = 10.0;
+        let mut freedoms = choice.freedoms();
+        freedoms.lens[0] = true;
+        let sigma_px = |bundle: &Bundle| {
+            let settled = bundle.settle(&settled.state, freedoms);
+            settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s))
+        };
+        let mut loose = bundle.clone();
+        loose.widen_priors(LOOSER);
+        loose.lens_sigma_px *= LOOSER;
+        Self {
+            lens_sigma_px: sigma_px(bundle),
+            without_priors_px: sigma_px(&loose),
+        }
+    }
+
+    /// Whether the frames themselves, not the priors, separate the plate's errors from the lens's distortion.
+    pub fn by_data(&self) -> bool {
+        self.without_priors_px < 2.0 * self.lens_sigma_px
+    }
+}
+
+/// 1 sigma of the lens's displacement at a corner of the sensor, px, the mean of its axes.
+fn corner_sigma_px(settled: &Settled) -> f64 {
+    let slopes = settled.state.lens.slopes(Vector2::zeros());
+    let spread = slopes * settled.lens_covariance() * slopes.transpose();
+    (spread.trace() / 2.0).max(0.0).sqrt()
+}
+
 /// Chooses kind and lens terms with the bundle's weights; gives the fit that the choice leads to.
 ///
 /// A step is taken when chi^2, with the variances that the richest fit shows, falls by more than ln n for each parameter
-/// that it adds, n the number of coordinates (Schwarz's criterion, which is the F test at that level).
+/// that it adds, n the number of coordinates (Schwarz's criterion, which is the F test at that level). The radial term r^2 is left out
+/// only where the frames tell it from errors of the plate: elsewhere the marks would take its place, with sigmas that know nothing of it.
 pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settled)> {
     let least_gain = bundle.coordinates().max(1.0).ln().max(LEAST_GAIN);
     let fit = |choice: Choice| {
@@ -66,6 +112,14 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
         lens: [false; LENS],
         ..best.0
     })?;
+    let radial = fit(Choice {
+        lens: RADIAL,
+        ..best.0
+    })?;
+    best = match Separation::of(bundle, &radial.1, radial.0).by_data() {
+        true => better(best, Some(radial), least_gain, parameters),
+        false => radial,
+    };
     for terms in LENS_STEPS {
         let mut choice = best.0;
         terms.iter().for_each(|n| choice.lens[*n] = true);

@@ -2,7 +2,7 @@
 
 use super::adjust::{Freedoms, MarkPrior, Settled, State};
 use super::camera::{LENS, Lens};
-use super::choose::{Choice, RICHEST, choose};
+use super::choose::{Choice, RICHEST, Separation, choose};
 use super::correlations::{Correlation, largest};
 use super::observation::{FrameObservation, consensus};
 use super::robust::{Bundle, Observation};
@@ -56,22 +56,6 @@ pub struct Residual {
     pub stated_px: f64,
     /// 0 (rejected) to 1.
     pub weight: f64,
-}
-
-/// How well the frames separate the plate's errors from the lens's distortion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Separation {
-    /// 1 sigma of the lens's displacement at the sensor's corner, px.
-    pub lens_sigma_px: f64,
-    /// The same with priors ten times as wide.
-    pub without_priors_px: f64,
-}
-
-impl Separation {
-    /// Whether the frames themselves, not the priors, separate the plate's errors from the lens's distortion.
-    pub fn by_data(&self) -> bool {
-        self.without_priors_px < 2.0 * self.lens_sigma_px
-    }
 }
 
 /// The plate, the lens and the poses that the observations give.
@@ -139,7 +123,7 @@ pub fn fit(frames: &[FrameObservation], poses: usize, start: &Instrument) -> Opt
         marks: marks(&bundle, &settled, &ids),
         distortion: settled.state.lens.distortion(),
         distortion_sigma: lens_sigmas(&settled),
-        separation: separation(&bundle, &settled, choice.freedoms()),
+        separation: Separation::of(&bundle, &settled, choice),
         correlations: largest(&settled, &ids, LISTED_CORRELATIONS),
         poses: pose_fits(&bundle, &settled, choice, frames)?,
         sigma_factor: bundle.variance_factor.sqrt(),
@@ -279,31 +263,6 @@ fn marks(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<MeasuredMark
 fn lens_sigmas(settled: &Settled) -> [f64; LENS] {
     let (covariance, units) = (settled.lens_covariance(), settled.state.lens.units());
     std::array::from_fn(|n| covariance[(n, n)].max(0.0).sqrt() * units[n])
-}
-
-/// 1 sigma of the lens's displacement at a corner of the sensor, px, the mean of its axes.
-fn corner_sigma_px(settled: &Settled) -> f64 {
-    let slopes = settled.state.lens.slopes(Vector2::zeros());
-    let spread = slopes * settled.lens_covariance() * slopes.transpose();
-    (spread.trace() / 2.0).max(0.0).sqrt()
-}
-
-/// Compares the lens's sigma with what it were if the marks might be anywhere near their place. A lens that needs no
-/// terms still is one that might have them: the first is always free here.
-fn separation(bundle: &Bundle, settled: &Settled, mut freedoms: Freedoms) -> Separation {
-    const LOOSER: f64 = 10.0;
-    freedoms.lens[0] = true;
-    let sigma_px = |bundle: &Bundle| {
-        let settled = bundle.settle(&settled.state, freedoms);
-        settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s))
-    };
-    let mut loose = bundle.clone();
-    loose.widen_priors(LOOSER);
-    loose.lens_sigma_px *= LOOSER;
-    Separation {
-        lens_sigma_px: sigma_px(bundle),
-        without_priors_px: sigma_px(&loose),
-    }
 }
 
 fn pose_fits(

@@ -36,9 +36,9 @@ mod suspects;
 mod write;
 
 pub use calibration::{Calibration, calibrate, fit_folder, frames_sha256};
-pub use choose::Choice;
+pub use choose::{Choice, Separation};
 pub use correlations::{Correlation, Parameter};
-pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual, Separation, fit};
+pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual, fit};
 pub use observation::{FrameObservation, MarkObservation};
 pub use poses::Pose;
 pub use refusal::Refusal;
