@@ -257,7 +257,7 @@ fn marks_that_are_lit_and_never_read_are_listed_as_suspect() {
         truth.plate.set(id, moved, [0.01; 2]);
     }
     let given: Vec<PathBuf> = (0..2)
-        .map(|pose| pose_folder(folder.path(), pose, 28, &truth, near, |_, _| ()))
+        .map(|pose| pose_folder(folder.path(), pose, 42, &truth, near, |_, _| ()))
         .collect();
     let start = builtin("demo").unwrap();
     let calibration = calibrate(&given, &start).unwrap();
