@@ -3,14 +3,17 @@
 
 use crate::common::refined::{Columns, command, refine, rms, summary, temporary};
 use jiff::{SignedDuration, Timestamp};
+use nalgebra::{Matrix2, Vector2};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::fits::{self, Card, Compression};
+use solaspect::fits::{self, Card, Compression, Values};
 use solaspect::instrument::{self, Instrument};
+use solaspect::pointing::{self, HelioprojectiveArcsec, Roll};
 use solaspect::simulate::{
     Course, FORT_SUMNER, FlightScenes, Pieces, SUN_RADIUS_ARCSEC, Trajectory,
 };
-use solaspect::units::PlateMil;
+use solaspect::sky::Ephemeris;
+use solaspect::units::{Estimate, PlateMil};
 use std::fs;
 use std::ops::Range;
 use std::path::Path;
@@ -157,9 +160,7 @@ fn assert_history(name: &str, flight: &Flight, out: &Path) {
             .collect::<Vec<_>>(),
     );
     assert_eq!(own_mil.len(), mil.len(), "{name}");
-    if !(0.8..1.25).contains(&pull) {
-        println!("BAD");
-    }
+    assert!((0.8..1.25).contains(&pull), "{name}: {pull}");
     assert!(rms(&mil) <= rms(&own_mil), "{name}");
     for errors in frames.iter().chain(&smoothed) {
         assert!(errors.largest_pull() < 6.0, "{name}");
@@ -290,6 +291,77 @@ fn the_history_of_a_demo_is_nowhere_worse_than_its_frames() {
         let told = summary(out.path());
         assert!(told["fine"].as_u64() >= told["own_fine"].as_u64(), "{told}");
     }
+}
+
+#[test]
+fn between_frames_the_offset_is_known_at_the_rate_that_is_asked_for() {
+    const ROWS_HZ: f64 = 50.0;
+    const FRAMES: usize = 140;
+    // Of 12 s: too long to say what the gondola did.
+    const GAP: Range<usize> = 60..108;
+    let swaying = |instrument: &Instrument, radius_mil| {
+        let trajectory = Trajectory::flight(instrument, radius_mil, 41);
+        trajectory.unwrap().into()
+    };
+    let flight = Flight::new(swaying, FRAMES, 41);
+    let (archive, out) = (temporary(), temporary());
+    flight.write(archive.path());
+    for n in GAP {
+        fs::remove_file(archive.path().join(format!("frame_{n:05}.fits"))).unwrap();
+    }
+    let told = refine(archive.path(), out.path(), &["--rate", "50"]);
+    let table = Columns::of(&out.path().join("stabilisation.fits"), "STABILISATION");
+    let times = table.floats("UNIX_S");
+    let rows = ((FRAMES - 1) as f64 / RATE_HZ * ROWS_HZ) as usize + 1;
+    assert_eq!(times.len(), rows);
+    let Values::Integer(valid) = table.values("VALID") else {
+        panic!("VALID is of integers");
+    };
+    let [across, up] = ["OFFSET_XEL_DEG", "OFFSET_EL_DEG"].map(|name| table.floats(name));
+    let [xx, yy, xy] =
+        ["VAR_XEL_DEG2", "VAR_EL_DEG2", "COV_XEL_EL_DEG2"].map(|name| table.floats(name));
+    let instrument = instrument::builtin("demo").unwrap();
+    let mut ephemeris = Ephemeris::default();
+    let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+    let mut chi2 = Vec::new();
+    for row in 0..rows {
+        let since_s = row as f64 / ROWS_HZ;
+        assert!((times[row] - start.as_second() as f64 - since_s).abs() < 1e-6);
+        let last_before = (GAP.start - 1) as f64 / RATE_HZ;
+        let in_gap = last_before < since_s && since_s < GAP.end as f64 / RATE_HZ;
+        assert_eq!(valid[row], i64::from(!in_gap), "{since_s}");
+        assert_eq!(across[row].is_nan(), in_gap, "{since_s}");
+        if in_gap {
+            continue;
+        }
+        let since = Duration::from_secs_f64(since_s);
+        let scene = flight.scenes.scene(0, since).unwrap();
+        let utc = start + SignedDuration::try_from(since).unwrap();
+        let sun = ephemeris.sun(utc, FORT_SUMNER).unwrap();
+        let truth = Estimate {
+            position: scene.sun.unwrap().centre,
+            covariance: Matrix2::zeros(),
+        };
+        let target = HelioprojectiveArcsec::default();
+        let truth = pointing::offset(truth, Roll::Stated, &instrument, &sun, target).unwrap();
+        let error = Vector2::new(
+            across[row] - truth.cross_elevation_deg,
+            up[row] - truth.elevation_deg,
+        );
+        let covariance = Matrix2::new(xx[row], xy[row], xy[row], yy[row]);
+        chi2.push(error.dot(&(covariance.try_inverse().unwrap() * error)));
+    }
+    let honesty = (chi2.iter().sum::<f64>() / chi2.len() as f64 / 2.0).sqrt();
+    let worst = chi2.iter().fold(0.0_f64, |most, chi2| most.max(*chi2));
+    println!("error/sigma {honesty:.3}, largest chi^2 {worst:.1}");
+    assert!((0.8..1.25).contains(&honesty), "{honesty}");
+    assert!(worst < 36.0, "{worst}");
+    let valid = chi2.len();
+    let told = String::from_utf8_lossy(&told.stdout).into_owned();
+    let line = format!("stabilisation: {rows} rows at 50 Hz, {valid} of them valid");
+    assert!(told.contains(&line), "{told}");
+    let csv = fs::read_to_string(out.path().join("stabilisation.csv")).unwrap();
+    assert_eq!(csv.lines().count(), rows + 1);
 }
 
 #[test]

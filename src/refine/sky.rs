@@ -1,10 +1,12 @@
 //! From the Sun on the plate to the sky, for every row.
 
 use super::row::{Row, SkyRow};
+use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
-use crate::pointing::{self, Roll, Target};
-use crate::sky::Ephemeris;
-use crate::units::Place;
+use crate::pointing::{self, Offset, Roll, Target};
+use crate::sky::{Ephemeris, SunPosition};
+use crate::units::{Estimate, Place, PlateMil};
+use jiff::Timestamp;
 use rayon::prelude::*;
 
 /// What the sky takes beside the rows.
@@ -43,10 +45,7 @@ impl Sky {
         let (sun_on_plate, utc) = (row.sun?, row.utc()?);
         let sun = ephemeris.sun(utc, place?).ok()?;
         let at = sun_on_plate.position;
-        let roll = match &row.body_nadir {
-            Some(nadir) => pointing::roll_by_nadir(nadir, at, instrument, &sun),
-            None => Roll::Stated,
-        };
+        let roll = roll(row.body_nadir.as_ref(), at, instrument, &sun);
         let towards = pointing::pointing(at, roll, instrument, &sun).ok()?;
         let boresight = pointing::helioprojective(at, roll, instrument, &sun).ok()?;
         let target = self.target.at(utc, &sun).ok();
@@ -63,4 +62,32 @@ impl Sky {
             sun_elevation_deg: sun.elevation_deg,
         })
     }
+
+    /// The offset of a telescope that has the Sun there on its plate; `None` where sky or sphere give no answer.
+    pub(super) fn offset(
+        &self,
+        sun_on_plate: Estimate<PlateMil>,
+        utc: Timestamp,
+        place: Place,
+        body_nadir: Option<&Direction>,
+        instrument: &Instrument,
+        ephemeris: &mut Ephemeris,
+    ) -> Option<Offset> {
+        let sun = ephemeris.sun(utc, place).ok()?;
+        let roll = roll(body_nadir, sun_on_plate.position, instrument, &sun);
+        let target = self.target.at(utc, &sun).ok()?;
+        pointing::offset(sun_on_plate, roll, instrument, &sun, target).ok()
+    }
+}
+
+/// The telescope's roll: by straight down in the body's axes where that is known, else as stated.
+fn roll(
+    body_nadir: Option<&Direction>,
+    sun_on_plate: PlateMil,
+    instrument: &Instrument,
+    sun: &SunPosition,
+) -> Roll {
+    body_nadir.map_or(Roll::Stated, |nadir| {
+        pointing::roll_by_nadir(nadir, sun_on_plate, instrument, sun)
+    })
 }

@@ -23,8 +23,8 @@ use table::{write_aem, write_csv, write_fits, write_offsets};
 #[derive(Debug, Clone, Args)]
 pub(super) struct AttitudeArgs {
     /// Rows a second [default: each sample of the IMU]
-    #[arg(long, value_name = "HZ", value_parser = parse_rate, requires = "imu")]
-    rate: Option<f64>,
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
+    pub rate: Option<f64>,
     /// Write attitude.aem, too: an Attitude Ephemeris Message of CCSDS; the epoch must be known
     #[arg(long, requires = "imu")]
     pub aem: bool,

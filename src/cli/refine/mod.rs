@@ -27,6 +27,7 @@ use std::process::ExitCode;
 /// Files that cannot be read have a row that says why, and are no failure. Frames of several cameras make a history each, in a
 /// folder of --out, and one report. Frames of the roll camera make roll.fits, roll.csv and roll.json, and turn the others' offsets.
 /// With --imu and --gps the attitude at every sample of the IMU is found by all frames of the flight together.
+/// With --rate the telescope's offset at that rate, along the smoothed path between frames, is in stabilisation.fits and .csv.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub struct RefineArgs {
@@ -182,6 +183,15 @@ impl RefineArgs {
             say(format_args!("{label}:"))?;
         }
         print(&summary)?;
+        if let Some(rate_hz) = self.navigation.rate_hz() {
+            let rows = refine::stabilisation(&flight, rate_hz, &recipe.instrument, sky, roll)?;
+            refine::write_stabilisation(&folder, &rows)?;
+            let valid = rows.iter().filter(|row| row.offset.is_some()).count();
+            let count = rows.len();
+            say(format_args!(
+                "stabilisation: {count} rows at {rate_hz} Hz, {valid} of them valid"
+            ))?;
+        }
         Ok(Some(flight))
     }
 

@@ -36,6 +36,11 @@ pub(super) struct NavigationArgs {
 }
 
 impl NavigationArgs {
+    /// Rows a second of the tables between frames, where it is stated.
+    pub fn rate_hz(&self) -> Option<f64> {
+        self.wanted.rate
+    }
+
     /// The flight's sensors; `None` where none are named. Times count from 1970 where NAV.toml states no epoch.
     pub fn read(&self, archive: &Path) -> anyhow::Result<Option<Sensors<'_>>> {
         if self.imu.is_empty() {

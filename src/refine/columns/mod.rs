@@ -3,10 +3,13 @@
 mod aspect;
 mod roll;
 mod smoothed;
+mod stabilisation;
 
 pub use aspect::{ASPECT, ASPECT_COLUMNS};
 pub use roll::{ROLL, ROLL_COLUMNS};
+pub(super) use smoothed::MOST_SIGMA_MIL as SMOOTHED_MOST_SIGMA_MIL;
 pub use smoothed::{SMOOTHED, SMOOTHED_COLUMNS, SmoothedRow};
+pub use stabilisation::{STABILISATION, STABILISATION_COLUMNS, StabilisationRow};
 
 use crate::fits::{Column, Table, Values};
 
@@ -95,9 +98,10 @@ pub fn markdown() -> String {
         head.to_owned() + &columns.iter().map(line).collect::<String>()
     }
     format!(
-        "### {ASPECT}\n\n{}\n### {SMOOTHED}\n\n{}\n### {ROLL}\n\n{}",
+        "### {ASPECT}\n\n{}\n### {SMOOTHED}\n\n{}\n### {STABILISATION}\n\n{}\n### {ROLL}\n\n{}",
         lines(ASPECT_COLUMNS),
         lines(SMOOTHED_COLUMNS),
+        lines(STABILISATION_COLUMNS),
         lines(ROLL_COLUMNS)
     )
 }

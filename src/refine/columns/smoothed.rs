@@ -50,7 +50,7 @@ pub const SMOOTHED_COLUMNS: &[ColumnRow<SmoothedRow>] = &[
 ];
 
 /// Beyond this the path is a guess, 1 sigma.
-const MOST_SIGMA_MIL: f64 = 100.0;
+pub(in crate::refine) const MOST_SIGMA_MIL: f64 = 100.0;
 
 impl Flight {
     /// The smoothed path as rows.

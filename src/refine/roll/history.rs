@@ -204,11 +204,16 @@ impl RollHistory {
             .filter_map(|(n, row)| Some((n, row.unix_s()?)))
             .collect();
         let times: Vec<f64> = dated.iter().map(|(_, time_s)| *time_s).collect();
-        let smoothed = self.smoothed_at(&times, |_| true);
-        for ((n, _), smoothed) in dated.iter().zip(smoothed) {
-            let nadir = smoothed.map(|s| body_nadir(s.roll_deg, s.pitch_deg));
+        for ((n, _), nadir) in dated.iter().zip(self.body_nadirs(&times)) {
             rows[*n].body_nadir = nadir;
         }
+    }
+
+    /// Straight down in the body's axes at times, s since 1970 and in order; `None` where no frame is near.
+    pub fn body_nadirs(&self, times_s: &[f64]) -> Vec<Option<Direction>> {
+        let nadir = |s: SmoothedRoll| body_nadir(s.roll_deg, s.pitch_deg);
+        let smoothed = self.smoothed_at(times_s, |_| true).into_iter();
+        smoothed.map(|smoothed| smoothed.map(nadir)).collect()
     }
 
     /// The body at times, s since 1970 and in order, by the frames that count; `None` where none of these is near.
