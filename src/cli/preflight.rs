@@ -24,7 +24,6 @@ pub struct PreflightArgs {
         long,
         value_name = "TIME",
         num_args = 0..=1,
-        require_equals = true,
         default_missing_value = "5s",
         value_parser = options::duration
     )]

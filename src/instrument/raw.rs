@@ -1,6 +1,7 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
-use super::toml_file::{TomlError, keys_of, parse_strict, read_text};
+use super::builtin::text_of;
+use super::toml_file::{TomlError, keys_of, parse_strict};
 use super::{Camera, Directions, Instrument, Mounting, Optics, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
@@ -129,7 +130,7 @@ struct RawMounting {
 }
 
 pub(super) fn read(path: &Path) -> Result<Instrument, TomlError> {
-    parse(path, &read_text(path)?)
+    parse(path, &text_of(path)?)
 }
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {

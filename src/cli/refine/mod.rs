@@ -7,6 +7,7 @@ use super::options;
 use super::output::{make_folder, progress_bar, say};
 use crate::archive::FlownFiles;
 use crate::archive::check::Tree;
+use crate::clock::parse_utc;
 use crate::refine::{
     self, CameraFrames, Done, FirstPass, Flight, FrameRecord, Input, Recipe, Report, RollHistory,
     RollRecipe, RollSummary, Shard, Sky, Span, Summary,
@@ -36,9 +37,9 @@ pub struct RefineArgs {
     /// Where journal and results go; made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The instrument's TOML file; for several cameras, once for each [default: the archive's, else the built-in one that the
-    /// frames name, else "demo"]
-    #[arg(long, value_name = "FILE")]
+    /// The instrument: a TOML file, or the name of a built-in one; for several cameras, once for each [default: the archive's, else
+    /// the built-in one that the frames name, else demo]
+    #[arg(long, value_name = "FILE|NAME")]
     instrument: Vec<PathBuf>,
     /// The roll camera's TOML file, with body_from_camera [default: the archive's]
     #[arg(long, value_name = "CAM.toml")]
@@ -55,11 +56,11 @@ pub struct RefineArgs {
     /// Take the journals of other runs of the same archive, instrument and settings together
     #[arg(long, value_name = "DIR", num_args = 1..)]
     merge: Vec<PathBuf>,
-    /// Only frames whose mid-exposure is not before this, UTC
-    #[arg(long, value_name = "TIME")]
+    /// Only frames whose mid-exposure is not before this: a date, or date and time
+    #[arg(long, value_name = "UTC", value_parser = parse_utc)]
     since: Option<Timestamp>,
-    /// Only frames whose mid-exposure is not after this, UTC
-    #[arg(long, value_name = "TIME")]
+    /// Only frames whose mid-exposure is not after this
+    #[arg(long, value_name = "UTC", value_parser = parse_utc)]
     until: Option<Timestamp>,
     /// Where the frames were taken, for frames that do not say so
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
