@@ -38,7 +38,7 @@ install_package "$deb"
 solaspect --version
 id -nG solaspect | grep -qw dialout
 [ "$(stat -c %U /var/lib/solaspect)" = solaspect ]
-[ -e /lib/systemd/system/solaspect.service ] || [ -e /usr/lib/systemd/system/solaspect.service ]
+[ -e /usr/lib/systemd/system/solaspect.service ]
 [ ! -e /etc/systemd/system/multi-user.target.wants/solaspect.service ]
 if command -v systemd-analyze >/dev/null; then systemd-analyze verify solaspect.service; fi
 solaspect config check /etc/solaspect/solaspect.toml | tee "$work/check" || true
@@ -73,7 +73,7 @@ dpkg-deb -R "$deb" "$work/next"
 version=$(dpkg-deb -f "$deb" Version)
 sed -i "s/^Version: .*/Version: $version+next/" "$work/next/DEBIAN/control"
 echo '# A parameter more.' >> "$work/next/etc/solaspect/solaspect.toml"
-dpkg-deb --root-owner-group -b "$work/next" "$work/next.deb" >/dev/null
+dpkg-deb --root-owner-group -Znone -b "$work/next" "$work/next.deb" >/dev/null
 install_package "$work/next.deb"
 dpkg-query -W -f '${Version}\n' solaspect | grep -qx "$version+next"
 cmp "$work/edited.toml" /etc/solaspect/solaspect.toml

@@ -73,9 +73,11 @@ fn every_instrument_option_takes_the_name_of_a_built_in_one() {
     let at = |name: &str| folder.path().join(name).display().to_string();
     let frame = format!("{FRAMES}/standard/frame_00000.fits");
     let file = format!("{CALIBRATION}/heroes-pyas-r.toml");
-    let by_name = answers(&["--instrument", "heroes-pyas-r", &frame]);
-    assert_eq!(by_name, answers(&["--instrument", &file, &frame]));
-    assert_ne!(by_name, answers(&["--instrument", "heroes-pyas-f", &frame]));
+    let by = |instrument: &str| {
+        answers(&[&PLACE, &["--instrument", instrument, frame.as_str()][..]].concat())
+    };
+    assert_eq!(by("heroes-pyas-r"), by(&file));
+    assert_ne!(by("heroes-pyas-r"), by("heroes-pyas-f"));
 
     let lines = [
         format!(

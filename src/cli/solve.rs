@@ -209,12 +209,17 @@ impl Row for Line {
         let record = &self.record;
         let marks = record.marks.as_ref();
         let offset = record.offset_deg.as_ref();
-        let sigma_mil = record.sun_plate_sigma_mil;
+        let sigma = record.sun_plate_sigma_mil;
+        let sigma_arcsec = sigma.map(|sigma| sigma.map(|mil| mil * self.arcsec_per_mil));
+        let sigma_digits = match sigma_arcsec {
+            Some([x, y]) if x.max(y) >= 10.0 => 1,
+            _ => 3,
+        };
         let fields = vec![
             record.quality.to_string(),
             pair(record.sun_px, 2),
             pair(record.sun_plate_mil, 2),
-            pair(sigma_mil.map(|s| s.map(|mil| mil * self.arcsec_per_mil)), 3),
+            pair(sigma_arcsec, sigma_digits),
             marks.map_or(String::new(), |marks| marks.len().to_string()),
             pair(
                 offset.map(|o| [o.azimuth, o.elevation].map(|deg| deg * 3600.0)),

@@ -239,7 +239,7 @@ impl Instrument {
 
     /// Reads and checks an instrument's TOML file, or the built-in instrument of that name.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
-        raw::read(path)
+        raw::parse(path, &text_of(path)?)
     }
 
     /// Checks an instrument's TOML text; `path` is what errors name.

@@ -1,6 +1,5 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
-use super::builtin::text_of;
 use super::toml_file::{TomlError, keys_of, parse_strict};
 use super::{Camera, Directions, Instrument, Mounting, Optics, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
@@ -127,10 +126,6 @@ struct RawMounting {
     clocking_deg: Entry<f64>,
     directions: Option<Entry<Directions>>,
     roll_deg: Option<Entry<f64>>,
-}
-
-pub(super) fn read(path: &Path) -> Result<Instrument, TomlError> {
-    parse(path, &text_of(path)?)
 }
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {

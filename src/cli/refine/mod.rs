@@ -12,7 +12,7 @@ use crate::refine::{
     self, CameraFrames, Done, FirstPass, Flight, FrameRecord, Input, Recipe, Report, RollHistory,
     RollRecipe, RollSummary, Shard, Sky, Span, Summary,
 };
-use crate::units::Place;
+use crate::units::{Place, counted};
 use anyhow::{bail, ensure};
 use clap::Args;
 use jiff::Timestamp;
@@ -113,17 +113,17 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         make_folder(&args.out)?;
         let mut report = Report::default();
         if let Some(camera) = CameraFrames::together(moon) {
-            let frames = camera.inputs.len();
-            let text = format!("{frames} frames of the Moon camera are left alone; `solaspect moon` solves them");
+            let frames = counted(camera.inputs.len() as u64, "frame");
+            let text = format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them");
             say(format_args!("{text}"))?;
             report.note(&text);
         }
         let refined_roll = match (&roll, &roll_recipe) {
             (Some(camera), Some(recipe)) => args.refine_roll(camera, recipe)?,
             (Some(camera), None) => {
-                let frames = camera.inputs.len();
+                let frames = counted(camera.inputs.len() as u64, "frame");
                 let text = format!(
-                    "{frames} frames of the roll camera: its file is not in the archive; --roll-camera names it"
+                    "{frames} of the roll camera: its file is not in the archive; --roll-camera names it"
                 );
                 say(format_args!("{text}"))?;
                 report.note(&text);
@@ -282,8 +282,12 @@ fn journals(folders: &[PathBuf], name: &str) -> anyhow::Result<Vec<PathBuf>> {
 
 fn print(summary: &Summary) -> anyhow::Result<()> {
     say(format_args!(
-        "{} files: {} fine ({} by themselves), {} coarse, {} none",
-        summary.files, summary.fine, summary.own_fine, summary.coarse, summary.none
+        "{}: {} fine ({} by themselves), {} coarse, {} none",
+        counted(summary.files as u64, "file"),
+        summary.fine,
+        summary.own_fine,
+        summary.coarse,
+        summary.none
     ))?;
     for (odd, count) in &summary.odd {
         say(format_args!("  {count} odd: {odd}"))?;
@@ -302,8 +306,11 @@ fn print(summary: &Summary) -> anyhow::Result<()> {
 
 fn print_roll(summary: &RollSummary) -> anyhow::Result<()> {
     say(format_args!(
-        "roll camera: {} files: {} fine, {} coarse, {} none",
-        summary.files, summary.fine, summary.coarse, summary.none
+        "roll camera: {}: {} fine, {} coarse, {} none",
+        counted(summary.files as u64, "file"),
+        summary.fine,
+        summary.coarse,
+        summary.none
     ))?;
     for (remark, count) in &summary.remarks {
         say(format_args!("  {count} not fine: {remark}"))?;
