@@ -312,7 +312,7 @@ fn a_bad_instrument_or_configuration_is_one_line_with_file_and_field() {
         (
             "--instrument",
             folder.path().join("none.toml"),
-            "expected a readable text file",
+            "expected a file, or a built-in instrument",
         ),
         (
             "--config",

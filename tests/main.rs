@@ -11,6 +11,7 @@ mod calibrate_plate;
 mod calibrate_roll_camera;
 mod camera;
 mod cli;
+mod command_line;
 mod coordinates;
 mod disc_search;
 mod disks;

@@ -1,7 +1,7 @@
 //! From a recipe and a seed to a scene.
 
 use crate::instrument::{Instrument, Mounting};
-use crate::plate::MarkId;
+use crate::plate::{MARKS, MarkId};
 use crate::simulate::{Conditions, LitMark, RandomScenes, Scene, SceneError, SunInView, Sunspot};
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
@@ -35,9 +35,9 @@ pub enum View {
 }
 
 /// Any number of marks.
-pub const ANY_MARKS: RangeInclusive<usize> = 0..=usize::MAX;
+pub const ANY_MARKS: RangeInclusive<usize> = 0..=MARKS;
 /// Marks enough for a mapping.
-pub const ENOUGH_MARKS: RangeInclusive<usize> = 3..=usize::MAX;
+pub const ENOUGH_MARKS: RangeInclusive<usize> = 3..=MARKS;
 /// Too few marks for a mapping.
 pub const FEW_MARKS: RangeInclusive<usize> = 0..=2;
 

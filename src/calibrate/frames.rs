@@ -5,6 +5,7 @@ use crate::frame::{Frame, TakenBy};
 use crate::instrument::{Instrument, WrongCamera};
 use crate::provenance;
 use crate::report::html::Page;
+use crate::units::counted;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -29,7 +30,10 @@ impl RejectedFrame {
     /// How many frames are rejected, and why the first is: the context of an error that may come of it.
     pub fn count_and_first(rejected: &[Self]) -> String {
         match rejected.first() {
-            Some(first) => format!("{} frames rejected, the first {first}", rejected.len()),
+            Some(first) => {
+                let frames = counted(rejected.len() as u64, "frame");
+                format!("{frames} rejected, the first {first}")
+            }
             None => "no calibration".into(),
         }
     }

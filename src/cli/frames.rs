@@ -1,6 +1,7 @@
 //! What the commands share that take frames and give an answer for each: options, formats, pictures, order.
 
 use super::output::{make_folder, progress_bar, say};
+use crate::fits;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use image::RgbImage;
@@ -8,14 +9,13 @@ use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 pub(super) struct FramesArgs {
-    /// Frames to solve
-    #[arg(required = true, value_name = "FRAME")]
+    /// Frames to solve, or folders of them: the frames in a folder and in those below it are sorted by name
+    #[arg(required = true, value_name = "FRAME|DIR")]
     pub frames: Vec<PathBuf>,
     /// Solve N frames at a time
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -36,11 +36,12 @@ pub(super) enum Format {
 }
 
 impl FramesArgs {
-    /// Makes the overlays' folder.
+    /// Puts the frames of each folder in its place, and makes the overlays' folder.
     ///
     /// # Errors
-    /// The folder cannot be made, or the overlays of two frames would have one name.
-    pub fn prepare(&self) -> anyhow::Result<()> {
+    /// A folder cannot be listed; the overlays' folder cannot be made, or the overlays of two frames would have one name.
+    pub fn prepare(&mut self) -> anyhow::Result<()> {
+        self.frames = listed(&self.frames)?;
         let Some(folder) = &self.overlay else {
             return Ok(());
         };
@@ -89,6 +90,22 @@ impl FramesArgs {
     }
 }
 
+/// The files among `given` as they are named, and the frames of each folder; one without frames stays, for a line of its own.
+fn listed(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for path in given {
+        let mut frames = match path.is_dir() {
+            true => fits::list_tree(path)?,
+            false => Vec::new(),
+        };
+        if frames.is_empty() {
+            frames.push(path.clone());
+        }
+        files.append(&mut frames);
+    }
+    Ok(files)
+}
+
 /// The frame's folder and name, so that frames of several folders do not meet in one.
 fn picture_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -99,6 +116,9 @@ fn picture_name(path: &Path) -> String {
     }
 }
 
+/// The width of the table's last column: as wide as it needs.
+pub(super) const REMARKS: usize = 0;
+
 /// What is said of a frame.
 pub(super) trait Row: Serialize {
     /// Names of the columns in CSV; the first is the file's.
@@ -106,7 +126,7 @@ pub(super) trait Row: Serialize {
 
     fn csv_row(&self) -> Vec<String>;
 
-    /// Titles and widths of the table's columns after the file's.
+    /// Titles and widths of the table's columns after the file's; the last one is of [`REMARKS`].
     fn table_columns() -> &'static [(&'static str, usize)];
 
     /// The file, and what stands in the other columns.
@@ -138,7 +158,10 @@ pub(super) struct Printer {
 }
 
 /// Of the table's first column.
-const FILE_WIDTH: usize = 32;
+const FILE_WIDTH: usize = 21;
+
+/// Of the whole table.
+const TABLE_WIDTH: usize = 100;
 
 impl Printer {
     pub fn new<R: Row>(format: Option<Format>) -> anyhow::Result<Self> {
@@ -203,18 +226,32 @@ impl Printer {
     }
 }
 
-/// The file, the quality to the left, numbers to the right, and the reason, which may be long, last.
+/// The file, the quality to the left, numbers to the right, and the remarks last: on a line of their own where the line would grow
+/// too wide.
 fn table_line<R: Row>(file: &str, fields: impl Iterator<Item = String>) -> String {
     let mut line = format!("{:<FILE_WIDTH$}", tail(file));
     for (n, (field, (_, width))) in fields.zip(R::table_columns()).enumerate() {
-        let written = match n {
-            0 => write!(line, " {field:<width$}"),
-            _ => write!(line, " {field:>width$}"),
+        line += &match (n, *width) {
+            (0, width) => format!(" {field:<width$}"),
+            (_, REMARKS) => {
+                add_remarks(&mut line, &field);
+                continue;
+            }
+            (_, width) => format!(" {field:>width$}"),
         };
-        debug_assert!(written.is_ok(), "a string takes all");
     }
     line.truncate(line.trim_end().len());
     line
+}
+
+/// Behind the last column, else behind the last that is not empty, else on a line of their own.
+fn add_remarks(line: &mut String, remarks: &str) {
+    if line.len() + 2 + remarks.len() > TABLE_WIDTH {
+        line.truncate(line.trim_end().len());
+    }
+    let fits = line.len() + 2 + remarks.len() <= TABLE_WIDTH;
+    *line += if fits { "  " } else { "\n  " };
+    *line += remarks;
 }
 
 /// The end of a path, where frames differ.

@@ -2,8 +2,7 @@
 
 use crate::camera::Source;
 use crate::config::Config;
-use crate::instrument::toml_file::read_text;
-use crate::instrument::{Instrument, builtin_text};
+use crate::instrument::{Instrument, builtin_text, text_of};
 use crate::pointing::Target;
 use crate::preflight::{self, Options};
 use crate::sky::Ephemeris;
@@ -19,8 +18,8 @@ pub(super) struct ConfigurationArgs {
     /// The configuration's TOML file; options go over it
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// The instrument's TOML file [default: the configuration's, else the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
+    /// The instrument: a TOML file, or the name of a built-in one [default: the configuration's, else demo]
+    #[arg(long, value_name = "FILE|NAME")]
     instrument: Option<PathBuf>,
     /// Where frames come from: gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml [default: the
     /// configuration's camera.source]
@@ -46,7 +45,7 @@ impl ConfigurationArgs {
     }
 }
 
-/// The instrument of `--instrument`, else the built-in demo.
+/// The instrument of `--instrument`, a file or a built-in one's name, else the built-in demo.
 pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
     Ok(instrument_with_text(path)?.0)
 }
@@ -54,7 +53,7 @@ pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
 /// The same with the text of its file.
 pub(super) fn instrument_with_text(path: Option<&Path>) -> anyhow::Result<(Instrument, String)> {
     let (path, text) = match path {
-        Some(path) => (path, read_text(path)?),
+        Some(path) => (path, text_of(path)?),
         None => (
             Path::new("demo"),
             builtin_text("demo").unwrap_or_default().into(),

@@ -2,8 +2,8 @@
 
 use crate::instrument::TomlError;
 use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
-use std::fmt::Display;
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
+use std::fmt::{self, Display};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
@@ -22,10 +22,14 @@ pub(super) fn say(line: impl Display) -> anyhow::Result<()> {
 
 /// A bar of so many frames or files on standard error; hidden by itself where that is no terminal.
 pub(super) fn progress_bar(count: usize, what: &str) -> ProgressBar {
-    let template = format!("{{bar:40}} {{pos}}/{{len}} {what}, {{per_sec}}, {{eta}} left");
+    let template = format!("{{bar:40}} {{pos}}/{{len}} {what}, {{rate}}, {{eta}} left");
     let style = ProgressStyle::with_template(&template);
-    ProgressBar::new(count as u64)
-        .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+    let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+    let rate = |state: &ProgressState, out: &mut dyn fmt::Write| {
+        let written = write!(out, "{:.1}/s", state.per_sec());
+        debug_assert!(written.is_ok(), "a string takes all");
+    };
+    ProgressBar::new(count as u64).with_style(style.with_key("rate", rate))
 }
 
 /// Makes a folder and those above it.

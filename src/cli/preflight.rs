@@ -4,6 +4,7 @@ use super::options::{self, ConfigurationArgs};
 use super::output::say;
 use crate::log;
 use crate::preflight::{self, Extent, Finding, Operator, Verdict};
+use crate::units::counted;
 use clap::Args;
 use crossbeam_channel::{Receiver, bounded};
 use serde_json::json;
@@ -24,7 +25,6 @@ pub struct PreflightArgs {
         long,
         value_name = "TIME",
         num_args = 0..=1,
-        require_equals = true,
         default_missing_value = "5s",
         value_parser = options::duration
     )]
@@ -73,7 +73,8 @@ fn conclude(findings: &[Finding], as_json: bool) -> anyhow::Result<ExitCode> {
     } else {
         let verdict = verdict.name();
         say(format_args!(
-            "{verdict}: {passed} passed, {warned} warnings, {failed} failed"
+            "{verdict}: {passed} passed, {}, {failed} failed",
+            counted(warned as u64, "warning")
         ))?;
     }
     Ok(match verdict {

@@ -4,11 +4,12 @@ mod report;
 mod visibility;
 
 use super::options;
+use crate::clock::parse_utc;
 use crate::sky::Air;
 use crate::units::Place;
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use jiff::{Timestamp, civil::DateTime, tz::Offset};
+use jiff::Timestamp;
 use report::{View, card, table};
 use serde::Serialize;
 use std::io::Write;
@@ -62,16 +63,6 @@ pub struct SkyArgs {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-}
-
-/// An instant in UTC; the closing Z may be left out.
-pub(super) fn parse_utc(text: &str) -> Result<Timestamp, String> {
-    let expected = |_| format!("expected a time such as 2013-09-21T18:00:00Z, found \"{text}\"");
-    if let Ok(instant) = text.parse() {
-        return Ok(instant);
-    }
-    let civil: DateTime = text.parse().map_err(expected)?;
-    Offset::UTC.to_timestamp(civil).map_err(expected)
 }
 
 fn parse_band(text: &str) -> Result<[f64; 2], String> {

@@ -1,6 +1,6 @@
 //! `solaspect solve`: frames in, answers out.
 
-use super::frames::{Answer, FramesArgs, Printer, Row, bad_file};
+use super::frames::{Answer, FramesArgs, Printer, REMARKS, Row, bad_file};
 use super::options;
 use crate::archive::Record;
 use crate::aspect::{self, Contradiction, Expected, Quantity, Track};
@@ -8,8 +8,9 @@ use crate::fits;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Target};
 use crate::sky::Ephemeris;
-use crate::units::Place;
+use crate::units::{Place, counted};
 use clap::Args;
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -24,8 +25,8 @@ use std::time::Instant;
 pub struct SolveArgs {
     #[command(flatten)]
     frames: FramesArgs,
-    /// The instrument's TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
+    /// The instrument: a TOML file, or the name of a built-in one [default: demo]
+    #[arg(long, value_name = "FILE|NAME")]
     instrument: Option<PathBuf>,
     /// The configuration's TOML file
     #[arg(long, value_name = "FILE")]
@@ -38,7 +39,8 @@ pub struct SolveArgs {
     place: Option<Place>,
 }
 
-pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
+pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
+    args.frames.prepare()?;
     let config = options::config(args.config.as_deref())?;
     let mut ephemeris = options::ephemeris(&config)?;
     let batch = Batch {
@@ -49,19 +51,21 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
         settings: config.solver(),
         args: &args.frames,
     };
-    batch.args.prepare()?;
-    let mut printer = Printer::new::<Record>(args.frames.format)?;
+    let mut printer = Printer::new::<Line>(args.frames.format)?;
     let progress = args.frames.progress();
     let mut failed = false;
     let mut told = Vec::new();
+    let mut lack_place = 0;
     let mut take = |solved: Solved| -> anyhow::Result<()> {
         let answer = &solved.answer;
         failed |= answer.is_err();
         progress.suspend(|| printer.print(answer))?;
         progress.inc(1);
-        if let Ok(record) = answer {
-            progress.suspend(|| batch.warn_of(&solved.contradictions, &record.file, &mut told));
+        if let Ok(line) = answer {
+            let file = &line.record.file;
+            progress.suspend(|| batch.warn_of(&solved.contradictions, file, &mut told));
         }
+        lack_place += u64::from(solved.lacks_place);
         Ok(())
     };
     if args.track {
@@ -76,6 +80,12 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
         args.frames.in_order(&args.frames.frames, solve, take)?;
     }
     progress.finish_and_clear();
+    if lack_place > 0 {
+        let frames = counted(lack_place, "frame");
+        tracing::warn!(
+            "no offset for {frames} without a place: name it with --place LAT,LON,HEIGHT_M or as [site] of --config"
+        );
+    }
     Ok(if failed {
         ExitCode::FAILURE
     } else {
@@ -85,7 +95,9 @@ pub fn run(args: SolveArgs) -> anyhow::Result<ExitCode> {
 
 /// What came of a file.
 struct Solved {
-    answer: Answer<Record>,
+    answer: Answer<Line>,
+    /// For an offset, nothing but the place is missing.
+    lacks_place: bool,
     track: Option<Track>,
     /// What the frame contradicts of the instrument.
     contradictions: Vec<Contradiction>,
@@ -105,6 +117,7 @@ impl Batch<'_> {
     fn solve_file(&self, path: &Path, prior: Option<&Track>) -> Solved {
         self.try_solve(path, prior).unwrap_or_else(|error| Solved {
             answer: bad_file(path, &error),
+            lacks_place: false,
             track: None,
             contradictions: Vec::new(),
         })
@@ -145,31 +158,45 @@ impl Batch<'_> {
         })?;
         let record = Record::new(&name, utc, &solution, offset, Some(solve_time));
         Ok(Solved {
-            answer: Ok(record),
+            lacks_place: place.is_none() && utc.is_some() && solution.aspect.is_some(),
+            answer: Ok(Line {
+                record,
+                arcsec_per_mil: instrument.optics.arcsec_per_mil(),
+            }),
             contradictions: aspect::contradictions(&solution, instrument),
             track: solution.track,
         })
     }
 }
 
-impl Row for Record {
+/// What is said of a frame.
+#[derive(Serialize)]
+#[serde(transparent)]
+struct Line {
+    record: Record,
+    /// For the table.
+    #[serde(skip)]
+    arcsec_per_mil: f64,
+}
+
+impl Row for Line {
     fn csv_columns() -> Vec<&'static str> {
-        Self::CSV_COLUMNS.to_vec()
+        Record::CSV_COLUMNS.to_vec()
     }
 
     fn csv_row(&self) -> Vec<String> {
-        Self::csv_row(self).into()
+        self.record.csv_row().into()
     }
 
     fn table_columns() -> &'static [(&'static str, usize)] {
         &[
             ("", 6),
-            ("Sun, px", 19),
-            ("Sun on plate, mil", 23),
-            ("sigma, mil", 13),
+            ("Sun, px", 15),
+            ("on plate, mil", 18),
+            ("sigma, arcsec", 13),
             ("marks", 5),
-            ("offset az, el, deg", 21),
-            (" reason", 0),
+            ("offset, arcsec", 16),
+            ("reason", REMARKS),
         ]
     }
 
@@ -179,18 +206,27 @@ impl Row for Record {
                 format!("{x:.digits$}, {y:.digits$}")
             })
         };
-        let marks = self.marks.as_ref();
-        let offset = self.offset_deg.as_ref().map(|o| [o.azimuth, o.elevation]);
-        let reason = self.reason_text().unwrap_or_default();
+        let record = &self.record;
+        let marks = record.marks.as_ref();
+        let offset = record.offset_deg.as_ref();
+        let sigma = record.sun_plate_sigma_mil;
+        let sigma_arcsec = sigma.map(|sigma| sigma.map(|mil| mil * self.arcsec_per_mil));
+        let sigma_digits = match sigma_arcsec {
+            Some([x, y]) if x.max(y) >= 10.0 => 1,
+            _ => 3,
+        };
         let fields = vec![
-            self.quality.to_string(),
-            pair(self.sun_px, 3),
-            pair(self.sun_plate_mil, 3),
-            pair(self.sun_plate_sigma_mil, 3),
+            record.quality.to_string(),
+            pair(record.sun_px, 2),
+            pair(record.sun_plate_mil, 2),
+            pair(sigma_arcsec, sigma_digits),
             marks.map_or(String::new(), |marks| marks.len().to_string()),
-            pair(offset, 5),
-            format!(" {reason}"),
+            pair(
+                offset.map(|o| [o.azimuth, o.elevation].map(|deg| deg * 3600.0)),
+                1,
+            ),
+            record.reason_text().unwrap_or_default(),
         ];
-        (&self.file, fields)
+        (&record.file, fields)
     }
 }

@@ -3,8 +3,8 @@
 use super::Config;
 use super::value::{Value, found};
 use crate::camera::Source;
+use crate::clock::parse_utc;
 use crate::frame::Region;
-use jiff::Timestamp;
 use std::fmt;
 
 /// A parameter of the configuration.
@@ -73,7 +73,7 @@ impl Allowed {
             // Empty sets nothing.
             (Self::Source, Value::Text(text)) => text.is_empty() || text.parse::<Source>().is_ok(),
             (Self::Region, Value::Text(text)) => text.is_empty() || text.parse::<Region>().is_ok(),
-            (Self::Utc, Value::Text(text)) => text.is_empty() || text.parse::<Timestamp>().is_ok(),
+            (Self::Utc, Value::Text(text)) => text.is_empty() || parse_utc(text).is_ok(),
             _ => false,
         }
     }

@@ -3,6 +3,7 @@
 use super::{Memory, Switch};
 use crate::archive::{Overflow, Sharing};
 use crate::camera::{PixelFormat, Source};
+use crate::clock::parse_utc;
 use crate::fits::Compression;
 use crate::frame::Region;
 use jiff::Timestamp;
@@ -118,7 +119,7 @@ impl Field for Timestamp {
     }
 
     fn from_value(value: Option<Value>) -> Option<Self> {
-        String::from_value(value)?.parse().ok()
+        parse_utc(&String::from_value(value)?).ok()
     }
 }
 

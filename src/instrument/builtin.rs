@@ -1,5 +1,6 @@
 //! The instruments that the program carries with it.
 
+use super::toml_file::read_text;
 use super::{Instrument, TomlError, raw};
 use std::path::Path;
 
@@ -17,6 +18,15 @@ const FILES: [(&str, &str); 3] = [
 
 /// The file of the demonstration's roll camera.
 pub const DEMO_HORIZON: &str = include_str!("../../calibration/demo-horizon.toml");
+
+/// Of cameras that see the sky.
+const SKY_FILES: [(&str, &str); 2] = [
+    ("demo-horizon", DEMO_HORIZON),
+    (
+        "demo-moon",
+        include_str!("../../calibration/demo-moon.toml"),
+    ),
+];
 
 /// What the demonstration's navigation rests on.
 pub const DEMO_NAVIGATION: &str = include_str!("../../calibration/demo-nav.toml");
@@ -39,6 +49,31 @@ pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
 pub fn builtin_text(name: &str) -> Option<&'static str> {
     let known = FILES.iter().find(|(known, _)| *known == name);
     known.map(|(_, text)| *text)
+}
+
+/// The text of an instrument's file, or of a file of a camera that sees the sky: where `path` is a built-in one's name and no such
+/// file is there, the built-in one's.
+///
+/// # Errors
+/// Neither a file nor the name of a built-in one, or a file that cannot be read.
+pub fn text_of(path: &Path) -> Result<String, TomlError> {
+    if path.exists() {
+        return read_text(path);
+    }
+    let name = path.to_string_lossy();
+    let known = FILES
+        .iter()
+        .chain(&SKY_FILES)
+        .find(|(known, _)| *known == name);
+    known.map(|(_, text)| (*text).to_owned()).ok_or_else(|| {
+        let names: Vec<&str> = FILES
+            .iter()
+            .chain(&SKY_FILES)
+            .map(|(name, _)| *name)
+            .collect();
+        let expected = format!("a file, or a built-in instrument ({})", names.join(", "));
+        TomlError::new(path, "", expected, "neither")
+    })
 }
 
 /// Names of the built-in instruments.

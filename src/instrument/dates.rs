@@ -1,6 +1,6 @@
 //! When the numbers of an instrument were measured: for people and for the check before a flight, not for the solver.
 
-use super::toml_file::{TomlError, read_text};
+use super::toml_file::TomlError;
 use super::{Instrument, builtin, raw};
 use jiff::civil::Date;
 use std::path::Path;
@@ -24,7 +24,7 @@ impl Instrument {
             let text = builtin::builtin_text("demo").unwrap_or_default();
             return Ok((builtin("demo")?, dates(text, "mounting")));
         };
-        let text = read_text(path)?;
+        let text = builtin::text_of(path)?;
         Ok((raw::parse(path, &text)?, dates(&text, "mounting")))
     }
 }

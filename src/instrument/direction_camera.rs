@@ -13,7 +13,8 @@
 //!
 //! A number may have its 1-sigma, source and date beside it, as in an instrument's file: `{ value = 1920, source = "...", date = 2026-11-22 }`.
 
-use super::toml_file::{TomlError, parse_strict, read_text};
+use super::builtin::text_of;
+use super::toml_file::{TomlError, parse_strict};
 use crate::frame::{Frame, Region};
 use crate::geometry::camera::{Camera, Lens};
 use crate::units::SensorPx;
@@ -46,7 +47,7 @@ impl MountedCamera {
     /// # Errors
     /// As [`DirectionCamera::read`], and where the file does not say.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
-        Self::parse(path, &read_text(path)?)
+        Self::parse(path, &text_of(path)?)
     }
 
     /// Reads the text of such a file; `path` is for errors.
@@ -166,7 +167,7 @@ impl DirectionCamera {
     /// # Errors
     /// The file, the field, and what was expected there.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
-        Self::parse(path, &read_text(path)?)
+        Self::parse(path, &text_of(path)?)
     }
 
     /// Reads the text of a camera's file; `path` is for errors.
@@ -313,7 +314,7 @@ mod tests {
             ),
             (
                 PLAIN.replace("= 1080", "= \"tall\""),
-                "camera.height_px: expected a valid value",
+                "camera.height_px: expected a whole number, found \"tall\" on line",
             ),
             (
                 format!("{PLAIN}kannala_brandt = [-1, 0, 0, 0, 0]\n"),

@@ -12,7 +12,7 @@ mod raw;
 mod sensor;
 pub mod toml_file;
 
-pub use builtin::{DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text};
+pub use builtin::{DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text, text_of};
 pub use dates::Dated;
 pub(crate) use direction_camera::rotation_of_rows;
 pub use direction_camera::{DirectionCamera, MountedCamera, SkyCamera, WrongFrameSize};
@@ -237,9 +237,9 @@ impl Instrument {
         window
     }
 
-    /// Reads and checks an instrument's TOML file.
+    /// Reads and checks an instrument's TOML file, or the built-in instrument of that name.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
-        raw::read(path)
+        raw::parse(path, &text_of(path)?)
     }
 
     /// Checks an instrument's TOML text; `path` is what errors name.

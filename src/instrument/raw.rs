@@ -1,6 +1,6 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
-use super::toml_file::{TomlError, keys_of, parse_strict, read_text};
+use super::toml_file::{TomlError, keys_of, parse_strict};
 use super::{Camera, Directions, Instrument, Mounting, Optics, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
@@ -126,10 +126,6 @@ struct RawMounting {
     clocking_deg: Entry<f64>,
     directions: Option<Entry<Directions>>,
     roll_deg: Option<Entry<f64>>,
-}
-
-pub(super) fn read(path: &Path) -> Result<Instrument, TomlError> {
-    parse(path, &read_text(path)?)
 }
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {

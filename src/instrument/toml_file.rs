@@ -57,14 +57,7 @@ pub fn parse_strict<T: DeserializeOwned>(
     text: &str,
     known_keys: &[String],
 ) -> Result<T, TomlError> {
-    let document = toml::Deserializer::parse(text).map_err(|error| {
-        TomlError::new(
-            path,
-            line_of(text, error.span()),
-            "valid TOML",
-            error.message(),
-        )
-    })?;
+    let document = document(path, text)?;
     let mut unknown = Vec::new();
     let mut track = serde_path_to_error::Track::new();
     let tracked = serde_path_to_error::Deserializer::new(document, &mut track);
@@ -73,23 +66,87 @@ pub fn parse_strict<T: DeserializeOwned>(
         return Err(unknown_key(path, key, known_keys));
     }
     parsed.map_err(|error| {
-        let expected = error.message().replace('\n', " ");
-        let found = line_of(text, error.span());
-        TomlError::new(
-            path,
-            track.path().to_string(),
-            format!("a valid value ({expected})"),
-            found,
-        )
+        let line = line_of(text, error.span());
+        misfit(path, &track.path().to_string(), error.message(), &line)
     })
 }
 
-/// The error for a key that nothing knows, naming the nearest that is known.
+/// The values of a text that is TOML.
+///
+/// # Errors
+/// The line where it is none.
+pub fn document<'a>(path: &Path, text: &'a str) -> Result<toml::Deserializer<'a>, TomlError> {
+    toml::Deserializer::parse(text).map_err(|error| {
+        let line = line_of(text, error.span());
+        TomlError::new(path, line, "valid TOML", error.message())
+    })
+}
+
+/// Serde's names of kinds of values, and those that people use.
+const KINDS: [(&str, &str); 8] = [
+    ("struct Entry", "a table such as { value = 1 }"),
+    ("struct", "a table"),
+    ("map", "a table"),
+    ("sequence", "a list"),
+    ("an array of length", "a list of"),
+    ("a TOML datetime", "a date such as 2013-09-21"),
+    ("f64", "a number"),
+    ("string", "a text"),
+];
+
+/// The error for a value that is not what its key takes, from serde's message about it.
+fn misfit(path: &Path, field: &str, message: &str, line: &str) -> TomlError {
+    if let Some(name) = message.strip_prefix("missing field ") {
+        let name = name.trim_matches('`');
+        let key = match field {
+            "." => name.to_owned(),
+            table => format!("{table}.{name}"),
+        };
+        return TomlError::new(path, key, "a value", "none");
+    }
+    let wrong = ["invalid type: ", "invalid value: ", "unknown variant "];
+    let said = wrong.iter().find_map(|begin| message.strip_prefix(begin));
+    match said.and_then(|said| said.rsplit_once(", expected ")) {
+        Some((found, expected)) => {
+            // What stands there, behind the name of its kind if it is one value.
+            let value = found.trim_start_matches(|c: char| c.is_alphabetic() || c == ' ');
+            let found = if value.is_empty() {
+                in_plain_words(found)
+            } else {
+                value.replace('`', "")
+            };
+            let found = format!("{found} on {line}");
+            TomlError::new(path, field, in_plain_words(expected), found)
+        }
+        None => {
+            let message = message.replace('\n', " ");
+            TomlError::new(path, field, format!("a valid value ({message})"), line)
+        }
+    }
+}
+
+fn in_plain_words(kind: &str) -> String {
+    let is_whole = |kind: &str| {
+        let bits = kind.trim_start_matches(['u', 'i']);
+        kind.len() > bits.len() && (bits == "size" || bits.parse::<u8>().is_ok())
+    };
+    let named = KINDS.iter().find(|(serde, _)| kind.starts_with(serde));
+    match named {
+        _ if is_whole(kind) => "a whole number".into(),
+        Some((serde, plain)) if serde.ends_with("length") => kind.replacen(serde, plain, 1),
+        Some((_, plain)) => (*plain).into(),
+        None => kind.replace('`', "\""),
+    }
+}
+
+/// Keys less alike than this, from 0 to 1, are no slips of each other.
+const UNLIKE: f64 = 0.7;
+
+/// The error for a key that nothing knows, naming the nearest that is known, if any is near.
 pub fn unknown_key(path: &Path, key: &str, known_keys: &[String]) -> TomlError {
-    let nearest = known_keys.iter().max_by(|a, b| {
-        let likeness = |known: &str| strsim::jaro_winkler(known, key);
-        likeness(a).total_cmp(&likeness(b))
-    });
+    let likeness = |known: &String| strsim::jaro_winkler(known, key);
+    let near = known_keys.iter().filter(|known| likeness(known) > UNLIKE);
+    let nearest = near.max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
     let expected = match nearest {
         Some(nearest) => format!("a known key (the nearest is \"{nearest}\")"),
         None => "a known key".into(),

@@ -1,5 +1,6 @@
 //! Ports: bytes in, bytes out, and never a wait without an end.
 
+use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use serialport::{DataBits, FlowControl, Parity, StopBits, TTYPort};
 use std::io::{self, ErrorKind, Read, Write};
@@ -22,6 +23,8 @@ pub enum PortError {
     },
     #[error("serial port {name}: another program has it open")]
     InUse { name: String },
+    #[error("{name}: expected a serial port, found something else")]
+    NotSerial { name: String },
     #[error("{name}: cannot be opened: {cause}")]
     Udp { name: String, cause: io::Error },
     #[error("serial port {name}: lost: {cause}")]
@@ -76,10 +79,11 @@ impl SerialPort {
             .flow_control(FlowControl::None);
         let port = builder.open_native().map_err(|cause| {
             let name = name.into();
-            // What the crate says where another program holds the lock.
-            match cause.description.contains("exclusive lock") {
-                true => PortError::InUse { name },
-                false => PortError::Open { name, cause },
+            // What the crate says where another program holds the lock, and what is said of an ordinary file.
+            match cause.description.as_str() {
+                said if said.contains("exclusive lock") => PortError::InUse { name },
+                said if said == Errno::ENOTTY.desc() => PortError::NotSerial { name },
+                _ => PortError::Open { name, cause },
             }
         })?;
         Self::non_blocking(name.into(), port)

@@ -1,5 +1,6 @@
 //! What the filter rests on, as NAV.toml states it.
 
+use crate::clock::parse_utc;
 use crate::geometry::attitude::Direction;
 use crate::instrument::rotation_of_rows;
 use crate::instrument::toml_file::{TomlError, parse_strict, read_text};
@@ -280,8 +281,7 @@ impl Settings {
                 .epoch_utc
                 .map(|epoch| {
                     let text = epoch.to_string();
-                    let parsed = text.parse();
-                    parsed.map_err(|_| {
+                    parse_utc(&text).map_err(|_| {
                         check.error("epoch_utc", "a time such as 2026-11-22T18:00:00Z", &text)
                     })
                 })

@@ -12,6 +12,8 @@ use std::fmt;
 pub const MAX_INDEX: i32 = 7;
 /// Marks in a row or column.
 const SIDE: i32 = 2 * MAX_INDEX + 1;
+/// Marks of the whole pattern.
+pub const MARKS: usize = (SIDE * SIDE) as usize;
 
 /// The fixed part of a step between neighbours, mil.
 pub const FIXED_SPACING_MIL: f64 = 90.0;

@@ -4,7 +4,7 @@ use super::Finding;
 use super::plan::{self, NoTarget, Options, Plan, PlannedCamera};
 use crate::camera::{CameraError, FolderCamera, Source};
 use crate::config::{self, Config};
-use crate::instrument::toml_file::read_text;
+use crate::instrument::toml_file::{document, read_text};
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera, TomlError};
 use crate::link::CameraRole;
 use crate::navigation::Settings;
@@ -127,7 +127,12 @@ pub(super) fn survey_anyway(file: Option<&Path>, options: &Options) -> (Plan, Re
         list: Vec::new(),
     };
     let mut config = Config::default();
-    let text = file.map(|file| (file, remarks.noted(read_text(file))));
+    let read = |file: &Path| {
+        let text = read_text(file)?;
+        document(file, &text)?;
+        Ok(text)
+    };
+    let text = file.map(|file| (file, remarks.noted(read(file))));
     let was_read = !matches!(text, Some((_, None)));
     if let Some((file, Some(text))) = text {
         let (read, errors) = Config::parse_all(file, &text);

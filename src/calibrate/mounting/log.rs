@@ -1,11 +1,10 @@
 //! Logs of angles in CSV files: where the telescope pointed, or how the body lay.
 
 use crate::calibrate::numbers::median;
+use crate::clock::parse_utc;
 use crate::pointing::Horizontal;
 use crate::sky::sphere::{angles_deg, direction};
 use jiff::Timestamp;
-use jiff::civil::DateTime;
-use jiff::tz::TimeZone;
 use std::path::{Path, PathBuf};
 
 /// Where the rows about a frame do not belong together, a row this near is taken as it is, s.
@@ -234,22 +233,13 @@ fn row(
         found: found.into(),
     };
     let an_instant = "a time such as 2013-09-21T18:00:00.250Z";
-    let utc = time(texts[0]).ok_or_else(|| wrong("UTC", an_instant, texts[0]))?;
+    let utc = parse_utc(texts[0]).map_err(|_| wrong("UTC", an_instant, texts[0]))?;
     let angle = |n: usize| {
         let found = texts[n + 1];
         angle(found, columns.limits_deg[n])
             .ok_or_else(|| wrong(columns.names[n], columns.expected[n], found))
     };
     Ok((utc, [angle(0)?, angle(1)?]))
-}
-
-fn time(text: &str) -> Option<Timestamp> {
-    let civil = |text: &str| {
-        TimeZone::UTC
-            .to_timestamp(text.parse::<DateTime>().ok()?)
-            .ok()
-    };
-    text.parse().ok().or_else(|| civil(text))
 }
 
 fn angle(text: &str, limit_deg: f64) -> Option<f64> {

@@ -2,6 +2,7 @@
 
 use crate::calibrate::frames::{InputError, WrongFrames};
 use crate::instrument::WrongSize;
+use crate::units::counted;
 use std::path::PathBuf;
 
 /// A set of frames that gives no calibration.
@@ -32,7 +33,8 @@ pub enum Refusal {
     )]
     NothingRead { frames: usize, first: String },
     #[error(
-        "too few marks: {frames} frames show {marks} marks, {again} of them more than once, expected at least {limit} seen more than once; take more frames, with the Sun all over the plate"
+        "too few marks: {} in {}, {again} of them more than once, expected at least {limit} seen more than once; take more frames, with the Sun all over the plate",
+        counted(*.marks as u64, "mark"), counted(*.frames as u64, "frame")
     )]
     TooFewMarks {
         frames: usize,

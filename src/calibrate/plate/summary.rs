@@ -3,7 +3,7 @@
 use super::calibration::Calibration;
 use super::fit::{LENS_PRIOR_PX, PlateFit, PoseFit};
 use crate::plate::{MarkId, drawn_position};
-use crate::units::SensorPx;
+use crate::units::{SensorPx, counted};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -25,14 +25,19 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
     let fit = &calibration.fit;
     let used: usize = fit.poses.iter().map(|pose| pose.frames).sum();
     let mut lines = vec![format!(
-        "frames     {used} used, {} of them in a later pass; {} rejected; {} poses",
+        "frames     {used} used, {} of them in a later pass; {} rejected; {}",
         calibration.read_later,
         calibration.rejected.len(),
-        calibration.poses.len()
+        counted(calibration.poses.len() as u64, "pose")
     )];
     let found = poses_of_folders(calibration).into_iter();
-    lines
-        .extend(found.map(|(path, poses)| format!("found      {}: {poses} poses", path.display())));
+    lines.extend(found.map(|(path, poses)| {
+        format!(
+            "found      {}: {}",
+            path.display(),
+            counted(poses as u64, "pose")
+        )
+    }));
     lines.push(format!(
         "observed   {} positions of {} marks, {} rejected; residual {:.4} px rms, {:.2} of what the frames state",
         fit.kept().count(),

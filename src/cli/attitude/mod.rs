@@ -12,6 +12,7 @@ use crate::navigation::aem::Stretches;
 use crate::navigation::{
     Due, Flight, PropagatedOffset, Row, Settings, Spool, Status, Summary, Verdict, smooth, solve,
 };
+use crate::units::counted;
 use anyhow::Context;
 use clap::Args;
 use jiff::tz::TimeZone;
@@ -186,13 +187,13 @@ impl<'a> Attitude<'a> {
         let innovations = summary.innovations.iter();
         let refused = innovations.filter(|one| one.verdict == Verdict::Refused);
         say(format_args!(
-            "{} rows: {} aligned, {} coasting, {} waiting, {} after {} restarts; {} of {} measurements refused",
+            "{} rows: {} aligned, {} coasting, {} waiting, {} after {}; {} of {} measurements refused",
             counts.rows(),
             counts.aligned,
             counts.coasting,
             counts.waiting,
             counts.restarted,
-            summary.restarts,
+            counted(u64::from(summary.restarts), "restart"),
             refused.count(),
             summary.innovations.len()
         ))

@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 /// The instrument before and after.
 #[derive(Debug, Args)]
 pub(super) struct Edition {
-    /// The instrument as it is known so far, a TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
+    /// The instrument as it is known so far: a TOML file, or the name of a built-in one [default: demo]
+    #[arg(long, value_name = "FILE|NAME")]
     instrument: Option<PathBuf>,
     /// The new instrument file
     #[arg(long, value_name = "FILE")]

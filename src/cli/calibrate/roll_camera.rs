@@ -10,15 +10,14 @@ use crate::calibrate::roll_camera::{self, Horizon, Horizons, NAME, Sighting, Tur
 use crate::cli::options;
 use crate::cli::output::{say, write_if};
 use crate::config::Config;
-use crate::instrument::toml_file::read_text;
-use crate::instrument::{Directions, MountedCamera};
+use crate::instrument::{Directions, MountedCamera, text_of};
 use anyhow::{Context, ensure};
 use jiff::tz::TimeZone;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 pub(super) fn run(args: &MountingArgs, camera_file: &Path) -> anyhow::Result<ExitCode> {
-    let text = read_text(camera_file)?;
+    let text = text_of(camera_file)?;
     let camera = MountedCamera::parse(camera_file, &text)?;
     let mut revision = Revision::of(camera_file, &text)?;
     let config = options::config(args.config.as_deref())?;

@@ -4,8 +4,8 @@ use crate::archive::{self, MOON_CAMERA, ROLL_CAMERA};
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
-use crate::instrument::toml_file::{TomlError, read_text};
-use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SECOND, SkyCamera};
+use crate::instrument::TomlError;
+use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SECOND, SkyCamera, text_of};
 use crate::service::{Camera, CameraFactory, Seat};
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
@@ -85,7 +85,7 @@ impl Common {
                 (instrument, Some(text), None)
             }
             Seat::Roll | Seat::Moon => {
-                let text = file.map(read_text).transpose()?;
+                let text = file.map(text_of).transpose()?;
                 let sky = file.zip(text.as_deref());
                 let sky = sky.map(|(path, text)| sky_camera(seat, path, text));
                 (

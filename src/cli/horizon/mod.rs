@@ -94,7 +94,7 @@ enum Method {
     Circle,
 }
 
-pub fn run(args: HorizonArgs) -> anyhow::Result<ExitCode> {
+pub fn run(mut args: HorizonArgs) -> anyhow::Result<ExitCode> {
     ensure!(
         args.method == Method::Cone || args.frames.overlay.is_none(),
         "--overlay: expected --method cone; a circle is not drawn"
@@ -104,6 +104,7 @@ pub fn run(args: HorizonArgs) -> anyhow::Result<ExitCode> {
         "--method circle: expected neither --track nor --fit-atmosphere"
     );
     let cameras = args.cameras()?;
+    args.frames.prepare()?;
     let pair = match &args.pair {
         Some(files) => Some(Pair {
             frames: pair::by_camera(&args.frames.frames, files)?,
@@ -126,7 +127,6 @@ pub fn run(args: HorizonArgs) -> anyhow::Result<ExitCode> {
         edge_m: args.edge.atmosphere_m,
         args: &args.frames,
     };
-    batch.args.prepare()?;
     let mut printer = Printer::new::<Record>(args.frames.format)?;
     let progress = args.frames.progress();
     let mut failed = false;

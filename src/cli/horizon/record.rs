@@ -1,6 +1,6 @@
 //! What is said of a frame of the horizon.
 
-use crate::cli::frames::Row;
+use crate::cli::frames::{REMARKS, Row};
 use crate::geometry::attitude::Direction;
 use crate::horizon::circle::Circle;
 use crate::horizon::{Conic, Flag, Quality, Solution, Sphere, Stopped, pitch_deg, roll_deg};
@@ -236,12 +236,12 @@ impl Row for Record {
     fn table_columns() -> &'static [(&'static str, usize)] {
         &[
             ("", 6),
-            ("roll, deg", 11),
-            ("pitch, deg", 11),
+            ("roll, deg", 9),
+            ("pitch, deg", 10),
             ("sigma, deg", 10),
-            ("nadir x, y, z", 31),
+            ("nadir x, y, z", 29),
             ("points", 6),
-            (" remarks", 0),
+            ("remarks", REMARKS),
         ]
     }
 
@@ -249,7 +249,7 @@ impl Row for Record {
         let number = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.4}"));
         let nadir = self
             .nadir
-            .map_or(String::new(), |[x, y, z]| format!("{x:.6}, {y:.6}, {z:.6}"));
+            .map_or(String::new(), |[x, y, z]| format!("{x:.5}, {y:.5}, {z:.5}"));
         let fields = vec![
             self.quality.into(),
             number(self.roll_deg),
@@ -257,7 +257,7 @@ impl Row for Record {
             number(self.sigma_deg),
             nadir,
             self.agreeing_points.to_string(),
-            format!(" {}", self.remarks()),
+            self.remarks(),
         ];
         (&self.file, fields)
     }

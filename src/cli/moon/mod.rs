@@ -4,6 +4,7 @@ mod record;
 
 use super::frames::{Answer, FramesArgs, Printer, bad_file};
 use super::options;
+use crate::clock::parse_utc;
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::DirectionCamera;
@@ -40,7 +41,7 @@ pub struct MoonArgs {
     #[arg(long, value_name = "PX")]
     radius_px: Option<f64>,
     /// The instant of all frames, ISO 8601 [default: each frame's own time]
-    #[arg(long, value_name = "UTC", value_parser = super::sky::parse_utc, requires = "place")]
+    #[arg(long, value_name = "UTC", value_parser = parse_utc, requires = "place")]
     at: Option<Timestamp>,
     /// The camera's place: geodetic latitude and longitude (deg, east positive) and height (m)
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
@@ -104,7 +105,7 @@ fn parse_attitude(text: &str) -> Result<Attitude, String> {
     }
 }
 
-pub fn run(args: MoonArgs) -> anyhow::Result<ExitCode> {
+pub fn run(mut args: MoonArgs) -> anyhow::Result<ExitCode> {
     if let Some(radius_px) = args.radius_px {
         ensure!(
             (4.0..=1e5).contains(&radius_px),
@@ -120,6 +121,7 @@ pub fn run(args: MoonArgs) -> anyhow::Result<ExitCode> {
         .as_deref()
         .map(DirectionCamera::read)
         .transpose()?;
+    args.frames.prepare()?;
     let batch = Batch {
         settings: Settings {
             shading: args.shading.into(),
@@ -131,7 +133,6 @@ pub fn run(args: MoonArgs) -> anyhow::Result<ExitCode> {
         ephemeris: options::ephemeris(&options::config(None)?)?,
         args: &args,
     };
-    args.frames.prepare()?;
     let mut printer = Printer::new::<Record>(args.frames.format)?;
     let progress = args.frames.progress();
     let mut failed = false;

@@ -1,6 +1,6 @@
 //! What is said of a frame of the Moon.
 
-use crate::cli::frames::Row;
+use crate::cli::frames::{REMARKS, Row};
 use crate::geometry::camera::Camera;
 use crate::moon::{Disc, Quality, Stopped};
 use crate::units::SensorPx;
@@ -199,7 +199,7 @@ impl Row for Record {
             ("radius, px", 10),
             ("lit", 5),
             ("bright limb, deg", 16),
-            (" remarks", 0),
+            ("remarks", REMARKS),
         ]
     }
 
@@ -216,7 +216,7 @@ impl Row for Record {
             number(self.radius_px, 3),
             number(self.lit, 2),
             number(self.bright_limb_deg, 1),
-            format!(" {}", self.reason_text()),
+            self.reason_text(),
         ];
         (&self.file, fields)
     }

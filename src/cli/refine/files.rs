@@ -4,8 +4,7 @@ use super::RefineArgs;
 use crate::archive::{CONFIGURATION, Flown, FlownFile, FlownFiles, INSTRUMENT};
 use crate::cli::options;
 use crate::config::Config;
-use crate::instrument::toml_file::read_text;
-use crate::instrument::{Instrument, MountedCamera, SECOND, builtin_text};
+use crate::instrument::{Instrument, MountedCamera, SECOND, builtin_text, text_of};
 use crate::refine::{CameraFrames, Recipe, RollRecipe};
 use anyhow::{Context, bail, ensure};
 use std::path::Path;
@@ -157,7 +156,7 @@ impl RefineArgs {
         archived: &FlownFiles,
     ) -> anyhow::Result<Option<(MountedCamera, String)>> {
         if let Some(path) = &self.roll_camera {
-            let text = read_text(path)?;
+            let text = text_of(path)?;
             return Ok(Some((MountedCamera::parse(path, &text)?, text)));
         }
         let named = different(archived).into_iter();

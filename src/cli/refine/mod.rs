@@ -7,11 +7,12 @@ use super::options;
 use super::output::{make_folder, progress_bar, say};
 use crate::archive::FlownFiles;
 use crate::archive::check::Tree;
+use crate::clock::parse_utc;
 use crate::refine::{
     self, CameraFrames, Done, FirstPass, Flight, FrameRecord, Input, Recipe, Report, RollHistory,
     RollRecipe, RollSummary, Shard, Sky, Span, Summary,
 };
-use crate::units::Place;
+use crate::units::{Place, counted};
 use anyhow::{bail, ensure};
 use clap::Args;
 use jiff::Timestamp;
@@ -37,9 +38,9 @@ pub struct RefineArgs {
     /// Where journal and results go; made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The instrument's TOML file; for several cameras, once for each [default: the archive's, else the built-in one that the
-    /// frames name, else "demo"]
-    #[arg(long, value_name = "FILE")]
+    /// The instrument: a TOML file, or the name of a built-in one; for several cameras, once for each [default: the archive's, else
+    /// the built-in one that the frames name, else demo]
+    #[arg(long, value_name = "FILE|NAME")]
     instrument: Vec<PathBuf>,
     /// The roll camera's TOML file, with body_from_camera [default: the archive's]
     #[arg(long, value_name = "CAM.toml")]
@@ -56,11 +57,11 @@ pub struct RefineArgs {
     /// Take the journals of other runs of the same archive, instrument and settings together
     #[arg(long, value_name = "DIR", num_args = 1..)]
     merge: Vec<PathBuf>,
-    /// Only frames whose mid-exposure is not before this, UTC
-    #[arg(long, value_name = "TIME")]
+    /// Only frames whose mid-exposure is not before this: a date, or date and time
+    #[arg(long, value_name = "UTC", value_parser = parse_utc)]
     since: Option<Timestamp>,
-    /// Only frames whose mid-exposure is not after this, UTC
-    #[arg(long, value_name = "TIME")]
+    /// Only frames whose mid-exposure is not after this
+    #[arg(long, value_name = "UTC", value_parser = parse_utc)]
     until: Option<Timestamp>,
     /// Where the frames were taken, for frames that do not say so
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
@@ -113,17 +114,17 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
         make_folder(&args.out)?;
         let mut report = Report::default();
         if let Some(camera) = CameraFrames::together(moon) {
-            let frames = camera.inputs.len();
-            let text = format!("{frames} frames of the Moon camera are left alone; `solaspect moon` solves them");
+            let frames = counted(camera.inputs.len() as u64, "frame");
+            let text = format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them");
             say(format_args!("{text}"))?;
             report.note(&text);
         }
         let refined_roll = match (&roll, &roll_recipe) {
             (Some(camera), Some(recipe)) => args.refine_roll(camera, recipe)?,
             (Some(camera), None) => {
-                let frames = camera.inputs.len();
+                let frames = counted(camera.inputs.len() as u64, "frame");
                 let text = format!(
-                    "{frames} frames of the roll camera: its file is not in the archive; --roll-camera names it"
+                    "{frames} of the roll camera: its file is not in the archive; --roll-camera names it"
                 );
                 say(format_args!("{text}"))?;
                 report.note(&text);
@@ -291,8 +292,12 @@ fn journals(folders: &[PathBuf], name: &str) -> anyhow::Result<Vec<PathBuf>> {
 
 fn print(summary: &Summary) -> anyhow::Result<()> {
     say(format_args!(
-        "{} files: {} fine ({} by themselves), {} coarse, {} none",
-        summary.files, summary.fine, summary.own_fine, summary.coarse, summary.none
+        "{}: {} fine ({} by themselves), {} coarse, {} none",
+        counted(summary.files as u64, "file"),
+        summary.fine,
+        summary.own_fine,
+        summary.coarse,
+        summary.none
     ))?;
     for (odd, count) in &summary.odd {
         say(format_args!("  {count} odd: {odd}"))?;
@@ -311,8 +316,11 @@ fn print(summary: &Summary) -> anyhow::Result<()> {
 
 fn print_roll(summary: &RollSummary) -> anyhow::Result<()> {
     say(format_args!(
-        "roll camera: {} files: {} fine, {} coarse, {} none",
-        summary.files, summary.fine, summary.coarse, summary.none
+        "roll camera: {}: {} fine, {} coarse, {} none",
+        counted(summary.files as u64, "file"),
+        summary.fine,
+        summary.coarse,
+        summary.none
     ))?;
     for (remark, count) in &summary.remarks {
         say(format_args!("  {count} not fine: {remark}"))?;

@@ -168,7 +168,7 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(EarthConditions, String)> 
     let plain = EarthConditions::clear(horizon.height_m);
     let (camera, text) = match &args.instrument {
         Some(path) => {
-            let text = crate::instrument::toml_file::read_text(path)?;
+            let text = crate::instrument::text_of(path)?;
             (DirectionCamera::parse(path, &text)?, text)
         }
         None => plain_camera(&plain),

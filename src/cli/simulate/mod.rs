@@ -8,6 +8,7 @@ mod truth;
 
 use super::options;
 use super::output::progress_bar;
+use crate::clock::parse_utc;
 use crate::fits::{self, Compression};
 use crate::instrument::Instrument;
 use crate::simulate::{
@@ -43,11 +44,11 @@ pub struct SimulateArgs {
     /// The same seed makes the same frames
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
-    /// The instrument's TOML file [default: the built-in instrument "demo"]
-    #[arg(long, value_name = "FILE")]
+    /// The instrument: a TOML file, or the name of a built-in one [default: demo]
+    #[arg(long, value_name = "FILE|NAME")]
     pub instrument: Option<PathBuf>,
-    /// Time of the first frame's mid-exposure, UTC
-    #[arg(long, value_name = "TIME", default_value = "2013-09-21T18:00:00Z")]
+    /// Time of the first frame's mid-exposure
+    #[arg(long, value_name = "UTC", default_value = "2013-09-21T18:00:00Z", value_parser = parse_utc)]
     pub utc: Timestamp,
     /// Frames per second
     #[arg(long, value_name = "HZ", default_value_t = 4.0, value_parser = Within(1e-3, 1000.0, "Hz"))]

@@ -131,7 +131,7 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(MoonConditions, String)> {
     let plain = MoonConditions::clear(moon.radius_px);
     let (width_px, height_px, pixel_aspect, text) = match &args.instrument {
         Some(path) => {
-            let text = crate::instrument::toml_file::read_text(path)?;
+            let text = crate::instrument::text_of(path)?;
             let camera = DirectionCamera::parse(path, &text)?;
             (
                 camera.width_px,

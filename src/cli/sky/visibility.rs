@@ -1,6 +1,7 @@
 //! `solaspect sky visibility`: when the Moon can be seen.
 
 use crate::cli::options;
+use crate::clock::parse_utc;
 use crate::sky::visibility::{Observation, Simplified, SunSynchronous, Vantage, observations};
 use crate::units::Place;
 use anyhow::{Context, bail, ensure};
@@ -33,7 +34,7 @@ pub struct VisibilityArgs {
     #[arg(long, value_name = "H")]
     node_h: Option<f64>,
     /// The beginning
-    #[arg(long, value_name = "UTC", value_parser = super::parse_utc, default_value = "2026-01-01T00:00:00Z")]
+    #[arg(long, value_name = "UTC", value_parser = parse_utc, default_value = "2026-01-01T00:00:00Z")]
     from: Timestamp,
     /// How long, days: 29.53 from one new Moon to the next
     #[arg(long, value_name = "DAYS", default_value_t = 29.53)]
