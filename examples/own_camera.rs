@@ -2,12 +2,14 @@
 //!
 //! `cargo run --release --example own_camera`
 
+use anyhow::Context;
 use jiff::Timestamp;
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
+use solaspect::geometry::Mapping;
 use solaspect::instrument::{self, Instrument};
 use solaspect::service::{Camera, Flight, Service};
-use solaspect::geometry::Mapping;
 use solaspect::simulate::{Scene, Sun};
+use solaspect::sky;
 use solaspect::units::PlateMil;
 use std::time::Duration;
 
@@ -33,7 +35,8 @@ impl FrameSource for DriftingSun {
         let announced = Timestamp::now();
         starts(announced);
         let x_mil = -300.0 + 50.0 * self.number as f64;
-        let radius_mil = self.instrument.optics.radius_mil(955.6);
+        let radius_arcsec = sky::sun_angular_radius(announced)?;
+        let radius_mil = self.instrument.optics.radius_mil(radius_arcsec);
         let mut scene = Scene::new(&self.instrument, self.mapping);
         scene.sun = Some(Sun::new(PlateMil::new(x_mil, 200.0), radius_mil));
         let mut frame = scene.frame()?;
@@ -48,9 +51,7 @@ impl FrameSource for DriftingSun {
 
 fn main() -> anyhow::Result<()> {
     let instrument = instrument::builtin("demo")?;
-    let mapping = instrument
-        .nominal_mapping()
-        .ok_or_else(|| anyhow::anyhow!("the instrument gives no mapping"))?;
+    let mapping = instrument.nominal_mapping().context("no mapping")?;
     let camera = DriftingSun {
         instrument: instrument.clone(),
         mapping,

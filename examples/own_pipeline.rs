@@ -48,7 +48,11 @@ fn main() -> anyhow::Result<()> {
             "centre {:.3}, {:.3} px, 1 sigma {sigma_px:.3} px, {} limb points",
             centre.x,
             centre.y,
-            outline.accepted.iter().filter(|accepted| **accepted).count()
+            outline
+                .accepted
+                .iter()
+                .filter(|accepted| **accepted)
+                .count()
         );
         if let Some(sun) = picture.truth.sun {
             let error_px = (centre.x - sun.px.x).hypot(centre.y - sun.px.y);

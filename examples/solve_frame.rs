@@ -4,19 +4,28 @@
 
 use anyhow::Context;
 use solaspect::aspect::{self, Expected};
+use solaspect::frame::Frame;
+use solaspect::instrument::Instrument;
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
 use solaspect::sky::Ephemeris;
 use solaspect::{fits, instrument, pointing};
 use std::path::Path;
+
+/// The Sun somewhere on the plate, by the built-in conditions.
+fn simulated(instrument: &Instrument) -> anyhow::Result<Frame> {
+    let scenes = RandomScenes::new(instrument, &Conditions::of(instrument), 1)?;
+    let mut scene = scenes.scene(0)?;
+    scene.info.mid_exposure = Some("2013-09-21T18:00:00Z".parse()?);
+    scene.info.place = Some(FORT_SUMNER);
+    Ok(scene.frame()?)
+}
 
 fn main() -> anyhow::Result<()> {
     // `Instrument::read` takes a calibrated one from its TOML file.
     let instrument = instrument::builtin("demo")?;
     let frame = match std::env::args().nth(1) {
         Some(path) => fits::read_frame(Path::new(&path))?,
-        None => RandomScenes::new(&instrument, &Conditions::of(&instrument), 1)?
-            .scene(0)?
-            .frame()?,
+        None => simulated(&instrument)?,
     };
     instrument.check_size(&frame)?;
 
@@ -32,11 +41,10 @@ fn main() -> anyhow::Result<()> {
     println!("1 sigma: {sigma_x:.3}, {sigma_y:.3} mil");
 
     // The offset needs a time and a place; a frame without them has none.
-    let place = frame.info.place.or(Some(FORT_SUMNER));
     let offset = pointing::offset_of(
         &mut solution,
         utc,
-        place,
+        frame.info.place,
         &pointing::Target::default(),
         None,
         &instrument,
