@@ -287,8 +287,10 @@ fn print(summary: &Summary) -> anyhow::Result<()> {
     for (odd, count) in &summary.odd {
         say(format_args!("  {count} odd: {odd}"))?;
     }
-    if let Some(sigma) = summary.median_sigma_mil {
-        say(format_args!("median sigma {sigma:.4} mil per axis"))?;
+    if let (Some(mil), Some(arcsec)) = (summary.median_sigma_mil, summary.median_sigma_arcsec) {
+        say(format_args!(
+            "median sigma {arcsec:.4} arcsec per axis ({mil:.4} mil)"
+        ))?;
     }
     for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
         say(format_args!("the mapping jumps by {}", jump.text()))?;
