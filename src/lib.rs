@@ -1,5 +1,44 @@
 //! Three-axis aspect of a balloon gondola from its cameras, above all from the Sun on a fiducial plate.
 //!
+//! A lens projects the Sun onto a plate printed with cross-shaped fiducial marks, and a camera images the plate. From one frame
+//! [`aspect::solve`] finds the Sun's centre in the coordinates of the plate; [`pointing::offset_of`] turns it into the offset of the
+//! telescope from its target. The same library flies ([`service`]), calibrates ([`calibrate`]) and refines a recorded flight
+//! ([`refine`]); the program `solaspect` is a thin layer over it.
+//!
+//! # A first frame
+//!
+//! ```
+//! use solaspect::aspect::{self, Expected, Quality};
+//! use solaspect::instrument;
+//! use solaspect::simulate::{Conditions, RandomScenes};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // Camera, plate, optics and mounting: a built-in instrument, or `Instrument::read` of a TOML file.
+//! let instrument = instrument::builtin("demo")?;
+//!
+//! // A frame with known truth; `fits::read_frame` reads one from a file.
+//! let scenes = RandomScenes::new(&instrument, &Conditions::of(&instrument), 1)?;
+//! let picture = scenes.scene(0)?.picture()?;
+//!
+//! // What the ephemeris says of the Sun's size at that time, and no tracking prior from an earlier frame.
+//! let expected = Expected::at("2013-09-21T18:00:00Z".parse()?);
+//! let solution = aspect::solve(&picture.frame, &instrument, expected, None);
+//!
+//! assert_eq!(solution.quality, Quality::Fine);
+//! let sun = solution.aspect.ok_or("no Sun")?.sun_plate; // mil, with covariance
+//! let truth = picture.truth.sun.ok_or("no Sun")?.plate;
+//! let error_arcsec = sun.position.distance(truth) * instrument.optics.arcsec_per_mil();
+//! assert!(error_arcsec < 0.5); // a twentieth of a pixel
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A frame that cannot be solved is not an error: its [`Solution`](aspect::Solution) holds what the earlier stages found, and
+//! [`stopped`](aspect::Solution::stopped) tells the stage, the reason, the measured value and the limit.
+//!
+//! The folder `examples/` has more: `solve_frame`, `own_camera` (the trait [`camera::FrameSource`]) and `own_pipeline` (the stages of
+//! [`aspect::Pipeline`], one by one).
+//!
 //! # The modules
 //!
 //! A frame goes through the modules in one direction:
@@ -16,20 +55,20 @@
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
 //! | `backoff` | waits between attempts |
 //! | [`provenance`] | which program made a file: version, commit, hashes |
-//! | [`log`] | the log on standard error, for which nothing waits |
-//! | `kernels` | loops over pixels that are worked on side by side |
-//! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate, cameras that see directions, attitudes; robust scale, least squares and Kalman filter; a picture and what is known of it; how well the clock is held |
+//! | [`log`] | the log on standard error, which blocks no thread |
+//! | `kernels` | vectorised loops over pixels |
+//! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate, direction cameras, attitudes; robust scale, least squares and Kalman filter; a picture and the data on how it was taken; state of the clock |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
 //! | [`limb`], [`fiducial`] | the disc's edge; the marks and their ids |
-//! | [`aspect`], [`horizon`], [`moon`] | the pipeline on one page; the nadir by the edge of the Earth; the Moon's centre at any phase |
+//! | [`aspect`], [`horizon`], [`moon`] | the pipeline on one page; the nadir from the Earth's limb; the Moon's centre at any phase |
 //! | [`pointing`] | from the Sun on the plate to an offset on the sky |
-//! | [`navigation`] | the attitude by gyros between and beyond what cameras see |
-//! | [`simulate`] | scenes, trajectories and the controller's side of the link, with truth |
-//! | [`archive`], [`camera`] | how a frame survives; where frames come from |
+//! | [`navigation`] | inertial navigation: the attitude between and beyond the frames |
+//! | [`simulate`] | scenes and trajectories with truth, controller emulator |
+//! | [`archive`], [`camera`] | files on disks; sources of frames |
 //! | [`config`] | the parameter table |
-//! | [`service`], [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; the instrument as it is; a flight's best aspect history; how near the truth the pipeline comes; whether all is ready to fly |
+//! | [`service`], [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; measuring the instrument; the best aspect history of a flight; errors on simulated frames; checks before a flight |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions

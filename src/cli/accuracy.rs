@@ -10,13 +10,12 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// Judge the pipeline on simulated frames with known truth
+/// Measure the errors of the pipeline on simulated frames with known truth
 ///
-/// One table: errors by condition beside what is demanded and what the frame allows at best. Exit code 1 when a demand is
-/// not met.
+/// One table: errors by condition, the requirements, and the Cramer-Rao bound. Exit code 1 if a requirement is not met.
 #[derive(Debug, Args)]
 pub struct AccuracyArgs {
-    /// As many frames as the documentation's tables rest on, instead of the tests'
+    /// As many frames as for the documentation's tables, instead of the tests'
     #[arg(long)]
     full: bool,
     /// Write the report into the page accuracy.md of this folder, between the two lines that mark its place, and the figures (SVG) into

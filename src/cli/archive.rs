@@ -13,7 +13,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// See what is in an archive, whether it is sound, and take frames out of it
+/// List, check and export the frames of an archive
 #[derive(Debug, Args)]
 pub struct ArchiveArgs {
     #[command(subcommand)]
@@ -32,8 +32,8 @@ enum Command {
 ///
 /// Structure, checksums, picture and keywords of each file, its name, and that times do not go back in the order of
 /// names; that every file is there that a solution log names, on this disk or on the other. Gaps are steps in time longer than
-/// 1.5 times the median step, and missing frame numbers. Exit code 1 if any file is bad, or named by a log and missing; gaps,
-/// and files left half-written, are told and are no failure.
+/// 1.5 times the median step, and missing frame numbers. Exit code 1 if any file is bad, or listed in a log and missing; gaps,
+/// and partial files, are reported and do not change the exit code.
 #[derive(Debug, Args)]
 struct CheckArgs {
     /// The archive's folder; of an archive on two disks, both together

@@ -1,4 +1,4 @@
-//! `solaspect demo`: the main job on one machine, with nothing attached.
+//! `solaspect demo`: the full pipeline on simulated hardware.
 
 use super::options;
 use super::output::say;
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// Do the main job on this machine with nothing attached
+/// Run the full pipeline on simulated hardware
 ///
 /// A simulated camera, the real pipeline, a simulated controller on a pseudo-terminal, a real archive. Exit code 0 only if
 /// nothing was lost.
@@ -26,7 +26,7 @@ pub struct DemoArgs {
     /// The archive's folder [default: a new temporary folder, which is kept]
     #[arg(long, value_name = "DIR")]
     archive: Option<PathBuf>,
-    /// The same seed flies the same path
+    /// Seed: the same seed gives the same flight
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
 }

@@ -24,12 +24,12 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Fly: read the camera, solve, send offsets to the controller, keep every frame
+/// Fly: read the camera, solve, send offsets to the controller, archive every frame
 #[derive(Debug, Args)]
 pub struct FlyArgs {
     #[command(flatten)]
     over: ConfigurationArgs,
-    /// Replay a folder so many times faster than it was taken
+    /// Replay a folder this many times faster than it was taken
     #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = options::speed)]
     speed: f64,
     /// End after this time [default: fly until SIGTERM, SIGINT or SIGHUP]

@@ -18,7 +18,7 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Send a command over the controller's line, read packets, record what is said
+/// Send a command over the controller's line, decode packets, record a line
 #[derive(Debug, Args)]
 pub struct LinkArgs {
     #[command(subcommand)]
@@ -69,7 +69,7 @@ impl Line {
 struct SendArgs {
     #[command(flatten)]
     line: Line,
-    /// Sign the command with the secret in this file, as link.key_file of the flight wants it (UDP only)
+    /// Sign the command with the secret in this file, as link.key_file of the flight requires (UDP only)
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
     /// The computer that is addressed, 1 or 2
@@ -85,17 +85,17 @@ struct SendArgs {
     values: Vec<String>,
 }
 
-/// Decode packets: every message, what is not understood, and why bytes were rejected
+/// Decode packets: every message, unknown packets, and why bytes were rejected
 #[derive(Debug, Args)]
 struct DecodeArgs {
     /// Bytes in hexadecimal, or a file of them, or of a byte log, or of raw bytes
     bytes: String,
-    /// Who has said it [default: whichever makes more sense]
+    /// Sender of the bytes [default: the more plausible one]
     #[arg(long)]
     from: Option<Speaker>,
 }
 
-/// Record what comes over a line, or say what a record says
+/// Record the bytes of a line, or decode a record
 #[derive(Debug, Args)]
 struct LogArgs {
     /// A record to read
@@ -113,7 +113,7 @@ struct LogArgs {
     /// How long to record [default: until SIGINT]
     #[arg(long, value_name = "TIME", requires = "port", value_parser = options::duration)]
     duration: Option<Duration>,
-    /// Who has said it [default: whichever makes more sense]
+    /// Sender of the bytes [default: the more plausible one]
     #[arg(long)]
     from: Option<Speaker>,
 }
@@ -121,7 +121,7 @@ struct LogArgs {
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Speaker {
     Aspect,
-    /// Or the ground
+    /// The controller, or the ground
     Controller,
 }
 

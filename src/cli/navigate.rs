@@ -11,13 +11,13 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Find a vehicle's attitude from its gyros, GPS, and the directions that cameras have seen
+/// Estimate a vehicle's attitude from gyros, GPS, and directions measured by cameras
 ///
 /// Writes attitude.csv (the attitude at each sample of the IMU: v_ecef = R(q) v_body, its errors about the axes of ECEF) and
 /// report.html to the folder, and other forms of it on request. docs/navigation.md has the files' columns.
 #[derive(Debug, Args)]
 pub struct NavigateArgs {
-    /// What the sensors are: NAV.toml (docs/navigation.md)
+    /// The sensors: NAV.toml (docs/navigation.md)
     #[arg(long, value_name = "NAV.toml")]
     config: PathBuf,
     /// Specific force and rate, means over the interval that ends at t_s
@@ -35,7 +35,7 @@ pub struct NavigateArgs {
     /// The folder for attitude.csv and report.html
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// By all measurements of the flight, not only those up to each time
+    /// Smooth: use all measurements of the flight, not only those up to each time
     #[arg(long)]
     smooth: bool,
     /// Write attitude.fits, too: the table ATTITUDE

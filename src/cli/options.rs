@@ -15,7 +15,7 @@ use std::sync::atomic::AtomicBool;
 /// The configuration of a flight, and what the command line says instead of it.
 #[derive(Debug, Args)]
 pub(super) struct ConfigurationArgs {
-    /// The configuration's TOML file; options go over it
+    /// The configuration's TOML file; options override it
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// The instrument: a TOML file, or the name of a built-in one [default: the configuration's, else demo]

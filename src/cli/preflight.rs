@@ -15,12 +15,12 @@ use std::time::Duration;
 /// How long the operator may take for an answer.
 const OPERATOR: Duration = Duration::from_secs(600);
 
-/// Check before a flight that clock, disks, line and cameras answer and are set as configured
+/// Check before a flight that clock, disks, line and cameras work as configured
 #[derive(Debug, Args)]
 pub struct PreflightArgs {
     #[command(flatten)]
     over: ConfigurationArgs,
-    /// Wait for the controller to say something, up to this time
+    /// Wait for a packet from the controller, up to this time
     #[arg(
         long,
         value_name = "TIME",

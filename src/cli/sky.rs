@@ -16,7 +16,7 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Where the Sun and the Moon stand for an observer
+/// Compute the positions of the Sun and the Moon for an observer
 ///
 /// Elevations are without refraction unless --refraction asks for it. The bright limb of the Moon and P are position angles
 /// from celestial north through east; angles from the zenith count clockwise as seen looking out. With --from and --to: a
@@ -42,7 +42,7 @@ pub struct SkyArgs {
         required = true
     )]
     place: Option<Place>,
-    /// Apparent elevations, lifted by the standard atmosphere of the height, or by this pressure (hPa) and temperature (deg C)
+    /// Apparent elevations, refracted by the standard atmosphere of the height, or by this pressure (hPa) and temperature (deg C)
     #[arg(long, value_name = "HPA,DEG_C", num_args = 0..=1)]
     refraction: Option<Option<Air>>,
     /// The beginning of a table
@@ -54,7 +54,7 @@ pub struct SkyArgs {
     /// Time between the rows of a table, such as 10m or 1h
     #[arg(long, value_name = "TIME", default_value = "30m", value_parser = options::duration, requires = "from")]
     step: Duration,
-    /// Also list when the Sun stands between these elevations (deg)
+    /// Also list when the Sun is between these elevations (deg)
     #[arg(long, value_name = "LOW,HIGH", value_parser = parse_band, allow_hyphen_values = true, requires = "from")]
     band: Option<[f64; 2]>,
     /// The configuration's TOML file, for its table of Earth orientation

@@ -1,4 +1,4 @@
-//! `solaspect solve`: frames in, answers out.
+//! `solaspect solve`: one answer per frame.
 
 use super::frames::{Answer, FramesArgs, Printer, REMARKS, Row, bad_file};
 use super::options;
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// Find the Sun on the plate in frames, and the telescope's offset from its target
+/// Find the Sun's position on the plate in frames, and the telescope's offset from its target
 ///
 /// Reads FITS (plain or compressed, 8 or 16 bit), PNG and TIFF. One answer per frame, in the order of the arguments. A frame
 /// without a solution is no failure; a file that cannot be read gives an error on its line, the rest go on, and the
@@ -31,7 +31,7 @@ pub struct SolveArgs {
     /// The configuration's TOML file
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Let each frame start from what the one before it taught
+    /// Start each frame from the result of the one before
     #[arg(long, conflicts_with = "jobs")]
     track: bool,
     /// Where the frames were taken, for frames that do not say so

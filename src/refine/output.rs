@@ -68,7 +68,9 @@ pub struct Summary {
     pub odd: BTreeMap<String, usize>,
     pub first_utc: Option<String>,
     pub last_utc: Option<String>,
+    /// Of the fine frames, per axis.
     pub median_sigma_mil: Option<f64>,
+    pub median_sigma_arcsec: Option<f64>,
     pub radius_over_expected: Option<f64>,
     pub radius_by_temperature: RadiusSummary,
     pub mapping: Option<MappingSummary>,
@@ -294,6 +296,8 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
     let dated = &rows[..flight.dated];
     let fine = rows.iter().filter(|row| row.is_fine());
     let sigmas = fine.filter_map(|row| Some(row.sun?.sigma()));
+    let median_sigma_mil = median(sigmas.flatten());
+    let arcsec_per_mil = recipe.instrument.optics.arcsec_per_mil();
     let hash = |text: String| hex(super::first_pass::hash_of(text.as_bytes()));
     Summary {
         program: PROGRAM,
@@ -321,7 +325,8 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         odd,
         first_utc: dated.first().and_then(time),
         last_utc: dated.last().and_then(time),
-        median_sigma_mil: median(sigmas.flatten()),
+        median_sigma_mil,
+        median_sigma_arcsec: median_sigma_mil.map(|sigma| sigma * arcsec_per_mil),
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
         radius_by_temperature: RadiusSummary::of(&flight.radius_by_temperature),
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),

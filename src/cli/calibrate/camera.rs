@@ -11,7 +11,7 @@ use jiff::tz::TimeZone;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Measure dark level, noise, gain, hot pixels, vignetting and blur, and how blur and scale go with temperature
+/// Measure dark level, noise, gain, hot pixels, vignetting and blur, and the temperature coefficients of blur and scale
 ///
 /// Best from dark frames, evenly lit frames (two at each of several exposures) and frames with the Sun all over the plate; each may be
 /// missing. What the frames do not determine keeps the instrument's value, and the program says so.

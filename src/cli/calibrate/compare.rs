@@ -7,7 +7,7 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Tell what changed from instrument A to instrument B
+/// Report what changed from instrument A to instrument B
 #[derive(Debug, Args)]
 pub struct CompareArgs {
     /// The instrument before: a TOML file, or the name of a built-in one

@@ -17,8 +17,8 @@ use std::process::ExitCode;
 
 /// Measure centre, clocking, plate distance, rule of directions and mirror from the Sun on the plate
 ///
-/// Either the pointing is known (--pointing), or the gondola stands still while the Sun crosses the plate (--drift): the ephemeris
-/// is the truth. What the frames do not determine keeps the instrument's value, and the program says so. With --roll-camera it is that
+/// Either the pointing is known (--pointing), or the gondola is at rest while the Sun crosses the plate (--drift): the ephemeris
+/// is the reference. What the frames do not determine keeps the instrument's value, and the program says so. With --roll-camera it is that
 /// camera's place on the body that is measured.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
@@ -36,10 +36,10 @@ pub struct MountingArgs {
         conflicts_with_all = ["drift", "roll_camera"]
     )]
     pub(super) pointing: Option<PathBuf>,
-    /// The elevations of --pointing hold refraction, as a theodolite reads them
+    /// The elevations of --pointing include refraction, as read from a theodolite
     #[arg(long, requires = "pointing")]
     pub(super) apparent: bool,
-    /// The gondola stood still, its direction unknown, while the Sun crossed
+    /// The gondola was at rest, its direction unknown, while the Sun crossed the plate
     #[arg(long, conflicts_with = "roll_camera")]
     pub(super) drift: bool,
     /// Measure body_from_camera of the camera that sees the horizon instead, whose file this is: --out is its new file. From a flight in

@@ -18,10 +18,10 @@ pub struct PlateArgs {
     /// Frames, or folders of frames; the poses of the camera are found within each folder
     #[arg(required = true, value_name = "FRAME|DIR")]
     frames: Vec<PathBuf>,
-    /// Forget the marks that the file has measured: begin with the drawing
+    /// Ignore the measured marks of the file: start from the drawing
     ///
-    /// Otherwise they count as what is known before these frames. A file that rests on these very frames begins with the
-    /// drawing in any case, so that no frame counts twice.
+    /// Otherwise they are the prior. A file that was made from these very frames starts from the drawing in any case, so that no
+    /// frame counts twice.
     #[arg(long)]
     from_drawing: bool,
     #[command(flatten)]

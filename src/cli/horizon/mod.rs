@@ -41,7 +41,7 @@ pub struct HorizonArgs {
     /// Pixels of at least this many DN are bright [default: by the frame's own light]
     #[arg(long, value_name = "DN")]
     threshold_dn: Option<f64>,
-    /// Look near the last frame's horizon first
+    /// Search near the previous frame's horizon first
     #[arg(long, conflicts_with = "jobs")]
     track: bool,
 }
@@ -72,10 +72,10 @@ struct EdgeArgs {
     /// 1 sigma of the edge's height, all along the limb alike
     #[arg(long, value_name = "M", default_value_t = 0.0)]
     edge_sigma_m: f64,
-    /// Find the edge's height, too: --atmosphere-m is where the search begins
+    /// Fit the edge's height, too, starting from --atmosphere-m
     #[arg(long)]
     fit_atmosphere: bool,
-    /// Bend rays by the air's refraction (standard atmosphere) [default: straight rays]
+    /// Refract rays in the standard atmosphere [default: straight rays]
     #[arg(long)]
     refraction: bool,
     /// A sphere with a sharp edge of this angular radius instead: the Sun (0.2666) or the Moon in a plain camera

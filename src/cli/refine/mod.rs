@@ -1,4 +1,4 @@
-//! `solaspect refine`: the best aspect history from a flight's archive.
+//! `solaspect refine`: the best aspect history of a flight.
 
 mod files;
 mod navigation;
@@ -20,14 +20,14 @@ use navigation::NavigationArgs;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Make the best aspect history from a flight's archive
+/// Compute the best aspect history from a flight's archive
 ///
-/// The first pass solves every frame on its own and notes each in a journal in --out: killed and run again, it goes on where it
-/// was. The second looks at the flight as a whole and writes aspect.fits, aspect.csv, summary.json and report.html. On a cluster
-/// each machine does its --shard, and a last run with --merge takes their journals together.
-/// Files that cannot be read have a row that says why, and are no failure. Frames of several cameras make a history each, in a
-/// folder of --out, and one report. Frames of the roll camera make roll.fits, roll.csv and roll.json, and turn the others' offsets.
-/// With --imu and --gps the attitude at every sample of the IMU is found by all frames of the flight together.
+/// The first pass solves every frame on its own and records it in a journal in --out: a run that was killed continues where it
+/// was. The second pass uses the flight as a whole and writes aspect.fits, aspect.csv, summary.json and report.html. On a cluster
+/// each machine does its --shard, and a last run with --merge merges their journals.
+/// Unreadable files get a row with the reason; they do not change the exit code. Each of several cameras has its own history, in a
+/// folder of --out, and all have one report. Frames of the roll camera give roll.fits, roll.csv and roll.json, and the roll of the
+/// offsets. With --imu and --gps the attitude at every IMU sample is estimated from all frames of the flight.
 /// With --rate the telescope's offset at that rate, along the smoothed path between frames, is in stabilisation.fits and .csv.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
@@ -35,7 +35,7 @@ pub struct RefineArgs {
     /// A folder tree of FITS frames
     #[arg(value_name = "ARCHIVE")]
     archive: PathBuf,
-    /// Where journal and results go; made if it is not there
+    /// Folder for journal and results; created if missing
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// The instrument: a TOML file, or the name of a built-in one; for several cameras, once for each [default: the archive's, else
@@ -48,13 +48,13 @@ pub struct RefineArgs {
     /// The configuration's TOML file [default: the archive's solver, place and target, if it holds a configuration]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Frames at a time [default: as many as there are cores]
+    /// Frames solved at a time [default: number of cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Only every Nth frame from the Ith on, and only the first pass
     #[arg(long, value_name = "I/N", conflicts_with = "merge")]
     shard: Option<Shard>,
-    /// Take the journals of other runs of the same archive, instrument and settings together
+    /// Merge the journals of other runs of the same archive, instrument and settings
     #[arg(long, value_name = "DIR", num_args = 1..)]
     merge: Vec<PathBuf>,
     /// Only frames whose mid-exposure is not before this: a date, or date and time
@@ -302,8 +302,10 @@ fn print(summary: &Summary) -> anyhow::Result<()> {
     for (odd, count) in &summary.odd {
         say(format_args!("  {count} odd: {odd}"))?;
     }
-    if let Some(sigma) = summary.median_sigma_mil {
-        say(format_args!("median sigma {sigma:.4} mil per axis"))?;
+    if let (Some(mil), Some(arcsec)) = (summary.median_sigma_mil, summary.median_sigma_arcsec) {
+        say(format_args!(
+            "median sigma {arcsec:.4} arcsec per axis ({mil:.4} mil)"
+        ))?;
     }
     for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
         say(format_args!("the mapping jumps by {}", jump.text()))?;

@@ -110,7 +110,7 @@ pub struct OpticsArgs {
     /// Turn of the picture beyond what the instrument states, positive from +x towards +y
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = Within(-360.0, 360.0, "deg"))]
     pub rotation: f64,
-    /// Keystone: how far askew the camera looks at the plate
+    /// Keystone: tilt of the camera against the plate
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = Within(-20.0, 20.0, "deg"))]
     pub keystone: f64,
     /// Plate length per pixel [default: the instrument's]
@@ -119,7 +119,7 @@ pub struct OpticsArgs {
     /// Where the plate's centre is seen, px [default: the instrument's]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, value_parser = position)]
     pub plate_centre: Option<SensorPx>,
-    /// What a mark takes from the light, 0 to 1
+    /// Contrast of the marks: the share of the light that a mark absorbs, 0 to 1
     #[arg(long, value_name = "C", default_value_t = 0.8, value_parser = Within(0.0, 1.0, ""))]
     pub contrast: f64,
     /// Displacement of every mark from the instrument's plate, rms in each axis
@@ -163,7 +163,7 @@ pub struct CameraArgs {
     /// Adds the noise of photons: photo-electrons of one 8-bit DN
     #[arg(long, visible_alias = "photons", value_name = "E_PER_DN", value_parser = Within(0.1, 1e6, "electrons/DN"))]
     pub electrons: Option<f64>,
-    /// What every pixel holds without light, 8-bit DN
+    /// Level of a pixel without light, 8-bit DN
     #[arg(long, value_name = "DN", default_value_t = 4.0, value_parser = Within(-50.0, 250.0, "DN"))]
     pub background: f64,
     /// Frame transfer: share of the light of its column that every pixel receives in addition

@@ -1,0 +1,63 @@
+//! Build a pipeline of your own from the stages: here a guider, for a camera that sees the Sun and no fiducial marks. It needs the
+//! Sun's centre on the sensor only, and stops after the limb.
+//!
+//! `cargo run --release --example own_pipeline`
+
+use anyhow::anyhow;
+use solaspect::aspect::{Pipeline, Settings};
+use solaspect::frame::{Frame, Mask};
+use solaspect::geometry::Ellipse;
+use solaspect::instrument::{self, Instrument};
+use solaspect::limb::Limb;
+use solaspect::simulate::{Conditions, RandomScenes};
+use solaspect::units::Rejected;
+
+/// The limb of the Sun in a frame, without looking for marks.
+///
+/// # Errors
+/// The first stage that rejects the frame, with its reason.
+fn guide(frame: &Frame, instrument: &Instrument) -> anyhow::Result<Limb> {
+    let rejected = |r: Rejected| anyhow!("{}: {} against {}", r.reason, r.measured, r.limit);
+    let settings = Settings::default();
+    let stages = Pipeline::new(&settings, frame, instrument, None, None);
+    let levels = stages.levels().map_err(|stopped| anyhow!("{stopped}"))?; // background and disc
+    let disc = stages
+        .find_disc(&levels)
+        .map_err(|stopped| anyhow!("{stopped}"))?; // to a pixel, by chords
+    let cutout = stages.cutout(&levels, &disc); // background subtracted, hot pixels masked
+    let mask = Mask::none(cutout.region());
+    stages
+        .limb_fit(&levels, &cutout)
+        .near(&Ellipse::from(disc), &mask) // to a hundredth of a pixel, from the whole limb
+        .map_err(rejected)
+}
+
+fn main() -> anyhow::Result<()> {
+    let instrument = instrument::builtin("demo")?;
+    let without_marks = Conditions {
+        mark_contrast: 0.0,
+        ..Conditions::of(&instrument)
+    };
+    let scenes = RandomScenes::new(&instrument, &without_marks, 1)?;
+    for number in 0..4 {
+        let picture = scenes.scene(number)?.picture()?;
+        let outline = guide(&picture.frame, &instrument)?.outline;
+        let centre = outline.ellipse.centre;
+        let sigma_px = outline.centre_covariance().trace().sqrt();
+        println!(
+            "centre {:.3}, {:.3} px, 1 sigma {sigma_px:.3} px, {} limb points",
+            centre.x,
+            centre.y,
+            outline
+                .accepted
+                .iter()
+                .filter(|accepted| **accepted)
+                .count()
+        );
+        if let Some(sun) = picture.truth.sun {
+            let error_px = (centre.x - sun.px.x).hypot(centre.y - sun.px.y);
+            println!("  error {error_px:.3} px");
+        }
+    }
+    Ok(())
+}
