@@ -2,8 +2,7 @@
 
 use crate::camera::Source;
 use crate::config::Config;
-use crate::instrument::toml_file::read_text;
-use crate::instrument::{Instrument, builtin_text};
+use crate::instrument::{Instrument, file_or_builtin_text};
 use crate::pointing::Target;
 use crate::preflight::{self, Options};
 use crate::sky::Ephemeris;
@@ -46,21 +45,16 @@ impl ConfigurationArgs {
     }
 }
 
-/// The instrument of `--instrument`, else the built-in demo.
+/// The instrument of `--instrument`, a file or the name of a built-in one, else the built-in demo.
 pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
     Ok(instrument_with_text(path)?.0)
 }
 
 /// The same with the text of its file.
 pub(super) fn instrument_with_text(path: Option<&Path>) -> anyhow::Result<(Instrument, String)> {
-    let (path, text) = match path {
-        Some(path) => (path, read_text(path)?),
-        None => (
-            Path::new("demo"),
-            builtin_text("demo").unwrap_or_default().into(),
-        ),
-    };
-    Ok((Instrument::parse(path, &text)?, text))
+    let path = path.unwrap_or(Path::new("demo"));
+    let text = file_or_builtin_text(path)?;
+    Ok((Instrument::parse(path, &text)?, text.into()))
 }
 
 /// The configuration of `--config`, else the defaults.

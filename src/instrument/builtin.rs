@@ -1,6 +1,8 @@
 //! The instruments that the program carries with it.
 
+use super::toml_file::read_text;
 use super::{Instrument, TomlError, raw};
+use std::borrow::Cow;
 use std::path::Path;
 
 const FILES: [(&str, &str); 3] = [
@@ -32,6 +34,14 @@ pub fn builtin(name: &str) -> Result<Instrument, TomlError> {
             format!("a built-in instrument ({})", builtin_names().join(", ")),
             format!("\"{name}\""),
         )),
+    }
+}
+
+/// The TOML text of a file, or of the built-in instrument of that name where there is no such file.
+pub fn file_or_builtin_text(path: &Path) -> Result<Cow<'static, str>, TomlError> {
+    match path.to_str().and_then(builtin_text) {
+        Some(text) if !path.exists() => Ok(text.into()),
+        _ => Ok(read_text(path)?.into()),
     }
 }
 

@@ -12,7 +12,9 @@ mod raw;
 mod sensor;
 pub mod toml_file;
 
-pub use builtin::{DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text};
+pub use builtin::{
+    DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text, file_or_builtin_text,
+};
 pub use dates::Dated;
 pub(crate) use direction_camera::rotation_of_rows;
 pub use direction_camera::{DirectionCamera, MountedCamera, SkyCamera, WrongFrameSize};
@@ -240,6 +242,11 @@ impl Instrument {
     /// Reads and checks an instrument's TOML file.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         raw::read(path)
+    }
+
+    /// The instrument of a file, or the built-in one of that name where there is no such file.
+    pub fn load(path: &Path) -> Result<Self, TomlError> {
+        raw::parse(path, &file_or_builtin_text(path)?)
     }
 
     /// Checks an instrument's TOML text; `path` is what errors name.

@@ -2,9 +2,9 @@
 
 use crate::calibrate::compare;
 use crate::cli::output::say;
-use crate::instrument::{self, Instrument};
+use crate::instrument::Instrument;
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Tell what changed from instrument A to instrument B
@@ -20,7 +20,7 @@ pub struct CompareArgs {
 }
 
 pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
-    let [a, b] = [&args.a, &args.b].map(|path| instrument(path));
+    let [a, b] = [&args.a, &args.b].map(|path| Instrument::load(path));
     let comparison = compare::compare(&a?, &b?);
     if args.json {
         say(serde_json::to_string(&comparison)?)?;
@@ -28,13 +28,4 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
         say(comparison)?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// The instrument of a file, or the built-in one of that name where there is no such file.
-fn instrument(path: &Path) -> anyhow::Result<Instrument> {
-    let name = path.to_string_lossy();
-    if !path.exists() && instrument::builtin_names().contains(&name.as_ref()) {
-        return Ok(instrument::builtin(&name)?);
-    }
-    Ok(Instrument::read(path)?)
 }
