@@ -2,15 +2,15 @@
 
 mod cutout;
 mod pixels;
+mod region;
 
 use crate::units::{Place, SensorPx};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
-use pixels::{OnDemand, PixelStorage};
-pub use pixels::{Pixels, RowSource, Sample, View};
-use std::fmt;
+use pixels::{OnDemand, PixelStorage, Shared};
+pub use pixels::{PixelSlice, Pixels, RowSource, Sample, SharedPixels, View};
+pub use region::{NoRegion, Region};
 use std::ops::Range;
-use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -116,22 +116,29 @@ impl Frame {
         saturation_dn: u16,
         info: FrameInfo,
     ) -> Result<Self, FrameError> {
-        let expected = width * height;
-        if expected == 0 {
-            return Err(FrameError::Empty { width, height });
-        }
-        if pixels.len() != expected {
-            return Err(FrameError::Size {
-                width,
-                height,
-                expected,
-                found: pixels.len(),
-            });
-        }
+        check_count(width, height, pixels.len())?;
         Ok(Self {
             width,
             height,
             pixels: PixelStorage::Whole(pixels),
+            saturation_dn,
+            info,
+        })
+    }
+
+    /// The same of pixels in memory of somebody else, which is not copied.
+    pub fn shared(
+        width: usize,
+        height: usize,
+        pixels: Box<dyn SharedPixels>,
+        saturation_dn: u16,
+        info: FrameInfo,
+    ) -> Result<Self, FrameError> {
+        check_count(width, height, pixels.pixels().len())?;
+        Ok(Self {
+            width,
+            height,
+            pixels: PixelStorage::Shared(Arc::new(Shared::new(pixels))),
             saturation_dn,
             info,
         })
@@ -265,6 +272,23 @@ impl Frame {
     }
 }
 
+/// Whether so many pixels make a frame.
+fn check_count(width: usize, height: usize, found: usize) -> Result<(), FrameError> {
+    let expected = width * height;
+    if expected == 0 {
+        return Err(FrameError::Empty { width, height });
+    }
+    if found != expected {
+        return Err(FrameError::Size {
+            width,
+            height,
+            expected,
+            found,
+        });
+    }
+    Ok(())
+}
+
 fn any_above<T: Sample>(row: &[T], floor: T) -> bool {
     /// Pixels that are compared side by side.
     const GROUP: usize = 32;
@@ -311,88 +335,3 @@ impl Levels {
         self.background_dn + fraction * (self.disc_dn - self.background_dn)
     }
 }
-
-/// A rectangle of pixels: columns `x0..x1`, rows `y0..y1`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Region {
-    pub x0: usize,
-    pub y0: usize,
-    pub x1: usize,
-    pub y1: usize,
-}
-
-impl Region {
-    /// The pixels within `reach` px of a position in both axes, as far as they lie on a sensor of
-    /// `width` x `height`. `None` when none does.
-    pub fn around(centre: SensorPx, reach: f64, width: usize, height: usize) -> Option<Self> {
-        let span = |at: f64, size: usize| {
-            let low = (at - reach).floor().clamp(0.0, size as f64) as usize;
-            let high = (at + reach + 1.0).ceil().clamp(0.0, size as f64) as usize;
-            (low < high).then_some((low, high))
-        };
-        let (x0, x1) = span(centre.x, width)?;
-        let (y0, y1) = span(centre.y, height)?;
-        Some(Self { x0, y0, x1, y1 })
-    }
-
-    /// A region of `width` x `height` pixels from a corner on.
-    pub fn sized(x0: usize, y0: usize, width: usize, height: usize) -> Self {
-        Self {
-            x0,
-            y0,
-            x1: x0 + width,
-            y1: y0 + height,
-        }
-    }
-
-    pub fn contains(&self, x: usize, y: usize) -> bool {
-        (self.x0..self.x1).contains(&x) && (self.y0..self.y1).contains(&y)
-    }
-
-    /// The pixels that two regions share; `None` when there are none.
-    pub fn intersection(&self, other: &Self) -> Option<Self> {
-        let common = Self {
-            x0: self.x0.max(other.x0),
-            y0: self.y0.max(other.y0),
-            x1: self.x1.min(other.x1),
-            y1: self.y1.min(other.y1),
-        };
-        (common.x0 < common.x1 && common.y0 < common.y1).then_some(common)
-    }
-
-    pub fn width(&self) -> usize {
-        self.x1 - self.x0
-    }
-
-    pub fn height(&self) -> usize {
-        self.y1 - self.y0
-    }
-}
-
-impl fmt::Display for Region {
-    /// Column and row of the corner, width and height: "100,50,640,480".
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (width, height) = (self.width(), self.height());
-        write!(out, "{},{},{width},{height}", self.x0, self.y0)
-    }
-}
-
-impl FromStr for Region {
-    type Err = NoRegion;
-
-    fn from_str(text: &str) -> Result<Self, NoRegion> {
-        let numbers: Result<Vec<u16>, _> = text.split(',').map(|n| n.trim().parse()).collect();
-        match numbers.map_err(|_| NoRegion)?[..] {
-            [x0, y0, width, height] if width > 0 && height > 0 => {
-                let [x0, y0, width, height] = [x0, y0, width, height].map(usize::from);
-                Ok(Self::sized(x0, y0, width, height))
-            }
-            _ => Err(NoRegion),
-        }
-    }
-}
-
-/// A text that is not a region.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("expected LEFT,TOP,WIDTH,HEIGHT in px")]
-pub struct NoRegion;

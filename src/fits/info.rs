@@ -8,7 +8,7 @@ use super::header::{Header, Value};
 use super::place::{place_cards, read_place};
 use super::{Card, Problem};
 use crate::clock::ClockStatus;
-use crate::frame::{Frame, FrameInfo};
+use crate::frame::{Frame, FrameInfo, PixelSlice};
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp};
@@ -205,12 +205,8 @@ pub fn format_time(time: Timestamp) -> String {
 
 /// The value at which pixels saturate. What 16-bit files hold is 0 to 4095 unless SATURATE or BITDEPTH says
 /// otherwise, or a pixel beyond 4095 shows that it is not so.
-pub(super) fn read_saturation(
-    header: &Header,
-    bits: u32,
-    brightest_dn: u16,
-) -> Result<u16, Problem> {
-    let full = if bits == 8 { 255 } else { u16::MAX };
+pub(super) fn read_saturation(header: &Header, pixels: PixelSlice<'_>) -> Result<u16, Problem> {
+    let full = if pixels.bits() == 8 { 255 } else { u16::MAX };
     if let Some(level) = header.number("SATURATE")? {
         if !(1.0..=65_535.0).contains(&level) {
             return Err(Problem::field(
@@ -225,16 +221,7 @@ pub(super) fn read_saturation(
         let depth = header.size("BITDEPTH", 1..=16)?;
         return Ok(((1u32 << depth) - 1).min(full.into()) as u16);
     }
-    Ok(assumed_saturation(bits, brightest_dn))
-}
-
-/// The saturation of pixels that come without a word about it.
-pub(super) fn assumed_saturation(bits: u32, brightest_dn: u16) -> u16 {
-    match (bits, brightest_dn) {
-        (8, _) => 255,
-        (_, ..=4095) => 4095,
-        _ => u16::MAX,
-    }
+    Ok(pixels.assumed_saturation_dn())
 }
 
 /// The keywords that say how a frame was taken.

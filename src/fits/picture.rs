@@ -1,7 +1,6 @@
 //! Greyscale PNG and TIFF pictures as frames. They say nothing of time or exposure.
 
-use super::info::assumed_saturation;
-use super::read::{brightest_dn, refused};
+use super::read::refused;
 use super::structure::MAX_SIDE;
 use super::{MAX_PIXELS, Problem};
 use crate::frame::{Frame, FrameInfo, Pixels};
@@ -27,7 +26,7 @@ pub(super) fn read_picture(bytes: &[u8], format: ImageFormat) -> Result<Frame, P
         DynamicImage::ImageLuma16(grey) => Pixels::U16(grey.into_raw()),
         other => return Err(Problem::content(expected, format!("{:?}", other.color()))),
     };
-    let saturation = assumed_saturation(pixels.bits(), brightest_dn(&pixels));
+    let saturation = pixels.as_slice().assumed_saturation_dn();
     Frame::new(width, height, pixels, saturation, FrameInfo::default()).map_err(refused)
 }
 

@@ -41,7 +41,7 @@ pub(super) fn read_on_demand(bytes: Vec<u8>, hdus: &[Hdu]) -> Result<(Frame, Dam
         PixelType::U8 => Pixels::U8(vec![0; width]),
         PixelType::U16 | PixelType::I16 => Pixels::U16(vec![0; width]),
     };
-    let saturation = read_saturation(&image.header, dark.bits(), 0)?;
+    let saturation = read_saturation(&image.header, dark.as_slice())?;
     let info = read_info(&image.header)?;
     let rows = TileRows {
         pixel_type: image.pixel_type,
@@ -107,7 +107,7 @@ impl<'a> Image<'a> {
             None => pixels.add_plain(&bytes[self.hdu.data_bytes.clone()])?,
         }
         let pixels = pixels.pixels;
-        let saturation = read_saturation(&self.header, pixels.bits(), brightest_dn(&pixels))?;
+        let saturation = read_saturation(&self.header, pixels.as_slice())?;
         let info = read_info(&self.header)?;
         Frame::new(width, height, pixels, saturation, info).map_err(refused)
     }
@@ -310,13 +310,6 @@ fn all_within(numbers: &[i32], range: &RangeInclusive<i32>) -> bool {
 #[multiversion(targets("x86_64+avx2"))]
 fn extend<T>(pixels: &mut Vec<T>, numbers: &[i32], pixel: impl Fn(i32) -> T) {
     pixels.extend(numbers.iter().map(|number| pixel(*number)));
-}
-
-pub(super) fn brightest_dn(pixels: &Pixels) -> u16 {
-    match pixels {
-        Pixels::U8(p) => p.iter().fold(0, |most, dn| most.max(*dn)).into(),
-        Pixels::U16(p) => p.iter().fold(0, |most, dn| most.max(*dn)),
-    }
 }
 
 pub(super) fn refused(error: FrameError) -> Problem {

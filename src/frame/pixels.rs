@@ -24,11 +24,69 @@ impl Pixels {
 
     /// Bits of a stored pixel.
     pub fn bits(&self) -> u32 {
+        self.as_slice().bits()
+    }
+
+    pub fn as_slice(&self) -> PixelSlice<'_> {
+        match self {
+            Self::U8(p) => PixelSlice::U8(p),
+            Self::U16(p) => PixelSlice::U16(p),
+        }
+    }
+}
+
+/// Pixels as [`Pixels`] has them, in memory of somebody else.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PixelSlice<'a> {
+    U8(&'a [u8]),
+    U16(&'a [u16]),
+}
+
+impl PixelSlice<'_> {
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(p) => p.len(),
+            Self::U16(p) => p.len(),
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bits of a stored pixel.
+    pub fn bits(&self) -> u32 {
         match self {
             Self::U8(_) => 8,
             Self::U16(_) => 16,
         }
     }
+
+    /// The value at which pixels saturate that come without a word about it: 16 bits hold 0 to 4095 unless a pixel shows that it is
+    /// not so.
+    pub fn assumed_saturation_dn(&self) -> u16 {
+        match self {
+            Self::U8(_) => 255,
+            // A pixel beyond 4095 has one of the upper bits.
+            Self::U16(p) => match p.iter().fold(0, |bits, dn| bits | dn) {
+                ..=4095 => 4095,
+                _ => u16::MAX,
+            },
+        }
+    }
+
+    fn to_pixels(self) -> Pixels {
+        match self {
+            Self::U8(p) => Pixels::U8(p.into()),
+            Self::U16(p) => Pixels::U16(p.into()),
+        }
+    }
+}
+
+/// Memory that holds the pixels of a frame, row by row from the first, and is not the frame's own.
+pub trait SharedPixels: Send + Sync {
+    /// The pixels: always the same.
+    fn pixels(&self) -> PixelSlice<'_>;
 }
 
 /// A pixel's value as the algorithms read it.
@@ -39,7 +97,7 @@ pub trait Sample: Copy + Default + Ord + Into<u32> + Send + Sync + 'static {
     fn floor(dn: f64) -> Self;
 
     /// The pixels, if they are of this type; else none.
-    fn of(pixels: &Pixels) -> &[Self];
+    fn of(pixels: PixelSlice<'_>) -> &[Self];
 }
 
 impl Sample for u8 {
@@ -52,10 +110,10 @@ impl Sample for u8 {
         dn.floor() as Self
     }
 
-    fn of(pixels: &Pixels) -> &[Self] {
+    fn of(pixels: PixelSlice<'_>) -> &[Self] {
         match pixels {
-            Pixels::U8(pixels) => pixels,
-            Pixels::U16(_) => &[],
+            PixelSlice::U8(pixels) => pixels,
+            PixelSlice::U16(_) => &[],
         }
     }
 }
@@ -70,10 +128,10 @@ impl Sample for u16 {
         dn.floor() as Self
     }
 
-    fn of(pixels: &Pixels) -> &[Self] {
+    fn of(pixels: PixelSlice<'_>) -> &[Self] {
         match pixels {
-            Pixels::U8(_) => &[],
-            Pixels::U16(pixels) => pixels,
+            PixelSlice::U8(_) => &[],
+            PixelSlice::U16(pixels) => pixels,
         }
     }
 }
@@ -114,7 +172,7 @@ impl OnDemand {
 
     fn whole(&self) -> &Pixels {
         self.whole.get_or_init(|| {
-            let rows = (0..self.rows.len()).map(|y| self.row(y));
+            let rows = (0..self.rows.len()).map(|y| self.row(y).as_slice());
             match self.dark {
                 Pixels::U8(_) => Pixels::U8(rows.flat_map(u8::of).copied().collect()),
                 Pixels::U16(_) => Pixels::U16(rows.flat_map(u16::of).copied().collect()),
@@ -130,11 +188,33 @@ impl fmt::Debug for OnDemand {
     }
 }
 
+/// A frame's pixels in memory of somebody else, copied only when they are asked for as [`Pixels`].
+pub(super) struct Shared {
+    source: Box<dyn SharedPixels>,
+    whole: OnceLock<Pixels>,
+}
+
+impl Shared {
+    pub fn new(source: Box<dyn SharedPixels>) -> Self {
+        Self {
+            source,
+            whole: OnceLock::new(),
+        }
+    }
+}
+
+impl fmt::Debug for Shared {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{} shared pixels", self.source.pixels().len())
+    }
+}
+
 /// How a frame has its pixels.
 #[derive(Debug, Clone)]
 pub(super) enum PixelStorage {
     Whole(Pixels),
     OnDemand(Arc<OnDemand>),
+    Shared(Arc<Shared>),
 }
 
 impl PixelStorage {
@@ -142,6 +222,9 @@ impl PixelStorage {
         match self {
             Self::Whole(pixels) => pixels,
             Self::OnDemand(rows) => rows.whole(),
+            Self::Shared(pixels) => pixels
+                .whole
+                .get_or_init(|| pixels.source.pixels().to_pixels()),
         }
     }
 
@@ -149,6 +232,7 @@ impl PixelStorage {
         match self {
             Self::Whole(pixels) => pixels.bits(),
             Self::OnDemand(rows) => rows.dark.bits(),
+            Self::Shared(pixels) => pixels.source.pixels().bits(),
         }
     }
 
@@ -158,8 +242,9 @@ impl PixelStorage {
             width,
             height,
             rows: match self {
-                Self::Whole(pixels) => Rows::Whole(T::of(pixels)),
+                Self::Whole(pixels) => Rows::Whole(T::of(pixels.as_slice())),
                 Self::OnDemand(rows) => Rows::OnDemand(rows),
+                Self::Shared(pixels) => Rows::Whole(T::of(pixels.source.pixels())),
             },
         }
     }
@@ -191,7 +276,7 @@ impl<'a, T: Sample> View<'a, T> {
     pub fn row(&self, y: usize) -> &'a [T] {
         match self.rows {
             Rows::Whole(pixels) => &pixels[y * self.width..][..self.width],
-            Rows::OnDemand(rows) => T::of(rows.row(y)),
+            Rows::OnDemand(rows) => T::of(rows.row(y).as_slice()),
         }
     }
 
@@ -227,6 +312,7 @@ macro_rules! with_view {
 
 #[cfg(test)]
 mod tests {
+    use super::{PixelSlice, SharedPixels};
     use crate::frame::{Frame, FrameInfo, Pixels, RowSource};
     use std::sync::{Arc, Mutex};
 
@@ -256,5 +342,30 @@ mod tests {
         let whole: Vec<u8> = [0, 1, 9, 9, 4].iter().flat_map(|dn| [*dn; 4]).collect();
         assert_eq!(*frame.pixels(), Pixels::U8(whole));
         assert_eq!(*asked.lock().unwrap(), [4, 0, 1, 2, 3]);
+    }
+
+    impl SharedPixels for Vec<u16> {
+        fn pixels(&self) -> PixelSlice<'_> {
+            PixelSlice::U16(self)
+        }
+    }
+
+    #[test]
+    fn shared_pixels_are_seen_as_those_of_a_frame_of_its_own() {
+        let pixels: Vec<u16> = (0..12).collect();
+        let info = FrameInfo::default;
+        let shared = Frame::shared(4, 3, Box::new(pixels.clone()), 4095, info()).unwrap();
+        let own = Frame::new(4, 3, Pixels::U16(pixels.clone()), 4095, info()).unwrap();
+        assert_eq!(shared.bits(), 16);
+        assert_eq!(shared.row_dn(2, 0..4), own.row_dn(2, 0..4));
+        assert_eq!(shared, own);
+        assert!(Frame::shared(5, 3, Box::new(pixels), 4095, info()).is_err());
+    }
+
+    #[test]
+    fn pixels_of_16_bits_hold_12_unless_one_shows_more() {
+        assert_eq!(PixelSlice::U8(&[3]).assumed_saturation_dn(), 255);
+        assert_eq!(PixelSlice::U16(&[3, 4095]).assumed_saturation_dn(), 4095);
+        assert_eq!(PixelSlice::U16(&[4096, 3]).assumed_saturation_dn(), 65_535);
     }
 }

@@ -256,20 +256,14 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     if let Some(flies) = args.navigation.navigation {
         return navigation::run(args, flies);
     }
-    let instrument = options::instrument(args.instrument.as_deref())?;
-    let radius_arcsec = match args.sun.sun_radius {
-        Some(radius) => radius,
-        None => sky::sun_angular_radius(args.utc).context("--utc")?,
-    };
-    let conditions = args.conditions(&instrument, radius_arcsec);
-    let mut scenes = args.scenes(&instrument, &conditions)?;
+    let mut scenes = args.scenes()?;
     let mut truth = TruthFile::create(&args.out, TRUTH_HEADER)?;
     let progress = progress_bar(args.frames as usize, "frames");
-    for number in 0..args.frames {
-        let picture = args.picture(&mut scenes, number)?;
+    for (number, picture) in args.pictures(&mut scenes).enumerate() {
+        let picture = picture?;
         let file = args.out.join(format!("frame_{number:05}.fits"));
         fits::write_frame(&file, &picture.frame, &[], &[], Compression::Rice)?;
-        truth.row(&truth_line(number, &picture.truth))?;
+        truth.row(&truth_line(number as u64, &picture.truth))?;
         progress.inc(1);
     }
     progress.finish_and_clear();
@@ -280,7 +274,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
 }
 
 /// Where the frames' scenes come from.
-enum Scenes {
+pub enum Scenes {
     Random(Box<RandomScenes>),
     Drift(Box<DriftScenes>),
 }
@@ -297,15 +291,30 @@ fn truth_line(number: u64, truth: &Truth) -> String {
 }
 
 impl SimulateArgs {
-    fn scenes(&self, instrument: &Instrument, conditions: &Conditions) -> anyhow::Result<Scenes> {
+    /// The scenes of the Sun on the plate that the options tell of.
+    ///
+    /// # Errors
+    /// The instrument's file; a year in which the Sun's size is not known; options that give no scene.
+    pub fn scenes(&self) -> anyhow::Result<Scenes> {
+        let instrument = options::instrument(self.instrument.as_deref())?;
+        let radius_arcsec = match self.sun.sun_radius {
+            Some(radius) => radius,
+            None => sky::sun_angular_radius(self.utc).context("--utc")?,
+        };
+        let conditions = self.conditions(&instrument, radius_arcsec);
         if self.drift {
             let middle = self.utc_at((self.frames - 1) as f64 / 2.0)?;
             let at = (middle, self.place.unwrap_or(FORT_SUMNER));
-            let drift = DriftScenes::new(instrument, conditions, at, self.seed)?;
+            let drift = DriftScenes::new(&instrument, &conditions, at, self.seed)?;
             return Ok(Scenes::Drift(Box::new(drift)));
         }
-        let scenes = RandomScenes::new(instrument, conditions, self.seed)?;
+        let scenes = RandomScenes::new(&instrument, &conditions, self.seed)?;
         Ok(Scenes::Random(Box::new(scenes)))
+    }
+
+    /// The frames of these scenes, each with its truth, in the order of their numbers.
+    pub fn pictures(&self, scenes: &mut Scenes) -> impl Iterator<Item = anyhow::Result<Picture>> {
+        (0..self.frames).map(|number| self.picture(scenes, number))
     }
 
     fn utc_at(&self, number: f64) -> anyhow::Result<Timestamp> {

@@ -1,0 +1,228 @@
+"""A flight's archive and its refined aspect as astropy's tables and times, its frames as arrays and sunpy's maps.
+
+astropy is needed, and sunpy for maps: `pip install 'solaspect[maps]'`.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .errors import SolaspectError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    from astropy.io.fits import Header
+    from astropy.table import Table
+    from sunpy.map import GenericMap
+
+    from ._types import PathLike
+
+#: Units of the logs as astropy writes them: the endings of the columns' names, or what stands behind a name in brackets.
+UNITS = {
+    "%": "percent",
+    "DN": "DN",
+    "arcsec": "arcsec",
+    "deg C": "deg_C",
+    "deg": "deg",
+    "dn": "DN",
+    "mil": "25.4 um",
+    "mil/px": "25.4 um / pix",
+    "mil_per_px": "25.4 um / pix",
+    "ms": "ms",
+    "px": "pix",
+    "s": "s",
+    "us": "us",
+}
+#: Columns that hold text even if it reads like a number, or is empty throughout.
+TEXT = {
+    "solutions": {"file", "quality", "reason", "mapping", "disk"},
+    "housekeeping": {"stopped", "ids", "disks", "commit", "configuration", "roll_reasons", "restarts"},
+}
+
+
+def open_archive(directory: PathLike) -> Archive:
+    """The archive of a flight; of several cameras, the folder of one.
+
+    Raises
+    ------
+    SolaspectError
+        The folder is not there.
+    """
+    return Archive(directory)
+
+
+def open_refined(directory: PathLike) -> Refined:
+    """What `refine` left in a folder.
+
+    Raises
+    ------
+    SolaspectError
+        The folder holds no refined flight.
+    """
+    return Refined(directory)
+
+
+class Archive:
+    """A flight's archive, as `solaspect fly` and `solaspect demo` write it.
+
+    Attributes
+    ----------
+    directory : Path
+        Its folder.
+    """
+
+    def __init__(self, directory: PathLike) -> None:
+        self.directory = Path(directory).absolute()
+        if not self.directory.is_dir():
+            raise SolaspectError(f"{directory}: expected the folder of an archive, found none", str(directory))
+
+    def __repr__(self) -> str:
+        return f"Archive({str(self.directory)!r}, {len(self.frames())} frames)"
+
+    def frames(self, camera: str = "") -> list[Path]:
+        """The frames' files, by name, which begins with the time: those of the cameras that see the plate, or of the `camera` ("roll", "moon")."""
+        begins = (f"{camera}_",) if camera else ("roll_", "moon_")
+        files = self.directory.rglob("*.fits")
+        return sorted(path for path in files if path.name.startswith(begins) == bool(camera))
+
+    def array(self, frame: PathLike) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+        """A frame's pixels, rows by columns, as `solve` takes them. A path that is not absolute is one of the archive."""
+        from astropy.io import fits
+
+        with fits.open(self.directory / frame) as hdus:
+            return _image(hdus).data
+
+    def header(self, frame: PathLike) -> Header:
+        """A frame's keywords: docs/keywords.md tells what they mean."""
+        from astropy.io import fits
+
+        with fits.open(self.directory / frame) as hdus:
+            return _image(hdus).header
+
+    def map(self, frame: PathLike) -> GenericMap:
+        """A frame as a sunpy map, which knows where each pixel is on the Sun if the frame was solved."""
+        import sunpy.map
+
+        return sunpy.map.Map(self.directory / frame)
+
+    def solutions(self) -> Table:
+        """The solution log: one row for each solved frame of every start, in order. What is not known is masked.
+
+        `utc` is an astropy `Time`; the columns' units are those of their names, a mil being 25.4 um. docs/archive.md tells the columns.
+        """
+        return self._logs("solutions")
+
+    def housekeeping(self) -> Table:
+        """The housekeeping, one row each second, in the same form; docs/protocol.md tells the columns."""
+        return self._logs("housekeeping")
+
+    def _logs(self, kind: str) -> Table:
+        rows = [row for path in sorted(self.directory.glob(f"{kind}_*.csv")) for row in _rows(path)]
+        if not rows:
+            where = self.directory / f"{kind}_*.csv"
+            raise SolaspectError(f"{where}: expected a log with rows, found none", str(where))
+        return _table(rows, TEXT[kind])
+
+
+class Refined:
+    """What `refine` made of a flight; of several cameras, the folder of one.
+
+    Attributes
+    ----------
+    directory : Path
+        The folder with `aspect.fits`, `summary.json` and `report.html`.
+    """
+
+    def __init__(self, directory: PathLike) -> None:
+        self.directory = Path(directory).absolute()
+        if not (self.directory / "aspect.fits").is_file():
+            raise SolaspectError(f"{directory}: expected aspect.fits of a refined flight, found none", str(directory))
+
+    def __repr__(self) -> str:
+        return f"Refined({str(self.directory)!r})"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """`summary.json`: counts, jumps of the mapping, steps of the clock, versions."""
+        return json.loads((self.directory / "summary.json").read_text())
+
+    def aspect(self) -> Table:
+        """A row for each frame; what is not known is NaN. `UTC` is an astropy `Time`, masked there. docs/refine.md tells the columns."""
+        table = self._table("ASPECT")
+        table["UTC"] = _times(table["UTC"])
+        return table
+
+    def smoothed(self) -> Table:
+        """The smoothed path of the Sun on the plate, at every frame and half-way between."""
+        return self._table("SMOOTHED")
+
+    def _table(self, name: str) -> Table:
+        from astropy.table import Table
+
+        return Table.read(self.directory / "aspect.fits", hdu=name, mask_invalid=False)
+
+
+def _image(hdus: Any) -> Any:
+    """The first image with two axes."""
+    for hdu in hdus:
+        if hdu.is_image and hdu.header.get("NAXIS") == 2:
+            return hdu
+    raise SolaspectError(f"{hdus.filename()}: expected an image with two axes, found none", hdus.filename())
+
+
+def _times(column: Any) -> Any:
+    """Times of a column of text; those that are not known are masked."""
+    import numpy as np
+    from astropy.time import Time
+
+    text: Any = np.asarray(np.ma.filled(np.ma.asarray(column, dtype=str), ""))
+    known = np.char.str_len(text) > 0
+    times = Time(np.where(known, np.char.rstrip(text, "Z"), "2000-01-01T00:00:00"), scale="utc", format="isot", precision=9)
+    if not known.all():
+        times[~known] = np.ma.masked
+    return times
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a log; one that the flight's end cut off is dropped."""
+    with path.open(newline="") as file:
+        return [row for row in csv.DictReader(file) if None not in row.values()]
+
+
+def _table(rows: list[dict[str, str]], text: set[str]) -> Table:
+    """A table of the columns that any row has."""
+    from astropy.table import Column, MaskedColumn, Table
+
+    table = Table()
+    for heading in dict.fromkeys(name for row in rows for name in row):
+        name, unit = _name_and_unit(heading)
+        values = [row.get(heading, "") for row in rows]
+        if name == "utc":
+            table[name] = _times(values)
+        elif name in text or not all(map(_is_number, values)):
+            table[name] = Column(values, dtype=str)
+        else:
+            numbers = [float(value or "nan") for value in values]
+            table[name] = MaskedColumn(numbers, mask=[not value for value in values], unit=unit)
+    return table
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text or "nan")
+    except ValueError:
+        return False
+    return True
+
+
+def _name_and_unit(heading: str) -> tuple[str, str | None]:
+    """Of "uptime_s [s]", or of a name that ends with its unit."""
+    name, _, unit = heading.removesuffix("]").partition(" [")
+    if unit:
+        return name, UNITS.get(unit)
+    endings = [ending for ending in UNITS if name.endswith(f"_{ending}")]
+    return name, UNITS[max(endings, key=len)] if endings else None

@@ -1,0 +1,89 @@
+//! A NumPy array as a frame, without a copy.
+
+use crate::errors::{type_error, value_error};
+use numpy::{Element, PyArray2, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use solaspect::frame::{Frame, FrameInfo, PixelSlice, SharedPixels};
+
+/// The memory of an array that is C-contiguous.
+struct ArrayPixels<T> {
+    first: *const T,
+    count: usize,
+    /// Keeps the memory.
+    _array: Py<PyArray2<T>>,
+}
+
+// SAFETY: the memory lives as long as the array that is held, and is only read. That no other thread writes to the array
+// meanwhile is for the caller to see to, as with NumPy's own functions that release the GIL.
+unsafe impl<T: Sync> Send for ArrayPixels<T> {}
+unsafe impl<T: Sync> Sync for ArrayPixels<T> {}
+
+impl<T: Element> ArrayPixels<T> {
+    fn new(array: &Bound<'_, PyArray2<T>>) -> Self {
+        Self {
+            first: array.data(),
+            count: array.len(),
+            _array: array.clone().unbind(),
+        }
+    }
+
+    fn slice(&self) -> &[T] {
+        // SAFETY: NumPy says where the array's numbers begin and how many there are, and `contiguous` that nothing lies between.
+        unsafe { std::slice::from_raw_parts(self.first, self.count) }
+    }
+}
+
+impl SharedPixels for ArrayPixels<u8> {
+    fn pixels(&self) -> PixelSlice<'_> {
+        PixelSlice::U8(self.slice())
+    }
+}
+
+impl SharedPixels for ArrayPixels<u16> {
+    fn pixels(&self) -> PixelSlice<'_> {
+        PixelSlice::U16(self.slice())
+    }
+}
+
+/// A frame of an array's pixels: those of the array itself where it is C-contiguous and in the machine's byte order, else of a
+/// copy.
+pub fn frame(
+    array: &Bound<'_, PyAny>,
+    saturation_dn: Option<u16>,
+    info: FrameInfo,
+) -> PyResult<Frame> {
+    let untyped = array
+        .cast::<PyUntypedArray>()
+        .map_err(|_| type_error("array", "a numpy.ndarray of uint8 or uint16", array))?;
+    let &[height, width] = untyped.shape() else {
+        let dimensions = untyped.ndim();
+        let problem = format!("expected 2 dimensions (rows, columns), found {dimensions}");
+        return Err(value_error("array", problem));
+    };
+    let dtype = untyped.dtype();
+    let kind: (u8, usize) = (
+        numpy::PyArrayDescrMethods::kind(&dtype),
+        numpy::PyArrayDescrMethods::itemsize(&dtype),
+    );
+    let pixels: Box<dyn SharedPixels> = match kind {
+        (b'u', 1) => Box::new(ArrayPixels::<u8>::new(&contiguous(array, "uint8")?)),
+        (b'u', 2) => Box::new(ArrayPixels::<u16>::new(&contiguous(array, "uint16")?)),
+        _ => {
+            let problem = format!("array: expected dtype uint8 or uint16, found {dtype}");
+            return Err(pyo3::exceptions::PyTypeError::new_err(problem));
+        }
+    };
+    let saturation_dn = saturation_dn.unwrap_or_else(|| pixels.pixels().assumed_saturation_dn());
+    Frame::shared(width, height, pixels, saturation_dn, info)
+        .map_err(|error| value_error("array", error))
+}
+
+/// The array itself where its rows follow each other in the machine's byte order, else a copy of which that is true.
+fn contiguous<'py, T: Element>(
+    array: &Bound<'py, PyAny>,
+    dtype: &str,
+) -> PyResult<Bound<'py, PyArray2<T>>> {
+    let numpy = array.py().import("numpy")?;
+    let array = numpy.call_method1("ascontiguousarray", (array, dtype))?;
+    Ok(array.cast_into()?)
+}

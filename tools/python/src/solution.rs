@@ -1,0 +1,560 @@
+//! What a frame gave, stage by stage. Positions are arrays of two numbers; what the frame did not reach is `None`.
+
+use crate::numbers::{as_json, datetime, matrix, pair, pairs};
+use jiff::Timestamp;
+use numpy::{
+    AllowTypeChange, PyArray1, PyArray2, PyArrayDyn, PyArrayLikeDyn, PyArrayMethods,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDateTime;
+use solaspect::archive::Record;
+use solaspect::aspect::{self, Contradiction, Origin};
+use solaspect::fiducial::{self, Lighting};
+use solaspect::pointing;
+use solaspect::units::{PlateMil, SensorPx};
+use std::time::Duration;
+
+type Pair<'py> = Bound<'py, PyArray1<f64>>;
+type Pairs<'py> = Bound<'py, PyArray2<f64>>;
+
+/// What a frame gave, stage by stage. What it did not reach is None, or has no rows.
+#[pyclass(frozen, module = "solaspect")]
+pub struct Solution {
+    pub inner: aspect::Solution,
+    pub utc: Option<Timestamp>,
+    pub offset: Option<pointing::Offset>,
+    pub contradictions: Vec<Contradiction>,
+    pub solve_time: Duration,
+}
+
+impl Solution {
+    fn of_aspect<T>(&self, of: impl FnOnce(&aspect::Aspect) -> T) -> Option<T> {
+        self.inner.aspect.as_ref().map(of)
+    }
+
+    fn record(&self) -> Record {
+        let time = Some(self.solve_time);
+        Record::new("", self.utc, &self.inner, self.offset, time)
+    }
+}
+
+#[pymethods]
+impl Solution {
+    /// "fine" (disc and mapping from this very frame), "coarse" (part of the disc, or a borrowed mapping) or "none".
+    #[getter]
+    fn quality(&self) -> &'static str {
+        self.inner.quality.name()
+    }
+
+    /// Why the frame is not fine.
+    #[getter]
+    fn reason(&self) -> Option<Reason> {
+        self.inner.stopped.map(|stopped| Reason {
+            stage: stopped.stage.name(),
+            reason: stopped.rejected.reason,
+            measured: stopped.rejected.measured,
+            limit: stopped.rejected.limit,
+        })
+    }
+
+    /// Mid-exposure, UTC, to the microsecond.
+    #[getter]
+    fn time<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDateTime>>> {
+        self.utc.map(|utc| datetime(py, utc)).transpose()
+    }
+
+    /// Brightness levels, DN.
+    #[getter]
+    fn levels(&self) -> Option<Levels> {
+        self.inner.levels.map(|levels| Levels {
+            background_dn: levels.background_dn,
+            noise_dn: levels.noise_dn,
+            disc_dn: levels.disc_dn,
+        })
+    }
+
+    /// Points of the limb that the disc rests on, (n, 2), px.
+    #[getter]
+    fn limb_px<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
+        pairs(py, self.inner.limb.iter().map(|p| [p.at.x, p.at.y]))
+    }
+
+    /// 1 sigma of the limb points across the limb, (n,), px.
+    #[getter]
+    fn limb_sigma_px<'py>(&self, py: Python<'py>) -> Pair<'py> {
+        PyArray1::from_iter(py, self.inner.limb.iter().map(|point| point.sigma_px))
+    }
+
+    /// Blur of the limb, 1 sigma, px; pixel response removed in quadrature.
+    #[getter]
+    fn limb_blur_px(&self) -> Option<f64> {
+        self.inner.limb_blur_px
+    }
+
+    /// Part of the limb that was seen, 0 to 1.
+    #[getter]
+    fn limb_fraction(&self) -> Option<f64> {
+        self.of_aspect(|aspect| aspect.limb_fraction)
+    }
+
+    /// Marks that were found, identified or not; none where the prior predicted them.
+    #[getter]
+    fn detections(&self) -> Vec<Detection> {
+        let marks = &self.inner.detections.marks;
+        marks.iter().map(|&inner| Detection { inner }).collect()
+    }
+
+    /// Marks with their ids.
+    #[getter]
+    fn marks(&self) -> Vec<Mark> {
+        let marks = &self.inner.marks;
+        marks.iter().map(|&inner| Mark { inner }).collect()
+    }
+
+    /// The sensor-to-plate transformation.
+    #[getter]
+    fn mapping(&self) -> Option<Mapping> {
+        let mapping = self.inner.mapping.clone().zip(self.inner.aspect);
+        mapping.map(|(inner, aspect)| Mapping { inner, aspect })
+    }
+
+    /// The image of the disc's centre on the sensor, px.
+    #[getter]
+    fn sun_px<'py>(&self, py: Python<'py>) -> Option<Pair<'py>> {
+        self.of_aspect(|a| pair(py, [a.sun_px.position.x, a.sun_px.position.y]))
+    }
+
+    /// 1 sigma of sun_px, px.
+    #[getter]
+    fn sun_px_sigma<'py>(&self, py: Python<'py>) -> Option<Pair<'py>> {
+        self.of_aspect(|aspect| pair(py, aspect.sun_px.sigma()))
+    }
+
+    /// Covariance of sun_px, (2, 2), px^2.
+    #[getter]
+    fn sun_px_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Pairs<'py>>> {
+        self.of_aspect(|aspect| matrix(py, &aspect.sun_px.covariance))
+            .transpose()
+    }
+
+    /// The disc's radius at the mapping's scale there, px.
+    #[getter]
+    fn sun_radius_px(&self) -> Option<f64> {
+        self.of_aspect(|aspect| aspect.sun_radius_px.value)
+    }
+
+    /// 1 sigma of sun_radius_px, px.
+    #[getter]
+    fn sun_radius_px_sigma(&self) -> Option<f64> {
+        self.of_aspect(|aspect| aspect.sun_radius_px.sigma)
+    }
+
+    /// The disc's centre on the plate, mil.
+    #[getter]
+    fn sun_plate_mil<'py>(&self, py: Python<'py>) -> Option<Pair<'py>> {
+        self.of_aspect(|a| pair(py, [a.sun_plate.position.x, a.sun_plate.position.y]))
+    }
+
+    /// 1 sigma of sun_plate_mil, mil; the mapping's uncertainty included.
+    #[getter]
+    fn sun_plate_sigma_mil<'py>(&self, py: Python<'py>) -> Option<Pair<'py>> {
+        self.of_aspect(|aspect| pair(py, aspect.sun_plate.sigma()))
+    }
+
+    /// Covariance of sun_plate_mil, (2, 2), mil^2.
+    #[getter]
+    fn sun_plate_covariance_mil2<'py>(&self, py: Python<'py>) -> PyResult<Option<Pairs<'py>>> {
+        self.of_aspect(|aspect| matrix(py, &aspect.sun_plate.covariance))
+            .transpose()
+    }
+
+    /// The telescope's offset from its target; None without time, place or Sun.
+    #[getter]
+    fn offset(&self) -> Option<Offset> {
+        self.offset.map(|inner| Offset { inner })
+    }
+
+    /// What the frame teaches for the next: `solve`'s prior.
+    #[getter]
+    fn track(&self) -> Option<Track> {
+        self.inner.track.clone().map(|inner| Track { inner })
+    }
+
+    /// What the frame contradicts of the instrument's file by more than five sigma.
+    #[getter]
+    fn contradictions(&self) -> Vec<String> {
+        self.contradictions
+            .iter()
+            .map(ToString::to_string)
+            .collect()
+    }
+
+    /// Wall time of the solver alone, us.
+    #[getter]
+    fn solve_us(&self) -> u64 {
+        self.solve_time.as_micros() as u64
+    }
+
+    /// The fields of a line of `solaspect solve --format jsonl`, without the file.
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let record = as_json(py, &self.record())?;
+        record.del_item("file")?;
+        Ok(record)
+    }
+
+    fn __repr__(&self) -> String {
+        let mut parts = vec![self.quality().to_string()];
+        if let Some(aspect) = &self.inner.aspect {
+            let (px, mil) = (aspect.sun_px.position, aspect.sun_plate.position);
+            let [sx, sy] = aspect.sun_plate.sigma();
+            parts.push(format!("Sun at ({:.3}, {:.3}) px", px.x, px.y));
+            parts.push(format!(
+                "({:.2} +- {sx:.2}, {:.2} +- {sy:.2}) mil",
+                mil.x, mil.y
+            ));
+            let count = self.inner.marks.len() as u64;
+            parts.push(solaspect::units::counted(count, "mark"));
+        }
+        if let Some(mapping) = &self.inner.mapping {
+            parts.push(mapping.name().into());
+        }
+        if let Some(offset) = &self.offset {
+            let (azimuth, elevation) = (offset.azimuth_deg, offset.elevation_deg);
+            parts.push(format!("offset ({azimuth:+.4}, {elevation:+.4}) deg"));
+        }
+        parts.extend(self.inner.stopped.map(|stopped| stopped.to_string()));
+        format!("Solution({})", parts.join(", "))
+    }
+}
+
+/// Why a frame went no further: the stage, the reason, what was measured and its limit, in the unit of what was tested.
+#[pyclass(frozen, get_all, module = "solaspect")]
+pub struct Reason {
+    stage: &'static str,
+    reason: &'static str,
+    measured: f64,
+    limit: f64,
+}
+
+#[pymethods]
+impl Reason {
+    fn __str__(&self) -> String {
+        format!("{}: {}", self.stage, self.reason)
+    }
+
+    fn __repr__(&self) -> String {
+        let (measured, limit) = (self.measured, self.limit);
+        format!(
+            "Reason(\"{}\", measured={measured}, limit={limit})",
+            self.__str__()
+        )
+    }
+}
+
+/// Brightness levels of a frame, DN: background, 1 sigma of its noise, the bright part of the disc.
+#[pyclass(frozen, get_all, module = "solaspect")]
+pub struct Levels {
+    background_dn: f64,
+    noise_dn: f64,
+    disc_dn: f64,
+}
+
+#[pymethods]
+impl Levels {
+    fn __repr__(&self) -> String {
+        let (background, noise, disc) = (self.background_dn, self.noise_dn, self.disc_dn);
+        format!("Levels(background {background:.2} DN, noise {noise:.2} DN, disc {disc:.2} DN)")
+    }
+}
+
+fn lighting_name(lighting: Lighting) -> &'static str {
+    match lighting {
+        Lighting::Full => "full",
+        Lighting::Cut => "cut",
+    }
+}
+
+/// A mark that was found on the disc, without an id.
+#[pyclass(frozen, module = "solaspect")]
+pub struct Detection {
+    inner: fiducial::Detection,
+}
+
+#[pymethods]
+impl Detection {
+    /// Position, px.
+    #[getter]
+    fn px<'py>(&self, py: Python<'py>) -> Pair<'py> {
+        pair(py, [self.inner.at.x, self.inner.at.y])
+    }
+
+    /// 1 sigma per axis, px.
+    #[getter]
+    fn sigma_px(&self) -> f64 {
+        self.inner.sigma_px
+    }
+
+    /// Darkness of the cross as a fraction of the light around it.
+    #[getter]
+    fn contrast(&self) -> f64 {
+        self.inner.contrast
+    }
+
+    /// Part of the structure about the position that a cross explains, 0 to 1.
+    #[getter]
+    fn likeness(&self) -> f64 {
+        self.inner.likeness
+    }
+
+    /// "full", or "cut" by the limb or the edge of the sensor.
+    #[getter]
+    fn lighting(&self) -> &'static str {
+        lighting_name(self.inner.lighting)
+    }
+
+    fn __repr__(&self) -> String {
+        let (x, y) = (self.inner.at.x, self.inner.at.y);
+        format!(
+            "Detection(({x:.2}, {y:.2}) px, contrast {:.2})",
+            self.inner.contrast
+        )
+    }
+}
+
+/// A fiducial mark with its id.
+#[pyclass(frozen, module = "solaspect")]
+pub struct Mark {
+    inner: aspect::Mark,
+}
+
+#[pymethods]
+impl Mark {
+    /// Its place in the pattern, (i, j), each from -7 to 7.
+    #[getter]
+    fn id(&self) -> (i32, i32) {
+        (self.inner.id.i, self.inner.id.j)
+    }
+
+    /// Position, px.
+    #[getter]
+    fn px<'py>(&self, py: Python<'py>) -> Pair<'py> {
+        pair(py, [self.inner.at.x, self.inner.at.y])
+    }
+
+    /// Covariance of the position, (2, 2), px^2.
+    #[getter]
+    fn covariance_px2<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
+        matrix(py, &self.inner.covariance_px2)
+    }
+
+    /// 1 sigma per axis, the mean of both, px.
+    #[getter]
+    fn sigma_px(&self) -> f64 {
+        self.inner.sigma_px()
+    }
+
+    /// "full", or "cut" by the limb or the edge of the sensor.
+    #[getter]
+    fn lighting(&self) -> &'static str {
+        lighting_name(self.inner.lighting)
+    }
+
+    fn __repr__(&self) -> String {
+        let ((i, j), at) = (self.id(), self.inner.at);
+        format!("Mark(({i}, {j}), ({:.3}, {:.3}) px)", at.x, at.y)
+    }
+}
+
+/// The sensor-to-plate transformation that a solution rests on; scale and rotation are those at the Sun's place.
+#[pyclass(frozen, module = "solaspect")]
+pub struct Mapping {
+    inner: aspect::AdoptedMapping,
+    aspect: aspect::Aspect,
+}
+
+#[pymethods]
+impl Mapping {
+    /// "similarity", "keystone", "affine" or "homography".
+    #[getter]
+    fn kind(&self) -> &'static str {
+        self.inner.mapping.kind().name()
+    }
+
+    /// Where it is from: this "frame", the "prior" or the "calibration".
+    #[getter]
+    fn origin(&self) -> &'static str {
+        match self.inner.origin {
+            Origin::Frame => "frame",
+            Origin::Prior => "prior",
+            Origin::Calibration => "calibration",
+        }
+    }
+
+    /// Root mean square residual of the marks per axis, px; None for a borrowed mapping.
+    #[getter]
+    fn residual_px(&self) -> Option<f64> {
+        self.inner.residual_px
+    }
+
+    /// Plate length per pixel, mil/px.
+    #[getter]
+    fn scale_mil_per_px(&self) -> f64 {
+        self.aspect.mapping.scale_mil_per_px.value
+    }
+
+    /// 1 sigma of scale_mil_per_px, mil/px.
+    #[getter]
+    fn scale_sigma_mil_per_px(&self) -> f64 {
+        self.aspect.mapping.scale_mil_per_px.sigma
+    }
+
+    /// Rotation, deg, positive from +x towards +y.
+    #[getter]
+    fn rotation_deg(&self) -> f64 {
+        self.aspect.mapping.rotation_deg.value
+    }
+
+    /// 1 sigma of rotation_deg, deg.
+    #[getter]
+    fn rotation_sigma_deg(&self) -> f64 {
+        self.aspect.mapping.rotation_deg.sigma
+    }
+
+    /// The homography from ideal sensor positions, the lens's distortion taken out, to the plate.
+    #[getter]
+    fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
+        // nalgebra stores columns.
+        let numbers = self.inner.mapping.matrix().transpose().as_slice().to_vec();
+        crate::numbers::rows(py, numbers, 3)
+    }
+
+    /// Plate positions (mil) of sensor positions (px), (..., 2).
+    fn to_plate<'py>(
+        &self,
+        py: Python<'py>,
+        px: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        mapped(py, "px", &px, |x, y| {
+            let at = self.inner.mapping.to_plate(SensorPx::new(x, y));
+            [at.x, at.y]
+        })
+    }
+
+    /// Sensor positions (px) of plate positions (mil), (..., 2).
+    fn to_sensor<'py>(
+        &self,
+        py: Python<'py>,
+        mil: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        mapped(py, "mil", &mil, |x, y| {
+            let at = self.inner.mapping.to_sensor(PlateMil::new(x, y));
+            [at.x, at.y]
+        })
+    }
+
+    fn __repr__(&self) -> String {
+        let (scale, rotation) = (self.scale_mil_per_px(), self.rotation_deg());
+        format!(
+            "Mapping({} of the {}, {scale:.4} mil/px, {rotation:.3} deg)",
+            self.kind(),
+            self.origin()
+        )
+    }
+}
+
+/// Maps positions along the last axis, which has length 2.
+fn mapped<'py>(
+    py: Python<'py>,
+    argument: &str,
+    positions: &PyArrayLikeDyn<'py, f64, AllowTypeChange>,
+    map: impl Fn(f64, f64) -> [f64; 2],
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    let shape = positions.shape().to_vec();
+    if shape.last() != Some(&2) {
+        let problem =
+            format!("expected positions (x, y) along the last axis, found shape {shape:?}");
+        return Err(crate::errors::value_error(argument, problem));
+    }
+    let numbers: Vec<f64> = positions.as_array().iter().copied().collect();
+    let mapped = numbers
+        .as_chunks::<2>()
+        .0
+        .iter()
+        .flat_map(|[x, y]| map(*x, *y));
+    PyArray1::from_vec(py, mapped.collect()).reshape(shape)
+}
+
+/// Where the telescope points, minus its target.
+#[pyclass(frozen, module = "solaspect")]
+pub struct Offset {
+    inner: pointing::Offset,
+}
+
+#[pymethods]
+impl Offset {
+    /// Difference of azimuths, deg, -180 to 180.
+    #[getter]
+    fn azimuth_deg(&self) -> f64 {
+        self.inner.azimuth_deg
+    }
+
+    /// Difference of elevations, deg.
+    #[getter]
+    fn elevation_deg(&self) -> f64 {
+        self.inner.elevation_deg
+    }
+
+    /// True angle across, deg, from the target's vertical circle towards larger azimuth.
+    #[getter]
+    fn cross_elevation_deg(&self) -> f64 {
+        self.inner.cross_elevation_deg
+    }
+
+    /// 1 sigma per axis of true angle, of this frame, deg.
+    #[getter]
+    fn sigma_deg(&self) -> f64 {
+        self.inner.sigma_deg
+    }
+
+    /// Covariance of this frame in true angle, across and in elevation, (2, 2), deg^2.
+    #[getter]
+    fn covariance_deg2<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
+        matrix(py, &self.inner.covariance_deg2)
+    }
+
+    /// 1 sigma per axis that the calibration leaves, the same in every frame, deg.
+    #[getter]
+    fn calibration_sigma_deg(&self) -> f64 {
+        self.inner.calibration_sigma_deg()
+    }
+
+    /// Covariance that the calibration leaves, across and in elevation, (2, 2), deg^2.
+    #[getter]
+    fn calibration_covariance_deg2<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
+        matrix(py, &self.inner.calibration_deg2)
+    }
+
+    fn __repr__(&self) -> String {
+        let (azimuth, elevation) = (self.inner.azimuth_deg, self.inner.elevation_deg);
+        let sigma = self.inner.sigma_deg;
+        format!(
+            "Offset(azimuth {azimuth:+.5} deg, elevation {elevation:+.5} deg, sigma {sigma:.5} deg)"
+        )
+    }
+}
+
+/// What one frame teaches for the next.
+#[pyclass(frozen, module = "solaspect")]
+pub struct Track {
+    pub inner: aspect::Track,
+}
+
+#[pymethods]
+impl Track {
+    fn __repr__(&self) -> String {
+        let disc = &self.inner.disc;
+        let (x, y, radius) = (disc.centre.x, disc.centre.y, disc.radius);
+        format!("Track(disc of {radius:.2} px at ({x:.2}, {y:.2}) px)")
+    }
+}

@@ -1,0 +1,35 @@
+"""The Python of the pages in docs/python runs, block after block, beside the archive of a flight."""
+
+import os
+import re
+
+import matplotlib.pyplot as plt
+import pytest
+from conftest import REPOSITORY
+
+PAGES = sorted((REPOSITORY / "docs/python").glob("*.md"))
+BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(page):
+    """Each block as compiled code that knows its lines of the page."""
+    text = page.read_text()
+    for block in BLOCK.finditer(text):
+        lines_before = text[: block.start(1)].count("\n")
+        yield compile("\n" * lines_before + block[1], str(page), "exec")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_page_runs(page, archive_directory, tmp_path, monkeypatch):
+    os.symlink(archive_directory.resolve(), tmp_path / "flight")
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__main__"}
+    codes = list(blocks(page))
+    assert codes, f"{page}: expected blocks of Python, found none"
+    for code in codes:
+        exec(code, namespace)
+    plt.close("all")
+
+
+def test_there_are_pages():
+    assert {page.stem for page in PAGES} == {"first-look", "jitter", "two-calibrations", "science-image"}
