@@ -257,7 +257,7 @@ mod tests {
                 azimuth_deg: *azimuth_deg,
                 elevation_deg: *elevation_deg,
             };
-            (time(utc).unwrap(), pointing)
+            (parse_utc(utc).unwrap(), pointing)
         });
         PointingLog::new(rows.collect()).unwrap()
     }
