@@ -94,7 +94,7 @@ say "the tarball, with nothing around it"
 mkdir "$work/empty"
 tar -C "$work/empty" --strip-components 1 -xzf "$tarball"
 chmod 1777 "$work/empty"
-alone() { env -i chroot --userspec=nobody "$work/empty" /bin/solaspect "$@"; }
+alone() { env -i "$(command -v chroot)" --userspec=nobody "$work/empty" /bin/solaspect "$@"; }
 alone --version
 alone fly --config /share/solaspect/solaspect.example.toml --camera simulated --archive /flown --duration 10s
 alone archive check /flown

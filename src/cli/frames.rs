@@ -126,7 +126,7 @@ pub(super) trait Row: Serialize {
 
     fn csv_row(&self) -> Vec<String>;
 
-    /// Titles and widths of the table's columns after the file's; the last one is of [`REMARKS`].
+    /// Titles and widths of the table's columns after the file's; the last one is of [`REMARKS`] and has no title.
     fn table_columns() -> &'static [(&'static str, usize)];
 
     /// The file, and what stands in the other columns.

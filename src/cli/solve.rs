@@ -196,7 +196,7 @@ impl Row for Line {
             ("sigma, arcsec", 13),
             ("marks", 5),
             ("offset, arcsec", 16),
-            ("reason", REMARKS),
+            ("", REMARKS),
         ]
     }
 

@@ -144,7 +144,10 @@ const UNLIKE: f64 = 0.7;
 
 /// The error for a key that nothing knows, naming the nearest that is known, if any is near.
 pub fn unknown_key(path: &Path, key: &str, known_keys: &[String]) -> TomlError {
-    let likeness = |known: &String| strsim::jaro_winkler(known, key);
+    // A key of the same name in another table is near, whatever the letters of the tables say.
+    let is_namesake = |known: &str| known.rsplit('.').next() == key.rsplit('.').next();
+    let likeness =
+        |known: &String| strsim::jaro_winkler(known, key) + f64::from(u8::from(is_namesake(known)));
     let near = known_keys.iter().filter(|known| likeness(known) > UNLIKE);
     let nearest = near.max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
     let expected = match nearest {

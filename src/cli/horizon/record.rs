@@ -241,7 +241,7 @@ impl Row for Record {
             ("sigma, deg", 10),
             ("nadir x, y, z", 29),
             ("points", 6),
-            ("remarks", REMARKS),
+            ("", REMARKS),
         ]
     }
 

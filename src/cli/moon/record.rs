@@ -199,7 +199,7 @@ impl Row for Record {
             ("radius, px", 10),
             ("lit", 5),
             ("bright limb, deg", 16),
-            ("remarks", REMARKS),
+            ("", REMARKS),
         ]
     }
 
