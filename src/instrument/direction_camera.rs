@@ -99,7 +99,7 @@ pub struct WrongFrameSize {
 #[derive(Deserialize)]
 #[serde(
     untagged,
-    expecting = "a value, or a table with value, sigma, source and date"
+    expecting = "a number or a list of numbers, or a table with value, sigma, source and date"
 )]
 enum Entry<T> {
     Bare(T),
@@ -314,7 +314,7 @@ mod tests {
             ),
             (
                 PLAIN.replace("= 1080", "= \"tall\""),
-                "camera.height_px: expected a whole number, found \"tall\" on line",
+                "camera.height_px: expected a number or a list of numbers, or a table with value, sigma, source and date, found \"tall\" on line",
             ),
             (
                 format!("{PLAIN}kannala_brandt = [-1, 0, 0, 0, 0]\n"),

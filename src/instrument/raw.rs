@@ -512,7 +512,7 @@ mod tests {
         }
         let message = message(&DEMO.replace("\"telescope\"", "\"sun\""));
         assert!(message.contains("mounting.directions"), "{message}");
-        assert!(message.contains("`sun-2013`"), "{message}");
+        assert!(message.contains("\"sun-2013\""), "{message}");
     }
 
     #[test]

@@ -66,8 +66,14 @@ pub fn parse_strict<T: DeserializeOwned>(
         return Err(unknown_key(path, key, known_keys));
     }
     parsed.map_err(|error| {
-        let line = line_of(text, error.span());
-        misfit(path, &track.path().to_string(), error.message(), &line)
+        let standing = Standing {
+            line: line_of(text, error.span()),
+            text: error
+                .span()
+                .and_then(|span| text.get(span))
+                .unwrap_or_default(),
+        };
+        misfit(path, &track.path().to_string(), error.message(), &standing)
     })
 }
 
@@ -94,8 +100,14 @@ const KINDS: [(&str, &str); 8] = [
     ("string", "a text"),
 ];
 
+/// What stands in a file, and where.
+struct Standing<'a> {
+    line: String,
+    text: &'a str,
+}
+
 /// The error for a value that is not what its key takes, from serde's message about it.
-fn misfit(path: &Path, field: &str, message: &str, line: &str) -> TomlError {
+fn misfit(path: &Path, field: &str, message: &str, standing: &Standing) -> TomlError {
     if let Some(name) = message.strip_prefix("missing field ") {
         let name = name.trim_matches('`');
         let key = match field {
@@ -115,12 +127,14 @@ fn misfit(path: &Path, field: &str, message: &str, line: &str) -> TomlError {
             } else {
                 value.replace('`', "")
             };
-            let found = format!("{found} on {line}");
+            let found = format!("{found} on {}", standing.line);
             TomlError::new(path, field, in_plain_words(expected), found)
         }
+        // A type with words of its own for what it takes.
         None => {
-            let message = message.replace('\n', " ");
-            TomlError::new(path, field, format!("a valid value ({message})"), line)
+            let first = standing.text.lines().next().unwrap_or_default();
+            let found = format!("{first} on {}", standing.line);
+            TomlError::new(path, field, message.replace('\n', " "), found)
         }
     }
 }
