@@ -3,7 +3,10 @@
 mod arguments;
 mod errors;
 mod instrument;
+mod mapping;
+mod marks;
 mod numbers;
+mod offset;
 mod pixels;
 mod program;
 mod simulate;
@@ -17,11 +20,17 @@ mod _native {
     #[pymodule_export]
     use super::instrument::{Instrument, compare, load};
     #[pymodule_export]
+    use super::mapping::Mapping;
+    #[pymodule_export]
+    use super::marks::{Detection, Mark};
+    #[pymodule_export]
+    use super::offset::Offset;
+    #[pymodule_export]
     use super::program::{place_text, run, time_text};
     #[pymodule_export]
     use super::simulate::{SimulatedFrame, simulate};
     #[pymodule_export]
-    use super::solution::{Detection, Levels, Mapping, Mark, Offset, Reason, Solution, Track};
+    use super::solution::{Levels, Reason, Solution, Track};
     #[pymodule_export]
     use super::solve::solve;
 

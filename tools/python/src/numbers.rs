@@ -9,16 +9,16 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDateTime, PyTzInfo};
 use serde::Serialize;
 
+pub type Pair<'py> = Bound<'py, PyArray1<f64>>;
+pub type Pairs<'py> = Bound<'py, PyArray2<f64>>;
+
 /// Shape (2,).
-pub fn pair<'py>(py: Python<'py>, pair: [f64; 2]) -> Bound<'py, PyArray1<f64>> {
+pub fn pair<'py>(py: Python<'py>, pair: [f64; 2]) -> Pair<'py> {
     PyArray1::from_slice(py, &pair)
 }
 
 /// Shape (n, 2).
-pub fn pairs<'py>(
-    py: Python<'py>,
-    pairs: impl Iterator<Item = [f64; 2]>,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+pub fn pairs<'py>(py: Python<'py>, pairs: impl Iterator<Item = [f64; 2]>) -> PyResult<Pairs<'py>> {
     rows(py, pairs.flatten().collect(), 2)
 }
 
@@ -33,7 +33,7 @@ pub fn rows<T: Element>(
 }
 
 /// Shape (2, 2).
-pub fn matrix<'py>(py: Python<'py>, m: &Matrix2<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+pub fn matrix<'py>(py: Python<'py>, m: &Matrix2<f64>) -> PyResult<Pairs<'py>> {
     rows(py, vec![m.m11, m.m12, m.m21, m.m22], 2)
 }
 

@@ -1,7 +1,10 @@
 //! A NumPy array as a frame, without a copy.
 
 use crate::errors::{type_error, value_error};
-use numpy::{Element, PyArray2, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
+use numpy::{
+    Element, PyArray2, PyArrayDescrMethods, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use solaspect::frame::{Frame, FrameInfo, PixelSlice, SharedPixels};
 
@@ -55,25 +58,25 @@ pub fn frame(
     let untyped = array
         .cast::<PyUntypedArray>()
         .map_err(|_| type_error("array", "a numpy.ndarray of uint8 or uint16", array))?;
+    if array.hasattr("mask")? {
+        return Err(type_error("array", "an array without a mask", array));
+    }
     let &[height, width] = untyped.shape() else {
         let dimensions = untyped.ndim();
         let problem = format!("expected 2 dimensions (rows, columns), found {dimensions}");
         return Err(value_error("array", problem));
     };
     let dtype = untyped.dtype();
-    let kind: (u8, usize) = (
-        numpy::PyArrayDescrMethods::kind(&dtype),
-        numpy::PyArrayDescrMethods::itemsize(&dtype),
-    );
-    let pixels: Box<dyn SharedPixels> = match kind {
+    let pixels: Box<dyn SharedPixels> = match (dtype.kind(), dtype.itemsize()) {
         (b'u', 1) => Box::new(ArrayPixels::<u8>::new(&contiguous(array, "uint8")?)),
         (b'u', 2) => Box::new(ArrayPixels::<u16>::new(&contiguous(array, "uint16")?)),
         _ => {
             let problem = format!("array: expected dtype uint8 or uint16, found {dtype}");
-            return Err(pyo3::exceptions::PyTypeError::new_err(problem));
+            return Err(PyTypeError::new_err(problem));
         }
     };
-    let saturation_dn = saturation_dn.unwrap_or_else(|| pixels.pixels().assumed_saturation_dn());
+    let assumed = || pixels.pixels().assumed_saturation_dn();
+    let saturation_dn = saturation_dn.unwrap_or_else(|| array.py().detach(assumed));
     Frame::shared(width, height, pixels, saturation_dn, info)
         .map_err(|error| value_error("array", error))
 }

@@ -6,6 +6,8 @@ import importlib
 import inspect
 import pathlib
 import pkgutil
+import subprocess
+import sys
 
 import pytest
 
@@ -59,3 +61,8 @@ def test_examples_in_docstrings(module):
 
 def test_there_are_examples():
     assert sum(len(doctest.DocTestFinder().find(function)[0].examples) for function in (solaspect.solve, solaspect.simulate)) > 5
+
+
+def test_what_is_optional_is_imported_only_when_it_is_used():
+    code = "import sys, solaspect; assert not {'astropy', 'sunpy', 'matplotlib'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

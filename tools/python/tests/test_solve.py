@@ -188,6 +188,7 @@ NAIVE = datetime.datetime(2013, 9, 21, 18)
         ({"array": FRAME.astype(float)}, TypeError, "^array: expected dtype uint8 or uint16, found float64$"),
         ({"array": FRAME.astype(np.int16)}, TypeError, "^array: expected dtype uint8 or uint16, found int16$"),
         ({"array": FRAME.astype(bool)}, TypeError, "^array: expected dtype uint8 or uint16, found bool$"),
+        ({"array": np.ma.masked_equal(FRAME, 0)}, TypeError, "^array: expected an array without a mask, found MaskedArray$"),
         ({"array": FRAME[0]}, ValueError, "^array: expected 2 dimensions .* found 1$"),
         ({"array": FRAME[None]}, ValueError, "^array: expected 2 dimensions .* found 3$"),
         ({"array": FRAME[:0]}, ValueError, "^array: expected a frame of at least one pixel"),
