@@ -31,7 +31,8 @@ impl<T: Element> ArrayPixels<T> {
     }
 
     fn slice(&self) -> &[T] {
-        // SAFETY: NumPy says where the array's numbers begin and how many there are, and `contiguous` that nothing lies between.
+        // SAFETY: NumPy says where the array's numbers begin and how many there are, and `contiguous` sees to
+        // it that they are aligned and nothing lies between.
         unsafe { std::slice::from_raw_parts(self.first, self.count) }
     }
 }
@@ -81,12 +82,12 @@ pub fn frame(
         .map_err(|error| value_error("array", error))
 }
 
-/// The array itself where its rows follow each other in the machine's byte order, else a copy of which that is true.
+/// The array itself where its rows follow each other, aligned and in the machine's byte order, else a copy of which that is true.
 fn contiguous<'py, T: Element>(
     array: &Bound<'py, PyAny>,
     dtype: &str,
 ) -> PyResult<Bound<'py, PyArray2<T>>> {
     let numpy = array.py().import("numpy")?;
-    let array = numpy.call_method1("ascontiguousarray", (array, dtype))?;
+    let array = numpy.call_method1("require", (array, dtype, ["C", "ALIGNED"]))?;
     Ok(array.cast_into()?)
 }

@@ -87,9 +87,11 @@ def test_any_layout_gives_the_same(bits):
     wide = np.zeros((frame.array.shape[0], 2 * frame.array.shape[1]), frame.array.dtype)
     wide[:, ::2] = frame.array
     other_order = frame.array.astype(frame.array.dtype.newbyteorder())
+    unaligned = np.frombuffer(b"\0" + frame.array.tobytes(), frame.array.dtype, offset=1).reshape(frame.array.shape)
     read_only = frame.array.copy()
     read_only.flags.writeable = False
-    for array in (np.asfortranarray(frame.array), wide[:, ::2], frame.array[::-1][::-1], other_order, read_only):
+    reversed_twice = frame.array[::-1][::-1]
+    for array in (np.asfortranarray(frame.array), wide[:, ::2], reversed_twice, other_order, unaligned, read_only):
         assert same(solaspect.solve(array), expected)
 
 
