@@ -130,5 +130,5 @@ pub fn instrument<'py>(
         let expected = "an Instrument, the path of its file or the name of a built-in one";
         type_error("instrument", expected, value)
     })?;
-    Bound::new(py, Instrument::read(path)?)
+    Bound::new(py, Instrument::load(path)?)
 }

@@ -229,7 +229,7 @@ def test_an_instruments_file_is_refused_by_file_and_field(tmp_path):
     assert caught.value.file == str(path) and "scale_mil_per_pixel" in caught.value.field
     again = pickle.loads(pickle.dumps(caught.value))
     assert (str(again), again.file, again.field) == (str(caught.value), caught.value.file, caught.value.field)
-    with pytest.raises(solaspect.SolaspectError, match="readable") as caught:
+    with pytest.raises(solaspect.SolaspectError, match="expected a file, or a built-in") as caught:
         solaspect.solve(FRAME, instrument=tmp_path / "missing.toml")
     assert caught.value.file == str(tmp_path / "missing.toml") and caught.value.field is None
 
