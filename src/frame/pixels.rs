@@ -12,14 +12,11 @@ pub enum Pixels {
 
 impl Pixels {
     pub fn len(&self) -> usize {
-        match self {
-            Self::U8(p) => p.len(),
-            Self::U16(p) => p.len(),
-        }
+        self.as_slice().len()
     }
 
     pub fn is_empty(&self) -> bool {
-        self.len() == 0
+        self.as_slice().is_empty()
     }
 
     /// Bits of a stored pixel.

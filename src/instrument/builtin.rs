@@ -61,16 +61,10 @@ pub fn text_of(path: &Path) -> Result<String, TomlError> {
         return read_text(path);
     }
     let name = path.to_string_lossy();
-    let known = FILES
-        .iter()
-        .chain(&SKY_FILES)
-        .find(|(known, _)| *known == name);
+    let all = FILES.iter().chain(&SKY_FILES);
+    let known = all.clone().find(|(known, _)| *known == name);
     known.map(|(_, text)| (*text).to_owned()).ok_or_else(|| {
-        let names: Vec<&str> = FILES
-            .iter()
-            .chain(&SKY_FILES)
-            .map(|(name, _)| *name)
-            .collect();
+        let names: Vec<&str> = all.map(|(name, _)| *name).collect();
         let expected = format!("a file, or a built-in instrument ({})", names.join(", "));
         TomlError::new(path, "", expected, "neither")
     })

@@ -14,6 +14,15 @@ use nalgebra::Vector2;
 /// Off the path, chi^2 of two.
 pub(super) const ODD_PATH_CHI2: f64 = 100.0;
 
+/// Beyond this the path is a guess, 1 sigma.
+const MOST_SIGMA_MIL: f64 = 100.0;
+
+/// Whether the path is no guess at a point.
+pub(super) fn is_known(point: &PathPoint) -> bool {
+    let sigma = point.variance.map(f64::sqrt);
+    sigma.iter().all(|sigma| *sigma < MOST_SIGMA_MIL)
+}
+
 /// The Sun's path.
 pub(super) struct Followed {
     pub path: Option<Path>,

@@ -48,9 +48,7 @@ impl Sky {
         let roll = roll(row.body_nadir.as_ref(), at, instrument, &sun);
         let towards = pointing::pointing(at, roll, instrument, &sun).ok()?;
         let boresight = pointing::helioprojective(at, roll, instrument, &sun).ok()?;
-        let target = self.target.at(utc, &sun).ok();
-        let offset = target
-            .and_then(|target| pointing::offset(sun_on_plate, roll, instrument, &sun, target).ok());
+        let offset = self.target_offset(sun_on_plate, utc, roll, instrument, &sun);
         Some(SkyRow {
             azimuth_deg: towards.azimuth_deg.rem_euclid(360.0),
             elevation_deg: towards.elevation_deg,
@@ -75,8 +73,19 @@ impl Sky {
     ) -> Option<Offset> {
         let sun = ephemeris.sun(utc, place).ok()?;
         let roll = roll(body_nadir, sun_on_plate.position, instrument, &sun);
-        let target = self.target.at(utc, &sun).ok()?;
-        pointing::offset(sun_on_plate, roll, instrument, &sun, target).ok()
+        self.target_offset(sun_on_plate, utc, roll, instrument, &sun)
+    }
+
+    fn target_offset(
+        &self,
+        sun_on_plate: Estimate<PlateMil>,
+        utc: Timestamp,
+        roll: Roll,
+        instrument: &Instrument,
+        sun: &SunPosition,
+    ) -> Option<Offset> {
+        let target = self.target.at(utc, sun).ok()?;
+        pointing::offset(sun_on_plate, roll, instrument, sun, target).ok()
     }
 }
 

@@ -1,9 +1,8 @@
 //! The telescope's offset at a constant rate, for stabilising images: the smoothed path between the frames.
 
-use super::columns::{
-    SMOOTHED_MOST_SIGMA_MIL, STABILISATION, STABILISATION_COLUMNS, StabilisationRow, table,
-};
+use super::columns::{STABILISATION, STABILISATION_COLUMNS, StabilisationRow, table};
 use super::flight::Flight;
+use super::follow::is_known;
 use super::motion::PathPoint;
 use super::output::{OutputError, csv, whole};
 use super::roll::RollHistory;
@@ -93,11 +92,9 @@ pub fn stabilisation(
 
 /// The Sun on the plate; `None` where the path is a guess.
 fn sun_on_plate(point: &PathPoint) -> Option<Estimate<PlateMil>> {
-    let variance = Vector2::from(point.variance);
-    let known = variance.max() < SMOOTHED_MOST_SIGMA_MIL.powi(2);
-    known.then(|| Estimate {
+    is_known(point).then(|| Estimate {
         position: Vector2::from(point.place).into(),
-        covariance: Matrix2::from_diagonal(&variance),
+        covariance: Matrix2::from_diagonal(&point.variance.into()),
     })
 }
 

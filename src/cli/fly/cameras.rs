@@ -4,8 +4,9 @@ use crate::archive::{self, MOON_CAMERA, ROLL_CAMERA};
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
 use crate::config::{self, Config};
-use crate::instrument::TomlError;
-use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SECOND, SkyCamera, text_of};
+use crate::instrument::{
+    DirectionCamera, Instrument, MountedCamera, SECOND, SkyCamera, TomlError, text_of,
+};
 use crate::service::{Camera, CameraFactory, Seat};
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};

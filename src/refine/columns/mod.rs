@@ -7,7 +7,6 @@ mod stabilisation;
 
 pub use aspect::{ASPECT, ASPECT_COLUMNS};
 pub use roll::{ROLL, ROLL_COLUMNS};
-pub(super) use smoothed::MOST_SIGMA_MIL as SMOOTHED_MOST_SIGMA_MIL;
 pub use smoothed::{SMOOTHED, SMOOTHED_COLUMNS, SmoothedRow};
 pub use stabilisation::{STABILISATION, STABILISATION_COLUMNS, StabilisationRow};
 

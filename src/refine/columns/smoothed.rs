@@ -2,6 +2,7 @@
 
 use super::{Cell, ColumnRow, column};
 use crate::refine::flight::Flight;
+use crate::refine::follow::is_known;
 
 /// The extension that holds the smoothed path: at every frame that has a time, and half-way between two.
 pub const SMOOTHED: &str = "SMOOTHED";
@@ -49,9 +50,6 @@ pub const SMOOTHED_COLUMNS: &[ColumnRow<SmoothedRow>] = &[
     }),
 ];
 
-/// Beyond this the path is a guess, 1 sigma.
-pub(in crate::refine) const MOST_SIGMA_MIL: f64 = 100.0;
-
 impl Flight {
     /// The smoothed path as rows.
     pub fn smoothed_rows(&self) -> Vec<SmoothedRow> {
@@ -59,12 +57,10 @@ impl Flight {
         points
             .zip(&self.path_times_s)
             .map(|(point, unix_s)| {
-                let sigma = point.variance.map(f64::sqrt);
-                let known = sigma.iter().all(|sigma| *sigma < MOST_SIGMA_MIL);
-                let told = [point.place, sigma, point.speed];
+                let told = [point.place, point.variance.map(f64::sqrt), point.speed];
                 SmoothedRow {
                     unix_s: *unix_s,
-                    point: known.then_some(told),
+                    point: is_known(point).then_some(told),
                 }
             })
             .collect()
