@@ -85,6 +85,8 @@ pub mod camera;
 pub mod cli;
 pub mod clock;
 pub mod config;
+#[cfg(feature = "console")]
+pub mod console;
 pub mod estimation;
 pub mod fiducial;
 pub mod fits;

@@ -30,7 +30,7 @@ fn offsets_go_on_while_the_sun_is_away_and_the_archive_keeps_what_they_rest_on()
         archive: folder.path().into(),
         seed: 3,
     };
-    let summary = demo::run(&settings, |_| {}, || false).unwrap();
+    let summary = demo::run(&settings, None, |_| {}, || false).unwrap();
     println!("{summary}");
     assert_eq!(summary.lost(), 0, "{summary}");
     let navigation = &summary.tally.navigation;

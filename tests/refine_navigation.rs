@@ -77,7 +77,7 @@ fn between_frames_the_gyros_tell_where_the_telescope_points() {
         archive: archive.path().into(),
         seed: SEED,
     };
-    demo::run(&settings, |_| {}, || false).unwrap();
+    demo::run(&settings, None, |_| {}, || false).unwrap();
     let [imu, gps] = ["imu_", "gps_"].map(|begins| files(archive.path(), begins).remove(0));
     let calibrated = out.path().join("calibrated.toml");
     let [imu, gps, calibrated] = [&imu, &gps, &calibrated].map(|path| path.to_str().unwrap());

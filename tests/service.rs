@@ -32,7 +32,7 @@ fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
         seed: 1,
     };
     let mut shown = 0;
-    let summary = demo::run(&settings, |_| shown += 1, || false).unwrap();
+    let summary = demo::run(&settings, None, |_| shown += 1, || false).unwrap();
     println!("{summary}");
     assert_eq!(summary.lost(), 0, "{summary}");
     assert_eq!(summary.tally.camera.taken, 40);

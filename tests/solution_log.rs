@@ -151,7 +151,7 @@ fn demonstration(archive: &Path) -> demo::Summary {
         archive: archive.into(),
         seed: 1,
     };
-    demo::run(&settings, |_| {}, || false).unwrap()
+    demo::run(&settings, None, |_| {}, || false).unwrap()
 }
 
 #[test]

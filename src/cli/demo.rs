@@ -56,6 +56,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
     };
     let summary = demo::run(
         &demo,
+        None,
         |glimpse| show(line(glimpse)),
         || interrupted.load(std::sync::atomic::Ordering::Relaxed),
     )?;

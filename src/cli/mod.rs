@@ -5,6 +5,8 @@ pub mod archive;
 mod attitude;
 pub mod calibrate;
 pub mod config;
+#[cfg(feature = "console")]
+pub mod console;
 pub mod demo;
 pub mod fly;
 mod frames;
@@ -63,6 +65,8 @@ enum Command {
     Archive(archive::ArchiveArgs),
     Calibrate(calibrate::CalibrateArgs),
     Link(link::LinkArgs),
+    #[cfg(feature = "console")]
+    Console(Box<console::ConsoleArgs>),
 }
 
 impl Program {
@@ -87,6 +91,8 @@ impl Program {
             Command::Archive(args) => archive::run(args),
             Command::Calibrate(args) => calibrate::run(args),
             Command::Link(args) => link::run(args),
+            #[cfg(feature = "console")]
+            Command::Console(args) => console::run(*args),
         }
     }
 }

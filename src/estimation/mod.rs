@@ -4,12 +4,14 @@
 //! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter. Fits of
 //!   many pixels or marks per frame (limb, fiducial, registration) and the bundle adjustment of the plate have solvers of their own.
 //! - `kalman`: prediction, update and smoothing of a Gaussian state of any fixed size.
+//! - `spectrum`: the power spectral density of a motion.
 //! - `schmidt`: the update of an error of many states, some of which are only considered.
 
 mod kalman;
 mod least_squares;
 mod robust;
 mod schmidt;
+pub mod spectrum;
 
 pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 pub use least_squares::{

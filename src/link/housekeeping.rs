@@ -7,6 +7,7 @@ use super::message::MessageError;
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 use std::fmt;
+use std::str::FromStr;
 
 /// The layout that this program writes. Those before are read, too.
 pub const LAYOUT: u8 = 6;
@@ -21,13 +22,27 @@ const EARLIER: [(u8, &str); 5] = [
 ];
 
 /// A field as the page on the protocol shows it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Field {
     pub name: &'static str,
     pub kind: &'static str,
     pub bytes: usize,
+    /// How many numbers it holds; 0 for one of digits or ids.
+    pub parts: usize,
     pub unit: &'static str,
     pub documentation: &'static str,
+    number: fn(&[u8], usize) -> Option<f64>,
+}
+
+impl Field {
+    /// One of the field's numbers, from its bytes in a payload; `None` where it is not known.
+    pub fn number(&self, bytes: &[u8], part: usize) -> Option<f64> {
+        (self.number)(bytes, part)
+    }
+}
+
+fn number_of<T: Wire>(mut bytes: &[u8], part: usize) -> Option<f64> {
+    T::read(&mut bytes)?.number(part)
 }
 
 macro_rules! housekeeping {
@@ -43,18 +58,22 @@ macro_rules! housekeeping {
             name: stringify!($field),
             kind: <$type as Wire>::KIND,
             bytes: <$type as Wire>::BYTES,
+            parts: <$type as Wire>::PARTS,
             unit: $unit,
             documentation: $documentation,
+            number: number_of::<$type>,
         }),*];
 
         impl Housekeeping {
-            fn payload(&self) -> Vec<u8> {
+            /// The payload of its packet: the layout's number, then the fields.
+            pub fn payload(&self) -> Vec<u8> {
                 let mut bytes = vec![LAYOUT];
                 $(self.$field.write(&mut bytes);)*
                 bytes
             }
 
-            fn from_payload(payload: &[u8]) -> Option<Self> {
+            /// Reads a payload of this layout or an earlier one.
+            pub fn from_payload(payload: &[u8]) -> Option<Self> {
                 let earlier = EARLIER.iter().find(|(layout, _)| payload.first() == Some(layout));
                 let payload = match earlier {
                     Some((_, added)) => completed(payload, added)?,
@@ -67,6 +86,15 @@ macro_rules! housekeeping {
             /// The values as fields of a CSV row, in the order of [`FIELDS`]; what is not known is empty.
             pub fn csv_row(&self) -> Vec<String> {
                 vec![$(self.$field.text()),*]
+            }
+
+            /// Reads what [`csv_row`](Self::csv_row) writes; `value` gives the text of a field, `None` where the row lacks it.
+            /// `None` where a text is no value of its field.
+            pub fn from_csv<'a>(mut value: impl FnMut(&str) -> Option<&'a str>) -> Option<Self> {
+                Some(Self { $($field: match value(stringify!($field)) {
+                    Some(text) => Wire::parse(text)?,
+                    None => Default::default(),
+                },)* })
             }
 
             /// Every field with its value in words.
@@ -258,6 +286,26 @@ trait Wire: Sized {
     fn read(rest: &mut &[u8]) -> Option<Self>;
     /// In words; empty where not known, parts apart by blanks.
     fn text(&self) -> String;
+    /// Reads what [`text`](Self::text) says.
+    fn parse(text: &str) -> Option<Self>;
+    /// How many numbers it holds.
+    const PARTS: usize = 1;
+    /// One of them.
+    fn number(&self, part: usize) -> Option<f64>;
+}
+
+/// Reads what is empty where it is not known.
+fn parse_known<T: FromStr>(text: &str) -> Option<Option<T>> {
+    match text {
+        "" => Some(None),
+        text => text.parse().ok().map(Some),
+    }
+}
+
+/// Reads so many parts with blanks between them.
+fn parse_parts<T: Wire, const N: usize>(text: &str) -> Option<[T; N]> {
+    let parts: Option<Vec<T>> = text.split(' ').map(T::parse).collect();
+    parts?.try_into().ok()
 }
 
 fn texts<T: Wire>(parts: &[T]) -> String {
@@ -292,6 +340,14 @@ macro_rules! whole_wire {
             fn text(&self) -> String {
                 self.to_string()
             }
+
+            fn parse(text: &str) -> Option<Self> {
+                text.parse().ok()
+            }
+
+            fn number(&self, _: usize) -> Option<f64> {
+                Some((*self).into())
+            }
         }
     )*};
 }
@@ -313,6 +369,14 @@ impl Wire for bool {
     fn text(&self) -> String {
         u8::from(*self).to_string()
     }
+
+    fn parse(text: &str) -> Option<Self> {
+        u8::parse(text).map(|byte| byte != 0)
+    }
+
+    fn number(&self, _: usize) -> Option<f64> {
+        Some(u8::from(*self).into())
+    }
 }
 
 impl Wire for Option<f32> {
@@ -331,6 +395,14 @@ impl Wire for Option<f32> {
     fn text(&self) -> String {
         known(*self)
     }
+
+    fn parse(text: &str) -> Option<Self> {
+        parse_known(text)
+    }
+
+    fn number(&self, _: usize) -> Option<f64> {
+        self.map(f64::from)
+    }
 }
 
 impl Wire for Option<u8> {
@@ -348,6 +420,14 @@ impl Wire for Option<u8> {
 
     fn text(&self) -> String {
         known(*self)
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        parse_known(text)
+    }
+
+    fn number(&self, _: usize) -> Option<f64> {
+        self.map(f64::from)
     }
 }
 
@@ -370,6 +450,16 @@ impl Wire for [u16; 7] {
     fn text(&self) -> String {
         texts(self)
     }
+
+    fn parse(text: &str) -> Option<Self> {
+        parse_parts(text)
+    }
+
+    const PARTS: usize = 7;
+
+    fn number(&self, part: usize) -> Option<f64> {
+        self.get(part).map(|value| f64::from(*value))
+    }
 }
 
 impl<T: Pair> Wire for [T; 2] {
@@ -386,6 +476,16 @@ impl<T: Pair> Wire for [T; 2] {
 
     fn text(&self) -> String {
         texts(self)
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        parse_parts(text)
+    }
+
+    const PARTS: usize = 2;
+
+    fn number(&self, part: usize) -> Option<f64> {
+        self.get(part)?.number(0)
     }
 }
 
@@ -419,6 +519,19 @@ impl Wire for Digits {
         self.0
             .map_or(String::new(), |digits| format!("{digits:08x}"))
     }
+
+    fn parse(text: &str) -> Option<Self> {
+        match text {
+            "" => Some(Self(None)),
+            text => u32::from_str_radix(text, 16).ok().map(|n| Self(Some(n))),
+        }
+    }
+
+    const PARTS: usize = 0;
+
+    fn number(&self, _: usize) -> Option<f64> {
+        None
+    }
 }
 
 impl Wire for MarkIds {
@@ -443,6 +556,21 @@ impl Wire for MarkIds {
     fn text(&self) -> String {
         let ids: Vec<String> = self.iter().map(|[i, j]| format!("{i},{j}")).collect();
         ids.join(" ")
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let id = |text: &str| {
+            let (i, j) = text.split_once(',')?;
+            Some([i.parse().ok()?, j.parse().ok()?])
+        };
+        let ids: Option<Vec<[i32; 2]>> = text.split_whitespace().map(id).collect();
+        ids.map(Self::new)
+    }
+
+    const PARTS: usize = 0;
+
+    fn number(&self, _: usize) -> Option<f64> {
+        None
     }
 }
 
@@ -478,6 +606,42 @@ mod tests {
             let packet = told.packet(time).unwrap();
             assert_eq!(Housekeeping::decode(&packet), Some(told));
         }
+    }
+
+    #[test]
+    fn a_row_of_a_log_is_read_as_it_was_written() {
+        for told in [Housekeeping::default(), full()] {
+            let row = told.csv_row();
+            let value = |name: &str| {
+                let at = FIELDS.iter().position(|field| field.name == name)?;
+                Some(row[at].as_str())
+            };
+            assert_eq!(Housekeeping::from_csv(value), Some(told));
+        }
+        assert_eq!(
+            Housekeeping::from_csv(|_| None),
+            Some(Housekeeping::default())
+        );
+        assert_eq!(Housekeeping::from_csv(|_| Some("x")), None);
+    }
+
+    #[test]
+    fn the_numbers_of_a_field_are_read_from_its_bytes_alone() {
+        let payload = full().payload();
+        let mut at = 1;
+        let mut numbers = std::collections::BTreeMap::new();
+        for field in FIELDS {
+            let bytes = &payload[at..at + field.bytes];
+            let parts = (0..field.parts).map(|part| field.number(bytes, part));
+            numbers.insert(field.name, parts.collect::<Vec<_>>());
+            at += field.bytes;
+        }
+        assert_eq!(numbers["computer"], [Some(2.0)]);
+        assert_eq!(numbers["stopped"][6], Some(65535.0));
+        assert_eq!(numbers["sun_x_px"], [Some(-3.25)]);
+        assert_eq!(numbers["sun_y_px"], [None]);
+        assert_eq!(numbers["disks"], [Some(87.0), None]);
+        assert!(numbers["ids"].is_empty());
     }
 
     #[test]

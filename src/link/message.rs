@@ -29,6 +29,22 @@ pub mod key {
     };
 }
 
+/// Error code of a frame whose Sun was found but whose time or place is not known.
+pub const NO_OFFSET: u16 = 100;
+
+/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass. Code, name, meaning.
+#[rustfmt::skip] // One row, one line.
+pub const ERROR_CODES: &[(u16, &str, &str)] = &[
+    (1, "levels", "levels: no disc stands out of the background"),
+    (2, "limb", "limb: no disc was found"),
+    (3, "marks", "marks: too few were seen"),
+    (4, "identification", "identification: the marks could not be told apart"),
+    (5, "registration", "registration: no mapping fits the marks"),
+    (6, "aspect", "aspect: the Sun's place on the plate is not known"),
+    (7, "pointing", "pointing: the target cannot be pointed at from here"),
+    (NO_OFFSET, "no_offset", "the Sun was found, but time or place of the frame is not known"),
+];
+
 /// The camera's number in an exposure packet: 1, whichever computer sends it.
 pub const CAMERA: u16 = 1;
 

@@ -39,9 +39,9 @@ pub enum TagValue {
 /// A keyword of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tag {
-    pub name: &'static str,
+    pub name: String,
     pub value: TagValue,
-    pub comment: &'static str,
+    pub comment: String,
 }
 
 /// A picture of 8-bit pixels with its tags.
@@ -136,6 +136,37 @@ impl Tag {
         payload.extend(padded(self.comment.as_bytes(), 32));
         payload
     }
+
+    /// Reads a telemetry packet of type 0x83: the camera and its tag; `None` where it is none.
+    pub fn decode(packet: &TelemetryPacket) -> Option<(u8, Self)> {
+        if packet.kind() != telemetry_type::PICTURE_TAG {
+            return None;
+        }
+        let (bytes, rest) = packet.payload().split_first_chunk::<16>()?;
+        let (&[kind, camera], rest) = rest.split_first_chunk::<2>()?;
+        let (name, rest) = rest.split_first_chunk::<8>()?;
+        let comment = rest.first_chunk::<32>()?;
+        let value = match kind {
+            16 => TagValue::Text(unpadded(bytes)),
+            41 => TagValue::Whole(i32::from_le_bytes(*bytes.first_chunk()?)),
+            82 => TagValue::Number(f64::from_le_bytes(*bytes.first_chunk()?)),
+            _ => return None,
+        };
+        let (name, comment) = (unpadded(name), unpadded(comment));
+        Some((
+            camera,
+            Self {
+                name,
+                value,
+                comment,
+            },
+        ))
+    }
+}
+
+fn unpadded(bytes: &[u8]) -> String {
+    let text = bytes.split(|byte| *byte == 0).next().unwrap_or_default();
+    String::from_utf8_lossy(text).into_owned()
 }
 
 fn padded(bytes: &[u8], length: usize) -> Vec<u8> {
@@ -185,9 +216,9 @@ mod tests {
         let info = FrameInfo::default();
         let frame = Frame::new(13, 17, pixels, saturation_dn, info).unwrap();
         let tag = Tag {
-            name: "EXPTIME",
+            name: "EXPTIME".into(),
             value: TagValue::Number(0.015),
-            comment: "s",
+            comment: "s".into(),
         };
         let time = Timestamp::from_second(1_379_786_400).unwrap();
         Picture::new(&frame, 1, vec![tag], time).unwrap().unwrap()
@@ -201,6 +232,7 @@ mod tests {
         assert_eq!(packets.len(), picture.parts());
         assert_eq!(packets[0].kind(), telemetry_type::PICTURE_TAG);
         assert_eq!(packets[0].payload().len(), 16 + 2 + 8 + 32);
+        assert_eq!(Tag::decode(&packets[0]), Some((1, picture.tags[0].clone())));
         let mut received = vec![0; sent.len()];
         let sections: Vec<_> = packets[1..]
             .iter()

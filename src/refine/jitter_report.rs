@@ -1,9 +1,10 @@
 //! The report's part on jitter: spectrum, cumulative jitter and Allan deviation.
 
+use super::allan;
 use super::report::Part;
 use super::row::Row;
-use super::{allan, spectrum};
 use crate::estimation::median;
+use crate::estimation::spectrum;
 use crate::report::plot::{self, Curve, Labels, Stroke};
 
 /// Frames further apart than so many usual steps end a run.

@@ -34,7 +34,6 @@ mod report;
 mod roll;
 mod row;
 mod sky;
-pub mod spectrum;
 mod stabilisation;
 mod temperature;
 mod view;

@@ -11,7 +11,7 @@ use crate::fits::Compression;
 use crate::instrument::{
     self, DEMO_HORIZON, DEMO_NAVIGATION, Instrument, MountedCamera, builtin_text,
 };
-use crate::link::{Connection, Message, Propagated, SerialPort};
+use crate::link::{AnyPort, BytePort, Connection, Message, PortError, Propagated, SerialPort};
 use crate::navigation;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::earth::SwingingGondola;
@@ -37,6 +37,33 @@ pub struct Demo {
     /// The archive's folder.
     pub archive: PathBuf,
     pub seed: u64,
+}
+
+/// The controller's end of the line, with the ground behind it: all that the controller receives goes to the ground as well, and what the
+/// ground sends goes to the aspect system.
+struct Relayed {
+    line: SerialPort,
+    ground: Option<AnyPort>,
+}
+
+impl BytePort for Relayed {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, PortError> {
+        if let Some(ground) = &mut self.ground {
+            let mut commands = [0; 1024];
+            let count = ground.read(&mut commands, Duration::ZERO).unwrap_or(0);
+            self.line.write(&commands[..count], timeout)?;
+        }
+        let count = self.line.read(buffer, timeout)?;
+        if let Some(ground) = &mut self.ground {
+            // A ground that does not listen misses it.
+            let _ = ground.write(&buffer[..count], Duration::ZERO);
+        }
+        Ok(count)
+    }
+
+    fn write(&mut self, bytes: &[u8], timeout: Duration) -> Result<(), PortError> {
+        self.line.write(bytes, timeout)
+    }
 }
 
 /// What the display shows while the demonstration runs.
@@ -90,9 +117,11 @@ impl JudgedOffset {
     }
 }
 
-/// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` says so.
+/// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` says so. `ground` is the line to a ground
+/// that receives what the controller does.
 pub fn run(
     demo: &Demo,
+    ground: Option<AnyPort>,
     mut show: impl FnMut(&Glimpse),
     stopped: impl Fn() -> bool,
 ) -> anyhow::Result<Summary> {
@@ -101,7 +130,8 @@ pub fn run(
     let camera = camera(demo, &instrument, start)?;
     let truth = camera.truth();
     let (roll_camera, gondola) = roll_camera(demo, &instrument, start)?;
-    let (near, mut far) = SerialPort::pair()?;
+    let (near, line) = SerialPort::pair()?;
+    let mut far = Relayed { line, ground };
     let (gps_near, gps_far) = SerialPort::pair()?;
     let sensors = Sensors::new(
         telescope(demo, &instrument, start)?,

@@ -75,10 +75,10 @@ impl Outlet {
 }
 
 fn picture_tags(instrument: &Instrument, info: &FrameInfo) -> Vec<Tag> {
-    let tag = |name, value, comment| Tag {
-        name,
+    let tag = |name: &str, value, comment: &str| Tag {
+        name: name.into(),
         value,
-        comment,
+        comment: comment.into(),
     };
     let mut tags = vec![tag(
         "INSTRUME",

@@ -1,7 +1,7 @@
 //! The page on the protocol: the interface document for whoever builds the other end, made from the tables that the
 //! program itself works by.
 
-use super::line::{ERROR_CODES, NO_OFFSET};
+use crate::link::message::{ERROR_CODES, NO_OFFSET};
 use crate::config::{Allowed, parameters};
 use crate::link::describe::{describe, hex};
 use crate::link::ground::order;
@@ -33,11 +33,11 @@ pub fn protocol_page() -> String {
 
 fn error_codes() -> String {
     let mut text = String::from("\n| error code | no solution, because |\n|---|---|\n");
-    for (code, meaning) in ERROR_CODES {
+    for (code, _, meaning) in ERROR_CODES {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "| {code} | {meaning} |");
     }
-    debug_assert!(ERROR_CODES.iter().any(|(code, _)| *code == NO_OFFSET));
+    debug_assert!(ERROR_CODES.iter().any(|(code, ..)| *code == NO_OFFSET));
     text
 }
 
@@ -228,7 +228,7 @@ mod tests {
     #[test]
     fn every_example_is_there_and_every_stage_has_its_code() {
         assert_eq!(example_packets().unwrap().len(), 23);
-        let codes: Vec<u16> = ERROR_CODES.iter().map(|(code, _)| *code).collect();
+        let codes: Vec<u16> = ERROR_CODES.iter().map(|(code, ..)| *code).collect();
         assert_eq!(codes, [1, 2, 3, 4, 5, 6, 7, NO_OFFSET]);
     }
 }

@@ -85,6 +85,16 @@ pub enum Action {
     ReadDisk,
 }
 
+impl Action {
+    /// Whether the flight is another one after it: all but reading and asking for pictures.
+    pub fn changes_flight(self) -> bool {
+        match self {
+            NoOp | SendPicture(_) | Read(_) | ReadNumbered | ReadDisk => false,
+            StartSending | StopSending | Quit | Set(_) | SetNumbered => true,
+        }
+    }
+}
+
 /// How a number travels in the 16 bits of a variable or a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {

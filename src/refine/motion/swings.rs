@@ -7,8 +7,7 @@
 
 use super::process::{Axis, MOST_SWINGS, Swing};
 use super::{Moment, SharedErrors};
-use crate::estimation::median;
-use crate::refine::spectrum;
+use crate::estimation::{median, spectrum};
 use std::f64::consts::TAU;
 
 /// Frames that the likelihood is searched with, and the least time from one to the next.

@@ -71,6 +71,12 @@ impl Axis {
         }
     }
 
+    /// From exactly one time to another, s since 1970.
+    pub(super) fn exact_utc(low: f64, high: f64) -> Self {
+        let scale = Scale::Utc;
+        Self { scale, low, high }
+    }
+
     /// Spans positive values by their logarithms.
     pub(super) fn logarithmic((low, high): (f64, f64)) -> Self {
         Self {

@@ -4,6 +4,7 @@ use super::axis::{Axis, extent};
 use super::labels::{Horizontal, Labels, PlotError};
 use super::sheet::{DOT_PX, Entry, Sheet, Stroke, Swatch, hue};
 use super::thin::{Column, columns, distinct, runs};
+use std::ops::Range;
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,6 +75,10 @@ pub struct Figure {
 }
 
 const SIZE: (f64, f64) = (1000.0, 380.0);
+/// Of a figure in a stack.
+const PANEL: (f64, f64) = (1000.0, 230.0);
+/// So that the panel is square, beside one row of legend.
+const SQUARE: (f64, f64) = (620.0, 629.0);
 /// More dots than that are drawn as the envelope from the least to the most in each column of pixels.
 const MOST_DOTS: usize = 5000;
 
@@ -93,26 +98,72 @@ pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
         Horizontal::Number(_) => Axis::linear(of_x),
         Horizontal::Utc => Axis::utc(of_x),
     };
-    let drawn: Vec<&Series> = series.iter().filter(|s| !s.points.is_empty()).collect();
-    let colours = series
+    Ok(sheet(SIZE, labels, (x, Axis::linear(of_y)), series).finish())
+}
+
+/// Figures of series over the same time, one below the other.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stack {
+    pub svg: String,
+    /// Where the panels' left and right edges stand, px from the left.
+    pub edges_px: (f64, f64),
+}
+
+/// Draws figures one below the other, over exactly one range of times (seconds since 1970-01-01, UTC). One without values says so.
+pub fn stack(figures: &[Figure], (from, to): (f64, f64)) -> Stack {
+    let x = Axis::exact_utc(from, to);
+    let (mut body, mut height, mut edges_px) = (String::new(), 0.0, (0.0, 0.0));
+    for figure in figures {
+        let inside = |(x, y): &&(f64, f64)| (from..=to).contains(x) && y.is_finite();
+        let points = figure.series.iter().flat_map(|s| &s.points).filter(inside);
+        let of_y = extent(points.map(|p| p.1)).unwrap_or((0.0, 1.0));
+        let panel = sheet(
+            PANEL,
+            &figure.labels,
+            (x, Axis::linear(of_y)),
+            &figure.series,
+        );
+        let [left, _, right, _] = panel.panel();
+        edges_px = (left, right);
+        body += &panel.finish_at(height);
+        height += PANEL.1;
+    }
+    let svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \
+         data-left=\"{}\" data-right=\"{}\">\n{body}</svg>\n",
+        edges_px.0,
+        edges_px.1,
+        width = PANEL.0,
+    );
+    Stack { svg, edges_px }
+}
+
+/// Series over a square of the same range in both axes.
+pub fn square(labels: &Labels, range: Range<f64>, series: &[Series]) -> String {
+    let axis = Axis::exact(range.start, range.end);
+    sheet(SQUARE, labels, (axis, axis), series).finish()
+}
+
+/// A panel with its series drawn.
+fn sheet(size: (f64, f64), labels: &Labels, axes: (Axis, Axis), series: &[Series]) -> Sheet {
+    let hues = series
         .iter()
         .enumerate()
-        .filter(|(_, s)| !s.points.is_empty());
-    let colours: Vec<_> = colours.map(|(n, s)| hue(s.hue.unwrap_or(n))).collect();
-    let legend: Vec<Entry> = drawn
+        .map(|(n, s)| hue(s.hue.unwrap_or(n)));
+    let drawn = series
         .iter()
-        .zip(&colours)
-        .map(|(s, c)| entry(s, c))
-        .collect();
-    let mut sheet = Sheet::new(SIZE, 0.0, labels, (x, Axis::linear(of_y)), &legend);
+        .zip(hues)
+        .filter(|(s, _)| !s.points.is_empty());
+    let legend: Vec<Entry> = drawn.clone().map(|(s, colour)| entry(s, colour)).collect();
+    let mut sheet = Sheet::new(size, 0.0, labels, axes, &legend);
     if sheet.y.low < 0.0 && sheet.y.high > 0.0 {
         let ends = [(sheet.x.low, 0.0), (sheet.x.high, 0.0)].map(|p| sheet.place(p));
         sheet.line(&ends, Stroke::solid("#777777", 1.0));
     }
-    for (series, colour) in drawn.iter().zip(colours) {
+    for (series, colour) in drawn {
         draw(&mut sheet, series, colour);
     }
-    Ok(sheet.finish())
+    sheet
 }
 
 fn is_envelope(series: &Series) -> bool {

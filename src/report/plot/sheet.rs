@@ -362,10 +362,19 @@ impl Sheet {
 
     /// The SVG.
     pub(super) fn finish(self) -> String {
+        self.finish_at(0.0)
+    }
+
+    /// The SVG, so many px below the top of one that it is part of.
+    pub(super) fn finish_at(self, y: f64) -> String {
         let (width, height) = (px(self.size.0), px(self.size.1));
         let title = escaped(&self.title);
+        let y = match y {
+            0.0 => String::new(),
+            y => format!(" y=\"{}\"", px(y)),
+        };
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \
+            "<svg xmlns=\"http://www.w3.org/2000/svg\"{y} width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \
              role=\"img\" aria-label=\"{title}\" font-family=\"sans-serif\" font-size=\"12\" fill=\"#222222\">\n\
              <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n{}</svg>\n",
             self.body

@@ -1,0 +1,511 @@
+//! All that the ground knows of a flight: what packets and logs have brought, in the order of its own time.
+
+use super::pictures::Partial;
+use super::rules::{self, Minute, Severity};
+use super::table::{Column, Table, place, row_at};
+use crate::link::housekeeping::{FIELDS, Field};
+use crate::link::picture::{Section, Tag};
+use crate::link::{
+    CommandPacket, Housekeeping, Message, Messages, Packet, Solution, TelemetryPacket,
+};
+use jiff::Timestamp;
+use std::collections::BTreeMap;
+
+/// Nanoseconds since 1970, UTC.
+pub type Nanoseconds = i64;
+
+const SECOND_NS: i64 = 1_000_000_000;
+/// Over which counters are said to have grown.
+const MINUTE_NS: i64 = 60 * SECOND_NS;
+/// The silence after which housekeeping, sent each second, counts as missing.
+pub const SILENCE_S: i64 = 5;
+/// Alarms that are kept.
+const MOST_ALARMS: usize = 1000;
+/// Pictures that are kept, of 2.5 MB each.
+const MOST_PICTURES: usize = 12;
+/// What is forgotten is forgotten in pieces of an hour.
+const PIECE_NS: i64 = 3600 * SECOND_NS;
+
+/// Names of the tables.
+pub const HOUSEKEEPING: &str = "housekeeping";
+pub const RECEIVED: &str = "received";
+pub const GYROS: &str = "gyros";
+
+pub fn nanoseconds(time: Timestamp) -> Nanoseconds {
+    time.as_nanosecond() as i64
+}
+
+pub fn timestamp(time: Nanoseconds) -> Timestamp {
+    Timestamp::from_nanosecond(time.into()).unwrap_or_default()
+}
+
+/// The housekeeping packets, each as it came, with what the rules say of it.
+#[derive(Debug, Default)]
+pub struct HousekeepingRows {
+    /// When each was made, by the gondola's clock, and when it arrived, by the ground's.
+    pub times: Vec<Nanoseconds>,
+    pub arrived: Vec<Nanoseconds>,
+    /// The rules that find something, a bit for each.
+    pub flags: Vec<u64>,
+    payloads: Vec<u8>,
+}
+
+/// Bytes of a payload of the present layout.
+fn payload_bytes() -> usize {
+    1 + FIELDS.iter().map(|field| field.bytes).sum::<usize>()
+}
+
+impl HousekeepingRows {
+    fn payload(&self, row: usize) -> Option<&[u8]> {
+        let length = payload_bytes();
+        self.payloads.get(row * length..(row + 1) * length)
+    }
+
+    pub fn told(&self, row: usize) -> Option<Housekeeping> {
+        Housekeeping::from_payload(self.payload(row)?)
+    }
+
+    /// A number of every row of a range; `part` is the number's place in its field.
+    pub fn numbers(&self, rows: std::ops::Range<usize>, name: &str, part: usize) -> Vec<f32> {
+        let mut at = 1;
+        let found = FIELDS.iter().find(|field| {
+            let is_it = field.name == name;
+            at += if is_it { 0 } else { field.bytes };
+            is_it
+        });
+        let number = |row| {
+            let field: &Field = found?;
+            let bytes = self.payload(row)?.get(at..at + field.bytes)?;
+            field.number(bytes, part)
+        };
+        rows.map(|row| number(row).map_or(f32::NAN, |value| value as f32))
+            .collect()
+    }
+
+    fn forget_before(&mut self, time: Nanoseconds) {
+        let count = self.times.partition_point(|at| *at < time);
+        self.times.drain(..count);
+        self.arrived.drain(..count);
+        self.flags.drain(..count);
+        self.payloads.drain(..count * payload_bytes());
+    }
+}
+
+/// Something that was wrong for a while.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alarm {
+    /// The rule's name.
+    pub rule: &'static str,
+    pub severity: Severity,
+    pub words: String,
+    pub since: Nanoseconds,
+    /// `None` while it lasts.
+    pub until: Option<Nanoseconds>,
+}
+
+/// What came over the line.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LineCounts {
+    pub packets: u64,
+    pub rejected: u64,
+    /// Seconds of which no housekeeping came, between those of which it did.
+    pub missing: u64,
+    pub doubled: u64,
+    pub late: u64,
+    /// Bytes in all.
+    pub bytes: u64,
+}
+
+/// The kinds of news, each with its own number, which grows with every change.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct News {
+    pub housekeeping: u64,
+    pub solution: u64,
+    pub gyros: u64,
+    pub pictures: u64,
+    pub orders: u64,
+}
+
+impl News {
+    /// How much has come in all.
+    pub fn total(&self) -> u64 {
+        self.housekeeping + self.solution + self.gyros + self.pictures + self.orders
+    }
+}
+
+/// A frame that a solution log names.
+#[derive(Debug, Clone)]
+pub struct FrameRow {
+    pub time: Nanoseconds,
+    /// Path under the archive's folder; empty where the picture was not stored.
+    pub file: Box<str>,
+    /// The folder of its camera in the archive's; empty for the first one.
+    pub camera: Box<str>,
+    /// As the log says: fine, coarse or none.
+    pub quality: &'static str,
+    /// Its place in [`History::reasons`].
+    pub reason: Option<u16>,
+}
+
+/// The flight so far.
+pub struct History {
+    pub housekeeping: HousekeepingRows,
+    /// Of the row that arrived last and was not late.
+    newest: Option<usize>,
+    /// By name.
+    pub tables: BTreeMap<String, Table>,
+    pub frames: Vec<FrameRow>,
+    pub reasons: Vec<String>,
+    /// By the camera's number and the time of the frame.
+    pub pictures: BTreeMap<(u8, Nanoseconds), Partial>,
+    pub alarms: Vec<Alarm>,
+    pub line: LineCounts,
+    pub news: News,
+    /// When the last solution and offset by gyros arrived, by the ground's clock.
+    pub solution_arrived: Option<Nanoseconds>,
+    pub gyros_arrived: Option<Nanoseconds>,
+    /// How long rows are kept.
+    keep: Nanoseconds,
+}
+
+/// The columns of a solution as it is received.
+const SOLUTION_COLUMNS: [(&str, &str, &str); 5] = [
+    ("azimuth_deg", "deg", "offset in azimuth"),
+    ("elevation_deg", "deg", "offset in elevation"),
+    (
+        "roll_deg",
+        "deg",
+        "roll by the horizon, right side low positive",
+    ),
+    (
+        "sigma_deg",
+        "deg",
+        "the offset's 1 sigma per axis of true angle",
+    ),
+    ("error_code", "", "why there is no solution, by its number"),
+];
+const GYRO_COLUMNS: [(&str, &str, &str); 5] = [
+    ("azimuth_deg", "deg", "offset in azimuth"),
+    ("elevation_deg", "deg", "offset in elevation"),
+    (
+        "roll_deg",
+        "deg",
+        "roll about the boresight, right side low positive",
+    ),
+    (
+        "sigma_deg",
+        "deg",
+        "the offset's 1 sigma per axis of true angle",
+    ),
+    ("age_ms", "ms", "age of the last frame that it rests on"),
+];
+
+fn columns(rows: &[(&str, &str, &str)]) -> Vec<Column> {
+    let column =
+        |(name, unit, documentation): &(&str, &str, &str)| Column::new(name, unit, documentation);
+    rows.iter().map(column).collect()
+}
+
+impl History {
+    /// Of which rows older than `keep` are forgotten.
+    pub fn new(keep: std::time::Duration) -> Self {
+        let tables = [
+            Table::new(RECEIVED, columns(&SOLUTION_COLUMNS)),
+            Table::new(GYROS, columns(&GYRO_COLUMNS)),
+        ];
+        Self {
+            housekeeping: HousekeepingRows::default(),
+            newest: None,
+            tables: tables.map(|table| (table.name.clone(), table)).into(),
+            frames: Vec::new(),
+            reasons: Vec::new(),
+            pictures: BTreeMap::new(),
+            alarms: Vec::new(),
+            line: LineCounts::default(),
+            news: News::default(),
+            solution_arrived: None,
+            gyros_arrived: None,
+            keep: i64::try_from(keep.as_nanos()).unwrap_or(i64::MAX),
+        }
+    }
+
+    /// Takes a packet that arrived at a time of the ground's clock.
+    pub fn take(&mut self, packet: &Packet, arrived: Timestamp) {
+        self.line.packets += 1;
+        match packet {
+            Packet::Command(packet) => self.take_messages(packet, nanoseconds(arrived)),
+            Packet::Telemetry(packet) => self.take_telemetry(packet, nanoseconds(arrived)),
+        }
+    }
+
+    fn take_messages(&mut self, packet: &CommandPacket, arrived: Nanoseconds) {
+        for message in Messages::of(packet.payload()).filter_map(|(_, message)| message.ok()) {
+            match message {
+                Message::Solution(solution) => {
+                    self.push(
+                        RECEIVED,
+                        nanoseconds(solution.time),
+                        &numbers(&solution, None),
+                    );
+                    self.solution_arrived = Some(arrived);
+                    self.news.solution += 1;
+                }
+                Message::Error { code } => {
+                    let row = [None, None, None, None, Some(code.into())];
+                    self.push(RECEIVED, arrived, &row);
+                    self.solution_arrived = Some(arrived);
+                    self.news.solution += 1;
+                }
+                Message::Propagated(by_gyros) => {
+                    let (solution, age_ms) = (by_gyros.solution, by_gyros.age_ms);
+                    let row = numbers(&solution, Some(age_ms.into()));
+                    self.push(GYROS, nanoseconds(solution.time), &row);
+                    self.gyros_arrived = Some(arrived);
+                    self.news.gyros += 1;
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn push(&mut self, table: &str, time: Nanoseconds, row: &[Option<f64>]) {
+        if let Some(table) = self.tables.get_mut(table) {
+            table.push(time, row);
+        }
+    }
+
+    fn take_telemetry(&mut self, packet: &TelemetryPacket, arrived: Nanoseconds) {
+        let (seconds, nanoseconds) = packet.time();
+        let time = i64::from(seconds) * SECOND_NS + i64::from(nanoseconds);
+        if let Some(told) = Housekeeping::decode(packet) {
+            self.take_housekeeping(&told, time, arrived);
+        } else if let Some(section) = Section::decode(packet) {
+            self.change_picture(section.camera, (time, arrived), |picture| {
+                picture.take_section(&section);
+            });
+        } else if let Some((camera, tag)) = Tag::decode(packet) {
+            self.change_picture(camera, (time, arrived), |picture| picture.take_tag(tag));
+        }
+    }
+
+    /// Changes the picture of a camera's frame of a time.
+    fn change_picture(
+        &mut self,
+        camera: u8,
+        (time, arrived): (Nanoseconds, Nanoseconds),
+        change: impl FnOnce(&mut Partial),
+    ) {
+        if self.pictures.len() >= MOST_PICTURES && !self.pictures.contains_key(&(camera, time)) {
+            let oldest = self.pictures.keys().min_by_key(|(_, time)| *time).copied();
+            oldest.and_then(|oldest| self.pictures.remove(&oldest));
+        }
+        let begun = || Partial::begun(time, arrived);
+        let picture = self.pictures.entry((camera, time)).or_insert_with(begun);
+        change(picture);
+        picture.arrived = arrived;
+        picture.version += 1;
+        self.news.pictures += 1;
+    }
+
+    /// Takes housekeeping of a time, in its place: packets may be late, or come twice.
+    pub fn take_housekeeping(
+        &mut self,
+        told: &Housekeeping,
+        time: Nanoseconds,
+        arrived: Nanoseconds,
+    ) {
+        let payload = told.payload();
+        let at = place(&self.housekeeping.times, time);
+        let previous = at.checked_sub(1);
+        if previous.is_some_and(|row| {
+            self.housekeeping.times[row] == time && self.housekeeping.payload(row) == Some(&payload)
+        }) {
+            self.line.doubled += 1;
+            return;
+        }
+        // A clock that was set back makes rows that are newer by the time since the start, but not by their own.
+        let newest = self.newest.and_then(|row| self.housekeeping.told(row));
+        let is_late = at < self.housekeeping.times.len()
+            && newest.as_ref().is_some_and(|newest| told.uptime_s < newest.uptime_s);
+        self.count_missing(is_late, told, newest.as_ref());
+        self.housekeeping.times.insert(at, time);
+        self.housekeeping.arrived.insert(at, arrived);
+        let byte = at * payload.len();
+        self.housekeeping.payloads.splice(byte..byte, payload);
+        self.housekeeping.flags.insert(at, 0);
+        match is_late {
+            true => self.newest = self.newest.map(|row| row + usize::from(row >= at)),
+            false => self.newest = Some(at),
+        }
+        self.judge(at, is_late);
+        self.news.housekeeping += 1;
+        self.forget(time);
+    }
+
+    fn count_missing(&mut self, is_late: bool, told: &Housekeeping, newest: Option<&Housekeeping>) {
+        if is_late {
+            self.line.late += 1;
+            self.line.missing = self.line.missing.saturating_sub(1);
+            return;
+        }
+        let seconds = newest.and_then(|newest| told.uptime_s.checked_sub(newest.uptime_s));
+        // Two seconds may be one packet a little late.
+        self.line.missing += u64::from(seconds.unwrap_or(0).saturating_sub(1));
+    }
+
+    fn judge(&mut self, row: usize, is_late: bool) {
+        let (Some(now), Some(before)) = (self.housekeeping.told(row), self.before(row)) else {
+            return;
+        };
+        let minute = Minute {
+            now: &now,
+            before: &before,
+        };
+        let flags = rules::judge(&minute);
+        self.housekeeping.flags[row] = flags;
+        if is_late {
+            return;
+        }
+        let time = self.housekeeping.times[row];
+        for (bit, rule) in rules::rules().enumerate() {
+            let found = (flags >> bit & 1 == 1)
+                .then(|| (rule.found)(&minute))
+                .flatten();
+            let lasting = self.alarms.iter_mut().rev();
+            let lasting = lasting
+                .into_iter()
+                .find(|alarm| alarm.rule == rule.name && alarm.until.is_none());
+            match (lasting, found) {
+                (Some(alarm), Some(words)) => alarm.words = words,
+                (Some(alarm), None) => alarm.until = Some(time),
+                (None, Some(words)) => self.alarms.push(Alarm {
+                    rule: rule.name,
+                    severity: rule.severity,
+                    words,
+                    since: time,
+                    until: None,
+                }),
+                (None, None) => {}
+            }
+        }
+        if self.alarms.len() > MOST_ALARMS {
+            self.alarms.remove(0);
+        }
+    }
+
+    /// The housekeeping of a minute before a row, or of the start of its flight.
+    fn before(&self, row: usize) -> Option<Housekeeping> {
+        let times = &self.housekeeping.times;
+        let mut first = row_at(times, times.get(row)? - MINUTE_NS).unwrap_or(0);
+        let now = self.housekeeping.told(row)?;
+        loop {
+            let before = self.housekeeping.told(first)?;
+            if first >= row || before.uptime_s <= now.uptime_s {
+                return Some(before);
+            }
+            first += 1;
+        }
+    }
+
+    /// What is wrong by a row's rules, with the time since when, the worst first.
+    pub fn findings(&self, row: usize) -> Vec<Alarm> {
+        let (Some(now), Some(before)) = (self.housekeeping.told(row), self.before(row)) else {
+            return Vec::new();
+        };
+        let minute = Minute {
+            now: &now,
+            before: &before,
+        };
+        let rows = &self.housekeeping;
+        let finding = |(bit, rule): (usize, &'static rules::Rule)| {
+            if rows.flags[row] >> bit & 1 == 0 {
+                return None;
+            }
+            let is_clear = |earlier: &usize| rows.flags[*earlier] >> bit & 1 == 0;
+            let clear = (0..row).rev().find(is_clear);
+            Some(Alarm {
+                rule: rule.name,
+                severity: rule.severity,
+                words: (rule.found)(&minute)?,
+                since: rows.times[clear.map_or(0, |clear| clear + 1)],
+                until: None,
+            })
+        };
+        let mut found: Vec<Alarm> = rules::rules().enumerate().filter_map(finding).collect();
+        found.sort_by_key(|alarm| std::cmp::Reverse(alarm.severity));
+        found
+    }
+
+    /// The picture of a camera at a time, or its last.
+    pub fn picture(&self, camera: u8, at: Option<Nanoseconds>) -> Option<&Partial> {
+        let range = (camera, Nanoseconds::MIN)..=(camera, at.unwrap_or(Nanoseconds::MAX));
+        self.pictures
+            .range(range)
+            .next_back()
+            .map(|(_, picture)| picture)
+    }
+
+    /// The cameras of which there are pictures.
+    pub fn cameras(&self) -> std::collections::BTreeSet<u8> {
+        self.pictures.keys().map(|(camera, _)| *camera).collect()
+    }
+
+    /// The row of housekeeping at a time, or the newest.
+    pub fn row(&self, at: Option<Nanoseconds>) -> Option<usize> {
+        match at {
+            Some(time) => row_at(&self.housekeeping.times, time),
+            None => self.newest,
+        }
+    }
+
+    /// From the first time of which anything is known to the last.
+    pub fn span(&self) -> Option<(Nanoseconds, Nanoseconds)> {
+        let tables = self.tables.values().map(Table::times);
+        let all = tables.chain([self.housekeeping.times.as_slice()]);
+        let ends = all.filter_map(|times| Some((*times.first()?, *times.last()?)));
+        ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+    }
+
+    /// The place of a reason among those known.
+    pub fn reason(&mut self, words: &str) -> Option<u16> {
+        if words.is_empty() {
+            return None;
+        }
+        let known = self.reasons.iter().position(|reason| reason == words);
+        let place = known.unwrap_or_else(|| {
+            self.reasons.push(words.into());
+            self.reasons.len() - 1
+        });
+        u16::try_from(place).ok()
+    }
+
+    fn forget(&mut self, now: Nanoseconds) {
+        let oldest = now.saturating_sub(self.keep);
+        let is_due = |times: &[i64]| {
+            times
+                .first()
+                .is_some_and(|first| *first < oldest - PIECE_NS)
+        };
+        if is_due(&self.housekeeping.times) {
+            let before = self.housekeeping.times.len();
+            self.housekeeping.forget_before(oldest);
+            let forgotten = before - self.housekeeping.times.len();
+            self.newest = self.newest.and_then(|row| row.checked_sub(forgotten));
+        }
+        for table in self.tables.values_mut() {
+            if is_due(table.times()) {
+                table.forget_before(oldest);
+            }
+        }
+    }
+}
+
+fn numbers(solution: &Solution, last: Option<f64>) -> [Option<f64>; 5] {
+    [
+        Some(solution.azimuth_deg),
+        Some(solution.elevation_deg),
+        Some(solution.roll_deg),
+        Some(solution.error_deg),
+        last,
+    ]
+}

@@ -1,0 +1,254 @@
+//! The ground console: a flight in a browser, live or stored, for any number of viewers, and commands to it for one trusted person.
+//!
+//! ```text
+//!  line, record ──> receive ──┐                        ┌── a task for each viewer: live, server, commands, frames
+//!  archive ───────> follow ───┴─> History <── View <───┤
+//!                                 (a mutex)            └── drawings: plots, pictures, solved frames, two at a time
+//!  line <── receive <── outbox (16 commands) <── Orders <── commands, from whoever has logged in
+//! ```
+//!
+//! | thread | started by | what it does | what it waits for |
+//! |---|---|---|---|
+//! | `console-source` | [`Running::start`] | reads the line, sends commands; or reads the archive, and reads on | the line, 20 ms |
+//! | `console-web` | [`Running::start`] | answers all requests, as tasks of one runtime | the network |
+//! | up to four of the runtime's | a drawing | draws and reads files | nothing |
+//!
+//! The history is locked to take a packet in and to copy out what an answer needs, never while something is drawn, sent or read from
+//! a disk. A viewer is told what is newest when it can take it: one that stalls has nothing queued for it.
+//!
+//! The console reads what the ground receives and nothing else, so it costs the flight nothing.
+
+mod access;
+mod commands;
+mod frames;
+mod ground;
+pub mod history;
+mod live;
+mod orders;
+mod pages;
+mod pictures;
+mod plots;
+mod receive;
+pub mod rules;
+mod server;
+mod shared;
+mod source;
+mod stored;
+mod table;
+mod view;
+mod web;
+
+pub use access::{Secret, TokenError};
+pub use ground::Ground;
+pub use orders::Refusal;
+pub use source::Source;
+
+use crate::link::{Connection, LocalEnd, PortAddress, UdpPort, byte_log};
+use access::Access;
+use anyhow::{Context, ensure};
+use history::History;
+use orders::Orders;
+use receive::{Line, follow, recording, take_record};
+use server::{Console, Parts};
+use shared::Shared;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+use stored::Follower;
+
+/// Commands that wait for the line.
+const OUTBOX: usize = 16;
+
+/// What a console shows, and to whom.
+pub struct Settings {
+    pub source: Source,
+    /// The line of a source that has no address of its own.
+    pub line: Option<Connection>,
+    /// Where commands go over UDP, and what signs them.
+    pub gondola: Option<SocketAddr>,
+    pub key: Option<crate::link::Key>,
+    /// Of a serial line, bit/s.
+    pub baud: u32,
+    /// Whom all that is received is passed on to.
+    pub relays: Vec<SocketAddr>,
+    pub recording: Option<PathBuf>,
+    /// The file that keeps the log of commands.
+    pub command_log: PathBuf,
+    /// How long rows are kept.
+    pub keep: Duration,
+    pub ground: Ground,
+    pub listen: SocketAddr,
+    pub token: Option<Secret>,
+    /// `https://host` under which a proxy shows the console.
+    pub public_origin: Option<String>,
+}
+
+/// A console that runs.
+pub struct Running {
+    address: SocketAddr,
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Running {
+    /// Starts a console.
+    ///
+    /// # Errors
+    /// An address that may not be listened on, or cannot; a source that cannot be opened or read; a log or a recording that cannot
+    /// be written.
+    pub fn start(settings: Settings) -> anyhow::Result<Self> {
+        ensure!(
+            settings.listen.ip().is_loopback() || settings.token.is_some(),
+            "--listen {}: expected an address of this machine alone, such as 127.0.0.1:8080, or --token-file",
+            settings.listen
+        );
+        let listener = TcpListener::bind(settings.listen)
+            .with_context(|| format!("--listen {}: cannot listen there", settings.listen))?;
+        let address = listener.local_addr()?;
+        let takes_commands =
+            settings.line.is_some() || settings.source.commands_to(settings.gondola).is_some();
+        let takes_commands = takes_commands && settings.token.is_some();
+        let orders = match takes_commands {
+            true => Orders::logged(&settings.command_log)?,
+            false => Orders::default(),
+        };
+        let shared = Arc::new(Shared::new(History::new(settings.keep), orders));
+        let (outbox, waiting) = crossbeam_channel::bounded(OUTBOX);
+        let console = Console::new(Parts {
+            shared: Arc::clone(&shared),
+            source: settings.source.clone(),
+            access: Access::new(settings.token, address, settings.public_origin.clone()),
+            ground: settings.ground.clone(),
+            outbox: takes_commands.then_some(outbox),
+            recording: settings.recording.clone(),
+        });
+        let reader = reader(settings, waiting)?;
+        let receives = Arc::clone(&shared);
+        let source = thread::Builder::new()
+            .name("console-source".into())
+            .spawn(move || reader.run(&receives))?;
+        let answers = Arc::clone(&shared);
+        let web = thread::Builder::new()
+            .name("console-web".into())
+            .spawn(move || web::serve(listener, console.router(), &answers))?;
+        Ok(Self {
+            address,
+            shared,
+            threads: vec![source, web],
+        })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Whether both of its threads still run.
+    pub fn is_running(&self) -> bool {
+        !self.threads.iter().any(JoinHandle::is_finished)
+    }
+
+    /// Ends it; viewers are disconnected.
+    pub fn end(self) {
+        self.shared.end();
+        for thread in self.threads {
+            if thread.join().is_err() {
+                tracing::error!("a thread of the console has panicked");
+            }
+        }
+    }
+}
+
+/// What reads the source.
+enum Reader {
+    Line(Box<Line>),
+    Archive(Follower),
+    Record(Vec<byte_log::Burst>),
+}
+
+impl Reader {
+    fn run(self, shared: &Arc<Shared>) {
+        match self {
+            Self::Line(line) => line.run(shared),
+            Self::Archive(archive) => follow(archive, shared),
+            Self::Record(bursts) => {
+                take_record(&bursts, shared);
+                while !shared.is_over() {
+                    thread::sleep(Duration::from_millis(100));
+                }
+            }
+        }
+    }
+}
+
+/// Opens the source.
+fn reader(
+    settings: Settings,
+    outbox: crossbeam_channel::Receiver<receive::Outgoing>,
+) -> anyhow::Result<Reader> {
+    match &settings.source {
+        Source::Archive(folder) => {
+            ensure!(
+                folder.is_dir(),
+                "{}: expected a folder, found none",
+                folder.display()
+            );
+            return Ok(Reader::Archive(Follower::of_flight(folder)));
+        }
+        Source::Record(file) => {
+            let name = || file.display().to_string();
+            let text = std::fs::read_to_string(file).with_context(name)?;
+            return Ok(Reader::Record(byte_log::read(&text).with_context(name)?));
+        }
+        Source::Udp(_) | Source::Serial(_) | Source::Demo => {}
+    }
+    let relay = |peer: &SocketAddr| UdpPort::open(*peer, LocalEnd::default());
+    let relays = settings
+        .relays
+        .iter()
+        .map(relay)
+        .collect::<Result<_, _>>()?;
+    let recording = settings.recording.as_ref().map(|path| {
+        let file = recording(path);
+        file.with_context(|| format!("--record {}: cannot write", path.display()))
+    });
+    let frames = settings.ground.archive.as_deref().map(Follower::of_frames);
+    let recording = recording.transpose()?;
+    Ok(Reader::Line(Box::new(Line {
+        connection: connection(settings)?,
+        outbox,
+        relays,
+        recording,
+        frames,
+    })))
+}
+
+/// The line of the source. A serial device that is not there is waited for; an address that cannot be listened on is an error.
+fn connection(settings: Settings) -> anyhow::Result<Connection> {
+    if let Some(line) = settings.line {
+        return Ok(line);
+    }
+    match settings.source {
+        Source::Udp(here) => {
+            // Nothing is sent to the port of nobody.
+            let nobody = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
+            let local = LocalEnd {
+                address: Some(here.ip()),
+                port: here.port(),
+            };
+            let port = UdpPort::open(settings.gondola.unwrap_or(nobody), local)?;
+            Ok(Connection::over(match settings.key {
+                Some(key) => port.signing(key),
+                None => port,
+            }))
+        }
+        Source::Serial(name) => Ok(Connection::to(
+            PortAddress::Serial { name },
+            settings.baud,
+            LocalEnd::default(),
+        )),
+        Source::Demo | Source::Archive(_) | Source::Record(_) => Ok(Connection::none()),
+    }
+}

@@ -1,0 +1,146 @@
+//! A picture as it comes down in pieces.
+
+use super::history::Nanoseconds;
+use crate::frame::{Frame, FrameInfo, Pixels};
+use crate::link::picture::{MOON_CAMERA, ROLL_CAMERA, Section, Tag};
+use image::{Rgb, RgbImage};
+
+/// Where pixels have not come: a hatch of these.
+const MISSING: [Rgb<u8>; 2] = [Rgb([70, 90, 120]), Rgb([95, 115, 145])];
+const HATCH_PX: u32 = 8;
+
+/// A picture of which some pixels have come.
+#[derive(Debug, Clone)]
+pub struct Partial {
+    pub width: usize,
+    pub height: usize,
+    /// Of 8 bits, `None` where not come.
+    pixels: Vec<Option<u8>>,
+    pub received: usize,
+    pub tags: Vec<Tag>,
+    /// That its packets carry: of the frame.
+    pub time: Nanoseconds,
+    /// When its last packet arrived.
+    pub arrived: Nanoseconds,
+    /// Grows with every packet.
+    pub version: u64,
+}
+
+impl Partial {
+    /// One of which nothing has come but its time.
+    pub fn begun(time: Nanoseconds, arrived: Nanoseconds) -> Self {
+        Self {
+            width: 0,
+            height: 0,
+            pixels: Vec::new(),
+            received: 0,
+            tags: Vec::new(),
+            time,
+            arrived,
+            version: 0,
+        }
+    }
+
+    /// Takes a run of pixels. One that says another size than those before is ignored.
+    pub fn take_section(&mut self, section: &Section) {
+        if self.pixels.is_empty() {
+            (self.width, self.height) = (section.width, section.height);
+            self.pixels = vec![None; section.width * section.height];
+        }
+        if (self.width, self.height) != (section.width, section.height) {
+            return;
+        }
+        let places = self.pixels.iter_mut().skip(section.first);
+        for (place, pixel) in places.zip(section.pixels) {
+            self.received += usize::from(place.is_none());
+            *place = Some(*pixel);
+        }
+    }
+
+    /// Takes a keyword; a later one of the same name is in the place of the earlier one.
+    pub fn take_tag(&mut self, tag: Tag) {
+        self.tags.retain(|known| known.name != tag.name);
+        self.tags.push(tag);
+    }
+
+    pub fn is_whole(&self) -> bool {
+        !self.pixels.is_empty() && self.received == self.pixels.len()
+    }
+
+    /// The picture with a hatch where pixels are missing.
+    pub fn image(&self) -> RgbImage {
+        RgbImage::from_fn(self.width as u32, self.height as u32, |x, y| {
+            let pixel = self.pixels.get(y as usize * self.width + x as usize);
+            match pixel.copied().flatten() {
+                Some(grey) => Rgb([grey; 3]),
+                None => MISSING[((x + y) / HATCH_PX % 2) as usize],
+            }
+        })
+    }
+
+    /// The picture as a frame, where all of it has come.
+    pub fn frame(&self) -> Option<Frame> {
+        let pixels: Option<Vec<u8>> = self.pixels.iter().copied().collect();
+        let info = FrameInfo {
+            mid_exposure: Some(super::history::timestamp(self.time)),
+            ..FrameInfo::default()
+        };
+        let pixels = Pixels::U8(pixels?);
+        Frame::new(self.width, self.height, pixels, u8::MAX.into(), info).ok()
+    }
+}
+
+/// What a camera of a number on the line is called.
+pub fn camera_name(number: u8) -> String {
+    match number {
+        1 => "pitch-yaw camera".into(),
+        2 => "second pitch-yaw camera".into(),
+        ROLL_CAMERA => "roll camera".into(),
+        MOON_CAMERA => "Moon camera".into(),
+        number => format!("camera {number}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn section(first: usize, pixels: &[u8]) -> Section<'_> {
+        Section {
+            camera: 1,
+            width: 4,
+            height: 3,
+            first,
+            last: false,
+            pixels,
+        }
+    }
+
+    #[test]
+    fn pieces_in_any_order_and_twice_make_the_picture() {
+        let mut picture = Partial::begun(5, 5);
+        for (first, pixels) in [(8, [9, 10, 11, 12]), (0, [1, 2, 3, 4]), (0, [1, 2, 3, 4])] {
+            picture.take_section(&section(first, &pixels));
+        }
+        assert_eq!((picture.received, picture.is_whole()), (8, false));
+        assert!(MISSING.contains(picture.image().get_pixel(0, 1)));
+        assert!(picture.frame().is_none());
+        picture.take_section(&section(4, &[5, 6, 7, 8]));
+        assert!(picture.is_whole());
+        assert_eq!(picture.image().get_pixel(3, 2).0, [12; 3]);
+        assert!(picture.frame().is_some());
+    }
+
+    #[test]
+    fn a_piece_beyond_the_picture_is_cut_and_one_of_another_size_ignored() {
+        let mut picture = Partial::begun(0, 0);
+        picture.take_section(&section(10, &[1, 2, 3, 4]));
+        assert_eq!(picture.received, 2);
+        let other = Section {
+            width: 5,
+            ..section(0, &[1])
+        };
+        picture.take_section(&other);
+        assert_eq!((picture.received, picture.width), (2, 4));
+    }
+}

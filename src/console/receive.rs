@@ -1,0 +1,190 @@
+//! The thread that receives: packets of a line into the history, commands onto it.
+
+use super::history::History;
+use super::shared::Shared;
+use super::stored::Follower;
+use crate::link::byte_log::{self, Burst};
+use crate::link::{BytePort, Connection, Direction, Packet, Parser, UdpPort};
+use crossbeam_channel::Receiver as Outbox;
+use jiff::Timestamp;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// How long the line is waited for before commands are looked for.
+const WAIT: Duration = Duration::from_millis(20);
+const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
+/// How often a growing archive is looked at.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// A command on its way to the line.
+#[derive(Debug, Clone)]
+pub struct Outgoing {
+    /// Of its row in the log.
+    pub number: u64,
+    pub bytes: Vec<u8>,
+}
+
+/// A line on which a flight is received.
+pub struct Line {
+    pub connection: Connection,
+    pub outbox: Outbox<Outgoing>,
+    /// Whom all that is received is passed on to.
+    pub relays: Vec<UdpPort>,
+    pub recording: Option<BufWriter<File>>,
+    /// The flight's archive, where one is at hand.
+    pub frames: Option<Follower>,
+}
+
+impl Line {
+    /// Receives until the console ends.
+    pub fn run(mut self, shared: &Arc<Shared>) {
+        let start = Instant::now();
+        let mut parser = Parser::new(Direction::ToController);
+        let mut buffer = [0; 65536];
+        let mut looked = None;
+        while !shared.is_over() {
+            let now = start.elapsed();
+            self.connection.revive(now);
+            let Some(port) = self.connection.port() else {
+                self.refuse(shared);
+                thread::sleep(WAIT);
+                continue;
+            };
+            match port.read(&mut buffer, WAIT) {
+                Ok(0) => {}
+                Ok(count) => {
+                    let packets = parser.feed(&buffer[..count], start.elapsed());
+                    self.take(
+                        &buffer[..count],
+                        &packets,
+                        parser.rejected().packets,
+                        shared,
+                    );
+                }
+                Err(error) => {
+                    tracing::error!(%error, "the line is lost");
+                    parser.abandon();
+                    self.connection.lose(start.elapsed());
+                }
+            }
+            self.send(shared, start.elapsed());
+            if looked.is_none_or(|looked: Instant| looked.elapsed() > LOOK) {
+                looked = Some(Instant::now());
+                shared.give_up_on_orders();
+                self.look_at_frames(shared);
+            }
+        }
+    }
+
+    fn take(&mut self, bytes: &[u8], packets: &[Packet], rejected: u64, shared: &Shared) {
+        let arrived = Timestamp::now();
+        for relay in &mut self.relays {
+            // Whoever does not listen misses it.
+            let _ = relay.write(bytes, Duration::ZERO);
+        }
+        self.record(bytes, arrived);
+        shared.change(|history| {
+            history.line.bytes += bytes.len() as u64;
+            history.line.rejected = rejected;
+            packets
+                .iter()
+                .for_each(|packet| history.take(packet, arrived));
+        });
+        packets
+            .iter()
+            .for_each(|packet| shared.hear_answer(packet, arrived));
+    }
+
+    fn record(&mut self, bytes: &[u8], time: Timestamp) {
+        let Some(recording) = &mut self.recording else {
+            return;
+        };
+        let bytes = bytes.to_vec();
+        let written =
+            writeln!(recording, "{}", Burst { time, bytes }).and_then(|()| recording.flush());
+        if let Err(error) = written {
+            tracing::error!(%error, "the recording ends here");
+            self.recording = None;
+        }
+    }
+
+    /// Sends the commands that wait.
+    fn send(&mut self, shared: &Shared, now: Duration) {
+        while let Ok(Outgoing { number, bytes }) = self.outbox.try_recv() {
+            let Some(port) = self.connection.port() else {
+                shared.fail_order(number, "not sent: the line is lost");
+                continue;
+            };
+            if let Err(error) = port.write(&bytes, WRITE_TIMEOUT) {
+                shared.fail_order(number, &format!("not sent: {error}"));
+                self.connection.lose(now);
+            }
+        }
+    }
+
+    fn refuse(&self, shared: &Shared) {
+        while let Ok(Outgoing { number, .. }) = self.outbox.try_recv() {
+            shared.fail_order(number, "not sent: the line is not open");
+        }
+    }
+
+    fn look_at_frames(&mut self, shared: &Shared) {
+        if let Some(frames) = &mut self.frames {
+            // Its folder may not be there yet.
+            let _ = read_on(frames, shared);
+        }
+    }
+}
+
+/// Begins a recording: a byte log.
+///
+/// # Errors
+/// The file exists, or cannot be written.
+pub fn recording(path: &Path) -> io::Result<BufWriter<File>> {
+    let mut file = BufWriter::new(File::create_new(path)?);
+    writeln!(file, "{}", byte_log::HEADER)?;
+    file.flush()?;
+    Ok(file)
+}
+
+/// Reads an archive until the console ends.
+pub fn follow(mut archive: Follower, shared: &Arc<Shared>) {
+    let mut failed = 0_u64;
+    while !shared.is_over() {
+        match read_on(&mut archive, shared) {
+            Ok(true) => {}
+            Ok(false) => thread::sleep(LOOK),
+            Err(error) => {
+                failed += 1;
+                if failed.is_power_of_two() {
+                    tracing::error!(%error, failed, "the archive cannot be read");
+                }
+                thread::sleep(LOOK);
+            }
+        }
+    }
+}
+
+fn read_on(archive: &mut Follower, shared: &Shared) -> io::Result<bool> {
+    archive.read_on(|change| shared.change(|history: &mut History| change(history)))
+}
+
+/// Takes all that a recording holds.
+pub fn take_record(bursts: &[Burst], shared: &Shared) {
+    let mut parser = Parser::new(Direction::ToController);
+    for Burst { time, bytes } in bursts {
+        let since_1970 = Duration::try_from(time.as_duration()).unwrap_or_default();
+        let packets = parser.feed(bytes, since_1970);
+        shared.change(|history| {
+            history.line.bytes += bytes.len() as u64;
+            history.line.rejected = parser.rejected().packets;
+            packets
+                .iter()
+                .for_each(|packet| history.take(packet, *time));
+        });
+    }
+}

@@ -1,0 +1,89 @@
+//! What the threads of the console share.
+
+use super::history::{History, News};
+use super::orders::Orders;
+use crate::link::Packet;
+use jiff::Timestamp;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use tokio::sync::watch;
+
+/// The flight, the commands to it, and the news of both.
+pub struct Shared {
+    history: Mutex<History>,
+    orders: Mutex<Orders>,
+    news: watch::Sender<News>,
+    /// Viewers of the live stream.
+    pub viewers: AtomicUsize,
+    over: AtomicBool,
+}
+
+impl Shared {
+    pub fn new(history: History, orders: Orders) -> Self {
+        Self {
+            history: Mutex::new(history),
+            orders: Mutex::new(orders),
+            news: watch::Sender::new(News::default()),
+            viewers: AtomicUsize::new(0),
+            over: AtomicBool::new(false),
+        }
+    }
+
+    /// The history; whoever holds it holds the receiver up.
+    pub fn history(&self) -> MutexGuard<'_, History> {
+        self.history.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub fn orders(&self) -> MutexGuard<'_, Orders> {
+        self.orders.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes the history and tells the viewers.
+    pub fn change(&self, change: impl FnOnce(&mut History)) {
+        let mut history = self.history();
+        let before = history.news;
+        change(&mut history);
+        let news = history.news;
+        drop(history);
+        if news != before {
+            self.news.send_replace(news);
+        }
+    }
+
+    /// Wakes whoever waits for news.
+    pub fn subscribe(&self) -> watch::Receiver<News> {
+        self.news.subscribe()
+    }
+
+    /// Looks for answers to commands in a packet.
+    pub fn hear_answer(&self, packet: &Packet, now: Timestamp) {
+        let has_changed = self.orders().hear(packet, now);
+        self.tell_of_orders(has_changed);
+    }
+
+    /// Closes the rows of commands that nobody answers.
+    pub fn give_up_on_orders(&self) {
+        let has_changed = self.orders().give_up(Timestamp::now());
+        self.tell_of_orders(has_changed);
+    }
+
+    pub fn fail_order(&self, number: u64, why: &str) {
+        self.orders().fail(number, why, Timestamp::now());
+        self.tell_of_orders(true);
+    }
+
+    pub fn tell_of_orders(&self, has_changed: bool) {
+        if has_changed {
+            self.change(|history| history.news.orders += 1);
+        }
+    }
+
+    /// Ends the threads that ask.
+    pub fn end(&self) {
+        self.over.store(true, Ordering::Relaxed);
+    }
+
+    pub fn is_over(&self) -> bool {
+        self.over.load(Ordering::Relaxed)
+    }
+}

@@ -1,0 +1,337 @@
+//! A flight as one viewer sees it, at a time: the objects that the pages are made of, as JSON.
+
+use super::history::{
+    Alarm, GYROS, HOUSEKEEPING, History, Nanoseconds, RECEIVED, SILENCE_S, nanoseconds, timestamp,
+};
+use super::pictures::camera_name;
+use super::rules::Severity;
+use super::table::{Table, row_at};
+use crate::link::housekeeping::{FIELDS, Field};
+use crate::link::message::ERROR_CODES;
+use crate::link::picture::TagValue;
+use jiff::Timestamp;
+use serde_json::{Map, Value, json};
+
+/// Alarms that have ended are shown for so long.
+const ENDED_NS: i64 = 24 * 3600 * 1_000_000_000;
+const MOST_ALARMS: usize = 50;
+const FEW_ALARMS: usize = 3;
+
+/// Fields that a viewer on a slow line is sent.
+const MAIN_FIELDS: [&str; 16] = [
+    "uptime_s",
+    "taken",
+    "fine",
+    "coarse",
+    "none",
+    "quality",
+    "azimuth_deg",
+    "elevation_deg",
+    "offset_sigma_deg",
+    "exposure_us",
+    "disc_dn",
+    "marks",
+    "limb_points",
+    "stored",
+    "lost",
+    "solutions",
+];
+
+/// A time as the pages read it.
+pub fn utc(time: Nanoseconds) -> String {
+    format!("{:.3}", timestamp(time))
+}
+
+/// The flight at a time, or its newest; `now` is the ground's clock, by which the age of what arrives counts.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    pub history: &'a History,
+    pub at: Option<Nanoseconds>,
+    pub now: Timestamp,
+    /// Whether more may come: then silence is a fault.
+    pub is_live: bool,
+}
+
+impl View<'_> {
+    /// What is wrong, in words, the alarms so far, and what the line carries; on a slow line the last alarms alone.
+    pub fn state(&self, bits_per_s: u64, viewers: usize, slow: bool) -> Value {
+        let row = self.history.row(self.at);
+        let mut findings = self.silence().into_iter().collect::<Vec<_>>();
+        findings.extend(row.map_or(Vec::new(), |row| self.history.findings(row)));
+        let severity = findings.iter().map(|found| found.severity).max();
+        let severity = severity.unwrap_or(Severity::Good);
+        let sentences = match findings.is_empty() {
+            true => vec![self.all_is_well(row)],
+            false => findings.iter().map(sentence).collect(),
+        };
+        let line = &self.history.line;
+        json!({
+            "now": format!("{:.3}", self.now),
+            "view": self.time().map(utc),
+            "severity": severity.name(),
+            "sentences": sentences,
+            "alarms": self.alarms(if slow { FEW_ALARMS } else { MOST_ALARMS }),
+            "line": {
+                "packets": line.packets,
+                "rejected": line.rejected,
+                "missing": line.missing,
+                "doubled": line.doubled,
+                "late": line.late,
+                "bits_per_s": bits_per_s,
+            },
+            "viewers": viewers,
+        })
+    }
+
+    /// The time that is looked at.
+    fn time(&self) -> Option<Nanoseconds> {
+        self.at
+            .or_else(|| self.history.span().map(|(_, last)| last))
+    }
+
+    fn all_is_well(&self, row: Option<usize>) -> Value {
+        let rows = &self.history.housekeeping;
+        let wrong = row.and_then(|row| (0..row).rev().find(|row| rows.flags[*row] != 0));
+        let since = row.and_then(|_| rows.times.get(wrong.map_or(0, |wrong| wrong + 1)));
+        let words = match row {
+            Some(_) => "all is well",
+            None => "no housekeeping has come yet",
+        };
+        json!({"rule": null, "severity": "good", "words": words, "since": since.map(|time| utc(*time))})
+    }
+
+    /// That no housekeeping comes, or came at the time.
+    fn silence(&self) -> Option<Alarm> {
+        let rows = &self.history.housekeeping;
+        let row = self.history.row(self.at)?;
+        let silent_s = match self.at {
+            Some(at) => (at - rows.times[row]) / 1_000_000_000,
+            None if self.is_live => (nanoseconds(self.now) - rows.arrived[row]) / 1_000_000_000,
+            None => 0,
+        };
+        (silent_s >= SILENCE_S).then(|| Alarm {
+            rule: "silence",
+            severity: Severity::Alarm,
+            words: format!("no housekeeping for {silent_s} s"),
+            since: rows.times[row],
+            until: None,
+        })
+    }
+
+    fn alarms(&self, most: usize) -> Vec<Value> {
+        let time = self.time().unwrap_or_default();
+        let is_of_view = |alarm: &&Alarm| {
+            let is_recent = alarm.until.is_none_or(|until| until > time - ENDED_NS);
+            alarm.severity == Severity::Alarm && alarm.since <= time && is_recent
+        };
+        let silence = self.silence();
+        let all = self.history.alarms.iter().rev().filter(is_of_view);
+        let shown = silence.iter().chain(all).take(most);
+        shown
+            .map(|alarm| {
+                let mut alarm = alarm.clone();
+                alarm.until = alarm.until.filter(|until| *until <= time);
+                alarm_json(&alarm)
+            })
+            .collect()
+    }
+
+    /// The housekeeping of the time, every field by its name.
+    pub fn housekeeping(&self, main_fields_alone: bool) -> Option<Value> {
+        let rows = &self.history.housekeeping;
+        let row = self.history.row(self.at)?;
+        let told = rows.told(row)?.csv_row();
+        let is_shown = |field: &&Field| !main_fields_alone || MAIN_FIELDS.contains(&field.name);
+        let fields = FIELDS.iter().zip(told).filter(|(field, _)| is_shown(field));
+        let fields: Map<String, Value> = fields
+            .map(|(field, text)| (field.name.to_owned(), field_json(field, &text)))
+            .collect();
+        Some(json!({
+            "time": utc(rows.times[row]),
+            "arrived": utc(rows.arrived[row]),
+            "fields": fields,
+        }))
+    }
+
+    /// The last solution: as it was received, else as the log of an archive has it.
+    pub fn solution(&self) -> Option<Value> {
+        let received = self.offset(RECEIVED, "", self.history.solution_arrived);
+        received.or_else(|| self.logged_solution())
+    }
+
+    fn logged_solution(&self) -> Option<Value> {
+        let mut found = self.offset("solutions", "offset_", None)?;
+        let time = self.at.unwrap_or(Nanoseconds::MAX);
+        let frames = &self.history.frames;
+        let frame = frames
+            .partition_point(|frame| frame.time <= time)
+            .checked_sub(1);
+        let frame = frame.map(|frame| &frames[frame]);
+        let reason = frame.and_then(|frame| self.history.reasons.get(usize::from(frame.reason?)));
+        found["quality"] = json!(frame.map(|frame| frame.quality));
+        found["reason"] = json!(reason);
+        Some(found)
+    }
+
+    /// The last offset by gyros.
+    pub fn gyros(&self) -> Option<Value> {
+        let received = self.offset(GYROS, "", self.history.gyros_arrived);
+        received.or_else(|| self.offset("propagated", "", None))
+    }
+
+    /// The offset in the last row of a table, whose columns' names begin in a way.
+    fn offset(&self, table: &str, prefix: &str, arrived: Option<Nanoseconds>) -> Option<Value> {
+        let table: &Table = self.history.tables.get(table)?;
+        let row = row_at(table.times(), self.at.unwrap_or(Nanoseconds::MAX))?;
+        let time = table.times()[row];
+        let number = |name: &str| table.value(row, &format!("{prefix}{name}"));
+        let arcsec = |name: &str| number(name).map(|deg| deg * 3600.0);
+        let age_ms = number("age_ms").or_else(|| number("age_s").map(|s| 1e3 * s));
+        let code = number("error_code");
+        let arrived = arrived.filter(|_| self.at.is_none()).unwrap_or(time);
+        Some(json!({
+            "time": utc(time),
+            "arrived": utc(arrived),
+            "quality": code.is_none().then_some("sent"),
+            "azimuth_deg": number("azimuth_deg"),
+            "elevation_deg": number("elevation_deg"),
+            "cross_elevation_deg": number("cross_elevation_deg"),
+            "roll_deg": table.value(row, "roll_deg"),
+            "sigma_deg": number("sigma_deg"),
+            "azimuth_arcsec": arcsec("azimuth_deg"),
+            "elevation_arcsec": arcsec("elevation_deg"),
+            "sigma_arcsec": arcsec("sigma_deg"),
+            "age_ms": age_ms,
+            "reason": code.map(|code| error_in_words(code as u16)),
+        }))
+    }
+
+    /// The picture of each camera.
+    pub fn pictures(&self) -> Vec<Value> {
+        let cameras = self.history.cameras().into_iter();
+        cameras.filter_map(|camera| self.picture(camera)).collect()
+    }
+
+    fn picture(&self, camera: u8) -> Option<Value> {
+        let picture = self.history.picture(camera, self.at)?;
+        let tags: Map<String, Value> = picture
+            .tags
+            .iter()
+            .map(|tag| {
+                let value = match &tag.value {
+                    TagValue::Text(text) => json!(text),
+                    TagValue::Whole(value) => json!(value),
+                    TagValue::Number(value) => json!(value),
+                };
+                (
+                    tag.name.clone(),
+                    json!({"value": value, "comment": tag.comment}),
+                )
+            })
+            .collect();
+        Some(json!({
+            "camera": camera,
+            "name": camera_name(camera),
+            "width": picture.width,
+            "height": picture.height,
+            "received": picture.received,
+            "pixels": picture.width * picture.height,
+            "time": utc(picture.time),
+            "arrived": utc(picture.arrived),
+            "version": picture.version,
+            "tags": tags,
+            "file": null,
+        }))
+    }
+
+    /// The frame of an archive that was the last at the time, in the place of a picture of the first camera.
+    pub fn frame(&self) -> Option<Value> {
+        let time = self.at.unwrap_or(Nanoseconds::MAX);
+        let frames = &self.history.frames;
+        let end = frames.partition_point(|frame| frame.time <= time);
+        let is_stored =
+            |frame: &&super::history::FrameRow| !frame.file.is_empty() && frame.camera.is_empty();
+        let frame = frames[..end].iter().rev().find(is_stored)?;
+        Some(json!({
+            "camera": 1,
+            "name": camera_name(1),
+            "time": utc(frame.time),
+            "arrived": utc(frame.time),
+            "version": frame.time / 1_000_000,
+            "tags": {},
+            "file": frame.file,
+        }))
+    }
+}
+
+fn sentence(alarm: &Alarm) -> Value {
+    json!({
+        "rule": alarm.rule,
+        "severity": alarm.severity.name(),
+        "words": alarm.words,
+        "since": utc(alarm.since),
+    })
+}
+
+fn alarm_json(alarm: &Alarm) -> Value {
+    let since = utc(alarm.since);
+    let mut json = sentence(alarm);
+    json["id"] = json!(format!("{}@{since}", alarm.rule));
+    json["until"] = json!(alarm.until.map(utc));
+    json
+}
+
+/// Why there is no solution.
+fn error_in_words(code: u16) -> &'static str {
+    let known = ERROR_CODES.iter().find(|(known, ..)| *known == code);
+    known.map_or("unknown error", |(.., meaning)| *meaning)
+}
+
+/// A field's text as JSON: numbers where it holds some, null where not known.
+fn field_json(field: &Field, text: &str) -> Value {
+    let number = |text: &str| text.parse().map_or(Value::Null, |value: f64| json!(value));
+    match field.parts {
+        0 if text.is_empty() => Value::Null,
+        0 => json!(text),
+        1 => number(text),
+        _ => text.split(' ').map(number).collect(),
+    }
+}
+
+/// Every field that can be plotted, by its table.
+pub fn fields(history: &History) -> Vec<Value> {
+    let field = |table: &str, name: &str, unit: &str, documentation: &str| {
+        json!({
+            "table": table,
+            "name": name,
+            "field": format!("{table}.{name}"),
+            "unit": unit,
+            "documentation": documentation,
+        })
+    };
+    let told = FIELDS.iter().flat_map(|one| {
+        (0..one.parts).map(move |part| {
+            let name = match one.parts {
+                1 => one.name.to_owned(),
+                _ => format!("{}[{part}]", one.name),
+            };
+            field(HOUSEKEEPING, &name, one.unit, one.documentation)
+        })
+    });
+    let tables = history
+        .tables
+        .values()
+        .filter(|table| !table.times().is_empty());
+    let columns = tables.flat_map(|table| {
+        let columns = table.columns.iter();
+        columns.map(|column| {
+            field(
+                &table.name,
+                &column.name,
+                &column.unit,
+                &column.documentation,
+            )
+        })
+    });
+    told.chain(columns).collect()
+}
