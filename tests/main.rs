@@ -12,6 +12,8 @@ mod calibrate_roll_camera;
 mod camera;
 mod cli;
 mod command_line;
+#[cfg(feature = "console")]
+mod console;
 mod coordinates;
 mod disc_search;
 mod disks;

@@ -78,6 +78,7 @@ fn a_demonstration_that_is_stopped_ends_in_order() {
     let shown = std::cell::Cell::new(0);
     let summary = demo::run(
         &settings,
+        None,
         |_| shown.set(shown.get() + 1),
         || shown.get() >= 3,
     );

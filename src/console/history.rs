@@ -164,6 +164,8 @@ pub struct History {
     /// When the last solution and offset by gyros arrived, by the ground's clock.
     pub solution_arrived: Option<Nanoseconds>,
     pub gyros_arrived: Option<Nanoseconds>,
+    /// The exposure that was announced last, which an error is about.
+    announced: Option<Nanoseconds>,
     /// How long rows are kept.
     keep: Nanoseconds,
 }
@@ -225,6 +227,7 @@ impl History {
             news: News::default(),
             solution_arrived: None,
             gyros_arrived: None,
+            announced: None,
             keep: i64::try_from(keep.as_nanos()).unwrap_or(i64::MAX),
         }
     }
@@ -250,9 +253,12 @@ impl History {
                     self.solution_arrived = Some(arrived);
                     self.news.solution += 1;
                 }
+                Message::ExposureStart(exposure) => {
+                    self.announced = Some(nanoseconds(exposure.time))
+                }
                 Message::Error { code } => {
                     let row = [None, None, None, None, Some(code.into())];
-                    self.push(RECEIVED, arrived, &row);
+                    self.push(RECEIVED, self.announced.unwrap_or(arrived), &row);
                     self.solution_arrived = Some(arrived);
                     self.news.solution += 1;
                 }
@@ -326,7 +332,9 @@ impl History {
         // A clock that was set back makes rows that are newer by the time since the start, but not by their own.
         let newest = self.newest.and_then(|row| self.housekeeping.told(row));
         let is_late = at < self.housekeeping.times.len()
-            && newest.as_ref().is_some_and(|newest| told.uptime_s < newest.uptime_s);
+            && newest
+                .as_ref()
+                .is_some_and(|newest| told.uptime_s < newest.uptime_s);
         self.count_missing(is_late, told, newest.as_ref());
         self.housekeeping.times.insert(at, time);
         self.housekeeping.arrived.insert(at, arrived);

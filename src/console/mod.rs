@@ -35,6 +35,8 @@ mod shared;
 mod source;
 mod stored;
 mod table;
+#[cfg(test)]
+mod tests;
 mod view;
 mod web;
 
@@ -43,14 +45,16 @@ pub use ground::Ground;
 pub use orders::Refusal;
 pub use source::Source;
 
-use crate::link::{Connection, LocalEnd, PortAddress, UdpPort, byte_log};
+use crate::link::{Connection, LocalEnd, PortAddress, UdpPort};
 use access::Access;
 use anyhow::{Context, ensure};
 use history::History;
 use orders::Orders;
-use receive::{Line, follow, recording, take_record};
+use receive::{Line, follow, open_record, recording, take_record};
 use server::{Console, Parts};
 use shared::Shared;
+use std::fs::File;
+use std::io::BufReader;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -165,7 +169,7 @@ impl Running {
 enum Reader {
     Line(Box<Line>),
     Archive(Follower),
-    Record(Vec<byte_log::Burst>),
+    Record(BufReader<File>),
 }
 
 impl Reader {
@@ -173,8 +177,8 @@ impl Reader {
         match self {
             Self::Line(line) => line.run(shared),
             Self::Archive(archive) => follow(archive, shared),
-            Self::Record(bursts) => {
-                take_record(&bursts, shared);
+            Self::Record(file) => {
+                take_record(file, shared);
                 while !shared.is_over() {
                     thread::sleep(Duration::from_millis(100));
                 }
@@ -198,9 +202,8 @@ fn reader(
             return Ok(Reader::Archive(Follower::of_flight(folder)));
         }
         Source::Record(file) => {
-            let name = || file.display().to_string();
-            let text = std::fs::read_to_string(file).with_context(name)?;
-            return Ok(Reader::Record(byte_log::read(&text).with_context(name)?));
+            let record = open_record(file).with_context(|| file.display().to_string())?;
+            return Ok(Reader::Record(record));
         }
         Source::Udp(_) | Source::Serial(_) | Source::Demo => {}
     }

@@ -1,7 +1,7 @@
 //! The pages and what belongs to them: part of the program, sent compressed.
 
 use super::server::Failure;
-use axum::http::{HeaderMap, Uri, header};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -43,6 +43,9 @@ static COMPRESSED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
 
 /// A page, or a part of one.
 pub async fn page(uri: Uri, headers: HeaderMap) -> Response {
+    if uri.path() == "/favicon.ico" {
+        return StatusCode::NO_CONTENT.into_response();
+    }
     let place = FILES.iter().position(|(path, ..)| *path == uri.path());
     let Some(place) = place else {
         return Failure::missing("there is no such page").into_response();

@@ -252,11 +252,17 @@ impl View<'_> {
         let is_stored =
             |frame: &&super::history::FrameRow| !frame.file.is_empty() && frame.camera.is_empty();
         let frame = frames[..end].iter().rev().find(is_stored)?;
+        let arrived = self.history.solution_arrived.filter(|_| self.at.is_none());
         Some(json!({
             "camera": 1,
             "name": camera_name(1),
+            // A frame is there as a whole or not at all.
+            "width": 0,
+            "height": 0,
+            "received": 0,
+            "pixels": 0,
             "time": utc(frame.time),
-            "arrived": utc(frame.time),
+            "arrived": utc(arrived.unwrap_or(frame.time)),
             "version": frame.time / 1_000_000,
             "tags": {},
             "file": frame.file,
@@ -298,7 +304,7 @@ fn field_json(field: &Field, text: &str) -> Value {
     }
 }
 
-/// Every field that can be plotted, by its table.
+/// Every field, by its table; those that hold no numbers cannot be plotted.
 pub fn fields(history: &History) -> Vec<Value> {
     let field = |table: &str, name: &str, unit: &str, documentation: &str| {
         json!({
@@ -307,15 +313,18 @@ pub fn fields(history: &History) -> Vec<Value> {
             "field": format!("{table}.{name}"),
             "unit": unit,
             "documentation": documentation,
+            "number": true,
         })
     };
     let told = FIELDS.iter().flat_map(|one| {
-        (0..one.parts).map(move |part| {
-            let name = match one.parts {
-                1 => one.name.to_owned(),
-                _ => format!("{}[{part}]", one.name),
-            };
-            field(HOUSEKEEPING, &name, one.unit, one.documentation)
+        let name = move |part| match one.parts {
+            0 | 1 => one.name.to_owned(),
+            _ => format!("{}[{part}]", one.name),
+        };
+        (0..one.parts.max(1)).map(move |part| {
+            let mut json = field(HOUSEKEEPING, &name(part), one.unit, one.documentation);
+            json["number"] = json!(one.parts > 0);
+            json
         })
     });
     let tables = history

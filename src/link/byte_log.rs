@@ -40,14 +40,19 @@ pub struct LogError {
 pub fn read(text: &str) -> Result<Vec<Burst>, LogError> {
     let lines = text.lines().enumerate();
     lines
-        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
-        .map(|(number, line)| {
-            burst(line).ok_or_else(|| LogError {
-                line: number + 1,
-                found: line.chars().take(40).collect(),
-            })
-        })
+        .filter_map(|(n, line)| numbered(n + 1, line))
         .collect()
+}
+
+/// Reads a line of a log, counted from 1; `None` where it is a remark or empty.
+pub fn numbered(number: usize, line: &str) -> Option<Result<Burst, LogError>> {
+    let is_burst = !line.is_empty() && !line.starts_with('#');
+    is_burst.then(|| {
+        burst(line).ok_or_else(|| LogError {
+            line: number,
+            found: line.chars().take(40).collect(),
+        })
+    })
 }
 
 fn burst(line: &str) -> Option<Burst> {

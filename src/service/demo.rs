@@ -39,6 +39,9 @@ pub struct Demo {
     pub seed: u64,
 }
 
+/// How long the ground may take to accept what the controller passes on.
+const GROUND_PATIENCE: Duration = Duration::from_millis(5);
+
 /// The controller's end of the line, with the ground behind it: all that the controller receives goes to the ground as well, and what the
 /// ground sends goes to the aspect system.
 struct Relayed {
@@ -56,7 +59,7 @@ impl BytePort for Relayed {
         let count = self.line.read(buffer, timeout)?;
         if let Some(ground) = &mut self.ground {
             // A ground that does not listen misses it.
-            let _ = ground.write(&buffer[..count], Duration::ZERO);
+            let _ = ground.write(&buffer[..count], GROUND_PATIENCE);
         }
         Ok(count)
     }

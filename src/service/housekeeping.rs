@@ -16,10 +16,14 @@ use crate::link::{CameraRole, Housekeeping, MoonSight};
 use crate::log;
 use crate::provenance::COMMIT;
 use crossbeam_channel::Receiver;
+use jiff::{SignedDuration, Timestamp};
 use std::time::{Duration, Instant};
 
 /// Where Linux tells how warm the computer is, in thousandths of a degree.
 const COMPUTER_TEMPERATURE: &str = "/sys/class/thermal/thermal_zone0/temp";
+
+/// Frames whose time differs from the computer's by more are those of another time.
+const ANOTHER_TIME: Duration = Duration::from_secs(60);
 
 /// How often threads were started again.
 #[derive(Debug, Clone, Copy)]
@@ -38,6 +42,8 @@ pub(super) struct HousekeepingSource {
     /// SHA-256 of the flight's configuration.
     configuration: Digits,
     start: Instant,
+    /// By how much the frames of a simulated flight are ahead of the computer's clock.
+    ahead: SignedDuration,
     before: FlightTally,
 }
 
@@ -54,6 +60,7 @@ impl HousekeepingSource {
             moon_desk,
             configuration: Digits::of(configuration_sha256),
             start: Instant::now(),
+            ahead: SignedDuration::ZERO,
             before: FlightTally::default(),
         }
     }
@@ -64,7 +71,7 @@ impl HousekeepingSource {
         counts: &Counts,
         restarts: Restarts,
         events: usize,
-    ) -> Box<Housekeeping> {
+    ) -> (Timestamp, Box<Housekeeping>) {
         let tally = counts.brief();
         let mut told = Box::<Housekeeping>::default();
         let clock = ClockStatus::read().ok();
@@ -103,7 +110,18 @@ impl HousekeepingSource {
         self.tell_answer(&mut told);
         self.tell_moon(&mut told);
         self.before = tally;
-        told
+        (Timestamp::now() + self.ahead, told)
+    }
+
+    /// A simulated flight has the time of its frames, which may begin on any day: its housekeeping belongs beside them.
+    fn note_simulated_time(&mut self, answer: &Answer) {
+        let info = &answer.exposure.frame.info;
+        if let Some(utc) = info.mid_exposure.filter(|_| info.is_simulated()) {
+            let ahead = utc.duration_since(Timestamp::now());
+            if (ahead - self.ahead).unsigned_abs() > ANOTHER_TIME {
+                self.ahead = ahead;
+            }
+        }
     }
 
     fn tell_settings(&self, told: &mut Housekeeping) {
@@ -124,7 +142,7 @@ impl HousekeepingSource {
         }
     }
 
-    fn tell_answer(&self, told: &mut Housekeeping) {
+    fn tell_answer(&mut self, told: &mut Housekeeping) {
         let camera = self.controls.config().link.sending_camera as usize;
         let Some(recent) = self.recent.get(camera.saturating_sub(1)) else {
             return;
@@ -136,6 +154,7 @@ impl HousekeepingSource {
         };
         told.solve_ms = quantile(&mut solve_times, 0.5).map(milliseconds);
         if let Some(answer) = answer {
+            self.note_simulated_time(&answer);
             tell_frame(told, &answer);
             tell_solution(told, &answer);
         }

@@ -150,18 +150,18 @@ impl<'a> Line<'a> {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
             LinkEvent::Propagated(event) => self.propagate(&event),
-            LinkEvent::Housekeeping(told) => self.tell(&told),
+            LinkEvent::Housekeeping(time, told) => self.tell(time, &told),
             LinkEvent::Picture(picture) => {
                 self.picture = Some(PictureUnderWay::new(picture, Instant::now()));
             }
         }
     }
 
-    fn tell(&mut self, told: &Housekeeping) {
+    fn tell(&mut self, time: Timestamp, told: &Housekeeping) {
         if self.backlog() > BACKLOG {
             return;
         }
-        match told.packet(Timestamp::now()) {
+        match told.packet(time) {
             Ok(packet) => {
                 self.tally.lock().housekeeping += u64::from(self.send(&packet.encode()));
             }

@@ -1,10 +1,10 @@
 //! The page on the protocol: the interface document for whoever builds the other end, made from the tables that the
 //! program itself works by.
 
-use crate::link::message::{ERROR_CODES, NO_OFFSET};
 use crate::config::{Allowed, parameters};
 use crate::link::describe::{describe, hex};
 use crate::link::ground::order;
+use crate::link::message::{ERROR_CODES, NO_OFFSET};
 use crate::link::moon::{NOT_FOUND, NOT_VISIBLE};
 use crate::link::{
     AspectCommand, COMMANDS, Computer, ExposureStart, Message, MoonAnswer, MoonFix, MoonSight,

@@ -205,13 +205,13 @@ impl Watch {
             takeovers: self.takeovers(),
         };
         let events = self.to_line.len();
-        let told = self.housekeeping.next(&self.counts, restarts, events);
+        let (time, told) = self.housekeeping.next(&self.counts, restarts, events);
         if let Some(archive) = &self.archive {
-            archive.note(&told);
+            archive.note(time, &told);
         }
         *self.signals.housekeeping.lock() = Some((*told).clone());
         // A line that is stuck has more urgent things to say.
-        let _ = self.to_line.try_send(LinkEvent::Housekeeping(told));
+        let _ = self.to_line.try_send(LinkEvent::Housekeeping(time, told));
     }
 
     fn takeovers(&self) -> u64 {

@@ -6,7 +6,7 @@ import { begin } from './header.js';
 import { at, choices, flight, isLive, on, thin, viewNow } from './view.js';
 
 const RANGES = [[60, '1 min'], [600, '10 min'], [3600, '1 h'], [21600, '6 h'], [86400, '24 h'], [null, 'all']];
-const FIRST = ['solutions.azimuth_deg', 'solutions.elevation_deg', 'housekeeping.azimuth_deg', 'housekeeping.elevation_deg'];
+const FIRST = ['received.azimuth_deg', 'received.elevation_deg', 'solutions.offset_azimuth_deg', 'solutions.offset_elevation_deg'];
 
 /** Either the last `range_s` seconds (null: all) up to the newest data, or `from` to `to` (ms). */
 const chosen = { fields: [], range_s: 600, from: null, to: null };
@@ -41,7 +41,7 @@ function buildFields() {
   if (byId('fields').firstChild) return;
   if (!chosen.fields.length) chosen.fields = FIRST.filter((name) => flight.fields.some(({ field }) => field === name)).slice(0, 2);
   for (const table of new Set(flight.fields.map((field) => field.table))) {
-    const rows = flight.fields.filter((field) => field.table === table).map(fieldRow);
+    const rows = flight.fields.filter((field) => field.table === table && field.number).map(fieldRow);
     byId('fields').append(h('fieldset', { 'data-table': table }, h('legend', {}, table), ...rows));
   }
   search();

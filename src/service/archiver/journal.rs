@@ -25,7 +25,7 @@ pub(super) const FATE_KNOWN: Duration = Duration::from_secs(5);
 /// What the journal is told.
 pub(super) enum Entry {
     Row(RowEntry),
-    Housekeeping(Box<Housekeeping>),
+    Housekeeping(Timestamp, Box<Housekeeping>),
     Command(Box<CommandNote>),
     Navigation(NavigationRows),
 }
@@ -189,7 +189,7 @@ impl Journal {
     fn write(&mut self, entry: &mut Entry) -> Result<(), ArchiveError> {
         match entry {
             Entry::Row(entry) => self.write_row(entry),
-            Entry::Housekeeping(told) => self.write_housekeeping(told),
+            Entry::Housekeeping(time, told) => self.write_housekeeping(*time, told),
             Entry::Command(note) => self.write_command(note),
             Entry::Navigation(rows) => self.write_navigation(rows),
         }
@@ -225,10 +225,14 @@ impl Journal {
         Ok(())
     }
 
-    fn write_housekeeping(&mut self, told: &Housekeeping) -> Result<(), ArchiveError> {
+    fn write_housekeeping(
+        &mut self,
+        time: Timestamp,
+        told: &Housekeeping,
+    ) -> Result<(), ArchiveError> {
         self.store.prepare()?;
         self.reopen_after_a_mount();
-        let mut fields = vec![format!("{:.3}", Timestamp::now())];
+        let mut fields = vec![format!("{time:.3}")];
         fields.extend(told.csv_row());
         self.housekeeping.append(&fields)
     }

@@ -188,9 +188,9 @@ impl Archive {
     }
 
     /// Keeps the second's housekeeping.
-    pub fn note(&self, told: &Housekeeping) {
+    pub fn note(&self, time: Timestamp, told: &Housekeeping) {
         for log in &self.logs {
-            self.log(log, Entry::Housekeeping(Box::new(told.clone())));
+            self.log(log, Entry::Housekeeping(time, Box::new(told.clone())));
         }
     }
 

@@ -5,6 +5,7 @@ use crate::link::message::NO_OFFSET;
 use crate::link::{Exposure, Housekeeping, Picture, Propagated, Solution};
 use crate::pointing::{Offset, Roll};
 use crate::units::Measured;
+use jiff::Timestamp;
 use std::time::{Duration, Instant};
 
 /// What the link is told.
@@ -13,8 +14,8 @@ pub enum LinkEvent {
     Outcome(Box<Outcome>),
     /// An offset by the gyros.
     Propagated(PropagatedEvent),
-    /// The second's housekeeping.
-    Housekeeping(Box<Housekeeping>),
+    /// The second's housekeeping, and its time.
+    Housekeeping(Timestamp, Box<Housekeeping>),
     /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
     Picture(Box<Picture>),
 }

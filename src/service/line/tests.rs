@@ -548,7 +548,10 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
     };
     bench
         .events
-        .send(LinkEvent::Housekeeping(Box::new(told.clone())))
+        .send(LinkEvent::Housekeeping(
+            Timestamp::now(),
+            Box::new(told.clone()),
+        ))
         .unwrap();
     let end = Instant::now() + LONG;
     let mut received = vec![0; pixels.len()];
