@@ -68,7 +68,7 @@
 //! | [`simulate`] | scenes and trajectories with truth, controller emulator |
 //! | [`archive`], [`camera`] | files on disks; sources of frames |
 //! | [`config`] | the parameter table |
-//! | [`service`], [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; measuring the instrument; the best aspect history of a flight; errors on simulated frames; checks before a flight |
+//! | [`service`], `console`, [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; a flight in a browser (feature `console`); measuring the instrument; the best aspect history of a flight; errors on simulated frames; checks before a flight |
 //! | [`cli`] | one small file per command; no logic |
 //!
 //! # Conventions

@@ -4,7 +4,7 @@ use super::access::{Refused, unguessable};
 use super::history::History;
 use super::orders::{ARMED, OTHERS, Orders, Request, named_changes_flight, reading, telling};
 use super::receive::Outgoing;
-use super::server::{Answer, Body, Console, Failure};
+use super::request::{Answer, Body, Console, Failure};
 use super::view::utc;
 use crate::config::{Allowed, Parameter, parameters};
 use crate::link::command::{COMMANDS, CommandRow, Kind, Variable};

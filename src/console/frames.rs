@@ -1,7 +1,8 @@
 //! Requests that are about the frames of an archive.
 
-use super::history::{FrameRow, History, Nanoseconds};
-use super::server::{Answer, Asked, Console, Failure, attachment, beside, png, time};
+use super::history::{FrameRow, History};
+use super::request::{Answer, Asked, Console, Failure, attachment, beside, png, time};
+use super::table::Nanoseconds;
 use super::view::utc;
 use axum::Json;
 use axum::extract::State;

@@ -1,7 +1,7 @@
 //! What the ground knows beside the flight itself, and what it draws with it: the instrument, the target, frames and pictures solved
 //! on the ground.
 
-use super::history::{Nanoseconds, timestamp};
+use super::table::{Nanoseconds, timestamp};
 use crate::aspect::{self, Expected};
 use crate::fits;
 use crate::frame::Frame;

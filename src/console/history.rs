@@ -1,8 +1,8 @@
 //! All that the ground knows of a flight: what packets and logs have brought, in the order of its own time.
 
-use super::pictures::Partial;
+use super::pictures::{CAMERAS, Partial};
 use super::rules::{self, Minute, Severity};
-use super::table::{Column, Table, place, row_at};
+use super::table::{Column, Nanoseconds, Steady, Table, nanoseconds, place, row_at};
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::link::picture::{Section, Tag};
 use crate::link::{
@@ -10,9 +10,6 @@ use crate::link::{
 };
 use jiff::Timestamp;
 use std::collections::BTreeMap;
-
-/// Nanoseconds since 1970, UTC.
-pub type Nanoseconds = i64;
 
 const SECOND_NS: i64 = 1_000_000_000;
 /// Over which counters are said to have grown.
@@ -30,14 +27,6 @@ const PIECE_NS: i64 = 3600 * SECOND_NS;
 pub const HOUSEKEEPING: &str = "housekeeping";
 pub const RECEIVED: &str = "received";
 pub const GYROS: &str = "gyros";
-
-pub fn nanoseconds(time: Timestamp) -> Nanoseconds {
-    time.as_nanosecond() as i64
-}
-
-pub fn timestamp(time: Nanoseconds) -> Timestamp {
-    Timestamp::from_nanosecond(time.into()).unwrap_or_default()
-}
 
 /// The housekeeping packets, each as it came, with what the rules say of it.
 #[derive(Debug, Default)]
@@ -112,6 +101,8 @@ pub struct LineCounts {
     pub missing: u64,
     pub doubled: u64,
     pub late: u64,
+    /// Rows of another time than those about them: see [`Steady`].
+    pub doubtful: u64,
     /// Bytes in all.
     pub bytes: u64,
 }
@@ -164,6 +155,9 @@ pub struct History {
     /// When the last solution and offset by gyros arrived, by the ground's clock.
     pub solution_arrived: Option<Nanoseconds>,
     pub gyros_arrived: Option<Nanoseconds>,
+    told_times: Steady,
+    solution_times: Steady,
+    gyro_times: Steady,
     /// The exposure that was announced last, which an error is about.
     announced: Option<Nanoseconds>,
     /// How long rows are kept.
@@ -227,6 +221,9 @@ impl History {
             news: News::default(),
             solution_arrived: None,
             gyros_arrived: None,
+            told_times: Steady::default(),
+            solution_times: Steady::default(),
+            gyro_times: Steady::default(),
             announced: None,
             keep: i64::try_from(keep.as_nanos()).unwrap_or(i64::MAX),
         }
@@ -244,34 +241,45 @@ impl History {
     fn take_messages(&mut self, packet: &CommandPacket, arrived: Nanoseconds) {
         for message in Messages::of(packet.payload()).filter_map(|(_, message)| message.ok()) {
             match message {
-                Message::Solution(solution) => {
-                    self.push(
-                        RECEIVED,
-                        nanoseconds(solution.time),
-                        &numbers(&solution, None),
-                    );
-                    self.solution_arrived = Some(arrived);
-                    self.news.solution += 1;
-                }
                 Message::ExposureStart(exposure) => {
                     self.announced = Some(nanoseconds(exposure.time))
                 }
+                Message::Solution(solution) => {
+                    let row = numbers(&solution, None);
+                    self.take_solution(nanoseconds(solution.time), arrived, &row);
+                }
                 Message::Error { code } => {
                     let row = [None, None, None, None, Some(code.into())];
-                    self.push(RECEIVED, self.announced.unwrap_or(arrived), &row);
-                    self.solution_arrived = Some(arrived);
-                    self.news.solution += 1;
+                    self.take_solution(self.announced.unwrap_or(arrived), arrived, &row);
                 }
                 Message::Propagated(by_gyros) => {
                     let (solution, age_ms) = (by_gyros.solution, by_gyros.age_ms);
                     let row = numbers(&solution, Some(age_ms.into()));
-                    self.push(GYROS, nanoseconds(solution.time), &row);
-                    self.gyros_arrived = Some(arrived);
-                    self.news.gyros += 1;
+                    self.take_gyros(nanoseconds(solution.time), arrived, &row);
                 }
                 _ => {}
             }
         }
+    }
+
+    fn take_solution(&mut self, time: Nanoseconds, arrived: Nanoseconds, row: &[Option<f64>]) {
+        if !self.solution_times.take(time) {
+            self.line.doubtful += 1;
+            return;
+        }
+        self.push(RECEIVED, time, row);
+        self.solution_arrived = Some(arrived);
+        self.news.solution += 1;
+    }
+
+    fn take_gyros(&mut self, time: Nanoseconds, arrived: Nanoseconds, row: &[Option<f64>]) {
+        if !self.gyro_times.take(time) {
+            self.line.doubtful += 1;
+            return;
+        }
+        self.push(GYROS, time, row);
+        self.gyros_arrived = Some(arrived);
+        self.news.gyros += 1;
     }
 
     fn push(&mut self, table: &str, time: Nanoseconds, row: &[Option<f64>]) {
@@ -301,6 +309,9 @@ impl History {
         (time, arrived): (Nanoseconds, Nanoseconds),
         change: impl FnOnce(&mut Partial),
     ) {
+        if !CAMERAS.contains(&camera) {
+            return;
+        }
         if self.pictures.len() >= MOST_PICTURES && !self.pictures.contains_key(&(camera, time)) {
             let oldest = self.pictures.keys().min_by_key(|(_, time)| *time).copied();
             oldest.and_then(|oldest| self.pictures.remove(&oldest));
@@ -320,6 +331,10 @@ impl History {
         time: Nanoseconds,
         arrived: Nanoseconds,
     ) {
+        if !self.told_times.take(time) {
+            self.line.doubtful += 1;
+            return;
+        }
         let payload = told.payload();
         let at = place(&self.housekeeping.times, time);
         let previous = at.checked_sub(1);
@@ -332,10 +347,8 @@ impl History {
         // A clock that was set back makes rows that are newer by the time since the start, but not by their own.
         let newest = self.newest.and_then(|row| self.housekeeping.told(row));
         let is_late = at < self.housekeeping.times.len()
-            && newest
-                .as_ref()
-                .is_some_and(|newest| told.uptime_s < newest.uptime_s);
-        self.count_missing(is_late, told, newest.as_ref());
+            && newest.is_some_and(|newest| told.uptime_s < newest.uptime_s);
+        self.count_missing(is_late, time);
         self.housekeeping.times.insert(at, time);
         self.housekeeping.arrived.insert(at, arrived);
         let byte = at * payload.len();
@@ -350,15 +363,16 @@ impl History {
         self.forget(time);
     }
 
-    fn count_missing(&mut self, is_late: bool, told: &Housekeeping, newest: Option<&Housekeeping>) {
+    /// Counts the seconds without housekeeping before that of a time; one that is late was counted.
+    fn count_missing(&mut self, is_late: bool, time: Nanoseconds) {
         if is_late {
             self.line.late += 1;
             self.line.missing = self.line.missing.saturating_sub(1);
             return;
         }
-        let seconds = newest.and_then(|newest| told.uptime_s.checked_sub(newest.uptime_s));
-        // Two seconds may be one packet a little late.
-        self.line.missing += u64::from(seconds.unwrap_or(0).saturating_sub(1));
+        let before = self.newest.map_or(time, |row| self.housekeeping.times[row]);
+        let seconds = (time - before + SECOND_NS / 2) / SECOND_NS;
+        self.line.missing += u64::try_from(seconds - 1).unwrap_or(0);
     }
 
     fn judge(&mut self, row: usize, is_late: bool) {

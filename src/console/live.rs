@@ -2,10 +2,11 @@
 //!
 //! Nothing is queued for a viewer but the events of one moment. Whoever reads slowly skips, and holds up nobody.
 
-use super::history::{History, Nanoseconds, News};
+use super::history::{History, News};
 use super::orders::Row;
-use super::server::Console;
+use super::request::Console;
 use super::shared::Shared;
+use super::table::Nanoseconds;
 use super::view::{View, utc};
 use axum::response::sse::Event;
 use futures_util::stream::{Stream, unfold};

@@ -29,6 +29,7 @@ mod pages;
 mod pictures;
 mod plots;
 mod receive;
+mod request;
 pub mod rules;
 mod server;
 mod shared;
@@ -51,7 +52,7 @@ use anyhow::{Context, ensure};
 use history::History;
 use orders::Orders;
 use receive::{Line, follow, open_record, recording, take_record};
-use server::{Console, Parts};
+use request::{Console, Parts};
 use shared::Shared;
 use std::fs::File;
 use std::io::BufReader;
@@ -136,7 +137,7 @@ impl Running {
         let answers = Arc::clone(&shared);
         let web = thread::Builder::new()
             .name("console-web".into())
-            .spawn(move || web::serve(listener, console.router(), &answers))?;
+            .spawn(move || web::serve(listener, server::router(console), &answers))?;
         Ok(Self {
             address,
             shared,

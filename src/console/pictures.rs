@@ -1,6 +1,6 @@
 //! A picture as it comes down in pieces.
 
-use super::history::Nanoseconds;
+use super::table::{Nanoseconds, timestamp};
 use crate::frame::{Frame, FrameInfo, Pixels};
 use crate::link::picture::{MOON_CAMERA, ROLL_CAMERA, Section, Tag};
 use image::{Rgb, RgbImage};
@@ -82,13 +82,16 @@ impl Partial {
     pub fn frame(&self) -> Option<Frame> {
         let pixels: Option<Vec<u8>> = self.pixels.iter().copied().collect();
         let info = FrameInfo {
-            mid_exposure: Some(super::history::timestamp(self.time)),
+            mid_exposure: Some(timestamp(self.time)),
             ..FrameInfo::default()
         };
         let pixels = Pixels::U8(pixels?);
         Frame::new(self.width, self.height, pixels, u8::MAX.into(), info).ok()
     }
 }
+
+/// The numbers of cameras on the line.
+pub const CAMERAS: [u8; 4] = [1, 2, ROLL_CAMERA, MOON_CAMERA];
 
 /// What a camera of a number on the line is called.
 pub fn camera_name(number: u8) -> String {

@@ -1,6 +1,7 @@
 //! The plots of a flight, drawn as SVG and written as CSV.
 
-use super::history::{HOUSEKEEPING, History, Nanoseconds, RECEIVED, timestamp};
+use super::history::{HOUSEKEEPING, History, RECEIVED};
+use super::table::{Nanoseconds, timestamp};
 use super::table::{Table, rows_within};
 use crate::estimation::{median, spectrum};
 use crate::link::housekeeping::FIELDS;

@@ -153,11 +153,16 @@ pub fn recording(path: &Path) -> io::Result<BufWriter<File>> {
 
 /// Reads an archive until the console ends.
 pub fn follow(mut archive: Follower, shared: &Arc<Shared>) {
-    let mut failed = 0_u64;
+    let (mut failed, mut is_read) = (0_u64, false);
     while !shared.is_over() {
         match read_on(&mut archive, shared) {
+            // What was there at the beginning may be of any time.
+            Ok(true) if is_read => shared.note_growth(),
             Ok(true) => {}
-            Ok(false) => thread::sleep(LOOK),
+            Ok(false) => {
+                is_read = true;
+                thread::sleep(LOOK);
+            }
             Err(error) => {
                 failed += 1;
                 if failed.is_power_of_two() {

@@ -1,43 +1,32 @@
 //! The web server: which address answers what. See `docs/console.md`.
 
-use super::access::{Access, COOKIE, Refused, SESSION};
-use super::commands;
-use super::frames;
-use super::ground::Ground;
+use super::access::{COOKIE, Refused, SESSION};
+use super::ground::SunOnPlate;
 use super::live::{self, Replay, Wish};
-use super::orders::Refusal;
-use super::pages;
+use super::pictures::camera_name;
 use super::plots::{self, FieldName, Numbers};
-use super::receive::Outgoing;
-use super::shared::Shared;
-use super::source::Source;
+use super::request::{Answer, Asked, Body, Console, Failure, attachment, beside, png, svg, time};
+use super::table::{Nanoseconds, row_at};
 use super::view::{self, View, utc};
-use crate::clock::parse_utc;
-use crate::console::ground::SunOnPlate;
-use crate::console::history::{Nanoseconds, nanoseconds};
-use crate::console::pictures::camera_name;
+use super::{commands, frames, pages};
 use crate::provenance::LONG_VERSION;
 use crate::units::PlateMil;
-use axum::extract::{ConnectInfo, DefaultBodyLimit, Query, Request, State};
+use axum::extract::{ConnectInfo, DefaultBodyLimit, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
-use crossbeam_channel::Sender;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder, RgbImage};
-use jiff::Timestamp;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::ops::Range;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::sync::Semaphore;
+use tower_http::compression::CompressionLayer;
 
 /// The largest request, bytes.
 const LARGEST_REQUEST: usize = 16 * 1024;
@@ -51,144 +40,38 @@ const DRAWING_TURN: Duration = Duration::from_secs(10);
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
                               connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'";
 
-/// What every answer needs.
-#[derive(Clone)]
-pub struct Console(Arc<Parts>);
-
-/// The parts of a console.
-pub struct Parts {
-    pub shared: Arc<Shared>,
-    pub source: Source,
-    pub access: Access,
-    pub ground: Ground,
-    /// Where commands go; `None` where they cannot.
-    pub outbox: Option<Sender<Outgoing>>,
-    pub recording: Option<PathBuf>,
-}
-
-/// Why a request has no answer: shown as `{"error": ...}`.
-pub struct Failure(pub StatusCode, pub String);
-
-impl Failure {
-    pub fn bad(words: impl ToString) -> Self {
-        Self(StatusCode::BAD_REQUEST, words.to_string())
-    }
-
-    pub fn missing(words: impl ToString) -> Self {
-        Self(StatusCode::NOT_FOUND, words.to_string())
-    }
-}
-
-impl IntoResponse for Failure {
-    fn into_response(self) -> Response {
-        (self.0, Json(json!({"error": self.1}))).into_response()
-    }
-}
-
-impl From<Refused> for Failure {
-    fn from(refused: Refused) -> Self {
-        let (status, words) = match refused {
-            Refused::Rate => (
-                StatusCode::TOO_MANY_REQUESTS,
-                "too many requests: wait a little",
-            ),
-            Refused::Host => (
-                StatusCode::MISDIRECTED_REQUEST,
-                "the Host header is not of this console: see --public-origin",
-            ),
-            Refused::Origin => (
-                StatusCode::FORBIDDEN,
-                "the request comes from another site's page",
-            ),
-            Refused::Login => (StatusCode::UNAUTHORIZED, "log in first"),
-            Refused::Token => (StatusCode::UNAUTHORIZED, "this is not the token"),
-            Refused::Failures => (
-                StatusCode::TOO_MANY_REQUESTS,
-                "too many wrong tokens: wait a minute",
-            ),
-        };
-        Self(status, words.into())
-    }
-}
-
-impl From<Refusal> for Failure {
-    fn from(refusal: Refusal) -> Self {
-        let status = match refusal {
-            Refusal::NotArmed | Refusal::NotConfirmed(_) => StatusCode::CONFLICT,
-            Refusal::Log { .. } => StatusCode::INTERNAL_SERVER_ERROR,
-            Refusal::Order(_) | Refusal::Computer(_) => StatusCode::BAD_REQUEST,
-        };
-        Self(status, refusal.to_string())
-    }
-}
-
-pub type Answer<T> = Result<T, Failure>;
-
-impl Console {
-    pub fn new(parts: Parts) -> Self {
-        Self(Arc::new(parts))
-    }
-
-    pub fn parts(&self) -> &Parts {
-        &self.0
-    }
-
-    pub fn shared(&self) -> &Arc<Shared> {
-        &self.0.shared
-    }
-
-    /// Whether silence is a fault: what is received comes each second.
-    pub fn is_live(&self) -> bool {
-        self.0.source.is_line()
-    }
-
-    /// Whether commands may be sent by somebody who has logged in.
-    pub fn takes_commands(&self) -> bool {
-        self.0.outbox.is_some() && self.0.access.has_token()
-    }
-
-    /// Looks at the flight at a time, or at its newest.
-    pub fn view<T>(&self, at: Option<Nanoseconds>, look: impl FnOnce(&View) -> T) -> T {
-        let history = self.0.shared.history();
-        look(&View {
-            history: &history,
-            at,
-            now: Timestamp::now(),
-            is_live: self.is_live(),
-        })
-    }
-
-    /// The routes; `drawings` are the turns at drawing.
-    pub fn router(self) -> Router {
-        let drawings = Arc::new(Semaphore::new(DRAWINGS));
-        let drawn = Router::new()
-            .route("/api/picture.png", get(picture))
-            .route("/api/plate.svg", get(plate))
-            .route("/api/plot.svg", get(plot))
-            .route("/api/spectrum.svg", get(spectrum))
-            .route("/api/table.csv", get(table))
-            .route("/api/frame.png", get(frames::picture))
-            .route("/api/frame.fits", get(frames::file))
-            .layer(middleware::from_fn_with_state(drawings, take_turn));
-        Router::new()
-            .route("/api/flight", get(flight))
-            .route("/api/now", get(now))
-            .route("/api/live", get(stream))
-            .route("/api/frames", get(frames::list))
-            .route("/api/recording", get(recording))
-            .route("/api/login", post(log_in))
-            .route("/api/logout", post(log_out))
-            .route("/api/commands", get(commands::table))
-            .route("/api/commands/log", get(commands::log))
-            .route("/api/commands/compose", post(commands::compose))
-            .route("/api/commands/arm", post(commands::arm))
-            .route("/api/commands/send", post(commands::send))
-            .merge(drawn)
-            .fallback(get(pages::page))
-            .layer(DefaultBodyLimit::max(LARGEST_REQUEST))
-            .layer(middleware::from_fn_with_state(self.clone(), guard))
-            .with_state(self)
-    }
+/// The routes; `drawings` are the turns at drawing.
+pub fn router(console: Console) -> Router {
+    let drawings = Arc::new(Semaphore::new(DRAWINGS));
+    let drawn = Router::new()
+        .route("/api/picture.png", get(picture))
+        .route("/api/plate.svg", get(plate))
+        .route("/api/plot.svg", get(plot))
+        .route("/api/spectrum.svg", get(spectrum))
+        .route("/api/table.csv", get(table))
+        .route("/api/frame.png", get(frames::picture))
+        .route("/api/frame.fits", get(frames::file))
+        .layer(middleware::from_fn_with_state(drawings, take_turn));
+    Router::new()
+        .route("/api/flight", get(flight))
+        .route("/api/now", get(now))
+        .route("/api/live", get(stream))
+        .route("/api/frames", get(frames::list))
+        .route("/api/recording", get(recording))
+        .route("/api/login", post(log_in))
+        .route("/api/logout", post(log_out))
+        .route("/api/commands", get(commands::table))
+        .route("/api/commands/log", get(commands::log))
+        .route("/api/commands/compose", post(commands::compose))
+        .route("/api/commands/arm", post(commands::arm))
+        .route("/api/commands/send", post(commands::send))
+        .merge(drawn)
+        .fallback(get(pages::page))
+        .layer(DefaultBodyLimit::max(LARGEST_REQUEST))
+        // Not the stream of events, nor pictures.
+        .layer(CompressionLayer::new())
+        .layer(middleware::from_fn_with_state(console.clone(), guard))
+        .with_state(console)
 }
 
 /// Checks every request, and says with every answer what a browser may do with it.
@@ -243,32 +126,13 @@ async fn take_turn(
     }
 }
 
-/// Does work that takes longer than an answer may beside the answers.
-pub async fn beside<T: Send + 'static>(
-    work: impl FnOnce() -> Answer<T> + Send + 'static,
-) -> Answer<T> {
-    let done = tokio::task::spawn_blocking(work).await;
-    done.unwrap_or_else(|_| {
-        Err(Failure(
-            StatusCode::INTERNAL_SERVER_ERROR,
-            "the drawing failed".into(),
-        ))
-    })
-}
-
-pub fn time(name: &str, text: Option<&String>) -> Answer<Option<Nanoseconds>> {
-    let read = |text: &String| parse_utc(text).map(nanoseconds);
-    let time = text.map(read).transpose();
-    time.map_err(|error| Failure::bad(format!("{name}: {error}")))
-}
-
 async fn flight(State(console): State<Console>, headers: HeaderMap) -> Json<Value> {
     let parts = console.parts();
     let logged_in = parts.access.is_logged_in(&headers);
     let needs_login = parts.access.guards_reading() && !logged_in;
     let mut flight = json!({
         "version": LONG_VERSION,
-        "live": parts.source.is_live(),
+        "live": console.grows(),
         "frames": parts.ground.archive.is_some(),
         "commands": console.takes_commands(),
         "logged_in": logged_in,
@@ -387,6 +251,9 @@ async fn picture(State(console): State<Console>, query: Asked<PictureQuery>) -> 
     beside(move || {
         let ground = &console.parts().ground;
         let drawn = match (picture, file) {
+            (Some(picture), _) if picture.width == 0 => {
+                return Err(Failure::missing(format!("the {name}: no pixels have come")));
+            }
             (Some(picture), _) if !with_overlay => Ok(picture.image()),
             (Some(picture), _) => {
                 let frame = picture.frame().ok_or_else(|| {
@@ -403,20 +270,6 @@ async fn picture(State(console): State<Console>, query: Asked<PictureQuery>) -> 
         png(&drawn.map_err(|error| Failure(StatusCode::CONFLICT, format!("{error:#}")))?)
     })
     .await
-}
-
-/// A picture as PNG: fast, for it is looked at once.
-pub fn png(image: &RgbImage) -> Answer<Response> {
-    let mut bytes = Vec::new();
-    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub);
-    let (width, height) = image.dimensions();
-    let written = encoder.write_image(image, width, height, ExtendedColorType::Rgb8);
-    written.map_err(|error| Failure(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
-    Ok(([(header::CONTENT_TYPE, "image/png")], bytes).into_response())
-}
-
-fn svg(drawing: String) -> Response {
-    ([(header::CONTENT_TYPE, "image/svg+xml")], drawing).into_response()
 }
 
 async fn plate(State(console): State<Console>, query: Asked<At>) -> Answer<Response> {
@@ -440,7 +293,7 @@ fn sun_on_plate(view: &View) -> Option<SunOnPlate> {
     });
     told.or_else(|| {
         let table = history.tables.get("solutions")?;
-        let row = super::table::row_at(table.times(), view.at.unwrap_or(Nanoseconds::MAX))?;
+        let row = row_at(table.times(), view.at.unwrap_or(Nanoseconds::MAX))?;
         let number = |name| table.value(row, name);
         Some(SunOnPlate {
             time: table.times()[row],
@@ -564,21 +417,6 @@ async fn table(State(console): State<Console>, query: Asked<PlotQuery>) -> Answe
     .await
 }
 
-/// A file for the viewer's disk. Its name is of letters, digits, dots, dashes and underscores alone.
-pub fn attachment(kind: &'static str, name: &str, bytes: Vec<u8>) -> Response {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-    let name: String = name
-        .chars()
-        .map(|c| if is_plain(c) { c } else { '_' })
-        .collect();
-    let disposition = format!("attachment; filename=\"{name}\"");
-    let headers = [
-        (header::CONTENT_TYPE, kind.to_owned()),
-        (header::CONTENT_DISPOSITION, disposition),
-    ];
-    (headers, bytes).into_response()
-}
-
 async fn recording(State(console): State<Console>) -> Answer<Response> {
     let path = console.parts().recording.clone();
     let path = path.ok_or_else(|| Failure::missing("nothing is recorded: see --record"))?;
@@ -625,33 +463,4 @@ async fn log_out(State(console): State<Console>, headers: HeaderMap) -> Response
     console.parts().access.log_out(&headers);
     let cookie = format!("{COOKIE}=; Path=/; Max-Age=0; HttpOnly; SameSite=Strict");
     (StatusCode::NO_CONTENT, [(header::SET_COOKIE, cookie)]).into_response()
-}
-
-/// What stands behind the question mark, with words where it cannot be read.
-pub struct Asked<T>(pub T);
-
-impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequestParts<S>
-    for Asked<T>
-{
-    type Rejection = Failure;
-
-    async fn from_request_parts(parts: &mut axum::http::request::Parts, state: &S) -> Answer<Self> {
-        let query = Query::<T>::from_request_parts(parts, state).await;
-        query
-            .map(|query| Self(query.0))
-            .map_err(|error| Failure::bad(error.body_text()))
-    }
-}
-
-/// A body of JSON, with words where it cannot be read.
-pub struct Body<T>(pub T);
-
-impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequest<S> for Body<T> {
-    type Rejection = Failure;
-
-    async fn from_request(request: Request, state: &S) -> Answer<Self> {
-        let body = Json::<T>::from_request(request, state).await;
-        body.map(|body| Self(body.0))
-            .map_err(|error| Failure(error.status(), error.body_text()))
-    }
 }

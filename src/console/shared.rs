@@ -6,6 +6,7 @@ use crate::link::Packet;
 use jiff::Timestamp;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 /// The flight, the commands to it, and the news of both.
@@ -16,7 +17,12 @@ pub struct Shared {
     /// Viewers of the live stream.
     pub viewers: AtomicUsize,
     over: AtomicBool,
+    /// When an archive grew last.
+    grew: Mutex<Option<Instant>>,
 }
+
+/// An archive that has not grown for so long is that of a flight that is over.
+const LATELY: Duration = Duration::from_secs(30);
 
 impl Shared {
     pub fn new(history: History, orders: Orders) -> Self {
@@ -26,6 +32,7 @@ impl Shared {
             news: watch::Sender::new(News::default()),
             viewers: AtomicUsize::new(0),
             over: AtomicBool::new(false),
+            grew: Mutex::new(None),
         }
     }
 
@@ -76,6 +83,16 @@ impl Shared {
         if has_changed {
             self.change(|history| history.news.orders += 1);
         }
+    }
+
+    /// Notes that an archive has grown.
+    pub fn note_growth(&self) {
+        *self.grew.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    }
+
+    pub fn has_grown_lately(&self) -> bool {
+        let grew = *self.grew.lock().unwrap_or_else(PoisonError::into_inner);
+        grew.is_some_and(|grew| grew.elapsed() < LATELY)
     }
 
     /// Ends the threads that ask.

@@ -64,11 +64,6 @@ impl std::fmt::Display for Source {
 }
 
 impl Source {
-    /// Whether more of the flight may come.
-    pub fn is_live(&self) -> bool {
-        !matches!(self, Self::Record(_))
-    }
-
     /// Whether it is a line, on which packets come as they are sent.
     pub fn is_line(&self) -> bool {
         matches!(self, Self::Udp(_) | Self::Serial(_) | Self::Demo)

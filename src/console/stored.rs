@@ -1,6 +1,7 @@
 //! A flight on disk: its logs are read into the history, and read on while they grow. See `docs/archive.md`.
 
-use super::history::{FrameRow, History, nanoseconds};
+use super::history::{FrameRow, History};
+use super::table::nanoseconds;
 use super::table::{Column, Table, place};
 use crate::clock::parse_utc;
 use crate::link::Housekeeping;

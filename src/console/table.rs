@@ -1,6 +1,41 @@
 //! Numbers over time: what a packet or a row of a log brings, in columns.
 
+use jiff::Timestamp;
 use std::ops::Range;
+
+/// Nanoseconds since 1970, UTC.
+pub type Nanoseconds = i64;
+
+pub fn nanoseconds(time: Timestamp) -> Nanoseconds {
+    // Until the year 2262.
+    time.as_nanosecond() as i64
+}
+
+pub fn timestamp(time: Nanoseconds) -> Timestamp {
+    Timestamp::from_nanosecond(time.into()).unwrap_or_default()
+}
+
+/// Times that follow each other. One of another hour than those before it is not believed before another one agrees: a broken packet
+/// that passes its checksum must not set the clock.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Steady {
+    last: Option<Nanoseconds>,
+    doubted: Option<Nanoseconds>,
+}
+
+impl Steady {
+    /// Whether a time is believed.
+    pub fn take(&mut self, time: Nanoseconds) -> bool {
+        const HOUR_NS: u64 = 3_600_000_000_000;
+        let agrees = |other: Nanoseconds| other.abs_diff(time) < HOUR_NS;
+        let is_steady = self.last.is_none_or(agrees) || self.doubted.is_some_and(agrees);
+        match is_steady {
+            true => (self.last, self.doubted) = (Some(time), None),
+            false => self.doubted = Some(time),
+        }
+        is_steady
+    }
+}
 
 /// What a column holds.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -99,6 +134,31 @@ pub fn rows_within(times: &[i64], range: &Range<i64>) -> Range<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_time_that_stands_alone_is_not_believed_and_two_that_agree_are() {
+        const HOUR: i64 = 3_600_000_000_000;
+        let mut steady = Steady::default();
+        let taken = [
+            10,
+            11,
+            9 * HOUR,
+            12,
+            8 * HOUR,
+            -5 * HOUR,
+            13,
+            9 * HOUR,
+            9 * HOUR + 1,
+            14,
+        ];
+        let taken = taken.map(|time| steady.take(time));
+        assert_eq!(
+            taken,
+            [
+                true, true, false, true, false, false, true, false, true, false
+            ]
+        );
+    }
 
     #[test]
     fn a_late_row_stands_in_its_place_and_old_ones_are_forgotten() {

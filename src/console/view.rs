@@ -1,10 +1,9 @@
 //! A flight as one viewer sees it, at a time: the objects that the pages are made of, as JSON.
 
-use super::history::{
-    Alarm, GYROS, HOUSEKEEPING, History, Nanoseconds, RECEIVED, SILENCE_S, nanoseconds, timestamp,
-};
+use super::history::{Alarm, GYROS, HOUSEKEEPING, History, RECEIVED, SILENCE_S};
 use super::pictures::camera_name;
 use super::rules::Severity;
+use super::table::{Nanoseconds, nanoseconds, timestamp};
 use super::table::{Table, row_at};
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::link::message::ERROR_CODES;
@@ -77,6 +76,7 @@ impl View<'_> {
                 "missing": line.missing,
                 "doubled": line.doubled,
                 "late": line.late,
+                "doubtful": line.doubtful,
                 "bits_per_s": bits_per_s,
             },
             "viewers": viewers,

@@ -7,9 +7,18 @@ export function url(path, parameters = {}) {
   return query ? `${path}?${query}` : path;
 }
 
+/** Ends the drawings that are under way: on a thin line they would hold up what is looked at next. */
+let drawings = new AbortController();
+export function abandonDrawings() {
+  drawings.abort();
+  drawings = new AbortController();
+}
+
 async function ask(address, options) {
   let response;
-  try { response = await fetch(address, options); } catch { throw new Error('no connection to the console'); }
+  try { response = await fetch(address, options); } catch (error) {
+    throw error.name === 'AbortError' ? error : new Error('no connection to the console');
+  }
   if (response.ok) return response;
   const { error } = await response.json().catch(() => ({}));
   throw Object.assign(new Error(error ?? `the console answered ${response.status}`), { status: response.status });
@@ -25,27 +34,27 @@ export async function post(address, body = {}) {
 }
 
 export async function getSvg(address) {
-  const text = await (await ask(address)).text();
+  const text = await (await ask(address, { signal: drawings.signal })).text();
   return document.importNode(new DOMParser().parseFromString(text, 'image/svg+xml').documentElement, true);
 }
 
 /** Puts a picture into `place` (an <img>) once it is decoded, so that the old one stays until then. */
 export async function showPicture(place, address) {
   const image = h('img', { id: place.id, alt: place.alt });
-  image.src = URL.createObjectURL(await (await ask(address)).blob());
+  image.src = URL.createObjectURL(await (await ask(address, { signal: drawings.signal })).blob());
   await image.decode();
   URL.revokeObjectURL(place.src);
   place.src = image.src;
   place.hidden = false;
 }
 
-/** Runs `task`, and says beside it in words what failed; an empty text if nothing did. */
+/** Runs `task`, and says beside it in words what failed; an empty text if nothing did, or it was abandoned. */
 export async function telling(place, task) {
   try {
     await task();
     setText(place, '');
   } catch (error) {
-    setText(place, error.message);
+    setText(place, error.name === 'AbortError' ? '' : error.message);
   }
 }
 

@@ -95,18 +95,19 @@ function takePicture(picture) {
   byId('no-picture').hidden = true;
   const missing = picture.pixels - picture.received;
   const rows = Math.ceil(missing / picture.width);
-  const state = missing === 0 ? `${symbols.good} complete`
+  const nothing = picture.pixels === 0 && !picture.file;
+  const state = nothing ? `${symbols.attention} no pixels yet` : missing === 0 ? `${symbols.good} complete`
     : `${symbols.attention} missing ${number((100 * missing) / picture.pixels, 1)} % (${rows} of ${picture.height} rows)`;
   setText(camera.words, `${picture.name} · ${picture.time ? `${dateTime(picture.time)} UTC` : 'time not known'} · ${state}`);
   camera.image.alt = `last picture of the ${picture.name}`;
   camera.figure.dataset.received = picture.received;
   camera.figure.dataset.pixels = picture.pixels;
-  camera.fetchIt.hidden = !thin();
+  camera.fetchIt.hidden = !thin() || nothing;
   camera.frame.hidden = !picture.file;
   camera.frame.href = `/frames#file=${encodeURIComponent(picture.file)}`;
   camera.tags.replaceChildren(...Object.entries(picture.tags ?? {}).map(([name, { value, comment }]) =>
     h('div', {}, h('dt', {}, name), h('dd', {}, number(value)), h('dd', {}, comment ?? ''))));
-  if (!thin()) camera.refresh();
+  if (!thin() && !nothing) camera.refresh();
 }
 
 // ---- housekeeping

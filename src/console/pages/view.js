@@ -1,5 +1,5 @@
 // What this viewer looks at: the flight, the time (live, paused or replayed), the line; and the stream of its events.
-import { getJson, url } from './api.js';
+import { abandonDrawings, getJson, url } from './api.js';
 import { iso, kept, tab } from './dom.js';
 
 /** The answer of /api/flight. */
@@ -48,6 +48,7 @@ export function look(change) {
   Object.assign(last, { view: choices.at && Date.parse(choices.at), at: performance.now() });
   kept.set('bits', choices.bits);
   keepTime();
+  abandonDrawings();
   emit('view');
   begin();
 }
@@ -156,9 +157,9 @@ export async function start(present = false) {
     await new Promise((again) => setTimeout(again, 2000));
   }
   if (flight.needs_login && !flight.logged_in) return;
-  // A stream can be dead without an error; `state` comes each second.
+  // A stream can be dead without an error; `state` comes each second, but shares a thin line with all else.
   setInterval(() => {
-    if (stream?.readyState === EventSource.OPEN && performance.now() - heard > 6000) fail();
+    if (stream?.readyState === EventSource.OPEN && performance.now() - heard > (thin() ? 30000 : 6000)) fail();
   }, 1000);
   begin();
 }

@@ -1,0 +1,212 @@
+//! What every request has in common: what it is answered from, how it is read, and how an answer or a failure is written.
+
+use super::access::{Access, Refused};
+use super::ground::Ground;
+use super::orders::Refusal;
+use super::receive::Outgoing;
+use super::shared::Shared;
+use super::source::Source;
+use super::table::{Nanoseconds, nanoseconds};
+use super::view::View;
+use crate::clock::parse_utc;
+use axum::Json;
+use axum::extract::{Query, Request};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use crossbeam_channel::Sender;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder, RgbImage};
+use jiff::Timestamp;
+use serde_json::json;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// What every answer needs.
+#[derive(Clone)]
+pub struct Console(Arc<Parts>);
+
+/// The parts of a console.
+pub struct Parts {
+    pub shared: Arc<Shared>,
+    pub source: Source,
+    pub access: Access,
+    pub ground: Ground,
+    /// Where commands go; `None` where they cannot.
+    pub outbox: Option<Sender<Outgoing>>,
+    pub recording: Option<PathBuf>,
+}
+
+/// Why a request has no answer: shown as `{"error": ...}`.
+pub struct Failure(pub StatusCode, pub String);
+
+impl Failure {
+    pub fn bad(words: impl ToString) -> Self {
+        Self(StatusCode::BAD_REQUEST, words.to_string())
+    }
+
+    pub fn missing(words: impl ToString) -> Self {
+        Self(StatusCode::NOT_FOUND, words.to_string())
+    }
+}
+
+impl IntoResponse for Failure {
+    fn into_response(self) -> Response {
+        (self.0, Json(json!({"error": self.1}))).into_response()
+    }
+}
+
+impl From<Refused> for Failure {
+    fn from(refused: Refused) -> Self {
+        let (status, words) = match refused {
+            Refused::Rate => (
+                StatusCode::TOO_MANY_REQUESTS,
+                "too many requests: wait a little",
+            ),
+            Refused::Host => (
+                StatusCode::MISDIRECTED_REQUEST,
+                "the Host header is not of this console: see --public-origin",
+            ),
+            Refused::Origin => (
+                StatusCode::FORBIDDEN,
+                "the request comes from another site's page",
+            ),
+            Refused::Login => (StatusCode::UNAUTHORIZED, "log in first"),
+            Refused::Token => (StatusCode::UNAUTHORIZED, "this is not the token"),
+            Refused::Failures => (
+                StatusCode::TOO_MANY_REQUESTS,
+                "too many wrong tokens: wait a minute",
+            ),
+        };
+        Self(status, words.into())
+    }
+}
+
+impl From<Refusal> for Failure {
+    fn from(refusal: Refusal) -> Self {
+        let status = match refusal {
+            Refusal::NotArmed | Refusal::NotConfirmed(_) => StatusCode::CONFLICT,
+            Refusal::Log { .. } => StatusCode::INTERNAL_SERVER_ERROR,
+            Refusal::Order(_) | Refusal::Computer(_) => StatusCode::BAD_REQUEST,
+        };
+        Self(status, refusal.to_string())
+    }
+}
+
+pub type Answer<T> = Result<T, Failure>;
+
+impl Console {
+    pub fn new(parts: Parts) -> Self {
+        Self(Arc::new(parts))
+    }
+
+    pub fn parts(&self) -> &Parts {
+        &self.0
+    }
+
+    pub fn shared(&self) -> &Arc<Shared> {
+        &self.0.shared
+    }
+
+    /// Whether silence is a fault: what is received comes each second.
+    pub fn is_live(&self) -> bool {
+        self.0.source.is_line()
+    }
+
+    /// Whether the flight still grows: an archive does whose logs have grown lately.
+    pub fn grows(&self) -> bool {
+        self.is_live() || self.0.shared.has_grown_lately()
+    }
+
+    /// Whether commands may be sent by somebody who has logged in.
+    pub fn takes_commands(&self) -> bool {
+        self.0.outbox.is_some() && self.0.access.has_token()
+    }
+
+    /// Looks at the flight at a time, or at its newest.
+    pub fn view<T>(&self, at: Option<Nanoseconds>, look: impl FnOnce(&View) -> T) -> T {
+        let history = self.0.shared.history();
+        look(&View {
+            history: &history,
+            at,
+            now: Timestamp::now(),
+            is_live: self.is_live(),
+        })
+    }
+}
+
+/// Does work that takes longer than an answer may beside the answers.
+pub async fn beside<T: Send + 'static>(
+    work: impl FnOnce() -> Answer<T> + Send + 'static,
+) -> Answer<T> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.unwrap_or_else(|_| {
+        Err(Failure(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            "the drawing failed".into(),
+        ))
+    })
+}
+
+pub fn time(name: &str, text: Option<&String>) -> Answer<Option<Nanoseconds>> {
+    let read = |text: &String| parse_utc(text).map(nanoseconds);
+    let time = text.map(read).transpose();
+    time.map_err(|error| Failure::bad(format!("{name}: {error}")))
+}
+
+/// A picture as PNG: fast, for it is looked at once.
+pub fn png(image: &RgbImage) -> Answer<Response> {
+    let mut bytes = Vec::new();
+    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub);
+    let (width, height) = image.dimensions();
+    let written = encoder.write_image(image, width, height, ExtendedColorType::Rgb8);
+    written.map_err(|error| Failure(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+    Ok(([(header::CONTENT_TYPE, "image/png")], bytes).into_response())
+}
+
+pub fn svg(drawing: String) -> Response {
+    ([(header::CONTENT_TYPE, "image/svg+xml")], drawing).into_response()
+}
+
+/// A file for the viewer's disk. Its name is of letters, digits, dots, dashes and underscores alone.
+pub fn attachment(kind: &'static str, name: &str, bytes: Vec<u8>) -> Response {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+    let name: String = name
+        .chars()
+        .map(|c| if is_plain(c) { c } else { '_' })
+        .collect();
+    let disposition = format!("attachment; filename=\"{name}\"");
+    let headers = [
+        (header::CONTENT_TYPE, kind.to_owned()),
+        (header::CONTENT_DISPOSITION, disposition),
+    ];
+    (headers, bytes).into_response()
+}
+
+/// What stands behind the question mark, with words where it cannot be read.
+pub struct Asked<T>(pub T);
+
+impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequestParts<S>
+    for Asked<T>
+{
+    type Rejection = Failure;
+
+    async fn from_request_parts(parts: &mut axum::http::request::Parts, state: &S) -> Answer<Self> {
+        let query = Query::<T>::from_request_parts(parts, state).await;
+        query
+            .map(|query| Self(query.0))
+            .map_err(|error| Failure::bad(error.body_text()))
+    }
+}
+
+/// A body of JSON, with words where it cannot be read.
+pub struct Body<T>(pub T);
+
+impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequest<S> for Body<T> {
+    type Rejection = Failure;
+
+    async fn from_request(request: Request, state: &S) -> Answer<Self> {
+        let body = Json::<T>::from_request(request, state).await;
+        body.map(|body| Self(body.0))
+            .map_err(|error| Failure(error.status(), error.body_text()))
+    }
+}
