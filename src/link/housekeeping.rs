@@ -3,6 +3,7 @@
 //! The table below is the layout, the struct and the page on the protocol. The first byte of the payload is the
 //! layout's number: a field that is added, removed or changed makes a new one.
 
+use super::layout::{self, Number};
 use super::message::MessageError;
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
@@ -25,9 +26,30 @@ const EARLIER: [(u8, &str); 5] = [
 pub struct Field {
     pub name: &'static str,
     pub kind: &'static str,
+    /// What it is made of, and how many of them.
+    pub number: Number,
+    pub count: usize,
     pub bytes: usize,
     pub unit: &'static str,
     pub documentation: &'static str,
+}
+
+impl Field {
+    /// The same as a field of any payload.
+    pub fn plain(&self) -> layout::Field {
+        layout::Field {
+            name: self.name,
+            number: self.number,
+            count: self.count,
+            unit: self.unit,
+            documentation: self.documentation,
+        }
+    }
+
+    /// What it means, and its type.
+    pub fn in_words(&self) -> String {
+        format!("{} ({})", self.documentation, self.kind)
+    }
 }
 
 macro_rules! housekeeping {
@@ -42,6 +64,8 @@ macro_rules! housekeeping {
         pub const FIELDS: &[Field] = &[$(Field {
             name: stringify!($field),
             kind: <$type as Wire>::KIND,
+            number: <$type as Wire>::NUMBER,
+            count: <$type as Wire>::BYTES / <$type as Wire>::NUMBER.bytes(),
             bytes: <$type as Wire>::BYTES,
             unit: $unit,
             documentation: $documentation,
@@ -217,6 +241,17 @@ impl fmt::Debug for Digits {
     }
 }
 
+/// The fields after the layout's number, each with the first layout that has it.
+pub fn fields_by_layout() -> impl Iterator<Item = (u8, &'static Field)> {
+    let mut layout = 1;
+    FIELDS.iter().map(move |field| {
+        let began = EARLIER.iter();
+        let mut ended = began.filter(|(_, added)| *added == field.name);
+        layout = ended.next().map_or(layout, |(earlier, _)| earlier + 1);
+        (layout, field)
+    })
+}
+
 /// A payload of an earlier layout as one of this: what was added since, from a field on, is nothing or not known.
 fn completed(payload: &[u8], added: &str) -> Option<Vec<u8>> {
     let added = FIELDS.iter().skip_while(|field| field.name != added);
@@ -253,6 +288,7 @@ impl Housekeeping {
 /// How a field travels.
 trait Wire: Sized {
     const KIND: &'static str;
+    const NUMBER: Number;
     const BYTES: usize;
     fn write(&self, bytes: &mut Vec<u8>);
     fn read(rest: &mut &[u8]) -> Option<Self>;
@@ -276,9 +312,10 @@ fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
 }
 
 macro_rules! whole_wire {
-    ($($type:ty),*) => {$(
+    ($($type:ty, $number:ident);*) => {$(
         impl Wire for $type {
             const KIND: &'static str = stringify!($type);
+            const NUMBER: Number = Number::$number;
             const BYTES: usize = size_of::<$type>();
 
             fn write(&self, bytes: &mut Vec<u8>) {
@@ -296,10 +333,11 @@ macro_rules! whole_wire {
     )*};
 }
 
-whole_wire!(u8, u16, u32);
+whole_wire!(u8, U8; u16, U16; u32, U32);
 
 impl Wire for bool {
     const KIND: &'static str = "u8, 1 or 0";
+    const NUMBER: Number = Number::U8;
     const BYTES: usize = 1;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -317,6 +355,7 @@ impl Wire for bool {
 
 impl Wire for Option<f32> {
     const KIND: &'static str = "f32, NaN where not known";
+    const NUMBER: Number = Number::F32;
     const BYTES: usize = 4;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -335,6 +374,7 @@ impl Wire for Option<f32> {
 
 impl Wire for Option<u8> {
     const KIND: &'static str = "u8, 255 where not known";
+    const NUMBER: Number = Number::U8;
     const BYTES: usize = 1;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -353,6 +393,7 @@ impl Wire for Option<u8> {
 
 impl Wire for [u16; 7] {
     const KIND: &'static str = "7 x u16, from 0 again after 65535";
+    const NUMBER: Number = Number::U16;
     const BYTES: usize = 14;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -374,6 +415,7 @@ impl Wire for [u16; 7] {
 
 impl<T: Pair> Wire for [T; 2] {
     const KIND: &'static str = T::PAIR;
+    const NUMBER: Number = T::NUMBER;
     const BYTES: usize = 2 * T::BYTES;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -404,6 +446,7 @@ impl Pair for Option<u8> {
 
 impl Wire for Digits {
     const KIND: &'static str = "u32, 0 where not known";
+    const NUMBER: Number = Number::U32;
     const BYTES: usize = 4;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -423,6 +466,7 @@ impl Wire for Digits {
 
 impl Wire for MarkIds {
     const KIND: &'static str = "16 x u8";
+    const NUMBER: Number = Number::U8;
     const BYTES: usize = 16;
 
     fn write(&self, bytes: &mut Vec<u8>) {

@@ -5,29 +5,29 @@
 //! sender that pads its packets is understood.
 
 pub use super::fields::MessageError;
+pub use super::layout::key;
 
 use super::fields::{Reader, Writer, unix_time};
-use super::moon::{self, MoonAnswer, MoonRequest};
+use super::layout::message_of;
+use super::moon::{MoonAnswer, MoonRequest};
 use super::packet::{CommandPacket, TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 
-/// The keys of messages.
-pub mod key {
-    pub const GPS: u16 = 0x000A;
-    pub const START_TRACKING: u16 = 0x1000;
-    pub const STOP_TRACKING: u16 = 0x1001;
-    pub const ASPECT_COMMAND: u16 = 0x10FF;
-    pub const TRACKING_ON: u16 = 0x1100;
-    pub const TRACKING_OFF: u16 = 0x1101;
-    pub const SOLUTION: u16 = 0x1102;
-    pub const ERROR: u16 = 0x1103;
-    pub const EXPOSURE_START: u16 = 0x1104;
-    pub const PROPAGATED: u16 = 0x1105;
-    pub use crate::link::moon::{
-        FOUND as MOON_FOUND, NOT_FOUND_KEY as MOON_NOT_FOUND, NOT_VISIBLE_KEY as MOON_NOT_VISIBLE,
-        REQUEST as MOON_REQUEST,
-    };
-}
+/// Error code of a frame whose Sun was found but whose time or place is not known.
+pub const NO_OFFSET: u16 = 100;
+
+/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass. Code, name, meaning.
+#[rustfmt::skip] // One row, one line.
+pub const ERROR_CODES: &[(u16, &str, &str)] = &[
+    (1, "levels", "levels: no disc stands out of the background"),
+    (2, "limb", "limb: no disc was found"),
+    (3, "marks", "marks: too few were seen"),
+    (4, "identification", "identification: the marks could not be told apart"),
+    (5, "registration", "registration: no mapping fits the marks"),
+    (6, "aspect", "aspect: the Sun's place on the plate is not known"),
+    (7, "pointing", "pointing: the target cannot be pointed at from here"),
+    (NO_OFFSET, "no_offset", "the Sun was found, but time or place of the frame is not known"),
+];
 
 /// The camera's number in an exposure packet: 1, whichever computer sends it.
 pub const CAMERA: u16 = 1;
@@ -46,8 +46,6 @@ pub struct Solution {
 }
 
 impl Solution {
-    const BYTES: usize = 4 * 8 + 4 + 2;
-
     fn write(&self, out: &mut Writer) -> Result<(), MessageError> {
         out.f64("azimuth", self.azimuth_deg)?;
         out.f64("elevation", self.elevation_deg)?;
@@ -296,20 +294,12 @@ impl<'a> Iterator for Messages<'a> {
 
 /// The length of the message that begins a payload, as its key states it, bytes.
 fn stated_length(payload: &[u8]) -> Option<usize> {
-    let fields = match first_word(payload)? {
-        key::TRACKING_ON | key::TRACKING_OFF | key::START_TRACKING | key::STOP_TRACKING => 0,
-        key::SOLUTION => Solution::BYTES,
-        key::PROPAGATED => Solution::BYTES + 2,
-        key::ERROR => 2,
-        key::EXPOSURE_START => 2 + 8,
-        key::GPS => 2 * 4,
-        key::MOON_REQUEST => moon::REQUEST_BYTES,
-        key::MOON_FOUND => moon::FOUND_BYTES,
-        key::MOON_NOT_VISIBLE | key::MOON_NOT_FOUND => moon::CODE_BYTES,
-        key::ASPECT_COMMAND => 2 + 2 * variable_count(first_word(payload.get(2..)?)?),
-        _ => return None,
+    let key = first_word(payload)?;
+    let variables = match key {
+        key::ASPECT_COMMAND => variable_count(first_word(payload.get(2..)?)?),
+        _ => 0,
     };
-    Some(2 + fields)
+    Some(2 + message_of(key)?.bytes() + 2 * variables)
 }
 
 fn first_word(bytes: &[u8]) -> Option<u16> {
@@ -365,11 +355,11 @@ pub fn variable_count(key: u16) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::link::moon::{MoonFix, MoonSight};
 
-    fn every_message() -> Vec<Message> {
+    pub(in crate::link) fn every_message() -> Vec<Message> {
         let time = Timestamp::from_second(1_379_786_400).unwrap();
         vec![
             Message::TrackingOn,

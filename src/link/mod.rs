@@ -20,6 +20,7 @@ pub mod guard;
 pub mod housekeeping;
 pub mod imu;
 pub mod key;
+pub mod layout;
 pub mod message;
 pub mod moon;
 pub mod packet;

@@ -14,7 +14,7 @@ mod hearing;
 mod moon;
 mod picture;
 
-pub(super) use event::{ERROR_CODES, LinkEvent, NO_OFFSET, Outcome, PropagatedEvent};
+pub(super) use event::{LinkEvent, Outcome, PropagatedEvent};
 
 use super::control::{Controls, Topic};
 use super::moon::MoonDesk;

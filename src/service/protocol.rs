@@ -1,10 +1,10 @@
 //! The page on the protocol: the interface document for whoever builds the other end, made from the tables that the
 //! program itself works by.
 
-use super::line::{ERROR_CODES, NO_OFFSET};
 use crate::config::{Allowed, parameters};
 use crate::link::describe::{describe, hex};
 use crate::link::ground::order;
+use crate::link::message::ERROR_CODES;
 use crate::link::moon::{NOT_FOUND, NOT_VISIBLE};
 use crate::link::{
     AspectCommand, COMMANDS, Computer, ExposureStart, Message, MoonAnswer, MoonFix, MoonSight,
@@ -33,11 +33,10 @@ pub fn protocol_page() -> String {
 
 fn error_codes() -> String {
     let mut text = String::from("\n| error code | no solution, because |\n|---|---|\n");
-    for (code, meaning) in ERROR_CODES {
+    for (code, _, meaning) in ERROR_CODES {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "| {code} | {meaning} |");
     }
-    debug_assert!(ERROR_CODES.iter().any(|(code, _)| *code == NO_OFFSET));
     text
 }
 
@@ -45,7 +44,7 @@ fn error_codes() -> String {
 fn moon_codes() -> String {
     let mut text = String::from("\n| message | code | meaning |\n|---|---|---|\n");
     for (message, codes) in [("not visible", NOT_VISIBLE), ("not found", NOT_FOUND)] {
-        for (code, meaning) in codes {
+        for (code, _, meaning) in codes {
             // Writing to a String cannot fail.
             let _ = writeln!(text, "| {message} | {code} | {meaning} |");
         }
@@ -210,6 +209,8 @@ fn example_packets() -> Option<Vec<Packet>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::layout::MESSAGES;
+    use crate::link::message::NO_OFFSET;
 
     /// With SOLASPECT_WRITE_DOCS set, the page is written instead.
     #[test]
@@ -226,9 +227,18 @@ mod tests {
     }
 
     #[test]
+    fn every_message_of_the_table_is_on_the_page() {
+        let page = protocol_page();
+        for row in MESSAGES {
+            let key = format!("| 0x{:04X} |", row.key);
+            assert_eq!(page.matches(&key).count(), 1, "{}", row.name);
+        }
+    }
+
+    #[test]
     fn every_example_is_there_and_every_stage_has_its_code() {
         assert_eq!(example_packets().unwrap().len(), 23);
-        let codes: Vec<u16> = ERROR_CODES.iter().map(|(code, _)| *code).collect();
+        let codes: Vec<u16> = ERROR_CODES.iter().map(|(code, ..)| *code).collect();
         assert_eq!(codes, [1, 2, 3, 4, 5, 6, 7, NO_OFFSET]);
     }
 }

@@ -1,26 +1,11 @@
 //! What the link is told, and what it says of a frame without a solution.
 
 use crate::aspect::Stopped;
+use crate::link::message::NO_OFFSET;
 use crate::link::{Exposure, Housekeeping, Picture, Propagated, Solution};
 use crate::pointing::{Offset, Roll};
 use crate::units::Measured;
 use std::time::{Duration, Instant};
-
-/// Error code of a frame whose Sun was found but whose time or place is not known.
-pub const NO_OFFSET: u16 = 100;
-
-/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass.
-#[rustfmt::skip] // One row, one line.
-pub const ERROR_CODES: &[(u16, &str)] = &[
-    (1, "levels: no disc stands out of the background"),
-    (2, "limb: no disc was found"),
-    (3, "marks: too few were seen"),
-    (4, "identification: the marks could not be told apart"),
-    (5, "registration: no mapping fits the marks"),
-    (6, "aspect: the Sun's place on the plate is not known"),
-    (7, "pointing: the target cannot be pointed at from here"),
-    (NO_OFFSET, "the Sun was found, but time or place of the frame is not known"),
-];
 
 /// What the link is told.
 pub enum LinkEvent {

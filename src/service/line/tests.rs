@@ -6,6 +6,7 @@ use crate::config::Config;
 use crate::frame::{Frame, FrameInfo, Pixels};
 use crate::instrument::builtin;
 use crate::link::ground::order;
+use crate::link::message::NO_OFFSET;
 use crate::link::picture::Section;
 use crate::link::{BytePort, Guard, Key, Message, Packet, Picture, SerialPort, Telemetry, id};
 use crate::pointing::{Offset, Roll, Target};
