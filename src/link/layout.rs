@@ -1,4 +1,5 @@
-//! The payloads of messages and telemetry as tables of fields. Lengths of messages are known by them.
+//! The payloads of messages and telemetry as tables of fields. Lengths of messages are known by them, and the link is described
+//! to other programs by them ([`schema`](super::schema)).
 
 use super::packet::{Direction, telemetry_type};
 use Direction::{ToAspect, ToController};

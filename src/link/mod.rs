@@ -28,6 +28,7 @@ pub mod parser;
 pub mod picture;
 pub mod port;
 pub mod responder;
+pub mod schema;
 pub mod udp;
 
 pub use command::{Action, COMMANDS, CameraRole, Command, CommandError, CommandRow, Computer};
