@@ -26,6 +26,7 @@ pub fn protocol_page() -> String {
     page += include_str!("protocol/housekeeping.md");
     page += &housekeeping_fields();
     page += &pictures();
+    page += include_str!("protocol/others.md");
     page += include_str!("protocol/examples.md");
     page += &examples();
     page
