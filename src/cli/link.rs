@@ -6,7 +6,9 @@ use crate::link::byte_log::{self, Burst};
 use crate::link::describe::{describe, from_hex, message_in_words, result_in_words};
 use crate::link::ground::{ask, ask_for_moon, order};
 use crate::link::port::BAUD;
-use crate::link::{AnyPort, Computer, Direction, Key, LocalEnd, Message, PortAddress, UdpPort};
+use crate::link::{
+    AnyPort, Computer, Direction, Key, LocalEnd, Message, PortAddress, UdpPort, schema,
+};
 use crate::units::counted;
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};
@@ -18,7 +20,7 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Send a command over the controller's line, decode packets, record a line
+/// Send a command over the controller's line, decode packets, record a line, describe its packets
 #[derive(Debug, Args)]
 pub struct LinkArgs {
     #[command(subcommand)]
@@ -30,6 +32,7 @@ enum LinkCommand {
     Send(SendArgs),
     Decode(DecodeArgs),
     Log(LogArgs),
+    Describe(DescribeArgs),
 }
 
 /// Where the line is.
@@ -118,6 +121,22 @@ struct LogArgs {
     from: Option<Speaker>,
 }
 
+/// Print packets and commands as a description that other programs read (docs/protocol.md)
+#[derive(Debug, Args)]
+struct DescribeArgs {
+    /// Language of the description
+    #[arg(long)]
+    format: Format,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    /// Kaitai Struct: packets both ways
+    Ksy,
+    /// XTCE 1.2: telemetry, and commands to the aspect system
+    Xtce,
+}
+
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Speaker {
     Aspect,
@@ -144,6 +163,14 @@ pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
         LinkCommand::Send(args) => send(&args),
         LinkCommand::Decode(args) => decode(&args),
         LinkCommand::Log(args) => log(&args),
+        LinkCommand::Describe(args) => {
+            let description = match args.format {
+                Format::Ksy => schema::kaitai(),
+                Format::Xtce => schema::xtce(),
+            };
+            say(description.trim_end())?;
+            Ok(ExitCode::SUCCESS)
+        }
     }
 }
 

@@ -65,7 +65,7 @@ impl HousekeepingRows {
         let number = |row| {
             let field: &Field = found?;
             let bytes = self.payload(row)?.get(at..at + field.bytes)?;
-            field.number(bytes, part)
+            field.value(bytes, part)
         };
         rows.map(|row| number(row).map_or(f32::NAN, |value| value as f32))
             .collect()

@@ -140,9 +140,9 @@ pub fn message_in_words(message: &Message) -> String {
 }
 
 fn moon(answer: &MoonAnswer) -> String {
-    let because = |codes: &[(u16, &'static str)], code| {
-        let row = codes.iter().find(|(number, _)| *number == code);
-        row.map_or("unknown reason", |(_, meaning)| *meaning)
+    let because = |codes: &[(u16, &str, &'static str)], code| {
+        let row = codes.iter().find(|(number, ..)| *number == code);
+        row.map_or("unknown reason", |(.., meaning)| *meaning)
     };
     let said = match answer.sight {
         MoonSight::Found(fix) => format!(

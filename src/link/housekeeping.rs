@@ -3,6 +3,7 @@
 //! The table below is the layout, the struct and the page on the protocol. The first byte of the payload is the
 //! layout's number: a field that is added, removed or changed makes a new one.
 
+use super::layout::{self, Number};
 use super::message::MessageError;
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
@@ -26,23 +27,42 @@ const EARLIER: [(u8, &str); 5] = [
 pub struct Field {
     pub name: &'static str,
     pub kind: &'static str,
+    /// What it is made of, and how many of them.
+    pub number: Number,
+    pub count: usize,
     pub bytes: usize,
     /// How many numbers it holds; 0 for one of digits or ids.
     pub parts: usize,
     pub unit: &'static str,
     pub documentation: &'static str,
-    number: fn(&[u8], usize) -> Option<f64>,
+    value: fn(&[u8], usize) -> Option<f64>,
 }
 
 impl Field {
     /// One of the field's numbers, from its bytes in a payload; `None` where it is not known.
-    pub fn number(&self, bytes: &[u8], part: usize) -> Option<f64> {
-        (self.number)(bytes, part)
+    pub fn value(&self, bytes: &[u8], part: usize) -> Option<f64> {
+        (self.value)(bytes, part)
+    }
+
+    /// The same as a field of any payload.
+    pub fn plain(&self) -> layout::Field {
+        layout::Field {
+            name: self.name,
+            number: self.number,
+            count: self.count,
+            unit: self.unit,
+            documentation: self.documentation,
+        }
+    }
+
+    /// What it means, and its type.
+    pub fn in_words(&self) -> String {
+        format!("{} ({})", self.documentation, self.kind)
     }
 }
 
-fn number_of<T: Wire>(mut bytes: &[u8], part: usize) -> Option<f64> {
-    T::read(&mut bytes)?.number(part)
+fn value_of<T: Wire>(mut bytes: &[u8], part: usize) -> Option<f64> {
+    T::read(&mut bytes)?.value(part)
 }
 
 macro_rules! housekeeping {
@@ -57,11 +77,13 @@ macro_rules! housekeeping {
         pub const FIELDS: &[Field] = &[$(Field {
             name: stringify!($field),
             kind: <$type as Wire>::KIND,
+            number: <$type as Wire>::NUMBER,
+            count: <$type as Wire>::BYTES / <$type as Wire>::NUMBER.bytes(),
             bytes: <$type as Wire>::BYTES,
             parts: <$type as Wire>::PARTS,
             unit: $unit,
             documentation: $documentation,
-            number: number_of::<$type>,
+            value: value_of::<$type>,
         }),*];
 
         impl Housekeeping {
@@ -245,6 +267,17 @@ impl fmt::Debug for Digits {
     }
 }
 
+/// The fields after the layout's number, each with the first layout that has it.
+pub fn fields_by_layout() -> impl Iterator<Item = (u8, &'static Field)> {
+    let mut layout = 1;
+    FIELDS.iter().map(move |field| {
+        let began = EARLIER.iter();
+        let mut ended = began.filter(|(_, added)| *added == field.name);
+        layout = ended.next().map_or(layout, |(earlier, _)| earlier + 1);
+        (layout, field)
+    })
+}
+
 /// A payload of an earlier layout as one of this: what was added since, from a field on, is nothing or not known.
 fn completed(payload: &[u8], added: &str) -> Option<Vec<u8>> {
     let added = FIELDS.iter().skip_while(|field| field.name != added);
@@ -281,6 +314,7 @@ impl Housekeeping {
 /// How a field travels.
 trait Wire: Sized {
     const KIND: &'static str;
+    const NUMBER: Number;
     const BYTES: usize;
     fn write(&self, bytes: &mut Vec<u8>);
     fn read(rest: &mut &[u8]) -> Option<Self>;
@@ -291,7 +325,7 @@ trait Wire: Sized {
     /// How many numbers it holds.
     const PARTS: usize = 1;
     /// One of them.
-    fn number(&self, part: usize) -> Option<f64>;
+    fn value(&self, part: usize) -> Option<f64>;
 }
 
 /// Reads what is empty where it is not known.
@@ -324,9 +358,10 @@ fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
 }
 
 macro_rules! whole_wire {
-    ($($type:ty),*) => {$(
+    ($($type:ty, $number:ident);*) => {$(
         impl Wire for $type {
             const KIND: &'static str = stringify!($type);
+            const NUMBER: Number = Number::$number;
             const BYTES: usize = size_of::<$type>();
 
             fn write(&self, bytes: &mut Vec<u8>) {
@@ -345,17 +380,18 @@ macro_rules! whole_wire {
                 text.parse().ok()
             }
 
-            fn number(&self, _: usize) -> Option<f64> {
+            fn value(&self, _: usize) -> Option<f64> {
                 Some((*self).into())
             }
         }
     )*};
 }
 
-whole_wire!(u8, u16, u32);
+whole_wire!(u8, U8; u16, U16; u32, U32);
 
 impl Wire for bool {
     const KIND: &'static str = "u8, 1 or 0";
+    const NUMBER: Number = Number::U8;
     const BYTES: usize = 1;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -374,13 +410,14 @@ impl Wire for bool {
         u8::parse(text).map(|byte| byte != 0)
     }
 
-    fn number(&self, _: usize) -> Option<f64> {
+    fn value(&self, _: usize) -> Option<f64> {
         Some(u8::from(*self).into())
     }
 }
 
 impl Wire for Option<f32> {
     const KIND: &'static str = "f32, NaN where not known";
+    const NUMBER: Number = Number::F32;
     const BYTES: usize = 4;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -400,13 +437,14 @@ impl Wire for Option<f32> {
         parse_known(text)
     }
 
-    fn number(&self, _: usize) -> Option<f64> {
+    fn value(&self, _: usize) -> Option<f64> {
         self.map(f64::from)
     }
 }
 
 impl Wire for Option<u8> {
     const KIND: &'static str = "u8, 255 where not known";
+    const NUMBER: Number = Number::U8;
     const BYTES: usize = 1;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -426,13 +464,14 @@ impl Wire for Option<u8> {
         parse_known(text)
     }
 
-    fn number(&self, _: usize) -> Option<f64> {
+    fn value(&self, _: usize) -> Option<f64> {
         self.map(f64::from)
     }
 }
 
 impl Wire for [u16; 7] {
     const KIND: &'static str = "7 x u16, from 0 again after 65535";
+    const NUMBER: Number = Number::U16;
     const BYTES: usize = 14;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -457,13 +496,14 @@ impl Wire for [u16; 7] {
 
     const PARTS: usize = 7;
 
-    fn number(&self, part: usize) -> Option<f64> {
+    fn value(&self, part: usize) -> Option<f64> {
         self.get(part).map(|value| f64::from(*value))
     }
 }
 
 impl<T: Pair> Wire for [T; 2] {
     const KIND: &'static str = T::PAIR;
+    const NUMBER: Number = T::NUMBER;
     const BYTES: usize = 2 * T::BYTES;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -484,8 +524,8 @@ impl<T: Pair> Wire for [T; 2] {
 
     const PARTS: usize = 2;
 
-    fn number(&self, part: usize) -> Option<f64> {
-        self.get(part)?.number(0)
+    fn value(&self, part: usize) -> Option<f64> {
+        self.get(part)?.value(0)
     }
 }
 
@@ -504,6 +544,7 @@ impl Pair for Option<u8> {
 
 impl Wire for Digits {
     const KIND: &'static str = "u32, 0 where not known";
+    const NUMBER: Number = Number::U32;
     const BYTES: usize = 4;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -529,13 +570,14 @@ impl Wire for Digits {
 
     const PARTS: usize = 0;
 
-    fn number(&self, _: usize) -> Option<f64> {
+    fn value(&self, _: usize) -> Option<f64> {
         None
     }
 }
 
 impl Wire for MarkIds {
     const KIND: &'static str = "16 x u8";
+    const NUMBER: Number = Number::U8;
     const BYTES: usize = 16;
 
     fn write(&self, bytes: &mut Vec<u8>) {
@@ -569,7 +611,7 @@ impl Wire for MarkIds {
 
     const PARTS: usize = 0;
 
-    fn number(&self, _: usize) -> Option<f64> {
+    fn value(&self, _: usize) -> Option<f64> {
         None
     }
 }
@@ -632,7 +674,7 @@ mod tests {
         let mut numbers = std::collections::BTreeMap::new();
         for field in FIELDS {
             let bytes = &payload[at..at + field.bytes];
-            let parts = (0..field.parts).map(|part| field.number(bytes, part));
+            let parts = (0..field.parts).map(|part| field.value(bytes, part));
             numbers.insert(field.name, parts.collect::<Vec<_>>());
             at += field.bytes;
         }

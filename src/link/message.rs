@@ -5,29 +5,13 @@
 //! sender that pads its packets is understood.
 
 pub use super::fields::MessageError;
+pub use super::layout::key;
 
 use super::fields::{Reader, Writer, unix_time};
-use super::moon::{self, MoonAnswer, MoonRequest};
+use super::layout::message_of;
+use super::moon::{MoonAnswer, MoonRequest};
 use super::packet::{CommandPacket, TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
-
-/// The keys of messages.
-pub mod key {
-    pub const GPS: u16 = 0x000A;
-    pub const START_TRACKING: u16 = 0x1000;
-    pub const STOP_TRACKING: u16 = 0x1001;
-    pub const ASPECT_COMMAND: u16 = 0x10FF;
-    pub const TRACKING_ON: u16 = 0x1100;
-    pub const TRACKING_OFF: u16 = 0x1101;
-    pub const SOLUTION: u16 = 0x1102;
-    pub const ERROR: u16 = 0x1103;
-    pub const EXPOSURE_START: u16 = 0x1104;
-    pub const PROPAGATED: u16 = 0x1105;
-    pub use crate::link::moon::{
-        FOUND as MOON_FOUND, NOT_FOUND_KEY as MOON_NOT_FOUND, NOT_VISIBLE_KEY as MOON_NOT_VISIBLE,
-        REQUEST as MOON_REQUEST,
-    };
-}
 
 /// Error code of a frame whose Sun was found but whose time or place is not known.
 pub const NO_OFFSET: u16 = 100;
@@ -62,8 +46,6 @@ pub struct Solution {
 }
 
 impl Solution {
-    const BYTES: usize = 4 * 8 + 4 + 2;
-
     fn write(&self, out: &mut Writer) -> Result<(), MessageError> {
         out.f64("azimuth", self.azimuth_deg)?;
         out.f64("elevation", self.elevation_deg)?;
@@ -312,20 +294,12 @@ impl<'a> Iterator for Messages<'a> {
 
 /// The length of the message that begins a payload, as its key states it, bytes.
 fn stated_length(payload: &[u8]) -> Option<usize> {
-    let fields = match first_word(payload)? {
-        key::TRACKING_ON | key::TRACKING_OFF | key::START_TRACKING | key::STOP_TRACKING => 0,
-        key::SOLUTION => Solution::BYTES,
-        key::PROPAGATED => Solution::BYTES + 2,
-        key::ERROR => 2,
-        key::EXPOSURE_START => 2 + 8,
-        key::GPS => 2 * 4,
-        key::MOON_REQUEST => moon::REQUEST_BYTES,
-        key::MOON_FOUND => moon::FOUND_BYTES,
-        key::MOON_NOT_VISIBLE | key::MOON_NOT_FOUND => moon::CODE_BYTES,
-        key::ASPECT_COMMAND => 2 + 2 * variable_count(first_word(payload.get(2..)?)?),
-        _ => return None,
+    let key = first_word(payload)?;
+    let variables = match key {
+        key::ASPECT_COMMAND => variable_count(first_word(payload.get(2..)?)?),
+        _ => 0,
     };
-    Some(2 + fields)
+    Some(2 + message_of(key)?.bytes() + 2 * variables)
 }
 
 fn first_word(bytes: &[u8]) -> Option<u16> {
@@ -381,11 +355,11 @@ pub fn variable_count(key: u16) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::link::moon::{MoonFix, MoonSight};
 
-    fn every_message() -> Vec<Message> {
+    pub(in crate::link) fn every_message() -> Vec<Message> {
         let time = Timestamp::from_second(1_379_786_400).unwrap();
         vec![
             Message::TrackingOn,

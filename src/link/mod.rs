@@ -20,6 +20,7 @@ pub mod guard;
 pub mod housekeeping;
 pub mod imu;
 pub mod key;
+pub mod layout;
 pub mod message;
 pub mod moon;
 pub mod packet;
@@ -27,6 +28,7 @@ pub mod parser;
 pub mod picture;
 pub mod port;
 pub mod responder;
+pub mod schema;
 pub mod udp;
 
 pub use command::{Action, COMMANDS, CameraRole, Command, CommandError, CommandRow, Computer};

@@ -82,26 +82,26 @@ pub struct MoonFix {
 
 pub const BELOW_HORIZON: u16 = 1;
 pub const NEAR_SUN: u16 = 2;
-/// Why the Moon cannot be seen.
+/// Why the Moon cannot be seen: code, name, meaning.
 #[rustfmt::skip] // One row, one line.
-pub const NOT_VISIBLE: &[(u16, &str)] = &[
-    (BELOW_HORIZON, "it is below the Earth's limb"),
-    (NEAR_SUN, "it is too near to the Sun, and the Sun is up (`moon.clear_of_sun_deg`)"),
+pub const NOT_VISIBLE: &[(u16, &str, &str)] = &[
+    (BELOW_HORIZON, "below_horizon", "it is below the Earth's limb"),
+    (NEAR_SUN, "near_sun", "it is too near to the Sun, and the Sun is up (`moon.clear_of_sun_deg`)"),
 ];
 
 pub const NO_PICTURE: u16 = 1;
 pub const WRONG_SIZE: u16 = 2;
 /// The stages of the solver follow in their order.
 pub const FIRST_STAGE: u16 = 3;
-/// Why the Moon is not found.
+/// Why the Moon is not found: code, name, meaning.
 #[rustfmt::skip] // One row, one line.
-pub const NOT_FOUND: &[(u16, &str)] = &[
-    (NO_PICTURE, "no picture that was begun after the request came in time (`moon.answer_within_s`)"),
-    (WRONG_SIZE, "the picture is of another size than the camera's file states"),
-    (FIRST_STAGE, "light: the picture is bright all over"),
-    (FIRST_STAGE + 1, "detection: no light is as large as the Moon"),
-    (FIRST_STAGE + 2, "limb: no circle fits the light's edge"),
-    (FIRST_STAGE + 3, "checks: the light has another size, shape or phase than the Moon now has"),
+pub const NOT_FOUND: &[(u16, &str, &str)] = &[
+    (NO_PICTURE, "no_picture", "no picture that was begun after the request came in time (`moon.answer_within_s`)"),
+    (WRONG_SIZE, "wrong_size", "the picture is of another size than the camera's file states"),
+    (FIRST_STAGE, "light", "light: the picture is bright all over"),
+    (FIRST_STAGE + 1, "detection", "detection: no light is as large as the Moon"),
+    (FIRST_STAGE + 2, "limb", "limb: no circle fits the light's edge"),
+    (FIRST_STAGE + 3, "checks", "checks: the light has another size, shape or phase than the Moon now has"),
 ];
 
 impl MoonSight {
@@ -154,8 +154,3 @@ impl MoonAnswer {
 fn three(input: &mut Reader, field: &'static str) -> Result<[f64; 3], MessageError> {
     Ok([input.f64(field)?, input.f64(field)?, input.f64(field)?])
 }
-
-/// The bytes of each message behind its key.
-pub(super) const REQUEST_BYTES: usize = 3 * 8;
-pub(super) const FOUND_BYTES: usize = 2 + 8 * 8 + 4 + 2;
-pub(super) const CODE_BYTES: usize = 2 + 2;

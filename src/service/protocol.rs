@@ -4,7 +4,7 @@
 use crate::config::{Allowed, parameters};
 use crate::link::describe::{describe, hex};
 use crate::link::ground::order;
-use crate::link::message::{ERROR_CODES, NO_OFFSET};
+use crate::link::message::ERROR_CODES;
 use crate::link::moon::{NOT_FOUND, NOT_VISIBLE};
 use crate::link::{
     AspectCommand, COMMANDS, Computer, ExposureStart, Message, MoonAnswer, MoonFix, MoonSight,
@@ -26,6 +26,7 @@ pub fn protocol_page() -> String {
     page += include_str!("protocol/housekeeping.md");
     page += &housekeeping_fields();
     page += &pictures();
+    page += include_str!("protocol/others.md");
     page += include_str!("protocol/examples.md");
     page += &examples();
     page
@@ -37,7 +38,6 @@ fn error_codes() -> String {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "| {code} | {meaning} |");
     }
-    debug_assert!(ERROR_CODES.iter().any(|(code, ..)| *code == NO_OFFSET));
     text
 }
 
@@ -45,7 +45,7 @@ fn error_codes() -> String {
 fn moon_codes() -> String {
     let mut text = String::from("\n| message | code | meaning |\n|---|---|---|\n");
     for (message, codes) in [("not visible", NOT_VISIBLE), ("not found", NOT_FOUND)] {
-        for (code, meaning) in codes {
+        for (code, _, meaning) in codes {
             // Writing to a String cannot fail.
             let _ = writeln!(text, "| {message} | {code} | {meaning} |");
         }
@@ -210,6 +210,8 @@ fn example_packets() -> Option<Vec<Packet>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::layout::MESSAGES;
+    use crate::link::message::NO_OFFSET;
 
     /// With SOLASPECT_WRITE_DOCS set, the page is written instead.
     #[test]
@@ -223,6 +225,15 @@ mod tests {
             committed == protocol_page(),
             "docs/protocol.md is not the tables: run this test with SOLASPECT_WRITE_DOCS=1"
         );
+    }
+
+    #[test]
+    fn every_message_of_the_table_is_on_the_page() {
+        let page = protocol_page();
+        for row in MESSAGES {
+            let key = format!("| 0x{:04X} |", row.key);
+            assert_eq!(page.matches(&key).count(), 1, "{}", row.name);
+        }
     }
 
     #[test]

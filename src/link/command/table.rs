@@ -1,6 +1,7 @@
 //! The commands of the ground in one table. Source: HEROES flight program, 2013.
 
 use crate::link::code::{angle_code, angle_from_code};
+use crate::link::layout::Number;
 use crate::link::message::{AspectCommand, MessageError};
 use Action::{
     NoOp, Quit, Read, ReadDisk, ReadNumbered, SendPicture, Set, SetNumbered, StartSending,
@@ -138,6 +139,14 @@ impl Kind {
             Self::Unsigned | Self::Switch => code.into(),
             Self::Signed => code.cast_signed().into(),
             Self::Angle => angle_from_code(code),
+        }
+    }
+
+    /// The 16 bits as a number.
+    pub fn number(self) -> Number {
+        match self {
+            Self::Unsigned | Self::Angle | Self::Switch => Number::U16,
+            Self::Signed => Number::I16,
         }
     }
 
