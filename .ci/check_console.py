@@ -892,7 +892,7 @@ def main():
         except Exception as error:
             failures += 1
             browser.shoot(f"failed_{check.__name__}")
-            print(f"  FAILED: {type(error).__name__} {error}")
+            print(f"  FAILED: {type(error).__name__} {str(error).splitlines()[0]}")
             browser.complaints()
         print(f"  ({time.monotonic() - begun:.0f} s)", flush=True)
     return failures

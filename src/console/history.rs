@@ -114,13 +114,14 @@ pub struct News {
     pub solution: u64,
     pub gyros: u64,
     pub pictures: u64,
+    pub frames: u64,
     pub orders: u64,
 }
 
 impl News {
     /// How much has come in all.
     pub fn total(&self) -> u64 {
-        self.housekeeping + self.solution + self.gyros + self.pictures + self.orders
+        self.housekeeping + self.solution + self.gyros + self.pictures + self.frames + self.orders
     }
 }
 
@@ -155,6 +156,8 @@ pub struct History {
     /// When the last solution and offset by gyros arrived, by the ground's clock.
     pub solution_arrived: Option<Nanoseconds>,
     pub gyros_arrived: Option<Nanoseconds>,
+    /// When the last frame was read in a log.
+    pub frame_read: Option<Nanoseconds>,
     told_times: Steady,
     solution_times: Steady,
     gyro_times: Steady,
@@ -221,6 +224,7 @@ impl History {
             news: News::default(),
             solution_arrived: None,
             gyros_arrived: None,
+            frame_read: None,
             told_times: Steady::default(),
             solution_times: Steady::default(),
             gyro_times: Steady::default(),

@@ -218,7 +218,7 @@ impl Viewer {
                 .into_iter()
                 .for_each(|picture| add("picture", Some(picture)));
         }
-        if changed(|news| news.solution) {
+        if changed(|news| news.frames) {
             add(
                 "picture",
                 view.frame().filter(|_| view.history.pictures.is_empty()),

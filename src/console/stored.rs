@@ -26,6 +26,8 @@ struct Log {
     /// The folder of its camera under the archive's; empty for the first camera.
     folder: String,
     what: String,
+    /// Whether solutions come from here alone.
+    is_only_source: bool,
     offset: u64,
     header: Vec<String>,
 }
@@ -109,6 +111,7 @@ impl Follower {
         let log = Log {
             folder: folder.unwrap_or(Path::new("")).display().to_string(),
             what: what.into(),
+            is_only_source: self.is_only_source,
             offset: 0,
             header: Vec::new(),
         };
@@ -191,7 +194,10 @@ impl Log {
         table.push(time, &numbers);
         match self.what.as_str() {
             SOLUTIONS => {
-                history.news.solution += 1;
+                // Where a line brings solutions, too, they are the newer ones.
+                history.news.solution += u64::from(self.is_only_source);
+                history.news.frames += 1;
+                history.frame_read = Some(nanoseconds(Timestamp::now()));
                 self.take_frame(row, time, history);
             }
             _ => history.news.gyros += 1,

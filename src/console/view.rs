@@ -58,9 +58,12 @@ impl View<'_> {
         let mut findings = self.silence().into_iter().collect::<Vec<_>>();
         findings.extend(row.map_or(Vec::new(), |row| self.history.findings(row)));
         let severity = findings.iter().map(|found| found.severity).max();
-        let severity = severity.unwrap_or(Severity::Good);
+        let severity = severity.unwrap_or(match row {
+            Some(_) => Severity::Good,
+            None => Severity::Attention,
+        });
         let sentences = match findings.is_empty() {
-            true => vec![self.all_is_well(row)],
+            true => vec![self.nothing_found(row)],
             false => findings.iter().map(sentence).collect(),
         };
         let line = &self.history.line;
@@ -89,15 +92,16 @@ impl View<'_> {
             .or_else(|| self.history.span().map(|(_, last)| last))
     }
 
-    fn all_is_well(&self, row: Option<usize>) -> Value {
-        let rows = &self.history.housekeeping;
-        let wrong = row.and_then(|row| (0..row).rev().find(|row| rows.flags[*row] != 0));
-        let since = row.and_then(|_| rows.times.get(wrong.map_or(0, |wrong| wrong + 1)));
-        let words = match row {
-            Some(_) => "all is well",
-            None => "no housekeeping has come yet",
+    /// That no rule finds anything: all is well, or nothing is known.
+    fn nothing_found(&self, row: Option<usize>) -> Value {
+        let Some(row) = row else {
+            let words = "no housekeeping has come yet";
+            return json!({"rule": null, "severity": "attention", "words": words, "since": null});
         };
-        json!({"rule": null, "severity": "good", "words": words, "since": since.map(|time| utc(*time))})
+        let rows = &self.history.housekeeping;
+        let wrong = (0..row).rev().find(|row| rows.flags[*row] != 0);
+        let since = utc(rows.times[wrong.map_or(0, |wrong| wrong + 1)]);
+        json!({"rule": null, "severity": "good", "words": "all is well", "since": since})
     }
 
     /// That no housekeeping comes, or came at the time.
@@ -252,7 +256,7 @@ impl View<'_> {
         let is_stored =
             |frame: &&super::history::FrameRow| !frame.file.is_empty() && frame.camera.is_empty();
         let frame = frames[..end].iter().rev().find(is_stored)?;
-        let arrived = self.history.solution_arrived.filter(|_| self.at.is_none());
+        let arrived = self.history.frame_read.filter(|_| self.at.is_none());
         Some(json!({
             "camera": 1,
             "name": camera_name(1),

@@ -38,6 +38,11 @@ export function since(time, reference) {
   return iso(time).slice(0, 10) === iso(reference).slice(0, 10) ? clock(time) : dateTime(time);
 }
 
+/** A sentence of the state; a null time is not known. */
+export function sentence({ words, since: begun }, { view, now }) {
+  return begun ? `${words}, since ${since(begun, view ?? now)} UTC` : words;
+}
+
 /** "18:04", "18:04:05", "2013-09-21 18:04" or full ISO, always UTC, as ms; NaN if it is no time. */
 export function parseUtc(text, reference) {
   let full = text.trim().replace(/\s*(utc|z)$/i, '').replace(' ', 'T').replace(/^\d:/, '0$&');

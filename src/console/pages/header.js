@@ -1,7 +1,7 @@
 // The header of every page: where one is, how the flight is, what one looks at, and the alarms.
 import { watchAlarms } from './alarms.js';
 import { post, telling } from './api.js';
-import { byId, clock, dateTime, h, parseUtc, setText, since, symbols } from './dom.js';
+import { byId, clock, dateTime, h, parseUtc, sentence, setText, symbols } from './dom.js';
 import { choices, flight, isLive, learn, look, on, serverNow, start, thin, viewNow } from './view.js';
 
 const SPEEDS = [1, 2, 10, 60, 600];
@@ -35,6 +35,11 @@ function build() {
       h('button', { id: 'live', type: 'button', onclick: () => look({ at: null, playing: false }) }, 'Back to live')),
     h('p', { id: 'left-out', class: 'note', hidden: true }));
   document.body.append(loginDialog());
+  // Its hash would take the place of what the address keeps.
+  document.querySelector('.skip').addEventListener('click', (event) => {
+    event.preventDefault();
+    byId('main').focus();
+  });
 }
 
 function loginDialog() {
@@ -121,7 +126,7 @@ function sayState(severity, words) {
 function showState(state) {
   const [worst, ...others] = state.sentences;
   const more = others.length ? ` · and ${others.length} more` : '';
-  sayState(state.severity, `${worst.words}, since ${since(worst.since, state.view ?? state.now)} UTC${more}`);
+  sayState(state.severity, `${sentence(worst, state)}${more}`);
   setText(byId('viewers'), state.viewers === 1 ? '1 viewer' : `${state.viewers} viewers`);
 }
 

@@ -1,11 +1,13 @@
 // The page of the present: offsets, ages, pictures, the Sun on the plate, housekeeping.
 import { getSvg, paced, showPicture, telling, url } from './api.js';
-import { byId, clock, dateTime, duration, h, kept, number, setText, since, symbols } from './dom.js';
+import { byId, clock, dateTime, duration, h, kept, number, sentence, setText, symbols } from './dom.js';
 import { begin } from './header.js';
 import { age, at, flight, on, speed, thin } from './view.js';
 
 /** What has an age, and beyond how many seconds it is old. Pictures come only when a frame is sent. */
 const OLD_S = { packet: 5, solution: 5, housekeeping: 5, picture: 600 };
+/** What is counted on the line. */
+const LINE = ['packets', 'missing', 'rejected', 'doubled', 'late', 'doubtful', 'bits_per_s'];
 /** The newest of each kind. */
 const newest = {};
 
@@ -26,12 +28,12 @@ function row(name, ids) {
   return h('tr', {}, h('th', { scope: 'row' }, name), ...ids.map((id) => h('td', { id }, id ? '–' : '')));
 }
 
-function showSentences({ sentences, view, now, line }) {
-  const items = sentences.map(({ rule, severity, words, since: begun }) => h('li',
-    { 'data-severity': severity, 'data-rule': rule }, `${symbols[severity]} ${words}, since ${since(begun, view ?? now)} UTC`));
+function showSentences(state) {
+  const items = state.sentences.map((each) => h('li',
+    { 'data-severity': each.severity, 'data-rule': each.rule }, `${symbols[each.severity]} ${sentence(each, state)}`));
   const list = byId('sentences-list');
   if (list.textContent !== items.map((item) => item.textContent).join('')) list.replaceChildren(...items);
-  for (const [name, value] of Object.entries(line)) setText(byId(`line-${name}`), number(value, 0));
+  for (const name of LINE) setText(byId(`line-${name}`), number(state.line[name], 0));
 }
 
 /** What stands below is then no longer the present. */
@@ -159,8 +161,7 @@ function build() {
       row(id === 'sigma' ? 'sigma, each axis' : id, [id === 'roll' ? null : `${name}-${id}`, `${name}-${id}-deg`])));
   }
   byId('ages').tBodies[0].append(...Object.keys(OLD_S).map((kind) => row(kind, [`age-${kind}`])));
-  byId('packets').tBodies[0].append(...['packets', 'missing', 'rejected', 'doubled', 'late', 'bits_per_s'].map((name) =>
-    row(name === 'bits_per_s' ? 'bits per s' : name, [`line-${name}`])));
+  byId('packets').tBodies[0].append(...LINE.map((name) => row(name.replaceAll('_', ' '), [`line-${name}`])));
   byId('overlay').checked = kept.get('overlay', false);
 }
 
