@@ -2,7 +2,10 @@
 
 use super::access::{Refused, unguessable};
 use super::history::History;
-use super::orders::{ARMED, OTHERS, Orders, Request, named_changes_flight, reading, telling};
+use super::orders::{
+    ARMED, OTHERS, Orders, OtherCommand, OtherVariable, Request, named_changes_flight, reading,
+    telling,
+};
 use super::receive::Outgoing;
 use super::request::{Answer, Body, Console, Failure};
 use super::view::utc;
@@ -83,8 +86,14 @@ fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders
     })
 }
 
-fn other((name, documentation, variables): &(&str, &str, &[(&str, &str, f64, f64)])) -> Value {
-    let variable = |(name, unit, low, high): &(&str, &str, f64, f64)| {
+fn other(command: &OtherCommand) -> Value {
+    let variable = |variable: &OtherVariable| {
+        let OtherVariable {
+            name,
+            unit,
+            low,
+            high,
+        } = variable;
         json!({
             "name": name,
             "unit": unit,
@@ -98,11 +107,11 @@ fn other((name, documentation, variables): &(&str, &str, &[(&str, &str, f64, f64
         })
     };
     json!({
-        "name": name,
+        "name": command.name,
         "key": null,
-        "documentation": documentation,
-        "changes_flight": named_changes_flight(name),
-        "variables": variables.iter().map(variable).collect::<Vec<_>>(),
+        "documentation": command.documentation,
+        "changes_flight": named_changes_flight(command.name),
+        "variables": command.variables.iter().map(variable).collect::<Vec<_>>(),
         "reads": null,
     })
 }

@@ -27,6 +27,11 @@ const MOST: Duration = Duration::from_secs(1);
 const STEP: Duration = Duration::from_millis(250);
 /// How often a viewer on a slow line is told what it misses.
 const TELL_LEFT_OUT: Duration = Duration::from_secs(10);
+const SOON: Duration = Duration::from_secs(2);
+/// What comes with an event: its name, and the headers of the network.
+const OVERHEAD_BYTES: usize = 100;
+/// The share of a slow line that the stream takes: the rest is for what a viewer asks for.
+const SHARE: f64 = 0.6;
 /// Rows of the log of commands that may have changed since the last moment.
 const ROWS: usize = 20;
 
@@ -107,7 +112,7 @@ impl Viewer {
                 bits_per_s: 0,
             },
             left_out: 0,
-            told_left_out: now,
+            told_left_out: now.checked_sub(TELL_LEFT_OUT - SOON).unwrap_or(now),
             position: wish.replay.map(|replay| replay.at),
             has_ended: false,
             console,
@@ -138,9 +143,9 @@ impl Viewer {
     /// Leaves a slow line the time that an event takes on it.
     async fn pace(&self, bytes: usize) {
         if let Some(bits_per_s) = self.wish.bits_per_s {
-            // The event's name and the stream's own bytes come with it.
-            let bits = 8 * (bytes + 40);
-            sleep(Duration::from_secs_f64(bits as f64 / bits_per_s)).await;
+            let bits = 8 * (bytes + OVERHEAD_BYTES);
+            let seconds = bits as f64 / (SHARE * bits_per_s);
+            sleep(Duration::from_secs_f64(seconds)).await;
         }
     }
 

@@ -376,31 +376,62 @@ pub fn telling(row: &CommandRow, variable: usize) -> Option<&'static str> {
     }
 }
 
-/// The commands that are no rows of the table, with their variables: name, unit, least, most.
-pub const OTHERS: [(&str, &str, &[(&str, &str, f64, f64)]); 4] = [
-    (
-        "start_tracking",
-        "ask for solutions, as the controller does",
-        &[],
-    ),
-    ("stop_tracking", "ask for no more solutions", &[]),
-    (
-        "gps",
-        "tell the gondola's place",
-        &[
-            ("latitude", "deg", -90.0, 90.0),
-            ("longitude", "deg", -360.0, 360.0),
-        ],
-    ),
-    (
-        "moon",
-        "ask where the Moon is, seen from a place",
-        &[
-            ("latitude", "deg", -90.0, 90.0),
-            ("longitude", "deg", -360.0, 360.0),
-            ("height", "m", -1000.0, 100_000.0),
-        ],
-    ),
+/// A command that is no row of the table.
+pub struct OtherCommand {
+    pub name: &'static str,
+    pub documentation: &'static str,
+    pub variables: &'static [OtherVariable],
+}
+
+/// A number that goes with it, from `low` to `high`.
+pub struct OtherVariable {
+    pub name: &'static str,
+    pub unit: &'static str,
+    pub low: f64,
+    pub high: f64,
+}
+
+const LATITUDE: OtherVariable = OtherVariable {
+    name: "latitude",
+    unit: "deg",
+    low: -90.0,
+    high: 90.0,
+};
+const LONGITUDE: OtherVariable = OtherVariable {
+    name: "longitude",
+    unit: "deg",
+    low: -360.0,
+    high: 360.0,
+};
+const HEIGHT: OtherVariable = OtherVariable {
+    name: "height",
+    unit: "m",
+    low: -1000.0,
+    high: 100_000.0,
+};
+
+/// The commands that are no rows of the table.
+pub const OTHERS: [OtherCommand; 4] = [
+    OtherCommand {
+        name: "start_tracking",
+        documentation: "ask for solutions, as the controller does",
+        variables: &[],
+    },
+    OtherCommand {
+        name: "stop_tracking",
+        documentation: "ask for no more solutions",
+        variables: &[],
+    },
+    OtherCommand {
+        name: "gps",
+        documentation: "tell the gondola's place",
+        variables: &[LATITUDE, LONGITUDE],
+    },
+    OtherCommand {
+        name: "moon",
+        documentation: "ask where the Moon is, seen from a place",
+        variables: &[LATITUDE, LONGITUDE, HEIGHT],
+    },
 ];
 
 /// Whether a command of a name changes the flight.

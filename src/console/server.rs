@@ -274,7 +274,7 @@ async fn picture(State(console): State<Console>, query: Asked<PictureQuery>) -> 
 
 async fn plate(State(console): State<Console>, query: Asked<At>) -> Answer<Response> {
     let at = time("at", query.0.at.as_ref())?;
-    let sun = console.view(at, |view| sun_on_plate(view));
+    let sun = console.view(at, sun_on_plate);
     let sun = sun.ok_or_else(|| Failure::missing("where the Sun is on the plate is not known"))?;
     beside(move || Ok(svg(console.parts().ground.plate(&sun)))).await
 }
