@@ -1,8 +1,10 @@
 //! The pages and what belongs to them: part of the program.
 
 use super::request::Failure;
-use axum::http::{StatusCode, Uri, header};
+use crate::provenance::sha256;
+use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
+use std::sync::LazyLock;
 
 const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
@@ -27,8 +29,14 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/view.js", MODULE, include_str!("pages/view.js")),
 ];
 
+/// What tells a browser whether the file that it has is this one.
+static TAGS: LazyLock<Vec<String>> = LazyLock::new(|| {
+    let tag = |text: &str| format!("\"{}\"", &sha256(text)[..16]);
+    FILES.iter().map(|(.., text)| tag(text)).collect()
+});
+
 /// A page, or a part of one.
-pub async fn page(uri: Uri) -> Response {
+pub async fn page(uri: Uri, headers: HeaderMap) -> Response {
     if uri.path() == "/favicon.ico" {
         return StatusCode::NO_CONTENT.into_response();
     }
@@ -37,8 +45,17 @@ pub async fn page(uri: Uri) -> Response {
         return Failure::missing("there is no such page").into_response();
     };
     let (_, kind, text) = FILES[place];
+    let tag = TAGS[place].as_str();
+    let known = headers
+        .get(header::IF_NONE_MATCH)
+        .and_then(|value| value.to_str().ok());
+    // What is compressed on the way has a weak tag.
+    if known.is_some_and(|known| known.trim_start_matches("W/") == tag) {
+        return (StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response();
+    }
     // Asked for again with every start of a page: another program may be behind the address now.
     let headers = [
+        (header::ETAG, tag),
         (header::CONTENT_TYPE, kind),
         (header::CACHE_CONTROL, "no-cache"),
     ];
