@@ -7,7 +7,7 @@ use super::orders::Row;
 use super::request::Console;
 use super::shared::Shared;
 use super::table::Nanoseconds;
-use super::view::{View, utc};
+use super::view::{Detail, View, utc};
 use axum::response::sse::Event;
 use futures_util::stream::{Stream, unfold};
 use jiff::Timestamp;
@@ -48,6 +48,15 @@ pub struct Wish {
     /// Of the line to the viewer.
     pub bits_per_s: Option<f64>,
     pub replay: Option<Replay>,
+}
+
+impl Wish {
+    fn detail(&self) -> Detail {
+        match self.bits_per_s {
+            Some(_) => Detail::Main,
+            None => Detail::All,
+        }
+    }
 }
 
 /// A stream of events.
@@ -159,7 +168,7 @@ impl Viewer {
         let is_tick = self.seen.is_none() || self.moment.elapsed() >= MOST;
         self.moment = Instant::now();
         self.measure();
-        let (seen, slow) = (self.seen, self.wish.bits_per_s.is_some());
+        let (seen, detail) = (self.seen, self.wish.detail());
         let (events, news) = {
             let history = self.shared().history();
             let view = View {
@@ -168,7 +177,7 @@ impl Viewer {
                 now: Timestamp::now(),
                 is_live: self.console.is_live(),
             };
-            (self.news_of(&view, seen, is_tick, slow), history.news)
+            (self.news_of(&view, seen, is_tick, detail), history.news)
         };
         let come = seen.map_or(0, |seen| news.total() - seen.total());
         let sent = events.iter().filter(|(kind, _)| *kind != "state").count();
@@ -178,7 +187,7 @@ impl Viewer {
         if orders_changed {
             self.add_rows();
         }
-        if slow && self.told_left_out.elapsed() > TELL_LEFT_OUT {
+        if detail == Detail::Main && self.told_left_out.elapsed() > TELL_LEFT_OUT {
             self.tell_left_out();
         }
         self.seen = Some(news);
@@ -190,7 +199,7 @@ impl Viewer {
         view: &View,
         seen: Option<News>,
         is_tick: bool,
-        slow: bool,
+        detail: Detail,
     ) -> Vec<(&'static str, String)> {
         let news = view.history.news;
         let changed = |of: fn(&News) -> u64| seen.is_none_or(|seen| of(&seen) != of(&news));
@@ -203,16 +212,16 @@ impl Viewer {
             let viewers = self.shared().viewers.load(Ordering::Relaxed);
             add(
                 "state",
-                Some(view.state(self.rate.bits_per_s, viewers, slow)),
+                Some(view.state(self.rate.bits_per_s, viewers, detail)),
             );
         }
         if changed(|news| news.solution) {
             add("solution", view.solution());
         }
         if housekeeping {
-            add("housekeeping", view.housekeeping(slow));
+            add("housekeeping", view.housekeeping(detail));
         }
-        if slow {
+        if detail == Detail::Main {
             return events;
         }
         if changed(|news| news.gyros) {
@@ -283,7 +292,7 @@ impl Viewer {
         let before = self.position.unwrap_or(replay.at);
         let at = before.saturating_add((elapsed.as_nanos() as f64 * replay.speed) as i64);
         self.position = Some(at);
-        let slow = self.wish.bits_per_s.is_some();
+        let detail = self.wish.detail();
         let (events, last) = {
             let history = self.shared().history();
             let view = View {
@@ -293,7 +302,10 @@ impl Viewer {
                 is_live: false,
             };
             let last = history.span().map_or(at, |(_, last)| last);
-            (self.replayed(&view, &history, before, slow, is_first), last)
+            (
+                self.replayed(&view, &history, before, detail, is_first),
+                last,
+            )
         };
         self.events.extend(events);
         if at > last {
@@ -310,16 +322,16 @@ impl Viewer {
         view: &View,
         history: &History,
         before: Nanoseconds,
-        slow: bool,
+        detail: Detail,
         is_first: bool,
     ) -> Vec<(&'static str, String)> {
         let viewers = self.shared().viewers.load(Ordering::Relaxed);
-        let mut events = vec![("state", Some(view.state(0, viewers, slow)))];
+        let mut events = vec![("state", Some(view.state(0, viewers, detail)))];
         if is_first || history.row(view.at) != history.row(Some(before)) {
-            events.push(("housekeeping", view.housekeeping(slow)));
+            events.push(("housekeeping", view.housekeeping(detail)));
         }
         events.push(("solution", view.solution()));
-        if !slow {
+        if detail == Detail::All {
             events.push(("propagated", view.gyros()));
             let earlier = View {
                 at: Some(before),

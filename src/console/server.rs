@@ -7,7 +7,7 @@ use super::pictures::camera_name;
 use super::plots::{self, FieldName, Numbers};
 use super::request::{Answer, Asked, Body, Console, Failure, attachment, beside, png, svg, time};
 use super::table::{Nanoseconds, row_at};
-use super::view::{self, View, utc};
+use super::view::{self, Detail, View, utc};
 use super::{commands, frames, pages};
 use crate::provenance::LONG_VERSION;
 use crate::units::PlateMil;
@@ -172,8 +172,8 @@ async fn now(State(console): State<Console>, query: Asked<At>) -> Answer<Json<Va
             pictures.extend(view.frame());
         }
         json!({
-            "state": view.state(0, viewers, false),
-            "housekeeping": view.housekeeping(false),
+            "state": view.state(0, viewers, Detail::All),
+            "housekeeping": view.housekeeping(Detail::All),
             "solution": view.solution(),
             "propagated": view.gyros(),
             "pictures": pictures,

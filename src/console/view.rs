@@ -36,6 +36,14 @@ const MAIN_FIELDS: [&str; 16] = [
     "solutions",
 ];
 
+/// How much a viewer is told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Detail {
+    All,
+    /// What a slow line carries: the last alarms, the main fields.
+    Main,
+}
+
 /// A time as the pages read it.
 pub fn utc(time: Nanoseconds) -> String {
     format!("{:.3}", timestamp(time))
@@ -52,8 +60,8 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// What is wrong, in words, the alarms so far, and what the line carries; on a slow line the last alarms alone.
-    pub fn state(&self, bits_per_s: u64, viewers: usize, slow: bool) -> Value {
+    /// What is wrong, in words, the alarms so far, and what the line carries.
+    pub fn state(&self, bits_per_s: u64, viewers: usize, detail: Detail) -> Value {
         let row = self.history.row(self.at);
         let mut findings = self.silence().into_iter().collect::<Vec<_>>();
         findings.extend(row.map_or(Vec::new(), |row| self.history.findings(row)));
@@ -72,7 +80,7 @@ impl View<'_> {
             "view": self.time().map(utc),
             "severity": severity.name(),
             "sentences": sentences,
-            "alarms": self.alarms(if slow { FEW_ALARMS } else { MOST_ALARMS }),
+            "alarms": self.alarms(detail),
             "line": {
                 "packets": line.packets,
                 "rejected": line.rejected,
@@ -122,7 +130,11 @@ impl View<'_> {
         })
     }
 
-    fn alarms(&self, most: usize) -> Vec<Value> {
+    fn alarms(&self, detail: Detail) -> Vec<Value> {
+        let most = match detail {
+            Detail::All => MOST_ALARMS,
+            Detail::Main => FEW_ALARMS,
+        };
         let time = self.time().unwrap_or_default();
         let is_of_view = |alarm: &&Alarm| {
             let is_recent = alarm.until.is_none_or(|until| until > time - ENDED_NS);
@@ -140,12 +152,12 @@ impl View<'_> {
             .collect()
     }
 
-    /// The housekeeping of the time, every field by its name.
-    pub fn housekeeping(&self, main_fields_alone: bool) -> Option<Value> {
+    /// The housekeeping of the time, its fields by their names.
+    pub fn housekeeping(&self, detail: Detail) -> Option<Value> {
         let rows = &self.history.housekeeping;
         let row = self.history.row(self.at)?;
         let told = rows.told(row)?.csv_row();
-        let is_shown = |field: &&Field| !main_fields_alone || MAIN_FIELDS.contains(&field.name);
+        let is_shown = |field: &&Field| detail == Detail::All || MAIN_FIELDS.contains(&field.name);
         let fields = FIELDS.iter().zip(told).filter(|(field, _)| is_shown(field));
         let fields: Map<String, Value> = fields
             .map(|(field, text)| (field.name.to_owned(), field_json(field, &text)))

@@ -54,6 +54,8 @@ function show(frame) {
   byId('fits').href = url('/api/frame.fits', { file });
   for (const each of byId('frames').tBodies[0].rows) each.ariaCurrent = each.dataset.file === file ? 'true' : null;
   showFrame();
+  // Where there is no room beside the list, the frame is far below it.
+  if (byId('frame').getBoundingClientRect().top > innerHeight) byId('frame').scrollIntoView();
 }
 
 function showFrame() {

@@ -56,7 +56,7 @@ function showOffset(name, offset) {
   setText(byId(`${name}-quality`), offset.quality ?? '–');
   setText(byId(`${name}-time`), `${clock(offset.time, 2)} UTC`);
   setText(byId(`${name}-reason`), offset.reason ? `${symbols.attention} ${offset.reason}` : '');
-  if ('age_ms' in offset) setText(byId('gyro-age'), duration(offset.age_ms));
+  if (name === 'gyro') setText(byId('gyro-age'), offset.age_ms === null ? '–' : duration(offset.age_ms));
 }
 
 // ---- the Sun on the plate

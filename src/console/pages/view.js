@@ -122,6 +122,14 @@ function open(mine, seen) {
   }
 }
 
+// A browser keeps a page that was left, with its stream, and allows six connections in all.
+window.addEventListener('pagehide', () => {
+  attempt += 1;
+  stream?.close();
+  abandonDrawings();
+});
+window.addEventListener('pageshow', ({ persisted }) => { if (persisted) begin(); });
+
 // A page that is being left loses its connection, too; that is no alarm. (A download is not the end of the page.)
 window.addEventListener('beforeunload', () => {
   leaving = true;
