@@ -38,8 +38,8 @@ pub struct ConsoleArgs {
     /// A file with a secret of 16 characters or more: whoever logs in with it may send commands
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// The address under which a proxy with TLS shows the console, such as https://console.example.org
-    #[arg(long, value_name = "URL")]
+    /// The address under which a proxy with TLS shows the console: its scheme and host
+    #[arg(long, value_name = "https://HOST")]
     public_origin: Option<String>,
     /// Where the gondola expects commands, for a source udp:
     #[arg(long, value_name = "ADDR:PORT")]

@@ -22,7 +22,7 @@ mod access;
 mod commands;
 mod frames;
 mod ground;
-pub mod history;
+mod history;
 mod live;
 mod orders;
 mod pages;

@@ -275,7 +275,9 @@ async fn picture(State(console): State<Console>, query: Asked<PictureQuery>) -> 
 async fn plate(State(console): State<Console>, query: Asked<At>) -> Answer<Response> {
     let at = time("at", query.0.at.as_ref())?;
     let sun = console.view(at, sun_on_plate);
-    let sun = sun.ok_or_else(|| Failure::missing("where the Sun is on the plate is not known"))?;
+    let Some(sun) = sun else {
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    };
     beside(move || Ok(svg(console.parts().ground.plate(&sun)))).await
 }
 

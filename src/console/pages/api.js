@@ -34,7 +34,9 @@ export async function post(address, body = {}) {
 }
 
 export async function getSvg(address) {
-  const text = await (await ask(address, { signal: drawings.signal })).text();
+  const answer = await ask(address, { signal: drawings.signal });
+  if (answer.status === 204) return '';
+  const text = await answer.text();
   return document.importNode(new DOMParser().parseFromString(text, 'image/svg+xml').documentElement, true);
 }
 

@@ -62,7 +62,8 @@ function showOffset(name, offset) {
 // ---- the Sun on the plate
 
 const fetchPlate = paced(1000, () => telling(byId('plate-error'), async () => {
-  byId('plate').replaceChildren(await getSvg(url('/api/plate.svg', { at: at() })));
+  const plate = await getSvg(url('/api/plate.svg', { at: at() }));
+  byId('plate').replaceChildren(plate || 'where the Sun is on the plate is not known');
 }));
 
 // ---- pictures, one figure per camera
