@@ -6,6 +6,7 @@ Usage: check_console.py PROGRAM ARCHIVE WORKDIR. Screenshots of all pages are le
 import base64
 import contextlib
 import json
+import os
 import pathlib
 import random
 import re
@@ -415,19 +416,23 @@ def delays(browser, seconds, events):
     return browser.run("return window.solaspectDelays")
 
 
-def told(measured):
-    """Their median, 99 % and most, in words, and the 99 %."""
-    assert len(measured) > 50, f"expected delays of more events than {len(measured)}"
-    high = sorted(measured)[int(0.99 * (len(measured) - 1))]
-    return f"{len(measured)} events: median {statistics.median(measured):.0f}, 99 % {high:.0f}, most {max(measured):.0f} ms", high
+def are_within_100_ms(browser, seconds, events):
+    """Of 99 % of the events. Where something else has the machine, what is measured is that: once more then, twice at most."""
+    for left in (2, 1, 0):
+        measured = delays(browser, seconds, events)
+        assert len(measured) > 50, f"expected delays of more events than {len(measured)}"
+        high, load = sorted(measured)[int(0.99 * (len(measured) - 1))], os.getloadavg()[0]
+        words = f"median {statistics.median(measured):.0f}, 99 % {high:.0f}, most {max(measured):.0f} ms"
+        print(f"  {len(measured)} events: {words}; load of the machine {load:.1f}")
+        if high <= 100:
+            return
+        assert left and load > 1.5 * os.cpu_count(), f"expected 99 % within 100 ms: {words}"
 
 
 def events_are_on_the_page_within_100_ms(browser, demo):
     browser.open(demo, "now")
     browser.changes("[data-field=taken]")
-    words, high = told(delays(browser, 60, 1000))
-    print(f"  {words}")
-    assert high <= 100, f"expected 99 % within 100 ms: {words}"
+    are_within_100_ms(browser, 60, 1000)
 
 
 def tab_to(browser, selector, most, back=False):
@@ -604,15 +609,17 @@ def fifty_viewers_do_no_harm(browser, demo):
     readers = [threading.Thread(target=read, args=(number,)) for number in range(1, 51)]
     for reader in readers:
         reader.start()
-    words, high = told(delays(browser, 12, 1000))
-    over.set()
-    for reader in readers:
-        reader.join()
-    for viewer in viewers:
-        viewer.close()
+    try:
+        are_within_100_ms(browser, 12, 1000)
+    finally:
+        over.set()
+        for reader in readers:
+            reader.join()
+        for viewer in viewers:
+            viewer.close()
     fewest, most = min(got.values()), max(got.values())
-    print(f"  beside 50 viewers and one that never reads, {words}; each got {fewest} to {most} bytes")
-    assert high <= 150 and len(got) == 50 and fewest > most / 2, "the viewers are in each other's way"
+    print(f"  beside 50 viewers, who each got {fewest} to {most} bytes, and one that never reads")
+    assert len(got) == 50 and fewest > most / 2, "the viewers are in each other's way"
     browser.says("#viewers", "^1 viewer$", 10)
     browser.complains_of_nothing("50 viewers")
 
