@@ -1,9 +1,9 @@
 //! All that the ground knows of a flight: what packets and logs have brought, in the order of its own time.
 
+use super::housekeeping::HousekeepingRows;
 use super::pictures::{CAMERAS, Partial};
 use super::rules::{self, Minute, Severity};
 use super::table::{Column, Nanoseconds, Steady, Table, nanoseconds, place, row_at};
-use crate::link::housekeeping::{FIELDS, Field};
 use crate::link::picture::{Section, Tag};
 use crate::link::{
     CommandPacket, Housekeeping, Message, Messages, Packet, Solution, TelemetryPacket,
@@ -27,58 +27,6 @@ const PIECE_NS: i64 = 3600 * SECOND_NS;
 pub const HOUSEKEEPING: &str = "housekeeping";
 pub const RECEIVED: &str = "received";
 pub const GYROS: &str = "gyros";
-
-/// The housekeeping packets, each as it came, with what the rules say of it.
-#[derive(Debug, Default)]
-pub struct HousekeepingRows {
-    /// When each was made, by the gondola's clock, and when it arrived, by the ground's.
-    pub times: Vec<Nanoseconds>,
-    pub arrived: Vec<Nanoseconds>,
-    /// The rules that find something, a bit for each.
-    pub flags: Vec<u64>,
-    payloads: Vec<u8>,
-}
-
-/// Bytes of a payload of the present layout.
-fn payload_bytes() -> usize {
-    1 + FIELDS.iter().map(|field| field.bytes).sum::<usize>()
-}
-
-impl HousekeepingRows {
-    fn payload(&self, row: usize) -> Option<&[u8]> {
-        let length = payload_bytes();
-        self.payloads.get(row * length..(row + 1) * length)
-    }
-
-    pub fn told(&self, row: usize) -> Option<Housekeeping> {
-        Housekeeping::from_payload(self.payload(row)?)
-    }
-
-    /// A number of every row of a range; `part` is the number's place in its field.
-    pub fn numbers(&self, rows: std::ops::Range<usize>, name: &str, part: usize) -> Vec<f32> {
-        let mut at = 1;
-        let found = FIELDS.iter().find(|field| {
-            let is_it = field.name == name;
-            at += if is_it { 0 } else { field.bytes };
-            is_it
-        });
-        let number = |row| {
-            let field: &Field = found?;
-            let bytes = self.payload(row)?.get(at..at + field.bytes)?;
-            field.value(bytes, part)
-        };
-        rows.map(|row| number(row).map_or(f32::NAN, |value| value as f32))
-            .collect()
-    }
-
-    fn forget_before(&mut self, time: Nanoseconds) {
-        let count = self.times.partition_point(|at| *at < time);
-        self.times.drain(..count);
-        self.arrived.drain(..count);
-        self.flags.drain(..count);
-        self.payloads.drain(..count * payload_bytes());
-    }
-}
 
 /// Something that was wrong for a while.
 #[derive(Debug, Clone, PartialEq)]
@@ -341,10 +289,7 @@ impl History {
         }
         let payload = told.payload();
         let at = place(&self.housekeeping.times, time);
-        let previous = at.checked_sub(1);
-        if previous.is_some_and(|row| {
-            self.housekeeping.times[row] == time && self.housekeeping.payload(row) == Some(&payload)
-        }) {
+        if self.housekeeping.has(at, time, &payload) {
             self.line.doubled += 1;
             return;
         }
@@ -353,11 +298,7 @@ impl History {
         let is_late = at < self.housekeeping.times.len()
             && newest.is_some_and(|newest| told.uptime_s < newest.uptime_s);
         self.count_missing(is_late, time);
-        self.housekeeping.times.insert(at, time);
-        self.housekeeping.arrived.insert(at, arrived);
-        let byte = at * payload.len();
-        self.housekeeping.payloads.splice(byte..byte, payload);
-        self.housekeeping.flags.insert(at, 0);
+        self.housekeeping.insert(at, time, arrived, payload);
         match is_late {
             true => self.newest = self.newest.map(|row| row + usize::from(row >= at)),
             false => self.newest = Some(at),

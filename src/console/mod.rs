@@ -20,9 +20,11 @@
 
 mod access;
 mod commands;
+mod drawings;
 mod frames;
 mod ground;
 mod history;
+mod housekeeping;
 mod live;
 mod orders;
 mod pages;

@@ -17,6 +17,7 @@ use crossbeam_channel::Sender;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, RgbImage};
 use jiff::Timestamp;
+use serde::Deserialize;
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -209,4 +210,11 @@ impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequest<
         body.map(|body| Self(body.0))
             .map_err(|error| Failure(error.status(), error.body_text()))
     }
+}
+
+/// The time that is asked for.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct At {
+    pub at: Option<String>,
 }

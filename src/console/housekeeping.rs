@@ -1,0 +1,74 @@
+//! The housekeeping of a flight, row by row, as it came.
+
+use super::table::Nanoseconds;
+use crate::link::Housekeeping;
+use crate::link::housekeeping::{FIELDS, Field};
+use std::ops::Range;
+
+/// The housekeeping packets, each as it came, with what the rules say of it.
+#[derive(Debug, Default)]
+pub struct HousekeepingRows {
+    /// When each was made, by the gondola's clock, and when it arrived, by the ground's.
+    pub times: Vec<Nanoseconds>,
+    pub arrived: Vec<Nanoseconds>,
+    /// The rules that find something, a bit for each.
+    pub flags: Vec<u64>,
+    payloads: Vec<u8>,
+}
+
+/// Bytes of a payload of the present layout.
+fn payload_bytes() -> usize {
+    1 + FIELDS.iter().map(|field| field.bytes).sum::<usize>()
+}
+
+impl HousekeepingRows {
+    /// Whether the row before a place is of the same time and says the same.
+    pub fn has(&self, at: usize, time: Nanoseconds, payload: &[u8]) -> bool {
+        at.checked_sub(1)
+            .is_some_and(|row| self.times[row] == time && self.payload(row) == Some(payload))
+    }
+
+    /// Puts a row in its place, not judged yet.
+    pub fn insert(&mut self, at: usize, time: Nanoseconds, arrived: Nanoseconds, payload: Vec<u8>) {
+        self.times.insert(at, time);
+        self.arrived.insert(at, arrived);
+        self.flags.insert(at, 0);
+        let byte = at * payload.len();
+        self.payloads.splice(byte..byte, payload);
+    }
+
+    fn payload(&self, row: usize) -> Option<&[u8]> {
+        let length = payload_bytes();
+        self.payloads.get(row * length..(row + 1) * length)
+    }
+
+    pub fn told(&self, row: usize) -> Option<Housekeeping> {
+        Housekeeping::from_payload(self.payload(row)?)
+    }
+
+    /// A number of every row of a range; `part` is the number's place in its field.
+    pub fn numbers(&self, rows: Range<usize>, name: &str, part: usize) -> Vec<f32> {
+        let mut at = 1;
+        let found = FIELDS.iter().find(|field| {
+            let is_it = field.name == name;
+            at += if is_it { 0 } else { field.bytes };
+            is_it
+        });
+        let number = |row| {
+            let field: &Field = found?;
+            let bytes = self.payload(row)?.get(at..at + field.bytes)?;
+            field.value(bytes, part)
+        };
+        rows.map(|row| number(row).map_or(f32::NAN, |value| value as f32))
+            .collect()
+    }
+
+    /// Forgets what is older than a time.
+    pub fn forget_before(&mut self, time: Nanoseconds) {
+        let count = self.times.partition_point(|at| *at < time);
+        self.times.drain(..count);
+        self.arrived.drain(..count);
+        self.flags.drain(..count);
+        self.payloads.drain(..count * payload_bytes());
+    }
+}
