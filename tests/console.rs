@@ -308,7 +308,7 @@ fn a_picture_is_shown_as_it_arrives_and_solved_when_it_is_whole() {
     let send = |parts: std::ops::Range<usize>| {
         for part in parts {
             gondola.send(&picture.part(part).unwrap().encode()).unwrap();
-            if part % 500 == 499 {
+            if part % 100 == 99 {
                 wait_for(address, "/api/now", received(100 * (part + 1)));
             }
         }
