@@ -1,6 +1,5 @@
 //! Requests for drawings: pictures, the Sun on the plate, plots and their numbers.
 
-use super::frames;
 use super::ground::SunOnPlate;
 use super::pictures::camera_name;
 use super::plots::{self, FieldName, Numbers};
@@ -41,7 +40,7 @@ pub async fn picture(
         let history = console.shared().history();
         (
             history.picture(camera, at).cloned(),
-            frames::latest(&history, at),
+            history.stored_frame(at).map(|frame| frame.file.to_string()),
         )
     };
     let name = camera_name(camera);
@@ -176,7 +175,7 @@ pub async fn plot(State(console): State<Console>, query: Asked<PlotQuery>) -> An
             utc(range.start),
             utc(range.end)
         );
-        Ok(svg(stack.svg.replacen("<svg", &root, 1)))
+        Ok(svg(stack.replacen("<svg", &root, 1)))
     })
     .await
 }

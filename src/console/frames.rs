@@ -100,17 +100,6 @@ fn by_reason(history: &History) -> Vec<Value> {
     counts.iter().map(row).collect()
 }
 
-/// The file of the first camera's last frame at a time.
-pub fn latest(history: &History, at: Option<Nanoseconds>) -> Option<String> {
-    let end = match at {
-        Some(at) => history.frames.partition_point(|frame| frame.time <= at),
-        None => history.frames.len(),
-    };
-    let is_stored = |frame: &&FrameRow| !frame.file.is_empty() && frame.camera.is_empty();
-    let frame = history.frames[..end].iter().rev().find(is_stored)?;
-    Some(frame.file.to_string())
-}
-
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FileQuery {

@@ -2,7 +2,7 @@
 
 use super::housekeeping::HousekeepingRows;
 use super::pictures::{CAMERAS, Partial};
-use super::rules::{self, Minute, Severity};
+use super::rules::{self, Minute, Rule, Severity};
 use super::table::{Column, Nanoseconds, Steady, Table, nanoseconds, place, row_at};
 use crate::link::picture::{Section, Tag};
 use crate::link::{
@@ -328,32 +328,31 @@ impl History {
             now: &now,
             before: &before,
         };
-        let flags = rules::judge(&minute);
-        self.housekeeping.flags[row] = flags;
-        if is_late {
-            return;
-        }
         let time = self.housekeeping.times[row];
         for (bit, rule) in rules::rules().enumerate() {
-            let found = (flags >> bit & 1 == 1)
-                .then(|| (rule.found)(&minute))
-                .flatten();
-            let lasting = self.alarms.iter_mut().rev();
-            let lasting = lasting
-                .into_iter()
-                .find(|alarm| alarm.rule == rule.name && alarm.until.is_none());
-            match (lasting, found) {
-                (Some(alarm), Some(words)) => alarm.words = words,
-                (Some(alarm), None) => alarm.until = Some(time),
-                (None, Some(words)) => self.alarms.push(Alarm {
-                    rule: rule.name,
-                    severity: rule.severity,
-                    words,
-                    since: time,
-                    until: None,
-                }),
-                (None, None) => {}
+            let found = (rule.found)(&minute);
+            self.housekeeping.flags[row] |= u64::from(found.is_some()) << bit;
+            // What a late row says is over.
+            if !is_late {
+                self.note_alarm(rule, found, time);
             }
+        }
+    }
+
+    /// Begins, goes on with or ends the alarm of a rule.
+    fn note_alarm(&mut self, rule: &'static Rule, found: Option<String>, time: Nanoseconds) {
+        let lasts = |alarm: &&mut Alarm| alarm.rule == rule.name && alarm.until.is_none();
+        match (self.alarms.iter_mut().rev().find(lasts), found) {
+            (Some(alarm), Some(words)) => alarm.words = words,
+            (Some(alarm), None) => alarm.until = Some(time),
+            (None, Some(words)) => self.alarms.push(Alarm {
+                rule: rule.name,
+                severity: rule.severity,
+                words,
+                since: time,
+                until: None,
+            }),
+            (None, None) => {}
         }
         if self.alarms.len() > MOST_ALARMS {
             self.alarms.remove(0);
@@ -401,6 +400,14 @@ impl History {
         let mut found: Vec<Alarm> = rules::rules().enumerate().filter_map(finding).collect();
         found.sort_by_key(|alarm| std::cmp::Reverse(alarm.severity));
         found
+    }
+
+    /// The first camera's last frame that was stored, at a time or so far.
+    pub fn stored_frame(&self, at: Option<Nanoseconds>) -> Option<&FrameRow> {
+        let time = at.unwrap_or(Nanoseconds::MAX);
+        let end = self.frames.partition_point(|frame| frame.time <= time);
+        let is_stored = |frame: &&FrameRow| !frame.file.is_empty() && frame.camera.is_empty();
+        self.frames[..end].iter().rev().find(is_stored)
     }
 
     /// The picture of a camera at a time, or its last.

@@ -2,7 +2,7 @@
 //!
 //! Nothing is queued for a viewer but the events of one moment. Whoever reads slowly skips, and holds up nobody.
 
-use super::history::{History, News};
+use super::history::News;
 use super::orders::Row;
 use super::request::Console;
 use super::shared::Shared;
@@ -302,10 +302,7 @@ impl Viewer {
                 is_live: false,
             };
             let last = history.span().map_or(at, |(_, last)| last);
-            (
-                self.replayed(&view, &history, before, detail, is_first),
-                last,
-            )
+            (self.replayed(&view, before, detail, is_first), last)
         };
         self.events.extend(events);
         if at > last {
@@ -320,14 +317,13 @@ impl Viewer {
     fn replayed(
         &self,
         view: &View,
-        history: &History,
         before: Nanoseconds,
         detail: Detail,
         is_first: bool,
     ) -> Vec<(&'static str, String)> {
         let viewers = self.shared().viewers.load(Ordering::Relaxed);
         let mut events = vec![("state", Some(view.state(0, viewers, detail)))];
-        if is_first || history.row(view.at) != history.row(Some(before)) {
+        if is_first || view.history.row(view.at) != view.history.row(Some(before)) {
             events.push(("housekeeping", view.housekeeping(detail)));
         }
         events.push(("solution", view.solution()));

@@ -115,8 +115,7 @@ impl Running {
             .with_context(|| format!("--listen {}: cannot listen there", settings.listen))?;
         let address = listener.local_addr()?;
         let takes_commands =
-            settings.line.is_some() || settings.source.commands_to(settings.gondola).is_some();
-        let takes_commands = takes_commands && settings.token.is_some();
+            settings.source.takes_commands(settings.gondola) && settings.token.is_some();
         let orders = match takes_commands {
             true => Orders::logged(&settings.command_log)?,
             false => Orders::default(),

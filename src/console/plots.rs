@@ -5,7 +5,7 @@ use super::table::{Nanoseconds, timestamp};
 use super::table::{Table, rows_within};
 use crate::estimation::{median, spectrum};
 use crate::link::housekeeping::FIELDS;
-use crate::report::plot::{Curve, Figure, Labels, PlotError, Series, Stack, Stroke, curves, stack};
+use crate::report::plot::{Curve, Figure, Labels, PlotError, Series, Stroke, curves, stack};
 use std::fmt::Write;
 use std::ops::Range;
 
@@ -96,7 +96,7 @@ fn seconds(time: Nanoseconds) -> f64 {
 }
 
 /// Panels of the fields, one below the other, over a range of times of a second at least.
-pub fn panels(fields: Vec<Numbers>, range: &Range<Nanoseconds>) -> Stack {
+pub fn panels(fields: Vec<Numbers>, range: &Range<Nanoseconds>) -> String {
     let figure = |field: Numbers| {
         let points = field
             .points
@@ -259,7 +259,7 @@ mod tests {
         let range = all(&history);
         let field = FieldName::parse("received.azimuth_deg").unwrap();
         let panels = panels(vec![numbers(&history, &field, &range).unwrap()], &range);
-        assert!(panels.svg.contains("data-left=\"78\"") && panels.svg.contains("azimuth_deg"));
+        assert!(panels.contains("data-left=\"78\"") && panels.contains("azimuth_deg"));
     }
 
     #[test]

@@ -44,7 +44,7 @@ pub struct Watch {
     pub rules: &'static [Rule],
 }
 
-/// More disc than that and the archive thins, then stops (`archive.warn_free_percent`, `archive.thin_free_percent`).
+/// A disk fuller than that is warned of, then thinned (`archive.warn_free_percent`, `archive.thin_free_percent`).
 const DISK_WARNING_PERCENT: u8 = 90;
 const DISK_ALARM_PERCENT: u8 = 97;
 const RESIDUAL_PX: f32 = 0.3;
@@ -387,14 +387,6 @@ pub const WATCHES: &[Watch] = &[
 /// All rules, in the order of the table: a rule's place is its bit in the flags of a packet.
 pub fn rules() -> impl Iterator<Item = &'static Rule> {
     WATCHES.iter().flat_map(|watch| watch.rules)
-}
-
-/// Which rules find something: a bit for each.
-pub fn judge(minute: &Minute) -> u64 {
-    let found = rules()
-        .enumerate()
-        .filter(|(_, rule)| (rule.found)(minute).is_some());
-    found.fold(0, |flags, (bit, _)| flags | 1 << bit)
 }
 
 /// A counter that has grown within the minute; `what` is for one and for several.

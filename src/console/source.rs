@@ -1,6 +1,5 @@
 //! Where a flight comes from.
 
-use crate::link::PortAddress;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -69,15 +68,12 @@ impl Source {
         matches!(self, Self::Udp(_) | Self::Serial(_) | Self::Demo)
     }
 
-    /// Where commands go; `None` where they cannot. Over UDP the gondola must be named: who sends is not proved by a datagram.
-    pub fn commands_to(&self, gondola: Option<SocketAddr>) -> Option<PortAddress> {
-        match (self, gondola) {
-            (Self::Serial(name), _) => Some(PortAddress::Serial { name: name.clone() }),
-            (Self::Udp(here), Some(peer)) => Some(PortAddress::Udp {
-                peer,
-                local_port: Some(here.port()),
-            }),
-            _ => None,
+    /// Whether commands can be sent. Over UDP the gondola must be named: who sends is not proved by a datagram.
+    pub fn takes_commands(&self, gondola: Option<SocketAddr>) -> bool {
+        match self {
+            Self::Serial(_) | Self::Demo => true,
+            Self::Udp(_) => gondola.is_some(),
+            Self::Archive(_) | Self::Record(_) => false,
         }
     }
 }

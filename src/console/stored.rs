@@ -2,7 +2,7 @@
 
 use super::history::{FrameRow, History};
 use super::table::nanoseconds;
-use super::table::{Column, Table, place};
+use super::table::{Column, Table};
 use crate::clock::parse_utc;
 use crate::link::Housekeeping;
 use jiff::Timestamp;
@@ -239,21 +239,9 @@ impl Log {
             quality,
             reason,
         };
-        let times: Vec<i64> = history
-            .frames
-            .last()
-            .map(|frame| frame.time)
-            .into_iter()
-            .collect();
-        match place(&times, time) == times.len() {
-            true => history.frames.push(frame),
-            false => {
-                let at = history
-                    .frames
-                    .partition_point(|earlier| earlier.time <= time);
-                history.frames.insert(at, frame);
-            }
-        }
+        let earlier = |known: &FrameRow| known.time <= time;
+        let at = history.frames.partition_point(earlier);
+        history.frames.insert(at, frame);
     }
 }
 

@@ -262,12 +262,7 @@ impl View<'_> {
 
     /// The frame of an archive that was the last at the time, in the place of a picture of the first camera.
     pub fn frame(&self) -> Option<Value> {
-        let time = self.at.unwrap_or(Nanoseconds::MAX);
-        let frames = &self.history.frames;
-        let end = frames.partition_point(|frame| frame.time <= time);
-        let is_stored =
-            |frame: &&super::history::FrameRow| !frame.file.is_empty() && frame.camera.is_empty();
-        let frame = frames[..end].iter().rev().find(is_stored)?;
+        let frame = self.history.stored_frame(self.at)?;
         let arrived = self.history.frame_read.filter(|_| self.at.is_none());
         Some(json!({
             "camera": 1,

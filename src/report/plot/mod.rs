@@ -19,4 +19,4 @@ pub use curves::{Curve, Stroke, curves};
 pub use histogram::{Density, histogram};
 pub use labels::{Horizontal, Labels, PlotError};
 pub use map::{Arrow, Cell, scalar_map, vector_map};
-pub use series::{Figure, Mark, Series, Stack, series, square, stack};
+pub use series::{Figure, Mark, Series, series, square, stack};

@@ -101,16 +101,9 @@ pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
     Ok(sheet(SIZE, labels, (x, Axis::linear(of_y)), series).finish())
 }
 
-/// Figures of series over the same time, one below the other.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Stack {
-    pub svg: String,
-    /// Where the panels' left and right edges stand, px from the left.
-    pub edges_px: (f64, f64),
-}
-
-/// Draws figures one below the other, over exactly one range of times (seconds since 1970-01-01, UTC). One without values says so.
-pub fn stack(figures: &[Figure], (from, to): (f64, f64)) -> Stack {
+/// Draws figures one below the other, over exactly one range of times (seconds since 1970-01-01, UTC). One without values says so. The root says where the panels' edges
+/// stand: `data-left` and `data-right`, px.
+pub fn stack(figures: &[Figure], (from, to): (f64, f64)) -> String {
     let x = Axis::exact_utc(from, to);
     let (mut body, mut height, mut edges_px) = (String::new(), 0.0, (0.0, 0.0));
     for figure in figures {
@@ -128,14 +121,13 @@ pub fn stack(figures: &[Figure], (from, to): (f64, f64)) -> Stack {
         body += &panel.finish_at(height);
         height += PANEL.1;
     }
-    let svg = format!(
+    format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \
          data-left=\"{}\" data-right=\"{}\">\n{body}</svg>\n",
         edges_px.0,
         edges_px.1,
         width = PANEL.0,
-    );
-    Stack { svg, edges_px }
+    )
 }
 
 /// Series over a square of the same range in both axes.
