@@ -16,6 +16,10 @@ impl Backoff {
     /// For a disk.
     pub const DISK: Self = Self::new(Duration::from_millis(250), Duration::from_secs(5));
 
+    /// For a server that others use, too.
+    #[cfg(feature = "object-store")]
+    pub const NETWORK: Self = Self::new(Duration::from_secs(1), Duration::from_secs(30));
+
     const fn new(shortest: Duration, longest: Duration) -> Self {
         Self {
             shortest,

@@ -10,6 +10,7 @@ use jiff::{SignedDuration, Timestamp};
 use pixels::{OnDemand, PixelStorage, Shared};
 pub use pixels::{PixelSlice, Pixels, RowSource, Sample, SharedPixels, View};
 pub use region::{NoRegion, Region};
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
@@ -49,7 +50,7 @@ pub struct FrameInfo {
 }
 
 /// Who took a frame, as its header says.
-#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TakenBy {
     /// `OBSRVTRY`.
     pub instrument: Option<String>,

@@ -45,6 +45,7 @@ mod refine_navigation;
 mod refine_roll;
 mod refined_flights;
 mod roll_in_flight;
+mod scale;
 mod service;
 mod simulated_flight;
 mod simulation;

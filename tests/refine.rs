@@ -5,13 +5,13 @@ use rand::RngExt;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::archive::check::Tree;
-use solaspect::archive::{Flown, Store};
+use solaspect::archive::{ArchiveReader, Flown, Store};
 use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{self, Instrument};
 use solaspect::provenance;
-use solaspect::refine::FrameRecord;
+use solaspect::refine::{FrameRecord, Journal};
 use solaspect::simulate::{FORT_SUMNER, Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
 use solaspect::units::PlateMil;
 use std::f64::consts::TAU;
@@ -548,15 +548,18 @@ fn bytes(out: &Path) -> Vec<Vec<u8>> {
         .into()
 }
 
+/// The journal of a run's frames.
+fn journal(out: &Path) -> Option<PathBuf> {
+    let entries = fs::read_dir(out).ok()?;
+    let mut names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let name = names.find(|name| name.ends_with(".journal") && !name.starts_with("cameras-"))?;
+    Some(out.join(name))
+}
+
 /// Waits until a run's journal is so long, or the run has ended.
 fn wait_for_journal(out: &Path, bytes: u64, child: &mut Child) {
     for _ in 0..60_000 {
-        let journal = fs::read_dir(out).ok().and_then(|mut entries| {
-            entries.find_map(|e| {
-                e.ok()
-                    .filter(|e| e.path().extension().is_some_and(|x| x == "journal"))
-            })
-        });
+        let journal = journal(out);
         let long = journal.is_some_and(|j| j.metadata().is_ok_and(|m| m.len() > bytes));
         if long || child.try_wait().unwrap().is_some() {
             return;
@@ -580,15 +583,8 @@ fn a_run_that_is_killed_and_run_again_gives_the_same_bytes_and_does_nothing_twic
     refine(archive, killed.path(), &[]);
     assert!(bytes(whole.path()) == bytes(killed.path()));
     let mut records = Vec::new();
-    for entry in fs::read_dir(killed.path()).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_some_and(|end| end == "journal") {
-            solaspect::refine::Journal::<FrameRecord>::read(&path, |r, _| {
-                records.push(r.input.file)
-            })
-            .unwrap();
-        }
-    }
+    let journal = journal(killed.path()).unwrap();
+    Journal::<FrameRecord>::read(&journal, |r, _| records.push(r.input.file)).unwrap();
     let count = records.len();
     records.sort();
     records.dedup();
@@ -753,12 +749,8 @@ fn memory_kb(what: &str) -> u64 {
 
 /// The records of the small flight that have a disc, up to its jump, in the order of time.
 fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record<FrameRecord>> {
-    let mut entries = fs::read_dir(out)
-        .unwrap()
-        .map(|entry| entry.unwrap().path());
-    let journal = entries.find(|path| path.extension().is_some_and(|end| end == "journal"));
     let mut records: Vec<solaspect::refine::Record<FrameRecord>> = Vec::new();
-    solaspect::refine::Journal::read(&journal.unwrap(), |record, _| records.push(record)).unwrap();
+    Journal::read(&journal(out).unwrap(), |record, _| records.push(record)).unwrap();
     records.retain(|r| r.outcome.as_ref().is_ok_and(|frame| frame.disc.is_some()));
     records.sort_by_key(|record| record.input.file.clone());
     records.truncate(plan.jump());
@@ -770,7 +762,7 @@ fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record<FrameRe
 #[test]
 #[ignore = "a minute long, and it measures the process's memory"]
 fn a_hundred_thousand_frames_take_less_than_400_mb() {
-    use solaspect::refine::{self as room, Done, Journal, Recipe, Span};
+    use solaspect::refine::{self as room, Done, Recipe, Span};
     const FRAMES: usize = 100_000;
     let (plan, archive) = flight();
     let out = temporary();
@@ -793,6 +785,7 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
         inputs.push(record.input);
     }
     drop((journal, lit));
+    let archive = ArchiveReader::open(archive, out.path()).unwrap();
     let done = Done::open(&long, &[]).unwrap();
     let recipe = Recipe {
         instrument: plan.instrument.clone(),
@@ -806,13 +799,13 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
     };
     told("before");
     let start = std::time::Instant::now();
-    let flight = room::second_pass(&done, archive, &inputs, &recipe, &Span::default()).unwrap();
+    let flight = room::second_pass(&done, &archive, &inputs, &recipe, &Span::default()).unwrap();
     println!("second pass {:.1} s", start.elapsed().as_secs_f64());
     told("second pass");
     let summary = room::write(out.path(), &flight, &recipe).unwrap();
     told("tables");
     let mut report = room::Report::default();
-    report.add(None, archive, &flight, &summary, &recipe.instrument);
+    report.add(None, &archive, &flight, &summary, &recipe.instrument);
     report.write(out.path()).unwrap();
     told("report");
     println!("{} fine of {}", summary.fine, summary.files);

@@ -102,6 +102,19 @@ pub struct FlownFile {
 }
 
 impl FlownFile {
+    /// A file, which is of one of the kinds by its name.
+    pub fn new(path: PathBuf, text: String) -> Self {
+        Self {
+            kind: match INSTRUMENT.names(&path) {
+                true => INSTRUMENT,
+                false => CONFIGURATION,
+            },
+            sha256: sha256(&text),
+            path,
+            text,
+        }
+    }
+
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
@@ -111,26 +124,20 @@ impl FlownFile {
 #[derive(Debug, Clone, Default)]
 pub struct FlownFiles(Vec<FlownFile>);
 
+impl FromIterator<FlownFile> for FlownFiles {
+    fn from_iter<T: IntoIterator<Item = FlownFile>>(files: T) -> Self {
+        Self(files.into_iter().collect())
+    }
+}
+
 impl FlownFiles {
     /// Reads files, of which each is of one of the kinds by its name.
     ///
     /// # Errors
     /// The first that cannot be read.
     pub fn read(paths: &[PathBuf]) -> Result<Self, TomlError> {
-        let read = |path: &PathBuf| {
-            let text = read_text(path)?;
-            Ok(FlownFile {
-                kind: if INSTRUMENT.names(path) {
-                    INSTRUMENT
-                } else {
-                    CONFIGURATION
-                },
-                path: path.clone(),
-                sha256: sha256(&text),
-                text,
-            })
-        };
-        paths.iter().map(read).collect::<Result<_, _>>().map(Self)
+        let read = |path: &PathBuf| Ok(FlownFile::new(path.clone(), read_text(path)?));
+        paths.iter().map(read).collect()
     }
 
     pub fn of(&self, kind: FlownKind) -> impl Iterator<Item = &FlownFile> {

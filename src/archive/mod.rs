@@ -2,7 +2,7 @@
 //! frame's numbers, as a log and as telemetry.
 //!
 //! Which values of a solution fill which keywords, columns and fields is decided in one place, [`Record`]; the world
-//! coordinates of the pixels are made in [`Helioprojection`].
+//! coordinates of the pixels are made in [`Helioprojection`]. An archive is read through [`ArchiveReader`], from a folder or an object store.
 
 pub mod check;
 mod coordinates;
@@ -12,8 +12,12 @@ mod flown;
 mod growing;
 mod log;
 mod name;
+#[cfg(feature = "object-store")]
+mod objects;
 mod policy;
+mod reader;
 mod record;
+mod storage;
 mod store;
 
 pub use coordinates::{Helioprojection, sky_cards};
@@ -24,8 +28,10 @@ pub use flown::{
 pub use log::{Log, Row, SolutionLog, Upkeep};
 pub use name::{MOON_CAMERA, NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain, sky_camera};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
+pub use reader::ArchiveReader;
 pub use record::{
     MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord,
     instrument_cards, tables,
 };
+pub use storage::{Listing, StoredFile};
 pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

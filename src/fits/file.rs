@@ -1,7 +1,7 @@
 //! A FITS file in memory, from which several things are read.
 
 use super::structure::{Hdu, scan};
-use super::{Checksums, FileError, Header, Problem, Table, checked_fits, load};
+use super::{Checksums, FileError, Header, Problem, Table, checked_fits, gunzipped, read_bytes};
 use super::{checksum, info, read, table};
 use crate::frame::{Frame, FrameInfo};
 use std::path::{Path, PathBuf};
@@ -21,12 +21,21 @@ impl FitsFile {
     /// # Errors
     /// A file that cannot be read, is no FITS file, or is shorter than its headers promise.
     pub fn open(path: &Path) -> Result<Self, FileError> {
-        let open = || {
-            let bytes = load(path)?;
+        let bytes = read_bytes(path).map_err(|problem| problem.in_file(path))?;
+        Self::of(path, bytes)
+    }
+
+    /// The file of these bytes; messages name it by its path.
+    ///
+    /// # Errors
+    /// Bytes that are no FITS file, or fewer than its headers promise.
+    pub fn of(path: &Path, bytes: Vec<u8>) -> Result<Self, FileError> {
+        let checked = || {
+            let bytes = gunzipped(bytes)?;
             let hdus = scan(checked_fits(&bytes, "a FITS file")?)?;
             Ok((bytes, hdus))
         };
-        let (bytes, hdus) = open().map_err(|problem: Problem| problem.in_file(path))?;
+        let (bytes, hdus) = checked().map_err(|problem: Problem| problem.in_file(path))?;
         Ok(Self {
             path: path.into(),
             bytes,

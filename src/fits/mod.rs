@@ -43,14 +43,14 @@ use crate::frame::{Frame, FrameInfo};
 use flate2::read::MultiGzDecoder;
 use image::ImageFormat;
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::Read;
 use std::path::Path;
 
 /// The largest file that is read, bytes, before and after gunzip.
 const MAX_BYTES: u64 = 512 << 20;
 
 /// Where the headers of a frame's file are looked for first, bytes.
-const START_BYTES: u64 = 1 << 16;
+pub const START_BYTES: u64 = 1 << 16;
 
 /// The largest image that is read.
 const MAX_PIXELS: u64 = 1 << 26;
@@ -74,7 +74,8 @@ pub fn read_frame(path: &Path) -> Result<Frame, FileError> {
             read::read_fits(bytes, &structure::scan(bytes)?)
         }
     };
-    load(path)
+    read_bytes(path)
+        .and_then(gunzipped)
         .and_then(read)
         .map_err(|problem| problem.in_file(path))
 }
@@ -89,17 +90,15 @@ pub fn read_keywords(path: &Path) -> Result<Header, FileError> {
 /// # Errors
 /// A file that cannot be read or is no FITS file with an image.
 pub fn read_info(path: &Path) -> Result<(FrameInfo, Header), FileError> {
-    let mut start = Vec::new();
-    // A pipe would wait for its writer.
-    if path.metadata().is_ok_and(|metadata| metadata.is_file()) {
-        let read = File::open(path).and_then(|file| file.take(START_BYTES).read_to_end(&mut start));
-        read.unwrap_or_default();
-    }
-    if let Ok(header) = read::read_keywords(&structure::begun(&start)) {
-        let info = info::read_info(&header).map_err(|problem| problem.in_file(path))?;
-        return Ok((info, header));
-    }
-    FitsFile::open(path)?.info()
+    let start = read_start(path).unwrap_or_default();
+    info_of_start(path, &start).unwrap_or_else(|| FitsFile::open(path)?.info())
+}
+
+/// The same from the first [`START_BYTES`] of a file; `None` where its image's header does not end within them.
+pub fn info_of_start(path: &Path, start: &[u8]) -> Option<Result<(FrameInfo, Header), FileError>> {
+    let header = read::read_keywords(&structure::begun(start)).ok()?;
+    let info = info::read_info(&header).map_err(|problem| problem.in_file(path));
+    Some(info.map(|info| (info, header)))
 }
 
 /// Checks every checksum of a FITS file; an error where one does not match.
@@ -112,8 +111,36 @@ pub fn read_table(path: &Path, name: &str) -> Result<Option<Table>, FileError> {
     FitsFile::open(path)?.table(name)
 }
 
-/// The bytes of a file, gunzipped if need be.
-fn load(path: &Path) -> Result<Vec<u8>, Problem> {
+/// The first [`START_BYTES`] of a file.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn read_start(path: &Path) -> Result<Vec<u8>, Problem> {
+    read_at_most(path, START_BYTES)
+}
+
+/// The bytes of a file.
+///
+/// # Errors
+/// A file that cannot be read, or is larger than frames are.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, Problem> {
+    let bytes = read_at_most(path, MAX_BYTES + 1)?;
+    check_length(bytes.len() as u64)?;
+    Ok(bytes)
+}
+
+/// Refuses a file that is larger than frames are.
+pub(crate) fn check_length(bytes: u64) -> Result<(), Problem> {
+    match bytes <= MAX_BYTES {
+        true => Ok(()),
+        false => Err(Problem::content(
+            format!("a file of at most {MAX_BYTES} bytes"),
+            "a larger one",
+        )),
+    }
+}
+
+fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Problem> {
     let refused = |cause| Problem::Io {
         action: "read",
         cause,
@@ -128,26 +155,23 @@ fn load(path: &Path) -> Result<Vec<u8>, Problem> {
         };
         return Err(Problem::content("a file", found));
     }
-    let bytes = read_bounded(File::open(path).map_err(refused)?).map_err(refused)?;
-    let bytes = match bytes.as_slice() {
-        [0x1f, 0x8b, ..] => read_bounded(MultiGzDecoder::new(bytes.as_slice()))
-            .map_err(|error| Problem::content("a whole gzip file", error.to_string()))?,
-        _ => bytes,
-    };
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(Problem::content(
-            format!("a file of at most {MAX_BYTES} bytes"),
-            "a larger one",
-        ));
-    }
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(refused)?;
+    file.take(most).read_to_end(&mut bytes).map_err(refused)?;
     Ok(bytes)
 }
 
-/// Reads to the end, or one byte more than may be read.
-fn read_bounded(source: impl Read) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    source.take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
-    Ok(bytes)
+/// The bytes of a file, gunzipped if need be.
+fn gunzipped(bytes: Vec<u8>) -> Result<Vec<u8>, Problem> {
+    let [0x1f, 0x8b, ..] = bytes.as_slice() else {
+        return Ok(bytes);
+    };
+    let mut whole = Vec::new();
+    let mut unzipped = MultiGzDecoder::new(bytes.as_slice()).take(MAX_BYTES + 1);
+    let read = unzipped.read_to_end(&mut whole);
+    read.map_err(|error| Problem::content("a whole gzip file", error.to_string()))?;
+    check_length(whole.len() as u64)?;
+    Ok(whole)
 }
 
 /// The bytes, if they begin as FITS does.

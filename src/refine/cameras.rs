@@ -1,10 +1,15 @@
 //! Which camera took which frames of an archive, by their headers.
 
-use super::record::Input;
-use crate::archive::{INSTRUMENT, MOON_CAMERA, ROLL_CAMERA, plain, sky_camera};
-use crate::fits::{self, Value};
+use super::first_pass::{Done, FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
+use super::journal::JournalError;
+use crate::archive::{
+    ArchiveReader, INSTRUMENT, MOON_CAMERA, ROLL_CAMERA, StoredFile, plain, sky_camera,
+};
+use crate::fits::Value;
 use crate::frame::TakenBy;
+use crate::provenance;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -15,7 +20,7 @@ pub struct CameraFrames {
     /// What tells it from the archive's other cameras, as files and folders may be named.
     pub label: String,
     /// By path. A file whose header cannot be read is taken for one of the camera that the file before it is of.
-    pub inputs: Vec<Input>,
+    pub inputs: Vec<StoredFile>,
     /// SHA-256 of the instrument's files that the frames name.
     pub instruments_sha256: BTreeSet<String>,
 }
@@ -42,41 +47,78 @@ impl CameraFrames {
     }
 }
 
-/// What a header says of camera and instrument's file.
-struct Named(TakenBy, Option<String>);
+/// What a frame's header says of its camera and of the instrument's file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct CameraHeader {
+    taken_by: TakenBy,
+    instrument_sha256: Option<String>,
+}
 
-/// The archive's cameras, by name, each with its frames. Opens every file, and reads its headers alone.
-pub fn cameras(archive: &Path, inputs: Vec<Input>) -> Vec<CameraFrames> {
-    let named = inputs
-        .par_iter()
-        .map(|input| named(&archive.join(&input.file)));
-    let named: Vec<Option<Named>> = named.collect();
-    let first = named.iter().flatten().next();
-    let mut before = first.map_or(TakenBy::default(), |Named(name, _)| name.clone());
+/// Reads the headers of all frames, whichever camera took them.
+#[derive(Debug, Clone, Copy)]
+pub struct CameraHeaders;
+
+impl FirstPass for CameraHeaders {
+    type Frame = CameraHeader;
+
+    fn hash(&self) -> u64 {
+        hash_of(format!("{} {JOURNAL_VERSION}", provenance::VERSION).as_bytes())
+    }
+
+    fn prefix(&self) -> &'static str {
+        "cameras-"
+    }
+
+    fn solve(
+        &self,
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        _: &Span,
+    ) -> Result<Option<CameraHeader>, Unsolved> {
+        let (info, header) = archive.info(input)?;
+        let instrument_sha256 = match header.get(INSTRUMENT.keyword) {
+            Some(Value::Text(sha256)) => Some(sha256.clone()),
+            _ => None,
+        };
+        // Roll and Moon camera have no instrument of the plate that their headers could name.
+        let by_name = || sky_camera(Path::new(&input.file)).map(str::to_owned);
+        Ok(Some(CameraHeader {
+            taken_by: TakenBy {
+                instrument: info.instrument.or_else(by_name),
+                camera: info.camera,
+            },
+            instrument_sha256,
+        }))
+    }
+}
+
+/// The archive's cameras, by name, each with its frames.
+///
+/// # Errors
+/// A journal that cannot be read.
+pub fn cameras(
+    done: &Done<CameraHeader>,
+    inputs: Vec<StoredFile>,
+) -> Result<Vec<CameraFrames>, JournalError> {
+    let header = |input: &StoredFile| {
+        let record = done.record(input)?;
+        Ok(record.and_then(|record| record.outcome.ok()))
+    };
+    let headers = inputs.par_iter().map(header);
+    let headers: Vec<Option<CameraHeader>> = headers.collect::<Result<_, JournalError>>()?;
+    let first = headers.iter().flatten().next();
+    let mut before = first.map_or(TakenBy::default(), |header| header.taken_by.clone());
     let mut cameras: BTreeMap<TakenBy, CameraFrames> = BTreeMap::new();
-    for (input, named) in inputs.into_iter().zip(named) {
-        let (name, sha256) =
-            named.map_or((before.clone(), None), |Named(name, sha256)| (name, sha256));
+    for (input, header) in inputs.into_iter().zip(headers) {
+        let (name, sha256) = header.map_or((before.clone(), None), |header| {
+            (header.taken_by, header.instrument_sha256)
+        });
         before.clone_from(&name);
         let camera = cameras.entry(name).or_default();
         camera.inputs.push(input);
         camera.instruments_sha256.extend(sha256);
     }
-    labelled(cameras)
-}
-
-fn named(path: &Path) -> Option<Named> {
-    let (info, header) = fits::read_info(path).ok()?;
-    let sha256 = match header.get(INSTRUMENT.keyword) {
-        Some(Value::Text(sha256)) => Some(sha256.clone()),
-        _ => None,
-    };
-    // Roll and Moon camera have no instrument of the plate that their headers could name.
-    let name = TakenBy {
-        instrument: info.instrument.or(sky_camera(path).map(str::to_owned)),
-        camera: info.camera,
-    };
-    Some(Named(name, sha256))
+    Ok(labelled(cameras))
 }
 
 /// Each with a label of its own: the instrument's name; the camera's, where that does not tell them apart; both; and a number at last.

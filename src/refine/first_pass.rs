@@ -1,11 +1,10 @@
 //! The first pass: every frame on its own, on all cores, each record to the journal as soon as it is made.
 
 use super::journal::{Journal, JournalError, Place};
-use super::record::{FrameRecord, Input, Record};
-use crate::archive::check::Tree;
-use crate::archive::{Flown, FlownFiles};
+use super::record::{FrameRecord, Record};
+use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};
 use crate::aspect::{self, Expected};
-use crate::fits::{FileError, FitsFile, Header};
+use crate::fits::{FileError, FitsFile, Header, Problem};
 use crate::frame::{Frame, FrameInfo};
 use crate::instrument::{Instrument, WrongSize};
 use crate::provenance;
@@ -16,7 +15,6 @@ use std::collections::HashMap;
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::UNIX_EPOCH;
 
 /// What a run works with; everything that a frame's own record depends on.
 #[derive(Debug, Clone)]
@@ -42,8 +40,13 @@ impl FirstPass for Recipe {
         hash_of(text.as_bytes())
     }
 
-    fn solve(&self, path: &Path, span: &Span) -> Result<Option<FrameRecord>, Unsolved> {
-        let Some(taken) = Taken::open(path, span)? else {
+    fn solve(
+        &self,
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        span: &Span,
+    ) -> Result<Option<FrameRecord>, Unsolved> {
+        let Some(taken) = Taken::open(archive, input, span)? else {
             return Ok(None);
         };
         taken.check(&self.archived)?;
@@ -73,6 +76,14 @@ pub struct Shard {
     /// From 1.
     pub number: u32,
     pub of: u32,
+}
+
+impl Shard {
+    /// Every Nth of all, from the Ith on.
+    pub fn part<T>(self, all: Vec<T>) -> Vec<T> {
+        let (skip, every) = (self.number as usize - 1, self.of as usize);
+        all.into_iter().skip(skip).step_by(every).collect()
+    }
 }
 
 impl std::str::FromStr for Shard {
@@ -107,40 +118,6 @@ impl Span {
     }
 }
 
-/// The frames of an archive, by path; what lies under `out` is not of it.
-pub fn inputs(tree: &Tree, archive: &Path, out: &Path) -> Vec<Input> {
-    let out = out.canonicalize().ok();
-    let own = |path: &Path| {
-        let full = path.canonicalize().ok();
-        full.zip(out.as_ref())
-            .is_some_and(|(path, out)| path.starts_with(out))
-    };
-    // Only an output folder within the archive can hold any.
-    let nested = archive
-        .canonicalize()
-        .ok()
-        .zip(out.as_ref())
-        .is_some_and(|(archive, out)| out.starts_with(archive));
-    let files = tree.files.iter().filter(|path| !(nested && own(path)));
-    files.map(|path| input(archive, path)).collect()
-}
-
-fn input(archive: &Path, path: &Path) -> Input {
-    let metadata = path.metadata().ok();
-    let written = metadata.as_ref().and_then(|m| m.modified().ok());
-    let since = written.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-    let relative = path.strip_prefix(archive).unwrap_or(path);
-    let parts: Vec<_> = relative
-        .components()
-        .map(|part| part.as_os_str().to_string_lossy())
-        .collect();
-    Input {
-        file: parts.join("/"),
-        bytes: metadata.map_or(0, |m| m.len()),
-        written_ns: since.map_or(0, |since| since.as_nanos() as i64),
-    }
-}
-
 /// How frames of one kind of camera are solved, each on its own.
 pub trait FirstPass: Sync {
     /// What a frame gives.
@@ -149,11 +126,21 @@ pub trait FirstPass: Sync {
     /// A number that changes with the program's version, the camera and the settings.
     fn hash(&self) -> u64;
 
+    /// What the journal's name begins with, before that number.
+    fn prefix(&self) -> &'static str {
+        ""
+    }
+
     /// What a file's frame gives; none where its time lies outside the span.
     ///
     /// # Errors
     /// Why there is no frame, in words.
-    fn solve(&self, path: &Path, span: &Span) -> Result<Option<Self::Frame>, Unsolved>;
+    fn solve(
+        &self,
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        span: &Span,
+    ) -> Result<Option<Self::Frame>, Unsolved>;
 }
 
 /// Where the record of each input stands.
@@ -162,12 +149,13 @@ pub struct Done<T> {
     journals: Vec<Journal<T>>,
     /// The journal's number and the place in it.
     places: HashMap<u64, (usize, Place)>,
-    /// Frames that contradict their archive: in no journal, for another run may be told to use them.
-    contradicting: HashMap<u64, Record<T>>,
+    /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be told to use them,
+    /// and files that could not be read for now.
+    passing: HashMap<u64, Record<T>>,
 }
 
 /// An input's key: what the record must match.
-pub(super) fn key(input: &Input) -> u64 {
+pub(super) fn key(input: &StoredFile) -> u64 {
     let mut hasher = Fnv::default();
     input.hash(&mut hasher);
     hasher.0
@@ -207,11 +195,11 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         Ok(Self {
             journals,
             places,
-            contradicting: HashMap::new(),
+            passing: HashMap::new(),
         })
     }
 
-    pub fn holds(&self, input: &Input) -> bool {
+    pub fn holds(&self, input: &StoredFile) -> bool {
         self.places.contains_key(&key(input))
     }
 
@@ -219,43 +207,59 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     ///
     /// # Errors
     /// A journal that cannot be read.
-    pub fn record(&self, input: &Input) -> Result<Option<Record<T>>, JournalError> {
+    pub fn record(&self, input: &StoredFile) -> Result<Option<Record<T>>, JournalError> {
         self.record_of(key(input))
     }
 
     /// The same by the input's key.
     pub(super) fn record_of(&self, key: u64) -> Result<Option<Record<T>>, JournalError> {
         let Some((journal, place)) = self.places.get(&key) else {
-            return Ok(self.contradicting.get(&key).cloned());
+            return Ok(self.passing.get(&key).cloned());
         };
         self.journals[*journal].record(*place).map(Some)
+    }
+
+    /// How many inputs have no frame, for whatever reason.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn unreadable(&self, inputs: &[StoredFile]) -> Result<usize, JournalError> {
+        let mut unreadable = 0;
+        for input in inputs {
+            let record = self.record(input)?;
+            unreadable += usize::from(record.is_some_and(|record| record.outcome.is_err()));
+        }
+        Ok(unreadable)
     }
 
     /// Solves the inputs that are not done, several at a time, and notes each in the run's own journal; `each` is called after
     /// each.
     ///
     /// # Errors
-    /// A journal that cannot be written; frames that cannot be read are no error, but a record.
+    /// A journal that cannot be written; frames that cannot be read are no error, but a record. Where the archive is
+    /// [lost](ArchiveReader::is_lost), the rest is not tried.
     pub fn work(
         &mut self,
-        archive: &Path,
-        inputs: &[Input],
+        archive: &ArchiveReader,
+        inputs: &[StoredFile],
         recipe: &impl FirstPass<Frame = T>,
         span: &Span,
         each: &(dyn Fn() + Sync),
     ) -> Result<(), JournalError> {
         let journal = &self.journals[0];
-        let contradicting = Mutex::new(HashMap::new());
+        let passing = Mutex::new(HashMap::new());
         let new: Vec<(u64, (usize, Place))> = inputs
             .par_iter()
-            .filter(|input| !self.places.contains_key(&key(input)))
+            .filter(|input| !self.places.contains_key(&key(input)) && !archive.is_lost())
             .filter_map(|input| {
-                let outcome = recipe.solve(&archive.join(&input.file), span).transpose()?;
+                let outcome = recipe.solve(archive, input, span).transpose()?;
                 each();
                 let (outcome, is_lasting) = match outcome {
                     Ok(frame) => (Ok(frame), true),
                     Err(Unsolved::Unreadable(error)) => (Err(error), true),
-                    Err(Unsolved::Contradicting(error)) => (Err(error), false),
+                    Err(Unsolved::Unread(error) | Unsolved::Contradicting(error)) => {
+                        (Err(error), false)
+                    }
                 };
                 let input_key = key(input);
                 let record = Record {
@@ -263,9 +267,8 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
                     outcome,
                 };
                 if !is_lasting {
-                    let contradicting = contradicting.lock();
-                    let mut contradicting = contradicting.unwrap_or_else(PoisonError::into_inner);
-                    contradicting.insert(input_key, record);
+                    let mut passing = passing.lock().unwrap_or_else(PoisonError::into_inner);
+                    passing.insert(input_key, record);
                     return None;
                 }
                 let place = journal.append(&record);
@@ -273,15 +276,18 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
             })
             .collect::<Result<_, JournalError>>()?;
         self.places.extend(new);
-        let contradicting = contradicting.into_inner();
-        self.contradicting = contradicting.unwrap_or_else(PoisonError::into_inner);
+        let passing = passing.into_inner();
+        self.passing = passing.unwrap_or_else(PoisonError::into_inner);
         Ok(())
     }
 }
 
 /// Why a frame has no record of its own, in words.
 pub enum Unsolved {
+    /// What the file holds cannot be read.
     Unreadable(String),
+    /// The file could not be opened or fetched: another attempt may succeed.
+    Unread(String),
     /// It names another instrument or configuration than its archive's.
     Contradicting(String),
 }
@@ -295,13 +301,17 @@ pub(super) struct Taken {
 
 impl Taken {
     /// `None` where the frame's time lies outside the span.
-    pub fn open(path: &Path, span: &Span) -> Result<Option<Self>, Unsolved> {
+    pub fn open(
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        span: &Span,
+    ) -> Result<Option<Self>, Unsolved> {
         let read = || -> Result<_, FileError> {
-            let file = FitsFile::open(path)?;
+            let file = archive.open_file(&input.file)?;
             let (info, header) = file.info()?;
             Ok(Self { file, info, header })
         };
-        let taken = read().map_err(unreadable)?;
+        let taken = read()?;
         Ok(span.holds(taken.info.mid_exposure).then_some(taken))
     }
 
@@ -318,18 +328,71 @@ impl Taken {
     ) -> Result<Option<T>, Unsolved> {
         let header = &self.header;
         let made = self.file.with_frame(|frame| make(frame, header));
-        made.map_err(unreadable)?.map(Some)
+        made?.map(Some)
     }
 }
 
 /// The row names the file already.
-fn unreadable(error: FileError) -> Unsolved {
-    Unsolved::Unreadable(error.problem.to_string())
+impl From<FileError> for Unsolved {
+    fn from(error: FileError) -> Self {
+        let text = error.problem.to_string();
+        match error.problem {
+            Problem::Io { .. } => Self::Unread(text),
+            _ => Self::Unreadable(text),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Every frame is unread, unreadable or a number.
+    struct Numbers(Option<fn(String) -> Unsolved>);
+
+    impl FirstPass for Numbers {
+        type Frame = u32;
+
+        fn hash(&self) -> u64 {
+            0
+        }
+
+        fn solve(
+            &self,
+            _: &ArchiveReader,
+            _: &StoredFile,
+            _: &Span,
+        ) -> Result<Option<u32>, Unsolved> {
+            self.0.map_or(Ok(Some(7)), |error| Err(error("why".into())))
+        }
+    }
+
+    #[test]
+    fn what_another_attempt_may_read_is_in_no_journal() {
+        let folder = tempfile::tempdir().unwrap();
+        let archive = ArchiveReader::open(folder.path(), folder.path()).unwrap();
+        let input = StoredFile {
+            file: "a.fits".into(),
+            bytes: 1,
+            written_ns: 2,
+        };
+        let second_try = |name: &str, error: fn(String) -> Unsolved| {
+            let journal = folder.path().join(name);
+            let outcomes = [Some(error), None].map(|error| {
+                let mut done = Done::open(&journal, &[]).unwrap();
+                let inputs = std::slice::from_ref(&input);
+                let work = done.work(&archive, inputs, &Numbers(error), &Span::default(), &|| {});
+                work.unwrap();
+                done.record(&input).unwrap().unwrap().outcome
+            });
+            assert_eq!(outcomes[0], Err("why".into()));
+            outcomes[1].clone()
+        };
+        assert_eq!(second_try("unread", Unsolved::Unread), Ok(7));
+        assert_eq!(second_try("contradicting", Unsolved::Contradicting), Ok(7));
+        let lasting = second_try("unreadable", Unsolved::Unreadable);
+        assert_eq!(lasting, Err("why".into()));
+    }
 
     #[test]
     fn a_shard_is_one_of_n() {

@@ -13,14 +13,13 @@ use super::look::{Known, Look};
 use super::mapping::MappingFacts;
 use super::motion;
 use super::radius::RadiusDependence;
-use super::record::{FrameRecord, Grade, Input};
+use super::record::{FrameRecord, Grade};
 use super::row::{Oddity, Row};
 use super::work::{LOOSE_RADIUS, TELLING_LIMB, Work};
-use crate::fits::FitsFile;
+use crate::archive::{ArchiveReader, StoredFile};
 use crate::geometry::Mapping;
 use crate::units::{Measured, Place, PlateMil, SensorPx};
 use rayon::prelude::*;
-use std::path::Path;
 
 /// Where a disc is known worse than this, 1 sigma, a second look is of no use.
 const MOST_LOOK_SIGMA_MIL: f64 = 200.0;
@@ -55,8 +54,8 @@ pub struct Flight {
 /// A journal that cannot be read.
 pub fn second_pass(
     done: &Done<FrameRecord>,
-    archive: &Path,
-    inputs: &[Input],
+    archive: &ArchiveReader,
+    inputs: &[StoredFile],
     recipe: &Recipe,
     span: &Span,
 ) -> Result<Flight, JournalError> {
@@ -101,7 +100,12 @@ pub fn second_pass(
 impl Work<'_> {
     /// Looks again at the frames that did not give disc and marks by themselves, or read them wrongly; `ratio` is what is
     /// known of the radius. The rows, in order, that have another disc now.
-    fn look_again(&mut self, archive: &Path, path: &Followed, ratio: Measured) -> Vec<usize> {
+    fn look_again(
+        &mut self,
+        archive: &ArchiveReader,
+        path: &Followed,
+        ratio: Measured,
+    ) -> Vec<usize> {
         let found: Vec<(usize, Look, PlateDisc)> = (0..self.dated)
             .into_par_iter()
             .filter_map(|n| {
@@ -129,7 +133,7 @@ impl Work<'_> {
     fn look(
         &self,
         n: usize,
-        archive: &Path,
+        archive: &ArchiveReader,
         path: &Followed,
         ratio: Measured,
     ) -> Option<(Look, PlateDisc)> {
@@ -148,7 +152,7 @@ impl Work<'_> {
             sigma_mil,
             radius_mil: expected * ratio.value,
         };
-        let file = FitsFile::open(&archive.join(&row.file)).ok()?;
+        let file = archive.open_file(&row.file).ok()?;
         let look = file.with_frame(|frame| known.look(frame)).ok()??;
         // A limb of which little is seen does not tell its radius.
         let sigma = match look.limb_part >= TELLING_LIMB {

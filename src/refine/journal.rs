@@ -188,11 +188,11 @@ fn next<T: DeserializeOwned>(file: &mut impl Read) -> Option<(Record<T>, usize)>
 
 #[cfg(test)]
 mod tests {
-    use super::super::record::Input;
     use super::*;
+    use crate::archive::StoredFile;
 
     fn record(n: u64) -> Record<u32> {
-        let input = Input {
+        let input = StoredFile {
             file: format!("frame_{n}.fits"),
             bytes: n,
             written_ns: -5,

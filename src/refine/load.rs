@@ -4,8 +4,9 @@ use super::clock::{self, Clocks, Reading, corrected_ns};
 use super::drift::MarkObservation;
 use super::first_pass::{Done, Span, key};
 use super::journal::JournalError;
-use super::record::{FrameRecord, Grade, Input, MarkRecord, Record, upper};
+use super::record::{FrameRecord, Grade, MarkRecord, Record, upper};
 use super::row::{Oddity, Row};
+use crate::archive::StoredFile;
 use crate::instrument::Instrument;
 use crate::sky::sun_angular_radius;
 use crate::units::{Measured, Place};
@@ -64,7 +65,7 @@ pub struct ClockStep {
 /// A journal that cannot be read.
 pub(super) fn load(
     done: &Done<FrameRecord>,
-    inputs: &[Input],
+    inputs: &[StoredFile],
     instrument: &Instrument,
     span: &Span,
 ) -> Result<Loaded, JournalError> {
@@ -165,7 +166,7 @@ fn one(record: Record<FrameRecord>, instrument: &Instrument, span: &Span) -> Opt
 }
 
 fn entry(
-    input: Input,
+    input: StoredFile,
     frame: &FrameRecord,
     instrument: &Instrument,
 ) -> (Entry, Vec<MarkObservation>) {

@@ -39,9 +39,9 @@ mod temperature;
 mod view;
 mod work;
 
-pub use cameras::{CameraFrames, cameras};
+pub use cameras::{CameraFrames, CameraHeader, CameraHeaders, cameras};
 pub use disc::PlateDisc;
-pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved, inputs};
+pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved};
 pub use flight::{Flight, second_pass};
 pub use journal::{Journal, JournalError};
 pub use load::{ClockFacts, ClockStep};
@@ -51,7 +51,7 @@ pub use mapping::{
 pub use output::{OutputError, Summary, write};
 pub use radius::RadiusDependence;
 pub use record::{
-    DiscRecord, FrameFacts, FrameRecord, Grade, InFlight, Input, MarkRecord, PackedPoint, Record,
+    DiscRecord, FrameFacts, FrameRecord, Grade, InFlight, MarkRecord, PackedPoint, Record,
 };
 pub use report::Report;
 pub use roll::{RollHistory, RollRecipe, RollRow, RollSummary, write_roll};

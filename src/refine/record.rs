@@ -1,5 +1,6 @@
 //! What one frame gave, as small as the flight needs it: a row of the journal.
 
+use crate::archive::StoredFile;
 use crate::aspect::{self, Aspect, Mark, Solution};
 use crate::fits::{Header, Value};
 use crate::frame::FrameInfo;
@@ -11,20 +12,10 @@ use jiff::Timestamp;
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// Which file a record is of. A file that has another size or time since is another file.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Input {
-    /// Relative to the archive, with `/` between folders.
-    pub file: String,
-    pub bytes: u64,
-    /// When the file was last written, ns since 1970.
-    pub written_ns: i64,
-}
-
 /// One file's row of the journal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record<T> {
-    pub input: Input,
+    pub input: StoredFile,
     /// What the frame gave, or what is wrong with the file.
     pub outcome: Result<T, String>,
 }

@@ -4,8 +4,8 @@ use super::columns::SmoothedRow;
 use super::flight::Flight;
 use super::output::{OutputError, Summary, SwingSummary, whole};
 use super::row::Row;
+use crate::archive::ArchiveReader;
 use crate::estimation::median;
-use crate::fits::read_frame;
 use crate::instrument::Instrument;
 use crate::report::html::Page;
 use crate::report::plot::{self, Labels, PlotError, Series};
@@ -32,7 +32,7 @@ impl Report {
     pub fn add(
         &mut self,
         label: Option<&str>,
-        archive: &Path,
+        archive: &ArchiveReader,
         flight: &Flight,
         summary: &Summary,
         instrument: &Instrument,
@@ -92,8 +92,11 @@ pub(super) struct Part<'a> {
 }
 
 /// The archive that a figure is of: its folder's name, so that a report does not depend on where the archive lies.
-pub(super) fn source(archive: &Path) -> String {
-    let name = archive.file_name().map(|name| name.display().to_string());
+pub(super) fn source(archive: &ArchiveReader) -> String {
+    let name = archive
+        .name()
+        .file_name()
+        .map(|name| name.display().to_string());
     name.map_or_else(String::new, |name| format!("Archive {name}."))
 }
 
@@ -253,7 +256,7 @@ impl Part<'_> {
             .note(&format!("With the camera's temperature: {text}."));
     }
 
-    fn refusals(&mut self, archive: &Path) {
+    fn refusals(&mut self, archive: &ArchiveReader) {
         self.heading("What is not fine, or odd");
         let mut reasons: BTreeMap<String, Vec<&Row>> = BTreeMap::new();
         for row in self.rows {
@@ -277,7 +280,7 @@ impl Part<'_> {
             .table(&["reason", "fine", "coarse", "none"], &counts);
         for (reason, rows) in &reasons {
             for row in rows.iter().take(PICTURES) {
-                if let Some(picture) = thumbnail(&archive.join(&row.file)) {
+                if let Some(picture) = thumbnail(archive, &row.file) {
                     let caption = format!("{}: {reason}", row.file);
                     self.page.picture(&picture, &caption);
                 }
@@ -330,8 +333,8 @@ impl Part<'_> {
 }
 
 /// A frame, small and stretched to its brightest pixel; none where it cannot be read.
-fn thumbnail(path: &Path) -> Option<GrayImage> {
-    let frame = read_frame(path).ok()?;
+fn thumbnail(archive: &ArchiveReader, file: &str) -> Option<GrayImage> {
+    let frame = archive.open_file(file).ok()?.frame().ok()?;
     let (width, height) = (frame.width() / SHRUNK, frame.height() / SHRUNK);
     let mean = |x: usize, y: usize| {
         with_view!(&frame, view => {

@@ -2,7 +2,8 @@
 
 use super::disc::PlateDisc;
 use super::mapping::MappingNumbers;
-use super::record::{FrameRecord, Grade, InFlight, Input};
+use super::record::{FrameRecord, Grade, InFlight};
+use crate::archive::StoredFile;
 use crate::geometry::attitude::Direction;
 use crate::units::{Estimate, Measured, PlateMil};
 use jiff::Timestamp;
@@ -154,7 +155,7 @@ impl Row {
     }
 
     /// A file that could not be read.
-    pub(super) fn unread(input: Input, error: String) -> Self {
+    pub(super) fn unread(input: StoredFile, error: String) -> Self {
         Self {
             file: input.file,
             utc_ns: None,
@@ -187,7 +188,7 @@ impl Row {
     }
 
     /// A frame as it gave itself.
-    pub(super) fn of(input: Input, frame: &FrameRecord) -> Self {
+    pub(super) fn of(input: StoredFile, frame: &FrameRecord) -> Self {
         let disc = frame.disc.as_ref();
         let sun = disc.map(|disc| Estimate {
             position: PlateMil::new(disc.on_plate_mil[0], disc.on_plate_mil[1]),

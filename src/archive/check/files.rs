@@ -15,6 +15,20 @@ pub struct TreeError {
     found: String,
 }
 
+impl TreeError {
+    pub(in crate::archive) fn new(
+        path: &Path,
+        expected: &'static str,
+        found: impl Into<String>,
+    ) -> Self {
+        Self {
+            path: path.into(),
+            expected,
+            found: found.into(),
+        }
+    }
+}
+
 /// The files under a folder and its folders, except folders whose names begin with a dot.
 #[derive(Debug, Default)]
 pub struct Tree {
@@ -24,6 +38,8 @@ pub struct Tree {
     pub logs: Vec<PathBuf>,
     /// Configurations and instruments, by path.
     pub flown: Vec<PathBuf>,
+    /// Settings of the navigation, by path.
+    pub navigation: Vec<PathBuf>,
     /// How many names are those of half-written files.
     pub unfinished: usize,
     /// Folders within that could not be listed, and why.
@@ -44,16 +60,12 @@ impl Tree {
     /// # Errors
     /// One that is missing or cannot be listed; where none has a `.fits` file.
     pub fn of_all(roots: &[impl AsRef<Path>]) -> Result<Self, TreeError> {
-        let error = |path: &Path, expected, found| TreeError {
-            path: path.into(),
-            expected,
-            found,
-        };
         let mut tree = Self::default();
         let mut folders = Vec::new();
         for root in roots.iter().map(AsRef::as_ref) {
-            tree.list(root, &mut folders)
-                .map_err(|cause| error(root, "a folder of frames", format!("\"{cause}\"")))?;
+            tree.list(root, &mut folders).map_err(|cause| {
+                TreeError::new(root, "a folder of frames", format!("\"{cause}\""))
+            })?;
         }
         while let Some(folder) = folders.pop() {
             if let Err(cause) = tree.list(&folder, &mut folders) {
@@ -66,9 +78,15 @@ impl Tree {
         if tree.files.is_empty() && tree.unlisted.is_empty() {
             let found = format!("none, and {} unfinished", tree.unfinished);
             let first = roots.first().map_or(Path::new(""), AsRef::as_ref);
-            return Err(error(first, "files whose names end in .fits", found));
+            let expected = "files whose names end in .fits";
+            return Err(TreeError::new(first, expected, found));
         }
-        for paths in [&mut tree.files, &mut tree.logs, &mut tree.flown] {
+        for paths in [
+            &mut tree.files,
+            &mut tree.logs,
+            &mut tree.flown,
+            &mut tree.navigation,
+        ] {
             paths.sort();
             paths.dedup();
         }
@@ -88,6 +106,7 @@ impl Tree {
                 (false, false) if is_fits(&path) => self.files.push(path),
                 (false, false) if is_log(&path) => self.logs.push(path),
                 (false, false) if is_flown(&path) => self.flown.push(path),
+                (false, false) if is_navigation(&path) => self.navigation.push(path),
                 (false, false) => {}
             }
         }
@@ -102,16 +121,22 @@ fn is_unfinished(path: &Path) -> bool {
         .ends_with(UNFINISHED.as_bytes())
 }
 
+/// Settings of the navigation.
+pub(in crate::archive) fn is_navigation(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.starts_with("navigation_") && name.ends_with(".toml")
+}
+
 fn is_log(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name.starts_with("solutions_") && name.ends_with(".csv")
 }
 
-fn is_flown(path: &Path) -> bool {
+pub(in crate::archive) fn is_flown(path: &Path) -> bool {
     CONFIGURATION.names(path) || INSTRUMENT.names(path)
 }
 
-fn is_fits(path: &Path) -> bool {
+pub(in crate::archive) fn is_fits(path: &Path) -> bool {
     path.extension()
         .is_some_and(|end| end.eq_ignore_ascii_case("fits"))
 }
@@ -129,11 +154,12 @@ pub fn frames_of(paths: &[PathBuf]) -> Result<Vec<PathBuf>, TreeError> {
         }
         let tree = Tree::of(path)?;
         if let Some(folder) = tree.unlisted.first() {
-            return Err(TreeError {
-                path: PathBuf::from(&folder.file),
-                expected: "a folder that can be listed",
-                found: folder.error.clone(),
-            });
+            let expected = "a folder that can be listed";
+            return Err(TreeError::new(
+                Path::new(&folder.file),
+                expected,
+                &folder.error,
+            ));
         }
         files.extend(tree.files);
     }

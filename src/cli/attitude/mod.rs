@@ -51,10 +51,14 @@ pub(super) struct NavigationFile {
 
 impl NavigationFile {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
-        let text = read_text(path)?;
+        Self::of((path.into(), read_text(path)?))
+    }
+
+    /// The same of a path and its text.
+    pub fn of((path, text): (PathBuf, String)) -> anyhow::Result<Self> {
         Ok(Self {
-            settings: Settings::parse(path, &text)?,
-            path: path.into(),
+            settings: Settings::parse(&path, &text)?,
+            path,
             text,
         })
     }

@@ -2,21 +2,22 @@
 
 mod files;
 mod navigation;
+mod passes;
 
 use super::options;
-use super::output::{make_folder, progress_bar, say};
-use crate::archive::FlownFiles;
-use crate::archive::check::Tree;
+use super::output::{make_folder, say};
+use crate::archive::{ArchiveReader, StoredFile};
 use crate::clock::parse_utc;
 use crate::refine::{
-    self, CameraFrames, Done, FirstPass, Flight, FrameRecord, Input, Recipe, Report, RollHistory,
-    RollRecipe, RollSummary, Shard, Sky, Span, Summary,
+    self, CameraFrames, CameraHeaders, Flight, Recipe, Report, RollHistory, RollRecipe,
+    RollSummary, Shard, Sky, Summary,
 };
 use crate::units::{Place, counted};
-use anyhow::{bail, ensure};
+use anyhow::ensure;
 use clap::Args;
 use jiff::Timestamp;
 use navigation::NavigationArgs;
+use passes::{expect_all_read, journal_name, print_shard};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -32,7 +33,7 @@ use std::process::ExitCode;
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub struct RefineArgs {
-    /// A folder tree of FITS frames
+    /// A folder tree of FITS frames, or the URL of objects such as s3://bucket/flight
     #[arg(value_name = "ARCHIVE")]
     archive: PathBuf,
     /// Folder for journal and results; created if missing
@@ -48,13 +49,13 @@ pub struct RefineArgs {
     /// The configuration's TOML file [default: the archive's solver, place and target, if it holds a configuration]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Frames solved at a time [default: number of cores]
+    /// Frames read and solved at a time [default: number of cores; eight times that from a URL]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
-    /// Only every Nth frame from the Ith on, and only the first pass
+    /// Only every Nth frame from the Ith on, and only the first pass: options of the second are not used
     #[arg(long, value_name = "I/N", conflicts_with = "merge")]
     shard: Option<Shard>,
-    /// Merge the journals of other runs of the same archive, instrument and settings
+    /// Merge the journals of other runs of the same archive, instrument and settings; what they lack is solved
     #[arg(long, value_name = "DIR", num_args = 1..)]
     merge: Vec<PathBuf>,
     /// Only frames whose mid-exposure is not before this: a date, or date and time
@@ -71,39 +72,40 @@ pub struct RefineArgs {
 }
 
 pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
-    let tree = Tree::of(&args.archive)?;
-    let archived = FlownFiles::read(&tree.flown)?;
-    let config = args.configuration(&archived)?;
-    let jobs = args.jobs.map_or(0, usize::from);
+    let archive = ArchiveReader::open(&args.archive, &args.out)?;
+    let jobs = args.jobs(&archive);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
-    pool.install(|| {
-        let cameras = refine::cameras(&args.archive, args.inputs(tree));
-        let (moon, cameras): (Vec<_>, Vec<_>) = cameras
-            .into_iter()
-            .partition(|camera| camera.is_moon_camera());
-        let (roll, cameras): (Vec<_>, Vec<_>) = cameras
-            .into_iter()
-            .partition(|camera| camera.is_roll_camera());
-        let several = cameras.len() > 1;
+    pool.install(|| args.run(&archive))
+}
+
+impl RefineArgs {
+    fn run(&self, archive: &ArchiveReader) -> anyhow::Result<ExitCode> {
+        let listing = archive.list()?;
+        let archived = archive.flown(&listing.flown)?;
+        let config = self.configuration(&archived)?;
+        let mut sensors = match self.shard {
+            Some(_) => None,
+            None => self.navigation.read(archive, &listing.navigation)?,
+        };
+        make_folder(&self.out)?;
+        let Cameras { plate, roll, moon } = self.cameras(archive, listing.frames)?;
         // What may be missing is told before hours of work.
-        let recipes = cameras
+        let recipes = plate
             .iter()
-            .map(|camera| args.recipe(camera, &archived, &config));
+            .map(|camera| self.recipe(camera, &archived, &config));
         let recipes = recipes.collect::<anyhow::Result<Vec<_>>>()?;
-        let mut sensors = args.navigation.read(&args.archive)?;
         if let Some(sensors) = &sensors {
-            sensors.check(&cameras)?;
+            sensors.check(&plate)?;
         }
-        let roll = CameraFrames::together(roll);
         let roll_recipe = roll
             .as_ref()
-            .map(|camera| args.roll_recipe(camera, &archived, &config));
+            .map(|camera| self.roll_recipe(camera, &archived, &config));
         let roll_recipe = roll_recipe.transpose()?.flatten();
         ensure!(
-            !cameras.is_empty() || roll.is_none() || roll_recipe.is_some(),
+            !plate.is_empty() || roll.is_none() || roll_recipe.is_some(),
             "{}: expected frames of a camera that sees the plate or the file of the roll camera (--roll-camera), found the roll camera's frames \
              alone",
-            args.archive.display()
+            self.archive.display()
         );
         let mut ephemeris = options::ephemeris(&config)?;
         let sky = Sky {
@@ -111,16 +113,16 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
             place: config.site.place(),
             ephemeris,
         };
-        make_folder(&args.out)?;
         let mut report = Report::default();
-        if let Some(camera) = CameraFrames::together(moon) {
+        if let Some(camera) = moon {
             let frames = counted(camera.inputs.len() as u64, "frame");
-            let text = format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them");
+            let text =
+                format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them");
             say(format_args!("{text}"))?;
             report.note(&text);
         }
         let refined_roll = match (&roll, &roll_recipe) {
-            (Some(camera), Some(recipe)) => args.refine_roll(camera, recipe)?,
+            (Some(camera), Some(recipe)) => self.refine_roll(archive, camera, recipe)?,
             (Some(camera), None) => {
                 let frames = counted(camera.inputs.len() as u64, "frame");
                 let text = format!(
@@ -133,45 +135,75 @@ pub fn run(args: &RefineArgs) -> anyhow::Result<ExitCode> {
             (None, _) => None,
         };
         let history = refined_roll.as_ref().map(|(history, _)| history);
-        for (camera, recipe) in cameras.iter().zip(recipes) {
-            let label = several.then_some(camera.label.as_str());
-            let flight = args.refine(camera, label, &recipe, &sky, history, &mut report)?;
+        for (camera, recipe) in plate.iter().zip(recipes) {
+            let label = (plate.len() > 1).then_some(camera.label.as_str());
+            let mut shared = Shared {
+                archive,
+                sky: &sky,
+                roll: history,
+                report: &mut report,
+            };
+            let flight = self.refine(camera, label, &recipe, &mut shared)?;
             if let Some((sensors, flight)) = sensors.as_mut().zip(flight) {
                 sensors.see_sun(camera, &flight, &recipe.instrument)?;
             }
         }
         if let Some(((history, summary), recipe)) = refined_roll.as_ref().zip(roll_recipe) {
-            report.add_roll(&args.archive, history, summary, &recipe);
+            report.add_roll(archive, history, summary, &recipe);
         }
         let mut code = ExitCode::SUCCESS;
         if let Some(mut sensors) = sensors {
-            history.into_iter().for_each(|history| sensors.see_nadir(history));
-            code = sensors.find_attitude(&sky, [&args.archive, &args.out], &mut report)?;
+            history
+                .into_iter()
+                .for_each(|history| sensors.see_nadir(history));
+            code = sensors.find_attitude(&sky, [&self.archive, &self.out], &mut report)?;
         }
-        if args.shard.is_none() {
-            report.write(&args.out)?;
+        if self.shard.is_none() {
+            report.write(&self.out)?;
         }
+        expect_all_read(archive)?;
         Ok(code)
-    })
-}
+    }
 
-impl RefineArgs {
+    /// The archive's cameras by the headers of its frames, or of this shard's.
+    fn cameras(&self, archive: &ArchiveReader, frames: Vec<StoredFile>) -> anyhow::Result<Cameras> {
+        let frames = match self.shard {
+            Some(shard) => shard.part(frames),
+            None => frames,
+        };
+        let done = self.first_pass(archive, "headers", &CameraHeaders, &frames)?;
+        let mut cameras = refine::cameras(&done, frames)?;
+        let mut taken = |is_one: fn(&CameraFrames) -> bool| {
+            CameraFrames::together(cameras.extract_if(.., |camera| is_one(camera)).collect())
+        };
+        Ok(Cameras {
+            roll: taken(CameraFrames::is_roll_camera),
+            moon: taken(CameraFrames::is_moon_camera),
+            plate: cameras,
+        })
+    }
+
     /// Makes the history of one camera; of several, in a folder of its own. None of a shard.
     fn refine(
         &self,
         camera: &CameraFrames,
         label: Option<&str>,
         recipe: &Recipe,
-        sky: &Sky,
-        roll: Option<&RollHistory>,
-        report: &mut Report,
+        shared: &mut Shared,
     ) -> anyhow::Result<Option<Flight>> {
-        let inputs = &camera.inputs;
-        let done = self.first_pass(recipe, inputs, &self.merge)?;
-        if self.shard.is_some() {
+        let Shared {
+            archive,
+            sky,
+            roll,
+            report,
+        } = shared;
+        self.expect_journals(&journal_name(recipe))?;
+        let done = self.first_pass(archive, "frames", recipe, &camera.inputs)?;
+        if let Some(shard) = self.shard {
+            print_shard(shard, &camera.label, &done, &camera.inputs)?;
             return Ok(None);
         }
-        let mut flight = self.second_pass(&done, inputs, recipe)?;
+        let mut flight = self.second_pass(archive, &done, &camera.inputs, recipe)?;
         if let Some(roll) = roll {
             roll.fill(&mut flight.rows);
         }
@@ -179,13 +211,13 @@ impl RefineArgs {
         let folder = label.map_or(self.out.clone(), |label| self.out.join(label));
         make_folder(&folder)?;
         let summary = refine::write(&folder, &flight, recipe)?;
-        report.add(label, &self.archive, &flight, &summary, &recipe.instrument);
+        report.add(label, archive, &flight, &summary, &recipe.instrument);
         if let Some(label) = label {
             say(format_args!("{label}:"))?;
         }
         print(&summary)?;
         if let Some(rate_hz) = self.navigation.rate_hz() {
-            let rows = refine::stabilisation(&flight, rate_hz, &recipe.instrument, sky, roll)?;
+            let rows = refine::stabilisation(&flight, rate_hz, &recipe.instrument, sky, *roll)?;
             refine::write_stabilisation(&folder, &rows)?;
             let valid = rows.iter().filter(|row| row.offset.is_some()).count();
             let count = rows.len();
@@ -199,18 +231,13 @@ impl RefineArgs {
     /// Makes the history of the roll camera; none of a shard.
     fn refine_roll(
         &self,
+        archive: &ArchiveReader,
         camera: &CameraFrames,
         recipe: &RollRecipe,
     ) -> anyhow::Result<Option<(RollHistory, RollSummary)>> {
-        // A part of few frames may have held none of this camera.
-        let name = journal_name(recipe);
-        let with_roll = self
-            .merge
-            .iter()
-            .filter(|folder| folder.join(&name).is_file());
-        let merged: Vec<PathBuf> = with_roll.cloned().collect();
-        let done = self.first_pass(recipe, &camera.inputs, &merged)?;
-        if self.shard.is_some() {
+        let done = self.first_pass(archive, "frames", recipe, &camera.inputs)?;
+        if let Some(shard) = self.shard {
+            print_shard(shard, &camera.label, &done, &camera.inputs)?;
             return Ok(None);
         }
         let history = RollHistory::new(&done, &camera.inputs, recipe, &self.span())?;
@@ -218,76 +245,22 @@ impl RefineArgs {
         print_roll(&summary)?;
         Ok(Some((history, summary)))
     }
-
-    fn inputs(&self, tree: Tree) -> Vec<Input> {
-        let inputs = refine::inputs(&tree, &self.archive, &self.out);
-        let Some(shard) = self.shard else {
-            return inputs;
-        };
-        let (skip, every) = (shard.number as usize - 1, shard.of as usize);
-        inputs.into_iter().skip(skip).step_by(every).collect()
-    }
-
-    fn span(&self) -> Span {
-        Span {
-            since: self.since,
-            until: self.until,
-        }
-    }
-
-    fn first_pass<R: FirstPass>(
-        &self,
-        recipe: &R,
-        inputs: &[Input],
-        merged: &[PathBuf],
-    ) -> anyhow::Result<Done<R::Frame>> {
-        let name = journal_name(recipe);
-        let others = journals(merged, &name)?;
-        let mut done = Done::open(&self.out.join(&name), &others)?;
-        let left = inputs.iter().filter(|input| !done.holds(input)).count();
-        let progress = progress_bar(left, "frames");
-        let each = || progress.inc(1);
-        done.work(&self.archive, inputs, recipe, &self.span(), &each)?;
-        progress.finish_and_clear();
-        Ok(done)
-    }
-
-    fn second_pass(
-        &self,
-        done: &Done<FrameRecord>,
-        inputs: &[Input],
-        recipe: &Recipe,
-    ) -> anyhow::Result<Flight> {
-        let flight = refine::second_pass(done, &self.archive, inputs, recipe, &self.span())?;
-        ensure!(
-            !flight.rows.is_empty(),
-            "{}: expected frames from --since to --until, found none",
-            self.archive.display()
-        );
-        if let Some(contradiction) = &flight.contradiction {
-            bail!("{}: {contradiction}", self.archive.display());
-        }
-        Ok(flight)
-    }
 }
 
-fn journal_name(recipe: &impl FirstPass) -> String {
-    format!("{:016x}.journal", recipe.hash())
+/// The cameras of an archive.
+struct Cameras {
+    /// Those that see the plate.
+    plate: Vec<CameraFrames>,
+    roll: Option<CameraFrames>,
+    moon: Option<CameraFrames>,
 }
 
-/// The journals of other runs: one in each folder, of the same name, for it tells instrument and settings.
-fn journals(folders: &[PathBuf], name: &str) -> anyhow::Result<Vec<PathBuf>> {
-    let journal = |folder: &PathBuf| -> anyhow::Result<PathBuf> {
-        let path = folder.join(name);
-        let found = path.is_file();
-        ensure!(
-            found,
-            "{}: expected a journal of the same version, instrument and settings ({name}), found none",
-            folder.display()
-        );
-        Ok(path)
-    };
-    folders.iter().map(journal).collect()
+/// What the histories of all cameras share.
+struct Shared<'a> {
+    archive: &'a ArchiveReader,
+    sky: &'a Sky,
+    roll: Option<&'a RollHistory>,
+    report: &'a mut Report,
 }
 
 fn print(summary: &Summary) -> anyhow::Result<()> {
@@ -333,17 +306,4 @@ fn print_roll(summary: &RollSummary) -> anyhow::Result<()> {
         ))?;
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_folder_without_the_journal_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let error = journals(&[folder.path().into()], "x.journal").unwrap_err();
-        let name = folder.path().display().to_string();
-        assert!(error.to_string().starts_with(&name), "{error}");
-    }
 }

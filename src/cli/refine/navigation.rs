@@ -1,5 +1,6 @@
 //! The attitude between frames: the refined directions together with the flight's IMU and GPS.
 
+use crate::archive::ArchiveReader;
 use crate::cli::attitude::{Attitude, AttitudeArgs, Basis, NavigationFile, add_attitude};
 use crate::cli::output::say;
 use crate::geometry::attitude::Direction;
@@ -10,7 +11,7 @@ use crate::navigation::{
 };
 use crate::pointing::measured_sun_in_telescope;
 use crate::refine::{CameraFrames, Flight, Report, RollHistory, Sky};
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use clap::Args;
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
@@ -23,7 +24,7 @@ const MOST_FITS_ROWS: u64 = 1_000_000;
 #[command(next_help_heading = "Attitude by gyros")]
 pub(super) struct NavigationArgs {
     /// Samples of the IMU: attitude.csv, attitude.fits and offsets.csv tell the attitude between frames, too
-    #[arg(long, value_name = "CSV", num_args = 1.., requires = "gps", conflicts_with = "shard")]
+    #[arg(long, value_name = "CSV", num_args = 1.., requires = "gps")]
     imu: Vec<PathBuf>,
     /// Fixes of GPS
     #[arg(long, value_name = "CSV", num_args = 1.., requires = "imu")]
@@ -42,16 +43,24 @@ impl NavigationArgs {
     }
 
     /// The flight's sensors; `None` where none are named. Times count from 1970 where NAV.toml states no epoch.
-    pub fn read(&self, archive: &Path) -> anyhow::Result<Option<Sensors<'_>>> {
+    pub fn read(
+        &self,
+        archive: &ArchiveReader,
+        in_archive: &[String],
+    ) -> anyhow::Result<Option<Sensors<'_>>> {
         if self.imu.is_empty() {
             return Ok(None);
         }
-        let path = match &self.navigation {
-            Some(path) => path.clone(),
-            None => newest(archive)?,
+        let mut given = match (&self.navigation, in_archive.last()) {
+            (Some(path), _) => NavigationFile::read(path)?,
+            // Their names tell when the program was started.
+            (None, Some(newest)) => NavigationFile::of(archive.text(newest)?)?,
+            (None, None) => bail!(
+                "{}: expected navigation_*.toml, found none: name a NAV.toml with --navigation",
+                archive.name().display()
+            ),
         };
-        let mut given = NavigationFile::read(&path)?;
-        given.settings = given.settings.for_flight(&path)?;
+        given.settings = given.settings.for_flight(&given.path)?;
         Ok(Some(Sensors {
             epoch: given.settings.epoch_utc.unwrap_or(Timestamp::UNIX_EPOCH),
             runs: read_imu_runs(&self.imu, &given.settings)?,
@@ -61,26 +70,6 @@ impl NavigationArgs {
             args: self,
         }))
     }
-}
-
-/// The NAV.toml of the archive's last start of the program.
-fn newest(archive: &Path) -> anyhow::Result<PathBuf> {
-    let listed = || format!("{}: expected to list the folder", archive.display());
-    let mut files = Vec::new();
-    for entry in archive.read_dir().with_context(listed)? {
-        let path = entry.with_context(listed)?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        if name.starts_with("navigation_") && name.ends_with(".toml") {
-            files.push(path);
-        }
-    }
-    // Their names tell when the program was started.
-    files.into_iter().max().with_context(|| {
-        format!(
-            "{}: expected navigation_*.toml, found none: name a NAV.toml with --navigation",
-            archive.display()
-        )
-    })
 }
 
 /// A direction that a frame shows.

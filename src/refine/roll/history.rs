@@ -5,9 +5,10 @@ use super::super::first_pass::{Done, Span};
 use super::super::follow::ODD_PATH_CHI2;
 use super::super::journal::JournalError;
 use super::super::motion::{self, Measurement, Moment, Path, SharedErrors};
-use super::super::record::{FrameFacts, Grade, Input, Record};
+use super::super::record::{FrameFacts, Grade, Record};
 use super::super::row::{Oddity, Row};
 use super::{HorizonRecord, RollRecipe};
+use crate::archive::StoredFile;
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
 use crate::geometry::attitude::Direction;
 use crate::pointing::{body_nadir, body_pitch_deg, body_roll_deg};
@@ -57,7 +58,7 @@ pub struct SmoothedRoll {
 }
 
 impl RollRow {
-    fn unread(input: Input, error: &str) -> Self {
+    fn unread(input: StoredFile, error: &str) -> Self {
         Self {
             file: input.file,
             facts: FrameFacts::default(),
@@ -73,7 +74,7 @@ impl RollRow {
         }
     }
 
-    fn of(input: Input, record: HorizonRecord) -> Self {
+    fn of(input: StoredFile, record: HorizonRecord) -> Self {
         Self {
             facts: record.facts,
             quality: record.quality,
@@ -129,7 +130,7 @@ impl RollHistory {
     /// A journal that cannot be read.
     pub fn new(
         done: &Done<HorizonRecord>,
-        inputs: &[Input],
+        inputs: &[StoredFile],
         recipe: &RollRecipe,
         span: &Span,
     ) -> Result<Self, JournalError> {
@@ -366,7 +367,7 @@ mod tests {
 
     /// A fine frame, four a second.
     fn fine(number: u32, roll_deg: f64) -> RollRow {
-        let input = Input {
+        let input = StoredFile {
             file: format!("roll_{number:04}.fits"),
             bytes: 0,
             written_ns: 0,

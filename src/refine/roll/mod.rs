@@ -14,7 +14,7 @@ pub use output::{RollSummary, write_roll};
 pub use record::HorizonRecord;
 
 use super::first_pass::{FirstPass, JOURNAL_VERSION, Span, Taken, Unsolved, hash_of};
-use crate::archive::{Flown, FlownFiles};
+use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};
 use crate::config;
 use crate::fits::Header;
 use crate::frame::Frame;
@@ -22,7 +22,6 @@ use crate::horizon::{self, Settings, Solution, Sphere, Stage, Stopped};
 use crate::instrument::MountedCamera;
 use crate::provenance;
 use crate::units::{Place, Rejected};
-use std::path::Path;
 
 /// What the roll camera's frames are solved with; everything that a frame's own record depends on.
 #[derive(Debug, Clone)]
@@ -51,8 +50,13 @@ impl FirstPass for RollRecipe {
         hash_of(text.as_bytes())
     }
 
-    fn solve(&self, path: &Path, span: &Span) -> Result<Option<HorizonRecord>, Unsolved> {
-        let Some(taken) = Taken::open(path, span)? else {
+    fn solve(
+        &self,
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        span: &Span,
+    ) -> Result<Option<HorizonRecord>, Unsolved> {
+        let Some(taken) = Taken::open(archive, input, span)? else {
             return Ok(None);
         };
         taken.check(&self.archived)?;
@@ -109,6 +113,7 @@ mod tests {
     use super::super::record::Grade;
     use super::*;
     use crate::frame::{FrameInfo, Pixels};
+    use std::path::Path;
 
     const CAMERA: &str = "[camera]
 width_px = 64

@@ -4,13 +4,12 @@ use super::super::record::Grade;
 use super::super::report::{PICTURES, Report, source};
 use super::output::kind;
 use super::{RollHistory, RollRecipe, RollRow, RollSummary};
-use crate::fits::read_frame;
+use crate::archive::ArchiveReader;
 use crate::horizon;
 use crate::report::plot::{self, Labels, Mark, Series};
 use image::RgbImage;
 use image::imageops::thumbnail;
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// Pictures are so wide at most.
 const WIDTH_PX: u32 = 480;
@@ -19,7 +18,7 @@ impl Report {
     /// Adds the roll camera's part.
     pub fn add_roll(
         &mut self,
-        archive: &Path,
+        archive: &ArchiveReader,
         history: &RollHistory,
         summary: &RollSummary,
         recipe: &RollRecipe,
@@ -47,7 +46,7 @@ impl Report {
         self.odd_frames(archive, history, recipe);
     }
 
-    fn figures(&mut self, archive: &Path, history: &RollHistory) {
+    fn figures(&mut self, archive: &ArchiveReader, history: &RollHistory) {
         let series = |name: &str, mark, value: &dyn Fn(&RollRow) -> Option<f64>| {
             let rows = history.rows.iter();
             let points = rows.filter_map(|row| Some((row.unix_s()?, value(row)?)));
@@ -78,7 +77,7 @@ impl Report {
     }
 
     /// How many frames are not fine, by what is odd about them, and pictures of some with what was taken for the horizon.
-    fn odd_frames(&mut self, archive: &Path, history: &RollHistory, recipe: &RollRecipe) {
+    fn odd_frames(&mut self, archive: &ArchiveReader, history: &RollHistory, recipe: &RollRecipe) {
         let mut odd: BTreeMap<String, Vec<&RollRow>> = BTreeMap::new();
         for row in history.rows.iter().filter(|row| row.quality != Grade::Fine) {
             odd.entry(kind(&row.remark())).or_default().push(row);
@@ -103,8 +102,8 @@ impl Report {
 }
 
 /// A frame with what was taken for the horizon, made small. `None` where it cannot be read.
-fn overlay(archive: &Path, row: &RollRow, recipe: &RollRecipe) -> Option<RgbImage> {
-    let frame = read_frame(&archive.join(&row.file)).ok()?;
+fn overlay(archive: &ArchiveReader, row: &RollRow, recipe: &RollRecipe) -> Option<RgbImage> {
+    let frame = archive.open_file(&row.file).ok()?.frame().ok()?;
     let (solution, sphere) = recipe.solve_again(&frame)?;
     let picture = horizon::overlay(&frame, &solution, &recipe.camera.optics, &sphere, "");
     let (width, height) = picture.dimensions();

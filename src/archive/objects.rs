@@ -1,0 +1,213 @@
+//! An archive under a prefix of an object store: S3, Google Cloud Storage, Azure, or a folder as the same interface shows it.
+//!
+//! `object_store` retries requests that fail for the moment, and continues a body that was cut off; a page of a list it does not. It is
+//! asynchronous; each of our threads waits for its own request.
+
+use super::check::{TreeError, is_fits, is_flown, is_navigation};
+use super::storage::{Listing, Storage, StoredFile};
+use crate::backoff::Backoff;
+use crate::fits::{self, Problem};
+use futures_util::stream::{self, StreamExt, TryStreamExt};
+use object_store::aws::AmazonS3Builder;
+use object_store::azure::MicrosoftAzureBuilder;
+use object_store::gcp::GoogleCloudStorageBuilder;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as ObjectPath;
+use object_store::{
+    BackoffConfig, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreScheme, RetryConfig,
+};
+use std::fmt::Display;
+use std::io;
+use std::path::Path;
+use std::thread;
+use std::time::Duration;
+use tokio::runtime::Runtime;
+use url::Url;
+
+/// Folders that are listed at the same time. A list comes in pages of 1000 objects, one after another.
+const LISTS_AT_ONCE: usize = 16;
+/// How often a list is begun.
+const LIST_ATTEMPTS: usize = 5;
+/// With a random wait of up to three times the last one, these bridge about two minutes without an answer.
+const RETRIES: RetryConfig = RetryConfig {
+    backoff: BackoffConfig {
+        init_backoff: Duration::from_millis(500),
+        max_backoff: Duration::from_secs(15),
+        base: 3.0,
+    },
+    max_retries: 20,
+    retry_timeout: Duration::from_secs(180),
+};
+/// Servers answer with whole pages.
+const LONGEST_ERROR: usize = 300;
+
+#[derive(Debug)]
+pub(super) struct Objects {
+    url: String,
+    store: Box<dyn ObjectStore>,
+    prefix: ObjectPath,
+    runtime: Runtime,
+}
+
+impl Objects {
+    /// The objects under a URL, with credentials and server of the environment.
+    ///
+    /// # Errors
+    /// A URL of no object store that is known, or credentials that are none.
+    pub fn open(url: &str) -> Result<Self, TreeError> {
+        let error = |found: String| {
+            let expected = "the URL of an object store, such as s3://bucket/flight";
+            TreeError::new(Path::new(url), expected, found)
+        };
+        let parsed = Url::parse(url).map_err(|cause| error(one_line(cause)))?;
+        let parsed = ObjectStoreScheme::parse(&parsed);
+        let (scheme, prefix) = parsed.map_err(|cause| error(one_line(cause)))?;
+        let store = store(&scheme, url).map_err(|cause| error(one_line(cause)))?;
+        let runtime = Runtime::new().map_err(|cause| error(one_line(cause)))?;
+        Ok(Self {
+            url: url.into(),
+            store,
+            prefix,
+            runtime,
+        })
+    }
+
+    /// All objects; begins again where a list breaks off.
+    fn objects(&self) -> object_store::Result<Vec<ObjectMeta>> {
+        let mut backoff = Backoff::NETWORK;
+        for _ in 1..LIST_ATTEMPTS {
+            match self.runtime.block_on(self.list_once()) {
+                Err(object_store::Error::Generic { .. }) => thread::sleep(backoff.wait()),
+                listed => return listed,
+            }
+        }
+        self.runtime.block_on(self.list_once())
+    }
+
+    async fn list_once(&self) -> object_store::Result<Vec<ObjectMeta>> {
+        let top = self.store.list_with_delimiter(Some(&self.prefix)).await?;
+        let list = |folder: ObjectPath| self.store.list(Some(&folder)).try_collect::<Vec<_>>();
+        let below = stream::iter(top.common_prefixes).map(list);
+        let below: Vec<_> = below.buffer_unordered(LISTS_AT_ONCE).try_collect().await?;
+        Ok(below.into_iter().flatten().chain(top.objects).collect())
+    }
+
+    /// Relative to the archive; none of the object of the prefix itself, and none of hidden files.
+    fn relative(&self, object: &ObjectMeta) -> Option<String> {
+        let parts = object.location.prefix_match(&self.prefix)?;
+        let parts: Vec<String> = parts.map(|part| part.as_ref().to_owned()).collect();
+        let is_shown = |part: &String| !part.starts_with('.');
+        (!parts.is_empty() && parts.iter().all(is_shown)).then(|| parts.join("/"))
+    }
+
+    fn get(&self, file: &str, options: GetOptions) -> Result<Vec<u8>, Problem> {
+        let fetched = self.runtime.block_on(async {
+            let location = ObjectPath::parse(format!("{}/{file}", self.prefix))?;
+            let found = self.store.get_opts(&location, options).await?;
+            match fits::check_length(found.meta.size) {
+                Ok(()) => Ok(Ok(found.bytes().await?)),
+                Err(problem) => Ok(Err(problem)),
+            }
+        });
+        let bytes = fetched.map_err(|cause: object_store::Error| Problem::Io {
+            action: "read",
+            cause: io_error(cause),
+        })?;
+        Ok(bytes?.into())
+    }
+}
+
+impl Storage for Objects {
+    fn list(&self) -> Result<Listing, TreeError> {
+        let error = |found| {
+            TreeError::new(
+                Path::new(&self.url),
+                "files whose names end in .fits",
+                found,
+            )
+        };
+        let objects = self.objects();
+        let objects = objects.map_err(|cause| error(one_line(cause)))?;
+        let mut listing = Listing::default();
+        for object in objects {
+            let Some(file) = self.relative(&object) else {
+                continue;
+            };
+            let path = Path::new(&file);
+            if is_fits(path) {
+                let written = object.last_modified.timestamp_nanos_opt();
+                listing.frames.push(StoredFile {
+                    file,
+                    bytes: object.size,
+                    written_ns: written.unwrap_or_default(),
+                });
+            } else if is_flown(path) {
+                listing.flown.push(file);
+            } else if is_navigation(path) && !file.contains('/') {
+                listing.navigation.push(file);
+            }
+        }
+        match listing.frames.is_empty() {
+            true => Err(error("none".into())),
+            false => Ok(listing),
+        }
+    }
+
+    fn read(&self, file: &str) -> Result<Vec<u8>, Problem> {
+        self.get(file, GetOptions::default())
+    }
+
+    fn read_start(&self, file: &StoredFile) -> Result<Vec<u8>, Problem> {
+        // An empty object has no range.
+        if file.bytes == 0 {
+            return Ok(Vec::new());
+        }
+        let options = GetOptions {
+            range: Some(GetRange::Bounded(0..fits::START_BYTES)),
+            ..GetOptions::default()
+        };
+        self.get(&file.file, options)
+    }
+}
+
+/// The object store of a URL, with credentials and server of the environment.
+fn store(scheme: &ObjectStoreScheme, url: &str) -> object_store::Result<Box<dyn ObjectStore>> {
+    Ok(match scheme {
+        ObjectStoreScheme::AmazonS3 => {
+            let builder = AmazonS3Builder::from_env().with_url(url);
+            Box::new(builder.with_retry(RETRIES).build()?)
+        }
+        ObjectStoreScheme::GoogleCloudStorage => {
+            let builder = GoogleCloudStorageBuilder::from_env().with_url(url);
+            Box::new(builder.with_retry(RETRIES).build()?)
+        }
+        ObjectStoreScheme::MicrosoftAzure => {
+            let builder = MicrosoftAzureBuilder::from_env().with_url(url);
+            Box::new(builder.with_retry(RETRIES).build()?)
+        }
+        ObjectStoreScheme::Local => Box::new(LocalFileSystem::new()),
+        other => {
+            return Err(object_store::Error::Generic {
+                store: "URL",
+                source: format!("{other:?} is not supported").into(),
+            });
+        }
+    })
+}
+
+fn io_error(cause: object_store::Error) -> io::Error {
+    let text = one_line(&cause);
+    io::Error::new(io::Error::from(cause).kind(), text)
+}
+
+/// An error in one line.
+fn one_line(error: impl Display) -> String {
+    let text = error.to_string();
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let mut line = words.join(" ");
+    if let Some((cut, _)) = line.char_indices().nth(LONGEST_ERROR) {
+        line.truncate(cut);
+        line.push_str(" ...");
+    }
+    line
+}

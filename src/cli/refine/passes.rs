@@ -1,0 +1,138 @@
+//! The two passes over one camera's frames, with the journals of this and other runs.
+
+use super::RefineArgs;
+use crate::archive::{ArchiveReader, StoredFile};
+use crate::cli::output::{Progress, say};
+use crate::refine::{self, Done, FirstPass, Flight, FrameRecord, Recipe, Shard, Span};
+use anyhow::{bail, ensure};
+use serde::{Serialize, de::DeserializeOwned};
+use std::path::PathBuf;
+use std::thread::available_parallelism;
+
+/// Frames that are read from an object store for each core: each waits for the network several times as long as it is solved.
+const REMOTE_JOBS: usize = 8;
+
+impl RefineArgs {
+    /// Frames that are read and solved at a time.
+    pub(super) fn jobs(&self, archive: &ArchiveReader) -> usize {
+        let cores = available_parallelism().map_or(1, usize::from);
+        let usual = match archive.is_remote() {
+            true => REMOTE_JOBS * cores,
+            false => cores,
+        };
+        self.jobs.map_or(usual, usize::from)
+    }
+
+    pub(super) fn span(&self) -> Span {
+        Span {
+            since: self.since,
+            until: self.until,
+        }
+    }
+
+    /// Refuses to merge where no folder holds a journal of this name, and names folders that hold none: a run with another
+    /// instrument would solve all frames again.
+    pub(super) fn expect_journals(&self, name: &str) -> anyhow::Result<()> {
+        let without = self
+            .merge
+            .iter()
+            .filter(|folder| !folder.join(name).is_file());
+        let without: Vec<&PathBuf> = without.collect();
+        let lack = |folder: &PathBuf| {
+            format!(
+                "{}: expected a journal of the same version, instrument and settings ({name}), found none",
+                folder.display()
+            )
+        };
+        if let Some(first) = without.first() {
+            ensure!(without.len() < self.merge.len(), lack(first));
+        }
+        for folder in without {
+            tracing::warn!("{}: its frames are solved here", lack(folder));
+        }
+        Ok(())
+    }
+
+    /// Solves the frames that neither this run's journal nor a merged one holds.
+    pub(super) fn first_pass<R: FirstPass>(
+        &self,
+        archive: &ArchiveReader,
+        what: &str,
+        recipe: &R,
+        inputs: &[StoredFile],
+    ) -> anyhow::Result<Done<R::Frame>> {
+        let name = journal_name(recipe);
+        let others = self.merge.iter().map(|folder| folder.join(&name));
+        let others: Vec<PathBuf> = others.filter(|path| path.is_file()).collect();
+        let mut done = Done::open(&self.out.join(&name), &others)?;
+        let left = inputs.iter().filter(|input| !done.holds(input)).count();
+        let progress = Progress::new("refine", left, what);
+        done.work(archive, inputs, recipe, &self.span(), &|| progress.step())?;
+        progress.finish();
+        expect_answers(archive)?;
+        Ok(done)
+    }
+
+    pub(super) fn second_pass(
+        &self,
+        archive: &ArchiveReader,
+        done: &Done<FrameRecord>,
+        inputs: &[StoredFile],
+        recipe: &Recipe,
+    ) -> anyhow::Result<Flight> {
+        let flight = refine::second_pass(done, archive, inputs, recipe, &self.span())?;
+        expect_answers(archive)?;
+        ensure!(
+            !flight.rows.is_empty(),
+            "{}: expected frames from --since to --until, found none",
+            self.archive.display()
+        );
+        if let Some(contradiction) = &flight.contradiction {
+            bail!("{}: {contradiction}", self.archive.display());
+        }
+        Ok(flight)
+    }
+}
+
+pub(super) fn journal_name(recipe: &impl FirstPass) -> String {
+    format!("{}{:016x}.journal", recipe.prefix(), recipe.hash())
+}
+
+/// An object store that no longer answers ends the run: what is done is in the journal.
+fn expect_answers(archive: &ArchiveReader) -> anyhow::Result<()> {
+    let unread = archive.unread_files();
+    let last = unread.into_values().next_back().unwrap_or_default();
+    ensure!(
+        !archive.is_lost(),
+        "{}: expected answers, found none to many requests, the last: {last}; run again to go on",
+        archive.name().display()
+    );
+    Ok(())
+}
+
+/// Files that could not be read, though they may be another time, make the run a failure.
+pub(super) fn expect_all_read(archive: &ArchiveReader) -> anyhow::Result<()> {
+    let unread = archive.unread_files();
+    if let Some((file, why)) = unread.first_key_value() {
+        bail!(
+            "{}: expected to read all files, found {} that could not be read, such as {file}: {why}; run again to try again",
+            archive.name().display(),
+            unread.len()
+        );
+    }
+    Ok(())
+}
+
+pub(super) fn print_shard<T: Serialize + DeserializeOwned + Clone + Send>(
+    shard: Shard,
+    label: &str,
+    done: &Done<T>,
+    inputs: &[StoredFile],
+) -> anyhow::Result<()> {
+    let unreadable = done.unreadable(inputs)?;
+    let Shard { number, of } = shard;
+    let files = inputs.len();
+    say(format_args!(
+        "shard {number}/{of}: {label}: {files} files, {unreadable} of them unreadable"
+    ))
+}
