@@ -251,7 +251,7 @@ def ranged_reads():
     ranges = [request.range() for request in clean.headers]
     expect(all(last - first < HEADER_BYTES for first, last in ranges), f"headers in ranges of up to {HEADER_BYTES} bytes", ranges[:3])
     expect(clean.frames == FRAMES, "every frame fetched", f"not {sorted(FRAMES - clean.frames)[:3]}")
-    expect(max(clean.whole.values()) <= 2, "no frame fetched more than twice", clean.whole.most_common(3))
+    expect(max(clean.whole.values()) <= 3, "no frame fetched more than three times: solved, solved again, shown", clean.whole.most_common(3))
     sent = sum(request.sent for request in clean.requests)
     return f"{len(ranges)} headers, {len(FRAMES)} frames, {len(clean.again)} of them twice; moved {sent / 1e6:.1f} MB, " \
            f"{sent / ARCHIVE_BYTES:.3f} of the archive"

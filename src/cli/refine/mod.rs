@@ -26,7 +26,7 @@ use std::process::ExitCode;
 /// The first pass solves every frame on its own and records it in a journal in --out: a run that was killed continues where it
 /// was. The second pass uses the flight as a whole and writes aspect.fits, aspect.csv, summary.json and report.html. On a cluster
 /// each machine does its --shard, and a last run with --merge merges their journals.
-/// Unreadable files get a row with the reason; they do not change the exit code. Each of several cameras has its own history, in a
+/// Unreadable files get a row with the reason; they do not change the exit code, unless another attempt may read them. Each of several cameras has its own history, in a
 /// folder of --out, and all have one report. Frames of the roll camera give roll.fits, roll.csv and roll.json, and the roll of the
 /// offsets. With --imu and --gps the attitude at every IMU sample is estimated from all frames of the flight.
 /// With --rate the telescope's offset at that rate, along the smoothed path between frames, is in stabilisation.fits and .csv.
