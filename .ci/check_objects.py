@@ -35,7 +35,7 @@ HEADER_BYTES = 65536
 PAGE = 100
 # Frames may be under way when the program is killed.
 UNDER_WAY = 16 * len(os.sched_getaffinity(0))
-LIMIT_S = 240
+LIMIT_S = 400
 CUT, CLOSED = "cut in the middle", "closed before the answer"
 REFUSALS = {"SlowDown": 503, "InternalError": 500, "NoSuchKey": 404, "AccessDenied": 403}
 ENDING = contextlib.ExitStack()

@@ -28,7 +28,7 @@ use url::Url;
 const LISTS_AT_ONCE: usize = 16;
 /// How often a list is begun.
 const LIST_ATTEMPTS: usize = 5;
-/// With a random wait of up to three times the last one, these bridge about two minutes without an answer.
+/// With a random wait of up to three times the last one, these bridge about a minute without an answer.
 const RETRIES: RetryConfig = RetryConfig {
     backoff: BackoffConfig {
         init_backoff: Duration::from_millis(500),
@@ -36,7 +36,7 @@ const RETRIES: RetryConfig = RetryConfig {
         base: 3.0,
     },
     max_retries: 20,
-    retry_timeout: Duration::from_secs(180),
+    retry_timeout: Duration::from_secs(60),
 };
 /// Servers answer with whole pages.
 const LONGEST_ERROR: usize = 300;
