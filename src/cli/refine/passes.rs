@@ -100,14 +100,15 @@ pub(super) fn journal_name(recipe: &impl FirstPass) -> String {
 
 /// An object store that no longer answers ends the run: what is done is in the journal.
 fn expect_answers(archive: &ArchiveReader) -> anyhow::Result<()> {
-    let unread = archive.unread_files();
-    let last = unread.into_values().next_back().unwrap_or_default();
-    ensure!(
-        !archive.is_lost(),
-        "{}: expected answers, found none to many requests, the last: {last}; run again to go on",
-        archive.name().display()
-    );
-    Ok(())
+    if !archive.is_lost() {
+        return Ok(());
+    }
+    let why = archive.unread_files().into_values().next();
+    bail!(
+        "{}: expected answers, found none to many requests, such as: {}; run again to go on",
+        archive.name().display(),
+        why.unwrap_or_default()
+    )
 }
 
 /// Files that could not be read, though they may be another time, make the run a failure.
