@@ -150,7 +150,9 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def some_fault(_proxy, request):
-    """A fifth of the requests, the same ones in whatever order they come; and each page of the list is cut once."""
+    """A fifth of the requests, the same ones in whatever order they come, each at most twice; and each page of the list is cut once."""
+    if request.attempt >= 2:
+        return None
     if request.is_list() and request.attempt == 0:
         return CUT
     chance = random.Random(f"{request.target} {request.header} {request.attempt}")

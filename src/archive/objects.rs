@@ -1,33 +1,35 @@
 //! An archive under a prefix of an object store: S3, Google Cloud Storage, Azure, or a folder as the same interface shows it.
 //!
-//! `object_store` retries requests that fail for the moment, and continues a body that was cut off; a page of a list it does not. It is
-//! asynchronous; each of our threads waits for its own request.
+//! `object_store` retries requests that fail for the moment, and continues a body that was cut off; a page of a list that was cut off it
+//! does not. It is asynchronous; each of our threads waits for its own request.
 
 use super::check::{TreeError, is_fits, is_flown, is_navigation};
 use super::storage::{Listing, Storage, StoredFile};
 use crate::backoff::Backoff;
 use crate::fits::{self, Problem};
 use futures_util::stream::{self, StreamExt, TryStreamExt};
-use object_store::aws::AmazonS3Builder;
-use object_store::azure::MicrosoftAzureBuilder;
-use object_store::gcp::GoogleCloudStorageBuilder;
+use object_store::aws::{AmazonS3, AmazonS3Builder};
+use object_store::azure::{MicrosoftAzure, MicrosoftAzureBuilder};
+use object_store::gcp::{GoogleCloudStorage, GoogleCloudStorageBuilder};
+use object_store::list::{PaginatedListOptions, PaginatedListResult, PaginatedListStore};
 use object_store::local::LocalFileSystem;
-use object_store::path::Path as ObjectPath;
+use object_store::path::{DELIMITER, Path as ObjectPath};
 use object_store::{
     BackoffConfig, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreScheme, RetryConfig,
 };
+use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::fmt::Display;
 use std::io;
 use std::path::Path;
-use std::thread;
 use std::time::Duration;
 use tokio::runtime::Runtime;
 use url::Url;
 
 /// Folders that are listed at the same time. A list comes in pages of 1000 objects, one after another.
 const LISTS_AT_ONCE: usize = 16;
-/// How often a list is begun.
-const LIST_ATTEMPTS: usize = 5;
+/// How often a page of a list is asked for.
+const PAGE_ATTEMPTS: usize = 5;
 /// With a random wait of up to three times the last one, these bridge about a minute without an answer.
 const RETRIES: RetryConfig = RetryConfig {
     backoff: BackoffConfig {
@@ -44,9 +46,17 @@ const LONGEST_ERROR: usize = 300;
 #[derive(Debug)]
 pub(super) struct Objects {
     url: String,
-    store: Box<dyn ObjectStore>,
+    store: Store,
     prefix: ObjectPath,
     runtime: Runtime,
+}
+
+#[derive(Debug)]
+enum Store {
+    S3(AmazonS3),
+    GoogleCloud(GoogleCloudStorage),
+    Azure(MicrosoftAzure),
+    Folder(LocalFileSystem),
 }
 
 impl Objects {
@@ -62,7 +72,7 @@ impl Objects {
         let parsed = Url::parse(url).map_err(|cause| error(one_line(cause)))?;
         let parsed = ObjectStoreScheme::parse(&parsed);
         let (scheme, prefix) = parsed.map_err(|cause| error(one_line(cause)))?;
-        let store = store(&scheme, url).map_err(|cause| error(one_line(cause)))?;
+        let store = Store::open(&scheme, url).map_err(|cause| error(one_line(cause)))?;
         let runtime = Runtime::new().map_err(|cause| error(one_line(cause)))?;
         Ok(Self {
             url: url.into(),
@@ -72,24 +82,24 @@ impl Objects {
         })
     }
 
-    /// All objects; begins again where a list breaks off.
-    fn objects(&self) -> object_store::Result<Vec<ObjectMeta>> {
-        let mut backoff = Backoff::NETWORK;
-        for _ in 1..LIST_ATTEMPTS {
-            match self.runtime.block_on(self.list_once()) {
-                Err(object_store::Error::Generic { .. }) => thread::sleep(backoff.wait()),
-                listed => return listed,
-            }
+    async fn objects(&self) -> object_store::Result<Vec<ObjectMeta>> {
+        let Some(lists) = self.store.lists() else {
+            let list = self.store.objects().list(Some(&self.prefix));
+            return list.try_collect().await;
+        };
+        let folder = |path: &ObjectPath| match path.as_ref() {
+            "" => String::new(),
+            path => format!("{path}/"),
+        };
+        let prefix = folder(&self.prefix);
+        let (mut objects, folders) = list_pages(lists, prefix, Some(DELIMITER)).await?;
+        let below = folders.iter();
+        let below = below.map(|path| list_pages(lists, folder(path), None));
+        let mut below = stream::iter(below).buffer_unordered(LISTS_AT_ONCE);
+        while let Some((found, _)) = below.try_next().await? {
+            objects.extend(found);
         }
-        self.runtime.block_on(self.list_once())
-    }
-
-    async fn list_once(&self) -> object_store::Result<Vec<ObjectMeta>> {
-        let top = self.store.list_with_delimiter(Some(&self.prefix)).await?;
-        let list = |folder: ObjectPath| self.store.list(Some(&folder)).try_collect::<Vec<_>>();
-        let below = stream::iter(top.common_prefixes).map(list);
-        let below: Vec<_> = below.buffer_unordered(LISTS_AT_ONCE).try_collect().await?;
-        Ok(below.into_iter().flatten().chain(top.objects).collect())
+        Ok(objects)
     }
 
     /// Relative to the archive; none of the object of the prefix itself, and none of hidden files.
@@ -103,7 +113,7 @@ impl Objects {
     fn get(&self, file: &str, options: GetOptions) -> Result<Vec<u8>, Problem> {
         let fetched = self.runtime.block_on(async {
             let location = ObjectPath::parse(format!("{}/{file}", self.prefix))?;
-            let found = self.store.get_opts(&location, options).await?;
+            let found = self.store.objects().get_opts(&location, options).await?;
             match fits::check_length(found.meta.size) {
                 Ok(()) => Ok(Ok(found.bytes().await?)),
                 Err(problem) => Ok(Err(problem)),
@@ -126,7 +136,7 @@ impl Storage for Objects {
                 found,
             )
         };
-        let objects = self.objects();
+        let objects = self.runtime.block_on(self.objects());
         let objects = objects.map_err(|cause| error(one_line(cause)))?;
         let mut listing = Listing::default();
         for object in objects {
@@ -170,29 +180,91 @@ impl Storage for Objects {
     }
 }
 
-/// The object store of a URL, with credentials and server of the environment.
-fn store(scheme: &ObjectStoreScheme, url: &str) -> object_store::Result<Box<dyn ObjectStore>> {
-    Ok(match scheme {
-        ObjectStoreScheme::AmazonS3 => {
-            let builder = AmazonS3Builder::from_env().with_url(url);
-            Box::new(builder.with_retry(RETRIES).build()?)
+impl Store {
+    /// The store of a URL, with credentials and server of the environment.
+    fn open(scheme: &ObjectStoreScheme, url: &str) -> object_store::Result<Self> {
+        Ok(match scheme {
+            ObjectStoreScheme::AmazonS3 => {
+                let builder = AmazonS3Builder::from_env().with_url(url);
+                Self::S3(builder.with_retry(RETRIES).build()?)
+            }
+            ObjectStoreScheme::GoogleCloudStorage => {
+                let builder = GoogleCloudStorageBuilder::from_env().with_url(url);
+                Self::GoogleCloud(builder.with_retry(RETRIES).build()?)
+            }
+            ObjectStoreScheme::MicrosoftAzure => {
+                let builder = MicrosoftAzureBuilder::from_env().with_url(url);
+                Self::Azure(builder.with_retry(RETRIES).build()?)
+            }
+            ObjectStoreScheme::Local => Self::Folder(LocalFileSystem::new()),
+            other => {
+                return Err(object_store::Error::Generic {
+                    store: "URL",
+                    source: format!("{other:?} is not supported").into(),
+                });
+            }
+        })
+    }
+
+    fn objects(&self) -> &dyn ObjectStore {
+        match self {
+            Self::S3(store) => store,
+            Self::GoogleCloud(store) => store,
+            Self::Azure(store) => store,
+            Self::Folder(store) => store,
         }
-        ObjectStoreScheme::GoogleCloudStorage => {
-            let builder = GoogleCloudStorageBuilder::from_env().with_url(url);
-            Box::new(builder.with_retry(RETRIES).build()?)
+    }
+
+    /// Lists by pages; a folder has none.
+    fn lists(&self) -> Option<&dyn PaginatedListStore> {
+        match self {
+            Self::S3(store) => Some(store),
+            Self::GoogleCloud(store) => Some(store),
+            Self::Azure(store) => Some(store),
+            Self::Folder(_) => None,
         }
-        ObjectStoreScheme::MicrosoftAzure => {
-            let builder = MicrosoftAzureBuilder::from_env().with_url(url);
-            Box::new(builder.with_retry(RETRIES).build()?)
+    }
+}
+
+/// All objects whose names begin with a prefix; with a delimiter those of its folder, and the folders in it.
+async fn list_pages(
+    store: &dyn PaginatedListStore,
+    prefix: String,
+    delimiter: Option<&'static str>,
+) -> object_store::Result<(Vec<ObjectMeta>, BTreeSet<ObjectPath>)> {
+    let mut options = PaginatedListOptions {
+        delimiter: delimiter.map(Cow::from),
+        ..PaginatedListOptions::default()
+    };
+    let (mut objects, mut folders) = (Vec::new(), BTreeSet::new());
+    loop {
+        let page = list_page(store, &prefix, &options).await?;
+        objects.extend(page.result.objects);
+        folders.extend(page.result.common_prefixes);
+        if page.page_token.is_none() {
+            return Ok((objects, folders));
         }
-        ObjectStoreScheme::Local => Box::new(LocalFileSystem::new()),
-        other => {
-            return Err(object_store::Error::Generic {
-                store: "URL",
-                source: format!("{other:?} is not supported").into(),
-            });
+        options.page_token = page.page_token;
+    }
+}
+
+/// Asks again for what was cut off.
+async fn list_page(
+    store: &dyn PaginatedListStore,
+    prefix: &str,
+    options: &PaginatedListOptions,
+) -> object_store::Result<PaginatedListResult> {
+    let mut backoff = Backoff::NETWORK;
+    let mut attempt = 1;
+    loop {
+        match store.list_paginated(Some(prefix), options.clone()).await {
+            Err(object_store::Error::Generic { .. }) if attempt < PAGE_ATTEMPTS => {
+                tokio::time::sleep(backoff.wait()).await;
+                attempt += 1;
+            }
+            page => return page,
         }
-    })
+    }
 }
 
 fn io_error(cause: object_store::Error) -> io::Error {
