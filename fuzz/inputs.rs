@@ -50,7 +50,7 @@ pub fn packets(bytes: &[u8]) {
     }
 }
 
-/// A FITS, PNG or TIFF file: a frame, keywords, tables and checksums, or an error that names the file.
+/// A FITS, PNG or TIFF file: a frame, what its header says of it, keywords, tables and checksums, or an error that names the file.
 pub fn fits(bytes: &[u8]) {
     let (_folder, path) = file("frame.fits", bytes);
     let named = |error: fits::FileError| assert!(error.to_string().contains("frame.fits"));
@@ -59,6 +59,9 @@ pub fn fits(bytes: &[u8]) {
     }
     let on_demand = FitsFile::open(&path).and_then(|file| file.with_frame(|f| f.pixels().len()));
     if let Err(error) = on_demand {
+        named(error);
+    }
+    if let Err(error) = fits::read_info(&path) {
         named(error);
     }
     if let Err(error) = fits::read_keywords(&path) {
