@@ -864,10 +864,19 @@ fn an_archive_is_refined_with_the_instrument_and_the_configuration_it_was_flown_
         "[target]\nx_arcsec = 250.0\n[link]\nbaud = 9600\n",
     );
     let out = tempfile::tempdir().unwrap();
-    refine(root.path(), out.path(), &[]);
+    refine(root.path(), out.path(), &["--rate", "10"]);
     let told = summary(out.path());
     assert_eq!(told["instrument"], "as-flown");
-    assert_eq!(told["instrument_sha256"], provenance::sha256(&renamed));
+    let hash = provenance::sha256(&renamed);
+    assert_eq!(told["instrument_sha256"], hash);
+    for table in ["aspect.fits", "stabilisation.fits"] {
+        let mut file = fitsio::FitsFile::open(out.path().join(table)).unwrap();
+        let card = file
+            .primary_hdu()
+            .unwrap()
+            .read_key::<String>(&mut file, "INSTSHA");
+        assert_eq!(card.unwrap(), hash, "{table}");
+    }
     assert_eq!(told["fine"], 4);
     let out = tempfile::tempdir().unwrap();
     let file = out.path().join("demo.toml");

@@ -2,7 +2,7 @@
 //! same bytes: nothing in them tells when they were made.
 
 use super::columns::{self, ASPECT, ASPECT_COLUMNS, ColumnRow, SMOOTHED, SMOOTHED_COLUMNS};
-use super::first_pass::{FirstPass, Recipe};
+use super::first_pass::{FirstPass, Recipe, hash_of};
 use super::flight::Flight;
 use super::load::ClockStep;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
@@ -10,9 +10,9 @@ use super::motion::FoundSwing;
 use super::radius::RadiusDependence;
 use super::record::Grade;
 use super::row::{Oddity, Row};
-use crate::archive::{CONFIGURATION, INSTRUMENT};
+use crate::archive::{CONFIGURATION, Flown, INSTRUMENT};
 use crate::estimation::median;
-use crate::fits::{self, Card};
+use crate::fits::{self, Card, Table};
 use crate::provenance::{COMMIT, PROGRAM};
 use crate::units::Measured;
 use serde::Serialize;
@@ -228,17 +228,13 @@ const MOMENT_BYTES: usize = 64;
 /// # Errors
 /// A file that cannot be written.
 pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary, OutputError> {
-    let path = folder.join("aspect.fits");
     let aspect = iter::once_with(|| columns::table(ASPECT, ASPECT_COLUMNS, &flight.rows));
     let path_table =
         iter::once_with(|| columns::table(SMOOTHED, SMOOTHED_COLUMNS, &flight.smoothed_rows()));
     let expected_bytes = flight.rows.len() * ROW_BYTES + flight.path_times_s.len() * MOMENT_BYTES;
-    let cards: Vec<Card> = recipe.flown.cards().collect();
-    let bytes = fits::encode_tables(expected_bytes, &cards, aspect.chain(path_table));
-    let bytes = bytes.map_err(|problem| OutputError::of(&path, &problem))?;
-    let table_hash = hex(super::first_pass::hash_of(&bytes));
-    whole(&path, |file| file.write_all(&bytes))?;
-    drop(bytes);
+    let tables = aspect.chain(path_table);
+    let path = folder.join("aspect.fits");
+    let table_hash = write_tables(&path, &recipe.flown, expected_bytes, tables)?;
     whole(&folder.join("aspect.csv"), |file| {
         csv(file, ASPECT_COLUMNS, &flight.rows)
     })?;
@@ -248,6 +244,20 @@ pub fn write(folder: &Path, flight: &Flight, recipe: &Recipe) -> Result<Summary,
         file.write_all(b"\n")
     })?;
     Ok(summary)
+}
+
+/// Writes tables as FITS, with the hashes of what was flown, and gives their own hash, hexadecimal.
+pub(super) fn write_tables(
+    path: &Path,
+    flown: &Flown,
+    expected_bytes: usize,
+    tables: impl IntoIterator<Item = Table>,
+) -> Result<String, OutputError> {
+    let cards: Vec<Card> = flown.cards().collect();
+    let bytes = fits::encode_tables(expected_bytes, &cards, tables);
+    let bytes = bytes.map_err(|problem| OutputError::of(path, &problem))?;
+    whole(path, |file| file.write_all(&bytes))?;
+    Ok(hex(hash_of(&bytes)))
 }
 
 /// Writes a file that is whole or absent.
@@ -298,7 +308,7 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
     let sigmas = fine.filter_map(|row| Some(row.sun?.sigma()));
     let median_sigma_mil = median(sigmas.flatten());
     let arcsec_per_mil = recipe.instrument.optics.arcsec_per_mil();
-    let hash = |text: String| hex(super::first_pass::hash_of(text.as_bytes()));
+    let hash = |text: String| hex(hash_of(text.as_bytes()));
     Summary {
         program: PROGRAM,
         commit: COMMIT,

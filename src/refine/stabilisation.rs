@@ -4,17 +4,16 @@ use super::columns::{STABILISATION, STABILISATION_COLUMNS, StabilisationRow, tab
 use super::flight::Flight;
 use super::follow::is_known;
 use super::motion::PathPoint;
-use super::output::{OutputError, csv, whole};
+use super::output::{OutputError, csv, whole, write_tables};
 use super::roll::RollHistory;
 use super::sky::Sky;
-use crate::fits;
+use crate::archive::Flown;
 use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
 use crate::units::{Estimate, Place, PlateMil};
 use jiff::Timestamp;
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
-use std::io::Write;
 use std::iter;
 use std::path::Path;
 
@@ -118,16 +117,18 @@ impl FramePlaces {
     }
 }
 
-/// Writes `stabilisation.fits` and `stabilisation.csv` to a folder.
+/// Writes `stabilisation.fits` and `stabilisation.csv` of a flight to a folder.
 ///
 /// # Errors
 /// A file that cannot be written.
-pub fn write_stabilisation(folder: &Path, rows: &[StabilisationRow]) -> Result<(), OutputError> {
-    let path = folder.join("stabilisation.fits");
+pub fn write_stabilisation(
+    folder: &Path,
+    rows: &[StabilisationRow],
+    flown: &Flown,
+) -> Result<(), OutputError> {
     let made = iter::once_with(|| table(STABILISATION, STABILISATION_COLUMNS, rows));
-    let bytes = fits::encode_tables(rows.len() * ROW_BYTES, &[], made);
-    let bytes = bytes.map_err(|problem| OutputError::of(&path, &problem))?;
-    whole(&path, |file| file.write_all(&bytes))?;
+    let path = folder.join("stabilisation.fits");
+    write_tables(&path, flown, rows.len() * ROW_BYTES, made)?;
     whole(&folder.join("stabilisation.csv"), |file| {
         csv(file, STABILISATION_COLUMNS, rows)
     })

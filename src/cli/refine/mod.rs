@@ -218,7 +218,7 @@ impl RefineArgs {
         print(&summary)?;
         if let Some(rate_hz) = self.navigation.rate_hz() {
             let rows = refine::stabilisation(&flight, rate_hz, &recipe.instrument, sky, *roll)?;
-            refine::write_stabilisation(&folder, &rows)?;
+            refine::write_stabilisation(&folder, &rows, &recipe.flown)?;
             let valid = rows.iter().filter(|row| row.offset.is_some()).count();
             let count = rows.len();
             say(format_args!(

@@ -1,13 +1,11 @@
 //! What a refinement leaves of the roll camera: `roll.fits`, `roll.csv`, `roll.json`.
 
 use super::super::columns::{self, ROLL, ROLL_COLUMNS};
-use super::super::first_pass::hash_of;
-use super::super::output::{OutputError, csv, whole};
+use super::super::output::{OutputError, csv, whole, write_tables};
 use super::super::record::Grade;
 use super::{RollHistory, RollRecipe, RollRow};
 use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::estimation::median;
-use crate::fits::{self, Card};
 use crate::provenance::{COMMIT, PROGRAM};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -54,16 +52,14 @@ pub fn write_roll(
     history: &RollHistory,
     recipe: &RollRecipe,
 ) -> Result<RollSummary, OutputError> {
-    let path = folder.join("roll.fits");
     let table = iter::once_with(|| columns::table(ROLL, ROLL_COLUMNS, &history.rows));
-    let cards: Vec<Card> = recipe.flown.cards().collect();
-    let bytes = fits::encode_tables(history.rows.len() * ROW_BYTES, &cards, table);
-    let bytes = bytes.map_err(|problem| OutputError::of(&path, &problem))?;
-    whole(&path, |file| file.write_all(&bytes))?;
+    let expected_bytes = history.rows.len() * ROW_BYTES;
+    let path = folder.join("roll.fits");
+    let table_hash = write_tables(&path, &recipe.flown, expected_bytes, table)?;
     whole(&folder.join("roll.csv"), |file| {
         csv(file, ROLL_COLUMNS, &history.rows)
     })?;
-    let summary = summary(history, recipe, format!("{:016x}", hash_of(&bytes)));
+    let summary = summary(history, recipe, table_hash);
     whole(&folder.join("roll.json"), |file| {
         serde_json::to_writer_pretty(&mut *file, &summary)?;
         file.write_all(b"\n")
