@@ -302,6 +302,7 @@ def errors_of_a_person():
     for name, (url, fault) in cases.items():
         run = Refine(name, url=url, fault=lambda *_, fault=fault: fault).finish(1)
         expect(len(run.message.splitlines()) == 1 and url in run.message, f"for {name} one line that names {url}", run.message)
+        expect(len(run.requests) <= 1, f"for {name} no request repeated", len(run.requests))
         longest_s = max(longest_s, run.seconds)
     return f"{', '.join(cases)}: a line each, within {longest_s:.1f} s"
 

@@ -10,6 +10,7 @@ use crate::fits::{self, Problem};
 use futures_util::stream::{self, StreamExt, TryStreamExt};
 use object_store::aws::{AmazonS3, AmazonS3Builder};
 use object_store::azure::{MicrosoftAzure, MicrosoftAzureBuilder};
+use object_store::client::HttpError;
 use object_store::gcp::{GoogleCloudStorage, GoogleCloudStorageBuilder};
 use object_store::list::{PaginatedListOptions, PaginatedListResult, PaginatedListStore};
 use object_store::local::LocalFileSystem;
@@ -19,17 +20,17 @@ use object_store::{
 };
 use std::borrow::Cow;
 use std::collections::BTreeSet;
+use std::error::Error;
 use std::fmt::Display;
 use std::io;
+use std::iter;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::runtime::Runtime;
 use url::Url;
 
 /// Folders that are listed at the same time. A list comes in pages of 1000 objects, one after another.
 const LISTS_AT_ONCE: usize = 16;
-/// How often a page of a list is asked for.
-const PAGE_ATTEMPTS: usize = 5;
 /// With a random wait of up to three times the last one, these bridge about a minute without an answer.
 const RETRIES: RetryConfig = RetryConfig {
     backoff: BackoffConfig {
@@ -248,23 +249,29 @@ async fn list_pages(
     }
 }
 
-/// Asks again for what was cut off.
+/// Asks again for a page that was cut off, for as long as a request is repeated.
 async fn list_page(
     store: &dyn PaginatedListStore,
     prefix: &str,
     options: &PaginatedListOptions,
 ) -> object_store::Result<PaginatedListResult> {
+    let begun = Instant::now();
     let mut backoff = Backoff::NETWORK;
-    let mut attempt = 1;
     loop {
-        match store.list_paginated(Some(prefix), options.clone()).await {
-            Err(object_store::Error::Generic { .. }) if attempt < PAGE_ATTEMPTS => {
+        let page = store.list_paginated(Some(prefix), options.clone()).await;
+        match page {
+            Err(error) if is_cut_off(&error) && begun.elapsed() < RETRIES.retry_timeout => {
                 tokio::time::sleep(backoff.wait()).await;
-                attempt += 1;
             }
             page => return page,
         }
     }
+}
+
+/// Whether the connection failed, not the storage refused.
+fn is_cut_off(error: &object_store::Error) -> bool {
+    let mut causes = iter::successors(error.source(), |&cause| cause.source());
+    causes.any(|cause| cause.is::<HttpError>())
 }
 
 fn io_error(cause: object_store::Error) -> io::Error {
