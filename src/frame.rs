@@ -3,6 +3,7 @@
 mod cutout;
 mod pixels;
 mod region;
+mod warning;
 
 use crate::units::{Place, SensorPx};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
@@ -14,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
+pub use warning::{Warning, Warnings};
 
 /// The name of the camera in frames that the simulator has made, by which they are told from real ones.
 pub const SIMULATED_CAMERA: &str = "simulated";
@@ -47,6 +49,10 @@ pub struct FrameInfo {
     pub camera: Option<String>,
     /// The name of the instrument, as the header has it.
     pub instrument: Option<String>,
+    /// What of the file was not used as it stands; empty for a good one.
+    pub warnings: Vec<Warning>,
+    /// Why the frame has no time although its file states one.
+    pub untimed: Option<Warning>,
 }
 
 /// Who took a frame, as its header says.
