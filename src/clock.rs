@@ -4,9 +4,11 @@
 //! correction how far off the clock may be, and the kernel lets that grow by 0.5 ms a second until the next one. After 16 s of
 //! it, about nine hours, it takes the clock for free-running.
 
-use jiff::{Timestamp, civil::DateTime, tz::Offset};
+mod utc;
+
 use std::io;
 use std::path::Path;
+pub use utc::{Scale, Utc, parse_utc, read_utc, utc_of_mjd, utc_text};
 
 /// Files that are there while a time service runs.
 const SERVICES: [(&str, &str); 5] = [
@@ -16,19 +18,6 @@ const SERVICES: [(&str, &str); 5] = [
     ("ntpd", "/run/ntpd/ntpd.pid"),
     ("systemd-timesyncd", "/run/systemd/timesync"),
 ];
-
-/// An instant in UTC, ISO 8601: a date, or date and time; the closing Z may be left out. A date alone is its beginning.
-///
-/// # Errors
-/// What was expected, and what was found.
-pub fn parse_utc(text: &str) -> Result<Timestamp, String> {
-    let expected = |_| format!("expected a time such as 2013-09-21T18:00:00Z, found \"{text}\"");
-    if let Ok(instant) = text.parse() {
-        return Ok(instant);
-    }
-    let civil: DateTime = text.parse().map_err(expected)?;
-    Offset::UTC.to_timestamp(civil).map_err(expected)
-}
 
 /// What is known of the clock.
 #[derive(Debug, Clone, Copy, PartialEq)]

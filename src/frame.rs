@@ -3,8 +3,10 @@
 mod cutout;
 mod pixels;
 mod region;
+mod unusable;
 mod warning;
 
+use crate::clock::Utc;
 use crate::units::{Place, SensorPx};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
@@ -15,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
+use unusable::Unusable;
 pub use warning::{Warning, Warnings};
 
 /// The name of the camera in frames that the simulator has made, by which they are told from real ones.
@@ -27,6 +30,8 @@ pub struct FrameInfo {
     pub number: Option<u64>,
     /// The middle of the exposure, UTC: the time the aspect belongs to.
     pub mid_exposure: Option<Timestamp>,
+    /// Whether it lies in a leap second, which has the count of the second after it.
+    pub in_leap_second: bool,
     /// The middle of the exposure on the host's monotonic clock, since an arbitrary start.
     pub monotonic: Option<Duration>,
     /// By how much UTC has moved against the monotonic clock since the frame before, where that was a step.
@@ -53,6 +58,8 @@ pub struct FrameInfo {
     pub warnings: Vec<Warning>,
     /// Why the frame has no time although its file states one.
     pub untimed: Option<Warning>,
+    /// Why the frame has no place although its file states one.
+    pub unplaced: Option<Warning>,
 }
 
 /// Who took a frame, as its header says.
@@ -65,6 +72,15 @@ pub struct TakenBy {
 }
 
 impl FrameInfo {
+    /// The middle of the exposure.
+    pub fn utc(&self) -> Option<Utc> {
+        let utc = |time| Utc {
+            time,
+            in_leap_second: self.in_leap_second,
+        };
+        self.mid_exposure.map(utc)
+    }
+
     pub fn taken_by(&self) -> TakenBy {
         TakenBy {
             instrument: self.instrument.clone(),
@@ -110,6 +126,8 @@ pub struct Frame {
     width: usize,
     height: usize,
     pixels: PixelStorage,
+    /// None where all pixels can be used.
+    unusable: Option<Unusable>,
     saturation_dn: u16,
     pub info: FrameInfo,
 }
@@ -128,6 +146,7 @@ impl Frame {
             width,
             height,
             pixels: PixelStorage::Whole(pixels),
+            unusable: None,
             saturation_dn,
             info,
         })
@@ -146,6 +165,7 @@ impl Frame {
             width,
             height,
             pixels: PixelStorage::Shared(Arc::new(Shared::new(pixels))),
+            unusable: None,
             saturation_dn,
             info,
         })
@@ -169,6 +189,7 @@ impl Frame {
             width,
             height,
             pixels: PixelStorage::OnDemand(Arc::new(rows)),
+            unusable: None,
             saturation_dn,
             info,
         })
@@ -260,11 +281,14 @@ impl Frame {
             Pixels::U8(pixels) => Pixels::U8(cropped(pixels, self.width, region)),
             Pixels::U16(pixels) => Pixels::U16(cropped(pixels, self.width, region)),
         };
+        let unusable = self.unusable.as_ref();
+        let unusable = unusable.map(|unusable| cropped(unusable, self.width, region).into());
         let (x0, y0) = self.info.corner_px.unwrap_or((0, 0));
         Some(Self {
             width: region.width(),
             height: region.height(),
             pixels: PixelStorage::Whole(pixels),
+            unusable,
             saturation_dn: self.saturation_dn,
             info: FrameInfo {
                 corner_px: Some((x0 + region.x0, y0 + region.y0)),

@@ -38,7 +38,7 @@ fn full_info() -> FrameInfo {
         corner_px: Some((100, 50)),
         place: Some(Place::new(34.49, -104.2218, 38_405.0).unwrap()),
         camera: Some("PYAS-F, the pilot's".into()),
-        instrument: None,
+        ..FrameInfo::default()
     }
 }
 
@@ -620,34 +620,20 @@ mod bad_files {
     fn what_is_no_picture_is_named_as_such() {
         assert_refused(
             b"",
-            &["expected a FITS, PNG or TIFF file, found an empty file"],
+            &["expected a FITS, PNG, TIFF or JPEG file, found an empty file"],
         );
         assert_refused(b"SIM", &["begins with \"SIM\""]);
         let random: Vec<u8> = noise(7, 50_000, 255).iter().map(|b| *b as u8).collect();
-        assert_refused(&random, &["expected a FITS, PNG or TIFF file"]);
+        assert_refused(&random, &["expected a FITS, PNG, TIFF or JPEG file"]);
         assert_refused(
             &[0x1f, 0x8b, 8, 0, 1, 2, 3],
             &["expected a whole gzip file"],
         );
         assert_refused(
             b"\x89PNG\r\n\x1a\nnonsense",
-            &["expected a whole PNG picture in greyscale"],
+            &["expected a whole PNG picture"],
         );
         assert_refused(b"II*\0nonsense", &["expected a whole TIF"]);
-    }
-
-    #[test]
-    fn a_colour_picture_is_refused_with_what_was_expected() {
-        let folder = folder();
-        let path = folder.path().join("colour.png");
-        image::RgbImage::new(3, 3).save(&path).unwrap();
-        let message = read_frame(&path).unwrap_err().to_string();
-        assert!(
-            message.ends_with(
-                "colour.png: expected a whole PNG picture in greyscale, 8 or 16 bit, found Rgb8"
-            ),
-            "{message}"
-        );
     }
 
     #[test]
@@ -687,46 +673,17 @@ mod bad_files {
     fn images_that_are_no_frames_are_refused_by_field() {
         let with = |bitpix, cards: &[&str], data: &[u8]| only_image(bitpix, [1, 1], cards, data);
         let nan = f32::NAN.to_be_bytes();
-        assert_refused(
-            &with(-32, &[], &nan),
-            &["BITPIX: expected 8 or 16", "-32 (floating-point"],
-        );
-        assert_refused(
-            &with(-64, &[], &1f64.to_be_bytes()),
-            &["BITPIX: expected 8 or 16", "-64"],
-        );
-        assert_refused(
-            &with(32, &[], &[0; 4]),
-            &["BITPIX: expected 8 or 16", "found 32"],
-        );
+        let no_value = ["pixels: expected some pixel with a value, found none"];
+        assert_refused(&with(-32, &[], &nan), &no_value);
+        assert_refused(&with(16, &["BLANK   = 7"], &[0, 7]), &no_value);
         assert_refused(&with(12, &[], &[0; 4]), &["BITPIX: expected", "found 12"]);
-        assert_refused(
-            &with(16, &[], &(-5i16).to_be_bytes()),
-            &["pixels: expected values from 0 to 32767, found -5 at pixel (0, 0)"],
-        );
-        assert_refused(
-            &with(16, &["BZERO   = 100"], &[0; 2]),
-            &["BZERO: expected 0 or 32768"],
-        );
-        assert_refused(
-            &with(8, &["BSCALE  = 2"], &[0]),
-            &["BSCALE: expected 1, found 2"],
-        );
+        let scale = &["BSCALE  = 'two'"];
+        assert_refused(&with(8, scale, &[0]), &["BSCALE: expected a finite number"]);
         assert_refused(&primary(&[]), &["expected an image in a FITS file"]);
     }
 
     #[test]
     fn axes_that_make_no_frame_are_refused() {
-        let cube = header(&[
-            "SIMPLE  = T",
-            "BITPIX  = 8",
-            "NAXIS   = 3",
-            "NAXIS1  = 2",
-            "NAXIS2  = 2",
-            "NAXIS3  = 2",
-        ]);
-        let cube = [cube, blocks(&[0; 8])].concat();
-        assert_refused(&cube, &["NAXIS: expected an image with 2 axes, found 3"]);
         let zero = only_image(8, [0, 5], &[], &[]);
         assert_refused(
             &zero,
@@ -744,77 +701,9 @@ mod bad_files {
     }
 
     #[test]
-    fn keywords_with_nonsense_are_refused_by_name() {
-        for (card, parts) in [
-            (
-                "DATE-OBS= 'yesterday'",
-                ["DATE-OBS: expected a UTC date", "'yesterday'"],
-            ),
-            (
-                "DATE-AVG= '2013-09-31T00:00:00'",
-                ["DATE-AVG: expected a UTC date", "'2013-09-31"],
-            ),
-            (
-                "DATE-OBS= 20130921",
-                ["DATE-OBS: expected a text", "20130921"],
-            ),
-            (
-                "EXPTIME = NaN",
-                ["EXPTIME: expected a finite number", "NaN"],
-            ),
-            (
-                "EXPTIME = -0.015",
-                ["EXPTIME: expected a time from 0", "-0.015"],
-            ),
-            (
-                "EXPTIME = 1.0E300",
-                ["EXPTIME: expected a time from 0", "found 1"],
-            ),
-            (
-                "XPOSURE = 'long'",
-                ["XPOSURE: expected a finite number", "'long'"],
-            ),
-            (
-                "SATURATE= -1",
-                ["SATURATE: expected a level from 1 to 65535 DN", "-1"],
-            ),
-            (
-                "SATURATE= 1E9",
-                ["SATURATE: expected a level", "1000000000"],
-            ),
-            (
-                "SATURATE= 'none'",
-                ["SATURATE: expected a finite number", "'none'"],
-            ),
-            (
-                "BITDEPTH= 99",
-                ["BITDEPTH: expected a whole number from 1 to 16", "99"],
-            ),
-            (
-                "FRAMENUM= -3",
-                ["FRAMENUM: expected a whole number from 0", "-3"],
-            ),
-            (
-                "OBSGEO-X= 5.0",
-                ["OBSGEO-X, OBSGEO-Y, OBSGEO-Z: expected all three", "some"],
-            ),
-            (
-                "DATASUM = '7'",
-                ["DATASUM: expected data with the sum 7", "0"],
-            ),
-        ] {
-            assert_refused(&only_image(16, [1, 1], &[card], &[0; 2]), &parts);
-        }
-        let tai = ["DATE-OBS= '2013-09-21T18:00:00'", "TIMESYS = 'TAI'"];
-        assert_refused(
-            &only_image(8, [1, 1], &tai, &[0]),
-            &["TIMESYS: expected 'UTC', found 'TAI'"],
-        );
-        let centre = ["OBSGEO-X= 0", "OBSGEO-Y= 0", "OBSGEO-Z= 1"];
-        assert_refused(
-            &only_image(8, [1, 1], &centre, &[0]),
-            &["OBSGEO-X/Y/Z: expected a place near the Earth's surface"],
-        );
+    fn data_that_do_not_match_their_sum_are_refused() {
+        let data = only_image(16, [1, 1], &["DATASUM = '7'"], &[0; 2]);
+        assert_refused(&data, &["DATASUM: expected data with the sum 7", "0"]);
     }
 
     /// A sound compressed file with one card replaced.

@@ -19,6 +19,7 @@ mod disc_search;
 mod disks;
 mod fits;
 mod flight;
+mod foreign_frames;
 mod fuzz_seeds;
 #[cfg(feature = "gige")]
 mod gige;

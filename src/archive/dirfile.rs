@@ -125,7 +125,7 @@ const FIELDS: [Field; 39] = [
     number("DISK2_FREE", "percent", "free space of the second disk", |r| r.upkeep.free_percent[1]),
     number("WAITING", "", "pictures that wait for a disk", |r| Some(r.upkeep.waiting as f64)),
     number("UNSTORED", "", "pictures so far that no disk has", |r| Some(r.upkeep.unstored as f64)),
-    number("TIME", "s", "mid-exposure, UTC since 1970", |r| r.record.utc.map(|utc| utc.as_nanosecond() as f64 * 1e-9)),
+    number("TIME", "s", "mid-exposure, UTC since 1970", |r| r.record.utc.map(|utc| utc.time.as_nanosecond() as f64 * 1e-9)),
 ];
 
 fn quality_code(quality: Quality) -> u8 {

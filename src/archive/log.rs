@@ -104,8 +104,8 @@ impl Row {
         let mut fields = vec![self.number.map_or(String::new(), |n| n.to_string())];
         fields.extend(self.record.csv_row());
         fields.extend([
-            number(reason.map(|reason| reason.measured)),
-            number(reason.map(|reason| reason.limit)),
+            number(reason.and_then(|reason| reason.measured)),
+            number(reason.and_then(|reason| reason.limit)),
             number(offset.map(|offset| offset.cross_elevation)),
             number(offset.map(|offset| offset.calibration_sigma)),
             number(self.levels.map(|levels| levels.background_dn)),

@@ -87,7 +87,7 @@ impl ArchiveReader {
         let path = self.name.join(&file.file);
         let start = self.noted(&file.file, || self.storage.read_start(file));
         let start = start.map_err(|problem| problem.in_file(&path))?;
-        fits::info_of_start(&path, &start).unwrap_or_else(|| self.open_file(&file.file)?.info())
+        fits::info_of_start(&start).map_or_else(|| self.open_file(&file.file)?.info(), Ok)
     }
 
     /// Reads a text file: its path for messages, and its text.

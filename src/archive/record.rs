@@ -1,7 +1,9 @@
 //! One frame's answer as a flat record: the same numbers for JSON lines, CSV and FITS keywords.
 
 use crate::aspect::{AdoptedMapping, Aspect, Solution};
+use crate::clock::{Utc, utc_text};
 use crate::fits::{Card, Column, Table, Values};
+use crate::frame::Warning;
 use crate::geometry::attitude::Direction;
 use crate::horizon;
 use crate::instrument::Instrument;
@@ -11,6 +13,7 @@ use crate::pointing::{Offset, Roll};
 use crate::units::{Measured, Rejected};
 use jiff::Timestamp;
 use serde::Serialize;
+use std::borrow::Cow;
 use std::time::Duration;
 
 /// What is known of a solved frame. Fields that the frame did not reach are `None`.
@@ -19,7 +22,7 @@ pub struct Record {
     pub file: String,
     /// Mid-exposure.
     #[serde(serialize_with = "milliseconds")]
-    pub utc: Option<Timestamp>,
+    pub utc: Option<Utc>,
     pub quality: &'static str,
     pub reason: Option<Reason>,
     pub sun_px: Option<[f64; 2]>,
@@ -45,18 +48,28 @@ pub struct Record {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reason {
     pub stage: &'static str,
-    pub reason: &'static str,
-    pub measured: f64,
-    pub limit: f64,
+    pub reason: Cow<'static, str>,
+    pub measured: Option<f64>,
+    pub limit: Option<f64>,
 }
 
 impl Reason {
     fn new(stage: &'static str, rejected: &Rejected) -> Self {
         Self {
             stage,
-            reason: rejected.reason,
-            measured: rejected.measured,
-            limit: rejected.limit,
+            reason: rejected.reason.into(),
+            measured: Some(rejected.measured),
+            limit: Some(rejected.limit),
+        }
+    }
+
+    /// Why a frame has no time or no place, and so no offset, although its file states one.
+    pub fn of_file(stage: &'static str, warning: &Warning) -> Self {
+        Self {
+            stage,
+            reason: warning.to_string().into(),
+            measured: None,
+            limit: None,
         }
     }
 }
@@ -142,12 +155,9 @@ impl MoonRecord {
     }
 }
 
-fn milliseconds<S: serde::Serializer>(
-    utc: &Option<Timestamp>,
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
+fn milliseconds<S: serde::Serializer>(utc: &Option<Utc>, serializer: S) -> Result<S::Ok, S::Error> {
     match utc {
-        Some(utc) => serializer.serialize_str(&format!("{utc:.3}")),
+        Some(utc) => serializer.serialize_str(&utc_text(*utc, 3)),
         None => serializer.serialize_none(),
     }
 }
@@ -164,7 +174,7 @@ impl Record {
         let adopted = solution.mapping.as_ref();
         Self {
             file: file.into(),
-            utc,
+            utc: utc.map(Utc::from),
             quality: solution.quality.name(),
             reason: solution
                 .stopped
@@ -201,7 +211,7 @@ impl Record {
     ) -> Self {
         let reason = |(stage, rejected): &horizon::Stopped| Reason::new(stage.name(), rejected);
         Self {
-            utc,
+            utc: utc.map(Utc::from),
             quality: solution.quality().name(),
             reason: solution.nadir.as_ref().err().map(reason),
             roll_deg: roll_deg.map(RollRecord::from),
@@ -219,14 +229,14 @@ impl Record {
         let none = Self::new("", None, &Solution::none(), None, Some(solve_time));
         match found {
             Ok(disc) => Self {
-                utc,
+                utc: utc.map(Utc::from),
                 quality: disc.quality.name(),
                 reason: None,
                 moon: Some(MoonRecord::new(disc, direction)),
                 ..none
             },
             Err((stage, rejected)) => Self {
-                utc,
+                utc: utc.map(Utc::from),
                 reason: Some(Reason::new(stage.name(), rejected)),
                 ..none
             },
@@ -271,7 +281,7 @@ impl Record {
         let fine = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:.9}"));
         [
             self.file.clone(),
-            self.utc.map_or(String::new(), |utc| format!("{utc:.3}")),
+            self.utc.map_or(String::new(), |utc| utc_text(utc, 3)),
             self.quality.into(),
             self.reason_text().unwrap_or_default(),
             axis(self.sun_px, 0),
@@ -319,8 +329,8 @@ impl Record {
             }
         };
         let axis = |pair: Option<[f64; 2]>, n: usize| pair.map(|p| p[n]);
-        number("REASONIS", self.reason.as_ref().map(|r| r.measured));
-        number("REASONLM", self.reason.as_ref().map(|r| r.limit));
+        number("REASONIS", self.reason.as_ref().and_then(|r| r.measured));
+        number("REASONLM", self.reason.as_ref().and_then(|r| r.limit));
         number("SUNPX-X", axis(self.sun_px, 0));
         number("SUNPX-Y", axis(self.sun_px, 1));
         number("SUNPX-SX", axis(self.sun_px_sigma, 0));

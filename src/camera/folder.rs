@@ -3,7 +3,7 @@
 use super::pace::Pace;
 use super::{CameraError, Exposure, FrameSource, Settings, Take, settings};
 use crate::fits;
-use crate::frame::Frame;
+use crate::frame::{Frame, Warnings};
 use jiff::{SignedDuration, Timestamp};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -25,6 +25,7 @@ pub struct FolderCamera {
     ahead: Option<Frame>,
     /// Mid-exposure of the frame before it.
     before: Option<Timestamp>,
+    warnings: Warnings,
 }
 
 impl FolderCamera {
@@ -50,6 +51,7 @@ impl FolderCamera {
             pace: Pace::default(),
             ahead: None,
             before: None,
+            warnings: Warnings::default(),
         })
     }
 }
@@ -61,6 +63,8 @@ impl FolderCamera {
             return Ok(None);
         };
         let frame = fits::read_frame(&path)?;
+        let warnings = &frame.info.warnings;
+        self.warnings.note(&path.display().to_string(), warnings);
         let time = frame.info.mid_exposure;
         if self.pace.has_begun() {
             let pause = self.pause(time).min(LONGEST_PAUSE);

@@ -1,7 +1,9 @@
 //! What the commands share that take frames and give an answer for each: options, formats, pictures, order.
 
 use super::output::{make_folder, progress_bar, say};
-use crate::fits;
+use crate::fits::{self, FileError};
+use crate::frame::{Frame, Warnings};
+use crate::units::counted;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use image::RgbImage;
@@ -11,6 +13,7 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 #[derive(Debug, Args)]
 pub(super) struct FramesArgs {
@@ -26,6 +29,8 @@ pub(super) struct FramesArgs {
     /// Write a picture of every solved frame to this folder
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
+    #[arg(skip)]
+    warnings: Mutex<Warnings>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -52,6 +57,29 @@ impl FramesArgs {
             "--overlay: expected frames whose pictures have different names, found two alike"
         );
         Ok(())
+    }
+
+    /// Reads a frame; of several pictures in its file, the first of a camera's width and height, px. What of the file was not used as it
+    /// stands is logged, once a run and kind.
+    pub fn read(&self, path: &Path, size_px: Option<[usize; 2]>) -> Result<Frame, FileError> {
+        let frame = match size_px {
+            Some(size_px) => fits::read_frame_of_size(path, size_px),
+            None => fits::read_frame(path),
+        }?;
+        self.warnings()
+            .note(&path.display().to_string(), &frame.info.warnings);
+        Ok(frame)
+    }
+
+    fn warnings(&self) -> MutexGuard<'_, Warnings> {
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Logs how many frames had warnings of each kind, at the end of a run.
+    pub fn sum_up(&self) {
+        for (kind, frames) in self.warnings().counts() {
+            tracing::warn!("in {}: {kind}", counted(frames, "frame"));
+        }
     }
 
     /// Writes a frame's overlay, where they are wanted.

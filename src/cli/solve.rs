@@ -2,9 +2,8 @@
 
 use super::frames::{Answer, FramesArgs, Printer, REMARKS, Row, bad_file};
 use super::options;
-use crate::archive::Record;
+use crate::archive::{Reason, Record};
 use crate::aspect::{self, Contradiction, Expected, Quantity, Track};
-use crate::fits;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Target};
 use crate::sky::Ephemeris;
@@ -17,7 +16,7 @@ use std::time::Instant;
 
 /// Find the Sun's position on the plate in frames, and the telescope's offset from its target
 ///
-/// Reads FITS (plain or compressed, 8 or 16 bit), PNG and TIFF. One answer per frame, in the order of the arguments. A frame
+/// Reads FITS (plain or compressed), PNG, TIFF and JPEG. One answer per frame, in the order of the arguments. A frame
 /// without a solution is no failure; a file that cannot be read gives an error on its line, the rest go on, and the
 /// exit code is 1.
 #[derive(Debug, Args)]
@@ -80,6 +79,7 @@ pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
         args.frames.in_order(&args.frames.frames, solve, take)?;
     }
     progress.finish_and_clear();
+    args.frames.sum_up();
     if lack_place > 0 {
         let frames = counted(lack_place, "frame");
         tracing::warn!(
@@ -135,7 +135,8 @@ impl Batch<'_> {
     }
 
     fn try_solve(&self, path: &Path, prior: Option<&Track>) -> anyhow::Result<Solved> {
-        let frame = fits::read_frame(path)?;
+        let size_px = self.instrument.camera.size_px();
+        let frame = self.args.read(path, Some(size_px))?;
         let instrument = &*self.instrument.seen_by(&frame)?;
         let utc = frame.info.mid_exposure;
         let expected = utc.and_then(Expected::at);
@@ -156,7 +157,15 @@ impl Batch<'_> {
         self.args.draw(path, |title| {
             aspect::overlay(&frame, &solution, &self.instrument, title)
         })?;
-        let record = Record::new(&name, utc, &solution, offset, Some(solve_time));
+        let mut record = Record::new(&name, utc, &solution, offset, Some(solve_time));
+        record.utc = frame.info.utc();
+        let info = &frame.info;
+        let untimed = || Some(Reason::of_file("time", info.untimed.as_ref()?));
+        let unplaced = || {
+            let warning = info.unplaced.as_ref().filter(|_| place.is_none());
+            Some(Reason::of_file("place", warning?))
+        };
+        record.reason = record.reason.or_else(untimed).or_else(unplaced);
         Ok(Solved {
             lacks_place: place.is_none() && utc.is_some() && solution.aspect.is_some(),
             answer: Ok(Line {

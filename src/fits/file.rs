@@ -1,8 +1,9 @@
 //! A FITS file in memory, from which several things are read.
 
+use super::read::Size;
 use super::structure::{Hdu, scan};
 use super::{Checksums, FileError, Header, Problem, Table, checked_fits, gunzipped, read_bytes};
-use super::{checksum, info, read, table};
+use super::{checksum, read, table};
 use crate::frame::{Frame, FrameInfo};
 use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
@@ -13,6 +14,7 @@ pub struct FitsFile {
     path: PathBuf,
     bytes: Vec<u8>,
     hdus: Vec<Hdu>,
+    wanted: Option<Size>,
 }
 
 impl FitsFile {
@@ -40,7 +42,14 @@ impl FitsFile {
             path: path.into(),
             bytes,
             hdus,
+            wanted: None,
         })
+    }
+
+    /// Of several pictures, takes the first of this width and height, px, for the frame.
+    pub fn of_size(mut self, wanted: Size) -> Self {
+        self.wanted = Some(wanted);
+        self
     }
 
     pub fn path(&self) -> &Path {
@@ -52,7 +61,7 @@ impl FitsFile {
     /// # Errors
     /// As there.
     pub fn frame(&self) -> Result<Frame, FileError> {
-        self.named(read::read_fits(&self.bytes, &self.hdus))
+        self.named(read::read_fits(&self.bytes, &self.hdus, self.wanted))
     }
 
     /// What `work` makes of the frame. A row is decoded when it is first read, where each is a tile, and DATASUM and SATURATE are stated; else
@@ -62,7 +71,8 @@ impl FitsFile {
     /// As [`read_frame`](super::read_frame), and where a row that was read is damaged.
     pub fn with_frame<T>(self, work: impl FnOnce(&Frame) -> T) -> Result<T, FileError> {
         let named = |problem: Problem| problem.in_file(&self.path);
-        let (frame, damage) = read::read_on_demand(self.bytes, &self.hdus).map_err(named)?;
+        let (frame, damage) =
+            read::read_on_demand(self.bytes, &self.hdus, self.wanted).map_err(named)?;
         let made = work(&frame);
         let damage = damage.lock().unwrap_or_else(PoisonError::into_inner).take();
         damage.map_or(Ok(made), |problem| Err(named(problem)))
@@ -73,16 +83,15 @@ impl FitsFile {
     /// # Errors
     /// A file without an image.
     pub fn keywords(&self) -> Result<Header, FileError> {
-        self.named(read::read_keywords(&self.hdus))
+        self.named(read::read_keywords(&self.hdus, self.wanted))
     }
 
     /// How the frame was taken, and its keywords, without reading its pixels.
     ///
     /// # Errors
-    /// A file without an image, or keywords that cannot be read.
+    /// A file without an image.
     pub fn info(&self) -> Result<(FrameInfo, Header), FileError> {
-        let header = self.keywords()?;
-        Ok((self.named(info::read_info(&header))?, header))
+        self.named(read::read_headers(&self.hdus, self.wanted))
     }
 
     /// Checks every checksum that the file carries.

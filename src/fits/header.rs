@@ -127,11 +127,24 @@ impl Header {
         Some(&card.1)
     }
 
+    /// Whether a keyword has a value, readable or not.
+    pub(super) fn contains(&self, keyword: &str) -> bool {
+        self.content(keyword).is_some()
+    }
+
     /// The value of a keyword, as it stands.
     pub fn get(&self, keyword: &str) -> Option<&Value> {
         match self.content(keyword)? {
             Content::Value(value) => Some(value),
             Content::Unreadable(_) => None,
+        }
+    }
+
+    /// What stands there and is neither text in quotes, number nor logical.
+    pub(super) fn unquoted(&self, keyword: &str) -> Option<&str> {
+        match self.content(keyword)? {
+            Content::Value(_) => None,
+            Content::Unreadable(text) => Some(text),
         }
     }
 

@@ -1,7 +1,7 @@
 //! A frame and its keywords, from a file and to a file.
 //!
-//! Reading takes FITS (plain, gzipped or tile-compressed; the first image with two axes, wherever it stands) and
-//! greyscale PNG and TIFF; what a file is, its first bytes decide. A file is read into memory and its skeleton
+//! Reading takes FITS (plain, gzipped or tile-compressed; the image of the wanted size or the first one, wherever it stands),
+//! PNG, TIFF and JPEG; what a file is, its first bytes decide. A file is read into memory and its skeleton
 //! checked against its size before anything is allocated for it: a truncated, hostile or foreign file is one line of
 //! error, see [`FileError`]. Writing makes a primary HDU without data, an image extension with every keyword beside
 //! the pixels, and binary tables, each HDU with its checksums.
@@ -10,6 +10,7 @@
 //! flight's frames are to cost no more to store than to solve. The tests hold both against cfitsio, which shares nothing with them. The
 //! keywords are those of one table, [`keyword`].
 
+mod cards;
 mod checksum;
 mod compressed;
 mod error;
@@ -23,25 +24,30 @@ mod listing;
 mod pack;
 mod picture;
 mod place;
+mod quantised;
 mod read;
+mod reals;
 mod rice;
+mod saturation;
+mod section;
 mod structure;
 mod table;
+mod times;
 mod unit;
+mod values;
 mod write;
 
+pub use cards::{clock_cards, format_time};
 pub use checksum::Checksums;
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Card, Header, Value};
-pub use info::{clock_cards, format_time};
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use pack::{Compression, Packing};
 pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame};
 
 use crate::frame::{Frame, FrameInfo};
 use flate2::read::MultiGzDecoder;
-use image::ImageFormat;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -55,23 +61,32 @@ pub const START_BYTES: u64 = 1 << 16;
 /// The largest image that is read.
 const MAX_PIXELS: u64 = 1 << 26;
 
-/// Reads a frame from a FITS, PNG or TIFF file.
+/// Reads a frame from a FITS, PNG, TIFF or JPEG file; of several pictures in a file, the first.
 ///
-/// Pixels are 8 bit, or 16 bit (unsigned, or signed with no negative value). The keywords of the image's HDU go over
-/// those of the primary one.
+/// Pixels are whole numbers of 8 or 16 bits; others are [scaled to 16](FrameInfo::warnings). The keywords of the image's HDU go over
+/// those of the primary one. A keyword that cannot be used, and whatever else is not read as it stands, is a warning of the frame.
 ///
 /// # Errors
 /// Anything that keeps the file from being such a frame, in one line that names the file, the field and what was
 /// expected there; data that do not match their DATASUM too.
 pub fn read_frame(path: &Path) -> Result<Frame, FileError> {
-    let read = |bytes: Vec<u8>| match bytes.as_slice() {
-        bytes @ [0x89, b'P', b'N', b'G', ..] => picture::read_picture(bytes, ImageFormat::Png),
-        bytes @ ([b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..]) => {
-            picture::read_picture(bytes, ImageFormat::Tiff)
-        }
-        bytes => {
-            let bytes = checked_fits(bytes, "a FITS, PNG or TIFF file")?;
-            read::read_fits(bytes, &structure::scan(bytes)?)
+    read_picture(path, None)
+}
+
+/// The same; of several pictures in a file, the first of this width and height, px, if there is one.
+///
+/// # Errors
+/// As [`read_frame`].
+pub fn read_frame_of_size(path: &Path, wanted: [usize; 2]) -> Result<Frame, FileError> {
+    read_picture(path, Some(wanted))
+}
+
+fn read_picture(path: &Path, wanted: Option<[usize; 2]>) -> Result<Frame, FileError> {
+    let read = |bytes: Vec<u8>| match picture::format_of(&bytes) {
+        Some(format) => picture::read_picture(&bytes, format, wanted),
+        None => {
+            let bytes = checked_fits(&bytes, "a FITS, PNG, TIFF or JPEG file")?;
+            read::read_fits(bytes, &structure::scan(bytes)?, wanted)
         }
     };
     read_bytes(path)
@@ -91,14 +106,12 @@ pub fn read_keywords(path: &Path) -> Result<Header, FileError> {
 /// A file that cannot be read or is no FITS file with an image.
 pub fn read_info(path: &Path) -> Result<(FrameInfo, Header), FileError> {
     let start = read_start(path).unwrap_or_default();
-    info_of_start(path, &start).unwrap_or_else(|| FitsFile::open(path)?.info())
+    info_of_start(&start).map_or_else(|| FitsFile::open(path)?.info(), Ok)
 }
 
 /// The same from the first [`START_BYTES`] of a file; `None` where its image's header does not end within them.
-pub fn info_of_start(path: &Path, start: &[u8]) -> Option<Result<(FrameInfo, Header), FileError>> {
-    let header = read::read_keywords(&structure::begun(start)).ok()?;
-    let info = info::read_info(&header).map_err(|problem| problem.in_file(path));
-    Some(info.map(|info| (info, header)))
+pub fn info_of_start(start: &[u8]) -> Option<(FrameInfo, Header)> {
+    read::read_headers(&structure::begun(start), None).ok()
 }
 
 /// Checks every checksum of a FITS file; an error where one does not match.

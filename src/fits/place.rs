@@ -5,8 +5,9 @@
 //! et al. 2015, section 4.1.3), which puts a height 3 m lower. They are read in this order: files of others have the
 //! latter two.
 
-use super::header::Header;
+use super::values::Values;
 use super::{Card, Problem};
+use crate::frame::Warning;
 use crate::units::Place;
 use sofars::consts::WGS84;
 use sofars::coords::{gc2gd, gc2gde, gd2gc, gd2gce};
@@ -18,17 +19,26 @@ const GEODETIC_IAU: [&str; 3] = ["OBSGEO-B", "OBSGEO-L", "OBSGEO-H"];
 /// Equatorial radius (m) and flattening of the IAU's ellipsoid of 1976.
 const IAU_1976: (f64, f64) = (6_378_140.0, 1.0 / 298.2577);
 
-/// Reads the place.
-pub(super) fn read_place(header: &Header) -> Result<Option<Place>, Problem> {
-    if let Some([latitude, longitude, height]) = triple(header, GEODETIC)? {
-        return checked("LATITUDE/LONGITUD/HEIGHT", latitude, longitude, height).map(Some);
-    }
-    if let Some(xyz) = triple(header, GEOCENTRIC)? {
-        return from_geocentric("OBSGEO-X/Y/Z", xyz).map(Some);
-    }
-    let Some([latitude, longitude, height]) = triple(header, GEODETIC_IAU)? else {
-        return Ok(None);
-    };
+/// Reads the place, by the first three keywords that give one; or, where the header states a place that cannot be used, why there is none.
+pub(super) fn read_place(values: &mut Values) -> (Option<Place>, Option<Warning>) {
+    values.reading(place)
+}
+
+fn place(values: &mut Values) -> Option<Place> {
+    let forms: [([&str; 3], fn([f64; 3]) -> Result<Place, Problem>); 3] = [
+        (GEODETIC, |[b, l, h]| {
+            checked("LATITUDE/LONGITUD/HEIGHT", b, l, h)
+        }),
+        (GEOCENTRIC, |xyz| from_geocentric("OBSGEO-X/Y/Z", xyz)),
+        (GEODETIC_IAU, from_iau),
+    ];
+    forms.into_iter().find_map(|(keywords, place)| {
+        let place = place(triple(values, keywords)?);
+        place.map_err(|problem| values.warn(problem.into())).ok()
+    })
+}
+
+fn from_iau([latitude, longitude, height]: [f64; 3]) -> Result<Place, Problem> {
     let field = "OBSGEO-B/L/H";
     // Checked first: a latitude beyond the pole has a geocentric position too.
     checked(field, latitude, longitude, height)?;
@@ -36,7 +46,7 @@ pub(super) fn read_place(header: &Header) -> Result<Option<Place>, Problem> {
     let [longitude, latitude] = [longitude, latitude].map(f64::to_radians);
     let xyz = gd2gce(radius, flattening, longitude, latitude, height)
         .map_err(|_| Problem::field(field, "a place on the Earth", "another"))?;
-    from_geocentric(field, xyz).map(Some)
+    from_geocentric(field, xyz)
 }
 
 /// The keywords of a place.
@@ -85,15 +95,21 @@ fn checked(field: &str, latitude: f64, longitude: f64, height: f64) -> Result<Pl
 }
 
 /// Three numbers that only make sense together.
-fn triple(header: &Header, keywords: [&str; 3]) -> Result<Option<[f64; 3]>, Problem> {
-    let [a, b, c] = keywords;
-    match (header.number(a)?, header.number(b)?, header.number(c)?) {
-        (Some(x), Some(y), Some(z)) => Ok(Some([x, y, z])),
-        (None, None, None) => Ok(None),
-        _ => Err(Problem::field(
-            keywords.join(", "),
-            "all three or none",
-            "some of them",
-        )),
+fn triple(values: &mut Values, keywords: [&str; 3]) -> Option<[f64; 3]> {
+    let stated = keywords.map(|keyword| values.header.contains(keyword));
+    let numbers = keywords.map(|keyword| values.number(keyword));
+    if let [Some(x), Some(y), Some(z)] = numbers {
+        return Some([x, y, z]);
     }
+    if stated.contains(&true) && stated.contains(&false) {
+        let found = keywords.iter().zip(stated).filter(|(_, stated)| *stated);
+        let found: Vec<&str> = found.map(|(keyword, _)| *keyword).collect();
+        let expected = "all three or none";
+        values.warn(Warning::new(
+            keywords.join(", "),
+            expected,
+            found.join(", "),
+        ));
+    }
+    None
 }

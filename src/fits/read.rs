@@ -2,10 +2,13 @@
 
 use super::compressed::Tiles;
 use super::header::Header;
-use super::info::{read_info, read_saturation};
+use super::info::read_info;
+use super::reals::{Coding, Digitised, digitise};
+use super::section::Section;
 use super::structure::{Content, Hdu, MAX_SIDE};
-use super::{MAX_PIXELS, Problem, checksum};
-use crate::frame::{Frame, FrameError, Pixels, RowSource};
+use super::values::Values;
+use super::{MAX_PIXELS, Problem, checksum, saturation};
+use crate::frame::{Frame, FrameError, FrameInfo, Pixels, RowSource, Warning};
 use multiversion::multiversion;
 use std::ops::RangeInclusive;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,32 +23,52 @@ enum PixelType {
     I16,
 }
 
-/// Reads the first image with two axes, in the primary HDU or an extension.
-pub(super) fn read_fits(bytes: &[u8], hdus: &[Hdu]) -> Result<Frame, Problem> {
-    Image::find(bytes, hdus)?.frame(bytes)
+/// A width and a height, px.
+pub(super) type Size = [usize; 2];
+
+/// Reads the image of the wanted size, else the first one, in the primary HDU or an extension.
+pub(super) fn read_fits(
+    bytes: &[u8],
+    hdus: &[Hdu],
+    wanted: Option<Size>,
+) -> Result<Frame, Problem> {
+    Image::find(bytes, hdus, wanted)?.frame(bytes)
 }
 
 /// As [`read_fits`], but rows are decoded when they are first read, where each is a tile of its own, the sum of all was checked, and
 /// the saturation is stated. Then what a row's damage is will stand in the second value.
-pub(super) fn read_on_demand(bytes: Vec<u8>, hdus: &[Hdu]) -> Result<(Frame, Damage), Problem> {
+pub(super) fn read_on_demand(
+    bytes: Vec<u8>,
+    hdus: &[Hdu],
+    wanted: Option<Size>,
+) -> Result<(Frame, Damage), Problem> {
     let damage = Damage::default();
-    let mut image = Image::find(&bytes, hdus)?;
-    let is_checked = image.hdu.header.get("DATASUM").is_some();
-    let states_saturation = image.header.get("SATURATE").is_some();
-    let rows = |tiles: &mut Tiles| tiles.are_rows() && is_checked && states_saturation;
+    let mut image = Image::find(&bytes, hdus, wanted)?;
+    let (mut info, section) = image.info();
+    let is_checked = image.hdu.header.contains("DATASUM");
+    let dark = match image.plain {
+        Some(PixelType::U8) => Some(Pixels::U8(vec![0; image.width])),
+        Some(PixelType::U16) => Some(Pixels::U16(vec![0; image.width])),
+        Some(PixelType::I16) | None => None,
+    };
+    let dark = dark.filter(|_| is_checked && section.reversed == [false; 2]);
+    let mut values = Values::of(&image.header);
+    let with_saturation = |dark: Pixels| {
+        let saturation = saturation::stated(&mut values, dark.as_slice())?;
+        Some((dark, saturation))
+    };
+    let rows = |tiles: &mut Tiles| tiles.are_rows() && tiles.are_whole_numbers();
+    let Some((dark, saturation)) = dark.and_then(with_saturation) else {
+        return Ok((image.frame(&bytes)?, damage));
+    };
     let Some(tiles) = image.tiles.take_if(rows) else {
         return Ok((image.frame(&bytes)?, damage));
     };
-    let (width, height) = (image.width, image.height);
-    let dark = match image.pixel_type {
-        PixelType::U8 => Pixels::U8(vec![0; width]),
-        PixelType::U16 | PixelType::I16 => Pixels::U16(vec![0; width]),
-    };
-    let saturation = read_saturation(&image.header, dark.as_slice())?;
-    let info = read_info(&image.header)?;
+    info.warnings.extend(values.warnings);
+    let height = image.height;
     let rows = TileRows {
-        pixel_type: image.pixel_type,
-        width,
+        pixel_type: image.plain.unwrap_or(PixelType::U16),
+        width: image.width,
         tiles,
         bytes,
         damage: Arc::clone(&damage),
@@ -64,24 +87,32 @@ struct Image<'a> {
     header: Header,
     width: usize,
     height: usize,
-    pixel_type: PixelType,
+    coding: Coding,
+    /// None where pixels must be computed from the numbers as stored.
+    plain: Option<PixelType>,
     /// None where it is not compressed.
     tiles: Option<Tiles>,
+    /// What of the file's pictures is not read.
+    left_out: Option<Warning>,
 }
 
 impl<'a> Image<'a> {
-    /// The first one with two axes.
-    fn find(bytes: &[u8], hdus: &'a [Hdu]) -> Result<Self, Problem> {
-        let (hdu, header) = find_image(hdus)?;
+    fn find(bytes: &[u8], hdus: &'a [Hdu], wanted: Option<Size>) -> Result<Self, Problem> {
+        let Chosen {
+            hdu,
+            header,
+            shape,
+            left_out,
+        } = choose(hdus, wanted)?;
         let compressed = hdu.content() == Content::CompressedImage;
         let prefix = if compressed { "Z" } else { "" };
-        let [width, height] = sides(&hdu.header, prefix)?;
-        let pixel_type = pixel_type(&hdu.header, prefix)?;
+        let [width, height] = checked_size(&shape, prefix)?;
+        let coding = Coding::read(&hdu.header, prefix)?;
         let tiles = match compressed {
-            true => Some(Tiles::new(bytes, hdu, width, height)?),
+            true => Some(Tiles::new(bytes, hdu, width, height, shape.planes)?),
             false => None,
         };
-        let expected = width * height * pixel_type.bytes();
+        let expected = (width * height * coding.bytes()).saturating_mul(shape.planes);
         let found = hdu.data_bytes.len();
         if !compressed && found != expected {
             let expected = format!("{expected} bytes of {width} x {height} pixels");
@@ -93,24 +124,84 @@ impl<'a> Image<'a> {
             header,
             width,
             height,
-            pixel_type,
+            coding,
+            plain: PixelType::of(&coding),
             tiles,
+            left_out,
         })
+    }
+
+    /// How it was taken, and how it lies on the sensor.
+    fn info(&self) -> (FrameInfo, Section) {
+        let mut values = Values::of(&self.header);
+        let (mut info, section) = info(&mut values, [self.width, self.height]);
+        info.warnings = values.warnings;
+        info.warnings.extend(self.left_out.clone());
+        (info, section)
     }
 
     /// All of it, decoded.
     fn frame(&self, bytes: &[u8]) -> Result<Frame, Problem> {
+        let (mut info, section) = self.info();
+        let mut values = Values::of(&self.header);
+        let (pixels, unusable, saturation) = match self.plain_pixels(bytes)? {
+            Some(pixels) => {
+                let saturation = saturation::saturation_dn(&mut values, pixels.as_slice());
+                (pixels, Vec::new(), saturation)
+            }
+            None => {
+                let mut digitised = self.digitised(bytes)?;
+                let saturation = digitised.saturation_dn(&mut values);
+                info.warnings.append(&mut digitised.warnings);
+                (digitised.pixels, digitised.unusable, saturation)
+            }
+        };
+        info.warnings.extend(values.warnings);
         let (width, height) = (self.width, self.height);
-        let mut pixels = PixelBuffer::new(self.pixel_type, width, width * height);
-        match &self.tiles {
-            Some(tiles) => tiles.unpack(bytes, |numbers| pixels.add(numbers))?,
-            None => pixels.add_plain(&bytes[self.hdu.data_bytes.clone()])?,
-        }
-        let pixels = pixels.pixels;
-        let saturation = read_saturation(&self.header, pixels.as_slice())?;
-        let info = read_info(&self.header)?;
-        Frame::new(width, height, pixels, saturation, info).map_err(refused)
+        let (pixels, unusable) = section.upright(pixels, unusable, width);
+        let frame = Frame::new(width, height, pixels, saturation, info).map_err(refused)?;
+        Ok(frame.with_unusable(unusable))
     }
+
+    /// Pixels that are stored as frames have them; none where some are not.
+    fn plain_pixels(&self, bytes: &[u8]) -> Result<Option<Pixels>, Problem> {
+        let Some(pixel_type) = self.plain else {
+            return Ok(None);
+        };
+        let count = self.width * self.height;
+        let mut pixels = PixelBuffer::new(pixel_type, self.width, count);
+        let are_pixels = match &self.tiles {
+            Some(tiles) if tiles.are_whole_numbers() => {
+                tiles.unpack(bytes, |numbers| pixels.add(numbers))?
+            }
+            Some(_) => false,
+            None => {
+                pixels.add_plain(&bytes[self.hdu.data_bytes.clone()][..count * pixel_type.bytes()])
+            }
+        };
+        Ok(are_pixels.then_some(pixels.pixels))
+    }
+
+    fn digitised(&self, bytes: &[u8]) -> Result<Digitised, Problem> {
+        let values = match &self.tiles {
+            Some(tiles) => tiles.values(bytes, &self.coding)?,
+            None => {
+                let plane = self.width * self.height * self.coding.bytes();
+                self.coding
+                    .values(&bytes[self.hdu.data_bytes.clone()][..plane])
+            }
+        };
+        let digitised = digitise(&values, self.coding.bits);
+        digitised.ok_or_else(|| Problem::field("pixels", "some pixel with a value", "none"))
+    }
+}
+
+/// How a frame of a size was taken, and how it lies on the sensor.
+fn info(values: &mut Values, size: Size) -> (FrameInfo, Section) {
+    let info = read_info(values);
+    let section = Section::read(values, size);
+    let corner_px = section.corner_px;
+    (FrameInfo { corner_px, ..info }, section)
 }
 
 /// The rows of an image of which each is a tile.
@@ -128,8 +219,9 @@ impl TileRows {
         let mut numbers = vec![0; self.width];
         self.tiles.decode(&self.bytes, y, &mut numbers)?;
         let mut row = PixelBuffer::new(self.pixel_type, self.width, self.width);
-        row.add(&numbers)?;
-        Ok(row.pixels)
+        let is_row = row.add(&numbers);
+        let none = || Problem::field(format!("row {y}"), "numbers of pixels", "others");
+        is_row.then_some(row.pixels).ok_or_else(none)
     }
 }
 
@@ -145,74 +237,132 @@ impl RowSource for TileRows {
 }
 
 /// The keywords of the image over those of the primary HDU, without reading the pixels.
-pub(super) fn read_keywords(hdus: &[Hdu]) -> Result<Header, Problem> {
-    find_image(hdus).map(|(_, header)| header)
+pub(super) fn read_keywords(hdus: &[Hdu], wanted: Option<Size>) -> Result<Header, Problem> {
+    choose(hdus, wanted).map(|chosen| chosen.header)
 }
 
-fn find_image(hdus: &[Hdu]) -> Result<(&Hdu, Header), Problem> {
-    let first = hdus.first().map(|hdu| &hdu.header);
-    if first.and_then(|header| header.get("SIMPLE")) != Some(&true.into()) {
-        return Err(Problem::field("SIMPLE", "T", "something else"));
-    }
-    let axes = |hdu: &Hdu| match hdu.content() {
-        Content::Image => hdu.header.integer("NAXIS").ok().flatten(),
-        Content::CompressedImage => hdu.header.integer("ZNAXIS").ok().flatten(),
-        Content::Other => None,
-    };
-    let Some(hdu) = hdus.iter().find(|hdu| axes(hdu) == Some(2)) else {
-        return Err(match hdus.iter().find_map(axes) {
-            Some(axes) => Problem::field("NAXIS", "an image with 2 axes", axes),
-            None => Problem::content("an image in a FITS file", "none in any of its HDUs"),
-        });
-    };
-    Ok((hdu, hdu.header.over(&hdus[0].header)))
+/// How the frame was taken, and its keywords, without reading the pixels.
+pub(super) fn read_headers(
+    hdus: &[Hdu],
+    wanted: Option<Size>,
+) -> Result<(FrameInfo, Header), Problem> {
+    let chosen = choose(hdus, wanted)?;
+    let mut values = Values::of(&chosen.header);
+    let (mut info, _) = info(&mut values, chosen.shape.size);
+    info.warnings = values.warnings;
+    info.warnings.extend(chosen.left_out);
+    Ok((info, chosen.header))
 }
 
-fn sides(header: &Header, prefix: &str) -> Result<[usize; 2], Problem> {
-    let side = |n: u32| header.size(&format!("{prefix}NAXIS{n}"), 1..=MAX_SIDE);
-    let (width, height) = (side(1)?, side(2)?);
-    if width * height > MAX_PIXELS {
-        let field = format!("{prefix}NAXISn");
-        let expected = format!("at most {MAX_PIXELS} pixels");
-        let found = format!("{width} x {height}");
-        return Err(Problem::field(field, expected, found));
-    }
-    Ok([width as usize, height as usize])
+/// An HDU's picture, or the first of several in it.
+struct Shape {
+    size: Size,
+    planes: usize,
 }
 
-fn pixel_type(header: &Header, prefix: &str) -> Result<PixelType, Problem> {
-    let scale = header.number("BSCALE")?.unwrap_or(1.0);
-    if scale != 1.0 {
-        return Err(Problem::field("BSCALE", "1", scale));
-    }
-    let zero = header.number("BZERO")?.unwrap_or(0.0);
-    let field = format!("{prefix}BITPIX");
-    match header.integer(&field)? {
-        Some(8) if zero == 0.0 => Ok(PixelType::U8),
-        Some(16) if zero == 32_768.0 => Ok(PixelType::U16),
-        Some(16) if zero == 0.0 => Ok(PixelType::I16),
-        Some(8) => Err(Problem::field("BZERO", "0 beside 8-bit pixels", zero)),
-        Some(16) => Err(Problem::field(
-            "BZERO",
-            "0 or 32768 beside 16-bit pixels",
-            zero,
-        )),
-        bits => {
-            let found = match bits {
-                Some(bits @ ..0) => format!("{bits} (floating-point pixels)"),
-                Some(bits) => bits.to_string(),
-                None => "nothing".into(),
-            };
-            Err(Problem::field(
-                field,
-                "8 or 16 (whole-number pixels)",
-                found,
-            ))
+impl Shape {
+    /// Axes of length one do not count. `None` of what is no picture.
+    fn of(hdu: &Hdu) -> Option<Self> {
+        let prefix = match hdu.content() {
+            Content::Image => "",
+            Content::CompressedImage => "Z",
+            Content::Other => return None,
+        };
+        let whole = |keyword: String| hdu.header.integer(&keyword).ok().flatten();
+        let axes = whole(format!("{prefix}NAXIS"))?;
+        let sides = (1..=axes.min(999)).map(|n| whole(format!("{prefix}NAXIS{n}")));
+        let sides: Vec<usize> = sides
+            .map(|side| usize::try_from(side?).ok())
+            .collect::<Option<_>>()?;
+        let counting = sides.iter().copied().filter(|side| *side != 1);
+        let counting: Vec<usize> = counting.collect();
+        match (counting.as_slice(), sides.as_slice()) {
+            ([width, height, planes @ ..], _) | ([_] | [], [width, height, planes @ ..]) => {
+                Some(Self {
+                    size: [*width, *height],
+                    planes: planes.iter().fold(1, |all, n| all.saturating_mul(*n)),
+                })
+            }
+            _ => None,
         }
     }
 }
 
+/// The picture that is read.
+struct Chosen<'a> {
+    hdu: &'a Hdu,
+    /// Its keywords over those of the primary HDU.
+    header: Header,
+    shape: Shape,
+    left_out: Option<Warning>,
+}
+
+/// The first picture of the wanted size, else the first.
+fn choose(hdus: &[Hdu], wanted: Option<Size>) -> Result<Chosen<'_>, Problem> {
+    let first = hdus.first().map(|hdu| &hdu.header);
+    if first.and_then(|header| header.get("SIMPLE")) != Some(&true.into()) {
+        return Err(Problem::field("SIMPLE", "T", "something else"));
+    }
+    let shapes = hdus.iter().map(Shape::of).enumerate();
+    let mut pictures: Vec<(usize, Shape)> =
+        shapes.filter_map(|(n, shape)| Some((n, shape?))).collect();
+    let all: usize = pictures
+        .iter()
+        .fold(0, |all, (_, shape)| shape.planes.saturating_add(all));
+    if pictures.is_empty() {
+        let is_image = |hdu: &&Hdu| hdu.content() != Content::Other;
+        return Err(match hdus.iter().find(is_image) {
+            Some(_) => Problem::field("NAXIS", "an image with 2 axes or more", "others"),
+            None => Problem::content("an image in a FITS file", "none in any of its HDUs"),
+        });
+    }
+    let is_wanted = |(_, shape): &(usize, Shape)| Some(shape.size) == wanted;
+    let (n, shape) = pictures.swap_remove(pictures.iter().position(is_wanted).unwrap_or(0));
+    let [width, height] = shape.size;
+    let left_out = (all > 1).then(|| {
+        let found = format!("{all}; read the first of {width} x {height} pixels, in HDU {n}");
+        Warning::new("file", "one picture", found)
+    });
+    Ok(Chosen {
+        hdu: &hdus[n],
+        header: hdus[n].header.over(&hdus[0].header),
+        shape,
+        left_out,
+    })
+}
+
+fn checked_size(shape: &Shape, prefix: &str) -> Result<Size, Problem> {
+    let [width, height] = shape.size;
+    for (n, side) in [(1, width), (2, height)] {
+        if !(1..=MAX_SIDE as usize).contains(&side) {
+            let expected = format!("a whole number from 1 to {MAX_SIDE}");
+            return Err(Problem::field(format!("{prefix}NAXIS{n}"), expected, side));
+        }
+    }
+    if (width * height) as u64 > MAX_PIXELS {
+        let field = format!("{prefix}NAXISn");
+        let expected = format!("at most {MAX_PIXELS} pixels");
+        return Err(Problem::field(
+            field,
+            expected,
+            format!("{width} x {height}"),
+        ));
+    }
+    Ok(shape.size)
+}
+
 impl PixelType {
+    /// What plain numbers are, if they can be pixels as they stand.
+    fn of(coding: &Coding) -> Option<Self> {
+        let is_plain = coding.scale == 1.0 && coding.blank.is_none();
+        match (coding.bits, coding.zero) {
+            (8, 0.0) if is_plain => Some(Self::U8),
+            (16, 32_768.0) if is_plain => Some(Self::U16),
+            (16, 0.0) if is_plain => Some(Self::I16),
+            _ => None,
+        }
+    }
+
     /// What is added to a number as stored.
     fn zero(self) -> i32 {
         match self {
@@ -258,15 +408,15 @@ impl PixelBuffer {
         }
     }
 
-    /// Adds the pixels of an image that is not compressed: big-endian numbers.
-    fn add_plain(&mut self, data: &[u8]) -> Result<(), Problem> {
+    /// Adds the pixels of an image that is not compressed: big-endian numbers. False where some are none.
+    fn add_plain(&mut self, data: &[u8]) -> bool {
         if let Pixels::U8(pixels) = &mut self.pixels {
             pixels.extend_from_slice(data);
-            return Ok(());
+            return true;
         }
         let words = data.as_chunks::<2>().0;
         let mut numbers = vec![0; self.width];
-        words.chunks(self.width).try_for_each(|row| {
+        words.chunks(self.width).all(|row| {
             for (number, word) in numbers.iter_mut().zip(row) {
                 *number = i16::from_be_bytes(*word).into();
             }
@@ -274,26 +424,18 @@ impl PixelBuffer {
         })
     }
 
-    /// Adds pixels of numbers as stored; an error that names the first that is none.
-    fn add(&mut self, numbers: &[i32]) -> Result<(), Problem> {
+    /// Adds pixels of numbers as stored; false where some can be none.
+    fn add(&mut self, numbers: &[i32]) -> bool {
         let (least, most) = self.pixel_type.range();
-        let legal = least..=most;
-        let (zero, top) = (self.pixel_type.zero(), most + self.pixel_type.zero());
-        if !all_within(numbers, &legal)
-            && let Some(at) = numbers.iter().position(|number| !legal.contains(number))
-        {
-            let number = i64::from(numbers[at]) + i64::from(zero);
-            let at = self.pixels.len() + at;
-            let (x, y) = (at % self.width, at / self.width);
-            let found = format!("{number} at pixel ({x}, {y})");
-            let expected = format!("values from 0 to {top}");
-            return Err(Problem::field("pixels", expected, found));
+        if !all_within(numbers, &(least..=most)) {
+            return false;
         }
+        let zero = self.pixel_type.zero();
         match &mut self.pixels {
             Pixels::U8(pixels) => extend(pixels, numbers, |number| number as u8),
             Pixels::U16(pixels) => extend(pixels, numbers, |number| (number + zero) as u16),
         }
-        Ok(())
+        true
     }
 }
 

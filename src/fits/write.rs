@@ -3,8 +3,8 @@
 //! The primary HDU is without data; the pixels stand in an image extension, with every keyword beside them, and
 //! tables follow. Uncompressed pixels too, so that a reader finds the same layout in every file.
 
+use super::cards::{format_time, info_cards};
 use super::header::{Card, Value};
-use super::info::{format_time, info_cards};
 use super::keyword::{self, Kind};
 use super::layout::{Layout, printable};
 use super::pack::{self, Packing};

@@ -63,7 +63,7 @@ pub struct Cutout {
 }
 
 impl Cutout {
-    /// The region must lie within the frame, and the background be that of the region. Saturated pixels are masked.
+    /// The region must lie within the frame, and the background be that of the region. Pixels that saturate or cannot be used are masked.
     pub fn new(frame: &Frame, region: Region, background: &Background, noise: PixelNoise) -> Self {
         let most = |list: &[f32]| list.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let most_dn = most(&background.columns_dn) + most(&background.rows_dn);
@@ -76,6 +76,14 @@ impl Cutout {
         };
         let below_dn = f64::from(frame.saturation_dn()) - 1.0;
         with_view!(frame, view => cutout.fill(&view, background, Sample::floor(below_dn)));
+        for y in region.y0..region.y1 {
+            if let Some(unusable) = frame.unusable(y, region.x0, region.x1) {
+                let masked = cutout.mask.row_mut(y).iter_mut();
+                masked
+                    .zip(unusable)
+                    .for_each(|(masked, unusable)| *masked |= *unusable);
+            }
+        }
         cutout
     }
 

@@ -59,16 +59,23 @@ impl PixelSlice<'_> {
         }
     }
 
-    /// The value at which pixels saturate that come without a word about it: 16 bits hold 0 to 4095 unless a pixel shows that it is
-    /// not so.
-    pub fn assumed_saturation_dn(&self) -> u16 {
+    /// The bits that some pixel has set.
+    pub fn bits_set(&self) -> u16 {
         match self {
-            Self::U8(_) => 255,
-            // A pixel beyond 4095 has one of the upper bits.
-            Self::U16(p) => match p.iter().fold(0, |bits, dn| bits | dn) {
-                ..=4095 => 4095,
-                _ => u16::MAX,
-            },
+            Self::U8(p) => p.iter().fold(0, |bits, dn| bits | dn).into(),
+            Self::U16(p) => p.iter().fold(0, |bits, dn| bits | dn),
+        }
+    }
+
+    /// The value at which pixels saturate that come without a word about it: 16 bits hold 0 to 4095 unless a pixel shows that it is
+    /// not so. Where no pixel has the lowest bits set, the numbers are aligned to the left, and the largest has not either.
+    pub fn assumed_saturation_dn(&self) -> u16 {
+        let Self::U16(_) = self else {
+            return 255;
+        };
+        match self.bits_set() {
+            ..=4095 => 4095,
+            bits => u16::MAX << bits.trailing_zeros().min(8),
         }
     }
 
@@ -364,5 +371,10 @@ mod tests {
         assert_eq!(PixelSlice::U8(&[3]).assumed_saturation_dn(), 255);
         assert_eq!(PixelSlice::U16(&[3, 4095]).assumed_saturation_dn(), 4095);
         assert_eq!(PixelSlice::U16(&[4096, 3]).assumed_saturation_dn(), 65_535);
+        let left_aligned = [16, 48, 65_520];
+        assert_eq!(
+            PixelSlice::U16(&left_aligned).assumed_saturation_dn(),
+            65_520
+        );
     }
 }

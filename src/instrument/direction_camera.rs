@@ -242,6 +242,11 @@ impl DirectionCamera {
         })
     }
 
+    /// Width and height of its frames, px.
+    pub fn size_px(&self) -> [usize; 2] {
+        [self.width_px, self.height_px]
+    }
+
     /// Whether a frame has this camera's size.
     ///
     /// # Errors

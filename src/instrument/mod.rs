@@ -53,6 +53,11 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// Width and height of the sensor, px.
+    pub fn size_px(&self) -> [usize; 2] {
+        [self.width_px, self.height_px]
+    }
+
     /// The middle of the sensor.
     pub fn middle_px(&self) -> SensorPx {
         let middle = |pixels: usize| (pixels as f64 - 1.0) / 2.0;
@@ -136,7 +141,8 @@ impl Mounting {
 /// A frame that is not this instrument's.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "size: expected {expected_width} x {expected_height} px as of instrument \"{instrument}\", found {width} x {height}"
+    "size: expected {expected_width} x {expected_height} px as of instrument \"{instrument}\", or a part of that with CORNER-X and CORNER-Y \
+     (or XORGSUBF and YORGSUBF, DETSEC, CCDSEC), found {width} x {height}"
 )]
 pub struct WrongSize {
     pub instrument: String,

@@ -118,7 +118,7 @@ pub fn load(
 ) -> anyhow::Result<(Shots, Vec<RejectedFrame>)> {
     let (mut frames, mut rejected) = (Vec::new(), Vec::new());
     for file in kept(files) {
-        match fits::read_frame(file) {
+        match fits::read_frame_of_size(file, instrument.camera.size_px()) {
             Ok(frame) => {
                 check_size(&frame, instrument, file)?;
                 frames.push(Shot::without_sun(file, frame));
@@ -179,7 +179,7 @@ pub fn solve(
 type Solved = Result<(Option<Shot>, Option<SunShot>), String>;
 
 fn solve_one(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result<Solved> {
-    let frame = match fits::read_frame(file) {
+    let frame = match fits::read_frame_of_size(file, instrument.camera.size_px()) {
         Ok(frame) => frame,
         Err(error) => return Ok(Err(error.problem.to_string())),
     };

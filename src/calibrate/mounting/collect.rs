@@ -119,10 +119,12 @@ fn determined_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedne
         let mut instrument = instrument.clone();
         instrument.mounting.handedness = handedness;
         let is_fine = |file: &&&PathBuf| {
-            let solution = fits::read_frame(file).ok().and_then(|frame| {
-                let seen = instrument.seen_by(&frame).ok()?;
-                Some(solve(&frame, &seen))
-            });
+            let solution = fits::read_frame_of_size(file, instrument.camera.size_px())
+                .ok()
+                .and_then(|frame| {
+                    let seen = instrument.seen_by(&frame).ok()?;
+                    Some(solve(&frame, &seen))
+                });
             solution.is_some_and(|solution| solution.quality == Quality::Fine)
         };
         sample.par_iter().filter(is_fine).count()
@@ -146,7 +148,7 @@ impl Frames<'_> {
         file: &Path,
         ephemeris: &mut Ephemeris,
     ) -> anyhow::Result<(Option<Setting>, Result<SunObservation, Rejection>)> {
-        let frame = match fits::read_frame(file) {
+        let frame = match fits::read_frame_of_size(file, self.instrument.camera.size_px()) {
             Ok(frame) => frame,
             Err(error) => return Ok((None, Err((Lack::Other, error.problem.to_string())))),
         };

@@ -91,7 +91,7 @@ pub(super) fn read(
     file: &Path,
     instrument: &Instrument,
 ) -> (Option<FileFacts>, Result<FrameObservation, String>) {
-    let frame = match fits::read_frame(file) {
+    let frame = match fits::read_frame_of_size(file, instrument.camera.size_px()) {
         Ok(frame) => frame,
         Err(error) => return (None, Err(error.problem.to_string())),
     };

@@ -28,7 +28,8 @@ pub struct Horizons<'a> {
 
 impl Horizons<'_> {
     fn solve(&self, file: &Path) -> Result<Horizon, String> {
-        let frame = fits::read_frame(file).map_err(|error| error.problem.to_string())?;
+        let frame = fits::read_frame_of_size(file, self.camera.size_px())
+            .map_err(|error| error.problem.to_string())?;
         self.camera
             .check(&frame)
             .map_err(|error| error.to_string())?;

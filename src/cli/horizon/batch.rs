@@ -4,7 +4,6 @@ use super::Method;
 use super::pair::matched;
 use super::record::{InBody, Record};
 use crate::cli::frames::{Answer, FramesArgs, bad_file};
-use crate::fits;
 use crate::frame::Frame;
 use crate::horizon::circle::{self, Circle, circle};
 use crate::horizon::{self, Nadir, Settings, Solution, Sphere, Stopped};
@@ -146,7 +145,7 @@ impl Batch<'_> {
             body_from_camera,
             ..
         } = &self.cameras[camera];
-        let frame = fits::read_frame(path)?;
+        let frame = self.args.read(path, Some(optics.size_px()))?;
         let size = optics.check(&frame);
         size.with_context(|| path.display().to_string())?;
         let start = Instant::now();

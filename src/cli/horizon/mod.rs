@@ -137,6 +137,7 @@ pub fn run(mut args: HorizonArgs) -> anyhow::Result<ExitCode> {
         Ok(())
     })?;
     progress.finish_and_clear();
+    args.frames.sum_up();
     Ok(match failed {
         true => ExitCode::FAILURE,
         false => ExitCode::SUCCESS,

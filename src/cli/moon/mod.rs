@@ -5,7 +5,6 @@ mod record;
 use super::frames::{Answer, FramesArgs, Printer, bad_file};
 use super::options;
 use crate::clock::parse_utc;
-use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::DirectionCamera;
 use crate::moon::{self, Disc, Expected, Optics, Radius, Settings, Stopped, local_from_camera};
@@ -144,6 +143,7 @@ pub fn run(mut args: MoonArgs) -> anyhow::Result<ExitCode> {
         Ok(())
     })?;
     progress.finish_and_clear();
+    args.frames.sum_up();
     Ok(match failed {
         true => ExitCode::FAILURE,
         false => ExitCode::SUCCESS,
@@ -164,7 +164,8 @@ impl Batch<'_> {
     }
 
     fn solve(&self, path: &Path) -> anyhow::Result<Record> {
-        let frame = fits::read_frame(path)?;
+        let size_px = self.camera.as_ref().map(DirectionCamera::size_px);
+        let frame = self.args.frames.read(path, size_px)?;
         if let Some(camera) = &self.camera {
             let size = camera.check(&frame);
             size.with_context(|| path.display().to_string())?;
@@ -204,6 +205,9 @@ impl Batch<'_> {
             return Ok(None);
         };
         let utc = self.args.at.or(frame.info.mid_exposure);
+        if utc.is_none() && frame.info.untimed.is_some() {
+            return Ok(None);
+        }
         let utc = utc.context("expected --at, or a time in the frame's header")?;
         Ok(Some(self.ephemeris.clone().moon(utc, place)?))
     }

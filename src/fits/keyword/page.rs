@@ -1,6 +1,6 @@
 //! The table of keywords as a page of markdown.
 
-use super::table::{GROUPS, HEROES};
+use super::table::{FOREIGN, GROUPS};
 use super::{Group, Kind, Use};
 use std::fmt::Write;
 
@@ -19,8 +19,8 @@ In sunpy, `sunpy.map.Map(file)` is all it takes. To turn north up it wants other
 `sunpy.map.Map(m.data.astype(float), m.meta).rotate()`.
 ";
 
-const HEROES_NOTE: &str = "
-Each is read where the keywords above do not tell the same. Their pictures stand in the extension `Raw Frame`, their
+const FOREIGN_NOTE: &str = "
+Each is read where the keywords above do not give the same. [What is read](read.md) has all forms of their values. The pictures of the HEROES flight stand in the extension `Raw Frame`, their
 keywords in the primary HDU. `CTL_AZIM` and `CTL_ELEV` are the answer in flight, which `solaspect refine` puts beside its own;
 both zero is no answer.
 ";
@@ -65,8 +65,8 @@ pub fn markdown() -> String {
          world coordinates.\n",
     );
     GROUPS.iter().for_each(|group| add(&mut page, group));
-    add(&mut page, &HEROES);
-    page.push_str(HEROES_NOTE);
+    FOREIGN.iter().for_each(|group| add(&mut page, group));
+    page.push_str(FOREIGN_NOTE);
     page.push_str(COORDINATES);
     page.push_str(TABLES);
     page.push_str(REMARKS);

@@ -46,12 +46,12 @@ const TIME: Group = Group {
         row("DATEREF", Time, "", Written, "zero of times counted in seconds"),
         row("MJDREF", Float, "d", Written, "DATEREF as Modified Julian Date"),
         row("DATE-OBS", Time, "", Both, "start of the exposure"),
-        row("MJD-OBS", Float, "d", Written, "DATE-OBS as Modified Julian Date"),
+        row("MJD-OBS", Float, "d", Both, "DATE-OBS as Modified Julian Date"),
         row("DATE-BEG", Time, "", Both, "start of the exposure"),
-        row("MJD-BEG", Float, "d", Written, "DATE-BEG as Modified Julian Date"),
+        row("MJD-BEG", Float, "d", Both, "DATE-BEG as Modified Julian Date"),
         row("DATE-AVG", Time, "", Both, "middle of the exposure"),
-        row("MJD-AVG", Float, "d", Written, "DATE-AVG as Modified Julian Date"),
-        row("DATE-END", Time, "", Written, "end of the exposure"),
+        row("MJD-AVG", Float, "d", Both, "DATE-AVG as Modified Julian Date"),
+        row("DATE-END", Time, "", Both, "end of the exposure"),
         row("MJD-END", Float, "d", Written, "DATE-END as Modified Julian Date"),
         row("EXPTIME", Float, "s", Both, "length of the exposure"),
         row("XPOSURE", Float, "s", Both, "length of the exposure"),
@@ -223,10 +223,11 @@ const SOLUTION: Group = Group {
     ],
 };
 
-/// What the files of the HEROES flight of 2013 say in other words; read where the keywords above do not stand, never
-/// written.
+/// What others say in other words; read where the keywords above do not stand, never written.
+pub const FOREIGN: &[Group] = &[HEROES, OTHERS];
+
 #[rustfmt::skip]
-pub const HEROES: Group = Group {
+const HEROES: Group = Group {
     title: "Files of the HEROES flight of 2013",
     keywords: &[
         row("RT_SEC", Integer, "s", Read, "start of the exposure, since 1970"),
@@ -239,5 +240,23 @@ pub const HEROES: Group = Group {
         row("GAIN_PRE", Float, "", Read, "pre-amplifier gain, camera's unit"),
         row("CTL_AZIM", Float, "deg", Read, "azimuth, pointing minus target"),
         row("CTL_ELEV", Float, "deg", Read, "elevation, pointing minus target"),
+    ],
+};
+
+#[rustfmt::skip]
+const OTHERS: Group = Group {
+    title: "Files of other programs",
+    keywords: &[
+        row("TIME-OBS", Text, "", Read, "time of day of a DATE-OBS without one"),
+        row("UTC-OBS", Text, "", Read, "the same"),
+        row("UT", Text, "", Read, "the same"),
+        row("JD", Float, "d", Read, "start of the exposure, Julian Date"),
+        row("EXPOSURE", Float, "s", Read, "length of the exposure"),
+        row("XORGSUBF", Integer, "pixel", Read, "column of the sensor at first pixel"),
+        row("YORGSUBF", Integer, "pixel", Read, "row of the sensor at first pixel"),
+        row("DETSEC", Text, "", Read, "section of the sensor, [x0:x1,y0:y1] from 1"),
+        row("CCDSEC", Text, "", Read, "the same"),
+        row("ROWORDER", Text, "", Read, "TOP-DOWN or BOTTOM-UP: what the first row is"),
+        row("BLANK", Integer, "", Read, "what a whole number is without a value"),
     ],
 };

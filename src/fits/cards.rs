@@ -1,0 +1,141 @@
+//! How a frame was taken, to keywords.
+
+use super::Card;
+use super::header::Value;
+use super::place::place_cards;
+use crate::clock::ClockStatus;
+use crate::frame::{Frame, FrameInfo};
+use jiff::Timestamp;
+
+/// The time as FITS writes it: no Z, microseconds, and nanoseconds where there are any.
+pub fn format_time(time: Timestamp) -> String {
+    let digits = if time.subsec_nanosecond() % 1000 == 0 {
+        6
+    } else {
+        9
+    };
+    let text = format!("{time:.digits$}");
+    text.trim_end_matches('Z').into()
+}
+
+/// The keywords that say how a frame was taken.
+pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
+    let info = &frame.info;
+    let mut cards = time_cards(info);
+    let mut add =
+        |keyword, value: Option<Value>| cards.extend(value.map(|v| Card::new(keyword, v)));
+    add("FRAMENUM", info.number.map(|n| Value::Integer(n as i64)));
+    add("MONOTIME", info.monotonic.map(|t| t.as_secs_f64().into()));
+    add(
+        "UTCSTEP",
+        info.utc_step.map(|step| step.as_secs_f64().into()),
+    );
+    add(
+        "CAMCLOCK",
+        info.camera_clock
+            .and_then(|t| i64::try_from(t.as_nanos()).ok())
+            .map(Value::Integer),
+    );
+    let corner = |along: fn((usize, usize)) -> usize| {
+        info.corner_px.map(|at| Value::Integer(along(at) as i64))
+    };
+    add("CORNER-X", corner(|(x, _)| x));
+    add("CORNER-Y", corner(|(_, y)| y));
+    add("CAMERA", info.camera.clone().map(Value::Text));
+    add("GAIN", info.analogue_gain.map(Value::Float));
+    add("PREAMP", info.preamp_gain.map(Value::Float));
+    add("CAMTEMP", info.camera_temperature_c.map(Value::Float));
+    let depth = u16::BITS - frame.saturation_dn().leading_zeros();
+    add("BITDEPTH", Some(Value::Integer(depth.into())));
+    add(
+        "SATURATE",
+        Some(Value::Integer(frame.saturation_dn().into())),
+    );
+    add("BTYPE", Some("Intensity".into()));
+    add("BUNIT", Some("adu".into()));
+    cards.extend(info.place.map(place_cards).unwrap_or_default());
+    cards
+}
+
+/// Each time stands twice, as a date and as a Modified Julian Date: what is missing readers of world coordinates add
+/// themselves, and say so.
+fn time_cards(info: &FrameInfo) -> Vec<Card> {
+    let (start, end) = (info.exposure_start(), info.exposure_end());
+    let mut cards = vec![Card::new("TIMESYS", "UTC")];
+    for (keyword, julian, time) in [
+        ("DATEREF", "MJDREF", start.or(info.mid_exposure)),
+        ("DATE-OBS", "MJD-OBS", start),
+        ("DATE-BEG", "MJD-BEG", start),
+        ("DATE-AVG", "MJD-AVG", info.mid_exposure),
+        ("DATE-END", "MJD-END", end),
+    ] {
+        if let Some(time) = time {
+            cards.push(Card::new(keyword, format_time(time)));
+            cards.push(Card::new(julian, modified_julian_date(time)));
+        }
+    }
+    if let Some(exposure) = info.exposure {
+        cards.push(Card::new("EXPTIME", exposure.as_secs_f64()));
+        cards.push(Card::new("XPOSURE", exposure.as_secs_f64()));
+    }
+    cards
+}
+
+/// The keywords that say how well the computer's clock was held, from which the frame's times come.
+pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
+    let mut cards = vec![
+        Card::new("CLKSYNC", clock.synchronised),
+        Card::new("CLKOFF", clock.offset_us * 1e-6),
+        Card::new("CLKERR", clock.max_error_us * 1e-6),
+    ];
+    cards.extend(clock.source.map(|source| Card::new("CLKSRC", source)));
+    cards
+}
+
+/// Days since 1858-11-17, to the microsecond.
+fn modified_julian_date(time: Timestamp) -> f64 {
+    const OF_UNIX_EPOCH: f64 = 40_587.0;
+    OF_UNIX_EPOCH + time.as_microsecond() as f64 / 86_400e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_clocks_keywords_are_in_seconds_and_tell_of_a_time_service_only_where_there_is_one() {
+        let mut clock = ClockStatus {
+            synchronised: true,
+            offset_us: -250.0,
+            max_error_us: 1500.0,
+            source: Some("chrony"),
+        };
+        let card = |keyword, value: Value| Card::new(keyword, value);
+        let held = [
+            card("CLKSYNC", true.into()),
+            card("CLKOFF", (-250e-6).into()),
+            card("CLKERR", 1500e-6.into()),
+            card("CLKSRC", "chrony".into()),
+        ];
+        assert_eq!(clock_cards(&clock), held);
+        clock.source = None;
+        assert_eq!(clock_cards(&clock), held[..3]);
+    }
+
+    #[test]
+    fn a_modified_julian_date_is_that_of_the_almanac() {
+        // 2000-01-01 12:00 is JD 2451545.0, and MJD = JD - 2400000.5.
+        let noon: Timestamp = "2000-01-01T12:00:00Z".parse().unwrap();
+        assert_eq!(modified_julian_date(noon), 51_544.5);
+    }
+
+    #[test]
+    fn a_time_is_written_without_z_to_the_microsecond_or_better() {
+        let time = |text: &str| format_time(text.parse().unwrap());
+        assert_eq!(time("2013-09-21T18:00:00Z"), "2013-09-21T18:00:00.000000");
+        assert_eq!(
+            time("2013-09-21T18:00:00.000000001Z"),
+            "2013-09-21T18:00:00.000000001"
+        );
+    }
+}

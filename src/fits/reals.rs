@@ -1,0 +1,183 @@
+//! Numbers that are no camera's whole ones, as the 16 bits that frames have: floating-point pixels, scaled ones, and negative or undefined
+//! values among whole ones.
+//!
+//! Whole numbers that fit into 16 bits stay as they are, but for an offset where some are negative. All others are scaled to the whole
+//! range, so that a step is far below their noise. A value is impossible where it is so far from the median that no camera could
+//! hold both: a range of 16 bits, in steps as large as the noise, and many times the range of nearly all pixels.
+
+use super::header::Header;
+use super::values::Values;
+use super::{Problem, saturation};
+use crate::estimation::median;
+use crate::frame::{Pixels, Warning};
+
+/// The largest number of a frame.
+const TOP: f32 = u16::MAX as f32;
+/// Of the pixels whose values and differences show spread and noise, one in so many.
+const SAMPLED: usize = 61;
+/// The part of the pixels below and above the spread of nearly all.
+const OUTSIDE: f64 = 0.01;
+/// So many times that spread is possible too: frames that are means of many have little noise.
+const SPREADS: f32 = 100.0;
+/// Where so many pixels have the largest value, it is that of saturation.
+const SATURATED_PIXELS: usize = 100;
+
+/// How pixels that are not plain whole numbers are stored (FITS 4.0, sections 4.4.2.5 and 7).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Coding {
+    /// BITPIX.
+    pub bits: i64,
+    pub scale: f64,
+    pub zero: f64,
+    /// What a whole number is that has no value.
+    pub blank: Option<i64>,
+}
+
+impl Coding {
+    /// Of an image's header; of a compressed one, `prefix` is Z.
+    pub fn read(header: &Header, prefix: &str) -> Result<Self, Problem> {
+        let blank = ["BLANK", "ZBLANK"].into_iter();
+        let mut blanks = blank.map(|keyword| header.integer(keyword).ok().flatten());
+        let field = format!("{prefix}BITPIX");
+        let bits = match header.integer(&field)? {
+            Some(bits @ (8 | 16 | 32 | 64 | -32 | -64)) => bits,
+            bits => {
+                let found = bits.map_or("nothing".into(), |bits| bits.to_string());
+                return Err(Problem::field(field, "8, 16, 32, 64, -32 or -64", found));
+            }
+        };
+        Ok(Self {
+            bits,
+            scale: header.number("BSCALE")?.unwrap_or(1.0),
+            zero: header.number("BZERO")?.unwrap_or(0.0),
+            blank: blanks.find_map(|blank| blank),
+        })
+    }
+
+    pub fn bytes(self) -> usize {
+        self.bits.unsigned_abs() as usize / 8
+    }
+
+    /// The value of a whole number as stored; not a number where it has none.
+    pub fn whole(self, number: i64) -> f32 {
+        match Some(number) == self.blank {
+            true => f32::NAN,
+            false => (self.zero + self.scale * number as f64) as f32,
+        }
+    }
+
+    /// The values of big-endian numbers as stored.
+    pub fn values(self, data: &[u8]) -> Vec<f32> {
+        let real = |number: f64| (self.zero + self.scale * number) as f32;
+        let numbers = data.chunks_exact(self.bytes());
+        let value = |bytes: &[u8]| match *bytes {
+            [a] => self.whole(a.into()),
+            [a, b] => self.whole(i16::from_be_bytes([a, b]).into()),
+            [a, b, c, d] if self.bits > 0 => self.whole(i32::from_be_bytes([a, b, c, d]).into()),
+            [a, b, c, d] => real(f32::from_be_bytes([a, b, c, d]).into()),
+            [a, b, c, d, e, f, g, h] if self.bits > 0 => {
+                self.whole(i64::from_be_bytes([a, b, c, d, e, f, g, h]))
+            }
+            [a, b, c, d, e, f, g, h] => real(f64::from_be_bytes([a, b, c, d, e, f, g, h])),
+            _ => f32::NAN,
+        };
+        numbers.map(value).collect()
+    }
+}
+
+/// Numbers as the pixels of a frame.
+pub(super) struct Digitised {
+    pub pixels: Pixels,
+    /// Which pixels have no value, or an impossible one.
+    pub unusable: Vec<bool>,
+    pub warnings: Vec<Warning>,
+    /// A pixel is its value less `zero`, over `step`.
+    zero: f32,
+    step: f32,
+    /// Where many pixels have the largest value.
+    saturation: Option<u16>,
+}
+
+impl Digitised {
+    /// The value at which pixels saturate, as SATURATE states it in the numbers' own unit; else as the pixels show it.
+    pub fn saturation_dn(&self, values: &mut Values) -> u16 {
+        if self.zero == 0.0 && self.step == 1.0 {
+            return saturation::saturation_dn(values, self.pixels.as_slice());
+        }
+        let dn = |value: f64| (value - f64::from(self.zero)) / f64::from(self.step);
+        let stated = values.number("SATURATE").map(dn);
+        let stated = stated.filter(|dn| *dn >= 1.0);
+        let stated = stated.map(|dn| dn.min(TOP.into()) as u16);
+        stated.or(self.saturation).unwrap_or(u16::MAX)
+    }
+}
+
+/// Turns values into pixels; `bits` as BITPIX states them. `None` where no pixel has a value.
+pub(super) fn digitise(values: &[f32], bits: i64) -> Option<Digitised> {
+    let (low, high) = range(values)?;
+    let is_possible = |value: f32| value.is_finite() && (low..=high).contains(&value);
+    let possible = || values.iter().copied().filter(|value| is_possible(*value));
+    let least = possible().fold(f32::INFINITY, f32::min);
+    let most = possible().fold(f32::NEG_INFINITY, f32::max);
+    let is_whole = possible().all(|value| value.fract() == 0.0) && most - least.min(0.0) <= TOP;
+    let (zero, step) = match is_whole {
+        true => (least.min(0.0), 1.0),
+        false => (least, ((most - least) / TOP).max(f32::MIN_POSITIVE)),
+    };
+    let unusable: Vec<bool> = values.iter().map(|value| !is_possible(*value)).collect();
+    let dn = |value: &f32| match is_possible(*value) {
+        true => ((value - zero) / step).round() as u16,
+        false => 0,
+    };
+    let pixels: Vec<u16> = values.iter().map(dn).collect();
+    let top = ((most - zero) / step).round() as u16;
+    let at_top = pixels.iter().filter(|dn| **dn == top).count();
+    let mut warnings = Vec::new();
+    if !is_whole {
+        let expected = "whole numbers of at most 16 bit";
+        let found = format!("{least} to {most}, scaled to 16 bit");
+        warnings.push(Warning::new("pixels", expected, found));
+    } else if zero < 0.0 {
+        let found = format!("{zero}; {} was added to all", -zero);
+        warnings.push(Warning::new("pixels", "numbers from 0", found));
+    }
+    let masked = unusable.iter().filter(|unusable| **unusable).count();
+    if masked > 0 {
+        let found = format!("{masked} without one, or with an impossible one, masked");
+        warnings.push(Warning::new("pixels", "a value in each", found));
+    }
+    Some(Digitised {
+        pixels: match bits == 8 && is_whole && most <= 255.0 && zero == 0.0 {
+            true => Pixels::U8(pixels.iter().map(|dn| *dn as u8).collect()),
+            false => Pixels::U16(pixels),
+        },
+        unusable,
+        warnings,
+        zero,
+        step,
+        saturation: (!is_whole && at_top >= SATURATED_PIXELS).then_some(top),
+    })
+}
+
+/// The least and the largest value that are possible; `None` where there is no value.
+fn range(values: &[f32]) -> Option<(f32, f32)> {
+    let finite = |value: &f32| value.is_finite().then_some(*value);
+    let mut sample: Vec<f32> = values.iter().step_by(SAMPLED).filter_map(finite).collect();
+    if sample.is_empty() {
+        sample = values.iter().filter_map(finite).collect();
+    }
+    sample.sort_by(f32::total_cmp);
+    let last = sample.len().checked_sub(1)?;
+    let outside = (OUTSIDE * last as f64) as usize;
+    let (low, middle, high) = (sample[outside], sample[last / 2], sample[last - outside]);
+    let differences = values.windows(2).step_by(SAMPLED).filter_map(|pair| {
+        let difference = f64::from((pair[1] - pair[0]).abs());
+        (difference.is_finite() && difference > 0.0).then_some(difference)
+    });
+    let noise = median(differences).unwrap_or(0.0) as f32;
+    let reach = (TOP * noise).max(SPREADS * (high - low));
+    match reach > 0.0 {
+        true => Some((middle - reach, middle + reach)),
+        false => Some((f32::MIN, f32::MAX)),
+    }
+}
