@@ -1,6 +1,6 @@
 //! A FITS file in memory, from which several things are read.
 
-use super::read::Size;
+use super::choice::Size;
 use super::structure::{Hdu, scan};
 use super::{Checksums, FileError, Header, Problem, Table, checked_fits, gunzipped, read_bytes};
 use super::{checksum, read, table};

@@ -5,8 +5,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// Endings of the files that are taken for frames.
-pub const FRAME_ENDINGS: [&str; 8] = [
-    ".fits", ".fit", ".fts", ".fits.gz", ".fits.fz", ".png", ".tif", ".tiff",
+pub const FRAME_ENDINGS: [&str; 10] = [
+    ".fits", ".fit", ".fts", ".fits.gz", ".fits.fz", ".png", ".tif", ".tiff", ".jpg", ".jpeg",
 ];
 
 /// What a folder holds that concerns frames, each sorted; what begins with a dot does not.

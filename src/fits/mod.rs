@@ -12,6 +12,7 @@
 
 mod cards;
 mod checksum;
+mod choice;
 mod compressed;
 mod error;
 mod file;
@@ -32,6 +33,8 @@ mod saturation;
 mod section;
 mod structure;
 mod table;
+mod tiffs;
+mod tile_table;
 mod times;
 mod unit;
 mod values;

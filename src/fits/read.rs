@@ -1,13 +1,14 @@
 //! A FITS file's first picture as a frame.
 
+use super::choice::{Chosen, Size, checked_size, choose};
 use super::compressed::Tiles;
 use super::header::Header;
 use super::info::read_info;
 use super::reals::{Coding, Digitised, digitise};
 use super::section::Section;
-use super::structure::{Content, Hdu, MAX_SIDE};
+use super::structure::{Content, Hdu};
 use super::values::Values;
-use super::{MAX_PIXELS, Problem, checksum, saturation};
+use super::{Problem, checksum, saturation};
 use crate::frame::{Frame, FrameError, FrameInfo, Pixels, RowSource, Warning};
 use multiversion::multiversion;
 use std::ops::RangeInclusive;
@@ -23,9 +24,6 @@ enum PixelType {
     I16,
 }
 
-/// A width and a height, px.
-pub(super) type Size = [usize; 2];
-
 /// Reads the image of the wanted size, else the first one, in the primary HDU or an extension.
 pub(super) fn read_fits(
     bytes: &[u8],
@@ -36,7 +34,7 @@ pub(super) fn read_fits(
 }
 
 /// As [`read_fits`], but rows are decoded when they are first read, where each is a tile of its own, the sum of all was checked, and
-/// the saturation is stated. Then what a row's damage is will stand in the second value.
+/// this program stated the saturation. Then what a row's damage is will stand in the second value.
 pub(super) fn read_on_demand(
     bytes: Vec<u8>,
     hdus: &[Hdu],
@@ -45,7 +43,7 @@ pub(super) fn read_on_demand(
     let damage = Damage::default();
     let mut image = Image::find(&bytes, hdus, wanted)?;
     let (mut info, section) = image.info();
-    let is_checked = image.hdu.header.contains("DATASUM");
+    let is_checked = image.hdu.header.contains("DATASUM") && saturation::is_own(&image.header);
     let dark = match image.plain {
         Some(PixelType::U8) => Some(Pixels::U8(vec![0; image.width])),
         Some(PixelType::U16) => Some(Pixels::U16(vec![0; image.width])),
@@ -252,103 +250,6 @@ pub(super) fn read_headers(
     info.warnings = values.warnings;
     info.warnings.extend(chosen.left_out);
     Ok((info, chosen.header))
-}
-
-/// An HDU's picture, or the first of several in it.
-struct Shape {
-    size: Size,
-    planes: usize,
-}
-
-impl Shape {
-    /// Axes of length one do not count. `None` of what is no picture.
-    fn of(hdu: &Hdu) -> Option<Self> {
-        let prefix = match hdu.content() {
-            Content::Image => "",
-            Content::CompressedImage => "Z",
-            Content::Other => return None,
-        };
-        let whole = |keyword: String| hdu.header.integer(&keyword).ok().flatten();
-        let axes = whole(format!("{prefix}NAXIS"))?;
-        let sides = (1..=axes.min(999)).map(|n| whole(format!("{prefix}NAXIS{n}")));
-        let sides: Vec<usize> = sides
-            .map(|side| usize::try_from(side?).ok())
-            .collect::<Option<_>>()?;
-        let counting = sides.iter().copied().filter(|side| *side != 1);
-        let counting: Vec<usize> = counting.collect();
-        match (counting.as_slice(), sides.as_slice()) {
-            ([width, height, planes @ ..], _) | ([_] | [], [width, height, planes @ ..]) => {
-                Some(Self {
-                    size: [*width, *height],
-                    planes: planes.iter().fold(1, |all, n| all.saturating_mul(*n)),
-                })
-            }
-            _ => None,
-        }
-    }
-}
-
-/// The picture that is read.
-struct Chosen<'a> {
-    hdu: &'a Hdu,
-    /// Its keywords over those of the primary HDU.
-    header: Header,
-    shape: Shape,
-    left_out: Option<Warning>,
-}
-
-/// The first picture of the wanted size, else the first.
-fn choose(hdus: &[Hdu], wanted: Option<Size>) -> Result<Chosen<'_>, Problem> {
-    let first = hdus.first().map(|hdu| &hdu.header);
-    if first.and_then(|header| header.get("SIMPLE")) != Some(&true.into()) {
-        return Err(Problem::field("SIMPLE", "T", "something else"));
-    }
-    let shapes = hdus.iter().map(Shape::of).enumerate();
-    let mut pictures: Vec<(usize, Shape)> =
-        shapes.filter_map(|(n, shape)| Some((n, shape?))).collect();
-    let all: usize = pictures
-        .iter()
-        .fold(0, |all, (_, shape)| shape.planes.saturating_add(all));
-    if pictures.is_empty() {
-        let is_image = |hdu: &&Hdu| hdu.content() != Content::Other;
-        return Err(match hdus.iter().find(is_image) {
-            Some(_) => Problem::field("NAXIS", "an image with 2 axes or more", "others"),
-            None => Problem::content("an image in a FITS file", "none in any of its HDUs"),
-        });
-    }
-    let is_wanted = |(_, shape): &(usize, Shape)| Some(shape.size) == wanted;
-    let (n, shape) = pictures.swap_remove(pictures.iter().position(is_wanted).unwrap_or(0));
-    let [width, height] = shape.size;
-    let left_out = (all > 1).then(|| {
-        let found = format!("{all}; read the first of {width} x {height} pixels, in HDU {n}");
-        Warning::new("file", "one picture", found)
-    });
-    Ok(Chosen {
-        hdu: &hdus[n],
-        header: hdus[n].header.over(&hdus[0].header),
-        shape,
-        left_out,
-    })
-}
-
-fn checked_size(shape: &Shape, prefix: &str) -> Result<Size, Problem> {
-    let [width, height] = shape.size;
-    for (n, side) in [(1, width), (2, height)] {
-        if !(1..=MAX_SIDE as usize).contains(&side) {
-            let expected = format!("a whole number from 1 to {MAX_SIDE}");
-            return Err(Problem::field(format!("{prefix}NAXIS{n}"), expected, side));
-        }
-    }
-    if (width * height) as u64 > MAX_PIXELS {
-        let field = format!("{prefix}NAXISn");
-        let expected = format!("at most {MAX_PIXELS} pixels");
-        return Err(Problem::field(
-            field,
-            expected,
-            format!("{width} x {height}"),
-        ));
-    }
-    Ok(shape.size)
 }
 
 impl PixelType {

@@ -181,3 +181,9 @@ fn range(values: &[f32]) -> Option<(f32, f32)> {
         false => Some((f32::MIN, f32::MAX)),
     }
 }
+
+/// That a picture's luminance is read.
+pub(super) fn luminance_warning(kind: &str) -> Warning {
+    let found = format!("{kind}: its luminance, which is seldom proportional to light");
+    Warning::new("picture", "greyscale of 8 or 16 bit", found)
+}

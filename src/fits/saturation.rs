@@ -1,5 +1,6 @@
 //! The value at which a frame's pixels saturate.
 
+use super::header::Header;
 use super::values::Values;
 use crate::frame::{PixelSlice, Warning};
 
@@ -19,7 +20,7 @@ pub(super) fn saturation_dn(values: &mut Values, pixels: PixelSlice<'_>) -> u16 
     let exceed = |most: u32| u32::from(pixels.bits_set()) > most;
     if let Some(level) = stated(values, pixels) {
         let most = (CONTRADICTED * u32::from(level)).next_power_of_two();
-        if most >= full(pixels).into() || !exceed(most) {
+        if most >= full(pixels).into() || is_own(values.header) || !exceed(most) {
             return level;
         }
         contradicts(values, "SATURATE", format!("{level} DN"), pixels);
@@ -31,6 +32,12 @@ pub(super) fn saturation_dn(values: &mut Values, pixels: PixelSlice<'_>) -> u16 
         contradicts(values, "BITDEPTH", format!("{bits} bit"), pixels);
     }
     pixels.assumed_saturation_dn()
+}
+
+/// Whether this program wrote the file: then what it states holds, and rows that are decoded one by one need not be compared with it.
+pub(super) fn is_own(header: &Header) -> bool {
+    let creator = header.text("CREATOR").ok().flatten();
+    creator.is_some_and(|creator| creator.starts_with(env!("CARGO_PKG_NAME")))
 }
 
 fn full(pixels: PixelSlice<'_>) -> u16 {

@@ -233,7 +233,14 @@ fn compressed_floats_have_the_values_that_cfitsio_reads() {
         write_by_cfitsio(&path, &values, SIDES, compression, dither, quantise);
         let expected = read_by_cfitsio(&path);
         let frame = solaspect::fits::read_frame(&path).unwrap();
-        let finite = || expected.iter().copied().filter(|value| value.is_finite());
+        // What cfitsio gives for a pixel without a value is no value either.
+        let has_value = |n: usize| !(1000..1010).contains(&n);
+        let finite = || {
+            let values = expected.iter().copied().enumerate();
+            values
+                .filter(|(n, _)| has_value(*n))
+                .map(|(_, value)| value)
+        };
         let (least, most) = (
             finite().fold(f32::INFINITY, f32::min),
             finite().fold(f32::NEG_INFINITY, f32::max),
@@ -242,7 +249,7 @@ fn compressed_floats_have_the_values_that_cfitsio_reads() {
         let mut masked = 0;
         for (n, value) in expected.iter().enumerate() {
             let (x, y) = (n % SIDES[0], n / SIDES[0]);
-            if !value.is_finite() {
+            if !has_value(n) {
                 masked += 1;
                 assert!(frame.unusable(y, x, x + 1).unwrap()[0], "{what}: pixel {n}");
                 continue;

@@ -192,3 +192,47 @@ fn of_the_pages_of_a_tiff_the_one_of_the_sensors_size_is_read() {
         assert_eq!(warning.expected, "one picture");
     }
 }
+
+#[test]
+fn a_tiff_of_other_numbers_gives_the_sun() {
+    let (width, height) = (SIZE[0] as u32, SIZE[1] as u32);
+    let tiff = |write: &dyn Fn(&mut TiffEncoder<&mut Cursor<Vec<u8>>>)| {
+        let mut bytes = Cursor::new(Vec::new());
+        write(&mut TiffEncoder::new(&mut bytes).unwrap());
+        read(&bytes.into_inner(), "picture.tif")
+    };
+    let floats: Vec<f32> = PIXELS.iter().map(|dn| f32::from(*dn) / 7.0).collect();
+    let frame = tiff(&|encoder| {
+        encoder
+            .write_image::<colortype::Gray32Float>(width, height, &floats)
+            .unwrap()
+    });
+    assert_solved(&frame, "32 bit floating-point");
+    let whole: Vec<i32> = PIXELS.iter().map(|dn| i32::from(*dn) - 7).collect();
+    let frame = tiff(&|encoder| {
+        encoder
+            .write_image::<colortype::GrayI32>(width, height, &whole)
+            .unwrap()
+    });
+    assert_solved(&frame, "32 bit with a sign");
+    let frame = tiff(&|encoder| {
+        let mut image = encoder
+            .new_image::<colortype::Gray8>(width, height)
+            .unwrap();
+        let greys: Vec<u16> = (0..=255).map(|dn| 257 * dn).collect();
+        image
+            .encoder()
+            .write_tag(Tag::PhotometricInterpretation, 3_u16)
+            .unwrap();
+        image
+            .encoder()
+            .write_tag(
+                Tag::ColorMap,
+                [&greys[..], &greys, &greys].concat().as_slice(),
+            )
+            .unwrap();
+        image.write_data(&PIXELS).unwrap();
+    });
+    assert_eq!(*frame.pixels(), Pixels::U8(PIXELS.clone()));
+    assert_eq!(fields(&frame.info.warnings), ["picture"]);
+}
