@@ -57,7 +57,8 @@
 //! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | [`log`] | the log on standard error, which blocks no thread |
 //! | `kernels` | vectorised loops over pixels |
-//! | [`geometry`], [`estimation`], [`frame`], [`clock`] | mappings between sensor and plate, direction cameras, attitudes; robust scale, least squares and Kalman filter; a picture and the data on how it was taken; state of the clock |
+//! | [`clock`] | times as other programs write them, to UTC; state of the computer's clock |
+//! | [`geometry`], [`estimation`], [`frame`] | mappings between sensor and plate, direction cameras, attitudes; robust scale, least squares and Kalman filter; a picture and the data on how it was taken |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |

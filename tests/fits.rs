@@ -756,8 +756,13 @@ mod bad_files {
             ),
             (
                 "ZBITPIX",
+                "ZBITPIX = 12",
+                ["ZBITPIX: expected 8, 16, 32, 64, -32 or -64", "found 12"],
+            ),
+            (
+                "ZBITPIX",
                 "ZBITPIX = -32",
-                ["ZBITPIX: expected 8 or 16", "-32"],
+                ["tile 1: expected a whole stream", "damaged bytes"],
             ),
             (
                 "ZCMPTYPE",

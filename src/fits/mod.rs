@@ -47,6 +47,7 @@ pub use file::FitsFile;
 pub use header::{Card, Header, Value};
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use pack::{Compression, Packing};
+pub use reals::frame_of_values;
 pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame};
 
 use crate::frame::{Frame, FrameInfo};

@@ -189,8 +189,7 @@ impl<'a> Image<'a> {
                     .values(&bytes[self.hdu.data_bytes.clone()][..plane])
             }
         };
-        let digitised = digitise(&values, self.coding.bits);
-        digitised.ok_or_else(|| Problem::field("pixels", "some pixel with a value", "none"))
+        digitise(&values, self.coding.bits)
     }
 }
 

@@ -9,7 +9,7 @@ use super::header::Header;
 use super::values::Values;
 use super::{Problem, saturation};
 use crate::estimation::median;
-use crate::frame::{Pixels, Warning};
+use crate::frame::{Frame, FrameInfo, Pixels, Warning};
 
 /// The largest number of a frame.
 const TOP: f32 = u16::MAX as f32;
@@ -104,17 +104,51 @@ impl Digitised {
         if self.zero == 0.0 && self.step == 1.0 {
             return saturation::saturation_dn(values, self.pixels.as_slice());
         }
-        let dn = |value: f64| (value - f64::from(self.zero)) / f64::from(self.step);
-        let stated = values.number("SATURATE").map(dn);
-        let stated = stated.filter(|dn| *dn >= 1.0);
-        let stated = stated.map(|dn| dn.min(TOP.into()) as u16);
-        stated.or(self.saturation).unwrap_or(u16::MAX)
+        let stated = values.number("SATURATE");
+        self.dn(stated).or(self.saturation).unwrap_or(u16::MAX)
+    }
+
+    /// The number of a pixel that has this value; none of one below the least.
+    fn dn(&self, value: Option<f64>) -> Option<u16> {
+        let dn = (value? - f64::from(self.zero)) / f64::from(self.step);
+        (dn >= 1.0).then_some(dn.min(TOP.into()) as u16)
     }
 }
 
-/// Turns values into pixels; `bits` as BITPIX states them. `None` where no pixel has a value.
-pub(super) fn digitise(values: &[f32], bits: i64) -> Option<Digitised> {
-    let (low, high) = range(values)?;
+/// A frame of values in the order of its pixels, whatever they are: as whole numbers of 16 bit, scaled where need be. `bits` is as BITPIX
+/// states it, and they saturate at `saturation` in their own unit.
+///
+/// # Errors
+/// No pixel has a value, or there are not `width` x `height` values.
+pub fn frame_of_values(
+    values: &[f32],
+    bits: i64,
+    [width, height]: [usize; 2],
+    saturation: Option<f64>,
+    info: FrameInfo,
+) -> Result<Frame, Problem> {
+    let mut digitised = digitise(values, bits)?;
+    let mut warnings = info.warnings;
+    warnings.append(&mut digitised.warnings);
+    let by_pixels = || {
+        digitised
+            .saturation
+            .unwrap_or(digitised.pixels.as_slice().assumed_saturation_dn())
+    };
+    let saturation = digitised.dn(saturation).unwrap_or_else(by_pixels);
+    let info = FrameInfo { warnings, ..info };
+    let frame = Frame::new(width, height, digitised.pixels, saturation, info);
+    let frame = frame.map_err(|error| Problem::content("a frame", error.to_string()))?;
+    Ok(frame.with_unusable(digitised.unusable))
+}
+
+/// Turns values into pixels; `bits` as BITPIX states them.
+///
+/// # Errors
+/// No pixel has a value.
+pub(super) fn digitise(values: &[f32], bits: i64) -> Result<Digitised, Problem> {
+    let none = || Problem::field("pixels", "some pixel with a value", "none");
+    let (low, high) = range(values).ok_or_else(none)?;
     let is_possible = |value: f32| value.is_finite() && (low..=high).contains(&value);
     let possible = || values.iter().copied().filter(|value| is_possible(*value));
     let least = possible().fold(f32::INFINITY, f32::min);
@@ -146,7 +180,7 @@ pub(super) fn digitise(values: &[f32], bits: i64) -> Option<Digitised> {
         let found = format!("{masked} without one, or with an impossible one, masked");
         warnings.push(Warning::new("pixels", "a value in each", found));
     }
-    Some(Digitised {
+    Ok(Digitised {
         pixels: match bits == 8 && is_whole && most <= 255.0 && zero == 0.0 {
             true => Pixels::U8(pixels.iter().map(|dn| *dn as u8).collect()),
             false => Pixels::U16(pixels),

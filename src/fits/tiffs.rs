@@ -2,10 +2,7 @@
 
 use super::Problem;
 use super::choice::Size;
-use super::header::Header;
-use super::read::refused;
-use super::reals::{digitise, luminance_warning};
-use super::values::Values;
+use super::reals::{frame_of_values, luminance_warning};
 use crate::frame::{Frame, FrameInfo, Warning};
 use std::io::Cursor;
 use tiff::decoder::{Decoder, DecodingResult};
@@ -102,23 +99,16 @@ impl Numbers {
     }
 
     /// The numbers as a frame.
-    pub fn frame(self, mut warnings: Vec<Warning>) -> Result<Frame, Problem> {
+    pub fn frame(self, warnings: Vec<Warning>) -> Result<Frame, Problem> {
         if self.orientation != 1 {
             let expected = "1 beside numbers that are not of 8 or 16 bit";
             return Err(Problem::field("Orientation", expected, self.orientation));
         }
-        let digitised = digitise(&self.values, self.bits);
-        let none = || Problem::field("pixels", "some pixel with a value", "none");
-        let mut digitised = digitised.ok_or_else(none)?;
-        warnings.append(&mut digitised.warnings);
-        let saturation = digitised.saturation_dn(&mut Values::of(&Header::default()));
         let info = FrameInfo {
             warnings,
             ..FrameInfo::default()
         };
-        let [width, height] = self.size;
-        let frame = Frame::new(width, height, digitised.pixels, saturation, info);
-        Ok(frame.map_err(refused)?.with_unusable(digitised.unusable))
+        frame_of_values(&self.values, self.bits, self.size, None, info)
     }
 }
 

@@ -18,8 +18,9 @@ fn encoded(picture: &DynamicImage, format: image::ImageFormat) -> Vec<u8> {
 
 #[test]
 fn colour_alpha_and_deep_pictures_are_read_as_luminance() {
+    let grey = grey();
     let rgb = RgbImage::from_fn(SIZE[0] as u32, SIZE[1] as u32, |x, y| {
-        Rgb([grey()[(x, y)].0[0]; 3])
+        Rgb([grey[(x, y)].0[0]; 3])
     });
     let rgb = DynamicImage::from(rgb);
     let rgba: RgbaImage = rgb.to_rgba8();
