@@ -1,6 +1,7 @@
 //! `solaspect link` from a shell: it sends, reads and records.
 
 use solaspect::config::Config;
+use solaspect::link::byte_log;
 use solaspect::link::{
     BytePort, Computer, Direction, LinkState, Packet, Parser, Responder, SerialPort,
 };
@@ -135,10 +136,15 @@ fn real_packets_are_decoded_from_the_command_line_and_from_files() {
         format!("# a record\n1379786400.5 {hex}\n1379786401.0 00{hex}\n"),
     )
     .unwrap();
-    for command in ["decode", "log"] {
+    // To decode means to judge every byte; a record is read as far as it can be.
+    for (command, code) in [("decode", 1), ("log", 0)] {
         let output = link(&[command, log.to_str().unwrap()]);
         let said = text(&output.stdout);
-        assert_eq!(output.status.code(), Some(1), "a byte belongs to no packet");
+        assert_eq!(
+            output.status.code(),
+            Some(code),
+            "a byte belongs to no packet"
+        );
         assert!(
             said.starts_with("2013-09-21T18:00:00.500000Z to 01 seq 4"),
             "{said}"
@@ -194,4 +200,89 @@ fn a_line_is_recorded_and_the_record_is_read() {
     let output = link(&["log", log.to_str().unwrap(), "--from", "aspect"]);
     let said = text(&output.stdout);
     assert!(said.contains("no solution, error 8"), "{said}");
+}
+
+/// A record of 20 packets, one a line, with its lines damaged.
+fn damaged(damage: impl Fn(&mut Vec<Vec<u8>>)) -> Vec<u8> {
+    let bytes = PACKETS
+        .lines()
+        .find(|line| line.starts_with("solution"))
+        .and_then(|line| line.rsplit_once(' '))
+        .unwrap();
+    let line = |n: usize| format!("{}.{:09} {}", 1_379_786_400 + n, n + 1, bytes.1).into_bytes();
+    let mut lines: Vec<Vec<u8>> = (0..20).map(line).collect();
+    damage(&mut lines);
+    [byte_log::HEADER.as_bytes(), b"\n", &lines.join(&b'\n')].concat()
+}
+
+/// A way to damage the lines of a record, the packets that are left, and what the warning says.
+type Damage = (fn(&mut Vec<Vec<u8>>), usize, &'static str);
+
+#[test]
+fn a_damaged_record_is_read_but_for_its_bad_lines() {
+    let damages: [Damage; 6] = [
+        (
+            |lines| lines.push(vec![0; 4096]),
+            20,
+            "1 with zero bytes; the first is line 22: expected UTC seconds",
+        ),
+        (
+            |lines| lines[7] = vec![0; 200],
+            19,
+            "1 with zero bytes; the first is line 9",
+        ),
+        (
+            |lines| lines[7].truncate(40),
+            19,
+            "1 cut or malformed; the first is line 9",
+        ),
+        (
+            |lines| lines[7] = b"\xff\xfe\xfd".to_vec(),
+            19,
+            "1 not UTF-8; the first is line 9",
+        ),
+        (
+            |lines| lines.insert(7, lines[6].clone()),
+            20,
+            "1 repeated; the first is line 9",
+        ),
+        (
+            |lines| lines.extend(lines.clone()),
+            20,
+            "20 repeated; the first is line 22",
+        ),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("line.log");
+    for (damage, packets, warning) in damages {
+        std::fs::write(&log, damaged(damage)).unwrap();
+        for command in ["log", "decode"] {
+            let output = link(&[command, log.to_str().unwrap()]);
+            let (said, warned) = (text(&output.stdout), text(&output.stderr));
+            assert_eq!(said.matches("solution azimuth").count(), packets, "{said}");
+            assert_eq!(warned.lines().count(), 1, "{warned}");
+            assert!(
+                warned.contains("line.log") && warned.contains(warning),
+                "{warned}"
+            );
+            assert!(command == "decode" || output.status.success());
+        }
+    }
+}
+
+#[test]
+fn a_file_of_which_nothing_can_be_read_is_no_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("line.log");
+    for (bytes, found) in [
+        (&b""[..], "found an empty file"),
+        (&[0; 4096], "found 4096 zero bytes"),
+        (b"frame,utc\n1,2013\n", "found \"frame,utc\""),
+    ] {
+        std::fs::write(&log, bytes).unwrap();
+        let output = link(&["log", log.to_str().unwrap()]);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1));
+        assert!(said.contains("line.log") && said.contains(found), "{said}");
+    }
 }

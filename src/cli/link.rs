@@ -2,7 +2,7 @@
 
 use super::options;
 use super::output::say;
-use crate::link::byte_log::{self, Burst};
+use crate::link::byte_log::{self, Burst, Contents};
 use crate::link::describe::{describe, from_hex, message_in_words, result_in_words};
 use crate::link::ground::{ask, ask_for_moon, order};
 use crate::link::port::BAUD;
@@ -89,6 +89,8 @@ struct SendArgs {
 }
 
 /// Decode packets: every message, unknown packets, and why bytes were rejected
+///
+/// Exit code 1: some bytes are no packets.
 #[derive(Debug, Args)]
 struct DecodeArgs {
     /// Bytes in hexadecimal, or a file of them, or of a byte log, or of raw bytes
@@ -99,6 +101,8 @@ struct DecodeArgs {
 }
 
 /// Record the bytes of a line, or decode a record
+///
+/// Bad lines of a record are skipped, with one warning. Exit code 1: nothing of it could be read.
 #[derive(Debug, Args)]
 struct LogArgs {
     /// A record to read
@@ -201,7 +205,7 @@ fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
 
 fn decode(args: &DecodeArgs) -> anyhow::Result<ExitCode> {
     if let Some(bytes) = from_hex(&args.bytes) {
-        return print(&[at_once(bytes)], args.from, false);
+        return Ok(all(&print(&[at_once(bytes)], args.from, false)?));
     }
     let path = Path::new(&args.bytes);
     let bytes = std::fs::read(path).with_context(|| {
@@ -210,13 +214,22 @@ fn decode(args: &DecodeArgs) -> anyhow::Result<ExitCode> {
             args.bytes
         )
     })?;
-    let Ok(text) = str::from_utf8(&bytes) else {
-        return print(&[at_once(bytes)], args.from, false);
-    };
-    match from_hex(text) {
-        Some(bytes) => print(&[at_once(bytes)], args.from, false),
-        None => print(&read_log(path, text)?, args.from, true),
+    let text = str::from_utf8(&bytes);
+    if let Some(bytes) = text.ok().and_then(from_hex) {
+        return Ok(all(&print(&[at_once(bytes)], args.from, false)?));
     }
+    let found = match (read_log(path, &bytes), text) {
+        (Ok(bursts), Ok(_)) => print(&bursts, args.from, true)?,
+        (Ok(bursts), Err(_)) if !bursts.is_empty() => print(&bursts, args.from, true)?,
+        (_, Err(_)) => print(&[at_once(bytes)], args.from, false)?,
+        (Err(error), Ok(_)) => return Err(error),
+    };
+    Ok(all(&found))
+}
+
+/// Exit code 1 where some bytes are no packets.
+fn all(found: &Contents) -> ExitCode {
+    ExitCode::from(u8::from(found.rejected.bytes > 0))
 }
 
 fn at_once(bytes: Vec<u8>) -> Burst {
@@ -224,14 +237,23 @@ fn at_once(bytes: Vec<u8>) -> Burst {
     Burst { time, bytes }
 }
 
-fn read_log(path: &Path, text: &str) -> anyhow::Result<Vec<Burst>> {
-    byte_log::read(text).with_context(|| path.display().to_string())
+/// What is good of a log, with one warning of the lines that are not.
+fn read_log(path: &Path, bytes: &[u8]) -> anyhow::Result<Vec<Burst>> {
+    let (bursts, reader) = byte_log::read(bytes);
+    reader.check().with_context(|| path.display().to_string())?;
+    let skipped = reader.skipped();
+    if skipped.total() > 0 {
+        tracing::warn!("{}: {skipped}", path.display());
+    }
+    Ok(bursts)
 }
 
 fn log(args: &LogArgs) -> anyhow::Result<ExitCode> {
     if let Some(path) = &args.file {
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        return print(&read_log(path, &text)?, args.from, true);
+        let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+        let found = print(&read_log(path, &bytes)?, args.from, true)?;
+        let has_none = found.packets.is_empty() && found.rejected.bytes > 0;
+        return Ok(ExitCode::from(u8::from(has_none)));
     }
     let Some(address) = &args.port else {
         anyhow::bail!("expected a FILE or --port");
@@ -269,8 +291,8 @@ fn record(
     Ok(())
 }
 
-/// Says what the bytes say; exit code 1 where some of them are no packets.
-fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result<ExitCode> {
+/// Says what the bytes say.
+fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result<Contents> {
     let likely = || byte_log::likely_direction(bursts);
     let direction = from.map_or_else(likely, Speaker::direction);
     let found = byte_log::packets(bursts, direction);
@@ -292,8 +314,5 @@ fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result
         counted(rejected.packets, "packet"),
         counted(rejected.bytes, "byte"),
     )?;
-    Ok(match rejected.bytes {
-        0 => ExitCode::SUCCESS,
-        _ => ExitCode::FAILURE,
-    })
+    Ok(found)
 }

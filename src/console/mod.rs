@@ -9,7 +9,7 @@
 //!
 //! | thread | started by | what it does | what it waits for |
 //! |---|---|---|---|
-//! | `console-source` | [`Running::start`] | reads the line, sends commands; or reads the archive, and reads on | the line, 20 ms |
+//! | `console-source` | [`Running::start`] | reads the line, sends commands; or reads an archive or a recording, and reads on | the line, 20 ms |
 //! | `console-web` | [`Running::start`] | answers all requests, as tasks of one runtime | the network |
 //! | up to four of the runtime's | a drawing | draws and reads files | nothing |
 //!
@@ -31,6 +31,7 @@ mod pages;
 mod pictures;
 mod plots;
 mod receive;
+mod record;
 mod request;
 pub mod rules;
 mod server;
@@ -53,11 +54,10 @@ use access::Access;
 use anyhow::{Context, ensure};
 use history::History;
 use orders::Orders;
-use receive::{Line, follow, open_record, recording, take_record};
+use receive::{Line, follow, recording};
+use record::Record;
 use request::{Console, Parts};
 use shared::Shared;
-use std::fs::File;
-use std::io::BufReader;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -171,7 +171,7 @@ impl Running {
 enum Reader {
     Line(Box<Line>),
     Archive(Follower),
-    Record(BufReader<File>),
+    Record(Box<Record>),
 }
 
 impl Reader {
@@ -179,12 +179,7 @@ impl Reader {
         match self {
             Self::Line(line) => line.run(shared),
             Self::Archive(archive) => follow(archive, shared),
-            Self::Record(file) => {
-                take_record(file, shared);
-                while !shared.is_over() {
-                    thread::sleep(Duration::from_millis(100));
-                }
-            }
+            Self::Record(record) => record.follow(shared),
         }
     }
 }
@@ -204,8 +199,8 @@ fn reader(
             return Ok(Reader::Archive(Follower::of_flight(folder)));
         }
         Source::Record(file) => {
-            let record = open_record(file).with_context(|| file.display().to_string())?;
-            return Ok(Reader::Record(record));
+            let record = Record::open(file).with_context(|| file.display().to_string())?;
+            return Ok(Reader::Record(Box::new(record)));
         }
         Source::Udp(_) | Source::Serial(_) | Source::Demo => {}
     }

@@ -8,7 +8,7 @@ use crate::link::{BytePort, Connection, Direction, Packet, Parser, UdpPort};
 use crossbeam_channel::Receiver as Outbox;
 use jiff::Timestamp;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 use std::thread;
@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 /// How long the line is waited for before commands are looked for.
 const WAIT: Duration = Duration::from_millis(20);
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
-/// How often a growing archive is looked at.
-const LOOK: Duration = Duration::from_millis(500);
+/// How often a growing archive or recording is looked at.
+pub const LOOK: Duration = Duration::from_millis(500);
 
 /// A command on its way to the line.
 #[derive(Debug, Clone)]
@@ -176,41 +176,4 @@ pub fn follow(mut archive: Follower, shared: &Arc<Shared>) {
 
 fn read_on(archive: &mut Follower, shared: &Shared) -> io::Result<bool> {
     archive.read_on(|change| shared.change(|history: &mut History| change(history)))
-}
-
-/// Opens a recording.
-///
-/// # Errors
-/// It cannot be read, or does not begin as one.
-pub fn open_record(path: &Path) -> io::Result<BufReader<File>> {
-    let mut file = BufReader::new(File::open(path)?);
-    let first = file.fill_buf()?;
-    if !first.starts_with(byte_log::HEADER.as_bytes()) {
-        let expected = format!("expected \"{}\" in its first line", byte_log::HEADER);
-        return Err(io::Error::new(io::ErrorKind::InvalidData, expected));
-    }
-    Ok(file)
-}
-
-/// Takes all that a recording holds, up to the first line that is none.
-pub fn take_record(file: BufReader<File>, shared: &Shared) {
-    let mut parser = Parser::new(Direction::ToController);
-    for (number, line) in file.lines().enumerate() {
-        let line = match line {
-            Ok(line) => line,
-            Err(error) => return tracing::error!(%error, "the recording cannot be read"),
-        };
-        let Burst { time, bytes } = match byte_log::numbered(number + 1, &line) {
-            Some(Ok(burst)) => burst,
-            Some(Err(error)) => return tracing::error!(%error, "the recording ends here"),
-            None => continue,
-        };
-        let since_1970 = Duration::try_from(time.as_duration()).unwrap_or_default();
-        let packets = parser.feed(&bytes, since_1970);
-        shared.change(|history| {
-            history.line.bytes += bytes.len() as u64;
-            history.line.rejected = parser.rejected().packets;
-            packets.iter().for_each(|packet| history.take(packet, time));
-        });
-    }
 }

@@ -113,7 +113,7 @@ impl Console {
         self.0.source.is_line()
     }
 
-    /// Whether the flight still grows: an archive does whose logs have grown lately.
+    /// Whether the flight still grows: an archive or a recording does that has grown lately.
     pub fn grows(&self) -> bool {
         self.is_live() || self.0.shared.has_grown_lately()
     }

@@ -17,11 +17,11 @@ pub struct Shared {
     /// Viewers of the live stream.
     pub viewers: AtomicUsize,
     over: AtomicBool,
-    /// When an archive grew last.
+    /// When an archive or a recording grew last.
     grew: Mutex<Option<Instant>>,
 }
 
-/// An archive that has not grown for so long is that of a flight that is over.
+/// What has not grown for so long is of a flight that is over.
 const LATELY: Duration = Duration::from_secs(30);
 
 impl Shared {
@@ -85,7 +85,7 @@ impl Shared {
         }
     }
 
-    /// Notes that an archive has grown.
+    /// Notes that an archive or a recording has grown.
     pub fn note_growth(&self) {
         *self.grew.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
     }

@@ -16,7 +16,7 @@ pub enum Source {
     Serial(String),
     /// An archive's folder, which may still grow.
     Archive(PathBuf),
-    /// A byte log: what was received.
+    /// A byte log: what was received. It may still grow.
     Record(PathBuf),
     /// A flight of the simulator's.
     Demo,
