@@ -24,7 +24,8 @@ use solaspect::simulate::{Conditions, RandomScenes};
 use solaspect::units::PlateMil;
 use std::collections::VecDeque;
 use std::io::{Read, Write};
-use std::os::unix::net::UnixDatagram;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -955,14 +956,11 @@ fn every_parameter_that_a_command_sets_changes_what_the_flight_does() {
     }
 }
 
-#[test]
-fn systemd_is_told_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("notify");
-    let socket = UnixDatagram::bind(&path).unwrap();
+/// What a flight of two seconds tells a service manager that listens at a socket, given to it as `variable`.
+fn told_to_systemd(socket: &UnixDatagram, variable: &str) -> Vec<String> {
     socket.set_read_timeout(Some(LONG)).unwrap();
     let mut child = solaspect(&["fly", "--camera", "simulated", "--duration", "2s"])
-        .env("NOTIFY_SOCKET", &path)
+        .env("NOTIFY_SOCKET", variable)
         .env("WATCHDOG_USEC", "400000")
         .stdout(Stdio::null())
         .spawn()
@@ -977,7 +975,38 @@ fn systemd_is_told_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
         said.push(String::from_utf8_lossy(&buffer[..count]).into_owned());
     }
     assert_eq!(child.wait().unwrap().code(), Some(0));
-    assert!(said[0].contains("READY=1"), "{said:?}");
-    let fed = said.iter().filter(|word| word.contains("WATCHDOG=1"));
-    assert!(fed.count() >= 3, "{said:?}");
+    said
+}
+
+#[test]
+fn systemd_is_told_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("notify");
+    let name = format!("solaspect-flight-test-{}", std::process::id());
+    let address = SocketAddr::from_abstract_name(&name).unwrap();
+    for (socket, variable) in [
+        (UnixDatagram::bind(&path), path.display().to_string()),
+        (UnixDatagram::bind_addr(&address), format!("@{name}")),
+    ] {
+        let said = told_to_systemd(&socket.unwrap(), &variable);
+        assert!(said[0].contains("READY=1"), "{said:?}");
+        let fed = said.iter().filter(|word| word.contains("WATCHDOG=1"));
+        assert!(fed.count() >= 3, "{said:?}");
+    }
+}
+
+#[test]
+fn a_service_manager_that_cannot_be_told_is_warned_of_once() {
+    let output = solaspect(&["fly", "--camera", "simulated", "--duration", "1s"])
+        .env("NOTIFY_SOCKET", "vsock:2:1234")
+        .env("WATCHDOG_USEC", "100000")
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(said.matches("NOTIFY_SOCKET").count(), 1, "{said}");
+    assert!(
+        said.contains("expected an absolute path") && said.contains("found \"vsock:2:1234\""),
+        "{said}"
+    );
 }

@@ -62,6 +62,7 @@ mod shared;
 mod shutter;
 mod silence;
 mod solver;
+mod systemd;
 mod tally;
 mod watch;
 mod worker;

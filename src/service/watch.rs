@@ -8,11 +8,11 @@ use super::line::LinkEvent;
 use super::navigation::NavigationRows;
 use super::shared::Shared;
 use super::silence;
+use super::systemd::Systemd;
 use super::tally::FlightTally;
 use super::worker::{self, Worker};
 use crate::link::Housekeeping;
 use crossbeam_channel::{Receiver, Sender};
-use sd_notify::NotifyState;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
@@ -224,43 +224,5 @@ impl Watch {
         let workers = self.cameras.iter().chain(&self.solvers);
         let workers = workers.chain(&self.navigation);
         workers.map(Worker::restarts).sum::<u64>() + self.line.restarts() + self.disks.restarts()
-    }
-}
-
-/// The service manager, where it has started this program (`Type=notify`, `WatchdogSec`).
-struct Systemd {
-    is_there: bool,
-    every: Option<Duration>,
-    fed: Instant,
-}
-
-impl Systemd {
-    fn ready() -> Self {
-        tell_systemd(NotifyState::Ready);
-        Self {
-            is_there: std::env::var_os("NOTIFY_SOCKET").is_some(),
-            // Twice as often as it wants to be fed.
-            every: sd_notify::watchdog_enabled().map(|patience| patience / 2),
-            fed: Instant::now(),
-        }
-    }
-
-    /// Only the watch feeds it: cameras and solvers that hang are started again; if the watch or the line hangs, systemd
-    /// does the rest.
-    fn feed(&mut self) {
-        if self.every.is_some_and(|every| self.fed.elapsed() >= every) {
-            self.fed = Instant::now();
-            tell_systemd(NotifyState::Watchdog);
-        }
-    }
-
-    fn stopping(&self) {
-        tell_systemd(NotifyState::Stopping);
-    }
-}
-
-fn tell_systemd(state: NotifyState) {
-    if let Err(error) = sd_notify::notify(&[state]) {
-        tracing::warn!(%error, "systemd was not told");
     }
 }
