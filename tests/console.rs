@@ -399,7 +399,7 @@ fn another_sites_page_can_neither_read_nor_command() {
 fn behind_a_proxy_even_looking_needs_a_login_and_the_cookie_is_for_tls_alone() {
     let (console, _gondola) = over_udp(|settings| {
         settings.token = Some(Secret::of(TOKEN));
-        settings.public_origin = Some("https://console.example.org".into());
+        settings.public_origin = Some("HTTPS://Console.Example.org:443/".parse().unwrap());
     });
     let address = console.address();
     let host = "Host: console.example.org\r\n";

@@ -4,7 +4,7 @@ use super::options;
 use super::output::say;
 use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::config::Config;
-use crate::console::{Ground, Running, Secret, Settings, Source};
+use crate::console::{Ground, Origin, Running, Secret, Settings, Source};
 use crate::link::port::BAUD;
 use crate::link::{Connection, Key, SerialPort};
 use crate::service::demo::{self, Demo};
@@ -38,9 +38,9 @@ pub struct ConsoleArgs {
     /// A file with a secret of 16 characters or more: whoever logs in with it may send commands
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// The address under which a proxy with TLS shows the console: its scheme and host
-    #[arg(long, value_name = "https://HOST")]
-    public_origin: Option<String>,
+    /// The address under which a proxy with TLS shows the console: its scheme, host and port, without a path
+    #[arg(long, value_name = "https://HOST[:PORT]")]
+    public_origin: Option<Origin>,
     /// Where the gondola expects commands, for a source udp:
     #[arg(long, value_name = "ADDR:PORT")]
     gondola: Option<SocketAddr>,

@@ -3,6 +3,7 @@
 //! Reading is free on this machine's own addresses; elsewhere, and for commands always, a viewer logs in with the token of a file and
 //! holds a session by a cookie. Requests that change anything must come from a page of the console itself.
 
+use super::origin::Origin;
 use axum::http::{HeaderMap, Method, header};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
@@ -91,8 +92,8 @@ pub struct Access {
     token: Option<Secret>,
     /// Whether only this machine reaches it.
     is_local: bool,
-    /// `https://host` under which a proxy shows it.
-    public_origin: Option<String>,
+    /// Under which a proxy shows it.
+    public_origin: Option<Origin>,
     sessions: Mutex<Vec<(Secret, Instant)>>,
     addresses: Mutex<HashMap<IpAddr, Address>>,
 }
@@ -107,11 +108,11 @@ struct Address {
 }
 
 impl Access {
-    pub fn new(token: Option<Secret>, listen: SocketAddr, public_origin: Option<String>) -> Self {
+    pub fn new(token: Option<Secret>, listen: SocketAddr, public_origin: Option<Origin>) -> Self {
         Self {
             token,
             is_local: listen.ip().is_loopback(),
-            public_origin: public_origin.map(|origin| origin.trim_end_matches('/').to_owned()),
+            public_origin,
             sessions: Mutex::default(),
             addresses: Mutex::default(),
         }
@@ -129,8 +130,7 @@ impl Access {
 
     /// Whether the session's cookie may go over TLS alone.
     pub fn is_behind_tls(&self) -> bool {
-        let origin = self.public_origin.as_deref();
-        origin.is_some_and(|origin| origin.starts_with("https:"))
+        self.public_origin.as_ref().is_some_and(Origin::is_secure)
     }
 
     /// Checks a request before anything else is done with it.
@@ -139,38 +139,29 @@ impl Access {
             return Err(Refused::Rate);
         }
         let host = text(headers, header::HOST).unwrap_or_default();
-        if !self.is_own_host(host) {
+        let plain = Origin::of_host(host);
+        // A name that somebody else gave to this address (DNS rebinding) is none of ours; a bare address cannot be.
+        let is_own = plain.as_ref().is_some_and(Origin::is_bare) || self.is_public(host);
+        if !is_own {
             return Err(Refused::Host);
         }
         let is_reading = matches!(*method, Method::GET | Method::HEAD);
-        if !is_reading && !self.is_own_origin(headers, host) {
+        if !is_reading && !self.is_own_origin(headers, plain.as_ref()) {
             return Err(Refused::Origin);
         }
         Ok(())
     }
 
-    /// A name that somebody else gave to this address (DNS rebinding) is none of ours; a bare address cannot be.
-    fn is_own_host(&self, host: &str) -> bool {
-        let name = match host.rsplit_once(':') {
-            Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
-            _ => host,
-        };
-        let bare = name.trim_start_matches('[').trim_end_matches(']');
-        let public = self
-            .public_origin
-            .as_deref()
-            .and_then(|origin| origin.split_once("://"));
-        name == "localhost"
-            || bare.parse::<IpAddr>().is_ok()
-            || public.is_some_and(|(_, public)| public == host)
+    fn is_public(&self, host: &str) -> bool {
+        let public = self.public_origin.as_ref();
+        public.is_some_and(|public| public.is_named_by(host))
     }
 
-    fn is_own_origin(&self, headers: &HeaderMap, host: &str) -> bool {
-        let Some(origin) = text(headers, header::ORIGIN) else {
-            return false;
-        };
-        let is_public = self.public_origin.as_deref() == Some(origin);
-        is_public || origin.strip_prefix("http://") == Some(host)
+    fn is_own_origin(&self, headers: &HeaderMap, plain: Option<&Origin>) -> bool {
+        let origin = text(headers, header::ORIGIN).and_then(|origin| origin.parse().ok());
+        origin.is_some_and(|origin| {
+            self.public_origin.as_ref() == Some(&origin) || plain == Some(&origin)
+        })
     }
 
     fn addresses(&self) -> MutexGuard<'_, HashMap<IpAddr, Address>> {
@@ -279,7 +270,8 @@ mod tests {
 
     fn access(listen: &str, public: Option<&str>) -> Access {
         let token = Some(Secret::of(TOKEN));
-        Access::new(token, listen.parse().unwrap(), public.map(str::to_owned))
+        let public = public.map(|origin| origin.parse().unwrap());
+        Access::new(token, listen.parse().unwrap(), public)
     }
 
     fn headers(pairs: &[(&'static str, &str)]) -> HeaderMap {
@@ -318,7 +310,7 @@ mod tests {
 
     #[test]
     fn what_changes_anything_comes_from_the_consoles_own_pages() {
-        let access = access("127.0.0.1:8080", Some("https://console.example.org"));
+        let access = access("127.0.0.1:8080", Some("HTTPS://Console.Example.org:443/"));
         let check = |method: Method, pairs: &[(&'static str, &str)]| {
             access.check(&method, &headers(pairs), PEER)
         };
@@ -348,6 +340,10 @@ mod tests {
             ),
             Ok(())
         );
+        // A proxy may state the usual port, and no browser writes capitals or the port.
+        let stated = ("host", "console.example.org:443");
+        let origin = ("origin", "https://console.example.org");
+        assert_eq!(check(Method::POST, &[stated, origin]), Ok(()));
         assert_eq!(
             check(Method::GET, &[("host", "evil.example:8080")]),
             Err(Refused::Host)

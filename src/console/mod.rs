@@ -27,6 +27,7 @@ mod history;
 mod housekeeping;
 mod live;
 mod orders;
+mod origin;
 mod pages;
 mod pictures;
 mod plots;
@@ -47,6 +48,7 @@ mod web;
 pub use access::{Secret, TokenError};
 pub use ground::Ground;
 pub use orders::Refusal;
+pub use origin::{NoOrigin, Origin};
 pub use source::Source;
 
 use crate::link::{Connection, LocalEnd, PortAddress, UdpPort};
@@ -88,8 +90,8 @@ pub struct Settings {
     pub ground: Ground,
     pub listen: SocketAddr,
     pub token: Option<Secret>,
-    /// `https://host` under which a proxy shows the console.
-    pub public_origin: Option<String>,
+    /// Under which a proxy shows the console.
+    pub public_origin: Option<Origin>,
 }
 
 /// A console that runs.
