@@ -452,6 +452,39 @@ fn beside_a_wrong_configuration_clock_disks_and_line_are_looked_at() {
     assert!(page.found("camera").is_empty());
 }
 
+#[test]
+fn a_port_of_an_unknown_scheme_is_refused_by_check_preflight_and_flight() {
+    let folder = folder();
+    let file = folder.path().join("c.toml");
+    for (key, port) in [
+        ("link]\nport", "tcp:10.0.0.1:2000"),
+        ("link]\nport", "mavlink:/dev/ttyUSB0"),
+        ("navigation]\nimu_port", "tcp://10.0.0.1:3000"),
+        ("navigation]\ngps_port", "gpsd:2947"),
+        ("roll_camera]\nsource", "gige://192.168.1.20"),
+        ("second_camera]\nsource", "rtsp:10.0.0.1"),
+    ] {
+        let text = format!("[camera]\nsource = \"simulated\"\n[{key} = \"{port}\"\n");
+        fs::write(&file, text).unwrap();
+        let file = file.to_str().unwrap();
+        for command in [
+            &["config", "check", file][..],
+            &["preflight", "--config", file],
+            &["fly", "--config", file, "--duration", "1s"],
+        ] {
+            let output = solaspect(command, "");
+            let said = [output.stdout, output.stderr].concat();
+            let said = String::from_utf8(said).unwrap();
+            assert_eq!(output.status.code(), Some(1), "{command:?} {said}");
+            let key = key.replace("]\n", ".");
+            assert!(
+                said.contains(&format!("{key}: expected ")) && said.contains(port),
+                "{command:?} {said}"
+            );
+        }
+    }
+}
+
 #[cfg(not(feature = "gige"))]
 #[test]
 fn a_camera_that_the_program_was_not_built_for_says_which_program_to_take() {

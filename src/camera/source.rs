@@ -42,7 +42,10 @@ impl FromStr for Source {
             None if text == "simulated" => Ok(Self::Simulated(None)),
             Some(("simulated", file)) if !file.is_empty() => Ok(Self::Simulated(Some(file.into()))),
             Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
-            Some(("gige", address)) if !address.is_empty() => Ok(Self::Gige(address.into())),
+            // gige://ADDRESS would be a serial number that no camera has.
+            Some(("gige", address)) if !address.is_empty() && !address.contains('/') => {
+                Ok(Self::Gige(address.into()))
+            }
             _ => Err(NoSource(text.into())),
         }
     }

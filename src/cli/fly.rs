@@ -119,6 +119,8 @@ fn line(link: &config::Link) -> anyhow::Result<Connection> {
 /// The navigation that the configuration enables, with its sensors' lines.
 fn navigation(config: &Config) -> anyhow::Result<Option<Navigation>> {
     let own = &config.navigation;
+    // A port that cannot be is an error as in `config check`, also where the filter is off.
+    let (imu, gps) = (own.imu_address()?, own.gps_address()?);
     let Some(path) = own.settings.as_deref().filter(|_| own.is_enabled()) else {
         return Ok(None);
     };
@@ -128,8 +130,8 @@ fn navigation(config: &Config) -> anyhow::Result<Option<Navigation>> {
         address.map(|address| Connection::to(address, baud, LocalEnd::default()))
     };
     Ok(Some(Navigation {
-        imu: connection(own.imu_address()?, config.link.baud),
-        gps: connection(own.gps_address()?, own.gps_baud),
+        imu: connection(imu, config.link.baud),
+        gps: connection(gps, own.gps_baud),
         settings: settings.for_flight(path)?,
         settings_toml,
     }))

@@ -1,5 +1,6 @@
 //! Where a flight comes from.
 
+use crate::link::PortAddress;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -32,7 +33,10 @@ impl FromStr for Source {
             ("demo", "") => Ok(Self::Demo),
             ("udp", rest) => udp(rest).map(Self::Udp).ok_or_else(refused),
             (_, "") => Err(refused()),
-            ("serial", device) => Ok(Self::Serial(device.into())),
+            ("serial", device) => match device.parse() {
+                Ok(PortAddress::Serial { name }) => Ok(Self::Serial(name)),
+                _ => Err(refused()),
+            },
             ("archive", folder) => Ok(Self::Archive(folder.into())),
             ("record", file) => Ok(Self::Record(file.into())),
             _ => Err(refused()),
@@ -104,6 +108,8 @@ mod tests {
             "archive:",
             "demo:x",
             "tcp:1",
+            "serial:tcp:10.0.0.1:1",
+            "serial:udp:10.0.0.1:1",
         ] {
             let error = wrong.parse::<Source>().unwrap_err();
             assert!(error.contains("expected udp:[ADDR]:PORT"), "{error}");

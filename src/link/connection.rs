@@ -16,10 +16,10 @@ pub type AnyPort = Box<dyn BytePort + Send>;
 type Open = Box<dyn FnMut() -> Result<AnyPort, PortError> + Send>;
 
 /// What an address must be.
-pub const EXPECTED: &str = "a serial device, udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, where HOST is an IP address \
-                            (names are not looked up: that may take seconds)";
+pub const EXPECTED: &str = "a serial device by its path (/dev/...), udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, where HOST is an \
+                            IP address (names are not looked up: that may take seconds)";
 
-/// Where the other end is: a serial device by its name, or `udp:HOST:PORT[@LOCALPORT]` with an IP address as HOST.
+/// Where the other end is: a serial device by its path, or `udp:HOST:PORT[@LOCALPORT]` with an IP address as HOST.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortAddress {
     Serial {
@@ -35,11 +35,15 @@ impl FromStr for PortAddress {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let Some(udp) = text.strip_prefix("udp:") else {
-            let name = text.to_owned();
-            return Ok(Self::Serial { name });
-        };
         let refused = || format!("port: expected {EXPECTED}; found \"{text}\"");
+        let Some(udp) = text.strip_prefix("udp:") else {
+            // A path: what has a colon before its first slash is another scheme, such as tcp:, and any other name is none.
+            let is_path = text
+                .split_once('/')
+                .is_some_and(|(begin, _)| !begin.contains(':'));
+            let name = text.to_owned();
+            return is_path.then_some(Self::Serial { name }).ok_or_else(refused);
+        };
         let (peer, local_port) = match udp.rsplit_once('@') {
             Some((peer, port)) => (peer, Some(port.parse().map_err(|_| refused())?)),
             None => (udp, None),
@@ -213,6 +217,35 @@ mod tests {
         let with_local = "udp:10.0.0.1:2000@3000".parse();
         assert_eq!(with_local, udp("10.0.0.1:2000", Some(3000)));
         assert_eq!("udp:[::1]:2000".parse(), udp("[::1]:2000", None));
+    }
+
+    #[test]
+    fn another_scheme_and_a_name_that_is_no_path_are_refused() {
+        for path in [
+            "/dev/ttyS0",
+            "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0",
+            "./tty",
+        ] {
+            let name = path.to_owned();
+            assert_eq!(path.parse(), Ok(PortAddress::Serial { name }));
+        }
+        for wrong in [
+            "tcp:10.0.0.1:2000",
+            "tcp://10.0.0.1:2000",
+            "mavlink:/dev/ttyUSB0",
+            "serial:/dev/ttyUSB0",
+            "file:///dev/ttyUSB0",
+            "UDP:10.0.0.1:2000",
+            " udp:10.0.0.1:2000",
+            "10.0.0.1:2000",
+            "udp",
+            "ttyUSB0",
+            "",
+        ] {
+            let error = wrong.parse::<PortAddress>().unwrap_err();
+            assert!(error.contains("(/dev/...), udp:HOST:PORT"), "{error}");
+            assert!(error.ends_with(&format!("found \"{wrong}\"")), "{error}");
+        }
     }
 
     #[test]

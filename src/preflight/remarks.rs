@@ -171,16 +171,16 @@ fn tables(config: &Config) -> [(&'static str, CameraRole, Option<Source>, &confi
 
 fn navigation(config: &Config, remarks: &mut Remarks) {
     let own = &config.navigation;
-    let Some(path) = own.settings.as_deref().filter(|_| own.is_enabled()) else {
-        return;
-    };
-    let settings = Settings::read(path).and_then(|settings| settings.for_flight(path));
-    let settings = remarks.noted(settings);
     for address in [own.imu_address(), own.gps_address()] {
         if let Err(refused) = address {
             remarks.error(refused.key, refused.expected, refused.found);
         }
     }
+    let Some(path) = own.settings.as_deref().filter(|_| own.is_enabled()) else {
+        return;
+    };
+    let settings = Settings::read(path).and_then(|settings| settings.for_flight(path));
+    let settings = remarks.noted(settings);
     if own.gps_port.is_none() {
         let expected = "a GPS receiver: without a fix the filter never begins";
         remarks.warn("navigation.gps_port", expected, "none");
