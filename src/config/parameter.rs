@@ -5,6 +5,7 @@ use super::value::{Value, found};
 use crate::camera::Source;
 use crate::clock::parse_utc;
 use crate::frame::Region;
+use crate::instrument::toml_file::Utc;
 use std::fmt;
 
 /// A parameter of the configuration.
@@ -130,9 +131,13 @@ impl Parameter {
         config: &mut Config,
         value: &toml::Value,
     ) -> Result<(), Refused> {
-        match Value::from_toml(value) {
-            Some(value) => self.set(config, Some(value)),
-            None => Err(self.refused(found(value))),
+        match (self.allowed, Value::from_toml(value), value) {
+            (_, Some(value), _) => self.set(config, Some(value)),
+            // A time without quotes is one with them: see `Utc`.
+            (Allowed::Utc, _, toml::Value::Datetime(time)) => {
+                self.set(config, Some(Value::Text(time.to_string())))
+            }
+            _ => Err(self.refused(found(value))),
         }
     }
 
@@ -149,7 +154,7 @@ impl Parameter {
             Allowed::Region => {
                 r#"column and row of its corner, width and height, such as "100,50,640,480""#.into()
             }
-            Allowed::Utc => r#"a time such as "2013-09-21T18:00:00Z""#.into(),
+            Allowed::Utc => Utc::EXPECTED.into(),
         }
     }
 

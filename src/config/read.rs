@@ -158,6 +158,32 @@ mod tests {
     }
 
     #[test]
+    fn times_are_read_in_quotes_and_without_them() {
+        let expected = parse("[target]\nepoch_utc = \"2013-09-22T02:00:00Z\"\n").unwrap();
+        for text in [
+            "2013-09-22T02:00:00Z",
+            "2013-09-22 02:00:00",
+            "2013-09-21T20:00:00-06:00",
+        ] {
+            assert_eq!(
+                parse(&format!("[target]\nepoch_utc = {text}\n")).unwrap(),
+                expected
+            );
+        }
+        let config = parse("[simulation]\nstart_utc = 2013-09-21\n").unwrap();
+        let start = config.simulation.start_utc.unwrap();
+        assert_eq!(start.to_string(), "2013-09-21T00:00:00Z");
+        for (text, key) in [
+            ("[target]\nepoch_utc = 18:00:00\n", "target.epoch_utc"),
+            ("[link]\nport = 2013-09-21\n", "link.port"),
+            ("[camera]\nrate_hz = 2013-09-21\n", "camera.rate_hz"),
+        ] {
+            let message = parse(text).unwrap_err();
+            assert!(message.contains(&format!("{key}: expected a")), "{message}");
+        }
+    }
+
+    #[test]
     fn an_empty_port_is_none() {
         assert_eq!(parse("[link]\nport = \"\"\n").unwrap().link.port, None);
     }

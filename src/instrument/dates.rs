@@ -1,8 +1,9 @@
 //! When the numbers of an instrument were measured: for people and for the check before a flight, not for the solver.
 
-use super::toml_file::TomlError;
+use super::toml_file::{TomlError, Utc};
 use super::{Instrument, builtin, raw};
 use jiff::civil::Date;
+use jiff::tz::Offset;
 use std::path::Path;
 
 /// When one number of an instrument was found.
@@ -34,11 +35,10 @@ fn dates(text: &str, table: &str) -> Vec<Dated> {
     let document: toml::Table = text.parse().unwrap_or_default();
     let entries = document.get(table).and_then(toml::Value::as_table);
     let dated = |(name, entry): (&String, &toml::Value)| {
-        let date = entry.get("date")?.as_datetime()?.date?;
-        let (year, month) = (i16::try_from(date.year).ok()?, date.month as i8);
+        let Utc(instant) = entry.get("date")?.clone().try_into().ok()?;
         Some(Dated {
             key: format!("{table}.{name}"),
-            date: Date::new(year, month, date.day as i8).ok()?,
+            date: Offset::UTC.to_datetime(instant).date(),
         })
     };
     entries.into_iter().flatten().filter_map(dated).collect()
@@ -47,6 +47,18 @@ fn dates(text: &str, table: &str) -> Vec<Dated> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_date_is_that_of_utc_in_quotes_or_not() {
+        let text = "[mounting]\na = { date = 2013-09-21T20:00:00-06:00 }\nb = { date = \"2013-09-22\" }\nc = { date = 2013-09-22 }\n";
+        let dates = dates(text, "mounting");
+        assert_eq!(dates.len(), 3);
+        assert!(
+            dates
+                .iter()
+                .all(|dated| dated.date.to_string() == "2013-09-22")
+        );
+    }
 
     #[test]
     fn every_number_of_a_mounting_has_its_date() {

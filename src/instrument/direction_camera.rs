@@ -14,7 +14,7 @@
 //! A number may have its 1-sigma, source and date beside it, as in an instrument's file: `{ value = 1920, source = "...", date = 2026-11-22 }`.
 
 use super::builtin::text_of;
-use super::toml_file::{TomlError, parse_strict};
+use super::toml_file::{TomlError, Utc, parse_strict};
 use crate::frame::{Frame, Region};
 use crate::geometry::camera::{Camera, Lens};
 use crate::units::SensorPx;
@@ -115,7 +115,7 @@ struct Stated<T> {
     #[serde(default, rename = "source")]
     _source: Option<String>,
     #[serde(default, rename = "date")]
-    _date: Option<toml::value::Datetime>,
+    _date: Option<Utc>,
 }
 
 impl<T> Entry<T> {
@@ -292,7 +292,10 @@ mod tests {
             "= 1920",
             "= { value = 1920, source = \"data sheet\", date = 2026-11-22 }",
         );
-        assert_eq!(parse(&stated), Ok(camera));
+        assert_eq!(parse(&stated).as_ref(), Ok(&camera));
+        let quoted = stated.replace("2026-11-22", "\"2026-11-22\"");
+        assert_eq!(parse(&quoted).as_ref(), Ok(&camera));
+        assert!(parse(&stated.replace("2026-11-22", "\"yesterday\"")).is_err());
         let more = format!(
             "{PLAIN}mask_px = [[0, 900, 300, 1080]]\nbody_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]\n"
         );

@@ -1,6 +1,6 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
-use super::toml_file::{TomlError, keys_of, parse_strict};
+use super::toml_file::{TomlError, Utc, keys_of, parse_strict};
 use super::{Camera, Directions, Instrument, Mounting, Optics, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
@@ -20,7 +20,8 @@ struct Entry<T> {
     #[serde(default)]
     sigma: f64,
     source: String,
-    date: Option<toml::value::Datetime>,
+    #[serde(default, rename = "date")]
+    _date: Option<Utc>,
 }
 
 #[derive(Deserialize)]
@@ -58,7 +59,7 @@ struct RawCalibration {
     _frames_sha256: String,
     /// Of the last frame.
     #[serde(default, rename = "date")]
-    _date: Option<toml::value::Datetime>,
+    _date: Option<Utc>,
     #[serde(rename = "program")]
     _program: String,
     #[serde(default, rename = "commit")]
@@ -380,9 +381,6 @@ impl Checker<'_> {
                 "nothing",
             ));
         }
-        if let Some(time) = entry.date.filter(|date| date.date.is_none()) {
-            return Err(self.error(&format!("{field}.date"), "a date", time.to_string()));
-        }
         Ok(())
     }
 
@@ -490,6 +488,26 @@ mod tests {
         let message = message(&text);
         assert!(message.contains("camera.width_px.value"), "{message}");
         assert!(!message.contains('\n'), "{message}");
+    }
+
+    #[test]
+    fn a_date_may_be_in_quotes_and_must_be_one() {
+        let dated = |date: &str| DEMO.replacen("date = 2013-09-21", &format!("date = {date}"), 1);
+        let path = Path::new("a.toml");
+        for date in ["\"2013-09-21\"", "2013-09-21T20:00:00-06:00", "2013-09-21"] {
+            assert!(parse(path, &dated(date)).is_ok(), "{date}");
+        }
+        for date in ["\"yesterday\"", "18:00:00", "2013"] {
+            let message = message(&dated(date));
+            assert!(
+                message.contains(".date: expected a date or a time such as"),
+                "{message}"
+            );
+            assert!(
+                message.contains(&format!("found {date} on line")),
+                "{message}"
+            );
+        }
     }
 
     /// The demo without the lines that begin with a key.

@@ -1,6 +1,9 @@
 //! TOML files read strictly: an unknown key or a value out of range is a one-line error that names the file, the
 //! field and what was expected there.
 
+use crate::clock::parse_utc;
+use jiff::Timestamp;
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -41,6 +44,29 @@ impl TomlError {
             expected: expected.into(),
             found: found.into(),
         }
+    }
+}
+
+/// An instant in UTC, as all files say it: in quotes or not, with an offset or without one (then UTC); a date alone is its
+/// beginning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "toml::Value")]
+pub struct Utc(pub Timestamp);
+
+impl Utc {
+    pub const EXPECTED: &str = "a date or a time such as 2013-09-21T18:00:00Z";
+}
+
+impl TryFrom<toml::Value> for Utc {
+    type Error = &'static str;
+
+    fn try_from(value: toml::Value) -> Result<Self, &'static str> {
+        let text = match value {
+            toml::Value::String(text) => text,
+            toml::Value::Datetime(time) => time.to_string(),
+            _ => return Err(Self::EXPECTED),
+        };
+        parse_utc(&text).map(Self).map_err(|_| Self::EXPECTED)
     }
 }
 
@@ -89,13 +115,12 @@ pub fn document<'a>(path: &Path, text: &'a str) -> Result<toml::Deserializer<'a>
 }
 
 /// Serde's names of kinds of values, and those that people use.
-const KINDS: [(&str, &str); 8] = [
+const KINDS: [(&str, &str); 7] = [
     ("struct Entry", "a table such as { value = 1 }"),
     ("struct", "a table"),
     ("map", "a table"),
     ("sequence", "a list"),
     ("an array of length", "a list of"),
-    ("a TOML datetime", "a date such as 2013-09-21"),
     ("f64", "a number"),
     ("string", "a text"),
 ];
@@ -200,5 +225,46 @@ fn line_of(text: &str, span: Option<std::ops::Range<usize>>) -> String {
             format!("line {line}")
         }
         None => "another".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn utc(value: &str) -> Option<String> {
+        let document: toml::Table = format!("at = {value}").parse().unwrap();
+        let utc = Utc::try_from(document["at"].clone());
+        utc.ok().map(|utc| utc.0.to_string())
+    }
+
+    #[test]
+    fn a_time_is_the_same_in_quotes_and_without_them() {
+        for (text, instant) in [
+            ("2013-09-21T18:00:00Z", "2013-09-21T18:00:00Z"),
+            ("2013-09-21T18:00:00.25", "2013-09-21T18:00:00.25Z"),
+            ("2013-09-21 18:00:00", "2013-09-21T18:00:00Z"),
+            ("2013-09-21", "2013-09-21T00:00:00Z"),
+            ("2013-09-21T20:00:00-06:00", "2013-09-22T02:00:00Z"),
+            ("2013-09-21t18:00:00+05:30", "2013-09-21T12:30:00Z"),
+        ] {
+            assert_eq!(utc(text).as_deref(), Some(instant), "{text}");
+            assert_eq!(
+                utc(&format!("\"{text}\"")).as_deref(),
+                Some(instant),
+                "{text}"
+            );
+        }
+        for none in [
+            "18:00:00",
+            "\"18:00:00\"",
+            "\"yesterday\"",
+            "\"\"",
+            "\"2013-02-30\"",
+            "2013",
+            "true",
+        ] {
+            assert_eq!(utc(none), None, "{none}");
+        }
     }
 }

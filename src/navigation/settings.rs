@@ -1,9 +1,8 @@
 //! What the filter rests on, as NAV.toml states it.
 
-use crate::clock::parse_utc;
 use crate::geometry::attitude::Direction;
 use crate::instrument::rotation_of_rows;
-use crate::instrument::toml_file::{TomlError, parse_strict, read_text};
+use crate::instrument::toml_file::{TomlError, Utc, parse_strict, read_text};
 use jiff::Timestamp;
 use nalgebra::{Rotation3, Vector3};
 use serde::Deserialize;
@@ -136,7 +135,7 @@ pub struct Settings {
 
 #[derive(Deserialize)]
 struct RawFile {
-    epoch_utc: Option<Epoch>,
+    epoch_utc: Option<Utc>,
     #[serde(default)]
     imu: RawImu,
     #[serde(default)]
@@ -154,23 +153,6 @@ struct RawFile {
     /// What a calibration rests on; for people.
     #[serde(default, rename = "calibration")]
     _calibration: Option<toml::Table>,
-}
-
-/// A time, in quotes or not.
-#[derive(Deserialize)]
-#[serde(untagged, expecting = "a time such as 2026-11-22T18:00:00Z")]
-enum Epoch {
-    Text(String),
-    Time(toml::value::Datetime),
-}
-
-impl std::fmt::Display for Epoch {
-    fn fmt(&self, out: &mut std::fmt::Formatter) -> std::fmt::Result {
-        match self {
-            Self::Text(text) => text.fmt(out),
-            Self::Time(time) => time.fmt(out),
-        }
-    }
 }
 
 #[derive(Deserialize, Default)]
@@ -277,15 +259,7 @@ impl Settings {
             return Err(check.error(field, "it in [nadir] alone", "it here"));
         }
         Ok(Self {
-            epoch_utc: raw
-                .epoch_utc
-                .map(|epoch| {
-                    let text = epoch.to_string();
-                    parse_utc(&text).map_err(|_| {
-                        check.error("epoch_utc", "a time such as 2026-11-22T18:00:00Z", &text)
-                    })
-                })
-                .transpose()?,
+            epoch_utc: raw.epoch_utc.map(|Utc(instant)| instant),
             imu: raw.imu.checked(&check)?,
             gps: raw.gps.checked(&check)?,
             correlated_rad: [
