@@ -49,8 +49,8 @@ impl SharedPixels for ArrayPixels<u16> {
     }
 }
 
-/// A frame of an array's pixels: those of the array itself where it is C-contiguous and in the machine's byte order, else of a
-/// copy.
+/// A frame of an array's pixels: those of the array itself where it is of uint8 or uint16, C-contiguous and in the machine's byte
+/// order, else of a copy. Integers of other types become uint16.
 pub fn frame(
     array: &Bound<'_, PyAny>,
     saturation_dn: Option<u16>,
@@ -58,7 +58,7 @@ pub fn frame(
 ) -> PyResult<Frame> {
     let untyped = array
         .cast::<PyUntypedArray>()
-        .map_err(|_| type_error("array", "a numpy.ndarray of uint8 or uint16", array))?;
+        .map_err(|_| type_error("array", "a numpy.ndarray of whole numbers", array))?;
     if array.hasattr("mask")? {
         return Err(type_error("array", "an array without a mask", array));
     }
@@ -71,8 +71,14 @@ pub fn frame(
     let pixels: Box<dyn SharedPixels> = match (dtype.kind(), dtype.itemsize()) {
         (b'u', 1) => Box::new(ArrayPixels::<u8>::new(&contiguous(array, "uint8")?)),
         (b'u', 2) => Box::new(ArrayPixels::<u16>::new(&contiguous(array, "uint16")?)),
+        (b'u' | b'i', _) => {
+            check_range(array)?;
+            Box::new(ArrayPixels::<u16>::new(&contiguous(array, "uint16")?))
+        }
         _ => {
-            let problem = format!("array: expected dtype uint8 or uint16, found {dtype}");
+            let expected =
+                "whole numbers from 0 to 65535 DN in uint8, uint16 or another integer dtype";
+            let problem = format!("array: expected {expected}, found dtype {dtype}");
             return Err(PyTypeError::new_err(problem));
         }
     };
@@ -80,6 +86,23 @@ pub fn frame(
     let saturation_dn = saturation_dn.unwrap_or_else(|| array.py().detach(assumed));
     Frame::shared(width, height, pixels, saturation_dn, info)
         .map_err(|error| value_error("array", error))
+}
+
+/// Checks that whole numbers of any type are pixels; the error names the first that is none, and its place.
+fn check_range(array: &Bound<'_, PyAny>) -> PyResult<()> {
+    let numpy = array.py().import("numpy")?;
+    let bad = numpy.call_method1("logical_or", (array.lt(0)?, array.gt(u16::MAX)?))?;
+    if !bad.call_method0("any")?.is_truthy()? {
+        return Ok(());
+    }
+    let first = bad.call_method0("argmax")?;
+    let place = numpy.call_method1("unravel_index", (first, array.getattr("shape")?))?;
+    let (row, column): (usize, usize) = place.extract()?;
+    let found = array.get_item((row, column))?.str()?;
+    let problem = format!(
+        "expected whole numbers from 0 to 65535 DN, found {found} in row {row}, column {column}"
+    );
+    Err(value_error("array", problem))
 }
 
 /// The array itself where its rows follow each other, aligned and in the machine's byte order, else a copy of which that is true.

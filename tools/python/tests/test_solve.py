@@ -10,6 +10,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from astropy.coordinates import EarthLocation
+from astropy.io import fits
 from astropy.time import Time
 
 import solaspect
@@ -93,6 +94,34 @@ def test_any_layout_gives_the_same(bits):
     reversed_twice = frame.array[::-1][::-1]
     for array in (np.asfortranarray(frame.array), wide[:, ::2], reversed_twice, other_order, unaligned, read_only):
         assert same(solaspect.solve(array), expected)
+
+
+@pytest.mark.parametrize("dtype", ["<i2", ">i2", ">u2", "<i4", ">i4", "<u4", ">u4", "<i8", ">u8"])
+def test_whole_numbers_of_any_type_are_pixels(dtype):
+    [frame] = solaspect.simulate(frames=1, bits=12)
+    expected = solaspect.solve(frame.array)
+    array = frame.array.astype(dtype)
+    for array in (array, np.asfortranarray(array), np.repeat(array, 2, axis=1)[:, ::2]):
+        assert same(solaspect.solve(array), expected)
+
+
+def test_an_array_as_astropy_reads_it_is_solved_as_the_program_solves_its_file(tmp_path):
+    """A frame without BZERO, as many cameras write it, is big-endian int16 in astropy."""
+    [frame] = solaspect.simulate(frames=1, bits=12)
+    path = tmp_path / "frame.fits"
+    fits.writeto(path, frame.array.astype(">i2"))
+    with fits.open(path) as hdus:
+        array = hdus[0].data
+        assert array.dtype.kind == "i" and not array.dtype.isnative
+        assert same(solaspect.solve(array), solaspect.solve(frame.array))
+
+
+@pytest.mark.parametrize("dtype", [np.int16, ">i4", np.int64])
+def test_a_number_that_is_no_pixel_is_named_with_its_place(dtype):
+    array = FRAME.astype(dtype)
+    array[7, 40] = array[900, 3] = -3
+    with pytest.raises(ValueError, match="^array: expected whole numbers from 0 to 65535 DN, found -3 in row 7, column 40$"):
+        solaspect.solve(array)
 
 
 def test_a_contiguous_array_is_not_copied(frame):
@@ -186,10 +215,13 @@ NAIVE = datetime.datetime(2013, 9, 21, 18)
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"array": FRAME.tolist()}, TypeError, "^array: expected a numpy.ndarray of uint8 or uint16, found list$"),
-        ({"array": FRAME.astype(float)}, TypeError, "^array: expected dtype uint8 or uint16, found float64$"),
-        ({"array": FRAME.astype(np.int16)}, TypeError, "^array: expected dtype uint8 or uint16, found int16$"),
-        ({"array": FRAME.astype(bool)}, TypeError, "^array: expected dtype uint8 or uint16, found bool$"),
+        ({"array": FRAME.tolist()}, TypeError, "^array: expected a numpy.ndarray of whole numbers, found list$"),
+        ({"array": FRAME.astype(float)}, TypeError, "^array: expected whole numbers .* in uint8, uint16 .* found dtype float64$"),
+        ({"array": FRAME.astype(">f4")}, TypeError, "^array: expected whole numbers .* found dtype >f4$"),
+        ({"array": FRAME.astype(bool)}, TypeError, "^array: expected whole numbers .* found dtype bool$"),
+        ({"array": FRAME.astype(np.uint32) + 65536}, ValueError, "^array: .* found 65536 in row 0, column 0$"),
+        ({"array": FRAME[0].astype(np.int16)}, ValueError, "^array: expected 2 dimensions .* found 1$"),
+        ({"array": FRAME[:0].astype(np.int16)}, ValueError, "^array: expected a frame of at least one pixel"),
         ({"array": np.ma.masked_equal(FRAME, 0)}, TypeError, "^array: expected an array without a mask, found MaskedArray$"),
         ({"array": FRAME[0]}, ValueError, "^array: expected 2 dimensions .* found 1$"),
         ({"array": FRAME[None]}, ValueError, "^array: expected 2 dimensions .* found 3$"),

@@ -23,7 +23,7 @@ REACH = 1.15
 
 
 def plot(
-    array: npt.NDArray[np.uint8] | npt.NDArray[np.uint16],
+    array: npt.NDArray[np.integer[Any]],
     solution: Solution,
     *,
     instrument: AnyInstrument | None = None,

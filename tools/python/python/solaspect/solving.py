@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from . import _native
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def solve(
-    array: npt.NDArray[np.uint8] | npt.NDArray[np.uint16],
+    array: npt.NDArray[np.integer[Any]],
     *,
     instrument: AnyInstrument | None = None,
     time: AnyTime | None = None,
@@ -33,7 +33,8 @@ def solve(
     Parameters
     ----------
     array
-        The frame's pixels, rows by columns, uint8 or uint16. A C-contiguous array in the machine's byte order is not copied.
+        The frame's pixels, rows by columns: whole numbers from 0 to 65535. An array of uint8 or uint16 that is C-contiguous and in the
+        machine's byte order is not copied; any other becomes uint8 or uint16.
     instrument
         An `Instrument`, the path of its file, or the name of a built-in one; "demo" if not given. A file is read in every call: for
         many frames load it once.
