@@ -2,14 +2,17 @@
 //! seeds. A function panics where the library does, or where a promise is broken that holds for any bytes.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
+use solaspect::calibrate::mounting::{AttitudeLog, PointingLog};
 use solaspect::config::Config;
 use solaspect::fits::{self, FitsFile};
 use solaspect::instrument::{Instrument, Mounting, builtin};
+use solaspect::link::byte_log::{self, Burst};
 use solaspect::link::describe::describe;
 use solaspect::link::{Direction, Parser};
 use solaspect::pointing::Target;
 use solaspect::refine::{FrameRecord, Journal};
 use solaspect::service::control::{Controls, restore};
+use solaspect::simulate::{Course, Pieces};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -24,13 +27,16 @@ static MOUNTING: LazyLock<Mounting> =
 /// A kind of input: its name, which is that of its target and its folder of seeds, and what reads it.
 pub type Kind = (&'static str, fn(&[u8]));
 
-pub const KINDS: [Kind; 6] = [
+pub const KINDS: [Kind; 9] = [
     ("packets", packets),
     ("fits", fits),
     ("instrument", instrument),
     ("configuration", configuration),
     ("values", values),
     ("journal", journal),
+    ("pointing_log", pointing_log),
+    ("flight_pieces", flight_pieces),
+    ("link_log", link_log),
 ];
 
 /// Bytes of a serial line, in both directions: no byte is lost, and every packet has a description.
@@ -131,6 +137,78 @@ pub fn journal(bytes: &[u8]) {
             }
         }
     }
+}
+
+/// A log of pointings, and of the body's attitude: what is taken gives finite angles at its own times.
+pub fn pointing_log(bytes: &[u8]) {
+    let (_folder, path) = file("pointing.csv", bytes);
+    let times = [
+        "2013-09-21T18:00:00Z",
+        "2013-09-21T18:00:00.5Z",
+        "1970-01-01T00:00:00Z",
+    ];
+    let times = times.map(|text| text.parse().expect("a time"));
+    match PointingLog::read(&path) {
+        Ok(log) => {
+            for at in times.into_iter().filter_map(|time| log.at(time).ok()) {
+                assert!(
+                    at.azimuth_deg.is_finite() && at.elevation_deg.abs() <= 90.0,
+                    "{at:?}"
+                );
+            }
+        }
+        Err(error) => assert!(error.to_string().contains("pointing.csv")),
+    }
+    match AttitudeLog::read(&path) {
+        Ok(log) => {
+            for at in times.into_iter().filter_map(|time| log.at(time).ok()) {
+                assert!(at.iter().all(|angle| angle.abs() <= 80.0), "{at:?}");
+            }
+        }
+        Err(error) => assert!(error.to_string().contains("pointing.csv")),
+    }
+}
+
+/// A simulated flight that a file tells piece by piece: what is taken has a place at any time.
+pub fn flight_pieces(bytes: &[u8]) {
+    let Ok(text) = str::from_utf8(bytes) else {
+        return;
+    };
+    match Pieces::parse(Path::new("fuzz.toml"), text) {
+        Ok(pieces) => {
+            let course = Course::from(pieces);
+            for time_s in [0, 1, 1000, 1_000_000] {
+                let at = course.position(Duration::from_secs(time_s));
+                assert!(at.x.is_finite() && at.y.is_finite(), "{at:?}");
+            }
+        }
+        Err(error) => assert!(error.to_string().contains("fuzz.toml")),
+    }
+}
+
+/// A record of a line: read in one piece or in many, it gives the same bursts and the same bad lines. Written again, each
+/// burst is a line.
+pub fn link_log(bytes: &[u8]) {
+    let (bursts, whole) = byte_log::read(bytes);
+    let mut reader = byte_log::Reader::default();
+    let mut again: Vec<Burst> = bytes
+        .chunks(7)
+        .flat_map(|piece| reader.feed(piece))
+        .collect();
+    again.extend(reader.finish());
+    assert_eq!(again, bursts);
+    assert_eq!(reader.skipped(), whole.skipped());
+    if let Err(error) = whole.check() {
+        assert!(bursts.is_empty() && error.to_string().contains("expected a byte log"));
+    }
+    let direction = byte_log::likely_direction(&bursts);
+    for (_, packet) in byte_log::packets(&bursts, direction).packets {
+        assert!(!describe(&packet).is_empty());
+    }
+    let lines: String = bursts.iter().map(|burst| format!("{burst}\n")).collect();
+    let (written, reader) = byte_log::read(lines.as_bytes());
+    let skipped = reader.skipped().total() as usize;
+    assert_eq!(written.len() + skipped, bursts.len());
 }
 
 fn file(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
