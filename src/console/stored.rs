@@ -133,10 +133,12 @@ impl Log {
         file.seek(SeekFrom::Start(self.offset))?;
         let mut bytes = Vec::new();
         file.take(PIECE).read_to_end(&mut bytes)?;
-        let whole = bytes
-            .iter()
-            .rposition(|byte| *byte == b'\n')
-            .map_or(0, |at| at + 1);
+        let whole = match bytes.iter().rposition(|byte| *byte == b'\n') {
+            Some(end) => end + 1,
+            // No line is so long: these are the zero bytes of a power cut, or another file.
+            None if bytes.len() as u64 == PIECE => bytes.len(),
+            None => 0,
+        };
         bytes.truncate(whole);
         self.offset += whole as u64;
         Ok(String::from_utf8_lossy(&bytes).into_owned())
@@ -303,6 +305,25 @@ mod tests {
         );
         assert_eq!(history.reasons, ["limb: no disc"]);
         assert_eq!(history.tables["solutions"].value(1, "sun_x_px"), None);
+    }
+
+    #[test]
+    fn a_log_is_read_past_the_zero_bytes_of_a_power_cut() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut log = File::create(folder.path().join("solutions_20130921T180000.csv")).unwrap();
+        writeln!(log, "frame,file,utc,quality,reason,sun_x_px").unwrap();
+        writeln!(log, "1,,2013-09-21T18:00:00.250Z,fine,,640.5").unwrap();
+        log.write_all(&vec![0; 3 * PIECE as usize]).unwrap();
+        writeln!(log, "\n2,,2013-09-21T18:00:00.500Z,fine,,641.5").unwrap();
+        let mut history = History::new(Duration::from_secs(86_400));
+        let mut follower = Follower::of_flight(folder.path());
+        while read(&mut follower, &mut history) {}
+        let solutions = &history.tables["solutions"];
+        let read = [0, 1].map(|row| solutions.value(row, "sun_x_px"));
+        assert_eq!(
+            (read, solutions.times().len()),
+            ([Some(640.5), Some(641.5)], 2)
+        );
     }
 
     #[test]
