@@ -6,6 +6,7 @@ use numpy::{
 };
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
+use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, PixelSlice, SharedPixels};
 
 /// The memory of an array that is C-contiguous.
@@ -50,7 +51,7 @@ impl SharedPixels for ArrayPixels<u16> {
 }
 
 /// A frame of an array's pixels: those of the array itself where it is of uint8 or uint16, C-contiguous and in the machine's byte
-/// order, else of a copy. Integers of other types become uint16.
+/// order, else of a copy. Integers of other types become uint16; negative, large and floating-point numbers are scaled as those of a file.
 pub fn frame(
     array: &Bound<'_, PyAny>,
     saturation_dn: Option<u16>,
@@ -88,21 +89,28 @@ pub fn frame(
         .map_err(|error| value_error("array", error))
 }
 
-/// Checks that whole numbers of any type are pixels; the error names the first that is none, and its place.
-fn check_range(array: &Bound<'_, PyAny>) -> PyResult<()> {
+/// Whether whole numbers of any type are pixels as they stand.
+fn are_pixels(array: &Bound<'_, PyAny>) -> PyResult<bool> {
     let numpy = array.py().import("numpy")?;
     let bad = numpy.call_method1("logical_or", (array.lt(0)?, array.gt(u16::MAX)?))?;
-    if !bad.call_method0("any")?.is_truthy()? {
-        return Ok(());
-    }
-    let first = bad.call_method0("argmax")?;
-    let place = numpy.call_method1("unravel_index", (first, array.getattr("shape")?))?;
-    let (row, column): (usize, usize) = place.extract()?;
-    let found = array.get_item((row, column))?.str()?;
-    let problem = format!(
-        "expected whole numbers from 0 to 65535 DN, found {found} in row {row}, column {column}"
-    );
-    Err(value_error("array", problem))
+    Ok(!bad.call_method0("any")?.is_truthy()?)
+}
+
+/// Any other numbers, as the program reads them from a file; `bits` as BITPIX states them.
+fn frame_of_values(
+    array: &Bound<'_, PyAny>,
+    bits: i64,
+    size: [usize; 2],
+    saturation_dn: Option<u16>,
+    info: FrameInfo,
+) -> PyResult<Frame> {
+    let array: Bound<'_, PyArray2<f32>> = contiguous(array, "float32")?;
+    let py = array.py();
+    let values = array.readonly();
+    let values = values.as_slice().map_err(|error| value_error("array", error))?;
+    let saturation = saturation_dn.map(f64::from);
+    py.detach(|| fits::frame_of_values(values, bits, size, saturation, info))
+        .map_err(|problem| value_error("array", problem))
 }
 
 /// The array itself where its rows follow each other, aligned and in the machine's byte order, else a copy of which that is true.

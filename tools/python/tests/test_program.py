@@ -42,6 +42,22 @@ def answers(program):
     return {answer.pop("file"): answer for answer in map(json.loads, lines)}
 
 
+@pytest.mark.parametrize("dtype", [">i2", ">i4", ">f4", ">f8"])
+def test_negative_and_floating_point_numbers_are_read_as_the_program_reads_them(program, tmp_path, dtype):
+    [frame] = solaspect.simulate(frames=1, bits=12)
+    array = frame.array.astype(dtype) - np.array(7, dtype)
+    if array.dtype.kind == "f":
+        array /= 8
+        array[::50, ::50] = np.nan
+    path = tmp_path / "frame.fits"
+    fits.writeto(path, array)
+    command = [program, "solve", "--format", "jsonl", path]
+    answer = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    solution = solaspect.solve(array)
+    assert solution.quality == answer["quality"] == "fine"
+    assert list(solution.sun_px) == answer["sun_px"]
+
+
 @pytest.mark.parametrize("path", FRAMES, ids=lambda path: f"{path.parent.name}/{path.name[:11]}")
 def test_every_number_is_that_of_the_program(path, answers):
     array, time, corner = read(path)

@@ -116,14 +116,6 @@ def test_an_array_as_astropy_reads_it_is_solved_as_the_program_solves_its_file(t
         assert same(solaspect.solve(array), solaspect.solve(frame.array))
 
 
-@pytest.mark.parametrize("dtype", [np.int16, ">i4", np.int64])
-def test_a_number_that_is_no_pixel_is_named_with_its_place(dtype):
-    array = FRAME.astype(dtype)
-    array[7, 40] = array[900, 3] = -3
-    with pytest.raises(ValueError, match="^array: expected whole numbers from 0 to 65535 DN, found -3 in row 7, column 40$"):
-        solaspect.solve(array)
-
-
 def test_a_contiguous_array_is_not_copied(frame):
     def allocated(array):
         tracemalloc.start()
@@ -216,10 +208,8 @@ NAIVE = datetime.datetime(2013, 9, 21, 18)
     ("arguments", "error", "message"),
     [
         ({"array": FRAME.tolist()}, TypeError, "^array: expected a numpy.ndarray of whole numbers, found list$"),
-        ({"array": FRAME.astype(float)}, TypeError, "^array: expected whole numbers .* in uint8, uint16 .* found dtype float64$"),
-        ({"array": FRAME.astype(">f4")}, TypeError, "^array: expected whole numbers .* found dtype >f4$"),
-        ({"array": FRAME.astype(bool)}, TypeError, "^array: expected whole numbers .* found dtype bool$"),
-        ({"array": FRAME.astype(np.uint32) + 65536}, ValueError, "^array: .* found 65536 in row 0, column 0$"),
+        ({"array": FRAME.astype(bool)}, TypeError, "^array: expected numbers of an integer or floating-point dtype, found dtype bool$"),
+        ({"array": np.full(FRAME.shape, np.nan)}, ValueError, "^array: pixels: expected some pixel with a value, found none$"),
         ({"array": FRAME[0].astype(np.int16)}, ValueError, "^array: expected 2 dimensions .* found 1$"),
         ({"array": FRAME[:0].astype(np.int16)}, ValueError, "^array: expected a frame of at least one pixel"),
         ({"array": np.ma.masked_equal(FRAME, 0)}, TypeError, "^array: expected an array without a mask, found MaskedArray$"),

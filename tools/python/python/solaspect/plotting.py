@@ -23,7 +23,7 @@ REACH = 1.15
 
 
 def plot(
-    array: npt.NDArray[np.integer[Any]],
+    array: npt.NDArray[np.integer[Any] | np.floating[Any]],
     solution: Solution,
     *,
     instrument: AnyInstrument | None = None,

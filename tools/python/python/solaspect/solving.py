@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def solve(
-    array: npt.NDArray[np.integer[Any]],
+    array: npt.NDArray[np.integer[Any] | np.floating[Any]],
     *,
     instrument: AnyInstrument | None = None,
     time: AnyTime | None = None,
@@ -33,8 +33,9 @@ def solve(
     Parameters
     ----------
     array
-        The frame's pixels, rows by columns: whole numbers from 0 to 65535. An array of uint8 or uint16 that is C-contiguous and in the
-        machine's byte order is not copied; any other becomes uint8 or uint16.
+        The frame's pixels, rows by columns. An array of uint8 or uint16 that is C-contiguous and in the machine's byte order is not
+        copied; any other becomes uint8 or uint16. Negative, larger and floating-point numbers are scaled as the program scales those of a
+        file; a pixel that is not a number is masked.
     instrument
         An `Instrument`, the path of its file, or the name of a built-in one; "demo" if not given. A file is read in every call: for
         many frames load it once.
