@@ -92,7 +92,9 @@ pub fn frame(
 /// Whether whole numbers of any type are pixels as they stand.
 fn are_pixels(array: &Bound<'_, PyAny>) -> PyResult<bool> {
     let numpy = array.py().import("numpy")?;
-    let bad = numpy.call_method1("logical_or", (array.lt(0)?, array.gt(u16::MAX)?))?;
+    let below = numpy.call_method1("less", (array, 0))?;
+    let above = numpy.call_method1("greater", (array, u16::MAX))?;
+    let bad = numpy.call_method1("logical_or", (below, above))?;
     Ok(!bad.call_method0("any")?.is_truthy()?)
 }
 
