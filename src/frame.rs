@@ -1,5 +1,6 @@
 //! A picture and what is known of how it was taken.
 
+mod copies;
 mod cutout;
 mod pixels;
 mod region;
@@ -8,6 +9,7 @@ mod warning;
 
 use crate::clock::Utc;
 use crate::units::{Place, SensorPx};
+pub use copies::{Compared, Copies, Identity, PixelDigest, may_be_copies};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
 use pixels::{OnDemand, PixelStorage, Shared};

@@ -800,7 +800,7 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
     };
     told("before");
     let start = std::time::Instant::now();
-    let flight = room::second_pass(&done, &archive, &inputs, &recipe, &Span::default()).unwrap();
+    let flight = room::second_pass(&done, &archive, &camera, &recipe, &Span::default()).unwrap();
     println!("second pass {:.1} s", start.elapsed().as_secs_f64());
     told("second pass");
     let summary = room::write(out.path(), &flight, &recipe).unwrap();

@@ -1,16 +1,17 @@
 //! Which camera took which frames of an archive, by their headers.
 
+use super::copies::{CopiedFrame, Distinct};
 use super::first_pass::{Done, FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
 use super::journal::JournalError;
 use crate::archive::{
     ArchiveReader, INSTRUMENT, MOON_CAMERA, ROLL_CAMERA, StoredFile, plain, sky_camera,
 };
 use crate::fits::Value;
-use crate::frame::TakenBy;
+use crate::frame::{Identity, TakenBy};
 use crate::provenance;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
 /// The frames of one camera.
@@ -21,6 +22,8 @@ pub struct CameraFrames {
     pub label: String,
     /// By path. A file whose header cannot be read is taken for one of the camera that the file before it is of.
     pub inputs: Vec<StoredFile>,
+    /// Files that hold frames of `inputs` once more.
+    pub copies: Vec<CopiedFrame>,
     /// SHA-256 of the instrument's files that the frames name.
     pub instruments_sha256: BTreeSet<String>,
 }
@@ -41,6 +44,7 @@ impl CameraFrames {
     pub fn together(cameras: Vec<Self>) -> Option<Self> {
         cameras.into_iter().reduce(|mut all, camera| {
             all.inputs.extend(camera.inputs);
+            all.copies.extend(camera.copies);
             all.instruments_sha256.extend(camera.instruments_sha256);
             all
         })
@@ -50,7 +54,7 @@ impl CameraFrames {
 /// What a frame's header says of its camera and of the instrument's file.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CameraHeader {
-    taken_by: TakenBy,
+    pub(super) identity: Identity,
     instrument_sha256: Option<String>,
 }
 
@@ -82,11 +86,11 @@ impl FirstPass for CameraHeaders {
         };
         // Roll and Moon camera have no instrument of the plate that their headers could name.
         let by_name = || sky_camera(Path::new(&input.file)).map(str::to_owned);
+        let mut identity = Identity::of(&info);
+        let instrument = &mut identity.taken_by.instrument;
+        *instrument = instrument.take().or_else(by_name);
         Ok(Some(CameraHeader {
-            taken_by: TakenBy {
-                instrument: info.instrument.or_else(by_name),
-                camera: info.camera,
-            },
+            identity,
             instrument_sha256,
         }))
     }
@@ -98,7 +102,7 @@ impl FirstPass for CameraHeaders {
 /// A journal that cannot be read.
 pub fn cameras(
     done: &Done<CameraHeader>,
-    inputs: Vec<StoredFile>,
+    Distinct { inputs, copies, .. }: Distinct,
 ) -> Result<Vec<CameraFrames>, JournalError> {
     let header = |input: &StoredFile| {
         let record = done.record(input)?;
@@ -107,14 +111,23 @@ pub fn cameras(
     let headers = inputs.par_iter().map(header);
     let headers: Vec<Option<CameraHeader>> = headers.collect::<Result<_, JournalError>>()?;
     let first = headers.iter().flatten().next();
-    let mut before = first.map_or(TakenBy::default(), |header| header.taken_by.clone());
+    let mut before = first.map_or(TakenBy::default(), |header| {
+        header.identity.taken_by.clone()
+    });
+    let mut copies_of: HashMap<String, Vec<CopiedFrame>> = HashMap::new();
+    for copy in copies {
+        copies_of.entry(copy.first.clone()).or_default().push(copy);
+    }
     let mut cameras: BTreeMap<TakenBy, CameraFrames> = BTreeMap::new();
     for (input, header) in inputs.into_iter().zip(headers) {
         let (name, sha256) = header.map_or((before.clone(), None), |header| {
-            (header.taken_by, header.instrument_sha256)
+            (header.identity.taken_by, header.instrument_sha256)
         });
         before.clone_from(&name);
         let camera = cameras.entry(name).or_default();
+        camera
+            .copies
+            .extend(copies_of.remove(&input.file).into_iter().flatten());
         camera.inputs.push(input);
         camera.instruments_sha256.extend(sha256);
     }

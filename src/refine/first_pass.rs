@@ -62,7 +62,7 @@ impl FirstPass for Recipe {
 }
 
 /// Counts with every change of what a record holds or how it is made.
-pub(super) const JOURNAL_VERSION: u32 = 4;
+pub(super) const JOURNAL_VERSION: u32 = 5;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
 pub(super) fn hash_of(bytes: &[u8]) -> u64 {

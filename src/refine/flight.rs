@@ -4,9 +4,11 @@
 //! from its own limb through that mapping; what does not fit the frames about it is told, and what it spoils refused.
 //! Frames that were refused or coarse get a [second look](super::look): mapping and path are known now.
 
+use super::cameras::CameraFrames;
 use super::disc::{self, PlateDisc};
 use super::first_pass::{Done, Recipe, Span};
 use super::follow::Followed;
+use super::inputs::InputSummary;
 use super::journal::JournalError;
 use super::load::{ClockFacts, Loaded, load};
 use super::look::{Known, Look};
@@ -16,7 +18,7 @@ use super::radius::RadiusDependence;
 use super::record::{FrameRecord, Grade};
 use super::row::{Oddity, Row};
 use super::work::{LOOSE_RADIUS, TELLING_LIMB, Work};
-use crate::archive::{ArchiveReader, StoredFile};
+use crate::archive::ArchiveReader;
 use crate::geometry::Mapping;
 use crate::units::{Measured, Place, PlateMil, SensorPx};
 use rayon::prelude::*;
@@ -34,6 +36,8 @@ pub struct Flight {
     pub rows: Vec<Row>,
     pub mapping: Option<MappingFacts>,
     pub clock: ClockFacts,
+    /// What of the files was not used as it stands.
+    pub inputs: InputSummary,
     /// What most fine frames say against the instrument, in words: they are not its camera's.
     pub contradiction: Option<String>,
     pub path: Option<motion::Path>,
@@ -55,7 +59,7 @@ pub struct Flight {
 pub fn second_pass(
     done: &Done<FrameRecord>,
     archive: &ArchiveReader,
-    inputs: &[StoredFile],
+    camera: &CameraFrames,
     recipe: &Recipe,
     span: &Span,
 ) -> Result<Flight, JournalError> {
@@ -63,9 +67,10 @@ pub fn second_pass(
         entries,
         marks,
         unread,
+        inputs,
         clock,
         contradiction,
-    } = load(done, inputs, &recipe.instrument, span)?;
+    } = load(done, camera, &recipe.instrument, span)?;
     let mut work = Work::new(done, recipe, entries, marks);
     let ratio = work.place_discs()?;
     work.look_for_oddities(|_| true);
@@ -88,6 +93,7 @@ pub fn second_pass(
         mapping: work.mapping.map(|mapping| mapping.facts),
         clock,
         contradiction,
+        inputs,
         path: followed.path,
         radius_ratio: work.radius_ratio,
         radius_by_temperature,

@@ -1,10 +1,12 @@
 //! The records of the first pass, without what the second pass does not hold for all frames at once.
 
+use super::cameras::CameraFrames;
 use super::clock::{self, Clocks, Reading, corrected_ns};
 use super::drift::MarkObservation;
 use super::first_pass::{Done, Span, key};
+use super::inputs::{InputNotes, InputSummary};
 use super::journal::JournalError;
-use super::record::{FrameRecord, Grade, MarkRecord, Record, upper};
+use super::record::{FrameFacts, FrameRecord, Grade, MarkRecord, Record, upper};
 use super::row::{Oddity, Row};
 use crate::archive::StoredFile;
 use crate::instrument::Instrument;
@@ -23,6 +25,7 @@ pub(super) struct Entry {
     /// Of its record.
     pub key: u64,
     pub row: Row,
+    pub facts: FrameFacts,
     pub place: Option<Place>,
     /// The fine frame's own mapping from the ideal sensor (px) to the plate (mil), row by row.
     pub own_mapping: Option<[f64; 9]>,
@@ -37,8 +40,9 @@ pub(super) struct Loaded {
     /// In the order of time; those without a time come last, by name.
     pub entries: Vec<Entry>,
     pub marks: Vec<MarkObservation>,
-    /// Files that could not be read.
+    /// Files that could not be read, and copies, by name.
     pub unread: Vec<Row>,
+    pub inputs: InputSummary,
     pub clock: ClockFacts,
     /// What most fine frames say against the instrument, in words.
     pub contradiction: Option<String>,
@@ -65,12 +69,13 @@ pub struct ClockStep {
 /// A journal that cannot be read.
 pub(super) fn load(
     done: &Done<FrameRecord>,
-    inputs: &[StoredFile],
+    camera: &CameraFrames,
     instrument: &Instrument,
     span: &Span,
 ) -> Result<Loaded, JournalError> {
     let (mut entries, mut marks, mut unread) = (Vec::new(), Vec::new(), Vec::new());
-    for some in inputs.chunks(TOGETHER) {
+    let mut notes = InputNotes::default();
+    for some in camera.inputs.chunks(TOGETHER) {
         let loaded = some.par_iter().map(|input| {
             let record = done.record(input)?;
             Ok(record.and_then(|record| one(record, instrument, span)))
@@ -79,14 +84,21 @@ pub(super) fn load(
         for one in loaded.into_iter().flatten() {
             match one {
                 Ok((mut entry, own)) => {
+                    notes.read(&entry.row.file, &entry.facts);
                     entry.marks = marks.len()..marks.len() + own.len();
                     marks.extend(own);
                     entries.push(entry);
                 }
-                Err(row) => unread.push(row),
+                Err((input, error)) => {
+                    notes.unreadable(&error);
+                    unread.push(Row::unread(input, error));
+                }
             }
         }
     }
+    let copies = notes.copies(&camera.copies, span).into_iter();
+    unread.extend(copies.map(|(input, reason)| Row::unread(input, reason)));
+    unread.sort_by(|a, b| a.file.cmp(&b.file));
     let contradiction = contradiction(&entries);
     let clock = correct_times(&mut entries);
     entries.par_iter_mut().for_each(|Entry { row, .. }| {
@@ -103,6 +115,7 @@ pub(super) fn load(
         entries,
         marks,
         unread,
+        inputs: notes.finish(),
         clock,
         contradiction,
     })
@@ -152,8 +165,8 @@ fn correct_times(entries: &mut [Entry]) -> ClockFacts {
     }
 }
 
-/// A frame with its marks, or the row of a file that could not be read.
-type One = Result<(Entry, Vec<MarkObservation>), Row>;
+/// A frame with its marks, or a file that could not be read, and why.
+type One = Result<(Entry, Vec<MarkObservation>), (StoredFile, String)>;
 
 /// What a record gives; none where it lies outside the span.
 fn one(record: Record<FrameRecord>, instrument: &Instrument, span: &Span) -> Option<One> {
@@ -161,7 +174,7 @@ fn one(record: Record<FrameRecord>, instrument: &Instrument, span: &Span) -> Opt
     match outcome {
         Ok(frame) if !span.holds(frame.facts.utc()) => None,
         Ok(frame) => Some(Ok(entry(input, &frame, instrument))),
-        Err(error) => Some(Err(Row::unread(input, error))),
+        Err(error) => Some(Err((input, error))),
     }
 }
 
@@ -178,6 +191,7 @@ fn entry(
     let entry = Entry {
         key,
         row,
+        facts: frame.facts.clone(),
         place: frame.facts.place(),
         own_mapping: own.and_then(|disc| disc.to_plate),
         marks: 0..0,

@@ -13,6 +13,7 @@ mod allan;
 mod cameras;
 mod clock;
 pub mod columns;
+mod copies;
 mod disc;
 mod drift;
 mod drift_report;
@@ -20,6 +21,7 @@ mod estimate;
 mod first_pass;
 mod flight;
 mod follow;
+mod inputs;
 mod jitter_report;
 mod journal;
 mod load;
@@ -40,9 +42,11 @@ mod view;
 mod work;
 
 pub use cameras::{CameraFrames, CameraHeader, CameraHeaders, cameras};
+pub use copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 pub use disc::PlateDisc;
 pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved};
 pub use flight::{Flight, second_pass};
+pub use inputs::{InputSummary, kind_of_error, unreadable_line};
 pub use journal::{Journal, JournalError};
 pub use load::{ClockFacts, ClockStep};
 pub use mapping::{

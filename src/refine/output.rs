@@ -4,6 +4,7 @@
 use super::columns::{self, ASPECT, ASPECT_COLUMNS, ColumnRow, SMOOTHED, SMOOTHED_COLUMNS};
 use super::first_pass::{FirstPass, Recipe, hash_of};
 use super::flight::Flight;
+use super::inputs::InputSummary;
 use super::load::ClockStep;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
 use super::motion::FoundSwing;
@@ -58,6 +59,8 @@ pub struct Summary {
     /// Of `aspect.fits`.
     pub table_hash: String,
     pub files: usize,
+    #[serde(flatten)]
+    pub inputs: InputSummary,
     pub fine: usize,
     pub coarse: usize,
     pub none: usize,
@@ -321,6 +324,7 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         instrument_sha256: recipe.flown.sha256(INSTRUMENT),
         table_hash,
         files: rows.len(),
+        inputs: flight.inputs.clone(),
         fine: count(Grade::Fine),
         coarse: count(Grade::Coarse),
         none: count(Grade::None),

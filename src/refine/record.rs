@@ -3,7 +3,7 @@
 use crate::archive::StoredFile;
 use crate::aspect::{self, Aspect, Mark, Solution};
 use crate::fits::{Header, Value};
-use crate::frame::FrameInfo;
+use crate::frame::{FrameInfo, Warning};
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::plate::MarkId;
@@ -28,8 +28,14 @@ pub struct FrameFacts {
     pub monotonic_s: Option<f64>,
     pub number: Option<u64>,
     pub temperature_c: Option<f64>,
+    /// How long the shutter was open, s.
+    pub exposure_s: Option<f64>,
     /// Latitude and longitude (deg) and height (m).
     place: Option<[f64; 3]>,
+    /// What of the file was not used as it stands.
+    pub warnings: Vec<Warning>,
+    /// Why the frame has no time although its file states one.
+    pub untimed: Option<Warning>,
 }
 
 /// What one frame gave.
@@ -199,10 +205,24 @@ impl FrameFacts {
             monotonic_s: info.monotonic.map(|time| time.as_secs_f64()),
             number: info.number,
             temperature_c: info.camera_temperature_c,
+            exposure_s: info.exposure.map(|exposure| exposure.as_secs_f64()),
+            warnings: info.warnings.clone(),
+            untimed: info.untimed.clone(),
             place: info
                 .place
                 .map(|place| [place.latitude_deg, place.longitude_deg, place.height_m]),
         }
+    }
+
+    /// A frame's reason: why its time is not used, and its own.
+    pub(super) fn reason(&self, own: Option<&str>) -> String {
+        let untimed = self.untimed.as_ref().map(|why| format!("time: {why}"));
+        let own = own.map(str::to_owned);
+        untimed
+            .into_iter()
+            .chain(own)
+            .collect::<Vec<_>>()
+            .join("; ")
     }
 
     pub fn utc(&self) -> Option<Timestamp> {

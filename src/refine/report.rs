@@ -161,6 +161,8 @@ impl Part<'_> {
         for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
             rows.push(vec!["jump of the mapping".into(), jump.text()]);
         }
+        let inputs = summary.inputs.lines().into_iter();
+        rows.extend(inputs.map(|line| vec!["input".into(), line]));
         rows.extend(summary.clock.lines().map(Vec::from));
         for (axis, swings) in ["x", "y"].into_iter().zip(&summary.swings) {
             rows.push(vec![

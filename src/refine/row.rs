@@ -200,7 +200,7 @@ impl Row {
             number: frame.facts.number,
             temperature_c: frame.facts.temperature_c,
             quality: frame.quality,
-            own_reason: frame.reason.clone().unwrap_or_default(),
+            own_reason: frame.facts.reason(frame.reason.as_deref()),
             own: OwnRow {
                 quality: frame.quality,
                 reason: frame.reason.clone().unwrap_or_default(),

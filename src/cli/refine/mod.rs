@@ -17,7 +17,7 @@ use anyhow::ensure;
 use clap::Args;
 use jiff::Timestamp;
 use navigation::NavigationArgs;
-use passes::{expect_all_read, journal_name, print_shard};
+use passes::{InputsRead, expect_all_read, journal_name, print_shard};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -26,7 +26,8 @@ use std::process::ExitCode;
 /// The first pass solves every frame on its own and records it in a journal in --out: a run that was killed continues where it
 /// was. The second pass uses the flight as a whole and writes aspect.fits, aspect.csv, summary.json and report.html. On a cluster
 /// each machine does its --shard, and a last run with --merge merges their journals.
-/// Unreadable files get a row with the reason; they do not change the exit code, unless another attempt may read them. Each of several cameras has its own history, in a
+/// A frame that several files hold counts once. Unreadable files get a row with the reason and are counted in the summary; they do not change the
+/// exit code, unless another attempt may read them or nothing could be read at all. Each of several cameras has its own history, in a
 /// folder of --out, and all have one report. Frames of the roll camera give roll.fits, roll.csv and roll.json, and the roll of the
 /// offsets. With --imu and --gps the attitude at every IMU sample is estimated from all frames of the flight.
 /// With --rate the telescope's offset at that rate, along the smoothed path between frames, is in stabilisation.fits and .csv.
@@ -114,7 +115,9 @@ impl RefineArgs {
             ephemeris,
         };
         let mut report = Report::default();
+        let mut read = InputsRead::default();
         if let Some(camera) = moon {
+            read.frames += camera.inputs.len();
             let frames = counted(camera.inputs.len() as u64, "frame");
             let text =
                 format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them");
@@ -135,6 +138,9 @@ impl RefineArgs {
             (None, _) => None,
         };
         let history = refined_roll.as_ref().map(|(history, _)| history);
+        if let Some(history) = history {
+            read.add(history.rows.len(), &history.inputs);
+        }
         for (camera, recipe) in plate.iter().zip(recipes) {
             let label = (plate.len() > 1).then_some(camera.label.as_str());
             let mut shared = Shared {
@@ -144,6 +150,9 @@ impl RefineArgs {
                 report: &mut report,
             };
             let flight = self.refine(camera, label, &recipe, &mut shared)?;
+            if let Some(flight) = &flight {
+                read.add(flight.rows.len(), &flight.inputs);
+            }
             if let Some((sensors, flight)) = sensors.as_mut().zip(flight) {
                 sensors.see_sun(camera, &flight, &recipe.instrument)?;
             }
@@ -160,6 +169,7 @@ impl RefineArgs {
         }
         if self.shard.is_none() {
             report.write(&self.out)?;
+            read.expect_frames(archive)?;
         }
         expect_all_read(archive)?;
         Ok(code)
@@ -172,7 +182,8 @@ impl RefineArgs {
             None => frames,
         };
         let done = self.first_pass(archive, "headers", &CameraHeaders, &frames)?;
-        let mut cameras = refine::cameras(&done, frames)?;
+        let distinct = self.distinct(archive, &done, frames)?;
+        let mut cameras = refine::cameras(&done, distinct)?;
         let mut taken = |is_one: fn(&CameraFrames) -> bool| {
             CameraFrames::together(cameras.extract_if(.., |camera| is_one(camera)).collect())
         };
@@ -203,7 +214,7 @@ impl RefineArgs {
             print_shard(shard, &camera.label, &done, &camera.inputs)?;
             return Ok(None);
         }
-        let mut flight = self.second_pass(archive, &done, &camera.inputs, recipe)?;
+        let mut flight = self.second_pass(archive, &done, camera, recipe)?;
         if let Some(roll) = roll {
             roll.fill(&mut flight.rows);
         }
@@ -240,7 +251,7 @@ impl RefineArgs {
             print_shard(shard, &camera.label, &done, &camera.inputs)?;
             return Ok(None);
         }
-        let history = RollHistory::new(&done, &camera.inputs, recipe, &self.span())?;
+        let history = RollHistory::new(&done, camera, recipe, &self.span())?;
         let summary = refine::write_roll(&self.out, &history, recipe)?;
         print_roll(&summary)?;
         Ok(Some((history, summary)))
@@ -272,6 +283,9 @@ fn print(summary: &Summary) -> anyhow::Result<()> {
         summary.coarse,
         summary.none
     ))?;
+    for line in summary.inputs.lines() {
+        say(format_args!("  {line}"))?;
+    }
     for (odd, count) in &summary.odd {
         say(format_args!("  {count} odd: {odd}"))?;
     }
@@ -297,6 +311,9 @@ fn print_roll(summary: &RollSummary) -> anyhow::Result<()> {
         summary.coarse,
         summary.none
     ))?;
+    for line in summary.inputs.lines() {
+        say(format_args!("  {line}"))?;
+    }
     for (remark, count) in &summary.remarks {
         say(format_args!("  {count} not fine: {remark}"))?;
     }

@@ -3,9 +3,14 @@
 use super::RefineArgs;
 use crate::archive::{ArchiveReader, StoredFile};
 use crate::cli::output::{Progress, say};
-use crate::refine::{self, Done, FirstPass, Flight, FrameRecord, Recipe, Shard, Span};
+use crate::refine::{
+    self, CameraFrames, CameraHeader, Distinct, Done, FirstPass, Flight, FrameRecord, InputSummary,
+    PixelDigests, Recipe, Shard, Span,
+};
+use crate::units::counted;
 use anyhow::{bail, ensure};
 use serde::{Serialize, de::DeserializeOwned};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::thread::available_parallelism;
 
@@ -73,14 +78,42 @@ impl RefineArgs {
         Ok(done)
     }
 
+    /// The files of frames without copies. A shard does not look for them: other shards may have the frames that its own are copies of.
+    pub(super) fn distinct(
+        &self,
+        archive: &ArchiveReader,
+        headers: &Done<CameraHeader>,
+        inputs: Vec<StoredFile>,
+    ) -> anyhow::Result<Distinct> {
+        let alike = match self.shard {
+            Some(_) => Vec::new(),
+            None => refine::may_be_copied(headers, &inputs)?,
+        };
+        if alike.is_empty() {
+            return Ok(Distinct {
+                inputs,
+                ..Distinct::default()
+            });
+        }
+        let digests = self.first_pass(archive, "frames compared", &PixelDigests, &alike)?;
+        let distinct = refine::distinct(headers, &digests, inputs)?;
+        if let Some([first, other]) = distinct.contradicting.first() {
+            tracing::warn!(
+                "{other}: expected another number or time than that of {first}, found the same and other pixels ({})",
+                counted(distinct.contradicting.len() as u64, "such frame")
+            );
+        }
+        Ok(distinct)
+    }
+
     pub(super) fn second_pass(
         &self,
         archive: &ArchiveReader,
         done: &Done<FrameRecord>,
-        inputs: &[StoredFile],
+        camera: &CameraFrames,
         recipe: &Recipe,
     ) -> anyhow::Result<Flight> {
-        let flight = refine::second_pass(done, archive, inputs, recipe, &self.span())?;
+        let flight = refine::second_pass(done, archive, camera, recipe, &self.span())?;
         expect_answers(archive)?;
         ensure!(
             !flight.rows.is_empty(),
@@ -122,6 +155,33 @@ pub(super) fn expect_all_read(archive: &ArchiveReader) -> anyhow::Result<()> {
         );
     }
     Ok(())
+}
+
+/// What the cameras' files gave.
+#[derive(Default)]
+pub(super) struct InputsRead {
+    pub frames: usize,
+    unreadable: BTreeMap<String, usize>,
+}
+
+impl InputsRead {
+    pub fn add(&mut self, files: usize, inputs: &InputSummary) {
+        self.frames += inputs.frames(files);
+        for (reason, files) in &inputs.unreadable_reasons {
+            *self.unreadable.entry(reason.clone()).or_default() += files;
+        }
+    }
+
+    /// An archive of which nothing could be read makes the run a failure.
+    pub fn expect_frames(&self, archive: &ArchiveReader) -> anyhow::Result<()> {
+        match refine::unreadable_line(&self.unreadable) {
+            Some(why) if self.frames == 0 => bail!(
+                "{}: expected frames that can be read, found none: {why}",
+                archive.name().display()
+            ),
+            _ => Ok(()),
+        }
+    }
 }
 
 pub(super) fn print_shard<T: Serialize + DeserializeOwned + Clone + Send>(

@@ -1,8 +1,10 @@
 //! The body's roll and pitch over the flight.
 
+use super::super::cameras::CameraFrames;
 use super::super::clock::{Clocks, Reading, corrected_ns};
 use super::super::first_pass::{Done, Span};
 use super::super::follow::ODD_PATH_CHI2;
+use super::super::inputs::{InputNotes, InputSummary};
 use super::super::journal::JournalError;
 use super::super::motion::{self, Measurement, Moment, Path, SharedErrors};
 use super::super::record::{FrameFacts, Grade, Record};
@@ -76,9 +78,9 @@ impl RollRow {
 
     fn of(input: StoredFile, record: HorizonRecord) -> Self {
         Self {
+            reason: record.facts.reason(record.reason.as_deref()),
             facts: record.facts,
             quality: record.quality,
-            reason: record.reason.unwrap_or_default(),
             flags: record.flags,
             nadir: record.nadir.map(|nadir| nadir.direction()),
             places: record.places,
@@ -120,6 +122,8 @@ pub struct RollHistory {
     /// Which part of the stated sigmas changes from frame to frame, of roll and pitch. The rest is the limb's own shape and the camera's
     /// height, alike in neighbours.
     pub changing: [f64; 2],
+    /// What of the files was not used as it stands.
+    pub inputs: InputSummary,
     max_age_s: f64,
 }
 
@@ -130,19 +134,34 @@ impl RollHistory {
     /// A journal that cannot be read.
     pub fn new(
         done: &Done<HorizonRecord>,
-        inputs: &[StoredFile],
+        camera: &CameraFrames,
         recipe: &RollRecipe,
         span: &Span,
     ) -> Result<Self, JournalError> {
-        let records = inputs.par_iter().map(|input| done.record(input));
+        let records = camera.inputs.par_iter().map(|input| done.record(input));
         let records: Vec<Option<Record<HorizonRecord>>> = records.collect::<Result<_, _>>()?;
-        let row = |Record { input, outcome }| match outcome {
-            Ok(HorizonRecord { ref facts, .. }) if !span.holds(facts.utc()) => None,
-            Ok(record) => Some(RollRow::of(input, record)),
-            Err(error) => Some(RollRow::unread(input, &error)),
-        };
-        let rows = records.into_iter().flatten().filter_map(row).collect();
-        Ok(Self::of(rows, recipe.settings.max_age_s))
+        let mut notes = InputNotes::default();
+        let mut rows = Vec::with_capacity(records.len());
+        for Record { input, outcome } in records.into_iter().flatten() {
+            match outcome {
+                Ok(record) if !span.holds(record.facts.utc()) => {}
+                Ok(record) => {
+                    notes.read(&input.file, &record.facts);
+                    rows.push(RollRow::of(input, record));
+                }
+                Err(error) => {
+                    notes.unreadable(&error);
+                    rows.push(RollRow::unread(input, &error));
+                }
+            }
+        }
+        let copies = notes.copies(&camera.copies, span).into_iter();
+        rows.extend(copies.map(|(input, reason)| RollRow::unread(input, &reason)));
+        let history = Self::of(rows, recipe.settings.max_age_s);
+        Ok(Self {
+            inputs: notes.finish(),
+            ..history
+        })
     }
 
     fn of(mut rows: Vec<RollRow>, max_age_s: f64) -> Self {
@@ -154,6 +173,7 @@ impl RollHistory {
             changing: changing(&rows[..dated]),
             rows,
             dated,
+            inputs: InputSummary::default(),
             max_age_s,
         };
         history.refuse_what_is_off();

@@ -1,6 +1,7 @@
 //! What a refinement leaves of the roll camera: `roll.fits`, `roll.csv`, `roll.json`.
 
 use super::super::columns::{self, ROLL, ROLL_COLUMNS};
+use super::super::inputs::InputSummary;
 use super::super::output::{OutputError, csv, whole, write_tables};
 use super::super::record::Grade;
 use super::{RollHistory, RollRecipe, RollRow};
@@ -29,6 +30,8 @@ pub struct RollSummary {
     /// Of `roll.fits`, hexadecimal.
     pub table_hash: String,
     pub files: usize,
+    #[serde(flatten)]
+    pub inputs: InputSummary,
     pub fine: usize,
     pub coarse: usize,
     pub none: usize,
@@ -88,6 +91,7 @@ fn summary(history: &RollHistory, recipe: &RollRecipe, table_hash: String) -> Ro
         camera_sha256: recipe.flown.sha256(INSTRUMENT),
         table_hash,
         files: rows.len(),
+        inputs: history.inputs.clone(),
         fine: count(Grade::Fine),
         coarse: count(Grade::Coarse),
         none: count(Grade::None),

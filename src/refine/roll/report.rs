@@ -40,7 +40,11 @@ impl Report {
             ),
             ("1 sigma, smoothed", sigma(summary.smoothed_sigma_deg)),
         ];
-        let rows = rows.map(|(name, value)| vec![name.to_owned(), value]);
+        let mut rows = rows
+            .map(|(name, value)| vec![name.to_owned(), value])
+            .to_vec();
+        let inputs = summary.inputs.lines().into_iter();
+        rows.extend(inputs.map(|line| vec!["input".into(), line]));
         self.page.table(&[], &rows);
         self.figures(archive, history);
         self.odd_frames(archive, history, recipe);

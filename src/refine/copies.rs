@@ -1,0 +1,141 @@
+//! Frames that an archive holds more than once, as that of both disks of a mirroring flight: each counts once.
+
+use super::cameras::CameraHeader;
+use super::first_pass::{Done, FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
+use super::journal::JournalError;
+use crate::archive::{ArchiveReader, StoredFile};
+use crate::frame::{Compared, Copies, Identity, PixelDigest, may_be_copies};
+use crate::provenance;
+use std::path::Path;
+
+/// Reads the pixels of frames that may be copies.
+#[derive(Debug, Clone, Copy)]
+pub struct PixelDigests;
+
+impl FirstPass for PixelDigests {
+    type Frame = PixelDigest;
+
+    fn hash(&self) -> u64 {
+        hash_of(format!("{} {JOURNAL_VERSION}", provenance::VERSION).as_bytes())
+    }
+
+    fn prefix(&self) -> &'static str {
+        "pixels-"
+    }
+
+    fn solve(
+        &self,
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        _: &Span,
+    ) -> Result<Option<PixelDigest>, Unsolved> {
+        let file = archive.open_file(&input.file)?;
+        let frame = file.frame()?;
+        Ok(Some(PixelDigest::of(&frame)))
+    }
+}
+
+/// A file whose frame another file holds, too.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CopiedFrame {
+    pub input: StoredFile,
+    pub identity: Identity,
+    /// The file whose frame counts.
+    pub first: String,
+}
+
+impl CopiedFrame {
+    /// Why the file gives nothing.
+    pub fn reason(&self) -> String {
+        format!("the same frame as {}", self.first)
+    }
+
+    /// Whether its frame, which is not used, was taken within a span.
+    pub fn is_in(&self, span: &Span) -> bool {
+        span.holds(self.identity.utc())
+    }
+}
+
+/// The files of frames, each frame once.
+#[derive(Debug, Default)]
+pub struct Distinct {
+    /// In the order given.
+    pub inputs: Vec<StoredFile>,
+    pub copies: Vec<CopiedFrame>,
+    /// Files whose frames have the camera, the number and the time of another file's, but other pixels; with that file.
+    pub contradicting: Vec<[String; 2]>,
+}
+
+/// The files whose pixels must be compared, by their headers.
+///
+/// # Errors
+/// A journal that cannot be read.
+pub fn may_be_copied(
+    headers: &Done<CameraHeader>,
+    inputs: &[StoredFile],
+) -> Result<Vec<StoredFile>, JournalError> {
+    let identities = identities(headers, inputs)?;
+    let known: Vec<_> = identities.iter().map(Option::as_ref).collect();
+    let marked = inputs.iter().zip(may_be_copies(&known));
+    let marked = marked.filter(|(_, is_marked)| *is_marked);
+    Ok(marked.map(|(input, _)| input.clone()).collect())
+}
+
+/// Parts the frames from their copies.
+///
+/// # Errors
+/// A journal that cannot be read.
+pub fn distinct(
+    headers: &Done<CameraHeader>,
+    digests: &Done<PixelDigest>,
+    inputs: Vec<StoredFile>,
+) -> Result<Distinct, JournalError> {
+    let identities = identities(headers, &inputs)?;
+    let (mut compared, mut at) = (Vec::new(), Vec::new());
+    for (n, (input, identity)) in inputs.iter().zip(&identities).enumerate() {
+        let digest = digests.record(input)?;
+        let digest = digest.and_then(|record| record.outcome.ok());
+        if let Some((identity, digest)) = identity.as_ref().zip(digest) {
+            at.push(n);
+            compared.push(Compared {
+                path: Path::new(&input.file),
+                identity,
+                digest: Some(digest),
+            });
+        }
+    }
+    let found = Copies::among(&compared);
+    let name = |n: usize| inputs[at[n]].file.clone();
+    let mut firsts = vec![None; inputs.len()];
+    for (n, first) in found.of.iter().enumerate() {
+        firsts[at[n]] = first.map(name);
+    }
+    let contradicting = found.contradicting.iter();
+    let mut distinct = Distinct {
+        contradicting: contradicting.map(|pair| pair.map(name)).collect(),
+        ..Distinct::default()
+    };
+    for ((input, identity), first) in inputs.into_iter().zip(identities).zip(firsts) {
+        match identity.zip(first) {
+            Some((identity, first)) => distinct.copies.push(CopiedFrame {
+                input,
+                identity,
+                first,
+            }),
+            None => distinct.inputs.push(input),
+        }
+    }
+    Ok(distinct)
+}
+
+fn identities(
+    headers: &Done<CameraHeader>,
+    inputs: &[StoredFile],
+) -> Result<Vec<Option<Identity>>, JournalError> {
+    let identity = |input: &StoredFile| {
+        let record = headers.record(input)?;
+        let header = record.and_then(|record| record.outcome.ok());
+        Ok(header.map(|header| header.identity))
+    };
+    inputs.iter().map(identity).collect()
+}
