@@ -123,6 +123,7 @@ fn measured(flown: &[Truth], seed: u64) -> Vec<Moment> {
     };
     let moment = |truth: &Truth| Moment {
         time_s: truth.time_s,
+        time_sigma_s: 0.0,
         measured: truth.seen.then(|| truth.at_mil.map(&mut noisy)),
     };
     flown.iter().map(moment).collect()
@@ -236,6 +237,7 @@ fn where_nothing_was_seen_the_sigma_grows_with_the_gap() {
 fn a_path_without_a_measured_moment_is_none() {
     let nothing = Moment {
         time_s: 0.0,
+        time_sigma_s: 0.0,
         measured: None,
     };
     assert_eq!(path(&[nothing; 3], &SharedErrors::default()), None);

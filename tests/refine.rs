@@ -762,7 +762,7 @@ fn lit_records(plan: &Plan, out: &Path) -> Vec<solaspect::refine::Record<FrameRe
 #[test]
 #[ignore = "a minute long, and it measures the process's memory"]
 fn a_hundred_thousand_frames_take_less_than_400_mb() {
-    use solaspect::refine::{self as room, Done, Recipe, Span};
+    use solaspect::refine::{self as room, CameraFrames, Done, Recipe, Span};
     let frames = std::env::var("SOLASPECT_FLIGHT_FRAMES");
     let frames: usize = frames.map_or(100_000, |frames| frames.parse().unwrap());
     let (plan, archive) = flight();
@@ -771,7 +771,7 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
     let lit = lit_records(plan, out.path());
     let long = out.path().join("long.journal");
     let journal = Journal::open(&long, |_, _| {}).unwrap();
-    let mut inputs = Vec::new();
+    let mut camera = CameraFrames::default();
     for n in 0..frames {
         let turn = n % (2 * lit.len());
         let mut record = lit[turn.min(2 * lit.len() - 1 - turn)].clone();
@@ -783,7 +783,7 @@ fn a_hundred_thousand_frames_take_less_than_400_mb() {
             frame.facts.utc_ns = Some(time(0).as_nanosecond() as i64 + n as i64 * 250_000_000);
         }
         journal.append(&record).unwrap();
-        inputs.push(record.input);
+        camera.inputs.push(record.input);
     }
     drop((journal, lit));
     let archive = ArchiveReader::open(archive, out.path()).unwrap();

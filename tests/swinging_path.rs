@@ -75,6 +75,7 @@ fn measured(flown: &[Axes], seed: u64) -> Vec<Moment> {
     let kept = (-1.0 / RATE_HZ / MAPPING_S).exp();
     let moment = |(n, truth): (usize, &Axes)| Moment {
         time_s: time_s(n),
+        time_sigma_s: 0.0,
         measured: Some([0, 1].map(|axis| {
             let step = MAPPING_SIGMA_MIL * (1.0 - kept * kept).sqrt();
             mapping[axis] = kept * mapping[axis] + step * random.normal();

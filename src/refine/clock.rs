@@ -69,6 +69,8 @@ pub struct Clocks {
     pub drift: Option<Measured>,
     /// What is to be added to each frame's UTC, s; none where the clock is believed.
     pub corrections_s: Vec<Option<Measured>>,
+    /// Whether each frame is of a start of the computer in which the clocks can be compared.
+    pub confirmed: Vec<bool>,
 }
 
 impl Clocks {
@@ -76,6 +78,7 @@ impl Clocks {
     pub fn of(readings: &[Option<Reading>]) -> Self {
         let mut clocks = Self {
             corrections_s: vec![None; readings.len()],
+            confirmed: vec![false; readings.len()],
             ..Self::default()
         };
         let Some(first_ns) = readings.iter().flatten().map(|r| r.utc_ns).min() else {
@@ -106,6 +109,9 @@ impl Clocks {
 
     /// Looks at one start of the computer; gives the drift, where it shows.
     fn look(&mut self, moments: &[Moment]) -> Option<Measured> {
+        for moment in moments {
+            self.confirmed[moment.frame] = true;
+        }
         let runs = runs(moments);
         let length_s =
             |run: &Range<usize>| moments[run.end - 1].monotonic_s - moments[run.start].monotonic_s;

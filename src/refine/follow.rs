@@ -8,7 +8,7 @@ use super::row::{Oddity, Row};
 use super::work::{TELLING_LIMB, Work};
 use crate::estimation::median;
 use crate::geometry::view::UNIT_MIL;
-use crate::units::PlateMil;
+use crate::units::{Estimate, PlateMil};
 use nalgebra::Vector2;
 
 /// Off the path, chi^2 of two.
@@ -39,6 +39,12 @@ impl Followed {
         let ([x, y], variance) = (point.place, point.variance);
         let sigma = ((variance[0] + variance[1]) / 2.0).sqrt();
         Some((PlateMil::new(x, y), sigma))
+    }
+
+    /// How fast the Sun moves at the dated row, mil/s; `None` where the path is a guess.
+    pub fn speed(&self, row: usize) -> Option<[f64; 2]> {
+        let point = &self.path.as_ref()?.points[*self.at.get(row)?];
+        is_known(point).then_some(point.speed)
     }
 }
 
@@ -75,12 +81,17 @@ impl Work<'_> {
             if let Some(before) = before.filter(|before| time_s > *before) {
                 moments.push(Moment {
                     time_s: (before + time_s) / 2.0,
+                    time_sigma_s: 0.0,
                     measured: None,
                 });
             }
-            let measured = measurements(row).filter(|_| counts(row));
+            let measured = measurements(row).filter(|_| counts(row) && row.is_timed());
             at.push(moments.len());
-            moments.push(Moment { time_s, measured });
+            moments.push(Moment {
+                time_s,
+                time_sigma_s: row.time_sigma_s.unwrap_or(0.0),
+                measured,
+            });
             before = Some(time_s);
         }
         Followed {
@@ -134,6 +145,10 @@ fn is_off(row: &Row, point: &PathPoint) -> bool {
         return false;
     };
     let off = sun.position.vector() - Vector2::from(point.place);
+    let sun = Estimate {
+        covariance: sun.covariance + row.moved_mil2(point.speed),
+        ..sun
+    };
     let [x, y] = sun.variance();
     let chi2 = off.x.powi(2) / (x + point.variance[0]) + off.y.powi(2) / (y + point.variance[1]);
     chi2 > ODD_PATH_CHI2

@@ -1,13 +1,14 @@
 //! The records of the first pass, without what the second pass does not hold for all frames at once.
 
 use super::cameras::CameraFrames;
-use super::clock::{self, Clocks, Reading, corrected_ns};
+use super::clock;
 use super::drift::MarkObservation;
 use super::first_pass::{Done, Span, key};
 use super::inputs::{InputNotes, InputSummary};
 use super::journal::JournalError;
 use super::record::{FrameFacts, FrameRecord, Grade, MarkRecord, Record, upper};
-use super::row::{Oddity, Row};
+use super::row::Row;
+use super::times::{Stamp, Times};
 use crate::archive::StoredFile;
 use crate::instrument::Instrument;
 use crate::sky::sun_angular_radius;
@@ -140,22 +141,23 @@ fn contradiction(entries: &[Entry]) -> Option<String> {
     })
 }
 
-/// Holds UTC against the monotonic clock.
+/// Holds the frames' times against the monotonic clock, their numbers and each other.
 fn correct_times(entries: &mut [Entry]) -> ClockFacts {
-    let reading = |entry: &Entry| Reading::of(entry.row.utc_ns, entry.row.monotonic_s);
-    let readings: Vec<Option<Reading>> = entries.iter().map(reading).collect();
-    let clocks = Clocks::of(&readings);
+    let place = |entry: &Entry| entry.row.own.sun_mil;
+    let stamps = entries
+        .iter()
+        .map(|entry| Stamp::of(&entry.facts, place(entry)));
+    let Times { timings, clocks } = Times::of(&stamps.collect::<Vec<Stamp>>());
     let step = |step: &clock::ClockStep| ClockStep {
         file: entries[step.frame].row.file.clone(),
         step_s: step.step_s,
     };
     let steps = clocks.steps.iter().map(step).collect();
-    for (entry, shift_s) in entries.iter_mut().zip(&clocks.corrections_s) {
-        if let Some(shift_s) = shift_s {
-            entry.row.utc_ns = entry.row.utc_ns.map(|utc_ns| corrected_ns(utc_ns, shift_s));
-            entry.row.utc_correction_s = Some(*shift_s);
-            entry.row.note(Oddity::Clock);
-        }
+    for (Entry { row, .. }, timing) in entries.iter_mut().zip(timings) {
+        row.utc_ns = timing.utc_ns(row.utc_ns);
+        row.utc_correction_s = timing.correction_s;
+        row.time_sigma_s = timing.sigma_s;
+        timing.odd.into_iter().for_each(|odd| row.note(odd));
     }
     ClockFacts {
         drift_ppm: clocks

@@ -38,6 +38,7 @@ mod row;
 mod sky;
 mod stabilisation;
 mod temperature;
+mod times;
 mod view;
 mod work;
 

@@ -3,10 +3,13 @@
 use super::disc::PlateDisc;
 use super::mapping::MappingNumbers;
 use super::record::{FrameRecord, Grade, InFlight};
+use super::times::{Order, SIGMA_PER_WIDTH};
 use crate::archive::StoredFile;
 use crate::geometry::attitude::Direction;
 use crate::units::{Estimate, Measured, PlateMil};
 use jiff::Timestamp;
+use nalgebra::{Matrix2, Vector2};
+use std::borrow::Cow;
 use std::fmt;
 
 /// What is odd about a frame, seen beside the others.
@@ -32,6 +35,16 @@ pub enum Oddity {
     SecondLook,
     /// UTC had stepped against the monotonic clock.
     Clock,
+    /// Frames of one stamp were spread over the step to the next one.
+    CoarseTime { step_us: u64, by: Order },
+    /// The time contradicts the numbers and times of the other frames.
+    AgainstNumbers,
+    /// Another frame has the same time, and nothing orders the two.
+    SharedTime,
+    /// The times of most frames contradict their numbers, and the Sun's motion does, too.
+    ShuffledTime,
+    /// Other frames have the same time, and it cannot be told how long after it each was taken.
+    StoppedClock,
 }
 
 impl Oddity {
@@ -39,17 +52,35 @@ impl Oddity {
     pub fn spoils(self) -> bool {
         match self {
             Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
-            Self::Misread
-            | Self::FewMarks
-            | Self::Light
-            | Self::Noise
-            | Self::SecondLook
-            | Self::Clock => false,
+            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondLook => false,
+            _ => !self.is_of_time(),
         }
     }
 
-    pub fn text(self) -> &'static str {
-        match self {
+    /// Whether it is the time that is odd.
+    pub fn is_of_time(self) -> bool {
+        matches!(
+            self,
+            Self::Clock
+                | Self::CoarseTime { .. }
+                | Self::AgainstNumbers
+                | Self::SharedTime
+                | Self::ShuffledTime
+                | Self::StoppedClock
+        )
+    }
+
+    /// Whether the frame may tell where the smoothed path is at its time.
+    pub fn is_of_path(self) -> bool {
+        !self.spoils()
+            && !matches!(
+                self,
+                Self::SharedTime | Self::ShuffledTime | Self::StoppedClock
+            )
+    }
+
+    pub fn text(self) -> Cow<'static, str> {
+        let text = match self {
             Self::Radius => "the radius is not that of the flight",
             Self::Limb => "the limb does not fit the flight's mapping",
             Self::Path => "off the path of the frames before and after",
@@ -60,13 +91,37 @@ impl Oddity {
             Self::Noise => "more noise than in the frames before and after",
             Self::SecondLook => "seen only where the frames before and after have the disc",
             Self::Clock => "the clock had stepped: the time is by the monotonic clock",
-        }
+            Self::CoarseTime { step_us, by } => {
+                let step_s = step_us as f64 / 1e6;
+                let to = match step_us {
+                    1_000_000 => "whole seconds".into(),
+                    _ => format!("steps of {step_s} s"),
+                };
+                let sigma_s = step_s * SIGMA_PER_WIDTH;
+                let by = by.name();
+                return format!("time stamped to {to}: spread by {by}, 1 sigma {sigma_s:.2} s")
+                    .into();
+            }
+            Self::AgainstNumbers => {
+                "the time contradicts the frames' numbers: it is by the numbers and the frames before and after"
+            }
+            Self::SharedTime => {
+                "another frame has the same time, and nothing orders them: not used for the smoothed path"
+            }
+            Self::ShuffledTime => {
+                "the times contradict the frames' numbers and the motion: not used for the smoothed path"
+            }
+            Self::StoppedClock => {
+                "the clock stood still: other frames have the same time, and the frame's own is not known"
+            }
+        };
+        text.into()
     }
 }
 
 impl fmt::Display for Oddity {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(self.text())
+        out.write_str(&self.text())
     }
 }
 
@@ -107,6 +162,10 @@ pub struct Row {
     pub utc_ns: Option<i64>,
     /// What was added to the header's time, s, where the clock had stepped.
     pub utc_correction_s: Option<Measured>,
+    /// 1 sigma of the time, s; none where it is as good as the header's.
+    pub time_sigma_s: Option<f64>,
+    /// How fast the Sun moves over the plate along the smoothed path, mil/s, where the time has a sigma.
+    pub speed_mil_per_s: Option<[f64; 2]>,
     pub monotonic_s: Option<f64>,
     pub number: Option<u64>,
     pub temperature_c: Option<f64>,
@@ -142,9 +201,9 @@ impl Row {
         }
     }
 
-    /// Takes back what was odd, but for the time's.
+    /// Takes back what was odd, but for the time.
     pub(super) fn take_back_oddities(&mut self) {
-        self.oddities.retain(|odd| *odd == Oddity::Clock);
+        self.oddities.retain(|odd| odd.is_of_time());
     }
 
     /// Why the frame is not fine, and what is odd about it; empty where nothing is to be said.
@@ -160,6 +219,8 @@ impl Row {
             file: input.file,
             utc_ns: None,
             utc_correction_s: None,
+            time_sigma_s: None,
+            speed_mil_per_s: None,
             monotonic_s: None,
             number: None,
             temperature_c: None,
@@ -224,6 +285,30 @@ impl Row {
     /// Seconds since 1970.
     pub fn unix_s(&self) -> Option<f64> {
         Some(self.utc_ns? as f64 / 1e9)
+    }
+
+    /// The Sun at the row's time, with what the uncertainty of that adds; none where it cannot be told how much that is.
+    pub fn sun_at_time(&self) -> Option<Estimate<PlateMil>> {
+        let sun = self.sun?;
+        if self.time_sigma_s.is_none() {
+            return Some(sun);
+        }
+        Some(Estimate {
+            covariance: sun.covariance + self.moved_mil2(self.speed_mil_per_s?),
+            ..sun
+        })
+    }
+
+    /// Covariance that the uncertainty of the time adds to a place that moves, mil^2.
+    pub(super) fn moved_mil2(&self, speed_mil_per_s: [f64; 2]) -> Matrix2<f64> {
+        let moved = Vector2::from(speed_mil_per_s) * self.time_sigma_s.unwrap_or(0.0);
+        moved * moved.transpose()
+    }
+
+    /// Whether the row's time is one of the smoothed path.
+    pub(super) fn is_timed(&self) -> bool {
+        let of_time = self.oddities.iter().filter(|odd| odd.is_of_time());
+        of_time.fold(true, |all, odd| all && odd.is_of_path())
     }
 
     /// Whether the row's place is one of the flight's path.

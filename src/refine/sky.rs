@@ -48,7 +48,9 @@ impl Sky {
         let roll = roll(row.body_nadir.as_ref(), at, instrument, &sun);
         let towards = pointing::pointing(at, roll, instrument, &sun).ok()?;
         let boresight = pointing::helioprojective(at, roll, instrument, &sun).ok()?;
-        let offset = self.target_offset(sun_on_plate, utc, roll, instrument, &sun);
+        let at_time = row.sun_at_time();
+        let offset =
+            at_time.and_then(|sun_then| self.target_offset(sun_then, utc, roll, instrument, &sun));
         Some(SkyRow {
             azimuth_deg: towards.azimuth_deg.rem_euclid(360.0),
             elevation_deg: towards.elevation_deg,

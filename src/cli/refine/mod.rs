@@ -317,6 +317,9 @@ fn print_roll(summary: &RollSummary) -> anyhow::Result<()> {
     for (remark, count) in &summary.remarks {
         say(format_args!("  {count} not fine: {remark}"))?;
     }
+    for (odd, count) in &summary.odd {
+        say(format_args!("  {count} odd: {odd}"))?;
+    }
     if let Some((frame, smoothed)) = summary.frame_sigma_deg.zip(summary.smoothed_sigma_deg) {
         say(format_args!(
             "  median sigma of the roll {frame:.4} deg, smoothed {smoothed:.4} deg"

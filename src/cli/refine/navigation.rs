@@ -122,8 +122,8 @@ impl Sensors<'_> {
         let [first, second, ..] = CAMERAS_IN_FLIGHT;
         let name = if is_second(camera) { second } else { first };
         for row in &flight.rows {
-            if let Some((utc, sun)) = row.utc().zip(row.sun.as_ref()) {
-                let direction = measured_sun_in_telescope(sun, instrument);
+            if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
+                let direction = measured_sun_in_telescope(&sun, instrument);
                 self.see(name, Target::Sun, utc, direction);
             }
         }
@@ -134,7 +134,7 @@ impl Sensors<'_> {
     pub fn see_nadir(&mut self, history: &RollHistory) {
         let [_, _, roll_camera, _] = CAMERAS_IN_FLIGHT;
         for row in &history.rows {
-            if let Some((utc, nadir)) = row.facts.utc().zip(row.nadir) {
+            if let Some((utc, nadir)) = row.facts.utc().zip(row.nadir_at_time()) {
                 self.see(roll_camera, Target::Nadir, utc, nadir);
             }
         }

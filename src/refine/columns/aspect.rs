@@ -1,6 +1,6 @@
 //! The columns of the history itself, a row for every input file.
 
-use super::{Cell, ColumnRow, column};
+use super::{Cell, ColumnRow, TIME_SIGMA, column};
 use crate::pointing::body_roll_deg;
 use crate::refine::row::{Row, SkyRow};
 
@@ -40,7 +40,7 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
     column(
         "UTC_CORRECTION_S",
         "s",
-        "what was added to the header's time, where the clock had stepped",
+        "what was added to the header's time, where others contradict it",
         |r| Cell::Float(r.utc_correction_s.map(|shift| shift.value)),
     ),
     column(
@@ -49,6 +49,9 @@ pub const ASPECT_COLUMNS: &[ColumnRow<Row>] = &[
         "1 sigma of UTC_CORRECTION_S",
         |r| Cell::Float(r.utc_correction_s.map(|shift| shift.sigma)),
     ),
+    column("UTC_SIGMA_S", "s", TIME_SIGMA, |r| {
+        Cell::Float(r.time_sigma_s)
+    }),
     column("MONO_S", "s", "mid-exposure on the monotonic clock", |r| {
         Cell::Float(r.monotonic_s)
     }),

@@ -30,6 +30,10 @@ pub struct ColumnRow<T> {
     pub value: fn(&T) -> Cell,
 }
 
+/// The meaning of a time's sigma.
+const TIME_SIGMA: &str =
+    "1 sigma of the time, where the header's contradicts others; NaN where it is believed";
+
 const fn column<T>(
     name: &'static str,
     unit: &'static str,

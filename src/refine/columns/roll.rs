@@ -1,6 +1,6 @@
 //! The columns of the roll camera's history.
 
-use super::{Cell, ColumnRow, column};
+use super::{Cell, ColumnRow, TIME_SIGMA, column};
 use crate::refine::roll::{RollRow, SmoothedRoll};
 use crate::units::Measured;
 use jiff::Timestamp;
@@ -42,9 +42,12 @@ pub const ROLL_COLUMNS: &[ColumnRow<RollRow>] = &[
     column(
         "UTC_CORRECTION_S",
         "s",
-        "what was added to the header's time, where the clock had stepped",
+        "what was added to the header's time, where others contradict it",
         |r| Cell::Float(r.utc_correction_s.map(|shift| shift.value)),
     ),
+    column("UTC_SIGMA_S", "s", TIME_SIGMA, |r| {
+        Cell::Float(r.time_sigma_s)
+    }),
     column("MONO_S", "s", "mid-exposure on the monotonic clock", |r| {
         Cell::Float(r.facts.monotonic_s)
     }),
@@ -63,8 +66,8 @@ pub const ROLL_COLUMNS: &[ColumnRow<RollRow>] = &[
     column(
         "REASON",
         "",
-        "why there is no roll; empty for the others",
-        |r| Cell::Text(r.reason.clone()),
+        "why there is no roll, and what is odd about the time; empty for the others",
+        |r| Cell::Text(r.told_reason()),
     ),
     column(
         "FLAGS",

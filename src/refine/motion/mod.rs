@@ -41,6 +41,8 @@ pub struct Measurement {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
     pub time_s: f64,
+    /// 1 sigma of the time of what was measured: along the path it is a place.
+    pub time_sigma_s: f64,
     pub measured: Option<[Measurement; 2]>,
 }
 
@@ -140,10 +142,10 @@ pub fn path(moments: &[Moment], shared: &SharedErrors) -> Option<Path> {
     let stated = motions.smoothed(moments, Motion::cautious)?;
     let axes = &motions.axes;
     Some(Path {
-        likeliest: points(&motions.smoothed(moments, |_, noise| noise)?),
+        likeliest: motions.points(moments, &motions.smoothed(moments, |_, noise| noise)?),
         process_noise: median(axes.iter().flat_map(|axis| &axis.noise))?,
         swings: std::array::from_fn(|axis| axes[axis].found(&stated[axis])),
-        points: points(&stated),
+        points: motions.points(moments, &stated),
         motions,
     })
 }
@@ -161,6 +163,7 @@ impl Path {
             wanted.push(moments.len());
             moments.push(Moment {
                 time_s: *time_s,
+                time_sigma_s: 0.0,
                 measured: None,
             });
         }
@@ -168,7 +171,7 @@ impl Path {
         let Some(smoothed) = self.motions.smoothed(&moments, Motion::cautious) else {
             return vec![None; times_s.len()];
         };
-        let points = points(&smoothed);
+        let points = self.motions.points(&moments, &smoothed);
         let told = |time_s: f64| {
             let after = measured.partition_point(|moment| moment.time_s < time_s);
             let last = measured.get(after)?;
@@ -211,15 +214,27 @@ impl Motions {
         let (x, y) = rayon::join(|| along(0), || along(1));
         Some([x?, y?])
     }
-}
 
-fn points([x, y]: &[Vec<Smoothed>; 2]) -> Vec<PathPoint> {
-    let point = |(x, y): (&Smoothed, &Smoothed)| PathPoint {
-        place: [x.place, y.place],
-        variance: [x.variance, y.variance],
-        speed: [x.speed, y.speed],
-    };
-    x.iter().zip(y).map(point).collect()
+    /// The path at moments in order. The times of neighbours may be wrong alike: smoothing does not reduce what that adds.
+    fn points(&self, moments: &[Moment], [x, y]: &[Vec<Smoothed>; 2]) -> Vec<PathPoint> {
+        let mut next = 0;
+        let mut point = |moment: &Moment, x: &Smoothed, y: &Smoothed| {
+            let is_before = |m: &&Moment| m.time_s < moment.time_s;
+            next += self.measured[next..].iter().take_while(is_before).count();
+            let near = &self.measured[next.saturating_sub(1)..self.measured.len().min(next + 1)];
+            let time_sigma_s = near
+                .iter()
+                .fold(0.0_f64, |most, m| most.max(m.time_sigma_s));
+            let variance = |axis: &Smoothed| axis.variance + (axis.speed * time_sigma_s).powi(2);
+            PathPoint {
+                place: [x.place, y.place],
+                variance: [variance(x), variance(y)],
+                speed: [x.speed, y.speed],
+            }
+        };
+        let all = moments.iter().zip(x.iter().zip(y));
+        all.map(|(moment, (x, y))| point(moment, x, y)).collect()
+    }
 }
 
 impl Motion {

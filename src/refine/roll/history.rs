@@ -1,7 +1,6 @@
 //! The body's roll and pitch over the flight.
 
 use super::super::cameras::CameraFrames;
-use super::super::clock::{Clocks, Reading, corrected_ns};
 use super::super::first_pass::{Done, Span};
 use super::super::follow::ODD_PATH_CHI2;
 use super::super::inputs::{InputNotes, InputSummary};
@@ -9,12 +8,14 @@ use super::super::journal::JournalError;
 use super::super::motion::{self, Measurement, Moment, Path, SharedErrors};
 use super::super::record::{FrameFacts, Grade, Record};
 use super::super::row::{Oddity, Row};
+use super::super::times::{Stamp, Times};
 use super::{HorizonRecord, RollRecipe};
 use crate::archive::StoredFile;
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
 use crate::geometry::attitude::Direction;
 use crate::pointing::{body_nadir, body_pitch_deg, body_roll_deg};
 use crate::units::Measured;
+use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 /// What the path counts in: about the error of a frame.
@@ -35,6 +36,10 @@ pub struct RollRow {
     /// Its time is corrected where the clock had stepped.
     pub facts: FrameFacts,
     pub utc_correction_s: Option<Measured>,
+    /// 1 sigma of the time, s; none where it is as good as the header's.
+    pub time_sigma_s: Option<f64>,
+    /// What is odd about the time.
+    pub odd_time: Option<Oddity>,
     pub quality: Grade,
     /// Why there is no nadir; empty where nothing is to be said.
     pub reason: String,
@@ -65,6 +70,8 @@ impl RollRow {
             file: input.file,
             facts: FrameFacts::default(),
             utc_correction_s: None,
+            time_sigma_s: None,
+            odd_time: None,
             quality: Grade::None,
             reason: format!("file: {error}"),
             flags: String::new(),
@@ -99,6 +106,27 @@ impl RollRow {
     pub fn angles_deg(&self) -> Option<[Measured; 2]> {
         let nadir = self.nadir.as_ref()?;
         Some([body_roll_deg(nadir), body_pitch_deg(nadir)])
+    }
+
+    /// Why there is no roll, and what is odd about the time; empty where nothing is to be said.
+    pub fn told_reason(&self) -> String {
+        let own = (!self.reason.is_empty()).then(|| self.reason.clone());
+        let odd = self.odd_time.map(|odd| format!("refine: {odd}"));
+        own.into_iter().chain(odd).collect::<Vec<_>>().join("; ")
+    }
+
+    /// The nadir at the row's time, with what the uncertainty of that adds; none where it cannot be told how much that is.
+    pub fn nadir_at_time(&self) -> Option<Direction> {
+        let nadir = self.nadir?;
+        let Some(sigma_s) = self.time_sigma_s else {
+            return Some(nadir);
+        };
+        let [roll, pitch] = self.smoothed?.rates_deg_per_s;
+        let moved_rad = roll.hypot(pitch).to_radians() * sigma_s;
+        Some(Direction {
+            covariance_rad2: nadir.covariance_rad2 + Matrix3::identity() * moved_rad.powi(2),
+            ..nadir
+        })
     }
 
     /// Why the frame is not fine; empty where it is.
@@ -277,6 +305,7 @@ impl RollHistory {
             };
             Moment {
                 time_s: seen.time_s - first_s,
+                time_sigma_s: seen.time_sigma_s,
                 measured: Some([axis(0), axis(1)]),
             }
         };
@@ -288,6 +317,7 @@ impl RollHistory {
             at.push(moments.len());
             moments.push(Moment {
                 time_s: time_s - first_s,
+                time_sigma_s: 0.0,
                 measured: None,
             });
         }
@@ -315,13 +345,16 @@ impl RollHistory {
 /// A frame that tells roll and pitch.
 struct Seen {
     time_s: f64,
+    time_sigma_s: f64,
     angles_deg: [Measured; 2],
 }
 
 impl Seen {
     fn of(row: &RollRow) -> Option<Self> {
+        let is_of_path = row.odd_time.is_none_or(Oddity::is_of_path);
         Some(Self {
-            time_s: row.unix_s()?,
+            time_s: row.unix_s().filter(|_| is_of_path)?,
+            time_sigma_s: row.time_sigma_s.unwrap_or(0.0),
             angles_deg: row.angles_deg()?,
         })
     }
@@ -335,17 +368,16 @@ impl Seen {
     }
 }
 
-/// Holds UTC against the monotonic clock.
+/// Holds the frames' times against the monotonic clock, their numbers and each other.
 fn correct_times(rows: &mut [RollRow]) {
-    let reading = |row: &RollRow| Reading::of(row.facts.utc_ns, row.facts.monotonic_s);
-    let readings: Vec<Option<Reading>> = rows.iter().map(reading).collect();
-    let corrections_s = Clocks::of(&readings).corrections_s;
-    for (row, correction_s) in rows.iter_mut().zip(corrections_s) {
-        let utc_ns = row.facts.utc_ns.zip(correction_s);
-        if let Some((utc_ns, correction_s)) = utc_ns {
-            row.facts.utc_ns = Some(corrected_ns(utc_ns, &correction_s));
-        }
-        row.utc_correction_s = correction_s;
+    let place = |row: &RollRow| row.angles_deg().map(|angles| angles.map(|a| a.value));
+    let stamps = rows.iter().map(|row| Stamp::of(&row.facts, place(row)));
+    let Times { timings, .. } = Times::of(&stamps.collect::<Vec<Stamp>>());
+    for (row, timing) in rows.iter_mut().zip(timings) {
+        row.facts.utc_ns = timing.utc_ns(row.facts.utc_ns);
+        row.utc_correction_s = timing.correction_s;
+        row.time_sigma_s = timing.sigma_s;
+        row.odd_time = timing.odd;
     }
 }
 

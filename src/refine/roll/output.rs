@@ -37,6 +37,8 @@ pub struct RollSummary {
     pub none: usize,
     /// Frames by why they are not fine.
     pub remarks: BTreeMap<String, usize>,
+    /// Frames by what is odd about their times.
+    pub odd: BTreeMap<String, usize>,
     pub first_utc: Option<String>,
     pub last_utc: Option<String>,
     /// Median 1 sigma of the roll: of a frame by itself, and smoothed.
@@ -79,6 +81,10 @@ fn summary(history: &RollHistory, recipe: &RollRecipe, table_hash: String) -> Ro
             *remarks.entry(kind(&remark)).or_default() += 1;
         }
     }
+    let mut odd = BTreeMap::new();
+    for oddity in rows.iter().filter_map(|row| row.odd_time) {
+        *odd.entry(oddity.to_string()).or_default() += 1;
+    }
     let dated = &rows[..history.dated];
     let time = |row: &RollRow| row.facts.utc().map(|utc| format!("{utc:.6}"));
     let own = |row: &RollRow| row.angles_deg().map(|[roll, _]| roll.sigma);
@@ -96,6 +102,7 @@ fn summary(history: &RollHistory, recipe: &RollRecipe, table_hash: String) -> Ro
         coarse: count(Grade::Coarse),
         none: count(Grade::None),
         remarks,
+        odd,
         first_utc: dated.first().and_then(time),
         last_utc: dated.last().and_then(time),
         frame_sigma_deg: median(rows.iter().filter_map(own)),

@@ -1,0 +1,256 @@
+//! When frames were taken: their stamps held against the monotonic clock, the frames' numbers and each other.
+//!
+//! A stamp that contradicts these sharpens nothing. In this order:
+//!
+//! 1. A clock that gives all frames one time stands still: they have no time.
+//! 2. Stamps in [steps](quantum) that hold several frames are spread over the step by what orders the frames.
+//! 3. Steps of UTC against the [monotonic clock](super::clock) are corrected.
+//! 4. Times that run back, or jump and return, while the frames' [numbers](counter) go on are corrected by these.
+//! 5. Frames that still share a time keep it, with the time to the next stamp as its uncertainty, and are not of the smoothed path.
+
+mod counter;
+mod quantum;
+
+use super::clock::{Clocks, Reading, corrected_ns};
+use super::record::FrameFacts;
+use super::row::Oddity;
+use crate::units::{Measured, counted};
+use counter::Numbered;
+use quantum::Spread;
+use std::collections::{BTreeMap, HashMap};
+
+/// The part of a uniform distribution's width that is 1 sigma.
+pub(super) const SIGMA_PER_WIDTH: f64 = 0.288_675;
+/// Fewer frames of one time alone may well have been taken at it.
+const LEAST_STUCK: usize = 3;
+
+/// What orders the frames of one stamp.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Order {
+    Monotonic,
+    Number,
+    Files,
+}
+
+impl Order {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Monotonic => "the monotonic clock",
+            Self::Number => "the frames' numbers",
+            Self::Files => "the order of the files",
+        }
+    }
+}
+
+/// What a frame's file says of when it was taken, and where it shows its object; `place` has any unit.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Stamp {
+    pub utc_ns: Option<i64>,
+    pub exposure_s: Option<f64>,
+    pub monotonic_s: Option<f64>,
+    pub number: Option<u64>,
+    pub place: Option<[f64; 2]>,
+}
+
+impl Stamp {
+    pub fn of(facts: &FrameFacts, place: Option<[f64; 2]>) -> Self {
+        Self {
+            utc_ns: facts.utc_ns,
+            exposure_s: facts.exposure_s,
+            monotonic_s: facts.monotonic_s,
+            number: facts.number,
+            place,
+        }
+    }
+}
+
+/// What is made of a frame's stamp.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Timing {
+    /// What is to be added to the stamp, s.
+    pub correction_s: Option<Measured>,
+    /// 1 sigma of the time; none where the stamp is believed.
+    pub sigma_s: Option<f64>,
+    /// What is odd about it.
+    pub odd: Option<Oddity>,
+}
+
+impl Timing {
+    fn corrected(shift_s: f64, sigma_s: f64, odd: Oddity) -> Self {
+        Self {
+            correction_s: Some(Measured::new(shift_s, sigma_s)),
+            sigma_s: Some(sigma_s),
+            odd: Some(odd),
+        }
+    }
+
+    /// The time of a stamp; none where the clock stood still.
+    pub fn utc_ns(&self, stamped_ns: Option<i64>) -> Option<i64> {
+        let stamped_ns = stamped_ns.filter(|_| self.odd != Some(Oddity::StoppedClock))?;
+        Some(match &self.correction_s {
+            Some(correction_s) => corrected_ns(stamped_ns, correction_s),
+            None => stamped_ns,
+        })
+    }
+}
+
+/// What is made of the stamps of a camera's frames.
+#[derive(Debug, Default)]
+pub(super) struct Times {
+    /// Of each frame.
+    pub timings: Vec<Timing>,
+    /// What the monotonic clock says of UTC.
+    pub clocks: Clocks,
+}
+
+impl Times {
+    /// Looks at frames in the order of their files.
+    pub fn of(stamps: &[Stamp]) -> Self {
+        let mut times = Self {
+            timings: vec![Timing::default(); stamps.len()],
+            clocks: Clocks::default(),
+        };
+        if is_stopped(stamps) {
+            times.note(stamps, Oddity::StoppedClock);
+            times.warn();
+            return times;
+        }
+        let twins = twins(stamps);
+        match quantum::spread(stamps, &twins) {
+            Some(spread) => times.spread(stamps, &spread),
+            None => times.by_monotonic_clock(stamps),
+        }
+        times.by_number(stamps, &twins);
+        times.shared(stamps);
+        times.warn();
+        times
+    }
+
+    /// One warning of each kind.
+    fn warn(&self) {
+        let mut kinds: BTreeMap<Oddity, u64> = BTreeMap::new();
+        for odd in self.timings.iter().filter_map(|timing| timing.odd) {
+            *kinds.entry(odd).or_default() += 1;
+        }
+        for (odd, frames) in kinds {
+            tracing::warn!("{}: {odd}", counted(frames, "frame"));
+        }
+    }
+
+    fn note(&mut self, stamps: &[Stamp], odd: Oddity) {
+        for (timing, stamp) in self.timings.iter_mut().zip(stamps) {
+            timing.odd = stamp.utc_ns.map(|_| odd);
+        }
+    }
+
+    fn spread(&mut self, stamps: &[Stamp], spread: &Spread) {
+        let sigma_s = spread.step_s * SIGMA_PER_WIDTH;
+        let step_us = (spread.step_s * 1e6).round() as u64;
+        for n in (0..stamps.len()).filter(|n| stamps[*n].utc_ns.is_some()) {
+            let by = spread.by.zip(spread.shifts_s[n]);
+            self.timings[n] = match by {
+                Some((by, shift_s)) => {
+                    Timing::corrected(shift_s, sigma_s, Oddity::CoarseTime { step_us, by })
+                }
+                None => Timing::corrected(spread.step_s / 2.0, sigma_s, Oddity::SharedTime),
+            };
+        }
+    }
+
+    fn by_monotonic_clock(&mut self, stamps: &[Stamp]) {
+        let reading = |stamp: &Stamp| Reading::of(stamp.utc_ns, stamp.monotonic_s);
+        let readings: Vec<Option<Reading>> = stamps.iter().map(reading).collect();
+        self.clocks = Clocks::of(&readings);
+        for (timing, shift_s) in self.timings.iter_mut().zip(&self.clocks.corrections_s) {
+            if let Some(shift_s) = shift_s {
+                *timing = Timing::corrected(shift_s.value, shift_s.sigma, Oddity::Clock);
+            }
+        }
+    }
+
+    fn by_number(&mut self, stamps: &[Stamp], twins: &[bool]) {
+        let first_ns = stamps.iter().filter_map(|stamp| stamp.utc_ns).min();
+        let numbered = |(n, stamp): (usize, &Stamp)| {
+            let utc_ns = self.timings[n].utc_ns(stamp.utc_ns)?;
+            Some(Numbered {
+                frame: n,
+                number: stamp.number?,
+                time_s: (utc_ns - first_ns?) as f64 / 1e9,
+                place: stamp.place,
+                is_confirmed: self.clocks.confirmed.get(n) == Some(&true),
+            })
+        };
+        let frames = stamps.iter().enumerate().filter(|(n, _)| !twins[*n]);
+        let found = counter::examine(frames.filter_map(numbered).collect());
+        for (n, correction_s) in found.corrections_s {
+            let before_s = self.timings[n]
+                .correction_s
+                .map_or(0.0, |shift| shift.value);
+            let shift_s = before_s + correction_s.value;
+            self.timings[n] =
+                Timing::corrected(shift_s, correction_s.sigma, Oddity::AgainstNumbers);
+        }
+        for (n, sigma_s) in found.shuffled {
+            self.timings[n] = Timing {
+                correction_s: None,
+                sigma_s: Some(sigma_s),
+                odd: Some(Oddity::ShuffledTime),
+            };
+        }
+    }
+
+    /// Frames that share a time though nothing else is said of it: it is at least that of one of them.
+    fn shared(&mut self, stamps: &[Stamp]) {
+        let time = |n: usize| self.timings[n].utc_ns(stamps[n].utc_ns);
+        let mut dated: Vec<(i64, usize)> = (0..stamps.len())
+            .filter_map(|n| Some((time(n)?, n)))
+            .collect();
+        dated.sort_unstable();
+        let mut groups = dated.chunk_by(|a, b| a.0 == b.0).peekable();
+        while let Some(group) = groups.next() {
+            if group.len() < 2 {
+                continue;
+            }
+            let next = groups.peek().map(|next| next[0].0);
+            let width_s = next.map(|next| (next - group[0].0) as f64 / 1e9);
+            for (_, n) in group {
+                let timing = &mut self.timings[*n];
+                match width_s {
+                    _ if timing.odd.is_some_and(|odd| !odd.is_of_path()) => {}
+                    Some(width_s) => {
+                        let sigma_s = width_s * SIGMA_PER_WIDTH;
+                        timing.sigma_s = Some(sigma_s.max(timing.sigma_s.unwrap_or(0.0)));
+                        timing.odd = Some(Oddity::SharedTime);
+                    }
+                    None => timing.odd = Some(Oddity::StoppedClock),
+                }
+            }
+        }
+    }
+}
+
+/// Whether all frames have the same time.
+fn is_stopped(stamps: &[Stamp]) -> bool {
+    let mut times = stamps.iter().filter_map(|stamp| stamp.utc_ns);
+    let first = times.next();
+    let mut count = 1;
+    let same = times.all(|time| {
+        count += 1;
+        Some(time) == first
+    });
+    same && count >= LEAST_STUCK
+}
+
+/// Frames of one number and one time: no order of them can be known.
+fn twins(stamps: &[Stamp]) -> Vec<bool> {
+    let key = |stamp: &Stamp| stamp.number.zip(stamp.utc_ns);
+    let mut counts: HashMap<(u64, i64), u32> = HashMap::new();
+    for key in stamps.iter().filter_map(key) {
+        *counts.entry(key).or_default() += 1;
+    }
+    let is_twin = |stamp| key(stamp).is_some_and(|key| counts[&key] > 1);
+    stamps.iter().map(is_twin).collect()
+}
+
+#[cfg(test)]
+mod tests;
