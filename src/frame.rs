@@ -5,6 +5,7 @@ mod cutout;
 mod pixels;
 mod region;
 mod unusable;
+mod unreadable;
 mod warning;
 
 use crate::clock::Utc;
@@ -20,6 +21,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 use unusable::Unusable;
+pub use unreadable::Unreadable;
 pub use warning::{Warning, Warnings};
 
 /// The name of the camera in frames that the simulator has made, by which they are told from real ones.

@@ -1,9 +1,10 @@
 //! `solaspect calibrate camera` finds noise, gain, hot pixels, vignetting and blur, and says what it cannot find.
 
 use solaspect::aspect::{self, Expected, Quality};
+use solaspect::calibrate::frames::{self, Depth as FolderDepth, RejectedFrame};
 use solaspect::calibrate::revision::Revision;
 use solaspect::fits::{self, Compression};
-use solaspect::frame::{Frame, FrameInfo};
+use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
 use solaspect::simulate::{
     Conditions, Counts, Depth, HotPixel, Noise, RandomScenes, SUN_RADIUS_ARCSEC, Scene, Sun,
@@ -462,4 +463,65 @@ fn stated_pixels_change_only_the_frames_they_speak_of() {
     // The limb's robust weights stand such a column by themselves: listing it costs nothing but the pixels.
     assert!(place(&listed).distance(clean) <= place(&unlisted).distance(clean) + 0.005);
     assert_ne!(listed, unlisted);
+}
+
+/// Each calibration reads its frames through the same list.
+#[test]
+fn a_frame_that_several_files_hold_counts_once_in_a_calibration() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let pixels = |frame: &Frame| match frame.pixels() {
+        Pixels::U8(pixels) => pixels.clone(),
+        Pixels::U16(_) => panic!("8 bit"),
+    };
+    let frame = |seed: u64| {
+        let mut scene = covered(seed);
+        scene.depth = Depth::Eight;
+        scene.info.number = Some(seed);
+        scene.frame().unwrap()
+    };
+    let picture = |name: &str, (width, height): (usize, usize), pixels: Vec<u8>| {
+        let saved = image::GrayImage::from_raw(width as u32, height as u32, pixels);
+        saved.unwrap().save(at(name)).unwrap();
+    };
+    let write = |name: &str, frame: &Frame, compression| {
+        fits::write_frame(&at(name), frame, &[], &[], compression).unwrap();
+    };
+    let (one, two) = (frame(1), frame(2));
+    write("dark_1.fits", &one, Compression::Rice);
+    write("dark_2.fits", &two, Compression::Rice);
+    write("dark_2 (1).fits", &two, Compression::Gzip);
+    write("z.fits", &one, Compression::None);
+    let size = (one.width(), one.height());
+    picture("dark_1.png", size, pixels(&one));
+    // Frames without structure are no copies of each other.
+    let dark = vec![0; size.0 * size.1];
+    picture("lens_cap_1.png", size, dark.clone());
+    picture("lens_cap_2.png", size, dark);
+    let files = frames::list(&[folder.path().into()], FolderDepth::All).unwrap();
+    let (once, copies) = frames::each_once(files);
+    let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
+    let once: Vec<String> = once.iter().map(|path| name(path)).collect();
+    assert_eq!(
+        once,
+        [
+            "dark_1.fits",
+            "dark_2.fits",
+            "lens_cap_1.png",
+            "lens_cap_2.png"
+        ]
+    );
+    let first = |copy: &RejectedFrame| {
+        let first = copy.reason.strip_prefix("the same frame as ").unwrap();
+        (name(&copy.file), name(Path::new(first)))
+    };
+    let mut firsts: Vec<_> = copies.iter().map(first).collect();
+    firsts.sort();
+    let pair = |copy: &str, first: &str| (copy.to_owned(), format!("{first}.fits"));
+    let expected = [
+        pair("dark_1.png", "dark_1"),
+        pair("dark_2 (1).fits", "dark_2"),
+        pair("z.fits", "dark_1"),
+    ];
+    assert_eq!(firsts, expected);
 }

@@ -42,6 +42,7 @@ mod pointing;
 mod power_cut;
 mod preflight;
 mod refine;
+mod refine_inputs;
 mod refine_navigation;
 mod refine_roll;
 mod refined_flights;

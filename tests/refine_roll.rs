@@ -102,6 +102,55 @@ fn errors_of_flight(seed: u64, frames: u64) -> [[f64; 2]; 2] {
     ]
 }
 
+#[test]
+fn frames_of_a_mirroring_flight_count_once() {
+    let [folder, camera_folder, out] = [(); 3].map(|()| temporary());
+    let flight = Swinging::new(3);
+    let [one, two] = ["one", "two"].map(|disk| folder.path().join(disk));
+    let store = roll_store(&one);
+    for n in 0..40 {
+        store
+            .write(&flight.frame(n, n as f64 / RATE_HZ), &[], &[])
+            .unwrap();
+    }
+    let camera = camera_file(camera_folder.path());
+    let summary = || -> serde_json::Value {
+        refine(
+            folder.path(),
+            out.path(),
+            &["--roll-camera", camera.to_str().unwrap()],
+        );
+        serde_json::from_slice(&fs::read(out.path().join("roll.json")).unwrap()).unwrap()
+    };
+    let alone = summary();
+    copy_tree(&one, &two);
+    let mirrored = summary();
+    assert_eq!(
+        (&mirrored["files"], &mirrored["copies"]),
+        (&80.into(), &40.into())
+    );
+    for same in [
+        "fine",
+        "frame_sigma_deg",
+        "smoothed_sigma_deg",
+        "changing_part",
+    ] {
+        assert_eq!(mirrored[same], alone[same], "{same}");
+    }
+}
+
+fn copy_tree(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let copy = to.join(path.file_name().unwrap());
+        match path.is_dir() {
+            true => copy_tree(&path, &copy),
+            false => drop(fs::copy(path, copy).unwrap()),
+        }
+    }
+}
+
 fn hold_many_flights(flights: u64, frames: u64) {
     let all: Vec<[[f64; 2]; 2]> = (0..flights)
         .into_par_iter()

@@ -3,7 +3,7 @@
 //! A file is sound when its structure is whole, the checksums of every HDU match, the picture unpacks, the keywords are of
 //! the kind that the [table](crate::fits::keyword) states, its marks can be read, it bears the name that it was given, and its time is not
 //! before that of the file before it, and the configuration and the instrument that it names are those of the archive, if it holds any. A file that a solution log names must be there, on this disk or on the other. Frames that are
-//! missing by their times or numbers alone make a gap, which is no fault of the files that are there.
+//! missing by their times or numbers alone make a gap, which is no fault of the files that are there; nor is a copy of a frame a fault.
 
 mod files;
 mod keywords;
@@ -23,11 +23,12 @@ pub use sequence::Gap;
 
 use super::flown::FlownFiles;
 use crate::fits::{FileError, FitsFile, Problem, Value};
+use crate::frame::{Compared, Copies, Identity, PixelDigest};
 use jiff::Timestamp;
 use rayon::prelude::*;
 use sequence::Dated;
 use serde::{Serialize, Serializer};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What was found in an archive.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -46,6 +47,10 @@ pub struct Report {
     pub unfinished: usize,
     /// Sound files whose frames have no time.
     pub undated: usize,
+    /// Entries of `copy_list`.
+    pub copies: usize,
+    /// Entries of `contradiction_list`.
+    pub contradictions: usize,
     /// Frames that are missing by their numbers.
     pub missing_frames: u64,
     /// Mid-exposure of the earliest sound frame.
@@ -58,6 +63,24 @@ pub struct Report {
     pub gap_list: Vec<Gap>,
     /// Files that a log names and that are not there.
     pub missing_files: Vec<MissingFile>,
+    /// Files that hold the same frame as another one.
+    pub copy_list: Vec<CopiedFile>,
+    /// Files whose frames have the camera, number and time of another file's frame, but other pixels.
+    pub contradiction_list: Vec<ContradictingFile>,
+}
+
+/// A file and the one whose frame it holds once more.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct CopiedFile {
+    pub file: String,
+    pub same_as: String,
+}
+
+/// A file and the one that its header says it is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct ContradictingFile {
+    pub file: String,
+    pub other: String,
 }
 
 impl Report {
@@ -83,10 +106,12 @@ impl From<FileError> for BadFile {
     }
 }
 
-/// When a sound frame was taken.
+/// What a sound file holds.
 struct Sound {
-    utc: Option<Timestamp>,
-    number: Option<u64>,
+    identity: Identity,
+    digest: PixelDigest,
+    /// That the file has another name than it was given: a fault, unless it is a copy.
+    misnamed: Option<FileError>,
 }
 
 /// Checks every file of a tree, several at a time; `checked` is called after each.
@@ -95,22 +120,31 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
         Ok(flown) => (flown, None),
         Err(error) => (FlownFiles::default(), Some(error)),
     };
-    let check_one = |path: &std::path::PathBuf| {
+    let check_one = |path: &PathBuf| {
         let outcome = check_file(path, &flown);
         checked();
         outcome
     };
     let outcomes: Vec<_> = tree.files.par_iter().map(check_one).collect();
+    let (first_of, contradiction_list) = compare(&tree.files, &outcomes);
     let mut bad_files = tree.unlisted.clone();
     let mut dated = Vec::new();
     let mut undated = 0;
-    for (path, outcome) in tree.files.iter().zip(outcomes) {
-        match outcome {
-            Ok(Sound { utc: None, .. }) => undated += 1,
-            Ok(Sound {
-                utc: Some(utc),
-                number,
-            }) => dated.push(Dated::sound(path, utc, number)),
+    let mut copy_list = Vec::new();
+    for ((path, outcome), first) in tree.files.iter().zip(outcomes).zip(first_of) {
+        if let Some(first) = first {
+            copy_list.push(CopiedFile {
+                file: path.display().to_string(),
+                same_as: tree.files[first].display().to_string(),
+            });
+            continue;
+        }
+        let whole = outcome.and_then(|sound| sound.misnamed.map_or(Ok(sound.identity), Err));
+        match whole {
+            Ok(identity) => match identity.utc() {
+                Some(utc) => dated.push(Dated::sound(path, utc, identity.number)),
+                None => undated += 1,
+            },
             Err(error) => {
                 dated.push(Dated::bad(path));
                 bad_files.push(error.into());
@@ -135,13 +169,49 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
         on_other_disk: absent.elsewhere.len(),
         unfinished: tree.unfinished,
         undated,
+        copies: copy_list.len(),
+        contradictions: contradiction_list.len(),
         missing_frames: sequence.gaps.iter().map(|gap| gap.missing_frames).sum(),
         first_utc: sequence.first,
         last_utc: sequence.last,
         bad_files,
         gap_list: sequence.gaps,
         missing_files: absent.missing,
+        copy_list,
+        contradiction_list,
     }
+}
+
+/// Of each file the one that it is a copy of, and files that contradict each other.
+fn compare(
+    files: &[PathBuf],
+    outcomes: &[Result<Sound, FileError>],
+) -> (Vec<Option<usize>>, Vec<ContradictingFile>) {
+    let sound =
+        |(n, outcome): (usize, &'_ Result<Sound, FileError>)| outcome.as_ref().is_ok().then_some(n);
+    let at: Vec<usize> = outcomes.iter().enumerate().filter_map(sound).collect();
+    let compared = at.iter().filter_map(|n| {
+        let sound = outcomes[*n].as_ref().ok()?;
+        Some(Compared {
+            path: &files[*n],
+            identity: &sound.identity,
+            digest: Some(sound.digest),
+        })
+    });
+    let found = Copies::among(&compared.collect::<Vec<_>>());
+    let mut first_of = vec![None; files.len()];
+    for (n, first) in found.of.iter().enumerate() {
+        first_of[at[n]] = first.map(|first| at[first]);
+    }
+    let name = |n: usize| files[at[n]].display().to_string();
+    let contradicting = found
+        .contradicting
+        .iter()
+        .map(|[first, n]| ContradictingFile {
+            file: name(*n),
+            other: name(*first),
+        });
+    (first_of, contradicting.collect())
 }
 
 /// Checks one file by itself.
@@ -160,16 +230,18 @@ fn check_file(path: &Path, flown: &FlownFiles) -> Result<Sound, FileError> {
         .check(&header)
         .map_err(|problem| problem.in_file(path))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    match header.get("FILENAME") {
+    let misnamed = match header.get("FILENAME") {
         Some(Value::Text(given)) if *given != *name => {
             let expected = format!("'{name}', the name that the file has");
-            Err(field("FILENAME", expected, format!("'{given}'")).in_file(path))
+            Some(field("FILENAME", expected, format!("'{given}'")).in_file(path))
         }
-        _ => Ok(Sound {
-            utc: frame.info.mid_exposure,
-            number: frame.info.number,
-        }),
-    }
+        _ => None,
+    };
+    Ok(Sound {
+        identity: Identity::of(&frame.info),
+        digest: PixelDigest::of(&frame),
+        misnamed,
+    })
 }
 
 fn field(field: &str, expected: impl Into<String>, found: impl Into<String>) -> Problem {

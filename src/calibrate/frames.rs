@@ -1,7 +1,7 @@
 //! The frames that a calibration is given: their files, their hash, whether one camera took them, and those rejected.
 
 use crate::fits::{self, FRAME_ENDINGS, Unlisted};
-use crate::frame::{Frame, TakenBy};
+use crate::frame::{Compared, Copies, Frame, Identity, PixelDigest, TakenBy, Unreadable, Warnings};
 use crate::instrument::{Instrument, WrongCamera};
 use crate::provenance;
 use crate::report::html::Page;
@@ -115,6 +115,76 @@ fn nearest(folder: &Path) -> Result<Vec<PathBuf>, Unlisted> {
         }
     }
     Ok(listing.files)
+}
+
+/// The files without copies of others' frames, in the order given, and the copies as rejected ones. Warns of files that cannot be read, of
+/// which each calibration says more, of values of headers that are not used, and of frames in one folder that cannot be told apart.
+pub fn each_once(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<RejectedFrame>) {
+    let read = |file: &PathBuf| {
+        let frame = fits::read_frame(file).map_err(|error| error.problem.to_string())?;
+        Ok((
+            Identity::of(&frame.info),
+            PixelDigest::of(&frame),
+            frame.info,
+        ))
+    };
+    let frames: Vec<Result<_, String>> = files.par_iter().map(read).collect();
+    let (mut warnings, mut unreadable) = (Warnings::default(), Unreadable::default());
+    let (mut compared, mut at) = (Vec::new(), Vec::new());
+    for (n, (path, frame)) in files.iter().zip(&frames).enumerate() {
+        match frame {
+            Ok((identity, digest, info)) => {
+                let name = path.display().to_string();
+                warnings.note(&name, &info.warnings);
+                warnings.note(&name, info.untimed.as_slice());
+                at.push(n);
+                let digest = Some(*digest);
+                compared.push(Compared {
+                    path,
+                    identity,
+                    digest,
+                });
+            }
+            Err(error) => unreadable.note(error),
+        }
+    }
+    let found = Copies::among(&compared);
+    let mut first_of = vec![None; files.len()];
+    for (n, first) in found.of.iter().enumerate() {
+        first_of[at[n]] = first.map(|first| at[first]);
+    }
+    warn_of(&warnings, &unreadable);
+    for [first, other] in found.contradicting {
+        let (first, other) = (&files[at[first]], &files[at[other]]);
+        if first.parent() == other.parent() {
+            tracing::warn!(
+                "{}: expected another number or time than that of {}, found the same and other pixels",
+                other.display(),
+                first.display()
+            );
+        }
+    }
+    let (mut distinct, mut copies) = (Vec::new(), Vec::new());
+    for (file, first) in files.iter().zip(first_of) {
+        match first {
+            Some(first) => {
+                let reason = format!("the same frame as {}", files[first].display());
+                copies.push(RejectedFrame::new(file, reason));
+            }
+            None => distinct.push(file.clone()),
+        }
+    }
+    (distinct, copies)
+}
+
+/// Of each kind of warning its first file was named already.
+fn warn_of(warnings: &Warnings, unreadable: &Unreadable) {
+    for (kind, files) in warnings.counts().filter(|(_, files)| *files > 1) {
+        tracing::warn!("{}: {kind}", counted(files, "file"));
+    }
+    if let Some(line) = unreadable.line() {
+        tracing::warn!("{line}");
+    }
 }
 
 /// SHA-256 over the sorted SHA-256 of the files that can be read, hexadecimal: whatever their names and order.

@@ -1,7 +1,9 @@
 //! `solaspect archive`: what is in an archive, and whether it is sound.
 
 use super::output::{make_folder, progress_bar};
-use crate::archive::check::{self, BadFile, Gap, MissingFile, Report, Row, Tree};
+use crate::archive::check::{
+    self, BadFile, ContradictingFile, CopiedFile, Gap, MissingFile, Report, Row, Tree,
+};
 use crate::fits::{self, FitsFile};
 use crate::log;
 use crate::units::counted;
@@ -33,7 +35,7 @@ enum Command {
 /// Structure, checksums, picture and keywords of each file, its name, and that times do not go back in the order of
 /// names; that every file is there that a solution log names, on this disk or on the other. Gaps are steps in time longer than
 /// 1.5 times the median step, and missing frame numbers. Exit code 1 if any file is bad, or listed in a log and missing; gaps,
-/// and partial files, are reported and do not change the exit code.
+/// copies of frames and partial files are reported and do not change the exit code.
 #[derive(Debug, Args)]
 struct CheckArgs {
     /// The archive's folder; of an archive on two disks, both together
@@ -121,6 +123,15 @@ fn print_report(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
     for MissingFile { file, log } in &report.missing_files {
         writeln!(out, "missing  {file}: named in {log}")?;
     }
+    for CopiedFile { file, same_as } in &report.copy_list {
+        writeln!(out, "copy  {file}: the same frame as {same_as}")?;
+    }
+    for ContradictingFile { file, other } in &report.contradiction_list {
+        writeln!(
+            out,
+            "warning  {file}: the number and time of {other}, but other pixels"
+        )?;
+    }
     for gap in &report.gap_list {
         writeln!(out, "gap  {}", gap_line(gap))?;
     }
@@ -132,9 +143,14 @@ fn print_report(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
         0 => String::new(),
         frames => format!(", {frames} on the other disk"),
     };
+    let copies = match report.copies {
+        0 => String::new(),
+        1 => ", 1 copy".into(),
+        files => format!(", {files} copies"),
+    };
     writeln!(
         out,
-        "{}: {} bad, {} missing, {}{missing}, {} unfinished, {} without a time{elsewhere}",
+        "{}: {} bad, {} missing, {}{missing}, {} unfinished, {} without a time{elsewhere}{copies}",
         counted(report.files as u64, "file"),
         report.bad,
         report.missing,

@@ -1,7 +1,7 @@
 //! Which frames of a set are copies of others: from the other disk of a mirroring flight, under another name, or compressed
 //! otherwise. A copy is no second measurement.
 
-use super::{Frame, FrameInfo, TakenBy};
+use super::{Frame, FrameInfo, Sample, TakenBy};
 use crate::with_view;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -15,13 +15,15 @@ const LEAST_STRUCTURE: f64 = 1e-3;
 /// Of larger groups all frames are compared without asking which of them may be copies.
 const MOST_PAIRED: usize = 16;
 
-/// What a frame's file says of when and by which camera it was taken.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// What a frame's file says of when and how it was taken.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     pub taken_by: TakenBy,
     pub number: Option<u64>,
     /// Mid-exposure, ns since 1970.
     pub utc_ns: Option<i64>,
+    /// Exposure (s), analogue and pre-amplifier gain.
+    setting: [Option<f64>; 3],
 }
 
 impl Identity {
@@ -31,6 +33,11 @@ impl Identity {
             taken_by: info.taken_by(),
             number: info.number,
             utc_ns: utc_ns.and_then(|utc_ns| i64::try_from(utc_ns).ok()),
+            setting: [
+                info.exposure.map(|exposure| exposure.as_secs_f64()),
+                info.analogue_gain,
+                info.preamp_gain,
+            ],
         }
     }
 
@@ -48,6 +55,7 @@ impl Identity {
             && same(&self.utc_ns, &other.utc_ns)
             && same(&taken_by.instrument, &other_by.instrument)
             && same(&taken_by.camera, &other_by.camera)
+            && (self.setting.iter().zip(&other.setting)).all(|(a, b)| same(a, b))
     }
 
     fn number_and_time(&self) -> Option<(u64, i64)> {
@@ -71,29 +79,48 @@ pub struct PixelDigest {
 
 impl PixelDigest {
     pub fn of(frame: &Frame) -> Self {
-        let (width, height) = (frame.width(), frame.height());
-        let mut hash = mixed(mixed(0, width as u64), height as u64);
-        let mut counts = vec![0_u32; 1 << 16];
+        let shape = mixed(mixed(0, frame.width() as u64), frame.height() as u64);
         with_view!(frame, view => {
-            for y in 0..height {
-                for four in view.row(y).chunks(4) {
-                    let mut word = 0;
-                    for pixel in four {
-                        let value: u32 = (*pixel).into();
-                        counts[value as usize & 0xffff] += 1;
-                        word = word << 16 | u64::from(value);
-                    }
-                    hash = mixed(hash, word);
-                }
+            let rows = || (0..frame.height()).map(|y| view.row(y));
+            Self {
+                hash: rows().fold(shape, hash_of_row),
+                is_blank: is_blank(rows),
             }
-        });
-        let pixels = (width * height) as f64;
-        let most = counts.iter().max().map_or(0.0, |most| f64::from(*most));
-        Self {
-            hash,
-            is_blank: pixels - most < LEAST_STRUCTURE * pixels,
-        }
+        })
     }
+}
+
+/// A row's hash; the rows before it gave another.
+fn hash_of_row<T: Sample>(before: u64, row: &[T]) -> u64 {
+    let (fours, rest) = row.as_chunks::<4>();
+    let word = |four: &[T]| {
+        four.iter().fold(0, |word, pixel| {
+            let value: u32 = (*pixel).into();
+            word << 16 | u64::from(value)
+        })
+    };
+    let hash = fours
+        .iter()
+        .fold(before, |hash, four| mixed(hash, word(four)));
+    mixed(hash, word(rest))
+}
+
+/// Whether most pixels have one value: the middle one of every so many rows and columns.
+fn is_blank<'a, T: Sample, R: ExactSizeIterator<Item = &'a [T]>>(rows: impl Fn() -> R) -> bool {
+    const STEP: usize = 37;
+    let sample = rows()
+        .step_by(STEP)
+        .flat_map(|row| row.iter().step_by(STEP));
+    let mut sample: Vec<T> = sample.copied().collect();
+    let middle = sample.len() / 2;
+    sample.sort_unstable();
+    let others = |row: &[T]| row.iter().filter(|pixel| **pixel != sample[middle]).count();
+    let (mut pixels, mut different) = (0, 0);
+    for row in rows() {
+        pixels += row.len();
+        different += others(row);
+    }
+    (different as f64) < LEAST_STRUCTURE * pixels as f64
 }
 
 /// FNV-1a of words; the rotation lets high bits act on low ones.
@@ -250,6 +277,7 @@ mod tests {
             taken_by,
             number,
             utc_ns,
+            ..Identity::default()
         }
     }
 

@@ -4,9 +4,10 @@ use super::copies::CopiedFrame;
 use super::first_pass::Span;
 use super::record::FrameFacts;
 use crate::archive::StoredFile;
-use crate::frame::Warnings;
+use crate::frame::{Unreadable, Warnings};
 use crate::units::counted;
-use serde::Serialize;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
 use std::collections::BTreeMap;
 
 /// Their counts.
@@ -15,9 +16,8 @@ pub struct InputSummary {
     /// Files that hold a frame once more.
     pub copies: usize,
     /// Files that could not be read.
-    pub unreadable: usize,
-    /// These by what was expected of them.
-    pub unreadable_reasons: BTreeMap<String, usize>,
+    #[serde(flatten, serialize_with = "unreadable")]
+    pub unreadable: Unreadable,
     /// Frames by what of their files was not used.
     pub warnings: BTreeMap<String, u64>,
 }
@@ -25,7 +25,7 @@ pub struct InputSummary {
 impl InputSummary {
     /// How many of so many files gave a frame.
     pub fn frames(&self, files: usize) -> usize {
-        files - self.copies - self.unreadable
+        files - self.copies - self.unreadable.files()
     }
 
     /// For people.
@@ -35,27 +35,19 @@ impl InputSummary {
             let files = counted(self.copies as u64, "file");
             lines.push(format!("left out: {files} with the same frames as others"));
         }
-        lines.extend(unreadable_line(&self.unreadable_reasons));
+        lines.extend(self.unreadable.line());
         let warnings = self.warnings.iter();
         lines.extend(warnings.map(|(kind, files)| format!("{}: {kind}", counted(*files, "file"))));
         lines
     }
 }
 
-/// How many files could not be read, and the most frequent reason; `None` of none.
-pub fn unreadable_line(reasons: &BTreeMap<String, usize>) -> Option<String> {
-    let files: usize = reasons.values().sum();
-    let most = reasons.iter().rev().max_by_key(|(_, files)| **files);
-    most.map(|(reason, _)| {
-        let files = counted(files as u64, "file");
-        let most = if reasons.len() > 1 { "most " } else { "" };
-        format!("{files} could not be read, {most}for {reason}")
-    })
-}
-
-/// An error without what differs from file to file.
-pub fn kind_of_error(error: &str) -> &str {
-    error.split_once(", found ").map_or(error, |(kind, _)| kind)
+/// Files that could not be read: `unreadable`, and `unreadable_reasons` with the count of each.
+fn unreadable<S: Serializer>(unreadable: &Unreadable, serializer: S) -> Result<S::Ok, S::Error> {
+    let mut map = serializer.serialize_map(Some(2))?;
+    map.serialize_entry("unreadable", &unreadable.files())?;
+    map.serialize_entry("unreadable_reasons", unreadable.reasons())?;
+    map.end()
 }
 
 /// Counts them while a camera's records are read.
@@ -67,9 +59,7 @@ pub(super) struct InputNotes {
 
 impl InputNotes {
     pub fn unreadable(&mut self, error: &str) {
-        self.summary.unreadable += 1;
-        let reasons = &mut self.summary.unreadable_reasons;
-        *reasons.entry(kind_of_error(error).into()).or_default() += 1;
+        self.summary.unreadable.note(error);
     }
 
     pub fn read(&mut self, file: &str, facts: &FrameFacts) {

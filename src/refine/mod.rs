@@ -47,7 +47,7 @@ pub use copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 pub use disc::PlateDisc;
 pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved};
 pub use flight::{Flight, second_pass};
-pub use inputs::{InputSummary, kind_of_error, unreadable_line};
+pub use inputs::InputSummary;
 pub use journal::{Journal, JournalError};
 pub use load::{ClockFacts, ClockStep};
 pub use mapping::{

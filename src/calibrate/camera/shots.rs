@@ -1,7 +1,7 @@
 //! Frames in memory, and what lights them.
 
 use crate::aspect::{self, Expected, Origin, Quality};
-use crate::calibrate::frames::{RejectedFrame, Setting};
+use crate::calibrate::frames::{RejectedFrame, Setting, each_once};
 use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
@@ -116,8 +116,9 @@ pub fn load(
     files: &[PathBuf],
     instrument: &Instrument,
 ) -> anyhow::Result<(Shots, Vec<RejectedFrame>)> {
-    let (mut frames, mut rejected) = (Vec::new(), Vec::new());
-    for file in kept(files) {
+    let (files, mut rejected) = each_once(files.to_vec());
+    let mut frames = Vec::new();
+    for file in kept(&files) {
         match fits::read_frame_of_size(file, instrument.camera.size_px()) {
             Ok(frame) => {
                 check_size(&frame, instrument, file)?;
@@ -157,12 +158,13 @@ pub fn solve(
     files: &[PathBuf],
     instrument: &Instrument,
 ) -> anyhow::Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>)> {
-    let keep: Vec<&PathBuf> = kept(files);
+    let (files, mut rejected) = each_once(files.to_vec());
+    let keep: Vec<&PathBuf> = kept(&files);
     let solved: Vec<_> = files
         .par_iter()
         .map(|file| solve_one(file, instrument, keep.contains(&file)))
         .collect::<anyhow::Result<_>>()?;
-    let (mut shots, mut suns, mut rejected) = (Shots::default(), Vec::new(), Vec::new());
+    let (mut shots, mut suns) = (Shots::default(), Vec::new());
     for (file, outcome) in files.iter().zip(solved) {
         match outcome {
             Ok((shot, sun)) => {

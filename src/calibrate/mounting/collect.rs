@@ -3,7 +3,7 @@
 use super::log::PointingLog;
 use super::observation::SunObservation;
 use crate::aspect::{self, Expected, Quality, Solution};
-use crate::calibrate::frames::{RejectedFrame, Setting, check_settings};
+use crate::calibrate::frames::{RejectedFrame, Setting, check_settings, each_once};
 use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
@@ -51,7 +51,8 @@ pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
 ) -> anyhow::Result<(Vec<SunObservation>, Vec<RejectedFrame>, Handedness)> {
-    let handedness = determined_handedness(files, frames.instrument);
+    let (files, copies) = each_once(files.to_vec());
+    let handedness = determined_handedness(&files, frames.instrument);
     let mut instrument = frames.instrument.clone();
     instrument.mounting.handedness = handedness;
     let frames = Frames {
@@ -77,6 +78,7 @@ pub fn collect(
         }
     }
     explain(&lacks, &rejected, observations.len())?;
+    rejected.extend(copies);
     Ok((observations, rejected, handedness))
 }
 

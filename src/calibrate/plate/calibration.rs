@@ -6,7 +6,7 @@ use super::observation::{FrameObservation, take_blurred};
 use super::poses::{self, Pose, Posed};
 use super::refusal::Refusal;
 use super::suspects::{SuspectMark, suspects};
-use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
+use crate::calibrate::frames::{Depth, RejectedFrame, each_once, list, sha256};
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
@@ -41,11 +41,7 @@ pub struct Calibration {
 /// # Errors
 /// A path that cannot be read, a folder without frames.
 pub fn frames_sha256(given: &[PathBuf]) -> Result<String, Refusal> {
-    Ok(sha256_of(&folders(given)?))
-}
-
-fn folders(given: &[PathBuf]) -> Result<Vec<Folder>, Refusal> {
-    Ok(measure::folders(list(given, Depth::Nearest)?))
+    Ok(sha256_of(&measure::folders(list(given, Depth::Nearest)?)))
 }
 
 fn sha256_of(folders: &[Folder]) -> String {
@@ -67,7 +63,10 @@ pub fn calibrate(
 ) -> Result<Calibration, Refusal> {
     /// Later passes over the rejected frames: each uses the plate as the one before measured it.
     const LATER_PASSES: usize = 3;
-    let folders = folders(given)?;
+    let files = list(given, Depth::Nearest)?;
+    let frames_sha256 = sha256_of(&measure::folders(files.clone()));
+    let (files, copies) = each_once(files);
+    let folders = measure::folders(files);
     begin(folders.iter().map(|folder| folder.files.len()).sum());
     let mut observations = measure(&folders, start, each);
     let mut blurred = take_blurred(&mut observations.frames);
@@ -89,7 +88,14 @@ pub fn calibrate(
         (posed, fit) = settle(&folders, &frames, start)?;
     }
     check_scales(&posed.poses, &fit)?;
-    let mut rejected = [blurred, unread, posed.rejected, fit.rejected.clone()].concat();
+    let mut rejected = [
+        copies,
+        blurred,
+        unread,
+        posed.rejected,
+        fit.rejected.clone(),
+    ]
+    .concat();
     rejected.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(Calibration {
         last: posed.frames.iter().filter_map(|frame| frame.utc).max(),
@@ -97,7 +103,7 @@ pub fn calibrate(
         mounted_pose: mounted_pose(&fit, start),
         middle_px: start.camera.middle_px(),
         suspects: suspects(&posed.frames, &fit, start),
-        frames_sha256: sha256_of(&folders),
+        frames_sha256,
         poses: posed.poses,
         frames: posed.frames,
         read_later,

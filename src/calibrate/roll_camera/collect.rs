@@ -1,7 +1,7 @@
 //! From frames to sightings.
 
 use super::sighting::{Horizon, Known, Sighting};
-use crate::calibrate::frames::RejectedFrame;
+use crate::calibrate::frames::{RejectedFrame, each_once};
 use crate::calibrate::mounting::{AttitudeLog, SunObservation};
 use crate::config;
 use crate::fits;
@@ -54,11 +54,13 @@ impl Horizons<'_> {
 
 /// Solves frames of the horizon: those that show one, in the order of time, and the others.
 pub fn collect(files: &[PathBuf], horizons: &Horizons<'_>) -> (Vec<Horizon>, Vec<RejectedFrame>) {
+    let (files, copies) = each_once(files.to_vec());
     let solved = files.par_iter().map(|file| {
         let solved = horizons.solve(file);
         solved.map_err(|reason| RejectedFrame::new(file, reason))
     });
-    let (mut seen, rejected) = parted(solved.collect());
+    let (mut seen, mut rejected) = parted(solved.collect());
+    rejected.extend(copies);
     seen.sort_by_key(|horizon| horizon.utc);
     (seen, rejected)
 }

@@ -169,9 +169,11 @@ impl RefineArgs {
         }
         if self.shard.is_none() {
             report.write(&self.out)?;
-            read.expect_frames(archive)?;
         }
         expect_all_read(archive)?;
+        if self.shard.is_none() {
+            read.expect_frames(archive)?;
+        }
         Ok(code)
     }
 

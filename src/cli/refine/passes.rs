@@ -3,6 +3,7 @@
 use super::RefineArgs;
 use crate::archive::{ArchiveReader, StoredFile};
 use crate::cli::output::{Progress, say};
+use crate::frame::Unreadable;
 use crate::refine::{
     self, CameraFrames, CameraHeader, Distinct, Done, FirstPass, Flight, FrameRecord, InputSummary,
     PixelDigests, Recipe, Shard, Span,
@@ -10,7 +11,6 @@ use crate::refine::{
 use crate::units::counted;
 use anyhow::{bail, ensure};
 use serde::{Serialize, de::DeserializeOwned};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::thread::available_parallelism;
 
@@ -161,20 +161,18 @@ pub(super) fn expect_all_read(archive: &ArchiveReader) -> anyhow::Result<()> {
 #[derive(Default)]
 pub(super) struct InputsRead {
     pub frames: usize,
-    unreadable: BTreeMap<String, usize>,
+    unreadable: Unreadable,
 }
 
 impl InputsRead {
     pub fn add(&mut self, files: usize, inputs: &InputSummary) {
         self.frames += inputs.frames(files);
-        for (reason, files) in &inputs.unreadable_reasons {
-            *self.unreadable.entry(reason.clone()).or_default() += files;
-        }
+        self.unreadable.add(&inputs.unreadable);
     }
 
     /// An archive of which nothing could be read makes the run a failure.
     pub fn expect_frames(&self, archive: &ArchiveReader) -> anyhow::Result<()> {
-        match refine::unreadable_line(&self.unreadable) {
+        match self.unreadable.line() {
             Some(why) if self.frames == 0 => bail!(
                 "{}: expected frames that can be read, found none: {why}",
                 archive.name().display()
