@@ -4,8 +4,8 @@ mod copies;
 mod cutout;
 mod pixels;
 mod region;
-mod unusable;
 mod unreadable;
+mod unusable;
 mod warning;
 
 use crate::clock::Utc;
@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
-use unusable::Unusable;
 pub use unreadable::Unreadable;
+use unusable::Unusable;
 pub use warning::{Warning, Warnings};
 
 /// The name of the camera in frames that the simulator has made, by which they are told from real ones.

@@ -1,18 +1,13 @@
 //! Which camera took which frames of an archive, by their headers.
 
+use super::camera_headers::CameraHeader;
 use super::copies::{CopiedFrame, Distinct};
-use super::first_pass::{Done, FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
+use super::first_pass::Done;
 use super::journal::JournalError;
-use crate::archive::{
-    ArchiveReader, INSTRUMENT, MOON_CAMERA, ROLL_CAMERA, StoredFile, plain, sky_camera,
-};
-use crate::fits::Value;
-use crate::frame::{Identity, TakenBy};
-use crate::provenance;
+use crate::archive::{MOON_CAMERA, ROLL_CAMERA, StoredFile, plain};
+use crate::frame::TakenBy;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::path::Path;
 
 /// The frames of one camera.
 #[derive(Debug, Clone, Default)]
@@ -48,51 +43,6 @@ impl CameraFrames {
             all.instruments_sha256.extend(camera.instruments_sha256);
             all
         })
-    }
-}
-
-/// What a frame's header says of its camera and of the instrument's file.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct CameraHeader {
-    pub(super) identity: Identity,
-    instrument_sha256: Option<String>,
-}
-
-/// Reads the headers of all frames, whichever camera took them.
-#[derive(Debug, Clone, Copy)]
-pub struct CameraHeaders;
-
-impl FirstPass for CameraHeaders {
-    type Frame = CameraHeader;
-
-    fn hash(&self) -> u64 {
-        hash_of(format!("{} {JOURNAL_VERSION}", provenance::VERSION).as_bytes())
-    }
-
-    fn prefix(&self) -> &'static str {
-        "cameras-"
-    }
-
-    fn solve(
-        &self,
-        archive: &ArchiveReader,
-        input: &StoredFile,
-        _: &Span,
-    ) -> Result<Option<CameraHeader>, Unsolved> {
-        let (info, header) = archive.info(input)?;
-        let instrument_sha256 = match header.get(INSTRUMENT.keyword) {
-            Some(Value::Text(sha256)) => Some(sha256.clone()),
-            _ => None,
-        };
-        // Roll and Moon camera have no instrument of the plate that their headers could name.
-        let by_name = || sky_camera(Path::new(&input.file)).map(str::to_owned);
-        let mut identity = Identity::of(&info);
-        let instrument = &mut identity.taken_by.instrument;
-        *instrument = instrument.take().or_else(by_name);
-        Ok(Some(CameraHeader {
-            identity,
-            instrument_sha256,
-        }))
     }
 }
 

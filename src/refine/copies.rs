@@ -1,11 +1,12 @@
 //! Frames that an archive holds more than once, as that of both disks of a mirroring flight: each counts once.
 
-use super::cameras::CameraHeader;
+use super::camera_headers::CameraHeader;
 use super::first_pass::{Done, FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
 use super::journal::JournalError;
 use crate::archive::{ArchiveReader, StoredFile};
 use crate::frame::{Compared, Copies, Identity, PixelDigest, may_be_copies};
 use crate::provenance;
+use rayon::prelude::*;
 use std::path::Path;
 
 /// Reads the pixels of frames that may be copies.
@@ -137,5 +138,5 @@ fn identities(
         let header = record.and_then(|record| record.outcome.ok());
         Ok(header.map(|header| header.identity))
     };
-    inputs.iter().map(identity).collect()
+    inputs.par_iter().map(identity).collect()
 }

@@ -4,7 +4,8 @@
 //! less of the limb is held against the path of those.
 
 use super::motion::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
-use super::row::{Oddity, Row};
+use super::oddity::Oddity;
+use super::row::Row;
 use super::work::{TELLING_LIMB, Work};
 use crate::estimation::median;
 use crate::geometry::view::UNIT_MIL;

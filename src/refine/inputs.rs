@@ -84,3 +84,42 @@ impl InputNotes {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{FrameInfo, Warning};
+
+    #[test]
+    fn warnings_and_unread_times_are_counted_by_kind_and_files_by_reason() {
+        let info = |found: &str| FrameInfo {
+            warnings: vec![Warning::new("GAIN", "a finite number", found)],
+            untimed: Some(Warning::new("DATE-OBS", "a UTC date and time", "'UNKNOWN'")),
+            ..FrameInfo::default()
+        };
+        let mut notes = InputNotes::default();
+        for found in ["'High'", "'Low'"] {
+            let facts = FrameFacts::of(&info(found));
+            notes.read("a.fits", &facts);
+            let time = "time: DATE-OBS: expected a UTC date and time, found 'UNKNOWN'";
+            assert_eq!(facts.reason(None), time);
+            assert_eq!(
+                facts.reason(Some("limb: dark")),
+                format!("{time}; limb: dark")
+            );
+        }
+        notes.unreadable("expected a FITS file, found an empty file");
+        let summary = notes.finish();
+        let lines = [
+            "1 file could not be read, for expected a FITS file",
+            "2 files: DATE-OBS: expected a UTC date and time",
+            "2 files: GAIN: expected a finite number",
+        ];
+        assert_eq!(summary.lines(), lines);
+        let json = serde_json::to_value(&summary).unwrap();
+        assert_eq!(json["unreadable"], 1);
+        assert_eq!(json["unreadable_reasons"]["expected a FITS file"], 1);
+        assert_eq!(json["warnings"]["GAIN: expected a finite number"], 2);
+        assert_eq!(summary.frames(3), 2);
+    }
+}

@@ -10,10 +10,12 @@ use super::record::{FrameFacts, FrameRecord, Grade, MarkRecord, Record, upper};
 use super::row::Row;
 use super::times::{Stamp, Times};
 use crate::archive::StoredFile;
+use crate::aspect::Stage;
 use crate::instrument::Instrument;
 use crate::sky::sun_angular_radius;
 use crate::units::{Measured, Place};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Records that are read together.
@@ -100,7 +102,7 @@ pub(super) fn load(
     let copies = notes.copies(&camera.copies, span).into_iter();
     unread.extend(copies.map(|(input, reason)| Row::unread(input, reason)));
     unread.sort_by(|a, b| a.file.cmp(&b.file));
-    let contradiction = contradiction(&entries);
+    let contradiction = contradiction(&entries).or_else(|| unidentified(&entries));
     let clock = correct_times(&mut entries);
     entries.par_iter_mut().for_each(|Entry { row, .. }| {
         let angular = row.utc().and_then(|utc| sun_angular_radius(utc).ok());
@@ -137,6 +139,31 @@ fn contradiction(entries: &[Entry]) -> Option<String> {
         format!(
             "{frames} of {fine} fine frames contradict the instrument; expected its camera's frames, found in {file} {what}. Name the camera's \
              own instrument, or one whose sigmas allow for this"
+        )
+    })
+}
+
+/// Where no frame is fine, and most of those that show something bright have marks that are not the plate's as this instrument sees
+/// it: a mirrored picture, or another plate.
+fn unidentified(entries: &[Entry]) -> Option<String> {
+    let own = || entries.iter().map(|entry| &entry.row.own);
+    if own().any(|own| own.quality == Grade::Fine) {
+        return None;
+    }
+    let bright = own().filter(|own| own.levels_dn.is_some()).count();
+    let stage = format!("{}: ", Stage::Identification.name());
+    let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+    for own in own() {
+        if let Some(reason) = own.reason.strip_prefix(&stage) {
+            *reasons.entry(reason).or_default() += 1;
+        }
+    }
+    let frames: usize = reasons.values().sum();
+    let (reason, _) = reasons.into_iter().max_by_key(|(_, frames)| *frames)?;
+    (2 * frames > bright && frames >= LEAST_CONTRADICTING).then(|| {
+        format!(
+            "the marks of {frames} of {bright} frames cannot be identified, and no frame is fine; expected the plate as the instrument sees it, found, in most, \
+             that {reason}. Name the camera's own instrument, and see that the pictures are not mirrored (mounting.handedness)"
         )
     })
 }

@@ -10,6 +10,7 @@
 //! which frames were done, by how many cores or machines, nor on how often the run was killed.
 
 mod allan;
+mod camera_headers;
 mod cameras;
 mod clock;
 pub mod columns;
@@ -29,6 +30,7 @@ mod look;
 mod mapping;
 pub mod motion;
 mod oddities;
+mod oddity;
 mod output;
 mod radius;
 mod record;
@@ -42,7 +44,8 @@ mod times;
 mod view;
 mod work;
 
-pub use cameras::{CameraFrames, CameraHeader, CameraHeaders, cameras};
+pub use camera_headers::{CameraHeader, CameraHeaders};
+pub use cameras::{CameraFrames, cameras};
 pub use copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 pub use disc::PlateDisc;
 pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved};
@@ -53,6 +56,7 @@ pub use load::{ClockFacts, ClockStep};
 pub use mapping::{
     FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, TemperatureDependence,
 };
+pub use oddity::{Oddity, Order};
 pub use output::{OutputError, Summary, write};
 pub use radius::RadiusDependence;
 pub use record::{
@@ -60,6 +64,6 @@ pub use record::{
 };
 pub use report::Report;
 pub use roll::{RollHistory, RollRecipe, RollRow, RollSummary, write_roll};
-pub use row::{Oddity, OwnRow, Row, SkyRow};
+pub use row::{OwnRow, Row, SkyRow};
 pub use sky::Sky;
 pub use stabilisation::{RateError, stabilisation, write_stabilisation};

@@ -2,7 +2,8 @@
 
 use super::disc::PlateDisc;
 use super::mapping::Standing;
-use super::row::{Oddity, Row};
+use super::oddity::Oddity;
+use super::row::Row;
 use super::work::Work;
 use crate::estimation::median;
 use crate::units::Measured;

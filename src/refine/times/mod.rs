@@ -12,35 +12,15 @@ mod counter;
 mod quantum;
 
 use super::clock::{Clocks, Reading, corrected_ns};
+use super::oddity::{Oddity, SIGMA_PER_WIDTH};
 use super::record::FrameFacts;
-use super::row::Oddity;
 use crate::units::{Measured, counted};
 use counter::Numbered;
 use quantum::Spread;
 use std::collections::{BTreeMap, HashMap};
 
-/// The part of a uniform distribution's width that is 1 sigma.
-pub(super) const SIGMA_PER_WIDTH: f64 = 0.288_675;
 /// Fewer frames of one time alone may well have been taken at it.
 const LEAST_STUCK: usize = 3;
-
-/// What orders the frames of one stamp.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Order {
-    Monotonic,
-    Number,
-    Files,
-}
-
-impl Order {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Monotonic => "the monotonic clock",
-            Self::Number => "the frames' numbers",
-            Self::Files => "the order of the files",
-        }
-    }
-}
 
 /// What a frame's file says of when it was taken, and where it shows its object; `place` has any unit.
 #[derive(Debug, Clone, Copy, Default)]

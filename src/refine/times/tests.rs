@@ -1,5 +1,6 @@
 //! Stamps of frames whose true times are known.
 
+use super::super::oddity::Order;
 use super::*;
 
 const START_NS: i64 = 1_379_786_400_000_000_000;

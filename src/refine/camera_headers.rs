@@ -1,0 +1,54 @@
+//! What the frames' headers say of when, how and by which camera they were taken.
+
+use super::first_pass::{FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
+use crate::archive::{ArchiveReader, INSTRUMENT, StoredFile, sky_camera};
+use crate::fits::Value;
+use crate::frame::Identity;
+use crate::provenance;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// What a frame's header says of its camera and of the instrument's file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct CameraHeader {
+    pub(super) identity: Identity,
+    pub(super) instrument_sha256: Option<String>,
+}
+
+/// Reads the headers of all frames, whichever camera took them.
+#[derive(Debug, Clone, Copy)]
+pub struct CameraHeaders;
+
+impl FirstPass for CameraHeaders {
+    type Frame = CameraHeader;
+
+    fn hash(&self) -> u64 {
+        hash_of(format!("{} {JOURNAL_VERSION}", provenance::VERSION).as_bytes())
+    }
+
+    fn prefix(&self) -> &'static str {
+        "cameras-"
+    }
+
+    fn solve(
+        &self,
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        _: &Span,
+    ) -> Result<Option<CameraHeader>, Unsolved> {
+        let (info, header) = archive.info(input)?;
+        let instrument_sha256 = match header.get(INSTRUMENT.keyword) {
+            Some(Value::Text(sha256)) => Some(sha256.clone()),
+            _ => None,
+        };
+        // Roll and Moon camera have no instrument of the plate that their headers could name.
+        let by_name = || sky_camera(Path::new(&input.file)).map(str::to_owned);
+        let mut identity = Identity::of(&info);
+        let instrument = &mut identity.taken_by.instrument;
+        *instrument = instrument.take().or_else(by_name);
+        Ok(Some(CameraHeader {
+            identity,
+            instrument_sha256,
+        }))
+    }
+}
