@@ -3,7 +3,6 @@
 use super::copies::CopiedFrame;
 use super::first_pass::Span;
 use super::record::FrameFacts;
-use crate::archive::StoredFile;
 use crate::frame::{Unreadable, Warnings};
 use crate::units::counted;
 use serde::ser::SerializeMap;
@@ -67,14 +66,16 @@ impl InputNotes {
         self.warnings.note(file, facts.untimed.as_slice());
     }
 
-    /// The copies within a span, each with the reason of its row.
-    pub fn copies(&mut self, copies: &[CopiedFrame], span: &Span) -> Vec<(StoredFile, String)> {
-        let copies = copies.iter().filter(|copy| copy.is_in(span));
-        let rows: Vec<_> = copies
-            .map(|copy| (copy.input.clone(), copy.reason()))
-            .collect();
-        self.summary.copies += rows.len();
-        rows
+    /// The copies within a span.
+    pub fn copies<'a>(
+        &mut self,
+        copies: &'a [CopiedFrame],
+        span: &Span,
+    ) -> impl Iterator<Item = &'a CopiedFrame> {
+        let within = copies.iter().filter(|copy| copy.is_in(span));
+        let within: Vec<&CopiedFrame> = within.collect();
+        self.summary.copies += within.len();
+        within.into_iter()
     }
 
     pub fn finish(self) -> InputSummary {

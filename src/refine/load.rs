@@ -99,8 +99,7 @@ pub(super) fn load(
             }
         }
     }
-    let copies = notes.copies(&camera.copies, span).into_iter();
-    unread.extend(copies.map(|(input, reason)| Row::unread(input, reason)));
+    unread.extend(notes.copies(&camera.copies, span).map(Row::copied));
     unread.sort_by(|a, b| a.file.cmp(&b.file));
     let contradiction = contradiction(&entries).or_else(|| unidentified(&entries));
     let clock = correct_times(&mut entries);

@@ -13,6 +13,7 @@ mod allan;
 mod camera_headers;
 mod cameras;
 mod clock;
+mod clock_summary;
 pub mod columns;
 mod copies;
 mod disc;

@@ -1,11 +1,11 @@
 //! What a refinement leaves: `aspect.fits`, `aspect.csv`, `summary.json`. The same archive, instrument and settings give the
 //! same bytes: nothing in them tells when they were made.
 
+use super::clock_summary::ClockSummary;
 use super::columns::{self, ASPECT, ASPECT_COLUMNS, ColumnRow, SMOOTHED, SMOOTHED_COLUMNS};
 use super::first_pass::{FirstPass, Recipe, hash_of};
 use super::flight::Flight;
 use super::inputs::InputSummary;
-use super::load::ClockStep;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
 use super::motion::FoundSwing;
 use super::oddity::Oddity;
@@ -142,43 +142,6 @@ impl RadiusSummary {
             text: found.text(),
         }
     }
-}
-
-/// What the computer's clock did.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ClockSummary {
-    /// By how much UTC gains on the monotonic clock, parts in a million: value and 1 sigma.
-    pub drift_ppm: Option<[f64; 2]>,
-    pub steps: Vec<ClockStepSummary>,
-    /// Frames whose time is corrected.
-    pub corrected: usize,
-}
-
-impl ClockSummary {
-    /// What people should know of it: name and value.
-    pub fn lines(&self) -> impl Iterator<Item = [String; 2]> {
-        let drift = self.drift_ppm.map(|[drift, sigma]| {
-            // No "-0.000".
-            let drift = (drift * 1e3).round() / 1e3 + 0.0;
-            let value = format!("{drift:.3} \u{b1} {sigma:.3} parts in a million");
-            ["UTC gains on the monotonic clock".into(), value]
-        });
-        let step = |step: &ClockStepSummary| {
-            let [step_s, sigma_s] = step.step_s;
-            let value = format!("{step_s:+.4} \u{b1} {sigma_s:.4} s before {}", step.file);
-            ["step of UTC".into(), value]
-        };
-        drift.into_iter().chain(self.steps.iter().map(step))
-    }
-}
-
-/// A step of UTC.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ClockStepSummary {
-    /// The first frame after it.
-    pub file: String,
-    /// Value and 1 sigma.
-    pub step_s: [f64; 2],
 }
 
 /// What is known of the flight's mapping.
@@ -345,30 +308,13 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
         radius_by_temperature: RadiusSummary::of(&flight.radius_by_temperature),
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
-        clock: clock(flight),
+        clock: ClockSummary::of(flight),
         restless_mil_per_s2: flight.path.as_ref().map(|path| path.process_noise),
         swings: flight.path.as_ref().map_or_else(Default::default, |path| {
             path.swings
                 .each_ref()
                 .map(|swings| swings.iter().map(SwingSummary::of).collect())
         }),
-    }
-}
-
-fn clock(flight: &Flight) -> ClockSummary {
-    let pair = |measured: Measured| [measured.value, measured.sigma];
-    let step = |step: &ClockStep| ClockStepSummary {
-        file: step.file.clone(),
-        step_s: pair(step.step_s),
-    };
-    let corrected = flight
-        .rows
-        .iter()
-        .filter(|row| row.utc_correction_s.is_some());
-    ClockSummary {
-        drift_ppm: flight.clock.drift_ppm.map(pair),
-        steps: flight.clock.steps.iter().map(step).collect(),
-        corrected: corrected.count(),
     }
 }
 

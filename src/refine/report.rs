@@ -261,7 +261,7 @@ impl Part<'_> {
     fn refusals(&mut self, archive: &ArchiveReader) {
         self.heading("What is not fine, or odd");
         let mut reasons: BTreeMap<String, Vec<&Row>> = BTreeMap::new();
-        for row in self.rows {
+        for row in self.rows.iter().filter(|row| row.copy_of.is_none()) {
             reasons.entry(row.reason()).or_default().push(row);
         }
         reasons.remove("");

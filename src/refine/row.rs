@@ -1,5 +1,6 @@
 //! One input file's row of the history.
 
+use super::copies::CopiedFrame;
 use super::disc::PlateDisc;
 use super::mapping::MappingNumbers;
 use super::oddity::Oddity;
@@ -44,6 +45,8 @@ pub struct OwnRow {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     pub file: String,
+    /// The file whose frame this one holds once more.
+    pub copy_of: Option<String>,
     pub utc_ns: Option<i64>,
     /// What was added to the header's time, s, where the clock had stepped.
     pub utc_correction_s: Option<Measured>,
@@ -102,6 +105,7 @@ impl Row {
     pub(super) fn unread(input: StoredFile, error: String) -> Self {
         Self {
             file: input.file,
+            copy_of: None,
             utc_ns: None,
             utc_correction_s: None,
             time_sigma_s: None,
@@ -130,6 +134,14 @@ impl Row {
             sky: None,
             body_nadir: None,
             in_flight: InFlight::default(),
+        }
+    }
+
+    /// A file that holds the frame of another one.
+    pub(super) fn copied(copy: &CopiedFrame) -> Self {
+        Self {
+            copy_of: Some(copy.first.clone()),
+            ..Self::unread(copy.input.clone(), copy.reason())
         }
     }
 

@@ -8,10 +8,12 @@ mod history;
 mod output;
 mod record;
 mod report;
+mod row;
 
-pub use history::{RollHistory, RollRow, SmoothedRoll};
+pub use history::RollHistory;
 pub use output::{RollSummary, write_roll};
 pub use record::HorizonRecord;
+pub use row::{RollRow, SmoothedRoll};
 
 use super::first_pass::{FirstPass, JOURNAL_VERSION, Span, Taken, Unsolved, hash_of};
 use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};

@@ -76,7 +76,8 @@ fn summary(history: &RollHistory, recipe: &RollRecipe, table_hash: String) -> Ro
     let rows = &history.rows;
     let count = |grade| rows.iter().filter(|row| row.quality == grade).count();
     let mut remarks = BTreeMap::new();
-    for remark in rows.iter().map(RollRow::remark) {
+    let counted = rows.iter().filter(|row| row.copy_of.is_none());
+    for remark in counted.map(RollRow::remark) {
         if !remark.is_empty() {
             *remarks.entry(kind(&remark)).or_default() += 1;
         }

@@ -83,7 +83,8 @@ impl Report {
     /// How many frames are not fine, by what is odd about them, and pictures of some with what was taken for the horizon.
     fn odd_frames(&mut self, archive: &ArchiveReader, history: &RollHistory, recipe: &RollRecipe) {
         let mut odd: BTreeMap<String, Vec<&RollRow>> = BTreeMap::new();
-        for row in history.rows.iter().filter(|row| row.quality != Grade::Fine) {
+        let is_odd = |row: &&RollRow| row.quality != Grade::Fine && row.copy_of.is_none();
+        for row in history.rows.iter().filter(is_odd) {
             odd.entry(kind(&row.remark())).or_default().push(row);
         }
         if odd.is_empty() {
