@@ -21,7 +21,7 @@ pub use marks::{Mark, marks};
 pub use picture::stretched;
 pub use sequence::Gap;
 
-use super::flown::FlownFiles;
+use super::flown::{FlownFiles, flown_sha256};
 use crate::fits::{FileError, FitsFile, Problem, Value};
 use crate::frame::{Compared, Copies, Identity, PixelDigest};
 use jiff::Timestamp;
@@ -106,10 +106,12 @@ impl From<FileError> for BadFile {
     }
 }
 
-/// What a sound file holds.
-struct Sound {
-    identity: Identity,
-    digest: PixelDigest,
+/// What a check of a file by itself found.
+#[derive(Default)]
+struct Checked {
+    /// What the file's frame is, where it can be read.
+    frame: Option<(Identity, PixelDigest)>,
+    fault: Option<FileError>,
     /// That the file has another name than it was given: a fault, unless it is a copy.
     misnamed: Option<FileError>,
 }
@@ -125,29 +127,31 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
         checked();
         outcome
     };
-    let outcomes: Vec<_> = tree.files.par_iter().map(check_one).collect();
-    let (first_of, contradiction_list) = compare(&tree.files, &outcomes);
+    let checked: Vec<Checked> = tree.files.par_iter().map(check_one).collect();
+    let (first_of, contradiction_list) = compare(&tree.files, &checked);
     let mut bad_files = tree.unlisted.clone();
     let mut dated = Vec::new();
     let mut undated = 0;
     let mut copy_list = Vec::new();
-    for ((path, outcome), first) in tree.files.iter().zip(outcomes).zip(first_of) {
+    for ((path, checked), first) in tree.files.iter().zip(checked).zip(first_of) {
         if let Some(first) = first {
             copy_list.push(CopiedFile {
                 file: path.display().to_string(),
                 same_as: tree.files[first].display().to_string(),
             });
+            bad_files.extend(checked.fault.map(BadFile::from));
             continue;
         }
-        let whole = outcome.and_then(|sound| sound.misnamed.map_or(Ok(sound.identity), Err));
-        match whole {
-            Ok(identity) => match identity.utc() {
+        let fault = checked.fault.or(checked.misnamed);
+        let identity = checked.frame.map(|(identity, _)| identity);
+        match (fault, identity) {
+            (None, Some(identity)) => match identity.utc() {
                 Some(utc) => dated.push(Dated::sound(path, utc, identity.number)),
                 None => undated += 1,
             },
-            Err(error) => {
+            (fault, _) => {
                 dated.push(Dated::bad(path));
-                bad_files.push(error.into());
+                bad_files.extend(fault.map(BadFile::from));
             }
         }
     }
@@ -183,22 +187,19 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
 }
 
 /// Of each file the one that it is a copy of, and files that contradict each other.
-fn compare(
-    files: &[PathBuf],
-    outcomes: &[Result<Sound, FileError>],
-) -> (Vec<Option<usize>>, Vec<ContradictingFile>) {
-    let sound =
-        |(n, outcome): (usize, &'_ Result<Sound, FileError>)| outcome.as_ref().is_ok().then_some(n);
-    let at: Vec<usize> = outcomes.iter().enumerate().filter_map(sound).collect();
-    let compared = at.iter().filter_map(|n| {
-        let sound = outcomes[*n].as_ref().ok()?;
-        Some(Compared {
-            path: &files[*n],
-            identity: &sound.identity,
-            digest: Some(sound.digest),
-        })
-    });
-    let found = Copies::among(&compared.collect::<Vec<_>>());
+fn compare(files: &[PathBuf], checked: &[Checked]) -> (Vec<Option<usize>>, Vec<ContradictingFile>) {
+    let (mut compared, mut at) = (Vec::new(), Vec::new());
+    for (n, (path, checked)) in files.iter().zip(checked).enumerate() {
+        if let Some((identity, digest)) = &checked.frame {
+            at.push(n);
+            compared.push(Compared {
+                path,
+                identity,
+                digest: Some(*digest),
+            });
+        }
+    }
+    let found = Copies::among(&compared);
     let mut first_of = vec![None; files.len()];
     for (n, first) in found.of.iter().enumerate() {
         first_of[at[n]] = first.map(|first| at[first]);
@@ -215,33 +216,43 @@ fn compare(
 }
 
 /// Checks one file by itself.
-fn check_file(path: &Path, flown: &FlownFiles) -> Result<Sound, FileError> {
-    let file = FitsFile::open(path)?;
-    let sums = file.checksums()?;
-    if sums.guarded < sums.hdus {
-        let expected = format!("both in each of {} HDUs", sums.hdus);
-        let found = format!("both in {} of them", sums.guarded);
-        return Err(field("CHECKSUM, DATASUM", expected, found).in_file(path));
-    }
-    let frame = file.frame()?;
-    let header = keywords::checked(&file)?;
-    marks(&file)?;
-    flown
-        .check(&header)
-        .map_err(|problem| problem.in_file(path))?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let misnamed = match header.get("FILENAME") {
-        Some(Value::Text(given)) if *given != *name => {
-            let expected = format!("'{name}', the name that the file has");
-            Some(field("FILENAME", expected, format!("'{given}'")).in_file(path))
+fn check_file(path: &Path, flown: &FlownFiles) -> Checked {
+    let mut checked = Checked::default();
+    checked.fault = checked.look(path, flown).err();
+    checked
+}
+
+impl Checked {
+    fn look(&mut self, path: &Path, flown: &FlownFiles) -> Result<(), FileError> {
+        let file = FitsFile::open(path)?;
+        let frame = file.frame();
+        let shown = frame.as_ref().ok();
+        self.frame = shown.map(|frame| (Identity::of(&frame.info), PixelDigest::of(frame)));
+        let sums = file.checksums()?;
+        if sums.guarded < sums.hdus {
+            let expected = format!("both in each of {} HDUs", sums.hdus);
+            let found = format!("both in {} of them", sums.guarded);
+            return Err(field("CHECKSUM, DATASUM", expected, found).in_file(path));
         }
-        _ => None,
-    };
-    Ok(Sound {
-        identity: Identity::of(&frame.info),
-        digest: PixelDigest::of(&frame),
-        misnamed,
-    })
+        frame?;
+        let header = keywords::checked(&file)?;
+        if let Some((identity, _)) = &mut self.frame {
+            identity.flown_sha256 = flown_sha256(&header);
+        }
+        marks(&file)?;
+        flown
+            .check(&header)
+            .map_err(|problem| problem.in_file(path))?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if let Some(Value::Text(given)) = header.get("FILENAME")
+            && *given != *name
+        {
+            let expected = format!("'{name}', the name that the file has");
+            let problem = field("FILENAME", expected, format!("'{given}'"));
+            self.misnamed = Some(problem.in_file(path));
+        }
+        Ok(())
+    }
 }
 
 fn field(field: &str, expected: impl Into<String>, found: impl Into<String>) -> Problem {

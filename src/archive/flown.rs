@@ -25,6 +25,14 @@ pub const INSTRUMENT: FlownKind = FlownKind {
     keyword: "INSTSHA",
 };
 
+/// SHA-256 of configuration and instrument's file that a frame's header names.
+pub fn flown_sha256(header: &Header) -> [Option<String>; 2] {
+    [CONFIGURATION, INSTRUMENT].map(|kind| match header.get(kind.keyword) {
+        Some(Value::Text(sha256)) => Some(sha256.clone()),
+        _ => None,
+    })
+}
+
 /// What a camera flies with.
 #[derive(Debug, Clone, Default)]
 pub struct Flown(Vec<FlownText>);

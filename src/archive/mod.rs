@@ -23,7 +23,8 @@ mod store;
 pub use coordinates::{Helioprojection, sky_cards};
 pub use dirfile::Dirfile;
 pub use flown::{
-    CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT, navigation_file,
+    CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT, flown_sha256,
+    navigation_file,
 };
 pub use log::{Log, Row, SolutionLog, Upkeep};
 pub use name::{MOON_CAMERA, NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain, sky_camera};

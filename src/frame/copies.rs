@@ -24,6 +24,8 @@ pub struct Identity {
     pub utc_ns: Option<i64>,
     /// Exposure (s), analogue and pre-amplifier gain.
     setting: [Option<f64>; 3],
+    /// SHA-256 of the configuration and of the instrument's file that it was flown with, where the reader knows them.
+    pub flown_sha256: [Option<String>; 2],
 }
 
 impl Identity {
@@ -38,6 +40,7 @@ impl Identity {
                 info.analogue_gain,
                 info.preamp_gain,
             ],
+            flown_sha256: [None, None],
         }
     }
 
@@ -56,6 +59,7 @@ impl Identity {
             && same(&taken_by.instrument, &other_by.instrument)
             && same(&taken_by.camera, &other_by.camera)
             && (self.setting.iter().zip(&other.setting)).all(|(a, b)| same(a, b))
+            && (self.flown_sha256.iter().zip(&other.flown_sha256)).all(|(a, b)| same(a, b))
     }
 
     fn number_and_time(&self) -> Option<(u64, i64)> {

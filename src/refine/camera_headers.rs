@@ -1,8 +1,7 @@
 //! What the frames' headers say of when, how and by which camera they were taken.
 
 use super::first_pass::{FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
-use crate::archive::{ArchiveReader, INSTRUMENT, StoredFile, sky_camera};
-use crate::fits::Value;
+use crate::archive::{ArchiveReader, StoredFile, flown_sha256, sky_camera};
 use crate::frame::Identity;
 use crate::provenance;
 use serde::{Deserialize, Serialize};
@@ -12,7 +11,14 @@ use std::path::Path;
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CameraHeader {
     pub(super) identity: Identity,
-    pub(super) instrument_sha256: Option<String>,
+}
+
+impl CameraHeader {
+    /// Of the instrument's file that the frame names.
+    pub(super) fn instrument_sha256(&self) -> Option<String> {
+        let [_, instrument] = &self.identity.flown_sha256;
+        instrument.clone()
+    }
 }
 
 /// Reads the headers of all frames, whichever camera took them.
@@ -37,18 +43,12 @@ impl FirstPass for CameraHeaders {
         _: &Span,
     ) -> Result<Option<CameraHeader>, Unsolved> {
         let (info, header) = archive.info(input)?;
-        let instrument_sha256 = match header.get(INSTRUMENT.keyword) {
-            Some(Value::Text(sha256)) => Some(sha256.clone()),
-            _ => None,
-        };
         // Roll and Moon camera have no instrument of the plate that their headers could name.
         let by_name = || sky_camera(Path::new(&input.file)).map(str::to_owned);
         let mut identity = Identity::of(&info);
+        identity.flown_sha256 = flown_sha256(&header);
         let instrument = &mut identity.taken_by.instrument;
         *instrument = instrument.take().or_else(by_name);
-        Ok(Some(CameraHeader {
-            identity,
-            instrument_sha256,
-        }))
+        Ok(Some(CameraHeader { identity }))
     }
 }

@@ -71,7 +71,8 @@ pub fn cameras(
     let mut cameras: BTreeMap<TakenBy, CameraFrames> = BTreeMap::new();
     for (input, header) in inputs.into_iter().zip(headers) {
         let (name, sha256) = header.map_or((before.clone(), None), |header| {
-            (header.identity.taken_by, header.instrument_sha256)
+            let sha256 = header.instrument_sha256();
+            (header.identity.taken_by, sha256)
         });
         before.clone_from(&name);
         let camera = cameras.entry(name).or_default();

@@ -187,13 +187,16 @@ impl Row {
     /// The Sun at the row's time, with what the uncertainty of that adds; none where it cannot be told how much that is.
     pub fn sun_at_time(&self) -> Option<Estimate<PlateMil>> {
         let sun = self.sun?;
-        if self.time_sigma_s.is_none() {
-            return Some(sun);
+        /// Over a shorter time no Sun moves far: s.
+        const SHORT_S: f64 = 0.01;
+        match (self.time_sigma_s, self.speed_mil_per_s) {
+            (Some(_), Some(speed)) => Some(Estimate {
+                covariance: sun.covariance + self.moved_mil2(speed),
+                ..sun
+            }),
+            (Some(sigma_s), None) => (sigma_s < SHORT_S).then_some(sun),
+            (None, _) => Some(sun),
         }
-        Some(Estimate {
-            covariance: sun.covariance + self.moved_mil2(self.speed_mil_per_s?),
-            ..sun
-        })
     }
 
     /// Covariance that the uncertainty of the time adds to a place that moves, mil^2.
