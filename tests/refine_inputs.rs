@@ -379,3 +379,24 @@ fn an_archive_check_reports_copies_and_calls_none_of_them_bad() {
     assert_eq!(text.matches("the same frame as").count(), copies, "{text}");
     assert!(text.contains(&format!("{copies} copies")), "{text}");
 }
+
+#[test]
+fn a_flight_of_mirrored_pictures_is_refused() {
+    let [folder, out] = [(); 2].map(|()| temporary());
+    let direct = folder.path().join("direct.toml");
+    let demo = instrument::builtin_text("demo").unwrap();
+    fs::write(&direct, demo.replace("\"mirrored\"", "\"direct\"")).unwrap();
+    let flight = folder.path().join("flight");
+    let mut simulate = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+    simulate
+        .args(["simulate", "--frames", "12", "--out"])
+        .arg(&flight);
+    simulate.arg("--instrument").arg(&direct);
+    assert!(simulate.output().unwrap().status.success());
+    let refused = command(&flight, out.path(), &["--instrument", "demo"])
+        .output()
+        .unwrap();
+    let told = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(1), "{told}");
+    assert!(told.contains("cannot be identified"), "{told}");
+}

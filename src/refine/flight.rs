@@ -81,7 +81,6 @@ pub fn second_pass(
         work.look_for_oddities(|n| seen.binary_search(&n).is_ok());
         followed = work.follow_path();
     }
-    let mut work = work;
     for (n, row) in work.rows.iter_mut().enumerate() {
         row.speed_mil_per_s = row.time_sigma_s.and_then(|_| followed.speed(n));
     }

@@ -207,8 +207,8 @@ impl Row {
 
     /// Whether the row's time is one of the smoothed path.
     pub(super) fn is_timed(&self) -> bool {
-        let of_time = self.oddities.iter().filter(|odd| odd.is_of_time());
-        of_time.fold(true, |all, odd| all && odd.is_of_path())
+        let mut of_time = self.oddities.iter().filter(|odd| odd.is_of_time());
+        of_time.all(|odd| odd.is_of_path())
     }
 
     /// Whether the row's place is one of the flight's path.

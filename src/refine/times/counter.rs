@@ -111,7 +111,8 @@ fn wrong(frames: &[Numbered], rising: &[bool]) -> Vec<bool> {
         .filter(|n| rising[*n])
         .map(|n| frames[n].number);
     let first = numbers.next();
-    let Some((first, last)) = first.map(|first| (first, numbers.last().unwrap_or(first))) else {
+    let Some((first, last)) = first.map(|first| (first, numbers.next_back().unwrap_or(first)))
+    else {
         return wrong;
     };
     let is_repeated = |n: usize| {
