@@ -127,11 +127,10 @@ fn wrong(frames: &[Numbered], rising: &[bool]) -> Vec<bool> {
         if rising[block[0]] {
             continue;
         }
-        let repeated = block.iter().filter(|n| is_repeated(**n)).count();
         let numbers = || block.iter().map(|n| frames[*n].number);
         let is_before = numbers().all(|number| number + FAR < first);
         let is_behind = numbers().all(|number| number > last + FAR);
-        let is_other_start = 2 * repeated > block.len() || is_before || is_behind;
+        let is_other_start = block.iter().any(|n| is_repeated(*n)) || is_before || is_behind;
         block.iter().for_each(|n| wrong[*n] = !is_other_start);
     }
     wrong

@@ -102,6 +102,8 @@ fn a_counter_that_began_anew_contradicts_nothing() {
         (200, 50, 1000),
         (50, 200, 100),
         (100, 100, 0),
+        (500, 210, 580),
+        (210, 120, 0),
     ] {
         let mut both = steady(first + other);
         for (n, stamp) in both[first..].iter_mut().enumerate() {
