@@ -50,6 +50,7 @@ impl FirstPass for Recipe {
             return Ok(None);
         };
         taken.check(&self.archived)?;
+        let taken = taken.of_size(self.instrument.camera.size_px());
         let expected = taken.info.mid_exposure.and_then(Expected::at);
         taken.with_frame(|frame, header| {
             let (instrument, settings) = (&self.instrument, &self.settings);
@@ -319,6 +320,12 @@ impl Taken {
     pub fn check(&self, archived: &FlownFiles) -> Result<(), Unsolved> {
         let named = archived.check(&self.header);
         named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))
+    }
+
+    /// Of several pictures, takes the first of this width and height, px.
+    pub fn of_size(self, size_px: [usize; 2]) -> Self {
+        let file = self.file.of_size(size_px);
+        Self { file, ..self }
     }
 
     /// What is made of the frame.

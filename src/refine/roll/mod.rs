@@ -62,6 +62,7 @@ impl FirstPass for RollRecipe {
             return Ok(None);
         };
         taken.check(&self.archived)?;
+        let taken = taken.of_size(self.camera.optics.size_px());
         taken.with_frame(|frame, header| self.record(frame, header).map_err(Unsolved::Unreadable))
     }
 }
