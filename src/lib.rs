@@ -57,6 +57,7 @@
 //! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | [`log`] | the log on standard error, which blocks no thread |
 //! | `kernels` | vectorised loops over pixels |
+//! | [`tables`] | rows of CSV tables and logs, the bad ones left out |
 //! | [`clock`] | times as other programs write them, to UTC; state of the computer's clock |
 //! | [`geometry`], [`estimation`], [`frame`] | mappings between sensor and plate, direction cameras, attitudes; robust scale, least squares and Kalman filter; a picture and the data on how it was taken |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
@@ -111,4 +112,5 @@ pub mod report;
 pub mod service;
 pub mod simulate;
 pub mod sky;
+pub mod tables;
 pub mod units;

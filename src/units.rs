@@ -14,6 +14,14 @@ pub const ARCSEC_PER_RAD: f64 = 180.0 * 3600.0 / std::f64::consts::PI;
 /// The Earth's mean radius, m.
 pub const EARTH_RADIUS_M: f64 = 6_371_000.0;
 
+/// So near to latitude and longitude 0 a place is that of a receiver that knows none, deg.
+const NOWHERE_DEG: f64 = 0.1;
+
+/// Whether a place is latitude and longitude 0, or about there: a GPS receiver sends that which knows no place.
+pub fn is_nowhere(latitude_deg: f64, longitude_deg: f64) -> bool {
+    latitude_deg.abs() < NOWHERE_DEG && longitude_deg.abs() < NOWHERE_DEG
+}
+
 /// A count with its noun: "1 packet", "2 packets". The noun's plural ends in s.
 pub fn counted(count: u64, noun: &str) -> String {
     let ending = if count == 1 { "" } else { "s" };

@@ -51,64 +51,42 @@ fn navigate_with(options: &[&str], changed: &str, text: &str) -> (Output, tempfi
 
 #[test]
 fn what_is_wrong_with_a_flights_files_is_named_with_file_line_and_column() {
-    let late = "t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s\n9,6400000,0,0,0,0,0\n1,6400000,0,0,0,0,0\n";
-    let long = format!("{IMU}0.04,0,0,-9.7,0,0,0\n0.9,0,0,-9.7,0,0,0\n");
+    let none_of = |text: &str, from: &str, to: &str| text.replace(from, to);
     for (file, text, wanted) in [
         (
             "imu.csv",
-            IMU.replace("0.03,", "0.02,"),
-            vec!["imu.csv, line 4: t_s", "0.02"],
+            none_of(IMU, "-9.7,", "-9700,"),
+            vec!["imu.csv, line 2: specific force", "less than 500 m/s^2"],
         ),
         (
             "imu.csv",
-            IMU.replace("-9.7,0,0,0\n0.03", "NaN,0,0,0\n0.03"),
-            vec!["line 3: fz_m_s2", "NaN"],
-        ),
-        (
-            "imu.csv",
-            IMU.replace("0.03,0,0,-9.7", "0.03,0,0,-9700"),
-            vec!["line 4: specific force", "m/s^2"],
+            none_of(IMU, "-9.7,", "NaN,"),
+            vec!["imu.csv, line 2: fz_m_s2", "NaN"],
         ),
         (
             "imu.csv",
             IMU.replace("fx_m_s2", "ax"),
             vec!["line 1: columns", "fx_m_s2", "ax"],
         ),
-        ("imu.csv", long, vec!["line 6: t_s", "0.9"]),
         (
             "imu.csv",
             "t_s,fx_m_s2,fy_m_s2,fz_m_s2,wx_rad_s,wy_rad_s,wz_rad_s\n".into(),
             vec!["two rows"],
         ),
         (
-            "gps.csv",
-            late.into(),
-            vec!["gps.csv, line 3: t_s", "2 s before"],
+            "imu.csv",
+            String::new(),
+            vec!["imu.csv, line 1: table", "none"],
         ),
         (
             "gps.csv",
             GPS.replace("6400000", "6400"),
-            vec!["line 2: x_m, y_m, z_m", "6400 m"],
+            vec!["line 2: position", "ECEF in m", "6400 m"],
         ),
         (
             "vectors.csv",
-            VECTORS.replace("pyas,sun", "pyass,sun"),
-            vec!["line 3: camera", "pyas", "\"pyass\""],
-        ),
-        (
-            "vectors.csv",
-            VECTORS.replace("nadir", "mars"),
-            vec!["line 2: target", "\"mars\""],
-        ),
-        (
-            "vectors.csv",
-            VECTORS.replace("0,1,0,0.001", "0,2,0,0.001"),
-            vec!["line 2: x, y, z", "2"],
-        ),
-        (
-            "vectors.csv",
-            VECTORS.replace("0.001", "0.0001"),
-            vec!["line 2: sigma_rad", "[nadir] correlated_sigma_deg"],
+            VECTORS.replace("pyas", "pyass"),
+            vec!["line 2: camera", "pyas", "\"pyass\""],
         ),
         (
             "vectors.csv",
@@ -119,11 +97,6 @@ fn what_is_wrong_with_a_flights_files_is_named_with_file_line_and_column() {
             "vectors.csv",
             VECTORS.replace("sun", "moon"),
             vec!["line 3: moon", "epoch_utc"],
-        ),
-        (
-            "sun.csv",
-            SUN.replace("-1,", "2,"),
-            vec!["sun.csv, line 3: t_s"],
         ),
         (
             "NAV.toml",
@@ -153,6 +126,185 @@ fn what_is_wrong_with_a_flights_files_is_named_with_file_line_and_column() {
             assert!(said.contains(word), "{said} lacks {word}");
         }
         assert!(!folder.path().join("out/attitude.csv").exists(), "{said}");
+    }
+}
+
+#[test]
+fn a_bad_row_is_left_out_and_named_and_the_others_are_used() {
+    let late = format!("{GPS}4,6400000,0,0,0,0,0\n8,6400000,0,0,0,0,0\n1,6400000,0,0,0,0,0\n");
+    for (file, text, wanted) in [
+        (
+            "imu.csv",
+            IMU.replace("0.03,", "0.02,"),
+            vec!["imu.csv, line 4: t_s", "0.02", "1 row left out: repeated"],
+        ),
+        (
+            "imu.csv",
+            IMU.replace("0.03,", "0.015,"),
+            vec![
+                "imu.csv, line 4: t_s",
+                "0.015",
+                "1 row left out: out of order",
+            ],
+        ),
+        (
+            "imu.csv",
+            IMU.replace("-9.7,0,0,0\n0.03", "NaN,0,0,0\n0.03"),
+            vec!["line 3: fz_m_s2", "NaN", "1 row left out: unreadable"],
+        ),
+        (
+            "imu.csv",
+            IMU.replace("0.03,0,0,-9.7", "0.03,0,0,-9700"),
+            vec!["line 4: specific force", "1 row left out: out of range"],
+        ),
+        (
+            "imu.csv",
+            IMU.replace("0.03,0,0,-9.7", "1e9,0,0,-9.7") + "0.03,0,0,-9.7,0,0,0\n",
+            vec![
+                "line 4: t_s",
+                "1000000000",
+                "1 row left out: of another time",
+            ],
+        ),
+        (
+            "imu.csv",
+            format!("{IMU}0.04,0,0,-9."),
+            vec!["imu.csv, line 5: row", "1 row left out: cut"],
+        ),
+        (
+            "imu.csv",
+            format!("{IMU}0.04,0,0,-9.7,0,0,0"),
+            vec!["imu.csv, line 5: row", "end of line", "1 row left out: cut"],
+        ),
+        (
+            "imu.csv",
+            format!("{IMU}{}\n0.04,0,0,-9.7,0,0,0\n", "\0".repeat(5000)),
+            vec!["imu.csv, line 5: row", "1 row left out: zero bytes"],
+        ),
+        (
+            "gps.csv",
+            late,
+            vec!["gps.csv, line 5: t_s", "2 s before", "1 row left out"],
+        ),
+        (
+            "gps.csv",
+            format!("{GPS}1,6400000,0,0,0,inf,0\n1,,,,,,\n"),
+            vec!["gps.csv, line 3: vy_m_s", "2 rows left out: unreadable"],
+        ),
+        (
+            "gps.csv",
+            format!("{GPS}0,6400000,0,0,0,0,0\n"),
+            vec!["gps.csv, line 3: t_s", "1 row left out: repeated"],
+        ),
+        (
+            "vectors.csv",
+            VECTORS.to_owned() + "0,pyass,sun,0,0,1,1e-6\n0,pyas,mars,0,0,1,1e-6\n",
+            vec!["line 4: camera", "\"pyass\"", "2 rows left out: unreadable"],
+        ),
+        (
+            "vectors.csv",
+            VECTORS.to_owned() + "0,pyas,sun,0,0,2,1e-6\n0,pyas,nadir,0,0,1,0.0001\n",
+            vec!["line 4: x, y, z", "2 rows left out: out of range"],
+        ),
+        (
+            "vectors.csv",
+            VECTORS.to_owned() + "7,pyas,sun,0,0,1,1e-6\n",
+            vec![
+                "line 4: sun",
+                "does not reach",
+                "1 row left out: out of range",
+            ],
+        ),
+        (
+            "sun.csv",
+            format!("{SUN}1,0,1,0\n2,0,1,0\n"),
+            vec!["sun.csv, line 4: t_s", "1 row left out: repeated"],
+        ),
+    ] {
+        let (output, folder) = navigate(file, &text);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{file}: {said}");
+        for word in wanted {
+            assert!(said.contains(word), "{said} lacks {word}");
+        }
+        assert_eq!(said.matches("left out").count(), 1, "{said}");
+        assert!(folder.path().join("out/attitude.csv").exists(), "{said}");
+    }
+}
+
+/// A simulated flight's folder, navigated after its IMU's numbers were changed.
+fn navigate_changed(plan: &FlightPlan, change: impl Fn(&mut [f64])) -> Output {
+    let folder = tempfile::tempdir().unwrap();
+    plan.fly(3).write(folder.path()).unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let text = std::fs::read_to_string(file("imu.csv")).unwrap();
+    let row = |line: &str| {
+        let numbers = line.split(',').map(|cell| cell.parse().unwrap());
+        let mut numbers: Vec<f64> = numbers.collect();
+        change(&mut numbers);
+        let cells: Vec<String> = numbers.iter().map(f64::to_string).collect();
+        cells.join(",") + "\n"
+    };
+    let rows: String = text.lines().skip(1).map(row).collect();
+    std::fs::write(
+        file("imu.csv"),
+        text.lines().next().unwrap().to_owned() + "\n" + &rows,
+    )
+    .unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+    command.arg("navigate").arg("--out").arg(file("out"));
+    for (option, name) in [
+        ("--config", "NAV.toml"),
+        ("--imu", "imu.csv"),
+        ("--gps", "gps.csv"),
+        ("--vectors", "vectors.csv"),
+        ("--sun", "sun.csv"),
+    ] {
+        command.arg(option).arg(file(name));
+    }
+    command.output().unwrap()
+}
+
+#[test]
+fn an_imu_in_other_units_is_a_failure_that_asks_for_them() {
+    const G_M_S2: f64 = 9.806_65;
+    let rocket = FlightPlan {
+        // From before its cameras see.
+        duration_s: 200.0,
+        ..FlightPlan::rocket()
+    };
+    let balloon = FlightPlan {
+        duration_s: 60.0,
+        ..FlightPlan::balloon()
+    };
+    let units: [(_, fn(&mut [f64]), _); 4] = [
+        (
+            "g",
+            |row| row[1..4].iter_mut().for_each(|f| *f /= G_M_S2),
+            "in g?",
+        ),
+        (
+            "deg/s",
+            |row| row[4..7].iter_mut().for_each(|w| *w = w.to_degrees()),
+            "in deg/s?",
+        ),
+        ("ms", |row| row[0] *= 1e3, "t_s in ms?"),
+        ("us", |row| row[0] *= 1e6, "t_s in us?"),
+    ];
+    for (plan, is_at_rest) in [(&balloon, true), (&rocket, false)] {
+        let good = navigate_changed(plan, |_| {});
+        let said = String::from_utf8_lossy(&good.stderr).into_owned();
+        assert!(good.status.success() && !said.contains('?'), "{said}");
+        for (name, change, question) in units {
+            // A rocket that coasts feels no gravity.
+            if name == "g" && !is_at_rest {
+                continue;
+            }
+            let output = navigate_changed(plan, change);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(1), "{name}: {output:?}");
+            assert!(said.contains(question), "{name}: {output:?}");
+        }
     }
 }
 
@@ -226,7 +378,7 @@ fn flight(plan: &FlightPlan, seed: u64, change: impl Fn(&mut Settings)) -> (Flig
         .map(|row| Fix {
             t_s: row.t_s,
             position_m: row.position_m,
-            velocity_m_s: row.velocity_m_s,
+            velocity_m_s: Some(row.velocity_m_s),
             climb: Climb::Measured,
         })
         .collect();

@@ -134,6 +134,7 @@ fn navigation(config: &Config) -> anyhow::Result<Option<Navigation>> {
         gps: connection(gps, own.gps_baud),
         settings: settings.for_flight(path)?,
         settings_toml,
+        clock: config.clock(),
     }))
 }
 

@@ -6,6 +6,7 @@ use super::output::make_folder;
 use crate::navigation::files::{Seen, read_gps, read_imu, read_sun, read_vectors};
 use crate::navigation::{Fix, Flight, Measurement, Settings, Sighting, Sky, Targets};
 use crate::report::html::Page;
+use crate::tables::LeftOut;
 use anyhow::{Context, ensure};
 use clap::Args;
 use std::path::PathBuf;
@@ -53,27 +54,22 @@ pub fn run(args: &NavigateArgs) -> anyhow::Result<ExitCode> {
         "{}: epoch_utc: expected a time, for --aem, found none",
         args.config.display()
     );
-    let flight = args.read(&given.settings)?;
+    let runs = args.read(&given.settings)?;
     make_folder(&args.out)?;
     let basis = match args.smooth {
         true => Basis::WholeFlight,
         false => Basis::UpToThen,
     };
-    let runs = std::slice::from_ref(&flight);
-    let mut attitude = Attitude::solve(runs, basis, &args.out, &args.wanted)?;
+    let mut attitude = Attitude::solve(&runs, basis, &args.out, &args.wanted)?;
     attitude.write(epoch, args.fits)?;
     attitude.write_calibrated(&given, epoch, args.files())?;
     let (summary, counts) = (&attitude.summary, &attitude.counts);
     let mut page = Page::default();
-    add_attitude(&mut page, &flight.settings, summary, counts)?;
+    add_attitude(&mut page, &given.settings, summary, counts)?;
     let path = args.out.join("report.html");
     std::fs::write(&path, page.finish("Navigation"))
         .with_context(|| format!("{}: cannot write", path.display()))?;
-    attitude.print()?;
-    Ok(match counts.waiting < counts.rows() {
-        true => ExitCode::SUCCESS,
-        false => ExitCode::FAILURE,
-    })
+    attitude.print()
 }
 
 impl NavigateArgs {
@@ -83,16 +79,14 @@ impl NavigateArgs {
         files.map(|path| path.display().to_string()).collect()
     }
 
-    fn read(&self, settings: &Settings) -> anyhow::Result<Flight> {
-        let imu = read_imu(&self.imu, settings)?;
-        let fixes = read_gps(&self.gps, settings)?;
+    /// The runs of the flight.
+    fn read(&self, settings: &Settings) -> anyhow::Result<Vec<Flight>> {
+        let one = std::slice::from_ref::<PathBuf>;
+        let imu = read_imu(one(&self.imu), settings)?;
+        let fixes = read_gps(one(&self.gps), settings)?;
         let seen = read_vectors(&self.vectors, settings)?;
         let measurements = self.measurements(settings, &fixes, &seen)?;
-        Ok(Flight {
-            settings: settings.clone(),
-            imu,
-            measurements,
-        })
+        Ok(Flight::of_runs(settings, imu, measurements))
     }
 
     /// All measurements in the order of time.
@@ -111,20 +105,31 @@ impl NavigateArgs {
             (None, None) => Sky::Unknown,
         };
         let mut targets = Targets::new(sky, fixes.to_vec());
-        let mut sightings = Vec::with_capacity(seen.len());
+        let mut sightings: Vec<Sighting> = Vec::with_capacity(seen.len());
+        let mut unknown = Vec::new();
         for one in seen {
-            let towards = targets.towards(one.target, one.t_s).map_err(|why| {
-                one.without(&self.vectors, "a target whose direction is known", why)
-            })?;
-            sightings.push(Sighting {
-                t_s: one.t_s,
-                camera: one.camera,
-                target: one.target,
-                unit: one.unit,
-                sigma_rad: one.sigma_rad,
-                towards,
-            });
+            match targets.towards(one.target, one.t_s) {
+                Ok(towards) => sightings.push(Sighting {
+                    t_s: one.t_s,
+                    camera: one.camera,
+                    target: one.target,
+                    unit: one.unit,
+                    sigma_rad: one.sigma_rad,
+                    towards,
+                }),
+                Err(why) => unknown.push((one, why)),
+            }
         }
+        let mut left_out = LeftOut::of(&self.vectors);
+        for (one, why) in unknown {
+            let bad = one.without(why);
+            // One row may have a wrong time; of a target that is never known no row does.
+            if !sightings.iter().any(|other| other.target == one.target) {
+                return Err(bad.at(&self.vectors, one.line).into());
+            }
+            left_out.note(one.line, bad);
+        }
+        left_out.warn();
         Ok(Measurement::in_order(sightings, fixes))
     }
 }

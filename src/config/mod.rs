@@ -8,6 +8,7 @@
 //! To add a parameter: a field in a struct that [`Config`] holds, its default, and one row in the table.
 
 mod camera;
+mod clock;
 mod documents;
 mod host;
 mod link;
@@ -18,6 +19,7 @@ mod table;
 mod value;
 
 pub use camera::{Camera, Switch};
+pub use clock::FlightClock;
 pub use documents::{example, parameters_page};
 pub use host::{Host, Memory};
 pub use navigation::Navigation;

@@ -269,7 +269,9 @@ pub(crate) fn rotation_of_rows(rows: &[[f64; 3]; 3]) -> Option<Rotation3<f64>> {
     const TOLERANCE: f64 = 1e-4;
     let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
     let off = (matrix * matrix.transpose() - Matrix3::identity()).amax();
-    let is_rotation = off < TOLERANCE && matrix.determinant() > 0.0;
+    // Of infinities the largest deviation is not a number, which may be passed over.
+    let is_finite = matrix.iter().all(|number| number.is_finite());
+    let is_rotation = is_finite && off < TOLERANCE && matrix.determinant() > 0.0;
     is_rotation.then(|| Rotation3::from_matrix(&matrix))
 }
 

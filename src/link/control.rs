@@ -3,6 +3,7 @@
 use super::command::Command;
 use super::message::GpsFix;
 use super::moon::MoonRequest;
+use crate::units::is_nowhere;
 
 /// Results of commands; a read answers with its value instead.
 pub mod result {
@@ -64,11 +65,10 @@ const LONGITUDE_JUMP_DEG: f32 = 15.0;
 const AGREEMENT_DEG: f32 = 1.0;
 
 impl GpsFix {
-    /// Whether it is a place on Earth. (0, 0) is what a receiver without a fix sends.
+    /// Whether it is a place on Earth, and not that of a receiver without a fix.
     pub fn is_possible(self) -> bool {
         let on_earth = self.latitude_deg.abs() <= 90.0 && self.longitude_deg.abs() <= 360.0;
-        let nowhere = self.latitude_deg == 0.0 && self.longitude_deg == 0.0;
-        on_earth && !nowhere
+        on_earth && !is_nowhere(self.latitude_deg.into(), self.longitude_deg.into())
     }
 
     /// Whether it is no jump from the last fix, where there is one: a jump is a mistake of the receiver or of the line.
@@ -106,7 +106,7 @@ mod tests {
             }
             believed
         };
-        assert!(!fix(0.0, 0.0));
+        assert!(!fix(0.0, 0.0) && !fix(0.001, -0.002));
         assert!(!fix(91.0, 10.0));
         assert!(fix(34.49, -104.25), "the first place, where none is known");
         assert!(!fix(0.0, 0.0));

@@ -3,7 +3,7 @@
 
 use super::earth;
 use super::estimate::Estimate;
-use super::filter::{Filter, Trust, towards};
+use super::filter::{Filter, MOST_DRIFT_M_S, Trust, towards};
 use super::measurement::{Fix, Sighting, Towards};
 use super::model::Model;
 use super::motion::{Interval, Motion};
@@ -71,7 +71,10 @@ impl Seen {
         let walk = settings.imu.angular_random_walk * self.age_s.sqrt();
         let moves = match self.sighting.towards {
             Towards::Known(_) => earth::TURN_RAD_PER_S,
-            Towards::Down => fix.velocity_m_s.norm() / fix.position_m.norm(),
+            Towards::Down => {
+                let speed_m_s = fix.velocity_m_s.map_or(MOST_DRIFT_M_S, |v| v.norm());
+                speed_m_s / fix.position_m.norm()
+            }
         };
         walk.hypot(settings.imu.gyro_bias_sigma_rad_s.hypot(moves) * self.age_s)
     }
@@ -127,11 +130,11 @@ impl Waiting {
         let found = attitude(&[first, second])?.inverse();
         let motion = Motion {
             position_m: fix.position_m - found.rotation * settings.gps.antenna_m,
-            velocity_m_s: fix.velocity_m_s,
+            velocity_m_s: fix.velocity_m_s.unwrap_or_default(),
             attitude: found.rotation,
         };
         let estimate = Estimate::new(motion, model);
-        let mut filter = Filter::new(Arc::clone(model), estimate, fix.climb);
+        let mut filter = Filter::new(Arc::clone(model), estimate, fix);
         for seen in begun_by.seen() {
             let camera = &settings.cameras[seen.sighting.camera];
             let now = Sighting {

@@ -19,6 +19,8 @@ const FIRST_ATTITUDE_RAD: f64 = 0.5;
 
 /// A balloon rises or falls no faster, 1 sigma.
 const MOST_CLIMB_M_S: f64 = 20.0;
+/// Nor does the wind carry it faster, where a fix tells no velocity.
+pub(super) const MOST_DRIFT_M_S: f64 = 100.0;
 
 /// Which measurements are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,8 +44,8 @@ pub(super) struct Filter {
 }
 
 impl Filter {
-    /// Begins with an estimate; position and velocity are a fix's.
-    pub fn new(model: Arc<Model>, estimate: Estimate, climb: Climb) -> Self {
+    /// Begins with an estimate; position and velocity are the fix's.
+    pub fn new(model: Arc<Model>, estimate: Estimate, fix: &Fix) -> Self {
         let Model { settings, layout } = &*model;
         let mut covariance = DMatrix::zeros(layout.len(), layout.len());
         let gps = &settings.gps;
@@ -55,7 +57,7 @@ impl Filter {
             (first..first + 3).for_each(|n| covariance[(n, n)] = sigma * sigma);
         }
         let mut velocity = covariance.fixed_view_mut::<3, 3>(VELOCITY, VELOCITY);
-        velocity += unknown_climb(climb, &estimate.motion.position_m);
+        velocity += unknown_velocity(fix);
         for triad in layout.triads() {
             triad
                 .range()
@@ -92,7 +94,7 @@ impl Filter {
         self.since = Transition::none();
     }
 
-    /// Takes a fix: position and velocity one after the other.
+    /// Takes a fix: position and, where there is one, velocity, one after the other.
     pub fn take_fix(&mut self, fix: &Fix) -> [Option<Innovation>; 2] {
         let gps = self.model.settings.gps;
         let (sigma_m, sigma_m_s) = (gps.position_sigma_m, gps.velocity_sigma_m_s);
@@ -108,13 +110,15 @@ impl Filter {
         let motion = &self.estimate.motion;
         let spin = motion.attitude * self.rate_rad_s - earth::turn();
         let swing = spin.cross(&(motion.attitude * gps.antenna_m));
-        let residual = fix.velocity_m_s - motion.velocity_m_s - swing;
-        let velocity = self.take_triad(
-            (fix.t_s, Source::Velocity),
-            residual,
-            (VELOCITY, swing),
-            Matrix3::identity() * sigma_m_s.powi(2) + unknown_climb(fix.climb, &fix.position_m),
-        );
+        let expected = motion.velocity_m_s + swing;
+        let velocity = fix.velocity_m_s.and_then(|velocity_m_s| {
+            self.take_triad(
+                (fix.t_s, Source::Velocity),
+                velocity_m_s - expected,
+                (VELOCITY, swing),
+                Matrix3::identity() * sigma_m_s.powi(2) + unknown_velocity(fix),
+            )
+        });
         [position, velocity]
     }
 
@@ -253,11 +257,12 @@ impl Filter {
 }
 
 /// What a fix leaves unknown of the velocity in ECEF, m^2/s^2.
-fn unknown_climb(climb: Climb, at_m: &Vector3<f64>) -> Matrix3<f64> {
-    match climb {
-        Climb::Measured => Matrix3::zeros(),
-        Climb::Unknown => {
-            let up = earth::geodetic_up(at_m);
+fn unknown_velocity(fix: &Fix) -> Matrix3<f64> {
+    match (fix.velocity_m_s, fix.climb) {
+        (None, _) => Matrix3::identity() * MOST_DRIFT_M_S.powi(2),
+        (Some(_), Climb::Measured) => Matrix3::zeros(),
+        (Some(_), Climb::Unknown) => {
+            let up = earth::geodetic_up(&fix.position_m);
             up * up.transpose() * MOST_CLIMB_M_S.powi(2)
         }
     }

@@ -15,13 +15,17 @@ pub struct ImuSample {
 const MOST_FORCE_M_S2: f64 = 500.0;
 const MOST_RATE_RAD_S: f64 = 60.0;
 
-/// What no vehicle feels.
+/// From the Earth's centre, m; and the fastest, m/s.
+const DISTANCES_M: std::ops::Range<f64> = 6.3e6..1e8;
+const MOST_SPEED_M_S: f64 = 12_000.0;
+
+/// What no vehicle feels, and no receiver measures.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{what}: expected less than {most}, found {found}")]
+#[error("{what}: expected {expected}, found {found}")]
 pub struct Implausible {
     pub what: &'static str,
+    pub expected: String,
     pub found: String,
-    pub most: String,
 }
 
 impl ImuSample {
@@ -36,8 +40,8 @@ impl ImuSample {
             if size > most {
                 return Err(Implausible {
                     what,
+                    expected: format!("less than {most} {unit}"),
                     found: format!("{size} {unit}"),
-                    most: format!("{most} {unit}"),
                 });
             }
         }
@@ -50,8 +54,32 @@ impl ImuSample {
 pub struct Fix {
     pub t_s: f64,
     pub position_m: Vector3<f64>,
-    pub velocity_m_s: Vector3<f64>,
+    /// `None` where the receiver tells none.
+    pub velocity_m_s: Option<Vector3<f64>>,
     pub climb: Climb,
+}
+
+impl Fix {
+    /// # Errors
+    /// A place that is not near the Earth, or a speed that no vehicle has there.
+    pub fn check(&self) -> Result<(), Implausible> {
+        let distance_m = self.position_m.norm();
+        if !DISTANCES_M.contains(&distance_m) {
+            return Err(Implausible {
+                what: "position",
+                expected: format!("ECEF in m, {DISTANCES_M:?} from the Earth's centre"),
+                found: format!("{distance_m} m"),
+            });
+        }
+        match self.velocity_m_s.map(|velocity| velocity.norm()) {
+            Some(speed_m_s) if speed_m_s > MOST_SPEED_M_S => Err(Implausible {
+                what: "velocity",
+                expected: format!("less than {MOST_SPEED_M_S} m/s"),
+                found: format!("{speed_m_s} m/s"),
+            }),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Whether a fix tells how fast its receiver rises.

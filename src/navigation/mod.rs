@@ -13,7 +13,8 @@
 //! 7. `offset` tells from the attitude how far the telescope is from its target.
 //! 8. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
 //!    on disk meanwhile, and `aem` writes them for others' programs.
-//! 9. `constants` are the sensors' errors that stay: what a flight teaches the next one.
+//! 9. `suspected`: which other units the IMU's numbers may be in.
+//! 10. `constants` are the sensors' errors that stay: what a flight teaches the next one.
 
 pub mod aem;
 mod begin;
@@ -35,6 +36,7 @@ mod smooth;
 mod solve;
 mod spool;
 mod states;
+mod suspected;
 mod targets;
 mod transition;
 
@@ -52,4 +54,5 @@ pub use settings::{CAMERAS_IN_FLIGHT, Camera, Gps, Group, Imu, Settings, Target,
 pub use smooth::smooth;
 pub use solve::{Row, SensorErrors, Status, Summary, solve};
 pub use spool::Spool;
+pub use suspected::suspected_units;
 pub use targets::{NoDirection, Sky, Targets};

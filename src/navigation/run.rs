@@ -31,6 +31,25 @@ pub struct Flight {
 }
 
 impl Flight {
+    /// Each run of the IMU with what was measured up to its end; both in the order of time.
+    pub fn of_runs(
+        settings: &Settings,
+        runs: Vec<Vec<ImuSample>>,
+        mut measurements: Vec<Measurement>,
+    ) -> Vec<Self> {
+        let own = |imu: Vec<ImuSample>| {
+            let end_s = imu.last().map_or(f64::NEG_INFINITY, |last| last.t_s);
+            let own = measurements.partition_point(|one| one.t_s() <= end_s);
+            let later = measurements.split_off(own);
+            Self {
+                settings: settings.clone(),
+                imu,
+                measurements: std::mem::replace(&mut measurements, later),
+            }
+        };
+        runs.into_iter().map(own).collect()
+    }
+
     pub(super) fn model(&self, choice: Choice) -> Arc<Model> {
         Arc::new(Model {
             settings: self.settings.clone(),

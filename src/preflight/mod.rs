@@ -13,6 +13,7 @@ mod camera;
 mod clock;
 mod disks;
 mod finding;
+mod gps;
 mod horizon;
 mod link;
 mod moon;

@@ -1,23 +1,18 @@
-//! Whether the IMU speaks, feels gravity and turns the right way, and whether the GPS receiver has a fix.
+//! Whether the IMU speaks, feels gravity and turns the right way.
 
 use super::bounded::within;
 use super::polarity::Operator;
 use super::{Finding, Plan};
 use crate::config::Refused;
-use crate::link::{
-    AnyPort, Direction, ImuPacket, LocalEnd, Packet, Parser, PortAddress, PortError,
-};
-use crate::navigation::nmea::{Nmea, TimedFix};
+use crate::link::{AnyPort, Direction, ImuPacket, LocalEnd, Packet, Parser, PortError};
 use crate::navigation::{Settings, gravity_m_s2};
-use crate::sky::sphere::{direction, separation_rad};
 use jiff::Timestamp;
 use nalgebra::{Rotation3, Vector3};
 use std::time::{Duration, Instant};
 
-/// How long the IMU at rest, a tilt and the receiver are listened to.
+/// How long the IMU at rest and a tilt are listened to.
 const REST: Duration = Duration::from_secs(3);
 const TILT: Duration = Duration::from_secs(15);
-const GPS: Duration = Duration::from_secs(5);
 /// For opening a port.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Fewer samples make no rate.
@@ -34,20 +29,16 @@ const REST_RAD_S: f64 = 0.02;
 /// A tilt of this much is one; gyros and accelerometers agree on it but for this share.
 const TILT_RAD: f64 = 0.05;
 const TILT_AGREES: f64 = 0.2;
-/// A fix this far from the configured site is of another one.
-const FAR_DEG: f64 = 1.0;
 
 const IMU_PORT: &str = "is the IMU on, does the controller send telemetry of type 0x71 (docs/protocol.md), is navigation.imu_port its line?";
 const AXES: &str = "check the IMU's axes and signs, and how body_from_camera of NAV.toml has the telescope lie in them";
-const GPS_PORT: &str =
-    "is the receiver on, is navigation.gps_port its line and navigation.gps_baud its speed?";
 
 pub(super) fn check(plan: &Plan) -> Vec<Finding> {
     if !plan.config.navigation.is_enabled() {
         return Vec::new();
     }
     let mut findings = at_rest(plan);
-    findings.push(gps(plan));
+    findings.push(super::gps::check(plan));
     findings
 }
 
@@ -333,73 +324,6 @@ fn imu_port(
     };
     let baud = link.baud;
     Ok(move || address.open(baud, local))
-}
-
-fn gps(plan: &Plan) -> Finding {
-    let address = match plan.config.navigation.gps_address() {
-        Ok(Some(address)) => address,
-        Ok(None) => {
-            let found = "no receiver: the filter never begins";
-            return Finding::fail("gps", found, "set navigation.gps_port");
-        }
-        Err(refused) => return Finding::fail("gps", refused.to_string(), GPS_PORT),
-    };
-    let baud = plan.config.navigation.gps_baud;
-    let tried = within(PATIENCE + GPS, move || hear_gps(&address, baud));
-    match tried {
-        Ok(Ok((Some(fix), _))) => place(plan, &fix),
-        Ok(Ok((None, receiver))) => {
-            let counts = receiver.counts();
-            let found = format!(
-                "no fix in {:.0} s; {} times the receiver said that it has none, {} lines unreadable",
-                GPS.as_secs_f64(),
-                counts.without_fix,
-                counts.unreadable
-            );
-            match counts.without_fix {
-                0 => Finding::fail("gps", found, GPS_PORT),
-                _ => Finding::warn("gps", found, "give its antenna the sky"),
-            }
-        }
-        Ok(Err(error)) => Finding::fail("gps", error.to_string(), GPS_PORT),
-        Err(no_answer) => Finding::fail("gps", no_answer.to_string(), GPS_PORT),
-    }
-}
-
-/// The first fix, or what the receiver said instead.
-fn hear_gps(address: &PortAddress, baud: u32) -> Result<(Option<TimedFix>, Nmea), PortError> {
-    let mut port = address.open(baud, LocalEnd::default())?;
-    let mut receiver = Nmea::default();
-    let mut buffer = [0; 2048];
-    let start = Instant::now();
-    while start.elapsed() < GPS {
-        let count = port.read(&mut buffer, Duration::from_millis(100))?;
-        if let Some(fix) = receiver.feed(&buffer[..count]).into_iter().next() {
-            return Ok((Some(fix), receiver));
-        }
-    }
-    Ok((None, receiver))
-}
-
-fn place(plan: &Plan, fix: &TimedFix) -> Finding {
-    let place = fix.place;
-    let found = format!(
-        "latitude {:.5}, longitude {:.5} deg, height {:.0} m at {}",
-        place.latitude_deg, place.longitude_deg, place.height_m, fix.utc
-    );
-    let on_sphere = |longitude_deg, latitude_deg| direction(longitude_deg, latitude_deg);
-    let away_deg = plan.config.site.place().map(|site| {
-        let here = on_sphere(place.longitude_deg, place.latitude_deg);
-        let there = on_sphere(site.longitude_deg, site.latitude_deg);
-        separation_rad(&here, &there).to_degrees()
-    });
-    match away_deg.filter(|away_deg| *away_deg > FAR_DEG) {
-        Some(away_deg) => {
-            let found = format!("{found}: {away_deg:.1} deg from [site]");
-            Finding::warn("gps", found, "set [site] to where the flight begins")
-        }
-        None => Finding::pass("gps", found),
-    }
 }
 
 #[cfg(test)]

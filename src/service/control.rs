@@ -15,7 +15,7 @@ use super::command_log::CommandNote;
 use crate::aspect;
 use crate::config::{self, Config, Value, by_key};
 use crate::instrument::Mounting;
-use crate::link::{CameraRole, CommandResult, Control, GpsFix};
+use crate::link::{CameraRole, CommandResult, GpsFix};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -325,15 +325,17 @@ impl Controls {
         self.0.notes.1.try_iter()
     }
 
-    /// Takes the place of a GPS receiver of our own, where it is believed.
-    pub fn follow(&self, place: Place) {
+    /// Takes the place of a GPS receiver of our own, where GPS is accepted; `false` where the place is not believed.
+    pub fn follow(&self, place: Place) -> bool {
         let fix = GpsFix {
             latitude_deg: place.latitude_deg as f32,
             longitude_deg: place.longitude_deg as f32,
         };
-        if self.clone().take_fix(fix) == CommandResult::Done {
+        let believed = self.believes(fix);
+        if believed && self.state().own.accepts_gps && self.move_to(fix) == CommandResult::Done {
             self.state().place = Some(place);
         }
+        believed
     }
 
     /// GPS fixes that were not believed.

@@ -6,7 +6,7 @@ use super::{Answer, Camera, Flight, Navigation, Service};
 use crate::archive::Store;
 use crate::aspect::Quality;
 use crate::camera::{SimulatedCamera, SimulatedSky, SkyView, TruthLog};
-use crate::config::{Config, Switch};
+use crate::config::{Config, FlightClock, Switch};
 use crate::fits::Compression;
 use crate::instrument::{
     self, DEMO_HORIZON, DEMO_NAVIGATION, Instrument, MountedCamera, builtin_text,
@@ -150,7 +150,7 @@ pub fn run(
         config,
         line: Connection::over(near),
         stores: vec![store],
-        navigation: Some(navigation(Connection::over(gps_near))?),
+        navigation: Some(navigation(Connection::over(gps_near), start)?),
         other_cameras: vec![roll_camera],
         ..Flight::of(Camera {
             instrument_toml: builtin_text("demo").map(str::to_owned),
@@ -261,13 +261,14 @@ fn telescope(
     Ok(TelescopeFlight::new(course, instrument, place, start, seed))
 }
 
-fn navigation(gps: Connection) -> anyhow::Result<Navigation> {
+fn navigation(gps: Connection, start: Timestamp) -> anyhow::Result<Navigation> {
     let path = Path::new("demo-nav");
     Ok(Navigation {
         settings: navigation::Settings::parse(path, DEMO_NAVIGATION)?.for_flight(path)?,
         settings_toml: DEMO_NAVIGATION.into(),
         imu: None,
         gps: Some(gps),
+        clock: FlightClock::starting(start),
     })
 }
 

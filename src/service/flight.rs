@@ -4,7 +4,7 @@ use super::control::Seat;
 use super::worker::Life;
 use crate::archive::{Flown, MOON_CAMERA, ROLL_CAMERA, Store};
 use crate::camera::{CameraError, Exposure, FrameSource};
-use crate::config::Config;
+use crate::config::{Config, FlightClock};
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera};
 use crate::link::{Connection, picture};
 use crate::navigation::Settings;
@@ -117,6 +117,8 @@ pub struct Navigation {
     /// The IMU's own line; none where it speaks on the controller's.
     pub imu: Option<Connection>,
     pub gps: Option<Connection>,
+    /// By which the date of a fix is judged.
+    pub clock: FlightClock,
 }
 
 /// A camera of a flight.

@@ -14,6 +14,7 @@ use crate::horizon::{self, Levels};
 use crate::link::housekeeping::{Digits, MarkIds};
 use crate::link::{CameraRole, Housekeeping, MoonSight};
 use crate::log;
+use crate::navigation::nmea::{GpsCounts, Refusal};
 use crate::provenance::COMMIT;
 use crossbeam_channel::Receiver;
 use jiff::{SignedDuration, Timestamp};
@@ -221,12 +222,37 @@ fn tell_navigation(told: &mut Housekeeping, tally: &NavigationTally) {
     }
     told.imu_samples = small(tally.samples);
     told.imu_lost = small(tally.lost_samples + tally.unreadable);
-    told.gps_fixes = small(tally.sentences.fixes);
-    told.gps_without_fix = small(tally.sentences.without_fix + tally.stale_fixes);
+    tell_gps(told, &tally.gps);
     told.navigation_refused = small(tally.refused);
     told.navigation_out_of_time = small(tally.out_of_time);
     told.navigation_lost = small(tally.overflowed);
     told.navigation_restarts = small(tally.restarts);
+}
+
+fn tell_gps(told: &mut Housekeeping, gps: &GpsCounts) {
+    let refused = |refusal| gps.refused(refusal);
+    let stale = refused(Refusal::Repeated) + refused(Refusal::OutOfTime);
+    told.gps_fixes = small(gps.fixes);
+    told.gps_without_fix = small(refused(Refusal::NoFix) + stale);
+    for refusal in Refusal::ALL {
+        let field = match refusal {
+            Refusal::NoFix => &mut told.gps_no_fix,
+            Refusal::Estimated => &mut told.gps_estimated,
+            Refusal::Manual => &mut told.gps_manual,
+            Refusal::Simulated => &mut told.gps_simulator,
+            Refusal::Incomplete => &mut told.gps_incomplete,
+            Refusal::WeekRollover => &mut told.gps_week_rollover,
+            Refusal::AnotherDay => &mut told.gps_another_day,
+            Refusal::Nowhere => &mut told.gps_no_place,
+            Refusal::Impossible => &mut told.gps_out_of_range,
+            Refusal::Jump => &mut told.gps_jumps,
+            Refusal::Repeated => &mut told.gps_repeated,
+            Refusal::OutOfTime => &mut told.gps_out_of_time,
+        };
+        *field = small(refused(refusal));
+    }
+    told.gps_unreadable = small(gps.unreadable);
+    told.gps_noise_bytes = small(gps.noise_bytes);
 }
 
 fn tell_frame(told: &mut Housekeeping, answer: &Answer) {
@@ -309,4 +335,33 @@ fn computer_c() -> Option<f32> {
     let text = std::fs::read_to_string(COMPUTER_TEMPERATURE).ok()?;
     let thousandths: f32 = text.trim().parse().ok()?;
     Some(thousandths / 1000.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::housekeeping::FIELDS;
+    use crate::navigation::nmea::{Heard, Refused};
+
+    #[test]
+    fn each_reason_of_a_refused_fix_has_a_field_of_its_own() {
+        let mut gps = GpsCounts::default();
+        for (n, refusal) in Refusal::ALL.into_iter().enumerate() {
+            let refused = Heard::Refused(Refused::new(refusal, "why"));
+            (0..=n).for_each(|_| _ = gps.note(&refused));
+        }
+        let mut told = Housekeeping::default();
+        tell_gps(&mut told, &gps);
+        let counts = told.csv_row();
+        let fields = FIELDS.iter().zip(&counts);
+        let fields = fields.skip_while(|(field, _)| field.name != "gps_no_fix");
+        let counts: Vec<&str> = fields.map(|(_, count)| count.as_str()).collect();
+        let reasons = [
+            "1", "2", "3", "4", "5", "6", "7", "8", "9", "10", "11", "12",
+        ];
+        assert_eq!(counts[..12], reasons);
+        assert_eq!(counts[12..], ["0", "0"], "unreadable, noise");
+        // No fix, the same again, and out of time.
+        assert_eq!(told.gps_without_fix, 1 + 11 + 12);
+    }
 }

@@ -198,6 +198,7 @@ impl Service {
                     rows: to_rows,
                     tally: counts.navigation.clone(),
                     ended: Arc::clone(&signals.cameras_ended),
+                    clock: navigation.clock,
                 };
                 navigator.start(navigation.imu, navigation.gps, inputs, &queue, host)?
             }

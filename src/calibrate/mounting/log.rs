@@ -4,30 +4,15 @@ use crate::calibrate::numbers::median;
 use crate::clock::parse_utc;
 use crate::pointing::Horizontal;
 use crate::sky::sphere::{angles_deg, direction};
+use crate::tables::{self, BadRow, Kind, LeftOut, TableError, quoted, read_rows};
 use jiff::Timestamp;
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::path::Path;
 
 /// Where the rows about a frame do not belong together, a row this near is taken as it is, s.
 const SAME_TIME_S: f64 = 0.02;
 /// Rows farther apart than so many median spacings leave a gap.
 const GAP_SPACINGS: f64 = 5.0;
-
-/// Why a file is no such log.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum LogError {
-    #[error("{}: cannot read: {cause}", .path.display())]
-    Unreadable { path: PathBuf, cause: String },
-    #[error("{}: line {line}: {field}: expected {expected}, found \"{found}\"", .path.display())]
-    Row {
-        path: PathBuf,
-        line: u64,
-        field: &'static str,
-        expected: &'static str,
-        found: String,
-    },
-    #[error("{}: expected rows of UTC, {columns}, found none", .path.display())]
-    Empty { path: PathBuf, columns: String },
-}
 
 /// What the columns of a log hold beside UTC: the beginnings of their headings, their names and ranges.
 struct Columns {
@@ -65,33 +50,35 @@ struct AngleLog {
 
 impl AngleLog {
     /// Reads a CSV file of UTC (ISO 8601, with or without Z) and two angles: its first three columns, or those that a heading
-    /// names; lines that begin with # are comments.
-    fn read(path: &Path, columns: &Columns) -> Result<Self, LogError> {
-        let unreadable = |cause: String| LogError::Unreadable {
-            path: path.into(),
-            cause,
-        };
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .comment(Some(b'#'))
-            .trim(csv::Trim::All)
-            .from_path(path)
-            .map_err(|error| unreadable(error.to_string()))?;
+    /// names; lines that begin with # are comments. Rows that cannot be read are left out.
+    fn read(path: &Path, columns: &Columns) -> Result<Self, TableError> {
         let (mut rows, mut places) = (Vec::new(), [0, 1, 2]);
-        for (n, record) in reader.records().enumerate() {
-            let record = record.map_err(|error| unreadable(error.to_string()))?;
-            let first = record.get(0).unwrap_or_default();
-            if n == 0 && first.starts_with(char::is_alphabetic) {
-                places = named(&record, columns).unwrap_or(places);
-                continue;
+        let (mut left_out, mut is_first) = (LeftOut::of(path), true);
+        let mut times = BTreeSet::new();
+        read_rows(path, |record| {
+            if std::mem::take(&mut is_first) && record.text(0).starts_with(char::is_alphabetic) {
+                places = named(record, columns).unwrap_or(places);
+                return Ok(());
             }
-            rows.push(row(path, &record, places, columns)?);
-        }
-        Self::new(rows).ok_or_else(|| LogError::Empty {
-            path: path.into(),
-            columns: columns.names.join(" and "),
-        })
+            match row(record, places, columns) {
+                Ok(row) if times.insert(row.0) => rows.push(row),
+                Ok((utc, _)) => {
+                    let expected = "a time that no row before has";
+                    let again = BadRow::new(Kind::Repeated, "UTC", expected, utc);
+                    left_out.note(record.line, again);
+                }
+                Err(bad) => left_out.note(record.line, bad),
+            }
+            Ok(())
+        })?;
+        let Some(log) = Self::new(rows) else {
+            return Err(left_out.first().cloned().unwrap_or_else(|| {
+                let expected = format!("rows of UTC, {}", columns.names.join(" and "));
+                BadRow::new(Kind::Cut, "table", expected, "none").at(path, 1)
+            }));
+        };
+        left_out.warn();
+        Ok(log)
     }
 
     fn new(mut rows: Vec<Row>) -> Option<Self> {
@@ -149,7 +136,7 @@ impl PointingLog {
     ///
     /// # Errors
     /// The file, the line and the field, and what was expected there.
-    pub fn read(path: &Path) -> Result<Self, LogError> {
+    pub fn read(path: &Path) -> Result<Self, TableError> {
         AngleLog::read(path, &POINTING).map(Self)
     }
 
@@ -177,7 +164,7 @@ impl AttitudeLog {
     ///
     /// # Errors
     /// As there.
-    pub fn read(path: &Path) -> Result<Self, LogError> {
+    pub fn read(path: &Path) -> Result<Self, TableError> {
         AngleLog::read(path, &ATTITUDE).map(Self)
     }
 
@@ -203,10 +190,10 @@ fn between(a: [f64; 2], b: [f64; 2], part: f64) -> Horizontal {
 }
 
 /// The columns of UTC and both angles by their headings; `None` where one has none.
-fn named(heading: &csv::StringRecord, columns: &Columns) -> Option<[usize; 3]> {
+fn named(heading: &tables::Row, columns: &Columns) -> Option<[usize; 3]> {
     let column = |names: &[&str]| {
-        heading.iter().position(|text| {
-            let text = text.to_lowercase();
+        (0..heading.width()).find(|n| {
+            let text = heading.text(*n).to_lowercase();
             names.iter().any(|name| text.starts_with(name))
         })
     };
@@ -218,19 +205,11 @@ fn named(heading: &csv::StringRecord, columns: &Columns) -> Option<[usize; 3]> {
     ])
 }
 
-fn row(
-    path: &Path,
-    record: &csv::StringRecord,
-    places: [usize; 3],
-    columns: &Columns,
-) -> Result<Row, LogError> {
-    let texts = places.map(|n| record.get(n).unwrap_or_default());
-    let wrong = |field, expected, found: &str| LogError::Row {
-        path: path.into(),
-        line: record.position().map_or(0, csv::Position::line),
-        field,
-        expected,
-        found: found.into(),
+fn row(record: &tables::Row, places: [usize; 3], columns: &Columns) -> Result<Row, BadRow> {
+    record.check(3, usize::MAX)?;
+    let texts = places.map(|n| record.text(n));
+    let wrong = |column: &str, expected, found: &str| {
+        BadRow::new(Kind::Unreadable, column, expected, quoted(found))
     };
     let an_instant = "a time such as 2013-09-21T18:00:00.250Z";
     let utc = parse_utc(texts[0]).map_err(|_| wrong("UTC", an_instant, texts[0]))?;

@@ -34,7 +34,7 @@ mod verdict;
 pub use calibration::{Mounting, calibrate};
 pub use collect::{Frames, collect};
 pub use fit::{MountingFit, Pointings, Unknown};
-pub use log::{AttitudeLog, LogError, PointingLog};
+pub use log::{AttitudeLog, PointingLog};
 pub use observation::{MountingError, SunObservation};
 pub use report::page;
 pub(in crate::calibrate) use scatter::correlation_of;

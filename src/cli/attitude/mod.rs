@@ -11,6 +11,7 @@ use crate::instrument::toml_file::read_text;
 use crate::navigation::aem::Stretches;
 use crate::navigation::{
     Due, Flight, PropagatedOffset, Row, Settings, Spool, Status, Summary, Verdict, smooth, solve,
+    suspected_units,
 };
 use crate::units::counted;
 use anyhow::Context;
@@ -18,7 +19,11 @@ use clap::Args;
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp};
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use table::{write_aem, write_csv, write_fits, write_offsets};
+
+/// A flight that refuses more than this share of its measurements is not the one that its IMU tells of.
+const MOSTLY: f64 = 0.75;
 
 /// Which rows and files of an attitude are wanted.
 #[derive(Debug, Clone, Args)]
@@ -85,6 +90,8 @@ pub(super) struct Attitude<'a> {
     stretches: Stretches,
     pub summary: Summary,
     pub counts: Counts,
+    /// Which other units the IMU's numbers may be in.
+    suspected: Vec<String>,
     /// Of the last sample.
     end_s: f64,
 }
@@ -116,6 +123,7 @@ impl<'a> Attitude<'a> {
             stretches,
             summary,
             counts,
+            suspected: suspected_units(runs),
             end_s: runs
                 .iter()
                 .filter_map(|run| run.imu.last())
@@ -185,11 +193,13 @@ impl<'a> Attitude<'a> {
         write_if(path, &text, |part| Settings::read(part).map(drop))
     }
 
-    /// Says in a line what came out.
-    pub fn print(&self) -> anyhow::Result<()> {
+    /// Says in a line what came out. It is a failure where no row has an attitude, where most measurements were refused, and where the IMU's
+    /// numbers look like those of other units: a line says of which.
+    pub fn print(&self) -> anyhow::Result<ExitCode> {
         let (counts, summary) = (&self.counts, &self.summary);
         let innovations = summary.innovations.iter();
         let refused = innovations.filter(|one| one.verdict == Verdict::Refused);
+        let refused = refused.count();
         say(format_args!(
             "{} rows: {} aligned, {} coasting, {} waiting, {} after {}; {} of {} measurements refused",
             counts.rows(),
@@ -198,9 +208,24 @@ impl<'a> Attitude<'a> {
             counts.waiting,
             counts.restarted,
             counted(u64::from(summary.restarts), "restart"),
-            refused.count(),
+            refused,
             summary.innovations.len()
-        ))
+        ))?;
+        let mostly_refused = refused as f64 > MOSTLY * summary.innovations.len() as f64;
+        let is_found = counts.waiting < counts.rows();
+        if is_found && !mostly_refused && self.suspected.is_empty() {
+            return Ok(ExitCode::SUCCESS);
+        }
+        if mostly_refused {
+            tracing::error!(
+                "{refused} of {} measurements contradict the gyros and accelerometers: the attitude is not to be trusted",
+                summary.innovations.len()
+            );
+        }
+        for suspected in &self.suspected {
+            tracing::error!("{suspected}");
+        }
+        Ok(ExitCode::FAILURE)
     }
 }
 

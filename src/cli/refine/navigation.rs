@@ -5,7 +5,7 @@ use crate::cli::attitude::{Attitude, AttitudeArgs, Basis, NavigationFile, add_at
 use crate::cli::output::say;
 use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, SECOND};
-use crate::navigation::files::{read_gps_files, read_imu_runs};
+use crate::navigation::files::{read_gps, read_imu};
 use crate::navigation::{
     self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Row, Sighting, Target, Targets,
 };
@@ -14,8 +14,12 @@ use crate::refine::{CameraFrames, Flight, Report, RollHistory, Sky};
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use jiff::Timestamp;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+/// The interval of the first sample is not longer, s.
+const LONGEST_S: f64 = 10.0;
 
 /// A FITS table is made in memory: more rows than that are left to attitude.csv.
 const MOST_FITS_ROWS: u64 = 1_000_000;
@@ -63,8 +67,8 @@ impl NavigationArgs {
         given.settings = given.settings.for_flight(&given.path)?;
         Ok(Some(Sensors {
             epoch: given.settings.epoch_utc.unwrap_or(Timestamp::UNIX_EPOCH),
-            runs: read_imu_runs(&self.imu, &given.settings)?,
-            fixes: read_gps_files(&self.gps, &given.settings)?,
+            runs: read_imu(&self.imu, &given.settings)?,
+            fixes: read_gps(&self.gps, &given.settings)?,
             seen: Vec::new(),
             given,
             args: self,
@@ -163,7 +167,9 @@ impl Sensors<'_> {
         self.expect_frames()?;
         let mut targets = self.targets(sky);
         let sightings = self.sightings(&mut targets)?;
-        let runs = self.cut(Measurement::in_order(sightings, &self.fixes));
+        let measurements = Measurement::in_order(sightings, &self.fixes);
+        let imu = std::mem::take(&mut self.runs);
+        let runs = navigation::Flight::of_runs(&self.given.settings, imu, measurements);
         let mut attitude = Attitude::solve(&runs, Basis::WholeFlight, out, &self.args.wanted)?;
         drop(runs);
         let count = attitude.counts.written;
@@ -178,11 +184,7 @@ impl Sensors<'_> {
         self.write_offsets(&mut attitude, &mut targets, sky, out)?;
         let (summary, counts) = (&attitude.summary, &attitude.counts);
         add_attitude(report.page(), &self.given.settings, summary, counts)?;
-        attitude.print()?;
-        Ok(match counts.waiting < counts.rows() {
-            true => ExitCode::SUCCESS,
-            false => ExitCode::FAILURE,
-        })
+        attitude.print()
     }
 
     fn files(&self, archive: &Path) -> Vec<String> {
@@ -191,20 +193,25 @@ impl Sensors<'_> {
         files.map(|path| path.display().to_string()).collect()
     }
 
-    /// Times from another epoch would leave the IMU alone.
-    fn expect_frames(&self) -> anyhow::Result<()> {
+    /// From the IMU's first sample to its last.
+    fn during_s(&self) -> anyhow::Result<RangeInclusive<f64>> {
         let first = self.runs.first().and_then(|run| run.first());
         let last = self.runs.last().and_then(|run| run.last());
         let (first, last) = first
             .zip(last)
             .context("--imu: expected samples, found none")?;
-        let during = first.t_s..=last.t_s;
+        Ok(first.t_s..=last.t_s)
+    }
+
+    /// Times from another epoch would leave the IMU alone.
+    fn expect_frames(&self) -> anyhow::Result<()> {
+        let during = self.during_s()?;
         let is_during = |seen: &Seen| during.contains(&seen.t_s);
         ensure!(
             self.seen.iter().any(is_during),
             "--imu: expected frames that show a direction from {} to {} s since {}, found none of {}",
-            first.t_s,
-            last.t_s,
+            during.start(),
+            during.end(),
             self.epoch,
             self.seen.len()
         );
@@ -221,6 +228,10 @@ impl Sensors<'_> {
 
     fn sightings(&self, targets: &mut Targets) -> anyhow::Result<Vec<Sighting>> {
         let settings = &self.given.settings;
+        let during = self.during_s()?;
+        let during = during.start() - LONGEST_S..=*during.end();
+        // A frame of another day is not used, and the ephemeris need not reach so far.
+        let is_during = |seen: &&Seen| during.contains(&seen.t_s);
         let sighting = |seen: &Seen| {
             Ok(Sighting {
                 t_s: seen.t_s,
@@ -231,23 +242,7 @@ impl Sensors<'_> {
                 towards: targets.towards(seen.target, seen.t_s)?,
             })
         };
-        self.seen.iter().map(sighting).collect()
-    }
-
-    /// Each run of the IMU with what was measured up to its end.
-    fn cut(&mut self, mut measurements: Vec<Measurement>) -> Vec<navigation::Flight> {
-        let mut flights = Vec::new();
-        for imu in std::mem::take(&mut self.runs) {
-            let end_s = imu.last().map_or(f64::NEG_INFINITY, |last| last.t_s);
-            let own = measurements.partition_point(|one| one.t_s() <= end_s);
-            let later = measurements.split_off(own);
-            flights.push(navigation::Flight {
-                settings: self.given.settings.clone(),
-                imu,
-                measurements: std::mem::replace(&mut measurements, later),
-            });
-        }
-        flights
+        self.seen.iter().filter(is_during).map(sighting).collect()
     }
 
     fn write_offsets(

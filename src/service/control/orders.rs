@@ -64,7 +64,13 @@ impl Control for Controls {
             self.state().reason = Some(reason.into());
             return CommandResult::Refused;
         }
-        // Kept with the next values that are saved: a fix a second is no reason to write a file a second.
+        self.move_to(fix)
+    }
+}
+
+impl Controls {
+    /// Takes a place that is believed. It is kept with the next values that are saved: a fix a second is no reason to write a file a second.
+    pub(super) fn move_to(&self, fix: GpsFix) -> CommandResult {
         match self.apply(&[
             (LATITUDE, Value::Number(fix.latitude_deg.into())),
             (LONGITUDE, Value::Number(fix.longitude_deg.into())),
@@ -73,10 +79,8 @@ impl Control for Controls {
             Err(_) => CommandResult::Refused,
         }
     }
-}
 
-impl Controls {
-    fn believes(&self, fix: GpsFix) -> bool {
+    pub(super) fn believes(&self, fix: GpsFix) -> bool {
         let mut state = self.state();
         let believed = state.gps.believes(fix);
         let refused = state.gps.refused();

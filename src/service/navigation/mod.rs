@@ -2,6 +2,7 @@
 //!
 //! Its clock is the samples' own time. A measurement stands at its own time, less its sensor's delay; it may come up to 3 s late.
 
+mod gps;
 mod inputs;
 mod rows;
 mod sensor;
@@ -17,18 +18,17 @@ use super::priority::Rank;
 use super::shared::Shared;
 use super::tally::worth_a_line;
 use super::worker::{Life, Worker};
-use crate::config::{self, Host};
+use crate::config::{self, FlightClock, Host};
 use crate::link::{Connection, ImuPacket, Propagated, Solution};
-use crate::navigation::nmea::TimedFix;
 use crate::navigation::{
-    CAMERAS_IN_FLIGHT, Due, Fix, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
+    CAMERAS_IN_FLIGHT, Due, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
     Settings, Sighting, Sky, Status, Target, Targets, offset,
 };
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Rotation3, Vector3};
-use rows::{gps_row, imu_row, propagated_row};
+use rows::{imu_row, propagated_row};
 use sensor::{Sensor, Speaks};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,8 +39,6 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_millis(100);
 /// A filter that gives no word for so long hangs.
 const PATIENT_FOR: Duration = Duration::from_secs(5);
-/// A fix of a time that is further from the IMU's is of another day, or stale.
-const FIX_WITHIN_S: f64 = 3.0;
 /// An IMU that is silent for so long leaves nothing that is true now.
 const SILENCE: Duration = Duration::from_secs(1);
 /// Offsets are left out where so many events wait for the line: frames come first.
@@ -69,6 +67,7 @@ pub(super) struct Navigator {
     pub rows: Sender<NavigationRows>,
     pub tally: Shared<NavigationTally>,
     pub ended: Arc<AtomicBool>,
+    pub clock: FlightClock,
 }
 
 impl Navigator {
@@ -93,6 +92,7 @@ impl Navigator {
                     inputs: inputs.clone(),
                     tally: self.tally.clone(),
                     ended: Arc::clone(&self.ended),
+                    clock: self.clock,
                 };
                 let listen = move |life: &Life| sensor.run(life);
                 // Another thread would wait for the same port.
@@ -129,11 +129,10 @@ impl Navigator {
                     filter.sample(&sample, read);
                 }
                 Ok(Input::Fix(fix)) => {
-                    // The place of frames follows the receiver, too.
-                    self.controls.follow(fix.place);
-                    filter
-                        .iter_mut()
-                        .for_each(|filter: &mut Filter| filter.fix(&fix));
+                    if self.follow(&fix) {
+                        let filter = filter.iter_mut();
+                        filter.for_each(|filter: &mut Filter| filter.fix(&fix));
+                    }
                 }
                 Ok(Input::Seen(seen)) => filter.iter_mut().for_each(|filter| filter.seen(&seen)),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -227,9 +226,11 @@ impl<'a> Filter<'a> {
             }
             return;
         }
+        let before_s = self.live.newest_s();
         let row = self.live.sample(felt);
         self.note(row.map(|row| row.status));
-        if self.live.newest_s() != Some(t_s) {
+        // Passed over, or a packet that came twice.
+        if self.live.newest_s() != Some(t_s) || before_s == Some(t_s) {
             return;
         }
         self.look_at_settings();
@@ -265,29 +266,6 @@ impl<'a> Filter<'a> {
         {
             tracing::info!(status = status.name(), "navigation");
         }
-    }
-
-    fn fix(&mut self, timed: &TimedFix) {
-        if self.last_fix.replace(timed.utc) == Some(timed.utc) {
-            // A receiver that says the same again has nothing new.
-            self.own.tally.lock().stale_fixes += 1;
-            return;
-        }
-        let t_s = self.since_epoch_s(timed.utc) - self.own.settings.gps.delay_s;
-        let fix = timed.fix(t_s);
-        let newest_s = self.live.newest_s();
-        if newest_s.is_some_and(|newest_s| (t_s - newest_s).abs() > FIX_WITHIN_S) {
-            self.own.tally.lock().stale_fixes += 1;
-            return;
-        }
-        let motion = self.live.now().and_then(|row| row.attitude);
-        self.targets.note(Fix {
-            // A fix that jumps does not move the Sun.
-            position_m: motion.map_or(fix.position_m, |(motion, _)| motion.position_m),
-            ..fix
-        });
-        self.live.measure(Measurement::Fix(fix));
-        self.keep(NavigationLog::Gps, gps_row(timed.utc, &fix));
     }
 
     fn seen(&mut self, seen: &Seen) {

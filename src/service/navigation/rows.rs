@@ -55,10 +55,12 @@ pub(super) fn imu_row(sample: &ImuPacket) -> Vec<String> {
 }
 
 pub(super) fn gps_row(utc: Timestamp, fix: &Fix) -> Vec<String> {
-    let (at, velocity) = (&fix.position_m, &fix.velocity_m_s);
     let mut row = vec![since_1970(utc)];
-    row.extend(at.iter().map(|m| format!("{m:.3}")));
-    row.extend(velocity.iter().map(|m_s| format!("{m_s:.4}")));
+    row.extend(fix.position_m.iter().map(|m| format!("{m:.3}")));
+    row.extend(match fix.velocity_m_s {
+        Some(velocity) => [0, 1, 2].map(|axis| format!("{:.4}", velocity[axis])),
+        None => Default::default(),
+    });
     row.push(fix.climb.name().into());
     row
 }

@@ -3,8 +3,9 @@
 
 use super::NavigationTally;
 use super::inputs::{Input, Inputs};
+use crate::config::FlightClock;
 use crate::link::{Connection, Direction, Packet, Parser, PortError};
-use crate::navigation::nmea::Nmea;
+use crate::navigation::nmea::{Heard, Nmea};
 use crate::service::shared::Shared;
 use crate::service::tally::worth_a_line;
 use crate::service::worker::Life;
@@ -44,6 +45,7 @@ pub(super) struct Sensor {
     pub inputs: Inputs,
     pub tally: Shared<NavigationTally>,
     pub ended: Arc<AtomicBool>,
+    pub clock: FlightClock,
 }
 
 impl Sensor {
@@ -55,6 +57,8 @@ impl Sensor {
             .unwrap_or_else(PoisonError::into_inner);
         let mut packets = Parser::new(Direction::ToAspect);
         let mut sentences = Nmea::default();
+        // Of the lives before.
+        let noise_before = self.tally.lock().gps.noise_bytes;
         let start = Instant::now();
         let mut buffer = [0; READ_BYTES];
         while !life.is_over() && !self.ended.load(Ordering::Relaxed) {
@@ -79,11 +83,16 @@ impl Sensor {
                     }
                 }
                 Speaks::Gps => {
-                    let fixes = sentences.feed(bytes);
-                    fixes
-                        .into_iter()
-                        .for_each(|fix| self.inputs.tell(Input::Fix(fix)));
-                    self.tally.lock().sentences = sentences.counts();
+                    let heard = sentences.feed(bytes, self.clock.now());
+                    let mut tally = self.tally.lock();
+                    heard.iter().for_each(|heard| tally.note_gps(heard));
+                    tally.note_gps_noise(noise_before + sentences.noise_bytes());
+                    drop(tally);
+                    for heard in heard {
+                        if let Heard::Fix(fix) = heard {
+                            self.inputs.tell(Input::Fix(fix));
+                        }
+                    }
                 }
             }
         }

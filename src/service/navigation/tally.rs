@@ -1,6 +1,6 @@
 //! What the navigation counts, and what it knows now.
 
-use crate::navigation::nmea::SentenceCounts;
+use crate::navigation::nmea::GpsCounts;
 use crate::navigation::{PropagatedOffset, Status};
 use std::fmt;
 
@@ -16,9 +16,7 @@ pub struct NavigationTally {
     /// Inputs that the filter had no room for.
     pub overflowed: u64,
     /// Of the GPS receiver.
-    pub sentences: SentenceCounts,
-    /// Fixes of a time that was told before.
-    pub stale_fixes: u64,
+    pub gps: GpsCounts,
     /// Directions of cameras.
     pub seen: u64,
     /// Measurements that contradict the filter, and that came too late or too early.
@@ -48,13 +46,13 @@ impl NavigationTally {
         }
         writeln!(
             out,
-            "navigation {} samples ({} lost, {} unreadable), {} fixes ({} sentences without one), {} directions, \
+            "navigation {} samples ({} lost, {} unreadable), {} fixes ({}), {} directions, \
              {} refused, {} out of time, {} overflowed",
             self.samples,
             self.lost_samples,
             self.unreadable,
-            self.sentences.fixes,
-            self.sentences.without_fix,
+            self.gps.fixes,
+            self.gps,
             self.seen,
             self.refused,
             self.out_of_time,
@@ -67,7 +65,7 @@ impl NavigationTally {
             self.uncertain,
             self.restarts,
             self.rows_lost,
-            self.sentences.unreadable,
+            self.gps.unreadable,
             self.status.map_or("without samples", Status::name),
         )
     }

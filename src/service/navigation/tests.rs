@@ -4,7 +4,7 @@ use super::*;
 use crate::config::{Config, Switch, Value};
 use crate::geometry::attitude::Direction;
 use crate::instrument::{self, DEMO_NAVIGATION};
-use crate::navigation::nmea::Nmea;
+use crate::navigation::nmea::{Heard, Nmea, Refusal, TimedFix};
 use crate::pointing::sun_in_telescope;
 use crate::service::demo::JudgedOffset;
 use crate::simulate::navigation::TelescopeFlight;
@@ -40,6 +40,7 @@ fn navigator(config: Config, to_line: Sender<LinkEvent>) -> (Navigator, Receiver
         rows,
         tally: Shared::default(),
         ended: Arc::default(),
+        clock: FlightClock::starting(START.parse().unwrap()),
     };
     (navigator, kept)
 }
@@ -125,10 +126,12 @@ fn fly_judged(
         let since = Duration::from_millis(n * 1000 / rate);
         if n % rate == 0 {
             let sentences = flown.sentences(n / rate).unwrap();
-            for fix in receiver.feed(sentences.as_bytes()) {
-                receive(n / rate, fix)
-                    .iter()
-                    .for_each(|fix| filter.fix(fix));
+            for heard in receiver.feed(sentences.as_bytes(), start) {
+                let Heard::Fix(fix) = heard else {
+                    panic!("{heard:?}");
+                };
+                let received = receive(n / rate, fix);
+                received.iter().for_each(|fix| filter.fix(fix));
             }
         }
         if n % (rate / FRAMES_HZ) == 0 && is_seen(since.as_secs_f64()) {
@@ -296,9 +299,60 @@ fn fixes_that_jump_are_stale_or_do_not_come_move_no_offset() {
     let (judged, tally) = fly(300, 4, |_| true, |_, sample| Some(sample), receive);
     say(&judged, &tally);
     assert!((10..25).contains(&tally.refused), "{tally:?}");
-    assert_eq!(tally.stale_fixes, 29);
+    assert_eq!(tally.gps.refused(Refusal::Repeated), 29);
     assert_eq!(tally.restarts, 0);
     assert!(judged.beyond_3_sigma() < 0.01);
+}
+
+#[test]
+fn fixes_without_velocity_begin_the_filter_and_keep_it() {
+    let receive = |_, fix| {
+        Some(TimedFix {
+            level_m_s: None,
+            ..fix
+        })
+    };
+    let (judged, tally) = fly(250, 7, with_gaps, |_, sample| Some(sample), receive);
+    say(&judged, &tally);
+    // Until the roll is known their sigma is above the limit.
+    assert!(judged.offsets > 4600, "{}", judged.offsets);
+    assert!(judged.beyond_3_sigma() < 0.01);
+    assert_eq!((tally.restarts, tally.refused), (0, 0));
+}
+
+#[test]
+fn a_fix_of_another_time_than_the_imus_is_counted_as_such() {
+    let late = SignedDuration::from_secs(18);
+    let receive = |second: u64, mut fix: TimedFix| {
+        // A receiver that does not know the leap seconds, for a while.
+        if (10..15).contains(&second) {
+            fix.utc += late;
+        }
+        Some(fix)
+    };
+    let (judged, tally) = fly(40, 8, |_| true, |_, sample| Some(sample), receive);
+    assert_eq!(tally.gps.refused(Refusal::OutOfTime), 5);
+    assert!(judged.beyond_3_sigma() < 0.01);
+}
+
+#[test]
+fn a_packet_of_the_imu_that_comes_twice_is_used_and_logged_once() {
+    let start: Timestamp = START.parse().unwrap();
+    let (to_line, _line) = unbounded();
+    let (navigator, kept) = navigator(sending(), to_line);
+    let mut filter = Filter::new(&navigator, start);
+    for n in [1, 2, 2, 3] {
+        let sample = ImuPacket {
+            time: start + SignedDuration::from_millis(10 * n),
+            counter: n as u16,
+            force_m_s2: [0.0, 0.0, -9.8],
+            rate_rad_s: [0.0; 3],
+        };
+        filter.sample(&sample, Instant::now());
+    }
+    filter.hand_rows_on();
+    let rows: usize = kept.try_iter().map(|rows| rows.rows.len()).sum();
+    assert_eq!(rows, 3);
 }
 
 #[test]

@@ -1,0 +1,175 @@
+//! Fixes of a GPS receiver that speaks NMEA 0183: of each time a sentence GGA, with place and height, and a sentence RMC, with date and
+//! velocity. A receiver without RMC gives fixes without velocity, dated by its ZDA or by the clock.
+
+mod judge;
+mod sentence;
+
+pub use judge::{Refusal, Refused};
+pub use sentence::Unreadable;
+
+use super::earth::{ecef_m, north_east_up};
+use super::measurement::{Climb, Fix};
+use crate::units::Place;
+use jiff::Timestamp;
+use judge::Said;
+use nalgebra::Vector3;
+use sentence::{Framer, Piece, Sentence, TimeOfDay};
+use std::fmt;
+
+/// A fix with its time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimedFix {
+    pub utc: Timestamp,
+    pub place: Place,
+    /// Level: towards north and east, m/s. `None` where the receiver tells no velocity, or a speed without a course.
+    pub level_m_s: Option<[f64; 2]>,
+}
+
+impl TimedFix {
+    /// In ECEF, at a time of the filter's clock.
+    pub fn fix(&self, t_s: f64) -> Fix {
+        let position_m = ecef_m(&self.place);
+        let level =
+            |[north, east]: [f64; 2]| north_east_up(&position_m) * Vector3::new(north, east, 0.0);
+        Fix {
+            t_s,
+            position_m,
+            velocity_m_s: self.level_m_s.map(level),
+            climb: Climb::Unknown,
+        }
+    }
+}
+
+/// What a receiver's bytes come to.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Heard {
+    Fix(TimedFix),
+    Refused(Refused),
+    Unreadable(Unreadable),
+}
+
+/// What became of a receiver's bytes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct GpsCounts {
+    pub fixes: u64,
+    /// Fixes that are not used, in the order of [`Refusal::ALL`].
+    refused: [u64; Refusal::ALL.len()],
+    /// Sentences that are cut off, or whose checksum or fields are wrong.
+    pub unreadable: u64,
+    /// Bytes that are part of no sentence.
+    pub noise_bytes: u64,
+}
+
+impl GpsCounts {
+    /// Counts what was heard; how often that kind of it was.
+    pub fn note(&mut self, heard: &Heard) -> u64 {
+        let count = match heard {
+            Heard::Fix(_) => &mut self.fixes,
+            Heard::Refused(refused) => &mut self.refused[refused.refusal as usize],
+            Heard::Unreadable(_) => &mut self.unreadable,
+        };
+        *count += 1;
+        *count
+    }
+
+    pub fn refused(&self, refusal: Refusal) -> u64 {
+        self.refused[refusal as usize]
+    }
+
+    /// The kinds of fixes that were not used, with their counts.
+    pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u64)> {
+        let counts = Refusal::ALL.into_iter().zip(self.refused);
+        counts.filter(|(_, count)| *count > 0)
+    }
+}
+
+/// What was not used, by kind.
+impl fmt::Display for GpsCounts {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kinds = self.refusals();
+        let kinds = kinds.map(|(refusal, count)| format!("{count} {}", refusal.name()));
+        let kinds: Vec<String> = kinds.collect();
+        match kinds.is_empty() {
+            true => write!(out, "none refused"),
+            false => write!(out, "refused: {}", kinds.join(", ")),
+        }
+    }
+}
+
+/// The receiver's sentences, as they come.
+#[derive(Debug, Default)]
+pub struct Nmea {
+    framer: Framer,
+    /// What was said of the latest time, until a fix was made of it.
+    said: Said,
+    time: Option<TimeOfDay>,
+}
+
+impl Nmea {
+    /// Takes bytes in any pieces; what they complete. `now` is what the flight's clock says.
+    pub fn feed(&mut self, bytes: &[u8], now: Timestamp) -> Vec<Heard> {
+        let mut heard = Vec::new();
+        for byte in bytes {
+            match self.framer.push(*byte) {
+                Some(Piece::Sentence(text)) => self.take(&text, now, &mut heard),
+                Some(Piece::Unreadable(why)) => heard.push(Heard::Unreadable(why)),
+                None => {}
+            }
+        }
+        heard
+    }
+
+    /// Bytes that were part of no sentence.
+    pub fn noise_bytes(&self) -> u64 {
+        self.framer.noise_bytes()
+    }
+
+    fn take(&mut self, text: &str, now: Timestamp, heard: &mut Vec<Heard>) {
+        match Sentence::parse(text) {
+            Ok(Sentence::Gga(gga)) => {
+                self.turn_to(gga.time, self.said.gga == Some(gga), now, heard);
+                self.said.gga = Some(gga);
+            }
+            Ok(Sentence::Rmc(rmc)) => {
+                self.turn_to(rmc.time, self.said.rmc == Some(rmc), now, heard);
+                self.said.rmc = Some(rmc);
+            }
+            Ok(Sentence::Zda(zda)) => {
+                self.turn_to(zda.time, false, now, heard);
+                self.said.zda = Some(zda);
+            }
+            Ok(Sentence::Other) => return,
+            Err(why) => return heard.push(Heard::Unreadable(why)),
+        }
+        if self.said.gga.is_some() && self.said.rmc.is_some() {
+            self.finish(now, heard);
+        }
+    }
+
+    /// What is said from now on is of a time; what was said of the one before is complete. So is what a receiver that hangs says again.
+    fn turn_to(
+        &mut self,
+        time: Option<TimeOfDay>,
+        is_said_again: bool,
+        now: Timestamp,
+        heard: &mut Vec<Heard>,
+    ) {
+        if self.time != time || time.is_none() || is_said_again {
+            self.finish(now, heard);
+            self.time = time;
+        }
+    }
+
+    fn finish(&mut self, now: Timestamp, heard: &mut Vec<Heard>) {
+        let said = std::mem::take(&mut self.said);
+        if said.gga.is_some() || said.rmc.is_some() {
+            heard.push(match said.judge(now) {
+                Ok(fix) => Heard::Fix(fix),
+                Err(refused) => Heard::Refused(refused),
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,86 @@
+//! What the GPS receiver says is counted by kind, and what cannot be used is logged at its 1st, 2nd, 4th, 8th ... time.
+
+use super::rows::gps_row;
+use super::{Filter, NavigationLog, NavigationTally, Navigator};
+use crate::navigation::nmea::{Heard, Refusal, Refused, TimedFix};
+use crate::navigation::{Fix, Measurement};
+use crate::service::tally::worth_a_line;
+use crate::units::Place;
+
+/// A fix of a time that is further from the IMU's is of another day, or stale.
+const FIX_WITHIN_S: f64 = 3.0;
+
+impl Navigator {
+    /// Has the place of frames follow the receiver; `false` where the fix is a jump, which the filter does not get either.
+    pub(super) fn follow(&self, fix: &TimedFix) -> bool {
+        let follows = self.controls.follow(fix.place);
+        if !follows {
+            let Place {
+                latitude_deg,
+                longitude_deg,
+                ..
+            } = fix.place;
+            let why = format!("latitude {latitude_deg:.4}, longitude {longitude_deg:.4} deg");
+            self.tally.lock().refuse_fix(Refusal::Jump, why);
+        }
+        follows
+    }
+}
+
+impl Filter<'_> {
+    pub(super) fn fix(&mut self, timed: &TimedFix) {
+        if self.last_fix.replace(timed.utc) == Some(timed.utc) {
+            // A receiver that says the same again has nothing new.
+            let why = timed.utc.to_string();
+            return self.own.tally.lock().refuse_fix(Refusal::Repeated, why);
+        }
+        let t_s = self.since_epoch_s(timed.utc) - self.own.settings.gps.delay_s;
+        let fix = timed.fix(t_s);
+        let off_s = self.live.newest_s().map(|newest_s| t_s - newest_s);
+        if let Some(off_s) = off_s.filter(|off_s| off_s.abs() > FIX_WITHIN_S) {
+            let why = format!("{}, {off_s:+.1} s from the IMU's clock", timed.utc);
+            return self.own.tally.lock().refuse_fix(Refusal::OutOfTime, why);
+        }
+        let motion = self.live.now().and_then(|row| row.attitude);
+        self.targets.note(Fix {
+            // A fix that jumps does not move the Sun.
+            position_m: motion.map_or(fix.position_m, |(motion, _)| motion.position_m),
+            ..fix
+        });
+        self.live.measure(Measurement::Fix(fix));
+        self.keep(NavigationLog::Gps, gps_row(timed.utc, &fix));
+    }
+}
+
+impl NavigationTally {
+    /// Counts what the GPS receiver has said, and logs what cannot be used.
+    pub(super) fn note_gps(&mut self, heard: &Heard) {
+        let count = self.gps.note(heard);
+        if !worth_a_line(count) {
+            return;
+        }
+        match heard {
+            Heard::Fix(_) => {}
+            Heard::Refused(why) => tracing::warn!(count, %why, "a GPS fix is not used"),
+            Heard::Unreadable(why) => {
+                tracing::warn!(count, %why, "a sentence of the GPS receiver cannot be read");
+            }
+        }
+    }
+
+    /// The same of a fix that does not fit what was known before it.
+    pub(super) fn refuse_fix(&mut self, refusal: Refusal, why: String) {
+        self.note_gps(&Heard::Refused(Refused::new(refusal, why)));
+    }
+
+    /// Notes how many bytes of the GPS receiver were part of no sentence, all in all, and logs it each time they have doubled.
+    pub(super) fn note_gps_noise(&mut self, bytes: u64) {
+        let before = std::mem::replace(&mut self.gps.noise_bytes, bytes);
+        if before.checked_ilog2() != bytes.checked_ilog2() {
+            tracing::warn!(
+                bytes,
+                "bytes of the GPS receiver are no sentence of NMEA 0183"
+            );
+        }
+    }
+}
