@@ -9,6 +9,9 @@ use solaspect::instrument::{Instrument, Mounting, builtin};
 use solaspect::link::byte_log::{self, Burst};
 use solaspect::link::describe::describe;
 use solaspect::link::{Direction, Parser};
+use solaspect::navigation::Settings;
+use solaspect::navigation::files::{self, read_gps, read_imu, read_sun, read_vectors};
+use solaspect::navigation::nmea::{Heard, Nmea};
 use solaspect::pointing::Target;
 use solaspect::refine::{FrameRecord, Journal};
 use solaspect::service::control::{Controls, restore};
@@ -24,10 +27,16 @@ const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 static MOUNTING: LazyLock<Mounting> =
     LazyLock::new(|| builtin("demo").expect("the demo instrument").mounting);
 
+static NAVIGATION: LazyLock<Settings> = LazyLock::new(|| {
+    let text =
+        "[[camera]]\nname = \"camera\"\nbody_from_camera = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n";
+    Settings::parse(Path::new("NAV.toml"), text).expect("a camera")
+});
+
 /// A kind of input: its name, which is that of its target and its folder of seeds, and what reads it.
 pub type Kind = (&'static str, fn(&[u8]));
 
-pub const KINDS: [Kind; 9] = [
+pub const KINDS: [Kind; 12] = [
     ("packets", packets),
     ("fits", fits),
     ("instrument", instrument),
@@ -37,6 +46,9 @@ pub const KINDS: [Kind; 9] = [
     ("pointing_log", pointing_log),
     ("flight_pieces", flight_pieces),
     ("link_log", link_log),
+    ("nmea", nmea),
+    ("nav_toml", nav_toml),
+    ("tables", tables),
 ];
 
 /// Bytes of a serial line, in both directions: no byte is lost, and every packet has a description.
@@ -209,6 +221,81 @@ pub fn link_log(bytes: &[u8]) {
     let (written, reader) = byte_log::read(lines.as_bytes());
     let skipped = reader.skipped().total() as usize;
     assert_eq!(written.len() + skipped, bursts.len());
+}
+
+/// Bytes of a GPS receiver: they come to the same in whatever pieces, and each fix is near the Earth and of the clock's day.
+pub fn nmea(bytes: &[u8]) {
+    let now = "2026-11-25T14:28:00Z".parse().expect("a time");
+    let mut whole = Nmea::default();
+    let heard = whole.feed(bytes, now);
+    let mut piecewise = Nmea::default();
+    let pieces = bytes.chunks(7);
+    let again: Vec<Heard> = pieces
+        .flat_map(|piece| piecewise.feed(piece, now))
+        .collect();
+    assert_eq!(heard, again, "bytes in pieces");
+    assert_eq!(whole.noise_bytes(), piecewise.noise_bytes());
+    assert!(whole.noise_bytes() <= bytes.len() as u64);
+    for one in heard {
+        match one {
+            Heard::Fix(fix) => {
+                assert!(fix.utc.duration_since(now).as_hours().abs() <= 12);
+                assert!(fix.fix(0.0).check().is_ok());
+            }
+            Heard::Refused(why) => assert!(!why.to_string().is_empty()),
+            Heard::Unreadable(why) => assert!(!why.to_string().is_empty()),
+        }
+    }
+}
+
+/// NAV.toml: the sensors of a flight.
+pub fn nav_toml(bytes: &[u8]) {
+    let Ok(text) = str::from_utf8(bytes) else {
+        return;
+    };
+    let path = Path::new("fuzz.toml");
+    let settings = Settings::parse(path, text).and_then(|settings| settings.for_flight(path));
+    if let Err(error) = settings {
+        assert!(error.to_string().contains("fuzz.toml"), "{error}");
+    }
+}
+
+/// Tables of IMU, GPS, directions and Sun: as the file's bytes, and as rows below a heading. What is read is in the order of
+/// time; an error names the file.
+pub fn tables(bytes: &[u8]) {
+    let vectors = "t_s,camera,target,x,y,z,sigma_rad\n".to_owned();
+    let headings = [
+        String::new(),
+        files::IMU.join(",") + "\n",
+        files::GPS.join(",") + ",climb\n",
+        vectors,
+        "t_s,x,y,z\n".into(),
+    ];
+    for heading in headings {
+        let (_folder, path) = file("table.csv", &[heading.as_bytes(), bytes].concat());
+        let paths = [path.clone(), path];
+        let path = &paths[0];
+        let named = |error: String| assert!(error.contains("table.csv"), "{error}");
+        match read_imu(&paths, &NAVIGATION) {
+            Ok(runs) => {
+                let times = runs.iter().flatten().map(|sample| sample.t_s);
+                assert!(times.is_sorted_by(|a, b| a < b), "samples in order");
+            }
+            Err(error) => named(error.to_string()),
+        }
+        match read_gps(&paths, &NAVIGATION) {
+            Ok(fixes) => assert!(fixes.is_sorted_by(|a, b| a.t_s < b.t_s), "fixes in order"),
+            Err(error) => named(error.to_string()),
+        }
+        match read_vectors(path, &NAVIGATION) {
+            Ok(seen) => assert!(seen.is_sorted_by_key(|one| one.t_s), "directions in order"),
+            Err(error) => named(error.to_string()),
+        }
+        match read_sun(path) {
+            Ok(sun) => assert!(sun.is_sorted_by(|a, b| a.0 < b.0), "the Sun in order"),
+            Err(error) => named(error.to_string()),
+        }
+    }
 }
 
 fn file(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
