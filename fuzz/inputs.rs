@@ -3,6 +3,7 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use solaspect::calibrate::mounting::{AttitudeLog, PointingLog};
+use solaspect::clock::{Scale, parse_utc, read_utc, utc_of_mjd, utc_text};
 use solaspect::config::Config;
 use solaspect::fits::{self, FitsFile};
 use solaspect::instrument::{Instrument, Mounting, builtin};
@@ -36,7 +37,7 @@ static NAVIGATION: LazyLock<Settings> = LazyLock::new(|| {
 /// A kind of input: its name, which is that of its target and its folder of seeds, and what reads it.
 pub type Kind = (&'static str, fn(&[u8]));
 
-pub const KINDS: [Kind; 12] = [
+pub const KINDS: [Kind; 13] = [
     ("packets", packets),
     ("fits", fits),
     ("instrument", instrument),
@@ -49,7 +50,35 @@ pub const KINDS: [Kind; 12] = [
     ("nmea", nmea),
     ("nav_toml", nav_toml),
     ("tables", tables),
+    ("dates", dates),
 ];
+
+/// A time as a text, after the letter of the scale that a header would name. One that is read is read again from its own text, and differs from
+/// UTC by no more than the scales and zones do.
+pub fn dates(bytes: &[u8]) {
+    let (scale, text) = bytes.split_first().unwrap_or((&b' ', &[]));
+    let scale = match scale {
+        b'U' => Some(Scale::Utc),
+        b'A' => Some(Scale::Tai),
+        b'T' => Some(Scale::Tt),
+        b'G' => Some(Scale::Gps),
+        _ => None,
+    };
+    let text = String::from_utf8_lossy(text);
+    if let Ok(utc) = read_utc(&text, scale) {
+        let again = read_utc(&utc_text(utc, 9), None);
+        assert_eq!(again, Ok(utc), "{text}");
+        assert!(parse_utc(&text).is_ok() || scale.is_some(), "{text}");
+    }
+    if let Err(why) = parse_utc(&text) {
+        assert!(why.contains("expected"), "{why}");
+    }
+    if let Ok(days) = text.trim().parse()
+        && let Ok(utc) = utc_of_mjd(days, scale.unwrap_or(Scale::Utc))
+    {
+        assert_eq!(read_utc(&utc_text(utc, 9), None), Ok(utc), "{days}");
+    }
+}
 
 /// Bytes of a serial line, in both directions: no byte is lost, and every packet has a description.
 pub fn packets(bytes: &[u8]) {
@@ -68,7 +97,7 @@ pub fn packets(bytes: &[u8]) {
     }
 }
 
-/// A FITS, PNG or TIFF file: a frame, what its header says of it, keywords, tables and checksums, or an error that names the file.
+/// A FITS, PNG, TIFF or JPEG file: a frame, what its header says of it, keywords, tables and checksums, or an error that names the file.
 pub fn fits(bytes: &[u8]) {
     let (_folder, path) = file("frame.fits", bytes);
     let named = |error: fits::FileError| assert!(error.to_string().contains("frame.fits"));

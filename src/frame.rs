@@ -60,9 +60,9 @@ pub struct FrameInfo {
     pub instrument: Option<String>,
     /// What of the file was not used as it stands; empty for a good one.
     pub warnings: Vec<Warning>,
-    /// Why the frame has no time although its file states one.
+    /// Why the frame has no time although its file states one: one of the warnings.
     pub untimed: Option<Warning>,
-    /// Why the frame has no place although its file states one.
+    /// Why the frame has no place although its file states one: one of the warnings.
     pub unplaced: Option<Warning>,
 }
 

@@ -499,7 +499,7 @@ fn a_frame_that_several_files_hold_counts_once_in_a_calibration() {
     picture("lens_cap_1.png", size, dark.clone());
     picture("lens_cap_2.png", size, dark);
     let files = frames::list(&[folder.path().into()], FolderDepth::All).unwrap();
-    let (once, copies) = frames::each_once(files);
+    let (once, copies) = frames::each_once(files, [size.0, size.1]);
     let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
     let once: Vec<String> = once.iter().map(|path| name(path)).collect();
     assert_eq!(

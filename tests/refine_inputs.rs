@@ -4,7 +4,7 @@
 use crate::common::refined::{Columns, command, refine, summary, temporary};
 use jiff::{SignedDuration, Timestamp};
 use rayon::prelude::*;
-use solaspect::fits::{self, Compression};
+use solaspect::fits::{self, Card, Compression};
 use solaspect::frame::{Frame, FrameInfo};
 use solaspect::instrument::{self, Instrument};
 use solaspect::simulate::{FORT_SUMNER, Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
@@ -399,4 +399,35 @@ fn a_flight_of_mirrored_pictures_is_refused() {
     let told = String::from_utf8(refused.stderr).unwrap();
     assert_eq!(refused.status.code(), Some(1), "{told}");
     assert!(told.contains("cannot be identified"), "{told}");
+}
+
+#[test]
+fn values_of_headers_that_are_not_used_are_counted_and_an_unread_time_is_a_reason() {
+    let [folder, out] = [(); 2].map(|()| temporary());
+    let cards = [Card::new("GAIN", "High"), Card::new("DATE-OBS", "UNKNOWN")];
+    for (n, frame) in frames()[..8].iter().enumerate() {
+        let mut frame = frame.clone();
+        frame.info.mid_exposure = None;
+        let path = folder.path().join(format!("frame_{n:05}.fits"));
+        fits::write_frame(&path, &frame, &cards, &[], Compression::Rice).unwrap();
+    }
+    let output = refine(folder.path(), out.path(), &[]);
+    let [told, logged] =
+        [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    assert!(told.contains("8 files: GAIN: expected"), "{told}");
+    assert!(told.contains("8 files: DATE-OBS: expected"), "{told}");
+    assert_eq!(logged.matches("GAIN").count(), 1, "{logged}");
+    let warnings = summary(out.path())["warnings"].clone();
+    let warnings = warnings.as_object().unwrap();
+    assert!(
+        warnings.iter().all(|(_, files)| *files == 8),
+        "{warnings:?}"
+    );
+    let rows = Columns::read(out.path(), "ASPECT");
+    for (reason, x) in rows.texts("REASON").iter().zip(rows.floats("SUN_X_MIL")) {
+        assert!(
+            reason.starts_with("time: DATE-OBS: expected") && x.is_finite(),
+            "{reason}"
+        );
+    }
 }

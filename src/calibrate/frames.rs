@@ -117,11 +117,12 @@ fn nearest(folder: &Path) -> Result<Vec<PathBuf>, Unlisted> {
     Ok(listing.files)
 }
 
-/// The files without copies of others' frames, in the order given, and the copies as rejected ones. Warns of files that cannot be read, of
+/// The files without copies of others' frames, in the order given, and the copies as rejected ones. Of a file of several images the one of `size_px` is compared. Warns of files that cannot be read, of
 /// which each calibration says more, of values of headers that are not used, and of frames in one folder that cannot be told apart.
-pub fn each_once(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<RejectedFrame>) {
+pub fn each_once(files: Vec<PathBuf>, size_px: [usize; 2]) -> (Vec<PathBuf>, Vec<RejectedFrame>) {
     let read = |file: &PathBuf| {
-        let frame = fits::read_frame(file).map_err(|error| error.problem.to_string())?;
+        let frame = fits::read_frame_of_size(file, size_px);
+        let frame = frame.map_err(|error| error.problem.to_string())?;
         Ok((
             Identity::of(&frame.info),
             PixelDigest::of(&frame),
@@ -136,7 +137,6 @@ pub fn each_once(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<RejectedFrame>) {
             Ok((identity, digest, info)) => {
                 let name = path.display().to_string();
                 warnings.note(&name, &info.warnings);
-                warnings.note(&name, info.untimed.as_slice());
                 at.push(n);
                 let digest = Some(*digest);
                 compared.push(Compared {

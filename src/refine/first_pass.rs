@@ -46,11 +46,11 @@ impl FirstPass for Recipe {
         input: &StoredFile,
         span: &Span,
     ) -> Result<Option<FrameRecord>, Unsolved> {
-        let Some(taken) = Taken::open(archive, input, span)? else {
+        let size_px = self.instrument.camera.size_px();
+        let Some(taken) = Taken::open(archive, input, span, size_px)? else {
             return Ok(None);
         };
         taken.check(&self.archived)?;
-        let taken = taken.of_size(self.instrument.camera.size_px());
         let expected = taken.info.mid_exposure.and_then(Expected::at);
         taken.with_frame(|frame, header| {
             let (instrument, settings) = (&self.instrument, &self.settings);
@@ -301,14 +301,15 @@ pub(super) struct Taken {
 }
 
 impl Taken {
-    /// `None` where the frame's time lies outside the span.
+    /// Of a file of several images, the one of this size. `None` where the frame's time lies outside the span.
     pub fn open(
         archive: &ArchiveReader,
         input: &StoredFile,
         span: &Span,
+        size_px: [usize; 2],
     ) -> Result<Option<Self>, Unsolved> {
         let read = || -> Result<_, FileError> {
-            let file = archive.open_file(&input.file)?;
+            let file = archive.open_file(&input.file)?.of_size(size_px);
             let (info, header) = file.info()?;
             Ok(Self { file, info, header })
         };
@@ -320,12 +321,6 @@ impl Taken {
     pub fn check(&self, archived: &FlownFiles) -> Result<(), Unsolved> {
         let named = archived.check(&self.header);
         named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))
-    }
-
-    /// Of several pictures, takes the first of this width and height, px.
-    pub fn of_size(self, size_px: [usize; 2]) -> Self {
-        let file = self.file.of_size(size_px);
-        Self { file, ..self }
     }
 
     /// What is made of the frame.

@@ -163,6 +163,7 @@ impl Work<'_> {
             radius_mil: expected * ratio.value,
         };
         let file = archive.open_file(&row.file).ok()?;
+        let file = file.of_size(known.instrument.camera.size_px());
         let look = file.with_frame(|frame| known.look(frame)).ok()??;
         // A limb of which little is seen does not tell its radius.
         let sigma = match look.limb_part >= TELLING_LIMB {

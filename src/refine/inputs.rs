@@ -63,7 +63,6 @@ impl InputNotes {
 
     pub fn read(&mut self, file: &str, facts: &FrameFacts) {
         self.warnings.note(file, &facts.warnings);
-        self.warnings.note(file, facts.untimed.as_slice());
     }
 
     /// The copies within a span.
@@ -93,9 +92,13 @@ mod tests {
 
     #[test]
     fn warnings_and_unread_times_are_counted_by_kind_and_files_by_reason() {
+        let untimed = Warning::new("DATE-OBS", "a UTC date and time", "'UNKNOWN'");
         let info = |found: &str| FrameInfo {
-            warnings: vec![Warning::new("GAIN", "a finite number", found)],
-            untimed: Some(Warning::new("DATE-OBS", "a UTC date and time", "'UNKNOWN'")),
+            warnings: vec![
+                Warning::new("GAIN", "a finite number", found),
+                untimed.clone(),
+            ],
+            untimed: Some(untimed.clone()),
             ..FrameInfo::default()
         };
         let mut notes = InputNotes::default();

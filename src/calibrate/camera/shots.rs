@@ -116,7 +116,7 @@ pub fn load(
     files: &[PathBuf],
     instrument: &Instrument,
 ) -> anyhow::Result<(Shots, Vec<RejectedFrame>)> {
-    let (files, mut rejected) = each_once(files.to_vec());
+    let (files, mut rejected) = each_once(files.to_vec(), instrument.camera.size_px());
     let mut frames = Vec::new();
     for file in kept(&files) {
         match fits::read_frame_of_size(file, instrument.camera.size_px()) {
@@ -158,7 +158,7 @@ pub fn solve(
     files: &[PathBuf],
     instrument: &Instrument,
 ) -> anyhow::Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>)> {
-    let (files, mut rejected) = each_once(files.to_vec());
+    let (files, mut rejected) = each_once(files.to_vec(), instrument.camera.size_px());
     let keep: Vec<&PathBuf> = kept(&files);
     let solved: Vec<_> = files
         .par_iter()

@@ -51,7 +51,7 @@ pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
 ) -> anyhow::Result<(Vec<SunObservation>, Vec<RejectedFrame>, Handedness)> {
-    let (files, copies) = each_once(files.to_vec());
+    let (files, copies) = each_once(files.to_vec(), frames.instrument.camera.size_px());
     let handedness = determined_handedness(&files, frames.instrument);
     let mut instrument = frames.instrument.clone();
     instrument.mounting.handedness = handedness;

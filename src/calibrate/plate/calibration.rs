@@ -65,7 +65,7 @@ pub fn calibrate(
     const LATER_PASSES: usize = 3;
     let files = list(given, Depth::Nearest)?;
     let frames_sha256 = sha256_of(&measure::folders(files.clone()));
-    let (files, copies) = each_once(files);
+    let (files, copies) = each_once(files, start.camera.size_px());
     let folders = measure::folders(files);
     begin(folders.iter().map(|folder| folder.files.len()).sum());
     let mut observations = measure(&folders, start, each);

@@ -54,7 +54,7 @@ impl Horizons<'_> {
 
 /// Solves frames of the horizon: those that show one, in the order of time, and the others.
 pub fn collect(files: &[PathBuf], horizons: &Horizons<'_>) -> (Vec<Horizon>, Vec<RejectedFrame>) {
-    let (files, copies) = each_once(files.to_vec());
+    let (files, copies) = each_once(files.to_vec(), horizons.camera.size_px());
     let solved = files.par_iter().map(|file| {
         let solved = horizons.solve(file);
         solved.map_err(|reason| RejectedFrame::new(file, reason))

@@ -58,11 +58,11 @@ impl FirstPass for RollRecipe {
         input: &StoredFile,
         span: &Span,
     ) -> Result<Option<HorizonRecord>, Unsolved> {
-        let Some(taken) = Taken::open(archive, input, span)? else {
+        let size_px = self.camera.optics.size_px();
+        let Some(taken) = Taken::open(archive, input, span, size_px)? else {
             return Ok(None);
         };
         taken.check(&self.archived)?;
-        let taken = taken.of_size(self.camera.optics.size_px());
         taken.with_frame(|frame, header| self.record(frame, header).map_err(Unsolved::Unreadable))
     }
 }

@@ -1,5 +1,6 @@
 //! The filter by gyros in the soak: the telescope follows the Sun, which rests on the plate, and its sensors speak in time.
 
+use solaspect::config::FlightClock;
 use solaspect::instrument::{DEMO_NAVIGATION, Instrument};
 use solaspect::link::{Connection, Propagated, SerialPort};
 use solaspect::navigation::Settings;
@@ -60,6 +61,7 @@ impl Parts {
                 settings_toml: DEMO_NAVIGATION.into(),
                 imu: None,
                 gps: Some(Connection::over(near)),
+                clock: FlightClock::starting(start),
             },
             sensors: Sensors::new(
                 telescope(instrument, start),
