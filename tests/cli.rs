@@ -147,7 +147,7 @@ fn every_bad_file_has_a_clear_line_and_the_rest_of_the_batch_goes_on() {
         ("missing.fits", "expected to read the file"),
         ("empty.fits", "expected"),
         ("truncated.fits", "expected"),
-        ("text.fits", "expected a FITS, PNG or TIFF file"),
+        ("text.fits", "expected a FITS, PNG, TIFF or JPEG file"),
         ("folder.fits", "found a directory"),
         ("cube.fits", "NAXIS"),
         ("float.fits", "BITPIX"),

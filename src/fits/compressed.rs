@@ -94,7 +94,7 @@ impl Tiles {
             algorithm,
             streams,
             gzipped: table.streams("GZIP_COMPRESSED_DATA")?,
-            plain: table.streams("UNCOMPRESSED_DATA")?,
+            plain: table.plain_streams("UNCOMPRESSED_DATA")?,
             quantised: steps
                 .map(|steps| Quantised::new(header, steps))
                 .transpose()?,

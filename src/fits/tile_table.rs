@@ -55,12 +55,26 @@ impl<'a> TileTable<'a> {
         self.data.chunks_exact(self.row_bytes).take(self.tiles)
     }
 
-    /// Where in the file the stream of each tile stands, as the descriptors of a column give it.
+    /// Where in the file the stream of bytes of each tile stands, as the descriptors of a column give it.
     pub fn streams(&self, name: &str) -> Result<Option<Vec<Range<usize>>>, Problem> {
-        let Some((column, start)) = self
-            .column(name)
-            .filter(|(column, _)| column.pointer.is_some())
-        else {
+        self.streams_of(name, |element_bytes| element_bytes == 1)
+    }
+
+    /// The same of tiles that are not compressed: streams of numbers.
+    pub fn plain_streams(&self, name: &str) -> Result<Option<Vec<Range<usize>>>, Problem> {
+        self.streams_of(name, |_| true)
+    }
+
+    fn streams_of(
+        &self,
+        name: &str,
+        allows: impl Fn(usize) -> bool,
+    ) -> Result<Option<Vec<Range<usize>>>, Problem> {
+        let has_streams = |(column, _): &(&Column, usize)| {
+            let element = column.pointer.map(|(_, element_bytes)| element_bytes);
+            element.is_some_and(&allows)
+        };
+        let Some((column, start)) = self.column(name).filter(has_streams) else {
             return Ok(None);
         };
         let streams = self.rows().enumerate().map(|(n, row)| {
