@@ -4,7 +4,7 @@
 use crate::common::refined::{Columns, command, refine, summary, temporary};
 use jiff::{SignedDuration, Timestamp};
 use rayon::prelude::*;
-use solaspect::fits::{self, Card, Compression};
+use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo};
 use solaspect::instrument::{self, Instrument};
 use solaspect::simulate::{FORT_SUMNER, Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
@@ -401,21 +401,39 @@ fn a_flight_of_mirrored_pictures_is_refused() {
     assert!(told.contains("cannot be identified"), "{told}");
 }
 
+/// Gives the gain and the times of a file values that no program expects there.
+fn respell(path: &Path) {
+    let mut bytes = fs::read(path).unwrap();
+    for card in bytes.chunks_exact_mut(80) {
+        if card.starts_with(b"MJD-") {
+            card.fill(b' ');
+        }
+        let value: &[u8] = match &card[..9] {
+            b"GAIN    =" => b" 'High    '",
+            name if name.starts_with(b"DATE-") => b" 'UNKNOWN '",
+            _ => continue,
+        };
+        card[9..].fill(b' ');
+        card[9..9 + value.len()].copy_from_slice(value);
+    }
+    fs::write(path, bytes).unwrap();
+}
+
 #[test]
 fn values_of_headers_that_are_not_used_are_counted_and_an_unread_time_is_a_reason() {
     let [folder, out] = [(); 2].map(|()| temporary());
-    let cards = [Card::new("GAIN", "High"), Card::new("DATE-OBS", "UNKNOWN")];
     for (n, frame) in frames()[..8].iter().enumerate() {
         let mut frame = frame.clone();
-        frame.info.mid_exposure = None;
+        frame.info.analogue_gain = Some(1.5);
         let path = folder.path().join(format!("frame_{n:05}.fits"));
-        fits::write_frame(&path, &frame, &cards, &[], Compression::Rice).unwrap();
+        write(&path, &frame, Compression::Rice);
+        respell(&path);
     }
     let output = refine(folder.path(), out.path(), &[]);
     let [told, logged] =
         [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
     assert!(told.contains("8 files: GAIN: expected"), "{told}");
-    assert!(told.contains("8 files: DATE-OBS: expected"), "{told}");
+    assert!(told.contains("8 files: DATE-"), "{told}");
     assert_eq!(logged.matches("GAIN").count(), 1, "{logged}");
     let warnings = summary(out.path())["warnings"].clone();
     let warnings = warnings.as_object().unwrap();
@@ -426,7 +444,7 @@ fn values_of_headers_that_are_not_used_are_counted_and_an_unread_time_is_a_reaso
     let rows = Columns::read(out.path(), "ASPECT");
     for (reason, x) in rows.texts("REASON").iter().zip(rows.floats("SUN_X_MIL")) {
         assert!(
-            reason.starts_with("time: DATE-OBS: expected") && x.is_finite(),
+            reason.starts_with("time: DATE-") && x.is_finite(),
             "{reason}"
         );
     }
