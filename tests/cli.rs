@@ -149,8 +149,8 @@ fn every_bad_file_has_a_clear_line_and_the_rest_of_the_batch_goes_on() {
         ("truncated.fits", "expected"),
         ("text.fits", "expected a FITS, PNG, TIFF or JPEG file"),
         ("folder.fits", "found a directory"),
-        ("cube.fits", "NAXIS"),
-        ("float.fits", "BITPIX"),
+        ("cube.fits", "size: expected 1296 x 966 px"),
+        ("float.fits", "size: expected 1296 x 966 px"),
         (
             "small.fits",
             "expected 1296 x 966 px as of instrument \"demo\", found 64 x 64",

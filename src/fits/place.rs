@@ -25,7 +25,8 @@ pub(super) fn read_place(values: &mut Values) -> (Option<Place>, Option<Warning>
 }
 
 fn place(values: &mut Values) -> Option<Place> {
-    let forms: [([&str; 3], fn([f64; 3]) -> Result<Place, Problem>); 3] = [
+    type Convert = fn([f64; 3]) -> Result<Place, Problem>;
+    let forms: [([&str; 3], Convert); 3] = [
         (GEODETIC, |[b, l, h]| {
             checked("LATITUDE/LONGITUD/HEIGHT", b, l, h)
         }),

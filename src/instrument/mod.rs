@@ -141,8 +141,8 @@ impl Mounting {
 /// A frame that is not this instrument's.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "size: expected {expected_width} x {expected_height} px as of instrument \"{instrument}\", or a part of that with CORNER-X and CORNER-Y \
-     (or XORGSUBF and YORGSUBF, DETSEC, CCDSEC), found {width} x {height}"
+    "size: expected {expected_width} x {expected_height} px as of instrument \"{instrument}\", found {width} x {height}; a part of the sensor \
+     is placed by CORNER-X and CORNER-Y (or XORGSUBF and YORGSUBF, DETSEC, CCDSEC)"
 )]
 pub struct WrongSize {
     pub instrument: String,

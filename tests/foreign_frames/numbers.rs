@@ -78,7 +78,7 @@ fn whole_numbers_that_fit_are_the_pixels_themselves() {
 
 /// Where the limb and marks are: every 401st pixel of the picture, 3,122 in all.
 fn is_hit(n: usize) -> bool {
-    n % 401 == 0
+    n.is_multiple_of(401)
 }
 
 #[test]
@@ -86,7 +86,13 @@ fn pixels_without_a_value_are_masked_and_counted() {
     let hit = (0..PIXELS.len()).filter(|n| is_hit(*n)).count();
     let nan = |n, dn: u8| if is_hit(n) { f32::NAN } else { f32::from(dn) };
     let minus = |n, dn: u8| if is_hit(n) { -32_768 } else { i16::from(dn) };
-    let vast = |n, dn: u8| if n % 40_009 == 0 { 1e30 } else { f32::from(dn) };
+    let vast = |n: usize, dn: u8| {
+        if n.is_multiple_of(40_009) {
+            1e30
+        } else {
+            f32::from(dn)
+        }
+    };
     for (what, count, bytes) in [
         (
             "not a number",

@@ -216,7 +216,7 @@ NAIVE = datetime.datetime(2013, 9, 21, 18)
         ({"array": FRAME[0]}, ValueError, "^array: expected 2 dimensions .* found 1$"),
         ({"array": FRAME[None]}, ValueError, "^array: expected 2 dimensions .* found 3$"),
         ({"array": FRAME[:0]}, ValueError, "^array: expected a frame of at least one pixel"),
-        ({"array": FRAME.T}, ValueError, '^array: size: expected 1296 x 966 px as of instrument "demo", found 966 x 1296$'),
+        ({"array": FRAME.T}, ValueError, '^array: size: expected 1296 x 966 px as of instrument "demo", found 966 x 1296; a part of the sensor is placed by CORNER-X and CORNER-Y'),
         ({"time": "2013-09-21T18:00:00"}, ValueError, "^time: expected a time with its zone"),
         ({"time": "yesterday"}, ValueError, "^time: expected a time with its zone"),
         ({"time": NAIVE}, ValueError, "^time: expected a datetime with its zone"),

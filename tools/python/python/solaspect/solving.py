@@ -73,7 +73,7 @@ def solve(
     >>> solaspect.solve(frame.array[:100])
     Traceback (most recent call last):
         ...
-    ValueError: array: size: expected 1296 x 966 px as of instrument "demo", found 1296 x 100
+    ValueError: array: size: expected 1296 x 966 px as of instrument "demo", found 1296 x 100; a part of the sensor is placed by CORNER-X and CORNER-Y (or XORGSUBF and YORGSUBF, DETSEC, CCDSEC)
     >>> solaspect.solve(frame.array, time="2013-09-21T18:00:00")
     Traceback (most recent call last):
         ...
