@@ -277,7 +277,8 @@ fn an_imu_in_other_units_is_a_failure_that_asks_for_them() {
         duration_s: 60.0,
         ..FlightPlan::balloon()
     };
-    let units: [(_, fn(&mut [f64]), _); 4] = [
+    type Convert = fn(&mut [f64]);
+    let units: [(_, Convert, _); 4] = [
         (
             "g",
             |row| row[1..4].iter_mut().for_each(|f| *f /= G_M_S2),

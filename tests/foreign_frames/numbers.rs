@@ -226,7 +226,7 @@ fn compressed_floats_have_the_values_that_cfitsio_reads() {
     values[4000..4160].fill(3.25);
     let (rice, gzip, gzip2) = (sys::RICE_1 as i32, sys::GZIP_1 as i32, sys::GZIP_2 as i32);
     let dithers = [
-        sys::NO_DITHER as i32,
+        sys::NO_DITHER,
         sys::SUBTRACTIVE_DITHER_1 as i32,
         sys::SUBTRACTIVE_DITHER_2 as i32,
     ];

@@ -197,7 +197,8 @@ fn of_the_pages_of_a_tiff_the_one_of_the_sensors_size_is_read() {
 #[test]
 fn a_tiff_of_other_numbers_gives_the_sun() {
     let (width, height) = (SIZE[0] as u32, SIZE[1] as u32);
-    let tiff = |write: &dyn Fn(&mut TiffEncoder<&mut Cursor<Vec<u8>>>)| {
+    type Encoder<'a> = TiffEncoder<&'a mut Cursor<Vec<u8>>>;
+    let tiff = |write: &dyn Fn(&mut Encoder)| {
         let mut bytes = Cursor::new(Vec::new());
         write(&mut TiffEncoder::new(&mut bytes).unwrap());
         read(&bytes.into_inner(), "picture.tif")
