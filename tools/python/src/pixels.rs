@@ -109,7 +109,9 @@ fn frame_of_values(
     let array: Bound<'_, PyArray2<f32>> = contiguous(array, "float32")?;
     let py = array.py();
     let values = array.readonly();
-    let values = values.as_slice().map_err(|error| value_error("array", error))?;
+    let values = values
+        .as_slice()
+        .map_err(|error| value_error("array", error))?;
     let saturation = saturation_dn.map(f64::from);
     py.detach(|| fits::frame_of_values(values, bits, size, saturation, info))
         .map_err(|problem| value_error("array", problem))
