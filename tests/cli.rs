@@ -150,7 +150,7 @@ fn every_bad_file_has_a_clear_line_and_the_rest_of_the_batch_goes_on() {
         ("text.fits", "expected a FITS, PNG, TIFF or JPEG file"),
         ("folder.fits", "found a directory"),
         ("cube.fits", "size: expected 1296 x 966 px"),
-        ("float.fits", "size: expected 1296 x 966 px"),
+        ("float.fits", "pixels: expected some pixel with a value"),
         (
             "small.fits",
             "expected 1296 x 966 px as of instrument \"demo\", found 64 x 64",
