@@ -72,13 +72,15 @@ pub fn frame(
     let pixels: Box<dyn SharedPixels> = match (dtype.kind(), dtype.itemsize()) {
         (b'u', 1) => Box::new(ArrayPixels::<u8>::new(&contiguous(array, "uint8")?)),
         (b'u', 2) => Box::new(ArrayPixels::<u16>::new(&contiguous(array, "uint16")?)),
-        (b'u' | b'i', _) => {
-            check_range(array)?;
+        (b'u' | b'i', _) if are_pixels(array)? => {
             Box::new(ArrayPixels::<u16>::new(&contiguous(array, "uint16")?))
         }
+        (b'u' | b'i', _) => {
+            return frame_of_values(array, 16, [width, height], saturation_dn, info);
+        }
+        (b'f', _) => return frame_of_values(array, -32, [width, height], saturation_dn, info),
         _ => {
-            let expected =
-                "whole numbers from 0 to 65535 DN in uint8, uint16 or another integer dtype";
+            let expected = "numbers of an integer or floating-point dtype";
             let problem = format!("array: expected {expected}, found dtype {dtype}");
             return Err(PyTypeError::new_err(problem));
         }
