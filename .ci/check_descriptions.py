@@ -354,7 +354,7 @@ def earlier_layouts(commands, data, definition):
     packet = next(data[m.start():] for m in re.finditer(b"\x9a\xc3\x70\x30", data))
     payload = packet[16:16 + int.from_bytes(packet[4:6], "little")]
     length, packets = 1, []
-    layouts = sum(name.startswith("Housekeeping") for name in definition.containers)
+    layouts = sum(bool(re.fullmatch(r"Housekeeping\d+", name)) for name in definition.containers)
     for layout in range(1, layouts + 1):
         entries = definition.containers[f"Housekeeping{layout}"].entry_list
         length += sum(entry.parameter_type.encoding.size_in_bits for entry in entries) // 8
