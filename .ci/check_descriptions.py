@@ -24,6 +24,8 @@ from space_packet_parser.xtce.validation import validate_xtce
 
 warnings.simplefilter("error")
 PROGRAM, KAITAI, XTCE, PACKETS, WORK = sys.argv[1:]
+# The newest layout of housekeeping.
+LAYOUTS = max(map(int, re.findall(r'"Housekeeping(\d+)"', Path(XTCE).read_text())))
 sys.path.insert(0, KAITAI)
 from solaspect_link import SolaspectLink  # noqa: E402
 
@@ -289,7 +291,7 @@ def check_housekeeping(body, words):
             found = getattr(body, name)
             same_field("ksy: field of housekeeping", name, int(found) if isinstance(found, int) else found, told)
         else:
-            check("ksy: field absent", body.layout < 6, True)
+            check("ksy: field absent", body.layout < LAYOUTS, True)
     check("ksy: rest of housekeeping", body.rest, b"")
 
 
@@ -309,7 +311,7 @@ def check_xtce(definition, packet, body, words):
         for field, told in told_by_housekeeping(words):
             names = [f"{field}_{n + 1}" for n in range(len(told))] if isinstance(told, list) else [field]
             if names[0] not in read:
-                check("xtce: field absent", body.layout < 6, True)
+                check("xtce: field absent", body.layout < LAYOUTS, True)
                 continue
             values = [read[n].raw_value for n in names]
             same_field("xtce: field of housekeeping", field, values if isinstance(told, list) else values[0], told)
@@ -354,8 +356,7 @@ def earlier_layouts(commands, data, definition):
     packet = next(data[m.start():] for m in re.finditer(b"\x9a\xc3\x70\x30", data))
     payload = packet[16:16 + int.from_bytes(packet[4:6], "little")]
     length, packets = 1, []
-    layouts = sum(bool(re.fullmatch(r"Housekeeping\d+", name)) for name in definition.containers)
-    for layout in range(1, layouts + 1):
+    for layout in range(1, LAYOUTS + 1):
         entries = definition.containers[f"Housekeeping{layout}"].entry_list
         length += sum(entry.parameter_type.encoding.size_in_bits for entry in entries) // 8
         cut = bytes([layout]) + payload[1:length]
