@@ -372,6 +372,7 @@ fn flight(plan: &FlightPlan, seed: u64, change: impl Fn(&mut Settings)) -> (Flig
         t_s: row.t_s,
         force_m_s2: row.specific_force_m_s2,
         rate_rad_s: row.rate_rad_s,
+        time_step_s: 0.0,
     });
     let fixes: Vec<Fix> = flown
         .gps

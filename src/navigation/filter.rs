@@ -94,6 +94,14 @@ impl Filter {
         self.since = Transition::none();
     }
 
+    /// Forgets of the attitude so much, about each axis, rad^2.
+    pub fn open(&mut self, variance_rad2: f64) {
+        self.settle();
+        for n in ATTITUDE..ATTITUDE + 3 {
+            self.covariance[(n, n)] += variance_rad2;
+        }
+    }
+
     /// Takes a fix: position and, where there is one, velocity, one after the other.
     pub fn take_fix(&mut self, fix: &Fix) -> [Option<Innovation>; 2] {
         let gps = self.model.settings.gps;

@@ -1,6 +1,6 @@
 //! What sensors say of the motion, each at its own time.
 
-use super::settings::Target;
+use super::settings::{Imu, Target};
 use nalgebra::{UnitVector3, Vector3};
 
 /// The mean of specific force and rate against inertial space over the interval that ends at a time, in the body's axes.
@@ -9,11 +9,12 @@ pub struct ImuSample {
     pub t_s: f64,
     pub force_m_s2: Vector3<f64>,
     pub rate_rad_s: Vector3<f64>,
+    /// By how much its time steps against the count of the samples, s; 0 where nothing counts them.
+    pub time_step_s: f64,
 }
 
-/// A larger specific force (50 g) or rate is in other units, or none.
+/// A larger specific force (50 g) is in other units, or none.
 const MOST_FORCE_M_S2: f64 = 500.0;
-const MOST_RATE_RAD_S: f64 = 60.0;
 
 /// From the Earth's centre, m; and the fastest, m/s.
 const DISTANCES_M: std::ops::Range<f64> = 6.3e6..1e8;
@@ -30,12 +31,12 @@ pub struct Implausible {
 
 impl ImuSample {
     /// # Errors
-    /// A force or a rate that no vehicle feels.
-    pub fn check(&self) -> Result<(), Implausible> {
+    /// A force that no vehicle feels, or a rate beyond the one that is stated of this vehicle.
+    pub fn check(&self, imu: &Imu) -> Result<(), Implausible> {
         let (force, rate) = (self.force_m_s2.norm(), self.rate_rad_s.norm());
         for (what, unit, size, most) in [
             ("specific force", "m/s^2", force, MOST_FORCE_M_S2),
-            ("rate", "rad/s", rate, MOST_RATE_RAD_S),
+            ("rate", "rad/s", rate, imu.most_rate_rad_s),
         ] {
             if size > most {
                 return Err(Implausible {

@@ -8,17 +8,20 @@
 //! 3. `transition`: how errors of motion and IMU grow meanwhile; `states` lists them all.
 //! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are taken away.
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
-//! 5. `run`: many refused measurements in a row, and the filter begins anew.
-//! 6. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
-//! 7. `offset` tells from the attitude how far the telescope is from its target.
-//! 8. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
+//! 5. `soundness`: what an IMU's values do not tell, as they show by themselves; `doubts`: what is not known where directions contradict
+//!    the filter. Both grow its covariance.
+//! 6. `run`: many refused measurements in a row, and the filter begins anew.
+//! 7. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
+//! 8. `offset` tells from the attitude how far the telescope is from its target.
+//! 9. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
 //!    on disk meanwhile, and `aem` writes them for others' programs.
-//! 9. `suspected`: which other units the IMU's numbers may be in.
-//! 10. `constants` are the sensors' errors that stay: what a flight teaches the next one.
+//! 10. `suspected`: which other units the IMU's numbers may be in.
+//! 11. `constants` are the sensors' errors that stay: what a flight teaches the next one.
 
 pub mod aem;
 mod begin;
 mod constants;
+mod doubts;
 mod due;
 mod earth;
 mod estimate;
@@ -34,6 +37,7 @@ mod run;
 mod settings;
 mod smooth;
 mod solve;
+mod soundness;
 mod spool;
 mod states;
 mod suspected;
@@ -53,6 +57,7 @@ pub use run::Flight;
 pub use settings::{CAMERAS_IN_FLIGHT, Camera, Gps, Group, Imu, Settings, Target, Vertical};
 pub use smooth::smooth;
 pub use solve::{Row, SensorErrors, Status, Summary, solve};
+pub use soundness::Unsound;
 pub use spool::Spool;
 pub use suspected::suspected_units;
 pub use targets::{NoDirection, Sky, Targets};

@@ -36,6 +36,16 @@ pub struct Lost {
     pub angular_random_walk: f64,
 }
 
+impl Lost {
+    pub fn and(&self, other: &Self) -> Self {
+        let both = |a: f64, b: f64| a.hypot(b);
+        Self {
+            velocity_random_walk: both(self.velocity_random_walk, other.velocity_random_walk),
+            angular_random_walk: both(self.angular_random_walk, other.angular_random_walk),
+        }
+    }
+}
+
 impl Interval {
     pub fn length_s(&self) -> f64 {
         self.to_s - self.from_s

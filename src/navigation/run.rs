@@ -1,24 +1,29 @@
 //! A flight through the filter: IMU samples in their order, each measurement at its own time between them.
 
 use super::begin::{Waiting, white_rad};
+use super::doubts::{Doubts, Remedy};
 use super::filter::{Filter, Trust};
-use super::measurement::{ImuSample, Innovation, Measurement, Source, Verdict};
+use super::measurement::{ImuSample, Innovation, Measurement, Sighting, Source, Verdict};
 use super::model::Model;
 use super::motion::{Interval, Lost};
 use super::settings::{Settings, Target};
-use super::states::{Choice, Layout};
+use super::soundness::{Soundness, Unsound};
+use super::states::{ATTITUDE, Choice, Layout};
 use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// So many refused measurements of one kind in a row, over so long, and the filter has gone wrong.
 const REFUSED_IN_A_ROW: u32 = 15;
 const REFUSED_S: f64 = 3.0;
-/// It is not begun anew sooner than that after the last time: a camera that slipped would begin it again and again.
+/// It is not begun anew for that sooner than so after the last time: a receiver that is wrong would begin it again and again.
 const RESTART_PAUSE_S: f64 = 60.0;
 /// Without a direction for so long the attitude is the gyros' alone.
 pub(super) const COASTING_S: f64 = 10.0;
 /// So long after it has begun anew a row says so.
 pub(super) const RESTARTED_S: f64 = 10.0;
+/// Where less is known of the attitude than this, rad, and than half of what it began with, the filter begins anew.
+const UNKNOWN_RAD: f64 = 0.2;
+const WORSE: f64 = 2.0;
 /// Neighbours that far apart, in intervals, tell nothing of how force and rate change.
 const NEIGHBOUR: f64 = 1.5;
 
@@ -165,6 +170,14 @@ pub(super) struct Run {
     pub restarted_s: Option<f64>,
     pub restarts: u32,
     refused: Vec<(Source, u32, f64)>,
+    pub doubts: Doubts,
+    /// By which the attitude was opened at the last measurements, about each axis, rad^2.
+    pub opened_rad2: f64,
+    soundness: Soundness,
+    /// What a sample does not tell of its interval, and which sample it is.
+    unknown: Option<(usize, Lost)>,
+    /// 1 sigma of the attitude when the filter began, of its worst axis.
+    begun_rad: f64,
 }
 
 impl Run {
@@ -179,12 +192,40 @@ impl Run {
             restarted_s: None,
             restarts: 0,
             refused: Vec::new(),
+            doubts: Doubts::default(),
+            opened_rad2: 0.0,
+            soundness: Soundness::default(),
+            unknown: None,
+            begun_rad: 0.0,
         }
+    }
+
+    /// What the last sample has shown of the IMU.
+    pub fn unsound(&self) -> Option<Unsound> {
+        self.soundness.found()
+    }
+
+    /// The interval of the present sample, with what that does not tell.
+    fn interval(&mut self, flight: &Flight) -> Option<Interval> {
+        let told = flight.interval(self.sample)?;
+        let unknown = match self.unknown {
+            Some((sample, unknown)) if sample == self.sample => unknown,
+            _ => {
+                let (sample, imu) = (&flight.imu[self.sample], &self.model.settings.imu);
+                let unknown = self.soundness.judge(sample, told.length_s(), imu);
+                self.unknown = Some((self.sample, unknown));
+                unknown
+            }
+        };
+        Some(Interval {
+            lost: told.lost.and(&unknown),
+            ..told
+        })
     }
 
     /// Goes on to the next sample, or to the next time of which there are measurements; `None` at the end. `each` learns of innovations.
     pub fn step(&mut self, flight: &Flight, each: &mut impl FnMut(Innovation)) -> Option<Stop> {
-        let interval = flight.interval(self.sample)?;
+        let interval = self.interval(flight)?;
         self.at_s = self.at_s.max(interval.from_s);
         loop {
             let due = flight.measurements.get(self.measurement);
@@ -208,6 +249,7 @@ impl Run {
     /// Takes the measurements of a time. What was measured before the IMU began has no time to stand at.
     fn take_all(&mut self, flight: &Flight, t_s: f64, each: &mut impl FnMut(Innovation)) -> Begun {
         let mut begun = Begun::Before;
+        self.opened_rad2 = 0.0;
         while let Some(measurement) = flight.measurements.get(self.measurement) {
             if measurement.t_s() > t_s {
                 break;
@@ -223,6 +265,9 @@ impl Run {
     /// Goes on as if the flight had begun so many samples and measurements later.
     pub fn forget(&mut self, samples: usize, measurements: usize) {
         self.sample -= samples;
+        self.unknown = self
+            .unknown
+            .map(|(sample, lost)| (sample.saturating_sub(samples), lost));
         self.measurement -= measurements;
     }
 
@@ -240,7 +285,8 @@ impl Run {
     /// The filter as it arrives at a time within the present interval, before any measurement.
     pub fn carried_to(&self, flight: &Flight, to_s: f64) -> Option<Filter> {
         let mut run = self.clone();
-        run.advance(&flight.interval(self.sample)?, to_s);
+        let interval = run.interval(flight)?;
+        run.advance(&interval, to_s);
         match run.phase {
             Phase::Running(filter) => Some(*filter),
             Phase::Waiting(_) => None,
@@ -251,7 +297,13 @@ impl Run {
         if to_s <= self.at_s {
             return;
         }
+        let doubt = Lost {
+            angular_random_walk: self.doubts.angular_random_walk(),
+            velocity_random_walk: 0.0,
+        };
         let part = interval.part(self.at_s, to_s);
+        let lost = part.lost.and(&doubt);
+        let part = Interval { lost, ..part };
         match &mut self.phase {
             Phase::Waiting(waiting) => waiting.advance(&part, &self.model.settings.imu),
             Phase::Running(filter) => filter.advance(&part),
@@ -268,15 +320,24 @@ impl Run {
             }
             (Phase::Waiting(waiting), Measurement::Fix(fix)) => {
                 if let Some(filter) = waiting.begin(&model, fix) {
+                    self.begun_rad = worst_rad(&filter);
                     self.phase = Phase::Running(Box::new(filter));
                     self.seen_s = fix.t_s;
                     return Begun::Anew;
                 }
             }
             (Phase::Running(filter), Measurement::Sighting(sighting)) => {
+                filter.settle();
+                let worst_rad = worst_rad(filter);
+                if worst_rad > UNKNOWN_RAD && worst_rad > WORSE * self.begun_rad {
+                    self.begin_anew(sighting.t_s);
+                    return self.take(measurement, each);
+                }
                 let white_rad = white_rad(settings, &model.layout, sighting);
                 let innovation = filter.take_sighting(sighting, white_rad, Trust::Tested);
-                innovation.into_iter().for_each(|one| self.note(one, each));
+                if let Some(innovation) = innovation {
+                    self.note_sighting(sighting, innovation, each);
+                }
             }
             (Phase::Running(filter), Measurement::Fix(fix)) => {
                 let innovations = filter.take_fix(fix);
@@ -285,6 +346,49 @@ impl Run {
             }
         }
         Begun::Before
+    }
+
+    /// What a direction makes of the doubts, and they of the filter.
+    fn note_sighting(
+        &mut self,
+        sighting: &Sighting,
+        innovation: Innovation,
+        each: &mut impl FnMut(Innovation),
+    ) {
+        let Phase::Running(filter) = &mut self.phase else {
+            return;
+        };
+        let towards = filter.towards(sighting);
+        if innovation.verdict == Verdict::Taken {
+            self.doubts.take(sighting, towards, &innovation);
+            return self.note(innovation, each);
+        }
+        match self.doubts.refuse(sighting, towards, &innovation) {
+            Remedy::Wait => self.note(innovation, each),
+            Remedy::BeginAnew => {
+                each(innovation);
+                self.begin_anew(sighting.t_s);
+            }
+            Remedy::Open { rad } => {
+                each(innovation);
+                self.opened_rad2 += rad * rad;
+                filter.open(rad * rad);
+                let white_rad = white_rad(&self.model.settings, &self.model.layout, sighting);
+                let taken = filter.take_sighting(sighting, white_rad, Trust::Blind);
+                if let Some(taken) = taken {
+                    self.doubts.take(sighting, towards, &taken);
+                    self.note(taken, each);
+                }
+            }
+        }
+    }
+
+    fn begin_anew(&mut self, t_s: f64) {
+        self.refused.clear();
+        self.doubts = Doubts::default();
+        self.restarts += 1;
+        self.restarted_s = Some(t_s);
+        self.phase = Phase::Waiting(Waiting::default());
     }
 
     /// Counts what is refused in a row: a filter that has gone wrong waits again.
@@ -312,10 +416,13 @@ impl Run {
             .restarted_s
             .is_some_and(|last| t_s - last < RESTART_PAUSE_S);
         if self.refused.iter().any(is_wrong) && !is_soon {
-            self.refused.clear();
-            self.restarts += 1;
-            self.restarted_s = Some(t_s);
-            self.phase = Phase::Waiting(Waiting::default());
+            self.begin_anew(t_s);
         }
     }
+}
+
+/// 1 sigma of the attitude about its worst axis, at measurements.
+fn worst_rad(filter: &Filter) -> f64 {
+    let sigmas = (0..3).map(|n| filter.sigma(ATTITUDE + n));
+    sigmas.fold(0.0, f64::max)
 }

@@ -76,6 +76,11 @@ const MOST_ACCELEROMETER_BIAS: f64 = 10.0;
 const MOST_GYRO_BIAS: f64 = 1.0;
 const MOST_ANTENNA_M: f64 = 1000.0;
 
+/// No vehicle turns faster, rad/s: a larger rate is in other units.
+const MOST_RATE_RAD_S: f64 = 60.0;
+/// No range or limit of an IMU is larger, in the units of its key.
+const MOST_OF_RANGE: f64 = 1e5;
+
 /// No sensor's times are off by more.
 const MOST_DELAY_S: f64 = 1.0;
 
@@ -95,6 +100,12 @@ pub struct Imu {
     pub gyro_bias_rad_s: Vector3<f64>,
     /// Its times are late by this.
     pub delay_s: f64,
+    /// What its axes can measure.
+    pub accelerometer_range_m_s2: Option<f64>,
+    pub gyro_range_rad_s: Option<f64>,
+    /// The vehicle turns no faster, and its rate changes no faster.
+    pub most_rate_rad_s: f64,
+    pub most_turn_rad_s2: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -170,6 +181,10 @@ struct RawImu {
     extra_velocity_random_walk: f64,
     extra_angular_random_walk: f64,
     delay_s: f64,
+    accelerometer_range_m_s2: Option<f64>,
+    gyro_range_deg_s: Option<f64>,
+    most_rate_deg_s: Option<f64>,
+    most_turn_deg_s2: Option<f64>,
 }
 
 #[derive(Deserialize, Default)]
@@ -221,6 +236,10 @@ const KEYS: &[&str] = &[
     "imu.extra_velocity_random_walk",
     "imu.extra_angular_random_walk",
     "imu.delay_s",
+    "imu.accelerometer_range_m_s2",
+    "imu.gyro_range_deg_s",
+    "imu.most_rate_deg_s",
+    "imu.most_turn_deg_s2",
     "filter.considered",
     "filter.plumb_sigma_deg",
     "gps.position_sigma_m",
@@ -370,6 +389,18 @@ impl Check<'_> {
         }
     }
 
+    /// A number above 0, where there is one.
+    fn limit(&self, field: &str, value: Option<f64>) -> Result<Option<f64>, TomlError> {
+        let is_limit = |value: &f64| *value > 0.0 && *value <= MOST_OF_RANGE;
+        match value {
+            Some(value) if !is_limit(&value) => {
+                let expected = format!("a number above 0, to {MOST_OF_RANGE}");
+                Err(self.error(field, &expected, value))
+            }
+            value => Ok(value),
+        }
+    }
+
     fn degrees(&self, field: &str, value: f64) -> Result<f64, TomlError> {
         Ok(self.sigma(field, value, 30.0)?.to_radians())
     }
@@ -383,6 +414,7 @@ impl RawImu {
             Ok(value.hypot(check.sigma(&field, extra, 10.0)?))
         };
         let ppm = |field, value| Ok(check.sigma(field, value, 1e5)? * 1e-6);
+        let degrees = |field, value| Ok(check.limit(field, value)?.map(f64::to_radians));
         Ok(Imu {
             velocity_random_walk: walk(
                 "imu.velocity_random_walk",
@@ -418,6 +450,14 @@ impl RawImu {
             misalignment_rad: check
                 .degrees("imu.misalignment_sigma_deg", self.misalignment_sigma_deg)?,
             delay_s: check.delay("imu.delay_s", self.delay_s)?,
+            accelerometer_range_m_s2: check.limit(
+                "imu.accelerometer_range_m_s2",
+                self.accelerometer_range_m_s2,
+            )?,
+            gyro_range_rad_s: degrees("imu.gyro_range_deg_s", self.gyro_range_deg_s)?,
+            most_rate_rad_s: degrees("imu.most_rate_deg_s", self.most_rate_deg_s)?
+                .map_or(MOST_RATE_RAD_S, |most| most.min(MOST_RATE_RAD_S)),
+            most_turn_rad_s2: degrees("imu.most_turn_deg_s2", self.most_turn_deg_s2)?,
         })
     }
 }

@@ -18,15 +18,31 @@ pub enum Status {
     Coasting,
     /// The filter had gone wrong, and began anew in the last 10 s.
     Restarted,
+    /// Directions contradict the gyros: the attitude is less certain by what they differ.
+    Contradicted,
+    /// The IMU's last values tell less than they say.
+    Unsound,
 }
 
 impl Status {
+    /// In the order of their numbers.
+    pub const ALL: [Self; 6] = [
+        Self::Waiting,
+        Self::Aligned,
+        Self::Coasting,
+        Self::Restarted,
+        Self::Contradicted,
+        Self::Unsound,
+    ];
+
     pub fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
             Self::Aligned => "aligned",
             Self::Coasting => "coasting",
             Self::Restarted => "restarted",
+            Self::Contradicted => "contradicted",
+            Self::Unsound => "unsound",
         }
     }
 }
@@ -133,7 +149,10 @@ impl Summary {
 pub(super) fn row(run: &Run, t_s: f64) -> Row {
     let attitude = match &run.phase {
         Phase::Waiting(_) => None,
-        Phase::Running(filter) => Some((filter.estimate.motion, filter.attitude_covariance())),
+        Phase::Running(filter) => {
+            let covariance = filter.attitude_covariance() + run.doubts.covariance(t_s);
+            Some((filter.estimate.motion, covariance))
+        }
     };
     Row {
         t_s,
@@ -146,6 +165,8 @@ fn status(run: &Run, t_s: f64) -> Status {
     let is_new = run.restarted_s.is_some_and(|at_s| t_s - at_s < RESTARTED_S);
     match &run.phase {
         Phase::Waiting(_) => Status::Waiting,
+        Phase::Running(_) if run.unsound().is_some() => Status::Unsound,
+        Phase::Running(_) if run.doubts.any() => Status::Contradicted,
         Phase::Running(_) if is_new => Status::Restarted,
         Phase::Running(_) if t_s - run.seen_s > COASTING_S => Status::Coasting,
         Phase::Running(_) => Status::Aligned,

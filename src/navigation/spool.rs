@@ -121,15 +121,11 @@ fn decoded(bytes: &[u8; ROW_BYTES]) -> Row {
         attitude: UnitQuaternion::new_unchecked(turn),
     };
     let covariance = Matrix3::from_column_slice(&numbers[11..20]);
+    let status = Status::ALL.get(usize::from(bytes[ROW_BYTES - 1]));
     Row {
         t_s: numbers[0],
         attitude: has_attitude.then_some((motion, covariance)),
-        status: match bytes[ROW_BYTES - 1] {
-            1 => Status::Aligned,
-            2 => Status::Coasting,
-            3 => Status::Restarted,
-            _ => Status::Waiting,
-        },
+        status: status.copied().unwrap_or(Status::Waiting),
     }
 }
 
@@ -157,14 +153,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = Spool::in_folder(folder.path()).unwrap();
         assert!(spool.is_empty());
-        let all = [
-            Status::Waiting,
-            Status::Aligned,
-            Status::Coasting,
-            Status::Restarted,
-        ];
+        let all = Status::ALL;
         let count = 2 * BLOCK as u64 + 10;
-        let mut rows: Vec<Row> = (0..count).map(|n| row(n, all[n as usize % 4])).collect();
+        let mut rows: Vec<Row> = (0..count)
+            .map(|n| row(n, all[n as usize % all.len()]))
+            .collect();
         for row in &rows {
             spool.push(row).unwrap();
         }

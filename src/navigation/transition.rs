@@ -79,6 +79,14 @@ impl Transition {
         self.time_s += h;
     }
 
+    /// The same, the attitude opened at its end by so much about each axis, rad^2.
+    pub fn opened(mut self, variance_rad2: f64) -> Self {
+        for n in ATTITUDE..ATTITUDE + 3 {
+            self.noise[(n, n)] += variance_rad2;
+        }
+        self
+    }
+
     /// From an instant within it to its end, where this is up to the end and `before` up to that instant.
     pub fn since(&self, before: &Self) -> Option<Self> {
         let early = before.matrix.fixed_columns::<MOTION>(0).into_owned();

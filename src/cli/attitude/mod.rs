@@ -201,18 +201,20 @@ impl<'a> Attitude<'a> {
         let refused = innovations.filter(|one| one.verdict == Verdict::Refused);
         let refused = refused.count();
         say(format_args!(
-            "{} rows: {} aligned, {} coasting, {} waiting, {} after {}; {} of {} measurements refused",
+            "{} rows: {} aligned, {} coasting, {} contradicted, {} by an unsound IMU, {} waiting, {} after {}; {} of {} measurements refused",
             counts.rows(),
-            counts.aligned,
-            counts.coasting,
-            counts.waiting,
-            counts.restarted,
+            counts.of(Status::Aligned),
+            counts.of(Status::Coasting),
+            counts.of(Status::Contradicted),
+            counts.of(Status::Unsound),
+            counts.of(Status::Waiting),
+            counts.of(Status::Restarted),
             counted(u64::from(summary.restarts), "restart"),
             refused,
             summary.innovations.len()
         ))?;
         let mostly_refused = refused as f64 > MOSTLY * summary.innovations.len() as f64;
-        let is_found = counts.waiting < counts.rows();
+        let is_found = counts.of(Status::Waiting) < counts.rows();
         if is_found && !mostly_refused && self.suspected.is_empty() {
             return Ok(ExitCode::SUCCESS);
         }
@@ -270,25 +272,22 @@ fn look_over(spool: &mut Spool, wanted: &AttitudeArgs) -> std::io::Result<(Count
 /// Rows by their status.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Counts {
-    pub aligned: u64,
-    pub coasting: u64,
-    pub waiting: u64,
-    pub restarted: u64,
+    /// In the order of [`Status::ALL`].
+    by_status: [u64; Status::ALL.len()],
     /// At the rate that is wanted.
     pub written: u64,
 }
 
 impl Counts {
+    pub fn of(&self, status: Status) -> u64 {
+        self.by_status[status as usize]
+    }
+
     pub fn rows(&self) -> u64 {
-        self.aligned + self.coasting + self.waiting + self.restarted
+        self.by_status.iter().sum()
     }
 
     fn count(&mut self, row: &Row) {
-        match row.status {
-            Status::Aligned => self.aligned += 1,
-            Status::Coasting => self.coasting += 1,
-            Status::Waiting => self.waiting += 1,
-            Status::Restarted => self.restarted += 1,
-        }
+        self.by_status[row.status as usize] += 1;
     }
 }

@@ -1,7 +1,7 @@
 //! What a page shows of an attitude.
 
 use super::Counts;
-use crate::navigation::{SensorErrors, Settings, Source, Summary, Verdict};
+use crate::navigation::{SensorErrors, Settings, Source, Status, Summary, Verdict};
 use crate::report::html::Page;
 use crate::report::plot::{Labels, Series, series};
 use crate::units::ARCSEC_PER_RAD;
@@ -21,16 +21,8 @@ pub(in crate::cli) fn add_attitude(
     counts: &Counts,
 ) -> anyhow::Result<()> {
     page.heading("Rows of the attitude");
-    let row = |name: &str, count: u64| vec![name.to_owned(), count.to_string()];
-    page.table(
-        &["status", "rows"],
-        &[
-            row("aligned", counts.aligned),
-            row("coasting", counts.coasting),
-            row("waiting", counts.waiting),
-            row("restarted", counts.restarted),
-        ],
-    );
+    let row = |status: Status| vec![status.name().to_owned(), counts.of(status).to_string()];
+    page.table(&["status", "rows"], &Status::ALL.map(row));
     let clock = Clock::of(settings);
     sigmas(page, clock, summary)?;
     gaps(page, summary);

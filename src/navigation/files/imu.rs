@@ -87,8 +87,9 @@ fn read_samples(path: &Path, settings: &Settings) -> Result<FileRows<ImuSample>,
             t_s: row.time_s()? - settings.imu.delay_s,
             force_m_s2: row.vector(1)?,
             rate_rad_s: row.vector(4)?,
+            time_step_s: 0.0,
         };
-        sample.check()?;
+        sample.check(&settings.imu)?;
         Ok(sample)
     })
 }

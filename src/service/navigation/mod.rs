@@ -6,6 +6,7 @@ mod gps;
 mod inputs;
 mod rows;
 mod sensor;
+mod steps;
 mod tally;
 
 pub(super) use inputs::{Input, Inputs, Seen};
@@ -34,6 +35,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+use steps::Steps;
 
 /// How long the filter waits for an input before it shows that it is at work.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -163,6 +165,7 @@ struct Filter<'a> {
     body_from_telescope: Rotation3<f64>,
     /// The last sample, and the time of the last fix.
     last_sample: Option<ImuPacket>,
+    steps: Steps,
     last_fix: Option<Timestamp>,
     /// What the ground has set, and its version.
     settings: config::Navigation,
@@ -195,6 +198,7 @@ impl<'a> Filter<'a> {
             epoch,
             body_from_telescope: settings.body_from_telescope(),
             last_sample: None,
+            steps: Steps::default(),
             last_fix: None,
             version: own.controls.version(Topic::Other),
             settings: own.controls.config().navigation,
@@ -216,9 +220,10 @@ impl<'a> Filter<'a> {
             t_s,
             force_m_s2: vector(sample.force_m_s2),
             rate_rad_s: vector(sample.rate_rad_s),
+            time_step_s: self.steps.step_s(sample),
         };
         self.count(sample);
-        if let Err(error) = felt.check() {
+        if let Err(error) = felt.check(&self.own.settings.imu) {
             let mut tally = self.own.tally.lock();
             tally.unreadable += 1;
             if worth_a_line(tally.unreadable) {

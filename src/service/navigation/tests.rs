@@ -1,5 +1,7 @@
 //! Flights of simulated sensors through the filter, at the speed of the computer.
 
+mod faults;
+
 use super::*;
 use crate::config::{Config, Switch, Value};
 use crate::geometry::attitude::Direction;
@@ -59,6 +61,8 @@ struct Judged {
     sigmas: Vec<f64>,
     arcsec: Vec<(f64, f64)>,
     roll_deg: Vec<f64>,
+    /// When each was sent, s since the start, and the larger of its errors in sigmas.
+    sent: Vec<(f64, f64)>,
 }
 
 impl Judged {
@@ -174,6 +178,11 @@ impl Judged {
             self.sigmas.push(error_arcsec / judged.sigma_arcsec);
             self.arcsec.push((judged.age_s, error_arcsec));
         }
+        let since_s = said.solution.time.duration_since(start).as_secs_f64();
+        let [across, up] = judged
+            .error_arcsec
+            .map(|error| error.abs() / judged.sigma_arcsec);
+        self.sent.push((since_s, across.max(up)));
         self.roll_deg.push(said.solution.roll_deg);
         self.offsets += 1;
     }

@@ -1,0 +1,197 @@
+//! What is not known of the attitude where directions contradict the filter.
+//!
+//! 1. A direction is refused: it may be wrong, or the filter. What is told of the attitude holds the difference at once.
+//! 2. The next one of its kind is taken, as well: the first was wrong, and the doubt is gone.
+//! 3. It is refused, too: the gyros were wrong. The attitude begins anew from it, and the gyros are believed as far only as directions show
+//!    from then on; that fades while they agree.
+//!
+//! Where a finer direction agreed with the filter meanwhile, the coarser one is in doubt, and what it might tell is the angle about the finer.
+
+use super::measurement::{Innovation, Sighting, Source};
+use nalgebra::{Matrix3, UnitVector3};
+
+/// The gyros are believed again over so long, s.
+const FADES_S: f64 = 1.0;
+/// Directions further apart tell no more of the gyros, s.
+const LONGEST_S: f64 = 1.0;
+/// A difference with a larger chi^2 of its two axes is the gyros'.
+const MOST_CHI2: f64 = 12.0;
+/// Less doubt than this share of the directions' own error is none.
+const NO_DOUBT: f64 = 0.1;
+/// An error that began just before a direction grows by as much in this share of the time to the next.
+const JUST_BEFORE: f64 = 0.2;
+/// A larger difference is beyond what the filter can correct, rad.
+pub(super) const LOST_RAD: f64 = 0.1;
+
+/// A direction as the filter finds it.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    t_s: f64,
+    /// In ECEF.
+    towards: UnitVector3<f64>,
+    sigma_rad: f64,
+    difference_rad: f64,
+    /// Since the last one of its kind that was taken.
+    after_s: f64,
+}
+
+/// A kind of direction that contradicts the filter.
+#[derive(Debug, Clone)]
+struct Refused {
+    source: Source,
+    found: Found,
+    /// A finer direction that agreed with the filter since.
+    finer: Option<UnitVector3<f64>>,
+}
+
+/// What is to be done about a refused direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Remedy {
+    Wait,
+    /// The attitude is unknown by this, about each axis.
+    Open {
+        rad: f64,
+    },
+    /// The filter begins anew.
+    BeginAnew,
+}
+
+/// The doubts at a time.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Doubts {
+    refused: Vec<Refused>,
+    /// When each kind was last taken.
+    taken: Vec<(Source, f64)>,
+    /// What the gyros are believed, beyond their own random walk, rad^2/s.
+    walk_rad2_s: f64,
+}
+
+impl Doubts {
+    /// The gyros' random walk by the doubts, rad/sqrt(s).
+    pub fn angular_random_walk(&self) -> f64 {
+        self.walk_rad2_s.sqrt()
+    }
+
+    /// Whether directions contradict the gyros.
+    pub fn any(&self) -> bool {
+        self.walk_rad2_s > 0.0 || self.refused.iter().any(|one| one.finer.is_none())
+    }
+
+    /// What they add to the covariance of the attitude about the axes of ECEF, rad^2.
+    pub fn covariance(&self, t_s: f64) -> Matrix3<f64> {
+        let of_one = |one: &Refused| {
+            let Found { towards, .. } = one.found;
+            let grown = (t_s - one.found.t_s).max(0.0) / (JUST_BEFORE * one.found.after_s);
+            let known_s = one.found.after_s > 0.0;
+            let rad = one.found.difference_rad * (1.0 + if known_s { grown } else { 0.0 });
+            let across = |unit: &UnitVector3<f64>| unit.into_inner() * unit.transpose();
+            let free = match &one.finer {
+                Some(finer) => across(finer),
+                None => Matrix3::identity() - across(&towards),
+            };
+            free * rad.powi(2)
+        };
+        self.refused.iter().map(of_one).sum()
+    }
+
+    /// Notes a direction that was taken.
+    pub fn take(
+        &mut self,
+        sighting: &Sighting,
+        towards: UnitVector3<f64>,
+        innovation: &Innovation,
+    ) {
+        let found = self.found(sighting, towards, innovation);
+        self.refused.retain(|one| one.source != innovation.source);
+        for other in &mut self.refused {
+            if found.sigma_rad <= other.found.sigma_rad {
+                other.finer = Some(towards);
+            }
+        }
+        self.judge_gyros(&found, innovation);
+        match self
+            .taken
+            .iter_mut()
+            .find(|(source, _)| *source == innovation.source)
+        {
+            Some((_, t_s)) => *t_s = found.t_s,
+            None => self.taken.push((innovation.source, found.t_s)),
+        }
+    }
+
+    /// Notes one that was refused.
+    pub fn refuse(
+        &mut self,
+        sighting: &Sighting,
+        towards: UnitVector3<f64>,
+        innovation: &Innovation,
+    ) -> Remedy {
+        let found = self.found(sighting, towards, innovation);
+        let source = innovation.source;
+        let known = self.refused.iter().position(|one| one.source == source);
+        let finer = known.and_then(|n| self.refused[n].finer);
+        let is_doubted = self.walk_rad2_s > 0.0 || known.is_some();
+        if finer.is_none() && is_doubted {
+            self.refused.retain(|one| one.source != source);
+            if found.difference_rad > LOST_RAD {
+                return Remedy::BeginAnew;
+            }
+            self.doubt_gyros(&found);
+            let rad = found.difference_rad;
+            return Remedy::Open { rad };
+        }
+        match known {
+            Some(n) => self.refused[n].found = found,
+            None => self.refused.push(Refused {
+                source,
+                found,
+                finer,
+            }),
+        }
+        Remedy::Wait
+    }
+
+    fn found(
+        &self,
+        sighting: &Sighting,
+        towards: UnitVector3<f64>,
+        innovation: &Innovation,
+    ) -> Found {
+        let own = |(source, _): &&(Source, f64)| *source == innovation.source;
+        let last_s = self.taken.iter().find(own).map(|(_, t_s)| *t_s);
+        let squares = innovation.axes.iter().map(|(residual, _)| residual.powi(2));
+        Found {
+            t_s: sighting.t_s,
+            towards,
+            sigma_rad: sighting.sigma_rad,
+            difference_rad: squares.sum::<f64>().sqrt(),
+            after_s: last_s.map_or(LONGEST_S, |last_s| (sighting.t_s - last_s).min(LONGEST_S)),
+        }
+    }
+
+    fn doubt_gyros(&mut self, found: &Found) {
+        if found.after_s > 0.0 {
+            let shown = found.difference_rad.powi(2) / found.after_s;
+            self.walk_rad2_s = self.walk_rad2_s.max(shown);
+        }
+    }
+
+    /// Gyros in doubt are believed again while directions agree with them.
+    fn judge_gyros(&mut self, found: &Found, innovation: &Innovation) {
+        if self.walk_rad2_s == 0.0 || found.after_s <= 0.0 {
+            return;
+        }
+        let doubted = self.walk_rad2_s * found.after_s;
+        let own = found.sigma_rad.powi(2);
+        // What the difference would be expected to be without the doubt.
+        let without = |sigma: f64| (sigma * sigma - doubted).max(own);
+        let axes = innovation.axes.iter();
+        let chi2: f64 = axes.map(|(r, sigma)| r * r / without(*sigma)).sum();
+        self.walk_rad2_s *= (-found.after_s / FADES_S).exp();
+        if chi2 > MOST_CHI2 {
+            self.doubt_gyros(found);
+        } else if self.walk_rad2_s * found.after_s < NO_DOUBT * own {
+            self.walk_rad2_s = 0.0;
+        }
+    }
+}
