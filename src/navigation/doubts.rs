@@ -6,14 +6,22 @@
 //!    from then on; that fades while they agree.
 //!
 //! Where a finer direction agreed with the filter meanwhile, the coarser one is in doubt, and what it might tell is the angle about the finer.
+//!
+//! Velocities that contradict the filter twice, or lie on one side of it for long, do the same for the accelerometers: the attitude does not
+//! follow what they feel.
 
-use super::measurement::{Innovation, Sighting, Source};
-use nalgebra::{Matrix3, UnitVector3};
+use super::measurement::{Innovation, Sighting, Source, Verdict};
+use super::states::Sensors;
+use nalgebra::{Matrix3, UnitVector3, Vector3};
 
-/// The gyros are believed again over so long, s.
-const FADES_S: f64 = 1.0;
-/// Directions further apart tell no more of the gyros, s.
+/// Gyros and accelerometers are believed again over so long, s.
+const GYROS_FADE_S: f64 = 1.0;
+const ACCELEROMETERS_FADE_S: f64 = 10.0;
+/// Measurements further apart tell no more of them, s.
 const LONGEST_S: f64 = 1.0;
+/// The mean of so many velocities, in their sigmas, with a larger chi^2 of its three axes is on one side.
+const VELOCITIES: f64 = 10.0;
+const ONE_SIDED_CHI2: f64 = 20.0;
 /// A difference with a larger chi^2 of its two axes is the gyros'.
 const MOST_CHI2: f64 = 12.0;
 /// Less doubt than this share of the directions' own error is none.
@@ -62,19 +70,41 @@ pub(super) struct Doubts {
     refused: Vec<Refused>,
     /// When each kind was last taken.
     taken: Vec<(Source, f64)>,
-    /// What the gyros are believed, beyond their own random walk, rad^2/s.
-    walk_rad2_s: f64,
+    /// How far the sensors are doubted, as the square of a random walk beside their own, rad^2/s and m^2/s^3.
+    gyros: f64,
+    accelerometers: f64,
+    velocity: Velocity,
+}
+
+/// What velocities have told.
+#[derive(Debug, Clone, Default)]
+struct Velocity {
+    /// The mean of the last ones' innovations, in their sigmas.
+    mean: Vector3<f64>,
+    last_s: Option<f64>,
+    refused: u32,
+}
+
+impl Velocity {
+    /// Whether the velocities lie on one side: those of good accelerometers do not, once in a day.
+    fn is_one_sided(&self) -> bool {
+        let share = 1.0 / VELOCITIES;
+        self.mean.norm_squared() * (2.0 - share) / share > ONE_SIDED_CHI2
+    }
 }
 
 impl Doubts {
-    /// The gyros' random walk by the doubts, rad/sqrt(s).
-    pub fn angular_random_walk(&self) -> f64 {
-        self.walk_rad2_s.sqrt()
+    /// The random walk of sensors by the doubts, rad/sqrt(s) or m/s/sqrt(s).
+    pub fn random_walk(&self, sensors: Sensors) -> f64 {
+        match sensors {
+            Sensors::Accelerometers => self.accelerometers.sqrt(),
+            Sensors::Gyros => self.gyros.sqrt(),
+        }
     }
 
     /// Whether directions contradict the gyros.
     pub fn any(&self) -> bool {
-        self.walk_rad2_s > 0.0 || self.refused.iter().any(|one| one.finer.is_none())
+        self.gyros > 0.0 || self.refused.iter().any(|one| one.finer.is_none())
     }
 
     /// What they add to the covariance of the attitude about the axes of ECEF, rad^2.
@@ -130,7 +160,7 @@ impl Doubts {
         let source = innovation.source;
         let known = self.refused.iter().position(|one| one.source == source);
         let finer = known.and_then(|n| self.refused[n].finer);
-        let is_doubted = self.walk_rad2_s > 0.0 || known.is_some();
+        let is_doubted = self.gyros > 0.0 || known.is_some();
         if finer.is_none() && is_doubted {
             self.refused.retain(|one| one.source != source);
             if found.difference_rad > LOST_RAD {
@@ -149,6 +179,39 @@ impl Doubts {
             }),
         }
         Remedy::Wait
+    }
+
+    /// Notes what a velocity has told; the variance of velocity that is unknown by it, m^2/s^2.
+    pub fn note_velocity(&mut self, innovation: &Innovation) -> Option<f64> {
+        if innovation.source != Source::Velocity {
+            return None;
+        }
+        let t_s = innovation.t_s;
+        let last_s = self.velocity.last_s.replace(t_s);
+        let since_s = last_s.map_or(LONGEST_S, |last_s| (t_s - last_s).min(LONGEST_S));
+        if since_s <= 0.0 {
+            return None;
+        }
+        self.velocity.refused = match innovation.verdict {
+            Verdict::Taken => 0,
+            Verdict::Refused => self.velocity.refused + 1,
+        };
+        let axes = &innovation.axes;
+        let told = Vector3::from_iterator(axes.iter().map(|(r, sigma)| r / sigma));
+        let clipped = told.cap_magnitude(ONE_SIDED_CHI2.sqrt());
+        self.velocity.mean += (clipped - self.velocity.mean) / VELOCITIES;
+        let was_doubted = self.accelerometers > 0.0;
+        self.accelerometers *= (-since_s / ACCELEROMETERS_FADE_S).exp();
+        let off2: f64 = axes.iter().map(|(r, _)| r * r).sum();
+        let own2: f64 = axes.iter().map(|(_, sigma)| sigma * sigma).sum();
+        if self.velocity.refused < 2 && !self.velocity.is_one_sided() {
+            if self.accelerometers * since_s < NO_DOUBT * own2 {
+                self.accelerometers = 0.0;
+            }
+            return None;
+        }
+        self.accelerometers = self.accelerometers.max(off2.max(own2) / since_s);
+        (!was_doubted).then_some(off2)
     }
 
     fn found(
@@ -172,26 +235,26 @@ impl Doubts {
     fn doubt_gyros(&mut self, found: &Found) {
         if found.after_s > 0.0 {
             let shown = found.difference_rad.powi(2) / found.after_s;
-            self.walk_rad2_s = self.walk_rad2_s.max(shown);
+            self.gyros = self.gyros.max(shown);
         }
     }
 
     /// Gyros in doubt are believed again while directions agree with them.
     fn judge_gyros(&mut self, found: &Found, innovation: &Innovation) {
-        if self.walk_rad2_s == 0.0 || found.after_s <= 0.0 {
+        if self.gyros == 0.0 || found.after_s <= 0.0 {
             return;
         }
-        let doubted = self.walk_rad2_s * found.after_s;
+        let doubted = self.gyros * found.after_s;
         let own = found.sigma_rad.powi(2);
         // What the difference would be expected to be without the doubt.
         let without = |sigma: f64| (sigma * sigma - doubted).max(own);
         let axes = innovation.axes.iter();
         let chi2: f64 = axes.map(|(r, sigma)| r * r / without(*sigma)).sum();
-        self.walk_rad2_s *= (-found.after_s / FADES_S).exp();
+        self.gyros *= (-found.after_s / GYROS_FADE_S).exp();
         if chi2 > MOST_CHI2 {
             self.doubt_gyros(found);
-        } else if self.walk_rad2_s * found.after_s < NO_DOUBT * own {
-            self.walk_rad2_s = 0.0;
+        } else if self.gyros * found.after_s < NO_DOUBT * own {
+            self.gyros = 0.0;
         }
     }
 }

@@ -6,9 +6,9 @@ use super::measurement::{Climb, Fix, Innovation, Sighting, Source, Towards, Verd
 use super::model::Model;
 use super::motion::Interval;
 use super::settings::Vertical;
-use super::states::{ATTITUDE, MOTION, POSITION, VELOCITY};
+use super::states::{ATTITUDE, MOTION, Opened, POSITION, Sensors, VELOCITY};
 use super::transition::Transition;
-use crate::estimation::Proposal;
+use crate::estimation::{Proposal, Role};
 use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix3x2, SMatrix, UnitVector3, Vector2, Vector3};
 use std::sync::Arc;
 
@@ -94,12 +94,29 @@ impl Filter {
         self.since = Transition::none();
     }
 
-    /// Forgets of the attitude so much, about each axis, rad^2.
-    pub fn open(&mut self, variance_rad2: f64) {
+    /// Forgets what sensors have made of the motion, by a variance of each axis, and their bias, which is as unknown as at the start. By how
+    /// much it opened the variances.
+    pub fn open(&mut self, sensors: Sensors, variance: f64) -> Opened {
         self.settle();
-        for n in ATTITUDE..ATTITUDE + 3 {
-            self.covariance[(n, n)] += variance_rad2;
+        let mut opened = Opened::zeros();
+        opened.fixed_rows_mut::<3>(sensors.driven()).fill(variance);
+        let bias = self.model.layout.imu[sensors.bias()];
+        if let Some(triad) = bias.filter(|triad| triad.role == Role::Estimated) {
+            for (n, state) in triad.range().enumerate() {
+                let known = self.covariance[(state, state)];
+                opened[MOTION + 3 * sensors.bias() + n] = (triad.sigma.powi(2) - known).max(0.0);
+            }
         }
+        for (state, added) in self.model.layout.opened(&opened) {
+            self.covariance[(state, state)] += added;
+        }
+        opened
+    }
+
+    /// 1 sigma of the attitude about its worst axis; at measurements.
+    pub fn worst_attitude_rad(&self) -> f64 {
+        let sigmas = (0..3).map(|n| self.sigma(ATTITUDE + n));
+        sigmas.fold(0.0, f64::max)
     }
 
     /// Takes a fix: position and, where there is one, velocity, one after the other.
@@ -183,6 +200,7 @@ impl Filter {
         white_rad: f64,
         trust: Trust,
     ) -> Option<Innovation> {
+        self.settle();
         let towards = self.towards(sighting);
         let (camera, target) = (sighting.camera, sighting.target);
         let body = self.estimate.motion.attitude.to_rotation_matrix();
@@ -208,7 +226,10 @@ impl Filter {
             set(correlated.triad.first, Matrix3::identity());
         }
         let source = Source::Sighting { camera, target };
-        let noise = Matrix2::identity() * white_rad.powi(2);
+        // A large correction is bent by itself, and by what is not known about the other axes.
+        let off_rad = residual.norm();
+        let bent_rad = off_rad * (off_rad / 2.0 + self.worst_attitude_rad());
+        let noise = Matrix2::identity() * (white_rad.powi(2) + bent_rad.powi(2));
         if residual.norm() > 0.5 || said.dot(&predicted) < 0.0 {
             return Some(Innovation {
                 t_s: sighting.t_s,

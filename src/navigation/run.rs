@@ -8,7 +8,7 @@ use super::model::Model;
 use super::motion::{Interval, Lost};
 use super::settings::{Settings, Target};
 use super::soundness::{Soundness, Unsound};
-use super::states::{ATTITUDE, Choice, Layout};
+use super::states::{Choice, Layout, Opened, Sensors};
 use nalgebra::Vector3;
 use std::sync::Arc;
 
@@ -171,8 +171,8 @@ pub(super) struct Run {
     pub restarts: u32,
     refused: Vec<(Source, u32, f64)>,
     pub doubts: Doubts,
-    /// By which the attitude was opened at the last measurements, about each axis, rad^2.
-    pub opened_rad2: f64,
+    /// At the last measurements.
+    pub opened: Opened,
     soundness: Soundness,
     /// What a sample does not tell of its interval, and which sample it is.
     unknown: Option<(usize, Lost)>,
@@ -193,7 +193,7 @@ impl Run {
             restarts: 0,
             refused: Vec::new(),
             doubts: Doubts::default(),
-            opened_rad2: 0.0,
+            opened: Opened::zeros(),
             soundness: Soundness::default(),
             unknown: None,
             begun_rad: 0.0,
@@ -249,7 +249,7 @@ impl Run {
     /// Takes the measurements of a time. What was measured before the IMU began has no time to stand at.
     fn take_all(&mut self, flight: &Flight, t_s: f64, each: &mut impl FnMut(Innovation)) -> Begun {
         let mut begun = Begun::Before;
-        self.opened_rad2 = 0.0;
+        self.opened = Opened::zeros();
         while let Some(measurement) = flight.measurements.get(self.measurement) {
             if measurement.t_s() > t_s {
                 break;
@@ -298,8 +298,8 @@ impl Run {
             return;
         }
         let doubt = Lost {
-            angular_random_walk: self.doubts.angular_random_walk(),
-            velocity_random_walk: 0.0,
+            angular_random_walk: self.doubts.random_walk(Sensors::Gyros),
+            velocity_random_walk: self.doubts.random_walk(Sensors::Accelerometers),
         };
         let part = interval.part(self.at_s, to_s);
         let lost = part.lost.and(&doubt);
@@ -320,7 +320,7 @@ impl Run {
             }
             (Phase::Waiting(waiting), Measurement::Fix(fix)) => {
                 if let Some(filter) = waiting.begin(&model, fix) {
-                    self.begun_rad = worst_rad(&filter);
+                    self.begun_rad = filter.worst_attitude_rad();
                     self.phase = Phase::Running(Box::new(filter));
                     self.seen_s = fix.t_s;
                     return Begun::Anew;
@@ -328,7 +328,7 @@ impl Run {
             }
             (Phase::Running(filter), Measurement::Sighting(sighting)) => {
                 filter.settle();
-                let worst_rad = worst_rad(filter);
+                let worst_rad = filter.worst_attitude_rad();
                 if worst_rad > UNKNOWN_RAD && worst_rad > WORSE * self.begun_rad {
                     self.begin_anew(sighting.t_s);
                     return self.take(measurement, each);
@@ -342,7 +342,7 @@ impl Run {
             (Phase::Running(filter), Measurement::Fix(fix)) => {
                 let innovations = filter.take_fix(fix);
                 let innovations = innovations.into_iter().flatten();
-                innovations.for_each(|one| self.note(one, each));
+                innovations.for_each(|one| self.note_fix(one, each));
             }
         }
         Begun::Before
@@ -371,8 +371,7 @@ impl Run {
             }
             Remedy::Open { rad } => {
                 each(innovation);
-                self.opened_rad2 += rad * rad;
-                filter.open(rad * rad);
+                self.opened += filter.open(Sensors::Gyros, rad * rad);
                 let white_rad = white_rad(&self.model.settings, &self.model.layout, sighting);
                 let taken = filter.take_sighting(sighting, white_rad, Trust::Blind);
                 if let Some(taken) = taken {
@@ -381,6 +380,16 @@ impl Run {
                 }
             }
         }
+    }
+
+    /// What a fix makes of the doubts, and they of the filter: the next one finds a velocity that is unknown.
+    fn note_fix(&mut self, innovation: Innovation, each: &mut impl FnMut(Innovation)) {
+        if let Phase::Running(filter) = &mut self.phase
+            && let Some(variance) = self.doubts.note_velocity(&innovation)
+        {
+            self.opened += filter.open(Sensors::Accelerometers, variance);
+        }
+        self.note(innovation, each);
     }
 
     fn begin_anew(&mut self, t_s: f64) {
@@ -419,10 +428,4 @@ impl Run {
             self.begin_anew(t_s);
         }
     }
-}
-
-/// 1 sigma of the attitude about its worst axis, at measurements.
-fn worst_rad(filter: &Filter) -> f64 {
-    let sigmas = (0..3).map(|n| filter.sigma(ATTITUDE + n));
-    sigmas.fold(0.0, f64::max)
 }

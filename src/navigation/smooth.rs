@@ -123,7 +123,10 @@ fn node(flight: &Flight, before: &Run, after: &Run, begun: Begun) -> Option<Entr
         },
         estimate: filter.estimate.clone(),
         covariance: filter.covariance.clone(),
-        transition: arrived.map(|arrived| arrived.since.opened(after.opened_rad2)),
+        transition: arrived.map(|arrived| Transition {
+            opened: after.opened,
+            ..arrived.since
+        }),
     })))
 }
 

@@ -14,6 +14,7 @@
 
 use super::settings::{Group, Settings, Target};
 use crate::estimation::Role;
+use nalgebra::SVector;
 use std::ops::Range;
 
 /// Position, velocity, attitude.
@@ -23,6 +24,32 @@ pub(super) const DRIVING: usize = 27;
 pub(super) const POSITION: usize = 0;
 pub(super) const VELOCITY: usize = 3;
 pub(super) const ATTITUDE: usize = 6;
+
+/// The sensors of the IMU, each with the states of the motion that it drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Sensors {
+    Accelerometers,
+    Gyros,
+}
+
+impl Sensors {
+    /// The first state of velocity or attitude.
+    pub fn driven(self) -> usize {
+        match self {
+            Self::Accelerometers => VELOCITY,
+            Self::Gyros => ATTITUDE,
+        }
+    }
+
+    /// The place of their bias in [`Layout::imu`].
+    pub fn bias(self) -> usize {
+        self as usize
+    }
+}
+
+/// By how much the variances of motion and biases were opened at once, in the order of the states.
+pub(super) type Opened = SVector<f64, OPENED>;
+const OPENED: usize = MOTION + 6;
 
 /// Three states that belong together.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -118,6 +145,18 @@ impl Layout {
 
     pub fn len(&self) -> usize {
         self.roles.len()
+    }
+
+    /// What was opened, by state.
+    pub fn opened<'a>(&self, opened: &'a Opened) -> impl Iterator<Item = (usize, f64)> + use<'a> {
+        let biases = [self.imu[0], self.imu[1]];
+        opened.iter().enumerate().filter_map(move |(n, added)| {
+            let state = match n.checked_sub(MOTION) {
+                None => n,
+                Some(n) => biases[n / 3]?.first + n % 3,
+            };
+            (*added > 0.0).then_some((state, *added))
+        })
     }
 
     /// Every triad beyond the motion.

@@ -2,7 +2,7 @@
 
 use super::motion::{Interval, Motion};
 use super::settings::Imu;
-use super::states::{ATTITUDE, DRIVING, MOTION, POSITION, VELOCITY};
+use super::states::{ATTITUDE, DRIVING, MOTION, Opened, POSITION, VELOCITY};
 use super::{earth, states::Layout};
 use crate::estimation::symmetrise;
 use nalgebra::{DMatrix, Matrix3, SMatrix, Vector3};
@@ -17,6 +17,8 @@ pub(super) struct Transition {
     pub matrix: Driven,
     pub noise: MotionMatrix,
     pub time_s: f64,
+    /// At the end.
+    pub opened: Opened,
 }
 
 impl Transition {
@@ -26,6 +28,7 @@ impl Transition {
             matrix: Driven::identity(),
             noise: MotionMatrix::zeros(),
             time_s: 0.0,
+            opened: Opened::zeros(),
         }
     }
 
@@ -79,14 +82,6 @@ impl Transition {
         self.time_s += h;
     }
 
-    /// The same, the attitude opened at its end by so much about each axis, rad^2.
-    pub fn opened(mut self, variance_rad2: f64) -> Self {
-        for n in ATTITUDE..ATTITUDE + 3 {
-            self.noise[(n, n)] += variance_rad2;
-        }
-        self
-    }
-
     /// From an instant within it to its end, where this is up to the end and `before` up to that instant.
     pub fn since(&self, before: &Self) -> Option<Self> {
         let early = before.matrix.fixed_columns::<MOTION>(0).into_owned();
@@ -102,6 +97,7 @@ impl Transition {
             matrix,
             noise: self.noise - late * before.noise * late.transpose(),
             time_s: self.time_s - before.time_s,
+            opened: self.opened,
         })
     }
 
@@ -122,6 +118,9 @@ impl Transition {
         noise
             .fixed_view_mut::<MOTION, MOTION>(0, 0)
             .copy_from(&self.noise);
+        for (state, added) in layout.opened(&self.opened) {
+            noise[(state, state)] += added;
+        }
         for correlated in layout.all_correlated() {
             let kept = (-self.time_s / correlated.time_s).exp();
             for state in correlated.triad.range() {
@@ -158,6 +157,9 @@ impl Transition {
                 predicted.column_mut(state).scale_mut(kept);
                 predicted[(state, state)] += added;
             }
+        }
+        for (state, added) in layout.opened(&self.opened) {
+            predicted[(state, state)] += added;
         }
         symmetrise(&mut predicted);
         predicted

@@ -61,8 +61,8 @@ struct Judged {
     sigmas: Vec<f64>,
     arcsec: Vec<(f64, f64)>,
     roll_deg: Vec<f64>,
-    /// When each was sent, s since the start, and the larger of its errors in sigmas.
-    sent: Vec<(f64, f64)>,
+    /// When each was sent, s since the start.
+    sent_s: Vec<f64>,
 }
 
 impl Judged {
@@ -164,6 +164,7 @@ fn fly_judged(
                 && is_judged(&event.propagated)
             {
                 judged.note(&event.propagated, &mut flown, start);
+                judged.sent_s.push(since.as_secs_f64());
             }
         }
     }
@@ -178,11 +179,6 @@ impl Judged {
             self.sigmas.push(error_arcsec / judged.sigma_arcsec);
             self.arcsec.push((judged.age_s, error_arcsec));
         }
-        let since_s = said.solution.time.duration_since(start).as_secs_f64();
-        let [across, up] = judged
-            .error_arcsec
-            .map(|error| error.abs() / judged.sigma_arcsec);
-        self.sent.push((since_s, across.max(up)));
         self.roll_deg.push(said.solution.roll_deg);
         self.offsets += 1;
     }

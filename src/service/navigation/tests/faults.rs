@@ -313,8 +313,13 @@ fn flown(fault: &Fault, seed: u64) -> Flown {
         }
     };
     let (judged, tally) = fly(END_S as u64, seed, is_seen, spoil, as_received);
+    // Two axes each.
+    let worst = judged
+        .sigmas
+        .chunks(2)
+        .map(|both| both[0].abs().max(both[1].abs()));
     Flown {
-        sent: judged.sent,
+        sent: judged.sent_s.iter().copied().zip(worst).collect(),
         tally,
     }
 }
