@@ -49,6 +49,12 @@ impl<const M: usize> Proposal<M> {
         self.residual.dot(&self.root.solve(&self.residual))
     }
 
+    /// The residual in units of its errors, independent of each other: of a good filter their mean is 0.
+    pub fn whitened(&self) -> SVector<f64, M> {
+        let whitened = self.root.l_dirty().solve_lower_triangular(&self.residual);
+        whitened.unwrap_or_else(SVector::zeros)
+    }
+
     /// Takes the observation: the change of the estimated states, and the covariance of all after it.
     pub fn take(&self, covariance: &mut DMatrix<f64>, roles: &[Role]) -> DVector<f64> {
         let across = self.across.fixed_columns::<M>(0);

@@ -29,6 +29,8 @@ const PLUMB_SHARE: f64 = 0.05;
 pub(super) struct Waiting {
     seen: Vec<Seen>,
     felt: Felt,
+    /// The body's last rate.
+    rate_rad_s: Vector3<f64>,
 }
 
 /// What the accelerometers have felt in the last seconds, in the body's axes, turned on as the body turns.
@@ -87,6 +89,7 @@ impl Waiting {
             rate_rad_s: said.rate_rad_s - imu.gyro_bias_rad_s,
             ..*said
         };
+        self.rate_rad_s = said.rate_rad_s;
         let turn = UnitQuaternion::new(-said.rate_rad_s * said.length_s());
         for seen in &mut self.seen {
             seen.body = turn * seen.body;
@@ -135,6 +138,7 @@ impl Waiting {
         };
         let estimate = Estimate::new(motion, model);
         let mut filter = Filter::new(Arc::clone(model), estimate, fix);
+        filter.rate_rad_s = self.rate_rad_s;
         for seen in begun_by.seen() {
             let camera = &settings.cameras[seen.sighting.camera];
             let now = Sighting {

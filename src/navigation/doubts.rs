@@ -20,8 +20,8 @@ const ACCELEROMETERS_FADE_S: f64 = 10.0;
 /// Measurements further apart tell no more of them, s.
 const LONGEST_S: f64 = 1.0;
 /// The mean of so many velocities, in their sigmas, with a larger chi^2 of its three axes is on one side.
-const VELOCITIES: f64 = 10.0;
-const ONE_SIDED_CHI2: f64 = 20.0;
+const VELOCITIES: f64 = 30.0;
+pub(super) const ONE_SIDED_CHI2: f64 = 16.0;
 /// A difference with a larger chi^2 of its two axes is the gyros'.
 const MOST_CHI2: f64 = 12.0;
 /// Less doubt than this share of the directions' own error is none.
@@ -79,14 +79,14 @@ pub(super) struct Doubts {
 /// What velocities have told.
 #[derive(Debug, Clone, Default)]
 struct Velocity {
-    /// The mean of the last ones' innovations, in their sigmas.
+    /// The mean of the last ones' innovations, whitened.
     mean: Vector3<f64>,
     last_s: Option<f64>,
     refused: u32,
 }
 
 impl Velocity {
-    /// Whether the velocities lie on one side: those of good accelerometers do not, once in a day.
+    /// Whether the velocities lie on one side: those of good accelerometers do so once in 15 h at 1 Hz.
     fn is_one_sided(&self) -> bool {
         let share = 1.0 / VELOCITIES;
         self.mean.norm_squared() * (2.0 - share) / share > ONE_SIDED_CHI2
@@ -100,6 +100,11 @@ impl Doubts {
             Sensors::Accelerometers => self.accelerometers.sqrt(),
             Sensors::Gyros => self.gyros.sqrt(),
         }
+    }
+
+    /// The filter has begun anew: until directions agree with them the gyros may be off by as much as the body turns, rad/s.
+    pub fn unproven(&mut self, rate_rad_s: f64) {
+        self.gyros = rate_rad_s.powi(2) * LONGEST_S;
     }
 
     /// Whether directions contradict the gyros.
@@ -197,7 +202,7 @@ impl Doubts {
             Verdict::Refused => self.velocity.refused + 1,
         };
         let axes = &innovation.axes;
-        let told = Vector3::from_iterator(axes.iter().map(|(r, sigma)| r / sigma));
+        let told = Vector3::from_iterator(innovation.whitened.iter().copied());
         let clipped = told.cap_magnitude(ONE_SIDED_CHI2.sqrt());
         self.velocity.mean += (clipped - self.velocity.mean) / VELOCITIES;
         let was_doubted = self.accelerometers > 0.0;

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix3x2, SMatrix, UnitVector3, Vecto
 use std::sync::Arc;
 
 /// An innovation with a larger chi^2 is of another motion: of two axes 1 in 8,000 good ones, of three 1 in 9,000.
-const MOST_CHI2: [f64; 2] = [18.0, 21.0];
+pub(super) const MOST_CHI2: [f64; 2] = [18.0, 21.0];
 /// So little is known of the attitude before the first directions are taken, rad: nothing, but that they were used to begin.
 const FIRST_ATTITUDE_RAD: f64 = 0.5;
 
@@ -40,7 +40,7 @@ pub(super) struct Filter {
     /// Since then.
     pub since: Transition,
     /// The body's last rate, rad/s.
-    rate_rad_s: Vector3<f64>,
+    pub rate_rad_s: Vector3<f64>,
 }
 
 impl Filter {
@@ -92,6 +92,17 @@ impl Filter {
             self.covariance = self.since.predicted(&self.model.layout, &self.covariance);
         }
         self.since = Transition::none();
+    }
+
+    /// Forgets of the attitude so many times what is unknown of it. By how much it opened the variances.
+    pub fn open_attitude(&mut self, times: f64) -> Opened {
+        self.settle();
+        let mut opened = Opened::zeros();
+        for n in ATTITUDE..ATTITUDE + 3 {
+            opened[n] = times * self.covariance[(n, n)];
+            self.covariance[(n, n)] += opened[n];
+        }
+        opened
     }
 
     /// Forgets what sensors have made of the motion, by a variance of each axis, and their bias, which is as unknown as at the start. By how
@@ -235,6 +246,7 @@ impl Filter {
                 t_s: sighting.t_s,
                 source,
                 axes: residual.iter().map(|r| (*r, white_rad)).collect(),
+                whitened: residual.iter().map(|r| r / white_rad).collect(),
                 chi2: f64::MAX,
                 verdict: Verdict::Refused,
             });
@@ -265,6 +277,7 @@ impl Filter {
         };
         let axes = (0..M).map(|n| (residual[n], proposal.covariance[(n, n)].sqrt()));
         let axes = axes.collect();
+        let whitened = proposal.whitened().as_slice().to_vec();
         if verdict == Verdict::Taken {
             let errors = proposal.take(&mut self.covariance, &self.model.layout.roles);
             self.estimate.correct(&errors, &self.model.layout);
@@ -273,6 +286,7 @@ impl Filter {
             t_s,
             source,
             axes,
+            whitened,
             chi2,
             verdict,
         })

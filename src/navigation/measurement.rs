@@ -179,6 +179,8 @@ pub struct Innovation {
     pub source: Source,
     /// Along each axis that was measured, and its 1 sigma; rad, m or m/s.
     pub axes: Vec<(f64, f64)>,
+    /// The same in units of its errors, independent of each other.
+    pub whitened: Vec<f64>,
     /// Its square over its covariance.
     pub chi2: f64,
     pub verdict: Verdict,

@@ -1,8 +1,8 @@
 //! A flight through the filter: IMU samples in their order, each measurement at its own time between them.
 
 use super::begin::{Waiting, white_rad};
-use super::doubts::{Doubts, Remedy};
-use super::filter::{Filter, Trust};
+use super::doubts::{Doubts, ONE_SIDED_CHI2, Remedy};
+use super::filter::{Filter, MOST_CHI2, Trust};
 use super::measurement::{ImuSample, Innovation, Measurement, Sighting, Source, Verdict};
 use super::model::Model;
 use super::motion::{Interval, Lost};
@@ -321,6 +321,9 @@ impl Run {
             (Phase::Waiting(waiting), Measurement::Fix(fix)) => {
                 if let Some(filter) = waiting.begin(&model, fix) {
                     self.begun_rad = filter.worst_attitude_rad();
+                    if self.restarts > 0 {
+                        self.doubts.unproven(filter.rate_rad_s.norm());
+                    }
                     self.phase = Phase::Running(Box::new(filter));
                     self.seen_s = fix.t_s;
                     return Begun::Anew;
@@ -363,6 +366,7 @@ impl Run {
             self.doubts.take(sighting, towards, &innovation);
             return self.note(innovation, each);
         }
+        let was_doubted = self.doubts.random_walk(Sensors::Gyros) > 0.0;
         match self.doubts.refuse(sighting, towards, &innovation) {
             Remedy::Wait => self.note(innovation, each),
             Remedy::BeginAnew => {
@@ -372,6 +376,10 @@ impl Run {
             Remedy::Open { rad } => {
                 each(innovation);
                 self.opened += filter.open(Sensors::Gyros, rad * rad);
+                if !was_doubted {
+                    // The filter has followed them as far as no direction contradicted.
+                    self.opened += filter.open_attitude(MOST_CHI2[0]);
+                }
                 let white_rad = white_rad(&self.model.settings, &self.model.layout, sighting);
                 let taken = filter.take_sighting(sighting, white_rad, Trust::Blind);
                 if let Some(taken) = taken {
@@ -388,6 +396,8 @@ impl Run {
             && let Some(variance) = self.doubts.note_velocity(&innovation)
         {
             self.opened += filter.open(Sensors::Accelerometers, variance);
+            // It has followed them as far as that is not seen.
+            self.opened += filter.open_attitude(ONE_SIDED_CHI2);
         }
         self.note(innovation, each);
     }
