@@ -228,7 +228,7 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["navigation"],
         good: "2 (aligned) if the inertial filter is enabled",
-        otherwise: "1: it waits for samples, a fix and the Sun; 3: no frame for 10 s; 4: it has restarted",
+        otherwise: "1: it waits for samples, a fix and the Sun; 3: no frame for 10 s; 4: it has restarted; 5: frames contradict the gyros; 6: the IMU's values freeze, saturate or jump",
         rules: &[Rule {
             name: "navigation",
             severity: Severity::Attention,
@@ -236,6 +236,11 @@ pub const WATCHES: &[Watch] = &[
                 1 => Some("the inertial filter waits for samples, a fix and the Sun".into()),
                 3 => Some("the inertial filter coasts: no frame for 10 s".into()),
                 4 => Some("the inertial filter has restarted".into()),
+                5 => Some("frames contradict the gyros: inertial offsets are uncertain".into()),
+                6 => Some(
+                    "the IMU's values freeze, saturate or jump: inertial offsets are uncertain"
+                        .into(),
+                ),
                 _ => None,
             },
         }],

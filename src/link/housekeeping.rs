@@ -212,7 +212,7 @@ housekeeping! {
     moon_hidden: u32, "", "frames taken while the Moon could not be seen";
     moon_x_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
     moon_y_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
-    navigation: u8, "", "the filter by gyros: 0 none or without samples, 1 waiting, 2 aligned, 3 coasting, 4 restarted";
+    navigation: u8, "", "the filter by gyros: 0 none or without samples, 1 waiting, 2 aligned, 3 coasting, 4 restarted, 5 contradicted by directions, 6 with an unsound IMU";
     propagated_azimuth_deg: Option<f32>, "deg", "its latest offset in azimuth";
     propagated_elevation_deg: Option<f32>, "deg", "its latest offset in elevation";
     propagated_sigma_deg: Option<f32>, "deg", "the offset's 1 sigma per axis of true angle";

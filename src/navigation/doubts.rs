@@ -23,7 +23,7 @@ const LONGEST_S: f64 = 1.0;
 const VELOCITIES: f64 = 30.0;
 pub(super) const ONE_SIDED_CHI2: f64 = 16.0;
 /// A difference with a larger chi^2 of its two axes is the gyros'.
-const MOST_CHI2: f64 = 12.0;
+const MOST_CHI2: f64 = 9.0;
 /// Less doubt than this share of the directions' own error is none.
 const NO_DOUBT: f64 = 0.1;
 /// An error that began just before a direction grows by as much in this share of the time to the next.
@@ -261,5 +261,107 @@ impl Doubts {
         } else if self.gyros * found.after_s < NO_DOUBT * own {
             self.gyros = 0.0;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::navigation::measurement::Towards;
+    use crate::navigation::settings::Target;
+
+    const SUN: UnitVector3<f64> = UnitVector3::new_unchecked(Vector3::new(1.0, 0.0, 0.0));
+    const DOWN: UnitVector3<f64> = UnitVector3::new_unchecked(Vector3::new(0.0, 0.0, 1.0));
+
+    fn sighting(t_s: f64, target: Target, sigma_rad: f64) -> Sighting {
+        Sighting {
+            t_s,
+            camera: 0,
+            target,
+            unit: SUN,
+            sigma_rad,
+            towards: Towards::Down,
+        }
+    }
+
+    fn innovation(sighting: &Sighting, off_rad: f64, verdict: Verdict) -> Innovation {
+        let sigma = sighting.sigma_rad;
+        Innovation {
+            t_s: sighting.t_s,
+            source: Source::Sighting {
+                camera: sighting.camera,
+                target: sighting.target,
+            },
+            axes: vec![(off_rad, sigma), (0.0, sigma)],
+            whitened: vec![off_rad / sigma, 0.0],
+            chi2: (off_rad / sigma).powi(2),
+            verdict,
+        }
+    }
+
+    fn sun(doubts: &mut Doubts, t_s: f64, off_rad: f64) -> Remedy {
+        let sighting = sighting(t_s, Target::Sun, 1e-6);
+        if off_rad < 5e-6 {
+            let innovation = innovation(&sighting, off_rad, Verdict::Taken);
+            doubts.take(&sighting, SUN, &innovation);
+            return Remedy::Wait;
+        }
+        doubts.refuse(
+            &sighting,
+            SUN,
+            &innovation(&sighting, off_rad, Verdict::Refused),
+        )
+    }
+
+    #[test]
+    fn a_direction_that_is_wrong_alone_is_held_at_once_and_forgotten_with_the_next() {
+        let mut doubts = Doubts::default();
+        sun(&mut doubts, 0.0, 0.0);
+        assert_eq!(sun(&mut doubts, 0.25, 1e-3), Remedy::Wait);
+        let held = doubts.covariance(0.25);
+        assert!((held[(1, 1)].sqrt() - 1e-3).abs() < 1e-9 && held[(0, 0)] == 0.0);
+        // It may have begun just before the frame.
+        assert!(doubts.covariance(0.5)[(2, 2)].sqrt() > 5e-3);
+        sun(&mut doubts, 0.5, 0.0);
+        assert!(!doubts.any() && doubts.covariance(0.5).norm() == 0.0);
+    }
+
+    #[test]
+    fn two_directions_in_a_row_are_right_and_the_gyros_are_doubted_until_others_agree() {
+        let mut doubts = Doubts::default();
+        sun(&mut doubts, 0.0, 0.0);
+        sun(&mut doubts, 0.25, 1e-3);
+        assert_eq!(sun(&mut doubts, 0.5, 2e-3), Remedy::Open { rad: 2e-3 });
+        let walk = doubts.random_walk(Sensors::Gyros);
+        assert!((walk - 2e-3 / 0.5f64.sqrt()).abs() < 1e-9, "{walk}");
+        for n in 2..80 {
+            sun(&mut doubts, 0.25 * f64::from(n), 1e-7);
+        }
+        assert!(!doubts.any());
+        // In doubt one is enough, and what is too far off is beyond a correction.
+        sun(&mut doubts, 20.0, 1e-3);
+        sun(&mut doubts, 20.25, 1e-3);
+        assert_eq!(sun(&mut doubts, 20.5, 0.2), Remedy::BeginAnew);
+    }
+
+    #[test]
+    fn a_coarser_direction_that_a_finer_one_contradicts_tells_of_the_angle_about_it_alone() {
+        let mut doubts = Doubts::default();
+        let nadir = |doubts: &mut Doubts, t_s| {
+            let sighting = sighting(t_s, Target::Nadir, 1e-3);
+            doubts.refuse(
+                &sighting,
+                DOWN,
+                &innovation(&sighting, 0.01, Verdict::Refused),
+            )
+        };
+        assert_eq!(nadir(&mut doubts, 1.0), Remedy::Wait);
+        sun(&mut doubts, 1.1, 0.0);
+        for n in 0..20 {
+            assert_eq!(nadir(&mut doubts, 1.2 + 0.1 * f64::from(n)), Remedy::Wait);
+        }
+        let held = doubts.covariance(3.1);
+        assert!(held[(0, 0)].sqrt() >= 0.0099 && held[(1, 1)] == 0.0 && held[(2, 2)] == 0.0);
+        assert!(!doubts.any());
     }
 }

@@ -6,6 +6,7 @@ use super::model::Model;
 use super::run::{Flight, Run, Stop};
 use super::settings::{Settings, Target};
 use super::solve::{Row, row};
+use super::soundness::Unsound;
 use super::states::{Choice, Layout};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -143,6 +144,11 @@ impl Live {
     /// When a direction was last taken; minus infinity before.
     pub fn seen_s(&self) -> f64 {
         self.run.seen_s
+    }
+
+    /// Why the IMU's last values tell less than they say.
+    pub fn unsound(&self) -> Option<Unsound> {
+        self.run.unsound()
     }
 
     /// What became of the measurements that no late one can change any more, and of those that are too late.

@@ -35,6 +35,11 @@ impl Status {
         Self::Unsound,
     ];
 
+    /// Whether something is wrong with the IMU, by itself or by what directions say.
+    pub fn is_doubted(self) -> bool {
+        matches!(self, Self::Contradicted | Self::Unsound)
+    }
+
     pub fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",

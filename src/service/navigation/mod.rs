@@ -266,10 +266,18 @@ impl<'a> Filter<'a> {
         if status.is_none_or(|status| status == Status::Waiting) {
             tally.latest = None;
         }
-        if let Some(status) = status
-            && tally.status.replace(status) != Some(status)
-        {
-            tracing::info!(status = status.name(), "navigation");
+        let Some(status) = status else { return };
+        if tally.status.replace(status) == Some(status) {
+            return;
+        }
+        if !status.is_doubted() {
+            return tracing::info!(status = status.name(), "navigation");
+        }
+        tally.doubted += 1;
+        if worth_a_line(tally.doubted) {
+            let why = self.live.unsound().map(|unsound| unsound.to_string());
+            let why = why.unwrap_or_else(|| "directions contradict the gyros".into());
+            tracing::warn!(why, times = tally.doubted, "inertial offsets are uncertain");
         }
     }
 

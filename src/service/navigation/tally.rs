@@ -24,6 +24,8 @@ pub struct NavigationTally {
     pub out_of_time: u64,
     /// Times that the filter began anew.
     pub restarts: u64,
+    /// Times that the IMU was unsound, or directions contradicted it.
+    pub doubted: u64,
     /// Offsets that were made, and of them those that are too uncertain to be sent.
     pub offsets: u64,
     pub uncertain: u64,
@@ -60,9 +62,10 @@ impl NavigationTally {
         )?;
         writeln!(
             out,
-            "           {} offsets, {} of them too uncertain to be sent, {} restarts, {} rows and {} sentences unreadable or lost, at last {}",
+            "           {} offsets, {} of them too uncertain to be sent, {} times of doubt, {} restarts, {} rows and {} sentences unreadable or lost, at last {}",
             self.offsets,
             self.uncertain,
+            self.doubted,
             self.restarts,
             self.rows_lost,
             self.gps.unreadable,

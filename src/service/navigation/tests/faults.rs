@@ -274,8 +274,8 @@ const FAULTS: &[Fault] = &[
     fault("force bias step of 0.5 m/s^2", InFrames, |_, _, s| {
         forces(s, |[x, y, z]| [x + 0.5, y, z])
     }),
-    fault("force bias step of 0.02 m/s^2", InFrames, |_, _, s| {
-        forces(s, |[x, y, z]| [x, y + 0.02, z])
+    fault("force bias step of 0.1 m/s^2", InFrames, |_, _, s| {
+        forces(s, |[x, y, z]| [x, y + 0.1, z])
     }),
     again(
         3.0,
