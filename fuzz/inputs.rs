@@ -145,7 +145,7 @@ pub fn configuration(bytes: &[u8]) {
     for error in errors {
         assert!(error.to_string().contains("fuzz.toml"));
     }
-    let _ = (config.missing(), config.solver(), config.site.place());
+    let _ = (config.faults(), config.solver(), config.site.place());
 }
 
 /// Saved values: as the file's bytes, and as its lines below a header whose checksum is right.

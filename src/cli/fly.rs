@@ -43,10 +43,10 @@ const ENDING: Duration = Duration::from_millis(1500);
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     let mut config = options::config(args.over.config.as_deref())?;
     args.over.options().over(&mut config);
-    if let Some(missing) = config.missing().into_iter().next() {
+    if let Some(fault) = config.faults().into_iter().next() {
         let file = args.over.config.as_deref();
         let place = file.map_or("the command line".into(), |file| file.display().to_string());
-        anyhow::bail!("{place}: {missing}");
+        anyhow::bail!("{place}: {fault}");
     }
     let (camera, other_cameras) = cameras::of(&config, args.duration, args.speed)?;
     let mut flight = Flight {

@@ -9,6 +9,7 @@
 
 mod camera;
 mod clock;
+mod contradictions;
 mod documents;
 mod host;
 mod link;
@@ -63,7 +64,7 @@ pub struct Config {
 impl Config {
     /// What a flight needs and no default can stand for: the first camera, and the instrument of every real camera that sees a
     /// plate.
-    pub fn missing(&self) -> Vec<Refused> {
+    fn missing(&self) -> Vec<Refused> {
         let mut missing = Vec::new();
         let mut needs = |key, expected: &str| {
             missing.push(Refused {

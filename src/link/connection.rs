@@ -70,6 +70,20 @@ impl PortAddress {
         })
     }
 
+    /// What it takes of this computer, in words: a device, its links resolved, or a UDP port. `None` for any free port.
+    pub fn takes(&self, udp_local_port: Option<u16>) -> Option<String> {
+        match self {
+            Self::Serial { name } => {
+                let device = std::fs::canonicalize(name);
+                Some(device.map_or(name.clone(), |device| device.display().to_string()))
+            }
+            Self::Udp { local_port, .. } => {
+                let port = local_port.or(udp_local_port).filter(|port| *port > 0)?;
+                Some(format!("UDP port {port}"))
+            }
+        }
+    }
+
     /// Takes commands of the address alone, from any of its ports; over a wire, whatever comes.
     fn guard(&self) -> Guard {
         let peers = match self {

@@ -9,6 +9,7 @@ use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera, T
 use crate::link::CameraRole;
 use crate::navigation::Settings;
 use crate::pointing::{HelioprojectiveArcsec, Target};
+use crate::service::control::{Controls, Proof, SavedValues, differences};
 use crate::simulate::Pieces;
 use crate::sky::{Ephemeris, OrientationTable};
 use serde::Serialize;
@@ -193,8 +194,8 @@ fn navigation(config: &Config, remarks: &mut Remarks) {
 }
 
 fn cross_check(config: &Config, remarks: &mut Remarks) {
-    for missing in config.missing() {
-        remarks.error(missing.key, missing.expected, missing.found);
+    for fault in config.faults() {
+        remarks.error(fault.key, fault.expected, fault.found);
     }
     for (table, _, source, camera) in tables(config) {
         if source.is_some() {
@@ -249,21 +250,10 @@ fn exposure(table: &str, camera: &config::Camera, remarks: &mut Remarks) {
     let (shortest, longest) = (camera.auto_exposure_min_us, camera.auto_exposure_max_us);
     let period_us = 1e6 / camera.rate_hz;
     let key = |name: &str| format!("{table}.{name}");
-    if f64::from(camera.exposure_us) > period_us {
-        let expected = format!("less than the {period_us:.0} us from frame to frame at rate_hz");
-        remarks.error(
-            &key("exposure_us"),
-            expected,
-            camera.exposure_us.to_string(),
-        );
-    }
-    if camera.auto_exposure().is_none() {
+    if camera.auto_exposure().is_none() || shortest >= longest {
         return;
     }
-    if shortest >= longest {
-        let expected = format!("less than auto_exposure_max_us, {longest}");
-        remarks.error(&key("auto_exposure_min_us"), expected, shortest.to_string());
-    } else if !(shortest..=longest).contains(&camera.exposure_us) {
+    if !(shortest..=longest).contains(&camera.exposure_us) {
         let expected =
             format!("one that automatic exposure may choose, {shortest} to {longest} us");
         remarks.warn(
@@ -300,23 +290,6 @@ fn same_sources(config: &Config, remarks: &mut Remarks) {
 }
 
 fn archive(archive: &config::Archive, remarks: &mut Remarks) {
-    let limits = archive.space_limits();
-    if limits.thin_percent > limits.warn_percent {
-        let expected = format!("at most warn_free_percent, {}", limits.warn_percent);
-        remarks.error(
-            "archive.thin_free_percent",
-            expected,
-            limits.thin_percent.to_string(),
-        );
-    }
-    if limits.stop_percent > limits.thin_percent {
-        let expected = format!("at most thin_free_percent, {}", limits.thin_percent);
-        remarks.error(
-            "archive.stop_free_percent",
-            expected,
-            limits.stop_percent.to_string(),
-        );
-    }
     match (&archive.directory, &archive.second_directory) {
         (None, None) => remarks.warn("archive.directory", "a folder, to keep frames", "none"),
         (Some(first), Some(second)) if first == second => {
@@ -358,13 +331,6 @@ fn link(config: &Config, remarks: &mut Remarks) {
         }
         Err(refused) => remarks.error(refused.key, refused.expected, refused.found),
     }
-    if config.link.sending_camera == 2 && config.second_camera.source.is_none() {
-        remarks.warn(
-            "link.sending_camera",
-            "a second_camera.source, to send from",
-            "none",
-        );
-    }
     if let Some(values) = &config.link.saved_values {
         saved_values(values, remarks);
     }
@@ -394,6 +360,7 @@ fn saved_values(file: &Path, remarks: &mut Remarks) {
 /// What the files say that the configuration names.
 fn files(config: Config, remarks: &mut Remarks) -> Plan {
     let cameras = cameras(&config, remarks);
+    values(&config, &cameras, remarks);
     let orientation = plan::orientation(&config).map_err(|error| {
         let expected = "a table as tools/iers makes it";
         remarks.error("sky.earth_orientation", expected, error.to_string());
@@ -425,6 +392,43 @@ fn files(config: Config, remarks: &mut Remarks) -> Plan {
         orientation,
         target: target.unwrap_or(Target::Fixed(centre)),
         config,
+    }
+}
+
+/// Whether the solver's settings leave a Sun, and what was saved of commands that would fly instead of the configuration.
+fn values(config: &Config, cameras: &[PlannedCamera], remarks: &mut Remarks) {
+    let sees_plate = |camera: &&PlannedCamera| camera.role == CameraRole::PitchYaw;
+    let Some(first) = cameras.iter().find(sees_plate) else {
+        return;
+    };
+    let tried = Proof::of(&first.instrument).check("limb.level_fraction", config);
+    if let Err(refused) = tried {
+        remarks.error(
+            "[limb], [fiducial], [registration]",
+            refused.expected,
+            refused.found,
+        );
+    }
+    let target = Target::Fixed(HelioprojectiveArcsec { x: 0.0, y: 0.0 });
+    let controls = Controls::new(config.clone(), target, first.instrument.mounting);
+    let roles: Vec<CameraRole> = cameras.iter().map(|camera| camera.role).collect();
+    controls.note_cameras(&roles);
+    controls.note_instrument(&first.instrument);
+    let Some(file) = SavedValues::of(config) else {
+        return;
+    };
+    match differences(&controls, file.path()) {
+        Ok((differences, refused)) => {
+            let expected = format!("the configuration's values in {}", file.path().display());
+            for difference in differences {
+                remarks.warn("saved values", expected.clone(), difference);
+            }
+            for refused in refused {
+                let found = format!("{} (left out)", refused.found);
+                remarks.warn(refused.key, refused.expected, found);
+            }
+        }
+        Err(error) => remarks.warn("saved values", "a file that can be read", error.to_string()),
     }
 }
 

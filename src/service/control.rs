@@ -7,20 +7,22 @@
 mod gps;
 mod orders;
 mod own;
+mod proof;
 mod saved;
 
-pub use saved::{SavedValues, ValueSaver, restore};
+pub use proof::Proof;
+pub use saved::{SavedValues, ValueSaver, differences, restore};
 
 use super::command_log::CommandNote;
 use crate::aspect;
 use crate::config::{self, Config, Value, by_key};
-use crate::instrument::Mounting;
+use crate::instrument::{Instrument, Mounting};
 use crate::link::{CameraRole, CommandResult, GpsFix};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use gps::Gps;
-use own::{LATITUDE, LONGITUDE, Own};
+use own::{KEPT, LATITUDE, LONGITUDE, Own};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -149,6 +151,10 @@ struct State {
     disks: Vec<Option<u8>>,
     clock_offset_us: Option<i64>,
     cameras: Vec<CameraRole>,
+    /// Configuration and target as they were before any command.
+    origin: Arc<(Config, Target)>,
+    /// What the solver's settings are tried on.
+    proof: Option<Arc<Proof>>,
     /// How often a command's value was refused, by key.
     refusals: BTreeMap<&'static str, u64>,
     /// Why the last command was refused.
@@ -162,6 +168,8 @@ impl Controls {
             place: config.site.place(),
             own: Own::new(),
             gps: Gps::default(),
+            origin: Arc::new((config.clone(), target)),
+            proof: None,
             config,
             target,
             stated: mounting,
@@ -261,6 +269,31 @@ impl Controls {
         self.state().cameras = roles.to_vec();
     }
 
+    /// Says which instrument flies: settings of the solver with which it would see no Sun are refused.
+    pub fn note_instrument(&self, instrument: &Instrument) {
+        self.state().proof = Some(Arc::new(Proof::of(instrument)));
+    }
+
+    /// What commands have set that is another value in the configuration, each in words.
+    pub fn differences(&self) -> Vec<String> {
+        self.state().differences()
+    }
+
+    /// Returns what commands have set to the configuration; how many values that were. What belongs to the conversation stays: stamp, sending,
+    /// tracking and the GPS fix.
+    pub fn reset(&self) -> usize {
+        let mut state = self.state();
+        let before = state.commanded.len();
+        state.reset();
+        let reset = before - state.commanded.len();
+        drop(state);
+        for version in &self.0.versions {
+            version.fetch_add(1, Ordering::Release);
+        }
+        let _ = self.0.changed.0.try_send(());
+        reset
+    }
+
     /// Whether the ground wants the next picture of a role's camera; asking takes the wish away.
     pub fn takes_picture(&self, role: CameraRole) -> bool {
         self.0.pictures[role as usize].swap(false, Ordering::Relaxed)
@@ -299,6 +332,7 @@ impl Controls {
         for (key, value) in settings {
             next.set(key, value)?;
         }
+        next.check(settings, &state)?;
         let changed = next.commanded != state.commanded;
         *state = next;
         drop(state);
@@ -381,6 +415,68 @@ impl State {
             _ => {}
         }
         Ok(())
+    }
+
+    /// Whether what was set makes sense for this flight: by the same rules as what a file says. `before` is what flew until now.
+    fn check(&self, settings: &[(&str, Value)], before: &Self) -> Result<(), config::Refused> {
+        let known = before.contradictions();
+        let is_new = |wrong: &config::Refused| known.iter().all(|known| known.key != wrong.key);
+        if let Some(wrong) = self.contradictions().into_iter().find(is_new) {
+            return Err(wrong);
+        }
+        let mut keys = settings
+            .iter()
+            .filter_map(|(key, _)| Some(by_key(key)?.key));
+        match (
+            keys.find(|key| Topic::of(key) == Topic::Solver),
+            &self.proof,
+        ) {
+            (Some(key), Some(proof)) => proof.check(key, &self.config),
+            _ => Ok(()),
+        }
+    }
+
+    fn contradictions(&self) -> Vec<config::Refused> {
+        let is_pitch_yaw = |role: &&CameraRole| **role == CameraRole::PitchYaw;
+        let pitch_yaw = self.cameras.iter().filter(is_pitch_yaw).count();
+        self.config.contradictions(pitch_yaw)
+    }
+
+    fn differences(&self) -> Vec<String> {
+        let (config, _) = &*self.origin;
+        let of_parameter = |key: &str, value: &Value| {
+            let was = by_key(key)?.get(config);
+            (was.as_ref() != Some(value)).then(|| {
+                let was = was.map_or("nothing".into(), |was| was.to_string());
+                format!("{key} = {value} (configuration: {was})")
+            })
+        };
+        let differs = |(key, value): (&String, &Value)| match by_key(key) {
+            Some(_) => of_parameter(key, value),
+            None if KEPT.contains(&key.as_str()) => None,
+            None if Own::new().is(key, value) => None,
+            None => Some(format!("{key} = {value} (set by command alone)")),
+        };
+        self.commanded.iter().filter_map(differs).collect()
+    }
+
+    fn reset(&mut self) {
+        let (config, target) = (*self.origin).clone();
+        self.place = config.site.place();
+        (self.config, self.target) = (config, target);
+        let own = Own::new();
+        self.own = Own {
+            sending: self.own.sending,
+            tracking: self.own.tracking,
+            stamp_ns: self.own.stamp_ns,
+            latitude_deg: self.own.latitude_deg,
+            longitude_deg: self.own.longitude_deg,
+            ..own
+        };
+        self.commanded.retain(|key, _| KEPT.contains(&key.as_str()));
+        if self.own.latitude_deg.is_some() {
+            self.move_to_fix();
+        }
     }
 
     /// GPS tells no height: that of the last place holds.

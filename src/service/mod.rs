@@ -323,6 +323,7 @@ fn controls(flight: &Flight) -> Controls {
     let controls = Controls::new(flight.config.clone(), flight.target, mounting);
     let seats = flight.cameras().map(|camera| camera.seat);
     controls.note_cameras(&seats.map(Seat::role).collect::<Vec<_>>());
+    controls.note_instrument(&flight.camera.instrument);
     controls
 }
 

@@ -4,8 +4,8 @@ use crate::link::code::{angle_code, angle_from_code};
 use crate::link::layout::Number;
 use crate::link::message::{AspectCommand, MessageError};
 use Action::{
-    NoOp, Quit, Read, ReadDisk, ReadNumbered, SendPicture, Set, SetNumbered, StartSending,
-    StopSending,
+    NoOp, Quit, Read, ReadDisk, ReadNumbered, ResetValues, SendPicture, Set, SetNumbered,
+    StartSending, StopSending,
 };
 use CameraRole::{Moon, PitchYaw, Roll};
 
@@ -78,6 +78,8 @@ pub enum Action {
     Set(&'static [&'static str]),
     /// Sets the parameter that has the first variable as its number to the second.
     SetNumbered,
+    /// Returns what commands have set to the configuration.
+    ResetValues,
     /// Reads a setting, or what else has a dotted key.
     Read(&'static str),
     /// Reads the parameter that has the variable as its number.
@@ -91,7 +93,7 @@ impl Action {
     pub fn changes_flight(self) -> bool {
         match self {
             NoOp | SendPicture(_) | Read(_) | ReadNumbered | ReadDisk => false,
-            StartSending | StopSending | Quit | Set(_) | SetNumbered => true,
+            StartSending | StopSending | Quit | Set(_) | SetNumbered | ResetValues => true,
         }
     }
 }
@@ -119,12 +121,12 @@ impl Kind {
         match self {
             Self::Unsigned => whole(0.0, u16::MAX.into()),
             Self::Signed => whole(i16::MIN.into(), i16::MAX.into()),
-            Self::Angle => angle_code(value),
+            Self::Angle => angle_code(value).filter(|code| angle_from_code(*code) == value),
             Self::Switch => whole(0.0, 1.0),
         }
     }
 
-    /// The 16 bits of the nearest number that they can hold.
+    /// The 16 bits of the nearest number that they can hold: what a read tells.
     pub fn nearest_code(self, value: f64) -> Option<u16> {
         match self {
             Self::Unsigned | Self::Switch => Some(value.round() as u16),
@@ -155,7 +157,7 @@ impl Kind {
         match self {
             Self::Unsigned => "a whole number from 0 to 65535",
             Self::Signed => "a whole number from -32768 to 32767",
-            Self::Angle => "a number from -1024 to 7167.875",
+            Self::Angle => "a number from -1024 to 7167.875 in steps of 0.125",
             Self::Switch => "1 (on) or 0 (off)",
         }
     }
@@ -296,6 +298,7 @@ pub const COMMANDS: &[CommandRow] = &[
     set(0x0712, "set_integer", &[PARAMETER, INTEGER], SetNumbered, "set an integer parameter"),
     set(0x0722, "set_float", &[PARAMETER, FLOAT], SetNumbered, "set a float parameter"),
     set(0x0731, "set_twist", &[ANGLE], Set(&["mounting.twist_deg"]), "set the camera's twist"),
+    set(0x0740, "reset_values", &[], ResetValues, "return every value that commands have set to the configuration's; sending, tracking and the GPS fix stay"),
     get(0x0850, "get_pitch_yaw_exposure", &[], EXPOSURE, Read("camera.exposure_us"), "read the pitch-yaw camera's exposure"),
     get(0x0860, "get_pitch_yaw_analogue_gain", &[], ANALOGUE, Read("camera.analogue_gain"), "read the pitch-yaw camera's analogue gain"),
     get(0x0870, "get_pitch_yaw_preamp_gain", &[], PREAMP, Read("camera.preamp_gain"), "read the pitch-yaw camera's pre-amplifier gain"),

@@ -19,14 +19,13 @@ impl Control for Controls {
                 CommandResult::Done
             }
             Action::SendPicture(role) => self.want_picture(role),
-            Action::Set(keys) => {
-                let settings = command.settings(keys);
-                let settings: Vec<_> = settings
-                    .map(|(key, kind, number)| (key, value(kind, number)))
-                    .collect();
-                self.set_by_command(&settings)
-            }
+            Action::Set(keys) => self.set_by_command(command.settings(keys)),
             Action::SetNumbered => self.set_numbered(command),
+            Action::ResetValues => {
+                let reset = self.reset();
+                tracing::warn!(values = reset, "returned to the configuration by command");
+                CommandResult::Done
+            }
             Action::Read(_) | Action::ReadNumbered | Action::ReadDisk => {
                 let read = self.state().read(command);
                 let code = command.row.reads.zip(read);
@@ -97,12 +96,26 @@ impl Controls {
         believed
     }
 
-    fn set_by_command(&self, settings: &[(&str, Value)]) -> CommandResult {
-        let before = self.state().commanded.clone();
-        match self.set(settings) {
+    /// Sets keys to numbers that have travelled. What a read of the present value would tell leaves that as it is: it may lie between the
+    /// numbers that can travel.
+    fn set_by_command(
+        &self,
+        settings: impl Iterator<Item = (&'static str, Kind, f64)>,
+    ) -> CommandResult {
+        let state = self.state().clone();
+        let stands = |(key, kind, number): &(&str, Kind, f64)| {
+            let now = state.value(key);
+            now.is_some_and(|now| *number != now && kind.nearest_code(now) == kind.code(*number))
+        };
+        let settings: Vec<(&str, Value)> = settings
+            .filter(|setting| !stands(setting))
+            .map(|(key, kind, number)| (key, value(kind, number)))
+            .collect();
+        match self.set(&settings) {
             Ok(()) => {
                 // The same again changes nothing, and must not fill the log.
-                for (key, value) in settings.iter().filter(|s| before.get(s.0) != Some(&s.1)) {
+                let before = |key| state.commanded.get(key);
+                for (key, value) in settings.iter().filter(|s| before(s.0) != Some(&s.1)) {
                     tracing::info!(key, %value, "set by command");
                 }
                 CommandResult::Done
@@ -132,7 +145,7 @@ impl Controls {
             && let [_, variable] = command.row.variables
             && let Some(parameter) = numbered(number, variable.kind)
         {
-            return self.set_by_command(&[(parameter.key, value(variable.kind, set))]);
+            return self.set_by_command(std::iter::once((parameter.key, variable.kind, set)));
         }
         self.state().reason = Some("no parameter of this number and type".into());
         CommandResult::Refused

@@ -10,6 +10,15 @@ pub(super) const TRACKING: &str = "link.tracking";
 pub(super) const LATITUDE: &str = "gps.latitude_deg";
 pub(super) const LONGITUDE: &str = "gps.longitude_deg";
 
+/// What belongs to the conversation with controller and ground, and not to the flight's settings.
+pub(super) const KEPT: [&str; 5] = [
+    TRACKING,
+    LATITUDE,
+    LONGITUDE,
+    "link.sending",
+    "link.stamp_ns",
+];
+
 /// What only commands set. `None` where they have not.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Own {
@@ -41,6 +50,12 @@ impl Own {
             latitude_deg: None,
             longitude_deg: None,
         }
+    }
+
+    /// Whether a key has this value.
+    pub fn is(&self, key: &str, value: &Value) -> bool {
+        let mut set = self.clone();
+        set.set(key, value).is_ok() && set == *self
     }
 
     /// Sets a key, or says why not; a name that is not known is refused, too.

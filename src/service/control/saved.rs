@@ -12,7 +12,7 @@ use super::Controls;
 use super::own::{LATITUDE, LONGITUDE, TRACKING};
 use crate::archive::{MARK, UNFINISHED};
 use crate::backoff::Backoff;
-use crate::config::{Config, Value};
+use crate::config::{Config, Refused, Value};
 use crate::link::describe::CommandInWords;
 use crate::service::command_log::CommandNote;
 use crate::service::tally::worth_a_line;
@@ -126,7 +126,32 @@ impl Written {
 /// Sets what was saved, but for what has been commanded since. Whatever is wrong is logged, never fatal: a damaged file is set
 /// aside under another name, a value that is refused is left out. Returns how many values were set.
 pub fn restore(controls: &Controls, path: &Path) -> usize {
-    restore_at(controls, path, &Written::now())
+    let restored = restore_at(controls, path, &Written::now());
+    let differences = controls.differences();
+    if !differences.is_empty() {
+        let (file, values) = (path.display(), differences.join(", "));
+        tracing::warn!(%file, values, "saved values fly instead of the configuration's");
+    }
+    restored
+}
+
+/// What a file of saved values sets that the configuration has otherwise, each in words, and what of it would be refused; none where there is no
+/// file. Nothing is changed.
+///
+/// # Errors
+/// The file cannot be read, or is damaged.
+pub fn differences(
+    controls: &Controls,
+    path: &Path,
+) -> Result<(Vec<String>, Vec<Refused>), SavedError> {
+    let mut values = read(path)?;
+    Written::take(&mut values);
+    let refused = values.iter().filter_map(|(key, value)| {
+        let setting = (key.as_str(), value.clone());
+        controls.set(std::slice::from_ref(&setting)).err()
+    });
+    let refused = refused.collect();
+    Ok((controls.differences(), refused))
 }
 
 fn restore_at(controls: &Controls, path: &Path, now: &Written) -> usize {

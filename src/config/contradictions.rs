@@ -1,0 +1,123 @@
+//! What contradicts itself in a configuration, though each value by itself is allowed: by the same rules for a file, a command and saved values.
+
+use super::{Camera, Config, Refused, by_key};
+use crate::link::PortAddress;
+
+impl Config {
+    /// What keeps this configuration from flying: what is missing, and what contradicts itself.
+    pub fn faults(&self) -> Vec<Refused> {
+        let cameras = [&self.camera, &self.second_camera];
+        let cameras = cameras.iter().filter(|camera| camera.source.is_some());
+        let contradictions = self.contradictions(cameras.count());
+        self.missing().into_iter().chain(contradictions).collect()
+    }
+
+    /// What contradicts itself, where so many pitch-yaw cameras fly.
+    pub fn contradictions(&self, pitch_yaw_cameras: usize) -> Vec<Refused> {
+        // The first one always flies.
+        let flies = |n: usize, camera: &Camera| n == 0 || camera.source.is_some();
+        let cameras = self.cameras().into_iter().enumerate();
+        let mut found: Vec<Refused> = cameras
+            .filter(|(n, (_, camera))| flies(*n, camera))
+            .map(|(_, camera)| camera)
+            .flat_map(|(table, camera)| exposure(table, camera))
+            .collect();
+        found.extend(self.space());
+        found.extend(self.sending_camera(pitch_yaw_cameras));
+        found.extend(self.shared_ports());
+        found
+    }
+
+    fn cameras(&self) -> [(&'static str, &Camera); 4] {
+        [
+            ("camera", &self.camera),
+            ("second_camera", &self.second_camera),
+            ("roll_camera", &self.roll_camera),
+            ("moon_camera", &self.moon_camera),
+        ]
+    }
+
+    fn space(&self) -> impl Iterator<Item = Refused> {
+        let limits = self.archive.space_limits();
+        let above = |key, value: f64, limit, most: f64| {
+            (value > most).then(|| Refused {
+                key,
+                expected: format!("at most {limit}, {most}"),
+                found: value.to_string(),
+            })
+        };
+        let (thin, stop) = (limits.thin_percent, limits.stop_percent);
+        let thin_key = "archive.thin_free_percent";
+        let stop_key = "archive.stop_free_percent";
+        let thin_found = above(thin_key, thin, "warn_free_percent", limits.warn_percent);
+        let stop_found = above(stop_key, stop, "thin_free_percent", thin);
+        thin_found.into_iter().chain(stop_found)
+    }
+
+    fn sending_camera(&self, pitch_yaw_cameras: usize) -> Option<Refused> {
+        let sending = self.link.sending_camera;
+        (sending as usize > pitch_yaw_cameras.max(1)).then(|| Refused {
+            key: "link.sending_camera",
+            expected: "a pitch-yaw camera that flies: 1, and 2 with a second_camera.source".into(),
+            found: sending.to_string(),
+        })
+    }
+
+    /// Lines that two would read from.
+    fn shared_ports(&self) -> Vec<Refused> {
+        let local_port = u16::try_from(self.link.udp_local_port).ok();
+        let link = self.link.address().ok().flatten();
+        let sensor = |address: Result<Option<PortAddress>, Refused>| {
+            let address = address.ok().flatten();
+            address
+                .filter(|_| self.navigation.is_enabled())?
+                .takes(None)
+        };
+        let taken = [
+            (
+                "link.port",
+                link.and_then(|address| address.takes(local_port)),
+            ),
+            ("navigation.imu_port", sensor(self.navigation.imu_address())),
+            ("navigation.gps_port", sensor(self.navigation.gps_address())),
+        ];
+        let taken: Vec<_> = taken
+            .into_iter()
+            .filter_map(|(key, taken)| Some((key, taken?)))
+            .collect();
+        let shared = |(n, (key, own)): (usize, &(&'static str, String))| {
+            let (other, _) = taken[..n].iter().find(|(_, other)| other == own)?;
+            Some(Refused {
+                key,
+                expected: format!("a port of its own, not that of {other}"),
+                found: own.clone(),
+            })
+        };
+        taken.iter().enumerate().filter_map(shared).collect()
+    }
+}
+
+/// An exposure ends before the next frame, and the shortest of automatic ones is shorter than the longest.
+fn exposure(table: &str, camera: &Camera) -> Vec<Refused> {
+    let period_us = 1e6 / camera.rate_hz;
+    let (shortest, longest) = (camera.auto_exposure_min_us, camera.auto_exposure_max_us);
+    let refused = |name: &str, expected: String, found: u32| {
+        let key = by_key(&format!("{table}.{name}"))?.key;
+        let found = found.to_string();
+        Some(Refused {
+            key,
+            expected,
+            found,
+        })
+    };
+    let mut wrong = Vec::new();
+    if f64::from(camera.exposure_us) > period_us {
+        let expected = format!("less than the {period_us:.0} us from frame to frame at rate_hz");
+        wrong.extend(refused("exposure_us", expected, camera.exposure_us));
+    }
+    if camera.auto_exposure().is_some() && shortest >= longest {
+        let expected = format!("less than auto_exposure_max_us, {longest}");
+        wrong.extend(refused("auto_exposure_min_us", expected, shortest));
+    }
+    wrong
+}

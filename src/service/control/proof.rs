@@ -1,0 +1,65 @@
+//! Whether the solver's settings leave a Sun: they are tried on a frame as the instrument's file describes it.
+
+use crate::aspect::{self, Expected, Quality};
+use crate::config::{Config, Refused};
+use crate::frame::Frame;
+use crate::instrument::Instrument;
+use crate::simulate::{Scene, Sun};
+use std::sync::OnceLock;
+
+/// The Sun at 1 AU.
+const RADIUS_ARCSEC: f64 = 959.63;
+
+/// A frame of the Sun at the boresight, drawn when it is first needed.
+#[derive(Debug)]
+pub struct Proof {
+    instrument: Instrument,
+    frame: OnceLock<Option<Frame>>,
+}
+
+impl Proof {
+    pub fn of(instrument: &Instrument) -> Self {
+        Self {
+            instrument: instrument.clone(),
+            frame: OnceLock::new(),
+        }
+    }
+
+    /// # Errors
+    /// `key` has been set, and the solver finds no Sun where it did with its defaults.
+    pub fn check(&self, key: &'static str, config: &Config) -> Result<(), Refused> {
+        let Some(frame) = self.frame.get_or_init(|| self.draw()) else {
+            return Ok(());
+        };
+        let found = self.solve(&config.solver(), frame);
+        if found == Quality::Fine {
+            return Ok(());
+        }
+        Err(Refused {
+            key,
+            expected: "settings of the solver with which a frame of this instrument is fine".into(),
+            found: format!(
+                "with those of [limb], [fiducial] and [registration]: {}",
+                found.name()
+            ),
+        })
+    }
+
+    /// `None` where the defaults find no Sun, either: such an instrument proves nothing.
+    fn draw(&self) -> Option<Frame> {
+        let instrument = &self.instrument;
+        let mut scene = Scene::new(instrument, instrument.nominal_mapping()?);
+        let radius_mil = instrument.optics.radius_mil(RADIUS_ARCSEC);
+        scene.sun = Some(Sun::new(instrument.mounting.boresight_mil, radius_mil));
+        let frame = scene.frame().ok()?;
+        let proves = self.solve(&aspect::Settings::default(), &frame) == Quality::Fine;
+        proves.then_some(frame)
+    }
+
+    fn solve(&self, settings: &aspect::Settings, frame: &Frame) -> Quality {
+        let expected = Some(Expected {
+            radius_arcsec: RADIUS_ARCSEC,
+        });
+        aspect::solve_with(settings, frame, &self.instrument, expected, None).quality
+    }
+}
