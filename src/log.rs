@@ -183,6 +183,33 @@ fn write_all(entries: &Receiver<Entry>, out: &mut impl Write) {
     }
 }
 
+/// Whether a fault that has happened so often deserves a line in the log: the 1st, 2nd, 4th, 8th ... A dead disk or line
+/// must not fill the log.
+pub fn worth_a_line(count: u64) -> bool {
+    count.is_power_of_two()
+}
+
+/// Counts a fault that may come with every frame, for those of its lines that are worth one.
+pub struct Seldom(AtomicU64);
+
+impl Seldom {
+    pub const fn new() -> Self {
+        Self(AtomicU64::new(0))
+    }
+
+    /// Counts one; how many there are by now, where that is worth a line.
+    pub fn counted(&self) -> Option<u64> {
+        let times = self.0.fetch_add(1, Ordering::Relaxed) + 1;
+        worth_a_line(times).then_some(times)
+    }
+}
+
+impl Default for Seldom {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,6 +10,7 @@ use crate::fits::Card;
 use crate::frame::FrameInfo;
 use crate::geometry::Mapping;
 use crate::instrument::Instrument;
+use crate::log::Seldom;
 use crate::pointing::{self, HelioprojectiveArcsec, PointingError, Roll, Target};
 use crate::sky::{AU_KM, Ephemeris, SUN_RADIUS_KM, SunPosition};
 use crate::units::{ARCSEC_PER_RAD, EARTH_RADIUS_M, Place, SensorPx};
@@ -105,7 +106,10 @@ pub fn sky_cards(
     let sun = match ephemeris.sun(utc, place) {
         Ok(sun) => sun,
         Err(error) => {
-            tracing::warn!(%error, "no coordinates: the Sun's position is not known");
+            static UNKNOWN: Seldom = Seldom::new();
+            if let Some(frames) = UNKNOWN.counted() {
+                tracing::warn!(%error, frames, "no coordinates: the Sun's position is not known");
+            }
             return Vec::new();
         }
     };
@@ -123,7 +127,12 @@ pub fn sky_cards(
                 cards.extend(error_cards(&helioprojection, aspect, turn_sigma_deg, &sun));
             }
             Ok(None) => tracing::warn!("no coordinates: the mapping has no inverse"),
-            Err(error) => tracing::warn!(%error, "no coordinates"),
+            Err(error) => {
+                static NONE: Seldom = Seldom::new();
+                if let Some(frames) = NONE.counted() {
+                    tracing::warn!(%error, frames, "no coordinates");
+                }
+            }
         }
     }
     cards

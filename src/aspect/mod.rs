@@ -18,6 +18,7 @@ use crate::frame::{Cutout, Frame, Levels, Mask};
 use crate::geometry::{Circle, Ellipse};
 use crate::instrument::Instrument;
 use crate::limb::Limb;
+use crate::log::Seldom;
 use crate::{fiducial, limb, registration, sky};
 use jiff::Timestamp;
 pub use marks::MarkScene;
@@ -36,7 +37,12 @@ impl Expected {
     /// The expectation for an instant; where the ephemeris does not know, that is logged and nothing is expected.
     pub fn at(utc: Timestamp) -> Option<Self> {
         sky::sun_angular_radius(utc)
-            .inspect_err(|error| tracing::warn!(%error, "the Sun's size is not known"))
+            .inspect_err(|error| {
+                static UNKNOWN: Seldom = Seldom::new();
+                if let Some(frames) = UNKNOWN.counted() {
+                    tracing::warn!(%error, frames, "the Sun's size is not known");
+                }
+            })
             .ok()
             .map(|radius_arcsec| Self { radius_arcsec })
     }

@@ -97,6 +97,23 @@ pub const WATCHES: &[Watch] = &[
         }],
     },
     Watch {
+        fields: &["values_set"],
+        good: "0, or as many as commands have set",
+        otherwise: "so many values were set by command and are others in the configuration: `preflight` lists them, and `reset_values` returns to it",
+        rules: &[Rule {
+            name: "values_set",
+            severity: Severity::Attention,
+            found: |minute| {
+                let set = minute.now.values_set;
+                let blind = without_fine(minute).is_some();
+                (set > 0 && blind).then(|| {
+                    let values = counted(set.into(), "value");
+                    format!("no fine frame, with {values} set by command: reset_values returns to the configuration")
+                })
+            },
+        }],
+    },
+    Watch {
         fields: &["silent_s"],
         good: "constant",
         otherwise: "a camera gave no frames for so long: see above",

@@ -11,16 +11,17 @@ use std::fmt;
 use std::str::FromStr;
 
 /// The layout that this program writes. Those before are read, too.
-pub const LAYOUT: u8 = 7;
+pub const LAYOUT: u8 = 8;
 
 /// The earlier layouts, and the field that the next one began its additions with.
-const EARLIER: [(u8, &str); 6] = [
+const EARLIER: [(u8, &str); 7] = [
     (1, "takeovers"),
     (2, "commit"),
     (3, "roll_deg"),
     (4, "night"),
     (5, "navigation"),
     (6, "gps_no_fix"),
+    (7, "values_set"),
 ];
 
 /// A field as the page on the protocol shows it.
@@ -240,6 +241,7 @@ housekeeping! {
     gps_out_of_time: u16, "", "the same: more than 3 s from the IMU's clock";
     gps_unreadable: u16, "", "sentences of the receiver with a wrong checksum, wrong fields or no end";
     gps_noise_bytes: u32, "", "bytes of the receiver that are part of no sentence";
+    values_set: u16, "", "values set by command that are others in the configuration";
 }
 
 /// The ids of up to sixteen marks: i and j, each from -7 to 7.

@@ -110,6 +110,7 @@ impl HousekeepingSource {
         told.latency_99_ms = quantile(&mut latencies, 0.99).map(milliseconds);
         self.tell_answer(&mut told);
         self.tell_moon(&mut told);
+        self.tell_values(&mut told);
         self.before = tally;
         (Timestamp::now() + self.ahead, told)
     }
@@ -141,6 +142,10 @@ impl HousekeepingSource {
         if let MoonSight::Found(fix) = seen.sight {
             (told.moon_x_px, told.moon_y_px) = (Some(fix.x_px as f32), Some(fix.y_px as f32));
         }
+    }
+
+    fn tell_values(&self, told: &mut Housekeeping) {
+        told.values_set = small(self.controls.differences().len() as u64);
     }
 
     fn tell_answer(&mut self, told: &mut Housekeeping) {

@@ -20,13 +20,14 @@ use super::control::{Controls, Topic};
 use super::moon::MoonDesk;
 use super::navigation::Inputs;
 use super::shared::Shared;
-use super::tally::{LineTally, note_latency, worth_a_line};
+use super::tally::{LineTally, note_latency};
 use super::worker::Life;
 use crate::config;
 use crate::link::{
     Computer, Connection, Direction, Exposure, Housekeeping, LinkState, MessageError, Parser,
     PortError, Responder,
 };
+use crate::log::worth_a_line;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use moon::MoonRequests;

@@ -5,7 +5,7 @@ use super::control::Snapshot;
 use super::flight::{Station, UnsolvedFrame};
 use super::outlet::Outlet;
 use super::shared::Shared;
-use super::tally::{MoonTally, worth_a_line};
+use super::tally::MoonTally;
 use super::worker::Life;
 use crate::aspect;
 use crate::camera::Brightness;
@@ -13,6 +13,7 @@ use crate::frame::{self, Frame, Region};
 use crate::instrument::DirectionCamera;
 use crate::link::MoonSight;
 use crate::link::moon::{BELOW_HORIZON, FIRST_STAGE, MoonFix, NEAR_SUN, WRONG_SIZE};
+use crate::log::worth_a_line;
 use crate::moon::{
     self, Disc, Expected, Levels, Optics, Settings, Shading, Stage, Stopped, bright_dn,
 };

@@ -5,7 +5,7 @@ use super::flight::{CameraFactory, Station, UnsolvedFrame};
 use super::line::LinkEvent;
 use super::shared::Shared;
 use super::silence::{self, Silence};
-use super::tally::{CameraTally, worth_a_line};
+use super::tally::CameraTally;
 use super::worker::Life;
 use crate::backoff::Backoff;
 use crate::camera::{
@@ -14,6 +14,7 @@ use crate::camera::{
 };
 use crate::frame::FrameInfo;
 use crate::link;
+use crate::log::worth_a_line;
 use crossbeam_channel::{Sender, TrySendError};
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;

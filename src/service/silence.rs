@@ -109,7 +109,7 @@ impl Silence {
 
 /// Logs a change: the 1st, 2nd, 4th ... silence.
 pub(super) fn tell(camera: usize, change: Option<Change>) {
-    use super::tally::worth_a_line;
+    use crate::log::worth_a_line;
     match change {
         Some(Change::Silent(silences, gap)) if worth_a_line(silences) => {
             let for_s = gap.as_secs_f64();

@@ -426,12 +426,6 @@ impl fmt::Display for FlightTally {
     }
 }
 
-/// Whether a fault that has happened so often deserves a line in the log: the 1st, 2nd, 4th, 8th ... A dead disk or line
-/// must not fill the log.
-pub(in crate::service) fn worth_a_line(count: u64) -> bool {
-    count.is_power_of_two()
-}
-
 /// The value below which a fraction of the values lies; `None` of no values.
 pub fn quantile<T: Copy + PartialOrd>(values: &mut [T], fraction: f64) -> Option<T> {
     values.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));

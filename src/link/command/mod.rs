@@ -114,6 +114,9 @@ mod tests {
             }
         }
         assert_eq!(Kind::Signed.code(0.5), None);
+        // Between two steps: refused rather than another value set.
+        assert_eq!(Kind::Angle.code(0.26), None);
+        assert_eq!(Kind::Angle.nearest_code(0.26), Kind::Angle.code(0.25));
     }
 
     #[test]

@@ -6,9 +6,9 @@ use crate::archive::{ArchiveError, Encoded, Room, Store, instrument_cards, sky_c
 use crate::backoff::Backoff;
 use crate::clock::ClockStatus;
 use crate::fits::clock_cards;
+use crate::log::worth_a_line;
 use crate::pointing::Roll;
 use crate::service::control::Controls;
-use crate::service::tally::worth_a_line;
 use crate::sky::Ephemeris;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

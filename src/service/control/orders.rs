@@ -5,7 +5,7 @@ use super::{Controls, State};
 use crate::config::{Allowed, Parameter, Value, by_command, by_key};
 use crate::link::command::Kind;
 use crate::link::{Action, CameraRole, Command, CommandResult, Control, GpsFix, MoonRequest};
-use crate::service::tally::worth_a_line;
+use crate::log::worth_a_line;
 use std::sync::atomic::Ordering;
 
 impl Control for Controls {

@@ -297,3 +297,105 @@ fn a_twist_turns_the_mounting_from_where_it_is_stated() {
     assert!((turned + 10.0).abs() < 1e-9, "{turned}");
     assert_eq!(mounting.clocking_deg.value, -30.0);
 }
+
+#[test]
+fn a_value_that_contradicts_this_flight_is_refused_and_nothing_changes() {
+    let controls = controls();
+    controls.note_instrument(&builtin("demo").unwrap());
+    let before = controls.config();
+    let number = |key: &str| by_key(key).unwrap().command.unwrap();
+    let integer = |key, value| order(&controls, "set_integer", &[number(key), signed(value)]);
+    let float = |key, value| order(&controls, "set_float", &[number(key), angle(value)]);
+    assert_eq!(
+        integer("link.sending_camera", 2),
+        REFUSED,
+        "it is not there"
+    );
+    assert_eq!(order(&controls, "set_pitch_yaw_exposure", &[65_535]), DONE);
+    controls.reset();
+    // Each allowed by itself: no frame would show a Sun.
+    assert_eq!(float("fiducial.min_likeness", 1.0), REFUSED);
+    assert_eq!(float("fiducial.min_contrast", 1.0), REFUSED);
+    assert_eq!(integer("limb.min_limb_points", 720), REFUSED);
+    assert_eq!(integer("fiducial.min_marks", 225), REFUSED);
+    assert_eq!(
+        float("limb.min_contrast_sigma", 100.0),
+        DONE,
+        "the Sun is bright"
+    );
+    controls.reset();
+    assert_eq!(controls.config(), before);
+    controls.note_cameras(&[CameraRole::PitchYaw, CameraRole::PitchYaw]);
+    assert_eq!(integer("link.sending_camera", 2), DONE);
+}
+
+#[test]
+fn saved_values_that_leave_no_sun_are_left_out() {
+    let controls = controls();
+    controls.note_instrument(&builtin("demo").unwrap());
+    let hostile = [("fiducial.min_likeness", Value::Number(1.0))];
+    let refused = controls.set(&hostile).unwrap_err().to_string();
+    assert!(
+        refused.starts_with("fiducial.min_likeness: expected settings"),
+        "{refused}"
+    );
+    assert_eq!(controls.config(), Config::default());
+}
+
+#[test]
+fn what_was_read_and_is_written_again_is_the_same_value() {
+    let mut mounting = builtin("demo").unwrap().mounting;
+    mounting.clocking_deg.value = -52.175;
+    let mut config = Config::default();
+    config.fiducial.min_contrast = 0.26;
+    config.camera.exposure_us = 100_000;
+    let controls = Controls::new(config.clone(), Target::default(), mounting);
+    for (read, written) in [
+        ("get_clocking", "set_clocking"),
+        ("get_pitch_yaw_exposure", "set_pitch_yaw_exposure"),
+    ] {
+        let CommandResult::Value(code) = order(&controls, read, &[]) else {
+            panic!("{read}");
+        };
+        assert_eq!(order(&controls, written, &[code]), DONE);
+    }
+    let number = by_key("fiducial.min_contrast").unwrap().command.unwrap();
+    let CommandResult::Value(code) = order(&controls, "get_float", &[number]) else {
+        panic!("get_float");
+    };
+    assert_eq!(order(&controls, "set_float", &[number, code]), DONE);
+    assert_eq!(controls.config(), config);
+    assert_eq!(controls.snapshot().clocking_deg, None);
+    assert!(controls.differences().is_empty());
+    // Another value is set as it travels.
+    assert_eq!(order(&controls, "set_clocking", &[angle(-52.0)]), DONE);
+    assert_eq!(controls.snapshot().clocking_deg, Some(-52.0));
+}
+
+#[test]
+fn reset_values_returns_to_the_configuration_and_keeps_the_conversation() {
+    let controls = controls();
+    let before = (controls.config(), controls.snapshot());
+    controls.note_tracking(true);
+    controls.note_stamp_ns(7);
+    assert_eq!(order(&controls, "set_pitch_yaw_exposure", &[700]), DONE);
+    assert_eq!(order(&controls, "set_target", &[signed(-300), 450]), DONE);
+    assert_eq!(order(&controls, "set_twist", &[angle(0.5)]), DONE);
+    assert_eq!(order(&controls, "store_roll_frames", &[0]), DONE);
+    // As the configuration has it.
+    assert_eq!(order(&controls, "accept_gps", &[1]), DONE);
+    let differences = controls.differences().join("; ");
+    assert_eq!(
+        differences,
+        "camera.exposure_us = 700 (configuration: 15000); mounting.twist_deg = 0.5 (set by command alone); \
+         store.roll = 0 (set by command alone); target.x_arcsec = -300 (configuration: 0); \
+         target.y_arcsec = 450 (configuration: 0)"
+    );
+    let version = controls.version(Topic::Cameras);
+    assert_eq!(order(&controls, "reset_values", &[]), DONE);
+    assert!(controls.version(Topic::Cameras) > version);
+    assert_eq!((controls.config(), controls.snapshot()), before);
+    assert!(controls.stores(CameraRole::Roll) && controls.differences().is_empty());
+    assert!(controls.tracking());
+    assert_eq!(controls.stamp_ns(), 7);
+}

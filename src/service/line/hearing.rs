@@ -1,11 +1,11 @@
 //! What comes over the line, and what is answered.
 
 use super::super::command_log::CommandNote;
-use super::super::tally::worth_a_line;
 use super::Line;
 use crate::link::describe::CommandInWords;
 use crate::link::guard::Refusal;
 use crate::link::{CommandPacket, Packet, TelemetryPacket};
+use crate::log::worth_a_line;
 use jiff::Timestamp;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};

@@ -2,9 +2,9 @@
 
 use super::rows::gps_row;
 use super::{Filter, NavigationLog, NavigationTally, Navigator};
+use crate::log::worth_a_line;
 use crate::navigation::nmea::{Heard, Refusal, Refused, TimedFix};
 use crate::navigation::{Fix, Measurement};
-use crate::service::tally::worth_a_line;
 use crate::units::Place;
 
 /// A fix of a time that is further from the IMU's is of another day, or stale.

@@ -17,10 +17,10 @@ use super::control::{Controls, Seat, Topic};
 use super::line::{LinkEvent, PropagatedEvent};
 use super::priority::Rank;
 use super::shared::Shared;
-use super::tally::worth_a_line;
 use super::worker::{Life, Worker};
 use crate::config::{self, FlightClock, Host};
 use crate::link::{Connection, ImuPacket, Propagated, Solution};
+use crate::log::worth_a_line;
 use crate::navigation::{
     CAMERAS_IN_FLIGHT, Due, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
     Settings, Sighting, Sky, Status, Target, Targets, offset,
