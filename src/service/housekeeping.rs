@@ -365,7 +365,7 @@ mod tests {
             "1", "2", "3", "4", "5", "6", "7", "8", "9", "10", "11", "12",
         ];
         assert_eq!(counts[..12], reasons);
-        assert_eq!(counts[12..], ["0", "0"], "unreadable, noise");
+        assert_eq!(counts[12..14], ["0", "0"], "unreadable, noise");
         // No fix, the same again, and out of time.
         assert_eq!(told.gps_without_fix, 1 + 11 + 12);
     }

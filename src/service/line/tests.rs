@@ -55,6 +55,7 @@ fn bench_over(
     change(&mut config.link);
     let mounting = builtin("demo").unwrap().mounting;
     let controls = Controls::new(config, Target::default(), mounting);
+    controls.note_cameras(&[crate::link::CameraRole::PitchYaw; 2]);
     bench_of(connection, far, controls)
 }
 
