@@ -216,6 +216,12 @@ fn a_disk_is_judged_by_the_time_that_its_room_is_for() {
         };
         check_folder(disk.clone(), folder.path(), &demand).remove(0)
     };
+    // Plenty of room, and 40 files that it may yet take, at 10 a second.
+    disk.set(Some(Fault::Files(40)));
+    let finding = room(1_000_000.0);
+    assert_eq!(finding.verdict, Verdict::Fail, "{finding}");
+    assert!(finding.found.contains("40 files"), "{finding}");
+    disk.set(Some(Fault::Free(50.0)));
     let finding = room(1_000.0);
     assert_eq!(finding.verdict, Verdict::Pass, "{finding}");
     assert!(finding.found.contains("for 13.9 h of frames"), "{finding}");

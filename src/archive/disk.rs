@@ -114,6 +114,8 @@ impl Lock {
 pub struct Space {
     pub free_bytes: u64,
     pub total_bytes: u64,
+    /// Files that it may yet take (inodes); `None` where the file system does not count them.
+    pub free_files: Option<u64>,
 }
 
 impl Space {
@@ -212,6 +214,7 @@ impl Disk for LocalDisk {
         Ok(Space {
             free_bytes: found.blocks_available().saturating_mul(block),
             total_bytes: found.blocks().saturating_mul(block),
+            free_files: (found.files() > 0).then(|| found.files_available()),
         })
     }
 }

@@ -7,7 +7,7 @@ use crate::pointing::Target;
 use crate::preflight::{self, Options};
 use crate::sky::Ephemeris;
 use clap::Args;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -121,6 +121,8 @@ pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
     if !is_ignored(SIGHUP) {
         signals.push(SIGHUP);
     }
+    // A file that may grow no further (RLIMIT_FSIZE) is an error of its writer, not the end of the flight.
+    signal_hook::flag::register(SIGXFSZ, Arc::default())?;
     for signal in signals {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
     }

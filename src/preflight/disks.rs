@@ -144,9 +144,18 @@ fn room(check: &str, store: &Store, demand: &Demand) -> Finding {
     };
     let room = demand.limits.room(space.free_percent());
     let bytes_per_s = demand.frame_bytes as f64 * demand.rate_hz;
-    let seconds = space.free_bytes as f64 / bytes_per_s.max(1.0);
+    let by_bytes_s = space.free_bytes as f64 / bytes_per_s.max(1.0);
+    let files = space.free_files.map(|files| files as f64);
+    let by_files_s = files.map_or(f64::INFINITY, |files| files / demand.rate_hz.max(1e-3));
+    let seconds = by_bytes_s.min(by_files_s);
+    let what = match files {
+        Some(files) if by_files_s < by_bytes_s => {
+            format!("; the disk takes {files} files more (inodes), a frame each")
+        }
+        _ => " before they are compressed".into(),
+    };
     let found = format!(
-        "{:.1} GB free ({:.0} %), for {} of frames before they are compressed",
+        "{:.1} GB free ({:.0} %), for {} of frames{what}",
         space.free_bytes as f64 / 1e9,
         space.free_percent(),
         span(seconds)

@@ -14,6 +14,8 @@ pub enum Fault {
     Step(&'static str),
     /// It says that so much is free.
     Free(f64),
+    /// Plenty of room, but so many files (inodes).
+    Files(u64),
     /// It takes no byte and says nothing, until the fault is gone.
     Stuck,
     /// It is not there. When it is back, what was open before leads nowhere.
@@ -193,6 +195,12 @@ impl Disk for FaultyDisk {
             Some(Fault::Free(percent)) => Ok(Space {
                 free_bytes: (percent * 1e6) as u64,
                 total_bytes: 100_000_000,
+                free_files: None,
+            }),
+            Some(Fault::Files(free_files)) => Ok(Space {
+                free_bytes: 90_000_000_000,
+                total_bytes: 100_000_000_000,
+                free_files: Some(free_files),
             }),
             Some(Fault::Gone) => Err(ErrorKind::NotFound.into()),
             _ => self.disk.space(folder),
