@@ -176,6 +176,12 @@ impl Access {
         let mut addresses = self.addresses();
         if addresses.len() >= MOST_ADDRESSES {
             addresses.retain(|_, known| now.duration_since(known.since) < MINUTE);
+            // All of the last minute: the one that asked longest ago is forgotten.
+            if addresses.len() >= MOST_ADDRESSES {
+                let oldest = addresses.iter().min_by_key(|(_, known)| known.since);
+                let oldest = oldest.map(|(address, _)| *address);
+                oldest.and_then(|oldest| addresses.remove(&oldest));
+            }
         }
         let known = addresses.entry(peer).or_insert(Address {
             left: BURST,

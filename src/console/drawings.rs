@@ -1,5 +1,6 @@
 //! Requests for drawings: pictures, the Sun on the plate, plots and their numbers.
 
+use super::frames::read_frame;
 use super::ground::SunOnPlate;
 use super::pictures::camera_name;
 use super::plots::{self, FieldName, Numbers};
@@ -44,9 +45,16 @@ pub async fn picture(
         )
     };
     let name = camera_name(camera);
+    let stored = match (&picture, file) {
+        (None, Some(file)) if camera == 1 => {
+            Some((console.read(file.clone(), read_frame).await?, file))
+        }
+        _ => None,
+    };
+    let _turn = console.turn().await?;
     beside(move || {
         let ground = &console.parts().ground;
-        let drawn = match (picture, file) {
+        let drawn = match (picture, stored) {
             (Some(picture), _) if picture.width == 0 => {
                 return Err(Failure::missing(format!("the {name}: no pixels have come")));
             }
@@ -60,8 +68,10 @@ pub async fn picture(
                 })?;
                 ground.overlay(&frame, &format!("{name}, solved on the ground"))
             }
-            (None, Some(file)) if camera == 1 => ground.frame(&file, with_overlay),
-            _ => return Err(Failure::missing(format!("the {name}: no picture has come"))),
+            (None, Some((frame, file))) => ground.frame(&frame, &file, with_overlay),
+            (None, None) => {
+                return Err(Failure::missing(format!("the {name}: no picture has come")));
+            }
         };
         png(&drawn.map_err(|error| Failure(StatusCode::CONFLICT, format!("{error:#}")))?)
     })

@@ -4,6 +4,8 @@ use super::history::{FrameRow, History};
 use super::request::{Answer, Asked, Console, Failure, attachment, beside, png, time};
 use super::table::Nanoseconds;
 use super::view::utc;
+use crate::fits;
+use crate::frame::Frame;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -11,6 +13,7 @@ use axum::response::Response;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::path::Path;
 
 const COUNT: usize = 50;
 const MOST: usize = 500;
@@ -121,26 +124,32 @@ fn named(console: &Console, file: &str) -> Answer<String> {
 
 /// A frame as a picture.
 pub async fn picture(State(console): State<Console>, query: Asked<FileQuery>) -> Answer<Response> {
+    let FileQuery { file, overlay } = query.0;
+    let file = named(&console, &file)?;
+    let frame = console.read(file.clone(), read_frame).await?;
+    let _turn = console.turn().await?;
     beside(move || {
-        let file = named(&console, &query.0.file)?;
-        let drawn = console
-            .parts()
-            .ground
-            .frame(&file, query.0.overlay == Some(1));
+        let ground = &console.parts().ground;
+        let drawn = ground.frame(&frame, &file, overlay == Some(1));
         png(&drawn.map_err(|error| Failure(StatusCode::CONFLICT, format!("{error:#}")))?)
     })
     .await
 }
 
+/// Reads a frame of the archive.
+pub fn read_frame(path: &Path) -> anyhow::Result<Frame> {
+    Ok(fits::read_frame(path)?)
+}
+
 /// A frame as it is.
 pub async fn file(State(console): State<Console>, query: Asked<FileQuery>) -> Answer<Response> {
-    beside(move || {
-        let file = named(&console, &query.0.file)?;
-        let path = console.parts().ground.path(&file);
-        let bytes =
-            std::fs::read(&path).map_err(|error| Failure::missing(format!("{file}: {error}")))?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        Ok(attachment("application/fits", &name, bytes))
-    })
-    .await
+    let file = named(&console, &query.0.file)?;
+    let bytes = console.read(file.clone(), |path| Ok(std::fs::read(path)?));
+    let bytes = bytes.await?;
+    let name = Path::new(&file).file_name().unwrap_or_default();
+    Ok(attachment(
+        "application/fits",
+        &name.to_string_lossy(),
+        bytes,
+    ))
 }

@@ -3,7 +3,6 @@
 
 use super::table::{Nanoseconds, timestamp};
 use crate::aspect::{self, Expected};
-use crate::fits;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Offset, Roll, Target};
@@ -13,7 +12,7 @@ use crate::sky::Ephemeris;
 use crate::units::{Place, PlateMil};
 use image::RgbImage;
 use nalgebra::Matrix2;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Half of the width of the plate as it is drawn, mil; the marks reach to 3280.
 const REACH_MIL: f64 = 3600.0;
@@ -54,22 +53,16 @@ impl Ground {
         Ok(aspect::overlay(frame, &solution, &instrument, title))
     }
 
-    /// A frame of the archive as a picture, with or without what is found in it. `file` must be one that a log names.
+    /// A frame of the archive as a picture, with or without what is found in it.
     ///
     /// # Errors
-    /// It cannot be read, or is not of the instrument's camera.
-    pub fn frame(&self, file: &str, with_overlay: bool) -> anyhow::Result<RgbImage> {
-        let frame = fits::read_frame(&self.path(file))?;
+    /// It is not of the instrument's camera.
+    pub fn frame(&self, frame: &Frame, file: &str, with_overlay: bool) -> anyhow::Result<RgbImage> {
         if with_overlay {
-            return self.overlay(&frame, file);
+            return self.overlay(frame, file);
         }
         let stretch = (0.0, frame.saturation_dn().into());
-        Ok(Canvas::of_frame(&frame, frame.region(), 1, stretch, 0).into_image())
-    }
-
-    /// Where a file of the archive is.
-    pub fn path(&self, file: &str) -> PathBuf {
-        self.archive.as_deref().unwrap_or(Path::new("")).join(file)
+        Ok(Canvas::of_frame(frame, frame.region(), 1, stretch, 0).into_image())
     }
 
     /// Where the Sun stands on the plate while the telescope is on its target. Without a place that is known for the Sun's centre

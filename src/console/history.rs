@@ -18,6 +18,11 @@ const MINUTE_NS: i64 = 60 * SECOND_NS;
 pub const SILENCE_S: i64 = 5;
 /// Alarms that are kept.
 const MOST_ALARMS: usize = 1000;
+/// Reasons that are told apart.
+const MOST_REASONS: usize = 500;
+const OTHER_REASONS: &str = "other reasons";
+/// Tables that are kept: a few of each camera.
+pub const MOST_TABLES: usize = 64;
 /// Pictures that are kept, of 2.5 MB each.
 const MOST_PICTURES: usize = 12;
 /// What is forgotten is forgotten in pieces of an hour.
@@ -111,8 +116,10 @@ pub struct History {
     gyro_times: Steady,
     /// The exposure that was announced last, which an error is about.
     announced: Option<Nanoseconds>,
-    /// How long rows are kept.
+    /// How long rows are kept, by when they arrived.
     keep: Nanoseconds,
+    /// When what is too old was forgotten last.
+    forgot: Option<Nanoseconds>,
 }
 
 /// The columns of a solution as it is received.
@@ -178,6 +185,7 @@ impl History {
             gyro_times: Steady::default(),
             announced: None,
             keep: i64::try_from(keep.as_nanos()).unwrap_or(i64::MAX),
+            forgot: None,
         }
     }
 
@@ -215,28 +223,33 @@ impl History {
     }
 
     fn take_solution(&mut self, time: Nanoseconds, arrived: Nanoseconds, row: &[Option<f64>]) {
-        if !self.solution_times.take(time) {
+        if !self.solution_times.take(time, arrived) {
             self.line.doubtful += 1;
             return;
         }
-        self.push(RECEIVED, time, row);
+        self.push(RECEIVED, (time, arrived), row);
         self.solution_arrived = Some(arrived);
         self.news.solution += 1;
     }
 
     fn take_gyros(&mut self, time: Nanoseconds, arrived: Nanoseconds, row: &[Option<f64>]) {
-        if !self.gyro_times.take(time) {
+        if !self.gyro_times.take(time, arrived) {
             self.line.doubtful += 1;
             return;
         }
-        self.push(GYROS, time, row);
+        self.push(GYROS, (time, arrived), row);
         self.gyros_arrived = Some(arrived);
         self.news.gyros += 1;
     }
 
-    fn push(&mut self, table: &str, time: Nanoseconds, row: &[Option<f64>]) {
+    fn push(
+        &mut self,
+        table: &str,
+        (time, arrived): (Nanoseconds, Nanoseconds),
+        row: &[Option<f64>],
+    ) {
         if let Some(table) = self.tables.get_mut(table) {
-            table.push(time, row);
+            table.push(time, arrived, row);
         }
     }
 
@@ -265,7 +278,9 @@ impl History {
             return;
         }
         if self.pictures.len() >= MOST_PICTURES && !self.pictures.contains_key(&(camera, time)) {
-            let oldest = self.pictures.keys().min_by_key(|(_, time)| *time).copied();
+            // By arrival: a picture may say any time.
+            let oldest = self.pictures.iter().min_by_key(|(_, known)| known.arrived);
+            let oldest = oldest.map(|(picture, _)| *picture);
             oldest.and_then(|oldest| self.pictures.remove(&oldest));
         }
         let begun = || Partial::begun(time, arrived);
@@ -283,7 +298,7 @@ impl History {
         time: Nanoseconds,
         arrived: Nanoseconds,
     ) {
-        if !self.told_times.take(time) {
+        if !self.told_times.take(time, arrived) {
             self.line.doubtful += 1;
             return;
         }
@@ -297,7 +312,7 @@ impl History {
         let newest = self.newest.and_then(|row| self.housekeeping.told(row));
         let is_late = at < self.housekeeping.times.len()
             && newest.is_some_and(|newest| told.uptime_s < newest.uptime_s);
-        self.count_missing(is_late, time);
+        self.count_missing(is_late, time, arrived);
         self.housekeeping.insert(at, time, arrived, payload);
         match is_late {
             true => self.newest = self.newest.map(|row| row + usize::from(row >= at)),
@@ -305,18 +320,21 @@ impl History {
         }
         self.judge(at, is_late);
         self.news.housekeeping += 1;
-        self.forget(time);
+        self.forget(arrived);
     }
 
-    /// Counts the seconds without housekeeping before that of a time; one that is late was counted.
-    fn count_missing(&mut self, is_late: bool, time: Nanoseconds) {
+    /// Counts the seconds without housekeeping before that of a time; one that is late was counted. A clock that was set makes none.
+    fn count_missing(&mut self, is_late: bool, time: Nanoseconds, arrived: Nanoseconds) {
         if is_late {
             self.line.late += 1;
             self.line.missing = self.line.missing.saturating_sub(1);
             return;
         }
-        let before = self.newest.map_or(time, |row| self.housekeeping.times[row]);
-        let seconds = (time - before + SECOND_NS / 2) / SECOND_NS;
+        let rows = &self.housekeeping;
+        let before = |times: &[Nanoseconds], now| self.newest.map_or(now, |row| times[row]);
+        let told = time.saturating_sub(before(&rows.times, time));
+        let ours = arrived.saturating_sub(before(&rows.arrived, arrived));
+        let seconds = (told.min(ours.saturating_add(MINUTE_NS)) + SECOND_NS / 2) / SECOND_NS;
         self.line.missing += u64::try_from(seconds - 1).unwrap_or(0);
     }
 
@@ -445,31 +463,33 @@ impl History {
         if words.is_empty() {
             return None;
         }
-        let known = self.reasons.iter().position(|reason| reason == words);
+        let place_of = |words: &str| self.reasons.iter().position(|reason| reason == words);
+        let known = place_of(words).or_else(|| {
+            let is_full = self.reasons.len() >= MOST_REASONS;
+            is_full.then(|| place_of(OTHER_REASONS)).flatten()
+        });
         let place = known.unwrap_or_else(|| {
+            let is_full = self.reasons.len() >= MOST_REASONS;
+            let words = if is_full { OTHER_REASONS } else { words };
             self.reasons.push(words.into());
             self.reasons.len() - 1
         });
         u16::try_from(place).ok()
     }
 
+    /// Forgets what arrived too long ago, an hour at once.
     fn forget(&mut self, now: Nanoseconds) {
-        let oldest = now.saturating_sub(self.keep);
-        let is_due = |times: &[i64]| {
-            times
-                .first()
-                .is_some_and(|first| *first < oldest - PIECE_NS)
-        };
-        if is_due(&self.housekeeping.times) {
-            let before = self.housekeeping.times.len();
-            self.housekeeping.forget_before(oldest);
-            let forgotten = before - self.housekeeping.times.len();
-            self.newest = self.newest.and_then(|row| row.checked_sub(forgotten));
+        let before = *self.forgot.get_or_insert(now);
+        if now.saturating_sub(before) < PIECE_NS {
+            return;
         }
+        self.forgot = Some(now);
+        let oldest = now.saturating_sub(self.keep);
+        let kept = self.housekeeping.forget_before(oldest);
+        let place = |row: usize| kept[..row].iter().filter(|kept| **kept).count();
+        self.newest = self.newest.filter(|row| kept[*row]).map(place);
         for table in self.tables.values_mut() {
-            if is_due(table.times()) {
-                table.forget_before(oldest);
-            }
+            table.forget_before(oldest);
         }
     }
 }

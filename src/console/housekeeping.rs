@@ -1,6 +1,6 @@
 //! The housekeeping of a flight, row by row, as it came.
 
-use super::table::Nanoseconds;
+use super::table::{Nanoseconds, keep};
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use std::ops::Range;
@@ -63,12 +63,15 @@ impl HousekeepingRows {
             .collect()
     }
 
-    /// Forgets what is older than a time.
-    pub fn forget_before(&mut self, time: Nanoseconds) {
-        let count = self.times.partition_point(|at| *at < time);
-        self.times.drain(..count);
-        self.arrived.drain(..count);
-        self.flags.drain(..count);
-        self.payloads.drain(..count * payload_bytes());
+    /// Forgets what arrived before a time: of each row, whether it was kept.
+    pub fn forget_before(&mut self, arrived: Nanoseconds) -> Vec<bool> {
+        let kept: Vec<bool> = self.arrived.iter().map(|own| *own >= arrived).collect();
+        keep(&mut self.times, &kept);
+        keep(&mut self.arrived, &kept);
+        keep(&mut self.flags, &kept);
+        let payloads = self.payloads.chunks(payload_bytes()).zip(&kept);
+        let payloads = payloads.filter(|(_, kept)| **kept);
+        self.payloads = payloads.flat_map(|(payload, _)| payload).copied().collect();
+        kept
     }
 }

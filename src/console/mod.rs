@@ -20,6 +20,7 @@
 
 mod access;
 mod commands;
+mod disk;
 mod drawings;
 mod frames;
 mod ground;

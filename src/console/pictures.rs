@@ -8,6 +8,8 @@ use image::{Rgb, RgbImage};
 /// Where pixels have not come: a hatch of these.
 const MISSING: [Rgb<u8>; 2] = [Rgb([70, 90, 120]), Rgb([95, 115, 145])];
 const HATCH_PX: u32 = 8;
+/// Keywords of a picture that are kept: a frame has fewer.
+const MOST_TAGS: usize = 256;
 
 /// A picture of which some pixels have come.
 #[derive(Debug, Clone)]
@@ -18,6 +20,8 @@ pub struct Partial {
     pixels: Vec<Option<u8>>,
     pub received: usize,
     pub tags: Vec<Tag>,
+    /// Keywords that found no room.
+    pub tags_lost: u64,
     /// That its packets carry: of the frame.
     pub time: Nanoseconds,
     /// When its last packet arrived.
@@ -35,6 +39,7 @@ impl Partial {
             pixels: Vec::new(),
             received: 0,
             tags: Vec::new(),
+            tags_lost: 0,
             time,
             arrived,
             version: 0,
@@ -60,6 +65,10 @@ impl Partial {
     /// Takes a keyword; a later one of the same name is in the place of the earlier one.
     pub fn take_tag(&mut self, tag: Tag) {
         self.tags.retain(|known| known.name != tag.name);
+        if self.tags.len() >= MOST_TAGS {
+            self.tags.remove(0);
+            self.tags_lost += 1;
+        }
         self.tags.push(tag);
     }
 

@@ -226,7 +226,11 @@ mod tests {
         for row in 0..rows {
             let time = 1_379_786_400 * SECOND + row * SECOND / 4;
             let swing = (std::f64::consts::TAU * 0.5 * row as f64 / 4.0).sin() / 3600.0;
-            table.push(time, &[Some(swing), Some(-swing), None, Some(1e-5), None]);
+            table.push(
+                time,
+                time,
+                &[Some(swing), Some(-swing), None, Some(1e-5), None],
+            );
         }
         history
     }

@@ -1,6 +1,7 @@
 //! What every request has in common: what it is answered from, how it is read, and how an answer or a failure is written.
 
 use super::access::{Access, Refused};
+use super::disk::Reads;
 use super::ground::Ground;
 use super::orders::Refusal;
 use super::receive::Outgoing;
@@ -19,12 +20,22 @@ use image::{ExtendedColorType, ImageEncoder, RgbImage};
 use jiff::Timestamp;
 use serde::Deserialize;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// What every answer needs.
 #[derive(Clone)]
-pub struct Console(Arc<Parts>);
+pub struct Console {
+    parts: Arc<Parts>,
+    reads: Reads,
+    turns: Arc<Semaphore>,
+}
+
+/// Drawings that are made at a time, and how long another waits for its turn.
+const DRAWINGS: usize = 2;
+const DRAWING_TURN: Duration = Duration::from_secs(10);
 
 /// The parts of a console.
 pub struct Parts {
@@ -97,35 +108,62 @@ pub type Answer<T> = Result<T, Failure>;
 
 impl Console {
     pub fn new(parts: Parts) -> Self {
-        Self(Arc::new(parts))
+        Self {
+            parts: Arc::new(parts),
+            reads: Reads::default(),
+            turns: Arc::new(Semaphore::new(DRAWINGS)),
+        }
     }
 
     pub fn parts(&self) -> &Parts {
-        &self.0
+        &self.parts
     }
 
     pub fn shared(&self) -> &Arc<Shared> {
-        &self.0.shared
+        &self.parts.shared
+    }
+
+    /// What `read` makes of a file of the archive.
+    pub async fn read<T: Send + 'static>(
+        &self,
+        file: String,
+        read: impl FnOnce(&Path) -> anyhow::Result<T> + Send + 'static,
+    ) -> Answer<T> {
+        let archive = self.parts.ground.archive.clone();
+        let archive = archive.ok_or_else(|| Failure::missing("no archive is at hand"))?;
+        self.reads.read(archive, file, read).await
+    }
+
+    /// Drawings take turns, so that no number of viewers takes the whole machine.
+    pub async fn turn(&self) -> Answer<OwnedSemaphorePermit> {
+        let turns = Arc::clone(&self.turns);
+        match tokio::time::timeout(DRAWING_TURN, turns.acquire_owned()).await {
+            Ok(Ok(turn)) => Ok(turn),
+            _ => Err(Failure(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "too many drawings at a time: try again".into(),
+            )),
+        }
     }
 
     /// Whether silence is a fault: what is received comes each second.
     pub fn is_live(&self) -> bool {
-        self.0.source.is_line()
+        self.parts.source.is_line()
     }
 
     /// Whether the flight still grows: an archive or a recording does that has grown lately.
     pub fn grows(&self) -> bool {
-        self.is_live() || self.0.shared.has_grown_lately()
+        self.is_live() || self.parts.shared.has_grown_lately()
     }
 
     /// Whether commands may be sent by somebody who has logged in.
     pub fn takes_commands(&self) -> bool {
-        self.0.outbox.is_some() && self.0.access.has_token()
+        self.parts.outbox.is_some() && self.parts.access.has_token()
     }
 
     /// Looks at the flight at a time, or at its newest.
     pub fn view<T>(&self, at: Option<Nanoseconds>, look: impl FnOnce(&View) -> T) -> T {
-        let history = self.0.shared.history();
+        let history = self.parts.shared.history();
         look(&View {
             history: &history,
             at,

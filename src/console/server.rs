@@ -6,7 +6,7 @@ use super::request::{Answer, Asked, At, Body, Console, Failure, attachment, besi
 use super::view::{self, Detail, utc};
 use super::{commands, drawings, frames, pages};
 use crate::provenance::LONG_VERSION;
-use axum::extract::{ConnectInfo, DefaultBodyLimit, Request, State};
+use axum::extract::{ConnectInfo, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{KeepAlive, Sse};
@@ -16,41 +16,34 @@ use axum::{Json, Router};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
-use tokio::sync::Semaphore;
 use tower_http::compression::CompressionLayer;
 
-/// The largest request, bytes.
-const LARGEST_REQUEST: usize = 16 * 1024;
 /// Viewers of the live stream at a time.
 const MOST_VIEWERS: usize = 100;
-/// Drawings that are made at a time, and how long another waits for its turn.
-const DRAWINGS: usize = 2;
-const DRAWING_TURN: Duration = Duration::from_secs(10);
 
 /// A viewer's browser loads nothing but what this console sends, and shows it in no other site's frame.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
                               connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'";
 
-/// The routes; `drawings` are the turns at drawing.
+/// The routes.
 pub fn router(console: Console) -> Router {
-    let drawings = Arc::new(Semaphore::new(DRAWINGS));
     let drawn = Router::new()
-        .route("/api/picture.png", get(drawings::picture))
         .route("/api/plate.svg", get(drawings::plate))
         .route("/api/plot.svg", get(drawings::plot))
         .route("/api/spectrum.svg", get(drawings::spectrum))
         .route("/api/table.csv", get(drawings::table))
-        .route("/api/frame.png", get(frames::picture))
-        .route("/api/frame.fits", get(frames::file))
-        .layer(middleware::from_fn_with_state(drawings, take_turn));
+        .layer(middleware::from_fn_with_state(console.clone(), take_turn));
     Router::new()
         .route("/api/flight", get(flight))
         .route("/api/now", get(now))
         .route("/api/live", get(stream))
         .route("/api/frames", get(frames::list))
+        // Their files are read before they take their turn at drawing.
+        .route("/api/picture.png", get(drawings::picture))
+        .route("/api/frame.png", get(frames::picture))
+        .route("/api/frame.fits", get(frames::file))
         .route("/api/recording", get(recording))
         .route("/api/login", post(log_in))
         .route("/api/logout", post(log_out))
@@ -61,7 +54,6 @@ pub fn router(console: Console) -> Router {
         .route("/api/commands/send", post(commands::send))
         .merge(drawn)
         .fallback(get(pages::page))
-        .layer(DefaultBodyLimit::max(LARGEST_REQUEST))
         // Not the stream of events, nor pictures.
         .layer(CompressionLayer::new())
         .layer(middleware::from_fn_with_state(console.clone(), guard))
@@ -104,19 +96,10 @@ async fn guard(
     response
 }
 
-/// Drawings take turns, so that no number of viewers takes the whole machine.
-async fn take_turn(
-    State(drawings): State<Arc<Semaphore>>,
-    request: Request,
-    next: Next,
-) -> Response {
-    match tokio::time::timeout(DRAWING_TURN, drawings.acquire()).await {
-        Ok(Ok(_turn)) => next.run(request).await,
-        _ => Failure(
-            StatusCode::SERVICE_UNAVAILABLE,
-            "too many drawings at a time: try again".into(),
-        )
-        .into_response(),
+async fn take_turn(State(console): State<Console>, request: Request, next: Next) -> Response {
+    match console.turn().await {
+        Ok(_turn) => next.run(request).await,
+        Err(failure) => failure.into_response(),
     }
 }
 

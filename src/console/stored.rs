@@ -1,6 +1,6 @@
 //! A flight on disk: its logs are read into the history, and read on while they grow. See `docs/archive.md`.
 
-use super::history::{FrameRow, History};
+use super::history::{FrameRow, History, MOST_TABLES};
 use super::table::nanoseconds;
 use super::table::{Column, Table};
 use crate::clock::parse_utc;
@@ -89,7 +89,7 @@ impl Follower {
                 .unwrap_or_default()
                 .to_string_lossy()
                 .into_owned();
-            if path.extension().is_some_and(|ending| ending == "csv") {
+            if path.extension().is_some_and(|ending| ending == "csv") && path.is_file() {
                 self.add_log(&path, &name);
             } else if depth > 1 && !name.starts_with('.') && !is_of_frames(&name) && path.is_dir() {
                 self.find_logs(&path, depth - 1)?;
@@ -186,6 +186,9 @@ impl Log {
             return;
         }
         let table = self.table_name();
+        if history.tables.len() >= MOST_TABLES && !history.tables.contains_key(&table) {
+            return;
+        }
         let table = history.tables.entry(table.clone());
         let table = table.or_insert_with_key(|name| Table::new(name, self.columns()));
         let numbers: Vec<Option<f64>> = table
@@ -193,7 +196,7 @@ impl Log {
             .iter()
             .map(|column| self.field(row, &column.name)?.parse().ok())
             .collect();
-        table.push(time, &numbers);
+        table.push(time, time, &numbers);
         match self.what.as_str() {
             SOLUTIONS => {
                 // Where a line brings solutions, too, they are the newer ones.

@@ -15,23 +15,48 @@ pub fn timestamp(time: Nanoseconds) -> Timestamp {
     Timestamp::from_nanosecond(time.into()).unwrap_or_default()
 }
 
-/// Times that follow each other. One of another hour than those before it is not believed before another one agrees: a broken packet
-/// that passes its checksum must not set the clock.
+/// Times that follow each other as our clock goes on. One of another hour is not believed before others have agreed with it for a while: a
+/// broken packet that passes its checksum, or a forged one, must not set the clock.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Steady {
-    last: Option<Nanoseconds>,
-    doubted: Option<Nanoseconds>,
+    last: Option<Moment>,
+    /// The first and the last of those that are not believed yet.
+    doubted: Option<(Moment, Moment)>,
+}
+
+/// A time of the flight's clock, and of ours when it was told.
+#[derive(Debug, Clone, Copy)]
+struct Moment {
+    time: Nanoseconds,
+    arrived: Nanoseconds,
+}
+
+impl Moment {
+    /// Whether the clock has moved as ours from one moment to another.
+    fn agrees(&self, other: &Self) -> bool {
+        const HOUR_NS: u64 = 3_600_000_000_000;
+        let moved = self.time.saturating_sub(other.time);
+        let ours = self.arrived.saturating_sub(other.arrived);
+        moved.abs_diff(ours) < HOUR_NS
+    }
 }
 
 impl Steady {
-    /// Whether a time is believed.
-    pub fn take(&mut self, time: Nanoseconds) -> bool {
-        const HOUR_NS: u64 = 3_600_000_000_000;
-        let agrees = |other: Nanoseconds| other.abs_diff(time) < HOUR_NS;
-        let is_steady = self.last.is_none_or(agrees) || self.doubted.is_some_and(agrees);
+    /// A clock that was set is believed after so long of ours.
+    pub const PERSISTS_NS: i64 = 5_000_000_000;
+
+    /// Whether a time that arrived at one of ours is believed.
+    pub fn take(&mut self, time: Nanoseconds, arrived: Nanoseconds) -> bool {
+        let now = Moment { time, arrived };
+        let first = match self.doubted.filter(|(_, last)| last.agrees(&now)) {
+            Some((first, _)) => first,
+            None => now,
+        };
+        let persists = arrived.saturating_sub(first.arrived) >= Self::PERSISTS_NS;
+        let is_steady = self.last.is_none_or(|last| last.agrees(&now)) || persists;
         match is_steady {
-            true => (self.last, self.doubted) = (Some(time), None),
-            false => self.doubted = Some(time),
+            true => (self.last, self.doubted) = (Some(now), None),
+            false => self.doubted = Some((first, now)),
         }
         is_steady
     }
@@ -63,6 +88,8 @@ pub struct Table {
     pub name: String,
     pub columns: Vec<Column>,
     times: Vec<i64>,
+    /// When each arrived by our clock, s since 1970.
+    arrived_s: Vec<u32>,
     values: Vec<Vec<f32>>,
 }
 
@@ -73,13 +100,15 @@ impl Table {
             values: vec![Vec::new(); columns.len()],
             columns,
             times: Vec::new(),
+            arrived_s: Vec::new(),
         }
     }
 
-    /// Adds a row, in its place by time; as many numbers as the table has columns.
-    pub fn push(&mut self, time: i64, row: &[Option<f64>]) {
+    /// Adds a row that arrived at a time of ours, in its place by its own; as many numbers as the table has columns.
+    pub fn push(&mut self, time: i64, arrived: Nanoseconds, row: &[Option<f64>]) {
         let at = place(&self.times, time);
         self.times.insert(at, time);
+        self.arrived_s.insert(at, seconds(arrived));
         for (column, value) in self.values.iter_mut().zip(row) {
             column.insert(at, value.map_or(f32::NAN, |value| value as f32));
         }
@@ -101,14 +130,26 @@ impl Table {
         value.is_finite().then(|| value.into())
     }
 
-    /// Forgets what is older than a time.
-    pub fn forget_before(&mut self, time: i64) {
-        let count = self.times.partition_point(|at| *at < time);
-        self.times.drain(..count);
+    /// Forgets what arrived before a time.
+    pub fn forget_before(&mut self, arrived: Nanoseconds) {
+        let oldest_s = seconds(arrived);
+        let kept: Vec<bool> = self.arrived_s.iter().map(|own| *own >= oldest_s).collect();
+        keep(&mut self.times, &kept);
+        keep(&mut self.arrived_s, &kept);
         for column in &mut self.values {
-            column.drain(..count);
+            keep(column, &kept);
         }
     }
+}
+
+fn seconds(time: Nanoseconds) -> u32 {
+    u32::try_from(time / 1_000_000_000).unwrap_or(0)
+}
+
+/// Keeps the rows that are to be kept.
+pub fn keep<T>(rows: &mut Vec<T>, kept: &[bool]) {
+    let mut kept = kept.iter();
+    rows.retain(|_| kept.next().is_none_or(|kept| *kept));
 }
 
 /// Where a time belongs among ordered ones: behind those equal to it.
@@ -135,33 +176,41 @@ pub fn rows_within(times: &[i64], range: &Range<i64>) -> Range<usize> {
 mod tests {
     use super::*;
 
+    const SECOND: i64 = 1_000_000_000;
+
     #[test]
-    fn one_time_that_stands_alone_is_not_believed_and_two_that_agree_are() {
-        const HOUR: i64 = 3_600_000_000_000;
+    fn a_time_that_does_not_move_as_ours_is_not_believed_before_it_persists() {
+        const HOUR: i64 = 3600 * SECOND;
         let mut steady = Steady::default();
-        let taken = [
-            10,
-            11,
-            9 * HOUR,
-            12,
-            8 * HOUR,
-            -5 * HOUR,
-            13,
-            9 * HOUR,
-            9 * HOUR + 1,
-            14,
-        ];
-        let taken = taken.map(|time| steady.take(time));
-        assert_eq!(
-            taken,
-            [
-                true, true, false, true, false, false, true, false, true, false
-            ]
-        );
+        let mut take =
+            |time_s: i64, arrived_s: i64| steady.take(time_s * SECOND, arrived_s * SECOND);
+        assert!(take(10, 0) && take(11, 1));
+        // Two packets ten years ahead, and the flight goes on.
+        assert!(!take(315_360_000, 2) && !take(315_360_001, 3));
+        assert!(take(14, 4));
+        // After a day without a word it is as far on as we are.
+        assert!(take(86_414, 86_404));
+        // The clock was set: believed when it has gone on as ours for five seconds.
+        let set = (0..8).map(|n| take(n, 86_410 + n));
+        let set: Vec<bool> = set.collect();
+        assert_eq!(set, [false, false, false, false, false, true, true, true]);
+        assert!(!steady.take(9 * HOUR, 86_418 * SECOND));
     }
 
     #[test]
-    fn a_late_row_stands_in_its_place_and_old_ones_are_forgotten() {
+    fn rows_are_forgotten_by_when_they_arrived_whatever_their_clock_says() {
+        let mut table = Table::new("t", vec![Column::new("x", "mil", "a place")]);
+        for (time, arrived) in [(10, 10), (11, 11), (315_360_000, 12), (13, 13), (1, 14)] {
+            table.push(time * SECOND, arrived * SECOND, &[Some(arrived as f64)]);
+        }
+        table.forget_before(12 * SECOND);
+        let left: Vec<i64> = table.times().iter().map(|time| time / SECOND).collect();
+        assert_eq!(left, [1, 13, 315_360_000]);
+        assert_eq!(table.column("x"), Some(&[14.0f32, 13.0, 12.0][..]));
+    }
+
+    #[test]
+    fn a_late_row_stands_in_its_place() {
         let mut table = Table::new("t", vec![Column::new("x", "mil", "a place")]);
         for (time, x) in [
             (10, Some(1.0)),
@@ -169,7 +218,7 @@ mod tests {
             (20, Some(2.0)),
             (40, Some(4.0)),
         ] {
-            table.push(time, &[x]);
+            table.push(time, 0, &[x]);
         }
         assert_eq!(table.times(), [10, 20, 30, 40]);
         let x: Vec<_> = (0..4).map(|row| table.value(row, "x")).collect();
@@ -177,8 +226,6 @@ mod tests {
         assert_eq!(row_at(table.times(), 25), Some(1));
         assert_eq!(row_at(table.times(), 9), None);
         assert_eq!(rows_within(table.times(), &(20..40)), 1..3);
-        table.forget_before(25);
-        assert_eq!(table.times(), [30, 40]);
-        assert_eq!(table.value(1, "x"), Some(4.0));
+        assert_eq!(table.value(3, "x"), Some(4.0));
     }
 }

@@ -258,3 +258,49 @@ fn a_thousand_broken_packets_do_no_harm() {
     assert!(history.housekeeping.times.is_sorted());
     assert!(history.span().is_some());
 }
+
+#[test]
+fn two_packets_of_another_decade_forget_nothing_and_miss_nothing() {
+    let mut history = history();
+    let told = |uptime_s| Housekeeping {
+        uptime_s,
+        ..Housekeeping::default()
+    };
+    for second in 20..22 {
+        let packet = told(second).packet(at(i64::from(second) + 315_360_000));
+        history.take(&Packet::Telemetry(packet.unwrap()), at(second.into()));
+    }
+    for second in 22..30 {
+        let packet = told(second).packet(at(second.into())).unwrap();
+        history.take(&Packet::Telemetry(packet), at(second.into()));
+    }
+    assert_eq!(history.housekeeping.times.len(), 28);
+    assert_eq!((history.line.missing, history.line.doubtful), (2, 2));
+    // An hour and more later what arrived first is forgotten.
+    for second in 7200..7202 {
+        let packet = told(second).packet(at(second.into())).unwrap();
+        history.take(&Packet::Telemetry(packet), at(second.into()));
+    }
+    assert_eq!(history.housekeeping.times.len(), 2);
+    assert_eq!(history.row(None), Some(1));
+}
+
+#[test]
+fn forged_keywords_and_reasons_take_no_more_room_than_a_frame_has() {
+    use super::pictures::Partial;
+    use crate::link::picture::{Tag, TagValue};
+    let mut picture = Partial::begun(0, 0);
+    let mut history = history();
+    for n in 0..40_000 {
+        picture.take_tag(Tag {
+            name: format!("K{n}"),
+            value: TagValue::Whole(1),
+            comment: String::new(),
+        });
+        history.reason(&format!("reason {n}"));
+    }
+    assert_eq!(picture.tags.len(), 256);
+    assert_eq!(picture.tags_lost, 40_000 - 256);
+    assert!(history.reasons.len() <= 501);
+    assert!(history.reason("reason 50000").is_some());
+}
