@@ -15,6 +15,7 @@ mod link;
 mod navigation;
 mod parameter;
 mod read;
+pub mod saved;
 mod table;
 mod value;
 

@@ -9,7 +9,7 @@ mod orders;
 mod own;
 mod saved;
 
-pub use saved::{SavedValues, ValueSaver, restore};
+pub use saved::{SavedError, SavedValues, ValueSaver, restore};
 
 use super::command_log::CommandNote;
 use crate::aspect;
