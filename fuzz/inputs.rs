@@ -15,7 +15,7 @@ use solaspect::navigation::files::{self, read_gps, read_imu, read_sun, read_vect
 use solaspect::navigation::nmea::{Heard, Nmea};
 use solaspect::pointing::Target;
 use solaspect::refine::{FrameRecord, Journal};
-use solaspect::service::control::{Controls, restore};
+use solaspect::service::control::{Controls, SavedValues, restore};
 use solaspect::simulate::{Course, Pieces};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -159,7 +159,7 @@ pub fn values(bytes: &[u8]) {
     for bytes in [bytes, &headed] {
         let (_folder, path) = file("values.toml", bytes);
         let controls = Controls::new(Config::default(), Target::default(), *MOUNTING);
-        restore(&controls, &path);
+        restore(&controls, &SavedValues::at(&path));
     }
 }
 

@@ -53,7 +53,8 @@
 //! | modules | what they hold |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
-//! | `backoff` | waits between attempts |
+//! | `backoff`, `bounded` | waits between attempts; work that is given its time and no more |
+//! | `files` | files that are read whole: regular ones, of a bounded size, in a bounded time |
 //! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | [`log`] | the log on standard error, which blocks no thread |
 //! | `kernels` | vectorised loops over pixels |
@@ -82,6 +83,7 @@ pub mod accuracy;
 pub mod archive;
 pub mod aspect;
 mod backoff;
+mod bounded;
 pub mod calibrate;
 pub mod camera;
 pub mod cli;
@@ -91,6 +93,7 @@ pub mod config;
 pub mod console;
 pub mod estimation;
 pub mod fiducial;
+mod files;
 pub mod fits;
 pub mod frame;
 pub mod geometry;

@@ -1,10 +1,10 @@
 //! Rows of CSV tables and logs, as instruments, people and power cuts leave them. A row that cannot be read is left out, counted by kind, and
 //! warned of once a kind: one bad row costs no flight.
 
+use crate::files::open_log;
 use csv::ByteRecord;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
@@ -226,7 +226,10 @@ pub fn read_rows(
     let unreadable = |line, error: io::Error| {
         BadRow::new(Kind::Unreadable, "table", "a readable file", error).at(path, line)
     };
-    let file = File::open(path).map_err(|error| unreadable(line, error))?;
+    let file = open_log(path).map_err(|unread| {
+        let (expected, found) = (unread.expected(), unread.found());
+        BadRow::new(Kind::Unreadable, "table", expected, found).at(path, line)
+    })?;
     let mut file = BufReader::with_capacity(BUFFER, file);
     let (mut bytes, mut record) = (Vec::new(), ByteRecord::new());
     let mut before = End::OfLine(b'\n');

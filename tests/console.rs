@@ -7,7 +7,7 @@ use solaspect::console::{Ground, Running, Secret, Settings, Source};
 use solaspect::instrument::builtin;
 use solaspect::link::byte_log::{self, Burst};
 use solaspect::link::picture::Picture;
-use solaspect::link::{Housekeeping, Message, Solution, id};
+use solaspect::link::{Computer, Housekeeping, Key, Message, Solution, id};
 use solaspect::pointing::Target;
 use solaspect::service::demo::{self, Demo};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
@@ -694,6 +694,72 @@ fn what_was_received_is_recorded_relayed_and_replayed_as_it_was() {
         error.contains("flight.log") && error.contains("expected a byte log"),
         "{error}"
     );
+}
+
+#[test]
+fn consoles_that_relay_in_a_ring_pass_each_datagram_on_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("flight.log");
+    let far_port = free_port();
+    let port = free_port();
+    let near = Running::start(Settings {
+        recording: Some(path.clone()),
+        relays: vec![local(far_port)],
+        ..settings(Source::Udp(local(port)))
+    });
+    let far = Running::start(Settings {
+        relays: vec![local(port)],
+        ..settings(Source::Udp(local(far_port)))
+    });
+    let (near, far) = (near.unwrap(), far.unwrap());
+    let gondola = UdpSocket::bind(local(0)).unwrap();
+    // The second comes when the first would have been round many times.
+    for second in 1..3 {
+        gondola.send_to(&housekeeping(second), local(port)).unwrap();
+        let back = |now: &Value| now["state"]["line"]["doubled"].as_u64() >= Some(second.into());
+        wait_for(near.address(), "/api/now", back);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let recorded = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(
+        recorded.lines().count(),
+        1 + 2 * 2,
+        "as sent, and as it came back"
+    );
+    near.end();
+    far.end();
+}
+
+#[test]
+fn a_command_is_signed_for_the_computer_that_it_is_composed_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let gondola = UdpSocket::bind(local(0)).unwrap();
+    gondola.set_read_timeout(Some(LONG)).unwrap();
+    let key = Key::new(b"sixteen bytes or more").unwrap();
+    let (console, _) = over_udp(|settings| {
+        settings.gondola = Some(gondola.local_addr().unwrap());
+        settings.token = Some(Secret::of(TOKEN));
+        settings.key = Some(key.clone());
+        settings.command_log = folder.path().join("log.csv");
+    });
+    let address = console.address();
+    let cookie = logged_in(address);
+    for (number, to, other) in [
+        (1, Computer::One, Computer::Two),
+        (2, Computer::Two, Computer::One),
+    ] {
+        let command = json!({"name": "start_tracking", "values": [], "computer": number});
+        let armed = post(address, "/api/commands/arm", &cookie, &command).json();
+        let release = json!({"armed": armed["armed"], "confirmed": true});
+        let sent = post(address, "/api/commands/send", &cookie, &release);
+        assert_eq!(sent.json()["computer"], number);
+        let mut datagram = [0; 512];
+        let (length, _) = gondola.recv_from(&mut datagram).unwrap();
+        let datagram = &datagram[..length];
+        assert!(key.towards(to).verified(datagram).is_some());
+        assert!(key.towards(other).verified(datagram).is_none());
+    }
+    console.end();
 }
 
 /// Memory of a process, bytes.

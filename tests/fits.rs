@@ -603,14 +603,14 @@ mod bad_files {
         assert!(missing.contains("no.fits: expected to read the file, found \"No such file"));
         let directory = read_frame(folder.path()).unwrap_err().to_string();
         assert!(
-            directory.ends_with("expected a file, found a directory"),
+            directory.ends_with("expected a regular file, found a directory"),
             "{directory}"
         );
         #[cfg(unix)]
         {
             let device = read_frame(Path::new("/dev/zero")).unwrap_err().to_string();
             assert!(
-                device.ends_with("expected a file, found a device or pipe"),
+                device.ends_with("expected a regular file, found a device or pipe"),
                 "{device}"
             );
         }

@@ -329,17 +329,21 @@ fn commands_that_are_refused_or_come_again_over_udp_are_in_the_archive_too() {
     };
     let near = open(9);
     let mut ground = open(near.local_port().unwrap());
-    let secret = Key::new(b"sixteen bytes or more").unwrap();
+    let seal = |computer| {
+        let key = Key::new(b"sixteen bytes or more").unwrap();
+        key.towards(computer)
+    };
     let peers = vec![Peer::any_port_of(Ipv4Addr::LOCALHOST.into())];
-    let guard = Guard::new(peers, Some(Key::new(b"sixteen bytes or more").unwrap()));
+    let guard = Guard::new(peers, Some(seal(Computer::One)));
     let store = Store::open(root.path(), "demo", Compression::Rice).unwrap();
     let line = Connection::over(near).guarded(guard);
     let service = fly_with(line, Config::default(), vec![store]);
     let packet = order("no_op", &[], Computer::One).unwrap();
     let packet = packet.packet(id::ASPECT, 7).unwrap().encode();
     let stamp = 1_379_786_400_000_000_000;
-    let signed = secret.sign(&packet, stamp);
-    for datagram in [&packet, &signed, &signed] {
+    let signed = seal(Computer::One).sign(&packet, stamp);
+    let replayed = seal(Computer::Two).sign(&packet, stamp + 1);
+    for datagram in [&packet, &replayed, &signed, &signed] {
         ground.write(datagram, LONG).unwrap();
     }
     let finish = Instant::now() + LONG;
@@ -352,7 +356,14 @@ fn commands_that_are_refused_or_come_again_over_udp_are_in_the_archive_too() {
     let rows = command_rows(root.path());
     let results: Vec<_> = rows.iter().map(|row| (&row[2][..], &row[4][..])).collect();
     let expected = [
-        ("", "refused (1): signature: expected one by link.key_file"),
+        (
+            "",
+            "refused (1): signature: expected one by link.key_file, for this computer",
+        ),
+        (
+            "",
+            "refused (2): signature: expected one by link.key_file, for this computer",
+        ),
         ("no_op", "done"),
         ("no_op", "came again (1): answered again"),
     ];

@@ -26,6 +26,7 @@ mod gige;
 mod gondola_path;
 mod horizon;
 mod horizon_sensitivity;
+mod hostile_files;
 mod identification;
 mod imports;
 mod limb;

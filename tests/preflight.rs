@@ -638,7 +638,7 @@ fn a_configuration_is_checked_with_all_its_errors_at_once() {
         format!("{own}second_camera.source: expected a folder of frames"),
         format!("{own}sky.earth_orientation: expected a table"),
         "error: /nowhere/i.toml: expected a file, or a built-in instrument".into(),
-        "error: /nowhere/p.toml: expected a readable text file".into(),
+        "error: /nowhere/p.toml: expected a readable file".into(),
         format!("warning: {}: site: ", file.display()),
     ] {
         let lines = said.lines().filter(|line| line.starts_with(&expected));

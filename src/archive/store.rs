@@ -7,6 +7,7 @@
 
 use super::disk::{Absent, Disk, Entry, EntryKind, LocalDisk, Lock, Space};
 use super::name::{NameTime, name};
+use crate::bounded::within;
 use crate::fits::{Card, FileError, Packing, Problem, Table, encode_frame};
 use crate::frame::Frame;
 use jiff::Timestamp;
@@ -14,6 +15,7 @@ use std::io::{self, ErrorKind};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// What ends the name of a file that is being written; it begins with a dot.
 pub const UNFINISHED: &str = ".part";
@@ -46,6 +48,13 @@ pub enum ArchiveError {
     Outside { path: PathBuf },
 }
 
+impl ArchiveError {
+    /// Whether another program has what was asked for.
+    fn is_busy(&self) -> bool {
+        matches!(self, Self::Io { cause, .. } if cause.kind() == ErrorKind::ResourceBusy)
+    }
+}
+
 /// Says, of a failed operation, what it was and on which path.
 pub(super) trait During<T> {
     fn during(self, action: &'static str, path: &Path) -> Result<T, ArchiveError>;
@@ -73,11 +82,19 @@ pub struct Store {
     instrument: String,
     packing: Packing,
     /// Held while this program writes to the archive.
-    claim: Mutex<Option<Lock>>,
+    claim: Mutex<Option<Claim>>,
     /// How often the disk was taken, and unfinished files that were removed: read while the claim waits for the disk.
     visits: AtomicU64,
     swept: AtomicUsize,
     flight_files: Mutex<Vec<FlightFile>>,
+}
+
+/// The archive is this program's.
+#[derive(Debug)]
+struct Claim {
+    lock: Lock,
+    /// Whether it has been cleaned of what an earlier run left unfinished.
+    is_swept: bool,
 }
 
 /// A file that the archive must have while this program writes to it.
@@ -165,55 +182,57 @@ impl Store {
     /// # Errors
     /// As `open`; where the folder above is not there; and where the disk has gone, or an empty folder stands in its place.
     pub fn prepare(&self) -> Result<(), ArchiveError> {
-        let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut claim = self.claim();
         let mark = self.root.join(MARK);
-        let absent = if self.visits() == 0 {
-            self.make_folder_in_place()?;
-            Absent::Made
-        } else {
-            self.present()?;
-            // It may go until it is locked.
-            Absent::Refused
-        };
-        if claim.as_ref().is_some_and(|lock| lock.is_of(&mark)) {
-            return Ok(());
+        match claim.as_ref() {
+            None if self.visits() == 0 => {}
+            _ => self.present()?,
         }
-        *claim = None;
-        let lock = self.disk.lock(&mark, absent).map_err(|cause| {
-            let action = match cause.kind() {
-                ErrorKind::ResourceBusy => "be the only program that writes to this archive",
-                _ => "make the disk's mark",
-            };
-            let path = mark.clone();
-            ArchiveError::Io {
-                path,
-                action,
-                cause,
+        let is_ours = |claim: &&mut Claim| claim.lock.is_of(&mark);
+        let held = match claim.as_mut().filter(is_ours) {
+            Some(held) if held.is_swept => return Ok(()),
+            Some(held) => held,
+            None => {
+                *claim = None;
+                let lock = take(self.disk.as_ref(), &self.root, self.first_visit())?;
+                let is_swept = false;
+                claim.insert(Claim { lock, is_swept })
             }
-        })?;
+        };
         self.swept.fetch_add(self.sweep()?, Ordering::Relaxed);
-        *claim = Some(lock);
+        held.is_swept = true;
         self.visits.fetch_add(1, Ordering::Release);
         Ok(())
     }
 
-    /// Makes the archive's folder if need be, in one that is there.
-    fn make_folder_in_place(&self) -> Result<(), ArchiveError> {
-        if self.disk.exists(&self.root) {
-            return Ok(());
+    fn claim(&self) -> MutexGuard<'_, Option<Claim>> {
+        self.claim.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A disk that was there may go until it is locked; then no mark is made in its place.
+    fn first_visit(&self) -> Absent {
+        match self.visits() {
+            0 => Absent::Made,
+            _ => Absent::Refused,
         }
-        let parent = match self.root.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
-        if !self.disk.exists(parent) {
-            let absent = Err(io::Error::from(ErrorKind::NotFound));
-            return absent.during("find the folder that holds the archive's", parent);
+    }
+
+    /// Takes the archive for this program alone before a flight begins, and leaves all else to [`prepare`](Self::prepare). A disk that is
+    /// not there, refuses, or does not answer within `limit` is no error: it may come later.
+    ///
+    /// # Errors
+    /// Another program writes to the archive.
+    pub fn claim_within(&self, limit: Duration) -> Result<(), ArchiveError> {
+        let (disk, root, absent) = (self.disk(), self.root.clone(), self.first_visit());
+        match within(limit, move || take(disk.as_ref(), &root, absent)) {
+            Ok(Ok(lock)) => {
+                let is_swept = false;
+                *self.claim() = Some(Claim { lock, is_swept });
+                Ok(())
+            }
+            Ok(Err(error)) if error.is_busy() => Err(error),
+            Ok(Err(_)) | Err(_) => Ok(()),
         }
-        self.disk
-            .make_folder(&self.root)
-            .during("make the archive's folder", &self.root)?;
-        self.sync_folder(parent)
     }
 
     /// How often the disk was taken. Files that were opened before the last time are of no use.
@@ -385,9 +404,7 @@ impl Store {
     }
 
     fn sync_folder(&self, folder: &Path) -> Result<(), ArchiveError> {
-        self.disk
-            .sync_folder(folder)
-            .during("bring the folder to the disk", folder)
+        sync_folder(self.disk.as_ref(), folder)
     }
 
     /// The name itself, or with the first counter under which no file stands. One program writes to an archive, so
@@ -422,6 +439,48 @@ impl Store {
         }
         Ok(swept)
     }
+}
+
+/// Locks the mark of the archive at `root`; where none was ever seen, the folder and its mark are made.
+fn take(disk: &dyn Disk, root: &Path, absent: Absent) -> Result<Lock, ArchiveError> {
+    if absent == Absent::Made {
+        make_folder_in_place(disk, root)?;
+    }
+    let mark = root.join(MARK);
+    disk.lock(&mark, absent).map_err(|cause| {
+        let action = match cause.kind() {
+            ErrorKind::ResourceBusy => "be the only program that writes to this archive",
+            _ => "make the disk's mark",
+        };
+        ArchiveError::Io {
+            path: mark,
+            action,
+            cause,
+        }
+    })
+}
+
+/// Makes the archive's folder if need be, in one that is there.
+fn make_folder_in_place(disk: &dyn Disk, root: &Path) -> Result<(), ArchiveError> {
+    if disk.exists(root) {
+        return Ok(());
+    }
+    let parent = match root.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    if !disk.exists(parent) {
+        let absent = Err(io::Error::from(ErrorKind::NotFound));
+        return absent.during("find the folder that holds the archive's", parent);
+    }
+    disk.make_folder(root)
+        .during("make the archive's folder", root)?;
+    sync_folder(disk, parent)
+}
+
+fn sync_folder(disk: &dyn Disk, folder: &Path) -> Result<(), ArchiveError> {
+    disk.sync_folder(folder)
+        .during("bring the folder to the disk", folder)
 }
 
 /// A file's bytes, and its place under the root.

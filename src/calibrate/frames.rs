@@ -189,7 +189,7 @@ fn warn_of(warnings: &Warnings, unreadable: &Unreadable) {
 
 /// SHA-256 over the sorted SHA-256 of the files that can be read, hexadecimal: whatever their names and order.
 pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
-    let one = |file: &F| Some(Sha256::digest(std::fs::read(file).ok()?));
+    let one = |file: &F| Some(Sha256::digest(fits::read_bytes(file.as_ref()).ok()?));
     let mut hashes: Vec<_> = files.par_iter().filter_map(one).collect();
     hashes.sort_unstable();
     provenance::sha256(hashes.concat())

@@ -50,7 +50,7 @@ pub struct ConsoleArgs {
     /// Speed of a serial line
     #[arg(long, default_value_t = BAUD)]
     baud: u32,
-    /// Pass all that is received on to another console, as datagrams; may be repeated
+    /// Pass all that is received on to another console, as datagrams, each once; may be repeated
     #[arg(long, value_name = "ADDR:PORT")]
     relay: Vec<SocketAddr>,
     /// Record all that is received in a new file, which record:FILE replays

@@ -67,6 +67,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     flight.line = line(&flight.config.link)?;
     flight.navigation = navigation(&flight.config)?;
     flight.stores = stores(&flight.config, &flight.camera.instrument);
+    flight.claim()?;
     flight.open_cameras()?;
     let interrupted = options::interrupted()?;
     if matches!(flight.config.camera.source, Some(Source::Simulated(_))) {

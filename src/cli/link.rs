@@ -2,6 +2,7 @@
 
 use super::options;
 use super::output::say;
+use crate::files;
 use crate::link::byte_log::{self, Burst, Contents};
 use crate::link::describe::{describe, from_hex, message_in_words, result_in_words};
 use crate::link::ground::{ask, ask_for_moon, order};
@@ -47,8 +48,8 @@ struct Line {
 }
 
 impl Line {
-    /// Signs what is sent, where there is a key.
-    fn open(&self, key: Option<&Path>) -> anyhow::Result<AnyPort> {
+    /// Signs what is sent to a computer, where there is a key.
+    fn open(&self, key: Option<&Path>, computer: Computer) -> anyhow::Result<AnyPort> {
         // Any free local port where the address names none: the peer's own may be on this machine.
         let local = LocalEnd::default();
         match (&self.port, key) {
@@ -56,7 +57,7 @@ impl Line {
             (PortAddress::Udp { peer, local_port }, Some(key)) => {
                 let port = local_port.unwrap_or_default();
                 let port = UdpPort::open(*peer, LocalEnd { port, ..local })?;
-                Ok(Box::new(port.signing(Key::read(key)?)))
+                Ok(Box::new(port.signing(Key::read(key)?.towards(computer))))
             }
             (PortAddress::Serial { .. }, Some(_)) => {
                 anyhow::bail!("--key-file: expected a port udp:HOST:PORT, found a serial port")
@@ -180,7 +181,7 @@ pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
 
 fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
     let message = order(&args.command, &args.values, args.computer)?;
-    let mut port = args.line.open(args.key_file.as_deref())?;
+    let mut port = args.line.open(args.key_file.as_deref(), args.computer)?;
     // Over UDP a sender's numbers must rise until it has been silent for 30 s. Those of two commands from one port,
     // less than 32.7 s apart, do: the numbers begin again after 65.5 s.
     let sequence = Timestamp::now().as_millisecond() as u16;
@@ -208,7 +209,7 @@ fn decode(args: &DecodeArgs) -> anyhow::Result<ExitCode> {
         return Ok(all(&print(&[at_once(bytes)], args.from, false)?));
     }
     let path = Path::new(&args.bytes);
-    let bytes = std::fs::read(path).with_context(|| {
+    let bytes = files::read_log(path).with_context(|| {
         format!(
             "expected hexadecimal bytes or a file, found \"{}\"",
             args.bytes
@@ -250,7 +251,7 @@ fn read_log(path: &Path, bytes: &[u8]) -> anyhow::Result<Vec<Burst>> {
 
 fn log(args: &LogArgs) -> anyhow::Result<ExitCode> {
     if let Some(path) = &args.file {
-        let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+        let bytes = files::read_log(path).with_context(|| path.display().to_string())?;
         let found = print(&read_log(path, &bytes)?, args.from, true)?;
         let has_none = found.packets.is_empty() && found.rejected.bytes > 0;
         return Ok(ExitCode::from(u8::from(has_none)));

@@ -2,7 +2,7 @@
 
 use super::{Link, Refused};
 use crate::link::connection::EXPECTED;
-use crate::link::{Guard, Key, LocalEnd, Peer, PortAddress};
+use crate::link::{Computer, Guard, Key, LocalEnd, Peer, PortAddress};
 use std::net::{IpAddr, SocketAddr};
 
 impl Link {
@@ -60,7 +60,9 @@ impl Link {
             let expected = "a file with a secret of 16 bytes or more";
             refused("link.key_file", expected, error.to_string())
         })?;
-        Ok(Guard::new(peers?, key))
+        let computer = Computer::numbered(self.computer).unwrap_or(Computer::One);
+        let seal = key.map(|key| key.towards(computer));
+        Ok(Guard::new(peers?, seal))
     }
 
     fn peer(&self) -> Result<Option<SocketAddr>, Refused> {

@@ -16,6 +16,7 @@ mod link;
 mod navigation;
 mod parameter;
 mod read;
+pub mod saved;
 mod table;
 mod value;
 

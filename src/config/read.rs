@@ -2,7 +2,7 @@
 
 use super::{Config, Parameter, by_key, parameters, value};
 use crate::instrument::TomlError;
-use crate::instrument::toml_file::{parse_strict, read_text, unknown_key};
+use crate::instrument::toml_file::{parse_loosely, read_text, unknown_key};
 use std::path::Path;
 
 impl Config {
@@ -25,7 +25,7 @@ impl Config {
     pub fn parse_all(path: &Path, text: &str) -> (Self, Vec<TomlError>) {
         let mut config = Self::default();
         let mut errors = Vec::new();
-        let document = parse_strict(path, text, &[]).unwrap_or_else(|error| {
+        let document = parse_loosely(path, text, &[]).unwrap_or_else(|error| {
             errors.push(error);
             toml::Table::new()
         });

@@ -194,11 +194,12 @@ pub async fn send(
         "a command is sent"
     );
     let number = row.number;
+    let to = row.computer;
     let sent = console
         .parts()
         .outbox
         .as_ref()
-        .map(|outbox| outbox.try_send(Outgoing { number, bytes }));
+        .map(|outbox| outbox.try_send(Outgoing { number, to, bytes }));
     if !matches!(sent, Some(Ok(()))) {
         shared.fail_order(number, "not sent: the line takes no more");
     }

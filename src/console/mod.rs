@@ -34,6 +34,7 @@ mod pictures;
 mod plots;
 mod receive;
 mod record;
+mod relay;
 mod request;
 pub mod rules;
 mod server;
@@ -59,6 +60,7 @@ use history::History;
 use orders::Orders;
 use receive::{Line, follow, recording};
 use record::Record;
+use relay::Relay;
 use request::{Console, Parts};
 use shared::Shared;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
@@ -207,12 +209,7 @@ fn reader(
         }
         Source::Udp(_) | Source::Serial(_) | Source::Demo => {}
     }
-    let relay = |peer: &SocketAddr| UdpPort::open(*peer, LocalEnd::default());
-    let relays = settings
-        .relays
-        .iter()
-        .map(relay)
-        .collect::<Result<_, _>>()?;
+    let relay = Relay::to(&settings.relays, &settings.source)?;
     let recording = settings.recording.as_ref().map(|path| {
         let file = recording(path);
         file.with_context(|| format!("--record {}: cannot write", path.display()))
@@ -220,9 +217,10 @@ fn reader(
     let frames = settings.ground.archive.as_deref().map(Follower::of_frames);
     let recording = recording.transpose()?;
     Ok(Reader::Line(Box::new(Line {
+        key: settings.key.clone(),
         connection: connection(settings)?,
         outbox,
-        relays,
+        relay,
         recording,
         frames,
     })))
@@ -242,10 +240,7 @@ fn connection(settings: Settings) -> anyhow::Result<Connection> {
                 port: here.port(),
             };
             let port = UdpPort::open(settings.gondola.unwrap_or(nobody), local)?;
-            Ok(Connection::over(match settings.key {
-                Some(key) => port.signing(key),
-                None => port,
-            }))
+            Ok(Connection::over(port))
         }
         Source::Serial(name) => Ok(Connection::to(
             PortAddress::Serial { name },

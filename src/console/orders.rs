@@ -63,11 +63,15 @@ pub struct Composed {
     #[serde(skip)]
     text: String,
     #[serde(skip)]
-    computer: u8,
+    computer: Computer,
 }
 
 fn as_hex<S: serde::Serializer>(bytes: &[u8], out: S) -> Result<S::Ok, S::Error> {
     out.serialize_str(&hex(bytes))
+}
+
+fn as_number<S: serde::Serializer>(computer: &Computer, out: S) -> Result<S::Ok, S::Error> {
+    out.serialize_u8(computer.number())
 }
 
 impl Request {
@@ -92,7 +96,7 @@ impl Request {
             changes_flight: changes_flight(&message),
             sequence,
             text,
-            computer: computer.number(),
+            computer,
         })
     }
 }
@@ -114,7 +118,8 @@ pub struct Row {
     pub number: u64,
     pub utc: Timestamp,
     pub command: String,
-    pub computer: u8,
+    #[serde(serialize_with = "as_number")]
+    pub computer: Computer,
     pub bytes: String,
     pub received: Option<Timestamp>,
     pub answered: Option<Timestamp>,
@@ -330,7 +335,7 @@ impl Orders {
             &format!("{now:.3}"),
             &row.number.to_string(),
             event,
-            &row.computer.to_string(),
+            &row.computer.number().to_string(),
             &row.command,
             &row.bytes,
             words,

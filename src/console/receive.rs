@@ -1,10 +1,11 @@
 //! The thread that receives: packets of a line into the history, commands onto it.
 
 use super::history::History;
+use super::relay::Relay;
 use super::shared::Shared;
 use super::stored::Follower;
 use crate::link::byte_log::{self, Burst};
-use crate::link::{BytePort, Connection, Direction, Packet, Parser, UdpPort};
+use crate::link::{Computer, Connection, Direction, Key, Packet, Parser};
 use crossbeam_channel::Receiver as Outbox;
 use jiff::Timestamp;
 use std::fs::File;
@@ -25,6 +26,7 @@ pub const LOOK: Duration = Duration::from_millis(500);
 pub struct Outgoing {
     /// Of its row in the log.
     pub number: u64,
+    pub to: Computer,
     pub bytes: Vec<u8>,
 }
 
@@ -32,8 +34,10 @@ pub struct Outgoing {
 pub struct Line {
     pub connection: Connection,
     pub outbox: Outbox<Outgoing>,
-    /// Whom all that is received is passed on to.
-    pub relays: Vec<UdpPort>,
+    /// What signs the commands.
+    pub key: Option<Key>,
+    /// Passes all that is received on.
+    pub relay: Relay,
     pub recording: Option<BufWriter<File>>,
     /// The flight's archive, where one is at hand.
     pub frames: Option<Follower>,
@@ -57,7 +61,15 @@ impl Line {
             match port.read(&mut buffer, WAIT) {
                 Ok(0) => {}
                 Ok(count) => {
+                    let is_datagram = port.sender().is_some();
                     let packets = parser.feed(&buffer[..count], start.elapsed());
+                    match is_datagram {
+                        true => self.relay.pass_on(&buffer[..count], Instant::now()),
+                        // What comes by wire comes in pieces.
+                        false => packets.iter().for_each(|packet| {
+                            self.relay.pass_on(&packet.encode(), Instant::now());
+                        }),
+                    }
                     self.take(
                         &buffer[..count],
                         &packets,
@@ -82,10 +94,6 @@ impl Line {
 
     fn take(&mut self, bytes: &[u8], packets: &[Packet], rejected: u64, shared: &Shared) {
         let arrived = Timestamp::now();
-        for relay in &mut self.relays {
-            // Whoever does not listen misses it.
-            let _ = relay.write(bytes, Duration::ZERO);
-        }
         self.record(bytes, arrived);
         shared.change(|history| {
             history.line.bytes += bytes.len() as u64;
@@ -114,7 +122,11 @@ impl Line {
 
     /// Sends the commands that wait.
     fn send(&mut self, shared: &Shared, now: Duration) {
-        while let Ok(Outgoing { number, bytes }) = self.outbox.try_recv() {
+        while let Ok(Outgoing { number, to, bytes }) = self.outbox.try_recv() {
+            let bytes = match &self.key {
+                Some(key) => key.towards(to).sign_now(&bytes),
+                None => bytes,
+            };
             let Some(port) = self.connection.port() else {
                 shared.fail_order(number, "not sent: the line is lost");
                 continue;

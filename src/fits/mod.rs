@@ -50,9 +50,9 @@ pub use pack::{Compression, Packing};
 pub use reals::frame_of_values;
 pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame};
 
+use crate::files::{self, Unread};
 use crate::frame::{Frame, FrameInfo};
 use flate2::read::MultiGzDecoder;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -158,24 +158,13 @@ pub(crate) fn check_length(bytes: u64) -> Result<(), Problem> {
 }
 
 fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Problem> {
-    let refused = |cause| Problem::Io {
-        action: "read",
-        cause,
-    };
-    // Opening a pipe would wait for its writer, so what the path is comes first.
-    let metadata = std::fs::metadata(path).map_err(refused)?;
-    if !metadata.is_file() {
-        let found = if metadata.is_dir() {
-            "a directory"
-        } else {
-            "a device or pipe"
-        };
-        return Err(Problem::content("a file", found));
-    }
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(refused)?;
-    file.take(most).read_to_end(&mut bytes).map_err(refused)?;
-    Ok(bytes)
+    files::read_start(path, most).map_err(|unread| match unread {
+        Unread::Io(cause) => Problem::Io {
+            action: "read",
+            cause,
+        },
+        other => Problem::content(other.expected(), other.found()),
+    })
 }
 
 /// The bytes of a file, gunzipped if need be.

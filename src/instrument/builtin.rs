@@ -1,7 +1,8 @@
 //! The instruments that the program carries with it.
 
-use super::toml_file::read_text;
+use super::toml_file::unreadable;
 use super::{Instrument, TomlError, raw};
+use crate::files;
 use std::path::Path;
 
 const FILES: [(&str, &str); 3] = [
@@ -57,8 +58,9 @@ pub fn builtin_text(name: &str) -> Option<&'static str> {
 /// # Errors
 /// Neither a file nor the name of a built-in one, or a file that cannot be read.
 pub fn text_of(path: &Path) -> Result<String, TomlError> {
-    if path.exists() {
-        return read_text(path);
+    match files::read_text(path) {
+        Err(unread) if unread.is_absent() => {}
+        read => return read.map_err(|unread| unreadable(path, &unread)),
     }
     let name = path.to_string_lossy();
     let all = FILES.iter().chain(&SKY_FILES);

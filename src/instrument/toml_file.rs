@@ -2,6 +2,7 @@
 //! field and what was expected there.
 
 use crate::clock::parse_utc;
+use crate::files::{self, Unread};
 use jiff::Timestamp;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -70,15 +71,29 @@ impl TryFrom<toml::Value> for Utc {
     }
 }
 
-/// The text of a file, or an error that names it.
+/// The text of a file, or an error that names it: no regular file, one that is too large for a text, a disk that hangs.
 pub fn read_text(path: &Path) -> Result<String, TomlError> {
-    std::fs::read_to_string(path)
-        .map_err(|error| TomlError::new(path, "", "a readable text file", error.to_string()))
+    files::read_text(path).map_err(|unread| unreadable(path, &unread))
+}
+
+pub(super) fn unreadable(path: &Path, unread: &Unread) -> TomlError {
+    TomlError::new(path, "", unread.expected(), unread.found())
 }
 
 /// Parses `text` into `T`. Keys that `T` does not know are errors that name the nearest of `known_keys`
-/// (dotted paths, from the shipped example).
+/// (dotted paths, from the shipped example). No number of it is infinite or none, whatever `T` makes of it.
 pub fn parse_strict<T: DeserializeOwned>(
+    path: &Path,
+    text: &str,
+    known_keys: &[String],
+) -> Result<T, TomlError> {
+    let parsed = parse_loosely(path, text, known_keys)?;
+    check_finite(path, text)?;
+    Ok(parsed)
+}
+
+/// The same of a text whose numbers the caller checks, each against its own range.
+pub fn parse_loosely<T: DeserializeOwned>(
     path: &Path,
     text: &str,
     known_keys: &[String],
@@ -101,6 +116,39 @@ pub fn parse_strict<T: DeserializeOwned>(
         };
         misfit(path, &track.path().to_string(), error.message(), &standing)
     })
+}
+
+/// Refuses the first number that is infinite or none (`nan`): TOML has words for them, and nothing here has a use for them.
+fn check_finite(path: &Path, text: &str) -> Result<(), TomlError> {
+    let found = text.parse::<toml::Table>();
+    let found = found.ok().and_then(|table| infinite(&table.into()));
+    found.map_or(Ok(()), |(key, number)| {
+        let key = key.trim_start_matches('.');
+        Err(TomlError::new(
+            path,
+            key,
+            "a finite number",
+            number.to_string(),
+        ))
+    })
+}
+
+/// The dotted key of the first number that is not finite, with a dot before it, and the number.
+fn infinite(value: &toml::Value) -> Option<(String, f64)> {
+    let within = |step: String, value| {
+        let (key, number) = infinite(value)?;
+        Some((step + &key, number))
+    };
+    match value {
+        toml::Value::Float(number) => (!number.is_finite()).then(|| (String::new(), *number)),
+        toml::Value::Array(values) => (0..)
+            .zip(values)
+            .find_map(|(n, value)| within(format!("[{n}]"), value)),
+        toml::Value::Table(values) => values
+            .iter()
+            .find_map(|(key, value)| within(format!(".{key}"), value)),
+        _ => None,
+    }
 }
 
 /// The values of a text that is TOML.

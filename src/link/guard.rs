@@ -6,12 +6,12 @@
 //! 2. Without a key, a packet must be newer than the last one of its sender (address and port), by serial arithmetic on
 //!    its sequence number (RFC 1982). What is known of a sender is forgotten [`MEMORY`] after its last accepted packet, so
 //!    that one that begins to count anew is heard again.
-//! 3. With a key, a datagram must be signed, and its stamp must be new: none that was taken before, and not older than
+//! 3. With a key, a datagram must be signed for this computer, and its stamp must be new: none that was taken before, and not older than
 //!    [`MEMORY`] before the newest, whoever sent that. So senders whose clocks differ do not disturb each other, and a
 //!    copy from any address is refused. The own clock plays no part: one that is wrong locks nobody out.
 //! 4. A packet that has been carried out within [`MEMORY`] and comes again is answered again, and not carried out twice.
 
-use super::key::Key;
+use super::key::Seal;
 use super::packet::CommandPacket;
 use std::collections::{BTreeSet, VecDeque};
 use std::net::{IpAddr, SocketAddr};
@@ -30,7 +30,7 @@ const STAMPS: usize = 8192;
 pub enum Refusal {
     #[error("sender: expected one of link.udp_peers")]
     Stranger,
-    #[error("signature: expected one by link.key_file")]
+    #[error("signature: expected one by link.key_file, for this computer")]
     Unsigned,
     #[error("sequence number: expected one after {last}, found {found}")]
     OldSequence { last: u16, found: u16 },
@@ -90,7 +90,7 @@ pub struct Opened<'a> {
 #[derive(Debug)]
 pub struct Guard {
     peers: Vec<Peer>,
-    key: Option<Key>,
+    seal: Option<Seal>,
     /// Without a key.
     senders: VecDeque<Sender>,
     packets: VecDeque<Remembered>,
@@ -116,11 +116,11 @@ struct Remembered {
 }
 
 impl Guard {
-    /// Takes datagrams of these peers; with a key, only signed ones.
-    pub fn new(peers: Vec<Peer>, key: Option<Key>) -> Self {
+    /// Takes datagrams of these peers; with the seal of a computer, only those that are signed for it.
+    pub fn new(peers: Vec<Peer>, seal: Option<Seal>) -> Self {
         Self {
             peers,
-            key,
+            seal,
             senders: VecDeque::new(),
             packets: VecDeque::new(),
             stamps: BTreeSet::new(),
@@ -150,11 +150,11 @@ impl Guard {
         if !self.peers.iter().any(|peer| peer.is(sender)) {
             return Err(Refusal::Stranger);
         }
-        let Some(key) = &self.key else {
+        let Some(seal) = &self.seal else {
             let (bytes, is_new) = (datagram, true);
             return Ok(Opened { bytes, is_new });
         };
-        let (bytes, stamp) = key.verified(datagram).ok_or(Refusal::Unsigned)?;
+        let (bytes, stamp) = seal.verified(datagram).ok_or(Refusal::Unsigned)?;
         let is_new = self.take_stamp(stamp);
         Ok(Opened { bytes, is_new })
     }
@@ -186,7 +186,7 @@ impl Guard {
         self.packets.retain(|known| is_fresh(known.accepted));
         self.senders.retain(|known| is_fresh(known.accepted));
         // With a key, whoever sends a copy has nothing but a copy.
-        let any_sender = self.key.is_some();
+        let any_sender = self.seal.is_some();
         let known = self
             .packets
             .iter()
@@ -194,7 +194,7 @@ impl Guard {
         if let Some(known) = known {
             return Ok(Some(known.answers.clone()));
         }
-        if self.key.is_some() {
+        if self.seal.is_some() {
             return if is_new {
                 Ok(None)
             } else {
@@ -251,7 +251,7 @@ fn is_later(sequence: u16, than: u16) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::link::id;
+    use crate::link::{Computer, Key, id};
 
     fn address(text: &str) -> SocketAddr {
         text.parse().unwrap()
@@ -261,12 +261,17 @@ mod tests {
         CommandPacket::new(id::ASPECT, sequence, payload.to_vec()).unwrap()
     }
 
-    fn guard(peers: &[&str], key: Option<Key>) -> Guard {
+    fn guard(peers: &[&str], key: Option<Seal>) -> Guard {
         Guard::new(peers.iter().map(|p| p.parse().unwrap()).collect(), key)
     }
 
-    fn key() -> Key {
-        Key::new(b"sixteen bytes or more").unwrap()
+    fn key() -> Seal {
+        seal(Computer::One)
+    }
+
+    fn seal(computer: Computer) -> Seal {
+        let key = Key::new(b"sixteen bytes or more").unwrap();
+        key.towards(computer)
     }
 
     #[test]
@@ -355,6 +360,22 @@ mod tests {
         assert_eq!(is_new(&at(0), attacker), Ok(false));
         let old = guard.admit(&packet(9, &[1]), ground, false, Instant::now());
         assert_eq!(old, Err(Refusal::OldStamp));
+    }
+
+    #[test]
+    fn a_datagram_for_the_other_computer_is_refused_whatever_it_holds() {
+        let ground = address("10.0.0.1:1");
+        for (own, other) in [
+            (Computer::One, Computer::Two),
+            (Computer::Two, Computer::One),
+        ] {
+            let mut guard = guard(&["10.0.0.1"], Some(seal(own)));
+            let mut opened = |datagram: &[u8]| guard.open(datagram, ground).map(|o| o.is_new);
+            let replayed = seal(other).sign(b"packet", 1000);
+            assert_eq!(opened(&replayed), Err(Refusal::Unsigned));
+            assert_eq!(opened(&seal(own).sign(b"packet", 1000)), Ok(true));
+            assert_eq!(opened(&replayed), Err(Refusal::Unsigned));
+        }
     }
 
     #[test]

@@ -37,7 +37,7 @@ pub use control::{CommandResult, Control};
 pub use guard::{Guard, Peer};
 pub use housekeeping::Housekeeping;
 pub use imu::ImuPacket;
-pub use key::Key;
+pub use key::{Key, Seal};
 pub use message::{
     AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, Propagated, Solution,
     Telemetry,

@@ -1,8 +1,7 @@
 //! The link over UDP, as the HEROES flight program had it: one packet a datagram.
 
-use super::key::Key;
+use super::key::Seal;
 use super::port::{BytePort, PortError, means_later};
-use jiff::Timestamp;
 use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::time::Duration;
@@ -23,7 +22,7 @@ pub struct UdpPort {
     name: String,
     socket: UdpSocket,
     peer: SocketAddr,
-    key: Option<Key>,
+    seal: Option<Seal>,
     sender: Option<SocketAddr>,
 }
 
@@ -41,7 +40,7 @@ impl UdpPort {
                 name,
                 socket,
                 peer,
-                key: None,
+                seal: None,
                 sender: None,
             }),
             Err(cause) => Err(PortError::Udp { name, cause }),
@@ -49,9 +48,9 @@ impl UdpPort {
     }
 
     /// The same, signing all that it sends.
-    pub fn signing(self, key: Key) -> Self {
-        let key = Some(key);
-        Self { key, ..self }
+    pub fn signing(self, seal: Seal) -> Self {
+        let seal = Some(seal);
+        Self { seal, ..self }
     }
 
     /// The port that this end listens on.
@@ -75,12 +74,8 @@ impl UdpPort {
 
     fn send(&self, packet: &[u8]) -> io::Result<usize> {
         self.socket.set_nonblocking(true)?;
-        match &self.key {
-            Some(key) => {
-                // Until the year 2262.
-                let stamp = Timestamp::now().as_nanosecond() as i64;
-                self.socket.send_to(&key.sign(packet, stamp), self.peer)
-            }
+        match &self.seal {
+            Some(seal) => self.socket.send_to(&seal.sign_now(packet), self.peer),
             None => self.socket.send_to(packet, self.peer),
         }
     }
@@ -133,6 +128,7 @@ fn is_of_the_peer(error: &io::Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::{Computer, Key};
 
     const LONG: Duration = Duration::from_secs(10);
 
@@ -197,6 +193,7 @@ mod tests {
     fn a_signing_port_signs_what_it_sends() {
         let (near, mut far) = pair();
         let key = Key::new(b"sixteen bytes or more").unwrap();
+        let key = key.towards(Computer::Two);
         near.signing(key.clone()).write(b"packet", LONG).unwrap();
         let mut buffer = [0; 64];
         let count = far.read(&mut buffer, LONG).unwrap();

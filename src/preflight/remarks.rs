@@ -1,9 +1,11 @@
 //! What can be said of a configuration without touching camera, line or disk: every error at once.
 
 use super::Finding;
+use super::bounded::within;
 use super::plan::{self, NoTarget, Options, Plan, PlannedCamera};
 use crate::camera::{CameraError, FolderCamera, Source};
-use crate::config::{self, Config};
+use crate::config::{self, Config, saved};
+use crate::files;
 use crate::instrument::toml_file::{document, read_text};
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera, TomlError};
 use crate::link::CameraRole;
@@ -16,6 +18,7 @@ use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -34,6 +37,8 @@ pub struct Remark {
     pub remedy: &'static str,
 }
 
+/// A folder of a day's frames may take seconds to list.
+const PATIENCE: Duration = Duration::from_secs(20);
 const PARAMETERS: &str = "see docs/parameters.md";
 const BUILD: &str = "take a program built with `--features gige`, or another camera";
 
@@ -105,6 +110,17 @@ impl Remarks {
     /// The value of a file, or the error noted.
     fn noted<T>(&mut self, result: Result<T, TomlError>) -> Option<T> {
         result.map_err(|what| self.add(Severity::Error, what)).ok()
+    }
+
+    /// What `work` gives, or an error in a key of the configuration where the disk that it looks at hangs.
+    fn answered<T: Send + 'static>(
+        &mut self,
+        key: &str,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Option<T> {
+        within(PATIENCE, work)
+            .map_err(|none| self.error(key, "a disk that answers", none.to_string()))
+            .ok()
     }
 
     pub fn has_errors(&self) -> bool {
@@ -294,15 +310,17 @@ fn archive(archive: &config::Archive, remarks: &mut Remarks) {
         (None, None) => remarks.warn("archive.directory", "a folder, to keep frames", "none"),
         (Some(first), Some(second)) if first == second => {
             let found = second.display().to_string();
-            remarks.warn(
+            remarks.error(
                 "archive.second_directory",
                 "another folder than the first",
                 found,
             );
         }
         (Some(first), Some(second)) => {
-            let devices = [first, second].map(|folder| super::disks::device(folder));
-            if devices[0].is_some() && devices[0] == devices[1] {
+            let folders = [first, second].map(Clone::clone);
+            let devices = move || folders.map(|folder| super::disks::device(&folder));
+            let devices = remarks.answered("archive.second_directory", devices);
+            if devices.is_some_and(|[first, second]| first.is_some() && first == second) {
                 let found = format!("{} on that of {}", second.display(), first.display());
                 remarks.warn(
                     "archive.second_directory",
@@ -336,24 +354,39 @@ fn link(config: &Config, remarks: &mut Remarks) {
     }
 }
 
-/// Only whether they can be read and kept: what flies checks their sum, and starts without them where it is wrong.
+/// Only whether they can be read and kept: what flies checks their sum, and starts without them where it is wrong. A file of something else
+/// is never replaced.
 fn saved_values(file: &Path, remarks: &mut Remarks) {
+    let key = "link.saved_values";
+    let path = file.display();
     let folder = file
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty());
-    if !folder.unwrap_or(Path::new(".")).is_dir() {
-        let found = file.display().to_string();
-        remarks.error(
-            "link.saved_values",
-            "a file in a folder that is there",
-            found,
-        );
-    } else if file.exists() {
-        let read = read_text(file).and_then(|text| {
-            let parsed = text.parse::<toml::Table>();
-            parsed.map_err(|error| TomlError::new(file, "", "valid TOML", error.message()))
-        });
-        remarks.noted(read);
+    let folder = folder.unwrap_or(Path::new(".")).to_owned();
+    let is_there = remarks.answered(key, move || folder.is_dir());
+    if is_there == Some(false) {
+        remarks.error(key, "a file in a folder that is there", path.to_string());
+    }
+    if is_there != Some(true) {
+        return;
+    }
+    match files::read(file, saved::LARGEST) {
+        Err(unread) if unread.is_absent() => {}
+        Err(unread) => remarks.error(
+            key,
+            unread.expected(),
+            format!("{path}: {}", unread.found()),
+        ),
+        Ok(bytes) if !saved::is_ours(&bytes) => {
+            let expected = "a file of saved values, or none: no other is replaced";
+            remarks.error(key, expected, format!("{path}: another file"));
+        }
+        Ok(bytes) => {
+            let parsed = String::from_utf8_lossy(&bytes).parse::<toml::Table>();
+            remarks.noted(
+                parsed.map_err(|error| TomlError::new(file, "", "valid TOML", error.message())),
+            );
+        }
     }
 }
 
@@ -417,7 +450,7 @@ fn values(config: &Config, cameras: &[PlannedCamera], remarks: &mut Remarks) {
     let Some(file) = SavedValues::of(config) else {
         return;
     };
-    match differences(&controls, file.path()) {
+    match differences(&controls, &file) {
         Ok((differences, refused)) => {
             let expected = format!("the configuration's values in {}", file.path().display());
             for difference in differences {
@@ -468,14 +501,20 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
 fn check_source(table: &str, source: &Source, camera: &config::Camera, remarks: &mut Remarks) {
     let key = format!("{table}.source");
     match source {
-        Source::Folder(folder) => match FolderCamera::open(folder, camera.rate_hz, 1.0) {
-            Ok(_) => {}
-            Err(CameraError::Folder { folder, found }) => {
-                let found = format!("{found} in {}", folder.display());
-                remarks.error(&key, "a folder of frames", found);
+        Source::Folder(folder) => {
+            let (folder, rate_hz) = (folder.clone(), camera.rate_hz);
+            let open = move || FolderCamera::open(&folder, rate_hz, 1.0).map(drop);
+            match remarks.answered(&key, open) {
+                None | Some(Ok(())) => {}
+                Some(Err(CameraError::Folder { folder, found })) => {
+                    let found = format!("{found} in {}", folder.display());
+                    remarks.error(&key, "a folder of frames", found);
+                }
+                Some(Err(error)) => {
+                    remarks.error(&key, "a folder of frames", error.to_string());
+                }
             }
-            Err(error) => remarks.error(&key, "a folder of frames", error.to_string()),
-        },
+        }
         Source::Simulated(Some(file)) => {
             remarks.noted(Pieces::read(file));
         }

@@ -11,7 +11,7 @@ mod proof;
 mod saved;
 
 pub use proof::Proof;
-pub use saved::{SavedValues, ValueSaver, differences, restore};
+pub use saved::{SavedError, SavedValues, ValueSaver, differences, restore};
 
 use super::command_log::CommandNote;
 use crate::aspect;

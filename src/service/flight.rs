@@ -1,8 +1,10 @@
 //! What a flight is made of.
 
-use super::control::Seat;
+use super::control::{SavedError, SavedValues, Seat};
 use super::worker::Life;
-use crate::archive::{Flown, MOON_CAMERA, ROLL_CAMERA, Store};
+use crate::archive::disk::Lock;
+use crate::archive::{ArchiveError, Flown, MOON_CAMERA, ROLL_CAMERA, Store};
+use crate::bounded::within;
 use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::{Config, FlightClock};
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera};
@@ -36,7 +38,21 @@ pub struct Flight {
     pub navigation: Option<Navigation>,
     /// The archives on the disks; none where frames are not kept.
     pub stores: Vec<Store>,
+    /// The lock of the saved values, where they are [claimed](Self::claim).
+    pub saved_values: Option<Lock>,
 }
+
+/// Why a flight does not begin: another one may go on.
+#[derive(Debug, thiserror::Error)]
+pub enum ClaimError {
+    #[error(transparent)]
+    Archive(#[from] ArchiveError),
+    #[error(transparent)]
+    SavedValues(#[from] SavedError),
+}
+
+/// How long a disk is waited for at the start. One that hangs keeps nothing from starting.
+const CLAIM: Duration = Duration::from_millis(500);
 
 impl Flight {
     /// A flight of one camera with the defaults for everything else: no line, no archive, the disc's centre as target.
@@ -50,7 +66,23 @@ impl Flight {
             line: Connection::none(),
             navigation: None,
             stores: Vec::new(),
+            saved_values: None,
         }
+    }
+
+    /// Takes archives and saved values for this program alone, before anything is sent or a camera opened. Disks that are not there, or
+    /// hang, are left for later.
+    ///
+    /// # Errors
+    /// Another program flies with one of them, or the file of saved values is something else.
+    pub fn claim(&mut self) -> Result<(), ClaimError> {
+        for store in &self.stores {
+            store.claim_within(CLAIM)?;
+        }
+        if let Some(file) = SavedValues::of(&self.config) {
+            self.saved_values = within(CLAIM, move || file.claim()).unwrap_or(Ok(None))?;
+        }
+        Ok(())
     }
 
     /// The effective configuration as a file that gives it again. Comments at its head name the cameras' instruments with their

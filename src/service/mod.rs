@@ -71,12 +71,13 @@ pub use answer::{Answer, SolvedMoon};
 pub use archiver::DiskHealth;
 pub use command_log::CommandNote;
 pub use control::Seat;
-pub use flight::{Camera, CameraFactory, Flight, Navigation, Station};
+pub use flight::{Camera, CameraFactory, ClaimError, Flight, Navigation, Station};
 pub use protocol::protocol_page;
 pub use tally::{
     ArchiveTally, CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally, quantile,
 };
 
+use crate::archive::disk::Lock;
 use crate::camera::FrameSource;
 use crate::config::Host;
 use crate::instrument::{DirectionCamera, MountedCamera, SkyCamera};
@@ -147,11 +148,12 @@ impl Service {
         Ok((Self::launch(flight, Some(watcher))?, answers))
     }
 
-    fn launch(flight: Flight, watcher: Option<Sender<Answer>>) -> std::io::Result<Self> {
+    fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> std::io::Result<Self> {
         let controls = controls(&flight);
         let signals = Arc::<Signals>::default();
+        let lock = flight.saved_values.take();
         let values = SavedValues::of(&flight.config)
-            .map(|file| keep_values(file, &controls, &signals))
+            .map(|file| keep_values(file, lock, &controls, &signals))
             .transpose()?;
         let configuration = flight.configuration_toml();
         let stations: Vec<Arc<Station>> = flight.stations(&configuration).map(Arc::new).collect();
@@ -330,11 +332,12 @@ fn controls(flight: &Flight) -> Controls {
 /// Starts the thread that reads and saves what commands set, and waits a moment for what was saved.
 fn keep_values(
     file: SavedValues,
+    lock: Option<Lock>,
     controls: &Controls,
     signals: &Signals,
 ) -> std::io::Result<JoinHandle<u64>> {
     let name = file.path().display().to_string();
-    let saver = ValueSaver::new(controls.clone(), file);
+    let saver = ValueSaver::new(controls.clone(), file, lock);
     let ends = Arc::clone(&signals.hang_up);
     let (restored, wait) = bounded(1);
     let values = spawn("values", move || saver.run(&restored, &ends))?;

@@ -12,6 +12,7 @@
 //! there, and its sigma stays below 0.5 s, that of any value in this range.
 
 use super::SkyError;
+use crate::files::{self, Unread};
 use jiff::{Timestamp, civil::Date, tz::Offset};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -88,10 +89,7 @@ struct Row {
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     #[error("{}: {source}", path.display())]
-    Unreadable {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Unreadable { path: PathBuf, source: Unread },
     #[error("{}: line {line}: expected {expected}, found \"{found}\"", path.display())]
     Malformed {
         path: PathBuf,
@@ -117,7 +115,7 @@ impl OrientationTable {
     /// # Errors
     /// A file that cannot be read, other columns, a value that is no number, dates that do not grow, fewer than two.
     pub fn read(path: &Path) -> Result<Self, TableError> {
-        let text = std::fs::read_to_string(path).map_err(|source| TableError::Unreadable {
+        let text = files::read_text(path).map_err(|source| TableError::Unreadable {
             path: path.into(),
             source,
         })?;
@@ -141,7 +139,8 @@ impl OrientationTable {
             None => return Err(malformed(1, COLUMNS, "")),
         }
         for (number, line) in lines {
-            let row = Row::parse(line).ok_or_else(|| malformed(number, "five numbers", line))?;
+            let row =
+                Row::parse(line).ok_or_else(|| malformed(number, "five finite numbers", line))?;
             if rows.last().is_some_and(|last| last.mjd >= row.mjd) {
                 return Err(malformed(number, "dates that grow", line));
             }
@@ -225,7 +224,8 @@ impl OrientationTable {
 
 impl Row {
     fn parse(line: &str) -> Option<Self> {
-        let numbers: Option<Vec<f64>> = line.split(',').map(|n| n.trim().parse().ok()).collect();
+        let number = |text: &str| text.trim().parse().ok().filter(|n: &f64| n.is_finite());
+        let numbers: Option<Vec<f64>> = line.split(',').map(number).collect();
         match numbers?[..] {
             [mjd, tai_utc_s, x_arcsec, y_arcsec, ut1_utc_s] => Some(Self {
                 mjd,
@@ -239,7 +239,6 @@ impl Row {
             }),
             _ => None,
         }
-        .filter(|row| row.mjd.is_finite() && row.orientation.ut1_utc_s.is_finite())
     }
 }
 
@@ -353,7 +352,7 @@ mod tests {
         for (rows, wanted) in [
             (
                 "41317,10,0,0,0.5\n41318,10,0,0\n",
-                "line 4: expected five numbers",
+                "line 4: expected five finite numbers",
             ),
             (
                 "41317,10,0,0,0.5\n41317,10,0,0,0.4\n",

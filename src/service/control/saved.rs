@@ -2,17 +2,23 @@
 //!
 //! The file is a header line with a checksum, then TOML: one key and value a line. It is replaced as a whole, by a new
 //! file that is on the disk before it takes the old one's name: a reader finds the old values or the new ones, never
-//! half of them. The checksum is for what disks do later.
+//! half of them. The checksum is for what disks do later. The header tells this file from all others: another one that is named by mistake is
+//! neither read nor replaced.
 //!
 //! Tracking and the last GPS fix are kept, too, but only for a flight that goes on: they are taken up again within the same
 //! start of the computer, or if they were saved a short time ago. A computer that is switched on the next day in the
 //! laboratory does not steer. While there is such a value, the file is written anew each minute, with the time.
 
+mod file;
+
+pub use file::SavedValues;
+
 use super::Controls;
 use super::own::{LATITUDE, LONGITUDE, TRACKING};
-use crate::archive::{MARK, UNFINISHED};
+use crate::archive::disk::Lock;
 use crate::backoff::Backoff;
-use crate::config::{Config, Refused, Value};
+use crate::config::saved::HEADER;
+use crate::config::{Refused, Value};
 use crate::link::describe::CommandInWords;
 use crate::log::worth_a_line;
 use crate::service::command_log::CommandNote;
@@ -20,12 +26,11 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 use crossbeam_channel::Sender;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-const HEADER: &str = "# solaspect: values set by command. crc32 ";
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// How long the thread waits for a change before it looks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -50,39 +55,10 @@ pub enum SavedError {
         expected: String,
         found: String,
     },
-}
-
-/// Where values are saved.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SavedValues {
-    path: PathBuf,
-    /// Whether the folder is an archive's, and must be seen to be one before anything is written there.
-    in_archive: bool,
-}
-
-impl SavedValues {
-    /// The configured file, else one in the archive; `None` where there is neither.
-    pub fn of(config: &Config) -> Option<Self> {
-        let configured = config.link.saved_values.clone();
-        let in_archive = configured.is_none();
-        let archive = config.archive.directory.as_deref();
-        let path = configured.or_else(|| Some(archive?.join("values.toml")))?;
-        Some(Self { path, in_archive })
-    }
-
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// A disk that is not mounted leaves an empty folder, which is not the archive.
-    fn check(&self) -> Result<(), SavedError> {
-        let mark = folder_of(&self.path).join(MARK);
-        if self.in_archive && !mark.exists() {
-            let (path, cause) = (mark, io::ErrorKind::NotFound.into());
-            return Err(SavedError::File { path, cause });
-        }
-        Ok(())
-    }
+    #[error("{}: saved values: expected a file that this program has written, or none, found {found}", .path.display())]
+    Foreign { path: PathBuf, found: String },
+    #[error("{}: saved values: expected to be the only program that flies with them, found another program", .path.display())]
+    Taken { path: PathBuf },
 }
 
 /// When a file was written.
@@ -125,11 +101,11 @@ impl Written {
 
 /// Sets what was saved, but for what has been commanded since. Whatever is wrong is logged, never fatal: a damaged file is set
 /// aside under another name, a value that is refused is left out. Returns how many values were set.
-pub fn restore(controls: &Controls, path: &Path) -> usize {
-    let restored = restore_at(controls, path, &Written::now());
+pub fn restore(controls: &Controls, file: &SavedValues) -> usize {
+    let restored = restore_at(controls, file, &Written::now());
     let differences = controls.differences();
     if !differences.is_empty() {
-        let (file, values) = (path.display(), differences.join(", "));
+        let (file, values) = (file.path().display(), differences.join(", "));
         tracing::warn!(%file, values, "saved values fly instead of the configuration's");
     }
     restored
@@ -142,9 +118,9 @@ pub fn restore(controls: &Controls, path: &Path) -> usize {
 /// The file cannot be read, or is damaged.
 pub fn differences(
     controls: &Controls,
-    path: &Path,
+    file: &SavedValues,
 ) -> Result<(Vec<String>, Vec<Refused>), SavedError> {
-    let mut values = read(path)?;
+    let mut values = read(file)?;
     Written::take(&mut values);
     let refused = values.iter().filter_map(|(key, value)| {
         let setting = (key.as_str(), value.clone());
@@ -154,8 +130,9 @@ pub fn differences(
     Ok((controls.differences(), refused))
 }
 
-fn restore_at(controls: &Controls, path: &Path, now: &Written) -> usize {
-    let mut values = match read(path) {
+fn restore_at(controls: &Controls, file: &SavedValues, now: &Written) -> usize {
+    let path = file.path();
+    let mut values = match read(file) {
         Ok(values) => values,
         Err(error) => {
             tracing::error!(%error, "starting without the saved values");
@@ -224,17 +201,12 @@ fn set_aside(path: &Path) {
 }
 
 /// The values of a file; none where there is no file.
-fn read(path: &Path) -> Result<BTreeMap<String, Value>, SavedError> {
-    let bytes = match std::fs::read(path) {
-        Ok(bytes) => bytes,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(BTreeMap::new()),
-        Err(cause) => {
-            let path = path.into();
-            return Err(SavedError::File { path, cause });
-        }
+fn read(file: &SavedValues) -> Result<BTreeMap<String, Value>, SavedError> {
+    let Some(bytes) = file.bytes()? else {
+        return Ok(BTreeMap::new());
     };
     decode(&bytes).map_err(|(expected, found)| SavedError::Damaged {
-        path: path.into(),
+        path: file.path().into(),
         expected,
         found,
     })
@@ -290,48 +262,34 @@ fn encode(values: &BTreeMap<String, Value>, written: &Written) -> String {
     format!("{HEADER}{crc:08x}\n{body}")
 }
 
-/// Replaces the file as a whole. What a power cut leaves of it is swept from an archive like a frame that was half-written.
-fn write(path: &Path, text: &str) -> Result<(), SavedError> {
-    let folder = folder_of(path);
-    let replace = || -> io::Result<()> {
-        let mut file = tempfile::Builder::new()
-            .prefix(".values-")
-            .suffix(UNFINISHED)
-            .tempfile_in(folder)?;
-        file.write_all(text.as_bytes())?;
-        file.as_file().sync_all()?;
-        file.persist(path)?;
-        // The name, too, is to survive a power cut.
-        std::fs::File::open(folder)?.sync_all()
-    };
-    replace().map_err(|cause| SavedError::File {
-        path: path.into(),
-        cause,
-    })
-}
-
-fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    }
-}
-
 /// Saves what commands set, on a thread of its own: a disk that hangs does not hold up an answer.
 pub struct ValueSaver {
     controls: Controls,
     file: SavedValues,
+    /// None until the file's folder is there.
+    lock: Option<Lock>,
 }
 
 impl ValueSaver {
-    pub fn new(controls: Controls, file: SavedValues) -> Self {
-        Self { controls, file }
+    /// `lock` is that of the file, if it is [claimed](SavedValues::claim) already.
+    pub fn new(controls: Controls, file: SavedValues, lock: Option<Lock>) -> Self {
+        Self {
+            controls,
+            file,
+            lock,
+        }
     }
 
     /// Sets what was saved, says so to `restored`, and saves after every change until told to end, and then what is left to
     /// save. Returns how often it failed.
-    pub fn run(self, restored: &Sender<()>, ends: &AtomicBool) -> u64 {
-        restore(&self.controls, &self.file.path);
+    pub fn run(mut self, restored: &Sender<()>, ends: &AtomicBool) -> u64 {
+        match self.hold() {
+            Err(error @ SavedError::Taken { .. }) => {
+                tracing::error!(%error, "starting without the saved values");
+            }
+            // Where no lock can be made there may yet be a file.
+            _ => _ = restore(&self.controls, &self.file),
+        }
         // Nobody listens any more where this came too late.
         let _ = restored.send(());
         let changes = self.controls.0.changed.1.clone();
@@ -365,10 +323,21 @@ impl ValueSaver {
         }
     }
 
-    fn save(&self) -> Result<ShortLived, SavedError> {
+    /// Takes the file for this program alone.
+    fn hold(&mut self) -> Result<(), SavedError> {
+        let file = &self.file;
+        if !self.lock.as_ref().is_some_and(|lock| file.is_held_by(lock)) {
+            // The old one first: both may be of the same file.
+            self.lock = None;
+            self.lock = Some(file.lock()?);
+        }
+        Ok(())
+    }
+
+    fn save(&mut self) -> Result<ShortLived, SavedError> {
         let values = self.controls.state().commanded.clone();
-        self.file.check()?;
-        write(&self.file.path, &encode(&values, &Written::now()))?;
+        self.hold()?;
+        self.file.replace(&encode(&values, &Written::now()))?;
         Ok(
             match SHORT_LIVED.iter().any(|key| values.contains_key(*key)) {
                 true => ShortLived::Some,
@@ -387,6 +356,8 @@ enum ShortLived {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::archive::MARK;
+    use crate::config::Config;
     use crate::instrument::builtin;
     use crate::link::{CameraRole, CommandResult, Control, GpsFix};
     use crate::pointing::Target;
@@ -424,19 +395,16 @@ mod tests {
     }
 
     fn write_values(path: &Path, values: &BTreeMap<String, Value>) {
-        write(path, &encode(values, &Written::now())).unwrap();
+        let text = encode(values, &Written::now());
+        SavedValues::at(path).replace(&text).unwrap();
     }
 
     /// Runs a thread that is told to end, with what `set` has set after the start: how often it failed.
     fn run(controls: &Controls, path: &Path, set: impl Fn(&Controls)) -> u64 {
-        let path = path.to_path_buf();
-        let file = SavedValues {
-            path,
-            in_archive: false,
-        };
         let (restored, _) = bounded(1);
         set(controls);
-        ValueSaver::new(controls.clone(), file).run(&restored, &AtomicBool::new(true))
+        let saver = ValueSaver::new(controls.clone(), SavedValues::at(path), None);
+        saver.run(&restored, &AtomicBool::new(true))
     }
 
     fn names(folder: &Path) -> Vec<String> {
@@ -455,17 +423,14 @@ mod tests {
         assert_eq!(run(&before, &path, set_values), 0);
 
         let after = controls();
-        assert_eq!(restore(&after, &path), 9);
+        assert_eq!(restore(&after, &SavedValues::at(&path)), 9);
         assert_eq!(after.snapshot(), before.snapshot());
         assert_eq!(after.config(), before.config());
         assert_eq!(after.camera(Seat::Roll).preamp_gain, Some(-3.0));
         assert!(!after.stores(CameraRole::Roll));
         assert_eq!(after.sending(), Some(false));
-        assert_eq!(
-            names(folder.path()),
-            ["values.toml"],
-            "nothing else is left"
-        );
+        let left = [".values.toml.lock", "values.toml"];
+        assert_eq!(names(folder.path()), left, "nothing else is left");
     }
 
     fn written(utc: &str, boot: &str) -> Written {
@@ -518,7 +483,7 @@ mod tests {
         assert_eq!(run(&before, &path, set), 0);
 
         let after = controls();
-        restore(&after, &path);
+        restore(&after, &SavedValues::at(&path));
         assert!(after.tracking());
         assert_eq!(after.snapshot(), before.snapshot());
 
@@ -527,7 +492,7 @@ mod tests {
             boot: Some("another".into()),
         };
         let in_the_laboratory = controls();
-        restore_at(&in_the_laboratory, &path, &next_day);
+        restore_at(&in_the_laboratory, &SavedValues::at(&path), &next_day);
         assert!(!in_the_laboratory.tracking());
         assert_eq!(in_the_laboratory.snapshot().place, None);
         assert_eq!(in_the_laboratory.camera(Seat::PitchYaw).exposure_us, 12_000);
@@ -541,7 +506,7 @@ mod tests {
         let controls = controls();
         let newer = ("camera.exposure_us", Value::Whole(700));
         controls.set(std::slice::from_ref(&newer)).unwrap();
-        restore(&controls, &path);
+        restore(&controls, &SavedValues::at(&path));
         assert_eq!(controls.camera(Seat::PitchYaw).exposure_us, 700);
         assert_eq!(controls.camera(Seat::Roll).preamp_gain, Some(-3.0));
     }
@@ -554,9 +519,10 @@ mod tests {
         config.archive.directory = Some(folder.path().into());
         let file = SavedValues::of(&config).unwrap();
         assert_eq!(file.path(), folder.path().join("values.toml"));
-        assert!(file.check().is_err());
+        assert!(file.claim().unwrap().is_none());
+        assert!(file.replace("").is_err() && names(folder.path()).is_empty());
         std::fs::write(folder.path().join(MARK), "").unwrap();
-        assert!(file.check().is_ok());
+        assert!(file.claim().unwrap().is_some() && file.replace("").is_ok());
     }
 
     #[test]
@@ -564,7 +530,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let controls = controls();
         let before = controls.snapshot();
-        assert_eq!(restore(&controls, &folder.path().join("values.toml")), 0);
+        assert_eq!(
+            restore(
+                &controls,
+                &SavedValues::at(&folder.path().join("values.toml"))
+            ),
+            0
+        );
         assert_eq!(controls.snapshot(), before);
         assert!(names(folder.path()).is_empty());
     }
@@ -581,16 +553,45 @@ mod tests {
         let mut flipped = bytes.clone();
         flipped[middle] ^= 1;
         let cut = bytes[..middle].to_vec();
-        for damaged in [flipped, cut, b"\xFF\xFE".to_vec(), Vec::new()] {
+        let header = bytes[..HEADER.len() / 2].to_vec();
+        let mut marred = bytes.clone();
+        marred[3] ^= 4;
+        for damaged in [flipped, cut, header, marred, Vec::new()] {
             std::fs::write(&path, damaged).unwrap();
             let controls = controls();
-            assert_eq!(restore(&controls, &path), 0);
+            assert_eq!(restore(&controls, &SavedValues::at(&path)), 0);
             assert_eq!(controls.config(), Config::default());
             let names = names(folder.path());
             assert_eq!(names.len(), 1);
             assert!(names[0].starts_with("values.toml.damaged-"), "{names:?}");
             std::fs::remove_file(folder.path().join(&names[0])).unwrap();
         }
+    }
+
+    #[test]
+    fn a_file_of_somebody_else_is_neither_set_aside_nor_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("flight.toml");
+        let text = "[camera]\nsource = \"simulated\"\n";
+        std::fs::write(&path, text).unwrap();
+        assert_eq!(run(&controls(), &path, set_values), 1);
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+        assert_eq!(names(folder.path()), [".flight.toml.lock", "flight.toml"]);
+    }
+
+    #[test]
+    fn values_of_a_flight_that_goes_on_are_neither_taken_nor_overwritten_by_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("values.toml");
+        assert_eq!(run(&controls(), &path, set_values), 0);
+        let before = std::fs::read(&path).unwrap();
+        let first = SavedValues::at(&path).claim().unwrap();
+        let second = controls();
+        let set = |controls: &Controls| controls.note_tracking(true);
+        assert_eq!(run(&second, &path, set), 1);
+        assert_eq!(second.camera(Seat::Roll).preamp_gain, None);
+        assert_eq!(std::fs::read(&path).unwrap(), before);
+        drop(first);
     }
 
     #[test]
@@ -620,7 +621,7 @@ mod tests {
         ]);
         write_values(&path, &values);
         let controls = controls();
-        assert_eq!(restore(&controls, &path), 1);
+        assert_eq!(restore(&controls, &SavedValues::at(&path)), 1);
         assert!(!controls.stores(CameraRole::Roll));
         assert_eq!(controls.config(), Config::default());
     }

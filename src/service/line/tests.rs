@@ -8,7 +8,9 @@ use crate::instrument::builtin;
 use crate::link::ground::order;
 use crate::link::message::NO_OFFSET;
 use crate::link::picture::Section;
-use crate::link::{BytePort, Guard, Key, Message, Packet, Picture, SerialPort, Telemetry, id};
+use crate::link::{
+    BytePort, Guard, Key, Message, Packet, Picture, Seal, SerialPort, Telemetry, id,
+};
 use crate::pointing::{Offset, Roll, Target};
 use crate::units::{Measured, Rejected};
 use crossbeam_channel::{Sender, unbounded};
@@ -651,14 +653,14 @@ fn ground_controls() -> Controls {
 /// What a line that listens to the ground makes of datagrams: its counts and its answers.
 fn heard(
     controls: &Controls,
-    key: Option<Key>,
+    seal: Option<Seal>,
     datagrams: impl IntoIterator<Item = (Vec<u8>, &'static str)>,
 ) -> (LineTally, Vec<Vec<u8>>) {
     let mut port = Datagrams::default();
     let datagrams = datagrams.into_iter();
     port.to_read = datagrams.map(|(b, s)| (b, s.parse().unwrap())).collect();
     let (written, turns) = (Arc::clone(&port.written), port.to_read.len());
-    let guard = Guard::new(vec!["10.0.0.1".parse().unwrap()], key);
+    let guard = Guard::new(vec!["10.0.0.1".parse().unwrap()], seal);
     let mut connection = Connection::over(port).guarded(guard);
     let tally = Shared::default();
     let mut line = Line::new(
@@ -697,6 +699,7 @@ fn a_datagram_is_carried_out_once_and_only_if_a_peer_sent_it() {
 #[test]
 fn with_a_key_a_command_is_signed_and_new_over_a_restart_too() {
     let key = Key::new(b"sixteen bytes or more").unwrap();
+    let key = key.towards(Computer::One);
     let set = |x| command(1, "set_target", &[x, "0"]);
     let signed = |x, stamp| (key.sign(&set(x), stamp), GROUND);
     let controls = ground_controls();
@@ -707,6 +710,29 @@ fn with_a_key_a_command_is_signed_and_new_over_a_restart_too() {
     assert_eq!((tally.commands, tally.datagrams_refused), (1, 1));
     assert_eq!(controls.config().target.x_arcsec, 300.0);
     assert_eq!(controls.stamp_ns(), 1001);
+}
+
+#[test]
+fn nothing_that_was_signed_for_the_other_computer_is_carried_out() {
+    let key = Key::new(b"sixteen bytes or more").unwrap();
+    let controls = ground_controls();
+    for (name, values) in [
+        ("set_target", &["100", "0"][..]),
+        ("start_tracking", &[]),
+        ("stop_tracking", &[]),
+        ("gps", &["34.5", "-104.25"]),
+        ("moon", &["34.5", "-104.25", "38405"]),
+    ] {
+        let replayed = key
+            .towards(Computer::Two)
+            .sign(&command(1, name, values), 1000);
+        let seal = Some(key.towards(Computer::One));
+        let (tally, answers) = heard(&controls, seal, [(replayed, GROUND)]);
+        assert_eq!((tally.commands, tally.datagrams_refused), (0, 1), "{name}");
+        assert!(answers.is_empty(), "{name}");
+    }
+    assert_eq!(controls.config(), Config::default());
+    assert!(!controls.tracking());
 }
 
 /// Counts lines of the log.
