@@ -267,7 +267,7 @@ mod tests {
         let target = aspect(0x1412, &[(-300_i16).cast_unsigned(), 450]);
         assert_eq!(say("set_target", &["-300", "450"]), target);
         assert_eq!(say("0x0412", &["-300", "450"]), target);
-        assert_eq!(say("set_clocking", &["-32.425"]), aspect(0x1621, &[0x1EFD]));
+        assert_eq!(say("set_clocking", &["-32.375"]), aspect(0x1621, &[0x1EFD]));
         assert_eq!(say("start_tracking", &[]), Ok(Message::StartTracking));
         let fix = GpsFix {
             latitude_deg: 34.49,
