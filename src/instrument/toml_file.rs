@@ -41,11 +41,20 @@ impl TomlError {
     ) -> Self {
         Self {
             path: path.into(),
-            field: field.into(),
+            field: printable(&field.into()),
             expected: expected.into(),
-            found: found.into(),
+            found: printable(&found.into()),
         }
     }
+}
+
+/// What a file says, without what would command the terminal that shows it.
+fn printable(text: &str) -> String {
+    let shown = |c: char| match c.is_control() && c != '\n' {
+        true => c.escape_default().to_string(),
+        false => c.to_string(),
+    };
+    text.chars().map(shown).collect()
 }
 
 /// An instant in UTC, as all files say it: in quotes or not, with an offset or without one (then UTC); a date alone is its
@@ -284,6 +293,17 @@ mod tests {
         let document: toml::Table = format!("at = {value}").parse().unwrap();
         let utc = Utc::try_from(document["at"].clone());
         utc.ok().map(|utc| utc.0.to_string())
+    }
+
+    #[test]
+    fn an_error_commands_no_terminal() {
+        let text = "\"evil\\u001b[2Jkey\" = 1\n";
+        let refused = parse_strict::<toml::Table>(Path::new("a.toml"), text, &[]);
+        let error = refused.unwrap_err().to_string();
+        assert!(
+            !error.contains('\u{1b}') && error.contains("u{1b}"),
+            "{error:?}"
+        );
     }
 
     #[test]

@@ -48,6 +48,10 @@ pub enum Fault {
     LineGarbled,
     /// GPS fixes come that jump to the far side of the Earth and back
     GpsJumps,
+    /// Commands come with allowed values that would leave the flight without a Sun
+    LineHostile,
+    /// A second flight is started on the same archive and saved values: it must be refused
+    SecondFlight,
     /// The controller stops the tracking, and starts it again
     TrackingStopped,
     /// The folder of the saved values is gone while a command changes one
@@ -102,9 +106,8 @@ impl Fault {
             DiskFull | ValuesGone => Duration::from_secs(3),
             CameraPanic | FrameSize | FrameTime => Duration::from_secs(1),
             DisksRefuse | CameraErrors | CameraSilent | LineClosed | LineGarbage | LineCommands
-            | LineChecksums | LineGarbled | GpsJumps | TrackingStopped | StderrClosed => {
-                Duration::from_secs(2)
-            }
+            | LineChecksums | LineGarbled | LineHostile | SecondFlight | GpsJumps
+            | TrackingStopped | StderrClosed => Duration::from_secs(2),
         }
     }
 
@@ -139,7 +142,13 @@ impl Fault {
             reopened: u64::from(self == LineClosed),
             packets: matches!(
                 self,
-                LineDeaf | LineClosed | LineGarbage | LineCommands | LineGarbled | GpsJumps
+                LineDeaf
+                    | LineClosed
+                    | LineGarbage
+                    | LineCommands
+                    | LineGarbled
+                    | LineHostile
+                    | GpsJumps
             ) || self == Stopped,
         }
     }
@@ -173,6 +182,8 @@ impl Fault {
             LineCommands => rig.gondola.behave(Habit::Commands),
             LineChecksums => rig.gondola.behave(Habit::WrongChecksums),
             LineGarbled => rig.gondola.behave(Habit::Garbled),
+            LineHostile => rig.gondola.behave(Habit::Hostile),
+            SecondFlight => rig.start_second()?,
             GpsJumps => rig.gondola.behave(Habit::Jumps),
             TrackingStopped => rig.gondola.behave(Habit::NoTracking),
             ValuesGone => {
@@ -193,9 +204,9 @@ impl Fault {
             DisksRefuse => (0..rig.disks()).for_each(|n| rig.disk(n).set(None)),
             DiskGone => fs::rename(rig.root(0).with_extension("away"), rig.root(0))?,
             CameraErrors | CameraSilent | CameraPanic | CameraHangs | FrameSize | FrameTime
-            | Stopped => {}
+            | SecondFlight | Stopped => {}
             LineDeaf | LineClosed | LineGarbage | LineCommands | LineChecksums | LineGarbled
-            | GpsJumps | TrackingStopped => rig.gondola.behave(Habit::Good),
+            | LineHostile | GpsJumps | TrackingStopped => rig.gondola.behave(Habit::Good),
             ValuesGone => fs::rename(rig.values.with_extension("away"), &rig.values)?,
             StderrStalled => rig.stderr()?.stall(false),
             StderrClosed => rig.stderr()?.read()?,

@@ -1,5 +1,6 @@
 //! The gondola's end of the line: the simulated controller at a pseudo-terminal that misbehaves when told to.
 
+use solaspect::link::ground::order;
 use solaspect::link::{
     AnyPort, AspectCommand, BytePort, Computer, Connection, GpsFix, Message, PortError, Propagated,
     SerialPort, id,
@@ -47,6 +48,8 @@ pub enum Habit {
     Garbled,
     /// Wants no tracking.
     NoTracking,
+    /// Sends commands that would leave the flight without a Sun or a line.
+    Hostile,
 }
 
 /// What has come to the controller, and what it has sent beyond its wish to track.
@@ -273,6 +276,7 @@ impl End {
                     self.send_all(port, &vec![command; COMMANDS])?;
                 }
             }
+            Habit::Hostile => self.send_all(port, &hostile())?,
             Habit::Jumps => self.send_all(port, &[place(34.47, -104.24), place(-34.47, 75.8)])?,
             Habit::WrongChecksums => self.send_wrong(port)?,
             _ => {}
@@ -315,6 +319,21 @@ fn no_op() -> Option<Message> {
     AspectCommand::new(0x1000, Vec::new())
         .ok()
         .map(Message::Aspect)
+}
+
+/// Values that are allowed, each by itself: a camera that is not there, thresholds that no Sun passes.
+fn hostile() -> Vec<Message> {
+    let set = |(name, parameter, value): &(&str, &str, &str)| {
+        let values = [*parameter, *value].map(str::to_owned);
+        order(name, &values, Computer::One).ok()
+    };
+    let hostile = [
+        ("set_integer", "4", "2"),
+        ("set_float", "22", "1"),
+        ("set_integer", "24", "225"),
+        ("set_integer", "17", "720"),
+    ];
+    hostile.iter().filter_map(set).collect()
 }
 
 fn place(latitude_deg: f32, longitude_deg: f32) -> Message {

@@ -13,6 +13,7 @@ use solaspect::camera::FrameSource;
 use solaspect::config::{Config, Switch};
 use solaspect::fits::Compression;
 use solaspect::instrument::{Instrument, MountedCamera};
+use solaspect::service::control::{SavedError, SavedValues};
 use solaspect::service::{Camera, Flight, FlightTally, Service};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
@@ -85,6 +86,27 @@ pub struct Parts {
 }
 
 impl Rig {
+    /// Tries to fly a second time on the same archive, and on the same saved values.
+    ///
+    /// # Errors
+    /// One of them was given.
+    pub fn start_second(&self) -> anyhow::Result<()> {
+        let mut config = Config::default();
+        config.link.saved_values = Some(self.values.join("values.toml"));
+        let values = SavedValues::of(&config).map(|file| file.claim());
+        let refused = matches!(values, Some(Err(SavedError::Taken { .. })));
+        anyhow::ensure!(
+            refused,
+            "expected the saved values to be taken, found {values:?}"
+        );
+        let archive = Store::open(self.root(0), "demo", Compression::Rice);
+        anyhow::ensure!(
+            archive.is_err(),
+            "expected the archive to be taken, found it free"
+        );
+        Ok(())
+    }
+
     pub fn start(parts: Parts) -> anyhow::Result<Self> {
         let ring = Arc::new(parts.ring);
         let instrument = parts.instrument.clone();
