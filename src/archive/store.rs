@@ -3,7 +3,7 @@
 //! A frame is encoded in memory, written under a temporary name in its own folder, brought to the disk (fsync),
 //! and only then given its name, without replacing what may stand there; then the folder is brought to the disk too.
 //! A power cut at any moment leaves whole files and at most a temporary, which begins with a dot, does not end in
-//! `.fits`, and is swept away when the store is next opened.
+//! `.fits`, and is swept away when the store is next opened. In a folder that was no archive before, nothing is swept.
 
 use super::disk::{Absent, Disk, Entry, EntryKind, LocalDisk, Lock, Space};
 use super::name::{NameTime, name};
@@ -93,8 +93,10 @@ pub struct Store {
 #[derive(Debug)]
 struct Claim {
     lock: Lock,
+    /// Whether it began with this claim: whatever stands there is of somebody else.
+    is_new: bool,
     /// Whether it has been cleaned of what an earlier run left unfinished.
-    is_swept: bool,
+    is_prepared: bool,
 }
 
 /// A file that the archive must have while this program writes to it.
@@ -190,17 +192,17 @@ impl Store {
         }
         let is_ours = |claim: &&mut Claim| claim.lock.is_of(&mark);
         let held = match claim.as_mut().filter(is_ours) {
-            Some(held) if held.is_swept => return Ok(()),
+            Some(held) if held.is_prepared => return Ok(()),
             Some(held) => held,
             None => {
                 *claim = None;
-                let lock = take(self.disk.as_ref(), &self.root, self.first_visit())?;
-                let is_swept = false;
-                claim.insert(Claim { lock, is_swept })
+                claim.insert(take(self.disk.as_ref(), &self.root, self.first_visit())?)
             }
         };
-        self.swept.fetch_add(self.sweep()?, Ordering::Relaxed);
-        held.is_swept = true;
+        if !held.is_new {
+            self.swept.fetch_add(self.sweep()?, Ordering::Relaxed);
+        }
+        held.is_prepared = true;
         self.visits.fetch_add(1, Ordering::Release);
         Ok(())
     }
@@ -225,9 +227,8 @@ impl Store {
     pub fn claim_within(&self, limit: Duration) -> Result<(), ArchiveError> {
         let (disk, root, absent) = (self.disk(), self.root.clone(), self.first_visit());
         match within(limit, move || take(disk.as_ref(), &root, absent)) {
-            Ok(Ok(lock)) => {
-                let is_swept = false;
-                *self.claim() = Some(Claim { lock, is_swept });
+            Ok(Ok(claim)) => {
+                *self.claim() = Some(claim);
                 Ok(())
             }
             Ok(Err(error)) if error.is_busy() => Err(error),
@@ -442,22 +443,30 @@ impl Store {
 }
 
 /// Locks the mark of the archive at `root`; where none was ever seen, the folder and its mark are made.
-fn take(disk: &dyn Disk, root: &Path, absent: Absent) -> Result<Lock, ArchiveError> {
+fn take(disk: &dyn Disk, root: &Path, absent: Absent) -> Result<Claim, ArchiveError> {
     if absent == Absent::Made {
         make_folder_in_place(disk, root)?;
     }
     let mark = root.join(MARK);
-    disk.lock(&mark, absent).map_err(|cause| {
-        let action = match cause.kind() {
-            ErrorKind::ResourceBusy => "be the only program that writes to this archive",
-            _ => "make the disk's mark",
-        };
-        ArchiveError::Io {
-            path: mark,
-            action,
-            cause,
+    let is_new = absent == Absent::Made && !disk.exists(&mark);
+    match disk.lock(&mark, absent) {
+        Ok(lock) => Ok(Claim {
+            lock,
+            is_new,
+            is_prepared: false,
+        }),
+        Err(cause) => {
+            let action = match cause.kind() {
+                ErrorKind::ResourceBusy => "be the only program that writes to this archive",
+                _ => "make the disk's mark",
+            };
+            Err(ArchiveError::Io {
+                path: mark,
+                action,
+                cause,
+            })
         }
-    })
+    }
 }
 
 /// Makes the archive's folder if need be, in one that is there.
@@ -529,6 +538,15 @@ mod tests {
 
     fn store(root: &Path) -> Store {
         Store::open(root, "demo", Compression::Rice).unwrap()
+    }
+
+    #[test]
+    fn a_folder_that_becomes_an_archive_keeps_what_others_have_in_it() {
+        let root = tempfile::tempdir().unwrap();
+        let theirs = root.path().join(".download.part");
+        fs::write(&theirs, "half").unwrap();
+        let store = store(root.path());
+        assert_eq!((store.swept(), theirs.exists()), (0, true));
     }
 
     #[test]

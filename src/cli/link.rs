@@ -115,7 +115,7 @@ struct LogArgs {
     /// Speed of a serial port
     #[arg(long, default_value_t = BAUD)]
     baud: u32,
-    /// Where the record goes [default: standard output]
+    /// Where the record goes, a new file [default: standard output]
     #[arg(long, value_name = "FILE", requires = "port")]
     out: Option<PathBuf>,
     /// How long to record [default: until SIGINT]
@@ -262,7 +262,7 @@ fn log(args: &LogArgs) -> anyhow::Result<ExitCode> {
     let mut port = address.open(args.baud, LocalEnd::default())?;
     match &args.out {
         Some(path) => {
-            let file = File::create(path).with_context(|| path.display().to_string())?;
+            let file = File::create_new(path).with_context(|| path.display().to_string())?;
             record(&mut port, file, args.duration)?;
         }
         None => record(&mut port, io::stdout(), args.duration)?,
