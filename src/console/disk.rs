@@ -2,8 +2,6 @@
 //!
 //! Each read has a thread of its own. One that hangs keeps it until the disk answers; others go on.
 
-use super::request::{Answer, Failure};
-use axum::http::StatusCode;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -14,6 +12,17 @@ const MOST: usize = 16;
 const MOST_OF_ONE: usize = 2;
 /// A disk that answers does so within this.
 const LIMIT: Duration = Duration::from_secs(5);
+
+/// Why a file was not read.
+#[derive(Debug, thiserror::Error)]
+pub enum Unread {
+    #[error("{0}: {1} files wait for the disk: try again")]
+    Busy(String, usize),
+    #[error("{0}: the disk does not answer")]
+    Hangs(String),
+    #[error("{0}: {1}")]
+    Failed(String, String),
+}
 
 /// The reads that have not ended, by their files.
 #[derive(Debug, Clone, Default)]
@@ -26,7 +35,7 @@ impl Reads {
         folder: PathBuf,
         name: String,
         read: impl FnOnce(&Path) -> anyhow::Result<T> + Send + 'static,
-    ) -> Answer<T> {
+    ) -> Result<T, Unread> {
         let file = name.clone();
         let work = move || read(&within(&folder, &file)?);
         self.timely(name, LIMIT, work).await
@@ -37,7 +46,7 @@ impl Reads {
         name: String,
         limit: Duration,
         work: impl FnOnce() -> anyhow::Result<T> + Send + 'static,
-    ) -> Answer<T> {
+    ) -> Result<T, Unread> {
         let turn = self.turn(&name)?;
         let (done, result) = oneshot::channel();
         let thread = std::thread::Builder::new().name("read".into());
@@ -46,28 +55,22 @@ impl Reads {
             let _ = done.send(work());
             drop(turn);
         });
-        let hangs = || {
-            Failure(
-                StatusCode::GATEWAY_TIMEOUT,
-                format!("{name}: the disk does not answer"),
-            )
-        };
-        started.map_err(|error| Failure(StatusCode::SERVICE_UNAVAILABLE, error.to_string()))?;
+        let failed = |why: String| Unread::Failed(name.clone(), why);
+        started.map_err(|error| failed(error.to_string()))?;
         match tokio::time::timeout(limit, result).await {
             Ok(Ok(Ok(read))) => Ok(read),
-            Ok(Ok(Err(error))) => Err(Failure::missing(format!("{name}: {error:#}"))),
-            Ok(Err(_)) => Err(Failure::missing(format!("{name}: it could not be read"))),
-            Err(_) => Err(hangs()),
+            Ok(Ok(Err(error))) => Err(failed(format!("{error:#}"))),
+            Ok(Err(_)) => Err(failed("it could not be read".into())),
+            Err(_) => Err(Unread::Hangs(name)),
         }
     }
 
     /// One of the reads at a time.
-    fn turn(&self, name: &str) -> Answer<Turn> {
+    fn turn(&self, name: &str) -> Result<Turn, Unread> {
         let mut reads = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let of_one = reads.iter().filter(|other| *other == name).count();
         if of_one >= MOST_OF_ONE || reads.len() >= MOST {
-            let words = format!("{name}: {} files wait for the disk: try again", reads.len());
-            return Err(Failure(StatusCode::SERVICE_UNAVAILABLE, words));
+            return Err(Unread::Busy(name.into(), reads.len()));
         }
         reads.push(name.into());
         Ok(Turn {
@@ -165,10 +168,12 @@ mod tests {
                 let wait = wait.clone();
                 let hang = move || Ok(wait.recv()?);
                 let failed = reads.timely("hangs.fits".into(), soon, hang).await;
-                statuses.push(failed.err().map(|Failure(status, _)| status.as_u16()));
+                statuses.push(failed.err());
             }
-            assert_eq!(statuses[..2], [Some(504); 2]);
-            assert_eq!(statuses[2..], [Some(503); 38]);
+            let hang = |why: &Option<Unread>| matches!(why, Some(Unread::Hangs(_)));
+            let wait = |why: &Option<Unread>| matches!(why, Some(Unread::Busy(..)));
+            assert!(statuses[..2].iter().all(hang), "{statuses:?}");
+            assert!(statuses[2..].iter().all(wait), "{statuses:?}");
             let read = reads.timely("good.fits".into(), LIMIT, || Ok(7)).await;
             assert_eq!(read.ok(), Some(7));
             // The disk answers.

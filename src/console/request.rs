@@ -1,7 +1,7 @@
 //! What every request has in common: what it is answered from, how it is read, and how an answer or a failure is written.
 
 use super::access::{Access, Refused};
-use super::disk::Reads;
+use super::disk::{Reads, Unread};
 use super::ground::Ground;
 use super::orders::Refusal;
 use super::receive::Outgoing;
@@ -93,6 +93,17 @@ impl From<Refused> for Failure {
     }
 }
 
+impl From<Unread> for Failure {
+    fn from(unread: Unread) -> Self {
+        let status = match unread {
+            Unread::Busy(..) => StatusCode::SERVICE_UNAVAILABLE,
+            Unread::Hangs(_) => StatusCode::GATEWAY_TIMEOUT,
+            Unread::Failed(..) => StatusCode::NOT_FOUND,
+        };
+        Self(status, unread.to_string())
+    }
+}
+
 impl From<Refusal> for Failure {
     fn from(refusal: Refusal) -> Self {
         let status = match refusal {
@@ -131,7 +142,7 @@ impl Console {
     ) -> Answer<T> {
         let archive = self.parts.ground.archive.clone();
         let archive = archive.ok_or_else(|| Failure::missing("no archive is at hand"))?;
-        self.reads.read(archive, file, read).await
+        Ok(self.reads.read(archive, file, read).await?)
     }
 
     /// Drawings take turns, so that no number of viewers takes the whole machine.
