@@ -403,7 +403,7 @@ fn the_command_tells_what_the_simulator_drew_and_where_it_is_in_the_sky() {
         lines[2]["error"]
             .as_str()
             .unwrap()
-            .contains("expected a file"),
+            .contains("expected a regular file"),
         "{}",
         lines[2]
     );
