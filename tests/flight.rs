@@ -943,6 +943,8 @@ fn every_parameter_that_a_command_sets_changes_what_the_flight_does() {
         let tries: Vec<Vec<(u16, f64)>> = match (parameter.key, parameter.allowed) {
             // Seen where frames are thinned out.
             ("archive.store_every", _) => vec![vec![(40, 2.0), (41, 70.0), (42, 60.0)]],
+            // As many as an ordinary frame has, and more than a poor one.
+            ("fiducial.min_marks", _) => vec![vec![(24, 8.0)], vec![(24, 7.0)], vec![(24, 6.0)]],
             ("archive.thin_free_percent", _) => vec![vec![(41, 70.0), (42, 60.0)]],
             ("archive.stop_free_percent", _) => vec![vec![(41, 70.0), (42, 65.0), (43, 60.0)]],
             (_, Allowed::Number(low, high)) => alone(number, towards(parameter, [high, low])),
@@ -975,7 +977,7 @@ fn towards(parameter: &Parameter, limits: [f64; 2]) -> Vec<f64> {
         Some(config::Value::Whole(value)) => value as f64,
         _ => limits[1],
     };
-    let parts = [1.0, 0.5, 0.2, 0.1, 0.04];
+    let parts = [1.0, 0.9, 0.75, 0.5, 0.2, 0.1, 0.04];
     let all = parts.map(|part| limits.map(|limit| default + part * (limit - default)));
     all.into_iter().flatten().collect()
 }
