@@ -69,9 +69,12 @@ impl HousekeepingRows {
         keep(&mut self.times, &kept);
         keep(&mut self.arrived, &kept);
         keep(&mut self.flags, &kept);
-        let payloads = self.payloads.chunks(payload_bytes()).zip(&kept);
-        let payloads = payloads.filter(|(_, kept)| **kept);
-        self.payloads = payloads.flat_map(|(payload, _)| payload).copied().collect();
+        let (length, mut byte) = (payload_bytes(), 0);
+        self.payloads.retain(|_| {
+            let row = byte / length;
+            byte += 1;
+            kept[row]
+        });
         kept
     }
 }
