@@ -74,11 +74,7 @@ impl Soundness {
             let of_axis = |(axis, value): (&mut Axis, &f64)| {
                 let (variance, found) = axis.judge(*value, length_s, expected);
                 self.found = self.found.or(found);
-                let by_time = if step_s == 0.0 {
-                    0.0
-                } else {
-                    step_s * axis.spread().max(value.abs())
-                };
+                let by_time = step_s * axis.spread().max(value.abs());
                 variance + by_time.powi(2)
             };
             let variances = axes.iter_mut().zip(values.iter()).map(of_axis);
