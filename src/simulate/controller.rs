@@ -187,6 +187,11 @@ impl Controller {
         std::mem::take(&mut self.report.solutions)
     }
 
+    /// The offsets by the gyros that have come since they were last taken; they leave the report.
+    pub fn take_propagated(&mut self) -> Vec<Propagated> {
+        std::mem::take(&mut self.report.propagated)
+    }
+
     /// Sends a message under the controller's next number, and expects its answers.
     pub fn send(&mut self, port: &mut dyn BytePort, message: &Message) -> Result<(), PortError> {
         self.sequence = self.sequence.wrapping_add(1);

@@ -1,15 +1,19 @@
 //! The gondola's IMU and GPS receiver, which speak in time.
 
 use super::navigation::{NoFlight, TelescopeFlight};
-use crate::link::{AnyPort, BytePort, PortError};
+use crate::link::{AnyPort, BytePort, ImuPacket, PortError};
 use std::time::Duration;
 
 /// How long a packet or a sentence waits for room.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(10);
 
+/// What becomes of a sample before it is sent; `None` where it is lost.
+pub type Spoil = Box<dyn FnMut(ImuPacket) -> Option<ImuPacket> + Send>;
+
 /// The sensors of a simulated flight.
 pub struct Sensors {
     flight: TelescopeFlight,
+    spoil: Spoil,
     /// Where the receiver speaks; it is silent without.
     gps: Option<AnyPort>,
     /// How far the flight was when the clock of the caller began.
@@ -36,9 +40,15 @@ impl Sensors {
             sample: ahead_s * rate + 1,
             second: ahead_s + 1,
             flight,
+            spoil: Box::new(Some),
             gps,
             ahead,
         }
+    }
+
+    /// The same with an IMU that is not what it should be.
+    pub fn spoilt(self, spoil: Spoil) -> Self {
+        Self { spoil, ..self }
     }
 
     /// How long there is nothing to say.
@@ -59,8 +69,8 @@ impl Sensors {
         while self.wait(now).is_zero() {
             let sample = self.flight.sample(self.sample)?;
             self.sample += 1;
-            // Of its numbers each fits its packet.
-            if let Ok(packet) = sample.packet() {
+            // Of its numbers each fits its packet, but for some of a spoilt one: an IMU sends no such packet.
+            if let Some(Ok(packet)) = (self.spoil)(sample).map(|sample| sample.packet()) {
                 write(port, &packet.encode())?;
             }
             if self.due() > Duration::from_secs(self.second) {

@@ -99,14 +99,15 @@ fn fly(
     spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
     receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
 ) -> (Judged, NavigationTally) {
-    fly_judged(duration_s, seed, is_seen, spoil, receive, |_| true, &[])
+    let seen = (FRAMES_HZ, is_seen);
+    fly_judged(duration_s, seed, seen, spoil, receive, |_| true, &[])
 }
 
 /// The same after commands; only offsets of which `is_judged` says so count.
 fn fly_judged(
     duration_s: u64,
     seed: u64,
-    is_seen: impl Fn(f64) -> bool,
+    (frames_hz, is_seen): (u64, impl Fn(f64) -> bool),
     mut spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
     mut receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
     is_judged: impl Fn(&Propagated) -> bool,
@@ -138,7 +139,7 @@ fn fly_judged(
                 received.iter().for_each(|fix| filter.fix(fix));
             }
         }
-        if n % (rate / FRAMES_HZ) == 0 && is_seen(since.as_secs_f64()) {
+        if n % (rate / frames_hz) == 0 && is_seen(since.as_secs_f64()) {
             let sun = flown.sun_on_plate(since);
             let sigma_mil = SUN_ARCSEC / instrument.optics.arcsec_per_mil();
             let sun = PlateMil::new(sun.x + sigma_mil * normal(), sun.y + sigma_mil * normal());
@@ -370,7 +371,15 @@ fn a_clock_that_is_set_back_for_good_silences_no_offset() {
     };
     let start: Timestamp = START.parse().unwrap();
     let is_judged = |said: &Propagated| said.solution.time < start + SignedDuration::from_secs(90);
-    let (judged, tally) = fly_judged(60, 5, |_| true, spoil, as_received, is_judged, &[]);
+    let (judged, tally) = fly_judged(
+        60,
+        5,
+        (FRAMES_HZ, |_| true),
+        spoil,
+        as_received,
+        is_judged,
+        &[],
+    );
     assert_eq!((tally.restarts, tally.status), (1, Some(Status::Aligned)));
     assert!(judged.offsets > 480, "{}", judged.offsets);
 }
@@ -379,7 +388,15 @@ fn a_clock_that_is_set_back_for_good_silences_no_offset() {
 fn what_commands_set_of_the_filter_changes_what_is_sent() {
     let sent = |commanded: &[(&str, Value)]| {
         let spoil = |_, sample| Some(sample);
-        let (judged, tally) = fly_judged(40, 6, |_| true, spoil, as_received, |_| true, commanded);
+        let (judged, tally) = fly_judged(
+            40,
+            6,
+            (FRAMES_HZ, |_| true),
+            spoil,
+            as_received,
+            |_| true,
+            commanded,
+        );
         (judged.offsets, tally.uncertain)
     };
     let (as_it_is, _) = sent(&[]);

@@ -13,6 +13,7 @@ mod balloon;
 mod cameras;
 mod config;
 mod earth;
+mod faults;
 mod files;
 mod fly;
 mod imu;
@@ -25,6 +26,7 @@ mod telescope;
 mod tests;
 
 pub use cameras::{Camera, DirectionErrors, Seen, Target};
+pub use faults::{FaultyImu, IMU_FAULTS, ImuFault, Shows};
 pub use files::WriteError;
 pub use imu::ImuErrors;
 pub use plan::{FlightPlan, GpsErrors, Vehicle};

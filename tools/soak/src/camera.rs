@@ -34,6 +34,8 @@ pub enum CameraFault {
     WrongSize,
     /// The frame has no time.
     NoTime,
+    /// The frame has the time of a clock that was never set.
+    UnsetClock,
 }
 
 /// What became of the frames that were due. Their sum is the number of frames due.
@@ -172,10 +174,18 @@ impl Ring {
             Some(CameraFault::Silence | CameraFault::Panic | CameraFault::Hang) => {
                 &mut state.frames.not_taken
             }
-            Some(CameraFault::WrongSize | CameraFault::NoTime) | None => &mut state.frames.given,
+            Some(CameraFault::WrongSize | CameraFault::NoTime | CameraFault::UnsetClock) | None => {
+                &mut state.frames.given
+            }
         };
         *count += 1;
         fault
+    }
+
+    /// The time of a clock that stood at 1970 when the run began.
+    fn since_1970(&self) -> Result<Timestamp, jiff::Error> {
+        let elapsed = self.state().start.map(|start| start.elapsed());
+        Timestamp::UNIX_EPOCH.checked_add(elapsed.unwrap_or_default())
     }
 
     fn frame(&self, number: u64) -> Frame {
@@ -205,9 +215,12 @@ impl FrameSource for RingCamera {
                 thread::sleep(HANG);
                 return Ok(Take::NotYet);
             }
-            Some(CameraFault::WrongSize | CameraFault::NoTime) | None => {}
+            _ => {}
         }
-        let announced = Timestamp::now();
+        let announced = match fault {
+            Some(CameraFault::UnsetClock) => self.0.since_1970()?,
+            _ => Timestamp::now(),
+        };
         starts(announced);
         let mut frame = self.0.frame(number);
         let middle = SignedDuration::try_from(EXPOSURE / 2)?;

@@ -51,6 +51,8 @@ pub const ALL_IN_TURN: Duration = Duration::from_millis(500 * STEPS.len() as u64
 pub enum DiskFault {
     /// It takes no byte, and says that none is free.
     Full,
+    /// It can make no further file, and says so.
+    NoInodes,
     /// It refuses to make or write any file.
     Refusing,
     /// Since then one operation after the other fails, each for [`EACH`].
@@ -112,6 +114,9 @@ impl Shared {
         let fault = || Err(io::Error::other("a fault of the disk"));
         match state.fault {
             Some(DiskFault::Full) if step == Step::Write => Err(ErrorKind::StorageFull.into()),
+            Some(DiskFault::NoInodes) if matches!(step, Step::Create | Step::MakeFolder) => {
+                Err(ErrorKind::StorageFull.into())
+            }
             Some(DiskFault::Refusing) if matches!(step, Step::Create | Step::Write) => fault(),
             Some(DiskFault::Failing(since)) => {
                 let turn = since.elapsed().as_millis() / EACH.as_millis();
@@ -188,8 +193,10 @@ impl Disk for FaultyDisk {
     fn space(&self, folder: &Path) -> io::Result<Space> {
         self.shared.pass(Step::Space)?;
         let mut space = LocalDisk.space(folder)?;
-        if self.shared.state().fault == Some(DiskFault::Full) {
-            space.free_bytes = 0;
+        match self.shared.state().fault {
+            Some(DiskFault::Full) => space.free_bytes = 0,
+            Some(DiskFault::NoInodes) => space.free_files = Some(0),
+            _ => {}
         }
         Ok(space)
     }

@@ -6,6 +6,7 @@ use crate::line::Habit;
 use crate::rig::Rig;
 use clap::ValueEnum;
 use std::fs;
+use std::io::ErrorKind;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -16,6 +17,8 @@ pub enum Fault {
     DiskFull,
     /// Each operation of disk 1 fails for half a second, one after the other
     DiskFailing,
+    /// Disk 1 can make no further file
+    DiskInodes,
     /// No call to disk 1 returns
     DiskStuck,
     /// The folder of disk 1 is gone, with every file that was open
@@ -34,10 +37,14 @@ pub enum Fault {
     FrameSize,
     /// Frames without a time
     FrameTime,
+    /// Frames with the time of a clock that was never set, in 1970
+    Clock1970,
     /// The peer stops reading
     LineDeaf,
     /// The line is closed, and cannot be opened until the fault ends
     LineClosed,
+    /// The line is closed, and another program has its port until the fault ends
+    PortTaken,
     /// Random bytes come
     LineGarbage,
     /// Valid commands come as fast as they are answered
@@ -60,6 +67,8 @@ pub enum Fault {
     StderrStalled,
     /// Standard error is a pipe without a reader
     StderrClosed,
+    /// The IMU is at fault, each time in another of the simulator's kinds; needs --navigation
+    Imu,
     /// The whole process is stopped (SIGSTOP), and goes on
     Stopped,
 }
@@ -89,6 +98,17 @@ const PATIENCE_S: f64 = 10.0;
 const BUFFERED: f64 = 18.0;
 
 impl Fault {
+    /// Every fault of a flight, the IMU's after each of the others: it has many kinds.
+    pub fn all(navigates: bool) -> Vec<Self> {
+        let others = Self::value_variants()
+            .iter()
+            .filter(|fault| **fault != Self::Imu);
+        let imu = navigates.then_some(Self::Imu);
+        others
+            .flat_map(|fault| [*fault].into_iter().chain(imu))
+            .collect()
+    }
+
     pub fn name(self) -> String {
         let value = self.to_possible_value();
         value.map_or(String::new(), |value| value.get_name().to_owned())
@@ -102,12 +122,12 @@ impl Fault {
             CameraHangs => HANG,
             Stopped => STOP,
             StderrStalled => Duration::from_secs(10),
-            DiskStuck | DiskGone | LineDeaf => Duration::from_secs(5),
-            DiskFull | ValuesGone => Duration::from_secs(3),
-            CameraPanic | FrameSize | FrameTime => Duration::from_secs(1),
-            DisksRefuse | CameraErrors | CameraSilent | LineClosed | LineGarbage | LineCommands
-            | LineChecksums | LineGarbled | LineHostile | SecondFlight | GpsJumps
-            | TrackingStopped | StderrClosed => Duration::from_secs(2),
+            DiskStuck | DiskGone | LineDeaf | Imu => Duration::from_secs(5),
+            DiskFull | DiskInodes | ValuesGone => Duration::from_secs(3),
+            CameraPanic | FrameSize | FrameTime | Clock1970 => Duration::from_secs(1),
+            DisksRefuse | CameraErrors | CameraSilent | LineClosed | PortTaken | LineGarbage
+            | LineCommands | LineChecksums | LineGarbled | LineHostile | SecondFlight
+            | GpsJumps | TrackingStopped | StderrClosed => Duration::from_secs(2),
         }
     }
 
@@ -139,11 +159,12 @@ impl Fault {
             failed: only(CameraErrors),
             misfits: only(FrameSize),
             restarts: u64::from(matches!(self, CameraPanic | CameraHangs)),
-            reopened: u64::from(self == LineClosed),
+            reopened: u64::from(matches!(self, LineClosed | PortTaken)),
             packets: matches!(
                 self,
                 LineDeaf
                     | LineClosed
+                    | PortTaken
                     | LineGarbage
                     | LineCommands
                     | LineGarbled
@@ -160,6 +181,7 @@ impl Fault {
         match self {
             DiskFull => rig.disk(0).set(Some(DiskFault::Full)),
             DiskFailing => rig.disk(0).set(Some(DiskFault::Failing(now))),
+            DiskInodes => rig.disk(0).set(Some(DiskFault::NoInodes)),
             DiskStuck => rig.disk(0).set(Some(DiskFault::Stuck)),
             DiskGone => {
                 rig.disk(0).drop_files();
@@ -176,8 +198,10 @@ impl Fault {
             CameraHangs => rig.fail(CameraFault::Hang, 1),
             FrameSize => rig.fail(CameraFault::WrongSize, self.frames(rig.rate_hz)),
             FrameTime => rig.fail(CameraFault::NoTime, self.frames(rig.rate_hz)),
+            Clock1970 => rig.fail(CameraFault::UnsetClock, self.frames(rig.rate_hz)),
             LineDeaf => rig.gondola.behave(Habit::Deaf),
-            LineClosed => rig.gondola.behave(Habit::Unplugged),
+            LineClosed => rig.gondola.behave(Habit::Closed(ErrorKind::NotFound)),
+            PortTaken => rig.gondola.behave(Habit::Closed(ErrorKind::ResourceBusy)),
             LineGarbage => rig.gondola.behave(Habit::Garbage),
             LineCommands => rig.gondola.behave(Habit::Commands),
             LineChecksums => rig.gondola.behave(Habit::WrongChecksums),
@@ -188,10 +212,13 @@ impl Fault {
             TrackingStopped => rig.gondola.behave(Habit::NoTracking),
             ValuesGone => {
                 fs::rename(&rig.values, rig.values.with_extension("away"))?;
-                rig.gondola.set_target(rig.next_target(), 0);
+                let more = Duration::from_millis(rig.next_number().into());
+                rig.gondola
+                    .set_max_solution_age(Duration::from_secs(1) + more);
             }
             StderrStalled => rig.stderr()?.stall(true),
             StderrClosed => rig.stderr()?.close()?,
+            Imu => rig.imu()?.begin(),
             Stopped => stop_process(STOP)?,
         }
         Ok(())
@@ -200,14 +227,17 @@ impl Fault {
     pub fn end(self, rig: &Rig) -> anyhow::Result<()> {
         use Fault::*;
         match self {
-            DiskFull | DiskFailing | DiskStuck => rig.disk(0).set(None),
+            DiskFull | DiskFailing | DiskInodes | DiskStuck => rig.disk(0).set(None),
             DisksRefuse => (0..rig.disks()).for_each(|n| rig.disk(n).set(None)),
             DiskGone => fs::rename(rig.root(0).with_extension("away"), rig.root(0))?,
             CameraErrors | CameraSilent | CameraPanic | CameraHangs | FrameSize | FrameTime
-            | SecondFlight | Stopped => {}
-            LineDeaf | LineClosed | LineGarbage | LineCommands | LineChecksums | LineGarbled
-            | LineHostile | GpsJumps | TrackingStopped => rig.gondola.behave(Habit::Good),
+            | Clock1970 | SecondFlight | Stopped => {}
+            LineDeaf | LineClosed | PortTaken | LineGarbage | LineCommands | LineChecksums
+            | LineGarbled | LineHostile | GpsJumps | TrackingStopped => {
+                rig.gondola.behave(Habit::Good)
+            }
             ValuesGone => fs::rename(rig.values.with_extension("away"), &rig.values)?,
+            Imu => rig.imu()?.end(),
             StderrStalled => rig.stderr()?.stall(false),
             StderrClosed => rig.stderr()?.read()?,
         }

@@ -14,11 +14,12 @@ const STEADY: f64 = 0.8;
 const FEW: usize = 4;
 
 /// Solutions that may be on their way when the counts are taken; the sums at the end of the run hold exactly.
-const UNDER_WAY: u64 = 1;
+pub const UNDER_WAY: u64 = 1;
 
 /// A fault, with the counts around it.
 pub struct Trial {
     pub fault: Fault,
+    pub name: String,
     pub before: Counts,
     /// When the fault ended.
     pub end: Counts,
@@ -43,6 +44,9 @@ impl Counts {
             ("solutions received".into(), self.heard.solutions),
             ("housekeeping received".into(), self.heard.housekeeping),
         ];
+        if self.heard.offsets.received > 0 {
+            flows.push(("offsets by the gyros".into(), self.heard.offsets.received));
+        }
         for (n, stored) in (1..).zip(&self.stored_on) {
             flows.push((format!("frames on disk {n}"), *stored));
         }
@@ -99,6 +103,7 @@ impl Trial {
         rig.memory.borrow_mut().note(true)?;
         Ok(Self {
             fault,
+            name: rig.name_of(fault),
             before,
             end,
             back,
@@ -166,6 +171,15 @@ impl Trial {
         if !(least..=most).contains(&not_taken) {
             wrong.push(format!("{not_taken} not taken, expected {least} to {most}"));
         }
+        let most = if self.fault == Fault::Stopped {
+            most
+        } else {
+            0
+        };
+        let of_horizon = self.growth(|c| c.roll_frames.not_taken);
+        if of_horizon > most {
+            wrong.push(format!("{of_horizon} of the horizon not taken"));
+        }
         let of = |count: fn(&FlightTally) -> u64| self.growth(|c| count(&c.tally));
         let exact = [
             ("failed", of(|t| t.camera.failed), cost.failed),
@@ -215,6 +229,8 @@ impl Trial {
             exact.push(("exposures unannounced", of(|t| t.camera.unannounced), 0));
             exact.push(("faults heard", self.growth(|c| c.heard.faults.total()), 0));
         }
+        let offsets = self.growth(|c| c.heard.offsets.wrong);
+        exact.push(("offsets beyond 6 sigma", offsets, 0));
         let mut wrong = differences(&exact);
         // A process that was stopped has nothing to tell of that time.
         let stopped = match self.fault {

@@ -1,9 +1,10 @@
 //! The gondola's end of the line: the simulated controller at a pseudo-terminal that misbehaves when told to.
 
+use crate::navigation::{Judge, NavigationRun};
 use solaspect::link::ground::order;
 use solaspect::link::{
-    AnyPort, AspectCommand, BytePort, Computer, Connection, GpsFix, Message, PortError, Propagated,
-    SerialPort, id,
+    AnyPort, AspectCommand, BytePort, Computer, Connection, GpsFix, Message, PortError, SerialPort,
+    id,
 };
 use solaspect::simulate::controller::{Controller, Faults};
 use solaspect::simulate::sensors::Sensors;
@@ -34,8 +35,8 @@ pub enum Habit {
     Good,
     /// Reads nothing.
     Deaf,
-    /// Hangs up, and cannot be opened again.
-    Unplugged,
+    /// Hangs up; it cannot be opened again, for this reason.
+    Closed(io::ErrorKind),
     /// Sends random bytes.
     Garbage,
     /// Sends commands as fast as they are read.
@@ -57,6 +58,7 @@ pub enum Habit {
 pub struct Heard {
     pub solutions: u64,
     pub housekeeping: u64,
+    pub offsets: NavigationRun,
     pub results: u64,
     pub faults: Faults,
     /// Commands, and packets with wrong checksums, that were sent.
@@ -67,7 +69,7 @@ pub struct Heard {
 /// The gondola as the rest of the soak sees it.
 pub struct Gondola {
     shared: Arc<Shared>,
-    thread: JoinHandle<(Vec<Propagated>, Option<SerialPort>)>,
+    thread: JoinHandle<Option<SerialPort>>,
 }
 
 #[derive(Default)]
@@ -88,12 +90,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Gondola {
     /// Starts the controller, and gives the service's connection to it.
-    pub fn start(sensors: Option<Sensors>) -> (Self, Connection) {
+    pub fn start(sensors: Option<Sensors>, judge: Option<Judge>) -> (Self, Connection) {
         let shared = Arc::<Shared>::default();
         let opens = Arc::clone(&shared);
         let connection = Connection::new(move || opens.open());
         let runs = Arc::clone(&shared);
-        let thread = thread::spawn(move || End::new(runs, sensors).run());
+        let thread = thread::spawn(move || End::new(runs, sensors, judge).run());
         (Self { shared, thread }, connection)
     }
 
@@ -101,14 +103,9 @@ impl Gondola {
         *lock(&self.shared.habit) = habit;
     }
 
-    /// Sets the target, by command.
-    pub fn set_target(&self, x_arcsec: i16, y_arcsec: i16) {
-        let row = solaspect::link::COMMANDS
-            .iter()
-            .find(|row| row.name == "set_target");
-        let words = [x_arcsec, y_arcsec].map(i16::cast_unsigned);
-        let command = row.and_then(|row| row.command(Computer::One, &words).ok());
-        *lock(&self.shared.message) = command.map(Message::Aspect);
+    /// Sets the age beyond which a solution is outdated, by command.
+    pub fn set_max_solution_age(&self, age: Duration) {
+        *lock(&self.shared.message) = set("3", &age.as_millis().to_string());
     }
 
     pub fn heard(&self) -> Heard {
@@ -121,10 +118,10 @@ impl Gondola {
     }
 
     /// Ends the controller. The port goes back: hanging up first is the service's part.
-    pub fn end(self) -> (Heard, Vec<Propagated>, Option<SerialPort>) {
+    pub fn end(self) -> (Heard, Option<SerialPort>) {
         self.shared.over.store(true, Ordering::Relaxed);
-        let (propagated, port) = self.thread.join().unwrap_or_default();
-        (*lock(&self.shared.heard), propagated, port)
+        let port = self.thread.join().unwrap_or_default();
+        (*lock(&self.shared.heard), port)
     }
 }
 
@@ -134,10 +131,10 @@ impl Shared {
     }
 
     fn open(self: &Arc<Self>) -> Result<AnyPort, PortError> {
-        if self.habit() == Habit::Unplugged {
+        if let Habit::Closed(reason) = self.habit() {
             return Err(PortError::Lost {
                 name: "soak".into(),
-                cause: io::ErrorKind::NotFound.into(),
+                cause: reason.into(),
             });
         }
         let (near, far) = SerialPort::pair()?;
@@ -193,6 +190,7 @@ impl BytePort for NearEnd {
 struct End {
     shared: Arc<Shared>,
     controller: Controller,
+    judge: Option<Judge>,
     port: Option<SerialPort>,
     start: Instant,
     heard: Heard,
@@ -201,7 +199,7 @@ struct End {
 }
 
 impl End {
-    fn new(shared: Arc<Shared>, sensors: Option<Sensors>) -> Self {
+    fn new(shared: Arc<Shared>, sensors: Option<Sensors>, judge: Option<Judge>) -> Self {
         let controller = Controller::new();
         Self {
             shared,
@@ -209,6 +207,7 @@ impl End {
                 Some(sensors) => controller.with_sensors(sensors),
                 None => controller,
             },
+            judge,
             port: None,
             start: Instant::now(),
             heard: Heard::default(),
@@ -216,7 +215,7 @@ impl End {
         }
     }
 
-    fn run(mut self) -> (Vec<Propagated>, Option<SerialPort>) {
+    fn run(mut self) -> Option<SerialPort> {
         let mut habit = Habit::Good;
         while !self.shared.over.load(Ordering::Relaxed) {
             let before = std::mem::replace(&mut habit, self.shared.habit());
@@ -232,14 +231,14 @@ impl End {
         while !self.controller.is_obeyed() && Instant::now() < end {
             self.step(Habit::Good);
         }
-        (self.controller.report().propagated.clone(), self.port)
+        self.port
     }
 
     fn step(&mut self, habit: Habit) {
         if let Some(port) = lock(&self.shared.opened).take() {
             self.port = Some(port);
         }
-        if habit == Habit::Unplugged {
+        if matches!(habit, Habit::Closed(_)) {
             self.port = None;
         }
         if habit == Habit::Deaf {
@@ -256,6 +255,11 @@ impl End {
         self.heard.housekeeping = report.other_telemetry;
         self.heard.results = report.results;
         self.heard.faults = report.faults;
+        let propagated = self.controller.take_propagated();
+        if let Some(judge) = &mut self.judge {
+            propagated.iter().for_each(|one| judge.note(one));
+            self.heard.offsets = judge.run();
+        }
         self.heard.solutions += self.controller.take_solutions().len() as u64;
         *lock(&self.shared.heard) = self.heard;
     }
@@ -323,17 +327,22 @@ fn no_op() -> Option<Message> {
 
 /// Values that are allowed, each by itself: a camera that is not there, thresholds that no Sun passes.
 fn hostile() -> Vec<Message> {
-    let set = |(name, parameter, value): &(&str, &str, &str)| {
-        let values = [*parameter, *value].map(str::to_owned);
-        order(name, &values, Computer::One).ok()
-    };
-    let hostile = [
-        ("set_integer", "4", "2"),
-        ("set_float", "22", "1"),
-        ("set_integer", "24", "225"),
-        ("set_integer", "17", "720"),
-    ];
-    hostile.iter().filter_map(set).collect()
+    let float = order("set_float", &["22", "1"].map(str::to_owned), Computer::One);
+    let whole = [("4", "2"), ("24", "225"), ("17", "720")];
+    let whole = whole
+        .iter()
+        .filter_map(|(parameter, value)| set(parameter, value));
+    whole.chain(float.ok()).collect()
+}
+
+/// The command that sets a whole number.
+fn set(parameter: &str, value: &str) -> Option<Message> {
+    order(
+        "set_integer",
+        &[parameter, value].map(str::to_owned),
+        Computer::One,
+    )
+    .ok()
 }
 
 fn place(latitude_deg: f32, longitude_deg: f32) -> Message {

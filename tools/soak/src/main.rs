@@ -16,7 +16,7 @@ mod schedule;
 mod stderr;
 
 use camera::Ring;
-use clap::{Parser, ValueEnum};
+use clap::Parser;
 use faults::Fault;
 use jiff::Timestamp;
 use judge::Trial;
@@ -53,10 +53,10 @@ struct Args {
     #[arg(long)]
     keep: bool,
     /// A second camera of the same rate, 1920 x 1080 px, that sees the horizon
-    #[arg(long, conflicts_with = "faults")]
+    #[arg(long)]
     roll: bool,
     /// The navigation filter flies, too: IMU at 100 Hz on the controller's line, GPS, offsets by the gyros at 20 Hz; the Sun rests on the plate
-    #[arg(long, conflicts_with = "faults")]
+    #[arg(long)]
     navigation: bool,
     /// Real-time priority of the hurried threads; needs CAP_SYS_NICE
     #[arg(long)]
@@ -73,7 +73,7 @@ fn main() -> anyhow::Result<ExitCode> {
     let args = Args::parse();
     let faults = match &args.faults {
         None => Vec::new(),
-        Some(named) if named.is_empty() => Fault::value_variants().to_vec(),
+        Some(named) if named.is_empty() => Fault::all(args.navigation),
         Some(named) => named.clone(),
     };
     let schedule = Schedule::new(faults, Duration::from_secs(args.seconds))?;
@@ -122,7 +122,9 @@ fn fly(
     let roll = args.roll.then(|| roll_parts(args.rate, duration));
     let roll = roll.transpose()?;
     let roll_ring = roll.as_ref().map(|roll| Arc::clone(&roll.ring));
-    let queue_bytes = Config::default().archive.queue_frames as f64 * ring.frame_bytes();
+    let rings = [Some(&ring), roll_ring.as_deref()];
+    let frame_bytes: f64 = rings.iter().flatten().map(|ring| ring.frame_bytes()).sum();
+    let queue_bytes = Config::default().archive.queue_frames as f64 * frame_bytes;
     let roll_drawn_bytes = roll_ring.as_ref().map_or(0.0, |ring| ring.drawn_bytes());
     let (stderr, _log) = match args.faults {
         Some(_) => (
@@ -161,11 +163,7 @@ fn fly(
         rig.ring().drawn_bytes(),
         rig.ring().end(),
     );
-    let (heard, propagated, _far) = rig.gondola.end();
-    let navigation = args.navigation.then(|| {
-        let telescope = navigation::telescope(&instrument, now);
-        navigation::NavigationRun::of(&propagated, telescope, now)
-    });
+    let (heard, _far) = rig.gondola.end();
     let tally = rig.service.join()?;
     let mut files = rig.files.into_inner();
     let roll_in_files = rig.roll_files.into_inner();
@@ -180,7 +178,7 @@ fn fly(
     let drawn_bytes = drawn_bytes + roll_drawn_bytes;
     Ok(Run {
         roll,
-        navigation,
+        navigates: args.navigation,
         realtime: args.realtime,
         seconds: args.seconds,
         due,

@@ -1,22 +1,29 @@
 //! The filter by gyros in the soak: the telescope follows the Sun, which rests on the plate, and its sensors speak in time.
 
+use crate::report::say;
+use jiff::Timestamp;
 use solaspect::config::FlightClock;
 use solaspect::instrument::{DEMO_NAVIGATION, Instrument};
-use solaspect::link::{Connection, Propagated, SerialPort};
+use solaspect::link::{Connection, ImuPacket, Propagated, SerialPort};
 use solaspect::navigation::Settings;
 use solaspect::service::Navigation;
 use solaspect::service::demo::JudgedOffset;
-use solaspect::simulate::navigation::TelescopeFlight;
-use solaspect::simulate::sensors::Sensors;
+use solaspect::simulate::navigation::{FaultyImu, IMU_FAULTS, ImuFault, TelescopeFlight};
+use solaspect::simulate::sensors::{Sensors, Spoil};
 use solaspect::simulate::{Course, FORT_SUMNER, Piece, Pieces, Trajectory};
 use solaspect::sky;
 use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 const SEED: u64 = 1;
 /// The filter has found the roll after so long.
 const SETTLED: Duration = Duration::from_secs(10);
-const MOST_SIGMAS: f64 = 3.0;
+/// Errors beyond these are rare, and beyond those wrong with confidence.
+const RARE_SIGMAS: f64 = 3.0;
+const WRONG_SIGMAS: f64 = 6.0;
+/// So long after a fault of the IMU began, or ended, may offsets be wrong: until the next frame, and half a second.
+const MENDED: Duration = Duration::from_millis(550);
 
 /// The Sun at one place of the plate.
 pub fn resting() -> Course {
@@ -34,13 +41,13 @@ pub fn resting() -> Course {
 }
 
 /// The Sun on a path of rests, slews and sway.
-pub fn swaying(instrument: &Instrument, now: jiff::Timestamp) -> anyhow::Result<Course> {
+pub fn swaying(instrument: &Instrument, now: Timestamp) -> anyhow::Result<Course> {
     let radius_mil = instrument.optics.radius_mil(sky::sun_angular_radius(now)?);
     Ok(Trajectory::flight(instrument, radius_mil, SEED)?.into())
 }
 
 /// The telescope that the resting Sun is seen from.
-pub fn telescope(instrument: &Instrument, start: jiff::Timestamp) -> TelescopeFlight {
+pub fn telescope(instrument: &Instrument, start: Timestamp) -> TelescopeFlight {
     TelescopeFlight::new(resting(), instrument, FORT_SUMNER, start, SEED)
 }
 
@@ -48,13 +55,16 @@ pub fn telescope(instrument: &Instrument, start: jiff::Timestamp) -> TelescopeFl
 pub struct Parts {
     pub flies: Navigation,
     pub sensors: Sensors,
+    pub imu: ImuBench,
+    pub judge: Judge,
 }
 
 impl Parts {
-    pub fn new(instrument: &Instrument, start: jiff::Timestamp) -> anyhow::Result<Self> {
+    pub fn new(instrument: &Instrument, start: Timestamp) -> anyhow::Result<Self> {
         let (near, far) = SerialPort::pair()?;
         let path = Path::new("demo-nav");
-        let ahead = jiff::Timestamp::now().duration_since(start);
+        let imu = ImuBench::default();
+        let ahead = Timestamp::now().duration_since(start);
         Ok(Self {
             flies: Navigation {
                 settings: Settings::parse(path, DEMO_NAVIGATION)?.for_flight(path)?,
@@ -67,50 +77,175 @@ impl Parts {
                 telescope(instrument, start),
                 Some(Box::new(far)),
                 Duration::try_from(ahead)?,
-            ),
+            )
+            .spoilt(imu.spoil()),
+            judge: Judge::new(telescope(instrument, start), start, imu.clone()),
+            imu,
         })
     }
 }
 
+/// Where the IMU is put at fault, in one of the simulator's kinds after the other.
+#[derive(Clone, Default)]
+pub struct ImuBench {
+    shared: Arc<Mutex<Bench>>,
+}
+
+#[derive(Default)]
+struct Bench {
+    begun: usize,
+    last: Option<Lasting>,
+}
+
+/// A fault of the IMU in time.
+#[derive(Clone, Copy)]
+struct Lasting {
+    fault: &'static ImuFault,
+    /// Of the first sample that it met, and the last.
+    met: Option<[Timestamp; 2]>,
+    is_over: bool,
+}
+
+impl ImuBench {
+    fn state(&self) -> MutexGuard<'_, Bench> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Begins the next kind.
+    pub fn begin(&self) {
+        let mut bench = self.state();
+        bench.last = Some(Lasting {
+            fault: &IMU_FAULTS[bench.begun % IMU_FAULTS.len()],
+            met: None,
+            is_over: false,
+        });
+        bench.begun += 1;
+    }
+
+    pub fn end(&self) {
+        if let Some(last) = &mut self.state().last {
+            last.is_over = true;
+        }
+    }
+
+    /// The kind that began last.
+    pub fn name(&self) -> &'static str {
+        self.state().last.map_or("", |last| last.fault.name)
+    }
+
+    /// What becomes of the IMU's samples.
+    fn spoil(&self) -> Spoil {
+        let bench = self.clone();
+        let mut imu = FaultyImu::new(SEED);
+        Box::new(move |sample: ImuPacket| {
+            let mut bench = bench.state();
+            let lasting = bench.last.as_mut().filter(|last| !last.is_over);
+            let lasting = lasting.map(|lasting| {
+                let [first, _] = lasting.met.unwrap_or([sample.time; 2]);
+                lasting.met = Some([first, sample.time]);
+                let since = sample.time.duration_since(first);
+                (lasting.fault, since.as_secs_f64())
+            });
+            imu.sample(sample, lasting)
+        })
+    }
+
+    /// Whether what is sent of that time may be wrong.
+    fn excuses(&self, time: Timestamp) -> bool {
+        let Some((fault, [first, last])) = self
+            .state()
+            .last
+            .and_then(|one| Some((one.fault, one.met?)))
+        else {
+            return false;
+        };
+        let since_s = time.duration_since(first).as_secs_f64();
+        let length_s = last.duration_since(first).as_secs_f64();
+        let mut begins = fault.begins_s(length_s).chain([0.0, length_s]);
+        begins.any(|begin_s| (0.0..=MENDED.as_secs_f64()).contains(&(since_s - begin_s)))
+    }
+}
+
+/// Compares offsets by the gyros with the truth, as they come.
+pub struct Judge {
+    telescope: TelescopeFlight,
+    start: Timestamp,
+    imu: ImuBench,
+    first: Option<Timestamp>,
+    run: NavigationRun,
+}
+
 /// What the offsets by the gyros came to.
+#[derive(Debug, Clone, Copy, Default)]
 pub struct NavigationRun {
     pub received: u64,
     pub judged: u64,
-    /// Of all errors of an axis.
-    pub beyond_3_sigma: f64,
-    pub rms_arcsec: f64,
+    /// Offsets of which an axis was wrong by more than 6 sigma, without a fault of the IMU that excuses it; and the largest
+    /// of all errors that nothing excuses, in sigmas.
+    pub wrong: u64,
+    pub most_sigmas: f64,
+    /// Of all axes.
+    beyond_3_sigma: u64,
+    sum_arcsec2: f64,
+}
+
+impl Judge {
+    fn new(telescope: TelescopeFlight, start: Timestamp, imu: ImuBench) -> Self {
+        Self {
+            telescope,
+            start,
+            imu,
+            first: None,
+            run: NavigationRun::default(),
+        }
+    }
+
+    pub fn note(&mut self, one: &Propagated) {
+        self.run.received += 1;
+        let time = one.solution.time;
+        let first = *self.first.get_or_insert(time);
+        if time.duration_since(first).unsigned_abs() < SETTLED {
+            return;
+        }
+        let Some(offset) = JudgedOffset::of(one, &mut self.telescope, self.start) else {
+            return;
+        };
+        self.run.judged += 1;
+        for error in offset.error_arcsec {
+            self.run.sum_arcsec2 += error * error;
+            let beyond = error.abs() > RARE_SIGMAS * offset.sigma_arcsec;
+            self.run.beyond_3_sigma += u64::from(beyond);
+        }
+        let [across, up] = offset.error_arcsec.map(f64::abs);
+        let sigmas = across.max(up) / offset.sigma_arcsec;
+        if self.imu.excuses(time) {
+            return;
+        }
+        self.run.most_sigmas = self.run.most_sigmas.max(sigmas);
+        if sigmas > WRONG_SIGMAS {
+            self.run.wrong += 1;
+            say(format_args!(
+                "      offset of {time}: wrong by {across:.2} and {up:.2} arcsec at a stated {:.2}, {:.2} s after a direction",
+                offset.sigma_arcsec, offset.age_s
+            ));
+        }
+    }
+
+    pub fn run(&self) -> NavigationRun {
+        self.run
+    }
 }
 
 impl NavigationRun {
-    pub fn of(
-        propagated: &[Propagated],
-        mut telescope: TelescopeFlight,
-        start: jiff::Timestamp,
-    ) -> Self {
-        let first = propagated.first().map(|one| one.solution.time);
-        let is_settled = |one: &&Propagated| {
-            first.is_some_and(|first| {
-                one.solution.time.duration_since(first).unsigned_abs() > SETTLED
-            })
-        };
-        let judged = propagated.iter().filter(is_settled);
-        let judged: Vec<JudgedOffset> = judged
-            .filter_map(|one| JudgedOffset::of(one, &mut telescope, start))
-            .collect();
-        let errors = || {
-            judged
-                .iter()
-                .flat_map(|one| one.error_arcsec.map(|error| (error, one.sigma_arcsec)))
-        };
-        let count = errors().count().max(1) as f64;
-        let beyond = errors()
-            .filter(|(error, sigma)| error.abs() > MOST_SIGMAS * sigma)
-            .count();
-        Self {
-            received: propagated.len() as u64,
-            judged: judged.len() as u64,
-            beyond_3_sigma: beyond as f64 / count,
-            rms_arcsec: (errors().map(|(error, _)| error * error).sum::<f64>() / count).sqrt(),
-        }
+    fn axes(&self) -> f64 {
+        (2 * self.judged).max(1) as f64
+    }
+
+    pub fn share_beyond_3_sigma(&self) -> f64 {
+        self.beyond_3_sigma as f64 / self.axes()
+    }
+
+    pub fn rms_arcsec(&self) -> f64 {
+        (self.sum_arcsec2 / self.axes()).sqrt()
     }
 }

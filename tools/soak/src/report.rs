@@ -1,11 +1,11 @@
 //! What the run came to, as a table and as a verdict.
 
 use crate::camera::Frames;
+use crate::faults::Fault;
 use crate::files::LogRows;
-use crate::judge::Trial;
+use crate::judge::{Trial, UNDER_WAY};
 use crate::line::Heard;
 use crate::machine::{MemoryLog, Sample};
-use crate::navigation::NavigationRun;
 use solaspect::horizon::Quality;
 use solaspect::service::{FlightTally, quantile};
 use std::fmt;
@@ -44,13 +44,16 @@ pub struct Trials {
     pub failed: u64,
     /// What they were allowed to cost, and did.
     pub not_taken: u64,
+    pub roll_not_taken: u64,
     pub solutions_lost: i64,
+    /// Solutions that may have been under way when their number was taken.
+    pub under_way: i64,
 }
 
 impl Trials {
     pub fn head(self) {
         say(
-            "   s  fault             length  taken  not taken  stored  not  sent  received  back    MB   heap  verdict",
+            "   s  fault                                          length  taken  not taken  stored  not  sent  received  back    MB   heap  verdict",
         );
     }
 
@@ -68,9 +71,9 @@ impl Trials {
         let mb = |of: fn(&Sample) -> f64| trial.memory.as_ref().map_or(0.0, of) / 1e6;
         let (resident_mb, heap_mb) = (mb(|s| s.resident), mb(|s| s.heap.live));
         say(format_args!(
-            "{:4}  {:16} {:5.1} s  {:5}  {not_taken:9}  {:6}  {:3}  {:4}  {:8}  {back:6}  {resident_mb:3.0}  {heap_mb:4.0}  {verdict}",
+            "{:4}  {:45} {:5.1} s  {:5}  {not_taken:9}  {:6}  {:3}  {:4}  {:8}  {back:6}  {resident_mb:3.0}  {heap_mb:4.0}  {verdict}",
             at.as_secs(),
-            trial.fault.name(),
+            trial.name,
             trial.length().as_secs_f64(),
             trial.growth(|c| c.frames.given),
             trial.growth(|c| c.tally.archive.stored),
@@ -80,9 +83,13 @@ impl Trials {
         ));
         self.injected += 1;
         self.failed += u64::from(!complaints.is_empty());
+        self.roll_not_taken += trial.growth(|c| c.roll_frames.not_taken);
         self.not_taken += trial.growth(|c| c.frames.not_taken);
-        if trial.fault.cost(rate_hz).packets || trial.fault == crate::faults::Fault::LineGarbled {
+        if trial.fault == Fault::LineGarbled {
+            self.solutions_lost += trial.growth(|c| c.garbled_solutions) as i64;
+        } else if trial.fault.cost(rate_hz).packets {
             self.solutions_lost += trial.solutions_lost();
+            self.under_way += UNDER_WAY as i64;
         }
     }
 }
@@ -99,7 +106,7 @@ pub struct RollRun {
 /// A run that is over.
 pub struct Run {
     pub roll: Option<RollRun>,
-    pub navigation: Option<NavigationRun>,
+    pub navigates: bool,
     pub realtime: Option<u8>,
     pub seconds: u64,
     /// Frames that were due.
@@ -129,13 +136,15 @@ impl Run {
         say(format_args!(
             "received   {solutions} solutions, {faults} faults"
         ));
-        if let Some(run) = &self.navigation {
+        if self.navigates {
+            let run = self.heard.offsets;
             say(format_args!(
-                "gyros      {} offsets received; {} after the first 10 s: {:.3} arcsec rms, {:.2} % beyond 3 sigma",
+                "gyros      {} offsets received; {} after the first 10 s: {:.3} arcsec rms, {:.2} % beyond 3 sigma, {:.1} sigma at most that no fault excuses",
                 run.received,
                 run.judged,
-                run.rms_arcsec,
-                100.0 * run.beyond_3_sigma,
+                run.rms_arcsec(),
+                100.0 * run.share_beyond_3_sigma(),
+                run.most_sigmas,
             ));
         }
         let Frames {
@@ -269,7 +278,10 @@ impl Run {
             ),
             (
                 "solutions not received, without a fault",
-                sent_and_lost - self.trials.solutions_lost,
+                (sent_and_lost - self.trials.solutions_lost)
+                    .abs()
+                    .saturating_sub(self.trials.under_way)
+                    .max(0),
             ),
             ("no solutions", i64::from(self.heard.solutions == 0)),
             ("too much memory", i64::from(largest > most)),
@@ -294,10 +306,12 @@ impl Run {
         let fine = tally.roll.solved.get(&Quality::Fine).copied();
         let mut latencies: Vec<Duration> = tally.line.roll_latencies.iter().copied().collect();
         let late = quantile(&mut latencies, 0.99).is_none_or(|most| most > MOST_ROLL_LATENCY);
+        // A roll waits for the Sun's next frame, and that for the end of a fault.
+        let late = late && self.trials.injected == 0;
         vec![
             (
                 "frames of the horizon due, less given",
-                roll.due as i64 - roll.frames.given as i64,
+                roll.due as i64 - roll.frames.given as i64 - self.trials.roll_not_taken as i64,
             ),
             (
                 "frames of the horizon that are not fine",
@@ -309,19 +323,28 @@ impl Run {
 
     /// What is wrong with the offsets by the gyros: none is lost or late, and they are as certain as they say.
     fn wrong_navigation(&self) -> Vec<(&'static str, i64)> {
-        let Some(run) = &self.navigation else {
+        if !self.navigates {
             return Vec::new();
-        };
+        }
+        let run = self.heard.offsets;
         let (tally, line) = (&self.tally.navigation, &self.tally.line);
         let mut latencies: Vec<Duration> = line.propagated_latencies.iter().copied().collect();
         let late = quantile(&mut latencies, 0.999).is_none_or(|most| most > MOST_OFFSET_LATENCY);
         // Among threads of other programs nobody can promise a millisecond.
         let late = late && self.realtime.is_some();
         let expected = RATE_HZ * self.seconds.saturating_sub(FILTER_BEGINS_S);
-        vec![
+        let mut wrong = vec![
+            ("offsets by the gyros beyond 6 sigma", run.wrong as i64),
+            ("no offsets by the gyros", i64::from(run.judged == 0)),
+            ("rows of the navigation lost", tally.rows_lost as i64),
+        ];
+        // What else a fault of the line or the IMU costs is its own.
+        if self.trials.injected > 0 {
+            return wrong;
+        }
+        wrong.extend([
             ("samples of the IMU lost", tally.lost_samples as i64),
             ("inputs that the filter lost", tally.overflowed as i64),
-            ("rows of the navigation lost", tally.rows_lost as i64),
             (
                 "offsets by the gyros sent, less received",
                 line.propagated as i64 - run.received as i64,
@@ -332,10 +355,11 @@ impl Run {
             ),
             (
                 "offsets by the gyros beyond 3 sigma",
-                i64::from(run.beyond_3_sigma > 0.01),
+                i64::from(run.share_beyond_3_sigma() > 0.01),
             ),
             ("offsets by the gyros that went out late", i64::from(late)),
-        ]
+        ]);
+        wrong
     }
 
     /// What is wrong with the logs: every frame must be in one of them, no frame twice in the same, and no more rows may be

@@ -2,10 +2,11 @@
 
 use crate::camera::{CameraFault, Frames, Ring, RingCamera};
 use crate::disk::FaultyDisk;
+use crate::faults::Fault;
 use crate::files::{Files, LogBytes};
 use crate::line::{Gondola, Heard};
 use crate::machine::{self, MemoryLog};
-use crate::navigation;
+use crate::navigation::{self, ImuBench};
 use crate::stderr::Stderr;
 use anyhow::Context;
 use solaspect::archive::{ROLL_CAMERA, Store};
@@ -36,11 +37,13 @@ pub struct Rig {
     pub files: RefCell<Files>,
     pub roll_files: RefCell<Option<Files>>,
     ring: Arc<Ring>,
+    roll_ring: Option<Arc<Ring>>,
     disks: Vec<(PathBuf, FaultyDisk)>,
+    imu: Option<ImuBench>,
     stderr: Option<Stderr>,
     looked: Cell<Instant>,
     processor: Cell<Duration>,
-    target: Cell<i16>,
+    number: Cell<u16>,
 }
 
 /// Everything that is counted, at one moment.
@@ -48,6 +51,7 @@ pub struct Rig {
 pub struct Counts {
     pub time: Instant,
     pub frames: Frames,
+    pub roll_frames: Frames,
     pub tally: FlightTally,
     pub waiting: usize,
     pub stored_on: Vec<u64>,
@@ -120,14 +124,15 @@ impl Rig {
         let mut config = Config::default();
         config.link.saved_values = Some(parts.values.join("values.toml"));
         config.host.realtime_priority = parts.realtime;
-        let (flies, sensors) = parts
-            .navigation
-            .map(|navigation| (navigation.flies, navigation.sensors))
-            .unzip();
-        if flies.is_some() {
+        // Each camera's frames wait for two seconds and more.
+        config.archive.queue_frames *= 1 + usize::from(parts.roll.is_some());
+        let (mut flies, mut sensors, mut imu, mut judge) = (None, None, None, None);
+        if let Some(parts) = parts.navigation {
             config.navigation.send = Switch::On;
+            (flies, sensors) = (Some(parts.flies), Some(parts.sensors));
+            (imu, judge) = (Some(parts.imu), Some(parts.judge));
         }
-        let (gondola, line) = Gondola::start(sensors);
+        let (gondola, line) = Gondola::start(sensors, judge);
         let opens = Arc::clone(&ring);
         let open = move || {
             let camera = RingCamera(Arc::clone(&opens));
@@ -137,7 +142,8 @@ impl Rig {
             open: Some(Arc::new(open)),
             ..Camera::new(parts.instrument.clone(), RingCamera(Arc::clone(&ring)))
         };
-        let roll_frames = parts.roll.as_ref().map(|roll| roll.ring.end());
+        let roll_ring = parts.roll.as_ref().map(|roll| Arc::clone(&roll.ring));
+        let roll_frames = roll_ring.as_ref().map(|ring| ring.end());
         let roll_camera = parts.roll.map(|RollParts { ring, camera }| {
             Camera::of_horizon(instrument, camera, RingCamera(ring))
         });
@@ -162,11 +168,13 @@ impl Rig {
             files: RefCell::new(Files::new(parts.roots, parts.keep, frames)),
             roll_files: RefCell::new(roll_files),
             ring,
+            roll_ring,
             disks,
+            imu,
             stderr: parts.stderr,
             looked: Cell::new(Instant::now()),
             processor: Cell::default(),
-            target: Cell::new(0),
+            number: Cell::new(0),
         })
     }
 
@@ -203,10 +211,22 @@ impl Rig {
             .context("standard error is not captured")
     }
 
-    /// A target, arcsec, that is not the last one.
-    pub fn next_target(&self) -> i16 {
-        self.target.set((self.target.get() + 1) % 1000);
-        self.target.get()
+    pub fn imu(&self) -> anyhow::Result<&ImuBench> {
+        self.imu.as_ref().context("imu: expected --navigation")
+    }
+
+    /// A fault's name; of the IMU's, its kind.
+    pub fn name_of(&self, fault: Fault) -> String {
+        match (fault, &self.imu) {
+            (Fault::Imu, Some(imu)) => format!("imu: {}", imu.name()),
+            _ => fault.name(),
+        }
+    }
+
+    /// A whole number below 1000 that is not the last one.
+    pub fn next_number(&self) -> u16 {
+        self.number.set((self.number.get() + 1) % 1000);
+        self.number.get()
     }
 
     /// Looks after files and memory until then, or until the flight has ended.
@@ -239,6 +259,10 @@ impl Rig {
         Counts {
             time: Instant::now(),
             frames: self.ring.frames(),
+            roll_frames: self
+                .roll_ring
+                .as_ref()
+                .map_or(Frames::default(), |ring| ring.frames()),
             tally,
             waiting: self.service.waiting_pictures(),
             stored_on: self.service.disks().iter().map(|d| d.stored).collect(),

@@ -9,6 +9,8 @@ const LEAD: Duration = Duration::from_secs(5);
 const TAIL: Duration = Duration::from_secs(2);
 /// After each fault: time to recover, and a second as before.
 pub const REST: Duration = Duration::from_millis(6300);
+/// Beside that, the counts take so long.
+const COUNTS: Duration = Duration::from_millis(300);
 
 /// Faults in their order, each at a fixed phase of a cycle that repeats as long as the run lasts.
 pub struct Schedule {
@@ -31,7 +33,10 @@ impl Schedule {
     }
 
     fn cycle(&self) -> Duration {
-        self.faults.iter().map(|fault| fault.length() + REST).sum()
+        self.faults
+            .iter()
+            .map(|fault| fault.length() + REST + COUNTS)
+            .sum()
     }
 
     /// The faults with the time of each, from the start of the run, as many as the run has time for.
@@ -39,9 +44,11 @@ impl Schedule {
         let mut at = LEAD;
         let timed = self.faults.iter().cycle().map(move |fault| {
             let begin = at;
-            at += fault.length() + REST;
+            at += fault.length() + REST + COUNTS;
             (begin, *fault)
         });
-        timed.take_while(|(begin, fault)| *begin + fault.length() + REST + TAIL <= self.duration)
+        timed.take_while(|(begin, fault)| {
+            *begin + fault.length() + REST + COUNTS + TAIL <= self.duration
+        })
     }
 }
