@@ -285,6 +285,9 @@ pub fn regression_by<const N: usize>(
 }
 
 #[cfg(test)]
+mod strd;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use nalgebra::{Vector1, Vector2};

@@ -361,16 +361,17 @@ impl Run {
         let Phase::Running(filter) = &mut self.phase else {
             return;
         };
-        let seen = (filter.towards(sighting), filter.rate_rad_s.norm());
+        let towards = filter.towards(sighting);
         if innovation.verdict == Verdict::Taken {
-            if let Remedy::Open { rad } = self.doubts.take(sighting, seen, &innovation) {
-                self.opened += filter.open(Sensors::Gyros, rad * rad);
-                self.opened += filter.open_attitude(ONE_SIDED_CHI2);
-            }
+            self.doubts.take(sighting, towards, &innovation);
             return self.note(innovation, each);
         }
         let was_doubted = self.doubts.random_walk(Sensors::Gyros) > 0.0;
-        match self.doubts.refuse(sighting, seen, &innovation) {
+        let rate_rad_s = filter.rate_rad_s.norm();
+        match self
+            .doubts
+            .refuse(sighting, towards, &innovation, rate_rad_s)
+        {
             Remedy::Wait => self.note(innovation, each),
             Remedy::BeginAnew => {
                 each(innovation);
@@ -386,7 +387,7 @@ impl Run {
                 let white_rad = white_rad(&self.model.settings, &self.model.layout, sighting);
                 let taken = filter.take_sighting(sighting, white_rad, Trust::Blind);
                 if let Some(taken) = taken {
-                    self.doubts.take(sighting, seen, &taken);
+                    self.doubts.take(sighting, towards, &taken);
                     self.note(taken, each);
                 }
             }
