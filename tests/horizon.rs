@@ -195,6 +195,7 @@ fn errors_of_all_scenes_at_full_size() {
             "| {name} | {:.4} | {:.4} | {:.4} | {:+.4} | {:.2} |",
             e.nadir_rms, e.roll_rms, e.pitch_rms, e.pitch_mean, e.over_sigma
         );
+        assert!((0.75..1.25).contains(&e.over_sigma), "{name}: {e:?}");
     }
     let pair = PairErrors::of(FULL);
     println!(
@@ -204,10 +205,7 @@ fn errors_of_all_scenes_at_full_size() {
         pair.by_circles.len(),
         pair.median_by_circles()
     );
-    println!(
-        "horizons found in 2,000 frames of the sky: {}",
-        found_in_the_sky(2_000)
-    );
+    assert_eq!(found_in_the_sky(2_000), 0);
 }
 
 /// How many frames without a horizon are said to have one.

@@ -101,12 +101,6 @@ fn a_mark_stands_where_the_truth_says_to_a_thousandth_of_a_pixel() {
                 ..Sun::new(PlateMil::new(0.0, 0.0), 2000.0)
             });
             let (found, dark) = centroid(54, light(&scene).map(|l| 205.0 - l));
-            println!(
-                "DBG {rotation_deg} {dx:.3} {dy:.3} {:.6} {:.6} {:.6}",
-                found.x - centre.x,
-                found.y - centre.y,
-                dark / (0.8 * 205.0 * (2.0 * 90.0 * 12.0 - 144.0) / 5.75_f64.powi(2))
-            );
             worst = worst.max(found.distance(centre));
             // Two arms of 90 x 12 mil that share a square of 12 x 12.
             let area_px = (2.0 * 90.0 * 12.0 - 12.0 * 12.0) / 5.75_f64.powi(2);

@@ -15,8 +15,8 @@ use crate::simulate::{Scene, SceneError};
 
 /// Frames for each phase of the bias map.
 const FRAMES_PER_PHASE: [u64; 2] = [16, 100];
-/// Frames of a row whose bound is computed.
-const BOUNDED_FRAMES: [u64; 2] = [12, 200];
+/// Frames of a row whose bound is computed: it costs several times as much as the frame, and the small size demands nothing of it.
+const BOUNDED_FRAMES: [u64; 2] = [0, 200];
 
 /// Why the program cannot run.
 #[derive(Debug, thiserror::Error)]

@@ -103,6 +103,7 @@ fn sigmas_are_honest_over_many_seeds() {
         let one = |seed| of_one_plate(seed, k1, frames, keystone_deg);
         let (mean, least, most) = honesty(one, SEEDS);
         println!("| {name} | {mean:.2} | {least:.2} | {most:.2} |");
+        assert!((0.8..1.25).contains(&mean), "{name}: {mean}");
     }
 }
 

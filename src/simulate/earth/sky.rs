@@ -70,6 +70,13 @@ impl Air {
         varies_by_m: 0.0,
         length_deg: 10.0,
     };
+
+    /// A ray that passes higher brings less than a thousandth of a DN.
+    fn top_m(&self) -> f64 {
+        const SCALES: f64 = 15.0;
+        const SIGMAS: f64 = 6.0;
+        SCALES * self.scale_m + SIGMAS * self.varies_by_m
+    }
 }
 
 /// A deck of clouds.
@@ -143,6 +150,10 @@ impl<'a> Sky<'a> {
     /// Light of a ray (north, east, down; unit), DN.
     pub fn light_dn(&self, ray: &Vector3<f64>) -> f64 {
         let conditions = &self.scene.conditions;
+        let passage = self.passage(ray);
+        if passage.height_m > conditions.air.top_m() {
+            return 0.0;
+        }
         let azimuth = ray.y.atan2(ray.x);
         let air = Air {
             brightness_dn: conditions.air.brightness_dn
@@ -150,7 +161,10 @@ impl<'a> Sky<'a> {
             ..conditions.air
         };
         let raised_m = air.varies_by_m * self.height.at(azimuth);
-        let passage = self.passage(ray, raised_m);
+        let passage = Passage {
+            height_m: passage.height_m - raised_m,
+            ..passage
+        };
         let depth = passage.depth(&air);
         let haze = air.brightness_dn * (1.0 - (-depth).exp());
         let behind = match passage.hits_ground() {
@@ -167,15 +181,14 @@ impl<'a> Sky<'a> {
         }
     }
 
-    /// How a ray passes the Earth, whose limb is raised by some metres.
-    fn passage(&self, ray: &Vector3<f64>, raised_m: f64) -> Passage {
+    fn passage(&self, ray: &Vector3<f64>) -> Passage {
         let along = self.scaled_from_local * ray;
         let to_lowest_m = -self.place.dot(&along) / along.norm_squared();
         let lowest = self.place + along * to_lowest_m;
         let radius_m = self.radius_m(&lowest);
         Passage {
             lowest,
-            height_m: (lowest.norm() - 1.0) * radius_m - raised_m,
+            height_m: (lowest.norm() - 1.0) * radius_m,
             to_lowest_m,
             radius_m,
             along,
@@ -222,16 +235,23 @@ impl<'a> Sky<'a> {
     /// See [`EarthTruth::edge_m`](super::EarthTruth::edge_m).
     pub fn edge_m(&self) -> f64 {
         let conditions = &self.scene.conditions;
-        let steps = (0..100_000).map(|n| f64::from(n) * (conditions.height_m / 1e5).min(1.0));
-        let clear: Vec<(f64, f64)> = steps
-            .map(|height_m| {
-                let passage = Passage::at(height_m, conditions.height_m, &conditions.shape);
-                (height_m, 1.0 - (-passage.depth(&conditions.air)).exp())
-            })
-            .collect();
-        let most = clear.iter().map(|(_, light)| *light).fold(0.0, f64::max);
-        let edge = clear.iter().find(|(_, light)| *light < most / 2.0);
-        edge.map_or(conditions.height_m, |(height_m, _)| *height_m)
+        let step_m = (conditions.height_m / 1e5).min(1.0);
+        let light = |step: u32| {
+            let height_m = f64::from(step) * step_m;
+            let passage = Passage::at(height_m, conditions.height_m, &conditions.shape);
+            1.0 - (-passage.depth(&conditions.air)).exp()
+        };
+        // The higher a ray passes, the less air it meets.
+        let half = light(0) / 2.0;
+        let (mut bright, mut dim) = (0, 100_000);
+        while dim - bright > 1 {
+            let middle = (bright + dim) / 2;
+            match light(middle) < half {
+                true => dim = middle,
+                false => bright = middle,
+            }
+        }
+        f64::from(dim) * step_m
     }
 }
 
