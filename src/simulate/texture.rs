@@ -1,9 +1,10 @@
 //! Random patterns: numbers at the corners of a grid in space, smooth ones between them, and along a limb's circle.
 
-use super::{Purpose, derived_seed, generator};
+use super::{Purpose, derived_seed};
 use nalgebra::Vector3;
-use rand::RngExt;
+use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
+use std::array::from_fn;
 
 /// A random number at every corner of a grid in space.
 #[derive(Debug, Clone, Copy)]
@@ -20,17 +21,35 @@ impl Random {
 
     /// 0 to 1; each `which` has numbers of its own.
     pub fn at(&self, corner: &Vector3<f64>, which: u64) -> f64 {
-        // The mixing of SplitMix64 (Steele, Lea and Flood 2014).
-        let mix = |bits: u64| {
-            let bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-            bits ^ bits >> 31
-        };
-        let bits = corner.iter().fold(mix(self.seed ^ which), |bits, v| {
-            mix(bits.wrapping_add(0x9e37_79b9_7f4a_7c15) ^ (*v as i64 as u64))
-        });
-        (bits >> 11) as f64 / (1_u64 << 53) as f64
+        share(corner.iter().fold(mix(self.seed ^ which), along))
     }
+
+    /// Those of the eight corners of a cell, the one along x next to each other: what corners share is mixed once.
+    fn around(&self, cell: &Vector3<f64>, which: u64) -> [f64; 8] {
+        let next = cell.add_scalar(1.0);
+        let [x, y, z] = [0, 1, 2].map(|axis| [&cell[axis], &next[axis]]);
+        let start = mix(self.seed ^ which);
+        let by_x = x.map(|x| along(start, x));
+        let by_xy: [u64; 4] = from_fn(|n| along(by_x[n & 1], y[n >> 1]));
+        from_fn(|n| share(along(by_xy[n & 3], z[n >> 2])))
+    }
+}
+
+/// The mixing of SplitMix64 (Steele, Lea and Flood 2014).
+fn mix(bits: u64) -> u64 {
+    let bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    bits ^ bits >> 31
+}
+
+/// Bits that a whole number changes.
+fn along(bits: u64, number: &f64) -> u64 {
+    mix(bits.wrapping_add(0x9e37_79b9_7f4a_7c15) ^ (*number as i64 as u64))
+}
+
+/// 0 to 1.
+fn share(bits: u64) -> f64 {
+    (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 /// Value noise in several octaves, each half as strong and twice as fine as the one before.
@@ -40,7 +59,7 @@ pub(super) struct Pattern {
 }
 
 impl Pattern {
-    const OCTAVES: i32 = 5;
+    const OCTAVES: u64 = 5;
 
     pub fn new(purpose: Purpose, seed: u64, number: u64) -> Self {
         Self {
@@ -50,38 +69,41 @@ impl Pattern {
 
     /// 0 to 1, about a half, at a place in units of the coarsest cell.
     pub fn at(&self, place: &Vector3<f64>) -> f64 {
-        let octave = |n: i32| {
-            let scale = 2.0_f64.powi(n);
-            self.one_octave(&(place * scale), n as u64) / scale
-        };
-        let most: f64 = (0..Self::OCTAVES).map(|n| 0.5_f64.powi(n)).sum();
-        (0..Self::OCTAVES).map(octave).sum::<f64>() / most
+        let (mut sum, mut most, mut scale) = (0.0, 0.0, 1.0);
+        for octave in 0..Self::OCTAVES {
+            sum += self.one_octave(&(place * scale), octave) / scale;
+            most += 1.0 / scale;
+            scale *= 2.0;
+        }
+        sum / most
     }
 
     fn one_octave(&self, place: &Vector3<f64>, octave: u64) -> f64 {
         let cell = place.map(f64::floor);
         let smooth = (place - cell).map(|t| t * t * (3.0 - 2.0 * t));
-        let corner = |n: u32| {
-            let offset = Vector3::new(n & 1, n >> 1 & 1, n >> 2 & 1).map(f64::from);
-            let weights = offset.zip_map(&smooth, |o, t| if o > 0.5 { t } else { 1.0 - t });
-            weights.product() * self.random.at(&(cell + offset), octave)
-        };
-        (0..8).map(corner).sum()
+        let corners = self.random.around(&cell, octave);
+        let between = |a: f64, b: f64, t: f64| a + t * (b - a);
+        let edges: [f64; 4] = from_fn(|n| between(corners[2 * n], corners[2 * n + 1], smooth.x));
+        let faces: [f64; 2] = from_fn(|n| between(edges[2 * n], edges[2 * n + 1], smooth.y));
+        between(faces[0], faces[1], smooth.z)
     }
 }
 
-/// A random function of the azimuth with variance 1, correlated as a Gaussian.
+/// A random function of the azimuth, correlated as a Gaussian.
 #[derive(Debug, Clone)]
 pub(super) struct AlongLimb {
+    /// Empty where nothing varies.
     values: Vec<f64>,
 }
 
 impl AlongLimb {
     const STEPS: usize = 720;
 
-    /// The correlation falls to 1/e over `length_deg`.
-    pub fn new(length_deg: f64, purpose: Purpose, seed: u64, number: u64) -> Self {
-        let mut random = generator(seed, purpose, number);
+    /// With 1 sigma of `sigma`, nothing where that is 0; the correlation falls to 1/e over `length_deg`.
+    pub fn new(sigma: f64, length_deg: f64, mut random: impl Rng) -> Self {
+        if sigma == 0.0 {
+            return Self { values: Vec::new() };
+        }
         let white: Vec<f64> = (0..Self::STEPS)
             .map(|_| random.sample(StandardNormal))
             .collect();
@@ -92,7 +114,7 @@ impl AlongLimb {
             (-0.5 * (away / width).powi(2)).exp()
         };
         let weights: Vec<f64> = (0..Self::STEPS).map(weight).collect();
-        let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
+        let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt() / sigma;
         let at = |n: usize| {
             let pairs = weights.iter().enumerate();
             pairs
@@ -105,8 +127,12 @@ impl AlongLimb {
         }
     }
 
-    pub fn at(&self, azimuth_rad: f64) -> f64 {
-        let turns = (azimuth_rad / std::f64::consts::TAU).rem_euclid(1.0);
+    /// Towards a ray (north, east, down).
+    pub fn at(&self, ray: &Vector3<f64>) -> f64 {
+        if self.values.is_empty() {
+            return 0.0;
+        }
+        let turns = (ray.y.atan2(ray.x) / std::f64::consts::TAU).rem_euclid(1.0);
         let place = turns * Self::STEPS as f64;
         let (n, part) = (place as usize % Self::STEPS, place.fract());
         let next = self.values[(n + 1) % Self::STEPS];

@@ -1,7 +1,7 @@
 //! The light of air, clouds and ground along a ray.
 
-use super::super::Purpose;
 use super::super::texture::{AlongLimb, Pattern};
+use super::super::{Purpose, generator};
 use super::EarthScene;
 use crate::units::EARTH_RADIUS_M;
 use libm::{erf, erfc};
@@ -129,8 +129,11 @@ impl<'a> Sky<'a> {
             Vector3::new(-cosine, 0.0, -sine),
         ]);
         let scaled_from_local = Matrix3::from_diagonal(&axes.map(f64::recip)) * local;
-        let length_deg = conditions.air.length_deg;
-        let along = |purpose| AlongLimb::new(length_deg, purpose, scene.seed, scene.weather);
+        let air = conditions.air;
+        let along = |sigma, purpose| {
+            let random = generator(scene.seed, purpose, scene.weather);
+            AlongLimb::new(sigma, air.length_deg, random)
+        };
         // Low above the horizon, to the right of where the camera looks: the terminator crosses the limb.
         let bearing = (scene.heading_deg + 60.0).to_radians();
         let sun = scaled_from_local * Vector3::new(bearing.cos(), bearing.sin(), 0.1);
@@ -141,8 +144,8 @@ impl<'a> Sky<'a> {
                 .component_div(&axes),
             scaled_from_local,
             pattern: Pattern::new(Purpose::Clouds, scene.seed, scene.weather),
-            brightness: along(Purpose::LimbBrightness),
-            height: along(Purpose::LimbHeight),
+            brightness: along(air.varies_by, Purpose::LimbBrightness),
+            height: along(air.varies_by_m, Purpose::LimbHeight),
             sun: sun.normalize(),
         }
     }
@@ -154,15 +157,12 @@ impl<'a> Sky<'a> {
         if passage.height_m > conditions.air.top_m() {
             return 0.0;
         }
-        let azimuth = ray.y.atan2(ray.x);
         let air = Air {
-            brightness_dn: conditions.air.brightness_dn
-                * (1.0 + conditions.air.varies_by * self.brightness.at(azimuth)),
+            brightness_dn: conditions.air.brightness_dn * (1.0 + self.brightness.at(ray)),
             ..conditions.air
         };
-        let raised_m = air.varies_by_m * self.height.at(azimuth);
         let passage = Passage {
-            height_m: passage.height_m - raised_m,
+            height_m: passage.height_m - self.height.at(ray),
             ..passage
         };
         let depth = passage.depth(&air);
