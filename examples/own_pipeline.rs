@@ -4,9 +4,8 @@
 //! `cargo run --release --example own_pipeline`
 
 use anyhow::anyhow;
-use solaspect::aspect::{Pipeline, Settings};
-use solaspect::frame::{Frame, Mask};
-use solaspect::geometry::Ellipse;
+use solaspect::aspect::{Pipeline, Settings, Stopped};
+use solaspect::frame::Frame;
 use solaspect::instrument::{self, Instrument};
 use solaspect::limb::Limb;
 use solaspect::simulate::{Conditions, RandomScenes};
@@ -19,17 +18,13 @@ use solaspect::units::Rejected;
 fn guide(frame: &Frame, instrument: &Instrument) -> anyhow::Result<Limb> {
     let rejected = |r: Rejected| anyhow!("{}: {} against {}", r.reason, r.measured, r.limit);
     let settings = Settings::default();
-    let stages = Pipeline::new(&settings, frame, instrument, None, None);
-    let levels = stages.levels().map_err(|stopped| anyhow!("{stopped}"))?; // background and disc
-    let disc = stages
-        .find_disc(&levels)
-        .map_err(|stopped| anyhow!("{stopped}"))?; // to a pixel, by chords
-    let cutout = stages.cutout(&levels, &disc); // background subtracted, hot pixels masked
-    let mask = Mask::none(cutout.region());
-    stages
-        .limb_fit(&levels, &cutout)
-        .near(&Ellipse::from(disc), &mask) // to a hundredth of a pixel, from the whole limb
-        .map_err(rejected)
+    let stages = Pipeline::new(&settings, instrument, None);
+    let stopped = |stopped: Stopped| anyhow!("{stopped}");
+    let levels = stages.levels(frame).map_err(stopped)?; // background and disc
+    let disc = stages.find_disc(frame, &levels, None).map_err(stopped)?; // to a pixel, by chords
+    let image = stages.image(frame, &levels, &disc).map_err(stopped)?; // background subtracted, hot pixels masked
+    let mask = &image.cutout.mask;
+    stages.limb(&image, mask).map_err(rejected) // to a hundredth of a pixel, from the whole limb
 }
 
 fn main() -> anyhow::Result<()> {

@@ -260,14 +260,30 @@ impl Frame {
 
     /// The values of some columns of a row, DN.
     pub fn row_dn(&self, y: usize, columns: Range<usize>) -> Vec<f32> {
-        crate::with_view!(self, view => {
-            view.row(y)[columns].iter().map(|pixel| pixel.dn()).collect()
-        })
+        let mut list = Vec::new();
+        self.read_row(y, columns, &mut list);
+        list
     }
 
     /// The values of some rows of a column, DN.
     pub fn column_dn(&self, x: usize, rows: Range<usize>) -> Vec<f32> {
-        crate::with_view!(self, view => rows.map(|y| view.dn(x, y)).collect())
+        let mut list = Vec::new();
+        self.read_column(x, rows, &mut list);
+        list
+    }
+
+    /// The values of some columns of a row, DN, instead of what a list held.
+    pub fn read_row(&self, y: usize, columns: Range<usize>, list: &mut Vec<f32>) {
+        list.clear();
+        crate::with_view!(self, view => {
+            list.extend(view.row(y)[columns].iter().map(|pixel| pixel.dn()));
+        });
+    }
+
+    /// The values of some rows of a column, DN, likewise.
+    pub fn read_column(&self, x: usize, rows: Range<usize>, list: &mut Vec<f32>) {
+        list.clear();
+        crate::with_view!(self, view => list.extend(rows.map(|y| view.dn(x, y))));
     }
 
     /// The pixels within `reach` px of a position in both axes; `None` when none is on the sensor.

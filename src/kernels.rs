@@ -57,46 +57,40 @@ fn normal_density(z: f32) -> f32 {
     )
 }
 
-/// Sums over rows of a length, column by column.
+/// Sums over rows that are as long as the sums, column by column.
 #[multiversion(targets("x86_64+avx2"))]
-pub fn column_sums(rows: &[f32], length: usize) -> Vec<f32> {
-    let mut sums = vec![0.0; length];
-    for row in rows.chunks_exact(length) {
-        for n in 0..length {
-            sums[n] += row[n];
+pub fn column_sums(rows: &[f32], sums: &mut [f32]) {
+    sums.fill(0.0);
+    for row in rows.chunks_exact(sums.len()) {
+        for (sum, value) in sums.iter_mut().zip(row) {
+            *sum += value;
         }
     }
-    sums
 }
 
 /// Weighted sums of the products of columns with each other and themselves: a symmetric matrix, of which the lower triangle is
-/// filled in. All columns are as long as the weights.
-#[multiversion(targets("x86_64+avx2"))]
+/// filled in. Columns and weights are of the same length, in whole lanes.
+#[multiversion(targets("x86_64+avx2+fma"))]
 pub fn products<const N: usize>(columns: [&[f32]; N], weights: &[f32]) -> [[f32; N]; N] {
-    let mut sums = [[0.0; N]; N];
-    for m in 0..N {
-        let weighted = combine([columns[m], weights], |[column, weight]| column * weight);
-        for n in 0..=m {
-            sums[m][n] = dot(&weighted, columns[n]);
+    let mut sums = [[[0.0_f32; LANES]; N]; N];
+    for (n, weights) in groups(weights).iter().enumerate() {
+        let mut values = [[0.0; LANES]; N];
+        for m in 0..N {
+            values[m] = groups(columns[m])[n];
+        }
+        for m in 0..N {
+            let mut weighted = [0.0; LANES];
+            for k in 0..LANES {
+                weighted[k] = values[m][k] * weights[k];
+            }
+            for l in 0..=m {
+                for k in 0..LANES {
+                    sums[m][l][k] += weighted[k] * values[l][k];
+                }
+            }
         }
     }
-    sums
-}
-
-/// Sum of the products of two lists of the same length.
-#[inline(always)]
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let count = a.len().min(b.len());
-    let (a, b) = (&a[..count], &b[..count]);
-    let mut lanes = [0.0_f32; LANES];
-    for (a, b) in groups(a).iter().zip(groups(b)) {
-        for k in 0..LANES {
-            lanes[k] += a[k] * b[k];
-        }
-    }
-    let rest = count / LANES * LANES;
-    let products = a[rest..].iter().zip(&b[rest..]).map(|(a, b)| a * b);
-    lanes.iter().sum::<f32>() + products.sum::<f32>()
+    sums.map(|row| row.map(|lanes| lanes.iter().sum()))
 }
 
 /// Sum of the products of weights, in rows of `width` (whole lanes), with values, of which a row begins `stride` after the
@@ -112,27 +106,6 @@ pub fn correlate(weights: &[f32], width: usize, values: &[f32], stride: usize) -
         }
     }
     lanes.iter().sum()
-}
-
-/// A list computed number by number from others as long as the first.
-#[inline(always)]
-pub fn combine<const N: usize>(lists: [&[f32]; N], value: impl Fn([f32; N]) -> f32) -> Vec<f32> {
-    let count = lists[0].len();
-    let mut results = vec![0.0; count];
-    let (whole, rest) = results.as_chunks_mut::<LANES>();
-    for (n, results) in whole.iter_mut().enumerate() {
-        let parts: [&[f32; LANES]; N] = std::array::from_fn(|list| &groups(lists[list])[n]);
-        let mut part = [0.0; LANES];
-        for k in 0..LANES {
-            part[k] = value(std::array::from_fn(|list| parts[list][k]));
-        }
-        *results = part;
-    }
-    let first = count - rest.len();
-    for (n, result) in rest.iter_mut().enumerate() {
-        *result = value(std::array::from_fn(|list| lists[list][first + n]));
-    }
-    results
 }
 
 /// The darkness of a row's pixels, 1 less what is seen over the light there: the expected light times a polynomial in the pixel's
@@ -168,6 +141,15 @@ pub struct Bars {
     pub per_blur: f32,
 }
 
+impl Bars {
+    /// Whether each end of an arm may be taken on its own: they are so many sigma of the blur from its middle.
+    #[inline(always)]
+    pub fn has_ends_apart(&self) -> bool {
+        const ENDS_APART_SIGMAS: f32 = 5.0;
+        self.half_length * self.per_blur > ENDS_APART_SIGMAS
+    }
+}
+
 /// Shares of the light that a cross takes at some places, and their slopes along x and y.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Coverage {
@@ -194,9 +176,7 @@ impl Coverage {
 /// the cross is two bars less their common middle.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn cover(bars: &Bars, to_arms: [f32; 4], x: &[f32], y: &[f32], coverage: &mut Coverage) {
-    /// Ends of an arm that are so many sigma of the blur from its middle are each on its own.
-    const ENDS_APART_SIGMAS: f32 = 5.0;
-    if bars.half_length * bars.per_blur > ENDS_APART_SIGMAS {
+    if bars.has_ends_apart() {
         cover_by(long_blurred_bar, bars, to_arms, x, y, coverage);
     } else {
         cover_by(blurred_bar, bars, to_arms, x, y, coverage);
@@ -218,31 +198,44 @@ fn cover_by(
     let share = &mut coverage.share[..count];
     let slope_x = &mut coverage.slope_x[..count];
     let slope_y = &mut coverage.slope_y[..count];
-    let [ux, uy, vx, vy] = to_arms;
     for n in 0..count {
-        let (u, v) = (ux * x[n] + uy * y[n], vx * x[n] + vy * y[n]);
-        let (long_u, long_slope_u) = long_bar(u, bars.half_length, bars.per_blur);
-        let (long_v, long_slope_v) = long_bar(v, bars.half_length, bars.per_blur);
-        let (wide_u, wide_slope_u) = blurred_bar(u, bars.half_width, bars.per_blur);
-        let (wide_v, wide_slope_v) = blurred_bar(v, bars.half_width, bars.per_blur);
-        share[n] = long_u * wide_v + wide_u * (long_v - wide_v);
-        let slope_u = long_slope_u * wide_v + wide_slope_u * (long_v - wide_v);
-        let slope_v = long_slope_v * wide_u + wide_slope_v * (long_u - wide_u);
-        slope_x[n] = ux * slope_u + vx * slope_v;
-        slope_y[n] = uy * slope_u + vy * slope_v;
+        [share[n], slope_x[n], slope_y[n]] = cover_at(&long_bar, bars, to_arms, x[n], y[n]);
     }
+}
+
+/// Share and slopes along x and y at one place.
+#[inline(always)]
+pub fn cover_at(
+    long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
+    bars: &Bars,
+    [ux, uy, vx, vy]: [f32; 4],
+    x: f32,
+    y: f32,
+) -> [f32; 3] {
+    let (u, v) = (ux * x + uy * y, vx * x + vy * y);
+    let (long_u, long_slope_u) = long_bar(u, bars.half_length, bars.per_blur);
+    let (long_v, long_slope_v) = long_bar(v, bars.half_length, bars.per_blur);
+    let (wide_u, wide_slope_u) = blurred_bar(u, bars.half_width, bars.per_blur);
+    let (wide_v, wide_slope_v) = blurred_bar(v, bars.half_width, bars.per_blur);
+    let slope_u = long_slope_u * wide_v + wide_slope_u * (long_v - wide_v);
+    let slope_v = long_slope_v * wide_u + wide_slope_v * (long_u - wide_u);
+    [
+        long_u * wide_v + wide_u * (long_v - wide_v),
+        ux * slope_u + vx * slope_v,
+        uy * slope_u + vy * slope_v,
+    ]
 }
 
 /// The share and slope of a bar so long that its other end is not seen from either.
 #[inline(always)]
-fn long_blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
+pub fn long_blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
     let (share, density) = normal_tail((at.abs() - half) * per_blur);
     (share, -(density * per_blur).copysign(at))
 }
 
 /// The share that a blurred bar of some half length covers at an offset from its middle, and its slope.
 #[inline(always)]
-fn blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
+pub fn blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
     let (near, near_density) = normal_tail((at - half) * per_blur);
     let (far, far_density) = normal_tail((at + half) * per_blur);
     (near - far, (far_density - near_density) * per_blur)
@@ -257,8 +250,8 @@ mod tests {
     }
 
     #[test]
-    fn products_are_the_weighted_sums_of_products_whatever_the_length() {
-        for count in [0, 1, 7, 8, 9, 100] {
+    fn products_are_the_weighted_sums_of_products() {
+        for count in [0, 8, 104] {
             let (a, b, weights) = (wave(count, 0.3), wave(count, 0.7), wave(count, 1.1));
             let plain: f32 = (0..count).map(|n| a[n] * b[n] * weights[n]).sum();
             assert!((products([&a, &b], &weights)[1][0] - plain).abs() < 1e-4);
@@ -268,17 +261,10 @@ mod tests {
     #[test]
     fn column_sums_are_those_of_the_rows() {
         let rows = wave(3 * 21, 0.3);
-        for (n, sum) in column_sums(&rows, 21).iter().enumerate() {
+        let mut sums = [9.0; 21];
+        column_sums(&rows, &mut sums);
+        for (n, sum) in sums.iter().enumerate() {
             assert!((sum - rows[n] - rows[n + 21] - rows[n + 42]).abs() < 1e-6);
-        }
-    }
-
-    #[test]
-    fn combined_lists_hold_the_value_of_each_place_whatever_the_length() {
-        for count in [0, 1, 7, 8, 9, 100] {
-            let (a, b) = (wave(count, 0.3), wave(count, 0.7));
-            let plain: Vec<f32> = a.iter().zip(&b).map(|(a, b)| a - 2.0 * b).collect();
-            assert_eq!(combine([&a, &b], |[a, b]| a - 2.0 * b), plain);
         }
     }
 

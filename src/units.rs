@@ -112,6 +112,26 @@ pub struct Rejected {
     pub limit: f64,
 }
 
+impl Rejected {
+    /// Refuses what was measured below a limit, or not at all.
+    pub fn at_least(limit: f64, measured: f64, reason: &'static str) -> Result<(), Self> {
+        Self::unless(measured >= limit, limit, measured, reason)
+    }
+
+    /// Refuses what was measured above a limit, or not at all.
+    pub fn at_most(limit: f64, measured: f64, reason: &'static str) -> Result<(), Self> {
+        Self::unless(measured <= limit, limit, measured, reason)
+    }
+
+    fn unless(holds: bool, limit: f64, measured: f64, reason: &'static str) -> Result<(), Self> {
+        holds.then_some(()).ok_or(Self {
+            reason,
+            measured,
+            limit,
+        })
+    }
+}
+
 /// The observer's place: geodetic (WGS 84) latitude and longitude, east positive, and height.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {

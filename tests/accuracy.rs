@@ -11,7 +11,7 @@ use solaspect::accuracy::conditions::displaced;
 use solaspect::accuracy::{
     AspectError, Figures, MARKS, MIXED, MOTION, Program, Recipe, Size, Vary, View, names, text,
 };
-use solaspect::aspect::{Expected, Origin, Quality, Solution, Track, solve};
+use solaspect::aspect::{Adopted, Expected, Quality, Solution, Track, solve};
 use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin};
@@ -579,8 +579,8 @@ fn by_the_mapping_of_the_prior(seed: u64) -> Option<[f64; 3]> {
     scene.sun.as_mut().unwrap().centre = centre;
     let prior = earlier.track.as_ref();
     let solution = solve(&scene.frame().unwrap(), &demo(), EXPECTED, prior);
-    let origin = solution.mapping.as_ref()?.origin;
-    (origin == Origin::Prior).then(|| errors_over_sigma(&scene, &solution))
+    let adopted = solution.mapping.as_ref()?;
+    matches!(adopted, Adopted::Prior(_)).then(|| errors_over_sigma(&scene, &solution))
 }
 
 /// A frame without marks, by the calibration, which states no tilt.
@@ -588,8 +588,8 @@ fn by_the_calibration(view: View, seed: u64) -> Option<[f64; 3]> {
     let mut scene = drawn_scene(as_stated, view, seed);
     scene.mark_contrast = 0.0;
     let solution = solve(&scene.frame().unwrap(), &demo(), EXPECTED, None);
-    let origin = solution.mapping.as_ref()?.origin;
-    (origin == Origin::Calibration).then(|| errors_over_sigma(&scene, &solution))
+    let adopted = solution.mapping.as_ref()?;
+    matches!(adopted, Adopted::Calibration(_)).then(|| errors_over_sigma(&scene, &solution))
 }
 
 #[test]

@@ -6,14 +6,12 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::fiducial::{
-    Detection, Identification, IdentificationPrior, Lighting, Settings, identify,
-};
+use solaspect::fiducial::{Detection, IdentificationPrior, Lighting, Settings, Unread, identify};
 use solaspect::geometry::{Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::builtin;
 use solaspect::plate::{MarkId, Plate};
 use solaspect::simulate::keystoned;
-use solaspect::units::{Measured, PlateMil, Rejected, SensorPx};
+use solaspect::units::{Measured, PlateMil, SensorPx};
 use std::f64::consts::TAU;
 
 const SUN_RADIUS_MIL: f64 = 547.19;
@@ -121,14 +119,14 @@ fn outline(mapping: &Mapping, centre: PlateMil, radius_mil: f64) -> Ellipse {
 /// A detection and the mark it is in truth; none for a false one.
 type Labelled = (Detection, Option<MarkId>);
 
-fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Result<Identification, Rejected> {
+fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Result<Vec<(usize, MarkId)>, Unread> {
     let detections: Vec<Detection> = list.iter().map(|(detection, _)| *detection).collect();
     identify(&detections, &look.sight(), plate, &Settings::default())
 }
 
-fn wrong_ids(found: &Identification, list: &[Labelled]) -> usize {
+fn wrong_ids(found: &[(usize, MarkId)], list: &[Labelled]) -> usize {
     let wrong = |(n, id): &&(usize, MarkId)| list[*n].1 != Some(*id);
-    found.ids.iter().filter(wrong).count()
+    found.iter().filter(wrong).count()
 }
 
 fn fully_lit(list: &[Labelled]) -> Vec<MarkId> {
@@ -212,7 +210,7 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
                 if let Ok(found) = found {
                     accepted += 1;
                     assert_eq!(wrong_ids(&found, &list), 0, "{id} at {rotation_deg} deg");
-                    read_here += usize::from(found.ids.iter().any(|(_, named)| *named == id));
+                    read_here += usize::from(found.iter().any(|(_, named)| *named == id));
                 }
             }
         }
@@ -404,7 +402,7 @@ impl Tally {
             let look = draw.look();
             let list = draw.list(&look);
             let found = read(&look, &list, &draw.plate);
-            tally.add(&list, found.as_ref().ok());
+            tally.add(&list, found.as_deref().ok());
         }
         println!(
             "{lists} lists: {} read, {} misread; {:.2} % of {} with three fully lit marks read, {:.2} % of {} with \
@@ -419,7 +417,7 @@ impl Tally {
         tally
     }
 
-    fn add(&mut self, list: &[Labelled], found: Option<&Identification>) {
+    fn add(&mut self, list: &[Labelled], found: Option<&[(usize, MarkId)]>) {
         let marks = fully_lit(list);
         let accepted = usize::from(found.is_some());
         self.lists += 1;

@@ -48,14 +48,16 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
         known,
         settings: &settings,
     };
-    let limb = fit.near(&start, &Mask::none(frame.region())).unwrap();
+    let limb = fit
+        .near(&fit.rough(&start).unwrap(), &Mask::none(frame.region()))
+        .unwrap();
     let disc = limb.outline.ellipse;
     let (dx, dy) = (disc.centre.x - CENTRE_PX.0, disc.centre.y - CENTRE_PX.1);
     println!(
         "centre off by ({dx:.4}, {dy:.4}) px, radius {:.3} px, root {:?}, blur {:.2} px, scatter {:.2}, {} points, sigma {:.4} px",
         disc.mean_radius(),
         disc.root(),
-        limb.blur_px(),
+        limb.light.blur_px(),
         limb.outline.scatter,
         limb.points.len(),
         limb.outline.centre_covariance().m11.sqrt(),
@@ -75,14 +77,11 @@ fn limb_under(change: impl Fn(&mut Conditions), seed: u64) -> (Limb, Quality) {
         radius_arcsec: SUN_RADIUS_ARCSEC,
     });
     let settings = aspect::Settings::default();
-    let pipeline = Pipeline::new(&settings, &frame, &instrument, expected, None);
-    let levels = pipeline.levels().unwrap();
-    let disc = pipeline.find_disc(&levels).unwrap();
-    let cutout = pipeline.cutout(&levels, &disc);
-    let fit = pipeline.limb_fit(&levels, &cutout);
-    let limb = fit
-        .near(&disc.into(), &Mask::none(cutout.region()))
-        .unwrap();
+    let pipeline = Pipeline::new(&settings, &instrument, expected);
+    let levels = pipeline.levels(&frame).unwrap();
+    let disc = pipeline.find_disc(&frame, &levels, None).unwrap();
+    let image = pipeline.image(&frame, &levels, &disc).unwrap();
+    let limb = pipeline.limb(&image, &image.cutout.mask).unwrap();
     (
         limb,
         aspect::solve(&frame, &instrument, expected, None).quality,
@@ -93,12 +92,12 @@ fn limb_under(change: impl Fn(&mut Conditions), seed: u64) -> (Limb, Quality) {
 fn the_motion_of_the_sun_during_the_exposure_is_measured() {
     for (seed, motion_px) in [2.0, 2.5, 3.0, 4.0, 5.0].into_iter().enumerate() {
         let (limb, _) = limb_under(|conditions| conditions.smear_px = motion_px, seed as u64);
-        let found_px = limb.motion_px();
+        let found_px = limb.light.motion_px();
         assert!(
             (found_px - motion_px).abs() < 0.12 * motion_px + 0.2,
             "{motion_px}: {found_px}"
         );
-        let lens_px = limb.lens_blur_px();
+        let lens_px = limb.light.lens_blur_px();
         assert!(
             (lens_px - 0.9).abs() < 0.12 * motion_px,
             "{motion_px}: {lens_px}"
@@ -118,15 +117,15 @@ fn a_sun_that_moved_far_during_the_exposure_is_never_fine() {
 fn a_soft_picture_is_not_taken_for_motion() {
     for (seed, blur_px) in [1.5, 2.5, 3.5].into_iter().enumerate() {
         let (limb, _) = limb_under(|conditions| conditions.blur_px = blur_px, seed as u64);
-        let found_px = limb.lens_blur_px();
+        let found_px = limb.light.lens_blur_px();
         assert!(
             (found_px / blur_px - 1.0).abs() < 0.08,
             "{blur_px}: {found_px}"
         );
         assert!(
-            limb.motion_px() < 0.8 * blur_px,
+            limb.light.motion_px() < 0.8 * blur_px,
             "{blur_px}: {}",
-            limb.motion_px()
+            limb.light.motion_px()
         );
     }
 }
@@ -139,7 +138,7 @@ fn the_noise_of_photons_is_told_from_that_of_reading() {
             electrons_per_dn: Some(8.0),
         };
     };
-    let noise = limb_under(photons, 5).0.noise();
+    let noise = limb_under(photons, 5).0.light.noise();
     assert!(
         (noise.dark_dn2 / (1.0 + 4.0 / 8.0 + 1.0 / 12.0) - 1.0).abs() < 0.2,
         "{noise:?}"

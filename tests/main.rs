@@ -14,6 +14,7 @@ mod cli;
 mod command_line;
 #[cfg(feature = "console")]
 mod console;
+mod contradictions;
 mod coordinates;
 mod disc_search;
 mod disks;

@@ -1,13 +1,12 @@
 //! What a prior does to a frame's solution: it spares work, and decides nothing.
 
 use nalgebra::{Matrix2, Vector2};
-use solaspect::aspect::{
-    CalibrationCheck, Expected, Mark, Origin, Quality, Quantity, Solution, Track, contradictions,
-    overlay, solve,
-};
+use solaspect::aspect::{Adopted, Expected, Mark, Quality, Solution, Track, solve};
+use solaspect::calibrate::check::{CalibrationCheck, Quantity, contradictions};
 use solaspect::frame::Frame;
 use solaspect::instrument::{Instrument, Mounting, builtin};
 use solaspect::registration::{self, Pair};
+use solaspect::report::overlay;
 use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC, Strengths, SunInView};
 use solaspect::units::{PlateMil, SensorPx};
 
@@ -109,7 +108,7 @@ fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
         let alone = flight.solve(frame, None);
         let tracked = flight.solve(frame, track.as_ref());
         assert_eq!(tracked.quality, Quality::Fine);
-        assert_eq!(tracked.mapping.as_ref().unwrap().origin, Origin::Frame);
+        assert!(matches!(tracked.mapping, Some(Adopted::Own(_))));
         short_ways += u32::from(tracked.track.as_ref().unwrap().predicted > 0);
         let [a, b] = [&alone, &tracked].map(|s| s.aspect.as_ref().unwrap().sun_plate);
         let sigma = (b.covariance.trace() / 2.0).sqrt();
@@ -331,10 +330,7 @@ fn a_frame_without_marks_borrows_what_was_measured_instead_of_what_was_disproved
     let frame = without_marks(&flight, truth);
     let error_sigmas = |instrument: &Instrument| {
         let solution = solve(&frame, instrument, EXPECTED, None);
-        assert_eq!(
-            solution.mapping.as_ref().unwrap().origin,
-            Origin::Calibration
-        );
+        assert!(matches!(solution.mapping, Some(Adopted::Calibration(_))));
         let found = solution.aspect.unwrap().sun_plate;
         found.position.distance(truth) / (found.covariance.trace() / 2.0).sqrt()
     };

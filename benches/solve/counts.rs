@@ -2,10 +2,10 @@
 
 use crate::flight::{Exposure, Flight};
 use anyhow::{Context, bail};
-use solaspect::aspect::{self, Mark, MarkScene, Pipeline, Settings, Solution};
-use solaspect::fiducial::Detections;
-use solaspect::frame::{Cutout, Levels, Mask};
-use solaspect::geometry::{Circle, Ellipse};
+use solaspect::aspect::{self, DiscImage, Pipeline, Settings, Solution};
+use solaspect::fiducial::{Detections, RefinedMark};
+use solaspect::frame::{Frame, Levels};
+use solaspect::geometry::Circle;
 use solaspect::limb::Limb;
 use std::fmt;
 use std::fs;
@@ -27,7 +27,7 @@ pub const WORKS: [Work; 8] = [
     Work::new("levels", "counted_levels"),
     Work::new("disc", "counted_disc_search"),
     Work::new("limb", "counted_limb"),
-    Work::new("cutout", "counted_cutout"),
+    Work::new("image", "counted_image"),
     Work::new("detect", "counted_detection"),
     Work::new("refine", "counted_refinement"),
     Work::new("acquiring", "counted_acquiring"),
@@ -41,44 +41,44 @@ impl Work {
 }
 
 #[inline(never)]
-fn counted_levels(pipeline: &Pipeline<'_>) -> Option<Levels> {
-    pipeline.levels().ok()
+fn counted_levels(pipeline: &Pipeline<'_>, frame: &Frame) -> Option<Levels> {
+    pipeline.levels(frame).ok()
 }
 
 #[inline(never)]
-fn counted_disc_search(pipeline: &Pipeline<'_>, levels: &Levels) -> Option<Circle> {
-    pipeline.find_disc(levels).ok()
+fn counted_disc_search(pipeline: &Pipeline<'_>, frame: &Frame, levels: &Levels) -> Option<Circle> {
+    pipeline.find_disc(frame, levels, None).ok()
 }
 
 #[inline(never)]
-fn counted_cutout(pipeline: &Pipeline<'_>, levels: &Levels, disc: &Circle) -> Cutout {
-    pipeline.cutout(levels, disc)
-}
-
-#[inline(never)]
-fn counted_limb(
+fn counted_image(
     pipeline: &Pipeline<'_>,
+    frame: &Frame,
     levels: &Levels,
-    cutout: &Cutout,
     disc: &Circle,
-) -> Option<Limb> {
-    let fit = pipeline.limb_fit(levels, cutout);
-    fit.near(&Ellipse::from(*disc), &Mask::none(cutout.region()))
-        .ok()
+) -> Option<DiscImage> {
+    pipeline.image(frame, levels, disc).ok()
 }
 
 #[inline(never)]
-fn counted_detection(pipeline: &Pipeline<'_>, cutout: &Cutout, limb: &Limb) -> Detections {
-    pipeline.detect(cutout, limb)
+fn counted_limb(pipeline: &Pipeline<'_>, image: &DiscImage) -> Option<Limb> {
+    pipeline.limb(image, &image.cutout.mask).ok()
+}
+
+#[inline(never)]
+fn counted_detection(pipeline: &Pipeline<'_>, image: &DiscImage) -> Detections {
+    pipeline.detect(image)
 }
 
 #[inline(never)]
 fn counted_refinement(
     pipeline: &Pipeline<'_>,
-    scene: &MarkScene<'_>,
+    image: &DiscImage,
+    limb: &Limb,
     solution: &Solution,
-) -> Vec<Mark> {
-    pipeline.place(scene, &solution.marks)
+) -> Option<Vec<Option<RefinedMark>>> {
+    let mapping = solution.mapping.as_ref()?.mapping();
+    Some(pipeline.refine(&image.cutout, limb, mapping, &solution.marks))
 }
 
 #[inline(never)]
@@ -111,18 +111,13 @@ pub fn work_through(flight: &Flight) {
 fn by_stages(exposure: &Exposure, flight: &Flight, acquired: &Solution) -> Option<()> {
     let settings = Settings::default();
     let (frame, instrument) = (&exposure.frame, &flight.instrument);
-    let pipeline = Pipeline::new(&settings, frame, instrument, flight.expected, None);
-    let levels = black_box(counted_levels(&pipeline))?;
-    let disc = black_box(counted_disc_search(&pipeline, &levels))?;
-    let cutout = black_box(counted_cutout(&pipeline, &levels, &disc));
-    let limb = black_box(counted_limb(&pipeline, &levels, &cutout, &disc))?;
-    black_box(counted_detection(&pipeline, &cutout, &limb));
-    let scene = MarkScene {
-        cutout: &cutout,
-        limb: &limb,
-        mapping: &acquired.mapping.as_ref()?.mapping,
-    };
-    black_box(counted_refinement(&pipeline, &scene, acquired));
+    let pipeline = Pipeline::new(&settings, instrument, flight.expected);
+    let levels = black_box(counted_levels(&pipeline, frame))?;
+    let disc = black_box(counted_disc_search(&pipeline, frame, &levels))?;
+    let image = black_box(counted_image(&pipeline, frame, &levels, &disc))?;
+    let limb = black_box(counted_limb(&pipeline, &image))?;
+    black_box(counted_detection(&pipeline, &image));
+    black_box(counted_refinement(&pipeline, &image, &limb, acquired));
     Some(())
 }
 

@@ -120,7 +120,7 @@ pub fn sky_cards(
         cards.push(Card::new("TARGETY", target.y));
     }
     if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
-        match Helioprojection::new(aspect, &adopted.mapping, roll, instrument, &sun) {
+        match Helioprojection::new(aspect, adopted.mapping(), roll, instrument, &sun) {
             Ok(Some(helioprojection)) => {
                 let turn_sigma_deg = pointing::turn_sigma_deg(roll, instrument);
                 cards.extend(helioprojection.cards());

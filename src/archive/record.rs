@@ -1,6 +1,6 @@
 //! One frame's answer as a flat record: the same numbers for JSON lines, CSV and FITS keywords.
 
-use crate::aspect::{AdoptedMapping, Aspect, Solution};
+use crate::aspect::{Adopted, Aspect, Solution};
 use crate::clock::{Utc, utc_text};
 use crate::fits::{Card, Column, Table, Values};
 use crate::frame::Warning;
@@ -410,7 +410,7 @@ fn marks(solution: &Solution) -> Vec<MarkRecord> {
     solution.marks.iter().map(record).collect()
 }
 
-fn mapping(aspect: &Aspect, adopted: &AdoptedMapping) -> MappingRecord {
+fn mapping(aspect: &Aspect, adopted: &Adopted) -> MappingRecord {
     let (scale, rotation) = (aspect.mapping.scale_mil_per_px, aspect.mapping.rotation_deg);
     MappingRecord {
         kind: adopted.name(),
@@ -418,7 +418,7 @@ fn mapping(aspect: &Aspect, adopted: &AdoptedMapping) -> MappingRecord {
         scale_sigma_mil_per_px: scale.sigma,
         rotation_deg: rotation.value,
         rotation_sigma_deg: rotation.sigma,
-        residual_px: adopted.residual_px,
+        residual_px: adopted.residual_px(),
     }
 }
 

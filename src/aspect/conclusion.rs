@@ -1,15 +1,17 @@
 //! The last steps of the pipeline: from a mapping and the limb to the Sun's centre, its uncertainty and the quality.
 
-use super::stages::{Pipeline, at};
-use super::{AdoptedMapping, Aspect, Origin, Quality, Solution, Stage, Stopped, Track};
-use crate::geometry::{Circle, LocalSimilarity, Mapping};
+use super::stages::{LIMB_DEFINITION_SIGMA_PX, Pipeline, at};
+use super::{Adopted, Aspect, Mark, Quality, Stage, Stopped, Track};
+use crate::estimation::CONTRADICTION_SIGMAS;
+use crate::geometry::{Mapping, TILT_PER_PX};
 use crate::limb::{self, Limb};
-use crate::registration::Registration;
-use crate::units::{Estimate, Measured, PlateMil, Rejected, SensorPx};
+use crate::plate::{MarkId, Plate};
+use crate::registration::{self, Outline, Pair, Registration};
+use crate::units::{Estimate, Measured, Rejected, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-/// How far a mapping may have moved since the frame that gave it.
-const PRIOR_DRIFT_PX: f64 = 0.5;
+/// Largest residual of the marks about their mapping.
+const MAX_RESIDUAL_PX: f64 = 0.6;
 /// Largest scatter of the limb about its outline: the Sun's is a tenth of it, a square's ten times as large.
 const MAX_SCATTER_PX: f64 = 1.0;
 /// Least part of the limb's points that must lie on its outline: marks and scratches hide a tenth of them.
@@ -20,107 +22,142 @@ const MOST_MOTION_PX: f64 = 5.0;
 /// The limb's part that makes a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
 
-impl<'a> Pipeline<'a> {
-    /// This frame's mapping, else the prior's, else the calibration's.
-    pub(super) fn adopt(&self, own: Option<&Registration>) -> Result<AdoptedMapping, Stopped> {
-        if let Some(own) = own {
-            return Ok(AdoptedMapping {
-                mapping: own.mapping,
-                origin: Origin::Frame,
-                residual_px: Some(own.residual_px),
-            });
-        }
-        let borrowed = |mapping: Mapping, origin| AdoptedMapping {
-            mapping,
-            origin,
-            residual_px: None,
+impl Pipeline<'_> {
+    /// The mapping and the disc on the plate, from marks and limb together.
+    pub(super) fn register(&self, marks: &[Mark], limb: &Limb) -> Result<Registration, Rejected> {
+        let pair = |mark: &Mark| Pair {
+            observed: mark.at,
+            printed: self.instrument.plate.position(mark.id),
+            covariance_px2: mark.covariance_px2 + self.poorly_known_px2(mark.id),
         };
-        if let Some(prior) = self.prior_registration() {
-            return Ok(borrowed(prior.mapping, Origin::Prior));
+        let pairs: Vec<Pair> = marks.iter().map(pair).collect();
+        let (count, least) = (pairs.len() as f64, self.settings.fiducial.min_marks as f64);
+        Rejected::at_least(least, count, "too few marks have an id")?;
+        let points = limb.points.iter().map(|p| (p.at, p.sigma_px));
+        let outline = Outline {
+            ellipse: limb.outline.ellipse,
+            points: &points.collect::<Vec<_>>(),
+            radius_mil: self.loose_radius_mil(),
+        };
+        let registration = registration::register(
+            &pairs,
+            Some(&outline),
+            self.instrument.mounting.handedness,
+            self.instrument.camera.distortion,
+            &self.settings.registration,
+        )
+        .ok_or(Rejected {
+            reason: "the marks determine no mapping",
+            measured: count,
+            limit: least,
+        })?;
+        let reason = "the marks do not fit a mapping";
+        Rejected::at_most(MAX_RESIDUAL_PX, registration.residual_px, reason)?;
+        Ok(registration)
+    }
+
+    /// Holds scale and the disc's radius to what instrument and ephemeris state.
+    ///
+    /// # Errors
+    /// A scale at the Sun, in any direction, that is off the stated one by more than five sigma and a tilt's share; a radius on the
+    /// plate that is off the expected one by more than five sigma. Both sigmas hold the frame's own and the print's.
+    pub(super) fn check_stated(&self, own: &Registration, marks: &[Mark]) -> Result<(), Rejected> {
+        let Some(disc) = own.disc else {
+            return Ok(());
+        };
+        let radius_mil = self.loose_radius_mil();
+        let [.., x_px, y_px] = own.at_plate_centre();
+        let sun = disc.on_sensor.position;
+        let from_sun_px = (x_px.value - sun.x).hypot(y_px.value - sun.y);
+        let printed = printed_mil(marks, &self.instrument.plate) / radius_mil.value;
+        let stated = self.instrument.mounting.scale_mil_per_px;
+        for scale in own.principal_scales(disc.on_plate.position) {
+            let sigma = (stated.sigma.hypot(scale.sigma) / stated.value).hypot(printed);
+            Rejected::at_most(
+                // Along the tilt the scale changes twice as much as across it.
+                CONTRADICTION_SIGMAS * sigma + 2.0 * TILT_PER_PX * from_sun_px,
+                (scale.value / stated.value - 1.0).abs(),
+                "the marks' scale contradicts the stated one",
+            )?;
         }
-        match self.instrument.nominal_mapping() {
-            Some(nominal) => Ok(borrowed(nominal, Origin::Calibration)),
-            None => Err(at(Stage::Registration)(Rejected {
+        let sigma_mil = radius_mil.sigma.hypot(disc.radius_mil.sigma);
+        Rejected::at_most(
+            CONTRADICTION_SIGMAS * (sigma_mil / radius_mil.value).hypot(printed),
+            (disc.radius_mil.value / radius_mil.value - 1.0).abs(),
+            "the disc's radius contradicts the expected one",
+        )
+    }
+
+    /// A mark that is known less well than the plate's best weighs less: on a plate that was measured, the few marks that
+    /// nobody saw are still where the drawing puts them.
+    fn poorly_known_px2(&self, id: MarkId) -> Matrix2<f64> {
+        let scale = self.instrument.mounting.scale_mil_per_px.value;
+        Matrix2::identity() * (self.instrument.plate.excess_variance_mil2(id) / scale.powi(2))
+    }
+
+    /// The disc's radius on the plate, so loosely that a whole limb determines it; a short one depends on it.
+    fn loose_radius_mil(&self) -> Measured {
+        let definition = LIMB_DEFINITION_SIGMA_PX * self.instrument.mounting.scale_mil_per_px.value;
+        Measured::new(
+            self.radius_mil.value,
+            self.radius_mil.sigma.hypot(definition),
+        )
+    }
+
+    /// This frame's mapping, else the prior's, else the calibration's.
+    pub(super) fn adopt(
+        &self,
+        own: Option<Registration>,
+        prior: Option<&Track>,
+    ) -> Result<Adopted, Stopped> {
+        let earlier = || prior?.registration.clone().map(Adopted::Prior);
+        let calibrated = || self.instrument.nominal_mapping().map(Adopted::Calibration);
+        let adopted = own.map(Adopted::Own).or_else(earlier);
+        adopted.or_else(calibrated).ok_or(Stopped {
+            stage: Stage::Registration,
+            rejected: Rejected {
                 reason: "the calibration's mapping cannot be inverted",
                 measured: 0.0,
                 limit: 0.0,
-            })),
-        }
+            },
+        })
     }
 
-    fn prior_registration(&self) -> Option<&'a Registration> {
-        self.prior.and_then(|prior| prior.registration.as_ref())
-    }
-
-    pub(super) fn aspect(
-        &self,
-        limb: &Limb,
-        adopted: &AdoptedMapping,
-        own: Option<&Registration>,
-    ) -> Result<Aspect, Stopped> {
-        check_round(limb)?;
-        let limb_fraction = limb_fraction(limb);
-        let aspect = match own.and_then(|own| own.disc) {
+    /// The Sun's place on sensor and plate.
+    pub(super) fn aspect(&self, limb: &Limb, adopted: &Adopted) -> Result<Aspect, Stopped> {
+        check_round(limb).map_err(at(Stage::Limb))?;
+        let aspect = match adopted.own().and_then(|own| own.disc) {
             Some(disc) => Aspect {
                 sun_px: disc.on_sensor,
                 sun_radius_px: with_sigma_of_profile(disc.radius_px, limb),
-                mapping: self.local_similarity(disc.on_sensor.position, adopted, own),
+                mapping: adopted.local_similarity(disc.on_sensor.position, self.instrument),
                 sun_plate: disc.on_plate,
-                limb_fraction,
+                limb_fraction: limb_fraction(limb),
             },
-            None => self.borrowed_aspect(limb, adopted, limb_fraction),
+            None => self.borrowed_aspect(limb, adopted),
         };
         let radius_mil = aspect.sun_radius_px.value * aspect.mapping.scale_mil_per_px.value;
         let deviation = (radius_mil / self.radius_mil.value - 1.0).abs();
         let limit = self.settings.limb.max_radius_deviation;
-        if deviation > limit {
-            return Err(at(Stage::Aspect)(Rejected {
-                reason: "the disc is not of the Sun's size",
-                measured: deviation,
-                limit,
-            }));
-        }
+        let reason = "the disc is not of the Sun's size";
+        Rejected::at_most(limit, deviation, reason).map_err(at(Stage::Aspect))?;
         Ok(aspect)
-    }
-
-    /// Scale and rotation of the adopted mapping at a place: this frame's, the prior's, or as the calibration states them.
-    fn local_similarity(
-        &self,
-        at: SensorPx,
-        adopted: &AdoptedMapping,
-        own: Option<&Registration>,
-    ) -> LocalSimilarity {
-        if let Some(registration) = own.or_else(|| self.prior_registration()) {
-            return registration.local_similarity(at);
-        }
-        let (mapping, mounting) = (&adopted.mapping, &self.instrument.mounting);
-        let (scale, rotation) = (mounting.scale_mil_per_px, mounting.rotation_deg);
-        LocalSimilarity {
-            scale_mil_per_px: Measured::new(mapping.scale_mil_per_px(at), scale.sigma),
-            rotation_deg: Measured::new(mapping.rotation_deg(at), rotation.sigma),
-        }
     }
 
     /// Marks do not serve where the Sun moved so far that its size and light mislead who reads them.
     pub(super) fn check_motion(&self, limb: &Limb) -> Result<(), Stopped> {
-        let motion_px = self.motion_px(limb);
-        if motion_px < MOST_MOTION_PX {
-            return Ok(());
-        }
-        Err(at(Stage::Limb)(Rejected {
-            reason: "the Sun moved too far during the exposure",
-            measured: motion_px,
-            limit: MOST_MOTION_PX,
-        }))
+        let reason = "the Sun moved too far during the exposure";
+        Rejected::at_most(MOST_MOTION_PX, self.motion_px(limb), reason).map_err(at(Stage::Limb))
     }
 
     fn motion_px(&self, limb: &Limb) -> f64 {
-        limb.most_motion_px(self.instrument.optics.blur_px.value, limb_fraction(limb))
+        limb.light
+            .most_motion_px(self.instrument.optics.blur_px.value, limb_fraction(limb))
     }
 
     /// The outline's centre through a mapping that is not this frame's.
-    fn borrowed_aspect(&self, limb: &Limb, adopted: &AdoptedMapping, limb_fraction: f64) -> Aspect {
-        let mapping = &adopted.mapping;
+    fn borrowed_aspect(&self, limb: &Limb, adopted: &Adopted) -> Aspect {
+        let mapping = adopted.mapping();
         let outline = &limb.outline;
         let on_sensor = disc_centre(
             mapping,
@@ -143,75 +180,54 @@ impl<'a> Pipeline<'a> {
                 covariance: centre,
             },
             sun_radius_px: with_sigma_of_profile(radius_px, limb),
-            mapping: self.local_similarity(on_sensor, adopted, None),
+            mapping: adopted.local_similarity(on_sensor, self.instrument),
             sun_plate: Estimate {
                 position: on_plate,
                 covariance: to_plate * centre * to_plate.transpose()
-                    + self.borrowed_covariance(on_plate, adopted),
+                    + adopted.covariance_mil2(on_plate, self.instrument),
             },
-            limb_fraction,
+            limb_fraction: limb_fraction(limb),
         }
     }
+}
 
-    fn borrowed_covariance(&self, at: PlateMil, adopted: &AdoptedMapping) -> Matrix2<f64> {
-        match (adopted.origin, self.prior_registration()) {
-            (Origin::Prior, Some(prior)) => {
-                let scale = adopted
-                    .mapping
-                    .scale_mil_per_px(adopted.mapping.to_sensor(at));
-                let drift = (PRIOR_DRIFT_PX * scale).powi(2);
-                prior.covariance_mil2(at) + Matrix2::identity() * drift
-            }
-            _ => self.instrument.nominal_covariance_mil2(at),
-        }
-    }
+/// Holds a borrowed place to the one by the frame's own marks, where these are not adopted.
+///
+/// # Errors
+/// Places on the plate that contradict each other.
+pub(super) fn check_borrowed(borrowed: &Aspect, own: &Registration) -> Result<(), Rejected> {
+    let Some(disc) = own.disc else {
+        return Ok(());
+    };
+    let (there, here) = (&borrowed.sun_plate, &disc.on_plate);
+    let apart = there.position.vector() - here.position.vector();
+    let inverse = (there.covariance + here.covariance).try_inverse();
+    let sigmas = inverse.map_or(0.0, |inverse| apart.dot(&(inverse * apart)).sqrt());
+    let reason = "the frame's marks contradict the mapping that it would borrow";
+    Rejected::at_most(CONTRADICTION_SIGMAS, sigmas, reason)
+}
 
-    /// The quality; notes why a coarse solution is not fine.
-    pub(super) fn judge(
-        &self,
-        aspect: &Aspect,
-        adopted: &AdoptedMapping,
-        solution: &mut Solution,
-    ) -> Quality {
-        if aspect.limb_fraction < LEAST_FINE_LIMB {
-            solution.stop(
-                Stage::Aspect,
-                Rejected {
-                    reason: "only part of the limb is seen",
-                    measured: aspect.limb_fraction,
-                    limit: LEAST_FINE_LIMB,
-                },
-            );
-            return Quality::Coarse;
-        }
-        match adopted.origin {
-            Origin::Frame => Quality::Fine,
-            Origin::Prior | Origin::Calibration => Quality::Coarse,
-        }
+/// The quality, and why a coarse solution is not fine where nothing before says so.
+pub(super) fn judge(aspect: &Aspect, adopted: &Adopted) -> (Quality, Option<Stopped>) {
+    let reason = "only part of the limb is seen";
+    match Rejected::at_least(LEAST_FINE_LIMB, aspect.limb_fraction, reason) {
+        Err(rejected) => (Quality::Coarse, Some(at(Stage::Aspect)(rejected))),
+        Ok(()) if adopted.own().is_some() => (Quality::Fine, None),
+        Ok(()) => (Quality::Coarse, None),
     }
+}
 
-    /// What this frame teaches: a frame without marks hands on the prior's registration.
-    pub(super) fn track(
-        &self,
-        aspect: &Aspect,
-        own: Option<Registration>,
-        predicted: u32,
-    ) -> Track {
-        Track {
-            disc: Circle {
-                centre: aspect.sun_px.position.vector(),
-                radius: aspect.sun_radius_px.value,
-            },
-            predicted,
-            registration: own.or_else(|| self.prior_registration().cloned()),
-        }
-    }
+/// How well the marks of a frame are known on the plate, 1 sigma per axis.
+pub(crate) fn printed_mil(marks: &[Mark], plate: &Plate) -> f64 {
+    let sigmas = marks.iter().map(|mark| plate.sigma_mil(mark.id));
+    let squares: f64 = sigmas.map(|[x, y]| (x * x + y * y) / 2.0).sum();
+    (squares / marks.len().max(1) as f64).sqrt()
 }
 
 /// A radius with the uncertainty of the limb's profile, which moves all points alike.
 fn with_sigma_of_profile(radius_px: Measured, limb: &Limb) -> Measured {
     Measured {
-        sigma: radius_px.sigma.hypot(limb.place_sigma_px()),
+        sigma: radius_px.sigma.hypot(limb.light.place_sigma_px()),
         ..radius_px
     }
 }
@@ -222,24 +238,12 @@ fn limb_fraction(limb: &Limb) -> f64 {
     limb::arc_fraction(points, limb.outline.ellipse.centre)
 }
 
-fn check_round(limb: &Limb) -> Result<(), Stopped> {
-    let on_it = limb.outline.accepted_share();
-    if on_it < LEAST_ON_OUTLINE {
-        return Err(at(Stage::Limb)(Rejected {
-            reason: "too much of the limb is off its outline",
-            measured: on_it,
-            limit: LEAST_ON_OUTLINE,
-        }));
-    }
-    let scatter_px = limb.outline.scatter_px;
-    if scatter_px > MAX_SCATTER_PX {
-        return Err(at(Stage::Limb)(Rejected {
-            reason: "what is bright is not round",
-            measured: scatter_px,
-            limit: MAX_SCATTER_PX,
-        }));
-    }
-    Ok(())
+fn check_round(limb: &Limb) -> Result<(), Rejected> {
+    let outline = &limb.outline;
+    let reason = "too much of the limb is off its outline";
+    Rejected::at_least(LEAST_ON_OUTLINE, outline.accepted_share(), reason)?;
+    let reason = "what is bright is not round";
+    Rejected::at_most(MAX_SCATTER_PX, outline.scatter_px, reason)
 }
 
 /// The image of the centre of a disc on the plate whose outline is centred on `outline_centre`: under a tilt of 3 deg the two are

@@ -1,30 +1,27 @@
 //! The pipeline on one page: from a frame to the Sun's centre on the plate.
 
+mod acquire;
+mod adopted;
 mod conclusion;
-mod contradiction;
-mod marks;
-mod overlay;
-mod predicted;
+mod measure;
 mod solution;
 mod stages;
 
-pub use contradiction::{CalibrationCheck, Contradiction, Quantity, contradictions};
-pub use overlay::overlay;
-pub use solution::{
-    AdoptedMapping, Aspect, Mark, Origin, Quality, Solution, Stage, Stopped, Track,
-};
+pub use adopted::Adopted;
+pub use measure::Measured;
+pub use solution::{Aspect, Mark, Quality, Solution, Stage, Stopped, Track};
+pub use stages::{DiscImage, Pipeline};
+pub(crate) use stages::{cutout, marks_mask};
 
-use crate::frame::{Cutout, Frame, Levels, Mask};
-use crate::geometry::{Circle, Ellipse};
+use crate::frame::Frame;
+use crate::geometry::Circle;
 use crate::instrument::Instrument;
-use crate::limb::Limb;
 use crate::log::Seldom;
 use crate::{fiducial, limb, registration, sky};
+pub(crate) use conclusion::printed_mil;
+use conclusion::{check_borrowed, judge};
 use jiff::Timestamp;
-pub use marks::MarkScene;
-pub use stages::Pipeline;
 use stages::at;
-pub(crate) use stages::{cutout, marks_mask};
 
 /// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,18 +71,13 @@ pub fn solve(
 /// # Algorithm
 /// 1. Levels of background and disc.
 /// 2. The disc, by sparse chords: about the prior's place first, then anywhere.
-/// 3. Its outline, from the whole limb.
-/// 4. The marks on the flattened disc.
-/// 5. Their ids.
-/// 6. A first mapping from sensor to plate.
-/// 7. The outline again, without the pixels of any mark of the plate, seen or not.
-/// 8. The marks' places by their own pixels, in the illumination that follows from the limb.
-/// 9. The mapping and the disc on the plate, adjusted together; where the marks give no mapping, the prior's, else the
-///    calibration's.
-/// 10. The Sun's centre on plate and sensor, with covariance; quality.
-///
-/// A prior whose mapping predicts every mark that must be lit spares steps 4 to 6: the marks are measured where it
-/// predicts them, in the same way.
+/// 3. Its light, by radial medians.
+/// 4. A mapping from sensor to plate: the prior's, if the marks are where it predicts them; else an acquired one, from marks that are
+///    found on the flattened disc and read from the code in their spacings.
+/// 5. Limb and marks by their own pixels: the limb without those near any mark of the plate, seen or not; the marks where the mapping
+///    predicts them, in the illumination that follows from the limb.
+/// 6. The mapping and the disc on the plate, adjusted together; where the marks give none, the prior's, else the calibration's.
+/// 7. The Sun's centre on plate and sensor, with covariance; quality.
 pub fn solve_with(
     settings: &Settings,
     frame: &Frame,
@@ -94,8 +86,8 @@ pub fn solve_with(
     prior: Option<&Track>,
 ) -> Solution {
     let mut solution = Solution::none();
-    let work = Pipeline::new(settings, frame, instrument, expected, prior);
-    if let Err(stopped) = run(&work, &mut solution) {
+    let work = Pipeline::new(settings, instrument, expected);
+    if let Err(stopped) = run(&work, frame, prior, &mut solution) {
         // What ended the frame's way outweighs what only made it coarse.
         solution.stopped = Some(stopped);
     }
@@ -105,96 +97,65 @@ pub fn solve_with(
 /// The levels of a frame, and nothing more: for cameras whose pictures nobody solves yet.
 pub fn levels_only(settings: &Settings, frame: &Frame, instrument: &Instrument) -> Solution {
     let mut solution = Solution::none();
-    match Pipeline::new(settings, frame, instrument, None, None).levels() {
+    match Pipeline::new(settings, instrument, None).levels(frame) {
         Ok(levels) => solution.levels = Some(levels),
         Err(stopped) => solution.stopped = Some(stopped),
     }
     solution
 }
 
-fn run(work: &Pipeline<'_>, solution: &mut Solution) -> Result<(), Stopped> {
-    let levels = work.levels()?; // 1
+fn run(
+    work: &Pipeline<'_>,
+    frame: &Frame,
+    prior: Option<&Track>,
+    solution: &mut Solution,
+) -> Result<(), Stopped> {
+    let levels = work.levels(frame)?; // 1
     solution.levels = Some(levels);
-    let found = work.find_disc(&levels)?; // 2
-    let mut cutout = work.cutout(&levels, &found);
-    let DiscAndMarks {
-        limb,
-        marks,
-        predicted,
-    } = match work.predicted(&levels, &mut cutout, found.centre.into()) {
-        Some(found) => found, // 3 to 8, the short way
-        None => look_for_marks(work, &levels, &mut cutout, &found, solution)?,
+    let found = work.find_disc(frame, &levels, prior.map(|prior| &prior.disc))?; // 2
+    let image = work.image(frame, &levels, &found)?; // 3
+    let (Measured { limb, marks, .. }, predicted) = match work.tracked(&image, prior) {
+        Some(measured) => measured, // 4, 5
+        None => (work.alone(frame, &image, solution)?, 0),
     };
     solution.limb.clone_from(&limb.points);
-    solution.limb_blur_px = Some(limb.blur_px());
+    solution.limb_blur_px = Some(limb.light.blur_px());
     let marks = work.check_motion(&limb).and(marks);
-    let registration = marks.and_then(|marks| {
-        let registration = work.register(&marks, Some(&limb))?; // 9
-        // Ids that give no mapping are not to be trusted.
-        solution.marks = marks;
-        Ok(registration)
+    let mut doubted = None;
+    let own = marks.and_then(|marks| {
+        let own = work
+            .register(&marks, &limb)
+            .map_err(at(Stage::Registration))?; // 6
+        match work.check_stated(&own, &marks) {
+            Ok(()) => {
+                // Ids that give no mapping are not to be trusted.
+                solution.marks = marks;
+                Ok(own)
+            }
+            Err(rejected) => {
+                doubted = Some(own);
+                Err(at(Stage::Registration)(rejected))
+            }
+        }
     });
-    let registration = registration
-        .map_err(|stopped| solution.stopped = Some(stopped))
-        .ok();
-    let adopted = work.adopt(registration.as_ref())?;
-    let aspect = work.aspect(&limb, &adopted, registration.as_ref())?; // 10
-    solution.quality = work.judge(&aspect, &adopted, solution);
-    solution.track = Some(work.track(&aspect, registration, predicted));
+    let own = own.map_err(|stopped| solution.stopped = Some(stopped)).ok();
+    let adopted = work.adopt(own, prior)?;
+    let aspect = work.aspect(&limb, &adopted)?; // 7
+    if let (Some(doubted), Some(stopped)) = (doubted, solution.stopped) {
+        check_borrowed(&aspect, &doubted).map_err(|_| stopped)?;
+    }
+    let (quality, reason) = judge(&aspect, &adopted);
+    solution.quality = quality;
+    solution.stopped = solution.stopped.or(reason);
+    solution.track = Some(Track {
+        disc: Circle {
+            centre: aspect.sun_px.position.vector(),
+            radius: aspect.sun_radius_px.value,
+        },
+        predicted,
+        registration: adopted.registration().cloned(),
+    });
     solution.aspect = Some(aspect);
     solution.mapping = Some(adopted);
     Ok(())
-}
-
-/// The limb, and the marks by their own pixels or why there are none.
-struct DiscAndMarks {
-    limb: Limb,
-    marks: Result<Vec<Mark>, Stopped>,
-    /// Frames in succession, this one included, whose marks the prior predicted.
-    predicted: u32,
-}
-
-/// Steps 3 to 8 where no prior predicts the marks.
-fn look_for_marks(
-    work: &Pipeline<'_>,
-    levels: &Levels,
-    cutout: &mut Cutout,
-    found: &Circle,
-    solution: &mut Solution,
-) -> Result<DiscAndMarks, Stopped> {
-    let found = Ellipse::from(*found);
-    let nothing = Mask::none(cutout.region());
-    let mut limb = work
-        .limb_fit(levels, cutout)
-        .roughly_near(&found, &nothing)
-        .map_err(at(Stage::Limb))?; // 3
-    cutout.noise = limb.noise();
-    let disc = limb.outline.ellipse;
-    solution.detections = work.detect(cutout, &limb); // 4
-    let read = work
-        .identify(&solution.detections, &limb) // 5
-        .and_then(|marks| Ok((work.register(&marks, None)?, marks))); // 6
-    let mask = match &read {
-        Ok((first, _)) => work.marks_mask(cutout.region(), &disc, &first.mapping),
-        Err(_) => work.detections_mask(cutout.region(), &solution.detections),
-    };
-    let limb_fit = work.limb_fit(levels, cutout);
-    // 7; with too much masked, what the marks do to the limb is the lesser evil.
-    limb = limb_fit
-        .again(&limb, &mask)
-        .or_else(|_| limb_fit.again(&limb, &nothing))
-        .map_err(at(Stage::Limb))?;
-    let marks = read.map(|(first, marks)| {
-        let scene = MarkScene {
-            cutout,
-            limb: &limb,
-            mapping: &first.mapping,
-        };
-        work.place(&scene, &marks) // 8
-    });
-    Ok(DiscAndMarks {
-        limb,
-        marks,
-        predicted: 0,
-    })
 }

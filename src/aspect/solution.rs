@@ -1,8 +1,9 @@
 //! What a frame gave: every stage's product as far as the frame got, and why it went no further.
 
+use super::Adopted;
 use crate::fiducial::{Detections, Lighting};
 use crate::frame::Levels;
-use crate::geometry::{Circle, LocalSimilarity, Mapping};
+use crate::geometry::{Circle, LocalSimilarity};
 use crate::limb::LimbPoint;
 use crate::plate::MarkId;
 use crate::registration::Registration;
@@ -87,37 +88,6 @@ impl Mark {
     }
 }
 
-/// Where the mapping of a solution comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Origin {
-    /// This frame's marks.
-    Frame,
-    /// The last frame that had marks.
-    Prior,
-    /// The instrument's calibration.
-    Calibration,
-}
-
-/// The mapping that a solution rests on.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AdoptedMapping {
-    pub mapping: Mapping,
-    pub origin: Origin,
-    /// Root mean square residual of the marks per axis; none for a borrowed mapping.
-    pub residual_px: Option<f64>,
-}
-
-impl AdoptedMapping {
-    /// The mapping's kind, or where it was borrowed.
-    pub fn name(&self) -> &'static str {
-        match self.origin {
-            Origin::Frame => self.mapping.kind().name(),
-            Origin::Prior => "prior",
-            Origin::Calibration => "calibration",
-        }
-    }
-}
-
 /// Where the Sun stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Aspect {
@@ -158,7 +128,7 @@ pub struct Solution {
     /// The detected marks; none where a prior predicted them.
     pub detections: Detections,
     pub marks: Vec<Mark>,
-    pub mapping: Option<AdoptedMapping>,
+    pub mapping: Option<Adopted>,
     pub aspect: Option<Aspect>,
     /// The prior of the next frame.
     pub track: Option<Track>,
@@ -178,10 +148,5 @@ impl Solution {
             aspect: None,
             track: None,
         }
-    }
-
-    /// Notes why the frame goes no further; the first reason stays.
-    pub(super) fn stop(&mut self, stage: Stage, rejected: Rejected) {
-        self.stopped.get_or_insert(Stopped { stage, rejected });
     }
 }

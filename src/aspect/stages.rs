@@ -1,13 +1,13 @@
-//! The steps of the pipeline up to the disc's outline: each takes the products of earlier stages and calls the module that
+//! The steps of the pipeline up to the disc's light: each takes the products of earlier stages and calls the module that
 //! does it.
 
-use super::{Expected, Settings, Stage, Stopped, Track};
-use crate::fiducial::{CrossShape, Detections};
+use super::{Expected, Settings, Stage, Stopped};
+use crate::fiducial::CrossShape;
 use crate::frame::{Cutout, Frame, Levels, Mask, PixelNoise, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
-use crate::limb::{self, DiscSearch, KnownOutline, LimbFit, OutlinePrior};
-use crate::units::{Measured, Rejected, SensorPx};
+use crate::limb::{self, DiscLight, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
+use crate::units::{Measured, Rejected};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
 const MEAN_RADIUS_ARCSEC: Measured = Measured::new(959.63, 11.0);
@@ -18,7 +18,7 @@ const TILTED_FLATNESS: f64 = 0.002;
 /// A camera without tilt, as the instrument states.
 const STATED_FLATNESS: f64 = 0.0003;
 /// Distance from a mark's arm within which the limb is not trusted, px.
-const MARK_MARGIN_PX: f64 = 3.0;
+pub(super) const MARK_MARGIN_PX: f64 = 3.0;
 /// The limb's fit reads pixels so far inside the limb; outside it marks take no light.
 const MASKED_DEPTH_PX: f64 = 14.0;
 /// The cutout reaches so many radii from the disc's centre: the limb's band and the marks' patches lie within.
@@ -27,27 +27,36 @@ const CUTOUT_RADII: f64 = 1.3;
 pub(super) const DISC_ROOM: f64 = 1.2;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
 const PRIOR_REACH_PX: f64 = 45.0;
+/// A lens so many times softer than it is stated is out of focus, or behind haze.
+const SOFT: f64 = 1.3;
 
-/// A frame on its way, with all that is known beforehand.
+/// The image of a disc as limb and marks are measured on it.
+pub struct DiscImage {
+    /// Light of the disc's bright part, DN.
+    disc_dn: f64,
+    /// The pixels about it: the background taken off, hot pixels masked.
+    pub cutout: Cutout,
+    /// The disc's light, roughly.
+    pub light: DiscLight,
+}
+
+/// What is known before a frame is read, for every stage.
 pub struct Pipeline<'a> {
     pub(super) settings: &'a Settings,
-    pub(super) frame: &'a Frame,
     pub(super) instrument: &'a Instrument,
-    pub(super) prior: Option<&'a Track>,
     /// The Sun's expected radius on the plate.
     pub(super) radius_mil: Measured,
     /// The same on the sensor, at the nominal scale.
     pub(super) radius_px: f64,
+    /// The cross at the nominal scale, as sharp as the lens is stated.
     pub(super) shape: CrossShape,
 }
 
 impl<'a> Pipeline<'a> {
     pub fn new(
         settings: &'a Settings,
-        frame: &'a Frame,
         instrument: &'a Instrument,
         expected: Option<Expected>,
-        prior: Option<&'a Track>,
     ) -> Self {
         let angular = expected.map_or(MEAN_RADIUS_ARCSEC, |e| Measured::new(e.radius_arcsec, 0.0));
         let optics = &instrument.optics;
@@ -57,27 +66,21 @@ impl<'a> Pipeline<'a> {
         let relative = (angular.sigma / angular.value).hypot(focus.sigma / focus.value);
         Self {
             settings,
-            frame,
             instrument,
-            prior,
             radius_mil: Measured::new(value, value * relative),
             radius_px: value / scale,
             shape: CrossShape::new(&instrument.plate.cross, scale, optics.blur_px.value),
         }
     }
 
-    fn mark_length_px(&self) -> f64 {
-        2.0 * self.shape.half_length_px
-    }
-
     /// The levels. A background cut off at zero shows less noise than there is: the stated noise is the least.
-    pub fn levels(&self) -> Result<Levels, Stopped> {
-        let seen = limb::levels(self.frame, &self.settings.limb).map_err(at(Stage::Levels))?;
+    pub fn levels(&self, frame: &Frame) -> Result<Levels, Stopped> {
+        let seen = limb::levels(frame, &self.settings.limb).map_err(at(Stage::Levels))?;
         let stated = self
             .instrument
             .sensor
             .noise
-            .filter(|noise| noise.is_of(self.frame));
+            .filter(|noise| noise.is_of(frame));
         Ok(match stated {
             Some(noise) => Levels {
                 noise_dn: seen.noise_dn.max(noise.read_noise_dn.value),
@@ -87,31 +90,54 @@ impl<'a> Pipeline<'a> {
         })
     }
 
-    pub fn find_disc(&self, levels: &Levels) -> Result<Circle, Stopped> {
+    /// The disc to a pixel or so: about the place where it was before, then anywhere.
+    pub fn find_disc(
+        &self,
+        frame: &Frame,
+        levels: &Levels,
+        before: Option<&Circle>,
+    ) -> Result<Circle, Stopped> {
         let search = DiscSearch {
-            frame: self.frame,
+            frame,
             levels,
             radius_px: self.radius_px,
-            mark_length_px: self.mark_length_px(),
+            mark_length_px: 2.0 * self.shape.half_length_px,
             settings: &self.settings.limb,
         };
-        let near = self.prior.and_then(|prior| {
-            let reach = prior.disc.radius + PRIOR_REACH_PX;
-            let centre = SensorPx::from(prior.disc.centre);
-            let region = Region::around(centre, reach, self.frame.width(), self.frame.height())?;
-            search.near(region).ok()
+        let near = before.and_then(|disc| {
+            let reach = disc.radius + PRIOR_REACH_PX;
+            search.near(frame.around(disc.centre.into(), reach)?).ok()
         });
-        let anywhere = || search.anywhere(self.frame.region());
+        let anywhere = || search.anywhere(frame.region());
         near.map_or_else(anywhere, Ok).map_err(at(Stage::Limb))
     }
 
+    /// The image of a disc that was found to a pixel or so.
+    pub fn image(
+        &self,
+        frame: &Frame,
+        levels: &Levels,
+        disc: &Circle,
+    ) -> Result<DiscImage, Stopped> {
+        let mut cutout = cutout(frame, self.instrument, levels, disc);
+        let disc_dn = levels.disc_dn - levels.background_dn;
+        let light = self.limb_fit(disc_dn, &cutout).rough(&Ellipse::from(*disc));
+        let light = light.map_err(at(Stage::Limb))?;
+        cutout.noise = light.noise();
+        Ok(DiscImage {
+            disc_dn,
+            cutout,
+            light,
+        })
+    }
+
     /// What fits the outline of the disc.
-    pub fn limb_fit<'b>(&'b self, levels: &Levels, cutout: &'b Cutout) -> LimbFit<'b> {
+    fn limb_fit<'b>(&'b self, disc_dn: f64, cutout: &'b Cutout) -> LimbFit<'b> {
         let settings = &self.settings.limb;
         let spread = settings.max_radius_deviation / 4.0;
         LimbFit {
             cutout,
-            disc_dn: levels.disc_dn - levels.background_dn,
+            disc_dn,
             blur_px: self.shape.blur_px,
             known: KnownOutline {
                 possible: OutlinePrior {
@@ -127,6 +153,12 @@ impl<'a> Pipeline<'a> {
         }
     }
 
+    /// The limb of a disc without the pixels that are masked.
+    pub fn limb(&self, image: &DiscImage, mask: &Mask) -> Result<Limb, Rejected> {
+        self.limb_fit(image.disc_dn, &image.cutout)
+            .near(&image.light, mask)
+    }
+
     /// The disc's radius on the sensor by ephemeris and stated scale.
     fn stated_radius_px(&self) -> Measured {
         let scale = self.instrument.mounting.scale_mil_per_px;
@@ -136,26 +168,26 @@ impl<'a> Pipeline<'a> {
         Measured::new(self.radius_px, sigma)
     }
 
-    /// The disc's surroundings as all further stages read them: the background taken off, hot pixels masked.
-    pub fn cutout(&self, levels: &Levels, disc: &Circle) -> Cutout {
-        cutout(self.frame, self.instrument, levels, disc)
+    /// Scale at the disc, from its radius.
+    pub(super) fn disc_scale(&self, disc: &DiscLight) -> f64 {
+        self.radius_mil.value / disc.outline.mean_radius()
     }
 
-    /// Every mark of the plate that a mapping puts near the limb, seen or not.
-    pub(super) fn marks_mask(&self, region: Region, disc: &Ellipse, mapping: &Mapping) -> Mask {
-        marks_mask(region, self.instrument, disc, mapping)
-    }
-
-    /// What was found near the limb, where no mapping predicts which marks lie there.
-    pub(super) fn detections_mask(&self, region: Region, detections: &Detections) -> Mask {
-        let mut mask = Mask::none(region);
-        let reach_px = self.shape.half_length_px + MARK_MARGIN_PX;
-        for detection in &detections.marks {
-            mask.hide_where(detection.at, reach_px, |at| {
-                at.distance(detection.at) < reach_px
-            });
+    /// Blur of the marks, 1 sigma, without the pixel's own size.
+    pub(super) fn mark_blur_px(&self, disc: &DiscLight) -> f64 {
+        let stated_px = self.instrument.optics.blur_px.value;
+        let limb_px = disc.lens_blur_px();
+        if limb_px > SOFT * stated_px {
+            limb_px
+        } else {
+            stated_px
         }
-        mask
+    }
+
+    /// The cross at the scale of the disc and the blur of the frame.
+    pub(super) fn disc_shape(&self, disc: &DiscLight) -> CrossShape {
+        let cross = &self.instrument.plate.cross;
+        CrossShape::new(cross, self.disc_scale(disc), self.mark_blur_px(disc))
     }
 }
 
@@ -178,14 +210,14 @@ pub(crate) fn cutout(
     cutout
 }
 
-/// Masks every mark of the plate that a mapping puts near the limb, seen or not.
+/// The cutout's mask, and every mark of the plate that a mapping puts near the limb, seen or not.
 pub(crate) fn marks_mask(
-    region: Region,
+    cutout: &Cutout,
     instrument: &Instrument,
     disc: &Ellipse,
     mapping: &Mapping,
 ) -> Mask {
-    let mut mask = Mask::none(region);
+    let mut mask = cutout.mask.clone();
     let cross = &instrument.plate.cross;
     let scale = mapping.scale_mil_per_px(disc.centre.into());
     let reach_px = 1.1 * cross.arm_length_mil / 2.0 / scale + MARK_MARGIN_PX;

@@ -6,6 +6,7 @@
 //! ```
 
 pub mod camera;
+pub mod check;
 pub mod compare;
 pub mod frames;
 pub mod mounting;

@@ -3,9 +3,11 @@
 use super::frames::{Answer, FramesArgs, Printer, REMARKS, Row, bad_file};
 use super::options;
 use crate::archive::{Reason, Record};
-use crate::aspect::{self, Contradiction, Expected, Quantity, Track};
+use crate::aspect::{self, Expected, Track};
+use crate::calibrate::check::{self, Contradiction, Quantity};
 use crate::instrument::Instrument;
 use crate::pointing::{self, Target};
+use crate::report;
 use crate::sky::Ephemeris;
 use crate::units::{Place, counted};
 use clap::Args;
@@ -155,7 +157,7 @@ impl Batch<'_> {
         );
         let name = path.display().to_string();
         self.args.draw(path, |title| {
-            aspect::overlay(&frame, &solution, &self.instrument, title)
+            report::overlay(&frame, &solution, &self.instrument, title)
         })?;
         let mut record = Record::new(&name, utc, &solution, offset, Some(solve_time));
         record.utc = frame.info.utc();
@@ -172,7 +174,7 @@ impl Batch<'_> {
                 record,
                 arcsec_per_mil: instrument.optics.arcsec_per_mil(),
             }),
-            contradictions: aspect::contradictions(&solution, instrument),
+            contradictions: check::contradictions(&solution, instrument),
             track: solution.track,
         })
     }

@@ -6,8 +6,8 @@ use crate::aspect::{self, Expected};
 use crate::frame::Frame;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Offset, Roll, Target};
-use crate::report::Canvas;
 use crate::report::plot::{Labels, Series, square};
+use crate::report::{self, Canvas};
 use crate::sky::Ephemeris;
 use crate::units::{Place, PlateMil};
 use image::RgbImage;
@@ -50,7 +50,7 @@ impl Ground {
         let instrument = self.instrument.seen_by(frame)?;
         let expected = frame.info.mid_exposure.and_then(Expected::at);
         let solution = aspect::solve_with(&self.settings, frame, &instrument, expected, None);
-        Ok(aspect::overlay(frame, &solution, &instrument, title))
+        Ok(report::overlay(frame, &solution, &instrument, title))
     }
 
     /// A frame of the archive as a picture, with or without what is found in it.

@@ -3,6 +3,7 @@
 //! Residuals come in units of their stated sigmas. The loss weights them by their size over the scale; scale and weights are
 //! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
+use super::normal::{Normal, Solved};
 use super::robust::{Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median};
 use crate::units::Measured;
 use nalgebra::{SMatrix, SVector};
@@ -20,7 +21,7 @@ pub struct Linearised<const D: usize, const N: usize> {
 #[derive(Debug, Clone, Copy)]
 pub struct Prior<const N: usize> {
     pub mean: SVector<f64, N>,
-    /// 1 / variance; 0 where nothing is known.
+    /// 1 / variance; 0 where nothing is known, infinite where the parameter is held: a fit must start with it at the mean.
     pub information: SVector<f64, N>,
 }
 
@@ -99,8 +100,21 @@ impl<const N: usize> LeastSquares<N> {
         &self,
         linearise: impl Fn(&SVector<f64, N>) -> Option<Vec<Linearised<D, N>>>,
     ) -> Result<Fitted<N>, FitError> {
+        self.fit_each(linearise)
+    }
+
+    /// The same of observations that are given one after the other.
+    ///
+    /// # Errors
+    /// As [`fit`](Self::fit).
+    pub fn fit_each<const D: usize, Rows: IntoIterator<Item = Linearised<D, N>>>(
+        &self,
+        linearise: impl Fn(&SVector<f64, N>) -> Option<Rows>,
+    ) -> Result<Fitted<N>, FitError> {
         let mut parameters = self.start;
-        let mut rows = linearise(&parameters).ok_or(FitError::Undetermined)?;
+        let first = linearise(&parameters).ok_or(FitError::Undetermined)?;
+        let mut rows: Vec<Linearised<D, N>> = first.into_iter().collect();
+        let mut moved_rows = Vec::with_capacity(rows.len());
         let mut weights = vec![1.0; rows.len()];
         let mut scale = 1.0;
         for step in 0..MOST_STEPS {
@@ -109,30 +123,35 @@ impl<const N: usize> LeastSquares<N> {
                 scale = self.scale.of(&rows, &weights);
             }
             let loss = Scaled::new(self.loss, scale);
-            weights = rows.iter().map(|row| loss.weight(row)).collect();
-            let (information, gradient) = self.normal_equations(&parameters, &rows, &weights);
-            let root = information.cholesky().ok_or(FitError::Undetermined)?;
-            let full = root.solve(&gradient);
-            let gain = gradient.dot(&full);
-            if !gain.is_finite() {
-                return Err(FitError::Undetermined);
-            }
+            weights.clear();
+            weights.extend(rows.iter().map(|row| loss.weight(row)));
+            let normal = normal_equations(&rows, &weights);
+            let solved = normal.solve(&self.prior, &parameters);
+            let Solved {
+                step: full,
+                covariance,
+            } = solved.ok_or(FitError::Undetermined)?;
+            let gain = full.dot(&self.prior.gradient(&parameters)) + full.dot(&normal.gradient);
             let better = (gain > (self.tolerance_sigmas * scale).powi(2)).then(|| {
-                let cost = |at: &_, rows: &_| loss.cost(rows) + self.prior.cost(at);
+                let cost = |at: &_, rows: &[_]| loss.cost(rows) + self.prior.cost(at);
                 let limit = cost(&parameters, &rows);
                 (0..MOST_HALVINGS).find_map(|halvings| {
                     let moved = parameters + full * 0.5_f64.powi(halvings);
-                    let rows = linearise(&moved)?;
-                    (cost(&moved, &rows) < limit).then_some((moved, rows))
+                    moved_rows.clear();
+                    moved_rows.extend(linearise(&moved)?);
+                    (cost(&moved, &moved_rows) < limit).then_some(moved)
                 })
             });
             match better.flatten() {
-                Some(better) => (parameters, rows) = better,
+                Some(moved) => {
+                    parameters = moved;
+                    std::mem::swap(&mut rows, &mut moved_rows);
+                }
                 None if (scale - previous).abs() > SETTLED_SCALE * scale => {}
                 None => {
                     return Ok(Fitted {
                         parameters,
-                        covariance: root.inverse() * scale.powi(2),
+                        covariance: covariance * scale.powi(2),
                         scatter: scale,
                         weights,
                     });
@@ -158,28 +177,35 @@ impl<const N: usize> LeastSquares<N> {
         let start = plain.fit(&linearise)?.parameters;
         Self { start, ..*self }.fit(linearise)
     }
+}
 
-    fn normal_equations<const D: usize>(
-        &self,
-        parameters: &SVector<f64, N>,
-        rows: &[Linearised<D, N>],
-        weights: &[f64],
-    ) -> (SMatrix<f64, N, N>, SVector<f64, N>) {
-        let known = self.prior.information;
-        let mut information = SMatrix::from_diagonal(&known);
-        let mut gradient = known.component_mul(&(self.prior.mean - parameters));
-        for (row, weight) in rows.iter().zip(weights).filter(|(_, w)| **w > 0.0) {
-            information += row.jacobian.transpose() * row.jacobian * *weight;
-            gradient += row.jacobian.transpose() * row.residual * *weight;
+fn normal_equations<const D: usize, const N: usize>(
+    rows: &[Linearised<D, N>],
+    weights: &[f64],
+) -> Normal<N> {
+    let mut normal = Normal::zero();
+    for (row, weight) in rows.iter().zip(weights).filter(|(_, w)| **w > 0.0) {
+        for (slopes, residual) in row.jacobian.row_iter().zip(&row.residual) {
+            normal.add(&slopes.transpose(), *residual, *weight);
         }
-        (information, gradient)
     }
+    normal
 }
 
 impl<const N: usize> Prior<N> {
+    /// What is known of the parameters that are not held.
+    fn free(&self) -> SVector<f64, N> {
+        self.information
+            .map(|known| if known.is_finite() { known } else { 0.0 })
+    }
+
+    fn gradient(&self, parameters: &SVector<f64, N>) -> SVector<f64, N> {
+        self.free().component_mul(&(self.mean - parameters))
+    }
+
     fn cost(&self, parameters: &SVector<f64, N>) -> f64 {
         let off = parameters - self.mean;
-        self.information.dot(&off.component_mul(&off))
+        self.free().dot(&off.component_mul(&off))
     }
 }
 

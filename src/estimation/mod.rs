@@ -1,14 +1,16 @@
 //! Estimation: robust scale and loss, least squares for a few parameters, and the Kalman filter with its smoother.
 //!
 //! - `robust`: medians, scatter from medians, Tukey's loss, and the constants of the normal distribution that go with them.
-//! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter. Fits of
-//!   many pixels or marks per frame (limb, fiducial, registration) and the bundle adjustment of the plate have solvers of their own.
+//! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter. The
+//!   bundle adjustment of the plate has a solver of its own.
+//! - `normal`: the normal equations of a few parameters, for fits with steps of their own.
 //! - `kalman`: prediction, update and smoothing of a Gaussian state of any fixed size.
 //! - `spectrum`: the power spectral density of a motion.
 //! - `schmidt`: the update of an error of many states, some of which are only considered.
 
 mod kalman;
 mod least_squares;
+mod normal;
 mod robust;
 mod schmidt;
 pub mod spectrum;
@@ -17,8 +19,10 @@ pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 pub use least_squares::{
     FitError, Fitted, LeastSquares, Linearised, Prior, Scale, regression, regression_by,
 };
+pub use normal::{Normal, Solved};
 pub use robust::{
-    Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS, SIGMA_PER_MEDIAN,
-    TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_and_scatter, median_size,
+    CONTRADICTION_SIGMAS, Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS,
+    SIGMA_PER_MEDIAN, TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_and_scatter,
+    median_size,
 };
 pub use schmidt::{Proposal, Role, ScaledRoot, symmetrise};

@@ -15,6 +15,9 @@ pub const MEDIAN_CHI2_2D: f64 = 2.0 * std::f64::consts::LN_2;
 /// 1 sigma of the median of many normal values over that of their mean: the square root of pi / 2.
 pub const MEDIAN_SIGMA: f64 = 1.253_314_137_315_500_3;
 
+/// Two values so many sigma apart are not of the same thing.
+pub const CONTRADICTION_SIGMAS: f64 = 5.0;
+
 /// Tukey's limit for residuals in one axis: 95 % of the efficiency of least squares where errors are normal.
 pub const TUKEY_SIGMAS: f64 = 4.685;
 /// The same for the length of residuals in two axes, in sigmas per axis. It is larger since such lengths are.

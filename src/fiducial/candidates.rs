@@ -1,7 +1,7 @@
 //! Where the disc is dark over about the size of a mark, whatever the camera's rotation.
 
 use super::{CrossShape, FlatDisc, Settings};
-use crate::kernels::{column_sums, combine};
+use crate::kernels::column_sums;
 use crate::units::SensorPx;
 
 /// Bins along a mark's length; the disc is summed over such bins first.
@@ -52,27 +52,21 @@ impl Boxes {
             .round()
             .max(1.0) as usize;
         let bins = flat.side() / bin_px;
+        let mut binned = vec![0.0; bins * bins];
+        let mut columns = vec![0.0; flat.side()];
         let rows_of_bins = flat.values().chunks_exact(bin_px * flat.side());
-        let binned: Vec<Vec<f32>> = rows_of_bins
-            .map(|rows| {
-                let columns = column_sums(rows, flat.side());
-                let mut binned = vec![0.0; bins];
-                for first in 0..bin_px {
-                    let of_bins = columns[first..].iter().step_by(bin_px);
-                    binned
-                        .iter_mut()
-                        .zip(of_bins)
-                        .for_each(|(sum, v)| *sum += v);
-                }
-                binned
-            })
-            .collect();
-        let three = |[a, b, c]: [&[f32]; BOX]| combine([a, b, c], |[a, b, c]| a + b + c);
+        for (rows, binned) in rows_of_bins.zip(binned.chunks_exact_mut(bins)) {
+            column_sums(rows, &mut columns);
+            for (bin, columns) in binned.iter_mut().zip(columns.chunks_exact(bin_px)) {
+                *bin = columns.iter().sum();
+            }
+        }
         let count = (bins + 1).saturating_sub(BOX);
         let mut sums = Vec::with_capacity(count * count);
-        for rows in binned.windows(BOX) {
-            let columns = three([&rows[0], &rows[1], &rows[2]]);
-            sums.extend(three([&columns[..count], &columns[1..], &columns[2..]]));
+        for rows in binned.windows(BOX * bins).step_by(bins) {
+            column_sums(rows, &mut columns[..bins]);
+            let boxes = columns[..bins].windows(BOX);
+            sums.extend(boxes.map(|columns| columns.iter().sum::<f32>()));
         }
         Self {
             bin_px,

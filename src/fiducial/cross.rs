@@ -52,16 +52,23 @@ impl CrossShape {
     /// The share of the light that the cross takes at offsets from its centre, px. `to_arms` leads from an offset on the
     /// sensor to one along the arms, both px.
     pub(super) fn coverage(&self, x: &[f32], y: &[f32], to_arms: &Matrix2<f64>) -> Coverage {
-        let bars = Bars {
+        let mut coverage = Coverage::of_length(x.len());
+        cover(&self.bars(), rows(to_arms), x, y, &mut coverage);
+        coverage
+    }
+
+    pub(super) fn bars(&self) -> Bars {
+        Bars {
             half_length: self.half_length_px as f32,
             half_width: self.half_width_px as f32,
             per_blur: 1.0 / self.blur_px as f32,
-        };
-        let to_arms = [to_arms.m11, to_arms.m12, to_arms.m21, to_arms.m22].map(|v| v as f32);
-        let mut coverage = Coverage::of_length(x.len());
-        cover(&bars, to_arms, x, y, &mut coverage);
-        coverage
+        }
     }
+}
+
+/// A matrix by rows.
+pub(super) fn rows(matrix: &Matrix2<f64>) -> [f32; 4] {
+    [matrix.m11, matrix.m12, matrix.m21, matrix.m22].map(|v| v as f32)
 }
 
 /// From an offset on the sensor to one along arms that are turned from the sensor's axes.

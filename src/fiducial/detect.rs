@@ -4,8 +4,10 @@ use super::candidates::candidates;
 use super::cross::turned;
 use super::template::{Template, Window};
 use super::{CrossShape, FlatDisc, Settings};
+use crate::frame::Region;
+use crate::geometry::Ellipse;
 use crate::units::SensorPx;
-use nalgebra::{Complex, Vector2};
+use nalgebra::{Complex, Matrix2, Vector2};
 
 /// Whether the whole mark is lit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,6 +16,22 @@ pub enum Lighting {
     Full,
     /// The limb or the sensor's edge cuts the cross: its detected position is biased, and it must not decide a mapping.
     Cut,
+}
+
+impl Lighting {
+    /// Of a cross at a place whose arms, the columns, reach so far from it, on a disc of which the sensor shows a region.
+    pub fn of(at: SensorPx, arms: &Matrix2<f64>, disc: &Ellipse, region: &Region) -> Self {
+        let mut tips = arms
+            .column_iter()
+            .flat_map(|arm| [at.vector() + arm, at.vector() - arm]);
+        let lit = |tip: Vector2<f64>| {
+            disc.excess(tip) < -TIP_MARGIN_PX && region.holds(tip.into(), TIP_MARGIN_PX)
+        };
+        match tips.all(lit) {
+            true => Self::Full,
+            false => Self::Cut,
+        }
+    }
 }
 
 /// A mark that was found, without an id yet.
@@ -148,12 +166,7 @@ impl<'a> ArmRotation<'a> {
             let [re, im] = [&self.real, &self.imaginary]
                 .map(|weights| self.window.correlate(weights, flat, place));
             let harmonic = Complex::new(re, im);
-            let squares: f32 = self
-                .window
-                .darkness(flat, place)
-                .iter()
-                .map(|v| v * v)
-                .sum();
+            let [squares, _] = self.window.squares(flat, place);
             // A place counts by how fourfold it is, so that the many that are no marks hardly do.
             if squares > 0.0 {
                 common += harmonic * (harmonic.norm_sqr() / squares);
@@ -174,8 +187,8 @@ struct CrossSearch<'a> {
     fourfold: Template,
     /// Sum of the squared slopes of the cross along one axis, 1/px^2.
     slope_energy: f64,
-    /// Offsets of two neighbouring tips from the middle, px.
-    tips: [Vector2<f64>; 2],
+    /// Offsets of two neighbouring tips from the middle, px, as columns.
+    arms: Matrix2<f64>,
 }
 
 /// Steps of a pixel by which a cross may be from the middle of the darkness.
@@ -200,7 +213,7 @@ impl<'a> CrossSearch<'a> {
             fourfold: Template::new(window, &window.without_round_part(&coverage.share)),
             // A quarter turn leaves the cross as it is, so its slope is the same along every axis.
             slope_energy: (squares(&coverage.slope_x) + squares(&coverage.slope_y)) / 2.0,
-            tips: [0, 1].map(|arm| to_arms.row(arm).transpose() * shape.half_length_px),
+            arms: to_arms.transpose() * shape.half_length_px,
         }
     }
 
@@ -237,26 +250,14 @@ impl<'a> CrossSearch<'a> {
             sigma_px: random.hypot(PARABOLA_SIGMA_PX),
             contrast,
             likeness,
-            lighting: self.lighting(at),
+            lighting: flat.lighting(at, &self.arms),
         })
     }
 
     /// Sum of the squared darkness about a value, without the noise's own share and all that is round about it.
     fn structure(&self, index: usize, noise: f64) -> f64 {
-        let darkness = self.window.darkness(self.flat, index);
-        let rest = self.window.without_round_part(&darkness);
-        let squares: f64 = rest.iter().map(|v| f64::from(v * v)).sum();
-        squares - self.window.pixels() as f64 * noise * noise
-    }
-
-    fn lighting(&self, at: SensorPx) -> Lighting {
-        let both = |tip: &Vector2<f64>| [at.vector() + tip, at.vector() - tip];
-        let mut tips = self.tips.iter().flat_map(both);
-        if tips.all(|tip| self.flat.is_lit(tip.into(), TIP_MARGIN_PX)) {
-            Lighting::Full
-        } else {
-            Lighting::Cut
-        }
+        let [all, round] = self.window.squares(self.flat, index).map(f64::from);
+        all - round - self.window.pixels() as f64 * noise * noise
     }
 }
 

@@ -1,12 +1,12 @@
 //! The disc without its own brightness: a mark becomes a dark cross on even ground, and the limb leaves no edge.
 
-use super::{CrossShape, Illumination};
-use crate::estimation::{SIGMA_PER_MEDIAN, median};
+use super::{CrossShape, Illumination, Lighting};
+use crate::estimation::{Normal, Prior, SIGMA_PER_MEDIAN, median};
 use crate::frame::{Cutout, PixelNoise, Region};
 use crate::geometry::Ellipse;
 use crate::kernels::divide_row;
 use crate::units::SensorPx;
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix2, Vector4};
 use std::ops::Range;
 
 /// The square reaches over the disc by this part of its radius: the outline is not final yet.
@@ -85,15 +85,11 @@ impl FlatDisc {
 
     /// Fills in the expected light.
     fn expect_light(&mut self, about: &Region, illumination: &impl Illumination) {
-        /// Deep in the disc the light is quicker to tell than at the limb, so rows are filled in pieces.
-        const PIECE_PX: usize = 16;
         for y in about.y0..about.y1 {
             let chord = self.chord(y, about);
             let first = self.offset(chord.start, y);
             let row = &mut self.light[first..first + chord.len()];
-            for (n, piece) in row.chunks_mut(PIECE_PX).enumerate() {
-                illumination.fill((chord.start + n * PIECE_PX) as f64, y as f64, piece);
-            }
+            illumination.fill(chord.start as f64, y as f64, row);
         }
         let sample = self.light.iter().step_by(Ground::STRIDE_PX);
         self.least_light = LEAST_LIGHT * sample.copied().fold(0.0, f32::max);
@@ -160,14 +156,9 @@ impl FlatDisc {
         self.inflation * self.noise.sigma_dn(light) / light
     }
 
-    /// Whether a position is lit: inside the limb and on the sensor, by a margin.
-    pub fn is_lit(&self, at: SensorPx, margin_px: f64) -> bool {
-        let within = |v: f64, from: usize, to: usize| {
-            v >= from as f64 + margin_px && v <= to as f64 - 1.0 - margin_px
-        };
-        self.outline.excess(at.vector()) < -margin_px
-            && within(at.x, self.known.x0, self.known.x1)
-            && within(at.y, self.known.y0, self.known.y1)
+    /// How a cross at a place is lit whose arms, the columns, reach so far from it.
+    pub fn lighting(&self, at: SensorPx, arms: &Matrix2<f64>) -> Lighting {
+        Lighting::of(at, arms, &self.outline, &self.known)
     }
 }
 
@@ -263,8 +254,7 @@ impl Ground {
         let start = Vector4::new(middle, 0.0, 0.0, 0.0);
         let mut coefficients = start;
         for limit in Self::LIMITS {
-            let mut matrix = Matrix4::zeros();
-            let mut right = Vector4::zeros();
+            let mut normal = Normal::zero();
             for GroundPixel {
                 basis,
                 light,
@@ -272,13 +262,11 @@ impl Ground {
             } in &self.pixels
             {
                 if (ratio - basis.dot(&coefficients)).abs() < limit * middle {
-                    let weighted = basis * (light * light);
-                    matrix.ger(1.0, &weighted, basis, 1.0);
-                    right += weighted * *ratio;
+                    normal.add(basis, *ratio, light * light);
                 }
             }
-            match matrix.cholesky() {
-                Some(factor) => coefficients = factor.solve(&right),
+            match normal.solve(&Prior::none(), &Vector4::zeros()) {
+                Some(solved) => coefficients = solved.step,
                 None => break,
             }
         }

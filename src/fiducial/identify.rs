@@ -15,7 +15,7 @@
 //! by 22 px, which counts where the instrument states it to 5 px. A labelling must beat all that contradict it, and
 //! chance, decisively; else all are refused.
 
-use super::labelling::{Labelling, Scene};
+use super::labelling::{Labelling, Lists, Scene};
 use super::prior::{
     DECISIVE_ODDS, FALSE_MARK_ODDS, FALSE_MARK_ODDS_AMONG_FALSE, IdentificationPrior,
     PREDICTION_ERROR, RIVAL_EXCESS,
@@ -24,26 +24,43 @@ use super::{Detection, Lighting, Settings};
 use crate::plate::{MarkId, Plate};
 use crate::units::Rejected;
 
-/// Detections with their ids.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Identification {
-    /// Index into the detections, and the id.
-    pub ids: Vec<(usize, MarkId)>,
-    /// Logarithm of the odds against all other labellings together.
-    pub odds: f64,
+/// Why detections have no ids.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Unread {
+    /// They allow no labelling, or more than one.
+    Undecided(Rejected),
+    /// They allow one, which contradicts how the camera is stated to be mounted.
+    Contradicting(Rejected),
 }
 
-/// Identifies the detections. Rejected when they allow no labelling, or more than one.
+impl Unread {
+    pub fn rejected(self) -> Rejected {
+        match self {
+            Self::Undecided(rejected) | Self::Contradicting(rejected) => rejected,
+        }
+    }
+}
+
+impl From<Rejected> for Unread {
+    fn from(rejected: Rejected) -> Self {
+        Self::Undecided(rejected)
+    }
+}
+
+/// Identifies the detections: index into them, and id.
+///
+/// # Errors
+/// No labelling, more than one, or one that contradicts the stated mounting.
 pub fn identify(
     detections: &[Detection],
     prior: &IdentificationPrior,
     plate: &Plate,
     settings: &Settings,
-) -> Result<Identification, Rejected> {
+) -> Result<Vec<(usize, MarkId)>, Unread> {
     let is_full = |n: &usize| detections[*n].lighting == Lighting::Full;
     let full: Vec<usize> = (0..detections.len()).filter(is_full).collect();
     let (count, least) = (full.len() as f64, settings.min_marks as f64);
-    check(count >= least, "too few fully lit marks", count, least)?;
+    Rejected::at_least(least, count, "too few fully lit marks")?;
     let from_sun_px = prior.sun_distance_px(prior.plate_centre);
     let error_px = PREDICTION_ERROR * (from_sun_px + prior.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + error_px) * prior.mil_per_px();
@@ -72,6 +89,7 @@ fn labellings(
     settings: &Settings,
 ) -> Vec<Labelling> {
     let max_shift_px = settings.max_centre_shift_px;
+    let mut lists = Lists::default();
     let mut found: Vec<Labelling> = Vec::new();
     for order in orders {
         for (id, printed) in scene.marks_about(order[0], reach_mil) {
@@ -79,7 +97,7 @@ fn labellings(
             if found.iter().any(|l| l.id_of(order[0]) == Some(id)) {
                 continue;
             }
-            let Some(mut labelling) = scene.follow((id, printed), order) else {
+            let Some(mut labelling) = scene.follow((id, printed), order, &mut lists) else {
                 continue;
             };
             let (centre, sigma_px) = (labelling.plate_centre, labelling.centre_sigma_px);
@@ -99,62 +117,45 @@ fn decide(
     full: usize,
     prior: &IdentificationPrior,
     settings: &Settings,
-) -> Result<Identification, Rejected> {
+) -> Result<Vec<(usize, MarkId)>, Unread> {
     labellings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let Some(best) = labellings.first() else {
-        return Err(Rejected {
+        return Err(Unread::Undecided(Rejected {
             reason: "the marks' spacings allow no labelling",
             measured: 0.0,
             limit: settings.min_marks as f64,
-        });
+        }));
     };
     let reason = "the best labelling explains too few fully lit marks";
     let (marks, least) = (best.full as f64, settings.min_marks as f64);
-    check(marks >= least, reason, marks, least)?;
+    Rejected::at_least(least, marks, reason)?;
     let reason = "poor identification: the best labelling's evidence is too weak";
-    check(
-        best.score >= DECISIVE_ODDS,
-        reason,
-        best.score,
-        DECISIVE_ODDS,
-    )?;
+    Rejected::at_least(DECISIVE_ODDS, best.score, reason)?;
     let rivals = || labellings.iter().filter(|rival| rival.contradicts(best));
     let equal = odds(best, rivals().filter(|rival| rival.full >= best.full));
     let reason = "two labellings of the marks fit alike";
-    check(equal >= DECISIVE_ODDS, reason, equal, DECISIVE_ODDS)?;
+    Rejected::at_least(DECISIVE_ODDS, equal, reason)?;
     let fewer = odds(best, rivals().filter(|rival| rival.full < best.full));
     let least = match best.full < full {
         true => FALSE_MARK_ODDS_AMONG_FALSE,
         false => FALSE_MARK_ODDS,
     };
     let reason = "the best labelling may rest on a false detection";
-    check(fewer >= least, reason, fewer, least)?;
+    Rejected::at_least(least, fewer, reason)?;
     let (centre, sigma_px) = (best.plate_centre, best.centre_sigma_px);
     let excess = prior.shift_excess(centre, sigma_px, settings.max_centre_shift_px);
     let reason = "the best labelling puts the plate's centre too far away";
-    check(excess <= 1.0, reason, excess, 1.0)?;
+    Rejected::at_most(1.0, excess, reason).map_err(Unread::Contradicting)?;
     let excess = prior.scale_excess(best.scale_mil_per_px);
     let reason = "the best labelling's scale contradicts the stated one";
-    check(excess <= 1.0, reason, excess, 1.0)?;
-    Ok(Identification {
-        ids: best.usable(),
-        odds: equal.min(fewer),
-    })
+    Rejected::at_most(1.0, excess, reason).map_err(Unread::Contradicting)?;
+    Ok(best.usable())
 }
 
 /// Logarithm of the odds of a labelling against rivals and chance together.
 fn odds<'a>(best: &Labelling, rivals: impl Iterator<Item = &'a Labelling>) -> f64 {
     let rivals: f64 = rivals.map(|rival| (rival.score - best.score).exp()).sum();
     -(rivals + (-best.score).exp()).ln()
-}
-
-fn check(holds: bool, reason: &'static str, measured: f64, limit: f64) -> Result<(), Rejected> {
-    let rejected = Rejected {
-        reason,
-        measured,
-        limit,
-    };
-    holds.then_some(()).ok_or(rejected)
 }
 
 /// Detections ordered by their distance from one of them.

@@ -150,13 +150,18 @@ impl<'a> Scene<'a> {
 
     /// The labelling that follows when the first of some fully lit detections is the mark `anchor`; the others are tried in
     /// their order, then those that the limb cuts. `None` when it explains fewer than two that are fully lit.
-    pub(super) fn follow(&self, anchor: (MarkId, PlateMil), full: &[usize]) -> Option<Labelling> {
+    pub(super) fn follow(
+        &self,
+        anchor: (MarkId, PlateMil),
+        full: &[usize],
+        lists: &mut Lists,
+    ) -> Option<Labelling> {
         let (first, others) = full.split_first()?;
-        let mut hypothesis = Hypothesis::new(self, &self.candidates[*first], anchor);
+        let mut hypothesis = Hypothesis::new(self, &self.candidates[*first], anchor, lists);
         for n in others {
             hypothesis.explain(&self.candidates[*n]);
         }
-        let full = hypothesis.matches.len();
+        let full = hypothesis.lists.matches.len();
         if full < 2 {
             return None;
         }
@@ -186,37 +191,49 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// A labelling in the making.
-struct Hypothesis<'a> {
-    scene: &'a Scene<'a>,
-    fit: LocalSimilarity,
+/// The lists of a labelling in the making, which the next one uses again.
+#[derive(Default)]
+pub(super) struct Lists {
     /// The marks on the disc or near it, by the first mark.
     marks: Vec<(MarkId, PlateMil)>,
     matches: Vec<Match>,
+    contrasts: Vec<f64>,
+}
+
+/// A labelling in the making.
+struct Hypothesis<'a, 'l> {
+    scene: &'a Scene<'a>,
+    fit: LocalSimilarity,
+    lists: &'l mut Lists,
     score: f64,
 }
 
-impl<'a> Hypothesis<'a> {
-    fn new(scene: &'a Scene, first: &Candidate, (id, printed): (MarkId, PlateMil)) -> Self {
+impl<'a, 'l> Hypothesis<'a, 'l> {
+    fn new(
+        scene: &'a Scene<'a>,
+        first: &Candidate,
+        (id, printed): (MarkId, PlateMil),
+        lists: &'l mut Lists,
+    ) -> Self {
         let radius = scene.prior.radius_mil;
         let mut fit = LocalSimilarity::new(radius.sigma / radius.value, ARMS_SIGMA_RAD);
         fit.add(first.offset, printed, first.variance);
         let sun = printed.vector() - first.offset;
         let reach = radius.value + GATE_SIGMAS * scene.largest_bias_mil();
         let near = |(_, at): &&(MarkId, PlateMil)| (at.vector() - sun).norm() < reach;
-        // Reserved once: this is the inner loop.
-        let mut marks = Vec::with_capacity(scene.marks.len());
-        marks.extend(scene.marks.iter().filter(near));
+        lists.marks.clear();
+        lists.marks.extend(scene.marks.iter().filter(near));
+        lists.matches.clear();
+        lists.matches.push(Match {
+            detection: first.detection,
+            id,
+            printed,
+            usable: true,
+        });
         Self {
             scene,
             fit,
-            marks,
-            matches: vec![Match {
-                detection: first.detection,
-                id,
-                printed,
-                usable: true,
-            }],
+            lists,
             score: scene.prior.found_share().ln(),
         }
     }
@@ -235,7 +252,8 @@ impl<'a> Hypothesis<'a> {
         };
         let variance = candidate.variance + bias.powi(2);
         let density = self.fit.log_density(candidate.offset, printed, variance);
-        let Some(density) = density.filter(|_| self.matches.iter().all(|m| m.id != id)) else {
+        let Some(density) = density.filter(|_| self.lists.matches.iter().all(|m| m.id != id))
+        else {
             return;
         };
         let found_share = match full || self.must_be_found(printed) {
@@ -244,7 +262,7 @@ impl<'a> Hypothesis<'a> {
         };
         let usable = place.distance(printed) < USABLE_LENGTHS * scene.cross.arm_length_mil;
         self.score += density + (found_share / prior.false_density()).ln();
-        self.matches.push(Match {
+        self.lists.matches.push(Match {
             detection: candidate.detection,
             id,
             printed,
@@ -257,7 +275,7 @@ impl<'a> Hypothesis<'a> {
 
     fn nearest_mark(&self, place: PlateMil) -> Option<(MarkId, PlateMil)> {
         let (mut nearest, mut least) = (None, f64::INFINITY);
-        for mark in &self.marks {
+        for mark in &self.lists.marks {
             let square = (mark.1.vector() - place.vector()).norm_squared();
             if square < least {
                 (nearest, least) = (Some(*mark), square);
@@ -275,18 +293,22 @@ impl<'a> Hypothesis<'a> {
 
     /// Marks that must have been found and are not.
     fn missed(&self) -> usize {
-        let expected = self.marks.iter().map(|(_, printed)| printed);
-        let found = self.matches.iter().map(|m| &m.printed);
+        let expected = self.lists.marks.iter().map(|(_, printed)| printed);
+        let found = self.lists.matches.iter().map(|m| &m.printed);
         let sure = |printed: &&PlateMil| self.must_be_found(**printed);
         expected.filter(sure).count() - found.filter(sure).count()
     }
 
     /// Log odds of the contrasts as those of one print against those of false detections. The print's contrast is not
     /// known, so the first one is no evidence.
-    fn contrast_odds(&self) -> f64 {
+    fn contrast_odds(&mut self) -> f64 {
         let detections = self.scene.detections;
         let contrast = |m: &Match| detections[m.detection].contrast.ln();
-        let mut contrasts: Vec<f64> = self.matches.iter().map(contrast).collect();
+        let Lists {
+            matches, contrasts, ..
+        } = &mut *self.lists;
+        contrasts.clear();
+        contrasts.extend(matches.iter().map(contrast));
         contrasts.sort_by(f64::total_cmp);
         let median = contrasts[contrasts.len() / 2];
         let odds = contrasts.iter().map(|c| contrast_odds(c - median));
@@ -309,7 +331,7 @@ impl<'a> Hypothesis<'a> {
             centre_sigma_px: fit.variance(centre).sqrt() / prior.mil_per_px(),
             rotation_deg: Measured::new(self.scene.rotation_deg + on_sensor, on_plate.sigma),
             scale_mil_per_px: fit.scale(prior.mil_per_px()),
-            matches: self.matches,
+            matches: self.lists.matches.clone(),
             score: self.score,
         }
     }

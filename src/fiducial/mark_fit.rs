@@ -1,12 +1,15 @@
 //! One mark's fit: place, contrast and light by Gauss-Newton steps on the pixels of its patch, reweighted against outliers.
 
 use super::CrossShape;
+use super::cross::rows;
 use super::patch::Patch;
-use crate::estimation::clipped_sigma;
+use crate::estimation::{Normal, Prior, clipped_sigma};
 use crate::frame::PixelNoise;
-use crate::kernels::{Coverage, combine, larger, products, smaller};
+use crate::kernels::{
+    Bars, LANES, blurred_bar, cover_at, groups, larger, long_blurred_bar, products, smaller,
+};
 use multiversion::multiversion;
-use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 
 /// A step as short as this ends where the next one would, px: a tenth of what the noise of a clean frame leaves.
 const SETTLED_PX: f64 = 0.003;
@@ -29,7 +32,6 @@ pub(super) type Unknowns = Vector6<f64>;
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
 pub(super) const CONTRAST: usize = 2;
-pub(super) const LEVEL: usize = 3;
 const UNKNOWNS: usize = 6;
 /// The unknowns before the fit, and what is known of them, 1 / sigma: it holds in place what a saturated or cut patch does
 /// not determine.
@@ -38,13 +40,21 @@ const EXPECTED_INVERSE_SIGMA: [f64; UNKNOWNS] = [0.0, 0.0, 2.0, 2.0, 5.0, 5.0];
 
 /// One mark's fit.
 pub(super) struct MarkFit<'a> {
-    pub patch: &'a Patch,
     pub shape: &'a CrossShape,
     /// From an offset on the sensor to one along the arms, both px.
     pub to_arms: Matrix2<f64>,
     /// Radius of the patch, px.
     pub reach: f64,
     pub noise: PixelNoise,
+}
+
+/// The lists of a fit, which the next one uses again.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Lists {
+    pub patch: Patch,
+    near: Near,
+    weights: Vec<f32>,
+    counted: Vec<f32>,
 }
 
 /// Where a fit settled.
@@ -54,26 +64,33 @@ pub(super) struct Settled {
     pub covariance: Matrix2<f64>,
     /// Mean square of the residuals in units of the pixels' stated variance.
     pub reduced_chi2: f64,
-    /// Pixels that were not rejected.
-    pub pixels: usize,
 }
 
 impl MarkFit<'_> {
     /// Steps until the place settles. `None` when the pixels are too few, or the place goes farther than a mark may be.
-    pub(super) fn run(&self, farthest_px: f64) -> Option<Settled> {
-        let mut unknowns = Unknowns::from(EXPECTED);
-        let mut weights = self.patch.counts.clone();
+    pub(super) fn run(&self, lists: &mut Lists, farthest_px: f64) -> Option<Settled> {
+        let prior = Prior {
+            mean: Unknowns::from(EXPECTED),
+            information: Unknowns::from(EXPECTED_INVERSE_SIGMA.map(|s| s * s)),
+        };
+        let mut unknowns = prior.mean;
         // The very first model is too far off to tell outliers.
-        let mut reduced_chi2 = 1.0;
+        lists.weights.clone_from(&lists.patch.counts);
+        let mut reduced_chi2: f64 = 1.0;
         let mut last_move = Vector2::zeros();
         for step_number in 0..MOST_STEPS {
-            let model = linearise(self, &unknowns);
+            linearise(self, &lists.patch, &unknowns, &mut lists.near);
             if (1..REWEIGHTED_STEPS).contains(&step_number) {
-                weights = model.weights(&self.patch.counts).unwrap_or(weights);
+                lists.weigh();
             }
-            let normal = model.normal_equations(&weights)?;
-            let mut step = normal.step(&unknowns, reduced_chi2)?;
-            reduced_chi2 = normal.reduced_chi2_after(&step);
+            let (normal, freedoms) = lists.near.normal_equations(&lists.weights)?;
+            // The pixels' variances are inflated by their chi^2 where that is larger than 1.
+            let solve = |reduced_chi2: f64| {
+                let inflated = normal.weighted(1.0 / reduced_chi2.max(1.0));
+                inflated.solve(&prior, &unknowns)
+            };
+            let mut step = solve(reduced_chi2)?.step;
+            reduced_chi2 = (normal.chi2_after(&step) / freedoms).max(0.0);
             // A higher contrast needs a smaller shift for the same change of the picture.
             let higher = unknowns[CONTRAST] / (unknowns[CONTRAST] + step[CONTRAST]);
             let mut moved = step.fixed_rows::<2>(X) * higher.clamp(0.0, 1.0);
@@ -82,17 +99,19 @@ impl MarkFit<'_> {
                 moved /= 2.0;
             }
             last_move = moved;
+            let settled = step_number > 0 && moved.norm() < SETTLED_PX;
+            let settled = settled.then(|| solve(reduced_chi2));
             step.fixed_rows_mut::<2>(X).copy_from(&moved);
             unknowns += step;
             if unknowns[X].hypot(unknowns[Y]) > farthest_px {
                 return None;
             }
-            if step_number > 0 && moved.norm() < SETTLED_PX {
+            if let Some(solved) = settled {
+                let covariance = solved?.covariance;
                 return Some(Settled {
                     unknowns,
-                    covariance: normal.covariance_of_place(reduced_chi2)?,
+                    covariance: covariance.fixed_view::<2, 2>(X, X).into_owned(),
                     reduced_chi2,
-                    pixels: normal.pixels,
                 });
             }
         }
@@ -100,74 +119,9 @@ impl MarkFit<'_> {
     }
 }
 
-/// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
-#[multiversion(targets("x86_64+avx2"))]
-fn linearise(fit: &MarkFit<'_>, unknowns: &Unknowns) -> Linearised {
-    let Patch {
-        x,
-        y,
-        seen,
-        light,
-        slope_x,
-        slope_y,
-        bend,
-        ..
-    } = fit.patch;
-    let [at_x, at_y, contrast, even, tilt_x, tilt_y] = unknowns.map(|v| v as f32).into();
-    let [from_x, from_y] = [(x, at_x), (y, at_y)].map(|(x, at)| combine([x], |[x]| x - at));
-    let coverage = fit.shape.coverage(&from_x, &from_y, &fit.to_arms);
-    let blur_variance = fit.shape.blur_px.powi(2) as f32;
-    let per_reach = 1.0 / fit.reach as f32;
-    // The light that a mark of contrast 1 takes, and what this one leaves.
-    let Coverage {
-        share,
-        slope_x: share_x,
-        slope_y: share_y,
-    } = &coverage;
-    let taken = combine(
-        [light, share, slope_x, share_x, slope_y, share_y],
-        |[light, share, slope_x, share_x, slope_y, share_y]| {
-            light * share + blur_variance * (slope_x * share_x + slope_y * share_y)
-        },
-    );
-    let left = combine([light, &taken], |[light, taken]| light - contrast * taken);
-    let level = combine([x, y], |[x, y]| {
-        even + (tilt_x * x + tilt_y * y) * per_reach
-    });
-    let per_sigma = combine([&level, &left, bend], |[level, left, bend]| {
-        let left_out = f64::from(LEFT_OUT * blur_variance * bend);
-        let variance = fit.noise.variance(f64::from(level * left)) + left_out * left_out;
-        (1.0 / variance.sqrt()) as f32
-    });
-    let scale = combine([&per_sigma, &level], |[per_sigma, level]| per_sigma * level);
-    let by_place = |share: &[f32]| {
-        combine([&scale, light, share], |[scale, light, share]| {
-            scale * contrast * light * share
-        })
-    };
-    let by_level = combine([&per_sigma, &left], |[per_sigma, left]| per_sigma * left);
-    let by_tilt = |x: &[f32]| combine([&by_level, x], |[by_level, x]| by_level * x * per_reach);
-    Linearised {
-        residuals: combine(
-            [&per_sigma, seen, &level, &left],
-            |[per_sigma, seen, level, left]| per_sigma * (seen - level * left),
-        ),
-        allowed: combine([&per_sigma, light], |[per_sigma, light]| {
-            per_sigma * MODEL_ERROR * light
-        }),
-        slopes: [
-            by_place(share_x),
-            by_place(share_y),
-            combine([&scale, &taken], |[scale, taken]| -scale * taken),
-            by_level.clone(),
-            by_tilt(x),
-            by_tilt(y),
-        ],
-    }
-}
-
 /// A model near some unknowns, pixel by pixel, in units of the pixels' sigma.
-struct Linearised {
+#[derive(Debug, Clone, Default)]
+struct Near {
     /// Change of the prediction with each unknown.
     slopes: [Vec<f32>; UNKNOWNS],
     /// Seen minus predicted.
@@ -176,26 +130,162 @@ struct Linearised {
     allowed: Vec<f32>,
 }
 
-impl Linearised {
-    /// Weights 1 of pixels within a limit of the model and 0 beyond twice that, of those that count: the limit by the scatter that
-    /// most pixels show, at least the stated one, and by what the model may be off. `None` of too few pixels.
-    fn weights(&self, counts: &[f32]) -> Option<Vec<f32>> {
-        // Outliers must not widen the limit by themselves, so the scatter starts from what is expected.
-        let model_error = self.allowed.iter().copied().fold(0.0, larger);
-        let counted = combine([&self.residuals, counts], |[residual, counts]| {
-            residual * counts
-        });
-        let scatter = clipped_sigma(&counted, (0.5 * model_error).max(1.0), 1.0)?;
-        let limit = (DOUBTED_SIGMA * scatter) as f32;
-        let weight = |[residual, allowed, counts]: [f32; 3]| {
-            let weight = 2.0 - residual.abs() / (limit + allowed);
-            counts * larger(smaller(weight, 1.0), 0.0)
-        };
-        Some(combine([&self.residuals, &self.allowed, counts], weight))
+impl Near {
+    /// In the order in which [`near_pixel`] has them.
+    #[inline(always)]
+    fn lists(&mut self) -> [&mut Vec<f32>; UNKNOWNS + 2] {
+        let [a, b, c, d, e, f] = &mut self.slopes;
+        [a, b, c, d, e, f, &mut self.residuals, &mut self.allowed]
     }
+}
 
-    /// `None` of too few pixels.
-    fn normal_equations(&self, weights: &[f32]) -> Option<NormalEquations> {
+/// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn linearise(fit: &MarkFit<'_>, patch: &Patch, unknowns: &Unknowns, near: &mut Near) {
+    if fit.shape.bars().has_ends_apart() {
+        linearise_by(long_blurred_bar, fit, patch, unknowns, near);
+    } else {
+        linearise_by(blurred_bar, fit, patch, unknowns, near);
+    }
+}
+
+/// What the model of one pixel needs.
+struct PixelModel {
+    bars: Bars,
+    to_arms: [f32; 4],
+    unknowns: [f32; UNKNOWNS],
+    noise: [f32; 2],
+    blur_variance: f32,
+    per_reach: f32,
+}
+
+/// One pixel of a patch.
+struct Pixel {
+    x: f32,
+    y: f32,
+    seen: f32,
+    light: f32,
+    slope_x: f32,
+    slope_y: f32,
+    bend: f32,
+}
+
+/// Slopes by the unknowns, residual, and by how much the model may be off, in units of a pixel's sigma; `long_bar` tells the share and
+/// slope of the bars along their length.
+#[inline(always)]
+fn near_pixel(
+    model: &PixelModel,
+    long_bar: &impl Fn(f32, f32, f32) -> (f32, f32),
+    pixel: &Pixel,
+) -> [f32; UNKNOWNS + 2] {
+    let Pixel { x, y, light, .. } = *pixel;
+    let [at_x, at_y, contrast, even, tilt_x, tilt_y] = model.unknowns;
+    let (bars, per_reach) = (&model.bars, model.per_reach);
+    let [share, share_x, share_y] = cover_at(long_bar, bars, model.to_arms, x - at_x, y - at_y);
+    // The light that a mark of contrast 1 takes, and what this one leaves.
+    let taken =
+        light * share + model.blur_variance * (pixel.slope_x * share_x + pixel.slope_y * share_y);
+    let left = light - contrast * taken;
+    let level = even + (tilt_x * x + tilt_y * y) * per_reach;
+    let left_out = LEFT_OUT * model.blur_variance * pixel.bend;
+    let [dark_dn2, per_light_dn] = model.noise;
+    let variance = dark_dn2 + per_light_dn * larger(level * left, 0.0) + left_out * left_out;
+    let per_sigma = 1.0 / variance.sqrt();
+    let scale = per_sigma * level;
+    let (by_place, by_level) = (scale * contrast * light, per_sigma * left);
+    [
+        by_place * share_x,
+        by_place * share_y,
+        -scale * taken,
+        by_level,
+        by_level * x * per_reach,
+        by_level * y * per_reach,
+        per_sigma * (pixel.seen - level * left),
+        per_sigma * MODEL_ERROR * light,
+    ]
+}
+
+#[inline(always)]
+fn linearise_by(
+    long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
+    fit: &MarkFit<'_>,
+    patch: &Patch,
+    unknowns: &Unknowns,
+    near: &mut Near,
+) {
+    let model = PixelModel {
+        bars: fit.shape.bars(),
+        to_arms: rows(&fit.to_arms),
+        unknowns: unknowns.map(|v| v as f32).into(),
+        noise: [fit.noise.dark_dn2, fit.noise.per_light_dn].map(|v| v as f32),
+        blur_variance: fit.shape.blur_px.powi(2) as f32,
+        per_reach: 1.0 / fit.reach as f32,
+    };
+    let count = patch.x.len();
+    for list in near.lists() {
+        list.resize(count, 0.0);
+    }
+    let (x, y, seen) = (groups(&patch.x), groups(&patch.y), groups(&patch.seen));
+    let (light, bend) = (groups(&patch.light), groups(&patch.bend));
+    let (slope_x, slope_y) = (groups(&patch.slope_x), groups(&patch.slope_y));
+    for n in 0..count / LANES {
+        let mut found = [[0.0; LANES]; UNKNOWNS + 2];
+        for k in 0..LANES {
+            let here = Pixel {
+                x: x[n][k],
+                y: y[n][k],
+                seen: seen[n][k],
+                light: light[n][k],
+                slope_x: slope_x[n][k],
+                slope_y: slope_y[n][k],
+                bend: bend[n][k],
+            };
+            let values = near_pixel(&model, &long_bar, &here);
+            for (found, value) in found.iter_mut().zip(values) {
+                found[k] = value;
+            }
+        }
+        for (list, found) in near.lists().into_iter().zip(found) {
+            list[n * LANES..][..LANES].copy_from_slice(&found);
+        }
+    }
+}
+
+impl Lists {
+    /// Weights 1 of pixels within a limit of the model and 0 beyond twice that, of those that count: the limit by the scatter that
+    /// most pixels show, at least the stated one, and by what the model may be off. Those of before where pixels are too few.
+    fn weigh(&mut self) {
+        let Self {
+            patch,
+            near,
+            weights,
+            counted,
+        } = self;
+        // What does not count is beyond every limit.
+        let residuals = near.residuals.iter().zip(&patch.counts);
+        let residual = |(residual, counts): (&f32, &f32)| match *counts > 0.0 {
+            true => *residual,
+            false => f32::INFINITY,
+        };
+        counted.clear();
+        counted.extend(residuals.map(residual));
+        // Outliers must not widen the limit by themselves, so the scatter starts from what is expected.
+        let model_error = near.allowed.iter().copied().fold(0.0, larger);
+        let Some(scatter) = clipped_sigma(counted, (0.5 * model_error).max(1.0), 1.0) else {
+            return;
+        };
+        let limit = (DOUBTED_SIGMA * scatter) as f32;
+        let pixels = near.residuals.iter().zip(&near.allowed).zip(&patch.counts);
+        for (weight, ((residual, allowed), counts)) in weights.iter_mut().zip(pixels) {
+            let within = 2.0 - residual.abs() / (limit + allowed);
+            *weight = counts * larger(smaller(within, 1.0), 0.0);
+        }
+    }
+}
+
+impl Near {
+    /// With their degrees of freedom; `None` of too few pixels.
+    fn normal_equations(&self, weights: &[f32]) -> Option<(Normal<UNKNOWNS>, f64)> {
         let pixels = weights.iter().filter(|weight| **weight > 0.0).count();
         if pixels < MIN_PIXELS_PER_UNKNOWN * UNKNOWNS {
             return None;
@@ -205,58 +295,12 @@ impl Linearised {
         let sums = products([a, b, c, d, e, f, &self.residuals], weights);
         let sum = |m: usize, n: usize| f64::from(sums[m.max(n)][m.min(n)]);
         let total: f32 = weights.iter().sum();
-        Some(NormalEquations {
+        let normal = Normal {
             information: Matrix6::from_fn(sum),
             gradient: Vector6::from_fn(|m, _| sum(m, UNKNOWNS)),
             chi2: sum(UNKNOWNS, UNKNOWNS),
-            freedoms: f64::from(total) * (1.0 - UNKNOWNS as f64 / pixels as f64),
-            pixels,
-        })
+        };
+        let freedoms = f64::from(total) * (1.0 - UNKNOWNS as f64 / pixels as f64);
+        Some((normal, freedoms))
     }
-}
-
-/// The normal equations of a step, by the stated variances.
-struct NormalEquations {
-    information: Matrix6<f64>,
-    gradient: Vector6<f64>,
-    chi2: f64,
-    freedoms: f64,
-    /// Pixels that count.
-    pixels: usize,
-}
-
-impl NormalEquations {
-    /// Inverse of the unknowns' covariance, of pixels and prior together. The pixels' variances are inflated by their
-    /// chi^2 where that is larger than 1.
-    fn precision(&self, reduced_chi2: f64) -> Matrix6<f64> {
-        self.information / reduced_chi2.max(1.0) + Matrix6::from_diagonal(&prior_information())
-    }
-
-    /// The Gauss-Newton step.
-    fn step(&self, unknowns: &Unknowns, reduced_chi2: f64) -> Option<Unknowns> {
-        let to_prior = prior_information().component_mul(&(Unknowns::from(EXPECTED) - unknowns));
-        let gradient = self.gradient / reduced_chi2.max(1.0) + to_prior;
-        Some(self.precision(reduced_chi2).cholesky()?.solve(&gradient))
-    }
-
-    fn covariance_of_place(&self, reduced_chi2: f64) -> Option<Matrix2<f64>> {
-        let factor = self.precision(reduced_chi2).cholesky()?;
-        Some(
-            factor
-                .solve(&Matrix6x2::identity())
-                .fixed_rows::<2>(X)
-                .into_owned(),
-        )
-    }
-
-    /// Mean square of the residuals, less what a step explains.
-    fn reduced_chi2_after(&self, step: &Unknowns) -> f64 {
-        let explained = 2.0 * step.dot(&self.gradient) - step.dot(&(self.information * step));
-        ((self.chi2 - explained) / self.freedoms).max(0.0)
-    }
-}
-
-/// 1 / variance of the unknowns before the fit.
-fn prior_information() -> Unknowns {
-    Unknowns::from(EXPECTED_INVERSE_SIGMA.map(|s| s * s))
 }

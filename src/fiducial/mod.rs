@@ -29,7 +29,7 @@ mod template;
 pub use cross::CrossShape;
 pub use detect::{Detection, Detections, Lighting, detect};
 pub use flatten::FlatDisc;
-pub use identify::{Identification, identify};
+pub use identify::{Unread, identify};
 pub use patch::Illumination;
 pub use prior::IdentificationPrior;
 pub use refine::{RefinedMark, Refiner};

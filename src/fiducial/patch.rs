@@ -1,6 +1,7 @@
 //! The pixels about a mark, and the light that would fall on them without it.
 
 use crate::frame::{Cutout, Region};
+use crate::kernels::LANES;
 use crate::units::SensorPx;
 use std::ops::Range;
 
@@ -21,8 +22,9 @@ impl<F: Fn(f64, f64) -> f64> Illumination for F {
 /// Where less than this part of the patch's brightest light falls, a pixel tells nothing of the mark.
 const LEAST_LIGHT: f32 = 0.05;
 
-/// The pixels about a mark, one list for each quantity.
-#[derive(Debug)]
+/// The pixels about a mark, one list for each quantity, in whole lanes: the last ones may be filled up with pixels that do not
+/// count.
+#[derive(Debug, Clone, Default)]
 pub(super) struct Patch {
     /// Offset from where the mark is expected, px.
     pub x: Vec<f32>,
@@ -37,49 +39,51 @@ pub(super) struct Patch {
     pub bend: Vec<f32>,
     /// 1 for pixels that count, 0 for masked and unlit ones.
     pub counts: Vec<f32>,
+    map: LightMap,
 }
 
 impl Patch {
-    /// The pixels within `reach` of a place; `None` when the cutout has none of them.
-    pub(super) fn about(
+    /// Takes in the pixels within `reach` of a place instead of those that it had; `None` when the cutout has none of them.
+    pub(super) fn take(
+        &mut self,
         place: SensorPx,
         reach: f64,
         cutout: &Cutout,
         illumination: &impl Illumination,
-    ) -> Option<Self> {
+    ) -> Option<()> {
         let region = cutout.region();
         let about = Region::around(place, reach, region.x1, region.y1)?.intersection(&region)?;
-        let map = LightMap::over(about, illumination);
-        let least = LEAST_LIGHT * map.brightest();
-        let mut patch = Self::with_capacity(about.width() * about.height());
+        self.map.take(about, illumination);
+        let least = LEAST_LIGHT * self.map.brightest();
+        self.lists().into_iter().for_each(Vec::clear);
         for y in about.y0..about.y1 {
             let dy = y as f64 - place.y;
             let half = (reach * reach - dy * dy).max(0.0).sqrt();
             let first = ((place.x - half).ceil().max(0.0) as usize).clamp(about.x0, about.x1);
             let end = ((place.x + half).ceil().max(0.0) as usize).clamp(first, about.x1);
             let columns = first - region.x0..end - region.x0;
-            patch.add_places((first as f64 - place.x) as f32, dy as f32, columns.len());
-            patch
-                .seen
-                .extend_from_slice(&cutout.row(y)[columns.clone()]);
-            patch.add_light(map.rows_about(first..end, y));
+            let first_x = (first as f64 - place.x) as f32;
+            self.x
+                .extend((0..columns.len() as i32).map(|n| first_x + n as f32));
+            self.y.resize(self.x.len(), dy as f32);
+            self.seen.extend_from_slice(&cutout.row(y)[columns.clone()]);
+            self.add_light(first..end, y);
             let masked = &cutout.mask.row(y)[columns];
-            let lit = &patch.light[patch.light.len() - masked.len()..];
-            let counts = lit
-                .iter()
-                .zip(masked)
-                .map(|(light, masked)| *light > least && !masked);
-            patch
-                .counts
+            let lit = &self.light[self.light.len() - masked.len()..];
+            let counts = lit.iter().zip(masked);
+            let counts = counts.map(|(light, masked)| *light > least && !masked);
+            self.counts
                 .extend(counts.map(|counts| f32::from(u8::from(counts))));
         }
-        Some(patch)
+        let whole = self.x.len().next_multiple_of(LANES);
+        for list in self.lists() {
+            list.resize(whole, 0.0);
+        }
+        Some(())
     }
 
-    fn with_capacity(pixels: usize) -> Self {
-        let [x, y, seen, light, slope_x, slope_y, bend, counts] =
-            std::array::from_fn(|_| Vec::with_capacity(pixels));
-        Self {
+    fn lists(&mut self) -> [&mut Vec<f32>; 8] {
+        let Self {
             x,
             y,
             seen,
@@ -88,16 +92,14 @@ impl Patch {
             slope_y,
             bend,
             counts,
-        }
+            ..
+        } = self;
+        [x, y, seen, light, slope_x, slope_y, bend, counts]
     }
 
-    fn add_places(&mut self, first_x: f32, y: f32, count: usize) {
-        self.x.extend((0..count as i32).map(|n| first_x + n as f32));
-        self.y.resize(self.y.len() + count, y);
-    }
-
-    /// Adds the light of a row: rows of light, each with one more pixel at either end, above, here and below.
-    fn add_light(&mut self, [above, here, below]: [&[f32]; 3]) {
+    /// Adds the light of some columns of a row.
+    fn add_light(&mut self, columns: Range<usize>, y: usize) {
+        let [above, here, below] = self.map.rows_about(columns, y);
         let inner = 1..here.len() - 1;
         let (left, right) = (&here[..here.len() - 2], &here[2..]);
         let (above, here, below) = (&above[inner.clone()], &here[inner.clone()], &below[inner]);
@@ -115,24 +117,22 @@ impl Patch {
 }
 
 /// Light without marks on the pixels of a region and of one more pixel around.
+#[derive(Debug, Clone, Default)]
 struct LightMap {
-    region: Region,
+    /// Of the region's first pixel.
+    x0: usize,
+    y0: usize,
     stride: usize,
     light: Vec<f32>,
 }
 
 impl LightMap {
-    fn over(region: Region, illumination: &impl Illumination) -> Self {
-        let stride = region.width() + 2;
-        let mut light = vec![0.0; stride * (region.height() + 2)];
-        for (row, light) in light.chunks_exact_mut(stride).enumerate() {
+    fn take(&mut self, region: Region, illumination: &impl Illumination) {
+        (self.x0, self.y0, self.stride) = (region.x0, region.y0, region.width() + 2);
+        self.light.resize(self.stride * (region.height() + 2), 0.0);
+        for (row, light) in self.light.chunks_exact_mut(self.stride).enumerate() {
             let (x, y) = (region.x0 as f64 - 1.0, (region.y0 + row) as f64 - 1.0);
             illumination.fill(x, y, light);
-        }
-        Self {
-            region,
-            stride,
-            light,
         }
     }
 
@@ -142,8 +142,7 @@ impl LightMap {
 
     /// The light on some columns of a row of the region and one more at either end: in the row above, in this one and below.
     fn rows_about(&self, columns: Range<usize>, y: usize) -> [&[f32]; 3] {
-        let before = columns.start - self.region.x0;
-        let above = (y - self.region.y0) * self.stride + before;
+        let above = (y - self.y0) * self.stride + columns.start - self.x0;
         [0, 1, 2].map(|n| &self.light[above + n * self.stride..][..columns.len() + 2])
     }
 }

@@ -1,5 +1,6 @@
 //! What is known before any mark is identified: the prior of a frame, and the statistics of scenes and cameras.
 
+use crate::estimation::CONTRADICTION_SIGMAS;
 use crate::geometry::{Ellipse, Handedness, TILT_PER_PX};
 use crate::units::{Measured, SensorPx};
 use nalgebra::{Matrix2, Rotation2};
@@ -45,8 +46,6 @@ const CONTRAST_RANGE: f64 = 2.3;
 const MOVED_SHARE: f64 = 0.01;
 /// Share of those that were turned: a rotation far from the stated one needs evidence a million times stronger.
 const TURNED_SHARE: f64 = 1e-6;
-/// A scale farther from the stated one is refused, in sigma: no handling of a camera changes it.
-const SCALE_SIGMAS: f64 = 5.0;
 
 // Odds that decide, logarithms.
 
@@ -150,13 +149,13 @@ impl IdentificationPrior {
         (TURNED_SHARE + (1.0 - TURNED_SHARE) * (-0.5 * sigmas * sigmas).exp()).ln()
     }
 
-    /// Difference of a scale from the stated one over the largest allowed: [`SCALE_SIGMAS`], and what a tilted camera
-    /// changes it by at the Sun.
+    /// Difference of a scale from the stated one over the largest allowed: what contradicts it, for no handling of a camera
+    /// changes it, and what a tilted camera changes it by at the Sun.
     pub(super) fn scale_excess(&self, scale_mil_per_px: Measured) -> f64 {
         let stated = self.scale_mil_per_px;
         let sigma = stated.sigma.hypot(scale_mil_per_px.sigma);
         let tilt = 1.5 * TILT_PER_PX * self.sun_distance_px(self.plate_centre) * stated.value;
-        (scale_mil_per_px.value - stated.value).abs() / (SCALE_SIGMAS * sigma + tilt)
+        (scale_mil_per_px.value - stated.value).abs() / (CONTRADICTION_SIGMAS * sigma + tilt)
     }
 
     /// How far a plate centre (1 sigma per axis) lies beyond the largest shift, over its uncertainty, as it is

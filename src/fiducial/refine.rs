@@ -14,8 +14,8 @@
 //! result.
 
 use super::CrossShape;
-use super::mark_fit::{CONTRAST, LEVEL, MarkFit, Settled, X, Y};
-use super::patch::{Illumination, Patch};
+use super::mark_fit::{CONTRAST, Lists, MarkFit, Settled, X, Y};
+use super::patch::Illumination;
 use crate::frame::Cutout;
 use crate::plate::Cross;
 use crate::units::{Estimate, SensorPx};
@@ -34,12 +34,8 @@ pub struct RefinedMark {
     pub place: Estimate<SensorPx>,
     /// Darkness of the cross as a fraction of the light around it.
     pub contrast: f64,
-    /// The light around it over the light that was expected.
-    pub level: f64,
     /// Mean square of the residuals in units of the pixels' stated variance.
     pub reduced_chi2: f64,
-    /// Pixels that took part.
-    pub pixels: usize,
 }
 
 /// Refines the marks of a frame: their shape at the frame's scale and blur.
@@ -47,6 +43,7 @@ pub struct RefinedMark {
 pub struct Refiner {
     shape: CrossShape,
     scale_mil_per_px: f64,
+    lists: Lists,
 }
 
 impl Refiner {
@@ -56,6 +53,7 @@ impl Refiner {
         Self {
             shape,
             scale_mil_per_px,
+            lists: Lists::default(),
         }
     }
 
@@ -74,22 +72,23 @@ impl Refiner {
     /// `illumination` is the blurred light without marks, DN above background; `jacobian` the mapping from plate to sensor
     /// there, px per mil. `None` when the pixels do not lead to a mark near the start.
     pub fn refine(
-        &self,
+        &mut self,
         cutout: &Cutout,
         illumination: &impl Illumination,
         jacobian: &Matrix2<f64>,
         start: SensorPx,
     ) -> Option<RefinedMark> {
         let reach = self.reach_px();
+        self.lists.patch.take(start, reach, cutout, illumination)?;
         let fit = MarkFit {
-            patch: &Patch::about(start, reach, cutout, illumination)?,
             shape: &self.shape,
             to_arms: jacobian.try_inverse()? / self.scale_mil_per_px,
             reach,
             noise: cutout.noise,
         };
         // What is farther off than an arm is wide is another mark, or none.
-        let settled = fit.run(self.shape.blurred_half_width_px())?;
+        let farthest_px = self.shape.blurred_half_width_px();
+        let settled = fit.run(&mut self.lists, farthest_px)?;
         RefinedMark::of(&settled, start)
     }
 }
@@ -109,9 +108,7 @@ impl RefinedMark {
                 covariance: *covariance,
             },
             contrast: unknowns[CONTRAST],
-            level: unknowns[LEVEL],
             reduced_chi2: settled.reduced_chi2,
-            pixels: settled.pixels,
         })
     }
 }

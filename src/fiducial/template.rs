@@ -13,8 +13,10 @@ pub(super) struct Window {
     /// Offsets from the middle, px.
     pub x: Vec<f32>,
     pub y: Vec<f32>,
-    /// The ring about the middle, a pixel wide, that a pixel lies in; `None` outside the radius.
-    ring: Vec<Option<usize>>,
+    /// The ring about the middle, a pixel wide, that a pixel lies in. Those outside the radius share the last one.
+    ring: Vec<usize>,
+    /// How many pixels each ring has.
+    ring_pixels: Vec<f32>,
 }
 
 impl Window {
@@ -24,46 +26,67 @@ impl Window {
         let offset = |n: usize| n as f32 - reach as f32;
         let places = (0..=2 * reach).flat_map(|row| (0..width).map(move |column| (column, row)));
         let (x, y): (Vec<f32>, Vec<f32>) = places.map(|(x, y)| (offset(x), offset(y))).unzip();
-        let ring = |(x, y): (&f32, &f32)| {
-            let distance = x.hypot(*y);
-            (f64::from(distance) <= radius_px).then_some(distance as usize)
+        let ring = |(x, y): (&f32, &f32)| match x.hypot(*y) {
+            distance if f64::from(distance) <= radius_px => distance as usize,
+            _ => reach + 1,
         };
+        let ring: Vec<usize> = x.iter().zip(&y).map(ring).collect();
+        let mut ring_pixels = vec![0.0; reach + 2];
+        ring.iter().for_each(|ring| ring_pixels[*ring] += 1.0);
         Self {
             reach,
             width,
-            ring: x.iter().zip(&y).map(ring).collect(),
             x,
             y,
+            ring,
+            ring_pixels,
         }
     }
 
     /// Pixels within the radius.
     pub(super) fn pixels(&self) -> usize {
-        self.ring.iter().flatten().count()
+        self.ring
+            .iter()
+            .filter(|ring| self.is_inside(**ring))
+            .count()
     }
 
-    /// The values within the radius; 0 outside.
-    fn inside(&self, values: &[f32]) -> Vec<f32> {
-        let pairs = values.iter().zip(&self.ring);
-        pairs
-            .map(|(value, ring)| ring.map_or(0.0, |_| *value))
-            .collect()
+    fn is_inside(&self, ring: usize) -> bool {
+        ring <= self.reach
     }
 
-    /// Values less their mean over the ring that each lies in: nothing is left of what is round about the middle. 0 outside
+    /// A list's values less their mean over the ring that each lies in: nothing is left of what is round about the middle. 0 outside
     /// the radius.
     pub(super) fn without_round_part(&self, values: &[f32]) -> Vec<f32> {
-        let mut sums = vec![(0.0_f32, 0.0_f32); self.reach + 1];
+        let mut sums = vec![0.0; self.reach + 2];
         for (value, ring) in values.iter().zip(&self.ring) {
-            if let Some(ring) = ring {
-                sums[*ring].0 += value;
-                sums[*ring].1 += 1.0;
+            sums[*ring] += value;
+        }
+        let less_mean = |(value, ring): (&f32, &usize)| match self.is_inside(*ring) {
+            true => value - sums[*ring] / self.ring_pixels[*ring],
+            false => 0.0,
+        };
+        values.iter().zip(&self.ring).map(less_mean).collect()
+    }
+
+    /// Sum of the squared values about one of them, where the window [`fits`](Self::fits), within the radius: of all, and of what
+    /// is round about the middle.
+    pub(super) fn squares(&self, flat: &FlatDisc, index: usize) -> [f32; 2] {
+        /// Rings beyond count as the last.
+        const MOST_RINGS: usize = 128;
+        let last = self.reach.min(MOST_RINGS - 2) + 1;
+        let (mut sums, mut squares) = ([0.0; MOST_RINGS], 0.0);
+        let rows = self.values(flat, index).chunks(flat.side());
+        for (row, rings) in rows.zip(self.ring.chunks_exact(self.width)) {
+            for (value, ring) in row.iter().zip(rings) {
+                let inside = f32::from(u8::from(self.is_inside(*ring)));
+                sums[(*ring).min(last)] += inside * value;
+                squares += inside * value * value;
             }
         }
-        let means: Vec<f32> = sums.iter().map(|(sum, count)| sum / count).collect();
-        let less_mean =
-            |(value, ring): (&f32, &Option<usize>)| ring.map_or(0.0, |ring| value - means[ring]);
-        values.iter().zip(&self.ring).map(less_mean).collect()
+        let rings = sums[..last].iter().zip(&self.ring_pixels);
+        let round = rings.map(|(sum, pixels)| sum * sum / pixels.max(1.0)).sum();
+        [squares, round]
     }
 
     /// Whether the pixels about a value of the flattened disc, with one to spare, are all in its square.
@@ -75,16 +98,6 @@ impl Window {
     /// The flattened disc's values from the first pixel about one of them on.
     fn values<'f>(&self, flat: &'f FlatDisc, index: usize) -> &'f [f32] {
         &flat.values()[index - self.reach * (flat.side() + 1)..]
-    }
-
-    /// The values about one of them, where the window [`fits`](Self::fits); 0 outside the radius.
-    pub(super) fn darkness(&self, flat: &FlatDisc, index: usize) -> Vec<f32> {
-        let rows = self.values(flat, index).chunks(flat.side());
-        let mut darkness = Vec::with_capacity(self.x.len());
-        for row in rows.take(2 * self.reach + 1) {
-            darkness.extend_from_slice(&row[..self.width]);
-        }
-        self.inside(&darkness)
     }
 
     /// Sum of the products of weights with the values about one of them, where the window [`fits`](Self::fits).
@@ -104,11 +117,14 @@ pub(super) struct Template {
 impl Template {
     /// Of the darkness that is looked for about the middle of a window.
     pub(super) fn new(window: &Window, darkness: &[f32]) -> Self {
-        let mut weights = window.inside(darkness);
-        let mean = weights.iter().sum::<f32>() / window.pixels() as f32;
-        for (weight, ring) in weights.iter_mut().zip(&window.ring) {
-            *weight -= ring.map_or(0.0, |_| mean);
-        }
+        let inside = |n: &usize| window.is_inside(window.ring[*n]);
+        let sum: f32 = (0..darkness.len())
+            .filter(inside)
+            .map(|n| darkness[n])
+            .sum();
+        let mean = sum / window.pixels() as f32;
+        let weight = |n: usize| if inside(&n) { darkness[n] - mean } else { 0.0 };
+        let weights: Vec<f32> = (0..darkness.len()).map(weight).collect();
         let energy = weights.iter().map(|w| f64::from(w * w)).sum();
         Self { weights, energy }
     }

@@ -41,6 +41,14 @@ impl Region {
         (self.x0..self.x1).contains(&x) && (self.y0..self.y1).contains(&y)
     }
 
+    /// Whether a place lies on the region's pixels, so far inside its edge at least.
+    pub fn holds(&self, at: SensorPx, margin_px: f64) -> bool {
+        let within = |v: f64, from: usize, to: usize| {
+            v >= from as f64 + margin_px && v <= to as f64 - 1.0 - margin_px
+        };
+        within(at.x, self.x0, self.x1) && within(at.y, self.y0, self.y1)
+    }
+
     /// The pixels that two regions share; `None` when there are none.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let common = Self {

@@ -47,6 +47,14 @@ pub enum Handedness {
 }
 
 impl Handedness {
+    /// That of the mirror image.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Mirrored => Self::Direct,
+            Self::Direct => Self::Mirrored,
+        }
+    }
+
     /// The plate's axes projected at rotation 0, apart from scale.
     pub fn axes(self) -> Matrix2<f64> {
         match self {

@@ -61,13 +61,7 @@ impl Levels {
             noise_dn,
         } = with_view!(frame, view => Sampled::of(&view, spacing_px));
         let saturation = f64::from(frame.saturation_dn());
-        if mean > MOST_MEAN * saturation {
-            return Err(Rejected {
-                reason: Self::TOO_BRIGHT,
-                measured: mean,
-                limit: MOST_MEAN * saturation,
-            });
-        }
+        Rejected::at_most(MOST_MEAN * saturation, mean, Self::TOO_BRIGHT)?;
         let sphere_share = PI * radius_px * radius_px / (frame.width() * frame.height()) as f64;
         let bright_share = (PART_OF_SPHERE * sphere_share).min(BRIGHT_SHARE);
         let mut quantile = |share: f64| {
@@ -81,13 +75,7 @@ impl Levels {
         };
         let contrast = levels.bright_dn - levels.dark_dn;
         let limit = (LEAST_CONTRAST * saturation).max(LEAST_CONTRAST_SIGMAS * noise_dn);
-        if contrast < limit {
-            return Err(Rejected {
-                reason: Self::TOO_DARK,
-                measured: contrast,
-                limit,
-            });
-        }
+        Rejected::at_least(limit, contrast, Self::TOO_DARK)?;
         Ok(levels)
     }
 
@@ -177,18 +165,12 @@ impl Raster {
         let inside = self.light_where(nadir, |cosine| cosine > edge.cos());
         let sky = edge + sphere.outside_rad;
         let outside = self.light_where(nadir, |cosine| cosine < sky.cos());
-        match (inside.map(bright_share), outside.map(bright_share)) {
-            (Some(share), _) if share < LEAST_INSIDE => Err(Rejected {
-                reason: "dark_inside",
-                measured: share,
-                limit: LEAST_INSIDE,
-            }),
-            (_, Some(share)) if share > MOST_OUTSIDE => Err(Rejected {
-                reason: "bright_outside",
-                measured: share,
-                limit: MOST_OUTSIDE,
-            }),
-            _ => Ok(()),
+        if let Some(share) = inside.map(bright_share) {
+            Rejected::at_least(LEAST_INSIDE, share, "dark_inside")?;
         }
+        if let Some(share) = outside.map(bright_share) {
+            Rejected::at_most(MOST_OUTSIDE, share, "bright_outside")?;
+        }
+        Ok(())
     }
 }

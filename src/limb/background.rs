@@ -10,7 +10,7 @@ use crate::estimation::{Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TU
 use crate::frame::{Background, Frame, Levels, Region, Sample, View};
 use crate::geometry::Circle;
 use crate::with_view;
-use nalgebra::{RowSVector, SVector, Vector1};
+use nalgebra::{SVector, Vector1};
 
 /// The background is determined by pixels between these distances from the disc's centre, in radii: beyond the blur and the halo.
 const ABOUT: [f64; 2] = [1.15, 2.2];
@@ -161,27 +161,29 @@ impl Scene {
 
     /// Fits the terms that are used, the others held at 0; so is one that is the same in all cells.
     fn regression(&self, used: &[bool; TERMS]) -> Option<Fitted<TERMS>> {
-        const HELD: f64 = 1e12;
         let held = |n: usize| !used[n] || (n >= PLANE && !self.varies(n));
         let fit = LeastSquares {
             start: SVector::zeros(),
             prior: Prior {
                 mean: SVector::zeros(),
-                information: SVector::from_fn(|n, _| if held(n) { HELD } else { 0.0 }),
+                information: SVector::from_fn(|n, _| if held(n) { f64::INFINITY } else { 0.0 }),
             },
             loss: Loss::Tukey(TUKEY_SIGMAS),
             scale: Scale::Median,
             tolerance_sigmas: 0.01,
         };
-        let row = |cell: &Cell, coefficients: &SVector<f64, TERMS>| {
-            let weight = cell.pixels.sqrt();
-            Linearised {
-                residual: Vector1::new((cell.mean_dn - cell.terms.dot(coefficients)) * weight),
-                jacobian: RowSVector::from_fn(|_, n| cell.terms[n] * weight),
-            }
+        let rows = |coefficients: &SVector<f64, TERMS>| {
+            let coefficients = *coefficients;
+            Some(self.cells.iter().map(move |cell| {
+                let weight = cell.pixels.sqrt();
+                let left_dn = cell.mean_dn - cell.terms.dot(&coefficients);
+                Linearised {
+                    residual: Vector1::new(left_dn * weight),
+                    jacobian: cell.terms.transpose() * weight,
+                }
+            }))
         };
-        let rows = |at: &SVector<f64, TERMS>| Some(self.cells.iter().map(|c| row(c, at)).collect());
-        (self.cells.len() > 2 * TERMS).then(|| fit.fit(rows).ok())?
+        (self.cells.len() > 2 * TERMS).then(|| fit.fit_each(rows).ok())?
     }
 
     /// Whether enough cells differ in a term from the first.

@@ -14,13 +14,26 @@ pub(super) struct Reach {
 }
 
 /// Pixels within reach of an ellipse, those of a sector of azimuth side by side.
+#[derive(Default)]
 pub(super) struct Band {
-    pub reach: Reach,
     /// Outwards from the ellipse.
     distance_px: Vec<f32>,
     light_dn: Vec<f32>,
     /// Where each sector begins, and where the last one ends.
     begins: Vec<usize>,
+    unsorted: Unsorted,
+}
+
+/// Which pixels a band is to hold.
+pub(super) struct Wanted<'a> {
+    pub cutout: &'a Cutout,
+    /// Of the cutout's region; masked pixels are left out.
+    pub mask: &'a Mask,
+    pub ellipse: &'a Ellipse,
+    pub reach: Reach,
+    pub sectors: usize,
+    /// Every so many rows are read.
+    pub every_row: usize,
 }
 
 /// The pixels of one sector.
@@ -31,22 +44,97 @@ pub(super) struct SectorPixels<'a> {
 }
 
 impl Band {
-    /// Masked pixels, of the cutout or of `mask`, are not among them. Both must be of the same region.
-    pub(super) fn about(
-        cutout: &Cutout,
-        mask: &Mask,
-        ellipse: &Ellipse,
-        reach: Reach,
-        sectors: usize,
-    ) -> Self {
-        let region = cutout.region();
-        let root = ellipse.root();
+    pub(super) fn of(wanted: &Wanted<'_>) -> Self {
+        let mut band = Self::default();
+        band.take(wanted);
+        band
+    }
+
+    /// Takes these pixels in instead of those that it has.
+    pub(super) fn take(&mut self, wanted: &Wanted<'_>) {
+        self.unsorted.take(wanted);
+        let Unsorted {
+            distance_px,
+            light_dn,
+            sector,
+            ..
+        } = &self.unsorted;
+        // What is not wanted comes last, in a sector of its own, and is left out.
+        self.begins.clear();
+        self.begins.resize(wanted.sectors + 2, 0);
+        for sector in sector {
+            self.begins[usize::from(*sector) + 1] += 1;
+        }
+        for n in 0..=wanted.sectors {
+            self.begins[n + 1] += self.begins[n];
+        }
+        self.distance_px.resize(sector.len(), 0.0);
+        self.light_dn.resize(sector.len(), 0.0);
+        for ((sector, distance_px), light_dn) in sector.iter().zip(distance_px).zip(light_dn) {
+            let place = &mut self.begins[usize::from(*sector)];
+            self.distance_px[*place] = *distance_px;
+            self.light_dn[*place] = *light_dn;
+            *place += 1;
+        }
+        // Each begin has moved to the next one's place.
+        self.begins.truncate(wanted.sectors);
+        self.begins.insert(0, 0);
+    }
+
+    /// Counts the distances from another ellipse near by, about which the sectors are as good as the same.
+    pub(super) fn follow(&mut self, from: &Ellipse, to: &Ellipse) {
+        let sectors = self.begins.len() - 1;
+        let (shift, grown) = (to.centre - from.centre, to.root() - from.root());
+        for n in 0..sectors {
+            let w = middle_of_sector(n, sectors);
+            let outwards_px = from.normal(w).dot(&(shift + grown * w)) as f32;
+            for distance_px in &mut self.distance_px[self.begins[n]..self.begins[n + 1]] {
+                *distance_px -= outwards_px;
+            }
+        }
+    }
+
+    pub(super) fn pixels(&self) -> usize {
+        self.begins.last().copied().unwrap_or(0)
+    }
+
+    pub(super) fn sectors(&self) -> impl Iterator<Item = SectorPixels<'_>> {
+        self.begins.windows(2).map(|ends| SectorPixels {
+            distance_px: &self.distance_px[ends[0]..ends[1]],
+            light_dn: &self.light_dn[ends[0]..ends[1]],
+        })
+    }
+}
+
+/// Pixels in the order of the rows.
+#[derive(Default)]
+struct Unsorted {
+    distance_px: Vec<f32>,
+    light_dn: Vec<f32>,
+    /// Of pixels that are not wanted the number of sectors.
+    sector: Vec<u16>,
+    /// The sector of every pixel of a row, wanted or not.
+    sector_of_row: Vec<f32>,
+}
+
+impl Unsorted {
+    fn take(&mut self, wanted: &Wanted<'_>) {
+        let Wanted {
+            cutout,
+            mask,
+            ellipse,
+            reach,
+            ..
+        } = wanted;
+        for list in [&mut self.distance_px, &mut self.light_dn] {
+            list.clear();
+        }
+        self.sector.clear();
+        let (region, root, centre) = (cutout.region(), ellipse.root(), ellipse.centre);
         let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + 1.0;
-        let mut found = Unsorted::new(ellipse, reach, sectors);
         let outer = ellipse.mean_radius() + reach.outside_px + uneven;
         let inner = (ellipse.mean_radius() - reach.inside_px - uneven).max(0.0);
-        let centre = ellipse.centre;
-        for y in region.y0..region.y1 {
+        for y in (region.y0..region.y1).step_by(wanted.every_row) {
             let dy2 = (y as f64 - centre.y).powi(2);
             let [from, to] = [inner, outer].map(|radius| (radius.powi(2) - dy2).max(0.0).sqrt());
             // A row crosses the band twice, or along its top or bottom once.
@@ -58,110 +146,39 @@ impl Band {
                 let column = |x: f64| (x.ceil().max(region.x0 as f64) as usize).min(region.x1);
                 let (start, end) = (column(centre.x + start), column(centre.x + end));
                 let columns = start - region.x0..end.max(start) - region.x0;
-                let row = Row {
-                    light_dn: &cutout.row(y)[columns.clone()],
-                    bad: &cutout.mask.row(y)[columns.clone()],
-                    masked: &mask.row(y)[columns],
-                };
-                found.take(&row, Vector2::new(start as f64, y as f64));
+                let first = Vector2::new(start as f64, y as f64) - centre;
+                self.light_dn
+                    .extend_from_slice(&cutout.row(y)[columns.clone()]);
+                self.locate(wanted, first.cast(), &mask.row(y)[columns]);
             }
         }
-        found.sorted()
     }
 
-    pub(super) fn sector(&self, n: usize) -> SectorPixels<'_> {
-        let pixels = self.begins[n]..self.begins[n + 1];
-        SectorPixels {
-            distance_px: &self.distance_px[pixels.clone()],
-            light_dn: &self.light_dn[pixels],
-        }
-    }
-
-    /// Counts the distances from a line so far outwards instead.
-    pub(super) fn shift(&mut self, outwards_px: f64) {
-        for distance_px in &mut self.distance_px {
-            *distance_px -= outwards_px as f32;
-        }
-    }
-
-    pub(super) fn sectors(&self) -> impl Iterator<Item = SectorPixels<'_>> {
-        (1..self.begins.len()).map(|n| self.sector(n - 1))
-    }
-}
-
-/// A part of a row that crosses the band.
-struct Row<'a> {
-    light_dn: &'a [f32],
-    bad: &'a [bool],
-    masked: &'a [bool],
-}
-
-/// Pixels in the order of the rows.
-struct Unsorted<'a> {
-    ellipse: &'a Ellipse,
-    reach: Reach,
-    sectors: usize,
-    distance_px: Vec<f32>,
-    light_dn: Vec<f32>,
-    sector: Vec<u16>,
-    /// Distance and sector of every pixel of a row, within reach or not.
-    places: Vec<(f32, f32)>,
-}
-
-impl<'a> Unsorted<'a> {
-    fn new(ellipse: &'a Ellipse, reach: Reach, sectors: usize) -> Self {
-        let width_px = reach.inside_px + reach.outside_px;
-        let pixels = (1.1 * std::f64::consts::TAU * ellipse.mean_radius() * width_px) as usize;
-        Self {
-            ellipse,
-            reach,
+    /// Adds places and sectors of a row's pixels, of which the first lies `from` the ellipse's centre.
+    fn locate(&mut self, wanted: &Wanted<'_>, from: Vector2<f32>, masked: &[bool]) {
+        let first = self.distance_px.len();
+        self.distance_px.resize(first + masked.len(), 0.0);
+        self.sector_of_row.resize(masked.len(), 0.0);
+        let distance_px = &mut self.distance_px[first..];
+        let sectors = wanted.sectors as f32;
+        locate(
+            wanted.ellipse,
+            from,
             sectors,
-            distance_px: Vec::with_capacity(pixels),
-            light_dn: Vec::with_capacity(pixels),
-            sector: Vec::with_capacity(pixels),
-            places: Vec::new(),
-        }
-    }
-
-    fn take(&mut self, row: &Row<'_>, first: Vector2<f64>) {
-        let from = (first - self.ellipse.centre).cast::<f32>();
-        self.places.clear();
-        self.places.resize(row.light_dn.len(), (0.0, 0.0));
-        locate(self.ellipse, from, self.sectors as f32, &mut self.places);
-        let within = -self.reach.inside_px as f32..self.reach.outside_px as f32;
-        for (n, (distance_px, sector)) in self.places.iter().enumerate() {
-            if within.contains(distance_px) && !row.bad[n] && !row.masked[n] {
-                self.distance_px.push(*distance_px);
-                self.light_dn.push(row.light_dn[n]);
-                self.sector.push(*sector as u16);
+            distance_px,
+            &mut self.sector_of_row,
+        );
+        let [inside_px, outside_px] =
+            [wanted.reach.inside_px, wanted.reach.outside_px].map(|px| px as f32);
+        let not_wanted = wanted.sectors as u16;
+        self.sector.resize(first + masked.len(), not_wanted);
+        let places = distance_px.iter().zip(&self.sector_of_row).zip(masked);
+        for (sector, ((distance_px, of_row), masked)) in self.sector[first..].iter_mut().zip(places)
+        {
+            if *distance_px >= -inside_px && *distance_px < outside_px && !masked {
+                *sector = *of_row as u16;
             }
         }
-    }
-
-    fn sorted(self) -> Band {
-        let sectors = self.sectors;
-        let mut begins = vec![0; sectors + 1];
-        for sector in &self.sector {
-            begins[usize::from(*sector) + 1] += 1;
-        }
-        for n in 0..sectors {
-            begins[n + 1] += begins[n];
-        }
-        let mut next = begins.clone();
-        let mut band = Band {
-            reach: self.reach,
-            distance_px: vec![0.0; self.sector.len()],
-            light_dn: vec![0.0; self.sector.len()],
-            begins,
-        };
-        let pixels = self.distance_px.iter().zip(&self.light_dn);
-        for (sector, (distance_px, light_dn)) in self.sector.iter().zip(pixels) {
-            let place = &mut next[usize::from(*sector)];
-            band.distance_px[*place] = *distance_px;
-            band.light_dn[*place] = *light_dn;
-            *place += 1;
-        }
-        band
     }
 }
 
@@ -170,10 +187,16 @@ impl<'a> Unsorted<'a> {
 ///
 /// Directions are counted by y / (|x| + |y|), which grows with the angle as evenly as sectors need and costs no arctangent.
 #[multiversion(targets("x86_64+avx2"))]
-fn locate(ellipse: &Ellipse, from: Vector2<f32>, sectors: f32, places: &mut [(f32, f32)]) {
+fn locate(
+    ellipse: &Ellipse,
+    from: Vector2<f32>,
+    sectors: f32,
+    distance_px: &mut [f32],
+    sector: &mut [f32],
+) {
     let inverse = ellipse.inverse().cast::<f32>();
     let (a, b, c) = (inverse.m11, inverse.m12, inverse.m22);
-    for (n, place) in places.iter_mut().enumerate() {
+    for (n, (distance_px, sector)) in distance_px.iter_mut().zip(sector).enumerate() {
         let (x, y) = (from.x + n as i32 as f32, from.y);
         let (u, v) = (a * x + b * y, b * x + c * y);
         let r2 = u * u + v * v;
@@ -181,8 +204,8 @@ fn locate(ellipse: &Ellipse, from: Vector2<f32>, sectors: f32, places: &mut [(f3
         let per_normal = 1.0 / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
         let along = v / (u.abs() + v.abs() + f32::MIN_POSITIVE);
         let quarters = if u >= 0.0 { 1.0 + along } else { 3.0 - along };
-        let sector = smaller(quarters * (0.25 * sectors), sectors - 0.5);
-        *place = ((r2 - r2.sqrt()) * per_normal, sector);
+        *sector = smaller(quarters * (0.25 * sectors), sectors - 0.5);
+        *distance_px = (r2 - r2.sqrt()) * per_normal;
     }
 }
 
@@ -225,6 +248,17 @@ mod tests {
         .into()
     }
 
+    fn band(cutout: &Cutout, mask: &Mask, reach: Reach) -> Band {
+        Band::of(&Wanted {
+            cutout,
+            mask,
+            ellipse: &ellipse(),
+            reach,
+            sectors: SECTORS,
+            every_row: 1,
+        })
+    }
+
     #[test]
     fn every_pixel_of_the_ring_is_in_the_band_once() {
         let cutout = cutout();
@@ -232,8 +266,7 @@ mod tests {
             inside_px: 6.0,
             outside_px: 9.0,
         };
-        let mask = Mask::none(cutout.region());
-        let band = Band::about(&cutout, &mask, &ellipse(), reach, SECTORS);
+        let band = band(&cutout, &cutout.mask, reach);
         let found: usize = band.sectors().map(|pixels| pixels.distance_px.len()).sum();
         let within = |x: usize, y: usize| {
             let away = ellipse().excess(Vector2::new(x as f64, y as f64));
@@ -252,10 +285,32 @@ mod tests {
         for n in 0..SECTORS {
             let middle =
                 middle_of_sector(n, SECTORS).cast::<f32>() * ellipse().mean_radius() as f32;
-            let mut place = [(0.0, 0.0)];
-            locate(&ellipse(), middle, SECTORS as f32, &mut place);
-            assert_eq!(place[0].1 as usize, n);
-            assert!(place[0].0.abs() < 1e-3);
+            let (mut distance_px, mut sector) = ([0.0], [0.0]);
+            let sectors = SECTORS as f32;
+            locate(&ellipse(), middle, sectors, &mut distance_px, &mut sector);
+            assert_eq!(sector[0] as usize, n);
+            assert!(distance_px[0].abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_band_that_follows_its_ellipse_is_nearly_the_one_about_the_other() {
+        let cutout = cutout();
+        let reach = Reach {
+            inside_px: 6.0,
+            outside_px: 9.0,
+        };
+        let root = nalgebra::Matrix2::new(80.2, 0.1, 0.1, 79.9);
+        let moved = Ellipse::new(ellipse().centre + Vector2::new(0.2, -0.15), root).unwrap();
+        let mut band = band(&cutout, &cutout.mask, reach);
+        let before = band.distance_px.clone();
+        band.follow(&ellipse(), &moved);
+        let mean = |list: &[f32]| list.iter().sum::<f32>() / list.len() as f32;
+        for n in 0..SECTORS {
+            let pixels = band.begins[n]..band.begins[n + 1];
+            let shift = mean(&band.distance_px[pixels.clone()]) - mean(&before[pixels]);
+            let at = ellipse().from_disc(middle_of_sector(n, SECTORS));
+            assert!((f64::from(shift) - moved.excess(at)).abs() < 0.002);
         }
     }
 
@@ -267,7 +322,7 @@ mod tests {
             outside_px: 5.0,
         };
         let count = |mask: &Mask| -> usize {
-            let band = Band::about(&cutout, mask, &ellipse(), reach, SECTORS);
+            let band = band(&cutout, mask, reach);
             band.sectors().map(|pixels| pixels.light_dn.len()).sum()
         };
         let mut mask = Mask::none(cutout.region());

@@ -22,22 +22,35 @@ pub(super) struct Crossing {
     pub inward: Vector2<f64>,
 }
 
-/// The pixels of a row or a column within a region.
-pub(super) struct Line {
+/// The pixels of a row or a column within a region, one line after the other.
+pub(super) struct Line<'a> {
+    frame: &'a Frame,
+    region: Region,
     axis: Axis,
-    /// Row or column of the frame, and the first pixel along it.
+    /// Row or column of the frame.
     at: usize,
-    from: usize,
     dn: Vec<f32>,
 }
 
-impl Line {
-    pub(super) fn new(frame: &Frame, region: Region, axis: Axis, at: usize) -> Self {
-        let (from, dn) = match axis {
-            Axis::Row => (region.x0, frame.row_dn(at, region.x0..region.x1)),
-            Axis::Column => (region.y0, frame.column_dn(at, region.y0..region.y1)),
-        };
-        Self { axis, at, from, dn }
+impl<'a> Line<'a> {
+    pub(super) fn new(frame: &'a Frame, region: Region, axis: Axis) -> Self {
+        Self {
+            frame,
+            region,
+            axis,
+            at: 0,
+            dn: Vec::new(),
+        }
+    }
+
+    /// Reads a row or column of the frame.
+    pub(super) fn read(&mut self, at: usize) {
+        let Region { x0, y0, x1, y1 } = self.region;
+        self.at = at;
+        match self.axis {
+            Axis::Row => self.frame.read_row(at, x0..x1, &mut self.dn),
+            Axis::Column => self.frame.read_column(at, y0..y1, &mut self.dn),
+        }
     }
 }
 
@@ -68,40 +81,49 @@ impl Scan {
     }
 
     /// Bright runs of a line, counted from its first pixel: long enough to be no hot pixel, marks filled in.
-    pub(super) fn runs(&self, line: &Line) -> Vec<Range<usize>> {
-        let bright = |dn: &f32| f64::from(*dn) > self.threshold_dn;
-        let mut runs: Vec<Range<usize>> = Vec::new();
+    pub(super) fn runs<'l>(&self, line: &'l Line<'_>) -> impl Iterator<Item = Range<usize>> + 'l {
+        let Self {
+            threshold_dn,
+            min_run_px,
+            max_gap_px,
+            ..
+        } = *self;
+        let bright = move |dn: &f32| f64::from(*dn) > threshold_dn;
         let mut at = 0;
-        while let Some(start) = first(&line.dn, at, bright) {
+        let mut plain = std::iter::from_fn(move || {
+            let start = first(&line.dn, at, bright)?;
             at = first(&line.dn, start, |dn| !bright(dn)).unwrap_or(line.dn.len());
-            if at - start < self.min_run_px {
-                continue;
+            Some(start..at)
+        });
+        let mut plain =
+            std::iter::from_fn(move || plain.find(|run| run.len() >= min_run_px)).peekable();
+        std::iter::from_fn(move || {
+            let mut run = plain.next()?;
+            while let Some(next) = plain.next_if(|next| next.start - run.end <= max_gap_px) {
+                run.end = next.end;
             }
-            match runs.last_mut() {
-                Some(last) if start - last.end <= self.max_gap_px => last.end = at,
-                _ => runs.push(start..at),
-            }
-        }
-        runs
+            Some(run)
+        })
     }
 
     /// The crossings of a line's chords.
-    pub(super) fn crossings(&self, line: &Line) -> Vec<Crossing> {
-        let mut crossings = Vec::new();
-        for run in self.runs(line) {
+    pub(super) fn crossings(&self, line: &Line<'_>) -> impl Iterator<Item = Crossing> {
+        let chords = self.runs(line).filter(|run| {
             let cut = run.start == 0 || run.end == line.dn.len();
-            if cut || run.len() >= self.min_chord_px {
-                crossings.extend(self.crossing(line, run.start, 1.0));
-                crossings.extend(self.crossing(line, run.end, -1.0));
-            }
-        }
-        crossings
+            cut || run.len() >= self.min_chord_px
+        });
+        chords.flat_map(|run| {
+            let ends = [(run.start, 1.0), (run.end, -1.0)];
+            ends.map(|(end, inward)| self.crossing(line, end, inward))
+                .into_iter()
+                .flatten()
+        })
     }
 
     /// Where the straight line through the four pixels about a place meets the threshold, `first_after` being the first pixel
     /// beyond; the window is centred anew once, since noise may have moved the first guess. `inward` is 1 where light rises
     /// along the line and -1 where it falls. `None` where the line ends.
-    fn crossing(&self, line: &Line, first_after: usize, inward: f64) -> Option<Crossing> {
+    fn crossing(&self, line: &Line<'_>, first_after: usize, inward: f64) -> Option<Crossing> {
         let mut first_after = first_after;
         let mut along = None;
         for _ in 0..2 {
@@ -117,14 +139,15 @@ impl Scan {
             first_after = (place + 1.0).max(0.0) as usize;
             along = Some(place);
         }
-        let (along, across) = (along? + line.from as f64, line.at as f64);
+        let (along, across) = (along?, line.at as f64);
+        let from = Vector2::new(line.region.x0 as f64, line.region.y0 as f64);
         Some(match line.axis {
             Axis::Row => Crossing {
-                at: Vector2::new(along, across),
+                at: Vector2::new(from.x + along, across),
                 inward: Vector2::new(inward, 0.0),
             },
             Axis::Column => Crossing {
-                at: Vector2::new(across, along),
+                at: Vector2::new(across, from.y + along),
                 inward: Vector2::new(0.0, inward),
             },
         })
@@ -152,14 +175,16 @@ mod tests {
         min_chord_px: 20,
     };
 
-    fn line(row: &[u8]) -> Line {
+    fn with_line<T>(row: &[u8], read: impl Fn(&Line<'_>) -> T) -> T {
         let pixels = Pixels::U8(row.to_vec());
         let frame = Frame::new(row.len(), 1, pixels, 255, FrameInfo::default()).unwrap();
-        Line::new(&frame, frame.region(), Axis::Row, 0)
+        let mut line = Line::new(&frame, frame.region(), Axis::Row);
+        line.read(0);
+        read(&line)
     }
 
     fn crossings(row: &[u8]) -> Vec<f64> {
-        SCAN.crossings(&line(row)).iter().map(|c| c.at.x).collect()
+        with_line(row, |line| SCAN.crossings(line).map(|c| c.at.x).collect())
     }
 
     fn disc_row() -> Vec<u8> {
@@ -219,6 +244,7 @@ mod tests {
             max_gap_px: 5,
             ..SCAN
         };
-        assert_eq!(scan.runs(&line(&row)), [3..30, 50..56, 125..135, 190..320]);
+        let runs = with_line(&row, |line| scan.runs(line).collect::<Vec<_>>());
+        assert_eq!(runs, [3..30, 50..56, 125..135, 190..320]);
     }
 }

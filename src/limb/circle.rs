@@ -2,7 +2,9 @@
 
 use super::chords::Crossing;
 use super::{Settings, arc_fraction};
-use crate::estimation::{Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
+use crate::estimation::{
+    CONTRADICTION_SIGMAS, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS,
+};
 use crate::geometry::Circle;
 use crate::units::{Measured, Rejected};
 use nalgebra::{Matrix2, RowVector3, SVector, Vector1, Vector2, Vector3};
@@ -26,8 +28,6 @@ const LEAST_ARC: f64 = 0.1;
 const RADIUS_SIGMA: f64 = 0.003;
 /// A limb that determines the radius as well as this, relative to it, is asked for it.
 const WELL_DETERMINED: f64 = 0.001;
-/// A radius that differs from the expected one by so many sigma is another one.
-const CONTRADICTION_SIGMAS: f64 = 5.0;
 /// A disc known less well than this is not known, px.
 const MAX_CENTRE_SIGMA_PX: f64 = 1.0;
 
@@ -39,7 +39,7 @@ pub(super) fn agreed_circle(
 ) -> Result<Circle, Rejected> {
     let enough = settings.min_crossings as f64;
     let count = crossings.len() as f64;
-    at_least(enough, count, "too few chords cross a limb")?;
+    Rejected::at_least(enough, count, "too few chords cross a limb")?;
     let consensus = Consensus {
         crossings,
         radius_px,
@@ -48,7 +48,7 @@ pub(super) fn agreed_circle(
     let best = consensus.best_circle();
     let agreeing = best.map_or(0, |circle| consensus.on(&circle).count()) as f64;
     let reason = "too few crossings lie on a circle of the Sun's size";
-    at_least(enough, agreeing, reason)?;
+    Rejected::at_least(enough, agreeing, reason)?;
     let fit = best
         .and_then(|circle| consensus.refined(&circle))
         .ok_or(Rejected {
@@ -58,17 +58,6 @@ pub(super) fn agreed_circle(
         })?;
     consensus.check(&fit)?;
     Ok(circle_of(&fit.parameters))
-}
-
-fn at_least(limit: f64, measured: f64, reason: &'static str) -> Result<(), Rejected> {
-    match measured >= limit {
-        true => Ok(()),
-        false => Err(Rejected {
-            reason,
-            measured,
-            limit,
-        }),
-    }
 }
 
 /// Crossings, and what is known of their circle.
@@ -151,18 +140,12 @@ impl Consensus<'_> {
         let near = near.filter(|c| circle.excess(c.at).abs() < NEAR * circle.radius);
         let agreeing = self.on(&circle).count() as f64 / near.count().max(1) as f64;
         let reason = "what crosses the threshold near the circle is no limb";
-        at_least(LEAST_AGREEING, agreeing, reason)?;
+        Rejected::at_least(LEAST_AGREEING, agreeing, reason)?;
         let arc = arc_fraction(self.on(&circle).map(|c| c.at), circle.centre);
-        at_least(LEAST_ARC, arc, "too little of the limb is seen")?;
+        Rejected::at_least(LEAST_ARC, arc, "too little of the limb is seen")?;
         let sigma_px = centre_sigma_px(fit);
-        match sigma_px < MAX_CENTRE_SIGMA_PX {
-            true => Ok(()),
-            false => Err(Rejected {
-                reason: "the limb does not determine where the disc is",
-                measured: sigma_px,
-                limit: MAX_CENTRE_SIGMA_PX,
-            }),
-        }
+        let reason = "the limb does not determine where the disc is";
+        Rejected::at_most(MAX_CENTRE_SIGMA_PX, sigma_px, reason)
     }
 }
 
@@ -190,16 +173,16 @@ fn fitted<'c>(
         scale: Scale::Inflated,
         tolerance_sigmas: 0.05,
     };
-    fit.fit(|parameters| {
+    fit.fit_each(|parameters| {
         let circle = circle_of(parameters);
-        let row = |crossing: &Crossing| {
+        let row = move |crossing: &Crossing| {
             let out = (crossing.at - circle.centre).normalize();
             Linearised {
                 residual: Vector1::new(circle.excess(crossing.at) / CROSSING_SIGMA_PX),
                 jacobian: RowVector3::new(out.x, out.y, 1.0) / CROSSING_SIGMA_PX,
             }
         };
-        Some(crossings.clone().map(row).collect())
+        Some(crossings.clone().map(row))
     })
     .ok()
 }

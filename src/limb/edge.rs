@@ -18,7 +18,7 @@
 use super::band::{Band, SectorPixels, middle_of_sector};
 use super::profile::Profile;
 use super::sums::{COLUMNS, SECTOR, Weighing, sector_sums};
-use crate::estimation::clipped_sigma;
+use crate::estimation::{Normal, Prior, clipped_sigma};
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
@@ -366,46 +366,45 @@ struct Courses {
 
 impl Courses {
     fn fitted(sectors: &[Sector], departure: &Departure, model: &EdgeModel) -> Self {
-        let mut information = SMatrix::<f64, SMOOTH, SMOOTH>::zeros();
-        let mut gradient = SVector::<f64, SMOOTH>::zeros();
+        let mut normal = Normal::<SMOOTH>::zero();
         for sector in sectors {
-            let Some((own, own_gradient)) = sector.reduced(departure) else {
+            let Some((own, gradient)) = sector.reduced(departure) else {
                 continue;
             };
+            let terms = &sector.terms;
             for n in 0..SMOOTH {
-                gradient[n] += sector.terms[n] * own_gradient[QUANTITY[n]];
-                for m in 0..SMOOTH {
-                    let product = sector.terms[n] * sector.terms[m];
-                    information[(m, n)] += product * own[(QUANTITY[m], QUANTITY[n])];
+                normal.gradient[n] += terms[n] * gradient[QUANTITY[n]];
+                for m in 0..=n {
+                    let product = terms[n] * terms[m] * own[(QUANTITY[m], QUANTITY[n])];
+                    normal.information[(n, m)] += product;
                 }
             }
         }
+        normal.information.fill_upper_triangle_with_lower_triangle();
         let now = &model.shape.coefficients;
         let plateau = model.plateau_dn().max(1.0);
-        let solve = |held: &[usize]| {
-            let tightness = |n: usize| {
-                let sigma = match n {
-                    _ if held.contains(&n) => 1e-6,
-                    3..8 => PRIOR[n] * plateau,
-                    _ => PRIOR[n],
-                };
-                sigma.powi(-2)
-            };
-            let prior = SVector::<f64, SMOOTH>::from_fn(|n, _| tightness(n));
-            let known = information + SMatrix::from_diagonal(&prior);
-            let cholesky = known.cholesky()?;
-            let step = cholesky.solve(&(gradient - prior.component_mul(now)));
-            Some((step, cholesky.inverse()))
+        let mut prior = Prior {
+            mean: SVector::zeros(),
+            information: SVector::from_fn(|n, _| match n {
+                3..8 => (PRIOR[n] * plateau).powi(-2),
+                _ => PRIOR[n].powi(-2),
+            }),
         };
-        let held: Vec<usize> = match solve(&[]) {
-            Some((step, covariance)) => [UNEVEN_BACKGROUND, MOTION, COMA]
-                .into_iter()
-                .filter(|effect| !is_significant(effect, &(now + step), &covariance))
-                .flatten()
-                .collect(),
-            None => (UNEVEN_BACKGROUND.start..SMOOTH).collect(),
-        };
-        let (step, covariance) = solve(&held).unwrap_or((SVector::zeros(), SMatrix::zeros()));
+        let effects = [UNEVEN_BACKGROUND, MOTION, COMA].into_iter();
+        let all = normal.solve(&prior, now);
+        for effect in effects {
+            let holds = all
+                .as_ref()
+                .is_none_or(|all| !is_significant(&effect, &(now + all.step), &all.covariance));
+            if holds {
+                effect.for_each(|n| prior.information[n] = f64::INFINITY);
+            }
+        }
+        let solved = normal.solve(&prior, now);
+        let (step, covariance) = solved.map_or_else(
+            || (SVector::zeros(), SMatrix::zeros()),
+            |solved| (solved.step, solved.covariance),
+        );
         Self {
             step,
             covariance,
@@ -428,18 +427,26 @@ fn is_significant(
 
 /// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
 pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
-    /// Every so many sectors are enough.
-    const EVERY: usize = 4;
+    /// So many pixels are enough.
+    const PIXELS: usize = 1000;
     let clear = (3.0 * model.profile.blur_px) as f32;
     let (mut outside, mut inside, mut inside_dn) = (Vec::new(), Vec::new(), 0.0);
     let sectors = band.sectors().count();
-    for n in (0..sectors).step_by(EVERY) {
+    let stride = (band.pixels() / PIXELS).max(1);
+    for (n, pixels) in band.sectors().enumerate() {
         let course = model.shape.at(middle_of_sector(n, sectors));
         let profile = model.profile_at(&course);
-        let pixels = band.sector(n);
-        let pixels = pixels.distance_px.iter().zip(pixels.light_dn);
+        let pixels = pixels
+            .distance_px
+            .iter()
+            .zip(pixels.light_dn)
+            .step_by(stride);
         for (distance_px, light_dn) in pixels.filter(|(distance, _)| distance.abs() > clear) {
-            let (light, _) = profile.light(*distance_px);
+            // So far out the disc leaves no light.
+            let light = match *distance_px > clear {
+                true => 0.0,
+                false => profile.light(*distance_px).0,
+            };
             let expected = light * (1.0 + course[ILLUMINATION] as f32);
             let residual =
                 light_dn - expected - (profile.background_dn + course[BACKGROUND]) as f32;

@@ -1,16 +1,16 @@
 //! The outline of the disc from the whole limb: points and ellipse in turn, until neither moves.
 
-use super::band::{Band, Reach};
+use super::band::{Band, Reach, Wanted};
 use super::edge::{EdgeFit, EdgeModel, LimbPoint, Shape, fit_edge, noise};
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::profile::{Brightness, MODEL_SIGMA_PX, Profile};
 use super::{LIMB_DARKENING, Settings};
 use crate::estimation::{MEDIAN_SIGMA, median};
-use crate::frame::{Cutout, Mask, PIXEL_VARIANCE_PX2, PixelNoise};
+use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
 use crate::units::Rejected;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
 
 /// The limb as one frame shows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,86 +18,26 @@ pub struct Limb {
     /// The points that lie on the outline, their sigmas inflated by the scatter that they show.
     pub points: Vec<LimbPoint>,
     pub outline: OutlineFit,
-    model: EdgeModel,
-    /// How far the outline lies from the one that its points were measured about.
-    moved_px: f64,
+    pub light: DiscLight,
 }
 
 impl Limb {
-    fn new(fit: EdgeFit, outline: OutlineFit, moved_px: f64) -> Self {
-        let accepted = fit
-            .points
-            .iter()
-            .zip(&outline.accepted)
-            .filter(|(_, a)| **a);
-        let inflated = accepted.map(|(point, _)| LimbPoint {
-            sigma_px: point.sigma_px * outline.scatter,
-            ..*point
-        });
+    fn new(fit: EdgeFit, outline: OutlineFit) -> Self {
+        let mut points = fit.points;
+        let mut accepted = outline.accepted.iter();
+        points.retain(|_| accepted.next() == Some(&true));
+        for point in &mut points {
+            point.sigma_px *= outline.scatter;
+        }
+        let light = DiscLight {
+            outline: outline.ellipse,
+            edge: fit.model,
+        };
         Self {
-            points: inflated.collect(),
+            points,
             outline,
-            model: fit.model,
-            moved_px,
+            light,
         }
-    }
-
-    /// Variance of the blur along the limb's normal, all round, and the largest and smallest about it, px^2; the pixel's own
-    /// size taken off.
-    fn blur_px2(&self) -> (f64, f64) {
-        let mean = self.model.profile.blur_px.powi(2) + self.model.shape.blur_px2();
-        (
-            mean - PIXEL_VARIANCE_PX2,
-            self.model.shape.motion_px2().norm(),
-        )
-    }
-
-    /// The blur of the limb, 1 sigma, all round.
-    pub fn blur_px(&self) -> f64 {
-        self.blur_px2().0.max(0.0).sqrt()
-    }
-
-    /// The blur of the lens, 1 sigma: that of the limb where the Sun's motion does not soften it.
-    pub fn lens_blur_px(&self) -> f64 {
-        let (mean, motion) = self.blur_px2();
-        (mean - motion).max(0.0).sqrt()
-    }
-
-    /// How far the Sun's image may have moved during the exposure, px, where the lens itself blurs by so much: on part of a limb
-    /// motion and haze cannot be distinguished, and all that it is softer counts as motion.
-    pub fn most_motion_px(&self, lens_blur_px: f64, limb_fraction: f64) -> f64 {
-        if limb_fraction > MOTION_TOLD {
-            return self.motion_px();
-        }
-        let softer_px2 = self.blur_px2().0 - (HARDLY_SOFTER * lens_blur_px).powi(2);
-        self.motion_px().max((12.0 * softer_px2).max(0.0).sqrt())
-    }
-
-    /// How far the Sun's image moved during the exposure, px. A uniform motion by l spreads the limb by l^2/12 along it and not
-    /// at all across it, l^2/24 all round and as much at twice the azimuth.
-    pub fn motion_px(&self) -> f64 {
-        (24.0 * self.blur_px2().1).sqrt()
-    }
-
-    /// Coma: the part of the light that it displaces times the displacement, px, and the covariance of that; 0 where it is not
-    /// significant. The displaced light is blurred by [`COMA_BLURS`](super::COMA_BLURS) times the blur.
-    pub fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
-        self.model.coma()
-    }
-
-    /// How far outwards or inwards the limb may lie all round, since its profile is uncertain, 1 sigma, px.
-    pub fn place_sigma_px(&self) -> f64 {
-        self.model.place_sigma_px
-    }
-
-    /// Noise of the pixels near the limb.
-    pub fn noise(&self) -> PixelNoise {
-        self.model.noise
-    }
-
-    /// The blurred light of the disc without marks.
-    pub fn light(&self) -> DiscLight {
-        DiscLight::new(&self.outline.ellipse, &self.model.profile)
     }
 }
 
@@ -122,15 +62,10 @@ impl KnownOutline {
     }
 }
 
-/// A larger part of the limb shows at which azimuths it is softer.
-const MOTION_TOLD: f64 = 0.7;
-/// A limb so many times softer than the lens makes it is as sharp as it is stated.
-const HARDLY_SOFTER: f64 = 1.3;
 const PASSES: usize = 6;
+const ROUGH_PASSES: usize = 3;
 /// Points measured about an outline that was this near are as good as they get, in blurs.
 const SETTLED_BLURS: f64 = 0.08;
-/// An outline that was this near is enough to detect what lies on the disc, in blurs.
-const ROUGHLY_SETTLED_BLURS: f64 = 0.5;
 /// A profile taken about an outline that was farther off is smeared, in blurs.
 const STEADY_BLURS: f64 = 0.3;
 /// How far the passes may lead away from the first outline, in blurs.
@@ -142,10 +77,12 @@ const OUTSIDE: (f64, f64) = (6.0, 6.0);
 /// How far the limb may be from an outline before and after a first pass, 1 sigma, in blurs.
 const FIRST_SHIFT_BLURS: f64 = 0.7;
 const LATER_SHIFT_BLURS: f64 = 0.05;
-/// Distances that share a median, per blur; fewest pixels that make one; and every so many sectors are used.
+/// A limb so many times softer than expected is measured again in a wider band.
+const WIDER_BLURS: f64 = 1.5;
+/// Distances that share a median, per blur; fewest pixels that make one; and the distance of the rows that they are of.
 const MEDIANS_PER_BLUR: f64 = 3.0;
 const MIN_MEDIAN_PIXELS: usize = 10;
-const MEDIAN_SECTORS: usize = 4;
+const ROUGH_ROWS_PX: usize = 4;
 
 /// Fits the disc's outline to the whole limb of a frame.
 #[derive(Debug, Clone, Copy)]
@@ -160,109 +97,120 @@ pub struct LimbFit<'a> {
 }
 
 impl LimbFit<'_> {
-    /// The limb near a first outline, which is within 2 px or so, without the pixels that are masked.
-    pub fn near(&self, start: &Ellipse, mask: &Mask) -> Result<Limb, Rejected> {
-        self.settle(start, None, mask, SETTLED_BLURS)
-    }
-
-    /// The same, roughly: enough to detect what lies on the disc.
-    pub fn roughly_near(&self, start: &Ellipse, mask: &Mask) -> Result<Limb, Rejected> {
-        self.settle(start, None, mask, ROUGHLY_SETTLED_BLURS)
-    }
-
-    /// The limb where it was found before, with other pixels masked.
-    pub fn again(&self, before: &Limb, mask: &Mask) -> Result<Limb, Rejected> {
-        let model = self.steady(before.moved_px, before.model);
-        self.settle(&before.outline.ellipse, model, mask, SETTLED_BLURS)
-    }
-
-    /// The model of a pass for the next one, unless the outline has moved since.
-    fn steady(&self, moved_px: f64, model: EdgeModel) -> Option<EdgeModel> {
-        let blur_px = model.profile.blur_px;
-        (moved_px < STEADY_BLURS * blur_px).then_some(EdgeModel {
-            shift_sigma_px: LATER_SHIFT_BLURS * blur_px,
-            ..model
-        })
-    }
-
-    fn settle(
-        &self,
-        start: &Ellipse,
-        mut model: Option<EdgeModel>,
-        mask: &Mask,
-        settled_blurs: f64,
-    ) -> Result<Limb, Rejected> {
-        let mut ellipse = *start;
-        let mut pass = 0;
-        loop {
-            pass += 1;
-            let (band, before) = match model {
-                Some(model) => (self.band(&ellipse, mask, model.profile.blur_px), model),
-                None => self.first_band(&mut ellipse, mask)?,
-            };
-            let mut fit = fit_edge(&band, &ellipse, &before, self.settings.limb_points);
-            let outline = self
-                .known
-                .fit(&fit.points, &ellipse)
-                .ok_or_else(|| self.too_few(fit.points.len()))?;
-            self.check(&outline, start, fit.model.resolution_px)?;
-            let blur_px = fit.model.profile.blur_px;
-            let moved_px = moved_px(&ellipse, &outline.ellipse);
-            let settled = moved_px < settled_blurs * blur_px || pass == PASSES;
-            if settled || model.is_none() {
-                fit.model.noise = noise(&band, &fit.model);
-            }
-            if settled {
-                return Ok(Limb::new(fit, outline, moved_px));
-            }
-            ellipse = outline.ellipse;
-            model = self.steady(moved_px, fit.model);
-        }
-    }
-
-    /// The band of a first pass, and the profile from medians all round; the ellipse grows to where the medians put the limb.
-    fn first_band(
-        &self,
-        ellipse: &mut Ellipse,
-        mask: &Mask,
-    ) -> Result<(Band, EdgeModel), Rejected> {
-        let start = Profile {
+    /// The disc's light and outline from every fourth row, about a first outline that is within 2 px or so. Where that shows too
+    /// little of the limb, the outline is the first one, as much larger or smaller as radial medians show.
+    pub fn rough(&self, start: &Ellipse) -> Result<DiscLight, Rejected> {
+        let mut outline = *start;
+        let mut profile = Profile {
             background_dn: 0.0,
             even_dn: self.disc_dn * (1.0 - LIMB_DARKENING),
             darkened_dn: self.disc_dn * LIMB_DARKENING,
             blur_px: self.blur_px,
-            radius_px: ellipse.mean_radius(),
+            radius_px: start.mean_radius(),
         };
-        let noise = self.cutout.noise;
-        let mut band = self.band(ellipse, mask, start.blur_px);
-        let saturated_dn = self.cutout.unsaturated_dn - 2.0 * noise.dark_dn2.sqrt();
-        let medians = radial_medians(&band, start.blur_px, saturated_dn);
-        let fitted = start.fitted(&medians, noise.dark_dn2.sqrt());
-        let (profile, limb_px) = fitted.ok_or_else(|| self.too_few(0))?;
-        *ellipse = ellipse
-            .grown(limb_px.value)
-            .ok_or_else(|| self.too_few(0))?;
-        band.shift(limb_px.value);
-        let model = EdgeModel {
-            profile,
-            place_sigma_px: limb_px.sigma.hypot(MODEL_SIGMA_PX),
-            shape: Shape::NONE,
-            covariance: nalgebra::SMatrix::zeros(),
-            noise,
-            resolution_px: profile.blur_px.max(self.blur_px),
-            shift_sigma_px: FIRST_SHIFT_BLURS * profile.blur_px,
-            saturated_dn,
-        };
-        Ok((band, model))
+        let mut band = Band::default();
+        let mut pass = 0;
+        loop {
+            pass += 1;
+            let mask = &self.cutout.mask;
+            band.take(&self.wanted(&outline, mask, profile.blur_px, ROUGH_ROWS_PX));
+            let mut light = self.by_medians(&band, &outline, &profile)?;
+            band.follow(&outline, &light.outline);
+            let blur_px = light.edge.profile.blur_px;
+            if pass == ROUGH_PASSES {
+                return Ok(light);
+            }
+            if blur_px < WIDER_BLURS * profile.blur_px {
+                let Ok((fit, found)) = self.pass(&band, &light) else {
+                    return Ok(light);
+                };
+                let moved_px = moved_px(&light.outline, &found.ellipse);
+                light.outline = found.ellipse;
+                if moved_px < STEADY_BLURS * blur_px {
+                    light.edge = fit.model;
+                    light.edge.noise = noise(&band, &light.edge);
+                    light.edge.shift_sigma_px = LATER_SHIFT_BLURS * blur_px;
+                    return Ok(light);
+                }
+            }
+            (outline, profile) = (light.outline, light.edge.profile);
+        }
     }
 
-    fn band(&self, ellipse: &Ellipse, mask: &Mask, blur_px: f64) -> Band {
-        let reach = |(blurs, least): (f64, f64)| (blurs * blur_px).max(least);
-        let reach = Reach {
-            inside_px: reach(INSIDE),
-            outside_px: reach(OUTSIDE),
-        };
-        Band::about(self.cutout, mask, ellipse, reach, self.settings.limb_points)
+    /// The disc's light by radial medians of a band, and its outline, as much larger or smaller than the band's as they show.
+    fn by_medians(
+        &self,
+        band: &Band,
+        outline: &Ellipse,
+        profile: &Profile,
+    ) -> Result<DiscLight, Rejected> {
+        let blur_px = profile.blur_px;
+        let noise_dn = self.cutout.noise.dark_dn2.sqrt();
+        let saturated_dn = self.cutout.unsaturated_dn - 2.0 * noise_dn;
+        let medians = radial_medians(band, &reach(blur_px), blur_px, saturated_dn);
+        let fitted = profile.fitted(&medians, noise_dn);
+        let (profile, limb_px) = fitted.ok_or_else(|| self.too_few(0))?;
+        let outline = outline.grown(limb_px.value);
+        Ok(DiscLight {
+            outline: outline.ok_or_else(|| self.too_few(0))?,
+            edge: EdgeModel {
+                profile,
+                place_sigma_px: limb_px.sigma.hypot(MODEL_SIGMA_PX),
+                shape: Shape::NONE,
+                covariance: nalgebra::SMatrix::zeros(),
+                noise: self.cutout.noise,
+                resolution_px: profile.blur_px.max(self.blur_px),
+                shift_sigma_px: FIRST_SHIFT_BLURS * profile.blur_px,
+                saturated_dn,
+            },
+        })
+    }
+
+    /// The limb of a disc that is roughly known, without the pixels that are masked.
+    pub fn near(&self, rough: &DiscLight, mask: &Mask) -> Result<Limb, Rejected> {
+        let mut light = *rough;
+        let blur_px = light.edge.profile.blur_px;
+        let mut band = Band::of(&self.wanted(&light.outline, mask, blur_px, 1));
+        let mut pass = 0;
+        loop {
+            pass += 1;
+            let (fit, outline) = self.pass(&band, &light)?;
+            let moved_px = moved_px(&light.outline, &outline.ellipse);
+            if moved_px < SETTLED_BLURS * blur_px || pass == PASSES {
+                self.check(&outline, &rough.outline, fit.model.resolution_px)?;
+                return Ok(Limb::new(fit, outline));
+            }
+            band.follow(&light.outline, &outline.ellipse);
+            light = DiscLight {
+                outline: outline.ellipse,
+                edge: fit.model,
+            };
+        }
+    }
+
+    /// Points of the limb in a band, and the outline through them.
+    fn pass(&self, band: &Band, light: &DiscLight) -> Result<(EdgeFit, OutlineFit), Rejected> {
+        let fit = fit_edge(band, &light.outline, &light.edge, self.settings.limb_points);
+        let outline = self.known.fit(&fit.points, &light.outline);
+        let outline = outline.ok_or_else(|| self.too_few(fit.points.len()))?;
+        Ok((fit, outline))
+    }
+
+    fn wanted<'b>(
+        &'b self,
+        ellipse: &'b Ellipse,
+        mask: &'b Mask,
+        blur_px: f64,
+        every_row: usize,
+    ) -> Wanted<'b> {
+        Wanted {
+            cutout: self.cutout,
+            mask,
+            ellipse,
+            reach: reach(blur_px),
+            sectors: self.settings.limb_points,
+            every_row,
+        }
     }
 
     fn check(&self, fit: &OutlineFit, start: &Ellipse, resolution_px: f64) -> Result<(), Rejected> {
@@ -271,15 +219,8 @@ impl LimbFit<'_> {
             return Err(self.too_few(accepted));
         }
         let away = (fit.ellipse.centre - start.centre).norm();
-        let limit = MOST_BLURS_AWAY * resolution_px;
-        if away > limit {
-            return Err(Rejected {
-                reason: "limb fit diverged from the disc that was found",
-                measured: away,
-                limit,
-            });
-        }
-        Ok(())
+        let reason = "limb fit diverged from the disc that was found";
+        Rejected::at_most(MOST_BLURS_AWAY * resolution_px, away, reason)
     }
 
     fn too_few(&self, points: usize) -> Rejected {
@@ -291,13 +232,22 @@ impl LimbFit<'_> {
     }
 }
 
-/// Medians of the light by distance from the ellipse, from sectors all round; what saturates says nothing.
-fn radial_medians(band: &Band, blur_px: f64, saturated_dn: f64) -> Vec<Brightness> {
+/// How far the band about a limb of some blur reaches.
+fn reach(blur_px: f64) -> Reach {
+    let px = |(blurs, least): (f64, f64)| (blurs * blur_px).max(least);
+    Reach {
+        inside_px: px(INSIDE),
+        outside_px: px(OUTSIDE),
+    }
+}
+
+/// Medians of the light by distance from the ellipse, all round; what saturates says nothing.
+fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -> Vec<Brightness> {
     let width_px = blur_px / MEDIANS_PER_BLUR;
-    let first_px = -band.reach.inside_px;
-    let bins = ((band.reach.outside_px - first_px) / width_px).ceil() as usize;
+    let first_px = -reach.inside_px;
+    let bins = ((reach.outside_px - first_px) / width_px).ceil() as usize;
     let mut values = vec![Vec::new(); bins];
-    for pixels in band.sectors().step_by(MEDIAN_SECTORS) {
+    for pixels in band.sectors() {
         for (distance_px, light_dn) in pixels.distance_px.iter().zip(pixels.light_dn) {
             let bin = (f64::from(*distance_px) - first_px) / width_px;
             values[(bin as usize).min(bins - 1)].push(f64::from(*light_dn));

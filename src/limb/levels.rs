@@ -7,8 +7,9 @@
 
 use super::Settings;
 use crate::estimation::QUARTILE_SIGMAS;
-use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN};
+use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Sample};
 use crate::units::Rejected;
+use crate::with_view;
 
 /// Background and noise come from about so many pixels, which determine them to a hundredth of the noise, ...
 const SAMPLED_PIXELS: usize = 20_000;
@@ -38,13 +39,8 @@ pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
     let (background_dn, noise_dn) = sampled(frame).background();
     let disc_dn = brighter(frame, background_dn + BRIGHT_SIGMAS * noise_dn).disc_dn()?;
     let contrast_sigmas = (disc_dn - background_dn) / noise_dn;
-    if contrast_sigmas < settings.min_contrast_sigma {
-        return Err(Rejected {
-            reason: "nothing outshines the background by enough",
-            measured: contrast_sigmas,
-            limit: settings.min_contrast_sigma,
-        });
-    }
+    let reason = "nothing outshines the background by enough";
+    Rejected::at_least(settings.min_contrast_sigma, contrast_sigmas, reason)?;
     Ok(Levels {
         background_dn,
         noise_dn,
@@ -72,7 +68,6 @@ fn sampled(frame: &Frame) -> Histogram {
 /// The pixels above a value, in some of the rows, one of each pair of them. One without a bright neighbour is hot: of a cap's
 /// hundred pixels in these rows, hot ones from all over the sensor would be the brightest tenth.
 fn brighter(frame: &Frame, dn: f64) -> Histogram {
-    let bright = |pixel: &f32| f64::from(*pixel) > dn;
     let mut histogram = Histogram::new(frame);
     for round in 0..ROUNDS {
         let first = BRIGHT_ROWS_PX / 2 + round * BRIGHT_ROWS_PX;
@@ -82,11 +77,13 @@ fn brighter(frame: &Frame, dn: f64) -> Histogram {
                 if !frame.is_brighter(y, stretch.clone(), dn) {
                     continue;
                 }
-                for pair in frame.row_dn(y, stretch).as_chunks::<2>().0 {
-                    if pair.iter().all(bright) {
-                        histogram.add(&pair[1..]);
+                with_view!(frame, view => {
+                    for pair in view.row(y)[stretch].as_chunks::<2>().0 {
+                        if pair.iter().all(|pixel| f64::from(pixel.dn()) > dn) {
+                            histogram.add(pair[1].dn());
+                        }
                     }
-                }
+                });
             }
         }
         if histogram.total() >= ENOUGH_PAIRS {
@@ -108,11 +105,9 @@ impl Histogram {
         }
     }
 
-    fn add(&mut self, pixels: &[f32]) {
+    fn add(&mut self, dn: f32) {
         let last = self.counts.len() - 1;
-        for dn in pixels {
-            self.counts[(*dn as usize).min(last)] += 1;
-        }
+        self.counts[(dn as usize).min(last)] += 1;
     }
 
     fn total(&self) -> f64 {
@@ -169,13 +164,8 @@ impl Histogram {
 
     fn disc_dn(&self) -> Result<f64, Rejected> {
         let bright = self.total();
-        if bright < MIN_BRIGHT_PAIRS {
-            return Err(Rejected {
-                reason: "too few pixels are brighter than the background",
-                measured: bright,
-                limit: MIN_BRIGHT_PAIRS,
-            });
-        }
+        let reason = "too few pixels are brighter than the background";
+        Rejected::at_least(MIN_BRIGHT_PAIRS, bright, reason)?;
         Ok(self.quantile(DISC_QUANTILE * bright))
     }
 }

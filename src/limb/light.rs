@@ -1,34 +1,86 @@
-//! The disc's light by rows of pixels, as marks' fits ask for it.
+//! The light of the disc, as far as its edge shows it.
 
-use super::Profile;
+use super::edge::EdgeModel;
+use crate::frame::{PIXEL_VARIANCE_PX2, PixelNoise};
 use crate::geometry::Ellipse;
 use multiversion::multiversion;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
-/// The disc's blurred light without marks.
-#[derive(Debug, Clone, PartialEq)]
+/// A larger part of the limb shows at which azimuths it is softer.
+const MOTION_TOLD: f64 = 0.7;
+/// A limb so many times softer than the lens makes it is as sharp as it is stated.
+const HARDLY_SOFTER: f64 = 1.3;
+
+/// The disc's blurred light without marks: its outline, and what its edge shows all round.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DiscLight {
-    ellipse: Ellipse,
-    profile: Profile,
+    pub outline: Ellipse,
+    pub(super) edge: EdgeModel,
 }
 
 impl DiscLight {
-    pub(super) fn new(ellipse: &Ellipse, profile: &Profile) -> Self {
-        Self {
-            ellipse: *ellipse,
-            profile: *profile,
+    /// Variance of the blur along the limb's normal, all round, and the largest and smallest about it, px^2; the pixel's own
+    /// size taken off.
+    fn blur_px2(&self) -> (f64, f64) {
+        let mean = self.edge.profile.blur_px.powi(2) + self.edge.shape.blur_px2();
+        (
+            mean - PIXEL_VARIANCE_PX2,
+            self.edge.shape.motion_px2().norm(),
+        )
+    }
+
+    /// The blur of the limb, 1 sigma, all round.
+    pub fn blur_px(&self) -> f64 {
+        self.blur_px2().0.max(0.0).sqrt()
+    }
+
+    /// The blur of the lens, 1 sigma: that of the limb where the Sun's motion does not soften it.
+    pub fn lens_blur_px(&self) -> f64 {
+        let (mean, motion) = self.blur_px2();
+        (mean - motion).max(0.0).sqrt()
+    }
+
+    /// How far the Sun's image may have moved during the exposure, px, where the lens itself blurs by so much: on part of a limb
+    /// motion and haze cannot be distinguished, and all that it is softer counts as motion.
+    pub fn most_motion_px(&self, lens_blur_px: f64, limb_fraction: f64) -> f64 {
+        if limb_fraction > MOTION_TOLD {
+            return self.motion_px();
         }
+        let softer_px2 = self.blur_px2().0 - (HARDLY_SOFTER * lens_blur_px).powi(2);
+        self.motion_px().max((12.0 * softer_px2).max(0.0).sqrt())
+    }
+
+    /// How far the Sun's image moved during the exposure, px. A uniform motion by l spreads the limb by l^2/12 along it and not
+    /// at all across it, l^2/24 all round and as much at twice the azimuth.
+    pub fn motion_px(&self) -> f64 {
+        (24.0 * self.blur_px2().1).sqrt()
+    }
+
+    /// Coma: the part of the light that it displaces times the displacement, px, and the covariance of that; 0 where it is not
+    /// significant. The displaced light is blurred by [`COMA_BLURS`](super::COMA_BLURS) times the blur.
+    pub fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
+        self.edge.coma()
+    }
+
+    /// How far outwards or inwards the limb may lie all round, since its profile is uncertain, 1 sigma, px.
+    pub fn place_sigma_px(&self) -> f64 {
+        self.edge.place_sigma_px
+    }
+
+    /// Noise of the pixels near the limb.
+    pub fn noise(&self) -> PixelNoise {
+        self.edge.noise
     }
 
     /// The light on a row's pixels from column `x` on, DN above the background.
     pub fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
-        fill(self, Vector2::new(x, y) - self.ellipse.centre, light);
+        fill(self, Vector2::new(x, y) - self.outline.centre, light);
     }
 }
 
 #[multiversion(targets("x86_64+avx2"))]
 fn fill(disc: &DiscLight, from: Vector2<f64>, light: &mut [f32]) {
-    let inverse = disc.ellipse.inverse();
+    let inverse = disc.outline.inverse();
     let [a, b, c] = [inverse.m11, inverse.m12, inverse.m22].map(|v| v as f32);
     let (x, y) = (from.x as f32, from.y as f32);
     for (n, light) in light.iter_mut().enumerate() {
@@ -38,6 +90,6 @@ fn fill(disc: &DiscLight, from: Vector2<f64>, light: &mut [f32]) {
         let (nx, ny) = (a * u + b * v, b * u + c * v);
         // The distance outwards to first order, as Ellipse::excess gives it; the very centre has no direction.
         let per_disc = (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
-        (*light, _) = disc.profile.light((r2 - r2.sqrt()) / per_disc);
+        (*light, _) = disc.edge.profile.light((r2 - r2.sqrt()) / per_disc);
     }
 }

@@ -2,8 +2,8 @@
 
 use super::LimbPoint;
 use crate::estimation::{
-    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, SIGMA_PER_MEDIAN, Scale, TUKEY_SIGMAS,
-    median,
+    CONTRADICTION_SIGMAS, FitError, Fitted, LeastSquares, Linearised, Loss, Prior,
+    SIGMA_PER_MEDIAN, Scale, TUKEY_SIGMAS, median,
 };
 use crate::geometry::{Ellipse, turns};
 use crate::units::Measured;
@@ -34,12 +34,8 @@ pub struct OutlineFit {
 
 /// Centre x, y, mean radius, half the difference of the half axes along x and y, and along the diagonals; px.
 const PARAMETERS: usize = 5;
-/// Two values so many sigma apart are not of the same thing.
-const CONTRADICTION_SIGMAS: f64 = 5.0;
-/// A start is far off where half of the points are so many sigma from it; a circle is first fitted there, with so many times the
-/// information that the outline is round.
+/// A start is far off where half of the points are so many sigma from it; a circle is first fitted there.
 const FAR_OFF_SIGMAS: f64 = 4.0;
-const ROUND: f64 = 1e6;
 /// Fewer points make no outline.
 const MIN_POINTS: usize = 6;
 /// Neighbouring points are averaged over arcs of so many sectors.
@@ -118,8 +114,7 @@ pub fn fit_outline(
 ) -> Result<OutlineFit, FitError> {
     let linearise = |parameters: &SVector<f64, PARAMETERS>| {
         let ellipse = ellipse_of(parameters)?;
-        let rows = points.iter().map(|point| linearised(point, &ellipse));
-        Some(rows.collect())
+        Some(points.iter().map(move |point| linearised(point, &ellipse)))
     };
     let mut fit = LeastSquares {
         start: shape_of(start),
@@ -134,11 +129,13 @@ pub fn fit_outline(
         .map(|p| start.excess(p.at.vector()).abs() / p.sigma_px);
     if median(off).unwrap_or_default() > FAR_OFF_SIGMAS {
         let mut round = fit;
-        round.prior.information[3] *= ROUND;
-        round.prior.information[4] *= ROUND;
-        fit.start = round.fit(linearise)?.parameters;
+        for flatness in 3..PARAMETERS {
+            round.start[flatness] = 0.0;
+            round.prior.information[flatness] = f64::INFINITY;
+        }
+        fit.start = round.fit_each(linearise)?.parameters;
     }
-    let fitted = fit.fit(linearise)?;
+    let fitted = fit.fit_each(linearise)?;
     let ellipse = ellipse_of(&fitted.parameters).ok_or(FitError::Undetermined)?;
     let accepted: Vec<bool> = fitted.weights.iter().map(|weight| *weight > 0.0).collect();
     let count = accepted.iter().filter(|a| **a).count();

@@ -63,6 +63,21 @@ impl Profile {
         )
     }
 
+    /// The same, and how the change changes per px.
+    #[inline(always)]
+    pub(super) fn light_and_bend(&self, distance_px: f32) -> (f32, f32, f32) {
+        let (even, darkened) = (self.even_dn as f32, self.darkened_dn as f32);
+        let parts = self.parts(distance_px);
+        let per_blur = 1.0 / self.blur_px as f32;
+        let slope = darkened * parts.root_slope - even * parts.density;
+        let bend = darkened * parts.root_bend + even * parts.density * distance_px * per_blur;
+        (
+            even * parts.tail + darkened * parts.root,
+            slope * per_blur,
+            bend * per_blur * per_blur,
+        )
+    }
+
     /// What the two parts of the light, as they are at the middle of an unblurred disc, leave at a distance.
     #[inline(always)]
     fn parts(&self, distance_px: f32) -> Parts {
@@ -115,11 +130,12 @@ impl Profile {
             ..self.with_blur(p[3].exp())
         };
         let linearise = |p: &SVector<f64, 5>| {
-            let profile = with(p);
-            let row = |b: &Brightness| profile.linearised(b, p[4], b.weight.sqrt() / noise_dn);
-            Some(medians.iter().map(row).collect())
+            let (profile, limb_px) = (with(p), p[4]);
+            let row =
+                move |b: &Brightness| profile.linearised(b, limb_px, b.weight.sqrt() / noise_dn);
+            Some(medians.iter().map(row))
         };
-        let found = fit.fit(linearise).ok()?;
+        let found = fit.fit_each(linearise).ok()?;
         let profile = with(&found.parameters);
         (profile.peak_dn() > 0.0).then(|| (profile, found.measured(4)))
     }
@@ -145,9 +161,10 @@ struct Parts {
     /// E(z) and the normal distribution's density, by which it falls.
     tail: f32,
     density: f32,
-    /// F(z), scaled, and its change with z.
+    /// F(z), scaled, its change with z, and the change of that.
     root: f32,
     root_slope: f32,
+    root_bend: f32,
 }
 
 impl Parts {
@@ -161,14 +178,20 @@ impl Parts {
         // So far out that <d> drowns in rounding it is a tenth of the tail and less.
         let beyond = larger(density - z * tail, 0.1 * tail);
         let bound = (scale2 * tail * beyond + f32::MIN_POSITIVE).sqrt();
-        let out = z / (z * z + 2.5).sqrt();
+        let per_far = 1.0 / (z * z + 2.5).sqrt();
+        let out = z * per_far;
         let factor = 0.9169 + out * (0.07366 * out - 0.01016);
         let slope_factor = 1.56246 + out * (0.22187 - 0.35538 * out);
+        let factor_slope = (0.22187 - 0.71076 * out) * 2.5 * per_far * per_far * per_far;
+        let root_slope = -0.5 * slope_factor * scale2 * tail * tail / bound;
+        let relative_bend =
+            factor_slope / slope_factor - 1.5 * density / tail + 0.5 * tail / beyond;
         Self {
             tail,
             density,
             root: factor * bound,
-            root_slope: -0.5 * slope_factor * scale2 * tail * tail / bound,
+            root_slope,
+            root_bend: root_slope * relative_bend,
         }
     }
 }
@@ -231,6 +254,17 @@ mod tests {
             assert!((f64::from(parts.root_slope) - slope).abs() < 0.008, "{z}");
             let tail = 0.5 * libm::erfc(z / std::f64::consts::SQRT_2);
             assert!((f64::from(parts.tail) - tail).abs() < 2e-5, "{z}");
+        }
+    }
+
+    #[test]
+    fn bends_are_those_of_the_slopes() {
+        for n in -60..40 {
+            let d = n as f32 * 0.1;
+            let (light, slope, bend) = PROFILE.light_and_bend(d);
+            assert_eq!((light, slope), PROFILE.light(d));
+            let numeric = (PROFILE.light(d + 0.05).1 - PROFILE.light(d - 0.05).1) / 0.1;
+            assert!((numeric - bend).abs() < 0.5, "{d}: {numeric} {bend}");
         }
     }
 

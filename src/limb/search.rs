@@ -77,6 +77,7 @@ impl DiscSearch<'_> {
         let most_runs = MOST_RUNS_PER_ROW * rows.len();
         let (mut patches, mut count) = (Vec::new(), 0);
         let columns = region.x0..region.x1;
+        let mut line = Line::new(self.frame, region, Axis::Row);
         for y in rows {
             if !self
                 .frame
@@ -84,16 +85,11 @@ impl DiscSearch<'_> {
             {
                 continue;
             }
-            let runs = scan.runs(&Line::new(self.frame, region, Axis::Row, y));
-            count += runs.len();
-            if count > most_runs {
-                return Err(Rejected {
-                    reason: "the frame is bright in too many places",
-                    measured: count as f64,
-                    limit: most_runs as f64,
-                });
-            }
-            for run in runs {
+            line.read(y);
+            for run in scan.runs(&line) {
+                count += 1;
+                let reason = "the frame is bright in too many places";
+                Rejected::at_most(most_runs as f64, count as f64, reason)?;
                 let run = Patch {
                     region: Region::sized(region.x0 + run.start, y, run.len(), 1),
                     bright_px: run.len(),
@@ -153,8 +149,12 @@ impl DiscSearch<'_> {
 
     fn disc_above(&self, grid: &Grid, levels: &Levels) -> Result<Circle, Rejected> {
         let scan = self.scan(levels);
-        let lines = grid.lines(self.frame);
-        let crossings: Vec<_> = lines.flat_map(|line| scan.crossings(&line)).collect(); // 2
+        let mut line = Line::new(self.frame, grid.region, grid.axis);
+        let mut crossings = Vec::with_capacity(4 * self.lines_across());
+        for at in grid.lines() {
+            line.read(at);
+            crossings.extend(scan.crossings(&line)); // 2
+        }
         let circle = agreed_circle(&crossings, self.radius_px, self.settings)?; // 3
         check_filled(self.frame, &circle, scan.threshold_dn)?;
         Ok(circle)
@@ -230,14 +230,14 @@ struct Grid {
 }
 
 impl Grid {
-    fn lines(&self, frame: &Frame) -> impl Iterator<Item = Line> {
+    /// Which rows or columns.
+    fn lines(&self) -> impl Iterator<Item = usize> {
         let (spacing, region) = (self.spacing_px.max(LEAST_SPACING_PX), self.region);
         let across = match self.axis {
             Axis::Row => region.y0..region.y1,
             Axis::Column => region.x0..region.x1,
         };
-        let lines = across.skip(spacing / 2).step_by(spacing);
-        lines.map(move |at| Line::new(frame, region, self.axis, at))
+        across.skip(spacing / 2).step_by(spacing)
     }
 }
 
@@ -248,34 +248,25 @@ fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f64) -> Result<(),
     const LEAST_RIGHT: f64 = 0.8;
     const INSIDE: f64 = 0.95;
     const OUTSIDE: std::ops::Range<f64> = 1.05..1.25;
-    let (mut within, mut about) = (Vec::new(), Vec::new());
+    let (mut within, mut about) = ([0.0; 2], [0.0; 2]);
     let reach = OUTSIDE.end * circle.radius;
     if let Some(region) = frame.around(circle.centre.into(), reach) {
         let step = (region.width() * region.height() / PIXELS).isqrt().max(1);
         for y in (region.y0..region.y1).step_by(step) {
             for x in (region.x0..region.x1).step_by(step) {
                 let out = (Vector2::new(x as f64, y as f64) - circle.centre).norm() / circle.radius;
-                let bright = f64::from(frame.dn(x, y)) > threshold_dn;
+                let bright = usize::from(f64::from(frame.dn(x, y)) > threshold_dn);
                 if out < INSIDE {
-                    within.push(bright);
+                    within[bright] += 1.0;
                 } else if OUTSIDE.contains(&out) {
-                    about.push(!bright);
+                    about[bright] += 1.0;
                 }
             }
         }
     }
-    for (right, reason) in [
-        (within, "the disc is not bright within"),
-        (about, "the disc is not dark about"),
-    ] {
-        let share = right.iter().filter(|r| **r).count() as f64 / right.len().max(1) as f64;
-        if share < LEAST_RIGHT {
-            return Err(Rejected {
-                reason,
-                measured: share,
-                limit: LEAST_RIGHT,
-            });
-        }
-    }
-    Ok(())
+    let share = |right: f64, [dark, bright]: [f64; 2]| right / (dark + bright).max(1.0);
+    let reason = "the disc is not bright within";
+    Rejected::at_least(LEAST_RIGHT, share(within[1], within), reason)?;
+    let reason = "the disc is not dark about";
+    Rejected::at_least(LEAST_RIGHT, share(about[0], about), reason)
 }

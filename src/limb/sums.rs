@@ -28,12 +28,7 @@ pub(super) struct Weighing<'a> {
 /// The derivatives and the residual of a pixel, and how much it counts (1 / DN^2).
 #[inline(always)]
 fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], f32) {
-    // A difference over half a blur stands for the second derivative.
-    let half = 0.5 * model.profile.blur_px as f32;
-    let (_, slope_inside) = model.profile.light(distance_px - half);
-    let (light, slope) = model.profile.light(distance_px);
-    let (_, slope_outside) = model.profile.light(distance_px + half);
-    let second = (slope_outside - slope_inside) / (2.0 * half);
+    let (light, slope, bend) = model.profile.light_and_bend(distance_px);
     let (_, slope_wide) = model.wide.light(distance_px);
     let [_, illumination, background, _, coma] = model.course;
     let expected = (1.0 + illumination) * light - coma * slope_wide;
@@ -50,7 +45,7 @@ fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMN
         0.0
     };
     (
-        [-slope, light, 1.0, 0.5 * second, -slope_wide, residual],
+        [-slope, light, 1.0, 0.5 * bend, -slope_wide, residual],
         weight,
     )
 }

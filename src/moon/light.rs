@@ -62,14 +62,7 @@ impl Levels {
                     + QUARTILE_SIGMAS * noise_dn
             }
         };
-        let limit = MOST_SKY * saturated_dn;
-        if dark_dn > limit {
-            return Err(Rejected {
-                reason: "too_bright",
-                measured: dark_dn,
-                limit,
-            });
-        }
+        Rejected::at_most(MOST_SKY * saturated_dn, dark_dn, "too_bright")?;
         Ok(Self {
             dark_dn,
             noise_dn,

@@ -70,13 +70,7 @@ pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Re
             });
         }
         above = here;
-        if patches.len() > MOST_RUNS {
-            return Err(Rejected {
-                reason: "too_many_lights",
-                measured: patches.len() as f64,
-                limit: MOST_RUNS as f64,
-            });
-        }
+        Rejected::at_most(MOST_RUNS as f64, patches.len() as f64, "too_many_lights")?;
     }
     let mut patches: Vec<Patch> = patches.into_iter().flatten().collect();
     patches.sort_by_key(|patch| std::cmp::Reverse(patch.pixels));

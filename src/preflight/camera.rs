@@ -3,6 +3,7 @@
 use super::bounded::{findings_within, within};
 use super::{DIM, Finding, Plan, PlannedCamera, SATURATED};
 use crate::aspect::{self, Expected, Quality, Solution};
+use crate::calibrate::check;
 use crate::camera::{
     self, CameraError, CameraHealth, FrameSource, PixelFormat, Source, Surroundings, Take,
 };
@@ -258,7 +259,7 @@ fn solves(plan: &Plan, planned: &PlannedCamera, frame: &Frame) -> Vec<Finding> {
 
 /// A fine frame that contradicts what the instrument's file states of the camera.
 fn contradicted(table: &str, solution: &Solution, instrument: &Instrument) -> Option<Finding> {
-    let found: Vec<String> = aspect::contradictions(solution, instrument)
+    let found: Vec<String> = check::contradictions(solution, instrument)
         .iter()
         .map(ToString::to_string)
         .collect();

@@ -140,7 +140,7 @@ impl Known<'_> {
             radius: radius_px,
         };
         let cutout = aspect::cutout(frame, self.instrument, levels, &disc);
-        let mask = aspect::marks_mask(cutout.region(), self.instrument, start, &self.mapping);
+        let mask = aspect::marks_mask(&cutout, self.instrument, start, &self.mapping);
         let settings = limb::Settings {
             limb_points: self.points(levels),
             ..self.settings.limb
@@ -152,7 +152,7 @@ impl Known<'_> {
             known,
             settings: &settings,
         };
-        let limb = fit.near(start, &mask).ok()?;
+        let limb = fit.near(&fit.rough(start).ok()?, &mask).ok()?;
         let round = limb.outline.accepted_share() >= LEAST_ON_OUTLINE
             && limb.outline.scatter_px <= MAX_SCATTER_PX;
         round.then_some(limb)

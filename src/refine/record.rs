@@ -1,7 +1,8 @@
 //! What one frame gave, as small as the flight needs it: a row of the journal.
 
 use crate::archive::StoredFile;
-use crate::aspect::{self, Aspect, Mark, Solution};
+use crate::aspect::{Adopted, Aspect, Mark, Solution};
+use crate::calibrate::check;
 use crate::fits::{Header, Value};
 use crate::frame::{FrameInfo, Warning};
 use crate::instrument::Instrument;
@@ -184,7 +185,7 @@ impl FrameRecord {
                 crate::aspect::Quality::Fine => Grade::Fine,
             },
             reason: solution.stopped.map(|stopped| stopped.to_string()),
-            contradiction: aspect::contradictions(solution, instrument)
+            contradiction: check::contradictions(solution, instrument)
                 .first()
                 .map(ToString::to_string),
             levels_dn: solution
@@ -237,16 +238,15 @@ impl FrameFacts {
 
 fn disc(aspect: &Aspect, solution: &Solution) -> DiscRecord {
     let (sensor, plate) = (aspect.sun_px.position, aspect.sun_plate);
-    let registration = solution.track.as_ref().and(solution.mapping.as_ref());
-    let own = registration.filter(|adopted| adopted.residual_px.is_some());
+    let own = solution.mapping.as_ref().and_then(Adopted::own);
     DiscRecord {
         centre_px: [sensor.x, sensor.y],
         radius_px: aspect.sun_radius_px.value,
         on_plate_mil: [plate.position.x, plate.position.y],
         covariance_mil2: upper(&plate.covariance),
         limb_fraction: aspect.limb_fraction,
-        to_plate: own.map(|adopted| {
-            let m = adopted.mapping.matrix();
+        to_plate: own.map(|own| {
+            let m = own.mapping.matrix();
             std::array::from_fn(|n| m[(n / 3, n % 3)])
         }),
     }

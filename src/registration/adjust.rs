@@ -1,6 +1,7 @@
 //! Weighted least squares of a view of the plate and a circle on it: Gauss-Newton steps on the pairs and the points of the outline.
 
 use super::{Outline, Pair};
+use crate::estimation::{Normal, Prior, Solved};
 use crate::geometry::view::{PARAMETERS, Parameters, UNIT_MIL, View, parameters_of};
 use crate::geometry::{Circle, Distortion, Handedness, MappingKind, TILT_PER_PX};
 use crate::units::{Measured, PlateMil, SensorPx};
@@ -18,9 +19,6 @@ pub(super) type Covariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 const MOST_STEPS: usize = 12;
 /// After a step as short as this, the residuals are linear to a hundred-thousandth of a pixel.
 const SHORT_STEP_PX: f64 = 0.03;
-/// An unknown with less than this part of its information independent of those before it is not determined.
-const LEAST_OWN_PART: f64 = 1e-10;
-
 /// What is fitted: pairs and outline on the ideal sensor, free of the lens's distortion.
 #[derive(Clone)]
 pub(super) struct Problem {
@@ -140,23 +138,6 @@ impl Model {
     }
 }
 
-/// Normal equations of some observations, and their chi^2.
-#[derive(Default)]
-struct Normal {
-    matrix: Covariance,
-    right: Unknowns,
-    chi2: f64,
-}
-
-impl Normal {
-    /// Adds an observation: derivatives of its prediction and its residual, both in units of its sigma.
-    fn add(&mut self, slopes: &Unknowns, residual: f64) {
-        self.matrix.ger(1.0, slopes, slopes, 1.0);
-        self.right.axpy(residual, slopes, 1.0);
-        self.chi2 += residual * residual;
-    }
-}
-
 impl Problem {
     /// `None` when a covariance is not positive.
     pub(super) fn new(
@@ -235,32 +216,23 @@ impl Problem {
     /// Fits from a model near the solution; without the outline where the model has no circle. `None` when the data do not
     /// determine the fit.
     pub(super) fn adjust(&self, start: &Model, terms: Terms) -> Option<Adjusted> {
-        let free = free(terms.kind, start.circle.is_some());
+        let held = held(terms.kind, start.circle.is_some());
         let mut model = *start;
         for _ in 0..MOST_STEPS {
             let pairs = self.normal_of_pairs(&model);
             let others = self.normal_of_others(&model)?;
             let weight = terms.inflation.powi(-2);
-            let matrix = pairs.matrix * weight + others.matrix;
-            let covariance = inverse(matrix, &free)?;
-            let step = covariance * (pairs.right * weight + others.right);
-            if !step.iter().all(|v| v.is_finite()) {
-                return None;
-            }
+            let both = pairs.weighted(weight).with(&others);
+            let Solved { step, covariance } = both.solve(&held, &Unknowns::zeros())?;
             let next = model.advanced(&step);
             if next.moved_px(&step) < SHORT_STEP_PX {
-                // The residuals are linear over the last step.
-                let after = |normal: &Normal| {
-                    let quadratic = step.dot(&(normal.matrix * step));
-                    normal.chi2 - 2.0 * step.dot(&normal.right) + quadratic
-                };
                 return Some(Adjusted {
                     terms,
                     model: next,
-                    chi2_pairs: after(&pairs),
-                    chi2_others: after(&others),
+                    chi2_pairs: pairs.chi2_after(&step),
+                    chi2_others: others.chi2_after(&step),
                     redundancy: (2 * self.pairs.len()) as f64
-                        - weight * covariance.component_mul(&pairs.matrix).sum(),
+                        - weight * covariance.component_mul(&pairs.information).sum(),
                     covariance,
                 });
             }
@@ -278,15 +250,16 @@ impl Problem {
     ) -> Option<[Option<f64>; N]> {
         let pairs = self.normal_of_pairs(model);
         let others = self.normal_of_others(model)?;
-        let (matrix, right) = (pairs.matrix + others.matrix, pairs.right + others.right);
+        let both = pairs.with(&others);
         Some(kinds.map(|kind| {
-            let covariance = inverse(matrix, &free(kind, model.circle.is_some()))?;
-            Some(right.dot(&(covariance * right)))
+            let held = held(kind, model.circle.is_some());
+            let solved = both.solve(&held, &Unknowns::zeros())?;
+            Some(both.gradient.dot(&solved.step))
         }))
     }
 
-    fn normal_of_pairs(&self, model: &Model) -> Normal {
-        let mut normal = Normal::default();
+    fn normal_of_pairs(&self, model: &Model) -> Normal<UNKNOWNS> {
+        let mut normal = Normal::zero();
         for pair in &self.pairs {
             let residual = pair.whitening * (pair.observed - model.view.project(pair.printed));
             let slopes = pair.whitening * model.view.parameter_jacobian(pair.printed);
@@ -294,25 +267,25 @@ impl Problem {
                 let mut row = Unknowns::zeros();
                 row.fixed_rows_mut::<PARAMETERS>(0)
                     .copy_from(&slopes.row(n).transpose());
-                normal.add(&row, residual[n]);
+                normal.add(&row, residual[n], 1.0);
             }
         }
         normal
     }
 
     /// Of the priors of tilt and radius, and of the points that lie on the circle; nothing without a circle. `None` where a point has no place on the plate.
-    fn normal_of_others(&self, model: &Model) -> Option<Normal> {
-        let mut normal = Normal::default();
+    fn normal_of_others(&self, model: &Model) -> Option<Normal<UNKNOWNS>> {
+        let mut normal = Normal::zero();
         let (Some(outline), Some(circle)) = (&self.outline, model.circle) else {
             return Some(normal);
         };
         for n in TILT {
             let weight = 1.0 / model.tilt_sigma();
-            normal.add(&along(n, weight), -model.view.parameters[n] * weight);
+            normal.add(&along(n, weight), -model.view.parameters[n] * weight, 1.0);
         }
         let Measured { value, sigma, .. } = outline.radius_mil;
         let slopes = along(CIRCLE + 2, 1.0 / sigma);
-        normal.add(&slopes, (value - circle.radius) / sigma);
+        normal.add(&slopes, (value - circle.radius) / sigma, 1.0);
         for (observed, sigma_px) in &outline.points {
             let (on_plate, to_plate) = model.view.unproject(*observed)?;
             let from_centre = on_plate.vector() - circle.centre;
@@ -320,14 +293,14 @@ impl Problem {
             let outward = (distance > 0.0).then(|| from_centre / distance)?;
             // What a shift of the point on the sensor changes of its distance on the plate.
             let across = to_plate.tr_mul(&outward);
-            let weight = 1.0 / (sigma_px * across.norm());
+            let weight = (sigma_px * across.norm()).powi(-2);
             let mut slopes = Unknowns::zeros();
             let by_view = model.view.parameter_jacobian(on_plate).tr_mul(&across);
             slopes.fixed_rows_mut::<PARAMETERS>(0).copy_from(&by_view);
             slopes[CIRCLE] = outward.x;
             slopes[CIRCLE + 1] = outward.y;
             slopes[CIRCLE + 2] = 1.0;
-            normal.add(&(slopes * weight), (distance - circle.radius) * weight);
+            normal.add(&slopes, distance - circle.radius, weight);
         }
         Some(normal)
     }
@@ -348,25 +321,13 @@ fn along(unknown: usize, weight: f64) -> Unknowns {
     slopes
 }
 
-/// The unknowns of a kind of mapping.
-fn free(kind: MappingKind, with_circle: bool) -> [bool; UNKNOWNS] {
+/// Which unknowns are held for a kind of mapping.
+fn held(kind: MappingKind, with_circle: bool) -> Prior<UNKNOWNS> {
     let mut free = [with_circle; UNKNOWNS];
     free[..PARAMETERS].copy_from_slice(&parameters_of(kind));
-    free
-}
-
-/// Covariance of the free unknowns, zero for the others; `None` where the observations do not determine them.
-fn inverse(mut matrix: Covariance, free: &[bool; UNKNOWNS]) -> Option<Covariance> {
-    let held = (0..UNKNOWNS).filter(|n| !free[*n]);
-    for n in held.clone() {
-        matrix.row_mut(n).fill(0.0);
-        matrix.column_mut(n).fill(0.0);
-        matrix[(n, n)] = 1.0;
+    let mut held = Prior::none();
+    for n in (0..UNKNOWNS).filter(|n| !free[*n]) {
+        held.information[n] = f64::INFINITY;
     }
-    let root = matrix.cholesky()?;
-    let own = |n: usize| root.l_dirty()[(n, n)].powi(2);
-    let determined = (0..UNKNOWNS).all(|n| own(n) > LEAST_OWN_PART * matrix[(n, n)]);
-    let mut covariance = determined.then(|| root.inverse())?;
-    held.for_each(|n| covariance[(n, n)] = 0.0);
-    Some(covariance)
+    held
 }

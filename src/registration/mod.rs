@@ -97,8 +97,6 @@ pub struct Registration {
     pub mapping: Mapping,
     /// Root mean square distance between observed and predicted positions, per axis.
     pub residual_px: f64,
-    /// Pairs that the mapping rests on.
-    pub pairs: usize,
     /// The disc, where an outline was fitted.
     pub disc: Option<Disc>,
     view: View,
@@ -195,7 +193,6 @@ fn registration(
     Some(Registration {
         mapping,
         residual_px: (squares / (2 * problem.pairs()) as f64).sqrt(),
-        pairs: problem.pairs(),
         disc: circle.map(|circle| disc(&circle, adjusted, &mapping)),
         view,
         covariance: adjusted

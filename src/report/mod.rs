@@ -1,8 +1,9 @@
-//! Drawing: pictures of a frame with shapes and text laid over it, and figures of numbers. Input is pixels, numbers and
-//! colours.
+//! Drawing: pictures of a frame with shapes and text laid over it, and figures of numbers.
 
 mod canvas;
 pub mod html;
+mod overlay;
 pub mod plot;
 
 pub use canvas::{Canvas, Colour};
+pub use overlay::overlay;

@@ -7,7 +7,7 @@ use super::moon::MoonDesk;
 use super::navigation::NavigationTally;
 use super::shared::Shared;
 use super::tally::{FlightTally, quantile};
-use crate::aspect::{Origin, Quality};
+use crate::aspect::{Adopted, Quality};
 use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
 use crate::horizon::{self, Levels};
@@ -298,17 +298,19 @@ fn tell_solution(told: &mut Housekeeping, answer: &Answer) {
     let plate = aspect.sun_plate.position;
     (told.plate_x_mil, told.plate_y_mil) = (Some(plate.x as f32), Some(plate.y as f32));
     told.plate_sigma_mil = one(aspect.sun_plate.sigma());
-    told.mapping = match (adopted.origin, adopted.mapping.kind()) {
-        (Origin::Prior, _) => 4,
-        (Origin::Calibration, _) => 5,
-        (Origin::Frame, MappingKind::Similarity) => 1,
-        (Origin::Frame, MappingKind::Affine) => 2,
-        (Origin::Frame, MappingKind::Homography) => 3,
-        (Origin::Frame, MappingKind::Keystone) => 6,
+    told.mapping = match adopted {
+        Adopted::Prior(_) => 4,
+        Adopted::Calibration(_) => 5,
+        Adopted::Own(own) => match own.mapping.kind() {
+            MappingKind::Similarity => 1,
+            MappingKind::Affine => 2,
+            MappingKind::Homography => 3,
+            MappingKind::Keystone => 6,
+        },
     };
-    told.scale_mil_per_px = Some(adopted.mapping.scale_mil_per_px(sun) as f32);
-    told.rotation_deg = Some(adopted.mapping.rotation_deg(sun) as f32);
-    told.residual_px = adopted.residual_px.map(|residual| residual as f32);
+    told.scale_mil_per_px = Some(adopted.mapping().scale_mil_per_px(sun) as f32);
+    told.rotation_deg = Some(adopted.mapping().rotation_deg(sun) as f32);
+    told.residual_px = adopted.residual_px().map(|residual| residual as f32);
 }
 
 /// A count as the packet has room for it.

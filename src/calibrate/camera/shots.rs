@@ -1,6 +1,6 @@
 //! Frames in memory, and what lights them.
 
-use crate::aspect::{self, Expected, Origin, Quality};
+use crate::aspect::{self, Expected, Quality};
 use crate::calibrate::frames::{RejectedFrame, Setting, each_once};
 use crate::fits;
 use crate::frame::Frame;
@@ -196,19 +196,22 @@ fn solve_one(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result
         let why = solution.stopped.map_or("no Sun".into(), |s| s.to_string());
         return Ok(Err(why));
     };
-    let own = adopted.origin == Origin::Frame;
     let fine = solution.quality == Quality::Fine;
     let sun_px = aspect.sun_px.position;
     let sun = SunShot {
         sun_px,
         light_dn: levels.disc_dn - levels.background_dn,
         blur_px: solution.limb_blur_px.filter(|_| fine),
-        scale_mil_per_px: own.then(|| adopted.mapping.scale_mil_per_px(sun_px)),
+        scale_mil_per_px: adopted
+            .own()
+            .map(|own| own.mapping.scale_mil_per_px(sun_px)),
         temperature_c: frame.info.camera_temperature_c,
     };
     let marks = instrument.plate.marks();
     let shot = keep.then(|| Shot {
-        marks: marks.map(|(_, at)| adopted.mapping.to_sensor(at)).collect(),
+        marks: marks
+            .map(|(_, at)| adopted.mapping().to_sensor(at))
+            .collect(),
         disc: Some((sun_px, aspect.sun_radius_px.value)),
         ..Shot::without_sun(file, frame)
     });

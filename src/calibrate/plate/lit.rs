@@ -168,12 +168,12 @@ impl LitPlate<'_> {
             printed: plate.position(*id),
             covariance_px2: nalgebra::Matrix2::identity() * found.marks[*n].sigma_px.powi(2),
         };
-        let pairs: Vec<Pair> = identified.ids.iter().map(pair).collect();
+        let pairs: Vec<Pair> = identified.iter().map(pair).collect();
         let distortion = instrument.camera.distortion;
         let settings = &self.settings.registration;
         let fitted =
             registration::register(&pairs, None, mounting.handedness, distortion, settings)?;
-        let refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let mut refiner = Refiner::new(&plate.cross, scale, blur_px);
         let lamp = |_: f64, _: f64| self.light_dn;
         let refined = |(n, id): &(usize, _)| {
             let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id));
@@ -191,7 +191,7 @@ impl LitPlate<'_> {
             utc: self.frame.info.mid_exposure,
             mapping: fitted.mapping,
             sun: None,
-            marks: identified.ids.iter().filter_map(refined).collect(),
+            marks: identified.iter().filter_map(refined).collect(),
         })
     }
 

@@ -3,7 +3,7 @@
 use super::lit::{by_lamp, lit_levels};
 use super::observation::{FrameObservation, MarkObservation};
 use super::refusal::Refusal;
-use crate::aspect::{self, Expected, Origin};
+use crate::aspect::{self, Adopted, Expected};
 use crate::calibrate::frames::{RejectedFrame, Setting, check_settings};
 use crate::fits;
 use crate::frame::Frame;
@@ -123,8 +123,7 @@ fn by_sun(
         return Err("no time: expected DATE-OBS or DATE-AVG in a frame of the Sun".into());
     };
     let solution = aspect::solve(frame, instrument, Expected::at(utc), None);
-    let own = solution.mapping.as_ref();
-    let own = own.filter(|adopted| adopted.origin == Origin::Frame);
+    let own = solution.mapping.as_ref().and_then(Adopted::own);
     let (Some(own), Some(aspect)) = (own, &solution.aspect) else {
         let stopped = solution.stopped.as_ref().map(ToString::to_string);
         return Err(stopped.unwrap_or("no mapping of its own".into()));

@@ -6,13 +6,13 @@ use numpy::{
     AllowTypeChange, PyArray1, PyArrayDyn, PyArrayLikeDyn, PyArrayMethods, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use solaspect::aspect::{self, Origin};
+use solaspect::aspect::{self, Adopted};
 use solaspect::units::{PlateMil, SensorPx};
 
 /// The sensor-to-plate transformation that a solution rests on; scale and rotation are those at the Sun's place.
 #[pyclass(frozen, module = "solaspect")]
 pub struct Mapping {
-    pub inner: aspect::AdoptedMapping,
+    pub inner: Adopted,
     pub aspect: aspect::Aspect,
 }
 
@@ -21,23 +21,23 @@ impl Mapping {
     /// "similarity", "keystone", "affine" or "homography".
     #[getter]
     fn kind(&self) -> &'static str {
-        self.inner.mapping.kind().name()
+        self.inner.mapping().kind().name()
     }
 
     /// Where it is from: this "frame", the "prior" or the "calibration".
     #[getter]
     fn origin(&self) -> &'static str {
-        match self.inner.origin {
-            Origin::Frame => "frame",
-            Origin::Prior => "prior",
-            Origin::Calibration => "calibration",
+        match self.inner {
+            Adopted::Own(_) => "frame",
+            Adopted::Prior(_) => "prior",
+            Adopted::Calibration(_) => "calibration",
         }
     }
 
     /// Root mean square residual of the marks per axis, px; None for a borrowed mapping.
     #[getter]
     fn residual_px(&self) -> Option<f64> {
-        self.inner.residual_px
+        self.inner.residual_px()
     }
 
     /// Plate length per pixel, mil/px.
@@ -68,7 +68,7 @@ impl Mapping {
     #[getter]
     fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
         // nalgebra stores columns.
-        let numbers = self.inner.mapping.matrix().transpose().as_slice().to_vec();
+        let numbers = self.inner.mapping().matrix().transpose().as_slice().to_vec();
         rows(py, numbers, 3)
     }
 
@@ -79,7 +79,7 @@ impl Mapping {
         px: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         mapped(py, "px", &px, |x, y| {
-            let at = self.inner.mapping.to_plate(SensorPx::new(x, y));
+            let at = self.inner.mapping().to_plate(SensorPx::new(x, y));
             [at.x, at.y]
         })
     }
@@ -91,7 +91,7 @@ impl Mapping {
         mil: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         mapped(py, "mil", &mil, |x, y| {
-            let at = self.inner.mapping.to_sensor(PlateMil::new(x, y));
+            let at = self.inner.mapping().to_sensor(PlateMil::new(x, y));
             [at.x, at.y]
         })
     }

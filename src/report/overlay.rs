@@ -1,12 +1,12 @@
 //! A picture of a solved frame on which a person sees what the pipeline saw.
 
-use super::{Mark, Solution};
+use super::{Canvas, Colour};
+use crate::aspect::{Mark, Solution};
 use crate::fiducial::Lighting;
 use crate::frame::{Frame, Region};
 use crate::geometry::Mapping;
 use crate::instrument::Instrument;
 use crate::plate::Plate;
-use crate::report::{Canvas, Colour};
 use crate::units::{PlateMil, SensorPx};
 use image::RgbImage;
 
@@ -58,11 +58,11 @@ pub fn overlay(
     if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
         draw_disc(
             &mut canvas,
-            &adopted.mapping,
+            adopted.mapping(),
             aspect.sun_plate.position,
             aspect.sun_radius_px.value,
         );
-        draw_axes(&mut canvas, &adopted.mapping, aspect.sun_plate.position);
+        draw_axes(&mut canvas, adopted.mapping(), aspect.sun_plate.position);
     }
     draw_marks(&mut canvas, solution, &instrument.plate);
     for (line, text) in captions(solution, title).iter().enumerate() {
@@ -89,8 +89,8 @@ fn draw_scale(
 ) {
     let own = solution.aspect.zip(solution.mapping.as_ref());
     let own = own.map(|(aspect, adopted)| {
-        let seen = adopted.mapping.to_sensor(aspect.sun_plate.position);
-        adopted.mapping.scale_mil_per_px(seen)
+        let seen = adopted.mapping().to_sensor(aspect.sun_plate.position);
+        adopted.mapping().scale_mil_per_px(seen)
     });
     let mil_per_px = own.unwrap_or(instrument.mounting.scale_mil_per_px.value);
     let arcsec_per_px = mil_per_px * instrument.optics.arcsec_per_mil();
@@ -141,7 +141,7 @@ fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
         canvas.label(beside, &mark.id.to_string(), colour);
         if let Some(adopted) = &solution.mapping {
             let centre = plate.position(mark.id);
-            draw_cross(canvas, &adopted.mapping, plate, centre, colour);
+            draw_cross(canvas, adopted.mapping(), plate, centre, colour);
         }
     }
     for detection in &solution.detections.marks {

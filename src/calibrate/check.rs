@@ -4,16 +4,13 @@
 //! registration's leaves out: a tilt of the camera that a similarity does not show near the Sun but the calibration's place,
 //! far from it, does; and marks that are printed where they should not be, which are the same in every frame.
 
-use super::{Mark, Origin, Quality, Solution};
+use crate::aspect::{Quality, Solution, printed_mil};
+use crate::estimation::CONTRADICTION_SIGMAS;
 use crate::geometry::{MappingKind, TILT_PER_PX};
 use crate::instrument::Instrument;
-use crate::plate::Plate;
-use crate::registration::Registration;
-use crate::units::{Measured, Rejected};
+use crate::units::Measured;
 use std::fmt;
 
-/// So many sigmas from what is stated contradict it.
-const CONTRADICTS: f64 = 5.0;
 /// So many fine frames in a row that agree prove it: a single misread one does not.
 const PROVE: u32 = 3;
 
@@ -59,7 +56,7 @@ impl Quantity {
     }
 
     fn differ(self, a: Measured, b: Measured) -> bool {
-        self.difference(a.value, b.value).abs() > CONTRADICTS * a.sigma.hypot(b.sigma)
+        self.difference(a.value, b.value).abs() > CONTRADICTION_SIGMAS * a.sigma.hypot(b.sigma)
     }
 }
 
@@ -107,15 +104,14 @@ pub fn contradictions(solution: &Solution, instrument: &Instrument) -> Vec<Contr
 /// What a fine frame measures, in the order of [`Quantity::ALL`].
 fn measured(solution: &Solution, instrument: &Instrument) -> Option<[Measured; 4]> {
     let adopted = solution.mapping.as_ref()?;
-    if solution.quality != Quality::Fine || adopted.origin != Origin::Frame {
-        return None;
-    }
-    let registration = solution.track.as_ref()?.registration.as_ref()?;
+    let registration = adopted
+        .own()
+        .filter(|_| solution.quality == Quality::Fine)?;
     let aspect = solution.aspect?;
     let [rotation_deg, scale, x_px, y_px] = registration.at_plate_centre();
     let from_sun_px =
         (x_px.value - aspect.sun_px.position.x).hypot(y_px.value - aspect.sun_px.position.y);
-    let tilt_per_px = match adopted.mapping.kind() {
+    let tilt_per_px = match registration.mapping.kind() {
         MappingKind::Similarity | MappingKind::Affine => TILT_PER_PX,
         MappingKind::Keystone | MappingKind::Homography => 0.0,
     };
@@ -132,57 +128,6 @@ fn measured(solution: &Solution, instrument: &Instrument) -> Option<[Measured; 4
         widened(x_px, open_px),
         widened(y_px, open_px),
     ])
-}
-
-/// How well the marks of a frame are known on the plate, 1 sigma per axis.
-fn printed_mil(marks: &[Mark], plate: &Plate) -> f64 {
-    let sigmas = marks.iter().map(|mark| plate.sigma_mil(mark.id));
-    let squares: f64 = sigmas.map(|[x, y]| (x * x + y * y) / 2.0).sum();
-    (squares / marks.len().max(1) as f64).sqrt()
-}
-
-/// Holds scale and the disc's radius to what instrument and ephemeris state.
-///
-/// # Errors
-/// A scale at the Sun, in any direction, that is off the stated one by more than five sigma and a tilt's share; a radius on the plate that is off
-/// the expected one by more than five sigma. Both sigmas hold the frame's own and the print's.
-pub(super) fn check_stated(
-    registration: &Registration,
-    marks: &[Mark],
-    instrument: &Instrument,
-    radius_mil: Measured,
-) -> Result<(), Rejected> {
-    let Some(disc) = registration.disc else {
-        return Ok(());
-    };
-    let held = |reason, off: f64, limit: f64| match off <= limit {
-        true => Ok(()),
-        false => Err(Rejected {
-            reason,
-            measured: off,
-            limit,
-        }),
-    };
-    let [.., x_px, y_px] = registration.at_plate_centre();
-    let sun = disc.on_sensor.position;
-    let from_sun_px = (x_px.value - sun.x).hypot(y_px.value - sun.y);
-    let printed = printed_mil(marks, &instrument.plate) / radius_mil.value;
-    let stated = instrument.mounting.scale_mil_per_px;
-    for scale in registration.principal_scales(disc.on_plate.position) {
-        let sigma = (stated.sigma.hypot(scale.sigma) / stated.value).hypot(printed);
-        held(
-            "the marks' scale contradicts the stated one",
-            (scale.value / stated.value - 1.0).abs(),
-            // Along the tilt the scale changes twice as much as across it.
-            CONTRADICTS * sigma + 2.0 * TILT_PER_PX * from_sun_px,
-        )?;
-    }
-    let sigma_mil = radius_mil.sigma.hypot(disc.radius_mil.sigma);
-    held(
-        "the disc's radius contradicts the expected one",
-        (disc.radius_mil.value / radius_mil.value - 1.0).abs(),
-        CONTRADICTS * (sigma_mil / radius_mil.value).hypot(printed),
-    )
 }
 
 /// The instrument's calibration as a flight's fine frames see it.

@@ -1,0 +1,177 @@
+//! Acquiring: a first mapping from the marks of a frame of which nothing is known before.
+
+use super::stages::{DiscImage, MARK_MARGIN_PX, Pipeline, at};
+use super::{Measured, Solution, Stage, Stopped};
+use crate::estimation::median;
+use crate::fiducial::{
+    self, Detection, Detections, FlatDisc, IdentificationPrior, Illumination, Lighting, Unread,
+};
+use crate::frame::{Frame, Mask};
+use crate::geometry::{Mapping, MappingKind};
+use crate::instrument::Mounting;
+use crate::limb::DiscLight;
+use crate::registration::{self, Pair};
+use crate::units::{self, Rejected, SensorPx};
+use nalgebra::Matrix2;
+
+/// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
+/// may differ by half a pixel.
+const DISC_SCALE_SIGMA: f64 = 0.006;
+/// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
+/// which haze may widen the disc. In simulated frames all are found from 0.5 on.
+const SURE_DEPTH: f64 = 0.75;
+
+impl Pipeline<'_> {
+    /// Limb and marks of a frame by itself: by the mapping that its marks give, or the limb alone.
+    ///
+    /// # Errors
+    /// No limb, or marks that contradict every mapping which could be borrowed.
+    pub(super) fn alone(
+        &self,
+        frame: &Frame,
+        image: &DiscImage,
+        solution: &mut Solution,
+    ) -> Result<Measured, Stopped> {
+        solution.detections = self.detect(image);
+        match self.acquire(frame, image, &solution.detections) {
+            Ok(mapping) => self.measure(image, &mapping),
+            Err(Unread::Contradicting(rejected)) => Err(at(Stage::Identification)(rejected)),
+            Err(Unread::Undecided(rejected)) => {
+                let mask = self.detections_mask(image, &solution.detections);
+                Ok(Measured {
+                    limb: self.limb_beside(image, &mask)?,
+                    marks: Err(at(Stage::Identification)(rejected)),
+                    missing: 0,
+                })
+            }
+        }
+    }
+
+    /// The marks on the flattened disc.
+    pub fn detect(&self, image: &DiscImage) -> Detections {
+        let DiscImage { cutout, light, .. } = image;
+        let shape = self.disc_shape(light);
+        match FlatDisc::new(cutout, light.outline, light, &shape) {
+            Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
+            None => Detections::default(),
+        }
+    }
+
+    /// The cutout's mask, and what was found on the disc: no mapping predicts which marks lie near the limb.
+    fn detections_mask(&self, image: &DiscImage, detections: &Detections) -> Mask {
+        let mut mask = image.cutout.mask.clone();
+        let reach_px = self.shape.half_length_px + MARK_MARGIN_PX;
+        for Detection { at, .. } in &detections.marks {
+            mask.hide_where(*at, reach_px, |pixel| pixel.distance(*at) < reach_px);
+        }
+        mask
+    }
+
+    /// A similarity by the marks that were detected and can be read.
+    fn acquire(
+        &self,
+        frame: &Frame,
+        image: &DiscImage,
+        detections: &Detections,
+    ) -> Result<Mapping, Unread> {
+        let read = |mounting: &Mounting| {
+            let prior = self.identification_prior(frame, &image.light, detections, mounting);
+            let plate = &self.instrument.plate;
+            fiducial::identify(&detections.marks, &prior, plate, &self.settings.fiducial)
+        };
+        let mounting = &self.instrument.mounting;
+        let mirrored = || {
+            let mut images = mirror_images(mounting, frame).into_iter();
+            images.any(|image| read(&image).is_ok())
+        };
+        let ids = match read(mounting) {
+            Err(unread) if mirrored() => Err(Unread::Contradicting(Rejected {
+                reason: "the marks are those of the plate's mirror image",
+                ..unread.rejected()
+            })),
+            read => read,
+        }?;
+        let full = |(n, _): &&(usize, _)| detections.marks[*n].lighting == Lighting::Full;
+        let pair = |(n, id): &(usize, _)| Pair {
+            observed: detections.marks[*n].at,
+            printed: self.instrument.plate.position(*id),
+            covariance_px2: Matrix2::identity() * detections.marks[*n].sigma_px.powi(2),
+        };
+        let pairs: Vec<Pair> = ids.iter().filter(full).map(pair).collect();
+        registration::fit(
+            &pairs,
+            MappingKind::Similarity,
+            mounting.handedness,
+            self.instrument.camera.distortion,
+            &self.settings.registration,
+        )
+        .map(|fit| fit.mapping)
+        .ok_or(Unread::Undecided(Rejected {
+            reason: "the marks determine no mapping",
+            measured: pairs.len() as f64,
+            limit: self.settings.fiducial.min_marks as f64,
+        }))
+    }
+
+    fn identification_prior(
+        &self,
+        frame: &Frame,
+        disc: &DiscLight,
+        detections: &Detections,
+        mounting: &Mounting,
+    ) -> IdentificationPrior {
+        let radius = self.radius_mil.value;
+        let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
+        IdentificationPrior {
+            outline: disc.outline,
+            radius_mil: units::Measured::new(radius, radius * relative),
+            quarter_rotation_deg: detections.quarter_rotation_deg,
+            handedness: mounting.handedness,
+            plate_centre: mounting.plate_centre_px,
+            plate_centre_sigma_px: mounting.plate_centre_sigma_px,
+            rotation_deg: mounting.rotation_deg,
+            scale_mil_per_px: mounting.scale_mil_per_px,
+            missed_share: missed_share(detections),
+            sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
+            sure_margin_px: self.shape.half_length_px + 4.0,
+            sensor_px: [frame.width() as f64, frame.height() as f64],
+        }
+    }
+}
+
+/// How the camera would be mounted if its pictures were mirrored: its rows or columns read in the opposite order, or its file wrong.
+fn mirror_images(mounting: &Mounting, frame: &Frame) -> [Mounting; 3] {
+    let SensorPx { x, y } = mounting.plate_centre_px;
+    let (last_x, last_y) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
+    let rotation = mounting.rotation_deg;
+    [
+        (SensorPx::new(x, last_y - y), 180.0 - rotation.value),
+        (SensorPx::new(last_x - x, y), -rotation.value),
+        (SensorPx::new(x, y), rotation.value),
+    ]
+    .map(|(plate_centre_px, rotation_deg)| Mounting {
+        plate_centre_px,
+        rotation_deg: units::Measured::new(rotation_deg, rotation.sigma),
+        handedness: mounting.handedness.other(),
+        ..*mounting
+    })
+}
+
+/// The disc's light illuminates the marks.
+impl Illumination for DiscLight {
+    fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
+        self.fill(x, y, light);
+    }
+}
+
+/// Share of the marks that go unseen, by how well the others are seen. Held above what simulated frames show: none of some
+/// 1,500 where marks are plain, 0.3 % in haze, 1.4 % of faint ones among blemishes.
+fn missed_share(detections: &Detections) -> f64 {
+    const MOST: f64 = 0.1;
+    const LEAST: f64 = 0.003;
+    const SIGMA_OF_MOST_PX: f64 = 0.08;
+    match median(detections.marks.iter().map(|d| d.sigma_px)) {
+        Some(median) => (MOST * (median / SIGMA_OF_MOST_PX).powi(2)).clamp(LEAST, MOST),
+        None => MOST,
+    }
+}

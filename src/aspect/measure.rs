@@ -1,0 +1,195 @@
+//! Measuring: limb and marks by their own pixels, where a mapping predicts the marks.
+//!
+//! The mapping is the prior's or an acquired one; nothing of it enters the result but the places where the fits start and the
+//! marks that are looked for. Whether it was right, the marks show: they are where it predicts them, or it was not.
+
+use super::stages::{DISC_ROOM, DiscImage, Pipeline, at, marks_mask};
+use super::{Mark, Stage, Stopped, Track};
+use crate::estimation::median;
+use crate::fiducial::{Lighting, RefinedMark, Refiner};
+use crate::frame::{Cutout, Mask};
+use crate::geometry::Mapping;
+use crate::limb::{COMA_BLURS, DiscLight, Limb};
+use crate::units::Estimate;
+use nalgebra::{Matrix2, Vector2};
+
+/// A mark farther than this from its predicted place is none, or the camera moved; px.
+const MAX_DRIFT_PX: f64 = 1.0;
+/// What of a mark must lie inside the limb for it to be measured, in half lengths from its middle.
+const LEAST_INSIDE: f64 = 0.3;
+/// A mark whose residuals exceed the pixels' stated variance by so much is none, or not only one.
+const MAX_CHI2: f64 = 16.0;
+/// All marks of a plate have the same contrast; what differs by more from the fully lit ones is something else, or more than one.
+const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
+/// A cut mark whose place is less certain is rejected, px.
+const MOST_CUT_SIGMA_PX: f64 = 0.3;
+/// So many marks beyond those that make a labelling must be predicted: a wrong mapping that fits a few by chance does not fit these.
+const MORE_MARKS: usize = 2;
+/// After so many frames the marks are detected and identified again: a wrong id must not last.
+const MOST_IN_SUCCESSION: u32 = 30;
+/// Part of a shift by coma that is uncertain: the displaced light's own blur.
+const COMA_OPEN: f64 = 0.2;
+
+/// Limb and marks by their own pixels.
+pub struct Measured {
+    pub limb: Limb,
+    /// Or why there are none.
+    pub marks: Result<Vec<Mark>, Stopped>,
+    /// Fully lit marks that are not where the mapping predicts them.
+    pub missing: usize,
+}
+
+/// How far coma shifts the marks against the limb.
+struct ComaShift {
+    shift_px: Vector2<f64>,
+    /// What it adds to the covariance of each mark.
+    covariance_px2: Matrix2<f64>,
+}
+
+impl ComaShift {
+    fn removed_from(&self, found: RefinedMark) -> RefinedMark {
+        let place = Estimate {
+            position: (found.place.position.vector() - self.shift_px).into(),
+            covariance: found.place.covariance + self.covariance_px2,
+        };
+        RefinedMark { place, ..found }
+    }
+}
+
+impl Pipeline<'_> {
+    /// Limb and marks as the prior's mapping predicts them, and how many frames in succession were measured so. `None` where there is
+    /// no such mapping, or not all is as it predicts: a mapping whose ids were wrong would predict marks where the pattern has
+    /// none.
+    pub(super) fn tracked(
+        &self,
+        image: &DiscImage,
+        prior: Option<&Track>,
+    ) -> Option<(Measured, u32)> {
+        let prior = prior.filter(|prior| prior.predicted < MOST_IN_SUCCESSION)?;
+        let mapping = &prior.registration.as_ref()?.mapping;
+        let measured = self.measure(image, mapping).ok()?;
+        let enough = self.settings.fiducial.min_marks + MORE_MARKS;
+        let full = fully_lit(measured.marks.as_ref().ok()?);
+        (measured.missing == 0 && full >= enough).then(|| (measured, prior.predicted + 1))
+    }
+
+    /// The limb without masked pixels; with too many masked, what these do to the limb is the lesser evil.
+    pub(super) fn limb_beside(&self, image: &DiscImage, mask: &Mask) -> Result<Limb, Stopped> {
+        self.limb(image, mask)
+            .or_else(|_| self.limb(image, &image.cutout.mask))
+            .map_err(at(Stage::Limb))
+    }
+
+    /// Limb and marks of a disc that is roughly known, by a mapping.
+    pub fn measure(&self, image: &DiscImage, mapping: &Mapping) -> Result<Measured, Stopped> {
+        let DiscImage { cutout, light, .. } = image;
+        let mask = marks_mask(cutout, self.instrument, &light.outline, mapping);
+        let limb = self.limb_beside(image, &mask)?;
+        let predicted = self.predicted_marks(cutout, &limb, mapping);
+        let refined = self.refine(cutout, &limb, mapping, &predicted);
+        let found = || predicted.iter().zip(&refined);
+        let full = found().filter(|(mark, _)| mark.lighting == Lighting::Full);
+        let usual = median(full.filter_map(|(_, found)| Some(found.as_ref()?.contrast)));
+        let marks = found().filter_map(|(mark, found)| {
+            let found = found.filter(|found| self.is_mark(mark, found, usual))?;
+            Some(mark.placed(&found))
+        });
+        let marks: Vec<Mark> = marks.collect();
+        Ok(Measured {
+            missing: fully_lit(&predicted) - fully_lit(&marks),
+            limb,
+            marks: Ok(marks),
+        })
+    }
+
+    fn is_mark(&self, predicted: &Mark, found: &RefinedMark, usual_contrast: Option<f64>) -> bool {
+        let like_others = |usual| COMMON_CONTRAST.contains(&(found.contrast / usual));
+        found.contrast > self.settings.fiducial.min_contrast
+            && usual_contrast.is_some_and(like_others)
+            && found.reduced_chi2 < MAX_CHI2
+            && found.place.position.distance(predicted.at) < MAX_DRIFT_PX
+            && (predicted.lighting == Lighting::Full
+                || largest_variance(&found.place.covariance) < MOST_CUT_SIGMA_PX.powi(2))
+    }
+
+    /// The plate's marks that the disc illuminates, where a mapping puts them.
+    fn predicted_marks(&self, cutout: &Cutout, limb: &Limb, mapping: &Mapping) -> Vec<Mark> {
+        let plate = &self.instrument.plate;
+        let half_mil = plate.cross.arm_length_mil / 2.0;
+        let (outline, region) = (&limb.outline.ellipse, cutout.region());
+        let centre = outline.centre.into();
+        let about_mil = DISC_ROOM * outline.mean_radius() * mapping.scale_mil_per_px(centre);
+        let near = plate.marks_about(mapping.to_plate(centre), about_mil);
+        let marks = near.filter_map(|(id, printed)| {
+            let at = mapping.to_sensor(printed);
+            let arms = mapping.sensor_jacobian(printed) * half_mil;
+            let inside = outline.excess(at.vector()) < -LEAST_INSIDE * self.shape.half_length_px;
+            (inside && region.holds(at, 0.0)).then(|| Mark {
+                id,
+                at,
+                covariance_px2: Matrix2::zeros(),
+                lighting: Lighting::of(at, &arms, outline, &region),
+            })
+        });
+        marks.collect()
+    }
+
+    /// Marks by their own pixels, without the shift that coma gives them against the limb; none where the pixels do not
+    /// agree with a cross.
+    pub fn refine(
+        &self,
+        cutout: &Cutout,
+        limb: &Limb,
+        mapping: &Mapping,
+        marks: &[Mark],
+    ) -> Vec<Option<RefinedMark>> {
+        let light = &limb.light;
+        let plate = &self.instrument.plate;
+        let mut refiner = Refiner::new(
+            &plate.cross,
+            self.disc_scale(light),
+            self.mark_blur_px(light),
+        );
+        let coma = self.coma_shift(light, marks.len());
+        let refined = |mark: &Mark| {
+            let jacobian = mapping.sensor_jacobian(plate.position(mark.id));
+            let found = refiner.refine(cutout, light, &jacobian, mark.at)?;
+            Some(coma.removed_from(found))
+        };
+        marks.iter().map(refined).collect()
+    }
+
+    /// By how much coma shifts marks against the limb. Its uncertainty moves all marks alike: so many must not average it
+    /// away.
+    fn coma_shift(&self, light: &DiscLight, marks: usize) -> ComaShift {
+        let (coma, covariance) = light.coma();
+        let response = self.disc_shape(light).coma_shift(COMA_BLURS);
+        let open = covariance + Matrix2::identity() * (COMA_OPEN * coma.norm()).powi(2);
+        ComaShift {
+            shift_px: response * coma,
+            covariance_px2: marks as f64 * response.powi(2) * open,
+        }
+    }
+}
+
+impl Mark {
+    /// The mark where its pixels show it.
+    fn placed(&self, found: &RefinedMark) -> Self {
+        Self {
+            at: found.place.position,
+            covariance_px2: found.place.covariance,
+            ..*self
+        }
+    }
+}
+
+fn fully_lit(marks: &[Mark]) -> usize {
+    let full = |mark: &&Mark| mark.lighting == Lighting::Full;
+    marks.iter().filter(full).count()
+}
+
+/// Along the direction that is known worst.
+fn largest_variance(covariance: &Matrix2<f64>) -> f64 {
+    let half_difference = (covariance.m11 - covariance.m22) / 2.0;
+    covariance.trace() / 2.0 + half_difference.hypot(covariance.m12)
+}

@@ -1,0 +1,140 @@
+//! Normal equations of a few parameters.
+
+use super::least_squares::Prior;
+use nalgebra::{SMatrix, SVector};
+
+/// An unknown with less than this part of its information independent of those before it is not determined.
+const LEAST_OWN_PART: f64 = 1e-10;
+
+/// The normal equations of observations near some parameters, residuals and slopes in units of their sigmas.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Normal<const N: usize> {
+    pub information: SMatrix<f64, N, N>,
+    pub gradient: SVector<f64, N>,
+    /// Sum of the squared residuals.
+    pub chi2: f64,
+}
+
+/// A step of the parameters, and their covariance after it: 0 for those that are held.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Solved<const N: usize> {
+    pub step: SVector<f64, N>,
+    pub covariance: SMatrix<f64, N, N>,
+}
+
+impl<const N: usize> Normal<N> {
+    pub fn zero() -> Self {
+        Self {
+            information: SMatrix::zeros(),
+            gradient: SVector::zeros(),
+            chi2: 0.0,
+        }
+    }
+
+    /// Adds an observation of some weight: derivatives of its prediction, and observed minus predicted.
+    pub fn add(&mut self, slopes: &SVector<f64, N>, residual: f64, weight: f64) {
+        self.information.ger(weight, slopes, slopes, 1.0);
+        self.gradient.axpy(weight * residual, slopes, 1.0);
+        self.chi2 += weight * residual * residual;
+    }
+
+    /// The same observations, each counting so much.
+    pub fn weighted(&self, weight: f64) -> Self {
+        Self {
+            information: self.information * weight,
+            gradient: self.gradient * weight,
+            chi2: self.chi2 * weight,
+        }
+    }
+
+    /// These observations and others.
+    pub fn with(&self, other: &Self) -> Self {
+        Self {
+            information: self.information + other.information,
+            gradient: self.gradient + other.gradient,
+            chi2: self.chi2 + other.chi2,
+        }
+    }
+
+    /// The Gauss-Newton step from some parameters of which something is known; those of infinite information are held at their mean.
+    /// `None` where the others are not determined.
+    pub fn solve(&self, prior: &Prior<N>, parameters: &SVector<f64, N>) -> Option<Solved<N>> {
+        let mut information = self.information;
+        let mut gradient = self.gradient;
+        for n in 0..N {
+            let known = prior.information[n];
+            if known.is_finite() {
+                information[(n, n)] += known;
+                gradient[n] += known * (prior.mean[n] - parameters[n]);
+            } else {
+                let step = prior.mean[n] - parameters[n];
+                gradient.axpy(-step, &information.column(n).into_owned(), 1.0);
+                information.row_mut(n).fill(0.0);
+                information.column_mut(n).fill(0.0);
+                (information[(n, n)], gradient[n]) = (1.0, step);
+            }
+        }
+        let root = information.cholesky()?;
+        let own = |n: usize| root.l_dirty()[(n, n)].powi(2);
+        if (0..N).any(|n| own(n) <= LEAST_OWN_PART * information[(n, n)]) {
+            return None;
+        }
+        let step = root.solve(&gradient);
+        let mut covariance = root.inverse();
+        for n in (0..N).filter(|n| prior.information[*n].is_infinite()) {
+            covariance[(n, n)] = 0.0;
+        }
+        step.iter()
+            .all(|v| v.is_finite())
+            .then_some(Solved { step, covariance })
+    }
+
+    /// The sum of the squared residuals after a step, as far as they are linear.
+    pub fn chi2_after(&self, step: &SVector<f64, N>) -> f64 {
+        self.chi2 - 2.0 * step.dot(&self.gradient) + step.dot(&(self.information * step))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A line through (0, 1), (1, 3) and (2, 5.3), all to 0.1.
+    fn line() -> Normal<2> {
+        let mut normal = Normal::zero();
+        for (x, y) in [(0.0, 1.0), (1.0, 3.0), (2.0, 5.3)] {
+            normal.add(&SVector::from([1.0, x]), y, 100.0);
+        }
+        normal
+    }
+
+    #[test]
+    fn a_line_is_the_one_of_the_textbook() {
+        let solved = line().solve(&Prior::none(), &SVector::zeros()).unwrap();
+        assert!((solved.step - SVector::from([0.95, 2.15])).norm() < 1e-9);
+        assert!((solved.covariance[(1, 1)] - 0.01 / 2.0).abs() < 1e-12);
+        assert!((line().chi2_after(&solved.step) - 1.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_is_held_goes_to_its_mean_and_has_no_variance() {
+        let mut prior = Prior::none();
+        prior.information[1] = f64::INFINITY;
+        let solved = line().solve(&prior, &SVector::from([0.0, 0.5])).unwrap();
+        assert!((solved.step - SVector::from([3.1 + 0.5, -0.5])).norm() < 1e-9);
+        assert_eq!(solved.covariance[(1, 1)], 0.0);
+        assert!((solved.covariance[(0, 0)] - 0.01 / 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_nothing_determines_is_refused() {
+        let mut normal = Normal::zero();
+        normal.add(&SVector::from([1.0, 2.0]), 1.0, 1.0);
+        assert_eq!(normal.solve(&Prior::none(), &SVector::zeros()), None);
+        let prior = Prior {
+            mean: SVector::zeros(),
+            information: SVector::from([0.0, 1.0]),
+        };
+        assert!(normal.solve(&prior, &SVector::zeros()).is_some());
+    }
+}

@@ -1,0 +1,91 @@
+//! What a frame's own marks say against the calibration outweighs it: no place is borrowed from a mapping that they contradict.
+
+use solaspect::aspect::{Expected, Quality, Solution, Stage, solve};
+use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::instrument::{Instrument, builtin};
+use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC};
+
+const EXPECTED: Option<Expected> = Some(Expected {
+    radius_arcsec: SUN_RADIUS_ARCSEC,
+});
+
+/// Frames of the demo instrument that are fine as they are.
+fn frames() -> Vec<Frame> {
+    let demo = builtin("demo").unwrap();
+    let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 1).unwrap();
+    let frames = (0..24).map(|number| scenes.scene(number).unwrap().frame().unwrap());
+    let fine = |frame: &Frame| solve(frame, &demo, EXPECTED, None).quality == Quality::Fine;
+    frames.filter(fine).collect()
+}
+
+/// The frame with its pixels in another order.
+fn reordered(frame: &Frame, place: impl Fn(usize, usize) -> (usize, usize)) -> Frame {
+    let (width, height) = (frame.width(), frame.height());
+    let Pixels::U8(pixels) = frame.pixels() else {
+        panic!("the demo's pixels have 8 bits");
+    };
+    let pixel = |n: usize| {
+        let (x, y) = place(n % width, n / width);
+        pixels[y * width + x]
+    };
+    let pixels = Pixels::U8((0..width * height).map(pixel).collect());
+    Frame::new(width, height, pixels, 255, FrameInfo::default()).unwrap()
+}
+
+fn has_no_place(solution: &Solution) {
+    assert_eq!(solution.quality, Quality::None);
+    assert!(solution.aspect.is_none());
+    assert!(solution.track.is_none());
+}
+
+#[test]
+fn a_mirrored_picture_is_called_so_and_has_no_place() {
+    let demo = builtin("demo").unwrap();
+    let frames = frames();
+    assert!(frames.len() > 15, "{}", frames.len());
+    let mut told = [0; 2];
+    for frame in &frames {
+        let (last_x, last_y) = (frame.width() - 1, frame.height() - 1);
+        let images = [
+            reordered(frame, |x, y| (x, last_y - y)),
+            reordered(frame, |x, y| (last_x - x, y)),
+        ];
+        for (image, told) in images.iter().zip(&mut told) {
+            let solution = solve(image, &demo, EXPECTED, None);
+            assert_ne!(solution.quality, Quality::Fine);
+            let stopped = solution.stopped.unwrap();
+            if stopped.rejected.reason.contains("mirror image") {
+                assert_eq!(stopped.stage, Stage::Identification);
+                has_no_place(&solution);
+                *told += 1;
+            }
+        }
+    }
+    // Few marks in a row are their own mirror image.
+    for told in told {
+        assert!(told * 10 >= frames.len() * 9, "{told} of {}", frames.len());
+    }
+}
+
+/// The instrument with its plate's centre stated elsewhere.
+fn moved(by_px: f64) -> Instrument {
+    let mut instrument = builtin("demo").unwrap();
+    instrument.mounting.plate_centre_px.x += by_px;
+    instrument
+}
+
+#[test]
+fn a_camera_moved_farther_than_it_may_be_has_no_place_by_the_calibration() {
+    let instrument = moved(160.0);
+    let (mut none, mut all) = (0, 0);
+    for frame in &frames() {
+        let solution = solve(frame, &instrument, EXPECTED, None);
+        assert_ne!(solution.quality, Quality::Fine);
+        all += 1;
+        if solution.quality == Quality::None {
+            has_no_place(&solution);
+            none += 1;
+        }
+    }
+    assert!(none * 10 >= all * 9, "{none} of {all}");
+}
